@@ -1,0 +1,6 @@
+//! One agent.
+#![no_std]
+#![forbid(unsafe_code)]
+
+pub mod activation;
+pub mod network;

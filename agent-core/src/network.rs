@@ -1,0 +1,271 @@
+//! The inner deep network: `sigma(Phi_hat(x_hat))` of `Observer i`.
+//!
+//! `a_0 = x_hat`, `a_q = phi_q(W_q^T a_(q-1) + b_q)` for the inner layers
+//! `q = 1..=ell` (equation `Phi func`, with the activation after the affine map); the
+//! outputs of the last inner layer are the features `sigma` that the outer weights combine.
+//!
+//! Cost: one multiplication and one addition for every weight, one activation for every
+//! node. Memory: the parameters, wherever they live, and [`Scratch`].
+//!
+//! Invariants: an [`InnerNetwork`] always holds exactly the parameters that its
+//! [`Architecture`] asks for, all finite. Every sum starts from the bias and adds the
+//! inputs in ascending order, whatever the width, so the bits depend on neither padding nor
+//! vector length.
+//!
+//! The parameters are one flat sequence, layer after layer: first the `width` biases, then
+//! the weights row by row, one row of `width` weights for each input of the layer
+//! (`W_q` of the paper in row-major order).
+
+use crate::activation::Activation;
+
+/// Most inner layers that a network can have.
+pub const INNER_LAYERS_MAX: usize = 8;
+/// Most nodes that an inner layer can have.
+pub const LAYER_WIDTH_MAX: usize = 64;
+/// Most inputs that a network can have; the largest state dimension.
+pub const INPUTS_MAX: usize = 12;
+
+/// One inner layer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Layer {
+    /// Nodes, 1 to [`LAYER_WIDTH_MAX`].
+    pub width: u8,
+    /// What every node applies to its weighted sum.
+    pub activation: Activation,
+}
+
+/// Input dimension and inner layers of a network.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Architecture {
+    inputs: u8,
+    layers: heapless::Vec<Layer, INNER_LAYERS_MAX>,
+}
+
+/// Why a network cannot be built.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum NetworkError {
+    /// The input dimension is not in 1..=[`INPUTS_MAX`].
+    Inputs {
+        /// The dimension given.
+        found: usize,
+    },
+    /// The number of inner layers is not in 1..=[`INNER_LAYERS_MAX`].
+    LayerCount {
+        /// The number given.
+        found: usize,
+    },
+    /// A layer's width is not in 1..=[`LAYER_WIDTH_MAX`].
+    Width {
+        /// Index of the layer, from 0.
+        layer: usize,
+        /// The width given.
+        found: usize,
+    },
+    /// The number of parameters is not what the architecture asks for.
+    ParameterCount {
+        /// What the architecture asks for.
+        expected: usize,
+        /// The number given.
+        found: usize,
+    },
+    /// A parameter is infinite or not a number.
+    NotFinite {
+        /// Index of the parameter, from 0.
+        index: usize,
+    },
+}
+
+impl core::fmt::Display for NetworkError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match *self {
+            Self::Inputs { found } => {
+                write!(f, "{found} network inputs, expected 1 to {INPUTS_MAX}")
+            }
+            Self::LayerCount { found } => {
+                write!(f, "{found} inner layers, expected 1 to {INNER_LAYERS_MAX}")
+            }
+            Self::Width { layer, found } => {
+                write!(f, "inner layer {layer} has {found} nodes, expected 1 to {LAYER_WIDTH_MAX}")
+            }
+            Self::ParameterCount { expected, found } => {
+                write!(f, "{found} inner parameters, the architecture has {expected}")
+            }
+            Self::NotFinite { index } => write!(f, "inner parameter {index} is not finite"),
+        }
+    }
+}
+
+impl core::error::Error for NetworkError {}
+
+impl Architecture {
+    /// A network from `inputs` state components through `layers`.
+    ///
+    /// # Errors
+    /// [`NetworkError::Inputs`], [`NetworkError::LayerCount`] or [`NetworkError::Width`].
+    pub fn new(inputs: usize, layers: &[Layer]) -> Result<Self, NetworkError> {
+        let inputs_checked = u8::try_from(inputs)
+            .ok()
+            .filter(|&i| (1..=INPUTS_MAX).contains(&usize::from(i)))
+            .ok_or(NetworkError::Inputs { found: inputs })?;
+        if layers.is_empty() {
+            return Err(NetworkError::LayerCount { found: 0 });
+        }
+        for (layer, &Layer { width, .. }) in layers.iter().enumerate() {
+            let found = usize::from(width);
+            if !(1..=LAYER_WIDTH_MAX).contains(&found) {
+                return Err(NetworkError::Width { layer, found });
+            }
+        }
+        let layers = heapless::Vec::from_slice(layers)
+            .map_err(|_| NetworkError::LayerCount { found: layers.len() })?;
+        Ok(Self { inputs: inputs_checked, layers })
+    }
+
+    /// State components that enter the first layer.
+    #[must_use]
+    pub fn inputs(&self) -> usize {
+        usize::from(self.inputs)
+    }
+
+    /// The inner layers, first to last.
+    #[must_use]
+    pub fn layers(&self) -> &[Layer] {
+        &self.layers
+    }
+
+    /// Width of the last inner layer: the paper's L, rows of the outer weights.
+    #[must_use]
+    pub fn features(&self) -> usize {
+        self.layers.last().map_or(0, |layer| usize::from(layer.width))
+    }
+
+    /// Length of the flat parameter sequence.
+    #[must_use]
+    pub fn parameter_count(&self) -> usize {
+        self.shapes().map(|(inputs, layer)| (inputs + 1) * usize::from(layer.width)).sum()
+    }
+
+    /// `(inputs, layer)` of each layer, first to last.
+    pub fn shapes(&self) -> impl Iterator<Item = (usize, Layer)> + '_ {
+        self.layers.iter().scan(self.inputs(), |inputs, &layer| {
+            let shape = (*inputs, layer);
+            *inputs = usize::from(layer.width);
+            Some(shape)
+        })
+    }
+}
+
+/// The inner network with its parameters in `S`: a flash slice, a static buffer, or a heap
+/// vector on the host.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InnerNetwork<S> {
+    architecture: Architecture,
+    parameters: S,
+}
+
+impl<S: AsRef<[f32]>> InnerNetwork<S> {
+    /// Joins parameters to their architecture.
+    ///
+    /// # Errors
+    /// [`NetworkError::ParameterCount`] or [`NetworkError::NotFinite`].
+    pub fn new(architecture: Architecture, parameters: S) -> Result<Self, NetworkError> {
+        let values = parameters.as_ref();
+        let expected = architecture.parameter_count();
+        if values.len() != expected {
+            return Err(NetworkError::ParameterCount { expected, found: values.len() });
+        }
+        match values.iter().position(|value| !value.is_finite()) {
+            Some(index) => Err(NetworkError::NotFinite { index }),
+            None => Ok(Self { architecture, parameters }),
+        }
+    }
+
+    /// Widths and activations.
+    #[must_use]
+    pub fn architecture(&self) -> &Architecture {
+        &self.architecture
+    }
+
+    /// The flat parameter sequence.
+    #[must_use]
+    pub fn parameters(&self) -> &[f32] {
+        self.parameters.as_ref()
+    }
+
+    /// `sigma(Phi_hat(x))`, shape `[L]`, computed in `scratch`.
+    ///
+    /// `None` if `x` does not have the length that the architecture asks for.
+    pub fn features<'s>(&self, x: &[f32], scratch: &'s mut Scratch) -> Option<&'s [f32]> {
+        if x.len() != self.architecture.inputs() {
+            return None;
+        }
+        let (mut source, mut target) = (&mut scratch.first, &mut scratch.second);
+        let mut parameters = self.parameters.as_ref();
+        let mut inputs = x.len();
+        source.get_mut(..inputs)?.copy_from_slice(x);
+        for layer in self.architecture.layers() {
+            let width = usize::from(layer.width);
+            let (biases, rest) = parameters.split_at_checked(width)?;
+            let (weights, rest) = rest.split_at_checked(width * inputs)?;
+            let outputs = target.get_mut(..width)?;
+            affine(biases, weights, source.get(..inputs)?, outputs);
+            layer.activation.apply(outputs);
+            parameters = rest;
+            inputs = width;
+            core::mem::swap(&mut source, &mut target);
+        }
+        source.get(..inputs)
+    }
+}
+
+/// Where the network keeps the outputs of two layers while it is evaluated.
+#[derive(Clone, Debug)]
+pub struct Scratch {
+    first: [f32; LAYER_WIDTH_MAX],
+    second: [f32; LAYER_WIDTH_MAX],
+}
+
+impl Scratch {
+    /// An empty scratch, for a `static`.
+    pub const NEW: Self = Self { first: [0.0; LAYER_WIDTH_MAX], second: [0.0; LAYER_WIDTH_MAX] };
+}
+
+/// `outputs = biases + weights^T inputs`, inputs in ascending order for every output.
+///
+/// Twelve outputs at a time (then four, then one) so that a vector unit has independent
+/// lanes; each lane adds in the same order as a plain loop would.
+#[inline]
+fn affine(biases: &[f32], weights: &[f32], inputs: &[f32], outputs: &mut [f32]) {
+    let width = outputs.len();
+    let mut first = 0;
+    while first < width {
+        first += match width - first {
+            12.. => affine_block::<12>(first, biases, weights, inputs, outputs),
+            4.. => affine_block::<4>(first, biases, weights, inputs, outputs),
+            _ => affine_block::<1>(first, biases, weights, inputs, outputs),
+        };
+    }
+}
+
+/// The `LANES` outputs from `first`; returns `LANES`.
+#[inline(always)]
+fn affine_block<const LANES: usize>(
+    first: usize,
+    biases: &[f32],
+    weights: &[f32],
+    inputs: &[f32],
+    outputs: &mut [f32],
+) -> usize {
+    let width = outputs.len();
+    let block = first..first + LANES;
+    let mut sums = [0.0f32; LANES];
+    sums.copy_from_slice(&biases[block.clone()]);
+    for (row, &input) in weights.chunks_exact(width).zip(inputs) {
+        for (sum, &weight) in sums.iter_mut().zip(&row[block.clone()]) {
+            *sum += weight * input;
+        }
+    }
+    outputs[block].copy_from_slice(&sums);
+    LANES
+}
