@@ -1,0 +1,437 @@
+//! One whole agent: parameters, state, and the step that joins the modules.
+//!
+//! A step at tick `k` (time `t_k = k dt`)
+//! 1. takes the frames that its neighbours broadcast at `t_k` into the held estimates,
+//! 2. evaluates `Observer i` and `What_i Dot` with the measurement `y(t_k)`,
+//! 3. advances estimate and outer weights to `t_(k+1)` by Euler's method,
+//! 4. evaluates `Trigger` at `t_(k+1)` and, if it fires, samples the estimate there and
+//!    returns the frame to broadcast.
+//!
+//! A frame that is returned by step `k` belongs to `t_(k+1)` and must be in the inbox of every
+//! neighbour before its step `k + 1`: then all ends of an edge hold the same sample over the
+//! same interval, as the paper's simultaneous broadcast asks, and the result does not depend
+//! on the order in which agents are stepped.
+//!
+//! Cost: that of the modules. Memory: [`AgentState`] takes `4 N (FEATURES + 5) + 8 FEATURES`
+//! bytes and the network's scratch, and `4 N + 24` bytes a neighbour.
+//!
+//! Invariants: every number in the state is finite; an error leaves state and inbox as they
+//! were before the call.
+
+use nalgebra::SMatrix;
+
+use crate::capture::Sample;
+use crate::frame::Frame;
+use crate::hold::Hold;
+use crate::inbox::Inbox;
+use crate::network::{InnerNetwork, Scratch};
+use crate::numeric::{add_scaled, all_finite, product};
+use crate::observer::{Neighbour, ObserverParams};
+use crate::outer_law::{OuterLawParams, OuterWeights};
+use crate::parameter::{ParameterError, finite, positive};
+use crate::trigger::TriggerParams;
+use crate::{AgentId, StateVector, Tick};
+
+/// Everything about an agent that does not change, checked as a whole.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AgentParams<'a, const N: usize> {
+    id: AgentId,
+    step_size: f32,
+    observer: ObserverParams<'a, N>,
+    outer_law: OuterLawParams<'a>,
+    trigger: TriggerParams,
+}
+
+impl<'a, const N: usize> AgentParams<'a, N> {
+    /// Joins the parameters of agent `id`, which is stepped every `step_size` \[s\].
+    ///
+    /// # Errors
+    /// The first parameter that is out of its range.
+    pub fn new(
+        id: AgentId,
+        step_size: f32,
+        observer: ObserverParams<'a, N>,
+        outer_law: OuterLawParams<'a>,
+        trigger: TriggerParams,
+    ) -> Result<Self, ParameterError> {
+        positive("step_size", step_size)?;
+        observer.validate(id)?;
+        outer_law.projection.validate()?;
+        trigger.validate()?;
+        Ok(Self { id, step_size, observer, outer_law, trigger })
+    }
+
+    /// The agent's number.
+    #[must_use]
+    pub fn id(&self) -> AgentId {
+        self.id
+    }
+
+    /// `dt`. \[s\]
+    #[must_use]
+    pub fn step_size(&self) -> f32 {
+        self.step_size
+    }
+
+    /// `m`, how many outputs the agent measures.
+    #[must_use]
+    pub fn outputs(&self) -> usize {
+        self.observer.output_matrix.outputs()
+    }
+
+    /// `K_1`, shape `[N, N]`. \[1/s\]
+    #[must_use]
+    pub fn gain(&self) -> &SMatrix<f32, N, N> {
+        &self.observer.gain
+    }
+
+    /// The neighbours, in the order of an inbox's places.
+    #[must_use]
+    pub fn neighbours(&self) -> &'a [Neighbour] {
+        self.observer.neighbours
+    }
+}
+
+/// Why a step was not taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum StepError {
+    /// Time did not advance.
+    Tick {
+        /// The tick of the last step.
+        last: Tick,
+        /// The tick given.
+        found: Tick,
+    },
+    /// The measurement has the wrong length.
+    Outputs {
+        /// Rows of the output matrix.
+        expected: usize,
+        /// Length of the measurement.
+        found: usize,
+    },
+    /// A measurement is infinite or not a number.
+    MeasurementNotFinite {
+        /// Index of the output, from 0.
+        output: usize,
+    },
+    /// The state or the inbox was made for another number of neighbours.
+    Neighbours {
+        /// Neighbours in the parameters.
+        expected: usize,
+        /// Places in the state or the inbox.
+        found: usize,
+    },
+    /// The network has another number of features than there are outer weights for.
+    Features {
+        /// Rows of the outer weights.
+        expected: usize,
+        /// Width of the network's last inner layer.
+        found: usize,
+    },
+    /// The network takes another number of inputs than the state has components.
+    NetworkInputs {
+        /// The state dimension.
+        expected: usize,
+        /// Inputs of the network.
+        found: usize,
+    },
+    /// The estimate or the outer weights would not be finite any more.
+    Diverged,
+}
+
+impl core::fmt::Display for StepError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match *self {
+            Self::Tick { last, found } => {
+                write!(f, "step {found} does not come after the last one, {last}")
+            }
+            Self::Outputs { expected, found } => {
+                write!(f, "{found} measured values, expected {expected}")
+            }
+            Self::MeasurementNotFinite { output } => {
+                write!(f, "the measurement of output {output} is not finite")
+            }
+            Self::Neighbours { expected, found } => {
+                write!(f, "places for {found} neighbours, expected {expected}")
+            }
+            Self::Features { expected, found } => {
+                write!(f, "the network has {found} features, the outer weights {expected}")
+            }
+            Self::NetworkInputs { expected, found } => {
+                write!(f, "the network has {found} inputs, the state {expected} components")
+            }
+            Self::Diverged => write!(f, "estimate or outer weights would overflow"),
+        }
+    }
+}
+
+impl core::error::Error for StepError {}
+
+/// What a step returns.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepOutput<const N: usize> {
+    /// The frame to broadcast, if the trigger fired.
+    pub broadcast: Option<Frame<N>>,
+    /// Estimate and derivative at this tick, for training and telemetry.
+    pub sample: Sample<N>,
+}
+
+/// Everything about an agent that changes.
+///
+/// `FEATURES` is the capacity for the network's features (rows of the outer weights); `S`
+/// holds one place for each neighbour: an array on the node, a vector on the host.
+#[derive(Clone, Debug)]
+pub struct AgentState<const N: usize, const FEATURES: usize, S> {
+    last_tick: Option<Tick>,
+    estimate: StateVector<N>,
+    outer_weights: OuterWeights<N, FEATURES>,
+    own_hold: Hold<N>,
+    neighbour_holds: S,
+    /// `z_i`; changes only with a held estimate.
+    consensus_term: StateVector<N>,
+    consensus_is_current: bool,
+    /// `e_3i` of the last step in the first `m` components.
+    output_error: StateVector<N>,
+    scratch: Scratch,
+}
+
+impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S>
+where
+    S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+{
+    /// An agent at tick 0 with the estimate `x_hat(0)` and the outer weights `W_hat(0)`, row by
+    /// row, shape `[L, N]`. It holds its initial estimate as its first sample, which
+    /// [`Self::announcement`] broadcasts; what `neighbour_holds` contain is discarded.
+    ///
+    /// # Errors
+    /// A number that is not finite, or a length that does not fit.
+    pub fn new(
+        params: &AgentParams<'_, N>,
+        estimate: StateVector<N>,
+        outer_weights: &[f32],
+        mut neighbour_holds: S,
+    ) -> Result<Self, ParameterError> {
+        finite("initial_estimate", estimate.iter())?;
+        let outer_weights = OuterWeights::new(outer_weights)?;
+        params.outer_law.gain.validate(outer_weights.rows().len())?;
+        let (expected, found) = (params.neighbours().len(), neighbour_holds.as_ref().len());
+        if expected != found {
+            let parameter = "neighbour_holds";
+            return Err(ParameterError::Length { parameter, expected, found });
+        }
+        neighbour_holds.as_mut().fill(None);
+        Ok(Self {
+            last_tick: None,
+            estimate,
+            outer_weights,
+            own_hold: Hold::new(estimate, 0, 0),
+            neighbour_holds,
+            consensus_term: StateVector::zeros(),
+            consensus_is_current: false,
+            output_error: StateVector::zeros(),
+            scratch: Scratch::NEW,
+        })
+    }
+
+    /// The agent's own last sample as a frame: the broadcast at `t_0`, or a repetition for a
+    /// neighbour that joined late.
+    #[must_use]
+    pub fn announcement(&self, params: &AgentParams<'_, N>) -> Frame<N> {
+        Frame {
+            sender: params.id,
+            sequence: self.own_hold.sequence(),
+            tick: self.own_hold.tick(),
+            estimate: *self.own_hold.estimate(),
+        }
+    }
+
+    /// One step at `tick`: see the module's description.
+    ///
+    /// `network` is the inner network in use; another one from one step to the next is how a
+    /// newly trained one is switched in. Without one the observer runs on its feedback alone
+    /// and the outer weights rest. `measurement` is `y_i(t_k)`, shape `[m]`.
+    ///
+    /// # Errors
+    /// Input that does not fit or is not finite, or a result that would not be finite; state
+    /// and inbox are then as they were.
+    #[inline]
+    pub fn step<P, I>(
+        &mut self,
+        params: &AgentParams<'_, N>,
+        network: Option<&InnerNetwork<P>>,
+        tick: Tick,
+        measurement: &[f32],
+        inbox: &mut Inbox<N, I>,
+    ) -> Result<StepOutput<N>, StepError>
+    where
+        P: AsRef<[f32]>,
+        I: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+    {
+        self.check(params, network, tick, measurement, inbox)?;
+
+        let consensus_term = self.consensus_with(params, inbox);
+        let mut output_error = StateVector::zeros();
+        let innovation = params.observer.output_matrix.output_error(
+            &self.estimate,
+            measurement,
+            &mut output_error,
+        );
+        let features = network
+            .and_then(|network| network.features(self.estimate.as_slice(), &mut self.scratch));
+        let mut derivative = product(params.gain(), &(consensus_term - innovation));
+        let mut planned = None;
+        if let Some(features) = features {
+            derivative += self.outer_weights.combine(features);
+            let step = self
+                .outer_weights
+                .plan_step(&params.outer_law, params.step_size, features, &innovation)
+                .ok_or(StepError::Diverged)?;
+            planned = Some(step);
+        }
+        let mut estimate = self.estimate;
+        add_scaled(&mut estimate, params.step_size, &derivative);
+        if !all_finite(&estimate) {
+            return Err(StepError::Diverged);
+        }
+
+        // Nothing can fail from here on.
+        let sample = Sample { tick, estimate: self.estimate, derivative };
+        inbox.drain_into(self.neighbour_holds.as_mut());
+        self.last_tick = Some(tick);
+        self.estimate = estimate;
+        self.consensus_term = consensus_term;
+        self.consensus_is_current = true;
+        self.output_error = output_error;
+        if let Some(planned) = &planned {
+            self.outer_weights.commit(planned);
+        }
+        Ok(StepOutput { broadcast: self.broadcast_if_due(params, tick + 1), sample })
+    }
+
+    /// Samples the estimate and returns it as a frame if the trigger fires at `tick`.
+    #[inline]
+    fn broadcast_if_due(&mut self, params: &AgentParams<'_, N>, tick: Tick) -> Option<Frame<N>> {
+        let hold_error = self.own_hold.estimate() - self.estimate;
+        if !params.trigger.fires(&hold_error, &self.consensus_term) {
+            return None;
+        }
+        let sequence = self.own_hold.sequence().wrapping_add(1);
+        self.own_hold = Hold::new(self.estimate, tick, sequence);
+        self.consensus_is_current = false;
+        Some(self.announcement(params))
+    }
+
+    /// `z_i` with the held estimates as they are once the inbox is emptied into them.
+    #[inline]
+    fn consensus_with<I>(&self, params: &AgentParams<'_, N>, inbox: &Inbox<N, I>) -> StateVector<N>
+    where
+        I: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+    {
+        if self.consensus_is_current && inbox.is_empty() {
+            return self.consensus_term;
+        }
+        let held = self.neighbour_holds.as_ref().iter().zip(inbox.pending());
+        let held = held.map(|(held, pending)| pending.as_ref().or(held.as_ref()));
+        params
+            .observer
+            .consensus_term(self.own_hold.estimate(), held.map(|hold| hold.map(Hold::estimate)))
+    }
+
+    /// Refuses what a step cannot work with.
+    #[inline]
+    fn check<P, I>(
+        &self,
+        params: &AgentParams<'_, N>,
+        network: Option<&InnerNetwork<P>>,
+        tick: Tick,
+        measurement: &[f32],
+        inbox: &Inbox<N, I>,
+    ) -> Result<(), StepError>
+    where
+        P: AsRef<[f32]>,
+        I: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+    {
+        if let Some(last) = self.last_tick.filter(|&last| tick <= last) {
+            return Err(StepError::Tick { last, found: tick });
+        }
+        let (expected, found) = (params.outputs(), measurement.len());
+        if expected != found {
+            return Err(StepError::Outputs { expected, found });
+        }
+        if let Some(output) = measurement.iter().position(|value| !value.is_finite()) {
+            return Err(StepError::MeasurementNotFinite { output });
+        }
+        let expected = params.neighbours().len();
+        for found in [self.neighbour_holds.as_ref().len(), inbox.pending().len()] {
+            if expected != found {
+                return Err(StepError::Neighbours { expected, found });
+            }
+        }
+        if let Some(network) = network {
+            let (expected, found) =
+                (self.outer_weights.rows().len(), network.architecture().features());
+            if expected != found {
+                return Err(StepError::Features { expected, found });
+            }
+            let found = network.architecture().inputs();
+            if N != found {
+                return Err(StepError::NetworkInputs { expected: N, found });
+            }
+        }
+        Ok(())
+    }
+
+    /// Replaces the outer weights, row by row, shape `[L, N]`, for a network with another
+    /// number of features.
+    ///
+    /// # Errors
+    /// A number that is not finite, or a length that does not fit; nothing is changed then.
+    pub fn replace_outer_weights(
+        &mut self,
+        params: &AgentParams<'_, N>,
+        outer_weights: &[f32],
+    ) -> Result<(), ParameterError> {
+        let outer_weights = OuterWeights::new(outer_weights)?;
+        params.outer_law.gain.validate(outer_weights.rows().len())?;
+        self.outer_weights = outer_weights;
+        Ok(())
+    }
+
+    /// `x_hat_i`, at the tick after the last step.
+    #[must_use]
+    pub fn estimate(&self) -> &StateVector<N> {
+        &self.estimate
+    }
+
+    /// `W_hat_i`, at the tick after the last step.
+    #[must_use]
+    pub fn outer_weights(&self) -> &OuterWeights<N, FEATURES> {
+        &self.outer_weights
+    }
+
+    /// `z_i` of the last step.
+    #[must_use]
+    pub fn consensus_term(&self) -> &StateVector<N> {
+        &self.consensus_term
+    }
+
+    /// `e_3i` of the last step, shape `[m]`.
+    #[must_use]
+    pub fn output_error(&self, params: &AgentParams<'_, N>) -> &[f32] {
+        &self.output_error.as_slice()[..params.outputs().min(N)]
+    }
+
+    /// The agent's own held sample, `x_tilde_i`.
+    #[must_use]
+    pub fn own_hold(&self) -> &Hold<N> {
+        &self.own_hold
+    }
+
+    /// The neighbours' held samples, in the order of the parameters; `None` for one that has
+    /// not been heard yet.
+    #[must_use]
+    pub fn neighbour_holds(&self) -> &[Option<Hold<N>>] {
+        self.neighbour_holds.as_ref()
+    }
+}

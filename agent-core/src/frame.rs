@@ -1,0 +1,293 @@
+//! What an agent broadcasts.
+//!
+//! On the wire a frame is a postcard encoding of header and payload, followed by its CRC-32
+//! (ISO-HDLC, little-endian):
+//!
+//! | field | type | encoding |
+//! | --- | --- | --- |
+//! | version | `u8` | one byte, [`VERSION`] |
+//! | sender | `u16` | variable-length integer |
+//! | sequence | `u32` | variable-length integer, rising by one with every broadcast from 0 |
+//! | tick | `u64` | variable-length integer, the step at which the sample was taken |
+//! | payload kind | enum | variable-length integer: 0 is an estimate |
+//! | estimate | `[f32]` | length as a variable-length integer, then little-endian words |
+//! | checksum | `u32` | four bytes |
+//!
+//! Further kinds of payload can follow; a receiver refuses the ones that it does not know.
+//! How frames are delimited, and whether they are encrypted, is for the layers below.
+//!
+//! Cost: linear in the length. Invariant: decoding either gives a frame with a finite
+//! estimate of the right dimension, or an error; it never panics, whatever the bytes.
+
+use crc::{CRC_32_ISO_HDLC, Crc, Table};
+use serde::{Deserialize, Serialize};
+
+use crate::network::INPUTS_MAX;
+use crate::numeric::all_finite;
+use crate::{AgentId, StateVector, Tick};
+
+/// Version of the format that this crate writes and reads.
+pub const VERSION: u8 = 1;
+
+/// The longest encoded frame, in bytes: version, the longest variable-length integers of the
+/// header, payload kind and length, the longest estimate, checksum.
+pub const FRAME_LENGTH_MAX: usize = 1 + 3 + 5 + 10 + 1 + 1 + 4 * INPUTS_MAX + CHECKSUM_LENGTH;
+
+/// An encoded frame.
+pub type FrameBytes = heapless::Vec<u8, FRAME_LENGTH_MAX>;
+
+const CHECKSUM_LENGTH: usize = 4;
+const CHECKSUM: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
+
+/// One broadcast of one agent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame<const N: usize> {
+    /// Who broadcasts.
+    pub sender: AgentId,
+    /// How many broadcasts of this agent came before.
+    pub sequence: u32,
+    /// When the sample was taken.
+    pub tick: Tick,
+    /// `x_hat_i(t_k)`, shape `[N]`.
+    pub estimate: StateVector<N>,
+}
+
+/// Why received bytes are refused, or a frame is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum FrameError {
+    /// Too few bytes for any frame, or more than any frame has.
+    Length {
+        /// How many there are.
+        found: usize,
+    },
+    /// The checksum does not match: the bytes were changed on their way.
+    Checksum,
+    /// The checksum matches and yet the bytes are no frame of this version.
+    Malformed,
+    /// The frame is of another version.
+    Version {
+        /// Its version.
+        found: u8,
+    },
+    /// The estimate has another dimension than this agent's.
+    Dimension {
+        /// What this agent expects.
+        expected: usize,
+        /// What the frame has.
+        found: usize,
+    },
+    /// A component of the estimate is infinite or not a number.
+    NotFinite {
+        /// Who sent it.
+        sender: AgentId,
+    },
+    /// The sender is not a neighbour.
+    UnknownSender {
+        /// Who sent it.
+        sender: AgentId,
+    },
+    /// This sender already has a frame waiting for the next step.
+    DuplicateSender {
+        /// Who sent it.
+        sender: AgentId,
+    },
+}
+
+impl core::fmt::Display for FrameError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match *self {
+            Self::Length { found } => write!(f, "{found} bytes are no frame"),
+            Self::Checksum => write!(f, "the frame's checksum does not match"),
+            Self::Malformed => write!(f, "the bytes are no frame of version {VERSION}"),
+            Self::Version { found } => {
+                write!(f, "the frame is of version {found}, expected {VERSION}")
+            }
+            Self::Dimension { expected, found } => {
+                write!(f, "the frame's estimate has {found} components, expected {expected}")
+            }
+            Self::NotFinite { sender } => {
+                write!(f, "the estimate from agent {sender} is not finite")
+            }
+            Self::UnknownSender { sender } => write!(f, "agent {sender} is not a neighbour"),
+            Self::DuplicateSender { sender } => {
+                write!(f, "agent {sender} already has a frame waiting")
+            }
+        }
+    }
+}
+
+impl core::error::Error for FrameError {}
+
+/// A frame as postcard writes it.
+#[derive(Serialize, Deserialize)]
+struct Wire {
+    version: u8,
+    sender: AgentId,
+    sequence: u32,
+    tick: Tick,
+    payload: Payload,
+}
+
+#[derive(Serialize, Deserialize)]
+enum Payload {
+    Estimate(heapless::Vec<f32, INPUTS_MAX>),
+}
+
+impl<const N: usize> Frame<N> {
+    /// The bytes to broadcast.
+    #[must_use]
+    pub fn encode(&self) -> FrameBytes {
+        const { assert!(N >= 1 && N <= INPUTS_MAX, "the state dimension is 1 to 12") };
+        let wire = Wire {
+            version: VERSION,
+            sender: self.sender,
+            sequence: self.sequence,
+            tick: self.tick,
+            payload: Payload::Estimate(self.estimate.iter().copied().collect()),
+        };
+        let mut bytes = FrameBytes::new();
+        let mut buffer = [0; FRAME_LENGTH_MAX];
+        // Both always fit: FRAME_LENGTH_MAX is the sum of every field's largest size.
+        if let Ok(body) = postcard::to_slice(&wire, &mut buffer) {
+            let checksum = CHECKSUM.checksum(body).to_le_bytes();
+            let _ = bytes.extend_from_slice(body);
+            let _ = bytes.extend_from_slice(&checksum);
+        }
+        bytes
+    }
+
+    /// The frame that `bytes` hold, and nothing but it.
+    ///
+    /// # Errors
+    /// [`FrameError::Length`], [`FrameError::Checksum`], [`FrameError::Malformed`],
+    /// [`FrameError::Version`], [`FrameError::Dimension`] or [`FrameError::NotFinite`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
+        let length = FrameError::Length { found: bytes.len() };
+        if bytes.len() > FRAME_LENGTH_MAX {
+            return Err(length);
+        }
+        let (body, checksum) = bytes.split_last_chunk::<CHECKSUM_LENGTH>().ok_or(length)?;
+        if CHECKSUM.checksum(body) != u32::from_le_bytes(*checksum) {
+            return Err(FrameError::Checksum);
+        }
+        match body.first() {
+            None => return Err(length),
+            Some(&VERSION) => {}
+            Some(&found) => return Err(FrameError::Version { found }),
+        }
+        let (wire, rest): (Wire, &[u8]) =
+            postcard::take_from_bytes(body).map_err(|_| FrameError::Malformed)?;
+        if !rest.is_empty() {
+            return Err(FrameError::Malformed);
+        }
+        let Payload::Estimate(components) = wire.payload;
+        if components.len() != N {
+            return Err(FrameError::Dimension { expected: N, found: components.len() });
+        }
+        let estimate = StateVector::from_column_slice(&components);
+        if !all_finite(&estimate) {
+            return Err(FrameError::NotFinite { sender: wire.sender });
+        }
+        Ok(Self { sender: wire.sender, sequence: wire.sequence, tick: wire.tick, estimate })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn frame() -> Frame<3> {
+        Frame { sender: 2, sequence: 300, tick: 70_000, estimate: [1.0, -2.5, 0.0].into() }
+    }
+
+    #[test]
+    fn the_wire_format_is_what_the_table_says() {
+        let bytes = frame().encode();
+        // version, sender, sequence 300 and tick 70000 as variable-length integers, kind,
+        // length, three words.
+        let body = [
+            1, 2, 0xac, 0x02, 0xf0, 0xa2, 0x04, 0, 3, 0, 0, 0x80, 0x3f, 0, 0, 0x20, 0xc0, 0, 0, 0,
+            0,
+        ];
+        assert_eq!(&bytes[..body.len()], body);
+        assert_eq!(&bytes[body.len()..], CHECKSUM.checksum(&body).to_le_bytes());
+        // The check value that the catalogue of CRC algorithms gives for this one.
+        assert_eq!(CHECKSUM.checksum(b"123456789"), 0xcbf4_3926);
+    }
+
+    #[test]
+    fn the_longest_frame_fits() {
+        let frame = Frame::<INPUTS_MAX> {
+            sender: u16::MAX,
+            sequence: u32::MAX,
+            tick: u64::MAX,
+            estimate: StateVector::repeat(f32::MAX),
+        };
+        let bytes = frame.encode();
+        assert_eq!(bytes.len(), FRAME_LENGTH_MAX);
+        assert_eq!(Frame::decode(&bytes), Ok(frame));
+    }
+
+    #[test]
+    fn every_single_bit_flip_is_refused() {
+        let bytes = frame().encode();
+        for bit in 0..bytes.len() * 8 {
+            let mut flipped = bytes.clone();
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            assert_eq!(Frame::<3>::decode(&flipped), Err(FrameError::Checksum));
+        }
+    }
+
+    /// The frame's body after `change`, with a checksum that matches again.
+    fn resealed(change: impl FnOnce(&mut FrameBytes)) -> FrameBytes {
+        let mut bytes = frame().encode();
+        bytes.truncate(bytes.len() - CHECKSUM_LENGTH);
+        change(&mut bytes);
+        let checksum = CHECKSUM.checksum(&bytes).to_le_bytes();
+        bytes.extend_from_slice(&checksum).unwrap();
+        bytes
+    }
+
+    #[test]
+    fn each_defect_has_its_own_error() {
+        let bytes = frame().encode();
+        let decode = Frame::<3>::decode;
+        assert_eq!(decode(&[]), Err(FrameError::Length { found: 0 }));
+        assert_eq!(decode(&[0; 4]), Err(FrameError::Length { found: 4 }));
+        assert_eq!(decode(&[0; 100]), Err(FrameError::Length { found: 100 }));
+        assert_eq!(decode(&bytes[..bytes.len() - 1]), Err(FrameError::Checksum));
+        assert_eq!(decode(&resealed(|b| b[0] = 9)), Err(FrameError::Version { found: 9 }));
+        assert_eq!(decode(&resealed(|b| b[7] = 1)), Err(FrameError::Malformed));
+        assert_eq!(decode(&resealed(|b| b.push(0).unwrap())), Err(FrameError::Malformed));
+        assert_eq!(decode(&resealed(|b| b.truncate(b.len() - 1))), Err(FrameError::Malformed));
+        assert_eq!(
+            Frame::<2>::decode(&bytes),
+            Err(FrameError::Dimension { expected: 2, found: 3 })
+        );
+        let infinite = Frame::<3> { estimate: [1.0, f32::INFINITY, 0.0].into(), ..frame() };
+        assert_eq!(decode(&infinite.encode()), Err(FrameError::NotFinite { sender: 2 }));
+    }
+
+    proptest! {
+        #[test]
+        fn decoding_undoes_encoding(
+            sender: u16, sequence: u32, tick: u64,
+            estimate in prop::array::uniform4(prop::num::f32::NORMAL | prop::num::f32::ZERO | prop::num::f32::SUBNORMAL),
+        ) {
+            let frame = Frame::<4> { sender, sequence, tick, estimate: estimate.into() };
+            prop_assert_eq!(Frame::decode(&frame.encode()), Ok(frame));
+        }
+
+        #[test]
+        fn arbitrary_bytes_are_a_frame_or_an_error(bytes in prop::collection::vec(any::<u8>(), 0..120)) {
+            let resealed = [&bytes[..], &CHECKSUM.checksum(&bytes).to_le_bytes()].concat();
+            for bytes in [bytes, resealed] {
+                if let Ok(frame) = Frame::<3>::decode(&bytes) {
+                    prop_assert!(all_finite(&frame.estimate));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,195 @@
+//! The observer (equation `Observer i`):
+//!
+//! `d/dt x_hat_i = W_hat_i^T sigma(Phi_hat_i(x_hat_i)) + K_1 (z_i - C_i^T e_3i)`
+//! `z_i = sum_j a_ij (x_tilde_j - x_tilde_i)`, `y_hat_i = C_i x_hat_i`, `e_3i = y_hat_i - y_i`.
+//!
+//! The feed-forward (the network's term, of which there may one day be more) comes from
+//! outside; this module computes the feedback: output error, consensus term, and their way
+//! into the state derivative.
+//!
+//! Cost: `2 m N` for the output error and its return to state space, `2 N^2` for the gain,
+//! `3 N` for each neighbour whenever a held estimate changes.
+//!
+//! Invariants: `K_1` is symmetric; neighbours are distinct and none is the agent itself; a
+//! neighbour that has not been heard yet contributes nothing.
+
+use nalgebra::SMatrix;
+
+use crate::numeric::{add_scaled, dot};
+use crate::parameter::{ParameterError, finite, positive};
+use crate::{AgentId, StateVector};
+
+/// `C_i`, the output matrix: which combinations of the state the agent measures.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OutputMatrix<const N: usize> {
+    rows: heapless::Vec<StateVector<N>, N>,
+}
+
+impl<const N: usize> OutputMatrix<N> {
+    /// The matrix with these rows, shape `[m, N]`, `1 <= m <= N`.
+    ///
+    /// # Errors
+    /// A wrong number of rows, or an entry that is not finite.
+    pub fn new(rows: &[StateVector<N>]) -> Result<Self, ParameterError> {
+        let length =
+            ParameterError::Length { parameter: "output_matrix", expected: N, found: rows.len() };
+        let rows = heapless::Vec::from_slice(rows).map_err(|_| length)?;
+        if rows.is_empty() {
+            return Err(length);
+        }
+        finite("output_matrix", rows.iter().flat_map(|row| row.iter()))?;
+        Ok(Self { rows })
+    }
+
+    /// `m`, how many outputs there are.
+    #[must_use]
+    pub fn outputs(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// The rows, one for each output.
+    #[must_use]
+    pub fn rows(&self) -> &[StateVector<N>] {
+        &self.rows
+    }
+
+    /// `e_3 = C x_hat - y`, shape `[m]`, written into `error`, and `C^T e_3`, shape `[N]`,
+    /// which drives both the observer and the outer weights.
+    #[inline]
+    #[must_use]
+    pub fn output_error(
+        &self,
+        estimate: &StateVector<N>,
+        measurement: &[f32],
+        error: &mut StateVector<N>,
+    ) -> StateVector<N> {
+        let mut innovation = StateVector::zeros();
+        for ((row, &measured), error) in self.rows.iter().zip(measurement).zip(error.iter_mut()) {
+            *error = dot(row, estimate) - measured;
+            add_scaled(&mut innovation, *error, row);
+        }
+        innovation
+    }
+}
+
+/// One edge of the communication graph, seen from one of its ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Neighbour {
+    /// The agent at the other end.
+    pub id: AgentId,
+    /// `a_ij`, weight of the edge. Above 0.
+    pub weight: f32,
+}
+
+/// What the feedback needs to know.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ObserverParams<'a, const N: usize> {
+    /// `C_i`, shape `[m, N]`.
+    pub output_matrix: OutputMatrix<N>,
+    /// `K_1`, symmetric, shape `[N, N]`. \[1/s\]
+    pub gain: SMatrix<f32, N, N>,
+    /// The neighbours with the weights of their edges, in the order in which they are summed.
+    pub neighbours: &'a [Neighbour],
+}
+
+impl<const N: usize> ObserverParams<'_, N> {
+    /// # Errors
+    /// A gain that is not finite or not symmetric, a neighbour that is listed twice or is the
+    /// agent `own` itself, a weight that is not above 0.
+    pub fn validate(&self, own: AgentId) -> Result<(), ParameterError> {
+        finite("observer.gain", self.gain.iter())?;
+        for row in 0..N {
+            for column in 0..row {
+                if self.gain[(row, column)] != self.gain[(column, row)] {
+                    return Err(ParameterError::NotSymmetric {
+                        parameter: "observer.gain",
+                        row,
+                        column,
+                    });
+                }
+            }
+        }
+        for (index, neighbour) in self.neighbours.iter().enumerate() {
+            let id = neighbour.id;
+            if id == own {
+                return Err(ParameterError::OwnNeighbour { id });
+            }
+            if self.neighbours[..index].iter().any(|earlier| earlier.id == id) {
+                return Err(ParameterError::RepeatedNeighbour { id });
+            }
+            positive("observer.neighbours.weight", neighbour.weight)?;
+        }
+        Ok(())
+    }
+
+    /// `z_i`, from the agent's own held estimate and its neighbours', in the order of
+    /// [`Self::neighbours`]; `None` for one not heard yet.
+    #[inline]
+    #[must_use]
+    pub fn consensus_term<'h>(
+        &self,
+        own: &StateVector<N>,
+        held: impl Iterator<Item = Option<&'h StateVector<N>>>,
+    ) -> StateVector<N> {
+        let mut term = StateVector::zeros();
+        for (neighbour, held) in self.neighbours.iter().zip(held) {
+            if let Some(held) = held {
+                add_scaled(&mut term, neighbour.weight, &(held - own));
+            }
+        }
+        term
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn params(neighbours: &[Neighbour]) -> ObserverParams<'_, 2> {
+        ObserverParams {
+            output_matrix: OutputMatrix::new(&[StateVector::<2>::new(1.0, 2.0)]).unwrap(),
+            gain: SMatrix::<f32, 2, 2>::new(3.0, 1.0, 1.0, 4.0),
+            neighbours,
+        }
+    }
+
+    #[test]
+    fn output_error_and_innovation_follow_their_definitions() {
+        let mut error = StateVector::zeros();
+        let innovation = params(&[]).output_matrix.output_error(
+            &StateVector::<2>::new(3.0, 4.0),
+            &[10.0],
+            &mut error,
+        );
+        assert_eq!(error[0], 1.0); // 1*3 + 2*4 - 10
+        assert_eq!(innovation, StateVector::<2>::new(1.0, 2.0));
+    }
+
+    #[test]
+    fn consensus_term_weighs_heard_neighbours_only() {
+        let neighbours = [Neighbour { id: 7, weight: 0.5 }, Neighbour { id: 9, weight: 2.0 }];
+        let (own, other) = (StateVector::<2>::new(1.0, 1.0), StateVector::<2>::new(2.0, 3.0));
+        let term = params(&neighbours).consensus_term(&own, [None, Some(&other)].into_iter());
+        assert_eq!(term, StateVector::<2>::new(2.0, 4.0));
+    }
+
+    #[test]
+    fn refuses_what_the_analysis_excludes() {
+        assert!(params(&[]).validate(0).is_ok());
+        let mut skew = params(&[]);
+        skew.gain[(0, 1)] = 2.0;
+        assert_eq!(
+            skew.validate(0),
+            Err(ParameterError::NotSymmetric { parameter: "observer.gain", row: 1, column: 0 })
+        );
+        let own = [Neighbour { id: 3, weight: 1.0 }];
+        assert_eq!(params(&own).validate(3), Err(ParameterError::OwnNeighbour { id: 3 }));
+        let twice = [Neighbour { id: 3, weight: 1.0 }; 2];
+        assert_eq!(params(&twice).validate(0), Err(ParameterError::RepeatedNeighbour { id: 3 }));
+        let weightless = [Neighbour { id: 3, weight: 0.0 }];
+        assert!(params(&weightless).validate(0).is_err());
+        assert!(OutputMatrix::<2>::new(&[]).is_err());
+        assert!(OutputMatrix::<2>::new(&[StateVector::<2>::zeros(); 3]).is_err());
+        assert!(OutputMatrix::<2>::new(&[StateVector::<2>::new(f32::NAN, 0.0)]).is_err());
+    }
+}

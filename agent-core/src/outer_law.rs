@@ -1,0 +1,290 @@
+//! The adaptation of the outer weights (equation `What_i Dot`):
+//!
+//! `d/dt omega = proj(mu, omega)`, `mu = -vec(Gamma sigma e_3^T C)`, `omega = vec(W_hat)`.
+//!
+//! Row `l` of `mu` is `-(Gamma sigma)_l (C^T e_3)^T`, and the projection subtracts a multiple of
+//! `omega` itself, so a step of Euler's method is one multiply-add a weight and direction.
+//!
+//! Cost: `N L` operations for `W_hat^T sigma`, `4 N L` for the update, and for `Gamma sigma` one
+//! operation a feature (scalar or diagonal gain) or `L^2` (full). Memory: `4 N L` bytes.
+//!
+//! Invariant: a step either replaces all weights by finite numbers or changes none.
+
+use crate::StateVector;
+use crate::numeric::{add_scaled, dot};
+use crate::parameter::{ParameterError, finite, positive};
+use crate::projection::ProjectionParams;
+
+/// `Gamma`, the symmetric positive definite adaptation gain, shape `[L, L]`. \[1/s\]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum OuterGain<'a> {
+    /// This multiple of the identity.
+    Scalar(f32),
+    /// The diagonal; zero elsewhere.
+    Diagonal(&'a [f32]),
+    /// All entries, row by row.
+    Full(&'a [f32]),
+}
+
+impl OuterGain<'_> {
+    /// # Errors
+    /// A wrong number of entries for `features`, a diagonal that is not positive, a full
+    /// matrix that is not symmetric. Whether a full matrix is positive definite is for the
+    /// host to prove, which has room for a factorisation.
+    pub fn validate(&self, features: usize) -> Result<(), ParameterError> {
+        const PARAMETER: &str = "outer_law.gain";
+        let length = |expected: usize, found: usize| match expected == found {
+            true => Ok(()),
+            false => Err(ParameterError::Length { parameter: PARAMETER, expected, found }),
+        };
+        match *self {
+            Self::Scalar(gain) => positive(PARAMETER, gain),
+            Self::Diagonal(diagonal) => {
+                length(features, diagonal.len())?;
+                diagonal.iter().try_for_each(|&gain| positive(PARAMETER, gain))
+            }
+            Self::Full(entries) => {
+                length(features * features, entries.len())?;
+                finite(PARAMETER, entries)?;
+                for row in 0..features {
+                    positive(PARAMETER, entries[row * features + row])?;
+                    for column in 0..row {
+                        if entries[row * features + column] != entries[column * features + row] {
+                            return Err(ParameterError::NotSymmetric {
+                                parameter: PARAMETER,
+                                row,
+                                column,
+                            });
+                        }
+                    }
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// `Gamma sigma`, shape `[L]`, into `result`.
+    #[inline]
+    fn apply(&self, features: &[f32], result: &mut [f32]) {
+        match *self {
+            Self::Scalar(gain) => {
+                for (result, feature) in result.iter_mut().zip(features) {
+                    *result = gain * feature;
+                }
+            }
+            Self::Diagonal(diagonal) => {
+                for ((result, feature), gain) in result.iter_mut().zip(features).zip(diagonal) {
+                    *result = gain * feature;
+                }
+            }
+            Self::Full(entries) => {
+                for (result, row) in result.iter_mut().zip(entries.chunks_exact(features.len())) {
+                    *result = row.iter().zip(features).fold(0.0, |sum, (gain, f)| sum + gain * f);
+                }
+            }
+        }
+    }
+}
+
+/// Constants of the law.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OuterLawParams<'a> {
+    /// `Gamma`.
+    pub gain: OuterGain<'a>,
+    /// The operator that keeps the weights bounded.
+    pub projection: ProjectionParams,
+}
+
+/// `W_hat`, shape `[L, N]`, in a buffer for up to `FEATURES` rows.
+#[derive(Clone, Debug)]
+pub struct OuterWeights<const N: usize, const FEATURES: usize> {
+    rows: heapless::Vec<StateVector<N>, FEATURES>,
+    gained_features: [f32; FEATURES],
+    norm_squared: f32,
+}
+
+impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
+    /// Weights from their entries, row by row: shape `[L, N]`, `1 <= L <= FEATURES`.
+    ///
+    /// # Errors
+    /// A length that is not a multiple of `N`, no row or too many, an entry that is not finite.
+    pub fn new(entries: &[f32]) -> Result<Self, ParameterError> {
+        const PARAMETER: &str = "outer_weights";
+        let length = |expected| ParameterError::Length {
+            parameter: PARAMETER,
+            expected,
+            found: entries.len(),
+        };
+        if entries.is_empty() || !entries.len().is_multiple_of(N) {
+            return Err(length((entries.len() / N).max(1) * N));
+        }
+        finite(PARAMETER, entries)?;
+        let mut rows = heapless::Vec::new();
+        for row in entries.chunks_exact(N) {
+            rows.push(StateVector::from_column_slice(row)).map_err(|_| length(FEATURES * N))?;
+        }
+        let norm_squared = rows.iter().fold(0.0, |sum, row| sum + dot(row, row));
+        Ok(Self { rows, gained_features: [0.0; FEATURES], norm_squared })
+    }
+
+    /// The rows, one for each feature, shape `[L]` of `[N]`.
+    #[must_use]
+    pub fn rows(&self) -> &[StateVector<N>] {
+        &self.rows
+    }
+
+    /// The squared Frobenius norm.
+    #[must_use]
+    pub fn norm_squared(&self) -> f32 {
+        self.norm_squared
+    }
+
+    /// `W_hat^T sigma`, shape `[N]`; features in ascending order.
+    #[inline]
+    #[must_use]
+    pub fn combine(&self, features: &[f32]) -> StateVector<N> {
+        let mut sum = StateVector::zeros();
+        for (row, &feature) in self.rows.iter().zip(features) {
+            add_scaled(&mut sum, feature, row);
+        }
+        sum
+    }
+
+    /// Prepares one step of Euler's method: `W_hat + dt proj(mu, W_hat)` with
+    /// `innovation = C^T e_3`. `None`, and nothing changed, if a new weight would not be finite.
+    #[inline]
+    #[must_use]
+    pub fn plan_step(
+        &mut self,
+        law: &OuterLawParams,
+        step_size: f32,
+        features: &[f32],
+        innovation: &StateVector<N>,
+    ) -> Option<PlannedStep<N>> {
+        law.gain.apply(features, &mut self.gained_features);
+        let gained = &self.gained_features;
+        let correction = law.projection.correction(self.norm_squared, || {
+            -self
+                .rows
+                .iter()
+                .zip(gained)
+                .fold(0.0, |sum, (row, gained)| sum + gained * dot(row, innovation))
+        });
+        let mut planned = PlannedStep {
+            direction: innovation * step_size,
+            shrink: step_size * correction,
+            norm_squared: 0.0,
+        };
+        for (row, &gained) in self.rows.iter().zip(gained) {
+            let row = planned.row(row, gained);
+            planned.norm_squared += dot(&row, &row);
+        }
+        planned.norm_squared.is_finite().then_some(planned)
+    }
+
+    /// Carries out what [`Self::plan_step`] prepared.
+    #[inline]
+    pub fn commit(&mut self, planned: &PlannedStep<N>) {
+        for (row, &gained) in self.rows.iter_mut().zip(&self.gained_features) {
+            *row = planned.row(row, gained);
+        }
+        self.norm_squared = planned.norm_squared;
+    }
+}
+
+/// A step of the outer weights that has been checked and not yet carried out.
+#[derive(Clone, Copy, Debug)]
+pub struct PlannedStep<const N: usize> {
+    direction: StateVector<N>,
+    shrink: f32,
+    norm_squared: f32,
+}
+
+impl<const N: usize> PlannedStep<N> {
+    /// Row `l` after the step: `w - dt (Gamma sigma)_l C^T e_3 - dt c w`.
+    #[inline]
+    fn row(&self, row: &StateVector<N>, gained: f32) -> StateVector<N> {
+        let mut result = *row;
+        add_scaled(&mut result, -gained, &self.direction);
+        add_scaled(&mut result, -self.shrink, row);
+        result
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PROJECTION: ProjectionParams =
+        ProjectionParams { radius: 4.0, boundary_layer: 0.5, smoothing: 0.1, smoothness: 1 };
+
+    fn vector(x: f32, y: f32) -> StateVector<2> {
+        StateVector::<2>::new(x, y)
+    }
+
+    fn step(gain: OuterGain, features: &[f32], innovation: [f32; 2]) -> OuterWeights<2, 4> {
+        let mut weights = OuterWeights::<2, 4>::new(&[1.0, 2.0, -1.0, 0.5]).unwrap();
+        let law = OuterLawParams { gain, projection: PROJECTION };
+        let planned =
+            weights.plan_step(&law, 0.5, features, &StateVector::<2>::from(innovation)).unwrap();
+        weights.commit(&planned);
+        weights
+    }
+
+    #[test]
+    fn one_euler_step_inside_the_ball() {
+        let weights = step(OuterGain::Scalar(2.0), &[0.5, -0.25], [1.0, -2.0]);
+        // W - dt * gamma * sigma * (C^T e_3)^T = W - 0.5 * 2 * [0.5; -0.25] * [1, -2]
+        assert_eq!(weights.rows(), [vector(0.5, 3.0), vector(-0.75, 0.0)]);
+        assert_eq!(weights.norm_squared(), 0.25 + 9.0 + 0.5625);
+    }
+
+    #[test]
+    fn the_three_forms_of_the_gain_agree_bit_for_bit() {
+        let features = [0.3, -0.7];
+        let scalar = step(OuterGain::Scalar(3.0), &features, [0.1, 0.2]);
+        let diagonal = step(OuterGain::Diagonal(&[3.0, 3.0]), &features, [0.1, 0.2]);
+        let full = step(OuterGain::Full(&[3.0, 0.0, 0.0, 3.0]), &features, [0.1, 0.2]);
+        assert_eq!(scalar.rows(), diagonal.rows());
+        assert_eq!(scalar.rows(), full.rows());
+    }
+
+    #[test]
+    fn the_weights_never_leave_the_bound() {
+        let mut weights = OuterWeights::<2, 4>::new(&[1.0, 2.0, -1.0, 0.5]).unwrap();
+        let law = OuterLawParams { gain: OuterGain::Scalar(2.0), projection: PROJECTION };
+        let mut largest = 0.0f32;
+        for _ in 0..20_000 {
+            let planned = weights
+                .plan_step(&law, 1e-3, &[0.9, -0.4], &StateVector::<2>::new(-1.0, -2.0))
+                .unwrap();
+            weights.commit(&planned);
+            largest = largest.max(weights.norm_squared());
+        }
+        assert!(largest > PROJECTION.radius * PROJECTION.radius, "the bound was never tested");
+        assert!(largest <= PROJECTION.bound() * PROJECTION.bound());
+    }
+
+    #[test]
+    fn a_step_that_overflows_changes_nothing() {
+        let mut weights = OuterWeights::<2, 4>::new(&[1.0, 2.0]).unwrap();
+        let law = OuterLawParams { gain: OuterGain::Scalar(1.0), projection: PROJECTION };
+        let huge = StateVector::<2>::new(f32::MAX, 0.0);
+        assert!(weights.plan_step(&law, 10.0, &[1.0], &huge).is_none());
+        assert_eq!(weights.rows(), [vector(1.0, 2.0)]);
+        assert_eq!(weights.norm_squared(), 5.0);
+    }
+
+    #[test]
+    fn refuses_gains_and_weights_of_the_wrong_shape() {
+        assert!(OuterGain::Scalar(0.0).validate(2).is_err());
+        assert!(OuterGain::Diagonal(&[1.0]).validate(2).is_err());
+        assert!(OuterGain::Diagonal(&[1.0, -1.0]).validate(2).is_err());
+        assert!(OuterGain::Full(&[1.0, 0.5, 0.4, 1.0]).validate(2).is_err());
+        assert!(OuterGain::Full(&[1.0, 0.5, 0.5, 1.0]).validate(2).is_ok());
+        assert!(OuterWeights::<2, 4>::new(&[]).is_err());
+        assert!(OuterWeights::<2, 4>::new(&[1.0; 3]).is_err());
+        assert!(OuterWeights::<2, 4>::new(&[1.0; 10]).is_err());
+        assert!(OuterWeights::<2, 4>::new(&[1.0, f32::NAN]).is_err());
+    }
+}

@@ -1,0 +1,105 @@
+//! What can be wrong with a parameter.
+
+use crate::AgentId;
+
+/// Why parameters, or a state made from them, are refused.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum ParameterError {
+    /// A number is outside its range, or not finite.
+    OutOfRange {
+        /// Its name.
+        parameter: &'static str,
+        /// Its value.
+        value: f32,
+        /// The range, in words.
+        expected: &'static str,
+    },
+    /// A sequence has the wrong length.
+    Length {
+        /// Its name.
+        parameter: &'static str,
+        /// The length that fits.
+        expected: usize,
+        /// The length given.
+        found: usize,
+    },
+    /// A matrix that must be symmetric is not.
+    NotSymmetric {
+        /// Its name.
+        parameter: &'static str,
+        /// Row of one of the two entries that differ, from 0.
+        row: usize,
+        /// Column of that entry, from 0.
+        column: usize,
+    },
+    /// A matrix that must be positive definite is not.
+    NotPositiveDefinite {
+        /// Its name.
+        parameter: &'static str,
+    },
+    /// The agent lists itself as its neighbour.
+    OwnNeighbour {
+        /// The agent.
+        id: AgentId,
+    },
+    /// A neighbour is listed twice.
+    RepeatedNeighbour {
+        /// The neighbour.
+        id: AgentId,
+    },
+}
+
+impl core::fmt::Display for ParameterError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match *self {
+            Self::OutOfRange { parameter, value, expected } => {
+                write!(f, "{parameter} is {value}, expected {expected}")
+            }
+            Self::Length { parameter, expected, found } => {
+                write!(f, "{parameter} has {found} entries, expected {expected}")
+            }
+            Self::NotSymmetric { parameter, row, column } => {
+                write!(f, "{parameter} is not symmetric at row {row}, column {column}")
+            }
+            Self::NotPositiveDefinite { parameter } => {
+                write!(f, "{parameter} is not positive definite")
+            }
+            Self::OwnNeighbour { id } => write!(f, "agent {id} lists itself as a neighbour"),
+            Self::RepeatedNeighbour { id } => write!(f, "neighbour {id} is listed twice"),
+        }
+    }
+}
+
+impl core::error::Error for ParameterError {}
+
+/// `value` if it is finite and above zero.
+pub(crate) fn positive(parameter: &'static str, value: f32) -> Result<(), ParameterError> {
+    in_range(parameter, value, value > 0.0, "a finite number above 0")
+}
+
+/// `value` if it is finite and not below zero.
+pub(crate) fn not_negative(parameter: &'static str, value: f32) -> Result<(), ParameterError> {
+    in_range(parameter, value, value >= 0.0, "a finite number, 0 or above")
+}
+
+/// Every one of `values` finite.
+pub(crate) fn finite<'v>(
+    parameter: &'static str,
+    values: impl IntoIterator<Item = &'v f32>,
+) -> Result<(), ParameterError> {
+    values.into_iter().try_for_each(|&value| in_range(parameter, value, true, "a finite number"))
+}
+
+fn in_range(
+    parameter: &'static str,
+    value: f32,
+    holds: bool,
+    expected: &'static str,
+) -> Result<(), ParameterError> {
+    if holds && value.is_finite() {
+        Ok(())
+    } else {
+        Err(ParameterError::OutOfRange { parameter, value, expected })
+    }
+}

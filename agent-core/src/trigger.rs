@@ -1,0 +1,83 @@
+//! The event trigger: broadcast when
+//! `phi_1 |e_2|^2 >= phi_2 |z|^2 + epsilon / N` (equation `Trigger`),
+//! with the hold error `e_2 = x_tilde - x_hat` (equation `e2i`) and the consensus term `z`.
+//!
+//! `phi_1 = k_2/2 + kappa/2 |L (x) K_1|^2` and `phi_2 = k_2 / (4 |L (x) I|^2)` need the whole
+//! graph, so whoever designs the network computes them; an agent is given the results.
+//!
+//! Cost: `4 N + 2` operations. No memory.
+
+use crate::StateVector;
+use crate::numeric::dot;
+use crate::parameter::{ParameterError, not_negative, positive};
+
+/// Constants of the trigger.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TriggerParams {
+    /// `phi_1`, weight of the squared hold error. Above 0. \[1/s\]
+    pub hold_error_weight: f32,
+    /// `phi_2`, weight of the squared consensus term. 0 or above. \[1/s\]
+    pub consensus_weight: f32,
+    /// `epsilon / N`, this agent's share of the error that the network may keep. Above 0,
+    /// or an agent could broadcast without end. \[squared state unit/s\]
+    pub threshold: f32,
+}
+
+impl TriggerParams {
+    /// # Errors
+    /// A constant that is not finite or has the wrong sign.
+    pub fn validate(&self) -> Result<(), ParameterError> {
+        positive("trigger.hold_error_weight", self.hold_error_weight)?;
+        not_negative("trigger.consensus_weight", self.consensus_weight)?;
+        positive("trigger.threshold", self.threshold)
+    }
+
+    /// Whether the agent must broadcast now.
+    #[inline]
+    #[must_use]
+    pub fn fires<const N: usize>(
+        &self,
+        hold_error: &StateVector<N>,
+        consensus_term: &StateVector<N>,
+    ) -> bool {
+        self.hold_error_weight * dot(hold_error, hold_error)
+            >= self.consensus_weight * dot(consensus_term, consensus_term) + self.threshold
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The paper's constants for its network of three.
+    const PAPER: TriggerParams = TriggerParams {
+        hold_error_weight: 311_810.16,
+        consensus_weight: 0.277_777_8,
+        threshold: 1e3,
+    };
+
+    #[test]
+    fn fires_at_the_radius_that_the_constants_give() {
+        // |e_2| = sqrt(threshold / phi_1) = 0.0566311 with z = 0.
+        let at = |length: f32| {
+            PAPER.fires(&StateVector::<3>::new(0.0, length, 0.0), &StateVector::zeros())
+        };
+        assert!(!at(0.056_63));
+        assert!(at(0.056_632));
+    }
+
+    #[test]
+    fn a_large_consensus_term_delays_the_broadcast() {
+        let error = StateVector::<3>::new(0.0567, 0.0, 0.0);
+        assert!(PAPER.fires(&error, &StateVector::zeros()));
+        assert!(!PAPER.fires(&error, &StateVector::<3>::new(10.0, 0.0, 0.0)));
+    }
+
+    #[test]
+    fn refuses_constants_that_break_the_minimum_interval() {
+        assert!(PAPER.validate().is_ok());
+        assert!(TriggerParams { threshold: 0.0, ..PAPER }.validate().is_err());
+        assert!(TriggerParams { hold_error_weight: f32::INFINITY, ..PAPER }.validate().is_err());
+        assert!(TriggerParams { consensus_weight: -1.0, ..PAPER }.validate().is_err());
+    }
+}
