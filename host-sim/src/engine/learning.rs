@@ -1,0 +1,177 @@
+//! Learning cycles: collecting samples, training inner networks, switching them in.
+//!
+//! A cycle collects `(x_hat, d/dt x_hat)` of its agents over a window, takes a copy of the
+//! outer weights where the window ends, and switches the trained network in at its time. The
+//! training itself takes no simulated time; all jobs that are ready run in parallel, each on
+//! its own seed, so the result does not depend on how many threads there are.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use agent_core::Tick;
+use agent_core::capture::{Sample, is_due};
+use agent_core::network::{Architecture, InnerNetwork};
+use rayon::prelude::*;
+
+use super::agents::SharedNetwork;
+use super::{Progress, RunError, TrainingRecord};
+use crate::scenario::{LearningCycle, Scenario};
+use crate::training::{self, Dataset, EpochReport, TrainingError, TrainingReport};
+
+/// The samples and the state of one agent in one cycle.
+struct Job {
+    cycle: usize,
+    agent: usize,
+    collect_from: Tick,
+    collect_to: Tick,
+    apply_at: Tick,
+    inputs: Vec<f64>,
+    targets: Vec<f64>,
+    outer_weights: Option<Vec<f32>>,
+    trained: Option<SharedNetwork>,
+}
+
+/// All cycles of a run.
+pub(super) struct Learning<'s> {
+    scenario: &'s Scenario,
+    seed: u64,
+    jobs: Vec<Job>,
+}
+
+impl<'s> Learning<'s> {
+    pub(super) fn new(scenario: &'s Scenario, seed: u64) -> Self {
+        let time = &scenario.time;
+        let job = |cycle: usize, description: &LearningCycle, agent: usize| Job {
+            cycle,
+            agent,
+            collect_from: time.tick(description.collect.from),
+            collect_to: time.tick(description.collect.to),
+            apply_at: time.tick(description.apply_at),
+            inputs: Vec::new(),
+            targets: Vec::new(),
+            outer_weights: None,
+            trained: None,
+        };
+        let jobs = scenario.learning.iter().enumerate();
+        let jobs = jobs.flat_map(|(cycle, description)| {
+            description.agents.iter().map(move |&agent| job(cycle, description, agent))
+        });
+        Self { scenario, seed, jobs: jobs.collect() }
+    }
+
+    /// The tick before which nothing happens any more, or `None` if nothing ever will again.
+    pub(super) fn next_tick(&self, tick: Tick) -> Option<Tick> {
+        let ahead = |job: &Job| {
+            if job.trained.is_some() || tick > job.apply_at {
+                None
+            } else {
+                Some(tick.max(job.collect_from))
+            }
+        };
+        self.jobs.iter().filter_map(ahead).min()
+    }
+
+    /// Networks to switch in before the step at `tick`, with the agents that they are for;
+    /// trains all jobs whose samples are complete when the first of them is due.
+    pub(super) fn networks_due(
+        &mut self,
+        tick: Tick,
+        progress: &dyn Progress,
+    ) -> Result<(Vec<(usize, SharedNetwork)>, Vec<TrainingRecord>), RunError> {
+        let mut records = Vec::new();
+        if self.jobs.iter().any(|job| job.apply_at == tick && job.trained.is_none()) {
+            let ready = |job: &&mut Job| job.outer_weights.is_some() && job.trained.is_none();
+            let (scenario, seed) = (self.scenario, self.seed);
+            let jobs: Vec<&mut Job> = self.jobs.iter_mut().filter(ready).collect();
+            records = jobs
+                .into_par_iter()
+                .map(|job| train(scenario, seed, job, progress))
+                .collect::<Result<_, _>>()?;
+        }
+        let due = self.jobs.iter().filter(|job| job.apply_at == tick);
+        let networks =
+            due.filter_map(|job| Some((job.agent, job.trained.clone()?))).collect();
+        Ok((networks, records))
+    }
+
+    /// Takes in what the agents did in the step at `tick`: `samples(i)` of agent `i` and, where
+    /// a window ends, its outer weights.
+    pub(super) fn collect<const N: usize>(
+        &mut self,
+        tick: Tick,
+        sample: impl Fn(usize) -> Option<Sample<N>>,
+        outer_weights: impl Fn(usize) -> Vec<f32>,
+    ) {
+        for job in &mut self.jobs {
+            if !(job.collect_from..job.collect_to).contains(&tick) {
+                continue;
+            }
+            if is_due(tick, self.scenario.learning[job.cycle].stride) {
+                if let Some(sample) = sample(job.agent) {
+                    job.inputs.extend(sample.estimate.iter().map(|&x| f64::from(x)));
+                    job.targets.extend(sample.derivative.iter().map(|&x| f64::from(x)));
+                }
+            }
+            if tick + 1 == job.collect_to {
+                job.outer_weights = Some(outer_weights(job.agent));
+            }
+        }
+    }
+}
+
+/// Trains one job's network.
+fn train(
+    scenario: &Scenario,
+    seed: u64,
+    job: &mut Job,
+    progress: &dyn Progress,
+) -> Result<TrainingRecord, RunError> {
+    let (cycle, agent) = (job.cycle, job.agent);
+    let failed = |error: TrainingError| RunError::Training { agent: agent + 1, cycle: cycle + 1, error };
+    let description = &scenario.learning[cycle];
+    let recipe = scenario.recipe(&description.recipe).ok_or_else(|| RunError::Recipe {
+        cycle: cycle + 1,
+        recipe: description.recipe.clone(),
+    })?;
+    let network = scenario.network.as_ref().ok_or(RunError::NoNetwork { cycle: cycle + 1 })?;
+    let inputs = std::mem::take(&mut job.inputs);
+    let targets = std::mem::take(&mut job.targets);
+    let raw = Dataset::new(scenario.dimension(), inputs, targets)
+        .map_err(|error| failed(error.into()))?;
+    let interval = scenario.time.step_size * f64::from(description.stride.get());
+    let data = training::clean(&raw, interval, recipe.smoothing_window, recipe.decimation)
+        .map_err(|error| failed(error.into()))?;
+    let outer: Vec<f64> =
+        job.outer_weights.iter().flatten().map(|&weight| f64::from(weight)).collect();
+    let mut report_epoch = |epoch: &EpochReport| {
+        progress.epoch(agent + 1, cycle + 1, epoch);
+        ControlFlow::Continue(())
+    };
+    let (parameters, report) = training::train_inner_network(
+        &network.architecture,
+        &outer,
+        &data,
+        &recipe.settings(),
+        job_seed(seed, cycle, agent),
+        &mut report_epoch,
+    )
+    .map_err(failed)?;
+    job.trained = Some(shared_network(&network.architecture, &parameters)?);
+    Ok(TrainingRecord { agent: agent + 1, cycle: cycle + 1, samples: data.len(), report })
+}
+
+/// The network with these parameters, rounded to the core's precision.
+pub(super) fn shared_network(
+    architecture: &Architecture,
+    parameters: &[f64],
+) -> Result<SharedNetwork, RunError> {
+    let parameters: Arc<[f32]> = parameters.iter().map(|&p| p as f32).collect();
+    InnerNetwork::new(architecture.clone(), parameters).map_err(RunError::Network)
+}
+
+/// A seed of its own for every agent in every cycle of a run: the run's seed and the place of
+/// the job, mixed so that neighbouring jobs start far apart.
+fn job_seed(seed: u64, cycle: usize, agent: usize) -> u64 {
+    let place = (cycle as u64) << 32 | agent as u64;
+    seed ^ place.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15)
+}

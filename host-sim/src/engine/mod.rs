@@ -1,0 +1,147 @@
+//! The simulation engine: plant in double precision, agents in the core's single precision,
+//! frames over a [`link::Link`].
+//!
+//! Step `k` runs from `t_k = k dt` to `t_(k+1)`:
+//! 1. networks whose time has come are switched in,
+//! 2. every agent takes the frames of `t_k`, measures `x_0(t_k)`, and takes its step,
+//! 3. samples, errors and traces of `t_k` are noted,
+//! 4. broadcasts of `t_(k+1)` go to the link, agents in ascending order,
+//! 5. the plant is integrated to `t_(k+1)`.
+//!
+//! A run is a pure function of scenario, seed and link: agents only read what the link holds
+//! from the tick before, so they can be stepped in parallel and in any order, and the bits are
+//! the same whatever the number of threads.
+
+mod agents;
+mod learning;
+pub mod link;
+mod run;
+pub mod statistics;
+pub mod traces;
+
+use agent_core::agent::StepError;
+use agent_core::network::NetworkError;
+use agent_core::parameter::ParameterError;
+
+use crate::training::{EpochReport, TrainingError, TrainingReport};
+use statistics::AgentStatistics;
+use traces::Traces;
+
+pub use run::{run, run_over};
+
+/// Hears how a run goes on; every method does nothing by default.
+pub trait Progress: Sync {
+    /// The run has come to `tick` of `steps`.
+    fn stepped(&self, tick: u64, steps: u64) {
+        let _ = (tick, steps);
+    }
+
+    /// Training of `agent` in `cycle` (both from 1) has finished an epoch.
+    fn epoch(&self, agent: usize, cycle: usize, report: &EpochReport) {
+        let _ = (agent, cycle, report);
+    }
+}
+
+/// A [`Progress`] that says nothing.
+#[derive(Clone, Copy, Debug)]
+pub struct Silent;
+
+impl Progress for Silent {}
+
+/// What a run is asked for beyond its scenario.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RunOptions {
+    /// Seed of all that is random.
+    pub seed: u64,
+    /// Whether learning cycles are carried out.
+    pub learning: bool,
+    /// Whether the quantities that the theorems bound are measured at every step.
+    pub bounds: bool,
+}
+
+/// What a run returns.
+#[derive(Clone, Debug)]
+pub struct RunResult {
+    /// Of each agent.
+    pub agents: Vec<AgentStatistics>,
+    /// Of each training, in the order of cycles and agents.
+    pub trainings: Vec<TrainingRecord>,
+    /// Rows of `x_0` and all `x_hat_i`; empty if the scenario records none.
+    pub traces: Traces,
+    /// Largest `|e_1|^2` (all agents stacked) minus the bound of Theorem 1 is for the analysis;
+    /// here are the squared errors themselves at every step, if bounds were asked for.
+    pub stacked_error_squared: Vec<f64>,
+    /// A hash of every broadcast and of the final state of every agent: two runs did the same
+    /// if and only if (but for chance) these agree.
+    pub digest: u64,
+}
+
+/// One training.
+#[derive(Clone, Debug)]
+pub struct TrainingRecord {
+    /// The agent, from 1.
+    pub agent: usize,
+    /// The learning cycle, from 1.
+    pub cycle: usize,
+    /// Samples that were left after cleaning and decimation.
+    pub samples: usize,
+    /// How it went.
+    pub report: TrainingReport,
+}
+
+/// Why a run ended early.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RunError {
+    /// A parameter that the core refuses.
+    #[error("agent {agent}: {error}; mend this parameter in the scenario")]
+    Parameter {
+        /// The agent, from 1.
+        agent: usize,
+        /// What the core says.
+        error: ParameterError,
+    },
+    /// A network that the core refuses.
+    #[error("network: {0}")]
+    Network(NetworkError),
+    /// An agent could not take its step.
+    #[error("agent {agent} at t = {time}: {error}; lower the gain or the step size")]
+    Step {
+        /// The agent, from 1.
+        agent: usize,
+        /// When. \[s\]
+        time: f64,
+        /// What the core says.
+        error: StepError,
+    },
+    /// The plant's state is not finite any more.
+    #[error("the plant diverged at t = {time}; lower time.step or change the plant's parameters")]
+    PlantDiverged {
+        /// When. \[s\]
+        time: f64,
+    },
+    /// A network could not be trained.
+    #[error("training of agent {agent} in learning cycle {cycle}: {error}")]
+    Training {
+        /// The agent, from 1.
+        agent: usize,
+        /// The learning cycle, from 1.
+        cycle: usize,
+        /// What the trainer says.
+        error: TrainingError,
+    },
+    /// A learning cycle names a recipe that there is not.
+    #[error("learning cycle {cycle} names the recipe {recipe:?}; add [recipes.{recipe}] to the scenario")]
+    Recipe {
+        /// The learning cycle, from 1.
+        cycle: usize,
+        /// The name.
+        recipe: String,
+    },
+    /// A learning cycle without a network.
+    #[error("learning cycle {cycle} has no network to train; add [network] to the scenario")]
+    NoNetwork {
+        /// The learning cycle, from 1.
+        cycle: usize,
+    },
+}

@@ -1,0 +1,266 @@
+//! The loop over steps.
+
+use agent_core::Tick;
+use rayon::prelude::*;
+
+use super::agents::{GainNorms, SharedNetwork, SimulatedAgent, Storage};
+use super::learning::{Learning, shared_network};
+use super::link::{Link, Lossless};
+use super::traces::{Traces, squared_error};
+use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
+use crate::analysis::{TriggerConstants, spectral_norm};
+use crate::plant::Stepper;
+use crate::scenario::Scenario;
+use crate::training;
+
+/// From this many agents on, a step is shared among threads: below it, the cost of waking a
+/// thread exceeds that of stepping the agents it would take over.
+const AGENTS_PER_THREAD: usize = 32;
+
+/// Steps between two reports of progress.
+const PROGRESS_STRIDE: Tick = 512;
+
+/// Runs `scenario` over the paper's lossless links.
+///
+/// # Errors
+/// A parameter or network that the core refuses, a training that fails, a plant or an agent
+/// that diverges.
+pub fn run(
+    scenario: &Scenario,
+    options: RunOptions,
+    progress: &dyn Progress,
+) -> Result<RunResult, RunError> {
+    run_over(scenario, Lossless::new(&scenario.graph), options, progress)
+}
+
+/// Runs `scenario` over `link`.
+///
+/// # Errors
+/// As [`run`].
+///
+/// # Panics
+/// If the state dimension is not 1 to 12; a loaded scenario's always is.
+pub fn run_over(
+    scenario: &Scenario,
+    link: impl Link,
+    options: RunOptions,
+    progress: &dyn Progress,
+) -> Result<RunResult, RunError> {
+    macro_rules! of_dimension {
+        ($($n:literal)*) => {
+            match scenario.dimension() {
+                $($n => run_fixed::<$n>(scenario, link, options, progress),)*
+                n => panic!("a state of {n} components, expected 1 to 12"),
+            }
+        };
+    }
+    of_dimension!(1 2 3 4 5 6 7 8 9 10 11 12)
+}
+
+fn run_fixed<const N: usize>(
+    scenario: &Scenario,
+    link: impl Link,
+    options: RunOptions,
+    progress: &dyn Progress,
+) -> Result<RunResult, RunError> {
+    let storage = Storage::new(scenario);
+    let agents = build_agents::<N>(scenario, &storage, options)?;
+    let mut simulation = Simulation {
+        scenario,
+        options,
+        link,
+        agents,
+        truth: std::array::from_fn(|component| scenario.initial_state[component]),
+        traces: empty_traces(scenario),
+        stacked_error_squared: Vec::new(),
+        digest: Digest::default(),
+    };
+    let trainings = simulation.all_steps(progress)?;
+    Ok(simulation.finish(trainings))
+}
+
+fn build_agents<'s, const N: usize>(
+    scenario: &Scenario,
+    storage: &'s Storage,
+    options: RunOptions,
+) -> Result<Vec<SimulatedAgent<'s, N>>, RunError> {
+    let trigger = TriggerConstants::new(scenario);
+    let network = initial_network(scenario, options.seed)?;
+    let no_weights = vec![0.0; N];
+    let outer_weights = scenario.network.as_ref().map_or(&no_weights, |network| &network.outer);
+    let gain = spectral_norm(&scenario.design.gain);
+    let agents = scenario.agents.iter().enumerate();
+    let agents = agents.map(|(index, agent)| {
+        let norms = options.bounds.then(|| GainNorms {
+            gain,
+            gain_output: spectral_norm(&(&scenario.design.gain * agent.output_matrix.transpose())),
+        });
+        let params = storage.params::<N>(scenario, &trigger, index)?;
+        SimulatedAgent::new(params, agent, network.clone(), outer_weights, norms)
+    });
+    let agents = agents.enumerate().map(|(index, agent)| {
+        agent.map_err(|error| RunError::Parameter { agent: index + 1, error })
+    });
+    agents.collect()
+}
+
+/// The network that every agent starts with.
+fn initial_network(scenario: &Scenario, seed: u64) -> Result<Option<SharedNetwork>, RunError> {
+    let Some(network) = &scenario.network else { return Ok(None) };
+    let parameters = training::initial_parameters(&network.architecture, network.inner, None, seed);
+    shared_network(&network.architecture, &parameters).map(Some)
+}
+
+fn empty_traces(scenario: &Scenario) -> Traces {
+    let (dimension, agents) = (scenario.dimension(), scenario.agents.len());
+    let rows = scenario.record.trace_stride.map_or(0, |stride| scenario.steps() / u64::from(stride.get()) + 1);
+    Traces::with_capacity(dimension, agents, usize::try_from(rows).unwrap_or(0))
+}
+
+struct Simulation<'s, const N: usize, L> {
+    scenario: &'s Scenario,
+    options: RunOptions,
+    link: L,
+    agents: Vec<SimulatedAgent<'s, N>>,
+    truth: [f64; N],
+    traces: Traces,
+    stacked_error_squared: Vec<f64>,
+    digest: Digest,
+}
+
+impl<const N: usize, L: Link> Simulation<'_, N, L> {
+    fn all_steps(&mut self, progress: &dyn Progress) -> Result<Vec<TrainingRecord>, RunError> {
+        let (scenario, time) = (self.scenario, self.scenario.time);
+        let steps = scenario.steps();
+        let evaluation =
+            time.tick(scenario.evaluation.from)..time.tick(scenario.evaluation.to);
+        let mut learning = self.options.learning.then(|| Learning::new(scenario, self.options.seed));
+        let mut plant = Stepper::new(&scenario.plant, &scenario.disturbance, time.integrator);
+        let mut trainings = Vec::new();
+        self.send_broadcasts(0);
+        for tick in 0..steps {
+            if let Some(learning) = &mut learning {
+                let (networks, mut records) = learning.networks_due(tick, progress)?;
+                trainings.append(&mut records);
+                for (agent, network) in networks {
+                    self.agents[agent].switch_network(network);
+                }
+            }
+            self.note(tick, evaluation.contains(&tick));
+            self.step_agents(tick)?;
+            if let Some(learning) = &mut learning {
+                let agents = &self.agents;
+                learning.collect(
+                    tick,
+                    |agent| agents[agent].last_sample,
+                    |agent| agents[agent].outer_weights(),
+                );
+            }
+            self.send_broadcasts(tick + 1);
+            plant.step(time.at(tick), time.step_size, &mut self.truth);
+            if !self.truth.iter().all(|x| x.is_finite()) {
+                return Err(RunError::PlantDiverged { time: time.at(tick + 1) });
+            }
+            if tick.is_multiple_of(PROGRESS_STRIDE) {
+                progress.stepped(tick, steps);
+            }
+        }
+        self.note(steps, false);
+        progress.stepped(steps, steps);
+        Ok(trainings)
+    }
+
+    /// Notes errors and traces of `tick`, before its step is taken.
+    #[inline]
+    fn note(&mut self, tick: Tick, evaluated: bool) {
+        let truth = &self.truth;
+        if evaluated || self.options.bounds {
+            let mut stacked = 0.0;
+            for agent in &mut self.agents {
+                let squared = squared_error(agent.estimate(), truth);
+                stacked += squared;
+                if evaluated {
+                    agent.statistics.error(squared);
+                }
+            }
+            if self.options.bounds {
+                self.stacked_error_squared.push(stacked);
+            }
+        }
+        if let Some(stride) = self.scenario.record.trace_stride
+            && tick.is_multiple_of(u64::from(stride.get()))
+        {
+            let estimates = self.agents.iter().map(SimulatedAgent::estimate);
+            self.traces.push(self.scenario.time.at(tick), truth, estimates);
+        }
+    }
+
+    #[inline]
+    fn step_agents(&mut self, tick: Tick) -> Result<(), RunError> {
+        let (link, truth) = (&self.link, &self.truth);
+        if self.agents.len() < 2 * AGENTS_PER_THREAD {
+            for (index, agent) in self.agents.iter_mut().enumerate() {
+                agent.step(tick, truth, link, index);
+            }
+        } else {
+            self.agents
+                .par_iter_mut()
+                .with_min_len(AGENTS_PER_THREAD)
+                .enumerate()
+                .for_each(|(index, agent)| agent.step(tick, truth, link, index));
+        }
+        let failure = self.agents.iter().position(|agent| agent.failure.is_some());
+        match failure.and_then(|index| Some((index, self.agents[index].failure?))) {
+            Some((index, error)) => {
+                Err(RunError::Step { agent: index + 1, time: self.scenario.time.at(tick), error })
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Hands the broadcasts of `tick` to the link.
+    #[inline]
+    fn send_broadcasts(&mut self, tick: Tick) {
+        let keep = self.scenario.record.events;
+        for (index, agent) in self.agents.iter_mut().enumerate() {
+            if let Some(bytes) = agent.outgoing.take() {
+                agent.statistics.broadcast(tick, keep);
+                self.digest.add(&bytes);
+                self.link.send(index, tick, &bytes);
+            }
+        }
+    }
+
+    fn finish(mut self, trainings: Vec<TrainingRecord>) -> RunResult {
+        for agent in &self.agents {
+            for value in agent.estimate().iter().chain(&agent.outer_weights()) {
+                self.digest.add(&value.to_le_bytes());
+            }
+        }
+        RunResult {
+            agents: self.agents.into_iter().map(|agent| agent.statistics).collect(),
+            trainings,
+            traces: self.traces,
+            stacked_error_squared: self.stacked_error_squared,
+            digest: self.digest.0,
+        }
+    }
+}
+
+/// FNV-1a, 64 bits.
+struct Digest(u64);
+
+impl Default for Digest {
+    fn default() -> Self {
+        Self(0xcbf2_9ce4_8422_2325)
+    }
+}
+
+impl Digest {
+    #[inline]
+    fn add(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        }
+    }
+}

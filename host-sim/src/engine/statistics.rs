@@ -1,0 +1,83 @@
+//! What a run measures of each agent while it goes on.
+
+use agent_core::Tick;
+
+use crate::scenario::Time;
+
+/// Root mean square and maximum of `|e_1i|` over the evaluation window, and the times between
+/// broadcasts over the whole run.
+#[derive(Clone, Debug, Default)]
+pub struct AgentStatistics {
+    sum_squared: f64,
+    samples: u64,
+    max_squared: f64,
+    first_broadcast: Tick,
+    last_broadcast: Tick,
+    broadcasts: u64,
+    min_interval: Option<Tick>,
+    /// Received frames that the agent refused.
+    pub frames_refused: u64,
+    /// Largest `e_2i_max` of Theorem 2 that occurred; 0 if it was not asked for. \[state unit/s\]
+    pub hold_error_rate_max: f64,
+    /// Largest `|W_hat_i|` (Frobenius) that occurred; 0 if it was not asked for.
+    pub outer_weights_norm_max: f64,
+    /// Ticks of all broadcasts, if the scenario records events.
+    pub events: Vec<Tick>,
+}
+
+impl AgentStatistics {
+    /// Takes the squared norm of `e_1i` at one step of the evaluation window into account.
+    #[inline]
+    pub fn error(&mut self, squared: f64) {
+        self.sum_squared += squared;
+        self.samples += 1;
+        self.max_squared = self.max_squared.max(squared);
+    }
+
+    /// Takes a broadcast at `tick` into account.
+    #[inline]
+    pub fn broadcast(&mut self, tick: Tick, keep_event: bool) {
+        if self.broadcasts == 0 {
+            self.first_broadcast = tick;
+        } else {
+            let interval = tick - self.last_broadcast;
+            self.min_interval = Some(self.min_interval.map_or(interval, |min| min.min(interval)));
+        }
+        self.last_broadcast = tick;
+        self.broadcasts += 1;
+        if keep_event {
+            self.events.push(tick);
+        }
+    }
+
+    /// How often the agent broadcast, the one at `t = 0` included.
+    #[must_use]
+    pub fn broadcasts(&self) -> u64 {
+        self.broadcasts
+    }
+
+    /// Root mean square of `|e_1i|` over the evaluation window; `None` if it holds no step.
+    #[must_use]
+    pub fn rmse(&self) -> Option<f64> {
+        (self.samples > 0).then(|| (self.sum_squared / self.samples as f64).sqrt())
+    }
+
+    /// Maximum of `|e_1i|` over the evaluation window; `None` if it holds no step.
+    #[must_use]
+    pub fn max_error(&self) -> Option<f64> {
+        (self.samples > 0).then(|| self.max_squared.sqrt())
+    }
+
+    /// Mean time between broadcasts; `None` with fewer than two. \[s\]
+    #[must_use]
+    pub fn mean_interval(&self, time: &Time) -> Option<f64> {
+        let intervals = self.broadcasts.checked_sub(1).filter(|&intervals| intervals > 0)?;
+        Some(time.at(self.last_broadcast - self.first_broadcast) / intervals as f64)
+    }
+
+    /// Shortest time between broadcasts; `None` with fewer than two. \[s\]
+    #[must_use]
+    pub fn min_interval(&self, time: &Time) -> Option<f64> {
+        self.min_interval.map(|ticks| time.at(ticks))
+    }
+}

@@ -1,0 +1,89 @@
+//! What a run writes down of plant and agents, step by step.
+
+/// True state and every agent's estimate, one row every `trace_stride` steps.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Traces {
+    dimension: usize,
+    agents: usize,
+    time: Vec<f64>,
+    truth: Vec<f64>,
+    estimates: Vec<f32>,
+}
+
+impl Traces {
+    /// Empty traces with room for `rows`.
+    #[must_use]
+    pub fn with_capacity(dimension: usize, agents: usize, rows: usize) -> Self {
+        Self {
+            dimension,
+            agents,
+            time: Vec::with_capacity(rows),
+            truth: Vec::with_capacity(rows * dimension),
+            estimates: Vec::with_capacity(rows * dimension * agents),
+        }
+    }
+
+    /// Adds a row: time \[s\], `x_0` (shape `[n]`), and all `x_hat_i` (each of shape `[n]`).
+    pub fn push<'e>(
+        &mut self,
+        time: f64,
+        truth: &[f64],
+        estimates: impl Iterator<Item = &'e [f32]>,
+    ) {
+        self.time.push(time);
+        self.truth.extend_from_slice(truth);
+        estimates.for_each(|estimate| self.estimates.extend_from_slice(estimate));
+    }
+
+    /// How many rows there are.
+    #[must_use]
+    pub fn rows(&self) -> usize {
+        self.time.len()
+    }
+
+    /// `n`.
+    #[must_use]
+    pub fn dimension(&self) -> usize {
+        self.dimension
+    }
+
+    /// `N`.
+    #[must_use]
+    pub fn agents(&self) -> usize {
+        self.agents
+    }
+
+    /// Time of each row. \[s\]
+    #[must_use]
+    pub fn time(&self) -> &[f64] {
+        &self.time
+    }
+
+    /// `x_0` in a row, shape `[n]`.
+    #[must_use]
+    pub fn truth(&self, row: usize) -> &[f64] {
+        &self.truth[row * self.dimension..][..self.dimension]
+    }
+
+    /// `x_hat_i` in a row, agents from 0, shape `[n]`.
+    #[must_use]
+    pub fn estimate(&self, row: usize, agent: usize) -> &[f32] {
+        &self.estimates[(row * self.agents + agent) * self.dimension..][..self.dimension]
+    }
+
+    /// `|e_1i|` in a row, agents from 0.
+    #[must_use]
+    pub fn error(&self, row: usize, agent: usize) -> f64 {
+        squared_error(self.estimate(row, agent), self.truth(row)).sqrt()
+    }
+}
+
+/// `|x_hat - x_0|^2`.
+#[inline]
+#[must_use]
+pub fn squared_error(estimate: &[f32], truth: &[f64]) -> f64 {
+    estimate.iter().zip(truth).fold(0.0, |sum, (&estimate, &truth)| {
+        let error = f64::from(estimate) - truth;
+        sum + error * error
+    })
+}
