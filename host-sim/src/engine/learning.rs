@@ -59,18 +59,6 @@ impl<'s> Learning<'s> {
         Self { scenario, seed, jobs: jobs.collect() }
     }
 
-    /// The tick before which nothing happens any more, or `None` if nothing ever will again.
-    pub(super) fn next_tick(&self, tick: Tick) -> Option<Tick> {
-        let ahead = |job: &Job| {
-            if job.trained.is_some() || tick > job.apply_at {
-                None
-            } else {
-                Some(tick.max(job.collect_from))
-            }
-        };
-        self.jobs.iter().filter_map(ahead).min()
-    }
-
     /// Networks to switch in before the step at `tick`, with the agents that they are for;
     /// trains all jobs whose samples are complete when the first of them is due.
     pub(super) fn networks_due(

@@ -68,8 +68,7 @@ pub struct RunResult {
     pub trainings: Vec<TrainingRecord>,
     /// Rows of `x_0` and all `x_hat_i`; empty if the scenario records none.
     pub traces: Traces,
-    /// Largest `|e_1|^2` (all agents stacked) minus the bound of Theorem 1 is for the analysis;
-    /// here are the squared errors themselves at every step, if bounds were asked for.
+    /// `|e_1|^2`, all agents stacked, at every step; empty if bounds were not asked for.
     pub stacked_error_squared: Vec<f64>,
     /// A hash of every broadcast and of the final state of every agent: two runs did the same
     /// if and only if (but for chance) these agree.

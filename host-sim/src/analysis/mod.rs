@@ -1,0 +1,260 @@
+//! What the paper's analysis promises for a scenario, computed before the run, and held
+//! against what the run measured.
+//!
+//! * [`GainCertificate`]: is `K_1` a solution of `BMI`?
+//! * [`TriggerConstants`]: `phi_1`, `phi_2` and the hold error at which the trigger fires.
+//! * [`UltimateBound`]: Theorem 1's bound on `|e_1(t)|^2` (equation `UUB Bound`).
+//! * [`minimum_interval`]: Theorem 2's bound on the time between broadcasts (`Zeno Bound`).
+
+mod lanczos;
+mod report;
+
+use nalgebra::DMatrix;
+
+use crate::graph::Graph;
+use crate::scenario::{Design, OuterGain, Scenario};
+use lanczos::{Spectrum, spectrum};
+pub use report::{AgentCheck, Checks, UltimateBoundCheck};
+
+/// `|A|`, the largest singular value.
+#[must_use]
+pub fn spectral_norm(matrix: &DMatrix<f64>) -> f64 {
+    let (rows, columns) = matrix.shape();
+    let mut image = vec![0.0; rows];
+    let gram = spectrum(columns, |v, result| {
+        for (row, image) in image.iter_mut().enumerate() {
+            *image = (0..columns).fold(0.0, |sum, column| sum + matrix[(row, column)] * v[column]);
+        }
+        for (column, result) in result.iter_mut().enumerate() {
+            *result = (0..rows).fold(0.0, |sum, row| sum + matrix[(row, column)] * image[row]);
+        }
+    });
+    gram.max.max(0.0).sqrt()
+}
+
+/// `lambda_max(L)` of the graph's Laplacian, which is also `|L (x) I_n|`.
+#[must_use]
+pub fn laplacian_norm(graph: &Graph) -> f64 {
+    spectrum(graph.agents(), |v, result| {
+        for (i, result) in result.iter_mut().enumerate() {
+            *result = 0.0;
+            for &(j, weight) in graph.neighbours(i) {
+                *result += weight * (v[i] - v[j]);
+            }
+        }
+    })
+    .max
+}
+
+/// The constants of `Trigger`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TriggerConstants {
+    /// `phi_1 = k_2/2 + kappa/2 |L (x) K_1|^2`. \[1/s\]
+    pub phi1: f64,
+    /// `phi_2 = k_2 / (4 |L (x) I_n|^2)`; 0 for a single agent, which has no one to hear. \[1/s\]
+    pub phi2: f64,
+    /// `epsilon / N`. \[squared state unit/s\]
+    pub threshold: f64,
+}
+
+impl TriggerConstants {
+    /// The constants for this scenario's graph, gain and design.
+    #[must_use]
+    pub fn new(scenario: &Scenario) -> Self {
+        let Design { gain, k2, kappa, epsilon, .. } = &scenario.design;
+        let laplacian = laplacian_norm(&scenario.graph);
+        let coupling = laplacian * spectral_norm(gain);
+        Self {
+            phi1: 0.5 * k2 + 0.5 * kappa * coupling * coupling,
+            phi2: if laplacian > 0.0 { 0.25 * k2 / (laplacian * laplacian) } else { 0.0 },
+            threshold: epsilon / scenario.agents.len() as f64,
+        }
+    }
+
+    /// The hold error at which the trigger fires while the consensus term is zero.
+    /// \[state unit\]
+    #[must_use]
+    pub fn radius(&self) -> f64 {
+        (self.threshold / self.phi1).sqrt()
+    }
+}
+
+/// Whether `K_1` solves `BMI`, which the theorems presuppose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GainCertificate {
+    /// Smallest eigenvalue of the left side of `BMI`. \[1/s\]
+    pub eigenvalue_min: f64,
+    /// How far off it may be: the norm of its residual, 0 up to rounding for small networks.
+    pub uncertainty: f64,
+    /// `k_1 = k_2 + rho^2 / delta`, which it must reach. \[1/s\]
+    pub k1: f64,
+}
+
+impl GainCertificate {
+    /// Examines this scenario's gain.
+    #[must_use]
+    pub fn new(scenario: &Scenario) -> Self {
+        let n = scenario.dimension();
+        let agents = scenario.agents.len();
+        let gain = &scenario.design.gain;
+        // (K_1 C_i^T C_i + C_i^T C_i K_1) / 2, one block an agent.
+        let blocks: Vec<DMatrix<f64>> = scenario
+            .agents
+            .iter()
+            .map(|agent| {
+                let product = gain * agent.output_matrix.transpose() * &agent.output_matrix;
+                (&product + product.transpose()) * 0.5
+            })
+            .collect();
+        let mut difference = vec![0.0; n];
+        let Spectrum { min, min_residual, .. } = spectrum(n * agents, |v, result| {
+            for (i, block) in blocks.iter().enumerate() {
+                let own = &v[i * n..][..n];
+                difference.fill(0.0);
+                for &(j, weight) in scenario.graph.neighbours(i) {
+                    for (sum, (x, y)) in difference.iter_mut().zip(own.iter().zip(&v[j * n..])) {
+                        *sum += weight * (x - y);
+                    }
+                }
+                for row in 0..n {
+                    result[i * n + row] = (0..n).fold(0.0, |sum, column| {
+                        sum + block[(row, column)] * own[column]
+                            + gain[(row, column)] * difference[column]
+                    });
+                }
+            }
+        });
+        let Design { k2, rho, delta, .. } = scenario.design;
+        Self { eigenvalue_min: min, uncertainty: min_residual, k1: k2 + rho * rho / delta }
+    }
+
+    /// Whether `K_1` is a solution of `BMI` with this `k_1`.
+    #[must_use]
+    pub fn holds(&self) -> bool {
+        self.eigenvalue_min >= self.k1
+    }
+}
+
+/// Theorem 1's bound on `|e_1(t)|^2`, all agents stacked.
+///
+/// The ideal outer weights are unknown; within `|W_0| <= omega_bar` the weight errors are at most
+/// `2 omega_bar`, which bounds `tr(W_tilde^T Gamma^-1 W_tilde)` at all times.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UltimateBound {
+    /// `|e_1(0)|^2`.
+    pub initial_error_squared: f64,
+    /// The bound on `tr(W_tilde^T Gamma^-1 W_tilde)`, twice the paper's `W_tilde_max`.
+    pub weight_error: f64,
+    /// `alpha = k_2 - 1/kappa`. \[1/s\]
+    pub alpha: f64,
+    /// `delta + epsilon`. \[squared state unit/s\]
+    pub delta_bar: f64,
+}
+
+impl UltimateBound {
+    /// The bound for this scenario; `None` where `alpha <= 0`, for which the theorem says
+    /// nothing.
+    #[must_use]
+    pub fn new(scenario: &Scenario) -> Option<Self> {
+        let Design { k2, kappa, delta, epsilon, .. } = scenario.design;
+        let alpha = k2 - 1.0 / kappa;
+        let initial_error_squared = scenario
+            .agents
+            .iter()
+            .flat_map(|agent| agent.initial_estimate.iter().zip(&scenario.initial_state))
+            .fold(0.0, |sum, (estimate, truth)| sum + (estimate - truth) * (estimate - truth));
+        let weight_error = if scenario.network.is_some() {
+            let largest = 2.0 * scenario.outer_law.bound;
+            scenario.agents.len() as f64 * largest * largest / gain_min(&scenario.outer_law.gain)
+        } else {
+            0.0
+        };
+        (alpha > 0.0).then_some(Self {
+            initial_error_squared,
+            weight_error,
+            alpha,
+            delta_bar: delta + epsilon,
+        })
+    }
+
+    /// The bound at `time` \[s\].
+    #[must_use]
+    pub fn at(&self, time: f64) -> f64 {
+        let decay = libm::exp(-self.alpha * time);
+        (self.initial_error_squared + self.weight_error) * decay + self.ultimate() * (1.0 - decay)
+    }
+
+    /// What the bound tends to.
+    #[must_use]
+    pub fn ultimate(&self) -> f64 {
+        self.weight_error + 2.0 * self.delta_bar / self.alpha
+    }
+}
+
+/// `lambda_min(Gamma)`.
+fn gain_min(gain: &OuterGain) -> f64 {
+    match gain {
+        OuterGain::Scalar(gain) => *gain,
+        OuterGain::Diagonal(diagonal) => diagonal.iter().copied().fold(f64::INFINITY, f64::min),
+        OuterGain::Full(matrix) => {
+            let size = matrix.nrows();
+            let image = |v: &[f64], result: &mut [f64]| {
+                for (row, result) in result.iter_mut().enumerate() {
+                    *result = (0..size).fold(0.0, |sum, c| sum + matrix[(row, c)] * v[c]);
+                }
+            };
+            spectrum(size, image).min
+        }
+    }
+}
+
+/// Theorem 2's lower bound on the time between two broadcasts of an agent whose hold error
+/// grows no faster than `rate` \[state unit/s\]: `sqrt(epsilon / (N phi_1)) / rate`. \[s\]
+#[must_use]
+pub fn minimum_interval(trigger: &TriggerConstants, rate: f64) -> f64 {
+    trigger.radius() / rate
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::builtin;
+
+    /// The values of an independent implementation in double precision.
+    #[test]
+    fn the_papers_constants() {
+        let scenario = builtin("paper").unwrap();
+        let trigger = TriggerConstants::new(&scenario);
+        assert!((trigger.phi1 - 311_810.148).abs() < 1e-3, "{}", trigger.phi1);
+        assert!((trigger.phi2 - 0.277_778).abs() < 1e-6, "{}", trigger.phi2);
+        assert!((trigger.radius() - 0.056_631_1).abs() < 1e-7, "{}", trigger.radius());
+        let certificate = GainCertificate::new(&scenario);
+        assert!((certificate.eigenvalue_min - 36.1356).abs() < 1e-4, "{certificate:?}");
+        assert!((certificate.k1 - 23.3333).abs() < 1e-4);
+        assert!(certificate.holds());
+    }
+
+    #[test]
+    fn a_gain_that_is_too_small_is_found_out() {
+        let mut scenario = builtin("paper").unwrap();
+        scenario.design.gain *= 0.5;
+        assert!(!GainCertificate::new(&scenario).holds());
+    }
+
+    #[test]
+    fn spectral_norm_of_a_rectangular_matrix() {
+        // The singular values of [3 0; 4 5] are 3 sqrt(5) and sqrt(5).
+        let matrix = DMatrix::from_row_slice(2, 2, &[3.0, 0.0, 4.0, 5.0]);
+        assert!((spectral_norm(&matrix) - 45f64.sqrt()).abs() < 1e-12);
+        assert!((spectral_norm(&matrix.columns(0, 1).into_owned()) - 5.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_ultimate_bound_decays_from_its_start_to_its_end() {
+        let bound = UltimateBound::new(&builtin("paper").unwrap()).unwrap();
+        // |x_0(0)|^2 = 25 + 49 + 64 for each of three agents that start at zero.
+        assert_eq!(bound.initial_error_squared, 3.0 * 138.0);
+        assert_eq!(bound.at(0.0), bound.initial_error_squared + bound.weight_error);
+        assert!((bound.at(40.0) - bound.ultimate()).abs() < 1e-9);
+    }
+}
