@@ -15,7 +15,7 @@ use crate::numeric::{add_scaled, dot};
 use crate::parameter::{ParameterError, finite, positive};
 use crate::projection::ProjectionParams;
 
-/// `Gamma`, the symmetric positive definite adaptation gain, shape `[L, L]`. \[1/s\]
+/// `Gamma`, the symmetric positive definite adaptation gain, shape `[L, L]`. \[1/s^2\]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OuterGain<'a> {
     /// This multiple of the identity.

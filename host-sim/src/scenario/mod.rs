@@ -112,7 +112,7 @@ pub struct Design {
 /// The outer-weight law and its projection.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OuterLaw {
-    /// `Gamma`. \[1/s\]
+    /// `Gamma`. \[1/s^2\]
     pub gain: OuterGain,
     /// `omega_bar`, the bound that the Frobenius norm of the outer weights never exceeds.
     pub bound: f64,
@@ -124,7 +124,7 @@ pub struct OuterLaw {
     pub smoothness: u8,
 }
 
-/// `Gamma`, shape `[L, L]`, positive definite.
+/// `Gamma`, shape `[L, L]`, positive definite. \[1/s^2\]
 #[derive(Clone, Debug, PartialEq)]
 pub enum OuterGain {
     /// A multiple of the identity.
