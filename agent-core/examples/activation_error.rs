@@ -1,0 +1,287 @@
+//! Measures the activations over every binary32 float.
+//!
+//! ```sh
+//! cargo run --release -p agent-core --example activation_error
+//! cargo run --release -p agent-core --example activation_error -- --stride 4099 --compare
+//! ```
+//!
+//! `--stride K` takes every K-th float of each sign, `--compare` adds the libm crate's
+//! `tanhf` and the functions as one would build them on micromath's `exp`.
+//!
+//! The reference is the libm crate's binary64 function of the exact input. An error is
+//! |value - reference| with the reference not rounded, in ulps of the binary32 binade that
+//! the reference lies in (2^-149 below the normal numbers). The reference's own error, about
+//! 2^-29 of such an ulp, is the resolution. Inputs are walked in the order of their bits,
+//! each sign by itself, and every value is compared with the one before it, across the
+//! boundaries of the threads' blocks as well.
+
+use micromath::F32Ext;
+use std::io::{IsTerminal, Write};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::thread;
+
+/// How f(-x) follows from f(x).
+#[derive(Clone, Copy, PartialEq)]
+enum Symmetry {
+    Odd,
+    Even,
+    None,
+}
+
+/// A function under test and the laws it ought to obey.
+struct Subject {
+    name: &'static str,
+    function: fn(f32) -> f32,
+    reference: fn(f64) -> f64,
+    symmetry: Symmetry,
+    /// Whether the values fall for x from 0 to +infinity; for x from 0 to -infinity all
+    /// of these functions fall.
+    falls: bool,
+    range: (f32, f32),
+}
+
+fn logistic_reference(x: f64) -> f64 {
+    1.0 / (1.0 + libm::exp(-x))
+}
+
+fn gaussian_reference(x: f64) -> f64 {
+    libm::exp(-x * x) // exact square: 48 bits
+}
+
+/// Clamped because micromath's `exp` ends in infinity over infinity otherwise.
+fn micromath_tanh(x: f32) -> f32 {
+    let e = F32Ext::exp(2.0 * x.clamp(-9.0, 9.0));
+    (e - 1.0) / (e + 1.0)
+}
+
+fn micromath_logistic(x: f32) -> f32 {
+    1.0 / (1.0 + F32Ext::exp(-x))
+}
+
+fn micromath_gaussian(x: f32) -> f32 {
+    F32Ext::exp(-x * x)
+}
+
+const SUBJECTS: [Subject; 3] = [
+    Subject {
+        name: "tanh",
+        function: agent_core::activation::tanh,
+        reference: libm::tanh,
+        symmetry: Symmetry::Odd,
+        falls: false,
+        range: (-1.0, 1.0),
+    },
+    Subject {
+        name: "logistic",
+        function: agent_core::activation::logistic,
+        reference: logistic_reference,
+        symmetry: Symmetry::None,
+        falls: false,
+        range: (0.0, 1.0),
+    },
+    Subject {
+        name: "Gaussian",
+        function: agent_core::activation::gaussian,
+        reference: gaussian_reference,
+        symmetry: Symmetry::Even,
+        falls: true,
+        range: (0.0, 1.0),
+    },
+];
+
+const COMPARED: [Subject; 4] = [
+    Subject { name: "tanh, libm tanhf", function: libm::tanhf, ..SUBJECTS[0] },
+    Subject { name: "tanh, micromath exp", function: micromath_tanh, ..SUBJECTS[0] },
+    Subject { name: "logistic, micromath exp", function: micromath_logistic, ..SUBJECTS[1] },
+    Subject { name: "Gaussian, micromath exp", function: micromath_gaussian, ..SUBJECTS[2] },
+];
+
+/// What a walk found.
+#[derive(Clone, Copy)]
+struct Findings {
+    worst_ulp: f64,
+    worst_at: f32,
+    worst_absolute: f64,
+    monotone: bool,
+    symmetric: bool,
+    in_range: bool,
+    nan_to_nan: bool,
+}
+
+impl Findings {
+    const NONE: Self = Self {
+        worst_ulp: 0.0,
+        worst_at: 0.0,
+        worst_absolute: 0.0,
+        monotone: true,
+        symmetric: true,
+        in_range: true,
+        nan_to_nan: true,
+    };
+
+    fn add_error(&mut self, x: f32, value: f32, reference: f64) {
+        let absolute = (f64::from(value) - reference).abs();
+        let ulp = absolute * reciprocal_ulp(reference);
+        // Of equals the smaller |x|, so that the answer does not depend on the threads.
+        if ulp > self.worst_ulp || (ulp == self.worst_ulp && x.abs() < self.worst_at.abs()) {
+            self.worst_ulp = ulp;
+            self.worst_at = x;
+        }
+        self.worst_absolute = self.worst_absolute.max(absolute);
+    }
+
+    fn merge(&mut self, other: &Self) {
+        if other.worst_ulp > self.worst_ulp
+            || (other.worst_ulp == self.worst_ulp && other.worst_at.abs() < self.worst_at.abs())
+        {
+            self.worst_ulp = other.worst_ulp;
+            self.worst_at = other.worst_at;
+        }
+        self.worst_absolute = self.worst_absolute.max(other.worst_absolute);
+        self.monotone &= other.monotone;
+        self.symmetric &= other.symmetric;
+        self.in_range &= other.in_range;
+        self.nan_to_nan &= other.nan_to_nan;
+    }
+}
+
+/// 1 / (ulp of the binary32 binade of `reference`).
+fn reciprocal_ulp(reference: f64) -> f64 {
+    const BINARY64_BIAS: i64 = 1023;
+    let stored = (reference.abs().to_bits() >> 52).cast_signed();
+    let exponent = (stored - BINARY64_BIAS).max(-126);
+    f64::from_bits((BINARY64_BIAS + 23 - exponent).cast_unsigned() << 52)
+}
+
+/// Bits of +infinity, one more than those of the largest finite float.
+const INFINITY: u32 = 0x7f80_0000;
+/// One more than the bits of the last NaN without sign.
+const END: u32 = 0x8000_0000;
+/// Samples that a thread takes at a time.
+const BLOCK: u32 = 1 << 20;
+
+/// Walks magnitudes `first`, `first + stride`, … below `end`, both signs of each.
+fn walk(subject: &Subject, first: u32, end: u32, stride: u32) -> Findings {
+    let Subject { function, reference, symmetry, falls, range, .. } = *subject;
+    let mut findings = Findings::NONE;
+    let before = first.saturating_sub(stride);
+    let mut last = (function(f32::from_bits(before)), function(-f32::from_bits(before)));
+    if first == 0 {
+        findings.monotone &= falls || last.1 <= last.0;
+    }
+    for bits in (first..end.min(INFINITY + 1)).step_by(stride as usize) {
+        let x = f32::from_bits(bits);
+        let (positive, negative) = (function(x), function(-x));
+        findings.monotone &= if falls { positive <= last.0 } else { positive >= last.0 };
+        findings.monotone &= negative <= last.1;
+        last = (positive, negative);
+        findings.in_range &= (range.0..=range.1).contains(&positive);
+        findings.in_range &= (range.0..=range.1).contains(&negative);
+        let expected = reference(f64::from(x));
+        let expected_negative = match symmetry {
+            Symmetry::Odd => {
+                findings.symmetric &= negative.to_bits() == (-positive).to_bits();
+                -expected
+            }
+            Symmetry::Even => {
+                findings.symmetric &= negative.to_bits() == positive.to_bits();
+                expected
+            }
+            Symmetry::None => reference(f64::from(-x)),
+        };
+        findings.add_error(x, positive, expected);
+        findings.add_error(-x, negative, expected_negative);
+    }
+    for bits in (first..end).step_by(stride as usize).filter(|&bits| bits > INFINITY) {
+        let x = f32::from_bits(bits);
+        findings.nan_to_nan &= function(x).is_nan() && function(-x).is_nan();
+    }
+    findings
+}
+
+/// Walks all magnitudes on all cores.
+fn measure(subject: &Subject, stride: u32) -> Findings {
+    let samples = END.div_ceil(stride);
+    let blocks = samples.div_ceil(BLOCK);
+    let next = AtomicU32::new(0);
+    let total = Mutex::new(Findings::NONE);
+    let threads = thread::available_parallelism().map_or(1, usize::from);
+    thread::scope(|scope| {
+        for _ in 0..threads {
+            scope.spawn(|| {
+                loop {
+                    let block = next.fetch_add(1, Ordering::Relaxed);
+                    if block >= blocks {
+                        break;
+                    }
+                    let first = block * BLOCK * stride;
+                    let end = (u64::from(first) + u64::from(BLOCK) * u64::from(stride))
+                        .min(u64::from(END));
+                    let end = u32::try_from(end).unwrap_or(END);
+                    let findings = walk(subject, first, end, stride);
+                    total.lock().expect("no thread panics while it merges").merge(&findings);
+                    if std::io::stderr().is_terminal() {
+                        eprint!("\r{}: {} %   ", subject.name, (block + 1) * 100 / blocks);
+                    }
+                }
+            });
+        }
+    });
+    if std::io::stderr().is_terminal() {
+        eprint!("\r\x1b[K");
+    }
+    total.into_inner().expect("no thread panicked")
+}
+
+fn yes(holds: bool) -> &'static str {
+    if holds { "yes" } else { "NO" }
+}
+
+fn main() {
+    let mut stride = 1;
+    let mut compare = false;
+    let mut arguments = std::env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        match argument.as_str() {
+            "--compare" => compare = true,
+            "--stride" => match arguments.next().map(|k| k.parse()) {
+                Some(Ok(k @ 1..=0x0fff_ffff)) => stride = k,
+                _ => {
+                    eprintln!("--stride takes a number from 1 to 268435455");
+                    std::process::exit(2);
+                }
+            },
+            other => {
+                eprintln!("unknown argument {other}: --stride K and --compare are known");
+                std::process::exit(2);
+            }
+        }
+    }
+    println!(
+        "{:24} {:>12} {:>14} {:>12}  monotone  symmetry  range  NaN",
+        "function", "worst ulp", "at x", "worst abs"
+    );
+    let compared = if compare { &COMPARED[..] } else { &[] };
+    for subject in SUBJECTS.iter().chain(compared) {
+        let findings = measure(subject, stride);
+        let symmetry = match subject.symmetry {
+            Symmetry::Odd if findings.symmetric => "odd",
+            Symmetry::Even if findings.symmetric => "even",
+            Symmetry::None => "-",
+            _ => "NO",
+        };
+        println!(
+            "{:24} {:>12.4} {:>14e} {:>12.3e}  {:8}  {symmetry:8}  {:5}  {}",
+            subject.name,
+            findings.worst_ulp,
+            findings.worst_at,
+            findings.worst_absolute,
+            yes(findings.monotone),
+            yes(findings.in_range),
+            yes(findings.nan_to_nan),
+        );
+        // The table is written line by line even into a pipe: a full walk takes minutes.
+        std::io::stdout().flush().expect("standard output is open");
+    }
+}
