@@ -1,0 +1,160 @@
+//! One Levenberg–Marquardt iteration on the paper's network against one dense JᵀJ, all on one
+//! core and in one run.
+//!
+//! `cargo bench -p host-sim --bench levenberg_marquardt`
+//!
+//! The dense products are the part of an iteration that a solver with an explicit Jacobian
+//! cannot avoid: J of 12,600 × 425 (4,200 samples, 3 outputs) times its transpose, without
+//! computing J.
+
+use agent_core::activation::Activation;
+use agent_core::network::{Architecture, Layer};
+use divan::Bencher;
+use faer::linalg::matmul::{matmul, triangular};
+use faer::{Accum, Mat, Par};
+use host_sim::training::levenberg_marquardt::Step;
+use host_sim::training::{
+    Dataset, InitialParameters, LeastSquares, NetworkProblem, TrainingSettings, train_inner_network,
+};
+use std::ops::ControlFlow;
+
+const ROWS: usize = 12_600;
+const PARAMETERS: usize = 425;
+
+fn main() {
+    divan::main();
+}
+
+fn architecture() -> Architecture {
+    let layers = [12, 12, 12, 5].map(|width| Layer { width, activation: Activation::Tanh });
+    Architecture::new(3, &layers).expect("valid")
+}
+
+fn outer_weights() -> Vec<f64> {
+    (0..15).map(|i| 4.0 * libm::sin(1.7 * f64::from(i))).collect()
+}
+
+/// Samples of a smooth field.
+fn dataset() -> Dataset {
+    let inputs: Vec<f64> =
+        (0..3 * 6000).map(|i| 2.0 * libm::sin(0.37 * f64::from(i) + 0.1)).collect();
+    let field = |x: &[f64]| [x[1], (1.0 - x[0] * x[0]) * x[1] - x[0], x[0] - 0.5 * x[2]];
+    let targets = inputs.chunks_exact(3).flat_map(field).collect();
+    Dataset::new(3, inputs, targets).expect("valid")
+}
+
+fn problem() -> (NetworkProblem, Vec<f64>) {
+    let division = dataset().divide([0.7, 0.15, 0.15], 1).expect("valid");
+    let start =
+        InitialParameters::NguyenWidrow.draw(&architecture(), &division.train, 1).expect("finite");
+    let problem = NetworkProblem::new(
+        &architecture(),
+        &outer_weights(),
+        &division.train,
+        division.validation.as_ref(),
+        division.test.as_ref(),
+    )
+    .expect("fits");
+    (problem, start)
+}
+
+/// Normal equations, damped solution, error of the new point on all three sets.
+#[divan::bench]
+fn iteration(bencher: Bencher<'_, '_>) {
+    let (mut problem, start) = problem();
+    let mut step = Step::new(PARAMETERS);
+    bencher.bench_local(|| {
+        problem.normal_equations(&start, &mut step.hessian, &mut step.gradient);
+        assert!(step.attempt(&start, 1e-3));
+        let cost = problem.cost(&step.candidate);
+        (cost, problem.validation_cost(&step.candidate), problem.test_cost(&step.candidate))
+    });
+}
+
+#[divan::bench]
+fn iteration_normal_equations(bencher: Bencher<'_, '_>) {
+    let (mut problem, start) = problem();
+    let mut step = Step::new(PARAMETERS);
+    bencher.bench_local(|| problem.normal_equations(&start, &mut step.hessian, &mut step.gradient));
+}
+
+#[divan::bench]
+fn iteration_solve(bencher: Bencher<'_, '_>) {
+    let (mut problem, start) = problem();
+    let mut step = Step::new(PARAMETERS);
+    problem.normal_equations(&start, &mut step.hessian, &mut step.gradient);
+    bencher.bench_local(|| assert!(step.attempt(&start, 1e-3)));
+}
+
+#[divan::bench]
+fn iteration_cost_of_all_sets(bencher: Bencher<'_, '_>) {
+    let (mut problem, start) = problem();
+    bencher.bench_local(|| {
+        (problem.cost(&start), problem.validation_cost(&start), problem.test_cost(&start))
+    });
+}
+
+/// 25 epochs, division and start included.
+#[divan::bench(sample_count = 5)]
+fn training_of_25_epochs(bencher: Bencher<'_, '_>) {
+    let dataset = dataset();
+    let mut settings = TrainingSettings::default();
+    settings.levenberg_marquardt.epochs_max = 25;
+    settings.levenberg_marquardt.validation_failures_max = 25;
+    bencher.bench_local(|| {
+        train_inner_network(&architecture(), &outer_weights(), &dataset, &settings, 1, &mut |_| {
+            ControlFlow::Continue(())
+        })
+    });
+}
+
+fn jacobian() -> Mat<f64> {
+    Mat::from_fn(ROWS, PARAMETERS, |i, j| libm::sin((i * PARAMETERS + j) as f64))
+}
+
+#[divan::bench]
+fn dense_faer(bencher: Bencher<'_, '_>) {
+    let j = jacobian();
+    let mut product = Mat::<f64>::zeros(PARAMETERS, PARAMETERS);
+    bencher.bench_local(|| {
+        matmul(&mut product, Accum::Replace, j.transpose(), &j, 1.0, Par::Seq);
+    });
+}
+
+#[divan::bench]
+fn dense_faer_lower_half(bencher: Bencher<'_, '_>) {
+    use triangular::BlockStructure::{Rectangular, TriangularLower};
+    let j = jacobian();
+    let mut product = Mat::<f64>::zeros(PARAMETERS, PARAMETERS);
+    bencher.bench_local(|| {
+        triangular::matmul(
+            &mut product,
+            TriangularLower,
+            Accum::Replace,
+            j.transpose(),
+            Rectangular,
+            &j,
+            Rectangular,
+            1.0,
+            Par::Seq,
+        );
+    });
+}
+
+#[divan::bench]
+#[allow(unsafe_code, reason = "matrixmultiply has no safe interface")]
+fn dense_matrixmultiply(bencher: Bencher<'_, '_>) {
+    let j: Vec<f64> = (0..ROWS * PARAMETERS).map(|i| libm::sin(i as f64)).collect();
+    let mut product = vec![0.0; PARAMETERS * PARAMETERS];
+    let (m, k) = (PARAMETERS, ROWS);
+    bencher.bench_local(|| {
+        // SAFETY: J is row-major with m columns and k rows, so Jᵀ has strides (1, m) and J has
+        // (m, 1); the product is row-major, m by m. All three are allocated to that size.
+        unsafe {
+            let (j, product, stride) = (j.as_ptr(), product.as_mut_ptr(), PARAMETERS as isize);
+            matrixmultiply::dgemm(
+                m, k, m, 1.0, j, 1, stride, j, stride, 1, 0.0, product, stride, 1,
+            );
+        }
+    });
+}

@@ -1,0 +1,273 @@
+//! The training of one agent's inner network as a least-squares problem.
+//!
+//! ```text
+//! e^o(s) = f̂^o(x_s) − y_s^o,   f̂(x) = Wᵀ σ(Φ̂(x)),   E = (1 / (S n)) Σ_s Σ_o e^o(s)²
+//! ```
+//!
+//! The outer weights W are fixed: on the node they belong to the update law. Only the
+//! parameters of the inner layers are trained.
+//!
+//! Cost: see `normal_matrix` for JᵀJ, which is nearly all of it. Memory for n parameters: 4 to
+//! 8 n² bytes here, and as much again twice in the solver.
+//!
+//! Invariants: samples are taken in the order of the data set; the bits of every result depend
+//! only on the arguments, not on the machine.
+
+use super::data::Dataset;
+use super::levenberg_marquardt::LeastSquares;
+use super::normal_matrix::NormalMatrix;
+use super::propagation::{BATCH, Propagation, layer_shapes};
+use agent_core::network::Architecture;
+use pulp::Arch;
+
+/// Most parameters that can be trained; JᵀJ then takes half a gigabyte.
+pub const PARAMETERS_MAX: usize = 8192;
+
+/// Why network and data do not make a problem.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ProblemError {
+    /// The outer weights do not have the shape `[L][n]`.
+    #[error("{found} outer weights, expected {features} features times {dimension} outputs")]
+    OuterWeightCount {
+        /// The number given.
+        found: usize,
+        /// Features L of the architecture.
+        features: usize,
+        /// Outputs n of the data.
+        dimension: usize,
+    },
+    /// An outer weight is infinite or not a number.
+    #[error("outer weight {index} is not finite")]
+    OuterWeightNotFinite {
+        /// Its index in the row-major sequence.
+        index: usize,
+    },
+    /// The data have another dimension than the network's input.
+    #[error("data of dimension {found} for a network with {expected} inputs")]
+    Dimension {
+        /// Inputs of the architecture.
+        expected: usize,
+        /// Dimension of the data.
+        found: usize,
+    },
+    /// More than [`PARAMETERS_MAX`] parameters.
+    #[error("{found} inner parameters, at most {PARAMETERS_MAX} can be trained")]
+    ParameterCount {
+        /// Parameters of the architecture.
+        found: usize,
+    },
+}
+
+/// Inner network, fixed outer weights and data.
+#[derive(Clone, Debug)]
+pub struct NetworkProblem {
+    arch: Arch,
+    parameter_count: usize,
+    train: Samples,
+    validation: Option<Samples>,
+    test: Option<Samples>,
+    propagation: Propagation,
+    normal: NormalMatrix,
+    residuals: Vec<f64>,
+}
+
+impl NetworkProblem {
+    /// Trains the inner layers of `architecture` below the fixed `outer_weights` (row-major,
+    /// shape `[L][n]`).
+    ///
+    /// # Errors
+    /// If shapes do not fit or a weight is not finite.
+    pub fn new(
+        architecture: &Architecture,
+        outer_weights: &[f64],
+        train: &Dataset,
+        validation: Option<&Dataset>,
+        test: Option<&Dataset>,
+    ) -> Result<Self, ProblemError> {
+        Self::with_arch(architecture, outer_weights, [Some(train), validation, test], Arch::new())
+    }
+
+    /// As [`Self::new`], for a given instruction set.
+    pub(super) fn with_arch(
+        architecture: &Architecture,
+        outer_weights: &[f64],
+        data: [Option<&Dataset>; 3],
+        arch: Arch,
+    ) -> Result<Self, ProblemError> {
+        let expected = architecture.inputs();
+        for data in data.iter().flatten() {
+            let found = data.dimension();
+            if found != expected {
+                return Err(ProblemError::Dimension { expected, found });
+            }
+        }
+        let (found, features) = (outer_weights.len(), architecture.features());
+        if found != features * expected {
+            return Err(ProblemError::OuterWeightCount { found, features, dimension: expected });
+        }
+        if let Some(index) = outer_weights.iter().position(|weight| !weight.is_finite()) {
+            return Err(ProblemError::OuterWeightNotFinite { index });
+        }
+        let parameter_count = architecture.parameter_count();
+        if parameter_count > PARAMETERS_MAX {
+            return Err(ProblemError::ParameterCount { found: parameter_count });
+        }
+        let [train, validation, test] = data.map(|data| data.map(Samples::new));
+        Ok(Self {
+            arch,
+            parameter_count,
+            train: train.unwrap_or_default(),
+            validation,
+            test,
+            propagation: Propagation::new(architecture, outer_weights, arch),
+            normal: NormalMatrix::new(&layer_shapes(architecture), expected, arch),
+            residuals: vec![0.0; expected * BATCH],
+        })
+    }
+}
+
+impl LeastSquares for NetworkProblem {
+    fn parameter_count(&self) -> usize {
+        self.parameter_count
+    }
+
+    fn cost(&mut self, parameters: &[f64]) -> f64 {
+        self.propagation.set_parameters(parameters);
+        mean_squared_error(self.arch, &self.train, &mut self.propagation, &mut self.residuals)
+    }
+
+    fn normal_equations(
+        &mut self,
+        parameters: &[f64],
+        hessian: &mut [f64],
+        gradient: &mut [f64],
+    ) -> f64 {
+        self.propagation.set_parameters(parameters);
+        self.normal.clear();
+        let mut sums = SquareSums::new();
+        for batch in self.train.batches() {
+            let estimates = self.propagation.forward(batch.inputs);
+            sums.add(self.arch, estimates, &batch, &mut self.residuals);
+            self.propagation.backward();
+            self.normal.add(&self.propagation, &self.residuals, batch.samples);
+        }
+        self.normal.write(1.0 / self.train.residual_count(), hessian, gradient);
+        sums.total() / self.train.residual_count()
+    }
+
+    fn validation_cost(&mut self, parameters: &[f64]) -> Option<f64> {
+        self.propagation.set_parameters(parameters);
+        let samples = self.validation.as_ref()?;
+        Some(mean_squared_error(self.arch, samples, &mut self.propagation, &mut self.residuals))
+    }
+
+    fn test_cost(&mut self, parameters: &[f64]) -> Option<f64> {
+        self.propagation.set_parameters(parameters);
+        let samples = self.test.as_ref()?;
+        Some(mean_squared_error(self.arch, samples, &mut self.propagation, &mut self.residuals))
+    }
+}
+
+/// E over `samples`, for the parameters that `propagation` holds.
+fn mean_squared_error(
+    arch: Arch,
+    samples: &Samples,
+    propagation: &mut Propagation,
+    residuals: &mut [f64],
+) -> f64 {
+    let mut sums = SquareSums::new();
+    for batch in samples.batches() {
+        sums.add(arch, propagation.forward(batch.inputs), &batch, residuals);
+    }
+    sums.total() / samples.residual_count()
+}
+
+/// A data set in batches of quantity-major rows; the last batch is padded with zeros.
+#[derive(Clone, Debug, Default)]
+struct Samples {
+    count: usize,
+    dimension: usize,
+    /// Shape `[batches][n][BATCH]`.
+    inputs: Vec<f64>,
+    /// Shape `[batches][n][BATCH]`.
+    targets: Vec<f64>,
+}
+
+/// One batch, rows of [`BATCH`], of which `samples` count.
+struct Batch<'a> {
+    inputs: &'a [f64],
+    targets: &'a [f64],
+    samples: usize,
+}
+
+impl Samples {
+    fn new(data: &Dataset) -> Self {
+        let (count, dimension) = (data.len(), data.dimension());
+        let block = dimension * BATCH;
+        let by_quantity = |rows: &[f64]| {
+            let mut batches = vec![0.0; count.div_ceil(BATCH) * block];
+            for (s, row) in rows.chunks_exact(dimension).enumerate() {
+                for (i, value) in row.iter().enumerate() {
+                    batches[s / BATCH * block + i * BATCH + s % BATCH] = *value;
+                }
+            }
+            batches
+        };
+        let (inputs, targets) = (by_quantity(data.inputs()), by_quantity(data.targets()));
+        Self { count, dimension, inputs, targets }
+    }
+
+    fn batches(&self) -> impl Iterator<Item = Batch<'_>> {
+        let block = self.dimension * BATCH;
+        self.inputs.chunks_exact(block).zip(self.targets.chunks_exact(block)).enumerate().map(
+            |(index, (inputs, targets))| Batch {
+                inputs,
+                targets,
+                samples: BATCH.min(self.count - index * BATCH),
+            },
+        )
+    }
+
+    /// M, as a number to divide by.
+    fn residual_count(&self) -> f64 {
+        (self.count * self.dimension) as f64
+    }
+}
+
+/// Σ e², one sum for each place in a batch.
+struct SquareSums([f64; BATCH]);
+
+impl SquareSums {
+    fn new() -> Self {
+        Self([0.0; BATCH])
+    }
+
+    /// Writes estimate − target of a batch into `residuals` and adds their squares.
+    fn add(&mut self, arch: Arch, estimates: &[f64], batch: &Batch<'_>, residuals: &mut [f64]) {
+        let sums = &mut self.0[..batch.samples];
+        arch.dispatch(|| subtract_and_square(estimates, batch.targets, residuals, sums));
+    }
+
+    fn total(&self) -> f64 {
+        self.0.iter().fold(0.0, |sum, square| sum + square)
+    }
+}
+
+#[inline(always)]
+fn subtract_and_square(
+    estimates: &[f64],
+    targets: &[f64],
+    residuals: &mut [f64],
+    sums: &mut [f64],
+) {
+    let rows = estimates.chunks_exact(BATCH).zip(targets.chunks_exact(BATCH));
+    for ((estimates, targets), residuals) in rows.zip(residuals.chunks_exact_mut(BATCH)) {
+        for s in 0..BATCH {
+            residuals[s] = estimates[s] - targets[s];
+        }
+        for (sum, residual) in sums.iter_mut().zip(&*residuals) {
+            *sum += residual * residual;
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! Dense product of two small panels: the one loop nest where training spends its time.
+//!
+//! ```text
+//! sum[r, c]    = Σ_t left[r, t] · panel[t, c]        t ascending
+//! output[r, c] = sum, output + sum, or output − sum
+//! ```
+//!
+//! Forward pass, backward pass, JᵀJ, the gradient and the Cholesky factorisation all call it.
+//!
+//! Cost: `rows · terms · columns` multiplications and as many additions; the sums of one tile
+//! of `left` rows times `panel` columns stay in registers.
+//!
+//! Invariants: every output element is one sum over `t` in ascending order, a multiplication
+//! and then an addition, each rounded. No element depends on the vector width, on the tile
+//! that computed it or on the other elements: the bits are the same on every machine.
+
+use pulp::{Simd, WithSimd};
+
+/// Columns come in multiples of this; the widest vector holds as many f64.
+pub(super) const LANES: usize = 8;
+
+/// `count` rounded up to whole vectors of [`LANES`].
+pub(super) const fn round_up(count: usize) -> usize {
+    count.div_ceil(LANES) * LANES
+}
+
+/// Row length of at least `count` that is an odd number of vectors, so that the rows of a
+/// panel spread over all sets of the cache.
+pub(super) const fn row_stride(count: usize) -> usize {
+    (count.div_ceil(LANES) | 1) * LANES
+}
+
+/// What happens to the sums.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Store {
+    /// They replace the output.
+    Set,
+    /// They are added to the output.
+    Add,
+    /// They are subtracted from the output.
+    Subtract,
+}
+
+/// One product; see the module.
+pub(super) struct PanelProduct<'a> {
+    /// Shape `[rows][terms]`, rows `left_stride` apart.
+    pub(super) left: &'a [f64],
+    /// Distance of the rows of `left`.
+    pub(super) left_stride: usize,
+    /// Rows of `left` and of the output.
+    pub(super) rows: usize,
+    /// Terms of each sum.
+    pub(super) terms: usize,
+    /// Shape `[terms][columns]`, rows `panel_stride` apart.
+    pub(super) panel: &'a [f64],
+    /// Distance of the rows of `panel`.
+    pub(super) panel_stride: usize,
+    /// Columns, a multiple of [`LANES`].
+    pub(super) columns: usize,
+    /// Shape `[rows][columns]`, rows `output_stride` apart.
+    pub(super) output: &'a mut [f64],
+    /// Distance of the rows of the output.
+    pub(super) output_stride: usize,
+    /// What happens to the sums.
+    pub(super) store: Store,
+}
+
+impl WithSimd for PanelProduct<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        debug_assert!(self.columns.is_multiple_of(LANES));
+        let mut column = 0;
+        while column < self.columns {
+            // Three vectors of columns at a time, but never three and then one.
+            let vectors = match (self.columns - column) / S::F64_LANES {
+                4 | 2 => 2,
+                1 => 1,
+                _ => 3,
+            };
+            match vectors {
+                1 => self.strip::<S, 1>(simd, column),
+                2 => self.strip::<S, 2>(simd, column),
+                _ => self.strip::<S, 3>(simd, column),
+            }
+            column += vectors * S::F64_LANES;
+        }
+    }
+}
+
+impl PanelProduct<'_> {
+    /// All rows of `VECTORS` vectors of columns, which stay in the first-level cache.
+    #[inline(always)]
+    fn strip<S: Simd, const VECTORS: usize>(&mut self, simd: S, column: usize) {
+        let mut row = 0;
+        // Eight rows by three vectors fill 24 of 32 registers, four by three 12 of 16.
+        if S::REGISTER_COUNT >= 32 {
+            while self.rows - row >= 8 {
+                self.tile::<S, 8, VECTORS>(simd, row, column);
+                row += 8;
+            }
+        }
+        while self.rows - row >= 4 {
+            self.tile::<S, 4, VECTORS>(simd, row, column);
+            row += 4;
+        }
+        if self.rows - row >= 2 {
+            self.tile::<S, 2, VECTORS>(simd, row, column);
+            row += 2;
+        }
+        if self.rows - row >= 1 {
+            self.tile::<S, 1, VECTORS>(simd, row, column);
+        }
+    }
+
+    #[inline(always)]
+    fn tile<S: Simd, const ROWS: usize, const VECTORS: usize>(
+        &mut self,
+        simd: S,
+        row: usize,
+        column: usize,
+    ) {
+        let terms = self.terms;
+        let width = VECTORS * S::F64_LANES;
+        let left: [&[f64]; ROWS] =
+            core::array::from_fn(|r| &self.left[(row + r) * self.left_stride..][..terms]);
+        let mut sums = [[simd.splat_f64s(0.0); VECTORS]; ROWS];
+        for t in 0..terms {
+            let panel = &self.panel[t * self.panel_stride + column..][..width];
+            let panel = S::as_simd_f64s(panel).0;
+            for (sums, left) in sums.iter_mut().zip(&left) {
+                let factor = simd.splat_f64s(left[t]);
+                for v in 0..VECTORS {
+                    sums[v] = simd.add_f64s(sums[v], simd.mul_f64s(factor, panel[v]));
+                }
+            }
+        }
+        for (r, sums) in sums.iter().enumerate() {
+            let output = &mut self.output[(row + r) * self.output_stride + column..][..width];
+            let output = S::as_mut_simd_f64s(output).0;
+            for v in 0..VECTORS {
+                output[v] = match self.store {
+                    Store::Set => sums[v],
+                    Store::Add => simd.add_f64s(output[v], sums[v]),
+                    Store::Subtract => simd.sub_f64s(output[v], sums[v]),
+                };
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The definition, element by element.
+    fn naive(rows: usize, terms: usize, columns: usize, left: &[f64], panel: &[f64]) -> Vec<f64> {
+        let mut output = vec![1.0; rows * columns];
+        for r in 0..rows {
+            for c in 0..columns {
+                let mut sum = 0.0;
+                for t in 0..terms {
+                    sum += left[r * terms + t] * panel[t * columns + c];
+                }
+                output[r * columns + c] -= sum;
+            }
+        }
+        output
+    }
+
+    #[test]
+    fn every_vector_width_has_the_bits_of_the_plain_loop() {
+        for rows in 0..20 {
+            for columns in (8..=72).step_by(8) {
+                let terms = (3 * rows + columns) % 11;
+                let left: Vec<f64> =
+                    (0..rows * terms).map(|i| 1.0 / (i as f64 + 3.0) - 0.2).collect();
+                let panel: Vec<f64> =
+                    (0..terms * columns).map(|i| 1.0 / (i as f64 + 7.0) - 0.1).collect();
+                let expected = naive(rows, terms, columns, &left, &panel);
+                for arch in [pulp::Arch::new(), pulp::Arch::Scalar] {
+                    let mut output = vec![1.0; rows * columns];
+                    arch.dispatch(PanelProduct {
+                        left: &left,
+                        left_stride: terms,
+                        rows,
+                        terms,
+                        panel: &panel,
+                        panel_stride: columns,
+                        columns,
+                        output: &mut output,
+                        output_stride: columns,
+                        store: Store::Subtract,
+                    });
+                    assert_eq!(output, expected, "{rows} x {terms} x {columns}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! Forward and backward pass of one batch of samples in f64.
+//!
+//! ```text
+//! a_0 = x,   z_k = W_kᵀ a_(k−1) + b_k,   a_k = φ_k(z_k),   f̂ = Wᵀ a_ell
+//! δ_ell^o = φ'(z_ell) ∘ W[:, o],   δ_k^o = φ'(z_k) ∘ (W_(k+1) δ_(k+1)^o)
+//! ```
+//!
+//! `δ_k^o` is the derivative of output o with respect to `z_k`, so the derivative with
+//! respect to weight (i, p) of layer k is `a_(k−1)[i] δ_k^o[p]`, with `a[−1] = 1` for biases.
+//!
+//! Cost a sample: one multiplication and one addition for every parameter, and `outputs`
+//! times that backwards.
+//!
+//! Invariants: quantity-major rows, one f64 for each of [`BATCH`] samples, so that a vector
+//! unit works on neighbouring samples and each sample's sums run in the order written above.
+
+use super::elementary::{exp_of_negative, tanh};
+use super::panel_product::{PanelProduct, Store};
+use agent_core::activation::Activation;
+use agent_core::network::Architecture;
+use pulp::Arch;
+
+/// Samples that are propagated together. Sums over samples are taken batch by batch, so this
+/// number is part of what fixes the bits. With 64, the panels of a 12-wide layer fit the
+/// second-level cache and a strip of them the first.
+pub(super) const BATCH: usize = 64;
+
+/// Where one layer finds its parameters.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LayerShape {
+    /// Inputs without the constant 1 of the bias.
+    pub(super) inputs: usize,
+    /// Nodes.
+    pub(super) width: usize,
+    /// Index of the layer's first parameter.
+    pub(super) offset: usize,
+    activation: Activation,
+}
+
+/// Layers of an architecture with their places in the flat parameter sequence.
+pub(super) fn layer_shapes(architecture: &Architecture) -> Vec<LayerShape> {
+    let mut offset = 0;
+    let shape = |(inputs, layer): (usize, agent_core::network::Layer)| {
+        let width = usize::from(layer.width);
+        let shape = LayerShape { inputs, width, offset, activation: layer.activation };
+        offset += (inputs + 1) * width;
+        shape
+    };
+    architecture.shapes().map(shape).collect()
+}
+
+/// One batch on its way through the network.
+#[derive(Clone, Debug)]
+pub(super) struct Propagation {
+    arch: Arch,
+    layers: Vec<LayerShape>,
+    outputs: usize,
+    /// Outer weights, shape `[L][outputs]`.
+    outer: Vec<f64>,
+    /// Outer weights transposed, shape `[outputs][L]`.
+    outer_by_output: Vec<f64>,
+    parameters: Vec<f64>,
+    /// Parameters of each layer transposed, shape `[width][1 + inputs]`.
+    by_node: Vec<Vec<f64>>,
+    /// Inputs of layer k with a leading row of ones, `[1 + inputs][BATCH]`; then the features.
+    inputs: Vec<Vec<f64>>,
+    /// First z_k, after [`Self::backward`] φ'(z_k): `[width][BATCH]`.
+    slopes: Vec<Vec<f64>>,
+    /// δ_k, `[width][outputs][BATCH]`.
+    sensitivities: Vec<Vec<f64>>,
+    /// f̂, `[outputs][BATCH]`.
+    estimates: Vec<f64>,
+}
+
+impl Propagation {
+    /// For outer weights of shape `[L][outputs]`, row-major.
+    pub(super) fn new(architecture: &Architecture, outer: &[f64], arch: Arch) -> Self {
+        let layers = layer_shapes(architecture);
+        let features = architecture.features();
+        let outputs = outer.len() / features;
+        let mut inputs: Vec<Vec<f64>> =
+            layers.iter().map(|layer| vec![1.0; (1 + layer.inputs) * BATCH]).collect();
+        inputs.push(vec![1.0; (1 + features) * BATCH]);
+        let rows =
+            |count: usize| layers.iter().map(|layer| vec![0.0; layer.width * count]).collect();
+        Self {
+            arch,
+            outputs,
+            outer: outer.to_vec(),
+            outer_by_output: transpose(outer, outputs),
+            parameters: vec![0.0; architecture.parameter_count()],
+            by_node: layers.iter().map(|l| vec![0.0; l.width * (1 + l.inputs)]).collect(),
+            inputs,
+            slopes: rows(BATCH),
+            sensitivities: rows(outputs * BATCH),
+            estimates: vec![0.0; outputs * BATCH],
+            layers,
+        }
+    }
+
+    /// Takes over the parameters, flat.
+    pub(super) fn set_parameters(&mut self, parameters: &[f64]) {
+        self.parameters.copy_from_slice(parameters);
+        for (layer, by_node) in self.layers.iter().zip(&mut self.by_node) {
+            let count = layer.width * (1 + layer.inputs);
+            *by_node = transpose(&parameters[layer.offset..][..count], layer.width);
+        }
+    }
+
+    /// f̂ of a batch of inputs, shape `[inputs][BATCH]`; the result is `[outputs][BATCH]`.
+    pub(super) fn forward(&mut self, batch: &[f64]) -> &[f64] {
+        self.inputs[0][BATCH..].copy_from_slice(batch);
+        for (k, layer) in self.layers.iter().enumerate() {
+            let (head, tail) = self.inputs.split_at_mut(k + 1);
+            let pre_activation = &mut self.slopes[k];
+            let terms = 1 + layer.inputs;
+            self.arch.dispatch(PanelProduct {
+                left: &self.by_node[k],
+                left_stride: terms,
+                rows: layer.width,
+                terms,
+                panel: &head[k],
+                panel_stride: BATCH,
+                columns: BATCH,
+                output: pre_activation,
+                output_stride: BATCH,
+                store: Store::Set,
+            });
+            let target = &mut tail[0][BATCH..];
+            self.arch.dispatch(|| activate(layer.activation, pre_activation, target));
+        }
+        let features = self.outer_by_output.len() / self.outputs;
+        self.arch.dispatch(PanelProduct {
+            left: &self.outer_by_output,
+            left_stride: features,
+            rows: self.outputs,
+            terms: features,
+            panel: &self.inputs[self.layers.len()][BATCH..],
+            panel_stride: BATCH,
+            columns: BATCH,
+            output: &mut self.estimates,
+            output_stride: BATCH,
+            store: Store::Set,
+        });
+        &self.estimates
+    }
+
+    /// Sensitivities of the batch of the last [`Self::forward`], read with
+    /// [`Self::sensitivities`].
+    pub(super) fn backward(&mut self) {
+        for (k, layer) in self.layers.iter().enumerate().rev() {
+            let slopes = &mut self.slopes[k];
+            let values = &self.inputs[k + 1][BATCH..];
+            self.arch.dispatch(|| differentiate(layer.activation, values, slopes));
+            let (head, tail) = self.sensitivities.split_at_mut(k + 1);
+            let target = &mut head[k];
+            let columns = self.outputs * BATCH;
+            if let Some(next) = self.layers.get(k + 1) {
+                self.arch.dispatch(PanelProduct {
+                    // Row p holds the weights that leave node p; the biases come before.
+                    left: &self.parameters[next.offset + next.width..],
+                    left_stride: next.width,
+                    rows: layer.width,
+                    terms: next.width,
+                    panel: &tail[0],
+                    panel_stride: columns,
+                    columns,
+                    output: target,
+                    output_stride: columns,
+                    store: Store::Set,
+                });
+            } else {
+                for (rows, outer) in target.chunks_exact_mut(BATCH).zip(&self.outer) {
+                    rows.fill(*outer);
+                }
+            }
+            self.arch.dispatch(|| scale_rows(slopes, target, columns));
+        }
+    }
+
+    /// Inputs of layer k with a leading row of ones, shape `[1 + inputs][BATCH]`.
+    pub(super) fn inputs(&self, k: usize) -> &[f64] {
+        &self.inputs[k]
+    }
+
+    /// Sensitivities of layer k, shape `[width][outputs][BATCH]`.
+    pub(super) fn sensitivities(&self, k: usize) -> &[f64] {
+        &self.sensitivities[k]
+    }
+}
+
+/// Transpose of a row-major matrix with `columns` columns.
+fn transpose(matrix: &[f64], columns: usize) -> Vec<f64> {
+    (0..columns).flat_map(|c| matrix.iter().skip(c).step_by(columns).copied()).collect()
+}
+
+#[inline(always)]
+fn activate(activation: Activation, sums: &[f64], values: &mut [f64]) {
+    match activation {
+        Activation::Tanh => map_rows(sums, values, |z| tanh(z)),
+        Activation::Logistic => map_rows(sums, values, |z| 0.5 + 0.5 * tanh(0.5 * z)),
+        Activation::Gaussian => map_rows(sums, values, |z| exp_of_negative(-(z * z))),
+    }
+}
+
+/// Replaces z by φ'(z), with the help of a = φ(z).
+#[inline(always)]
+fn differentiate(activation: Activation, values: &[f64], slopes: &mut [f64]) {
+    let pairs = slopes.iter_mut().zip(values);
+    match activation {
+        Activation::Tanh => pairs.for_each(|(slope, a)| *slope = 1.0 - a * a),
+        Activation::Logistic => pairs.for_each(|(slope, a)| *slope = a * (1.0 - a)),
+        Activation::Gaussian => pairs.for_each(|(slope, a)| *slope = -2.0 * *slope * a),
+    }
+}
+
+#[inline(always)]
+fn map_rows(sums: &[f64], values: &mut [f64], function: impl Fn(f64) -> f64) {
+    for (value, &z) in values.iter_mut().zip(sums) {
+        *value = function(z);
+    }
+}
+
+/// Multiplies each of the `columns / BATCH` blocks of row p of `target` by row p of `slopes`.
+#[inline(always)]
+fn scale_rows(slopes: &[f64], target: &mut [f64], columns: usize) {
+    let (slopes, _) = slopes.as_chunks::<BATCH>();
+    for (slopes, row) in slopes.iter().zip(target.chunks_exact_mut(columns)) {
+        for block in row.as_chunks_mut::<BATCH>().0 {
+            for s in 0..BATCH {
+                block[s] *= slopes[s];
+            }
+        }
+    }
+}

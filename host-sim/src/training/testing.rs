@@ -1,0 +1,41 @@
+//! What the unit tests of training share.
+
+use super::data::Dataset;
+use agent_core::activation::Activation;
+use agent_core::network::{Architecture, Layer};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Asserts |found − expected| ≤ atol + rtol · |expected|, element by element.
+#[track_caller]
+pub(crate) fn assert_close(found: &[f64], expected: &[f64], rtol: f64, atol: f64) {
+    assert_eq!(found.len(), expected.len(), "lengths");
+    for (index, (found, expected)) in found.iter().zip(expected).enumerate() {
+        let error = (found - expected).abs();
+        let allowed = atol + rtol * expected.abs();
+        assert!(
+            error <= allowed,
+            "element {index}: {found:e}, expected {expected:e} to {allowed:e}"
+        );
+    }
+}
+
+/// Values uniform in [−1, 1).
+pub(crate) fn random_values(count: usize, seed: u64) -> Vec<f64> {
+    let mut generator = ChaCha8Rng::seed_from_u64(seed);
+    (0..count).map(|_| generator.next_u32() as f64 / 2_147_483_648.0 - 1.0).collect()
+}
+
+/// A valid architecture.
+pub(crate) fn architecture(inputs: usize, layers: &[(u8, Activation)]) -> Architecture {
+    let layers: Vec<Layer> =
+        layers.iter().map(|&(width, activation)| Layer { width, activation }).collect();
+    Architecture::new(inputs, &layers).expect("valid architecture")
+}
+
+/// Random samples.
+pub(crate) fn random_data(dimension: usize, samples: usize, seed: u64) -> Dataset {
+    let inputs = random_values(dimension * samples, seed);
+    let targets = random_values(dimension * samples, seed + 1);
+    Dataset::new(dimension, inputs, targets).expect("valid data")
+}
