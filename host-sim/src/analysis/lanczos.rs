@@ -53,7 +53,8 @@ pub(super) fn spectrum(dimension: usize, mut apply: impl FnMut(&[f64], &mut [f64
         if last || iterations.is_multiple_of(SETTLING) {
             let now = ends(&diagonal, &off_diagonal, norm);
             let scale = TOLERANCE * now.max.abs().max(now.min.abs());
-            let still = (now.min - settled.min).abs() <= scale && (now.max - settled.max).abs() <= scale;
+            let still =
+                (now.min - settled.min).abs() <= scale && (now.max - settled.max).abs() <= scale;
             settled = now;
             if last || still {
                 break;
@@ -121,7 +122,8 @@ fn ends(diagonal: &[f64], off_diagonal: &[f64], beyond: f64) -> Spectrum {
         low + 0.5 * (high - low)
     };
     let min = bisect(1);
-    let min_residual = if size == 0 { 0.0 } else { beyond * last_component(diagonal, off_diagonal, min) };
+    let min_residual =
+        if size == 0 { 0.0 } else { beyond * last_component(diagonal, off_diagonal, min) };
     Spectrum { min, min_residual, max: bisect(size) }
 }
 
@@ -179,7 +181,8 @@ mod tests {
     fn both_ends_of_a_known_spectrum() {
         for size in [1, 2, 3, 10, 60] {
             let found = path(size, 0.5);
-            let largest = 2.0 - 2.0 * libm::cos(std::f64::consts::PI * (size - 1) as f64 / size as f64);
+            let largest =
+                2.0 - 2.0 * libm::cos(std::f64::consts::PI * (size - 1) as f64 / size as f64);
             assert!((found.min - 0.5).abs() < 1e-12, "{size}: {found:?}");
             assert!((found.max - 0.5 - largest).abs() < 1e-12, "{size}: {found:?}");
             assert!(found.min_residual < 1e-10, "{size}: {found:?}");

@@ -38,8 +38,8 @@ pub fn laplacian_norm(graph: &Graph) -> f64 {
     spectrum(graph.agents(), |v, result| {
         for (i, result) in result.iter_mut().enumerate() {
             *result = 0.0;
-            for &(j, weight) in graph.neighbours(i) {
-                *result += weight * (v[i] - v[j]);
+            for edge in graph.neighbours(i) {
+                *result += edge.weight * (v[i] - v[edge.agent]);
             }
         }
     })
@@ -111,9 +111,10 @@ impl GainCertificate {
             for (i, block) in blocks.iter().enumerate() {
                 let own = &v[i * n..][..n];
                 difference.fill(0.0);
-                for &(j, weight) in scenario.graph.neighbours(i) {
-                    for (sum, (x, y)) in difference.iter_mut().zip(own.iter().zip(&v[j * n..])) {
-                        *sum += weight * (x - y);
+                for edge in scenario.graph.neighbours(i) {
+                    let other = &v[edge.agent * n..][..n];
+                    for (sum, (x, y)) in difference.iter_mut().zip(own.iter().zip(other)) {
+                        *sum += edge.weight * (x - y);
                     }
                 }
                 for row in 0..n {

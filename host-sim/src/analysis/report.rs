@@ -80,7 +80,8 @@ fn ultimate_bound(scenario: &Scenario, run: &RunResult) -> Option<UltimateBoundC
     let (largest_share, largest_share_at) =
         shares.reduce(|best, share| if share.0 > best.0 { share } else { best })?;
     let window = time.tick(scenario.evaluation.from)..time.tick(scenario.evaluation.to);
-    let evaluated = run.stacked_error_squared.iter().zip(0u64..).filter(|(_, t)| window.contains(t));
+    let evaluated =
+        run.stacked_error_squared.iter().zip(0u64..).filter(|(_, t)| window.contains(t));
     let ultimate_error = evaluated.fold(0.0f64, |max, (squared, _)| max.max(*squared)).sqrt();
     Some(UltimateBoundCheck { bound, largest_share, largest_share_at, ultimate_error })
 }

@@ -39,7 +39,9 @@ impl Storage {
         let neighbours = (0..scenario.agents.len())
             .map(|i| {
                 let edges = scenario.graph.neighbours(i).iter();
-                edges.map(|&(j, weight)| Neighbour { id: agent_id(j), weight: weight as f32 }).collect()
+                edges
+                    .map(|edge| Neighbour { id: agent_id(edge.agent), weight: edge.weight as f32 })
+                    .collect()
             })
             .collect();
         let outer_gain = match &scenario.outer_law.gain {
@@ -86,7 +88,13 @@ impl Storage {
             consensus_weight: trigger.phi2 as f32,
             threshold: trigger.threshold as f32,
         };
-        AgentParams::new(agent_id(index), scenario.time.step_size as f32, observer, outer_law, trigger)
+        AgentParams::new(
+            agent_id(index),
+            scenario.time.step_size as f32,
+            observer,
+            outer_law,
+            trigger,
+        )
     }
 }
 
@@ -211,11 +219,6 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     /// `W_hat`, row by row.
     pub(super) fn outer_weights(&self) -> Vec<f32> {
         self.state.outer_weights().rows().iter().flat_map(|row| row.iter().copied()).collect()
-    }
-
-    /// The network that the next step will use.
-    pub(super) fn network(&self) -> Option<&SharedNetwork> {
-        self.network.as_ref()
     }
 
     /// Switches in a newly trained network.

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use super::agents::SharedNetwork;
 use super::{Progress, RunError, TrainingRecord};
 use crate::scenario::{LearningCycle, Scenario};
-use crate::training::{self, Dataset, EpochReport, TrainingError, TrainingReport};
+use crate::training::{self, Dataset, EpochReport, TrainingError};
 
 /// The samples and the state of one agent in one cycle.
 struct Job {
@@ -77,8 +77,7 @@ impl<'s> Learning<'s> {
                 .collect::<Result<_, _>>()?;
         }
         let due = self.jobs.iter().filter(|job| job.apply_at == tick);
-        let networks =
-            due.filter_map(|job| Some((job.agent, job.trained.clone()?))).collect();
+        let networks = due.filter_map(|job| Some((job.agent, job.trained.clone()?))).collect();
         Ok((networks, records))
     }
 
@@ -115,20 +114,23 @@ fn train(
     progress: &dyn Progress,
 ) -> Result<TrainingRecord, RunError> {
     let (cycle, agent) = (job.cycle, job.agent);
-    let failed = |error: TrainingError| RunError::Training { agent: agent + 1, cycle: cycle + 1, error };
+    let failed =
+        |error: TrainingError| RunError::Training { agent: agent + 1, cycle: cycle + 1, error };
     let description = &scenario.learning[cycle];
-    let recipe = scenario.recipe(&description.recipe).ok_or_else(|| RunError::Recipe {
-        cycle: cycle + 1,
-        recipe: description.recipe.clone(),
-    })?;
+    let recipe = scenario
+        .recipe(&description.recipe)
+        .ok_or_else(|| RunError::Recipe { cycle: cycle + 1, recipe: description.recipe.clone() })?;
     let network = scenario.network.as_ref().ok_or(RunError::NoNetwork { cycle: cycle + 1 })?;
     let inputs = std::mem::take(&mut job.inputs);
     let targets = std::mem::take(&mut job.targets);
     let raw = Dataset::new(scenario.dimension(), inputs, targets)
         .map_err(|error| failed(error.into()))?;
     let interval = scenario.time.step_size * f64::from(description.stride.get());
-    let data = training::clean(&raw, interval, recipe.smoothing_window, recipe.decimation)
-        .map_err(|error| failed(error.into()))?;
+    let data = recipe.smoothing.apply(&raw, interval).map_err(|error| RunError::Smoothing {
+        agent: agent + 1,
+        cycle: cycle + 1,
+        error,
+    })?;
     let outer: Vec<f64> =
         job.outer_weights.iter().flatten().map(|&weight| f64::from(weight)).collect();
     let mut report_epoch = |epoch: &EpochReport| {
@@ -139,7 +141,7 @@ fn train(
         &network.architecture,
         &outer,
         &data,
-        &recipe.settings(),
+        &recipe.settings,
         job_seed(seed, cycle, agent),
         &mut report_epoch,
     )

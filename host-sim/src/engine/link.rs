@@ -34,8 +34,9 @@ impl Lossless {
     #[must_use]
     pub fn new(graph: &Graph) -> Self {
         let agents = graph.agents();
-        let neighbours =
-            (0..agents).map(|i| graph.neighbours(i).iter().map(|&(j, _)| j).collect()).collect();
+        let neighbours = (0..agents)
+            .map(|i| graph.neighbours(i).iter().map(|neighbour| neighbour.agent).collect())
+            .collect();
         Self { neighbours, last: vec![None; agents] }
     }
 }

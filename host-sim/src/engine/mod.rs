@@ -23,7 +23,7 @@ use agent_core::agent::StepError;
 use agent_core::network::NetworkError;
 use agent_core::parameter::ParameterError;
 
-use crate::training::{EpochReport, TrainingError, TrainingReport};
+use crate::training::{EpochReport, SmoothingError, TrainingError, TrainingReport};
 use statistics::AgentStatistics;
 use traces::Traces;
 
@@ -119,6 +119,19 @@ pub enum RunError {
         /// When. \[s\]
         time: f64,
     },
+    /// There is no initial network.
+    #[error("the initial inner network: {0}")]
+    InitialNetwork(TrainingError),
+    /// Collected samples could not be cleaned.
+    #[error("samples of agent {agent} in learning cycle {cycle}: {error}")]
+    Smoothing {
+        /// The agent, from 1.
+        agent: usize,
+        /// The learning cycle, from 1.
+        cycle: usize,
+        /// What is wrong.
+        error: SmoothingError,
+    },
     /// A network could not be trained.
     #[error("training of agent {agent} in learning cycle {cycle}: {error}")]
     Training {
@@ -130,7 +143,9 @@ pub enum RunError {
         error: TrainingError,
     },
     /// A learning cycle names a recipe that there is not.
-    #[error("learning cycle {cycle} names the recipe {recipe:?}; add [recipes.{recipe}] to the scenario")]
+    #[error(
+        "learning cycle {cycle} names the recipe {recipe:?}; add [recipes.{recipe}] to the scenario"
+    )]
     Recipe {
         /// The learning cycle, from 1.
         cycle: usize,

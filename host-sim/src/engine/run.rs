@@ -11,7 +11,7 @@ use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
 use crate::analysis::{TriggerConstants, spectral_norm};
 use crate::plant::Stepper;
 use crate::scenario::Scenario;
-use crate::training;
+use crate::training::{Dataset, TrainingError};
 
 /// From this many agents on, a step is shared among threads: below it, the cost of waking a
 /// thread exceeds that of stepping the agents it would take over.
@@ -107,13 +107,22 @@ fn build_agents<'s, const N: usize>(
 /// The network that every agent starts with.
 fn initial_network(scenario: &Scenario, seed: u64) -> Result<Option<SharedNetwork>, RunError> {
     let Some(network) = &scenario.network else { return Ok(None) };
-    let parameters = training::initial_parameters(&network.architecture, network.inner, None, seed);
+    // Nothing is recorded yet: let every state component range over [-1, 1].
+    let n = scenario.dimension();
+    let corners = [vec![-1.0; n], vec![1.0; n]].concat();
+    let parameters = Dataset::new(n, corners.clone(), corners)
+        .map_err(TrainingError::from)
+        .and_then(|data| Ok(network.inner.draw(&network.architecture, &data, seed)?))
+        .map_err(RunError::InitialNetwork)?;
     shared_network(&network.architecture, &parameters).map(Some)
 }
 
 fn empty_traces(scenario: &Scenario) -> Traces {
     let (dimension, agents) = (scenario.dimension(), scenario.agents.len());
-    let rows = scenario.record.trace_stride.map_or(0, |stride| scenario.steps() / u64::from(stride.get()) + 1);
+    let rows = scenario
+        .record
+        .trace_stride
+        .map_or(0, |stride| scenario.steps() / u64::from(stride.get()) + 1);
     Traces::with_capacity(dimension, agents, usize::try_from(rows).unwrap_or(0))
 }
 
@@ -132,10 +141,10 @@ impl<const N: usize, L: Link> Simulation<'_, N, L> {
     fn all_steps(&mut self, progress: &dyn Progress) -> Result<Vec<TrainingRecord>, RunError> {
         let (scenario, time) = (self.scenario, self.scenario.time);
         let steps = scenario.steps();
-        let evaluation =
-            time.tick(scenario.evaluation.from)..time.tick(scenario.evaluation.to);
-        let mut learning = self.options.learning.then(|| Learning::new(scenario, self.options.seed));
-        let mut plant = Stepper::new(&scenario.plant, &scenario.disturbance, time.integrator);
+        let evaluation = time.tick(scenario.evaluation.from)..time.tick(scenario.evaluation.to);
+        let mut learning =
+            self.options.learning.then(|| Learning::new(scenario, self.options.seed));
+        let mut plant = Stepper::new(time.integrator);
         let mut trainings = Vec::new();
         self.send_broadcasts(0);
         for tick in 0..steps {
@@ -157,7 +166,13 @@ impl<const N: usize, L: Link> Simulation<'_, N, L> {
                 );
             }
             self.send_broadcasts(tick + 1);
-            plant.step(time.at(tick), time.step_size, &mut self.truth);
+            plant.step(
+                &scenario.plant,
+                &scenario.disturbance,
+                time.at(tick),
+                time.step_size,
+                &mut self.truth,
+            );
             if !self.truth.iter().all(|x| x.is_finite()) {
                 return Err(RunError::PlantDiverged { time: time.at(tick + 1) });
             }

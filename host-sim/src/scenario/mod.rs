@@ -12,7 +12,7 @@ use nalgebra::DMatrix;
 
 use crate::graph::Graph;
 use crate::plant::{Disturbance, Integrator, Plant};
-use crate::training::{InitialParameters, LmSettings};
+use crate::training::{InitialParameters, Smoothing, TrainingSettings};
 
 /// One experiment, complete but for the seed.
 #[derive(Clone, Debug)]
@@ -175,17 +175,10 @@ pub struct LearningCycle {
 pub struct Recipe {
     /// Its name.
     pub name: String,
-    /// Length of the centred moving average that cleans inputs and targets of the high-gain
-    /// chatter; 0 leaves them raw. \[s\]
-    pub smoothing_window: f64,
-    /// Of the cleaned samples every how many-th is used.
-    pub decimation: NonZeroU32,
-    /// Where training starts.
-    pub initial: InitialParameters,
-    /// Parts of the samples for training, validation and test; they add up to 1.
-    pub split: [f64; 3],
-    /// Settings of the solver.
-    pub solver: LmSettings,
+    /// How the samples are cleaned of the high-gain chatter.
+    pub smoothing: Smoothing,
+    /// Start, division of the samples, and solver.
+    pub settings: TrainingSettings,
 }
 
 /// An interval of time, `from <= t < to`. \[s\]
