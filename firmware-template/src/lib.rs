@@ -1,1 +1,18 @@
-//! The board border.
+//! The board layer around one agent.
+//!
+//! The agent itself does no input and output: time, measurements and received frames are
+//! arguments, frames to send are return values. What remains for a board is [`board`]: read
+//! a [`Sensor`], move bytes over a [`Link`], wait for a [`Clock`]. A new board implements
+//! these three and changes nothing else; [`registers`] is one sensor that runs on every
+//! hardware abstraction layer that implements `embedded-hal`.
+//!
+//! Everything here builds and is tested on the host too, since the hardware is a type
+//! parameter.
+#![no_std]
+#![forbid(unsafe_code)]
+
+pub mod board;
+pub mod registers;
+
+pub use board::{Clock, Link, Sensor};
+pub use registers::RegisterSensor;

@@ -1,0 +1,256 @@
+//! A compiler for bare metal.
+//!
+//! The active toolchain, if it has the targets. Otherwise Debian's compiler, which comes
+//! with the sources of `core` and `alloc` but not built for bare metal: they are built once,
+//! into a sysroot under the target folder, and a two-line `rustc` points the compiler there.
+
+use std::{
+    env, fs, io,
+    path::{Path, PathBuf},
+    process::Command,
+    time::Instant,
+};
+
+use crate::{
+    packages,
+    step::{Failure, ask, run, target_folder},
+};
+
+/// Compiler, its cargo, its library sources, and the linker that it calls.
+const PACKAGES: [&str; 4] = ["rustc-web", "cargo-web", "rust-web-src", "lld"];
+const RUSTC: &str = "/usr/bin/rustc";
+const CARGO: &str = "/usr/bin/cargo";
+/// What Debian's packages put where rustc looks for it.
+const RUSTLIB: &str = "/usr/lib/rustlib";
+const CRATES: [&str; 3] = ["core", "alloc", "compiler_builtins"];
+
+/// A compiler that has every target that was asked for.
+#[derive(Debug)]
+pub(crate) struct Compiler {
+    rustc: Option<PathBuf>,
+}
+
+impl Compiler {
+    /// Finds or makes a compiler for `targets`.
+    ///
+    /// # Errors
+    /// The active toolchain lacks a target and Debian's compiler may not or cannot be set up.
+    pub(crate) fn find(targets: &[&str], debian: bool) -> Result<Self, Failure> {
+        let missing: Vec<&str> =
+            targets.iter().copied().filter(|target| !active_toolchain_has(target)).collect();
+        if missing.is_empty() {
+            println!("compiler: the active toolchain has every target");
+            return Ok(Self { rustc: None });
+        }
+        let missing = missing.join(" ");
+        if !packages::allowed(debian) {
+            return Err(Failure::new(
+                format!("the active toolchain cannot compile for {missing}"),
+                format!("rustup target add {missing}   (or, on Debian: cargo xtask ... --debian)"),
+            ));
+        }
+        println!("compiler: the active toolchain lacks {missing}; using Debian's");
+        install()?;
+        Ok(Self { rustc: Some(sysroot(targets)?) })
+    }
+
+    /// Makes `command`, a cargo call, compile with this compiler into a folder of its own,
+    /// so that nothing built for the host is thrown away.
+    pub(crate) fn apply<'command>(&self, command: &'command mut Command) -> &'command mut Command {
+        // Flags meant for the host do not fit the targets, which have theirs in the workspace.
+        command.env_remove("RUSTFLAGS").env_remove("CARGO_ENCODED_RUSTFLAGS");
+        if let Some(rustc) = &self.rustc {
+            command.env("RUSTC", rustc);
+        }
+        command.env("CARGO_TARGET_DIR", cross_folder())
+    }
+}
+
+/// Where the cross-builds go.
+pub(crate) fn cross_folder() -> PathBuf {
+    target_folder().join("cross")
+}
+
+/// The folder for programs of the active toolchain itself: its linker, LLVM's tools.
+pub(crate) fn toolchain_programs() -> Option<PathBuf> {
+    let library = ask(active_rustc().args(["--print", "target-libdir"]))?;
+    Some(Path::new(library.trim()).parent()?.join("bin"))
+}
+
+fn active_rustc() -> Command {
+    Command::new(env::var_os("RUSTC").unwrap_or_else(|| "rustc".into()))
+}
+
+fn active_toolchain_has(target: &str) -> bool {
+    ask(active_rustc().args(["--print", "target-libdir", "--target", target]))
+        .is_some_and(|folder| library(Path::new(folder.trim()), "core").is_ok())
+}
+
+/// The compiled library of that name in `folder`.
+fn library(folder: &Path, name: &str) -> io::Result<PathBuf> {
+    let start = format!("lib{name}-");
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        let file = path.file_name().unwrap_or_default().to_string_lossy();
+        if file.starts_with(&start) && file.ends_with(".rlib") {
+            return Ok(path);
+        }
+    }
+    Err(io::Error::new(
+        io::ErrorKind::NotFound,
+        format!("no {start}*.rlib in {}", folder.display()),
+    ))
+}
+
+fn install() -> Result<(), Failure> {
+    let complete = PACKAGES.iter().all(|package| packages::version(package).is_some());
+    if !complete || release().is_none_or(|(_, numbers)| numbers < needed()) {
+        packages::install(&PACKAGES)?;
+    }
+    match release() {
+        Some((_, numbers)) if numbers >= needed() => Ok(()),
+        found => Err(Failure::new(
+            format!(
+                "{RUSTC} is {}, this workspace needs {}",
+                found.map_or("missing".into(), |(text, _)| text),
+                env!("CARGO_PKG_RUST_VERSION")
+            ),
+            "add Debian's security updates to the package sources",
+        )),
+    }
+}
+
+/// The version of Debian's compiler, as text and as numbers.
+fn release() -> Option<(String, Vec<u32>)> {
+    let answer = ask(Command::new(RUSTC).arg("-vV"))?;
+    let text = answer.lines().find_map(|line| line.strip_prefix("release: "))?;
+    Some((text.to_owned(), numbers(text)))
+}
+
+fn needed() -> Vec<u32> {
+    numbers(env!("CARGO_PKG_RUST_VERSION"))
+}
+
+fn numbers(version: &str) -> Vec<u32> {
+    version.split('.').map_while(|part| part.parse().ok()).collect()
+}
+
+/// Builds the sysroot, unless it is there already, and returns its `rustc`.
+fn sysroot(targets: &[&str]) -> Result<PathBuf, Failure> {
+    let start = Instant::now();
+    let (version, _) = release().unwrap_or_default();
+    let prefix = target_folder().join(format!("sysroot-{version}"));
+    let rustc = prefix.join("bin/rustc");
+    let stamp = prefix.join("stamp");
+    let package_versions = PACKAGES.map(|name| packages::version(name).unwrap_or_default());
+    let wanted = format!("{}\n{}\n", package_versions.join(" "), targets.join(" "));
+    if fs::read_to_string(&stamp).is_ok_and(|found| found == wanted) {
+        let seconds = start.elapsed().as_secs_f64();
+        println!("compiler: {} is up to date, {seconds:.1} s", prefix.display());
+        return Ok(rustc);
+    }
+
+    let failed = |error: io::Error| {
+        Failure::new(
+            format!("sysroot {}: {error}", prefix.display()),
+            "delete the target folder and try again; see that the disk has 1 GB left",
+        )
+    };
+    // What was compiled against an older sysroot does not fit the new one.
+    for stale in [&prefix, &cross_folder()] {
+        match fs::remove_dir_all(stale) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(failed(error)),
+            _ => {}
+        }
+    }
+    let scratch = prefix.join("build");
+    write_scratch_crate(&scratch).map_err(failed)?;
+    run(
+        "core and alloc for bare metal",
+        &mut build_command(&scratch, targets),
+        "see what the compiler says; Debian's packages must all have one version",
+    )?;
+    lay_out(&prefix, &scratch, targets).map_err(failed)?;
+    fs::write(&stamp, wanted).map_err(failed)?;
+    Ok(rustc)
+}
+
+/// An empty crate, since cargo builds `core` only as somebody's dependency.
+fn write_scratch_crate(folder: &Path) -> io::Result<()> {
+    fs::create_dir_all(folder.join("src"))?;
+    fs::write(folder.join("src/lib.rs"), "#![no_std]\n")?;
+    fs::write(
+        folder.join("Cargo.toml"),
+        "[package]\nname = \"empty\"\nversion = \"0.0.0\"\nedition = \"2024\"\n\n[workspace]\n",
+    )
+}
+
+fn build_command(scratch: &Path, targets: &[&str]) -> Command {
+    let vendored = format!("source.debian.directory=\"{RUSTLIB}/src/rust/library/vendor\"");
+    let mut command = Command::new(CARGO);
+    command
+        .current_dir(scratch)
+        // This program runs inside the active toolchain's cargo, whose settings do not fit.
+        .env_remove("CARGO_ENCODED_RUSTFLAGS")
+        .env_remove("LD_LIBRARY_PATH")
+        .env("RUSTC", RUSTC)
+        // Only for core itself, which no stable compiler accepts otherwise.
+        .env("RUSTC_BOOTSTRAP", "1")
+        // The firmware's link-time optimisation reads the bitcode.
+        .env("RUSTFLAGS", "-Cembed-bitcode=yes")
+        .env("CARGO_PROFILE_RELEASE_CODEGEN_UNITS", "1")
+        .env("CARGO_TARGET_DIR", scratch.join("target"))
+        .args(["build", "--quiet", "--offline", "--release", "-Zbuild-std=core,alloc"])
+        .args(["--config", "source.crates-io.replace-with=\"debian\"", "--config", &vendored]);
+    for target in targets {
+        command.args(["--target", target]);
+    }
+    command
+}
+
+/// Moves what was built to where rustc looks for it, and links the rest of Debian's files.
+fn lay_out(prefix: &Path, scratch: &Path, targets: &[&str]) -> io::Result<()> {
+    let rustlib = prefix.join("lib/rustlib");
+    for target in targets {
+        let folder = rustlib.join(target).join("lib");
+        fs::create_dir_all(&folder)?;
+        let built = scratch.join("target").join(target).join("release/deps");
+        for name in CRATES {
+            let path = library(&built, name)?;
+            fs::rename(&path, folder.join(path.file_name().unwrap_or_default()))?;
+        }
+    }
+    fs::remove_dir_all(scratch)?;
+    // The host's own libraries too, for build scripts and procedural macros.
+    for entry in fs::read_dir(RUSTLIB)? {
+        let entry = entry?;
+        let link = rustlib.join(entry.file_name());
+        if !link.exists() {
+            call(Command::new("ln").arg("-s").arg(entry.path()).arg(link))?;
+        }
+    }
+    let rustc = prefix.join("bin/rustc");
+    fs::create_dir_all(prefix.join("bin"))?;
+    fs::write(&rustc, format!("#!/bin/sh\nexec {RUSTC} --sysroot \"${{0%/*}}/..\" \"$@\"\n"))?;
+    call(Command::new("chmod").arg("755").arg(rustc))
+}
+
+/// Runs a command that prints nothing.
+fn call(command: &mut Command) -> io::Result<()> {
+    if command.status()?.success() {
+        return Ok(());
+    }
+    Err(io::Error::other(format!("{} failed", command.get_program().display())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_compare_as_numbers() {
+        assert!(numbers("1.100.0") > numbers("1.89"));
+        assert!(numbers("1.89.0") >= numbers("1.89"));
+        assert!(numbers("1.85.0") < numbers("1.89"));
+    }
+}

@@ -1,0 +1,101 @@
+//! What runs on the host: the tests of the whole workspace, and the lints.
+
+use std::fmt;
+
+use crate::step::{Failure, cargo, run, run_reading};
+
+/// How many tests ended in which way.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct TestCount {
+    passed: usize,
+    failed: usize,
+    ignored: usize,
+}
+
+impl TestCount {
+    /// Adds what a closing line of one test program says; other lines say nothing.
+    fn add(&mut self, line: &str) {
+        let Some((_, counts)) =
+            line.strip_prefix("test result: ").and_then(|rest| rest.split_once(". "))
+        else {
+            return;
+        };
+        for entry in counts.split(';') {
+            let mut words = entry.split_whitespace();
+            let Some(count) = words.next().and_then(|word| word.parse::<usize>().ok()) else {
+                continue;
+            };
+            match words.next() {
+                Some("passed") => self.passed += count,
+                Some("failed") => self.failed += count,
+                Some("ignored") => self.ignored += count,
+                _ => {}
+            }
+        }
+    }
+}
+
+impl fmt::Display for TestCount {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} passed, {} failed", self.passed, self.failed)?;
+        if self.ignored > 0 {
+            write!(f, ", {} skipped", self.ignored)?;
+        }
+        Ok(())
+    }
+}
+
+/// Runs the unit tests, integration tests, examples and doctests of every crate.
+///
+/// # Errors
+/// A test failed, or none ran.
+pub(crate) fn test() -> Result<TestCount, Failure> {
+    let mut count = TestCount::default();
+    run_reading(
+        "tests on the host",
+        cargo("test").args(["--workspace", "--no-fail-fast"]),
+        "read the failures above; `cargo test -p <crate> <name>` repeats one",
+        |line| count.add(line),
+    )?;
+    if count.passed == 0 {
+        return Err(Failure::new(
+            "tests on the host: no test ran",
+            "see what `cargo test --workspace` does",
+        ));
+    }
+    Ok(count)
+}
+
+/// Checks formatting, clippy's lints and the documentation.
+///
+/// # Errors
+/// The first that is not clean.
+pub(crate) fn lint() -> Result<(), Failure> {
+    run("formatting", cargo("fmt").args(["--all", "--", "--check"]), "cargo fmt --all")?;
+    run(
+        "clippy",
+        cargo("clippy").args(["--workspace", "--all-targets", "--", "-D", "warnings"]),
+        "follow what clippy proposes, or allow the lint where it is wrong and say why",
+    )?;
+    run(
+        "documentation",
+        cargo("doc").args(["--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"),
+        "mend the links and code blocks named above",
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn closing_lines_add_up() {
+        let mut count = TestCount::default();
+        count.add("running 3 tests");
+        count.add("test result: ok. 2 passed; 0 failed; 1 ignored; 0 measured; 4 filtered out");
+        count.add("test result: FAILED. 5 passed; 3 failed; 0 ignored; 0 measured");
+        count.add("test passed ... ok");
+        assert_eq!(count, TestCount { passed: 7, failed: 3, ignored: 1 });
+        assert_eq!(count.to_string(), "7 passed, 3 failed, 1 skipped");
+    }
+}

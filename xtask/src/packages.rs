@@ -1,0 +1,53 @@
+//! Debian packages, where this machine has them.
+
+use std::{path::Path, process::Command};
+
+use crate::step::{Failure, ask, in_ci, on_path, run};
+
+/// Whether packages may be installed and used without asking: the user said so, this is
+/// continuous integration, or root runs this on Debian.
+pub(crate) fn allowed(debian: bool) -> bool {
+    on_path("apt-get")
+        && (debian || in_ci() || (Path::new("/etc/debian_version").exists() && is_root()))
+}
+
+/// The installed version of a package.
+pub(crate) fn version(package: &str) -> Option<String> {
+    let format = "--showformat=${db:Status-Status} ${Version}";
+    let answer = ask(Command::new("dpkg-query").args(["--show", format, package]))?;
+    answer.strip_prefix("installed ").map(str::to_owned)
+}
+
+/// Installs `packages`, the newest that Debian offers.
+///
+/// # Errors
+/// This is not root, or apt-get failed.
+pub(crate) fn install(packages: &[&str]) -> Result<(), Failure> {
+    if !is_root() {
+        return Err(Failure::new(
+            format!("packages are missing: {}", packages.join(" ")),
+            format!(
+                "sudo apt-get update && sudo apt-get install --no-install-recommends {}",
+                packages.join(" ")
+            ),
+        ));
+    }
+    let mend = "see what apt-get says; the packages are in Debian 12 with its security updates";
+    // An old list may offer a compiler that is too old, so it is always renewed.
+    run("package list", apt_get().args(["update"]), mend)?;
+    run(
+        "packages",
+        apt_get().args(["install", "--yes", "--no-install-recommends"]).args(packages),
+        mend,
+    )
+}
+
+fn apt_get() -> Command {
+    let mut command = Command::new("apt-get");
+    command.env("DEBIAN_FRONTEND", "noninteractive").arg("-qq").arg("-oDpkg::Use-Pty=0");
+    command
+}
+
+fn is_root() -> bool {
+    ask(Command::new("id").arg("-u")).is_some_and(|user| user.trim() == "0")
+}

@@ -1,0 +1,127 @@
+//! Running commands: what is printed before and after, and what a failure says.
+
+use std::{
+    env,
+    ffi::OsStr,
+    io::{BufRead, BufReader},
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    time::Instant,
+};
+
+/// Why a task ended, and what a person can do about it.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    /// What failed.
+    pub(crate) what: String,
+    /// What mends it.
+    pub(crate) mend: String,
+}
+
+impl Failure {
+    pub(crate) fn new(what: impl Into<String>, mend: impl Into<String>) -> Self {
+        Self { what: what.into(), mend: mend.into() }
+    }
+}
+
+/// The top folder of the workspace.
+pub(crate) fn workspace() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap_or(Path::new("."))
+}
+
+/// Where cargo puts what it builds, absolute.
+pub(crate) fn target_folder() -> PathBuf {
+    workspace().join(env::var_os("CARGO_TARGET_DIR").unwrap_or_else(|| "target".into()))
+}
+
+/// Whether this is a run of continuous integration.
+pub(crate) fn in_ci() -> bool {
+    env::var_os("CI").is_some_and(|value| !value.is_empty() && value != "false")
+}
+
+/// `cargo <task>` of the toolchain that runs this program, in the workspace.
+pub(crate) fn cargo(task: &str) -> Command {
+    let mut command = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    command.current_dir(workspace()).arg(task);
+    if in_ci() && task != "fmt" {
+        command.arg("--locked");
+    }
+    command
+}
+
+/// Runs one step and lets its output through.
+///
+/// # Errors
+/// The command cannot be started, or it ends with another status than 0; `mend` says what to
+/// do about that.
+pub(crate) fn run(name: &str, command: &mut Command, mend: &str) -> Result<(), Failure> {
+    run_reading(name, command, mend, |_| ())
+}
+
+/// As [`run`], and shows every line of the standard output to `read`.
+///
+/// # Errors
+/// As [`run`].
+pub(crate) fn run_reading(
+    name: &str,
+    command: &mut Command,
+    mend: &str,
+    mut read: impl FnMut(&str),
+) -> Result<(), Failure> {
+    let shown = show(command);
+    println!("==> {name}: {shown}");
+    let start = Instant::now();
+    let failed = |reason: String| Failure::new(format!("{name}: `{shown}`: {reason}"), mend);
+    let mut child = command
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .spawn()
+        .map_err(|error| failed(error.to_string()))?;
+    if let Some(output) = child.stdout.take() {
+        for line in BufReader::new(output).split(b'\n') {
+            let line = line.map_err(|error| failed(error.to_string()))?;
+            let line = String::from_utf8_lossy(&line);
+            println!("{line}");
+            read(&line);
+        }
+    }
+    let status = child.wait().map_err(|error| failed(error.to_string()))?;
+    if !status.success() {
+        return Err(failed(status.to_string()));
+    }
+    println!("<== {name}: ok, {:.1} s", start.elapsed().as_secs_f64());
+    Ok(())
+}
+
+/// Asks a command something: its standard output, or `None` if it cannot answer.
+pub(crate) fn ask(command: &mut Command) -> Option<String> {
+    let output = command.stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
+    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+/// Whether a program of that name is on the search path.
+pub(crate) fn on_path(program: &str) -> bool {
+    env::var_os("PATH")
+        .is_some_and(|path| env::split_paths(&path).any(|folder| folder.join(program).is_file()))
+}
+
+/// The command as one would type it.
+fn show(command: &Command) -> String {
+    let variables = command
+        .get_envs()
+        .filter_map(|(name, value)| Some(format!("{}={}", quote(name), quote(value?))));
+    let program = Path::new(command.get_program());
+    // cargo passes its own full path on; everything else is shown as it is called.
+    let program = if program.ends_with("bin/cargo") && program != Path::new("/usr/bin/cargo") {
+        OsStr::new("cargo")
+    } else {
+        program.as_os_str()
+    };
+    let words = std::iter::once(program).chain(command.get_args()).map(quote);
+    variables.chain(words).collect::<Vec<_>>().join(" ")
+}
+
+fn quote(word: &OsStr) -> String {
+    let word = word.to_string_lossy();
+    if word.contains([' ', '"', '$']) { format!("'{word}'") } else { word.into_owned() }
+}
