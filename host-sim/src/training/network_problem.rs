@@ -246,7 +246,10 @@ impl SquareSums {
     /// Writes estimate − target of a batch into `residuals` and adds their squares.
     fn add(&mut self, arch: Arch, estimates: &[f64], batch: &Batch<'_>, residuals: &mut [f64]) {
         let sums = &mut self.0[..batch.samples];
-        arch.dispatch(|| subtract_and_square(estimates, batch.targets, residuals, sums));
+        arch.dispatch(
+            #[inline(always)]
+            || subtract_and_square(estimates, batch.targets, residuals, sums),
+        );
     }
 
     fn total(&self) -> f64 {

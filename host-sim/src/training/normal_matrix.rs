@@ -115,43 +115,53 @@ impl NormalMatrix {
             let width = self.layers[k].width;
             let left = match pair.second {
                 Second::Residuals => {
-                    self.arch.dispatch(|| weighted(first, residuals, width, right, stride));
+                    self.arch.dispatch(
+                        #[inline(always)]
+                        || weighted(first, residuals, width, right, stride),
+                    );
                     batch.inputs(k)
                 }
                 Second::Layer(l) => {
                     let left = &mut self.left;
                     let (a, b) = (batch.inputs(k), batch.inputs(l));
-                    self.arch.dispatch(|| input_products(a, b, k == l, left));
+                    self.arch.dispatch(
+                        #[inline(always)]
+                        || input_products(a, b, k == l, left),
+                    );
                     let second = &self.by_sample[l];
                     let widths = [width, self.layers[l].width];
                     if k == l {
-                        self.arch.dispatch(|| {
-                            sensitivity_products::<true>(
-                                [first, second],
-                                widths,
-                                outputs,
-                                right,
-                                stride,
-                            );
-                        });
+                        self.arch.dispatch(
+                            #[inline(always)]
+                            || {
+                                sensitivity_products::<true>(
+                                    [first, second],
+                                    widths,
+                                    outputs,
+                                    right,
+                                    stride,
+                                );
+                            },
+                        );
                     } else {
-                        self.arch.dispatch(|| {
-                            sensitivity_products::<false>(
-                                [first, second],
-                                widths,
-                                outputs,
-                                right,
-                                stride,
-                            );
-                        });
+                        self.arch.dispatch(
+                            #[inline(always)]
+                            || {
+                                sensitivity_products::<false>(
+                                    [first, second],
+                                    widths,
+                                    outputs,
+                                    right,
+                                    stride,
+                                );
+                            },
+                        );
                     }
                     &*left
                 }
             };
             self.arch.dispatch(PanelProduct {
-                left,
-                left_stride: BATCH,
-                rows: pair.rows,
+                left: &left.as_chunks::<BATCH>().0[..pair.rows],
                 terms: samples,
                 panel: &self.right,
                 panel_stride: stride,

@@ -15,15 +15,19 @@
 //! unit works on neighbouring samples and each sample's sums run in the order written above.
 
 use super::elementary::{exp_of_negative, tanh};
-use super::panel_product::{PanelProduct, Store};
+use super::panel_product::{PanelProduct, Store, round_up};
 use agent_core::activation::Activation;
-use agent_core::network::Architecture;
+use agent_core::network::{Architecture, LAYER_WIDTH_MAX};
 use pulp::Arch;
 
 /// Samples that are propagated together. Sums over samples are taken batch by batch, so this
 /// number is part of what fixes the bits. With 64, the panels of a 12-wide layer fit the
 /// second-level cache and a strip of them the first.
 pub(super) const BATCH: usize = 64;
+
+/// Row length of weights, as the left factor of a product: the most inputs of a node, with the
+/// bias, in whole cache lines.
+const WEIGHT_ROW: usize = round_up(LAYER_WIDTH_MAX + 1);
 
 /// Where one layer finds its parameters.
 #[derive(Clone, Copy, Debug)]
@@ -58,10 +62,11 @@ pub(super) struct Propagation {
     /// Outer weights, shape `[L][outputs]`.
     outer: Vec<f64>,
     /// Outer weights transposed, shape `[outputs][L]`.
-    outer_by_output: Vec<f64>,
-    parameters: Vec<f64>,
-    /// Parameters of each layer transposed, shape `[width][1 + inputs]`.
-    by_node: Vec<Vec<f64>>,
+    outer_by_output: Vec<[f64; WEIGHT_ROW]>,
+    /// What enters each node of each layer, bias first: shape `[width][1 + inputs]`.
+    entering: Vec<Vec<[f64; WEIGHT_ROW]>>,
+    /// What leaves each input of each layer: shape `[inputs][width]`.
+    leaving: Vec<Vec<[f64; WEIGHT_ROW]>>,
     /// Inputs of layer k with a leading row of ones, `[1 + inputs][BATCH]`; then the features.
     inputs: Vec<Vec<f64>>,
     /// First z_k, after [`Self::backward`] φ'(z_k): `[width][BATCH]`.
@@ -87,9 +92,9 @@ impl Propagation {
             arch,
             outputs,
             outer: outer.to_vec(),
-            outer_by_output: transpose(outer, outputs),
-            parameters: vec![0.0; architecture.parameter_count()],
-            by_node: layers.iter().map(|l| vec![0.0; l.width * (1 + l.inputs)]).collect(),
+            outer_by_output: padded_columns(outer, outputs),
+            entering: vec![Vec::new(); layers.len()],
+            leaving: vec![Vec::new(); layers.len()],
             inputs,
             slopes: rows(BATCH),
             sensitivities: rows(outputs * BATCH),
@@ -100,10 +105,12 @@ impl Propagation {
 
     /// Takes over the parameters, flat.
     pub(super) fn set_parameters(&mut self, parameters: &[f64]) {
-        self.parameters.copy_from_slice(parameters);
-        for (layer, by_node) in self.layers.iter().zip(&mut self.by_node) {
-            let count = layer.width * (1 + layer.inputs);
-            *by_node = transpose(&parameters[layer.offset..][..count], layer.width);
+        for (k, layer) in self.layers.iter().enumerate() {
+            let (biases, weights) = parameters[layer.offset..].split_at(layer.width);
+            let weights = &weights[..layer.inputs * layer.width];
+            let both = &parameters[layer.offset..][..biases.len() + weights.len()];
+            self.entering[k] = padded_columns(both, layer.width);
+            self.leaving[k] = weights.chunks_exact(layer.width).map(padded).collect();
         }
     }
 
@@ -113,12 +120,9 @@ impl Propagation {
         for (k, layer) in self.layers.iter().enumerate() {
             let (head, tail) = self.inputs.split_at_mut(k + 1);
             let pre_activation = &mut self.slopes[k];
-            let terms = 1 + layer.inputs;
             self.arch.dispatch(PanelProduct {
-                left: &self.by_node[k],
-                left_stride: terms,
-                rows: layer.width,
-                terms,
+                left: &self.entering[k],
+                terms: 1 + layer.inputs,
                 panel: &head[k],
                 panel_stride: BATCH,
                 columns: BATCH,
@@ -127,14 +131,14 @@ impl Propagation {
                 store: Store::Set,
             });
             let target = &mut tail[0][BATCH..];
-            self.arch.dispatch(|| activate(layer.activation, pre_activation, target));
+            self.arch.dispatch(
+                #[inline(always)]
+                || activate(layer.activation, pre_activation, target),
+            );
         }
-        let features = self.outer_by_output.len() / self.outputs;
         self.arch.dispatch(PanelProduct {
             left: &self.outer_by_output,
-            left_stride: features,
-            rows: self.outputs,
-            terms: features,
+            terms: self.outer.len() / self.outputs,
             panel: &self.inputs[self.layers.len()][BATCH..],
             panel_stride: BATCH,
             columns: BATCH,
@@ -151,16 +155,16 @@ impl Propagation {
         for (k, layer) in self.layers.iter().enumerate().rev() {
             let slopes = &mut self.slopes[k];
             let values = &self.inputs[k + 1][BATCH..];
-            self.arch.dispatch(|| differentiate(layer.activation, values, slopes));
+            self.arch.dispatch(
+                #[inline(always)]
+                || differentiate(layer.activation, values, slopes),
+            );
             let (head, tail) = self.sensitivities.split_at_mut(k + 1);
             let target = &mut head[k];
             let columns = self.outputs * BATCH;
             if let Some(next) = self.layers.get(k + 1) {
                 self.arch.dispatch(PanelProduct {
-                    // Row p holds the weights that leave node p; the biases come before.
-                    left: &self.parameters[next.offset + next.width..],
-                    left_stride: next.width,
-                    rows: layer.width,
+                    left: &self.leaving[k + 1],
                     terms: next.width,
                     panel: &tail[0],
                     panel_stride: columns,
@@ -174,7 +178,10 @@ impl Propagation {
                     rows.fill(*outer);
                 }
             }
-            self.arch.dispatch(|| scale_rows(slopes, target, columns));
+            self.arch.dispatch(
+                #[inline(always)]
+                || scale_rows(slopes, target, columns),
+            );
         }
     }
 
@@ -189,9 +196,15 @@ impl Propagation {
     }
 }
 
-/// Transpose of a row-major matrix with `columns` columns.
-fn transpose(matrix: &[f64], columns: usize) -> Vec<f64> {
-    (0..columns).flat_map(|c| matrix.iter().skip(c).step_by(columns).copied()).collect()
+/// A row of weights, with zeros up to the fixed length.
+fn padded(row: &[f64]) -> [f64; WEIGHT_ROW] {
+    core::array::from_fn(|i| row.get(i).copied().unwrap_or(0.0))
+}
+
+/// The columns of a row-major matrix as padded rows.
+fn padded_columns(matrix: &[f64], columns: usize) -> Vec<[f64; WEIGHT_ROW]> {
+    let entry = |i: usize, c: usize| matrix.get(i * columns + c).copied().unwrap_or(0.0);
+    (0..columns).map(|c| core::array::from_fn(|i| entry(i, c))).collect()
 }
 
 #[inline(always)]
