@@ -109,7 +109,7 @@ impl NormalMatrix {
             sample_major(batch.sensitivities(k), self.outputs, layer.width, target);
         }
         for pair in &self.pairs {
-            let (k, outputs) = (pair.first, self.outputs);
+            let k = pair.first;
             let stride = panel_stride(pair.columns);
             let (right, first) = (&mut self.right[..], &self.by_sample[k][..]);
             let width = self.layers[k].width;
@@ -135,7 +135,7 @@ impl NormalMatrix {
                         factors: [first, &self.by_sample[l]],
                         widths: [width, self.layers[l].width],
                         symmetric: k == l,
-                        outputs,
+                        outputs: self.outputs,
                         right,
                         stride,
                     });
@@ -282,7 +282,7 @@ impl WithSimd for SensitivityProducts<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
+    fn with_simd<S: Simd>(self, simd: S) {
         let strides = self.widths.map(node_stride);
         let samples = self.factors[0]
             .chunks_exact(self.outputs * strides[0])
@@ -293,18 +293,17 @@ impl WithSimd for SensitivityProducts<'_> {
             for p in 0..self.widths[0] {
                 let from = if self.symmetric { p } else { 0 };
                 let count = self.widths[1] - from;
-                let (targets, _) = right[start..].as_chunks_mut::<LANES>();
-                for (chunk, target) in targets[..count.div_ceil(LANES)].iter_mut().enumerate() {
-                    let mut sums = [0.0; LANES];
-                    let rows = first.chunks_exact(strides[0]).zip(second.chunks_exact(strides[1]));
-                    for (first, second) in rows {
-                        let (second, _) = second[from..].as_chunks::<LANES>();
-                        let (factor, values) = (first[p], &second[chunk]);
-                        for i in 0..LANES {
-                            sums[i] += factor * values[i];
-                        }
+                // From here on in explicit vectors: the sums stay in registers.
+                let targets = &mut right[start..][..round_up(count)];
+                for (v, target) in S::as_mut_simd_f64s(targets).0.iter_mut().enumerate() {
+                    let mut sum = simd.splat_f64s(0.0);
+                    for o in 0..self.outputs {
+                        let values = &second[o * strides[1] + from + v * S::F64_LANES..];
+                        let values = S::as_simd_f64s(&values[..S::F64_LANES]).0[0];
+                        let factor = simd.splat_f64s(first[o * strides[0] + p]);
+                        sum = simd.add_f64s(sum, simd.mul_f64s(factor, values));
                     }
-                    *target = sums;
+                    *target = sum;
                 }
                 start += count;
             }

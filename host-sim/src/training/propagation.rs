@@ -18,7 +18,7 @@ use super::elementary::{exp_of_negative, tanh};
 use super::panel_product::{PanelProduct, Store, round_up};
 use agent_core::activation::Activation;
 use agent_core::network::{Architecture, LAYER_WIDTH_MAX};
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 /// Samples that are propagated together. Sums over samples are taken batch by batch, so this
 /// number is part of what fixes the bits. With 64, the panels of a 12-wide layer fit the
@@ -69,8 +69,8 @@ pub(super) struct Propagation {
     leaving: Vec<Vec<[f64; WEIGHT_ROW]>>,
     /// Inputs of layer k with a leading row of ones, `[1 + inputs][BATCH]`; then the features.
     inputs: Vec<Vec<f64>>,
-    /// First z_k, after [`Self::backward`] φ'(z_k): `[width][BATCH]`.
-    slopes: Vec<Vec<f64>>,
+    /// z_k, `[width][BATCH]`.
+    pre_activations: Vec<Vec<f64>>,
     /// δ_k, `[width][outputs][BATCH]`.
     sensitivities: Vec<Vec<f64>>,
     /// f̂, `[outputs][BATCH]`.
@@ -96,7 +96,7 @@ impl Propagation {
             entering: vec![Vec::new(); layers.len()],
             leaving: vec![Vec::new(); layers.len()],
             inputs,
-            slopes: rows(BATCH),
+            pre_activations: rows(BATCH),
             sensitivities: rows(outputs * BATCH),
             estimates: vec![0.0; outputs * BATCH],
             layers,
@@ -106,10 +106,9 @@ impl Propagation {
     /// Takes over the parameters, flat.
     pub(super) fn set_parameters(&mut self, parameters: &[f64]) {
         for (k, layer) in self.layers.iter().enumerate() {
-            let (biases, weights) = parameters[layer.offset..].split_at(layer.width);
-            let weights = &weights[..layer.inputs * layer.width];
-            let both = &parameters[layer.offset..][..biases.len() + weights.len()];
-            self.entering[k] = padded_columns(both, layer.width);
+            let rows = &parameters[layer.offset..][..(1 + layer.inputs) * layer.width];
+            let weights = &rows[layer.width..];
+            self.entering[k] = padded_columns(rows, layer.width);
             self.leaving[k] = weights.chunks_exact(layer.width).map(padded).collect();
         }
     }
@@ -119,7 +118,7 @@ impl Propagation {
         self.inputs[0][BATCH..].copy_from_slice(batch);
         for (k, layer) in self.layers.iter().enumerate() {
             let (head, tail) = self.inputs.split_at_mut(k + 1);
-            let pre_activation = &mut self.slopes[k];
+            let pre_activation = &mut self.pre_activations[k][..];
             self.arch.dispatch(PanelProduct {
                 left: &self.entering[k],
                 terms: 1 + layer.inputs,
@@ -130,11 +129,8 @@ impl Propagation {
                 output_stride: BATCH,
                 store: Store::Set,
             });
-            let target = &mut tail[0][BATCH..];
-            self.arch.dispatch(
-                #[inline(always)]
-                || activate(layer.activation, pre_activation, target),
-            );
+            let values = &mut tail[0][BATCH..];
+            self.arch.dispatch(Activate { activation: layer.activation, pre_activation, values });
         }
         self.arch.dispatch(PanelProduct {
             left: &self.outer_by_output,
@@ -153,12 +149,6 @@ impl Propagation {
     /// [`Self::sensitivities`].
     pub(super) fn backward(&mut self) {
         for (k, layer) in self.layers.iter().enumerate().rev() {
-            let slopes = &mut self.slopes[k];
-            let values = &self.inputs[k + 1][BATCH..];
-            self.arch.dispatch(
-                #[inline(always)]
-                || differentiate(layer.activation, values, slopes),
-            );
             let (head, tail) = self.sensitivities.split_at_mut(k + 1);
             let target = &mut head[k];
             let columns = self.outputs * BATCH;
@@ -178,10 +168,13 @@ impl Propagation {
                     rows.fill(*outer);
                 }
             }
-            self.arch.dispatch(
-                #[inline(always)]
-                || scale_rows(slopes, target, columns),
-            );
+            self.arch.dispatch(ApplySlopes {
+                activation: layer.activation,
+                pre_activation: &self.pre_activations[k],
+                values: &self.inputs[k + 1][BATCH..],
+                sensitivities: target,
+                columns,
+            });
         }
     }
 
@@ -207,41 +200,71 @@ fn padded_columns(matrix: &[f64], columns: usize) -> Vec<[f64; WEIGHT_ROW]> {
     (0..columns).map(|c| core::array::from_fn(|i| entry(i, c))).collect()
 }
 
-#[inline(always)]
-fn activate(activation: Activation, sums: &[f64], values: &mut [f64]) {
-    match activation {
-        Activation::Tanh => map_rows(sums, values, |z| tanh(z)),
-        Activation::Logistic => map_rows(sums, values, |z| 0.5 + 0.5 * tanh(0.5 * z)),
-        Activation::Gaussian => map_rows(sums, values, |z| exp_of_negative(-(z * z))),
+/// `values = φ(pre_activation)`.
+struct Activate<'a> {
+    activation: Activation,
+    pre_activation: &'a [f64],
+    values: &'a mut [f64],
+}
+
+impl WithSimd for Activate<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let pairs = self.values.iter_mut().zip(self.pre_activation);
+        // Loops, not closures: a closure need not be inlined, and then is not vectorised.
+        match self.activation {
+            Activation::Tanh => {
+                for (value, z) in pairs {
+                    *value = tanh(*z);
+                }
+            }
+            Activation::Logistic => {
+                for (value, z) in pairs {
+                    *value = 0.5 + 0.5 * tanh(0.5 * z);
+                }
+            }
+            Activation::Gaussian => {
+                for (value, z) in pairs {
+                    *value = exp_of_negative(-(z * z));
+                }
+            }
+        }
     }
 }
 
-/// Replaces z by φ'(z), with the help of a = φ(z).
-#[inline(always)]
-fn differentiate(activation: Activation, values: &[f64], slopes: &mut [f64]) {
-    let pairs = slopes.iter_mut().zip(values);
-    match activation {
-        Activation::Tanh => pairs.for_each(|(slope, a)| *slope = 1.0 - a * a),
-        Activation::Logistic => pairs.for_each(|(slope, a)| *slope = a * (1.0 - a)),
-        Activation::Gaussian => pairs.for_each(|(slope, a)| *slope = -2.0 * *slope * a),
-    }
+/// `sensitivities[p][o] *= φ'(pre_activation[p])`, where `values` is φ(pre_activation).
+struct ApplySlopes<'a> {
+    activation: Activation,
+    pre_activation: &'a [f64],
+    values: &'a [f64],
+    sensitivities: &'a mut [f64],
+    /// Row length of the sensitivities, a multiple of [`BATCH`].
+    columns: usize,
 }
 
-#[inline(always)]
-fn map_rows(sums: &[f64], values: &mut [f64], function: impl Fn(f64) -> f64) {
-    for (value, &z) in values.iter_mut().zip(sums) {
-        *value = function(z);
-    }
-}
+impl WithSimd for ApplySlopes<'_> {
+    type Output = ();
 
-/// Multiplies each of the `columns / BATCH` blocks of row p of `target` by row p of `slopes`.
-#[inline(always)]
-fn scale_rows(slopes: &[f64], target: &mut [f64], columns: usize) {
-    let (slopes, _) = slopes.as_chunks::<BATCH>();
-    for (slopes, row) in slopes.iter().zip(target.chunks_exact_mut(columns)) {
-        for block in row.as_chunks_mut::<BATCH>().0 {
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let (pre_activation, _) = self.pre_activation.as_chunks::<BATCH>();
+        let (values, _) = self.values.as_chunks::<BATCH>();
+        let nodes = pre_activation.iter().zip(values);
+        for ((z, a), row) in nodes.zip(self.sensitivities.chunks_exact_mut(self.columns)) {
+            let mut slopes = [0.0; BATCH];
             for s in 0..BATCH {
-                block[s] *= slopes[s];
+                slopes[s] = match self.activation {
+                    Activation::Tanh => 1.0 - a[s] * a[s],
+                    Activation::Logistic => a[s] * (1.0 - a[s]),
+                    Activation::Gaussian => -2.0 * z[s] * a[s],
+                };
+            }
+            for block in row.as_chunks_mut::<BATCH>().0 {
+                for s in 0..BATCH {
+                    block[s] *= slopes[s];
+                }
             }
         }
     }
