@@ -11,7 +11,7 @@
 //! division are exact to the last bit by IEEE 754). A matrix that is not positive definite to
 //! rounding is an outcome, `false`, not an error.
 
-use super::panel_product::{PanelProduct, Store, round_up, row_stride};
+use super::panel_product::{LANES, PanelProduct, Store, round_up, row_stride};
 use pulp::{Arch, Simd, WithSimd};
 
 /// Rows that are factored before the rest of the matrix is updated.
@@ -25,8 +25,8 @@ pub(super) struct Cholesky {
     stride: usize,
     /// Upper triangle of U, row-major, rows `stride` apart.
     factor: Vec<f64>,
-    /// The block's columns as rows, shape `[order][BLOCK]`.
-    columns: Vec<f64>,
+    /// The block's columns as rows.
+    columns: Vec<[f64; BLOCK]>,
 }
 
 impl Cholesky {
@@ -38,7 +38,7 @@ impl Cholesky {
             order,
             stride,
             factor: vec![0.0; order * stride],
-            columns: vec![0.0; order * BLOCK],
+            columns: vec![[0.0; BLOCK]; order],
         }
     }
 
@@ -75,15 +75,13 @@ impl Cholesky {
             }
             for column in next..order {
                 for r in 0..rows {
-                    self.columns[column * BLOCK + r] = block[r * stride + column];
+                    self.columns[column][r] = block[r * stride + column];
                 }
             }
             for start in (next..order).step_by(BLOCK) {
-                let column = start / super::panel_product::LANES * super::panel_product::LANES;
+                let column = start / LANES * LANES;
                 self.arch.dispatch(PanelProduct {
-                    left: &self.columns[start * BLOCK..],
-                    left_stride: BLOCK,
-                    rows: BLOCK.min(order - start),
+                    left: &self.columns[start..order.min(start + BLOCK)],
                     terms: rows,
                     panel: &block[column..],
                     panel_stride: stride,

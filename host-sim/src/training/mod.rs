@@ -32,10 +32,14 @@ mod elementary;
 pub mod initial;
 pub mod levenberg_marquardt;
 pub mod network_problem;
+#[cfg(test)]
+mod network_tests;
 mod normal_matrix;
 mod panel_product;
 mod propagation;
 pub mod smoothing;
+#[cfg(test)]
+mod solver_tests;
 #[cfg(test)]
 mod testing;
 

@@ -18,7 +18,7 @@ use super::levenberg_marquardt::LeastSquares;
 use super::normal_matrix::NormalMatrix;
 use super::propagation::{BATCH, Propagation, layer_shapes};
 use agent_core::network::Architecture;
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 /// Most parameters that can be trained; JᵀJ then takes half a gigabyte.
 pub const PARAMETERS_MAX: usize = 8192;
@@ -246,7 +246,7 @@ impl SquareSums {
     /// Writes estimate − target of a batch into `residuals` and adds their squares.
     fn add(&mut self, arch: Arch, estimates: &[f64], batch: &Batch<'_>, residuals: &mut [f64]) {
         let sums = &mut self.0[..batch.samples];
-        arch.dispatch(|| subtract_and_square(estimates, batch.targets, residuals, sums));
+        arch.dispatch(SubtractAndSquare { estimates, targets: batch.targets, residuals, sums });
     }
 
     fn total(&self) -> f64 {
@@ -254,20 +254,27 @@ impl SquareSums {
     }
 }
 
-#[inline(always)]
-fn subtract_and_square(
-    estimates: &[f64],
-    targets: &[f64],
-    residuals: &mut [f64],
-    sums: &mut [f64],
-) {
-    let rows = estimates.chunks_exact(BATCH).zip(targets.chunks_exact(BATCH));
-    for ((estimates, targets), residuals) in rows.zip(residuals.chunks_exact_mut(BATCH)) {
-        for s in 0..BATCH {
-            residuals[s] = estimates[s] - targets[s];
-        }
-        for (sum, residual) in sums.iter_mut().zip(&*residuals) {
-            *sum += residual * residual;
+/// `residuals = estimates − targets`, `sums += residuals²`.
+struct SubtractAndSquare<'a> {
+    estimates: &'a [f64],
+    targets: &'a [f64],
+    residuals: &'a mut [f64],
+    sums: &'a mut [f64],
+}
+
+impl WithSimd for SubtractAndSquare<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let rows = self.estimates.chunks_exact(BATCH).zip(self.targets.chunks_exact(BATCH));
+        for ((estimates, targets), residuals) in rows.zip(self.residuals.chunks_exact_mut(BATCH)) {
+            for s in 0..BATCH {
+                residuals[s] = estimates[s] - targets[s];
+            }
+            for (sum, residual) in self.sums.iter_mut().zip(&*residuals) {
+                *sum += residual * residual;
+            }
         }
     }
 }

@@ -22,7 +22,7 @@
 
 use super::panel_product::{LANES, PanelProduct, Store, round_up, row_stride};
 use super::propagation::{BATCH, LayerShape, Propagation};
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 /// Accumulators of JᵀJ and Jᵀe.
 #[derive(Clone, Debug)]
@@ -109,49 +109,41 @@ impl NormalMatrix {
             sample_major(batch.sensitivities(k), self.outputs, layer.width, target);
         }
         for pair in &self.pairs {
-            let (k, outputs) = (pair.first, self.outputs);
+            let k = pair.first;
             let stride = panel_stride(pair.columns);
-            let (right, first) = (&mut self.right, &self.by_sample[k]);
+            let (right, first) = (&mut self.right[..], &self.by_sample[k][..]);
             let width = self.layers[k].width;
             let left = match pair.second {
                 Second::Residuals => {
-                    self.arch.dispatch(|| weighted(first, residuals, width, right, stride));
+                    self.arch.dispatch(WeightedSensitivities {
+                        sensitivities: first,
+                        residuals,
+                        width,
+                        right,
+                        stride,
+                    });
                     batch.inputs(k)
                 }
                 Second::Layer(l) => {
-                    let left = &mut self.left;
-                    let (a, b) = (batch.inputs(k), batch.inputs(l));
-                    self.arch.dispatch(|| input_products(a, b, k == l, left));
-                    let second = &self.by_sample[l];
-                    let widths = [width, self.layers[l].width];
-                    if k == l {
-                        self.arch.dispatch(|| {
-                            sensitivity_products::<true>(
-                                [first, second],
-                                widths,
-                                outputs,
-                                right,
-                                stride,
-                            );
-                        });
-                    } else {
-                        self.arch.dispatch(|| {
-                            sensitivity_products::<false>(
-                                [first, second],
-                                widths,
-                                outputs,
-                                right,
-                                stride,
-                            );
-                        });
-                    }
-                    &*left
+                    self.arch.dispatch(InputProducts {
+                        first: batch.inputs(k),
+                        second: batch.inputs(l),
+                        symmetric: k == l,
+                        left: &mut self.left,
+                    });
+                    self.arch.dispatch(SensitivityProducts {
+                        factors: [first, &self.by_sample[l]],
+                        widths: [width, self.layers[l].width],
+                        symmetric: k == l,
+                        outputs: self.outputs,
+                        right,
+                        stride,
+                    });
+                    &self.left
                 }
             };
             self.arch.dispatch(PanelProduct {
-                left,
-                left_stride: BATCH,
-                rows: pair.rows,
+                left: &left.as_chunks::<BATCH>().0[..pair.rows],
                 terms: samples,
                 panel: &self.right,
                 panel_stride: stride,
@@ -246,71 +238,104 @@ fn sample_major(source: &[f64], outputs: usize, width: usize, target: &mut [f64]
     }
 }
 
-/// `left[(i, j)][s] = a[i][s] · b[j][s]`, for j ≥ i only if `symmetric`.
-#[inline(always)]
-fn input_products(a: &[f64], b: &[f64], symmetric: bool, left: &mut [f64]) {
-    let (a, b) = (a.as_chunks::<BATCH>().0, b.as_chunks::<BATCH>().0);
-    let mut targets = left.as_chunks_mut::<BATCH>().0.iter_mut();
-    for (i, a) in a.iter().enumerate() {
-        let from = if symmetric { i } else { 0 };
-        for (b, target) in b[from..].iter().zip(&mut targets) {
-            for s in 0..BATCH {
-                target[s] = a[s] * b[s];
+/// `left[(i, j)][s] = first[i][s] · second[j][s]`, for j ≥ i only if symmetric.
+struct InputProducts<'a> {
+    first: &'a [f64],
+    second: &'a [f64],
+    symmetric: bool,
+    left: &'a mut [f64],
+}
+
+impl WithSimd for InputProducts<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let (first, _) = self.first.as_chunks::<BATCH>();
+        let (second, _) = self.second.as_chunks::<BATCH>();
+        let mut targets = self.left.as_chunks_mut::<BATCH>().0.iter_mut();
+        for (i, a) in first.iter().enumerate() {
+            let from = if self.symmetric { i } else { 0 };
+            for (b, target) in second[from..].iter().zip(&mut targets) {
+                for s in 0..BATCH {
+                    target[s] = a[s] * b[s];
+                }
             }
         }
     }
 }
 
-/// `right[s][(p, q)] = Σ_o first[s][o][p] · second[s][o][q]`, for q ≥ p only if `SYMMETRIC`.
+/// `right[s][(p, q)] = Σ_o first[s][o][p] · second[s][o][q]`, for q ≥ p only if symmetric.
 ///
 /// Rows are written in whole vectors; what goes beyond the last q is overwritten by the next
 /// p, or is padding.
-#[inline(always)]
-fn sensitivity_products<const SYMMETRIC: bool>(
-    [first, second]: [&[f64]; 2],
-    [first_width, width]: [usize; 2],
+struct SensitivityProducts<'a> {
+    factors: [&'a [f64]; 2],
+    widths: [usize; 2],
+    symmetric: bool,
     outputs: usize,
-    right: &mut [f64],
+    right: &'a mut [f64],
     stride: usize,
-) {
-    let (first_stride, second_stride) = (node_stride(first_width), node_stride(width));
-    let samples = first
-        .chunks_exact(outputs * first_stride)
-        .zip(second.chunks_exact(outputs * second_stride))
-        .zip(right.chunks_exact_mut(stride));
-    for ((first, second), right) in samples {
-        let mut start = 0;
-        for p in 0..first_width {
-            let from = if SYMMETRIC { p } else { 0 };
-            for chunk in 0..(width - from).div_ceil(LANES) {
-                let lane = from + chunk * LANES;
-                let mut sums = [0.0; LANES];
-                for o in 0..outputs {
-                    let factor = first[o * first_stride + p];
-                    let values = &second[o * second_stride + lane..][..LANES];
-                    for i in 0..LANES {
-                        sums[i] += factor * values[i];
+}
+
+impl WithSimd for SensitivityProducts<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let strides = self.widths.map(node_stride);
+        let samples = self.factors[0]
+            .chunks_exact(self.outputs * strides[0])
+            .zip(self.factors[1].chunks_exact(self.outputs * strides[1]))
+            .zip(self.right.chunks_exact_mut(self.stride));
+        for ((first, second), right) in samples {
+            let mut start = 0;
+            for p in 0..self.widths[0] {
+                let from = if self.symmetric { p } else { 0 };
+                let count = self.widths[1] - from;
+                // From here on in explicit vectors: the sums stay in registers.
+                let targets = &mut right[start..][..round_up(count)];
+                for (v, target) in S::as_mut_simd_f64s(targets).0.iter_mut().enumerate() {
+                    let mut sum = simd.splat_f64s(0.0);
+                    for o in 0..self.outputs {
+                        let values = &second[o * strides[1] + from + v * S::F64_LANES..];
+                        let values = S::as_simd_f64s(&values[..S::F64_LANES]).0[0];
+                        let factor = simd.splat_f64s(first[o * strides[0] + p]);
+                        sum = simd.add_f64s(sum, simd.mul_f64s(factor, values));
                     }
+                    *target = sum;
                 }
-                right[start + chunk * LANES..][..LANES].copy_from_slice(&sums);
+                start += count;
             }
-            start += width - from;
         }
     }
 }
 
-/// `right[s][p] = Σ_o first[s][o][p] · residuals[o][s]`.
-#[inline(always)]
-fn weighted(first: &[f64], residuals: &[f64], width: usize, right: &mut [f64], stride: usize) {
-    let node_stride = node_stride(width);
-    let (residuals, _) = residuals.as_chunks::<BATCH>();
-    let samples = first.chunks_exact(residuals.len() * node_stride);
-    for (s, (first, right)) in samples.zip(right.chunks_exact_mut(stride)).enumerate() {
-        let right = &mut right[..round_up(width)];
-        right.fill(0.0);
-        for (first, residuals) in first.chunks_exact(node_stride).zip(residuals) {
-            for (target, value) in right.iter_mut().zip(first) {
-                *target += residuals[s] * value;
+/// `right[s][p] = Σ_o sensitivities[s][o][p] · residuals[o][s]`.
+struct WeightedSensitivities<'a> {
+    sensitivities: &'a [f64],
+    residuals: &'a [f64],
+    width: usize,
+    right: &'a mut [f64],
+    stride: usize,
+}
+
+impl WithSimd for WeightedSensitivities<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let node_stride = node_stride(self.width);
+        let (residuals, _) = self.residuals.as_chunks::<BATCH>();
+        let samples = self.sensitivities.chunks_exact(residuals.len() * node_stride);
+        let targets = self.right.chunks_exact_mut(self.stride);
+        for (s, (sensitivities, target)) in samples.zip(targets).enumerate() {
+            let target = &mut target[..round_up(self.width)];
+            target.fill(0.0);
+            for (row, residuals) in sensitivities.chunks_exact(node_stride).zip(residuals) {
+                for (target, value) in target.iter_mut().zip(row) {
+                    *target += residuals[s] * value;
+                }
             }
         }
     }

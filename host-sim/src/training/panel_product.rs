@@ -42,14 +42,13 @@ pub(super) enum Store {
 }
 
 /// One product; see the module.
-pub(super) struct PanelProduct<'a> {
-    /// Shape `[rows][terms]`, rows `left_stride` apart.
-    pub(super) left: &'a [f64],
-    /// Distance of the rows of `left`.
-    pub(super) left_stride: usize,
-    /// Rows of `left` and of the output.
-    pub(super) rows: usize,
-    /// Terms of each sum.
+///
+/// `left` has rows of a length `STRIDE` known at compile time: a tile then addresses all its
+/// rows by one pointer and constant distances.
+pub(super) struct PanelProduct<'a, const STRIDE: usize> {
+    /// Shape `[rows][terms]`, padded to `STRIDE`.
+    pub(super) left: &'a [[f64; STRIDE]],
+    /// Terms of each sum, at most `STRIDE`.
     pub(super) terms: usize,
     /// Shape `[terms][columns]`, rows `panel_stride` apart.
     pub(super) panel: &'a [f64],
@@ -65,52 +64,46 @@ pub(super) struct PanelProduct<'a> {
     pub(super) store: Store,
 }
 
-impl WithSimd for PanelProduct<'_> {
+impl<const STRIDE: usize> WithSimd for PanelProduct<'_, STRIDE> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
-        debug_assert!(self.columns.is_multiple_of(LANES));
+        debug_assert!(self.columns.is_multiple_of(LANES) && self.terms <= STRIDE);
         let mut column = 0;
-        while column < self.columns {
-            // Three vectors of columns at a time, but never three and then one.
-            let vectors = match (self.columns - column) / S::F64_LANES {
-                4 | 2 => 2,
-                1 => 1,
-                _ => 3,
-            };
-            match vectors {
-                1 => self.strip::<S, 1>(simd, column),
-                2 => self.strip::<S, 2>(simd, column),
-                _ => self.strip::<S, 3>(simd, column),
-            }
-            column += vectors * S::F64_LANES;
+        while self.columns - column >= 2 * S::F64_LANES {
+            self.strip::<S, 2>(simd, column);
+            column += 2 * S::F64_LANES;
+        }
+        if column < self.columns {
+            self.strip::<S, 1>(simd, column);
         }
     }
 }
 
-impl PanelProduct<'_> {
+impl<const STRIDE: usize> PanelProduct<'_, STRIDE> {
     /// All rows of `VECTORS` vectors of columns, which stay in the first-level cache.
     #[inline(always)]
     fn strip<S: Simd, const VECTORS: usize>(&mut self, simd: S, column: usize) {
         let mut row = 0;
-        // Eight rows by three vectors fill 24 of 32 registers, four by three 12 of 16.
+        // Eight rows by two vectors fill 16 of 32 registers, four by two 8 of 16. Both hide
+        // the latency of an addition; larger tiles were spilt and slower.
         if S::REGISTER_COUNT >= 32 {
-            while self.rows - row >= 8 {
-                self.tile::<S, 8, VECTORS>(simd, row, column);
+            while let Some(left) = self.left[row..].first_chunk() {
+                self.tile::<S, 8, VECTORS>(simd, left, row, column);
                 row += 8;
             }
         }
-        while self.rows - row >= 4 {
-            self.tile::<S, 4, VECTORS>(simd, row, column);
+        while let Some(left) = self.left[row..].first_chunk() {
+            self.tile::<S, 4, VECTORS>(simd, left, row, column);
             row += 4;
         }
-        if self.rows - row >= 2 {
-            self.tile::<S, 2, VECTORS>(simd, row, column);
+        if let Some(left) = self.left[row..].first_chunk() {
+            self.tile::<S, 2, VECTORS>(simd, left, row, column);
             row += 2;
         }
-        if self.rows - row >= 1 {
-            self.tile::<S, 1, VECTORS>(simd, row, column);
+        if let Some(left) = self.left[row..].first_chunk() {
+            self.tile::<S, 1, VECTORS>(simd, left, row, column);
         }
     }
 
@@ -118,32 +111,30 @@ impl PanelProduct<'_> {
     fn tile<S: Simd, const ROWS: usize, const VECTORS: usize>(
         &mut self,
         simd: S,
+        left: &[[f64; STRIDE]; ROWS],
         row: usize,
         column: usize,
     ) {
-        let terms = self.terms;
         let width = VECTORS * S::F64_LANES;
-        let left: [&[f64]; ROWS] =
-            core::array::from_fn(|r| &self.left[(row + r) * self.left_stride..][..terms]);
         let mut sums = [[simd.splat_f64s(0.0); VECTORS]; ROWS];
-        for t in 0..terms {
+        for t in 0..self.terms.min(STRIDE) {
             let panel = &self.panel[t * self.panel_stride + column..][..width];
             let panel = S::as_simd_f64s(panel).0;
-            for (sums, left) in sums.iter_mut().zip(&left) {
-                let factor = simd.splat_f64s(left[t]);
+            for r in 0..ROWS {
+                let factor = simd.splat_f64s(left[r][t]);
                 for v in 0..VECTORS {
-                    sums[v] = simd.add_f64s(sums[v], simd.mul_f64s(factor, panel[v]));
+                    sums[r][v] = simd.add_f64s(sums[r][v], simd.mul_f64s(factor, panel[v]));
                 }
             }
         }
-        for (r, sums) in sums.iter().enumerate() {
+        for r in 0..ROWS {
             let output = &mut self.output[(row + r) * self.output_stride + column..][..width];
             let output = S::as_mut_simd_f64s(output).0;
             for v in 0..VECTORS {
                 output[v] = match self.store {
-                    Store::Set => sums[v],
-                    Store::Add => simd.add_f64s(output[v], sums[v]),
-                    Store::Subtract => simd.sub_f64s(output[v], sums[v]),
+                    Store::Set => sums[r][v],
+                    Store::Add => simd.add_f64s(output[v], sums[r][v]),
+                    Store::Subtract => simd.sub_f64s(output[v], sums[r][v]),
                 };
             }
         }
@@ -155,13 +146,13 @@ mod tests {
     use super::*;
 
     /// The definition, element by element.
-    fn naive(rows: usize, terms: usize, columns: usize, left: &[f64], panel: &[f64]) -> Vec<f64> {
-        let mut output = vec![1.0; rows * columns];
-        for r in 0..rows {
+    fn naive(left: &[[f64; 16]], terms: usize, columns: usize, panel: &[f64]) -> Vec<f64> {
+        let mut output = vec![1.0; left.len() * columns];
+        for r in 0..left.len() {
             for c in 0..columns {
                 let mut sum = 0.0;
                 for t in 0..terms {
-                    sum += left[r * terms + t] * panel[t * columns + c];
+                    sum += left[r][t] * panel[t * columns + c];
                 }
                 output[r * columns + c] -= sum;
             }
@@ -174,17 +165,15 @@ mod tests {
         for rows in 0..20 {
             for columns in (8..=72).step_by(8) {
                 let terms = (3 * rows + columns) % 11;
-                let left: Vec<f64> =
-                    (0..rows * terms).map(|i| 1.0 / (i as f64 + 3.0) - 0.2).collect();
+                let row = |r| core::array::from_fn(|t| 1.0 / (r * 16 + t + 3) as f64 - 0.2);
+                let left: Vec<[f64; 16]> = (0..rows).map(row).collect();
                 let panel: Vec<f64> =
                     (0..terms * columns).map(|i| 1.0 / (i as f64 + 7.0) - 0.1).collect();
-                let expected = naive(rows, terms, columns, &left, &panel);
+                let expected = naive(&left, terms, columns, &panel);
                 for arch in [pulp::Arch::new(), pulp::Arch::Scalar] {
                     let mut output = vec![1.0; rows * columns];
                     arch.dispatch(PanelProduct {
                         left: &left,
-                        left_stride: terms,
-                        rows,
                         terms,
                         panel: &panel,
                         panel_stride: columns,

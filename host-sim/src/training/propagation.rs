@@ -15,15 +15,19 @@
 //! unit works on neighbouring samples and each sample's sums run in the order written above.
 
 use super::elementary::{exp_of_negative, tanh};
-use super::panel_product::{PanelProduct, Store};
+use super::panel_product::{PanelProduct, Store, round_up};
 use agent_core::activation::Activation;
-use agent_core::network::Architecture;
-use pulp::Arch;
+use agent_core::network::{Architecture, LAYER_WIDTH_MAX};
+use pulp::{Arch, Simd, WithSimd};
 
 /// Samples that are propagated together. Sums over samples are taken batch by batch, so this
 /// number is part of what fixes the bits. With 64, the panels of a 12-wide layer fit the
 /// second-level cache and a strip of them the first.
 pub(super) const BATCH: usize = 64;
+
+/// Row length of weights, as the left factor of a product: the most inputs of a node, with the
+/// bias, in whole cache lines.
+const WEIGHT_ROW: usize = round_up(LAYER_WIDTH_MAX + 1);
 
 /// Where one layer finds its parameters.
 #[derive(Clone, Copy, Debug)]
@@ -58,14 +62,15 @@ pub(super) struct Propagation {
     /// Outer weights, shape `[L][outputs]`.
     outer: Vec<f64>,
     /// Outer weights transposed, shape `[outputs][L]`.
-    outer_by_output: Vec<f64>,
-    parameters: Vec<f64>,
-    /// Parameters of each layer transposed, shape `[width][1 + inputs]`.
-    by_node: Vec<Vec<f64>>,
+    outer_by_output: Vec<[f64; WEIGHT_ROW]>,
+    /// What enters each node of each layer, bias first: shape `[width][1 + inputs]`.
+    entering: Vec<Vec<[f64; WEIGHT_ROW]>>,
+    /// What leaves each input of each layer: shape `[inputs][width]`.
+    leaving: Vec<Vec<[f64; WEIGHT_ROW]>>,
     /// Inputs of layer k with a leading row of ones, `[1 + inputs][BATCH]`; then the features.
     inputs: Vec<Vec<f64>>,
-    /// First z_k, after [`Self::backward`] φ'(z_k): `[width][BATCH]`.
-    slopes: Vec<Vec<f64>>,
+    /// z_k, `[width][BATCH]`.
+    pre_activations: Vec<Vec<f64>>,
     /// δ_k, `[width][outputs][BATCH]`.
     sensitivities: Vec<Vec<f64>>,
     /// f̂, `[outputs][BATCH]`.
@@ -87,11 +92,11 @@ impl Propagation {
             arch,
             outputs,
             outer: outer.to_vec(),
-            outer_by_output: transpose(outer, outputs),
-            parameters: vec![0.0; architecture.parameter_count()],
-            by_node: layers.iter().map(|l| vec![0.0; l.width * (1 + l.inputs)]).collect(),
+            outer_by_output: padded_columns(outer, outputs),
+            entering: vec![Vec::new(); layers.len()],
+            leaving: vec![Vec::new(); layers.len()],
             inputs,
-            slopes: rows(BATCH),
+            pre_activations: rows(BATCH),
             sensitivities: rows(outputs * BATCH),
             estimates: vec![0.0; outputs * BATCH],
             layers,
@@ -100,10 +105,11 @@ impl Propagation {
 
     /// Takes over the parameters, flat.
     pub(super) fn set_parameters(&mut self, parameters: &[f64]) {
-        self.parameters.copy_from_slice(parameters);
-        for (layer, by_node) in self.layers.iter().zip(&mut self.by_node) {
-            let count = layer.width * (1 + layer.inputs);
-            *by_node = transpose(&parameters[layer.offset..][..count], layer.width);
+        for (k, layer) in self.layers.iter().enumerate() {
+            let rows = &parameters[layer.offset..][..(1 + layer.inputs) * layer.width];
+            let weights = &rows[layer.width..];
+            self.entering[k] = padded_columns(rows, layer.width);
+            self.leaving[k] = weights.chunks_exact(layer.width).map(padded).collect();
         }
     }
 
@@ -112,13 +118,10 @@ impl Propagation {
         self.inputs[0][BATCH..].copy_from_slice(batch);
         for (k, layer) in self.layers.iter().enumerate() {
             let (head, tail) = self.inputs.split_at_mut(k + 1);
-            let pre_activation = &mut self.slopes[k];
-            let terms = 1 + layer.inputs;
+            let pre_activation = &mut self.pre_activations[k][..];
             self.arch.dispatch(PanelProduct {
-                left: &self.by_node[k],
-                left_stride: terms,
-                rows: layer.width,
-                terms,
+                left: &self.entering[k],
+                terms: 1 + layer.inputs,
                 panel: &head[k],
                 panel_stride: BATCH,
                 columns: BATCH,
@@ -126,15 +129,12 @@ impl Propagation {
                 output_stride: BATCH,
                 store: Store::Set,
             });
-            let target = &mut tail[0][BATCH..];
-            self.arch.dispatch(|| activate(layer.activation, pre_activation, target));
+            let values = &mut tail[0][BATCH..];
+            self.arch.dispatch(Activate { activation: layer.activation, pre_activation, values });
         }
-        let features = self.outer_by_output.len() / self.outputs;
         self.arch.dispatch(PanelProduct {
             left: &self.outer_by_output,
-            left_stride: features,
-            rows: self.outputs,
-            terms: features,
+            terms: self.outer.len() / self.outputs,
             panel: &self.inputs[self.layers.len()][BATCH..],
             panel_stride: BATCH,
             columns: BATCH,
@@ -149,18 +149,12 @@ impl Propagation {
     /// [`Self::sensitivities`].
     pub(super) fn backward(&mut self) {
         for (k, layer) in self.layers.iter().enumerate().rev() {
-            let slopes = &mut self.slopes[k];
-            let values = &self.inputs[k + 1][BATCH..];
-            self.arch.dispatch(|| differentiate(layer.activation, values, slopes));
             let (head, tail) = self.sensitivities.split_at_mut(k + 1);
             let target = &mut head[k];
             let columns = self.outputs * BATCH;
             if let Some(next) = self.layers.get(k + 1) {
                 self.arch.dispatch(PanelProduct {
-                    // Row p holds the weights that leave node p; the biases come before.
-                    left: &self.parameters[next.offset + next.width..],
-                    left_stride: next.width,
-                    rows: layer.width,
+                    left: &self.leaving[k + 1],
                     terms: next.width,
                     panel: &tail[0],
                     panel_stride: columns,
@@ -174,7 +168,13 @@ impl Propagation {
                     rows.fill(*outer);
                 }
             }
-            self.arch.dispatch(|| scale_rows(slopes, target, columns));
+            self.arch.dispatch(ApplySlopes {
+                activation: layer.activation,
+                pre_activation: &self.pre_activations[k],
+                values: &self.inputs[k + 1][BATCH..],
+                sensitivities: target,
+                columns,
+            });
         }
     }
 
@@ -189,46 +189,82 @@ impl Propagation {
     }
 }
 
-/// Transpose of a row-major matrix with `columns` columns.
-fn transpose(matrix: &[f64], columns: usize) -> Vec<f64> {
-    (0..columns).flat_map(|c| matrix.iter().skip(c).step_by(columns).copied()).collect()
+/// A row of weights, with zeros up to the fixed length.
+fn padded(row: &[f64]) -> [f64; WEIGHT_ROW] {
+    core::array::from_fn(|i| row.get(i).copied().unwrap_or(0.0))
 }
 
-#[inline(always)]
-fn activate(activation: Activation, sums: &[f64], values: &mut [f64]) {
-    match activation {
-        Activation::Tanh => map_rows(sums, values, |z| tanh(z)),
-        Activation::Logistic => map_rows(sums, values, |z| 0.5 + 0.5 * tanh(0.5 * z)),
-        Activation::Gaussian => map_rows(sums, values, |z| exp_of_negative(-(z * z))),
+/// The columns of a row-major matrix as padded rows.
+fn padded_columns(matrix: &[f64], columns: usize) -> Vec<[f64; WEIGHT_ROW]> {
+    let entry = |i: usize, c: usize| matrix.get(i * columns + c).copied().unwrap_or(0.0);
+    (0..columns).map(|c| core::array::from_fn(|i| entry(i, c))).collect()
+}
+
+/// `values = φ(pre_activation)`.
+struct Activate<'a> {
+    activation: Activation,
+    pre_activation: &'a [f64],
+    values: &'a mut [f64],
+}
+
+impl WithSimd for Activate<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let pairs = self.values.iter_mut().zip(self.pre_activation);
+        // Loops, not closures: a closure need not be inlined, and then is not vectorised.
+        match self.activation {
+            Activation::Tanh => {
+                for (value, z) in pairs {
+                    *value = tanh(*z);
+                }
+            }
+            Activation::Logistic => {
+                for (value, z) in pairs {
+                    *value = 0.5 + 0.5 * tanh(0.5 * z);
+                }
+            }
+            Activation::Gaussian => {
+                for (value, z) in pairs {
+                    *value = exp_of_negative(-(z * z));
+                }
+            }
+        }
     }
 }
 
-/// Replaces z by φ'(z), with the help of a = φ(z).
-#[inline(always)]
-fn differentiate(activation: Activation, values: &[f64], slopes: &mut [f64]) {
-    let pairs = slopes.iter_mut().zip(values);
-    match activation {
-        Activation::Tanh => pairs.for_each(|(slope, a)| *slope = 1.0 - a * a),
-        Activation::Logistic => pairs.for_each(|(slope, a)| *slope = a * (1.0 - a)),
-        Activation::Gaussian => pairs.for_each(|(slope, a)| *slope = -2.0 * *slope * a),
-    }
+/// `sensitivities[p][o] *= φ'(pre_activation[p])`, where `values` is φ(pre_activation).
+struct ApplySlopes<'a> {
+    activation: Activation,
+    pre_activation: &'a [f64],
+    values: &'a [f64],
+    sensitivities: &'a mut [f64],
+    /// Row length of the sensitivities, a multiple of [`BATCH`].
+    columns: usize,
 }
 
-#[inline(always)]
-fn map_rows(sums: &[f64], values: &mut [f64], function: impl Fn(f64) -> f64) {
-    for (value, &z) in values.iter_mut().zip(sums) {
-        *value = function(z);
-    }
-}
+impl WithSimd for ApplySlopes<'_> {
+    type Output = ();
 
-/// Multiplies each of the `columns / BATCH` blocks of row p of `target` by row p of `slopes`.
-#[inline(always)]
-fn scale_rows(slopes: &[f64], target: &mut [f64], columns: usize) {
-    let (slopes, _) = slopes.as_chunks::<BATCH>();
-    for (slopes, row) in slopes.iter().zip(target.chunks_exact_mut(columns)) {
-        for block in row.as_chunks_mut::<BATCH>().0 {
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let (pre_activation, _) = self.pre_activation.as_chunks::<BATCH>();
+        let (values, _) = self.values.as_chunks::<BATCH>();
+        let nodes = pre_activation.iter().zip(values);
+        for ((z, a), row) in nodes.zip(self.sensitivities.chunks_exact_mut(self.columns)) {
+            let mut slopes = [0.0; BATCH];
             for s in 0..BATCH {
-                block[s] *= slopes[s];
+                slopes[s] = match self.activation {
+                    Activation::Tanh => 1.0 - a[s] * a[s],
+                    Activation::Logistic => a[s] * (1.0 - a[s]),
+                    Activation::Gaussian => -2.0 * z[s] * a[s],
+                };
+            }
+            for block in row.as_chunks_mut::<BATCH>().0 {
+                for s in 0..BATCH {
+                    block[s] *= slopes[s];
+                }
             }
         }
     }

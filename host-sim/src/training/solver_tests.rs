@@ -1,0 +1,200 @@
+//! The solver: every reason to stop and its opposite, what is returned, and determinism.
+
+use super::testing::{architecture, assert_close, random_data, random_values};
+use super::*;
+use agent_core::activation::Activation::Tanh;
+
+const GO: ControlFlow<()> = ControlFlow::Continue(());
+
+/// E = ((x − 3)² + offset²) / 2, with a validation error that falls and then rises.
+struct Line {
+    offset: f64,
+    /// Where the validation error has its minimum.
+    validation: Option<f64>,
+    /// Whether E claims to be worse everywhere than at the start.
+    deceptive: bool,
+}
+
+impl LeastSquares for Line {
+    fn parameter_count(&self) -> usize {
+        1
+    }
+
+    fn cost(&mut self, x: &[f64]) -> f64 {
+        if self.deceptive {
+            return f64::NAN;
+        }
+        0.5 * ((x[0] - 3.0) * (x[0] - 3.0) + self.offset * self.offset)
+    }
+
+    fn normal_equations(&mut self, x: &[f64], hessian: &mut [f64], gradient: &mut [f64]) -> f64 {
+        hessian[0] = 0.5;
+        gradient[0] = 0.5 * (x[0] - 3.0);
+        0.5 * ((x[0] - 3.0) * (x[0] - 3.0) + self.offset * self.offset)
+    }
+
+    fn validation_cost(&mut self, x: &[f64]) -> Option<f64> {
+        self.validation.map(|best| (x[0] - best) * (x[0] - best))
+    }
+}
+
+const LINE: Line = Line { offset: 0.0, validation: None, deceptive: false };
+
+/// Small steps: damping stays at 10 against a curvature of 0.5.
+fn slow() -> LevenbergMarquardtSettings {
+    LevenbergMarquardtSettings { damping_initial: 10.0, damping_min: 10.0, ..Default::default() }
+}
+
+fn solve(mut line: Line, settings: &LevenbergMarquardtSettings) -> (f64, TrainingReport) {
+    let (x, report) = minimize(&mut line, vec![0.0], settings, &mut |_| GO).expect("valid");
+    (x[0], report)
+}
+
+#[test]
+fn goal_is_reached_if_it_can_be() {
+    let settings = LevenbergMarquardtSettings { goal: 1e-4, ..Default::default() };
+    let (_, report) = solve(LINE, &settings);
+    assert_eq!(report.stop, StopReason::Goal);
+    assert!(report.epochs.last().is_some_and(|last| last.train <= 1e-4));
+    assert!(report.epochs.iter().rev().skip(1).all(|epoch| epoch.train > 1e-4));
+    let (x, report) = solve(Line { offset: 1.0, ..LINE }, &settings);
+    assert_eq!(report.stop, StopReason::Gradient, "the goal is below the minimum");
+    assert_close(&[x], &[3.0], 1e-7, 0.0);
+}
+
+#[test]
+fn epochs_are_counted_as_steps() {
+    for epochs_max in [0, 1, 7] {
+        let (_, report) = solve(LINE, &LevenbergMarquardtSettings { epochs_max, ..slow() });
+        assert_eq!(report.stop, StopReason::Epochs);
+        assert_eq!(report.epochs.len(), epochs_max + 1);
+        assert_eq!(report.best_epoch, epochs_max);
+    }
+}
+
+#[test]
+fn damping_follows_the_schedule() {
+    let (_, report) = solve(Line { offset: 1.0, ..LINE }, &LevenbergMarquardtSettings::default());
+    let damping: Vec<f64> = report.epochs.iter().map(|epoch| epoch.damping).collect();
+    assert_close(&damping[..3], &[1e-3, 1e-4, 1e-5], 1e-12, 0.0);
+    let floor = LevenbergMarquardtSettings { damping_min: 1e-3, ..Default::default() };
+    let (_, report) = solve(Line { offset: 1.0, ..LINE }, &floor);
+    assert!(report.epochs.iter().all(|epoch| epoch.damping == 1e-3));
+    assert_close(&[report.epochs[0].gradient_norm], &[3.0], 1e-15, 0.0);
+}
+
+#[test]
+fn damping_runs_out_if_no_step_helps() {
+    let (x, report) = solve(Line { deceptive: true, ..LINE }, &Default::default());
+    assert_eq!((report.stop, x, report.epochs.len()), (StopReason::DampingMax, 0.0, 1));
+}
+
+#[test]
+fn validation_ends_training_and_returns_the_best_epoch() {
+    // Steps of about 5 % of the distance: passes 1.5, then six failures.
+    let (x, report) = solve(Line { validation: Some(1.5), ..LINE }, &slow());
+    assert_eq!(report.stop, StopReason::Validation);
+    let validation = |epoch: &EpochReport| epoch.validation.expect("has a validation set");
+    let least = report.epochs.iter().map(validation).fold(f64::INFINITY, f64::min);
+    let best = report.best().expect("an epoch");
+    assert_eq!(validation(best), least);
+    assert_eq!(best.epoch, report.best_epoch);
+    assert_eq!((x - 1.5) * (x - 1.5), least, "parameters of that epoch");
+    assert_eq!(report.epochs.len(), report.best_epoch + 1 + 6);
+    assert!((1..=6).all(|i| report.epochs[report.best_epoch + i].validation_failures == i));
+    // The twin whose validation error falls all the way ends for another reason, at its end.
+    let (x, report) = solve(Line { validation: Some(4.0), ..LINE }, &slow());
+    assert_eq!(report.stop, StopReason::Gradient);
+    assert_eq!(report.best_epoch, report.epochs.len() - 1);
+    assert_close(&[x], &[3.0], 1e-6, 0.0);
+}
+
+#[test]
+fn callback_ends_training() {
+    let mut seen = 0;
+    let (_, report) = minimize(&mut { LINE }, vec![0.0], &slow(), &mut |epoch| {
+        seen += 1;
+        if epoch.epoch == 3 { ControlFlow::Break(()) } else { GO }
+    })
+    .expect("valid");
+    assert_eq!((report.stop, report.epochs.len(), seen), (StopReason::Callback, 4, 4));
+}
+
+#[test]
+fn start_that_is_not_finite_is_told() {
+    let (x, report) = minimize(&mut { LINE }, vec![f64::NAN], &slow(), &mut |_| GO).expect("valid");
+    assert_eq!((report.stop, report.epochs.len()), (StopReason::NotFinite, 1));
+    assert!(x[0].is_nan());
+}
+
+#[test]
+fn settings_are_checked() {
+    let wrong = [
+        LevenbergMarquardtSettings { damping_initial: 0.0, ..Default::default() },
+        LevenbergMarquardtSettings { damping_decrease: 1.0, ..Default::default() },
+        LevenbergMarquardtSettings { damping_increase: 1.0, ..Default::default() },
+        LevenbergMarquardtSettings { damping_min: -1.0, ..Default::default() },
+        LevenbergMarquardtSettings { damping_max: f64::INFINITY, ..Default::default() },
+        LevenbergMarquardtSettings { goal: f64::NAN, ..Default::default() },
+        LevenbergMarquardtSettings { gradient_min: -1e-7, ..Default::default() },
+        LevenbergMarquardtSettings { validation_failures_max: 0, ..Default::default() },
+    ];
+    for settings in wrong {
+        assert!(settings.validate().is_err(), "{settings:?}");
+    }
+    assert_eq!(LevenbergMarquardtSettings::default().validate(), Ok(()));
+    let settings = LevenbergMarquardtSettings { goal: -1.0, ..Default::default() };
+    let message = settings.validate().expect_err("negative").to_string();
+    assert_eq!(message, "setting goal is -1, expected a finite number from 0");
+}
+
+#[test]
+fn a_network_learns_another_network() {
+    let architecture = architecture(2, &[(6, Tanh), (4, Tanh)]);
+    let outer = random_values(8, 1);
+    let inputs = random_values(2 * 600, 2);
+    let teacher = random_values(architecture.parameter_count(), 3);
+    // The targets are the teacher's outputs: its residuals against zero targets.
+    let zero = Dataset::new(2, inputs.clone(), vec![0.0; inputs.len()]).expect("valid");
+    let mut propagation = propagation::Propagation::new(&architecture, &outer, pulp::Arch::new());
+    propagation.set_parameters(&teacher);
+    let mut targets = Vec::new();
+    for row in zero.inputs().chunks_exact(2) {
+        let mut batch = vec![0.0; 2 * propagation::BATCH];
+        batch[0] = row[0];
+        batch[propagation::BATCH] = row[1];
+        let estimates = propagation.forward(&batch);
+        targets.extend([estimates[0], estimates[propagation::BATCH]]);
+    }
+    let data = Dataset::new(2, inputs, targets).expect("valid");
+    let settings = TrainingSettings {
+        levenberg_marquardt: LevenbergMarquardtSettings { goal: 1e-6, ..Default::default() },
+        ..Default::default()
+    };
+    let train = |seed| {
+        train_inner_network(&architecture, &outer, &data, &settings, seed, &mut |_| GO)
+            .expect("fits")
+    };
+    let (parameters, report) = train(4);
+    assert_eq!(report.stop, StopReason::Goal, "{:?}", report.epochs.last());
+    assert!(report.best().and_then(|best| best.test).is_some_and(|test| test < 1e-5));
+    assert!(report.epochs.is_sorted_by(|a, b| a.train > b.train), "the error only falls");
+    assert_eq!(train(4), (parameters, report), "same seed, same bits");
+    assert_ne!(train(4).0, train(5).0);
+}
+
+#[test]
+fn a_constant_start_keeps_the_nodes_of_a_layer_identical() {
+    let architecture = architecture(2, &[(3, Tanh), (2, Tanh)]);
+    let settings = TrainingSettings {
+        initial: InitialParameters::Constant(0.1),
+        levenberg_marquardt: LevenbergMarquardtSettings { epochs_max: 5, ..Default::default() },
+        ..Default::default()
+    };
+    let (data, outer) = (random_data(2, 100, 1), random_values(4, 2));
+    let (parameters, _) =
+        train_inner_network(&architecture, &outer, &data, &settings, 0, &mut |_| GO).expect("fits");
+    for row in parameters[..9].chunks_exact(3) {
+        assert_close(&row[1..], &[row[0]; 2], 1e-9, 1e-12);
+    }
+}
