@@ -1,1 +1,14 @@
-//! Simulator.
+//! Simulator, offline trainer and reports for a network of agent-core observers.
+//!
+//! | module | what it is |
+//! | --- | --- |
+//! | [`scenario`] | a checked experiment, read from a TOML file |
+//! | [`plant`] | drift, disturbance and integrators, in f64 |
+//! | [`graph`] | who hears whom |
+//! | [`training`] | offline training of the inner layers |
+#![forbid(unsafe_code)]
+
+pub mod graph;
+pub mod plant;
+pub mod scenario;
+pub mod training;

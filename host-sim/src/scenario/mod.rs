@@ -5,6 +5,15 @@
 //! is connected, every number is finite), so that the engine need not look again. All numbers
 //! are in the units of the file: states as the user scales them, time in \[s\].
 
+mod builtin;
+mod error;
+mod load;
+mod reader;
+mod sections;
+
+pub use builtin::{BUILT_IN, PAPER, built_in};
+pub use error::ScenarioError;
+
 use std::num::NonZeroU32;
 
 use agent_core::network::Architecture;
@@ -12,7 +21,7 @@ use nalgebra::DMatrix;
 
 use crate::graph::Graph;
 use crate::plant::{Disturbance, Integrator, Plant};
-use crate::training::{InitialParameters, LmSettings};
+use crate::training::{InitialParameters, LevenbergMarquardtSettings};
 
 /// One experiment, complete but for the seed.
 #[derive(Clone, Debug)]
@@ -29,8 +38,6 @@ pub struct Scenario {
     pub time: Time,
     /// Gains of the observer and constants of its analysis.
     pub design: Design,
-    /// The adaptation of the outer weights.
-    pub outer_law: OuterLaw,
     /// The deep network; without one the agents run on their feedback alone.
     pub network: Option<Network>,
     /// Who hears whom.
@@ -144,6 +151,8 @@ pub struct Network {
     pub inner: InitialParameters,
     /// `W_hat(0)`, row by row, shape `[L, n]`.
     pub outer: Vec<f64>,
+    /// The adaptation of the outer weights.
+    pub outer_law: OuterLaw,
 }
 
 /// One agent.
@@ -185,7 +194,7 @@ pub struct Recipe {
     /// Parts of the samples for training, validation and test; they add up to 1.
     pub split: [f64; 3],
     /// Settings of the solver.
-    pub solver: LmSettings,
+    pub solver: LevenbergMarquardtSettings,
 }
 
 /// An interval of time, `from <= t < to`. \[s\]
@@ -197,6 +206,14 @@ pub struct Window {
     pub to: f64,
 }
 
+impl Window {
+    /// The steps that begin inside.
+    #[must_use]
+    pub fn ticks(&self, time: &Time) -> std::ops::Range<u64> {
+        time.tick(self.from)..time.tick(self.to)
+    }
+}
+
 /// What is written down during a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Record {
@@ -205,3 +222,6 @@ pub struct Record {
     /// Whether every agent's broadcast times are kept.
     pub events: bool,
 }
+
+#[cfg(test)]
+mod tests;
