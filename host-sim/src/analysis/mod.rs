@@ -164,12 +164,10 @@ impl UltimateBound {
             .iter()
             .flat_map(|agent| agent.initial_estimate.iter().zip(&scenario.initial_state))
             .fold(0.0, |sum, (estimate, truth)| sum + (estimate - truth) * (estimate - truth));
-        let weight_error = if scenario.network.is_some() {
-            let largest = 2.0 * scenario.outer_law.bound;
-            scenario.agents.len() as f64 * largest * largest / gain_min(&scenario.outer_law.gain)
-        } else {
-            0.0
-        };
+        let weight_error = scenario.network.as_ref().map_or(0.0, |network| {
+            let largest = 2.0 * network.outer_law.bound;
+            scenario.agents.len() as f64 * largest * largest / gain_min(&network.outer_law.gain)
+        });
         (alpha > 0.0).then_some(Self {
             initial_error_squared,
             weight_error,
@@ -219,12 +217,12 @@ pub fn minimum_interval(trigger: &TriggerConstants, rate: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::builtin;
+    use crate::scenario::{PAPER, Scenario};
 
     /// The values of an independent implementation in double precision.
     #[test]
     fn the_papers_constants() {
-        let scenario = builtin("paper").unwrap();
+        let scenario = Scenario::parse("paper.toml", PAPER).unwrap();
         let trigger = TriggerConstants::new(&scenario);
         assert!((trigger.phi1 - 311_810.148).abs() < 1e-3, "{}", trigger.phi1);
         assert!((trigger.phi2 - 0.277_778).abs() < 1e-6, "{}", trigger.phi2);
@@ -237,7 +235,7 @@ mod tests {
 
     #[test]
     fn a_gain_that_is_too_small_is_found_out() {
-        let mut scenario = builtin("paper").unwrap();
+        let mut scenario = Scenario::parse("paper.toml", PAPER).unwrap();
         scenario.design.gain *= 0.5;
         assert!(!GainCertificate::new(&scenario).holds());
     }
@@ -252,7 +250,7 @@ mod tests {
 
     #[test]
     fn the_ultimate_bound_decays_from_its_start_to_its_end() {
-        let bound = UltimateBound::new(&builtin("paper").unwrap()).unwrap();
+        let bound = UltimateBound::new(&Scenario::parse("paper.toml", PAPER).unwrap()).unwrap();
         // |x_0(0)|^2 = 25 + 49 + 64 for each of three agents that start at zero.
         assert_eq!(bound.initial_error_squared, 3.0 * 138.0);
         assert_eq!(bound.at(0.0), bound.initial_error_squared + bound.weight_error);

@@ -28,6 +28,17 @@ pub(super) type SharedNetwork = InnerNetwork<Arc<[f32]>>;
 
 type Places<const N: usize> = Vec<Option<Hold<N>>>;
 
+/// Stands in where there is no network, and so no outer weights to adapt.
+const RESTING_OUTER_LAW: OuterLawParams<'static> = OuterLawParams {
+    gain: OuterGain::Scalar(1.0),
+    projection: ProjectionParams {
+        radius: 1.0,
+        boundary_layer: 1.0,
+        smoothing: 1.0,
+        smoothness: 0,
+    },
+};
+
 /// What the core's parameters borrow: on a node it would lie in flash.
 pub(super) struct Storage {
     neighbours: Vec<Vec<Neighbour>>,
@@ -44,12 +55,29 @@ impl Storage {
                     .collect()
             })
             .collect();
-        let outer_gain = match &scenario.outer_law.gain {
-            scenario::OuterGain::Scalar(_) => Vec::new(),
-            scenario::OuterGain::Diagonal(diagonal) => diagonal.iter().map(|&g| g as f32).collect(),
-            scenario::OuterGain::Full(matrix) => row_major(matrix),
+        let gain = scenario.network.as_ref().map(|network| &network.outer_law.gain);
+        let outer_gain = match gain {
+            None | Some(scenario::OuterGain::Scalar(_)) => Vec::new(),
+            Some(scenario::OuterGain::Diagonal(gain)) => gain.iter().map(|&g| g as f32).collect(),
+            Some(scenario::OuterGain::Full(gain)) => row_major(gain),
         };
         Self { neighbours, outer_gain }
+    }
+
+    fn outer_law(&self, law: &scenario::OuterLaw) -> OuterLawParams<'_> {
+        OuterLawParams {
+            gain: match &law.gain {
+                scenario::OuterGain::Scalar(gain) => OuterGain::Scalar(*gain as f32),
+                scenario::OuterGain::Diagonal(_) => OuterGain::Diagonal(&self.outer_gain),
+                scenario::OuterGain::Full(_) => OuterGain::Full(&self.outer_gain),
+            },
+            projection: ProjectionParams {
+                radius: (law.bound - law.boundary_layer) as f32,
+                boundary_layer: law.boundary_layer as f32,
+                smoothing: law.smoothing as f32,
+                smoothness: law.smoothness,
+            },
+        }
     }
 
     /// The core's parameters of agent `index` (from 0).
@@ -69,19 +97,9 @@ impl Storage {
             gain: SMatrix::from_iterator(scenario.design.gain.iter().map(|&k| k as f32)),
             neighbours: &self.neighbours[index],
         };
-        let law = &scenario.outer_law;
-        let outer_law = OuterLawParams {
-            gain: match &law.gain {
-                scenario::OuterGain::Scalar(gain) => OuterGain::Scalar(*gain as f32),
-                scenario::OuterGain::Diagonal(_) => OuterGain::Diagonal(&self.outer_gain),
-                scenario::OuterGain::Full(_) => OuterGain::Full(&self.outer_gain),
-            },
-            projection: ProjectionParams {
-                radius: (law.bound - law.boundary_layer) as f32,
-                boundary_layer: law.boundary_layer as f32,
-                smoothing: law.smoothing as f32,
-                smoothness: law.smoothness,
-            },
+        let outer_law = match &scenario.network {
+            Some(network) => self.outer_law(&network.outer_law),
+            None => RESTING_OUTER_LAW,
         };
         let trigger = TriggerParams {
             hold_error_weight: trigger.phi1 as f32,

@@ -126,7 +126,7 @@ fn train(
     let raw = Dataset::new(scenario.dimension(), inputs, targets)
         .map_err(|error| failed(error.into()))?;
     let interval = scenario.time.step_size * f64::from(description.stride.get());
-    let data = recipe.smoothing.apply(&raw, interval).map_err(|error| RunError::Smoothing {
+    let data = recipe.smoothing().apply(&raw, interval).map_err(|error| RunError::Smoothing {
         agent: agent + 1,
         cycle: cycle + 1,
         error,
@@ -141,7 +141,7 @@ fn train(
         &network.architecture,
         &outer,
         &data,
-        &recipe.settings,
+        &recipe.settings(),
         job_seed(seed, cycle, agent),
         &mut report_epoch,
     )

@@ -5,6 +5,15 @@
 //! is connected, every number is finite), so that the engine need not look again. All numbers
 //! are in the units of the file: states as the user scales them, time in \[s\].
 
+mod builtin;
+mod error;
+mod load;
+mod reader;
+mod sections;
+
+pub use builtin::{BUILT_IN, PAPER, built_in};
+pub use error::ScenarioError;
+
 use std::num::NonZeroU32;
 
 use agent_core::network::Architecture;
@@ -12,7 +21,7 @@ use nalgebra::DMatrix;
 
 use crate::graph::Graph;
 use crate::plant::{Disturbance, Integrator, Plant};
-use crate::training::{InitialParameters, Smoothing, TrainingSettings};
+use crate::training::{InitialParameters, LevenbergMarquardtSettings, Smoothing, TrainingSettings};
 
 /// One experiment, complete but for the seed.
 #[derive(Clone, Debug)]
@@ -29,8 +38,6 @@ pub struct Scenario {
     pub time: Time,
     /// Gains of the observer and constants of its analysis.
     pub design: Design,
-    /// The adaptation of the outer weights.
-    pub outer_law: OuterLaw,
     /// The deep network; without one the agents run on their feedback alone.
     pub network: Option<Network>,
     /// Who hears whom.
@@ -112,7 +119,7 @@ pub struct Design {
 /// The outer-weight law and its projection.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OuterLaw {
-    /// `Gamma`. \[1/s^2\]
+    /// `Gamma`. \[1/s\]
     pub gain: OuterGain,
     /// `omega_bar`, the bound that the Frobenius norm of the outer weights never exceeds.
     pub bound: f64,
@@ -124,7 +131,7 @@ pub struct OuterLaw {
     pub smoothness: u8,
 }
 
-/// `Gamma`, shape `[L, L]`, positive definite. \[1/s^2\]
+/// `Gamma`, shape `[L, L]`, positive definite.
 #[derive(Clone, Debug, PartialEq)]
 pub enum OuterGain {
     /// A multiple of the identity.
@@ -144,6 +151,8 @@ pub struct Network {
     pub inner: InitialParameters,
     /// `W_hat(0)`, row by row, shape `[L, n]`.
     pub outer: Vec<f64>,
+    /// The adaptation of the outer weights.
+    pub outer_law: OuterLaw,
 }
 
 /// One agent.
@@ -175,10 +184,35 @@ pub struct LearningCycle {
 pub struct Recipe {
     /// Its name.
     pub name: String,
-    /// How the samples are cleaned of the high-gain chatter.
-    pub smoothing: Smoothing,
+    /// Length of the centred moving average that cleans inputs and targets of the high-gain
+    /// chatter; 0 leaves them raw. \[s\]
+    pub smoothing_window: f64,
+    /// Of the cleaned samples every how many-th is used.
+    pub decimation: NonZeroU32,
+    /// Where training starts.
+    pub initial: InitialParameters,
+    /// Parts of the samples for training, validation and test; they add up to 1.
+    pub split: [f64; 3],
+    /// Settings of the solver.
+    pub solver: LevenbergMarquardtSettings,
+}
+
+impl Recipe {
+    /// How samples are cleaned.
+    #[must_use]
+    pub fn smoothing(&self) -> Smoothing {
+        Smoothing { window: self.smoothing_window, stride: self.decimation.get() as usize }
+    }
+
     /// Start, division of the samples, and solver.
-    pub settings: TrainingSettings,
+    #[must_use]
+    pub fn settings(&self) -> TrainingSettings {
+        TrainingSettings {
+            levenberg_marquardt: self.solver.clone(),
+            split: self.split,
+            initial: self.initial.clone(),
+        }
+    }
 }
 
 /// An interval of time, `from <= t < to`. \[s\]
@@ -190,6 +224,14 @@ pub struct Window {
     pub to: f64,
 }
 
+impl Window {
+    /// The steps that begin inside.
+    #[must_use]
+    pub fn ticks(&self, time: &Time) -> std::ops::Range<u64> {
+        time.tick(self.from)..time.tick(self.to)
+    }
+}
+
 /// What is written down during a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Record {
@@ -198,3 +240,6 @@ pub struct Record {
     /// Whether every agent's broadcast times are kept.
     pub events: bool,
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,105 @@
+//! What else acts on the plant.
+
+use super::ExpressionSystem;
+
+/// `d`, the disturbance.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Disturbance {
+    /// No disturbance.
+    None,
+    /// A sum of harmonics for every component of the state.
+    Harmonic(Vec<Harmonic>),
+    /// Expressions of the user, one for every component of the state.
+    Expressions(ExpressionSystem),
+}
+
+/// `offset + amplitude function(angular_frequency t + phase)` on one component.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Harmonic {
+    /// The component of the state that it acts on, from 0.
+    pub component: usize,
+    /// Sine or cosine.
+    pub function: Wave,
+    /// \[state unit/s\]
+    pub amplitude: f64,
+    /// \[rad/s\]
+    pub angular_frequency: f64,
+    /// \[rad\]
+    pub phase: f64,
+    /// \[state unit/s\]
+    pub offset: f64,
+}
+
+/// The function of a harmonic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wave {
+    /// Sine.
+    Sin,
+    /// Cosine.
+    Cos,
+}
+
+impl Disturbance {
+    /// `d` at `time` \[s\] and state `x`, shape `[n]`, into `d`, shape `[n]`. Only expressions
+    /// may depend on the state.
+    ///
+    /// # Panics
+    /// If `d` (or, for expressions, `x`) has fewer components than the disturbance acts on.
+    #[inline]
+    pub fn evaluate(&self, time: f64, x: &[f64], d: &mut [f64]) {
+        match self {
+            Self::None => d.fill(0.0),
+            Self::Harmonic(harmonics) => {
+                d.fill(0.0);
+                for harmonic in harmonics {
+                    d[harmonic.component] += harmonic.at(time);
+                }
+            }
+            Self::Expressions(system) => system.evaluate(time, x, d),
+        }
+    }
+}
+
+impl Harmonic {
+    #[inline]
+    fn at(&self, time: f64) -> f64 {
+        let angle = self.angular_frequency * time + self.phase;
+        let wave = match self.function {
+            Wave::Sin => libm::sin(angle),
+            Wave::Cos => libm::cos(angle),
+        };
+        self.offset + self.amplitude * wave
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn harmonics_of_one_component_add_up() {
+        let sine = Harmonic {
+            component: 1,
+            function: Wave::Sin,
+            amplitude: 2.0,
+            angular_frequency: 3.0,
+            phase: 0.0,
+            offset: 0.5,
+        };
+        let cosine = Harmonic { function: Wave::Cos, offset: 0.0, ..sine };
+        let disturbance = Disturbance::Harmonic(vec![sine, cosine]);
+        let mut d = [f64::NAN; 3];
+        disturbance.evaluate(0.0, &[0.0; 3], &mut d);
+        assert_eq!(d, [0.0, 2.5, 0.0]);
+        let time = core::f64::consts::FRAC_PI_6;
+        disturbance.evaluate(time, &[0.0; 3], &mut d);
+        assert_eq!(d[1], 0.5 + 2.0 * libm::sin(3.0 * time) + 2.0 * libm::cos(3.0 * time));
+    }
+
+    #[test]
+    fn none_overwrites_what_was_there() {
+        let mut d = [1.0; 2];
+        Disturbance::None.evaluate(1.0, &[0.0; 2], &mut d);
+        assert_eq!(d, [0.0; 2]);
+    }
+}

@@ -1,0 +1,148 @@
+//! The compiled form: operations of a machine with a stack.
+
+use super::function::{Binary, Unary};
+
+/// Most intermediate results that an expression may hold at once.
+pub const STACK_DEPTH_MAX: usize = 32;
+
+/// What the machine does next. Operands are taken from the stack, the result is put there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Operation {
+    Constant(f64),
+    Time,
+    State(u8),
+    Negate,
+    Add,
+    Subtract,
+    Multiply,
+    Divide,
+    Power,
+    IntegerPower(i32),
+    Unary(Unary),
+    Binary(Binary),
+}
+
+/// Operations in the order in which they are carried out; leaves exactly one result.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Program {
+    operations: Vec<Operation>,
+}
+
+impl Program {
+    /// Appends an operation; if its operands are constants, appends its result instead.
+    pub(super) fn push(&mut self, operation: Operation) {
+        use Operation::{Add, Constant, Divide, IntegerPower, Multiply, Negate, Power, Subtract};
+        let folded = match (operation, self.operations.as_slice()) {
+            (Operation::Binary(function), [.., Constant(x), Constant(y)]) => {
+                Some((2, function.apply(*x, *y)))
+            }
+            (Add, [.., Constant(x), Constant(y)]) => Some((2, x + y)),
+            (Subtract, [.., Constant(x), Constant(y)]) => Some((2, x - y)),
+            (Multiply, [.., Constant(x), Constant(y)]) => Some((2, x * y)),
+            (Divide, [.., Constant(x), Constant(y)]) => Some((2, x / y)),
+            (Power, [.., Constant(x), Constant(y)]) => Some((2, power(*x, *y))),
+            (Negate, [.., Constant(x)]) => Some((1, -x)),
+            (Operation::Unary(function), [.., Constant(x)]) => Some((1, function.apply(*x))),
+            _ => None,
+        };
+        if let Some((operands, value)) = folded {
+            self.operations.truncate(self.operations.len() - operands);
+            self.operations.push(Constant(value));
+            return;
+        }
+        if let (Power, Some(&Constant(exponent))) = (operation, self.operations.last())
+            && let Some(exponent) = whole(exponent)
+        {
+            self.operations.pop();
+            self.operations.push(IntegerPower(exponent));
+            return;
+        }
+        self.operations.push(operation);
+    }
+
+    /// Whether the machine's stack is deep enough.
+    pub(super) fn fits(&self) -> bool {
+        let mut depth = 0;
+        self.operations.iter().all(|operation| {
+            match operation {
+                Operation::Constant(_) | Operation::Time | Operation::State(_) => depth += 1,
+                Operation::Negate | Operation::IntegerPower(_) | Operation::Unary(_) => {}
+                _ => depth -= 1,
+            }
+            depth <= STACK_DEPTH_MAX
+        })
+    }
+
+    /// The value at `time` and state `x`.
+    #[inline]
+    pub(super) fn evaluate(&self, time: f64, x: &[f64]) -> f64 {
+        // A stack whose top is apart: most operations then touch one place of the array.
+        let mut below = [0.0; STACK_DEPTH_MAX + 1];
+        let mut depth = 0;
+        let mut top = 0.0;
+        for operation in &self.operations {
+            match *operation {
+                Operation::Constant(_) | Operation::Time | Operation::State(_) => {
+                    below[depth] = top;
+                    depth += 1;
+                    top = match *operation {
+                        Operation::Constant(value) => value,
+                        Operation::State(index) => x[usize::from(index)],
+                        _ => time,
+                    };
+                    continue;
+                }
+                Operation::Negate => top = -top,
+                Operation::IntegerPower(exponent) => top = integer_power(top, exponent),
+                Operation::Unary(function) => top = function.apply(top),
+                _ => {
+                    depth -= 1;
+                    let left = below[depth];
+                    top = match *operation {
+                        Operation::Add => left + top,
+                        Operation::Subtract => left - top,
+                        Operation::Multiply => left * top,
+                        Operation::Divide => left / top,
+                        Operation::Binary(function) => function.apply(left, top),
+                        _ => power(left, top),
+                    };
+                }
+            }
+        }
+        top
+    }
+}
+
+/// `x` as an integer, if it is one that an `i32` can hold.
+fn whole(x: f64) -> Option<i32> {
+    let integer = x as i32;
+    (f64::from(integer) == x).then_some(integer)
+}
+
+/// `base^exponent`; a product where the exponent is a whole number.
+#[inline]
+fn power(base: f64, exponent: f64) -> f64 {
+    match whole(exponent) {
+        Some(exponent) => integer_power(base, exponent),
+        None => libm::pow(base, exponent),
+    }
+}
+
+/// `base^exponent` by squaring and multiplying, lowest bit of the exponent first:
+/// `x^3 = x (x x)`, `x^-2 = 1/(x x)`, `x^0 = 1`.
+#[inline]
+#[must_use]
+pub fn integer_power(base: f64, exponent: i32) -> f64 {
+    let mut remaining = exponent.unsigned_abs();
+    let (mut result, mut square) = (1.0, base);
+    while remaining > 0 {
+        if remaining & 1 == 1 {
+            result *= square;
+        }
+        remaining >>= 1;
+        if remaining > 0 {
+            square *= square;
+        }
+    }
+    if exponent < 0 { 1.0 / result } else { result }
+}

@@ -1,0 +1,205 @@
+//! The plant `d/dt x_0 = f(x_0) + d` (equation `plant dynamics`): drift, disturbance and
+//! integrators, in f64.
+//!
+//! Nobody in the network knows `f` and `d`; only the simulator does.
+//!
+//! Cost of one step of Euler's method for the paper's plant and disturbance: some 20 operations
+//! and three sines, below 80 ns. Nothing here allocates after construction.
+//!
+//! Invariants: the same arguments give the same bits on every machine. Transcendental functions
+//! are those of the `libm` crate, called by path, integer powers are products in a fixed order,
+//! and no multiplication is fused with an addition.
+
+mod disturbance;
+pub mod expression;
+mod integrator;
+
+pub use disturbance::{Disturbance, Harmonic, Wave};
+pub use expression::ExpressionSystem;
+pub use integrator::{Integrator, Stepper};
+
+use nalgebra::DMatrix;
+
+/// Largest state dimension; what the agents' networks can take as inputs.
+pub const DIMENSION_MAX: usize = agent_core::network::INPUTS_MAX;
+
+/// `f`, the drift.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Plant {
+    /// The paper's oscillator (equation `VanderPol`) with a third, decaying state:
+    /// `x' = mu (x - x^3/3 - y)`, `y' = x/mu`, `z' = -mu z`.
+    VanDerPol {
+        /// `mu`, not 0.
+        mu: f64,
+    },
+    /// Lorenz' convection model:
+    /// `x' = sigma (y - x)`, `y' = x (rho - z) - y`, `z' = x y - beta z`.
+    Lorenz {
+        /// Prandtl number. \[1/s\]
+        sigma: f64,
+        /// Relative Rayleigh number.
+        rho: f64,
+        /// Geometry. \[1/s\]
+        beta: f64,
+    },
+    /// Duffing's oscillator: `x' = v`, `v' = -damping v - stiffness x - cubic_stiffness x^3`.
+    /// What drives it is a disturbance.
+    Duffing {
+        /// \[1/s\]
+        damping: f64,
+        /// Linear stiffness by mass; below 0 for two wells. \[1/s^2\]
+        stiffness: f64,
+        /// Cubic stiffness by mass. \[1/(s^2 squared state unit)\]
+        cubic_stiffness: f64,
+    },
+    /// A pendulum with viscous friction:
+    /// `angle' = rate`, `rate' = -(gravity/length) sin(angle) - damping rate`.
+    DampedPendulum {
+        /// \[m/s^2\]
+        gravity: f64,
+        /// \[m\], not 0.
+        length: f64,
+        /// \[1/s\]
+        damping: f64,
+    },
+    /// `x' = A x`, `A` of shape `[n, n]`. \[1/s\]
+    Linear(DMatrix<f64>),
+    /// Expressions of the user.
+    Expressions(ExpressionSystem),
+}
+
+impl Plant {
+    /// `n`, the dimension of the state.
+    #[must_use]
+    pub fn dimension(&self) -> usize {
+        match self {
+            Self::VanDerPol { .. } | Self::Lorenz { .. } => 3,
+            Self::Duffing { .. } | Self::DampedPendulum { .. } => 2,
+            Self::Linear(matrix) => matrix.nrows(),
+            Self::Expressions(system) => system.dimension(),
+        }
+    }
+
+    /// What the components of the state are called in expressions and tables, shape `[n]`.
+    #[must_use]
+    pub fn state_names(&self) -> Vec<String> {
+        let fixed = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
+        match self {
+            Self::VanDerPol { .. } | Self::Lorenz { .. } => fixed(&["x", "y", "z"]),
+            Self::Duffing { .. } => fixed(&["x", "v"]),
+            Self::DampedPendulum { .. } => fixed(&["angle", "rate"]),
+            Self::Linear(matrix) => (1..=matrix.nrows()).map(|i| format!("x{i}")).collect(),
+            Self::Expressions(system) => system.state_names().to_vec(),
+        }
+    }
+
+    /// `f` at `time` \[s\] and state `x`, shape `[n]`, into `dx`, shape `[n]`. Only expressions
+    /// may depend on time.
+    ///
+    /// # Panics
+    /// If `x` or `dx` is shorter than the dimension.
+    #[inline]
+    pub fn derivative(&self, time: f64, x: &[f64], dx: &mut [f64]) {
+        match self {
+            Self::VanDerPol { mu } => {
+                let ([x, y, z], [dx, dy, dz]) = (first(x), first_mut(dx));
+                *dx = mu * (x - x * x * x / 3.0 - y);
+                *dy = x / mu;
+                *dz = -mu * z;
+            }
+            Self::Lorenz { sigma, rho, beta } => {
+                let ([x, y, z], [dx, dy, dz]) = (first(x), first_mut(dx));
+                *dx = sigma * (y - x);
+                *dy = x * (rho - z) - y;
+                *dz = x * y - beta * z;
+            }
+            Self::Duffing { damping, stiffness, cubic_stiffness } => {
+                let ([x, v], [dx, dv]) = (first(x), first_mut(dx));
+                *dx = *v;
+                *dv = -damping * v - stiffness * x - cubic_stiffness * (x * x * x);
+            }
+            Self::DampedPendulum { gravity, length, damping } => {
+                let ([angle, rate], [d_angle, d_rate]) = (first(x), first_mut(dx));
+                *d_angle = *rate;
+                *d_rate = -(gravity / length) * libm::sin(*angle) - damping * rate;
+            }
+            Self::Linear(matrix) => {
+                for (row, dx) in dx[..matrix.nrows()].iter_mut().enumerate() {
+                    *dx = (0..matrix.ncols()).fold(0.0, |sum, j| sum + matrix[(row, j)] * x[j]);
+                }
+            }
+            Self::Expressions(system) => system.evaluate(time, x, dx),
+        }
+    }
+}
+
+/// The first `N` components.
+#[inline]
+fn first<const N: usize>(x: &[f64]) -> &[f64; N] {
+    x.first_chunk().expect("the state has the plant's dimension")
+}
+
+/// The first `N` components.
+#[inline]
+fn first_mut<const N: usize>(dx: &mut [f64]) -> &mut [f64; N] {
+    dx.first_chunk_mut().expect("the derivative has the plant's dimension")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::dmatrix;
+
+    fn derivative(plant: &Plant, x: &[f64]) -> Vec<f64> {
+        let mut dx = vec![f64::NAN; plant.dimension()];
+        plant.derivative(0.0, x, &mut dx);
+        dx
+    }
+
+    #[test]
+    fn built_in_plants_at_a_point() {
+        // Numbers that are exact in binary, so that a hand calculation gives the same bits.
+        let van_der_pol = Plant::VanDerPol { mu: 0.5 };
+        assert_eq!(
+            derivative(&van_der_pol, &[3.0, 2.0, 4.0]),
+            [0.5 * (3.0 - 9.0 - 2.0), 6.0, -2.0]
+        );
+        let lorenz = Plant::Lorenz { sigma: 10.0, rho: 28.0, beta: 2.5 };
+        assert_eq!(derivative(&lorenz, &[1.0, 2.0, 4.0]), [10.0, 22.0, -8.0]);
+        let duffing = Plant::Duffing { damping: 0.25, stiffness: -1.0, cubic_stiffness: 0.5 };
+        assert_eq!(derivative(&duffing, &[2.0, 4.0]), [4.0, -1.0 + 2.0 - 4.0]);
+        let pendulum = Plant::DampedPendulum { gravity: 10.0, length: 2.0, damping: 0.5 };
+        assert_eq!(derivative(&pendulum, &[0.0, 3.0]), [3.0, -1.5]);
+        let down = derivative(&pendulum, &[core::f64::consts::FRAC_PI_2, 0.0]);
+        assert_eq!(down, [0.0, -5.0]);
+        let linear = Plant::Linear(dmatrix![0.0, 1.0; -2.0, -3.0]);
+        assert_eq!(derivative(&linear, &[1.0, 2.0]), [2.0, -8.0]);
+    }
+
+    #[test]
+    fn the_papers_plant_as_expressions_gives_the_same_bits() {
+        let names = ["x", "y", "z"].map(str::to_owned);
+        let parameters = [("mu".to_owned(), 0.3)];
+        let texts = ["mu*(x - x^3/3 - y)", "x/mu", "-mu*z"];
+        let system = ExpressionSystem::parse(&texts, &names, &parameters).unwrap();
+        let (built_in, written) = (Plant::VanDerPol { mu: 0.3 }, Plant::Expressions(system));
+        for x in [[5.0, 7.0, 8.0], [-0.1, 1e-9, 3.3], [1.7, -2.9, 0.0]] {
+            assert_eq!(derivative(&built_in, &x), derivative(&written, &x));
+        }
+        assert_eq!(written.state_names(), built_in.state_names());
+    }
+
+    #[test]
+    fn every_plant_names_its_states() {
+        let plants = [
+            Plant::VanDerPol { mu: 1.0 },
+            Plant::Lorenz { sigma: 1.0, rho: 1.0, beta: 1.0 },
+            Plant::Duffing { damping: 0.0, stiffness: 1.0, cubic_stiffness: 0.0 },
+            Plant::DampedPendulum { gravity: 1.0, length: 1.0, damping: 0.0 },
+            Plant::Linear(dmatrix![1.0]),
+        ];
+        for plant in plants {
+            assert_eq!(plant.state_names().len(), plant.dimension());
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! From file to [`Scenario`]: the order in which its tables are read.
+
+use std::path::Path;
+
+use toml::de::DeTable;
+
+use super::error::ScenarioError;
+use super::reader::{Source, Table};
+use super::sections::{agents, gains, learning, network, plant, run};
+use super::{BUILT_IN, Scenario};
+
+impl Scenario {
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// The first thing that is wrong, with file, line, key and mend.
+    pub fn load(path: &Path) -> Result<Self, ScenarioError> {
+        let file = path.display().to_string();
+        let unread = Source { file: &file, text: "" };
+        let bytes = std::fs::read(path).map_err(|error| {
+            let names: Vec<_> = BUILT_IN.iter().map(|(name, _)| *name).collect();
+            let mend = format!(
+                "give the path of a scenario file, or write one of the built-in scenarios ({}) \
+                 to a file first",
+                names.join(", ")
+            );
+            unread.error(None, None, format_args!("cannot be read: {error}"), mend)
+        })?;
+        let text = String::from_utf8(bytes).map_err(|error| {
+            let valid = &error.as_bytes()[..error.utf8_error().valid_up_to()];
+            let line = valid.iter().filter(|&&byte| byte == b'\n').count() + 1;
+            unread.error(Some(line), None, "is not UTF-8", "save the file as UTF-8 text")
+        })?;
+        Self::parse(&file, &text)
+    }
+
+    /// Reads and checks the text of a scenario. `file` is what errors call it.
+    ///
+    /// # Errors
+    /// The first thing that is wrong, with file, line, key and mend.
+    pub fn parse(file: &str, text: &str) -> Result<Self, ScenarioError> {
+        let source = Source { file, text };
+        let document = DeTable::parse(text).map_err(|error| {
+            let line = error.span().map(|span| source.line(span.start));
+            let problem = format!("is no TOML: {}", error.message().replace('\n', ", "));
+            let mend = "write keys as `key = value` and tables as `[name]`, each name once";
+            source.error(line.or(Some(1)), None, problem, mend)
+        })?;
+        read(&Table::root(&source, document.get_ref()))
+    }
+}
+
+fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
+    root.only(&[
+        "name",
+        "plant",
+        "disturbance",
+        "time",
+        "design",
+        "outer_law",
+        "network",
+        "graph",
+        "agents",
+        "learning",
+        "recipes",
+        "evaluation",
+        "record",
+    ])?;
+    let name = run::name(root)?;
+    let time = run::time(root)?;
+    let (plant, initial_state) = plant::plant(root)?;
+    let n = plant.dimension();
+    let disturbance = plant::disturbance(root, &plant)?;
+    let design = gains::design(root, n)?;
+    let network = network::network(root, n)?;
+    let agents = agents::agents(root, n)?;
+    let graph = agents::graph(root, agents.len())?;
+    let recipes = learning::recipes(root)?;
+    let learning = learning::cycles(root, &time, agents.len(), &recipes, network.is_some())?;
+    let evaluation = run::evaluation(root, &time)?;
+    let record = run::record(root)?;
+    Ok(Scenario {
+        name,
+        plant,
+        disturbance,
+        initial_state,
+        time,
+        design,
+        network,
+        graph,
+        agents,
+        learning,
+        recipes,
+        evaluation,
+        record,
+    })
+}

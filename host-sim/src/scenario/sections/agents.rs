@@ -1,0 +1,177 @@
+//! `[[agents]]` and `[graph]`. Agents count from 1 in the file and from 0 here.
+
+use std::collections::BTreeSet;
+
+use crate::graph::{Edge, Graph, GraphError};
+use crate::scenario::Agent;
+use crate::scenario::error::ScenarioError;
+use crate::scenario::reader::{Table, Value, counted, has};
+
+/// Most agents of a network.
+const AGENTS_MAX: u32 = 1000;
+
+/// `n` is the dimension of the state.
+pub(in crate::scenario) fn agents(root: &Table<'_>, n: usize) -> Result<Vec<Agent>, ScenarioError> {
+    let tables = root.get_tables("agents")?;
+    if tables.is_empty() {
+        return Err(root.missing("agents", "write a table [[agents]] for each"));
+    }
+    let mut agents = Vec::new();
+    for table in &tables {
+        table.only(&["output_matrix", "initial_estimate", "count"])?;
+        let output_value = table.require("output_matrix", "[[1.0, 0.0]]")?;
+        let output_matrix = output_value.matrix(n, "the state has")?;
+        if output_matrix.nrows() > n {
+            let rows = output_matrix.nrows();
+            let problem = format!("has {rows} rows, the state has {n} components");
+            return Err(output_value.error(problem, format!("give it 1 to {n}")));
+        }
+        let initial_estimate = match table.get("initial_estimate", "[0.0, 0.0]") {
+            Some(value) => value.numbers_of(n, "the state has")?,
+            None => vec![0.0; n],
+        };
+        let count = table.get("count", "2").map_or(Ok(1), |v| v.integer(1..=AGENTS_MAX))?;
+        let total = agents.len() + count as usize;
+        if total > AGENTS_MAX as usize {
+            let problem = format!("brings the network to {total} agents");
+            return Err(table.error(problem, format!("write at most {AGENTS_MAX}")));
+        }
+        agents.resize(total, Agent { output_matrix, initial_estimate });
+    }
+    Ok(agents)
+}
+
+/// `agents` is how many there are.
+pub(in crate::scenario) fn graph(root: &Table<'_>, agents: usize) -> Result<Graph, ScenarioError> {
+    if let (1, None) = (agents, root.get_table("graph")?) {
+        return Graph::new(1, &[]).map_err(|error| root.error(error, "write a table [graph]"));
+    }
+    let table = root.require_table("graph")?;
+    table.only(&["adjacency", "edges", "topology", "weight"])?;
+    let adjacency = table.get("adjacency", "[[0.0, 1.0], [1.0, 0.0]]");
+    let edges = table.get("edges", "[[1, 2]]");
+    let topology = table.get("topology", "\"ring\"");
+    if let Some(weight) = table.get("weight", "1.0").filter(|_| topology.is_none()) {
+        let mend = "write weights into adjacency or edges, or write topology = \"ring\"";
+        return Err(weight.error("stands without a topology", mend));
+    }
+    match (adjacency, edges, topology) {
+        (Some(adjacency), None, None) => from_adjacency(&adjacency, agents),
+        (None, Some(edges), None) => from_edges(&edges, agents),
+        (None, None, Some(topology)) => from_topology(&topology, &table, agents),
+        _ => Err(table.error(
+            "says not at all or more than once who hears whom",
+            "write one of adjacency, edges and topology",
+        )),
+    }
+}
+
+fn from_adjacency(value: &Value<'_>, agents: usize) -> Result<Graph, ScenarioError> {
+    let rows = value.list()?;
+    if rows.len() != agents {
+        let found = has(rows.len(), "row", "rows");
+        let problem = format!("{found}, there are {}", counted(agents, "agent", "agents"));
+        return Err(value.error(problem, format!("give it {agents}")));
+    }
+    let matrix = value.matrix(agents, "the number of agents is")?;
+    Graph::from_adjacency(&matrix).map_err(|error| {
+        let row = match error {
+            GraphError::NotSymmetric { column, .. } => Some(column),
+            GraphError::SelfLoop { agent } => Some(agent),
+            GraphError::Weight { second, .. } => Some(second),
+            _ => None,
+        };
+        let mend = graph_mend(&error);
+        match row {
+            Some(row) => rows[row].error_of(value, error, mend),
+            None => value.error(error, mend),
+        }
+    })
+}
+
+fn from_edges(value: &Value<'_>, agents: usize) -> Result<Graph, ScenarioError> {
+    let mut edges = Vec::new();
+    let mut joined = BTreeSet::new();
+    for entry in value.list()? {
+        let parts = entry.list()?;
+        let ([first, second], weight) = match parts.as_slice() {
+            [first, second] => ([first, second], None),
+            [first, second, weight] => ([first, second], Some(weight)),
+            _ => {
+                let problem = has(parts.len(), "entry", "entries");
+                return Err(entry.error(problem, "write [agent, agent] or [agent, agent, weight]"));
+            }
+        };
+        let ends = [agent(first, agents)?, agent(second, agents)?];
+        let (first, second) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
+        let weight = weight.map_or(Ok(1.0), Value::positive)?;
+        let error = if first == second {
+            Some(GraphError::SelfLoop { agent: first })
+        } else if !joined.insert((first, second)) {
+            Some(GraphError::Repeated { first, second })
+        } else {
+            None
+        };
+        if let Some(error) = error {
+            return Err(entry.error(error, graph_mend(&error)));
+        }
+        edges.push(Edge { first, second, weight });
+    }
+    Graph::new(agents, &edges).map_err(|error| value.error(error, graph_mend(&error)))
+}
+
+/// The agent that a number of the file stands for, from 0.
+pub(super) fn agent(value: &Value<'_>, agents: usize) -> Result<usize, ScenarioError> {
+    Ok(value.integer(1..=agents as u32)? as usize - 1)
+}
+
+#[derive(Clone, Copy)]
+enum Topology {
+    Path,
+    Ring,
+    Star,
+    Complete,
+}
+
+fn from_topology(
+    value: &Value<'_>,
+    table: &Table<'_>,
+    agents: usize,
+) -> Result<Graph, ScenarioError> {
+    let topology = value.choice(&[
+        ("path", Topology::Path),
+        ("ring", Topology::Ring),
+        ("star", Topology::Star),
+        ("complete", Topology::Complete),
+    ])?;
+    let weight = table.get("weight", "1.0").map_or(Ok(1.0), |value| value.positive())?;
+    let edge = |(first, second)| Edge { first, second, weight };
+    let path = (1..agents).map(|agent| (agent - 1, agent));
+    let edges: Vec<Edge> = match topology {
+        Topology::Path => path.map(edge).collect(),
+        // Two agents are joined once, whichever way round.
+        Topology::Ring => {
+            let closing = (agents > 2).then(|| (0, agents - 1));
+            path.chain(closing).map(edge).collect()
+        }
+        Topology::Star => (1..agents).map(|agent| edge((0, agent))).collect(),
+        Topology::Complete => (0..agents)
+            .flat_map(|first| (first + 1..agents).map(move |second| (first, second)))
+            .map(edge)
+            .collect(),
+    };
+    Graph::new(agents, &edges).map_err(|error| value.error(error, graph_mend(&error)))
+}
+
+fn graph_mend(error: &GraphError) -> String {
+    match error {
+        GraphError::NotSymmetric { .. } => "write the same weight in both".to_owned(),
+        GraphError::SelfLoop { .. } => "an agent hears itself anyway: leave this out".to_owned(),
+        GraphError::Weight { .. } => "write a number above 0, or 0 for no edge".to_owned(),
+        GraphError::Repeated { .. } => "write each edge once".to_owned(),
+        GraphError::Disconnected { agent } => {
+            format!("join agent {} to one that is reached", agent + 1)
+        }
+        _ => "write a table [graph]".to_owned(),
+    }
+}

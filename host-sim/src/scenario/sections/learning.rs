@@ -1,0 +1,222 @@
+//! `[[learning]]` and `[recipes.*]`.
+
+use std::num::NonZeroU32;
+
+use super::agents::agent;
+use super::network::initial_parameters;
+use super::run::beyond_the_end;
+use crate::scenario::error::{ScenarioError, closest};
+use crate::scenario::reader::{Table, Value};
+use crate::scenario::{LearningCycle, Recipe, Time, Window};
+use crate::training::{InitialParameters, LevenbergMarquardtSettings};
+
+/// Most epochs, and failed validations, that a recipe may ask for.
+const EPOCHS_MAX: u32 = 1_000_000;
+
+/// The learning cycles of `agents` agents.
+pub(in crate::scenario) fn cycles(
+    root: &Table<'_>,
+    time: &Time,
+    agents: usize,
+    recipes: &[Recipe],
+    has_network: bool,
+) -> Result<Vec<LearningCycle>, ScenarioError> {
+    let tables = root.get_tables("learning")?;
+    let mut cycles: Vec<LearningCycle> = Vec::with_capacity(tables.len());
+    for table in &tables {
+        if !has_network {
+            let mend = "write a table [network], or remove this one";
+            return Err(table.error("there is no network that could learn", mend));
+        }
+        let cycle = cycle(table, time, agents, recipes)?;
+        check_order(table, &cycle, &cycles)?;
+        cycles.push(cycle);
+    }
+    Ok(cycles)
+}
+
+fn cycle(
+    table: &Table<'_>,
+    time: &Time,
+    agents: usize,
+    recipes: &[Recipe],
+) -> Result<LearningCycle, ScenarioError> {
+    table.only(&["agents", "collect_from", "collect_to", "stride", "apply_at", "recipe"])?;
+    let learners = match table.get("agents", "[1, 2]") {
+        Some(value) => learners(&value, agents)?,
+        None => (0..agents).collect(),
+    };
+    let from = table.require("collect_from", "5.0")?.not_negative()?;
+    let to_value = table.require("collect_to", "8.0")?;
+    let to = to_value.positive()?;
+    let collect = Window { from, to };
+    if to > time.duration {
+        return Err(beyond_the_end(&to_value, time));
+    }
+    if collect.ticks(time).is_empty() {
+        let problem = format!("is {}, not after collect_from", to_value.written());
+        return Err(to_value.error(problem, format!("write a time after {from}")));
+    }
+    let stride = stride(table, "stride")?;
+    let apply_value = table.require("apply_at", "10.0")?;
+    let apply_at = apply_value.positive()?;
+    if apply_at > time.duration {
+        return Err(beyond_the_end(&apply_value, time));
+    }
+    if apply_at < to {
+        let problem = format!("is {}, before collecting has ended", apply_value.written());
+        return Err(apply_value.error(problem, format!("write a time from collect_to, {to}")));
+    }
+    let recipe_value = table.require("recipe", "\"plain\"")?;
+    let recipe = recipe_value.text()?;
+    if !recipes.iter().any(|known| known.name == recipe) {
+        let mend = match closest(recipe, recipes.iter().map(|known| known.name.as_str())) {
+            Some(closest) => format!("write \"{closest}\""),
+            None => format!("write a table [recipes.{recipe}]"),
+        };
+        return Err(recipe_value.error(format_args!("there is no recipe `{recipe}`"), mend));
+    }
+    Ok(LearningCycle { agents: learners, collect, stride, apply_at, recipe: recipe.to_owned() })
+}
+
+fn learners(value: &Value<'_>, agents: usize) -> Result<Vec<usize>, ScenarioError> {
+    let list = value.list()?;
+    if list.is_empty() {
+        return Err(value.error("names no agent", "name at least one, or remove the key for all"));
+    }
+    let mut learners = Vec::with_capacity(list.len());
+    for entry in &list {
+        let learner = agent(entry, agents)?;
+        if learners.contains(&learner) {
+            let problem = format!("agent {} is named twice", learner + 1);
+            return Err(entry.error(problem, "name each agent once"));
+        }
+        learners.push(learner);
+    }
+    Ok(learners)
+}
+
+/// A cycle may only begin when every earlier one of the same agent has been applied.
+fn check_order(
+    table: &Table<'_>,
+    cycle: &LearningCycle,
+    earlier: &[LearningCycle],
+) -> Result<(), ScenarioError> {
+    for (index, before) in earlier.iter().enumerate() {
+        let shared = cycle.agents.iter().find(|learner| before.agents.contains(learner));
+        if let Some(learner) = shared.filter(|_| cycle.collect.from < before.apply_at) {
+            let value = table.require("collect_from", "5.0")?;
+            let problem = format!(
+                "is {}, before learning[{}] is applied to agent {} at {}",
+                value.written(),
+                index + 1,
+                learner + 1,
+                before.apply_at
+            );
+            let mend = "write the cycles of an agent in the order of time, none inside another";
+            return Err(value.error(problem, mend));
+        }
+    }
+    Ok(())
+}
+
+fn stride(table: &Table<'_>, key: &str) -> Result<NonZeroU32, ScenarioError> {
+    let stride = table.get(key, "1").map_or(Ok(1), |value| value.integer(1..=u32::MAX))?;
+    Ok(NonZeroU32::new(stride).unwrap_or(NonZeroU32::MIN))
+}
+
+/// The recipes, in the order of the file.
+pub(in crate::scenario) fn recipes(root: &Table<'_>) -> Result<Vec<Recipe>, ScenarioError> {
+    let Some(table) = root.get_table("recipes")? else { return Ok(Vec::new()) };
+    let recipe = |(name, value): (&str, Value<'_>)| recipe(name, &value.table()?);
+    table.entries("{ epochs = 100 }").into_iter().map(recipe).collect()
+}
+
+fn recipe(name: &str, table: &Table<'_>) -> Result<Recipe, ScenarioError> {
+    table.only(&[
+        "smoothing_window",
+        "decimation",
+        "initial",
+        "split",
+        "epochs",
+        "goal",
+        "mu",
+        "mu_decrease",
+        "mu_increase",
+        "mu_min",
+        "mu_max",
+        "min_gradient",
+        "validation_failures",
+    ])?;
+    let smoothing_window =
+        table.get("smoothing_window", "0.1").map_or(Ok(0.0), |value| value.not_negative())?;
+    let initial = match table.get("initial", "{ random = true }") {
+        Some(value) => initial_parameters(&value)?,
+        None => InitialParameters::NguyenWidrow,
+    };
+    Ok(Recipe {
+        name: name.to_owned(),
+        smoothing_window,
+        decimation: stride(table, "decimation")?,
+        initial,
+        split: split(table)?,
+        solver: solver(table)?,
+    })
+}
+
+/// Parts for training, validation and test.
+fn split(table: &Table<'_>) -> Result<[f64; 3], ScenarioError> {
+    // What the toolbox that the paper used does by itself.
+    let Some(value) = table.get("split", "[0.7, 0.15, 0.15]") else {
+        return Ok([0.7, 0.15, 0.15]);
+    };
+    let parts = value.numbers_of(3, "the parts are training, validation and test, that is")?;
+    let sum = parts.iter().fold(0.0, |sum, part| sum + part);
+    if parts[0] <= 0.0 || parts.iter().any(|&part| part < 0.0) || (sum - 1.0).abs() > 1e-9 {
+        let problem = format!("is {}, which is no division of the whole", value.written());
+        let mend = "write three numbers, 0 or above and the first above 0, that add up to 1";
+        return Err(value.error(problem, mend));
+    }
+    Ok([parts[0], parts[1], parts[2]])
+}
+
+fn solver(table: &Table<'_>) -> Result<LevenbergMarquardtSettings, ScenarioError> {
+    let default = LevenbergMarquardtSettings::default();
+    let positive =
+        |key: &str, or: f64| table.get(key, "0.5").map_or(Ok(or), |value| value.positive());
+    let not_negative =
+        |key: &str, or: f64| table.get(key, "0.0").map_or(Ok(or), |value| value.not_negative());
+    let count = |key: &str, or: usize| match table.get(key, "10") {
+        Some(value) => value.integer(1..=EPOCHS_MAX).map(|count| count as usize),
+        None => Ok(or),
+    };
+    let damping_decrease = match table.get("mu_decrease", "0.1") {
+        Some(value) => value.number_in("a number between 0 and 1", |x| x > 0.0 && x < 1.0)?,
+        None => default.damping_decrease,
+    };
+    let damping_increase = match table.get("mu_increase", "10.0") {
+        Some(value) => value.number_in("a number above 1", |x| x > 1.0)?,
+        None => default.damping_increase,
+    };
+    let damping_initial = positive("mu", default.damping_initial)?;
+    let damping_min = not_negative("mu_min", default.damping_min)?;
+    let damping_max = positive("mu_max", default.damping_max)?;
+    if !(damping_min <= damping_initial && damping_initial <= damping_max) {
+        let problem = format!(
+            "mu_min = {damping_min:?}, mu = {damping_initial:?} and mu_max = {damping_max:?} \
+             are out of order"
+        );
+        return Err(table.error(problem, "write mu_min <= mu <= mu_max"));
+    }
+    Ok(LevenbergMarquardtSettings {
+        damping_initial,
+        damping_decrease,
+        damping_increase,
+        damping_min,
+        damping_max,
+        goal: not_negative("goal", default.goal)?,
+        epochs_max: count("epochs", default.epochs_max)?,
+        gradient_min: not_negative("min_gradient", default.gradient_min)?,
+        validation_failures_max: count("validation_failures", default.validation_failures_max)?,
+    })
+}

@@ -1,0 +1,8 @@
+//! One module for each group of tables of the file.
+
+pub(super) mod agents;
+pub(super) mod gains;
+pub(super) mod learning;
+pub(super) mod network;
+pub(super) mod plant;
+pub(super) mod run;

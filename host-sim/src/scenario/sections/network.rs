@@ -1,0 +1,90 @@
+//! `[network]`.
+
+use agent_core::activation::Activation;
+use agent_core::network::{Architecture, INNER_LAYERS_MAX, LAYER_WIDTH_MAX, Layer};
+
+use super::gains;
+use crate::scenario::Network;
+use crate::scenario::error::ScenarioError;
+use crate::scenario::reader::{Table, Value, has};
+use crate::training::InitialParameters;
+
+const LAYERS: &str = "[{ nodes = 8, activation = \"tanh\" }]";
+
+/// `n` is the dimension of the state.
+pub(in crate::scenario) fn network(
+    root: &Table<'_>,
+    n: usize,
+) -> Result<Option<Network>, ScenarioError> {
+    let Some(table) = root.get_table("network")? else {
+        return match root.get_table("outer_law")? {
+            Some(law) => Err(law.error(
+                "there is no network whose outer weights it could adapt",
+                "write a table [network], or remove this one",
+            )),
+            None => Ok(None),
+        };
+    };
+    table.only(&["layers", "inner", "outer"])?;
+    let layers_value = table.require("layers", LAYERS)?;
+    let list = layers_value.list()?;
+    if !(1..=INNER_LAYERS_MAX).contains(&list.len()) {
+        let problem = has(list.len(), "layer", "layers");
+        return Err(layers_value.error(problem, format!("give it 1 to {INNER_LAYERS_MAX}")));
+    }
+    let layers = list.iter().map(layer).collect::<Result<Vec<_>, _>>()?;
+    let architecture = Architecture::new(n, &layers).map_err(|error| layers_value.wrong(error))?;
+    let inner = initial_parameters(&table.require("inner", "{ random = true }")?)?;
+    let features = architecture.features();
+    let outer_value = table.require("outer", "{ fill = 0.0 }")?;
+    let outer = outer_weights(&outer_value, features, n)?;
+    let outer_law = gains::outer_law(root, features)?;
+    let norm = outer.iter().fold(0.0, |sum, weight| sum + weight * weight).sqrt();
+    if norm > outer_law.bound {
+        let problem = format!("has the Frobenius norm {norm:.3}, above outer_law.bound");
+        let mend = format!("write a bound above {norm:.3}, or smaller weights");
+        return Err(outer_value.error(problem, mend));
+    }
+    Ok(Some(Network { architecture, inner, outer, outer_law }))
+}
+
+fn layer(value: &Value<'_>) -> Result<Layer, ScenarioError> {
+    let table = value.table()?;
+    table.only(&["nodes", "activation"])?;
+    let width = table.require("nodes", "8")?.integer(1..=LAYER_WIDTH_MAX as u32)? as u8;
+    let activation = table.require("activation", "\"tanh\"")?.choice(&[
+        ("tanh", Activation::Tanh),
+        ("logistic", Activation::Logistic),
+        ("gaussian", Activation::Gaussian),
+    ])?;
+    Ok(Layer { width, activation })
+}
+
+/// `{ fill = number }` or `{ random = true }`.
+pub(super) fn initial_parameters(value: &Value<'_>) -> Result<InitialParameters, ScenarioError> {
+    let table = value.table()?;
+    table.only(&["fill", "random"])?;
+    match (table.get("fill", "0.5"), table.get("random", "true")) {
+        (Some(fill), None) => fill.number().map(InitialParameters::Constant),
+        (None, Some(random)) if random.boolean()? => Ok(InitialParameters::NguyenWidrow),
+        _ => Err(value.error(
+            "asks for neither or both of a number and random ones",
+            "write { fill = 0.5 } or { random = true }",
+        )),
+    }
+}
+
+/// `W_hat(0)`, row by row, shape `[features, n]`.
+fn outer_weights(value: &Value<'_>, features: usize, n: usize) -> Result<Vec<f64>, ScenarioError> {
+    if value.is_table() {
+        let table = value.table()?;
+        table.only(&["fill"])?;
+        return Ok(vec![table.require("fill", "0.0")?.number()?; features * n]);
+    }
+    let rows = value.list()?.len();
+    if rows != features {
+        let problem = format!("{}, the last layer has {features} nodes", has(rows, "row", "rows"));
+        return Err(value.error(problem, format!("give it {features}, one for every node")));
+    }
+    Ok(value.matrix(n, "the state has")?.transpose().as_slice().to_vec())
+}

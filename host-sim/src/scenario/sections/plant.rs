@@ -1,0 +1,238 @@
+//! `[plant]` and `[disturbance]`.
+
+use crate::plant::expression::{ExpressionError, name_problem};
+use crate::plant::{DIMENSION_MAX, Disturbance, ExpressionSystem, Harmonic, Plant, Wave};
+use crate::scenario::error::{ScenarioError, closest};
+use crate::scenario::reader::{Table, Value, has};
+
+const EXPRESSION: &str = "\"0.5*x - sin(t)^2\"";
+
+#[derive(Clone, Copy)]
+enum Model {
+    VanDerPol,
+    Lorenz,
+    Duffing,
+    DampedPendulum,
+    Linear,
+    Expressions,
+}
+
+/// The plant and its initial state, shape `[n]`.
+pub(in crate::scenario) fn plant(root: &Table<'_>) -> Result<(Plant, Vec<f64>), ScenarioError> {
+    let table = root.require_table("plant")?;
+    let model = table.require("model", "\"lorenz\"")?.choice(&[
+        ("van-der-pol", Model::VanDerPol),
+        ("lorenz", Model::Lorenz),
+        ("duffing", Model::Duffing),
+        ("damped-pendulum", Model::DampedPendulum),
+        ("linear", Model::Linear),
+        ("expressions", Model::Expressions),
+    ])?;
+    let plant = if let Model::Expressions = model {
+        table.only(&["model", "parameters", "initial_state", "states", "derivative"])?;
+        Plant::Expressions(expressions(&table)?)
+    } else {
+        table.only(&["model", "parameters", "initial_state"])?;
+        built_in(model, &table)?
+    };
+    let initial_state = table.require("initial_state", "[1.0, 0.0]")?;
+    let initial_state = initial_state.numbers_of(plant.dimension(), "the state has")?;
+    Ok((plant, initial_state))
+}
+
+fn built_in(model: Model, table: &Table<'_>) -> Result<Plant, ScenarioError> {
+    let parameters = table.require_table("parameters")?;
+    let only = |names: &[&str]| parameters.only(names);
+    let number = |name: &str| parameters.require(name, "1.0")?.number();
+    let not_zero = |name: &str| {
+        parameters.require(name, "1.0")?.number_in("a number other than 0", |number| number != 0.0)
+    };
+    Ok(match model {
+        Model::VanDerPol => {
+            only(&["mu"])?;
+            Plant::VanDerPol { mu: not_zero("mu")? }
+        }
+        Model::Lorenz => {
+            only(&["sigma", "rho", "beta"])?;
+            Plant::Lorenz { sigma: number("sigma")?, rho: number("rho")?, beta: number("beta")? }
+        }
+        Model::Duffing => {
+            only(&["damping", "stiffness", "cubic_stiffness"])?;
+            Plant::Duffing {
+                damping: number("damping")?,
+                stiffness: number("stiffness")?,
+                cubic_stiffness: number("cubic_stiffness")?,
+            }
+        }
+        Model::DampedPendulum => {
+            only(&["gravity", "length", "damping"])?;
+            Plant::DampedPendulum {
+                gravity: number("gravity")?,
+                length: not_zero("length")?,
+                damping: number("damping")?,
+            }
+        }
+        Model::Linear | Model::Expressions => {
+            only(&["matrix"])?;
+            let value = parameters.require("matrix", "[[0.0, 1.0], [-1.0, 0.0]]")?;
+            let rows = value.list()?.len();
+            check_dimension(&value, rows, "row", "rows")?;
+            Plant::Linear(value.matrix(rows, "the matrix has as many rows,")?)
+        }
+    })
+}
+
+fn check_dimension(
+    value: &Value<'_>,
+    found: usize,
+    one: &str,
+    many: &str,
+) -> Result<(), ScenarioError> {
+    if (1..=DIMENSION_MAX).contains(&found) {
+        return Ok(());
+    }
+    let mend = format!("give it 1 to {DIMENSION_MAX}, the dimension of the state");
+    Err(value.error(has(found, one, many), mend))
+}
+
+fn expressions(table: &Table<'_>) -> Result<ExpressionSystem, ScenarioError> {
+    let states_value = table.require("states", "[\"x\", \"v\"]")?;
+    let list = states_value.list()?;
+    check_dimension(&states_value, list.len(), "state", "states")?;
+    let mut states: Vec<String> = Vec::with_capacity(list.len());
+    for value in &list {
+        let name = value.text()?;
+        check_name(value, name, &states)?;
+        states.push(name.to_owned());
+    }
+    let mut parameters = Vec::new();
+    if let Some(table) = table.get_table("parameters")? {
+        for (name, value) in table.entries("1.0") {
+            check_name(&value, name, &states)?;
+            parameters.push((name.to_owned(), value.number()?));
+        }
+    }
+    let derivative = table.require("derivative", "[\"v\", \"-x\"]")?;
+    system(&derivative, &states, &parameters)
+}
+
+/// Refuses a name that cannot be used in expressions, or that a state has already.
+fn check_name(value: &Value<'_>, name: &str, states: &[String]) -> Result<(), ScenarioError> {
+    let taken = states.iter().any(|state| state == name).then_some("is a state");
+    match name_problem(name).or(taken) {
+        Some(problem) => Err(value.error(
+            format_args!("`{name}` {problem}"),
+            "write another name, of letters, digits and _, that starts with a letter",
+        )),
+        None => Ok(()),
+    }
+}
+
+/// One expression for every state.
+fn system(
+    value: &Value<'_>,
+    states: &[String],
+    parameters: &[(String, f64)],
+) -> Result<ExpressionSystem, ScenarioError> {
+    let list = value.list()?;
+    if list.len() != states.len() {
+        let found = has(list.len(), "expression", "expressions");
+        let n = states.len();
+        return Err(value.error(format!("{found}, the state has {n}"), format!("give it {n}")));
+    }
+    let texts = list.iter().map(Value::text).collect::<Result<Vec<_>, _>>()?;
+    ExpressionSystem::parse(&texts, states, parameters).map_err(|refused| {
+        let problem = format!("in `{}`: {}", texts[refused.index], refused.error);
+        list[refused.index].error(problem, expression_mend(&refused.error))
+    })
+}
+
+fn expression_mend(error: &ExpressionError) -> String {
+    match error {
+        ExpressionError::UnknownName { name, known, .. } => {
+            match closest(name, known.iter().map(String::as_str)) {
+                Some(closest) => format!("write {closest}"),
+                None => format!("the names that can stand here are {}", known.join(", ")),
+            }
+        }
+        ExpressionError::ArgumentCount { expected, .. } => {
+            format!("give it {expected}, separated by commas")
+        }
+        ExpressionError::TooDeep => "write it with fewer parentheses inside one another".to_owned(),
+        _ => format!("write an expression such as {EXPRESSION}"),
+    }
+}
+
+#[derive(Clone, Copy)]
+enum DisturbanceModel {
+    None,
+    Harmonic,
+    Expressions,
+}
+
+pub(in crate::scenario) fn disturbance(
+    root: &Table<'_>,
+    plant: &Plant,
+) -> Result<Disturbance, ScenarioError> {
+    let Some(table) = root.get_table("disturbance")? else { return Ok(Disturbance::None) };
+    let model = table.require("model", "\"none\"")?.choice(&[
+        ("none", DisturbanceModel::None),
+        ("harmonic", DisturbanceModel::Harmonic),
+        ("expressions", DisturbanceModel::Expressions),
+    ])?;
+    let components = |example| {
+        table.only(&["model", "components"])?;
+        table.require("components", example)
+    };
+    match model {
+        DisturbanceModel::None => {
+            table.only(&["model"])?;
+            Ok(Disturbance::None)
+        }
+        DisturbanceModel::Expressions => {
+            let value = components("[\"0.5*sin(2*t)\", \"0\"]")?;
+            system(&value, &plant.state_names(), &[]).map(Disturbance::Expressions)
+        }
+        DisturbanceModel::Harmonic => {
+            harmonics(&components(HARMONICS)?, plant.dimension()).map(Disturbance::Harmonic)
+        }
+    }
+}
+
+const HARMONICS: &str = "[{ amplitude = 0.5, angular_frequency = 2.0, function = \"sin\" }, []]";
+
+fn harmonics(value: &Value<'_>, n: usize) -> Result<Vec<Harmonic>, ScenarioError> {
+    let list = value.list()?;
+    if list.len() != n {
+        let problem = format!("{}, the state has {n}", has(list.len(), "entry", "entries"));
+        return Err(value.error(problem, format!("give it {n}; [] stands for no disturbance")));
+    }
+    let mut harmonics = Vec::new();
+    for (component, value) in list.iter().enumerate() {
+        if value.is_table() {
+            harmonics.push(harmonic(component, &value.table()?)?);
+            continue;
+        }
+        if !value.is_list() {
+            return Err(value.wrong("is neither a table nor a list of tables"));
+        }
+        for value in value.list()? {
+            harmonics.push(harmonic(component, &value.table()?)?);
+        }
+    }
+    Ok(harmonics)
+}
+
+fn harmonic(component: usize, table: &Table<'_>) -> Result<Harmonic, ScenarioError> {
+    table.only(&["amplitude", "angular_frequency", "function", "phase", "offset"])?;
+    let or_zero = |key: &str| table.get(key, "0.0").map_or(Ok(0.0), |value| value.number());
+    let function = table.require("function", "\"sin\"")?;
+    Ok(Harmonic {
+        component,
+        function: function.choice(&[("sin", Wave::Sin), ("cos", Wave::Cos)])?,
+        amplitude: table.require("amplitude", "0.5")?.number()?,
+        angular_frequency: table.require("angular_frequency", "2.0")?.number()?,
+        phase: or_zero("phase")?,
+        offset: or_zero("offset")?,
+    })
+}

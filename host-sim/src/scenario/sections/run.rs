@@ -1,0 +1,91 @@
+//! `name`, `[time]`, `[evaluation]` and `[record]`.
+
+use std::num::NonZeroU32;
+
+use crate::plant::Integrator;
+use crate::scenario::error::ScenarioError;
+use crate::scenario::reader::{Table, Value};
+use crate::scenario::{Record, Time, Window};
+
+/// Most steps of a run: 11 days at a millisecond.
+const STEPS_MAX: f64 = 1e9;
+/// Longest name, which becomes part of file names.
+const NAME_LENGTH_MAX: usize = 64;
+
+pub(in crate::scenario) fn name(root: &Table<'_>) -> Result<String, ScenarioError> {
+    let value = root.require("name", "\"first-try\"")?;
+    let name = value.text()?;
+    let letters = name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_');
+    if name.is_empty() || name.len() > NAME_LENGTH_MAX || !letters {
+        let mend = format!("write 1 to {NAME_LENGTH_MAX} ASCII letters, digits, - or _");
+        return Err(value.error(format_args!("`{name}` cannot name files"), mend));
+    }
+    Ok(name.to_owned())
+}
+
+pub(in crate::scenario) fn time(root: &Table<'_>) -> Result<Time, ScenarioError> {
+    let table = root.require_table("time")?;
+    table.only(&["duration", "step", "plant_integrator"])?;
+    let duration_value = table.require("duration", "10.0")?;
+    let (duration, step_value) = (duration_value.positive()?, table.require("step", "0.01")?);
+    let step_size = step_value.positive()?;
+    let integrator =
+        table.get("plant_integrator", "\"euler\"").map_or(Ok(Integrator::Euler), |value| {
+            value.choice(&[("euler", Integrator::Euler), ("rk4", Integrator::Rk4)])
+        })?;
+    let steps = duration / step_size;
+    if steps > STEPS_MAX {
+        let problem = format!("is {}, which makes {steps:e} steps", step_value.written());
+        return Err(step_value.error(problem, "write a longer step, for at most 1e9 of them"));
+    }
+    // A duration and a step that are decimal fractions are off by a few roundings.
+    let whole = steps.round();
+    if whole < 1.0 || (steps - whole).abs() > 1e-9 * whole {
+        let (duration, step) = (duration_value.written(), step_value.written());
+        let problem = format!("is {duration}, which is no whole number of steps of {step}");
+        let nearest = whole.max(1.0);
+        let mend = format!("write a multiple of the step, such as {nearest} * {step}");
+        return Err(duration_value.error(problem, mend));
+    }
+    Ok(Time { duration, step_size, integrator })
+}
+
+pub(in crate::scenario) fn evaluation(
+    root: &Table<'_>,
+    time: &Time,
+) -> Result<Window, ScenarioError> {
+    let second_half = Window { from: 0.5 * time.duration, to: time.duration };
+    let Some(table) = root.get_table("evaluation")? else { return Ok(second_half) };
+    table.only(&["from", "to"])?;
+    let from = table.get("from", "5.0");
+    let to = table.get("to", "10.0");
+    let from_time = from.as_ref().map_or(Ok(second_half.from), Value::not_negative)?;
+    let to_time = to.as_ref().map_or(Ok(second_half.to), Value::positive)?;
+    let window = Window { from: from_time, to: to_time };
+    if let Some(to) = to.filter(|_| window.to > time.duration) {
+        return Err(beyond_the_end(&to, time));
+    }
+    if window.ticks(time).is_empty() {
+        let problem = format!("holds no step: it is from {} to {}", window.from, window.to);
+        return Err(table.error(problem, "write from < to"));
+    }
+    Ok(window)
+}
+
+/// A time after the end of the run.
+pub(super) fn beyond_the_end(value: &Value<'_>, time: &Time) -> ScenarioError {
+    let problem = format!("is {}, after the end of the run", value.written());
+    value.error(problem, format_args!("write a time up to time.duration, {}", time.duration))
+}
+
+pub(in crate::scenario) fn record(root: &Table<'_>) -> Result<Record, ScenarioError> {
+    let every_step = Record { trace_stride: NonZeroU32::new(1), events: true };
+    let Some(table) = root.get_table("record")? else { return Ok(every_step) };
+    table.only(&["trace_stride", "events"])?;
+    let trace_stride = match table.get("trace_stride", "10") {
+        Some(value) => NonZeroU32::new(value.integer(0..=u32::MAX)?),
+        None => every_step.trace_stride,
+    };
+    let events = table.get("events", "true").map_or(Ok(every_step.events), |v| v.boolean())?;
+    Ok(Record { trace_stride, events })
+}

@@ -1,0 +1,230 @@
+use super::*;
+use crate::plant::{Harmonic, Wave};
+use agent_core::activation::Activation;
+use nalgebra::{DVector, dmatrix};
+
+fn paper() -> Scenario {
+    Scenario::parse("paper.toml", PAPER).unwrap()
+}
+
+#[test]
+fn the_paper_is_read_in_full() {
+    let scenario = paper();
+    assert_eq!(scenario.name, "paper");
+    assert_eq!(scenario.plant, Plant::VanDerPol { mu: 0.3 });
+    assert_eq!(scenario.initial_state, [5.0, 7.0, 8.0]);
+    let harmonic = |component, amplitude, angular_frequency, function| Harmonic {
+        component,
+        function,
+        amplitude,
+        angular_frequency,
+        phase: 0.0,
+        offset: 0.0,
+    };
+    let disturbance = Disturbance::Harmonic(vec![
+        harmonic(0, 0.5, 3.0, Wave::Sin),
+        harmonic(1, 0.75, 1.0, Wave::Cos),
+        harmonic(2, 1.0, 3.75, Wave::Cos),
+    ]);
+    assert_eq!(scenario.disturbance, disturbance);
+    assert_eq!((scenario.steps(), scenario.dimension()), (40_000, 3));
+    assert_eq!(scenario.time.integrator, Integrator::Euler);
+    let diagonal = DVector::from_column_slice(&[134.86, 263.23, 263.23]);
+    let design = Design {
+        gain: DMatrix::from_diagonal(&diagonal),
+        k2: 10.0,
+        kappa: 1.0,
+        rho: 2.0,
+        delta: 0.3,
+        epsilon: 3000.0,
+    };
+    assert_eq!(scenario.design, design);
+    let network = scenario.network.as_ref().unwrap();
+    assert_eq!(network.architecture.parameter_count(), 425);
+    assert!(network.architecture.layers().iter().all(|l| l.activation == Activation::Tanh));
+    assert_eq!(network.inner, InitialParameters::Constant(0.1));
+    assert_eq!(network.outer[..4], [2.51, 4.59, 3.4, -2.44]);
+    assert_eq!((network.outer.len(), network.outer[14]), (15, 4.29));
+    let outer_law = OuterLaw {
+        gain: OuterGain::Scalar(3.0),
+        bound: 20.0,
+        boundary_layer: 1.0,
+        smoothing: 0.1,
+        smoothness: 1,
+    };
+    assert_eq!(network.outer_law, outer_law);
+    let adjacency = dmatrix![0.0, 1.0, 1.0; 1.0, 0.0, 0.0; 1.0, 0.0, 0.0];
+    assert_eq!(scenario.graph.adjacency(), adjacency);
+    assert_eq!(scenario.agents.len(), 3);
+    assert_eq!(scenario.agents[1].output_matrix, dmatrix![0.0, 1.0, 0.0]);
+    assert_eq!(scenario.agents[2].initial_estimate, [0.0; 3]);
+    let [cycle] = scenario.learning.as_slice() else { panic!("one cycle") };
+    assert_eq!(cycle.agents, [0, 1, 2]);
+    assert_eq!(cycle.collect.ticks(&scenario.time), 10_000..16_000);
+    assert_eq!((cycle.apply_at, cycle.recipe.as_str()), (20.0, "better"));
+    assert_eq!(scenario.evaluation, Window { from: 20.0, to: 40.0 });
+    assert_eq!(scenario.record, Record { trace_stride: NonZeroU32::new(1), events: true });
+}
+
+#[test]
+fn the_papers_recipe_and_the_defaults_of_the_other() {
+    let scenario = paper();
+    let paper = scenario.recipe("paper").unwrap();
+    assert_eq!((paper.smoothing_window, paper.decimation.get()), (0.0, 1));
+    assert_eq!(paper.initial, InitialParameters::Constant(0.1));
+    assert_eq!(paper.split, [0.7, 0.15, 0.15]);
+    let solver = LevenbergMarquardtSettings {
+        epochs_max: 25,
+        goal: 1e-2,
+        damping_min: 0.0,
+        ..LevenbergMarquardtSettings::default()
+    };
+    assert_eq!(paper.solver, solver);
+    let better = scenario.recipe("better").unwrap();
+    assert_eq!((better.smoothing_window, better.decimation.get()), (0.4, 10));
+    assert_eq!(better.initial, InitialParameters::NguyenWidrow);
+    let solver = LevenbergMarquardtSettings { epochs_max: 60, ..Default::default() };
+    assert_eq!(better.solver, solver);
+    assert_eq!(scenario.recipe("best"), None);
+}
+
+/// `1/2 (I (x) K_1) C^T C + 1/2 C^T C (I (x) K_1) + L (x) K_1 >= (k_2 + rho^2/delta) I` (`BMI`).
+fn bmi_margin(scenario: &Scenario) -> f64 {
+    let (agents, n) = (scenario.agents.len(), scenario.dimension());
+    let mut outputs = DMatrix::zeros(agents * n, agents * n);
+    for (index, agent) in scenario.agents.iter().enumerate() {
+        let block = agent.output_matrix.transpose() * &agent.output_matrix;
+        outputs.view_mut((index * n, index * n), (n, n)).copy_from(&block);
+    }
+    let design = &scenario.design;
+    let gains = DMatrix::identity(agents, agents).kronecker(&design.gain);
+    let left = (&gains * &outputs + &outputs * &gains) * 0.5
+        + scenario.graph.laplacian().kronecker(&design.gain);
+    let smallest = left.symmetric_eigenvalues().min();
+    smallest - (design.k2 + design.rho * design.rho / design.delta)
+}
+
+#[test]
+fn every_built_in_scenario_is_sound() {
+    for (name, text) in BUILT_IN {
+        let scenario = Scenario::parse(name, text).unwrap();
+        assert_eq!(scenario.name, name);
+        assert_eq!(built_in(name), Some(text));
+        let margin = bmi_margin(&scenario);
+        assert!(margin > 0.0, "{name}: K1 misses the matrix inequality by {margin}");
+        // Euler's method for the linear part of the observer.
+        let largest = scenario.graph.laplacian().symmetric_eigenvalues().max() + 1.0;
+        let gain = scenario.design.gain.symmetric_eigenvalues().max();
+        let product = scenario.time.step_size * gain * largest;
+        assert!(product < 1.1, "{name}: step * gain * eigenvalue is {product}");
+    }
+    assert_eq!(built_in("none"), None);
+    // 36.1356 - 23.3333, from an independent implementation.
+    assert!((bmi_margin(&paper()) - (36.13562809126155 - 70.0 / 3.0)).abs() < 1e-9);
+}
+
+#[test]
+fn the_paper_as_expressions_is_the_same_plant() {
+    let (paper, written) = (paper(), Scenario::parse("e", built_in("expressions").unwrap()));
+    let written = written.unwrap();
+    assert_eq!(written.initial_state, paper.initial_state);
+    assert_eq!(written.graph, paper.graph);
+    assert_eq!(written.design, paper.design);
+    assert_eq!((written.network, written.learning.len()), (None, 0));
+    for (time, x) in [(0.0, [5.0, 7.0, 8.0]), (1.25, [-0.3, 2.0, 0.1])] {
+        let mut rates = [[f64::NAN; 3]; 4];
+        paper.plant.derivative(time, &x, &mut rates[0]);
+        written.plant.derivative(time, &x, &mut rates[1]);
+        paper.disturbance.evaluate(time, &x, &mut rates[2]);
+        written.disturbance.evaluate(time, &x, &mut rates[3]);
+        assert_eq!((rates[0], rates[2]), (rates[1], rates[3]));
+    }
+}
+
+/// The paper with one text replaced.
+fn with(from: &str, to: &str) -> Scenario {
+    assert!(PAPER.contains(from), "{from}");
+    Scenario::parse("changed.toml", &PAPER.replacen(from, to, 1)).unwrap()
+}
+
+#[test]
+fn what_is_left_out_has_its_default() {
+    let head = PAPER.split("# --- Results").next().unwrap();
+    let scenario = Scenario::parse("short.toml", head).unwrap();
+    assert_eq!(scenario.evaluation, paper().evaluation);
+    assert_eq!(scenario.record, paper().record);
+    let scenario = with("boundary_layer = 1.0\n", "");
+    assert_eq!(scenario.network, paper().network);
+    assert_eq!(with("trace_stride = 1\n", "trace_stride = 0\n").record.trace_stride, None);
+    assert_eq!(with("agents = [1, 2, 3]\n", "").learning, paper().learning);
+}
+
+#[test]
+fn gains_may_be_numbers_diagonals_or_matrices() {
+    let number = with("gain = [134.86, 263.23, 263.23]", "gain = 200");
+    assert_eq!(number.design.gain, DMatrix::from_diagonal_element(3, 3, 200.0));
+    let rows = "gain = [[2.0, 0.5, 0.0], [0.5, 3.0, 0.0], [0.0, 0.0, 4.0]]";
+    let matrix = with("gain = [134.86, 263.23, 263.23]", rows).design.gain;
+    assert_eq!(matrix, dmatrix![2.0, 0.5, 0.0; 0.5, 3.0, 0.0; 0.0, 0.0, 4.0]);
+    let diagonal = with("gain = 3.0", "gain = [1, 2, 3, 4, 5]").network.unwrap().outer_law.gain;
+    assert_eq!(diagonal, OuterGain::Diagonal(vec![1.0, 2.0, 3.0, 4.0, 5.0]));
+}
+
+#[test]
+fn graphs_may_be_edges_or_topologies() {
+    let table = &PAPER[PAPER.find("adjacency = [\n").unwrap()..];
+    let adjacency = &table[..table.find("\n]\n").unwrap() + 3];
+    let graph = |text: &str| with(adjacency, text).graph;
+    assert_eq!(graph("edges = [[3, 1], [1, 2, 1]]\n"), paper().graph);
+    assert_eq!(graph("topology = \"star\"\n"), paper().graph);
+    let pairs = |text: &str| {
+        let pair = |e: &crate::graph::Edge| (e.first, e.second, e.weight);
+        graph(text).edges().iter().map(pair).collect::<Vec<_>>()
+    };
+    assert_eq!(pairs("topology = \"path\"\n"), [(0, 1, 1.0), (1, 2, 1.0)]);
+    let all = [(0, 1, 0.5), (0, 2, 0.5), (1, 2, 0.5)];
+    assert_eq!(pairs("topology = \"ring\"\nweight = 0.5\n"), all);
+    assert_eq!(pairs("topology = \"complete\"\nweight = 0.5\n"), all);
+    assert_eq!(pairs("edges = [[1, 2, 0.25], [2, 3]]\n"), [(0, 1, 0.25), (1, 2, 1.0)]);
+}
+
+#[test]
+fn agents_can_be_replicated() {
+    let text = built_in("pendulum").unwrap();
+    let scenario = Scenario::parse("pendulum", text).unwrap();
+    let rows: Vec<_> = scenario.agents.iter().map(|a| a.output_matrix.clone()).collect();
+    let (angle, rate) = (dmatrix![1.0, 0.0], dmatrix![0.0, 1.0]);
+    assert_eq!(rows, [angle.clone(), angle, rate.clone(), rate]);
+    assert_eq!(scenario.graph.edges().len(), 4);
+}
+
+#[test]
+fn one_agent_needs_no_graph() {
+    let text = built_in("expressions").unwrap();
+    let one = text.split("[graph]").next().unwrap();
+    let text = format!("{one}[[agents]]\noutput_matrix = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n");
+    assert_eq!(Scenario::parse("one", &text).unwrap().graph.agents(), 1);
+}
+
+#[test]
+fn disturbances_add_up_and_may_be_left_out() {
+    let first = "{ amplitude = 0.5, angular_frequency = 3.0, function = \"sin\" }";
+    let scenario = with(first, &format!("[{first}, {first}]"));
+    let mut d = [0.0; 3];
+    scenario.disturbance.evaluate(0.5, &[0.0; 3], &mut d);
+    assert_eq!(d[0], 2.0 * (0.5 * libm::sin(1.5)));
+    let table = &PAPER[PAPER.find("[disturbance]").unwrap()..PAPER.find("[time]").unwrap()];
+    assert_eq!(with(table, "").disturbance, Disturbance::None);
+    assert_eq!(with(table, "[disturbance]\nmodel = \"none\"\n").disturbance, Disturbance::None);
+}
+
+#[test]
+fn cycles_of_different_agents_may_overlap() {
+    let second = "[[learning]]\nagents = [2]\ncollect_from = 12.0\ncollect_to = 14.0\n\
+                  apply_at = 15.0\nrecipe = \"paper\"\n\n# The paper's way of training.";
+    let text = PAPER.replacen("agents = [1, 2, 3]", "agents = [1, 3]", 1);
+    let text = text.replacen("# The paper's way of training.", second, 1);
+    let scenario = Scenario::parse("two.toml", &text).unwrap();
+    let agents: Vec<_> = scenario.learning.iter().map(|cycle| cycle.agents.clone()).collect();
+    assert_eq!(agents, [vec![0, 2], vec![1]]);
+}
