@@ -34,6 +34,7 @@ const INNER_PARAMETER: f32 = 0.1;
 /// `K_1`.
 const GAIN: [f64; 3] = [134.86, 263.23, 263.23];
 /// `W_hat(0)`, row by row.
+#[expect(clippy::approx_constant, reason = "3.14 is one of the paper's initial weights")]
 const OUTER_WEIGHTS: [f32; 15] = [
     2.51, 4.59, 3.40, //
     -2.44, 0.47, -2.45, //
