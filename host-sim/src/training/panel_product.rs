@@ -108,6 +108,7 @@ impl<const STRIDE: usize> PanelProduct<'_, STRIDE> {
     }
 
     #[inline(always)]
+    #[allow(clippy::needless_range_loop, reason = "indices as in the formula; unrolled as meant")]
     fn tile<S: Simd, const ROWS: usize, const VECTORS: usize>(
         &mut self,
         simd: S,
