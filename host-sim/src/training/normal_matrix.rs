@@ -304,6 +304,7 @@ impl WithSimd for SensitivityProducts<'_> {
 
 impl SensitivityProducts<'_> {
     #[inline(always)]
+    #[allow(clippy::needless_range_loop, reason = "indices as in the formula")]
     fn all_samples<S: Simd, const OUTPUTS: usize>(self, simd: S) {
         let strides = self.widths.map(node_stride);
         let samples = self.factors[0]
