@@ -236,7 +236,7 @@ pub fn minimize<P: LeastSquares + ?Sized>(
             match &best {
                 Some(best) if cost == best.cost => {}
                 // A cost that is not a number is a failure, too.
-                Some(best) if !(cost < best.cost) => failures += 1,
+                Some(best) if cost > best.cost || cost.is_nan() => failures += 1,
                 _ => {
                     failures = 0;
                     best = Some(Best { epoch, cost, parameters: parameters.clone() });

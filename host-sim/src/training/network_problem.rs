@@ -7,8 +7,8 @@
 //! The outer weights W are fixed: on the node they belong to the update law. Only the
 //! parameters of the inner layers are trained.
 //!
-//! Cost: see `normal_matrix` for JᵀJ, which is nearly all of it. Memory for n parameters: 4 to
-//! 8 n² bytes here, and as much again twice in the solver.
+//! Cost: see `normal_matrix` for JᵀJ, which is nearly all of it. Memory for n parameters:
+//! about 4 n² bytes here and 16 n² in the solver.
 //!
 //! Invariants: samples are taken in the order of the data set; the bits of every result depend
 //! only on the arguments, not on the machine.

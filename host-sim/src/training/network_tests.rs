@@ -3,11 +3,10 @@
 use super::data::Dataset;
 use super::levenberg_marquardt::LeastSquares;
 use super::network_problem::{NetworkProblem, ProblemError};
-use super::testing::{architecture, assert_close, random_data, random_values};
+use super::testing::{architecture, assert_close, instruction_sets, random_data, random_values};
 use agent_core::activation::Activation::{Gaussian, Logistic, Tanh};
 use agent_core::network::Architecture;
 use proptest::prelude::*;
-use pulp::Arch;
 
 /// f̂(x) as the equations have it, with libm's functions.
 fn naive_estimate(
@@ -115,10 +114,12 @@ fn check_against_definitions(architecture: &Architecture, samples: usize, seed: 
     assert_close(&gradient, &expected_gradient, 1e-8, 1e-9);
     assert_close(&hessian, &expected, 1e-8, 1e-9);
 
-    let data = [Some(&data), None, None];
-    let mut scalar =
-        NetworkProblem::with_arch(architecture, &outer, data, Arch::Scalar).expect("fits");
-    assert_eq!(normal_equations(&mut scalar, &parameters), (hessian, gradient, cost), "bits");
+    let (data, results) = ([Some(&data), None, None], (hessian, gradient, cost));
+    for arch in instruction_sets() {
+        let mut problem =
+            NetworkProblem::with_arch(architecture, &outer, data, arch).expect("fits");
+        assert_eq!(normal_equations(&mut problem, &parameters), results, "bits");
+    }
 }
 
 #[test]

@@ -267,8 +267,8 @@ impl WithSimd for InputProducts<'_> {
 
 /// `right[s][(p, q)] = Σ_o first[s][o][p] · second[s][o][q]`, for q ≥ p only if symmetric.
 ///
-/// Rows are written in whole vectors; what goes beyond the last q is overwritten by the next
-/// p, or is padding.
+/// Rows are written in whole vectors. What goes beyond the last q belongs to the next p, which
+/// is written later, or is padding.
 struct SensitivityProducts<'a> {
     factors: [&'a [f64]; 2],
     widths: [usize; 2],
@@ -283,32 +283,89 @@ impl WithSimd for SensitivityProducts<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
+        // As a constant, the number of outputs keeps the rows of `second` in registers.
+        match self.outputs {
+            1 => self.all_samples::<S, 1>(simd),
+            2 => self.all_samples::<S, 2>(simd),
+            3 => self.all_samples::<S, 3>(simd),
+            4 => self.all_samples::<S, 4>(simd),
+            5 => self.all_samples::<S, 5>(simd),
+            6 => self.all_samples::<S, 6>(simd),
+            7 => self.all_samples::<S, 7>(simd),
+            8 => self.all_samples::<S, 8>(simd),
+            9 => self.all_samples::<S, 9>(simd),
+            10 => self.all_samples::<S, 10>(simd),
+            11 => self.all_samples::<S, 11>(simd),
+            12 => self.all_samples::<S, 12>(simd),
+            outputs => unreachable!("{outputs} outputs, more than a network has inputs"),
+        }
+    }
+}
+
+impl SensitivityProducts<'_> {
+    #[inline(always)]
+    #[allow(clippy::needless_range_loop, reason = "indices as in the formula")]
+    fn all_samples<S: Simd, const OUTPUTS: usize>(self, simd: S) {
         let strides = self.widths.map(node_stride);
         let samples = self.factors[0]
-            .chunks_exact(self.outputs * strides[0])
-            .zip(self.factors[1].chunks_exact(self.outputs * strides[1]))
+            .chunks_exact(OUTPUTS * strides[0])
+            .zip(self.factors[1].chunks_exact(OUTPUTS * strides[1]))
             .zip(self.right.chunks_exact_mut(self.stride));
         for ((first, second), right) in samples {
-            let mut start = 0;
-            for p in 0..self.widths[0] {
-                let from = if self.symmetric { p } else { 0 };
-                let count = self.widths[1] - from;
-                // From here on in explicit vectors: the sums stay in registers.
-                let targets = &mut right[start..][..round_up(count)];
-                for (v, target) in S::as_mut_simd_f64s(targets).0.iter_mut().enumerate() {
-                    let mut sum = simd.splat_f64s(0.0);
-                    for o in 0..self.outputs {
-                        let values = &second[o * strides[1] + from + v * S::F64_LANES..];
-                        let values = S::as_simd_f64s(&values[..S::F64_LANES]).0[0];
-                        let factor = simd.splat_f64s(first[o * strides[0] + p]);
-                        sum = simd.add_f64s(sum, simd.mul_f64s(factor, values));
+            let first: [&[f64]; OUTPUTS] =
+                core::array::from_fn(|o| &first[o * strides[0]..][..self.widths[0]]);
+            let second: [&[f64]; OUTPUTS] =
+                core::array::from_fn(|o| &second[o * strides[1]..][..strides[1]]);
+            if self.symmetric {
+                let mut start = 0;
+                for p in 0..self.widths[0] {
+                    let factors = core::array::from_fn(|o| simd.splat_f64s(first[o][p]));
+                    let count = self.widths[1] - p;
+                    for lane in (0..count).step_by(S::F64_LANES) {
+                        let values = load(simd, second, p + lane);
+                        store_dot(simd, factors, values, right, start + lane);
                     }
-                    *target = sum;
+                    start += count;
                 }
-                start += count;
+            } else {
+                // From the last vector to the first, so that the next p comes later.
+                let vectors = self.widths[1].div_ceil(S::F64_LANES);
+                for lane in (0..vectors).rev().map(|v| v * S::F64_LANES) {
+                    let values = load(simd, second, lane);
+                    for p in 0..self.widths[0] {
+                        let factors = core::array::from_fn(|o| simd.splat_f64s(first[o][p]));
+                        store_dot(simd, factors, values, right, p * self.widths[1] + lane);
+                    }
+                }
             }
         }
     }
+}
+
+/// One vector from each row.
+#[inline(always)]
+fn load<S: Simd, const OUTPUTS: usize>(
+    _: S,
+    rows: [&[f64]; OUTPUTS],
+    start: usize,
+) -> [S::f64s; OUTPUTS] {
+    core::array::from_fn(|o| S::as_simd_f64s(&rows[o][start..][..S::F64_LANES]).0[0])
+}
+
+/// `target[start..] = Σ_o factors[o] · values[o]`, one vector.
+#[inline(always)]
+fn store_dot<S: Simd, const OUTPUTS: usize>(
+    simd: S,
+    factors: [S::f64s; OUTPUTS],
+    values: [S::f64s; OUTPUTS],
+    target: &mut [f64],
+    start: usize,
+) {
+    let mut sum = simd.mul_f64s(factors[0], values[0]);
+    for o in 1..OUTPUTS {
+        sum = simd.add_f64s(sum, simd.mul_f64s(factors[o], values[o]));
+    }
+    S::as_mut_simd_f64s(&mut target[start..][..S::F64_LANES]).0[0] = sum;
 }
 
 /// `right[s][p] = Σ_o sensitivities[s][o][p] · residuals[o][s]`.

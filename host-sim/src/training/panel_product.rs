@@ -108,6 +108,7 @@ impl<const STRIDE: usize> PanelProduct<'_, STRIDE> {
     }
 
     #[inline(always)]
+    #[allow(clippy::needless_range_loop, reason = "indices as in the formula; unrolled as meant")]
     fn tile<S: Simd, const ROWS: usize, const VECTORS: usize>(
         &mut self,
         simd: S,
@@ -144,6 +145,7 @@ impl<const STRIDE: usize> PanelProduct<'_, STRIDE> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::training::testing::instruction_sets;
 
     /// The definition, element by element.
     fn naive(left: &[[f64; 16]], terms: usize, columns: usize, panel: &[f64]) -> Vec<f64> {
@@ -170,7 +172,7 @@ mod tests {
                 let panel: Vec<f64> =
                     (0..terms * columns).map(|i| 1.0 / (i as f64 + 7.0) - 0.1).collect();
                 let expected = naive(&left, terms, columns, &panel);
-                for arch in [pulp::Arch::new(), pulp::Arch::Scalar] {
+                for arch in instruction_sets() {
                     let mut output = vec![1.0; rows * columns];
                     arch.dispatch(PanelProduct {
                         left: &left,

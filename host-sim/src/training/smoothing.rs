@@ -19,7 +19,7 @@ use super::data::{DataError, Dataset};
 /// Moving average and decimation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Smoothing {
-    /// Length of the averaging window [s]; 0 for none.
+    /// Length of the averaging window `[s]`; 0 for none.
     pub window: f64,
     /// Every how many samples one is kept, at least 1.
     pub stride: usize,
@@ -32,13 +32,13 @@ pub enum SmoothingError {
     /// The window is negative or not finite.
     #[error("smoothing window {window} s, expected a finite number from 0")]
     Window {
-        /// Its length [s].
+        /// Its length `[s]`.
         window: f64,
     },
     /// The sampling interval is not positive.
     #[error("sampling interval {step} s, expected a finite number above 0")]
     Step {
-        /// The interval [s].
+        /// The interval `[s]`.
         step: f64,
     },
     /// The stride is 0.
@@ -53,7 +53,7 @@ impl Smoothing {
     /// Samples as they were recorded.
     pub const NONE: Self = Self { window: 0.0, stride: 1 };
 
-    /// Smooths samples that are `step` [s] apart.
+    /// Smooths samples that are `step` `[s]` apart.
     ///
     /// # Errors
     /// If a field or `step` is out of range, or no full window fits.

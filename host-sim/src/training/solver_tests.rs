@@ -184,6 +184,24 @@ fn a_network_learns_another_network() {
 }
 
 #[test]
+fn the_bits_are_the_same_on_every_machine() {
+    let architecture = architecture(3, &[(12, Tanh), (5, Tanh)]);
+    let (data, outer) = (random_data(3, 300, 1), random_values(15, 2));
+    let mut settings = TrainingSettings::default();
+    settings.levenberg_marquardt.epochs_max = 5;
+    let (parameters, _) =
+        train_inner_network(&architecture, &outer, &data, &settings, 7, &mut |_| GO).expect("fits");
+    // FNV-1a. The number was recorded on x86-64; it changes if a sum is reordered.
+    let hash = parameters
+        .iter()
+        .flat_map(|p| p.to_le_bytes())
+        .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
+        });
+    assert_eq!(hash, 0xd630_8077_b05d_78ff, "{hash:#018x}");
+}
+
+#[test]
 fn a_constant_start_keeps_the_nodes_of_a_layer_identical() {
     let architecture = architecture(2, &[(3, Tanh), (2, Tanh)]);
     let settings = TrainingSettings {

@@ -20,6 +20,14 @@ pub(crate) fn assert_close(found: &[f64], expected: &[f64], rtol: f64, atol: f64
     }
 }
 
+/// The instruction sets that this machine has, none included.
+pub(crate) fn instruction_sets() -> Vec<pulp::Arch> {
+    let mut sets = vec![pulp::Arch::Scalar, pulp::Arch::new()];
+    #[cfg(target_arch = "x86_64")]
+    sets.extend(pulp::x86::V3::try_new().map(pulp::Arch::V3));
+    sets
+}
+
 /// Values uniform in [−1, 1).
 pub(crate) fn random_values(count: usize, seed: u64) -> Vec<f64> {
     let mut generator = ChaCha8Rng::seed_from_u64(seed);
