@@ -1,0 +1,3 @@
+//! The one binary of the integration tests.
+
+mod scenario_errors;
