@@ -8,3 +8,4 @@ mod drawn_network;
 mod levenberg_marquardt;
 mod oracle;
 mod paper_run;
+mod scenario_errors;

@@ -36,6 +36,17 @@ impl Scenario {
 
     /// Reads and checks the text of a scenario. `file` is what errors call it.
     ///
+    /// ```
+    /// use host_sim::scenario::{PAPER, Scenario};
+    ///
+    /// let scenario = Scenario::parse("paper.toml", PAPER)?;
+    /// assert_eq!((scenario.dimension(), scenario.agents.len()), (3, 3));
+    ///
+    /// let error = Scenario::parse("mine.toml", "name = 'x'\ntimes = {}").unwrap_err();
+    /// assert_eq!(error.to_string(), "mine.toml:2: times: unknown key; write time");
+    /// # Ok::<(), host_sim::scenario::ScenarioError>(())
+    /// ```
+    ///
     /// # Errors
     /// The first thing that is wrong, with file, line, key and mend.
     pub fn parse(file: &str, text: &str) -> Result<Self, ScenarioError> {

@@ -108,7 +108,7 @@ impl<'a> Table<'a> {
     pub(super) fn get_tables(&self, key: &str) -> Result<Vec<Table<'a>>, ScenarioError> {
         let mend = format!("write tables [[{}]]", self.path_of(key));
         let Some(list) = self.get_with_mend(key, mend) else { return Ok(Vec::new()) };
-        list.list()?.iter().map(Value::table).collect()
+        list.list(&list.mend)?.iter().map(Value::table).collect()
     }
 
     /// All keys with their values, in the order of the file.
@@ -135,7 +135,7 @@ impl<'a> Table<'a> {
 }
 
 /// The text of a key.
-fn name<'a, S: AsRef<str>>(key: &'a Spanned<S>) -> &'a str {
+fn name<S: AsRef<str>>(key: &Spanned<S>) -> &str {
     key.get_ref().as_ref()
 }
 
@@ -158,6 +158,11 @@ impl<'a> Value<'a> {
     /// `problem`, with the key's example as mend.
     pub(super) fn wrong(&self, problem: impl Display) -> ScenarioError {
         self.error(problem, &self.mend)
+    }
+
+    /// The same value with another mend.
+    pub(super) fn with_mend(&self, mend: &str) -> Self {
+        Self { mend: mend.to_owned(), ..self.clone() }
     }
 
     fn wrong_type(&self, expected: &str) -> ScenarioError {
@@ -212,8 +217,12 @@ impl<'a> Value<'a> {
         };
         let integer = integer_value(written).and_then(|integer| u32::try_from(integer).ok());
         integer.filter(|integer| range.contains(integer)).ok_or_else(|| {
-            let (low, high) = (range.start(), range.end());
-            self.wrong(format_args!("is {written}, expected an integer from {low} to {high}"))
+            let (low, high) = (*range.start(), *range.end());
+            let range = match high {
+                u32::MAX => format!(", {low} or above"),
+                _ => format!(" from {low} to {high}"),
+            };
+            self.wrong(format_args!("is {written}, expected an integer{range}"))
         })
     }
 
@@ -262,27 +271,24 @@ impl<'a> Value<'a> {
         self.value.get_ref().as_array().ok_or_else(|| self.wrong_type("a list"))
     }
 
-    /// The entries of a list.
-    pub(super) fn list(&self) -> Result<Vec<Value<'a>>, ScenarioError> {
-        Ok(self
-            .array()?
-            .iter()
-            .enumerate()
-            .map(|(index, value)| self.entry(index, value))
-            .collect())
+    /// The entries of a list; `mend` is what to do about one that is wrong.
+    pub(super) fn list(&self, mend: &str) -> Result<Vec<Value<'a>>, ScenarioError> {
+        let entry = |(index, value)| self.entry(index, value, mend);
+        Ok(self.array()?.iter().enumerate().map(entry).collect())
     }
 
     /// Entry `index`, from 0; counted from 1 in its path.
-    fn entry(&self, index: usize, value: &'a Spanned<DeValue<'a>>) -> Value<'a> {
+    fn entry(&self, index: usize, value: &'a Spanned<DeValue<'a>>, mend: &str) -> Value<'a> {
         let path = format!("{}[{}]", self.path, index + 1);
-        Value { source: self.source, path, mend: self.mend.clone(), value }
+        Value { source: self.source, path, mend: mend.to_owned(), value }
     }
 
     /// A list of numbers.
     pub(super) fn numbers(&self) -> Result<Vec<f64>, ScenarioError> {
         // Only a number that is refused needs its path.
         let number = |(index, value): (usize, &'a Spanned<DeValue<'a>>)| {
-            plain_number(value.get_ref()).map_or_else(|| self.entry(index, value).number(), Ok)
+            let refused = || self.entry(index, value, "write a finite number").number();
+            plain_number(value.get_ref()).map_or_else(refused, Ok)
         };
         self.array()?.iter().enumerate().map(number).collect()
     }
@@ -303,7 +309,7 @@ impl<'a> Value<'a> {
         columns: usize,
         owner: &str,
     ) -> Result<nalgebra::DMatrix<f64>, ScenarioError> {
-        let rows = self.list()?;
+        let rows = self.list("write every row as a list of numbers")?;
         if rows.is_empty() {
             return Err(self.wrong("has no row"));
         }

@@ -7,6 +7,8 @@ use crate::scenario::Agent;
 use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::{Table, Value, counted, has};
 
+const EDGE: &str = "write [agent, agent] or [agent, agent, weight]";
+
 /// Most agents of a network.
 const AGENTS_MAX: u32 = 1000;
 
@@ -67,7 +69,7 @@ pub(in crate::scenario) fn graph(root: &Table<'_>, agents: usize) -> Result<Grap
 }
 
 fn from_adjacency(value: &Value<'_>, agents: usize) -> Result<Graph, ScenarioError> {
-    let rows = value.list()?;
+    let rows = value.list("write every row as a list of numbers")?;
     if rows.len() != agents {
         let found = has(rows.len(), "row", "rows");
         let problem = format!("{found}, there are {}", counted(agents, "agent", "agents"));
@@ -92,19 +94,21 @@ fn from_adjacency(value: &Value<'_>, agents: usize) -> Result<Graph, ScenarioErr
 fn from_edges(value: &Value<'_>, agents: usize) -> Result<Graph, ScenarioError> {
     let mut edges = Vec::new();
     let mut joined = BTreeSet::new();
-    for entry in value.list()? {
-        let parts = entry.list()?;
+    for entry in value.list(EDGE)? {
+        let parts = entry.list("write the number of an agent")?;
         let ([first, second], weight) = match parts.as_slice() {
             [first, second] => ([first, second], None),
-            [first, second, weight] => ([first, second], Some(weight)),
+            [first, second, weight] => {
+                ([first, second], Some(weight.with_mend("write a weight above 0")))
+            }
             _ => {
                 let problem = has(parts.len(), "entry", "entries");
-                return Err(entry.error(problem, "write [agent, agent] or [agent, agent, weight]"));
+                return Err(entry.error(problem, EDGE));
             }
         };
         let ends = [agent(first, agents)?, agent(second, agents)?];
         let (first, second) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
-        let weight = weight.map_or(Ok(1.0), Value::positive)?;
+        let weight = weight.map_or(Ok(1.0), |value| value.positive())?;
         let error = if first == second {
             Some(GraphError::SelfLoop { agent: first })
         } else if !joined.insert((first, second)) {

@@ -3,7 +3,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector};
 
 use crate::scenario::error::ScenarioError;
-use crate::scenario::reader::{Table, Value};
+use crate::scenario::reader::{Table, Value, has};
 use crate::scenario::{Design, OuterGain, OuterLaw};
 
 /// Highest smoothness of the projection that the agents offer.
@@ -69,12 +69,12 @@ fn symmetric(value: &Value<'_>, size: usize, owner: &str) -> Result<OuterGain, S
     if !value.is_list() {
         return value.number().map(OuterGain::Scalar);
     }
-    let rows = value.list()?;
+    let rows = value.list("write every row as a list of numbers")?;
     if !rows.iter().any(Value::is_list) {
         return value.numbers_of(size, owner).map(OuterGain::Diagonal);
     }
     if rows.len() != size {
-        let problem = format!("has {} rows, {owner} {size}", rows.len());
+        let problem = format!("{}, {owner} {size}", has(rows.len(), "row", "rows"));
         return Err(value.error(problem, format!("give it {size} rows")));
     }
     let matrix = value.matrix(size, owner)?;

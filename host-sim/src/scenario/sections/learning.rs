@@ -72,7 +72,10 @@ fn cycle(
     if !recipes.iter().any(|known| known.name == recipe) {
         let mend = match closest(recipe, recipes.iter().map(|known| known.name.as_str())) {
             Some(closest) => format!("write \"{closest}\""),
-            None => format!("write a table [recipes.{recipe}]"),
+            None => {
+                let known = recipes.iter().map(|known| format!("\"{}\" or ", known.name));
+                format!("write {}a table [recipes.{recipe}]", known.collect::<String>())
+            }
         };
         return Err(recipe_value.error(format_args!("there is no recipe `{recipe}`"), mend));
     }
@@ -80,7 +83,7 @@ fn cycle(
 }
 
 fn learners(value: &Value<'_>, agents: usize) -> Result<Vec<usize>, ScenarioError> {
-    let list = value.list()?;
+    let list = value.list("write the number of an agent")?;
     if list.is_empty() {
         return Err(value.error("names no agent", "name at least one, or remove the key for all"));
     }

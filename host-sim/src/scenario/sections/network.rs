@@ -27,7 +27,7 @@ pub(in crate::scenario) fn network(
     };
     table.only(&["layers", "inner", "outer"])?;
     let layers_value = table.require("layers", LAYERS)?;
-    let list = layers_value.list()?;
+    let list = layers_value.list("write { nodes = 8, activation = \"tanh\" }")?;
     if !(1..=INNER_LAYERS_MAX).contains(&list.len()) {
         let problem = has(list.len(), "layer", "layers");
         return Err(layers_value.error(problem, format!("give it 1 to {INNER_LAYERS_MAX}")));
@@ -81,7 +81,7 @@ fn outer_weights(value: &Value<'_>, features: usize, n: usize) -> Result<Vec<f64
         table.only(&["fill"])?;
         return Ok(vec![table.require("fill", "0.0")?.number()?; features * n]);
     }
-    let rows = value.list()?.len();
+    let rows = value.list("write every row as a list of numbers")?.len();
     if rows != features {
         let problem = format!("{}, the last layer has {features} nodes", has(rows, "row", "rows"));
         return Err(value.error(problem, format!("give it {features}, one for every node")));

@@ -75,9 +75,9 @@ fn built_in(model: Model, table: &Table<'_>) -> Result<Plant, ScenarioError> {
         Model::Linear | Model::Expressions => {
             only(&["matrix"])?;
             let value = parameters.require("matrix", "[[0.0, 1.0], [-1.0, 0.0]]")?;
-            let rows = value.list()?.len();
+            let rows = value.list("write every row as a list of numbers")?.len();
             check_dimension(&value, rows, "row", "rows")?;
-            Plant::Linear(value.matrix(rows, "the matrix has as many rows,")?)
+            Plant::Linear(value.matrix(rows, "the number of rows is")?)
         }
     })
 }
@@ -97,7 +97,7 @@ fn check_dimension(
 
 fn expressions(table: &Table<'_>) -> Result<ExpressionSystem, ScenarioError> {
     let states_value = table.require("states", "[\"x\", \"v\"]")?;
-    let list = states_value.list()?;
+    let list = states_value.list("write a name in quotes")?;
     check_dimension(&states_value, list.len(), "state", "states")?;
     let mut states: Vec<String> = Vec::with_capacity(list.len());
     for value in &list {
@@ -134,7 +134,7 @@ fn system(
     states: &[String],
     parameters: &[(String, f64)],
 ) -> Result<ExpressionSystem, ScenarioError> {
-    let list = value.list()?;
+    let list = value.list(&format!("write an expression such as {EXPRESSION}"))?;
     if list.len() != states.len() {
         let found = has(list.len(), "expression", "expressions");
         let n = states.len();
@@ -200,9 +200,10 @@ pub(in crate::scenario) fn disturbance(
 }
 
 const HARMONICS: &str = "[{ amplitude = 0.5, angular_frequency = 2.0, function = \"sin\" }, []]";
+const HARMONIC: &str = "write { amplitude = 0.5, angular_frequency = 2.0, function = \"sin\" }";
 
 fn harmonics(value: &Value<'_>, n: usize) -> Result<Vec<Harmonic>, ScenarioError> {
-    let list = value.list()?;
+    let list = value.list(HARMONIC)?;
     if list.len() != n {
         let problem = format!("{}, the state has {n}", has(list.len(), "entry", "entries"));
         return Err(value.error(problem, format!("give it {n}; [] stands for no disturbance")));
@@ -216,7 +217,7 @@ fn harmonics(value: &Value<'_>, n: usize) -> Result<Vec<Harmonic>, ScenarioError
         if !value.is_list() {
             return Err(value.wrong("is neither a table nor a list of tables"));
         }
-        for value in value.list()? {
+        for value in value.list(HARMONIC)? {
             harmonics.push(harmonic(component, &value.table()?)?);
         }
     }
