@@ -300,12 +300,12 @@ fn the_bounds_are_narrow_enough_to_see_a_wrong_equation() {
             }
         }),
         // These two act in the boundary layer only, where not every network has an agent.
-        ("beta", 40, |network| {
+        ("beta", 45, |network| {
             for agent in &mut network.agents {
                 agent.projection.layer *= 1.01;
             }
         }),
-        ("delta", 25, |network| {
+        ("delta", 45, |network| {
             for agent in &mut network.agents {
                 agent.projection.smoothing *= 2.0;
             }

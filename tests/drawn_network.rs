@@ -176,7 +176,7 @@ impl Draw {
 
     /// Constants for which weights of the norm `norm` are inside the ball, or in the layer
     /// around it.
-    fn projection(&mut self, norm: f32) -> ProjectionParams {
+    fn projection(&mut self, norm: f32, step_size: f32) -> ProjectionParams {
         let in_layer = self.0.random_bool(0.6);
         let radius =
             norm * if in_layer { self.positive(0.7, 0.99) } else { self.positive(1.1, 2.0) };
@@ -184,7 +184,8 @@ impl Draw {
         ProjectionParams {
             radius,
             boundary_layer: least * self.positive(1.05, 2.0),
-            smoothing: self.positive(0.01, 1.0),
+            // Euler's method shrinks the weights by about dt delta / (2 theta_0^2) a step.
+            smoothing: self.positive(0.001, 0.1) * radius * radius / step_size,
             smoothness: self.whole(0, 7) as u8,
         }
     }
@@ -199,7 +200,7 @@ impl Draw {
         let features = usize::from(layers[layers.len() - 1].width);
         let outer_weights = self.signed_many(features * N, 5.0);
         let norm = outer_weights.iter().map(|weight| weight * weight).sum::<f32>().sqrt();
-        let projection = self.projection(norm);
+        let projection = self.projection(norm, step_size);
         let outputs = self.whole(1, N);
         // A step moves the weights by a small part of the boundary layer: Euler's method
         // could otherwise jump over the layer, and the operator's power of the depth explodes.
@@ -233,9 +234,10 @@ impl Draw {
         let size = self.positive(0.3, 300.0);
         let entries = self.symmetric(N, size);
         let gain = SMatrix::from_row_slice(&entries);
-        // Euler's method is stable below about 2 / |L (x) K_1|.
+        // Euler's method is stable below about 2 / |L (x) K_1|, and the network's term, about
+        // 20 for 20 features and weights up to 5, shall not carry an estimate away in a step.
         let degree = adjacency.row_iter().map(|row| row.sum()).fold(0.0, f32::max);
-        let rate = size * (2.0 * degree + N as f32);
+        let rate = size * (2.0 * degree + N as f32) + 20.0 / magnitude;
         let step_size = self.positive(0.01, 1.0) / rate;
 
         let (adjacency_64, gain_64) =
