@@ -85,7 +85,7 @@ fn refused_steps<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
         let calm = &member.params;
         type Attempt<'t, const N: usize> =
             (&'t AgentParams<'t, N>, Option<&'t InnerNetwork<Vec<f32>>>, u64, &'t [f32], StepError);
-        let tick = StepError::Tick { last: 0, found: 0 };
+        let tick = StepError::Tick { last: Some(0), found: 0 };
         let not_finite = StepError::MeasurementNotFinite { output: 0 };
         let (expected, found) = (0, 0);
         let attempts: [Attempt<'_, N>; 12] = [

@@ -96,10 +96,10 @@ impl<'a, const N: usize> AgentParams<'a, N> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum StepError {
-    /// Time did not advance.
+    /// Time did not advance, or cannot any further.
     Tick {
-        /// The tick of the last step.
-        last: Tick,
+        /// The tick of the last step; `None` if there was none.
+        last: Option<Tick>,
         /// The tick given.
         found: Tick,
     },
@@ -137,14 +137,20 @@ pub enum StepError {
         found: usize,
     },
     /// The estimate or the outer weights would not be finite any more.
+    ///
+    /// A sane next measurement ends it, unless the culprit is a frame with a huge estimate:
+    /// empty the inbox then, or the frame will be tried again.
     Diverged,
 }
 
 impl core::fmt::Display for StepError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match *self {
-            Self::Tick { last, found } => {
+            Self::Tick { last: Some(last), found } => {
                 write!(f, "step {found} does not come after the last one, {last}")
+            }
+            Self::Tick { last: None, found } => {
+                write!(f, "step {found} has no successor")
             }
             Self::Outputs { expected, found } => {
                 write!(f, "{found} measured values, expected {expected}")
@@ -213,8 +219,7 @@ where
         mut neighbour_holds: S,
     ) -> Result<Self, ParameterError> {
         finite("initial_estimate", estimate.iter())?;
-        let outer_weights = OuterWeights::new(outer_weights)?;
-        params.outer_law.gain.validate(outer_weights.rows().len())?;
+        let outer_weights = OuterWeights::new(outer_weights, &params.outer_law)?;
         let (expected, found) = (params.neighbours().len(), neighbour_holds.as_ref().len());
         if expected != found {
             let parameter = "neighbour_holds";
@@ -254,7 +259,7 @@ where
     ///
     /// # Errors
     /// Input that does not fit or is not finite, or a result that would not be finite; state
-    /// and inbox are then as they were.
+    /// and inbox are then as they were, frames still waiting.
     #[inline]
     pub fn step<P, I>(
         &mut self,
@@ -352,7 +357,8 @@ where
         P: AsRef<[f32]>,
         I: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
     {
-        if let Some(last) = self.last_tick.filter(|&last| tick <= last) {
+        let last = self.last_tick;
+        if tick == Tick::MAX || last.is_some_and(|last| tick <= last) {
             return Err(StepError::Tick { last, found: tick });
         }
         let (expected, found) = (params.outputs(), measurement.len());
@@ -392,8 +398,7 @@ where
         params: &AgentParams<'_, N>,
         outer_weights: &[f32],
     ) -> Result<(), ParameterError> {
-        let outer_weights = OuterWeights::new(outer_weights)?;
-        params.outer_law.gain.validate(outer_weights.rows().len())?;
+        let outer_weights = OuterWeights::new(outer_weights, &params.outer_law)?;
         self.outer_weights = outer_weights;
         Ok(())
     }

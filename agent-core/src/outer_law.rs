@@ -5,13 +5,19 @@
 //! Row `l` of `mu` is `-(Gamma sigma)_l (C^T e_3)^T`, and the projection subtracts a multiple of
 //! `omega` itself, so a step of Euler's method is one multiply-add a weight and direction.
 //!
+//! In continuous time the projection keeps `|omega| <= omega_bar`. A step of finite length can
+//! overshoot, by much if a measurement is an outlier; so a step whose result would lie outside
+//! is shortened radially onto the bound. It removes the outward part that the operator
+//! would have removed, and touches nothing while the operator alone suffices.
+//!
 //! Cost: `N L` operations for `W_hat^T sigma`, `4 N L` for the update, and for `Gamma sigma` one
 //! operation a feature (scalar or diagonal gain) or `L^2` (full). Memory: `4 N L` bytes.
 //!
-//! Invariant: a step either replaces all weights by finite numbers or changes none.
+//! Invariants: `|W_hat| <= omega_bar` at all times, up to rounding; a step either replaces all
+//! weights by finite numbers or changes none.
 
 use crate::StateVector;
-use crate::numeric::{add_scaled, dot};
+use crate::numeric::{add_scaled, dot, square_root};
 use crate::parameter::{ParameterError, finite, positive};
 use crate::projection::ProjectionParams;
 
@@ -107,8 +113,9 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     /// Weights from their entries, row by row: shape `[L, N]`, `1 <= L <= FEATURES`.
     ///
     /// # Errors
-    /// A length that is not a multiple of `N`, no row or too many, an entry that is not finite.
-    pub fn new(entries: &[f32]) -> Result<Self, ParameterError> {
+    /// A length that is not a multiple of `N`, no row or too many, an entry that is not finite, a
+    /// norm above the law's bound, a gain of another size than `L`.
+    pub fn new(entries: &[f32], law: &OuterLawParams) -> Result<Self, ParameterError> {
         const PARAMETER: &str = "outer_weights";
         let length = |expected| ParameterError::Length {
             parameter: PARAMETER,
@@ -123,7 +130,16 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
         for row in entries.chunks_exact(N) {
             rows.push(StateVector::from_column_slice(row)).map_err(|_| length(FEATURES * N))?;
         }
+        law.gain.validate(rows.len())?;
         let norm_squared = rows.iter().fold(0.0, |sum, row| sum + dot(row, row));
+        let bound = law.projection.bound();
+        if norm_squared > bound * bound {
+            return Err(ParameterError::OutOfRange {
+                parameter: "norm of outer_weights",
+                value: square_root(norm_squared),
+                expected: "at most projection.radius + projection.boundary_layer",
+            });
+        }
         Ok(Self { rows, gained_features: [0.0; FEATURES], norm_squared })
     }
 
@@ -173,13 +189,22 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
         let mut planned = PlannedStep {
             direction: innovation * step_size,
             shrink: step_size * correction,
+            scale: None,
             norm_squared: 0.0,
         };
         for (row, &gained) in self.rows.iter().zip(gained) {
             let row = planned.row(row, gained);
             planned.norm_squared += dot(&row, &row);
         }
-        planned.norm_squared.is_finite().then_some(planned)
+        if !planned.norm_squared.is_finite() {
+            return None;
+        }
+        let bound = law.projection.bound();
+        if planned.norm_squared > bound * bound {
+            planned.scale = Some(bound / square_root(planned.norm_squared));
+            planned.norm_squared = bound * bound;
+        }
+        Some(planned)
     }
 
     /// Carries out what [`Self::plan_step`] prepared.
@@ -187,6 +212,9 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     pub fn commit(&mut self, planned: &PlannedStep<N>) {
         for (row, &gained) in self.rows.iter_mut().zip(&self.gained_features) {
             *row = planned.row(row, gained);
+            if let Some(scale) = planned.scale {
+                *row *= scale;
+            }
         }
         self.norm_squared = planned.norm_squared;
     }
@@ -197,6 +225,8 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
 pub struct PlannedStep<const N: usize> {
     direction: StateVector<N>,
     shrink: f32,
+    /// Leads back to the bound a step that would cross it.
+    scale: Option<f32>,
     norm_squared: f32,
 }
 
@@ -223,8 +253,8 @@ mod tests {
     }
 
     fn step(gain: OuterGain, features: &[f32], innovation: [f32; 2]) -> OuterWeights<2, 4> {
-        let mut weights = OuterWeights::<2, 4>::new(&[1.0, 2.0, -1.0, 0.5]).unwrap();
         let law = OuterLawParams { gain, projection: PROJECTION };
+        let mut weights = OuterWeights::<2, 4>::new(&[1.0, 2.0, -1.0, 0.5], &law).unwrap();
         let planned =
             weights.plan_step(&law, 0.5, features, &StateVector::<2>::from(innovation)).unwrap();
         weights.commit(&planned);
@@ -249,14 +279,16 @@ mod tests {
         assert_eq!(scalar.rows(), full.rows());
     }
 
+    const LAW: OuterLawParams<'static> =
+        OuterLawParams { gain: OuterGain::Scalar(2.0), projection: PROJECTION };
+
     #[test]
     fn the_weights_never_leave_the_bound() {
-        let mut weights = OuterWeights::<2, 4>::new(&[1.0, 2.0, -1.0, 0.5]).unwrap();
-        let law = OuterLawParams { gain: OuterGain::Scalar(2.0), projection: PROJECTION };
+        let mut weights = OuterWeights::<2, 4>::new(&[1.0, 2.0, -1.0, 0.5], &LAW).unwrap();
         let mut largest = 0.0f32;
         for _ in 0..20_000 {
             let planned = weights
-                .plan_step(&law, 1e-3, &[0.9, -0.4], &StateVector::<2>::new(-1.0, -2.0))
+                .plan_step(&LAW, 1e-3, &[0.9, -0.4], &StateVector::<2>::new(-1.0, -2.0))
                 .unwrap();
             weights.commit(&planned);
             largest = largest.max(weights.norm_squared());
@@ -266,11 +298,33 @@ mod tests {
     }
 
     #[test]
+    fn an_outlier_leads_to_the_bound_and_no_further() {
+        let bound = PROJECTION.bound();
+        let mut weights = OuterWeights::<2, 4>::new(&[1.0, 2.0, -1.0, 0.5], &LAW).unwrap();
+        for innovation in [1e5, -3e8, 1e12] {
+            let innovation = StateVector::<2>::new(innovation, 0.3 * innovation);
+            let planned = weights.plan_step(&LAW, 1e-3, &[0.9, -0.4], &innovation).unwrap();
+            weights.commit(&planned);
+            let norm_squared = weights.rows().iter().fold(0.0, |sum, row| sum + dot(row, row));
+            assert!(norm_squared <= bound * bound * (1.0 + 4.0 * f32::EPSILON));
+            assert!(
+                (norm_squared - weights.norm_squared()).abs() <= 4.0 * f32::EPSILON * norm_squared
+            );
+        }
+        // Small steps afterwards lead back inside.
+        for _ in 0..20_000 {
+            let outward = weights.rows()[0] * 1e-2;
+            let planned = weights.plan_step(&LAW, 1e-3, &[1.0, 0.0], &outward).unwrap();
+            weights.commit(&planned);
+        }
+        assert!(weights.norm_squared() < PROJECTION.radius * PROJECTION.radius);
+    }
+
+    #[test]
     fn a_step_that_overflows_changes_nothing() {
-        let mut weights = OuterWeights::<2, 4>::new(&[1.0, 2.0]).unwrap();
-        let law = OuterLawParams { gain: OuterGain::Scalar(1.0), projection: PROJECTION };
+        let mut weights = OuterWeights::<2, 4>::new(&[1.0, 2.0], &LAW).unwrap();
         let huge = StateVector::<2>::new(f32::MAX, 0.0);
-        assert!(weights.plan_step(&law, 10.0, &[1.0], &huge).is_none());
+        assert!(weights.plan_step(&LAW, 10.0, &[1.0], &huge).is_none());
         assert_eq!(weights.rows(), [vector(1.0, 2.0)]);
         assert_eq!(weights.norm_squared(), 5.0);
     }
@@ -282,9 +336,11 @@ mod tests {
         assert!(OuterGain::Diagonal(&[1.0, -1.0]).validate(2).is_err());
         assert!(OuterGain::Full(&[1.0, 0.5, 0.4, 1.0]).validate(2).is_err());
         assert!(OuterGain::Full(&[1.0, 0.5, 0.5, 1.0]).validate(2).is_ok());
-        assert!(OuterWeights::<2, 4>::new(&[]).is_err());
-        assert!(OuterWeights::<2, 4>::new(&[1.0; 3]).is_err());
-        assert!(OuterWeights::<2, 4>::new(&[1.0; 10]).is_err());
-        assert!(OuterWeights::<2, 4>::new(&[1.0, f32::NAN]).is_err());
+        for bad in [&[][..], &[1.0; 3], &[1.0; 10], &[1.0, f32::NAN], &[4.6, 0.0], &[1e20, 0.0]] {
+            assert!(OuterWeights::<2, 4>::new(bad, &LAW).is_err());
+        }
+        let two = OuterLawParams { gain: OuterGain::Diagonal(&[1.0, 1.0]), ..LAW };
+        assert!(OuterWeights::<2, 4>::new(&[1.0; 4], &two).is_ok());
+        assert!(OuterWeights::<2, 4>::new(&[1.0; 2], &two).is_err());
     }
 }

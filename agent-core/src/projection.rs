@@ -24,7 +24,7 @@ use crate::parameter::{ParameterError, positive};
 pub struct ProjectionParams {
     /// `theta_0`, radius of the ball in which the operator is the identity. Above 0.
     pub radius: f32,
-    /// `beta`, thickness of the layer around it; the argument stays within
+    /// `beta`, thickness of the layer around it; in continuous time the argument stays within
     /// `theta_0 + beta`, the paper's bound `omega_bar`. Above 0.
     pub boundary_layer: f32,
     /// `delta` of the operator, which rounds its corner. Above 0.
@@ -50,7 +50,7 @@ impl ProjectionParams {
         Ok(())
     }
 
-    /// The bound that the argument never leaves, `omega_bar = theta_0 + beta`.
+    /// The bound on the argument, `omega_bar = theta_0 + beta`.
     #[must_use]
     pub fn bound(&self) -> f32 {
         self.radius + self.boundary_layer

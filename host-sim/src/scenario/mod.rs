@@ -193,6 +193,8 @@ pub struct Recipe {
     pub initial: InitialParameters,
     /// Parts of the samples for training, validation and test; they add up to 1.
     pub split: [f64; 3],
+    /// Penalty on the squared norm of the inner parameters; 0 for none.
+    pub weight_decay: f64,
     /// Settings of the solver.
     pub solver: LevenbergMarquardtSettings,
 }
@@ -211,6 +213,7 @@ impl Recipe {
             levenberg_marquardt: self.solver.clone(),
             split: self.split,
             initial: self.initial.clone(),
+            weight_decay: self.weight_decay,
         }
     }
 }

@@ -14,6 +14,7 @@
 //! | [`smoothing`] | takes the chatter out of recorded samples |
 //! | [`initial`] | parameters to start from |
 //! | [`network_problem`] | network and data as a least-squares problem |
+//! | [`weight_decay`] | a preference for small parameters |
 //! | [`levenberg_marquardt`] | the solver, for any least-squares problem |
 //! | `propagation`, `normal_matrix` | forward and backward pass; JᵀJ by its structure |
 //! | `panel_product`, `cholesky`, `elementary` | the kernels |
@@ -42,6 +43,7 @@ pub mod smoothing;
 mod solver_tests;
 #[cfg(test)]
 mod testing;
+pub mod weight_decay;
 
 pub use data::{DataError, Dataset, Division};
 pub use initial::{InitialError, InitialParameters};
@@ -51,6 +53,7 @@ pub use levenberg_marquardt::{
 };
 pub use network_problem::{NetworkProblem, ProblemError};
 pub use smoothing::{Smoothing, SmoothingError};
+pub use weight_decay::WeightDecay;
 
 use agent_core::network::Architecture;
 use std::ops::ControlFlow;
@@ -64,6 +67,8 @@ pub struct TrainingSettings {
     pub split: [f64; 3],
     /// Start. Default [`InitialParameters::NguyenWidrow`].
     pub initial: InitialParameters,
+    /// λ of the penalty λ‖θ‖² that is added to the mean squared error. Default 0.
+    pub weight_decay: f64,
 }
 
 impl Default for TrainingSettings {
@@ -72,6 +77,7 @@ impl Default for TrainingSettings {
             levenberg_marquardt: LevenbergMarquardtSettings::default(),
             split: [0.7, 0.15, 0.15],
             initial: InitialParameters::NguyenWidrow,
+            weight_decay: 0.0,
         }
     }
 }
@@ -113,7 +119,8 @@ pub fn train_inner_network(
 ) -> Result<(Vec<f64>, TrainingReport), TrainingError> {
     let Division { train, validation, test } = dataset.divide(settings.split, seed)?;
     let (validation, test) = (validation.as_ref(), test.as_ref());
-    let mut problem = NetworkProblem::new(architecture, outer_weights, &train, validation, test)?;
+    let problem = NetworkProblem::new(architecture, outer_weights, &train, validation, test)?;
+    let mut problem = WeightDecay { problem, weight_decay: settings.weight_decay };
     let start = settings.initial.draw(architecture, &train, seed ^ START_STREAM)?;
     Ok(minimize(&mut problem, start, &settings.levenberg_marquardt, progress)?)
 }

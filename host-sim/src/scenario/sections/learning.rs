@@ -141,6 +141,7 @@ fn recipe(name: &str, table: &Table<'_>) -> Result<Recipe, ScenarioError> {
         "decimation",
         "initial",
         "split",
+        "weight_decay",
         "epochs",
         "goal",
         "mu",
@@ -153,16 +154,19 @@ fn recipe(name: &str, table: &Table<'_>) -> Result<Recipe, ScenarioError> {
     ])?;
     let smoothing_window =
         table.get("smoothing_window", "0.1").map_or(Ok(0.0), |value| value.not_negative())?;
-    let initial = match table.get("initial", "{ random = true }") {
+    let initial = match table.get("initial", "{ random = \"glorot\" }") {
         Some(value) => initial_parameters(&value)?,
-        None => InitialParameters::NguyenWidrow,
+        None => InitialParameters::Glorot,
     };
+    let weight_decay =
+        table.get("weight_decay", "0.01").map_or(Ok(0.0), |value| value.not_negative())?;
     Ok(Recipe {
         name: name.to_owned(),
         smoothing_window,
         decimation: stride(table, "decimation")?,
         initial,
         split: split(table)?,
+        weight_decay,
         solver: solver(table)?,
     })
 }

@@ -34,7 +34,7 @@ pub(in crate::scenario) fn network(
     }
     let layers = list.iter().map(layer).collect::<Result<Vec<_>, _>>()?;
     let architecture = Architecture::new(n, &layers).map_err(|error| layers_value.wrong(error))?;
-    let inner = initial_parameters(&table.require("inner", "{ random = true }")?)?;
+    let inner = initial_parameters(&table.require("inner", "{ random = \"glorot\" }")?)?;
     let features = architecture.features();
     let outer_value = table.require("outer", "{ fill = 0.0 }")?;
     let outer = outer_weights(&outer_value, features, n)?;
@@ -60,16 +60,22 @@ fn layer(value: &Value<'_>) -> Result<Layer, ScenarioError> {
     Ok(Layer { width, activation })
 }
 
-/// `{ fill = number }` or `{ random = true }`.
+/// `{ fill = number }` or `{ random = "glorot" }`.
 pub(super) fn initial_parameters(value: &Value<'_>) -> Result<InitialParameters, ScenarioError> {
     let table = value.table()?;
     table.only(&["fill", "random"])?;
-    match (table.get("fill", "0.5"), table.get("random", "true")) {
+    match (table.get("fill", "0.5"), table.get("random", "\"glorot\"")) {
         (Some(fill), None) => fill.number().map(InitialParameters::Constant),
-        (None, Some(random)) if random.boolean()? => Ok(InitialParameters::NguyenWidrow),
+        (None, Some(random)) => {
+            let nguyen_widrow = random.choice(&[("glorot", false), ("nguyen-widrow", true)])?;
+            Ok(match nguyen_widrow {
+                true => InitialParameters::NguyenWidrow,
+                false => InitialParameters::Glorot,
+            })
+        }
         _ => Err(value.error(
             "asks for neither or both of a number and random ones",
-            "write { fill = 0.5 } or { random = true }",
+            "write { fill = 0.5 } or { random = \"glorot\" }",
         )),
     }
 }
