@@ -1,0 +1,186 @@
+//! CSV files: traces, broadcasts, training epochs.
+//!
+//! The first line names every column and its unit. Numbers have the fewest digits that read
+//! back as the same bits. Cost: about 40 ns a number; 40,000 rows of three agents (16 columns)
+//! take some 30 ms.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use crate::engine::traces::Traces;
+use crate::output_file::{OutputError, write_whole};
+
+/// One line of a CSV file that is being written.
+pub struct Row<'a> {
+    writer: csv::Writer<&'a mut dyn Write>,
+    float: ryu::Buffer,
+}
+
+impl Row<'_> {
+    /// A whole number.
+    ///
+    /// # Errors
+    /// What the file says, as with all methods here.
+    pub fn integer(&mut self, value: u64) -> io::Result<()> {
+        self.text(&value.to_string())
+    }
+
+    /// A number in double precision; one that is not finite is written as `NaN`, `inf` or
+    /// `-inf`, which CSV readers understand.
+    ///
+    /// # Errors
+    /// As [`Row::integer`].
+    pub fn double(&mut self, value: f64) -> io::Result<()> {
+        Ok(self.writer.write_field(self.float.format(value))?)
+    }
+
+    /// A number in single precision.
+    ///
+    /// # Errors
+    /// As [`Row::integer`].
+    pub fn single(&mut self, value: f32) -> io::Result<()> {
+        Ok(self.writer.write_field(self.float.format(value))?)
+    }
+
+    /// A number, or an empty field.
+    ///
+    /// # Errors
+    /// As [`Row::integer`].
+    pub fn optional(&mut self, value: Option<f64>) -> io::Result<()> {
+        match value {
+            Some(value) => self.double(value),
+            None => self.text(""),
+        }
+    }
+
+    /// A word; quoted if it must be.
+    ///
+    /// # Errors
+    /// As [`Row::integer`].
+    pub fn text(&mut self, value: &str) -> io::Result<()> {
+        Ok(self.writer.write_field(value)?)
+    }
+}
+
+/// Writes a CSV file: a header, and a line of what `write` says about each item.
+///
+/// # Errors
+/// A file that cannot be written, also if a line has not as many fields as the header.
+pub fn write_table<T>(
+    path: &Path,
+    header: &[impl AsRef<[u8]>],
+    items: impl Iterator<Item = T>,
+    mut write: impl FnMut(&mut Row<'_>, T) -> io::Result<()>,
+) -> Result<(), OutputError> {
+    write_whole(path, |file| {
+        let writer = csv::WriterBuilder::new().buffer_capacity(1 << 16).from_writer(file);
+        let mut row = Row { writer, float: ryu::Buffer::new() };
+        row.writer.write_record(header)?;
+        for item in items {
+            write(&mut row, item)?;
+            row.writer.write_record(None::<&[u8]>)?;
+        }
+        row.writer.flush()
+    })
+}
+
+/// Writes traces: a line a row, with the true state and each agent's estimate and error norm.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn write_traces(path: &Path, traces: &Traces) -> Result<(), OutputError> {
+    let components = 1..=traces.dimension();
+    let mut header = vec!["time [s]".to_owned()];
+    header.extend(components.clone().map(|component| format!("x{component} [state unit]")));
+    for agent in 1..=traces.agents() {
+        header.extend(
+            components
+                .clone()
+                .map(|component| format!("agent{agent}.xhat{component} [state unit]")),
+        );
+        header.push(format!("agent{agent}.error [state unit]"));
+    }
+    write_table(path, &header, 0..traces.rows(), |line, row| {
+        line.double(traces.time()[row])?;
+        for &x in traces.truth(row) {
+            line.double(x)?;
+        }
+        for agent in 0..traces.agents() {
+            for &x_hat in traces.estimate(row, agent) {
+                line.single(x_hat)?;
+            }
+            line.double(traces.error(row, agent))?;
+        }
+        Ok(())
+    })
+}
+
+/// Writes broadcasts, agent by agent: its number, which of its broadcasts it is (from 1), and
+/// when. `events` are the steps at whose beginning each agent broadcast; a step is `step_size`
+/// long \[s\].
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn write_events(path: &Path, events: &[&[u64]], step_size: f64) -> Result<(), OutputError> {
+    let numbered = events.iter().enumerate().flat_map(|(agent, ticks)| {
+        ticks.iter().enumerate().map(move |(sequence, &tick)| (agent + 1, sequence + 1, tick))
+    });
+    write_table(
+        path,
+        &["agent", "sequence", "time [s]"],
+        numbered,
+        |row, (agent, sequence, tick)| {
+            row.integer(agent as u64)?;
+            row.integer(sequence as u64)?;
+            row.double(tick as f64 * step_size)
+        },
+    )
+}
+
+/// One epoch of one training.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EpochRow {
+    /// The agent, from 1.
+    pub agent: usize,
+    /// The learning cycle, from 1.
+    pub cycle: usize,
+    /// The epoch; 0 is the state before the first step.
+    pub epoch: usize,
+    /// Mean squared error over the samples trained on. \[squared state unit/s\]
+    pub train_mse: f64,
+    /// Mean squared error over the validation samples, if there are any. \[squared state unit/s\]
+    pub validation_mse: Option<f64>,
+    /// Mean squared error over the test samples, if there are any. \[squared state unit/s\]
+    pub test_mse: Option<f64>,
+    /// Damping of the Levenberg–Marquardt step.
+    pub damping: f64,
+    /// Norm of the gradient of the objective.
+    pub gradient_norm: f64,
+}
+
+/// Writes epochs of trainings.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn write_epochs(path: &Path, epochs: &[EpochRow]) -> Result<(), OutputError> {
+    let header = [
+        "agent",
+        "cycle",
+        "epoch",
+        "train_mse [(state unit/s)^2]",
+        "validation_mse [(state unit/s)^2]",
+        "test_mse [(state unit/s)^2]",
+        "damping",
+        "gradient_norm",
+    ];
+    write_table(path, &header, epochs.iter(), |row, epoch| {
+        row.integer(epoch.agent as u64)?;
+        row.integer(epoch.cycle as u64)?;
+        row.integer(epoch.epoch as u64)?;
+        row.double(epoch.train_mse)?;
+        row.optional(epoch.validation_mse)?;
+        row.optional(epoch.test_mse)?;
+        row.double(epoch.damping)?;
+        row.double(epoch.gradient_norm)
+    })
+}
