@@ -71,7 +71,7 @@ impl Axis {
     /// How a tick is written.
     pub(super) fn label(&self, tick: f64) -> String {
         let largest = self.from.abs().max(self.to.abs());
-        if largest >= 1e6 || largest < 1e-3 {
+        if !(1e-3..1e6).contains(&largest) {
             return format!("{:.1e}", tick + 0.0).replace('-', "−");
         }
         let decimals = (-(self.step.log10() + 1e-9).floor()).clamp(0.0, 9.0) as usize;

@@ -42,8 +42,6 @@ impl Rect {
 pub(super) struct Dash {
     pub drawn: f64,
     pub gap: f64,
-    /// Where in this sequence a line begins.
-    pub offset: f64,
 }
 
 /// How a line is drawn.
@@ -61,7 +59,7 @@ impl Stroke {
     }
 
     pub(super) const fn dashed(self, drawn: f64, gap: f64) -> Self {
-        Self { dash: Some(Dash { drawn, gap, offset: 0.0 }), ..self }
+        Self { dash: Some(Dash { drawn, gap }), ..self }
     }
 
     pub(super) const fn faint(self, opacity: f64) -> Self {
@@ -202,9 +200,7 @@ impl Canvas {
             .set("stroke-width", number(stroke.width))
             .set("stroke-linejoin", "bevel");
         if let Some(dash) = stroke.dash {
-            path = path
-                .set("stroke-dasharray", (number(dash.drawn), number(dash.gap)))
-                .set("stroke-dashoffset", number(dash.offset));
+            path = path.set("stroke-dasharray", (number(dash.drawn), number(dash.gap)));
         }
         if stroke.opacity < 1.0 {
             path = path.set("stroke-opacity", number(stroke.opacity));
@@ -250,7 +246,8 @@ impl Canvas {
             Anchor::Middle => "middle",
             Anchor::End => "end",
         };
-        let size = at.size * (at.room / font::width(text, at.size)).min(1.0);
+        let width = font::width(text, at.size);
+        let size = if width > at.room { at.size * at.room / width } else { at.size };
         let mut node = Text::new(text)
             .set("x", number(at.x))
             .set("y", number(at.y))

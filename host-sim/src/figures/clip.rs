@@ -22,12 +22,12 @@ impl ClippedLine {
     /// Draws to a point; the first one only sets the pen down.
     pub(super) fn line_to(&mut self, x: f64, y: f64) {
         let to = (x, y);
-        if let Some((from, until, cut_begin)) = self.last.and_then(|from| self.inside(from, to)) {
-            if cut_begin {
+        if let Some([begin, end]) = self.last.and_then(|from| self.inside(from, to)) {
+            if Some(begin) != self.last {
                 self.data.lift();
             }
-            self.data.line_to(from.0, from.1);
-            self.data.line_to(until.0, until.1);
+            self.data.line_to(begin.0, begin.1);
+            self.data.line_to(end.0, end.1);
         } else {
             self.data.lift();
         }
@@ -45,10 +45,9 @@ impl ClippedLine {
         self.data
     }
 
-    /// The part of a straight line that lies inside, and whether its begin was cut off: from
-    /// each of the four borders follows a range of the parameter of the line (the method of
-    /// Liang and Barsky).
-    fn inside(&self, from: (f64, f64), to: (f64, f64)) -> Option<((f64, f64), (f64, f64), bool)> {
+    /// The part of a straight line that lies inside: from each of the four borders follows a
+    /// range of the parameter of the line (the method of Liang and Barsky).
+    fn inside(&self, from: (f64, f64), to: (f64, f64)) -> Option<[(f64, f64); 2]> {
         let (dx, dy) = (to.0 - from.0, to.1 - from.1);
         let borders = [
             (-dx, from.0 - self.area.left),
@@ -67,7 +66,7 @@ impl ClippedLine {
             }
         }
         let at = |part: f64| (from.0 + part * dx, from.1 + part * dy);
-        (begin <= end).then(|| (at(begin), at(end), begin > 0.0))
+        (begin <= end).then(|| [at(begin), at(end)])
     }
 }
 
@@ -86,7 +85,7 @@ mod tests {
         assert_eq!(drawn(&[(1.0, 1.0), (9.0, 9.0)]), "M1 1l8 8");
         assert_eq!(drawn(&[(-5.0, 5.0), (15.0, 5.0)]), "M0 5l10 0");
         assert_eq!(drawn(&[(5.0, 5.0), (5.0, -5.0), (7.0, -5.0), (7.0, 5.0)]), "M5 5l0-5M7 0l0 5");
-        assert_eq!(drawn(&[(-1.0, 5.0), (5.0, -7.0)]), "");
+        assert_eq!(drawn(&[(-2.0, 1.0), (1.0, -2.0)]), "");
         assert_eq!(drawn(&[(2.0, 12.0), (8.0, 12.0)]), "");
     }
 }

@@ -113,7 +113,11 @@ pub fn error_norms(figure: &ErrorFigure<'_>) -> Figure {
     draw_legend(&mut canvas, &rows, left, LEGEND_TOP);
     let labels = Labels { x_ticks: true, y_ticks: true, minor_grid: true };
     panel.draw_grid(&mut canvas, labels);
-    draw_errors(&mut canvas, &panel, traces);
+    // The more lines lie over each other, the fainter.
+    let opacity = (1.5 / traces.agents().max(1) as f64).clamp(0.25, 0.5);
+    draw_errors(&mut canvas, &panel, traces, |agent| {
+        Stroke::solid(palette::agent(agent), 0.45).faint(opacity)
+    });
     if traces.agents() <= LINES {
         draw_running_rms(&mut canvas, &panel, traces, limit, figure.markers);
     }
@@ -133,8 +137,8 @@ fn legend(traces: &Traces) -> Vec<Entry> {
         return vec![
             entry(&format!("{} agents:", traces.agents()), Sample::None),
             entry("median", Sample::Line(MEDIAN)),
-            entry("5 to 95 %", Sample::Patch(palette::TOGETHER, BANDS[0] + BANDS[1])),
-            entry("min to max", Sample::Patch(palette::TOGETHER, BANDS[0])),
+            entry("5–95 %", Sample::Patch(palette::TOGETHER, BANDS[0] + BANDS[1])),
+            entry("min–max", Sample::Patch(palette::TOGETHER, BANDS[0])),
         ];
     }
     let agents = (0..traces.agents())
@@ -147,8 +151,13 @@ const fn rms_line(agent: usize) -> Stroke {
     Stroke::solid(palette::agent(agent), 1.4)
 }
 
-/// Draws the errors into the panel; the more lines lie over each other, the fainter.
-fn draw_errors(canvas: &mut Canvas, panel: &Panel, traces: &Traces) {
+/// Draws the errors into the panel, with lines as given, or their spread if there are many.
+fn draw_errors(
+    canvas: &mut Canvas,
+    panel: &Panel,
+    traces: &Traces,
+    line_of: impl Fn(usize) -> Stroke,
+) {
     let time = traces.time();
     if traces.agents() > LINES {
         let columns = series::columns(time, &panel.x, series::column_count(panel.area.width, 6));
@@ -158,10 +167,9 @@ fn draw_errors(canvas: &mut Canvas, panel: &Panel, traces: &Traces) {
         return;
     }
     let columns = columns(panel, traces);
-    let opacity = (1.5 / traces.agents() as f64).clamp(0.25, 0.5);
     for agent in 0..traces.agents() {
         let line = series::line(panel, time, &columns, |row| traces.error(row, agent));
-        canvas.line(line, Stroke::solid(palette::agent(agent), 0.45).faint(opacity));
+        canvas.line(line, line_of(agent));
     }
 }
 
@@ -181,9 +189,11 @@ fn draw_running_rms(
 ) {
     let time = traces.time();
     let columns = columns(panel, traces);
-    let settled =
-        if transient(traces, limit).is_some() { settling_row(traces, limit) } else { Some(0) };
-    let mut breaks = vec![settled.unwrap_or(traces.rows())];
+    let mut breaks = vec![match (transient(traces, limit), settling_row(traces, limit)) {
+        (None, _) => 0,
+        (Some(_), Some(row)) => time.partition_point(|&t| t < time[row] + 0.5 * RMS_WINDOW),
+        (Some(_), None) => traces.rows(),
+    }];
     let jumps = markers.iter().filter(|marker| marker.jump);
     breaks.extend(jumps.map(|marker| time.partition_point(|&t| t < marker.time)));
     breaks.push(traces.rows());
@@ -197,8 +207,8 @@ fn draw_running_rms(
     }
 }
 
-/// Root mean square of some rows of `errors` over a window centred at every second column. Near
-/// the ends of these rows the window is cut off.
+/// Root mean square of some rows of `errors` over a window centred at every second column. At
+/// the ends of these rows the window stands still: a shorter one would show single swings.
 fn running_rms(
     panel: &Panel,
     time: &[f64],
@@ -207,21 +217,23 @@ fn running_rms(
     columns: &[Range<usize>],
 ) -> PathData {
     let mut line = ClippedLine::new(panel.area);
+    let (Some(&begin), Some(&end)) = (time.get(rows.start), time[..rows.end].last()) else {
+        return line.finish();
+    };
     let (mut first, mut last, mut sum) = (rows.start, rows.start, 0.0);
-    for middle in columns.iter().step_by(2).map(|column| column.start) {
-        if !rows.contains(&middle) {
-            continue;
-        }
-        while last < rows.end && time[last] <= time[middle] + 0.5 * RMS_WINDOW {
+    let middles = columns.iter().step_by(2).map(|column| column.start);
+    for row in middles.filter(|row| rows.contains(row)) {
+        let from = (time[row] - 0.5 * RMS_WINDOW).min(end - RMS_WINDOW).max(begin);
+        while last < rows.end && time[last] <= from + RMS_WINDOW {
             sum += errors[last] * errors[last];
             last += 1;
         }
-        while time[first] < time[middle] - 0.5 * RMS_WINDOW {
+        while time[first] < from {
             sum -= errors[first] * errors[first];
             first += 1;
         }
         let mean = sum.max(0.0) / (last - first) as f64;
-        line.line_to(panel.at_x(time[middle]), panel.at_y(mean.sqrt()));
+        line.line_to(panel.at_x(time[row]), panel.at_y(mean.sqrt()));
     }
     line.finish()
 }
@@ -288,7 +300,7 @@ fn draw_transient(canvas: &mut Canvas, panel: &Panel, traces: &Traces, until: f6
     canvas.fill(behind, "#ffffff");
     let labels = Labels { x_ticks: true, y_ticks: true, minor_grid: false };
     inset.draw_grid(canvas, labels);
-    draw_errors(canvas, &inset, traces);
+    draw_errors(canvas, &inset, traces, |agent| Stroke::solid(palette::agent(agent), 0.9));
     inset.draw_frame(canvas, labels);
     let at = TextAt::new(area.right() - 5.0, area.top + 12.0, TICK_SIZE - 1.0, Anchor::End);
     canvas.text("transient in full", at);

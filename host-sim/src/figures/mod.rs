@@ -10,6 +10,7 @@ mod axis;
 mod canvas;
 mod clip;
 mod error_norms;
+mod event_map;
 mod events;
 mod font;
 mod palette;

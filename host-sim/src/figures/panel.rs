@@ -197,7 +197,7 @@ pub(super) fn draw_legend(canvas: &mut Canvas, rows: &[Vec<&Entry>], left: f64, 
             let mut text_at = x + SAMPLE_WIDTH + SAMPLE_GAP;
             match entry.sample {
                 Sample::Line(stroke) => {
-                    canvas.segment((x, middle), (x + SAMPLE_WIDTH, middle), stroke)
+                    canvas.segment((x, middle), (x + SAMPLE_WIDTH, middle), stroke);
                 }
                 Sample::Patch(color, opacity) => {
                     let mut patch = PathData::default();

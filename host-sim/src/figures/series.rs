@@ -22,9 +22,9 @@ const POINTS: usize = 32_000;
 /// Most columns a user unit is divided into: a picture has 3.6 pixels a unit.
 const COLUMNS_PER_UNIT: f64 = 3.0;
 
-/// Values of a column that percentiles are taken from at most; minimum and maximum are those of
-/// all.
-const POOL: usize = 4096;
+/// About how many values of a column percentiles are taken from; minimum and maximum are those
+/// of all.
+const POOL: usize = 1024;
 
 /// How many columns a panel that is `width` user units wide is divided into if the figure shows
 /// `lines` lines (in as many panels as there are).
@@ -109,15 +109,17 @@ fn spread(
     agents: usize,
     value: &impl Fn(usize, usize) -> f64,
 ) -> Option<Spread> {
-    let pooled_every = (rows.len() * agents).div_ceil(POOL);
+    // Whole rows are pooled, so that every agent has the same weight.
+    let pooled_every = (rows.len() * agents).div_ceil(POOL).max(1);
     let (mut min, mut max) = (f64::INFINITY, f64::NEG_INFINITY);
-    let mut pool = Vec::with_capacity(POOL);
-    let finite = rows.clone().flat_map(|row| (0..agents).map(move |agent| (row, agent)));
-    let finite = finite.map(|(row, agent)| value(row, agent)).filter(|value| value.is_finite());
-    for (index, value) in finite.enumerate() {
-        (min, max) = (min.min(value), max.max(value));
-        if index.is_multiple_of(pooled_every) {
-            pool.push(value);
+    let mut pool = Vec::with_capacity(POOL.max(agents));
+    for row in rows.clone() {
+        let pooled = (row - rows.start).is_multiple_of(pooled_every);
+        for value in (0..agents).map(|agent| value(row, agent)).filter(|value| value.is_finite()) {
+            (min, max) = (min.min(value), max.max(value));
+            if pooled {
+                pool.push(value);
+            }
         }
     }
     pool.sort_unstable_by(f64::total_cmp);

@@ -14,14 +14,14 @@ use super::panel::{
 use super::series::{self, BANDS, MEDIAN};
 use crate::engine::traces::Traces;
 
-const TRUTH: Stroke = Stroke::solid("#000000", 1.9);
-const TRUTH_AMONG_MANY: Stroke = Stroke::solid("#000000", 1.0).dashed(4.0, 2.0);
-
-/// Length of a dash of an estimate among others. \[user unit\]
-const DASH: f64 = 4.0;
+/// Dashed, and drawn over the estimates, which are seen through its gaps.
+const TRUTH: Stroke = Stroke::solid("#000000", 1.0).dashed(4.0, 2.5);
 
 /// Up to this many components are stacked.
 const STACKED: usize = 4;
+
+/// About how many rows an axis takes the extent of the estimates from.
+const AXIS_SAMPLES: usize = 2000;
 
 /// Left end of the panels. \[user unit\]
 const LEFT: f64 = 40.0;
@@ -57,11 +57,11 @@ fn legend(traces: &Traces) -> Vec<Entry> {
     let entry = |text: &str, sample| Entry { text: text.to_owned(), sample };
     if traces.agents() > LINES {
         return vec![
-            entry("true state", Sample::Line(TRUTH_AMONG_MANY)),
+            entry("true state", Sample::Line(TRUTH)),
             entry(&format!("{} estimates:", traces.agents()), Sample::None),
             entry("median", Sample::Line(MEDIAN)),
-            entry("5 to 95 %", Sample::Patch(palette::TOGETHER, BANDS[0] + BANDS[1])),
-            entry("min to max", Sample::Patch(palette::TOGETHER, BANDS[0])),
+            entry("5–95 %", Sample::Patch(palette::TOGETHER, BANDS[0] + BANDS[1])),
+            entry("min–max", Sample::Patch(palette::TOGETHER, BANDS[0])),
         ];
     }
     let agents = (0..traces.agents())
@@ -71,18 +71,7 @@ fn legend(traces: &Traces) -> Vec<Entry> {
 }
 
 const fn estimate_line(agent: usize) -> Stroke {
-    Stroke::solid(palette::agent(agent), 0.9)
-}
-
-/// A line whose dashes are where those of the other agents have their gaps, so that all are
-/// seen where they lie over each other.
-fn interleaved_line(agent: usize, agents: usize) -> Stroke {
-    let gap = DASH * agents.saturating_sub(1) as f64;
-    let mut stroke = estimate_line(agent).dashed(DASH, gap);
-    if let Some(dash) = &mut stroke.dash {
-        dash.offset = -DASH * agent as f64;
-    }
-    stroke
+    Stroke::solid(palette::agent(agent), 1.1)
 }
 
 /// Draws the components above each other; returns where the lowest panel ends.
@@ -101,12 +90,11 @@ fn draw_stack(canvas: &mut Canvas, traces: &Traces, top: f64) -> f64 {
         let one = Component { traces, index: component, panels, labels };
         let area = Rect { left: LEFT, top, width: wide, height };
         let panel = one.panel(area, (start, end), TICK_SIZE);
-        // Over the whole run the estimates lie over each other.
-        one.draw(canvas, &panel, |agent| interleaved_line(agent, traces.agents()));
+        one.draw(canvas, &panel);
         panel.label_y(canvas, &one.name(), 12.0);
         if let Some(until) = transient {
             let area = Rect { left: LEFT + wide + between, top, width: right, height };
-            one.draw(canvas, &one.panel(area, (start, until), TICK_SIZE), estimate_line);
+            one.draw(canvas, &one.panel(area, (start, until), TICK_SIZE));
         }
     }
     top + traces.dimension() as f64 * (height + gap) - gap
@@ -133,7 +121,7 @@ fn draw_grid(canvas: &mut Canvas, traces: &Traces, top: f64) -> f64 {
         let labels = Labels { x_ticks: lowest, y_ticks: true, minor_grid: false };
         let one = Component { traces, index: component, panels: traces.dimension(), labels };
         let panel = one.panel(area, ends(traces), TICK_SIZE - 1.0);
-        one.draw(canvas, &panel, |agent| interleaved_line(agent, traces.agents()));
+        one.draw(canvas, &panel);
         let at = TextAt::new(area.left, area.top - 4.0, TICK_SIZE, Anchor::Start);
         canvas.text(&one.name(), at);
     }
@@ -161,8 +149,8 @@ impl Component<'_> {
         Panel { tick_size, ..Panel::new(area, x, value_axis(self.traces, self.index, (from, to))) }
     }
 
-    /// Draws a panel with axes, true state, and the estimates with the lines given.
-    fn draw(&self, canvas: &mut Canvas, panel: &Panel, line_of: impl Fn(usize) -> Stroke) {
+    /// Draws a panel with its axes, the estimates, and over them the true state.
+    fn draw(&self, canvas: &mut Canvas, panel: &Panel) {
         panel.draw_grid(canvas, self.labels);
         let (traces, time) = (self.traces, self.traces.time());
         let many = traces.agents() > LINES;
@@ -174,14 +162,13 @@ impl Component<'_> {
         if many {
             let spreads = series::spreads(time, &columns, traces.agents(), estimate);
             series::draw_spreads(canvas, panel, &spreads);
-            canvas.line(truth, TRUTH_AMONG_MANY);
         } else {
-            canvas.line(truth, TRUTH);
             for agent in 0..traces.agents() {
                 let line = series::line(panel, time, &columns, |row| estimate(row, agent));
-                canvas.line(line, line_of(agent));
+                canvas.line(line, estimate_line(agent));
             }
         }
+        canvas.line(truth, TRUTH);
         panel.draw_frame(canvas, self.labels);
         if self.labels.x_ticks {
             panel.label_x(canvas, TIME_LABEL);
@@ -193,24 +180,32 @@ fn ends(traces: &Traces) -> (f64, f64) {
     (traces.time().first().copied().unwrap_or(0.0), traces.time().last().copied().unwrap_or(1.0))
 }
 
-/// An axis for what the true state does in a stretch of time \[s\], and the estimates at its
-/// start; what estimates overshoot beyond that by more than a little is cut off.
+/// An axis for what the true state does in a stretch of time \[s\], the estimates at its start,
+/// and what the estimates exceed that by, up to half of it again.
 fn value_axis(traces: &Traces, component: usize, (from, to): (f64, f64)) -> Axis {
     let time = traces.time();
     let rows = time.partition_point(|&t| t < from)..time.partition_point(|&t| t <= to);
-    let first = rows.start;
-    let truth = rows.map(|row| traces.truth(row)[component]);
-    let estimates = (0..traces.agents())
-        .filter(|_| first < time.len())
-        .map(|agent| f64::from(traces.estimate(first, agent)[component]));
-    let values = truth.chain(estimates).filter(|value| value.is_finite());
-    let (low, high) =
-        values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
-    if low > high {
+    let truth = rows.clone().map(|row| traces.truth(row)[component]);
+    let estimates = |row: usize| {
+        let estimate = move |agent| f64::from(traces.estimate(row, agent)[component]);
+        (0..traces.agents()).map(estimate)
+    };
+    let Some((low, high)) = extent(truth.chain(rows.clone().take(1).flat_map(estimates))) else {
         return Axis::exact(0.0, 1.0, 3.0);
-    }
+    };
+    let room = 0.5 * (high - low);
+    let sampled = rows.len().div_ceil(AXIS_SAMPLES).max(1);
+    let (least, greatest) =
+        extent(rows.step_by(sampled).flat_map(estimates)).unwrap_or((low, high));
+    let (low, high) = (least.clamp(low - room, low), greatest.clamp(high, high + room));
     let margin = 0.06 * (high - low).max(1e-9);
     Axis::exact(low - margin, high + margin, 3.0)
+}
+
+/// Smallest and largest of those values that are finite.
+fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    let finite = values.filter(|value| value.is_finite()).map(|value| (value, value));
+    finite.reduce(|(low, high), (value, _)| (low.min(value), high.max(value)))
 }
 
 /// Until when the estimates settle, with as much again to show it; `None` if they start settled.

@@ -184,3 +184,91 @@ pub fn write_epochs(path: &Path, epochs: &[EpochRow]) -> Result<(), OutputError>
         row.double(epoch.gradient_norm)
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use super::*;
+
+    fn file(name: &str) -> PathBuf {
+        std::env::temp_dir().join(format!("{}-{name}", std::process::id()))
+    }
+
+    /// Header and lines of a file, which is then removed.
+    fn read(path: &Path) -> (Vec<String>, Vec<Vec<String>>) {
+        let mut reader = csv::Reader::from_path(path).unwrap();
+        let words = |record: &csv::StringRecord| record.iter().map(str::to_owned).collect();
+        let header = words(reader.headers().unwrap());
+        let lines = reader.records().map(|record| words(&record.unwrap())).collect();
+        std::fs::remove_file(path).unwrap();
+        (header, lines)
+    }
+
+    #[test]
+    fn traces_read_back_as_the_same_bits() {
+        let mut traces = Traces::with_capacity(2, 2, 3);
+        for row in 0..3 {
+            let time = f64::from(row) * 0.001 * 7.0;
+            let estimates = [[0.1_f32, 1.0 / 3.0], [f32::MIN_POSITIVE, -2.5e10]];
+            traces.push(time, &[0.1 + 0.2, -1e-300], estimates.iter().map(|x| &x[..]));
+        }
+        let path = file("traces.csv");
+        write_traces(&path, &traces).unwrap();
+        let (header, lines) = read(&path);
+        let expected = "time [s],x1 [state unit],x2 [state unit],\
+            agent1.xhat1 [state unit],agent1.xhat2 [state unit],agent1.error [state unit],\
+            agent2.xhat1 [state unit],agent2.xhat2 [state unit],agent2.error [state unit]";
+        assert_eq!(header.join(","), expected);
+        assert_eq!(lines.len(), 3);
+        for (row, line) in lines.iter().enumerate() {
+            let double = |column: usize| line[column].parse::<f64>().unwrap().to_bits();
+            let single = |column: usize| line[column].parse::<f32>().unwrap().to_bits();
+            assert_eq!(double(0), traces.time()[row].to_bits());
+            for agent in 0..2 {
+                assert_eq!(double(5 + 3 * agent), traces.error(row, agent).to_bits());
+                for component in 0..2 {
+                    assert_eq!(double(1 + component), traces.truth(row)[component].to_bits());
+                    let estimate = traces.estimate(row, agent)[component];
+                    assert_eq!(single(3 + 3 * agent + component), estimate.to_bits());
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn broadcasts_are_numbered() {
+        let path = file("events.csv");
+        write_events(&path, &[&[0, 5], &[], &[7]], 0.001).unwrap();
+        let (header, lines) = read(&path);
+        assert_eq!(header, ["agent", "sequence", "time [s]"]);
+        assert_eq!(lines, [["1", "1", "0.0"], ["1", "2", "0.005"], ["3", "1", "0.007"]]);
+    }
+
+    #[test]
+    fn what_an_epoch_lacks_is_empty() {
+        let path = file("epochs.csv");
+        let epoch = EpochRow {
+            agent: 2,
+            cycle: 1,
+            epoch: 25,
+            train_mse: 0.5,
+            validation_mse: None,
+            test_mse: Some(0.25),
+            damping: 1e-8,
+            gradient_norm: f64::NAN,
+        };
+        write_epochs(&path, &[epoch]).unwrap();
+        let (header, lines) = read(&path);
+        assert_eq!(header.len(), 8);
+        assert_eq!(lines, [["2", "1", "25", "0.5", "", "0.25", "1e-8", "NaN"]]);
+    }
+
+    #[test]
+    fn a_line_of_the_wrong_length_is_refused() {
+        let path = file("wrong.csv");
+        let error = write_table(&path, &["one", "two"], 0..1, |row, number| row.integer(number));
+        assert!(error.unwrap_err().to_string().contains("wrong.csv"));
+        assert!(!path.exists());
+    }
+}
