@@ -8,11 +8,19 @@
 //! | [`engine`] | the run: agents, links, learning cycles, statistics, traces |
 //! | [`training`] | offline training of the inner layers |
 //! | [`analysis`] | the theorems' constants and bounds, held against a run |
+//! | [`figures`], [`report`] | pictures; tables and CSV files |
+//! | [`progress`], [`output_file`] | progress bars; files that are whole or not there |
+//! | [`commands`] | what the command line does |
 #![forbid(unsafe_code)]
 
 pub mod analysis;
+pub mod commands;
 pub mod engine;
+pub mod figures;
 pub mod graph;
+pub mod output_file;
 pub mod plant;
+pub mod progress;
+pub mod report;
 pub mod scenario;
 pub mod training;

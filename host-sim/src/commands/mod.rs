@@ -4,18 +4,25 @@
 //! `--format json`. Progress goes to standard error, and only to a terminal. Exit codes: 0
 //! done, 2 bad usage or bad input, 1 anything else.
 
-mod output;
 mod reproduce;
 mod run;
 mod scenario;
+mod summary;
+mod written;
 
+use std::path::Path;
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use serde::Serialize;
 
-use crate::engine::RunError;
-use crate::report::ReportError;
+use crate::engine::{Progress, RunError};
+use crate::figures::FigureError;
+use crate::output_file::OutputError;
+use crate::progress::ProgressBars;
 use crate::scenario::ScenarioError;
+use crate::training::EpochReport;
 
 /// Simulates distributed, event-triggered state estimation with deep networks.
 ///
@@ -31,11 +38,11 @@ struct CommandLine {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Runs both of the paper's simulations and sets the results beside the paper's.
+    /// Runs both of the paper's simulations and sets the results beside the paper's
     Reproduce(reproduce::Arguments),
-    /// Runs a scenario file.
+    /// Runs a scenario file
     Run(run::Arguments),
-    /// Prints a built-in scenario, as a file to start from; without a name, lists them.
+    /// Prints a built-in scenario, as a file to start from; without a name, lists them
     Scenario(scenario::Arguments),
 }
 
@@ -58,7 +65,7 @@ struct Common {
     /// How results are printed on standard output
     #[arg(long, value_enum, default_value_t)]
     format: Format,
-    /// Threads to use; 0 means all cores. The results are the same bits for any number
+    /// Threads to use, 0 for one a core; the results are the same bits for any number
     #[arg(long, default_value_t = 0)]
     threads: usize,
 }
@@ -73,7 +80,9 @@ enum CommandError {
     #[error(transparent)]
     Run(#[from] RunError),
     #[error(transparent)]
-    Report(#[from] ReportError),
+    File(#[from] OutputError),
+    #[error(transparent)]
+    Figure(#[from] FigureError),
     #[error("cannot write to standard output: {0}")]
     Output(#[from] std::io::Error),
     #[error("cannot start {0} threads; choose fewer with --threads")]
@@ -84,7 +93,9 @@ impl CommandError {
     fn exit_code(&self) -> ExitCode {
         match self {
             Self::Scenario(_) | Self::Usage(_) => ExitCode::from(2),
-            Self::Run(_) | Self::Report(_) | Self::Output(_) | Self::Threads(_) => ExitCode::from(1),
+            Self::Run(_) | Self::File(_) | Self::Figure(_) | Self::Output(_) | Self::Threads(_) => {
+                ExitCode::from(1)
+            }
         }
     }
 }
@@ -94,8 +105,7 @@ impl CommandError {
 pub fn main() -> ExitCode {
     // clap itself leaves with 2 on bad usage and with 0 after help.
     let line = CommandLine::parse();
-    let command = line.command.unwrap_or(Command::Reproduce(line.reproduce));
-    let done = match command {
+    let done = match line.command.unwrap_or(Command::Reproduce(line.reproduce)) {
         Command::Reproduce(arguments) => {
             with_threads(arguments.common.threads, || reproduce::execute(&arguments))
         }
@@ -126,4 +136,53 @@ fn with_threads(
         .build()
         .map_err(|_| CommandError::Threads(threads))?;
     pool.install(command)
+}
+
+/// Prints `value` as one JSON object on a line of its own.
+fn print_json(value: &impl Serialize) -> Result<(), CommandError> {
+    use std::io::Write;
+    let mut output = std::io::stdout().lock();
+    serde_json::to_writer(&mut output, value).map_err(std::io::Error::from)?;
+    writeln!(output)?;
+    Ok(())
+}
+
+/// Prints `text` as it is.
+fn print_text(text: &str) -> Result<(), CommandError> {
+    use std::io::Write;
+    std::io::stdout().lock().write_all(text.as_bytes())?;
+    Ok(())
+}
+
+/// Makes the folder for results before anything is computed for it.
+fn make_folder(folder: &Path) -> Result<(), CommandError> {
+    std::fs::create_dir_all(folder)
+        .map_err(|error| OutputError { path: folder.to_owned(), error }.into())
+}
+
+/// One of several runs that go on at the same time and share the progress bars.
+struct SharedProgress<'p> {
+    bars: &'p ProgressBars,
+    done: &'p AtomicU64,
+    total: u64,
+    own: AtomicU64,
+}
+
+impl<'p> SharedProgress<'p> {
+    fn new(bars: &'p ProgressBars, done: &'p AtomicU64, total: u64) -> Self {
+        Self { bars, done, total, own: AtomicU64::new(0) }
+    }
+}
+
+impl Progress for SharedProgress<'_> {
+    fn stepped(&self, tick: u64, _steps: u64) {
+        let before = self.own.swap(tick, Ordering::Relaxed);
+        let advanced = tick.saturating_sub(before);
+        let done = self.done.fetch_add(advanced, Ordering::Relaxed) + advanced;
+        self.bars.stepped(done, self.total);
+    }
+
+    fn epoch(&self, agent: usize, cycle: usize, report: &EpochReport) {
+        self.bars.epoch(agent, cycle, report.epoch, report.train);
+    }
 }

@@ -1,0 +1,223 @@
+//! `run`: any scenario.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicU64;
+use std::time::Instant;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::{CommandError, Common, Format, SharedProgress, summary, written};
+use super::{make_folder, print_json, print_text};
+use crate::analysis::Checks;
+use crate::engine::{RunOptions, RunResult, run};
+use crate::figures::{
+    ErrorFigure, EventFigure, StateFigure, error_norms, events, states, write_all,
+};
+use crate::progress::ProgressBars;
+use crate::report::csv::{Row, write_table};
+use crate::scenario::Scenario;
+
+/// Up to this many agents have a line each in the terminal.
+const LINES: usize = 20;
+
+/// Arguments of `run`.
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// The scenario, a TOML file; `host-sim scenario paper` prints one to start from
+    scenario: PathBuf,
+    /// Folder for figures and tables [default: out/NAME, with the scenario's name]
+    #[arg(long)]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) common: Common,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    scenario: &'a str,
+    seed: u64,
+    elapsed_s: f64,
+    agents: Vec<AgentReport>,
+}
+
+#[derive(Serialize)]
+struct AgentReport {
+    agent: usize,
+    rmse: Option<f64>,
+    max_error: Option<f64>,
+    broadcasts: u64,
+    mean_interval: Option<f64>,
+    min_interval: Option<f64>,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
+    let start = Instant::now();
+    let scenario = Scenario::load(&arguments.scenario)?;
+    let out = match &arguments.out {
+        Some(out) => out.clone(),
+        None => Path::new("out").join(folder_name(&scenario.name)),
+    };
+    make_folder(&out)?;
+    let result = {
+        let bars = ProgressBars::new("simulating");
+        let done = AtomicU64::new(0);
+        let progress = SharedProgress::new(&bars, &done, scenario.steps());
+        let options = RunOptions { seed: arguments.common.seed, learning: true, bounds: true };
+        run(&scenario, options, &progress)?
+    };
+    let agents = agent_reports(&scenario, &result);
+    write_files(&out, &scenario, &result, &agents)?;
+    let elapsed_s = start.elapsed().as_secs_f64();
+    match arguments.common.format {
+        Format::Json => print_json(&Report {
+            scenario: &scenario.name,
+            seed: arguments.common.seed,
+            elapsed_s,
+            agents,
+        }),
+        Format::Text => {
+            let mut text = agent_table(&scenario, &agents);
+            text += &summary::trainings(&result.trainings);
+            text += &summary::checks(&Checks::new(&scenario, &result));
+            text += &format!(
+                "Figures and tables in {}\n\nScenario {}, seed {}, {elapsed_s:.2} s\n",
+                out.display(),
+                scenario.name,
+                arguments.common.seed,
+            );
+            print_text(&text)
+        }
+    }
+}
+
+/// A scenario's name as the name of a folder.
+fn folder_name(name: &str) -> String {
+    let kept = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '-' };
+    let folder: String = name.chars().map(kept).collect();
+    // No scenario may climb out of the folder for results.
+    if folder.trim_matches('.').is_empty() { "scenario".to_owned() } else { folder }
+}
+
+fn agent_reports(scenario: &Scenario, result: &RunResult) -> Vec<AgentReport> {
+    let agents = result.agents.iter().enumerate();
+    agents
+        .map(|(index, agent)| AgentReport {
+            agent: index + 1,
+            rmse: agent.rmse(),
+            max_error: agent.max_error(),
+            broadcasts: agent.broadcasts(),
+            mean_interval: agent.mean_interval(&scenario.time),
+            min_interval: agent.min_interval(&scenario.time),
+        })
+        .collect()
+}
+
+fn agent_table(scenario: &Scenario, agents: &[AgentReport]) -> String {
+    let window = &scenario.evaluation;
+    let mut text = format!(
+        "\n|e_1i(t)| for t in [{}, {}] s, and times between broadcasts over the whole run\n\n\
+         agent        RMSE     maximum  broadcasts  mean interval  shortest\n",
+        window.from, window.to,
+    );
+    let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.4}"));
+    for agent in agents.iter().take(LINES) {
+        // Writing into a string cannot fail.
+        let _ = writeln!(
+            text,
+            "{:5}  {:>10}  {:>10}  {:10}  {:>11} s  {:>6} s",
+            agent.agent,
+            number(agent.rmse),
+            number(agent.max_error),
+            agent.broadcasts,
+            number(agent.mean_interval),
+            number(agent.min_interval),
+        );
+    }
+    if agents.len() > LINES {
+        let mut errors: Vec<f64> = agents.iter().filter_map(|agent| agent.rmse).collect();
+        errors.sort_by(f64::total_cmp);
+        let _ = writeln!(text, "and {} more agents, in agents.csv", agents.len() - LINES);
+        if let (Some(best), Some(worst)) = (errors.first(), errors.last()) {
+            let median = errors[errors.len() / 2];
+            let _ =
+                writeln!(text, "RMSE of all: best {best:.4}, median {median:.4}, worst {worst:.4}");
+        }
+    }
+    text.push('\n');
+    text
+}
+
+fn write_files(
+    out: &Path,
+    scenario: &Scenario,
+    result: &RunResult,
+    agents: &[AgentReport],
+) -> Result<(), CommandError> {
+    let header = [
+        "agent",
+        "rmse [state unit]",
+        "max_error [state unit]",
+        "broadcasts",
+        "mean_interval [s]",
+        "min_interval [s]",
+    ];
+    let columns = |row: &mut Row<'_>, agent: &AgentReport| {
+        row.integer(agent.agent as u64)?;
+        row.optional(agent.rmse)?;
+        row.optional(agent.max_error)?;
+        row.integer(agent.broadcasts)?;
+        row.optional(agent.mean_interval)?;
+        row.optional(agent.min_interval)
+    };
+    write_table(&out.join("agents.csv"), &header, agents.iter(), columns)?;
+    let (tables, figures) = rayon::join(
+        || written::tables(out, "", scenario, result),
+        || write_figures(out, scenario, result),
+    );
+    tables?;
+    figures
+}
+
+fn write_figures(out: &Path, scenario: &Scenario, result: &RunResult) -> Result<(), CommandError> {
+    let markers = written::markers(scenario);
+    let event_ticks = written::events_of(result);
+    let window = written::event_window(scenario);
+    let (traces, name) = (&result.traces, scenario.name.as_str());
+    let mut figures = Vec::new();
+    if traces.rows() > 0 {
+        let title = format!("{name}: estimation errors");
+        let figure = ErrorFigure { title: &title, traces, markers: &markers, error_limit: None };
+        figures.push(("errors", error_norms(&figure)));
+        let title = format!("{name}: true state and estimates");
+        figures.push(("states", states(&StateFigure { title: &title, traces })));
+    }
+    if scenario.record.events {
+        let title = format!("{name}: broadcasts");
+        let figure = EventFigure {
+            title: &title,
+            events: &event_ticks,
+            step_size: scenario.time.step_size,
+            from: window.from,
+            to: window.to,
+        };
+        figures.push(("events", events(&figure)));
+    }
+    write_all(out, &figures)?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::folder_name;
+
+    #[test]
+    fn no_name_leads_out_of_the_folder() {
+        assert_eq!(folder_name("paper"), "paper");
+        assert_eq!(folder_name("../../etc/x y"), "..-..-etc-x-y");
+        for name in ["..", ".", ""] {
+            assert_eq!(folder_name(name), "scenario");
+        }
+    }
+}

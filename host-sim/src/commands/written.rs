@@ -1,0 +1,90 @@
+//! The files that a run leaves behind.
+
+use std::path::Path;
+
+use super::CommandError;
+use crate::engine::RunResult;
+use crate::figures::Marker;
+use crate::output_file::OutputError;
+use crate::report::csv::{EpochRow, write_epochs, write_events, write_traces};
+use crate::scenario::{LearningCycle, Scenario, Window};
+
+/// Length of the window that an event figure shows, in steps: as many as the paper's.
+const EVENT_WINDOW: f64 = 500.0;
+
+/// Writes traces, broadcast times and training of a run as `NAMEsuffix.csv` in `folder`, as far
+/// as they were recorded.
+pub(super) fn tables(
+    folder: &Path,
+    suffix: &str,
+    scenario: &Scenario,
+    run: &RunResult,
+) -> Result<(), CommandError> {
+    let path = |name: &str| folder.join(format!("{name}{suffix}.csv"));
+    let traces = || match run.traces.rows() {
+        0 => Ok(()),
+        _ => write_traces(&path("traces"), &run.traces),
+    };
+    let events = || -> Result<(), OutputError> {
+        if !scenario.record.events {
+            return Ok(());
+        }
+        write_events(&path("events"), &events_of(run), scenario.time.step_size)
+    };
+    let (traces, events) = rayon::join(traces, events);
+    traces?;
+    events?;
+    if !run.trainings.is_empty() {
+        write_epochs(&path("training"), &epochs(run))?;
+    }
+    Ok(())
+}
+
+/// Ticks of all broadcasts, an entry for each agent.
+pub(super) fn events_of(run: &RunResult) -> Vec<&[u64]> {
+    run.agents.iter().map(|agent| agent.events.as_slice()).collect()
+}
+
+fn epochs(run: &RunResult) -> Vec<EpochRow> {
+    let rows = run.trainings.iter().flat_map(|training| {
+        training.report.epochs.iter().map(|epoch| EpochRow {
+            agent: training.agent,
+            cycle: training.cycle,
+            epoch: epoch.epoch,
+            train_mse: epoch.train,
+            validation_mse: epoch.validation,
+            test_mse: epoch.test,
+            damping: epoch.damping,
+            gradient_norm: epoch.gradient_norm,
+        })
+    });
+    rows.collect()
+}
+
+/// Marks beginning and end of collection and the switch of every cycle, in ascending order;
+/// agents that learn at the same times share their marks.
+pub(super) fn markers(scenario: &Scenario) -> Vec<Marker<'static>> {
+    let mut times: Vec<(f64, Marker<'static>)> = Vec::new();
+    for LearningCycle { collect, apply_at, .. } in &scenario.learning {
+        for (time, marker) in [
+            (collect.from, Marker::collection_start(collect.from, "collect")),
+            (collect.to, Marker::collection_end(collect.to, "train")),
+            (*apply_at, Marker::apply(*apply_at, "apply")),
+        ] {
+            if !times.iter().any(|(_, known)| *known == marker) {
+                times.push((time, marker));
+            }
+        }
+    }
+    times.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    times.into_iter().map(|(_, marker)| marker).collect()
+}
+
+/// The window that the event figure shows: around the first switch, or where the evaluation
+/// begins.
+pub(super) fn event_window(scenario: &Scenario) -> Window {
+    let centre = scenario.learning.first().map_or(scenario.evaluation.from, |c| c.apply_at);
+    let length = (EVENT_WINDOW * scenario.time.step_size).min(scenario.time.duration);
+    let from = (centre - 0.5 * length).clamp(0.0, scenario.time.duration - length);
+    Window { from, to: from + length }
+}

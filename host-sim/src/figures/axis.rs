@@ -1,0 +1,174 @@
+//! Linear axes: round ticks, and labels with just as many decimals as they need.
+
+use super::font;
+
+/// An axis from `from` to `to`, both in the unit of its data.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Axis {
+    /// Left or lower end.
+    pub from: f64,
+    /// Right or upper end; greater than `from`.
+    pub to: f64,
+    /// Distance of two labelled ticks.
+    step: f64,
+    /// Into how many parts the minor grid divides a step.
+    parts: u32,
+}
+
+impl Axis {
+    /// An axis over exactly this range, with about `count` labelled ticks. A range that is empty
+    /// or not finite is widened to one that can be drawn.
+    pub(super) fn exact(from: f64, to: f64, count: f64) -> Self {
+        let (from, to) = drawable(from, to);
+        let (step, parts) = round_step((to - from) / count.max(1.0));
+        Self { from, to, step, parts }
+    }
+
+    /// A horizontal axis over exactly this range, `width` long, with as many labels of font size
+    /// `size` as can stand side by side, at most twelve.
+    pub(super) fn horizontal(from: f64, to: f64, width: f64, size: f64) -> Self {
+        let mut axis = Self::exact(from, to, 12.0);
+        for count in (1..12).rev() {
+            let ticks = axis.ticks();
+            let widest =
+                ticks.iter().map(|&tick| font::width(&axis.label(tick), size)).fold(0.0, f64::max);
+            let distance = axis.step / (axis.to - axis.from) * width;
+            if widest + 0.9 * size <= distance {
+                break;
+            }
+            axis = Self::exact(from, to, f64::from(count));
+        }
+        axis
+    }
+
+    /// An axis over this range and on to the next labelled ticks.
+    pub(super) fn rounded(from: f64, to: f64, count: f64) -> Self {
+        let mut axis = Self::exact(from, to, count);
+        // A thousandth of a step is not worth a whole further one.
+        axis.from = ((axis.from / axis.step + 1e-3).floor()) * axis.step;
+        axis.to = ((axis.to / axis.step - 1e-3).ceil()) * axis.step;
+        axis
+    }
+
+    /// Where the labelled ticks are.
+    pub(super) fn ticks(&self) -> Vec<f64> {
+        self.multiples(self.step)
+    }
+
+    /// Where the minor grid is, labelled ticks included.
+    pub(super) fn minor_ticks(&self) -> Vec<f64> {
+        self.multiples(self.step / f64::from(self.parts))
+    }
+
+    fn multiples(&self, step: f64) -> Vec<f64> {
+        let tolerance = 1e-6;
+        let first = (self.from / step - tolerance).ceil();
+        let last = (self.to / step + tolerance).floor();
+        let count = (last - first).clamp(-1.0, 1e4) as i64 + 1;
+        (0..count).map(|index| (first + index as f64) * step).collect()
+    }
+
+    /// How a tick is written.
+    pub(super) fn label(&self, tick: f64) -> String {
+        let largest = self.from.abs().max(self.to.abs());
+        if !(1e-3..1e6).contains(&largest) {
+            return format!("{:.1e}", tick + 0.0).replace('-', "−");
+        }
+        let decimals = (-(self.step.log10() + 1e-9).floor()).clamp(0.0, 9.0) as usize;
+        let text = format!("{tick:.decimals$}");
+        // Rounding can leave "-0.0"; a minus sign is longer than a hyphen.
+        let negative =
+            text.starts_with('-') && text.bytes().any(|byte| (b'1'..=b'9').contains(&byte));
+        let digits = text.trim_start_matches('-');
+        if negative { format!("−{digits}") } else { digits.to_owned() }
+    }
+
+    /// `value` as a part of the way from `from` to `to`.
+    #[inline]
+    pub(super) fn part(&self, value: f64) -> f64 {
+        (value - self.from) / (self.to - self.from)
+    }
+}
+
+fn drawable(from: f64, to: f64) -> (f64, f64) {
+    let from = if from.is_finite() { from } else { 0.0 };
+    let least = from.abs().max(1e-9) * 1e-6;
+    if to.is_finite() && to - from > least {
+        (from, to)
+    } else {
+        (from, from + from.abs().max(1.0))
+    }
+}
+
+/// The step of 1, 2 or 5 times a power of ten that is nearest to `step` (in proportion), and
+/// into how many parts it divides well.
+fn round_step(step: f64) -> (f64, u32) {
+    let power = 10.0_f64.powf(step.log10().floor());
+    match step / power {
+        lead if lead < 1.5 => (power, 5),
+        lead if lead < 3.5 => (2.0 * power, 4),
+        lead if lead < 7.5 => (5.0 * power, 5),
+        _ => (10.0 * power, 5),
+    }
+}
+
+/// The least "round" number that is not below `value`: an end of an axis that two figures share.
+pub(super) fn round_up(value: f64) -> f64 {
+    if !(value.is_finite() && value > 0.0) {
+        return 1.0;
+    }
+    let power = 10.0_f64.powf(value.log10().floor());
+    let leads = [1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0];
+    let lead = leads.into_iter().find(|lead| lead * power >= value * (1.0 - 1e-9));
+    lead.unwrap_or(10.0) * power
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labels(axis: &Axis) -> Vec<String> {
+        axis.ticks().into_iter().map(|tick| axis.label(tick)).collect()
+    }
+
+    #[test]
+    fn ticks_are_round_and_labels_short() {
+        assert_eq!(
+            labels(&Axis::exact(0.0, 40.0, 8.0)),
+            ["0", "5", "10", "15", "20", "25", "30", "35", "40"]
+        );
+        assert_eq!(
+            labels(&Axis::exact(19.75, 20.25, 5.0)),
+            ["19.8", "19.9", "20.0", "20.1", "20.2"]
+        );
+        assert_eq!(labels(&Axis::exact(-1.0, 1.0, 4.0)), ["−1.0", "−0.5", "0.0", "0.5", "1.0"]);
+        assert_eq!(labels(&Axis::exact(0.0, 2e-5, 2.0)), ["0.0e0", "1.0e−5", "2.0e−5"]);
+    }
+
+    #[test]
+    fn a_rounded_axis_holds_its_data_and_ends_on_ticks() {
+        let axis = Axis::rounded(-3.2, 7.1, 4.0);
+        assert!(axis.from <= -3.2 && axis.to >= 7.1);
+        let ticks = axis.ticks();
+        assert_eq!((ticks[0], *ticks.last().unwrap()), (axis.from, axis.to));
+    }
+
+    #[test]
+    fn ranges_that_cannot_be_drawn_are_widened() {
+        for (from, to) in
+            [(1.0, 1.0), (0.0, f64::NAN), (f64::INFINITY, 2.0), (3.0, 2.0), (1e9, 1e9)]
+        {
+            let axis = Axis::exact(from, to, 5.0);
+            assert!(axis.to > axis.from && axis.to.is_finite(), "{from} to {to}: {axis:?}");
+            assert!(!axis.ticks().is_empty(), "{from} to {to}");
+        }
+    }
+
+    #[test]
+    fn rounding_up_is_never_below_and_not_far_above() {
+        for value in [0.013, 0.99, 1.0, 1.01, 7.9, 8.1, 123.0] {
+            let up = round_up(value);
+            assert!(up >= value * (1.0 - 1e-9) && up <= 1.35 * value, "{value} to {up}");
+        }
+    }
+}

@@ -1,0 +1,326 @@
+//! A thin layer over the SVG document: the few shapes that figures are made of.
+//!
+//! Lengths are in user units; a figure is [`WIDTH`] of them wide, so that in print at the width
+//! of a column (89 mm) a font size of 11 comes out at about 6 points. Coordinates are written in
+//! tenths, finer than a pixel of the picture.
+
+use std::fmt::Write;
+
+use svg::Document;
+use svg::node::Value;
+use svg::node::element::{Group, Path, Rectangle, Text};
+
+use super::font;
+
+/// Width of every figure. \[user unit\]
+pub(super) const WIDTH: f64 = 440.0;
+
+/// Ink of text and frames.
+pub(super) const INK: &str = "#1a1a1a";
+
+/// A rectangle; `y` grows downwards.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Rect {
+    pub left: f64,
+    pub top: f64,
+    pub width: f64,
+    pub height: f64,
+}
+
+impl Rect {
+    pub(super) fn right(&self) -> f64 {
+        self.left + self.width
+    }
+
+    pub(super) fn bottom(&self) -> f64 {
+        self.top + self.height
+    }
+}
+
+/// Lengths of dashes. \[user unit\]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Dash {
+    pub drawn: f64,
+    pub gap: f64,
+}
+
+/// How a line is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Stroke {
+    pub color: &'static str,
+    pub width: f64,
+    pub dash: Option<Dash>,
+    pub opacity: f64,
+}
+
+impl Stroke {
+    pub(super) const fn solid(color: &'static str, width: f64) -> Self {
+        Self { color, width, dash: None, opacity: 1.0 }
+    }
+
+    pub(super) const fn dashed(self, drawn: f64, gap: f64) -> Self {
+        Self { dash: Some(Dash { drawn, gap }), ..self }
+    }
+
+    pub(super) const fn faint(self, opacity: f64) -> Self {
+        Self { opacity, ..self }
+    }
+}
+
+/// To which side of its point a text extends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Anchor {
+    Start,
+    Middle,
+    End,
+}
+
+/// Where and how a text stands; its baseline goes through (`x`, `y`).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct TextAt {
+    pub x: f64,
+    pub y: f64,
+    pub size: f64,
+    pub anchor: Anchor,
+    /// Width that it must not exceed: a longer text is set smaller.
+    pub room: f64,
+    /// Whether it reads upwards.
+    pub upwards: bool,
+    pub color: &'static str,
+}
+
+impl TextAt {
+    pub(super) const fn new(x: f64, y: f64, size: f64, anchor: Anchor) -> Self {
+        Self { x, y, size, anchor, room: f64::INFINITY, upwards: false, color: INK }
+    }
+
+    pub(super) const fn within(self, room: f64) -> Self {
+        Self { room, ..self }
+    }
+
+    pub(super) const fn upwards(self) -> Self {
+        Self { upwards: true, ..self }
+    }
+
+    pub(super) const fn colored(self, color: &'static str) -> Self {
+        Self { color, ..self }
+    }
+}
+
+/// The data of a path: relative moves in tenths, which is short and does not accumulate errors.
+#[derive(Clone, Debug, Default)]
+pub(super) struct PathData {
+    text: String,
+    /// Where the pen is. \[0.1 user unit\]
+    pen: Option<(i64, i64)>,
+    points: usize,
+}
+
+impl PathData {
+    /// Lifts the pen and sets it down at a point.
+    pub(super) fn move_to(&mut self, x: f64, y: f64) {
+        let (x, y) = (tenths(x), tenths(y));
+        self.text.push('M');
+        self.number(x, false);
+        self.number(y, true);
+        self.text.push('l');
+        self.pen = Some((x, y));
+        self.points += 1;
+    }
+
+    /// Draws to a point; the first one only sets the pen down.
+    pub(super) fn line_to(&mut self, x: f64, y: f64) {
+        let Some((pen_x, pen_y)) = self.pen else { return self.move_to(x, y) };
+        let (x, y) = (tenths(x), tenths(y));
+        if (x, y) == (pen_x, pen_y) {
+            return;
+        }
+        let after_number = self.text.ends_with(|last: char| last.is_ascii_digit());
+        self.number(x - pen_x, after_number);
+        self.number(y - pen_y, true);
+        self.pen = Some((x, y));
+        self.points += 1;
+    }
+
+    /// Lifts the pen: the next point begins a new line.
+    pub(super) fn lift(&mut self) {
+        self.pen = None;
+    }
+
+    /// How many points it has.
+    pub(super) fn points(&self) -> usize {
+        self.points
+    }
+
+    fn number(&mut self, tenths: i64, after_number: bool) {
+        if tenths < 0 {
+            self.text.push('-');
+        } else if after_number {
+            self.text.push(' ');
+        }
+        let (whole, rest) = (tenths.unsigned_abs() / 10, tenths.unsigned_abs() % 10);
+        // Writing into a string cannot fail.
+        let _ = if rest == 0 {
+            write!(self.text, "{whole}")
+        } else {
+            write!(self.text, "{whole}.{rest}")
+        };
+    }
+
+    /// What stands in the document.
+    pub(super) fn into_text(self) -> String {
+        // A move without a line leaves a command without arguments.
+        self.text.replace("lM", "M").trim_end_matches('l').to_owned()
+    }
+}
+
+fn tenths(value: f64) -> i64 {
+    (value * 10.0).round() as i64
+}
+
+/// A figure that is being drawn.
+pub(super) struct Canvas {
+    group: Group,
+}
+
+impl Canvas {
+    pub(super) fn new() -> Self {
+        Self { group: Group::new() }
+    }
+
+    /// Draws a line.
+    pub(super) fn line(&mut self, data: PathData, stroke: Stroke) {
+        if data.points() < 2 {
+            return;
+        }
+        let mut path = Path::new()
+            .set("d", data.into_text())
+            .set("fill", "none")
+            .set("stroke", stroke.color)
+            .set("stroke-width", number(stroke.width))
+            .set("stroke-linejoin", "bevel");
+        if let Some(dash) = stroke.dash {
+            path = path.set("stroke-dasharray", (number(dash.drawn), number(dash.gap)));
+        }
+        if stroke.opacity < 1.0 {
+            path = path.set("stroke-opacity", number(stroke.opacity));
+        }
+        self.add(path);
+    }
+
+    /// Draws one straight line.
+    pub(super) fn segment(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke) {
+        let mut data = PathData::default();
+        data.move_to(from.0, from.1);
+        data.line_to(to.0, to.1);
+        self.line(data, stroke);
+    }
+
+    /// Fills the inside of a path.
+    pub(super) fn area(&mut self, data: PathData, fill: &str, opacity: f64) {
+        if data.points() < 3 {
+            return;
+        }
+        let path = Path::new()
+            .set("d", data.into_text())
+            .set("fill", fill)
+            .set("fill-opacity", number(opacity));
+        self.add(path);
+    }
+
+    /// Fills a rectangle.
+    pub(super) fn fill(&mut self, area: Rect, color: &str) {
+        self.add(rectangle(area).set("fill", color));
+    }
+
+    /// Draws the border of a rectangle.
+    pub(super) fn frame(&mut self, area: Rect, stroke: Stroke) {
+        let frame = rectangle(area).set("fill", "none").set("stroke", stroke.color);
+        self.add(frame.set("stroke-width", number(stroke.width)));
+    }
+
+    /// Writes a text.
+    pub(super) fn text(&mut self, text: &str, at: TextAt) {
+        let anchor = match at.anchor {
+            Anchor::Start => "start",
+            Anchor::Middle => "middle",
+            Anchor::End => "end",
+        };
+        let width = font::width(text, at.size);
+        let size = if width > at.room { at.size * at.room / width } else { at.size };
+        let mut node = Text::new(text)
+            .set("x", number(at.x))
+            .set("y", number(at.y))
+            .set("font-size", number(size))
+            .set("text-anchor", anchor)
+            .set("fill", at.color);
+        if at.upwards {
+            node = node.set("transform", format!("rotate(-90 {} {})", number(at.x), number(at.y)));
+        }
+        self.add(node);
+    }
+
+    fn add(&mut self, node: impl svg::Node) {
+        self.group = std::mem::replace(&mut self.group, Group::new()).add(node);
+    }
+
+    /// The whole document, `height` user units high.
+    pub(super) fn finish(self, height: f64) -> String {
+        let background = Rect { left: 0.0, top: 0.0, width: WIDTH, height };
+        let document = Document::new()
+            .set("viewBox", (0, 0, number(WIDTH), number(height)))
+            .set("width", number(WIDTH))
+            .set("height", number(height))
+            .set("font-family", font::FAMILY_WITH_FALLBACK)
+            .add(rectangle(background).set("fill", "#ffffff"))
+            .add(self.group);
+        document.to_string()
+    }
+}
+
+fn rectangle(area: Rect) -> Rectangle {
+    Rectangle::new()
+        .set("x", number(area.left))
+        .set("y", number(area.top))
+        .set("width", number(area.width))
+        .set("height", number(area.height))
+}
+
+/// At most two decimals.
+fn number(value: f64) -> Value {
+    Value::from((value * 100.0).round() / 100.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn path_data_is_short_and_does_not_drift() {
+        let mut data = PathData::default();
+        data.line_to(1.04, 2.0);
+        data.line_to(1.08, 1.5);
+        data.line_to(1.12, 1.5);
+        data.lift();
+        data.line_to(5.0, 6.0);
+        data.line_to(4.0, 6.25);
+        assert_eq!(data.points(), 4);
+        assert_eq!(data.into_text(), "M1 2l0.1-0.5M5 6l-1 0.3");
+    }
+
+    #[test]
+    fn texts_are_escaped_and_documents_the_same_every_time() {
+        let draw = || {
+            let mut canvas = Canvas::new();
+            canvas.text("a < b & c", TextAt::new(1.0, 2.0, 11.0, Anchor::Middle).upwards());
+            canvas.frame(
+                Rect { left: 0.0, top: 1.0, width: 2.0, height: 3.0 },
+                Stroke::solid(INK, 0.8),
+            );
+            canvas.finish(100.0)
+        };
+        let (one, two) = (draw(), draw());
+        assert_eq!(one, two);
+        assert!(one.contains("a &lt; b &amp; c"), "{one}");
+    }
+}

@@ -1,0 +1,96 @@
+//! Figures of a run: errors, broadcasts and states, as SVG and PNG.
+//!
+//! The SVG is the only source; the PNG is that SVG rendered with a typeface that is part of the
+//! program, so that both look the same on any machine. The same data give the same bytes.
+//!
+//! Networks of up to eight agents are drawn line by line; larger ones as median, 5th to 95th
+//! percentile and minimum to maximum over the agents.
+
+mod axis;
+mod canvas;
+mod clip;
+mod error_norms;
+mod event_map;
+mod events;
+mod font;
+mod palette;
+mod panel;
+mod raster;
+mod series;
+mod states;
+#[cfg(test)]
+mod tests;
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use crate::output_file::{OutputError, write_whole};
+
+pub use error_norms::{ErrorFigure, Marker, error_axis_limit, error_norms};
+pub use events::{EventFigure, events};
+pub use raster::{PNG_WIDTH, RenderError};
+pub use states::{StateFigure, states};
+
+/// A finished figure.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Figure {
+    svg: String,
+}
+
+impl Figure {
+    /// The figure as an SVG document.
+    #[must_use]
+    pub fn svg(&self) -> &str {
+        &self.svg
+    }
+
+    /// The figure as a PNG file, [`PNG_WIDTH`] pixels wide.
+    ///
+    /// # Errors
+    /// If the renderer refuses the SVG, which would be a defect of this module.
+    pub fn png(&self) -> Result<Vec<u8>, RenderError> {
+        raster::png(&self.svg)
+    }
+
+    /// Writes `stem.svg` and `stem.png` into `folder`; returns their paths.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn write(&self, folder: &Path, stem: &str) -> Result<[PathBuf; 2], FigureError> {
+        let paths = ["svg", "png"].map(|extension| folder.join(format!("{stem}.{extension}")));
+        write_whole(&paths[0], |file| file.write_all(self.svg.as_bytes()))?;
+        let png =
+            self.png().map_err(|error| FigureError::Render { path: paths[1].clone(), error })?;
+        write_whole(&paths[1], |file| file.write_all(&png))?;
+        Ok(paths)
+    }
+}
+
+/// Writes several figures, each under its stem, on all threads.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn write_all(
+    folder: &Path,
+    figures: &[(&str, Figure)],
+) -> Result<Vec<[PathBuf; 2]>, FigureError> {
+    figures.par_iter().map(|(stem, figure)| figure.write(folder, stem)).collect()
+}
+
+/// A figure could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FigureError {
+    /// A file could not be written.
+    #[error(transparent)]
+    Write(#[from] OutputError),
+    /// The picture could not be rendered.
+    #[error("{}: {error}; the SVG beside it is complete", path.display())]
+    Render {
+        /// The picture.
+        path: PathBuf,
+        /// What the renderer says.
+        error: RenderError,
+    },
+}

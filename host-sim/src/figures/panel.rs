@@ -1,0 +1,218 @@
+//! A pair of axes on the canvas: frame, grid, ticks and labels.
+
+use super::axis::Axis;
+use super::canvas::{Anchor, Canvas, INK, PathData, Rect, Stroke, TextAt, WIDTH};
+use super::font;
+
+/// Font size of axis labels and titles. \[user unit\]
+pub(super) const LABEL_SIZE: f64 = 11.5;
+
+/// Font size of tick labels and legends. \[user unit\]
+pub(super) const TICK_SIZE: f64 = 10.5;
+
+const MAJOR_GRID: Stroke = Stroke::solid("#d9d9d9", 0.6);
+const MINOR_GRID: Stroke = Stroke::solid("#efefef", 0.45);
+const FRAME: Stroke = Stroke::solid(INK, 0.8);
+
+/// Space right of all panels, for the last tick label. \[user unit\]
+pub(super) const RIGHT_MARGIN: f64 = 13.0;
+
+/// Space under the lowest panel, for the time axis. \[user unit\]
+pub(super) const BOTTOM_MARGIN: f64 = 37.0;
+
+/// Label of all time axes.
+pub(super) const TIME_LABEL: &str = "time t [s]";
+
+/// Writes the title of a figure whose panels begin at `left`; legends begin at
+/// [`LEGEND_TOP`].
+pub(super) fn draw_title(canvas: &mut Canvas, title: &str, left: f64) {
+    let at = TextAt::new(left, 15.0, LABEL_SIZE + 0.5, Anchor::Start);
+    canvas.text(title, at.within(WIDTH - left - RIGHT_MARGIN));
+}
+
+/// Where legends begin. \[user unit\]
+pub(super) const LEGEND_TOP: f64 = 22.0;
+
+/// Length of a tick. \[user unit\]
+const TICK: f64 = 3.5;
+
+/// Which parts of the axes are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Labels {
+    pub x_ticks: bool,
+    pub y_ticks: bool,
+    pub minor_grid: bool,
+}
+
+/// A plotting area with its axes.
+#[derive(Clone, Debug)]
+pub(super) struct Panel {
+    pub area: Rect,
+    pub x: Axis,
+    pub y: Axis,
+    /// Font size of tick labels.
+    pub tick_size: f64,
+}
+
+impl Panel {
+    pub(super) fn new(area: Rect, x: Axis, y: Axis) -> Self {
+        Self { area, x, y, tick_size: TICK_SIZE }
+    }
+
+    /// Where a value of the x axis is on the canvas.
+    #[inline]
+    pub(super) fn at_x(&self, value: f64) -> f64 {
+        self.area.left + self.x.part(value) * self.area.width
+    }
+
+    /// Where a value of the y axis is on the canvas.
+    #[inline]
+    pub(super) fn at_y(&self, value: f64) -> f64 {
+        self.area.bottom() - self.y.part(value) * self.area.height
+    }
+
+    /// Draws background and grid, over which the data go.
+    pub(super) fn draw_grid(&self, canvas: &mut Canvas, labels: Labels) {
+        canvas.fill(self.area, "#ffffff");
+        if labels.minor_grid {
+            canvas.line(self.grid(&self.x.minor_ticks(), &self.y.minor_ticks()), MINOR_GRID);
+        }
+        canvas.line(self.grid(&self.x.ticks(), &self.y.ticks()), MAJOR_GRID);
+    }
+
+    fn grid(&self, x_ticks: &[f64], y_ticks: &[f64]) -> PathData {
+        let mut grid = PathData::default();
+        for &tick in x_ticks {
+            grid.move_to(self.at_x(tick), self.area.top);
+            grid.line_to(self.at_x(tick), self.area.bottom());
+        }
+        for &tick in y_ticks {
+            grid.move_to(self.area.left, self.at_y(tick));
+            grid.line_to(self.area.right(), self.at_y(tick));
+        }
+        grid
+    }
+
+    /// Draws frame, ticks and their labels, which go over the data.
+    pub(super) fn draw_frame(&self, canvas: &mut Canvas, labels: Labels) {
+        let mut ticks = PathData::default();
+        let (left, bottom) = (self.area.left, self.area.bottom());
+        for tick in self.x.ticks() {
+            let x = self.at_x(tick);
+            ticks.move_to(x, bottom);
+            ticks.line_to(x, bottom + TICK);
+            if labels.x_ticks {
+                let at = TextAt::new(
+                    x,
+                    bottom + TICK + 1.0 + self.tick_size,
+                    self.tick_size,
+                    Anchor::Middle,
+                );
+                canvas.text(&self.x.label(tick), at);
+            }
+        }
+        for tick in self.y.ticks() {
+            if !labels.y_ticks {
+                break;
+            }
+            let y = self.at_y(tick);
+            ticks.move_to(left, y);
+            ticks.line_to(left - TICK, y);
+            let at = TextAt::new(
+                left - TICK - 2.0,
+                y + 0.36 * self.tick_size,
+                self.tick_size,
+                Anchor::End,
+            );
+            canvas.text(&self.y.label(tick), at);
+        }
+        canvas.line(ticks, FRAME);
+        canvas.frame(self.area, FRAME);
+    }
+
+    /// Writes the label of the x axis under its tick labels.
+    pub(super) fn label_x(&self, canvas: &mut Canvas, label: &str) {
+        let x = self.area.left + 0.5 * self.area.width;
+        let y = self.area.bottom() + TICK + self.tick_size + LABEL_SIZE + 4.5;
+        canvas.text(label, TextAt::new(x, y, LABEL_SIZE, Anchor::Middle));
+    }
+
+    /// Writes the label of the y axis, reading upwards, its baseline at `x`.
+    pub(super) fn label_y(&self, canvas: &mut Canvas, label: &str, x: f64) {
+        let y = self.area.top + 0.5 * self.area.height;
+        canvas.text(label, TextAt::new(x, y, LABEL_SIZE, Anchor::Middle).upwards());
+    }
+}
+
+/// An entry of a legend.
+#[derive(Clone, Debug)]
+pub(super) struct Entry {
+    pub text: String,
+    pub sample: Sample,
+}
+
+/// What stands before the text of a legend's entry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Sample {
+    Line(Stroke),
+    /// A filled patch of a colour and an opacity.
+    Patch(&'static str, f64),
+    None,
+}
+
+const SAMPLE_WIDTH: f64 = 18.0;
+const SAMPLE_GAP: f64 = 4.0;
+const ENTRY_GAP: f64 = 12.0;
+
+/// Height of a row of a legend. \[user unit\]
+pub(super) const LEGEND_ROW: f64 = 14.5;
+
+/// Distributes a legend over rows of `width`.
+pub(super) fn legend_rows(entries: &[Entry], width: f64) -> Vec<Vec<&Entry>> {
+    let mut rows: Vec<Vec<&Entry>> = Vec::new();
+    let mut used = f64::INFINITY;
+    for entry in entries {
+        let wide = entry_width(entry);
+        if used + wide > width {
+            rows.push(Vec::new());
+            used = 0.0;
+        }
+        used += wide + ENTRY_GAP;
+        rows.last_mut().expect("the first entry opens a row").push(entry);
+    }
+    rows
+}
+
+fn entry_width(entry: &Entry) -> f64 {
+    let sample = if entry.sample == Sample::None { 0.0 } else { SAMPLE_WIDTH + SAMPLE_GAP };
+    sample + font::width(&entry.text, TICK_SIZE)
+}
+
+/// Draws a legend from (`left`, `top`) downwards.
+pub(super) fn draw_legend(canvas: &mut Canvas, rows: &[Vec<&Entry>], left: f64, top: f64) {
+    for (row, entries) in rows.iter().enumerate() {
+        let middle = top + (row as f64 + 0.5) * LEGEND_ROW;
+        let mut x = left;
+        for entry in entries {
+            let mut text_at = x + SAMPLE_WIDTH + SAMPLE_GAP;
+            match entry.sample {
+                Sample::Line(stroke) => {
+                    canvas.segment((x, middle), (x + SAMPLE_WIDTH, middle), stroke);
+                }
+                Sample::Patch(color, opacity) => {
+                    let mut patch = PathData::default();
+                    for (dx, dy) in
+                        [(0.0, -4.0), (SAMPLE_WIDTH, -4.0), (SAMPLE_WIDTH, 4.0), (0.0, 4.0)]
+                    {
+                        patch.line_to(x + dx, middle + dy);
+                    }
+                    canvas.area(patch, color, opacity);
+                }
+                Sample::None => text_at = x,
+            }
+            let at = TextAt::new(text_at, middle + 0.36 * TICK_SIZE, TICK_SIZE, Anchor::Start);
+            canvas.text(&entry.text, at);
+            x += entry_width(entry) + ENTRY_GAP;
+        }
+    }
+}

@@ -1,0 +1,274 @@
+//! CSV files: traces, broadcasts, training epochs.
+//!
+//! The first line names every column and its unit. Numbers have the fewest digits that read
+//! back as the same bits. Cost: about 40 ns a number; 40,000 rows of three agents (16 columns)
+//! take some 30 ms.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use crate::engine::traces::Traces;
+use crate::output_file::{OutputError, write_whole};
+
+/// One line of a CSV file that is being written.
+pub struct Row<'a> {
+    writer: csv::Writer<&'a mut dyn Write>,
+    float: ryu::Buffer,
+}
+
+impl Row<'_> {
+    /// A whole number.
+    ///
+    /// # Errors
+    /// What the file says, as with all methods here.
+    pub fn integer(&mut self, value: u64) -> io::Result<()> {
+        self.text(&value.to_string())
+    }
+
+    /// A number in double precision; one that is not finite is written as `NaN`, `inf` or
+    /// `-inf`, which CSV readers understand.
+    ///
+    /// # Errors
+    /// As [`Row::integer`].
+    pub fn double(&mut self, value: f64) -> io::Result<()> {
+        Ok(self.writer.write_field(self.float.format(value))?)
+    }
+
+    /// A number in single precision.
+    ///
+    /// # Errors
+    /// As [`Row::integer`].
+    pub fn single(&mut self, value: f32) -> io::Result<()> {
+        Ok(self.writer.write_field(self.float.format(value))?)
+    }
+
+    /// A number, or an empty field.
+    ///
+    /// # Errors
+    /// As [`Row::integer`].
+    pub fn optional(&mut self, value: Option<f64>) -> io::Result<()> {
+        match value {
+            Some(value) => self.double(value),
+            None => self.text(""),
+        }
+    }
+
+    /// A word; quoted if it must be.
+    ///
+    /// # Errors
+    /// As [`Row::integer`].
+    pub fn text(&mut self, value: &str) -> io::Result<()> {
+        Ok(self.writer.write_field(value)?)
+    }
+}
+
+/// Writes a CSV file: a header, and a line of what `write` says about each item.
+///
+/// # Errors
+/// A file that cannot be written, also if a line has not as many fields as the header.
+pub fn write_table<T>(
+    path: &Path,
+    header: &[impl AsRef<[u8]>],
+    items: impl Iterator<Item = T>,
+    mut write: impl FnMut(&mut Row<'_>, T) -> io::Result<()>,
+) -> Result<(), OutputError> {
+    write_whole(path, |file| {
+        let writer = csv::WriterBuilder::new().buffer_capacity(1 << 16).from_writer(file);
+        let mut row = Row { writer, float: ryu::Buffer::new() };
+        row.writer.write_record(header)?;
+        for item in items {
+            write(&mut row, item)?;
+            row.writer.write_record(None::<&[u8]>)?;
+        }
+        row.writer.flush()
+    })
+}
+
+/// Writes traces: a line a row, with the true state and each agent's estimate and error norm.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn write_traces(path: &Path, traces: &Traces) -> Result<(), OutputError> {
+    let components = 1..=traces.dimension();
+    let mut header = vec!["time [s]".to_owned()];
+    header.extend(components.clone().map(|component| format!("x{component} [state unit]")));
+    for agent in 1..=traces.agents() {
+        header.extend(
+            components
+                .clone()
+                .map(|component| format!("agent{agent}.xhat{component} [state unit]")),
+        );
+        header.push(format!("agent{agent}.error [state unit]"));
+    }
+    write_table(path, &header, 0..traces.rows(), |line, row| {
+        line.double(traces.time()[row])?;
+        for &x in traces.truth(row) {
+            line.double(x)?;
+        }
+        for agent in 0..traces.agents() {
+            for &x_hat in traces.estimate(row, agent) {
+                line.single(x_hat)?;
+            }
+            line.double(traces.error(row, agent))?;
+        }
+        Ok(())
+    })
+}
+
+/// Writes broadcasts, agent by agent: its number, which of its broadcasts it is (from 1), and
+/// when. `events` are the steps at whose beginning each agent broadcast; a step is `step_size`
+/// long \[s\].
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn write_events(path: &Path, events: &[&[u64]], step_size: f64) -> Result<(), OutputError> {
+    let numbered = events.iter().enumerate().flat_map(|(agent, ticks)| {
+        ticks.iter().enumerate().map(move |(sequence, &tick)| (agent + 1, sequence + 1, tick))
+    });
+    write_table(
+        path,
+        &["agent", "sequence", "time [s]"],
+        numbered,
+        |row, (agent, sequence, tick)| {
+            row.integer(agent as u64)?;
+            row.integer(sequence as u64)?;
+            row.double(tick as f64 * step_size)
+        },
+    )
+}
+
+/// One epoch of one training.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EpochRow {
+    /// The agent, from 1.
+    pub agent: usize,
+    /// The learning cycle, from 1.
+    pub cycle: usize,
+    /// The epoch; 0 is the state before the first step.
+    pub epoch: usize,
+    /// Mean squared error over the samples trained on. \[squared state unit/s\]
+    pub train_mse: f64,
+    /// Mean squared error over the validation samples, if there are any. \[squared state unit/s\]
+    pub validation_mse: Option<f64>,
+    /// Mean squared error over the test samples, if there are any. \[squared state unit/s\]
+    pub test_mse: Option<f64>,
+    /// Damping of the Levenberg–Marquardt step.
+    pub damping: f64,
+    /// Norm of the gradient of the objective.
+    pub gradient_norm: f64,
+}
+
+/// Writes epochs of trainings.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn write_epochs(path: &Path, epochs: &[EpochRow]) -> Result<(), OutputError> {
+    let header = [
+        "agent",
+        "cycle",
+        "epoch",
+        "train_mse [(state unit/s)^2]",
+        "validation_mse [(state unit/s)^2]",
+        "test_mse [(state unit/s)^2]",
+        "damping",
+        "gradient_norm",
+    ];
+    write_table(path, &header, epochs.iter(), |row, epoch| {
+        row.integer(epoch.agent as u64)?;
+        row.integer(epoch.cycle as u64)?;
+        row.integer(epoch.epoch as u64)?;
+        row.double(epoch.train_mse)?;
+        row.optional(epoch.validation_mse)?;
+        row.optional(epoch.test_mse)?;
+        row.double(epoch.damping)?;
+        row.double(epoch.gradient_norm)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use super::*;
+
+    fn file(name: &str) -> PathBuf {
+        std::env::temp_dir().join(format!("{}-{name}", std::process::id()))
+    }
+
+    /// Header and lines of a file, which is then removed.
+    fn read(path: &Path) -> (Vec<String>, Vec<Vec<String>>) {
+        let mut reader = csv::Reader::from_path(path).unwrap();
+        let words = |record: &csv::StringRecord| record.iter().map(str::to_owned).collect();
+        let header = words(reader.headers().unwrap());
+        let lines = reader.records().map(|record| words(&record.unwrap())).collect();
+        std::fs::remove_file(path).unwrap();
+        (header, lines)
+    }
+
+    #[test]
+    fn traces_read_back_as_the_same_bits() {
+        let mut traces = Traces::with_capacity(2, 2, 3);
+        for row in 0..3 {
+            let time = f64::from(row) * 0.001 * 7.0;
+            let estimates = [[0.1_f32, 1.0 / 3.0], [f32::MIN_POSITIVE, -2.5e10]];
+            traces.push(time, &[0.1 + 0.2, -1e-300], estimates.iter().map(|x| &x[..]));
+        }
+        let path = file("traces.csv");
+        write_traces(&path, &traces).unwrap();
+        let (header, lines) = read(&path);
+        let expected = "time [s],x1 [state unit],x2 [state unit],\
+            agent1.xhat1 [state unit],agent1.xhat2 [state unit],agent1.error [state unit],\
+            agent2.xhat1 [state unit],agent2.xhat2 [state unit],agent2.error [state unit]";
+        assert_eq!(header.join(","), expected);
+        assert_eq!(lines.len(), 3);
+        for (row, line) in lines.iter().enumerate() {
+            let double = |column: usize| line[column].parse::<f64>().unwrap().to_bits();
+            let single = |column: usize| line[column].parse::<f32>().unwrap().to_bits();
+            assert_eq!(double(0), traces.time()[row].to_bits());
+            for agent in 0..2 {
+                assert_eq!(double(5 + 3 * agent), traces.error(row, agent).to_bits());
+                for component in 0..2 {
+                    assert_eq!(double(1 + component), traces.truth(row)[component].to_bits());
+                    let estimate = traces.estimate(row, agent)[component];
+                    assert_eq!(single(3 + 3 * agent + component), estimate.to_bits());
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn broadcasts_are_numbered() {
+        let path = file("events.csv");
+        write_events(&path, &[&[0, 5], &[], &[7]], 0.001).unwrap();
+        let (header, lines) = read(&path);
+        assert_eq!(header, ["agent", "sequence", "time [s]"]);
+        assert_eq!(lines, [["1", "1", "0.0"], ["1", "2", "0.005"], ["3", "1", "0.007"]]);
+    }
+
+    #[test]
+    fn what_an_epoch_lacks_is_empty() {
+        let path = file("epochs.csv");
+        let epoch = EpochRow {
+            agent: 2,
+            cycle: 1,
+            epoch: 25,
+            train_mse: 0.5,
+            validation_mse: None,
+            test_mse: Some(0.25),
+            damping: 1e-8,
+            gradient_norm: f64::NAN,
+        };
+        write_epochs(&path, &[epoch]).unwrap();
+        let (header, lines) = read(&path);
+        assert_eq!(header.len(), 8);
+        assert_eq!(lines, [["2", "1", "25", "0.5", "", "0.25", "1e-8", "NaN"]]);
+    }
+
+    #[test]
+    fn a_line_of_the_wrong_length_is_refused() {
+        let path = file("wrong.csv");
+        let error = write_table(&path, &["one", "two"], 0..1, |row, number| row.integer(number));
+        assert!(error.unwrap_err().to_string().contains("wrong.csv"));
+        assert!(!path.exists());
+    }
+}
