@@ -21,8 +21,8 @@ use crate::engine::traces::Traces;
 
 const AXIS_LABEL: &str = "estimation error ‖e₁ᵢ(t)‖ [state unit]";
 
-/// Width of the window of the running root mean square. \[s\]
-const RMS_WINDOW: f64 = 1.0;
+/// Width of the window of the running root mean square, as a part of the run.
+const RMS_PART: f64 = 0.025;
 
 /// Space above the steady state, for the inset and the labels of markers, as a multiple.
 const HEADROOM: f64 = 2.2;
@@ -143,8 +143,15 @@ fn legend(traces: &Traces) -> Vec<Entry> {
     }
     let agents = (0..traces.agents())
         .map(|agent| entry(&format!("agent {}", agent + 1), Sample::Line(rms_line(agent))));
-    let note = entry("bold: RMS over 1 s", Sample::None);
+    let note = entry(&format!("bold: RMS over {} s", rms_window(traces)), Sample::None);
     agents.chain([note]).collect()
+}
+
+/// Width of the window of the running root mean square. \[s\]
+fn rms_window(traces: &Traces) -> f64 {
+    let time = traces.time();
+    let length = time.last().zip(time.first()).map_or(0.0, |(end, start)| end - start);
+    round_up(RMS_PART * length)
 }
 
 const fn rms_line(agent: usize) -> Stroke {
@@ -178,8 +185,8 @@ fn columns(panel: &Panel, traces: &Traces) -> Vec<Range<usize>> {
     series::columns(traces.time(), &panel.x, count)
 }
 
-/// Draws running root mean squares from where a whole window lies behind the transient, and
-/// not across instants at which the error may jump.
+/// Draws running root mean squares where a whole window lies behind the transient and not
+/// across an instant at which the error may jump.
 fn draw_running_rms(
     canvas: &mut Canvas,
     panel: &Panel,
@@ -189,11 +196,9 @@ fn draw_running_rms(
 ) {
     let time = traces.time();
     let columns = columns(panel, traces);
-    let mut breaks = vec![match (transient(traces, limit), settling_row(traces, limit)) {
-        (None, _) => 0,
-        (Some(_), Some(row)) => time.partition_point(|&t| t < time[row] + 0.5 * RMS_WINDOW),
-        (Some(_), None) => traces.rows(),
-    }];
+    let window = rms_window(traces);
+    // Without an end of the transient there is nothing steady.
+    let mut breaks = vec![settling_row(traces, limit).unwrap_or(traces.rows())];
     let jumps = markers.iter().filter(|marker| marker.jump);
     breaks.extend(jumps.map(|marker| time.partition_point(|&t| t < marker.time)));
     breaks.push(traces.rows());
@@ -201,30 +206,33 @@ fn draw_running_rms(
     for agent in 0..traces.agents() {
         let errors: Vec<f64> = (0..traces.rows()).map(|row| traces.error(row, agent)).collect();
         for piece in breaks.windows(2) {
-            let line = running_rms(panel, time, &errors, piece[0]..piece[1], &columns);
+            let line = running_rms(panel, time, &errors, piece[0]..piece[1], &columns, window);
             canvas.line(line, rms_line(agent));
         }
     }
 }
 
-/// Root mean square of some rows of `errors` over a window centred at every second column. At
-/// the ends of these rows the window stands still: a shorter one would show single swings.
+/// Root mean square of `errors` over a window centred at every second column, where the window
+/// lies within these rows.
 fn running_rms(
     panel: &Panel,
     time: &[f64],
     errors: &[f64],
     rows: Range<usize>,
     columns: &[Range<usize>],
+    window: f64,
 ) -> PathData {
     let mut line = ClippedLine::new(panel.area);
     let (Some(&begin), Some(&end)) = (time.get(rows.start), time[..rows.end].last()) else {
         return line.finish();
     };
     let (mut first, mut last, mut sum) = (rows.start, rows.start, 0.0);
-    let middles = columns.iter().step_by(2).map(|column| column.start);
-    for row in middles.filter(|row| rows.contains(row)) {
-        let from = (time[row] - 0.5 * RMS_WINDOW).min(end - RMS_WINDOW).max(begin);
-        while last < rows.end && time[last] <= from + RMS_WINDOW {
+    for row in columns.iter().step_by(2).map(|column| column.start) {
+        let (from, to) = (time[row] - 0.5 * window, time[row] + 0.5 * window);
+        if from < begin || to > end {
+            continue;
+        }
+        while last < rows.end && time[last] <= to {
             sum += errors[last] * errors[last];
             last += 1;
         }
@@ -304,4 +312,26 @@ fn draw_transient(canvas: &mut Canvas, panel: &Panel, traces: &Traces, until: f6
     inset.draw_frame(canvas, labels);
     let at = TextAt::new(area.right() - 5.0, area.top + 12.0, TICK_SIZE - 1.0, Anchor::End);
     canvas.text("transient in full", at);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_running_rms_is_that_of_whole_windows_of_its_rows() {
+        let area = Rect { left: 0.0, top: 0.0, width: 100.0, height: 100.0 };
+        let panel = Panel::new(area, Axis::exact(0.0, 10.0, 5.0), Axis::exact(0.0, 10.0, 5.0));
+        let time: Vec<f64> = (0..=1000).map(|row| f64::from(row) * 0.01).collect();
+        // 3 where it counts; a window that reached beyond would show some of the 9.
+        let rows = 200..801;
+        let errors: Vec<f64> =
+            (0..=1000).map(|row| if rows.contains(&row) { 3.0 } else { 9.0 }).collect();
+        let columns = series::columns(&time, &panel.x, 100);
+        let line = running_rms(&panel, &time, &errors, rows, &columns, 1.0);
+        // From t = 2.6 to 7.4, every 0.2: half a window from 2 and 8, at even columns.
+        assert_eq!(line.points(), 25);
+        let text = line.into_text();
+        assert!(text.starts_with("M26 70l2 0") && !text.contains('-'), "{text}");
+    }
 }

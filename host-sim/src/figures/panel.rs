@@ -160,9 +160,9 @@ pub(super) enum Sample {
     None,
 }
 
-const SAMPLE_WIDTH: f64 = 18.0;
+const SAMPLE_WIDTH: f64 = 16.0;
 const SAMPLE_GAP: f64 = 4.0;
-const ENTRY_GAP: f64 = 12.0;
+const ENTRY_GAP: f64 = 9.5;
 
 /// Height of a row of a legend. \[user unit\]
 pub(super) const LEGEND_ROW: f64 = 14.5;

@@ -53,7 +53,8 @@ fn encode(picture: &Pixmap) -> Result<Vec<u8>, RenderError> {
     encoder.set_color(ColorType::Rgb);
     encoder.set_depth(BitDepth::Eight);
     encoder.set_compression(Compression::Fast);
-    encoder.set_filter(Filter::Up);
+    // Of the filters this one makes the smallest files, and is as fast as any.
+    encoder.set_filter(Filter::Paeth);
     let mut writer = encoder.write_header()?;
     writer.write_image_data(&opaque)?;
     writer.finish()?;

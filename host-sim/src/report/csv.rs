@@ -84,21 +84,18 @@ pub fn write_table<T>(
     })
 }
 
-/// Writes traces: a line a row, with the true state and each agent's estimate and error norm.
+/// Writes traces: a line a row, with the true state and each agent's estimate and error norm, in
+/// the units of the state.
 ///
 /// # Errors
 /// A file that cannot be written.
 pub fn write_traces(path: &Path, traces: &Traces) -> Result<(), OutputError> {
     let components = 1..=traces.dimension();
     let mut header = vec!["time [s]".to_owned()];
-    header.extend(components.clone().map(|component| format!("x{component} [state unit]")));
+    header.extend(components.clone().map(|component| format!("x{component}")));
     for agent in 1..=traces.agents() {
-        header.extend(
-            components
-                .clone()
-                .map(|component| format!("agent{agent}.xhat{component} [state unit]")),
-        );
-        header.push(format!("agent{agent}.error [state unit]"));
+        header.extend(components.clone().map(|component| format!("agent{agent}.xhat{component}")));
+        header.push(format!("agent{agent}.error"));
     }
     write_table(path, &header, 0..traces.rows(), |line, row| {
         line.double(traces.time()[row])?;
@@ -216,9 +213,9 @@ mod tests {
         let path = file("traces.csv");
         write_traces(&path, &traces).unwrap();
         let (header, lines) = read(&path);
-        let expected = "time [s],x1 [state unit],x2 [state unit],\
-            agent1.xhat1 [state unit],agent1.xhat2 [state unit],agent1.error [state unit],\
-            agent2.xhat1 [state unit],agent2.xhat2 [state unit],agent2.error [state unit]";
+        let expected = "time [s],x1,x2,\
+            agent1.xhat1,agent1.xhat2,agent1.error,\
+            agent2.xhat1,agent2.xhat2,agent2.error";
         assert_eq!(header.join(","), expected);
         assert_eq!(lines.len(), 3);
         for (row, line) in lines.iter().enumerate() {
