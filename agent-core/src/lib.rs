@@ -49,3 +49,8 @@ pub type AgentId = u16;
 
 /// Discrete time: how many steps of length `step_size` lie behind.
 pub type Tick = u64;
+
+/// The example in the README is compiled and run, so that it cannot drift.
+#[cfg(doctest)]
+#[doc = include_str!("../../README.md")]
+struct Readme;

@@ -5,7 +5,13 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
-use agent_core::network::{InnerNetwork, Scratch};
+use agent_core::agent::{AgentParams, AgentState, StepError, StepOutput};
+use agent_core::bank::NetworkBank;
+use agent_core::capture::CaptureRing;
+use agent_core::frame::{FrameBytes, FrameError};
+use agent_core::hold::Hold;
+use agent_core::inbox::Inbox;
+use agent_core::network::{Architecture, NetworkError};
 use core::{convert::Infallible, hint::black_box};
 use embedded_hal::i2c::{ErrorType, I2c, Operation};
 use firmware_template::{RegisterSensor, Sensor, registers::ReadError};
@@ -41,14 +47,62 @@ pub fn read(
     sensor.read(measurement)
 }
 
-/// Evaluates the inner network with its parameters in flash.
+/// State dimension, features, neighbours and inner parameters of the paper's agents.
+const N: usize = 3;
+const FEATURES: usize = 5;
+const NEIGHBOURS: usize = 2;
+const PARAMETERS: usize = 425;
+
+/// Everything of a node that changes.
+#[derive(Debug)]
+pub struct Node {
+    state: AgentState<N, FEATURES, [Option<Hold<N>>; NEIGHBOURS]>,
+    inbox: Inbox<N, [Option<Hold<N>>; NEIGHBOURS]>,
+    bank: NetworkBank<PARAMETERS>,
+    samples: CaptureRing<N, 64>,
+}
+
+/// Takes in a received frame.
 ///
-/// `None` if `x` does not have the length that the network asks for.
+/// # Errors
+/// What the inbox refuses.
 #[inline(never)]
-pub fn features<'scratch>(
-    network: &InnerNetwork<&'static [f32]>,
-    x: &[f32],
-    scratch: &'scratch mut Scratch,
-) -> Option<&'scratch [f32]> {
-    network.features(x, scratch)
+pub fn receive(
+    node: &mut Node,
+    params: &AgentParams<'static, N>,
+    bytes: &[u8],
+) -> Result<(), FrameError> {
+    node.inbox.accept(params.neighbours(), bytes)
+}
+
+/// Takes one step and returns the frame to broadcast, if one is due.
+///
+/// # Errors
+/// What the agent refuses.
+#[inline(never)]
+pub fn step(
+    node: &mut Node,
+    params: &AgentParams<'static, N>,
+    tick: u64,
+    measurement: &[f32],
+) -> Result<Option<FrameBytes>, StepError> {
+    let Node { state, inbox, bank, samples } = node;
+    let StepOutput { broadcast, sample } =
+        state.step(params, bank.active(), tick, measurement, inbox)?;
+    samples.offer(&sample);
+    Ok(broadcast.map(|frame| frame.encode()))
+}
+
+/// Switches in a newly trained network.
+///
+/// # Errors
+/// A network that does not fit.
+#[inline(never)]
+pub fn switch(
+    node: &mut Node,
+    architecture: Architecture,
+    parameters: &[f32],
+) -> Result<bool, NetworkError> {
+    node.bank.stage(architecture, parameters)?;
+    Ok(node.bank.switch())
 }
