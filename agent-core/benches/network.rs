@@ -13,7 +13,7 @@ fn network(activation: Activation) -> InnerNetwork<Vec<f32>> {
     let layers = [12, 12, 12, 5].map(|width| Layer { width, activation });
     let architecture = Architecture::new(3, &layers).expect("an architecture");
     // Any weights will do, as long as nodes do not saturate.
-    let parameters = (0..architecture.parameter_count());
+    let parameters = 0..architecture.parameter_count();
     let parameters = parameters.map(|i| ((i * 37 % 101) as f32 - 50.0) / 100.0).collect();
     InnerNetwork::new(architecture, parameters).expect("finite parameters")
 }

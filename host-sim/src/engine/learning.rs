@@ -31,6 +31,13 @@ struct Job {
     trained: Option<SharedNetwork>,
 }
 
+/// A network whose time has come.
+pub(super) struct Switch {
+    /// The agent that it is for, from 0.
+    pub(super) agent: usize,
+    pub(super) network: SharedNetwork,
+}
+
 /// All cycles of a run.
 pub(super) struct Learning<'s> {
     scenario: &'s Scenario,
@@ -59,13 +66,13 @@ impl<'s> Learning<'s> {
         Self { scenario, seed, jobs: jobs.collect() }
     }
 
-    /// Networks to switch in before the step at `tick`, with the agents that they are for;
-    /// trains all jobs whose samples are complete when the first of them is due.
-    pub(super) fn networks_due(
+    /// What to switch in before the step at `tick`; trains all jobs whose samples are complete
+    /// when the first of them is due.
+    pub(super) fn switches_due(
         &mut self,
         tick: Tick,
         progress: &dyn Progress,
-    ) -> Result<(Vec<(usize, SharedNetwork)>, Vec<TrainingRecord>), RunError> {
+    ) -> Result<(Vec<Switch>, Vec<TrainingRecord>), RunError> {
         let mut records = Vec::new();
         if self.jobs.iter().any(|job| job.apply_at == tick && job.trained.is_none()) {
             let ready = |job: &&mut Job| job.outer_weights.is_some() && job.trained.is_none();
@@ -77,8 +84,9 @@ impl<'s> Learning<'s> {
                 .collect::<Result<_, _>>()?;
         }
         let due = self.jobs.iter().filter(|job| job.apply_at == tick);
-        let networks = due.filter_map(|job| Some((job.agent, job.trained.clone()?))).collect();
-        Ok((networks, records))
+        let switches =
+            due.filter_map(|job| Some(Switch { agent: job.agent, network: job.trained.clone()? }));
+        Ok((switches.collect(), records))
     }
 
     /// Takes in what the agents did in the step at `tick`: `samples(i)` of agent `i` and, where
@@ -93,11 +101,11 @@ impl<'s> Learning<'s> {
             if !(job.collect_from..job.collect_to).contains(&tick) {
                 continue;
             }
-            if is_due(tick, self.scenario.learning[job.cycle].stride) {
-                if let Some(sample) = sample(job.agent) {
-                    job.inputs.extend(sample.estimate.iter().map(|&x| f64::from(x)));
-                    job.targets.extend(sample.derivative.iter().map(|&x| f64::from(x)));
-                }
+            if is_due(tick, self.scenario.learning[job.cycle].stride)
+                && let Some(sample) = sample(job.agent)
+            {
+                job.inputs.extend(sample.estimate.iter().map(|&x| f64::from(x)));
+                job.targets.extend(sample.derivative.iter().map(|&x| f64::from(x)));
             }
             if tick + 1 == job.collect_to {
                 job.outer_weights = Some(outer_weights(job.agent));

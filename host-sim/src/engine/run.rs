@@ -4,7 +4,7 @@ use agent_core::Tick;
 use rayon::prelude::*;
 
 use super::agents::{GainNorms, SharedNetwork, SimulatedAgent, Storage};
-use super::learning::{Learning, shared_network};
+use super::learning::{Learning, Switch, shared_network};
 use super::link::{Link, Lossless};
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
@@ -149,9 +149,9 @@ impl<const N: usize, L: Link> Simulation<'_, N, L> {
         self.send_broadcasts(0);
         for tick in 0..steps {
             if let Some(learning) = &mut learning {
-                let (networks, mut records) = learning.networks_due(tick, progress)?;
+                let (switches, mut records) = learning.switches_due(tick, progress)?;
                 trainings.append(&mut records);
-                for (agent, network) in networks {
+                for Switch { agent, network } in switches {
                     self.agents[agent].switch_network(network);
                 }
             }

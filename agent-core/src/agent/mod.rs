@@ -18,7 +18,11 @@
 //! Invariants: every number in the state is finite; an error leaves state and inbox as they
 //! were before the call.
 
-use nalgebra::SMatrix;
+mod error;
+mod params;
+
+pub use error::StepError;
+pub use params::AgentParams;
 
 use crate::capture::Sample;
 use crate::frame::Frame;
@@ -26,153 +30,9 @@ use crate::hold::Hold;
 use crate::inbox::Inbox;
 use crate::network::{InnerNetwork, Scratch};
 use crate::numeric::{add_scaled, all_finite, product};
-use crate::observer::{Neighbour, ObserverParams};
-use crate::outer_law::{OuterLawParams, OuterWeights};
-use crate::parameter::{ParameterError, finite, positive};
-use crate::trigger::TriggerParams;
-use crate::{AgentId, StateVector, Tick};
-
-/// Everything about an agent that does not change, checked as a whole.
-#[derive(Clone, Debug, PartialEq)]
-pub struct AgentParams<'a, const N: usize> {
-    id: AgentId,
-    step_size: f32,
-    observer: ObserverParams<'a, N>,
-    outer_law: OuterLawParams<'a>,
-    trigger: TriggerParams,
-}
-
-impl<'a, const N: usize> AgentParams<'a, N> {
-    /// Joins the parameters of agent `id`, which is stepped every `step_size` \[s\].
-    ///
-    /// # Errors
-    /// The first parameter that is out of its range.
-    pub fn new(
-        id: AgentId,
-        step_size: f32,
-        observer: ObserverParams<'a, N>,
-        outer_law: OuterLawParams<'a>,
-        trigger: TriggerParams,
-    ) -> Result<Self, ParameterError> {
-        positive("step_size", step_size)?;
-        observer.validate(id)?;
-        outer_law.projection.validate()?;
-        trigger.validate()?;
-        Ok(Self { id, step_size, observer, outer_law, trigger })
-    }
-
-    /// The agent's number.
-    #[must_use]
-    pub fn id(&self) -> AgentId {
-        self.id
-    }
-
-    /// `dt`. \[s\]
-    #[must_use]
-    pub fn step_size(&self) -> f32 {
-        self.step_size
-    }
-
-    /// `m`, how many outputs the agent measures.
-    #[must_use]
-    pub fn outputs(&self) -> usize {
-        self.observer.output_matrix.outputs()
-    }
-
-    /// `K_1`, shape `[N, N]`. \[1/s\]
-    #[must_use]
-    pub fn gain(&self) -> &SMatrix<f32, N, N> {
-        &self.observer.gain
-    }
-
-    /// The neighbours, in the order of an inbox's places.
-    #[must_use]
-    pub fn neighbours(&self) -> &'a [Neighbour] {
-        self.observer.neighbours
-    }
-}
-
-/// Why a step was not taken.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub enum StepError {
-    /// Time did not advance, or cannot any further.
-    Tick {
-        /// The tick of the last step; `None` if there was none.
-        last: Option<Tick>,
-        /// The tick given.
-        found: Tick,
-    },
-    /// The measurement has the wrong length.
-    Outputs {
-        /// Rows of the output matrix.
-        expected: usize,
-        /// Length of the measurement.
-        found: usize,
-    },
-    /// A measurement is infinite or not a number.
-    MeasurementNotFinite {
-        /// Index of the output, from 0.
-        output: usize,
-    },
-    /// The state or the inbox was made for another number of neighbours.
-    Neighbours {
-        /// Neighbours in the parameters.
-        expected: usize,
-        /// Places in the state or the inbox.
-        found: usize,
-    },
-    /// The network has another number of features than there are outer weights for.
-    Features {
-        /// Rows of the outer weights.
-        expected: usize,
-        /// Width of the network's last inner layer.
-        found: usize,
-    },
-    /// The network takes another number of inputs than the state has components.
-    NetworkInputs {
-        /// The state dimension.
-        expected: usize,
-        /// Inputs of the network.
-        found: usize,
-    },
-    /// The estimate or the outer weights would not be finite any more.
-    ///
-    /// A sane next measurement ends it, unless the culprit is a frame with a huge estimate:
-    /// empty the inbox then, or the frame will be tried again.
-    Diverged,
-}
-
-impl core::fmt::Display for StepError {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match *self {
-            Self::Tick { last: Some(last), found } => {
-                write!(f, "step {found} does not come after the last one, {last}")
-            }
-            Self::Tick { last: None, found } => {
-                write!(f, "step {found} has no successor")
-            }
-            Self::Outputs { expected, found } => {
-                write!(f, "{found} measured values, expected {expected}")
-            }
-            Self::MeasurementNotFinite { output } => {
-                write!(f, "the measurement of output {output} is not finite")
-            }
-            Self::Neighbours { expected, found } => {
-                write!(f, "places for {found} neighbours, expected {expected}")
-            }
-            Self::Features { expected, found } => {
-                write!(f, "the network has {found} features, the outer weights {expected}")
-            }
-            Self::NetworkInputs { expected, found } => {
-                write!(f, "the network has {found} inputs, the state {expected} components")
-            }
-            Self::Diverged => write!(f, "estimate or outer weights would overflow"),
-        }
-    }
-}
-
-impl core::error::Error for StepError {}
+use crate::outer_law::OuterWeights;
+use crate::parameter::{ParameterError, finite};
+use crate::{StateVector, Tick};
 
 /// What a step returns.
 #[derive(Clone, Copy, Debug, PartialEq)]

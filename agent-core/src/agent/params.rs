@@ -1,0 +1,69 @@
+//! What does not change about an agent.
+
+use nalgebra::SMatrix;
+
+use crate::AgentId;
+use crate::observer::{Neighbour, ObserverParams};
+use crate::outer_law::OuterLawParams;
+use crate::parameter::{ParameterError, positive};
+use crate::trigger::TriggerParams;
+
+/// Everything about an agent that does not change, checked as a whole.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AgentParams<'a, const N: usize> {
+    pub(super) id: AgentId,
+    pub(super) step_size: f32,
+    pub(super) observer: ObserverParams<'a, N>,
+    pub(super) outer_law: OuterLawParams<'a>,
+    pub(super) trigger: TriggerParams,
+}
+
+impl<'a, const N: usize> AgentParams<'a, N> {
+    /// Joins the parameters of agent `id`, which is stepped every `step_size` \[s\].
+    ///
+    /// # Errors
+    /// The first parameter that is out of its range.
+    pub fn new(
+        id: AgentId,
+        step_size: f32,
+        observer: ObserverParams<'a, N>,
+        outer_law: OuterLawParams<'a>,
+        trigger: TriggerParams,
+    ) -> Result<Self, ParameterError> {
+        positive("step_size", step_size)?;
+        observer.validate(id)?;
+        outer_law.projection.validate()?;
+        trigger.validate()?;
+        Ok(Self { id, step_size, observer, outer_law, trigger })
+    }
+
+    /// The agent's number.
+    #[must_use]
+    pub fn id(&self) -> AgentId {
+        self.id
+    }
+
+    /// `dt`. \[s\]
+    #[must_use]
+    pub fn step_size(&self) -> f32 {
+        self.step_size
+    }
+
+    /// `m`, how many outputs the agent measures.
+    #[must_use]
+    pub fn outputs(&self) -> usize {
+        self.observer.output_matrix.outputs()
+    }
+
+    /// `K_1`, shape `[N, N]`. \[1/s\]
+    #[must_use]
+    pub fn gain(&self) -> &SMatrix<f32, N, N> {
+        &self.observer.gain
+    }
+
+    /// The neighbours, in the order of an inbox's places.
+    #[must_use]
+    pub fn neighbours(&self) -> &'a [Neighbour] {
+        self.observer.neighbours
+    }
+}
