@@ -31,6 +31,9 @@ struct Job {
     trained: Option<SharedNetwork>,
 }
 
+/// An agent and the network that it is to switch to.
+pub(super) type NetworkFor = (usize, SharedNetwork);
+
 /// All cycles of a run.
 pub(super) struct Learning<'s> {
     scenario: &'s Scenario,
@@ -65,7 +68,7 @@ impl<'s> Learning<'s> {
         &mut self,
         tick: Tick,
         progress: &dyn Progress,
-    ) -> Result<(Vec<(usize, SharedNetwork)>, Vec<TrainingRecord>), RunError> {
+    ) -> Result<(Vec<NetworkFor>, Vec<TrainingRecord>), RunError> {
         let mut records = Vec::new();
         if self.jobs.iter().any(|job| job.apply_at == tick && job.trained.is_none()) {
             let ready = |job: &&mut Job| job.outer_weights.is_some() && job.trained.is_none();
@@ -93,11 +96,11 @@ impl<'s> Learning<'s> {
             if !(job.collect_from..job.collect_to).contains(&tick) {
                 continue;
             }
-            if is_due(tick, self.scenario.learning[job.cycle].stride) {
-                if let Some(sample) = sample(job.agent) {
-                    job.inputs.extend(sample.estimate.iter().map(|&x| f64::from(x)));
-                    job.targets.extend(sample.derivative.iter().map(|&x| f64::from(x)));
-                }
+            if is_due(tick, self.scenario.learning[job.cycle].stride)
+                && let Some(sample) = sample(job.agent)
+            {
+                job.inputs.extend(sample.estimate.iter().map(|&x| f64::from(x)));
+                job.targets.extend(sample.derivative.iter().map(|&x| f64::from(x)));
             }
             if tick + 1 == job.collect_to {
                 job.outer_weights = Some(outer_weights(job.agent));
