@@ -113,7 +113,7 @@ pub enum RunError {
         /// What the core says.
         error: StepError,
     },
-    /// The plant's state is not finite any more.
+    /// The plant's state is not finite any more in single precision, in which agents measure it.
     #[error("the plant diverged at t = {time}; lower time.step or change the plant's parameters")]
     PlantDiverged {
         /// When. \[s\]

@@ -173,7 +173,8 @@ impl<const N: usize, L: Link> Simulation<'_, N, L> {
                 time.step_size,
                 &mut self.truth,
             );
-            if !self.truth.iter().all(|x| x.is_finite()) {
+            // Beyond single precision no agent can measure it.
+            if !self.truth.iter().all(|&x| (x as f32).is_finite()) {
                 return Err(RunError::PlantDiverged { time: time.at(tick + 1) });
             }
             if tick.is_multiple_of(PROGRESS_STRIDE) {
@@ -246,7 +247,9 @@ impl<const N: usize, L: Link> Simulation<'_, N, L> {
         }
     }
 
-    fn finish(mut self, trainings: Vec<TrainingRecord>) -> RunResult {
+    fn finish(mut self, mut trainings: Vec<TrainingRecord>) -> RunResult {
+        // They were carried out in the order of time, and the agents of a cycle may be in any.
+        trainings.sort_by_key(|training| (training.cycle, training.agent));
         for agent in &self.agents {
             for value in agent.estimate().iter().chain(&agent.outer_weights()) {
                 self.digest.add(&value.to_le_bytes());

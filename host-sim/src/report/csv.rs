@@ -92,10 +92,11 @@ pub fn write_table<T>(
 pub fn write_traces(path: &Path, traces: &Traces) -> Result<(), OutputError> {
     let components = 1..=traces.dimension();
     let mut header = vec!["time [s]".to_owned()];
-    header.extend(components.clone().map(|component| format!("x{component}")));
+    header.extend(components.clone().map(|component| format!("x{component} [state unit]")));
     for agent in 1..=traces.agents() {
-        header.extend(components.clone().map(|component| format!("agent{agent}.xhat{component}")));
-        header.push(format!("agent{agent}.error"));
+        let estimate = |component| format!("agent{agent}.xhat{component} [state unit]");
+        header.extend(components.clone().map(estimate));
+        header.push(format!("agent{agent}.error [state unit]"));
     }
     write_table(path, &header, 0..traces.rows(), |line, row| {
         line.double(traces.time()[row])?;
@@ -213,10 +214,18 @@ mod tests {
         let path = file("traces.csv");
         write_traces(&path, &traces).unwrap();
         let (header, lines) = read(&path);
-        let expected = "time [s],x1,x2,\
-            agent1.xhat1,agent1.xhat2,agent1.error,\
-            agent2.xhat1,agent2.xhat2,agent2.error";
-        assert_eq!(header.join(","), expected);
+        let names = [
+            "x1",
+            "x2",
+            "agent1.xhat1",
+            "agent1.xhat2",
+            "agent1.error",
+            "agent2.xhat1",
+            "agent2.xhat2",
+            "agent2.error",
+        ];
+        assert_eq!(header[0], "time [s]");
+        assert_eq!(header[1..], names.map(|name| format!("{name} [state unit]")));
         assert_eq!(lines.len(), 3);
         for (row, line) in lines.iter().enumerate() {
             let double = |column: usize| line[column].parse::<f64>().unwrap().to_bits();

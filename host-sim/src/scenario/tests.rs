@@ -81,8 +81,9 @@ fn the_papers_recipe_and_the_defaults_of_the_other() {
     };
     assert_eq!(paper.solver, solver);
     let better = scenario.recipe("better").unwrap();
-    assert_eq!((better.smoothing_window, better.decimation.get()), (0.4, 10));
-    assert_eq!(better.initial, InitialParameters::NguyenWidrow);
+    assert_eq!((better.smoothing_window, better.decimation.get()), (0.4, 20));
+    assert_eq!(better.initial, InitialParameters::Glorot);
+    assert_eq!((paper.weight_decay, better.weight_decay), (0.0, 0.03));
     let solver = LevenbergMarquardtSettings { epochs_max: 60, ..Default::default() };
     assert_eq!(better.solver, solver);
     assert_eq!(scenario.recipe("best"), None);
