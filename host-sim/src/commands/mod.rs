@@ -66,8 +66,8 @@ struct Common {
     #[arg(long, value_enum, default_value_t)]
     format: Format,
     /// Threads to use, 0 for one a core; the results are the same bits for any number
-    #[arg(long, default_value_t = 0)]
-    threads: usize,
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=1024))]
+    threads: u16,
 }
 
 /// Why a command failed.
@@ -86,7 +86,7 @@ enum CommandError {
     #[error("cannot write to standard output: {0}")]
     Output(#[from] std::io::Error),
     #[error("cannot start {0} threads; choose fewer with --threads")]
-    Threads(usize),
+    Threads(u16),
 }
 
 impl CommandError {
@@ -128,11 +128,11 @@ pub fn main() -> ExitCode {
 }
 
 fn with_threads(
-    threads: usize,
+    threads: u16,
     command: impl FnOnce() -> Result<(), CommandError> + Send,
 ) -> Result<(), CommandError> {
     let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
+        .num_threads(threads.into())
         .build()
         .map_err(|_| CommandError::Threads(threads))?;
     pool.install(command)

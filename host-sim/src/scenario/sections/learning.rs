@@ -60,8 +60,10 @@ fn cycle(
     let stride = stride(table, "stride")?;
     let apply_value = table.require("apply_at", "10.0")?;
     let apply_at = apply_value.positive()?;
-    if apply_at > time.duration {
-        return Err(beyond_the_end(&apply_value, time));
+    if time.tick(apply_at) >= time.tick(time.duration) {
+        let problem = format!("is {}, when the run is over", apply_value.written());
+        let mend = format!("write a time below time.duration, {}", time.duration);
+        return Err(apply_value.error(problem, mend));
     }
     if apply_at < to {
         let problem = format!("is {}, before collecting has ended", apply_value.written());
