@@ -109,14 +109,14 @@ pub(crate) fn picks(n: usize, components: impl IntoIterator<Item = usize>) -> Ve
 }
 
 /// Tables `[network]` and `[outer_law]`: layers of so many nodes with an activation each, random
-/// inner parameters, outer weights that start at zero.
+/// inner parameters, small outer weights.
 pub(crate) fn network(layers: &[(u8, &str)], outer_gain: &str) -> String {
     let layers: Vec<_> = layers
         .iter()
         .map(|(nodes, activation)| format!("{{ nodes = {nodes}, activation = \"{activation}\" }}"))
         .collect();
     format!(
-        "[network]\nlayers = [{}]\ninner = {{ random = \"glorot\" }}\nouter = {{ fill = 0.0 }}\n\n\
+        "[network]\nlayers = [{}]\ninner = {{ random = \"glorot\" }}\nouter = {{ random = 0.05 }}\n\n\
          [outer_law]\ngain = {outer_gain}\nbound = 20.0\n",
         layers.join(", ")
     )

@@ -46,6 +46,14 @@ pub fn laplacian_norm(graph: &Graph) -> f64 {
     .max
 }
 
+/// `dt |K_1| (lambda_max(L) + 1)`: from 2 on, Euler's method is unstable for an observer whose
+/// outputs are components of the state.
+#[must_use]
+pub fn stiffness(scenario: &Scenario) -> f64 {
+    let coupling = laplacian_norm(&scenario.graph) + 1.0;
+    scenario.time.step_size * spectral_norm(&scenario.design.gain) * coupling
+}
+
 /// The constants of `Trigger`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TriggerConstants {

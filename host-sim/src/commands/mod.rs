@@ -8,6 +8,7 @@ mod reproduce;
 mod run;
 mod scenario;
 mod summary;
+mod warnings;
 mod written;
 
 use std::path::Path;

@@ -152,7 +152,8 @@ fn write_tables(
 ) -> Result<(), CommandError> {
     table.write_csv(&out.join("table1.csv"))?;
     written::tables(out, "_without", scenario, without)?;
-    written::tables(out, "_with", scenario, with)
+    written::tables(out, "_with", scenario, with)?;
+    Ok(())
 }
 
 /// Writes the figures; returns the name of each and what it shows.

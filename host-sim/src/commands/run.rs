@@ -8,16 +8,32 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
-use super::{CommandError, Common, Format, SharedProgress, summary, written};
+use super::{CommandError, Common, Format, SharedProgress, summary, warnings, written};
 use super::{make_folder, print_json, print_text};
 use crate::analysis::Checks;
-use crate::engine::{RunOptions, RunResult, run};
+use crate::engine::statistics::AgentStatistics;
+use crate::engine::{RunError, RunOptions, RunResult, run};
 use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_norms, events, states, write_all,
 };
+use crate::output_file::OutputError;
 use crate::progress::ProgressBars;
 use crate::report::csv::{Row, write_table};
-use crate::scenario::Scenario;
+use crate::scenario::{Record, Scenario};
+
+/// Every file that a run can leave behind.
+const FILES: [&str; 10] = [
+    "agents.csv",
+    "traces.csv",
+    "events.csv",
+    "training.csv",
+    "errors.svg",
+    "errors.png",
+    "states.svg",
+    "states.png",
+    "events.svg",
+    "events.png",
+];
 
 /// Up to this many agents have a line each in the terminal.
 const LINES: usize = 20;
@@ -57,18 +73,15 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let scenario = Scenario::load(&arguments.scenario)?;
     let out = match &arguments.out {
         Some(out) => out.clone(),
-        None => Path::new("out").join(folder_name(&scenario.name)),
+        None => Path::new("out").join(&scenario.name),
     };
     make_folder(&out)?;
-    let result = {
-        let bars = ProgressBars::new("simulating");
-        let done = AtomicU64::new(0);
-        let progress = SharedProgress::new(&bars, &done, scenario.steps());
-        let options = RunOptions { seed: arguments.common.seed, learning: true, bounds: true };
-        run(&scenario, options, &progress)?
-    };
+    warnings::print(&scenario);
+    let (result, baseline) = simulate(&scenario, arguments.common.seed)?;
     let agents = agent_reports(&scenario, &result);
-    write_files(&out, &scenario, &result, &agents)?;
+    let before: Vec<_> =
+        baseline.iter().flat_map(|run| &run.agents).map(AgentStatistics::rmse).collect();
+    let files = write_files(&out, &scenario, &result, &agents)?;
     let elapsed_s = start.elapsed().as_secs_f64();
     match arguments.common.format {
         Format::Json => print_json(&Report {
@@ -78,12 +91,13 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             agents,
         }),
         Format::Text => {
-            let mut text = agent_table(&scenario, &agents);
+            let mut text = agent_table(&scenario, &agents, &before);
             text += &summary::trainings(&result.trainings);
             text += &summary::checks(&Checks::new(&scenario, &result));
             text += &format!(
-                "Figures and tables in {}\n\nScenario {}, seed {}, {elapsed_s:.2} s\n",
+                "Written to {}: {}\n\nScenario {}, seed {}, {elapsed_s:.2} s\n",
                 out.display(),
+                files.join(", "),
                 scenario.name,
                 arguments.common.seed,
             );
@@ -92,12 +106,33 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-/// A scenario's name as the name of a folder.
-fn folder_name(name: &str) -> String {
-    let kept = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '-' };
-    let folder: String = name.chars().map(kept).collect();
-    // No scenario may climb out of the folder for results.
-    if folder.trim_matches('.').is_empty() { "scenario".to_owned() } else { folder }
+/// The run, and beside it the same run without learning if there is any learning.
+fn simulate(
+    scenario: &Scenario,
+    seed: u64,
+) -> Result<(RunResult, Option<RunResult>), CommandError> {
+    let bars = ProgressBars::new("simulating");
+    let done = AtomicU64::new(0);
+    let learns = !scenario.learning.is_empty();
+    let total = scenario.steps() * if learns { 2 } else { 1 };
+    let baseline = || -> Result<_, RunError> {
+        if !learns {
+            return Ok(None);
+        }
+        let mut scenario = scenario.clone();
+        scenario.record = Record { trace_stride: None, events: false };
+        let progress = SharedProgress::new(&bars, &done, total);
+        let options = RunOptions { seed, learning: false, bounds: false };
+        run(&scenario, options, &progress).map(Some)
+    };
+    let (result, baseline) = rayon::join(
+        || {
+            let progress = SharedProgress::new(&bars, &done, total);
+            run(scenario, RunOptions { seed, learning: true, bounds: true }, &progress)
+        },
+        baseline,
+    );
+    Ok((result?, baseline?))
 }
 
 fn agent_reports(scenario: &Scenario, result: &RunResult) -> Vec<AgentReport> {
@@ -114,21 +149,25 @@ fn agent_reports(scenario: &Scenario, result: &RunResult) -> Vec<AgentReport> {
         .collect()
 }
 
-fn agent_table(scenario: &Scenario, agents: &[AgentReport]) -> String {
+/// `before` holds the errors of the run without learning, or nothing.
+fn agent_table(scenario: &Scenario, agents: &[AgentReport], before: &[Option<f64>]) -> String {
     let window = &scenario.evaluation;
     let mut text = format!(
         "\n|e_1i(t)| for t in [{}, {}] s, and times between broadcasts over the whole run\n\n\
-         agent        RMSE     maximum  broadcasts  mean interval  shortest\n",
-        window.from, window.to,
+         agent        RMSE{}     maximum  broadcasts  mean interval  shortest\n",
+        window.from,
+        window.to,
+        if before.is_empty() { "" } else { "  without learning" },
     );
     let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.4}"));
     for agent in agents.iter().take(LINES) {
         // Writing into a string cannot fail.
         let _ = writeln!(
             text,
-            "{:5}  {:>10}  {:>10}  {:10}  {:>11} s  {:>6} s",
+            "{:5}  {:>10}{}  {:>10}  {:10}  {:>11} s  {:>6} s",
             agent.agent,
             number(agent.rmse),
+            before.get(agent.agent - 1).map_or(String::new(), |&e| format!("{:>18}", number(e))),
             number(agent.max_error),
             agent.broadcasts,
             number(agent.mean_interval),
@@ -149,12 +188,14 @@ fn agent_table(scenario: &Scenario, agents: &[AgentReport]) -> String {
     text
 }
 
+/// Writes everything; returns the names of the files. Files of an earlier run that this one
+/// has no successor for are removed, so that they cannot be mistaken for its own.
 fn write_files(
     out: &Path,
     scenario: &Scenario,
     result: &RunResult,
     agents: &[AgentReport],
-) -> Result<(), CommandError> {
+) -> Result<Vec<String>, CommandError> {
     let header = [
         "agent",
         "rmse [state unit]",
@@ -176,11 +217,25 @@ fn write_files(
         || written::tables(out, "", scenario, result),
         || write_figures(out, scenario, result),
     );
-    tables?;
-    figures
+    let mut files = vec!["agents.csv".to_owned()];
+    files.extend(tables?);
+    files.extend(figures?);
+    for name in FILES.iter().filter(|&name| !files.iter().any(|file| file == name)) {
+        match std::fs::remove_file(out.join(name)) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                return Err(OutputError { path: out.join(name), error }.into());
+            }
+            _ => {}
+        }
+    }
+    Ok(files)
 }
 
-fn write_figures(out: &Path, scenario: &Scenario, result: &RunResult) -> Result<(), CommandError> {
+fn write_figures(
+    out: &Path,
+    scenario: &Scenario,
+    result: &RunResult,
+) -> Result<Vec<String>, CommandError> {
     let markers = written::markers(scenario);
     let event_ticks = written::events_of(result);
     let window = written::event_window(scenario);
@@ -205,19 +260,6 @@ fn write_figures(out: &Path, scenario: &Scenario, result: &RunResult) -> Result<
         figures.push(("events", events(&figure)));
     }
     write_all(out, &figures)?;
-    Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::folder_name;
-
-    #[test]
-    fn no_name_leads_out_of_the_folder() {
-        assert_eq!(folder_name("paper"), "paper");
-        assert_eq!(folder_name("../../etc/x y"), "..-..-etc-x-y");
-        for name in ["..", ".", ""] {
-            assert_eq!(folder_name(name), "scenario");
-        }
-    }
+    let names = figures.iter().flat_map(|(stem, _)| [format!("{stem}.svg"), format!("{stem}.png")]);
+    Ok(names.collect())
 }

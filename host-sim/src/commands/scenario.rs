@@ -18,8 +18,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let mut output = std::io::stdout().lock();
     match &arguments.name {
         None => {
-            for (name, _) in BUILT_IN {
-                writeln!(output, "{name}")?;
+            for (name, text) in BUILT_IN {
+                // Every file says in its first line what it is.
+                let first = text.lines().next().unwrap_or_default().trim_start_matches("# ");
+                let more = if first.ends_with('.') { "" } else { " ..." };
+                writeln!(output, "{name:12} {first}{more}")?;
             }
         }
         Some(wanted) => {

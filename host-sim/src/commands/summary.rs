@@ -20,7 +20,7 @@ pub(super) fn trainings(records: &[TrainingRecord]) -> String {
         let _ = writeln!(
             text,
             "  agent {}, cycle {}: {} samples, {} epochs, stopped by {}; mean squared error: \
-             objective {:.3e}, validation {}, test {}",
+             training {:.3e}, validation {}, test {}",
             record.agent,
             record.cycle,
             record.samples,

@@ -13,31 +13,36 @@ use crate::scenario::{LearningCycle, Scenario, Window};
 const EVENT_WINDOW: f64 = 500.0;
 
 /// Writes traces, broadcast times and training of a run as `NAMEsuffix.csv` in `folder`, as far
-/// as they were recorded.
+/// as they were recorded; returns the names of the files.
 pub(super) fn tables(
     folder: &Path,
     suffix: &str,
     scenario: &Scenario,
     run: &RunResult,
-) -> Result<(), CommandError> {
-    let path = |name: &str| folder.join(format!("{name}{suffix}.csv"));
-    let traces = || match run.traces.rows() {
-        0 => Ok(()),
-        _ => write_traces(&path("traces"), &run.traces),
-    };
-    let events = || -> Result<(), OutputError> {
-        if !scenario.record.events {
-            return Ok(());
+) -> Result<Vec<String>, CommandError> {
+    let name = |stem: &str| format!("{stem}{suffix}.csv");
+    let traces = || -> Result<_, OutputError> {
+        if run.traces.rows() == 0 {
+            return Ok(None);
         }
-        write_events(&path("events"), &events_of(run), scenario.time.step_size)
+        write_traces(&folder.join(name("traces")), &run.traces)?;
+        Ok(Some(name("traces")))
+    };
+    let events = || -> Result<_, OutputError> {
+        if !scenario.record.events {
+            return Ok(None);
+        }
+        let step_size = scenario.time.step_size;
+        write_events(&folder.join(name("events")), &events_of(run), step_size)?;
+        Ok(Some(name("events")))
     };
     let (traces, events) = rayon::join(traces, events);
-    traces?;
-    events?;
+    let mut names: Vec<String> = [traces?, events?].into_iter().flatten().collect();
     if !run.trainings.is_empty() {
-        write_epochs(&path("training"), &epochs(run))?;
+        write_epochs(&folder.join(name("training")), &epochs(run))?;
+        names.push(name("training"));
     }
-    Ok(())
+    Ok(names)
 }
 
 /// Ticks of all broadcasts, an entry for each agent.

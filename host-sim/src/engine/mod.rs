@@ -88,6 +88,20 @@ pub struct TrainingRecord {
     pub report: TrainingReport,
 }
 
+/// From this size of the plant's state on, an agent that diverges is not to blame.
+const RUNAWAY: f64 = 1e6;
+
+fn step_mend(plant_norm: f64, stiffness: f64) -> String {
+    if plant_norm >= RUNAWAY {
+        return "the plant runs away: change plant, disturbance or initial state".to_owned();
+    }
+    let judged = if stiffness < 2.0 { "below 2, as it should be" } else { "2 or more: too much" };
+    format!(
+        "time.step times design.gain times (lambda_max of the graph + 1) is {stiffness:.3}, \
+         {judged}; lower time.step, design.gain or the weights of the graph"
+    )
+}
+
 /// Why a run ended early.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -104,12 +118,20 @@ pub enum RunError {
     #[error("network: {0}")]
     Network(NetworkError),
     /// An agent could not take its step.
-    #[error("agent {agent} at t = {time}: {error}; lower the gain or the step size")]
+    #[error(
+        "agent {agent} at t = {time}: {error}, |x_0| is {plant_norm:.3e} by then; {}",
+        step_mend(*plant_norm, *stiffness)
+    )]
     Step {
         /// The agent, from 1.
         agent: usize,
         /// When. \[s\]
         time: f64,
+        /// `|x_0|` at that time. \[state unit\]
+        plant_norm: f64,
+        /// `dt |K_1| (lambda_max(L) + 1)`, below 2 where Euler's method keeps an observer with
+        /// outputs of unit size stable.
+        stiffness: f64,
         /// What the core says.
         error: StepError,
     },

@@ -8,7 +8,7 @@ use super::learning::{Learning, Switch, shared_network};
 use super::link::{Link, Lossless};
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
-use crate::analysis::{TriggerConstants, spectral_norm};
+use crate::analysis::{TriggerConstants, spectral_norm, stiffness};
 use crate::plant::Stepper;
 use crate::scenario::Scenario;
 use crate::training::{Dataset, TrainingError};
@@ -227,9 +227,13 @@ impl<const N: usize, L: Link> Simulation<'_, N, L> {
         }
         let failure = self.agents.iter().position(|agent| agent.failure.is_some());
         match failure.and_then(|index| Some((index, self.agents[index].failure?))) {
-            Some((index, error)) => {
-                Err(RunError::Step { agent: index + 1, time: self.scenario.time.at(tick), error })
-            }
+            Some((index, error)) => Err(RunError::Step {
+                agent: index + 1,
+                time: self.scenario.time.at(tick),
+                plant_norm: truth.iter().fold(0.0, |sum, x| sum + x * x).sqrt(),
+                stiffness: stiffness(self.scenario),
+                error,
+            }),
             None => Ok(()),
         }
     }

@@ -89,7 +89,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let recipes = learning::recipes(root)?;
     let learning = learning::cycles(root, &time, agents.len(), &recipes, network.is_some())?;
     let evaluation = run::evaluation(root, &time)?;
-    let record = run::record(root)?;
+    let record = run::record(root, &time, n, agents.len())?;
     Ok(Scenario {
         name,
         plant,

@@ -41,6 +41,12 @@ pub trait LeastSquares {
         gradient: &mut [f64],
     ) -> f64;
 
+    /// The mean squared error behind a cost of `cost` at `parameters`, where the cost has
+    /// other parts, too. Reported, never used.
+    fn error_of_cost(&self, _parameters: &[f64], cost: f64) -> f64 {
+        cost
+    }
+
     /// Mean squared error on a validation set, if there is one.
     fn validation_cost(&mut self, _parameters: &[f64]) -> Option<f64> {
         None
@@ -245,7 +251,7 @@ pub fn minimize<P: LeastSquares + ?Sized>(
         }
         let report = EpochReport {
             epoch,
-            train,
+            train: problem.error_of_cost(&parameters, train),
             validation,
             test: problem.test_cost(&parameters),
             damping,

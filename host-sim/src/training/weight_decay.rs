@@ -8,7 +8,7 @@
 //! samples of one collection window lie on a single curve in the state space, and the trained
 //! network is used beside that curve; a smoother network errs less there. λ = 0 changes no bit.
 //!
-//! Validation and test errors stay the plain mean squared errors.
+//! Reported errors are the plain mean squared ones; goal and progress are judged by E_λ.
 
 use super::levenberg_marquardt::LeastSquares;
 
@@ -49,6 +49,10 @@ impl<P: LeastSquares> LeastSquares for WeightDecay<P> {
             *gradient += self.weight_decay * parameter;
         }
         cost + self.penalty(parameters)
+    }
+
+    fn error_of_cost(&self, parameters: &[f64], cost: f64) -> f64 {
+        self.problem.error_of_cost(parameters, cost - self.penalty(parameters))
     }
 
     fn validation_cost(&mut self, parameters: &[f64]) -> Option<f64> {

@@ -13,7 +13,13 @@ const SMOOTHNESS_MAX: u32 = 7;
 pub(in crate::scenario) fn design(root: &Table<'_>, n: usize) -> Result<Design, ScenarioError> {
     let table = root.require_table("design")?;
     table.only(&["gain", "k2", "kappa", "rho", "delta", "epsilon"])?;
-    let gain = match symmetric(&table.require("gain", "80.0")?, n, "the state has")? {
+    let gain_value = table.require("gain", "80.0")?;
+    let gain = symmetric(&gain_value, n, "the state has")?;
+    if !is_positive_definite(&gain) {
+        // With an eigenvector v to an eigenvalue that is not, all agents at v contradict `BMI`.
+        return Err(gain_value.error("is not positive definite", POSITIVE_DEFINITE));
+    }
+    let gain = match gain {
         OuterGain::Scalar(gain) => DMatrix::from_diagonal_element(n, n, gain),
         OuterGain::Diagonal(diagonal) => DMatrix::from_diagonal(&DVector::from_vec(diagonal)),
         OuterGain::Full(matrix) => matrix,
@@ -41,14 +47,8 @@ pub(super) fn outer_law(root: &Table<'_>, features: usize) -> Result<OuterLaw, S
     table.only(&["gain", "bound", "boundary_layer", "smoothing", "smoothness"])?;
     let gain_value = table.require("gain", "2.0")?;
     let gain = symmetric(&gain_value, features, "the last layer has")?;
-    let positive_definite = match &gain {
-        OuterGain::Scalar(gain) => *gain > 0.0,
-        OuterGain::Diagonal(diagonal) => diagonal.iter().all(|&gain| gain > 0.0),
-        OuterGain::Full(matrix) => Cholesky::new(matrix.clone()).is_some(),
-    };
-    if !positive_definite {
-        let mend = "write a number above 0, a list of such, or a matrix with positive eigenvalues";
-        return Err(gain_value.error("is not positive definite", mend));
+    if !is_positive_definite(&gain) {
+        return Err(gain_value.error("is not positive definite", POSITIVE_DEFINITE));
     }
     let bound = table.require("bound", "10.0")?.positive()?;
     let layer_value = table.get("boundary_layer", "0.5");
@@ -62,6 +62,17 @@ pub(super) fn outer_law(root: &Table<'_>, features: usize) -> Result<OuterLaw, S
     let smoothness = table.get("smoothness", "1");
     let smoothness = smoothness.map_or(Ok(1), |value| value.integer(0..=SMOOTHNESS_MAX))?;
     Ok(OuterLaw { gain, bound, boundary_layer, smoothing, smoothness: smoothness as u8 })
+}
+
+const POSITIVE_DEFINITE: &str =
+    "write a number above 0, a list of such, or a matrix with positive eigenvalues";
+
+fn is_positive_definite(gain: &OuterGain) -> bool {
+    match gain {
+        OuterGain::Scalar(gain) => *gain > 0.0,
+        OuterGain::Diagonal(diagonal) => diagonal.iter().all(|&gain| gain > 0.0),
+        OuterGain::Full(matrix) => Cholesky::new(matrix.clone()).is_some(),
+    }
 }
 
 /// A symmetric matrix of shape `[size, size]`, written as a number, a diagonal, or its rows.

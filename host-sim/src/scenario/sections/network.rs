@@ -2,6 +2,8 @@
 
 use agent_core::activation::Activation;
 use agent_core::network::{Architecture, INNER_LAYERS_MAX, LAYER_WIDTH_MAX, Layer};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 use super::gains;
 use crate::scenario::Network;
@@ -80,12 +82,26 @@ pub(super) fn initial_parameters(value: &Value<'_>) -> Result<InitialParameters,
     }
 }
 
+/// `count` numbers between `-scale` and `scale`: the same ones whatever the run's seed, as if they
+/// stood in the file.
+fn random_weights(scale: f64, count: usize) -> Vec<f64> {
+    let mut random = ChaCha8Rng::seed_from_u64(0);
+    (0..count).map(|_| scale * random.random_range(-1.0..1.0)).collect()
+}
+
 /// `W_hat(0)`, row by row, shape `[features, n]`.
 fn outer_weights(value: &Value<'_>, features: usize, n: usize) -> Result<Vec<f64>, ScenarioError> {
     if value.is_table() {
         let table = value.table()?;
-        table.only(&["fill"])?;
-        return Ok(vec![table.require("fill", "0.0")?.number()?; features * n]);
+        table.only(&["fill", "random"])?;
+        return match (table.get("fill", "0.0"), table.get("random", "5.0")) {
+            (Some(fill), None) => Ok(vec![fill.number()?; features * n]),
+            (None, Some(random)) => Ok(random_weights(random.positive()?, features * n)),
+            _ => Err(value.error(
+                "asks for neither or both of a number and random ones",
+                "write { random = 5.0 } or { fill = 0.0 }",
+            )),
+        };
     }
     let rows = value.list("write every row as a list of numbers")?.len();
     if rows != features {

@@ -78,7 +78,37 @@ pub(super) fn beyond_the_end(value: &Value<'_>, time: &Time) -> ScenarioError {
     value.error(problem, format_args!("write a time up to time.duration, {}", time.duration))
 }
 
-pub(in crate::scenario) fn record(root: &Table<'_>) -> Result<Record, ScenarioError> {
+/// Most bytes of traces that a run may keep in memory.
+const TRACE_BYTES_MAX: u64 = 1 << 31;
+
+/// `n` is the dimension of the state.
+pub(in crate::scenario) fn record(
+    root: &Table<'_>,
+    time: &Time,
+    n: usize,
+    agents: usize,
+) -> Result<Record, ScenarioError> {
+    let record = written_record(root)?;
+    // Time and true state in double precision, estimates in single.
+    let row = 8 * (1 + n as u64) + 4 * (n as u64 * agents as u64);
+    let bytes = |stride: u64| time.tick(time.duration) / stride * row;
+    let Some(stride) = record.trace_stride.map(|stride| u64::from(stride.get())) else {
+        return Ok(record);
+    };
+    if bytes(stride) > TRACE_BYTES_MAX {
+        let gigabytes = bytes(stride) as f64 / 1e9;
+        let enough = bytes(1).div_ceil(TRACE_BYTES_MAX);
+        let problem = format!("would keep {gigabytes:.1} GB of traces in memory");
+        let mend = format!("write record.trace_stride = {enough}, or 0 for no traces");
+        return Err(match root.get_table("record")? {
+            Some(table) => table.error(problem, mend),
+            None => root.error(problem, mend),
+        });
+    }
+    Ok(record)
+}
+
+fn written_record(root: &Table<'_>) -> Result<Record, ScenarioError> {
     let every_step = Record { trace_stride: NonZeroU32::new(1), events: true };
     let Some(table) = root.get_table("record")? else { return Ok(every_step) };
     table.only(&["trace_stride", "events"])?;
