@@ -216,7 +216,11 @@ fn refused_frames<const N: usize>(seed: u64, noise: &[u8]) -> Result<(), TestCas
         let own = Frame { sender: member.params.id(), ..valid };
         refused.push(own.encode().to_vec());
         if neighbours.len() > 1 {
-            refused.push(Frame { sender: neighbours[0].id, ..valid }.encode().to_vec());
+            // As old as the one that waits, or older.
+            for sequence in [3, 2] {
+                let again = Frame { sender: neighbours[0].id, sequence, ..valid };
+                refused.push(again.encode().to_vec());
+            }
         }
         let longer = Frame::<4> { sender, sequence: 7, tick: STEPS, estimate: draw.vector(1.0) };
         refused.push(longer.encode().to_vec());

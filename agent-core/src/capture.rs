@@ -15,7 +15,7 @@ pub struct Sample<const N: usize> {
     pub tick: Tick,
     /// `x_hat`, shape `[N]`.
     pub estimate: StateVector<N>,
-    /// `d/dt x_hat`, shape `[N]`. \[1/s\]
+    /// `d/dt x_hat`, shape `[N]`. \[state unit/s\]
     pub derivative: StateVector<N>,
 }
 

@@ -87,7 +87,7 @@ pub enum FrameError {
         /// Who sent it.
         sender: AgentId,
     },
-    /// This sender already has a frame waiting for the next step.
+    /// This sender already has this frame, or a newer one, waiting for the next step.
     DuplicateSender {
         /// Who sent it.
         sender: AgentId,

@@ -29,22 +29,27 @@ impl<const N: usize, S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>> Inb
         Self { pending: places, count: 0 }
     }
 
-    /// Decodes `bytes`, checks the frame against `neighbours`, and keeps it for the next step.
+    /// Decodes `bytes`, checks the frame against `neighbours`, and keeps it for the next step, in
+    /// place of an older one of the same sender that still waits.
     ///
     /// # Errors
-    /// What [`Frame::decode`] refuses, and a sender that is unknown or already has a frame
-    /// waiting.
+    /// What [`Frame::decode`] refuses, and a sender that is unknown or already has this frame
+    /// or a newer one waiting.
     pub fn accept(&mut self, neighbours: &[Neighbour], bytes: &[u8]) -> Result<(), FrameError> {
         let frame = Frame::<N>::decode(bytes)?;
         let sender = frame.sender;
         let unknown = FrameError::UnknownSender { sender };
         let place = neighbours.iter().position(|n| n.id == sender).ok_or(unknown)?;
         let pending = self.pending.as_mut().get_mut(place).ok_or(unknown)?;
-        if pending.is_some() {
-            return Err(FrameError::DuplicateSender { sender });
+        match pending {
+            // After a step that was refused, a frame can still wait when the next one comes.
+            Some(waiting) if !is_newer(frame.sequence, waiting.sequence()) => {
+                return Err(FrameError::DuplicateSender { sender });
+            }
+            Some(_) => {}
+            None => self.count += 1,
         }
         *pending = Some(Hold::new(frame.estimate, frame.tick, frame.sequence));
-        self.count += 1;
         Ok(())
     }
 
@@ -82,9 +87,29 @@ impl<const N: usize, S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>> Inb
     }
 }
 
+/// Whether `sequence` comes after `other`, also across the wrap from `u32::MAX` to 0.
+fn is_newer(sequence: u32, other: u32) -> bool {
+    let ahead = sequence.wrapping_sub(other);
+    ahead != 0 && ahead < 1 << 31
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_newer_frame_takes_the_place_of_one_that_waits() {
+        let mut inbox = Inbox::<2, _>::new([None; 2]);
+        let with = |sequence| Frame { sequence, ..frame(9) }.encode();
+        assert_eq!(inbox.accept(&NEIGHBOURS, &with(u32::MAX)), Ok(()));
+        assert_eq!(inbox.accept(&NEIGHBOURS, &with(0)), Ok(()));
+        for old in [0, u32::MAX] {
+            let duplicate = Err(FrameError::DuplicateSender { sender: 9 });
+            assert_eq!(inbox.accept(&NEIGHBOURS, &with(old)), duplicate);
+        }
+        assert_eq!(inbox.len(), 1);
+        assert_eq!(inbox.pending()[1].unwrap().sequence(), 0);
+    }
 
     const NEIGHBOURS: [Neighbour; 2] =
         [Neighbour { id: 4, weight: 1.0 }, Neighbour { id: 9, weight: 1.0 }];

@@ -1,5 +1,7 @@
 //! Command line of the simulator: `host-sim help` says what there is.
 
+#![forbid(unsafe_code)]
+
 use std::process::ExitCode;
 
 fn main() -> ExitCode {

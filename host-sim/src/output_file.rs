@@ -1,7 +1,7 @@
 //! Files that are either whole or not there.
 //!
 //! A file is written under a temporary name beside its place and renamed into it once every
-//! byte is on its way to the disk, so that an interrupted run leaves the file of the run before
+//! byte has been handed to the system, so that an interrupted run leaves the file of the run before
 //! (or none), never half of one.
 
 use std::fs::{self, File};

@@ -46,8 +46,8 @@ pub fn laplacian_norm(graph: &Graph) -> f64 {
     .max
 }
 
-/// `dt |K_1| (lambda_max(L) + 1)`: from 2 on, Euler's method is unstable for an observer whose
-/// outputs are components of the state.
+/// `dt |K_1| (lambda_max(L) + 1)`: below 2, Euler's method is stable for an observer whose
+/// outputs are components of the state; from 2 on it can be unstable.
 #[must_use]
 pub fn stiffness(scenario: &Scenario) -> f64 {
     let coupling = laplacian_norm(&scenario.graph) + 1.0;
@@ -137,11 +137,29 @@ impl GainCertificate {
         Self { eigenvalue_min: min, uncertainty: min_residual, k1: k2 + rho * rho / delta }
     }
 
-    /// Whether `K_1` is a solution of `BMI` with this `k_1`.
+    /// Whether `K_1` is a solution of `BMI` with this `k_1`; `false`, too, while the uncertainty
+    /// leaves it open.
     #[must_use]
     pub fn holds(&self) -> bool {
-        self.eigenvalue_min >= self.k1
+        self.eigenvalue_min - self.uncertainty >= self.k1
     }
+}
+
+/// Whether the agents together see the whole state: the sum of all `C_i^T C_i` is positive
+/// definite. Without that no gain solves `BMI`.
+#[must_use]
+pub fn outputs_determine_state(scenario: &Scenario) -> bool {
+    let seen = spectrum(scenario.dimension(), |v, result| {
+        result.fill(0.0);
+        for agent in &scenario.agents {
+            for row in agent.output_matrix.row_iter() {
+                let output = row.iter().zip(v).fold(0.0, |sum, (c, v)| sum + c * v);
+                result.iter_mut().zip(row.iter()).for_each(|(sum, c)| *sum += c * output);
+            }
+        }
+    });
+    // Rounding of the sum, with room to spare.
+    seen.min > 1e-12 * seen.max
 }
 
 /// Theorem 1's bound on `|e_1(t)|^2`, all agents stacked.

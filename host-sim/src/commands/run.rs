@@ -12,28 +12,13 @@ use super::{CommandError, Common, Format, SharedProgress, summary, warnings, wri
 use super::{make_folder, print_json, print_text};
 use crate::analysis::Checks;
 use crate::engine::statistics::AgentStatistics;
-use crate::engine::{RunError, RunOptions, RunResult, run};
+use crate::engine::{RunOptions, RunResult, run};
 use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_norms, events, states, write_all,
 };
-use crate::output_file::OutputError;
 use crate::progress::ProgressBars;
 use crate::report::csv::{Row, write_table};
 use crate::scenario::{Record, Scenario};
-
-/// Every file that a run can leave behind.
-const FILES: [&str; 10] = [
-    "agents.csv",
-    "traces.csv",
-    "events.csv",
-    "training.csv",
-    "errors.svg",
-    "errors.png",
-    "states.svg",
-    "states.png",
-    "events.svg",
-    "events.png",
-];
 
 /// Up to this many agents have a line each in the terminal.
 const LINES: usize = 20;
@@ -77,7 +62,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     };
     make_folder(&out)?;
     warnings::print(&scenario);
-    let (result, baseline) = simulate(&scenario, arguments.common.seed)?;
+    let compare = arguments.common.format == Format::Text;
+    let (result, baseline) = simulate(&scenario, arguments.common.seed, compare)?;
     let agents = agent_reports(&scenario, &result);
     let before: Vec<_> =
         baseline.iter().flat_map(|run| &run.agents).map(AgentStatistics::rmse).collect();
@@ -95,9 +81,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             text += &summary::trainings(&result.trainings);
             text += &summary::checks(&Checks::new(&scenario, &result));
             text += &format!(
-                "Written to {}: {}\n\nScenario {}, seed {}, {elapsed_s:.2} s\n",
+                "Written to {}: {}\n{}\nScenario {}, seed {}, {elapsed_s:.2} s\n",
                 out.display(),
                 files.join(", "),
+                older_files(&out, &files),
                 scenario.name,
                 arguments.common.seed,
             );
@@ -106,33 +93,44 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-/// The run, and beside it the same run without learning if there is any learning.
+/// The run, and beside it the same run without learning if there is any learning and `compare`
+/// asks for it. That one is for comparison only: if it fails, there is none.
 fn simulate(
     scenario: &Scenario,
     seed: u64,
+    compare: bool,
 ) -> Result<(RunResult, Option<RunResult>), CommandError> {
     let bars = ProgressBars::new("simulating");
     let done = AtomicU64::new(0);
-    let learns = !scenario.learning.is_empty();
-    let total = scenario.steps() * if learns { 2 } else { 1 };
-    let baseline = || -> Result<_, RunError> {
-        if !learns {
-            return Ok(None);
-        }
+    let compare = compare && !scenario.learning.is_empty();
+    let total = scenario.steps() * if compare { 2 } else { 1 };
+    let learning = || {
+        let progress = SharedProgress::new(&bars, &done, total);
+        run(scenario, RunOptions { seed, learning: true, bounds: true }, &progress)
+    };
+    let baseline = || {
         let mut scenario = scenario.clone();
         scenario.record = Record { trace_stride: None, events: false };
         let progress = SharedProgress::new(&bars, &done, total);
         let options = RunOptions { seed, learning: false, bounds: false };
-        run(&scenario, options, &progress).map(Some)
+        compare.then(|| run(&scenario, options, &progress).ok()).flatten()
     };
-    let (result, baseline) = rayon::join(
-        || {
-            let progress = SharedProgress::new(&bars, &done, total);
-            run(scenario, RunOptions { seed, learning: true, bounds: true }, &progress)
-        },
-        baseline,
-    );
-    Ok((result?, baseline?))
+    let (result, baseline) = rayon::join(learning, baseline);
+    Ok((result?, baseline))
+}
+
+/// A line that tells which files in `out` are not of this run, if there are any: nothing is
+/// deleted, but nothing is to be mistaken either.
+fn older_files(out: &Path, files: &[String]) -> String {
+    let Ok(entries) = std::fs::read_dir(out) else { return String::new() };
+    let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+    let mut older: Vec<String> = names.filter(|name| !files.contains(name)).collect();
+    older.sort();
+    match older.len() {
+        0 => String::new(),
+        1..=12 => format!("Not of this run: {}\n", older.join(", ")),
+        count => format!("Not of this run: {count} other files there\n"),
+    }
 }
 
 fn agent_reports(scenario: &Scenario, result: &RunResult) -> Vec<AgentReport> {
@@ -188,8 +186,7 @@ fn agent_table(scenario: &Scenario, agents: &[AgentReport], before: &[Option<f64
     text
 }
 
-/// Writes everything; returns the names of the files. Files of an earlier run that this one
-/// has no successor for are removed, so that they cannot be mistaken for its own.
+/// Writes everything; returns the names of the files.
 fn write_files(
     out: &Path,
     scenario: &Scenario,
@@ -220,14 +217,6 @@ fn write_files(
     let mut files = vec!["agents.csv".to_owned()];
     files.extend(tables?);
     files.extend(figures?);
-    for name in FILES.iter().filter(|&name| !files.iter().any(|file| file == name)) {
-        match std::fs::remove_file(out.join(name)) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                return Err(OutputError { path: out.join(name), error }.into());
-            }
-            _ => {}
-        }
-    }
     Ok(files)
 }
 

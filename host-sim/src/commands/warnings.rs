@@ -1,10 +1,7 @@
 //! What a person should know before a run takes its time.
 
-use crate::analysis::GainCertificate;
+use crate::analysis::{GainCertificate, outputs_determine_state};
 use crate::scenario::Scenario;
-
-/// Below this share of the norm that `BMI` asks for, an eigenvalue counts as zero.
-const ZERO: f64 = 1e-9;
 
 /// Prints what speaks against `scenario`, a line each, on standard error.
 pub(super) fn print(scenario: &Scenario) {
@@ -16,10 +13,10 @@ pub(super) fn print(scenario: &Scenario) {
 fn warnings(scenario: &Scenario) -> Vec<String> {
     let mut warnings = Vec::new();
     let gain = GainCertificate::new(scenario);
-    if gain.eigenvalue_min <= ZERO * gain.k1 {
+    if !outputs_determine_state(scenario) {
         warnings.push(
-            "together the agents' output matrices do not determine the state, whatever \
-             design.gain is: let some agent measure what is missing"
+            "together the agents do not measure the whole state, and no design.gain makes up for \
+             it; let some agent measure what is missing"
                 .to_owned(),
         );
     } else if !gain.holds() {
@@ -66,7 +63,7 @@ mod tests {
     fn each_weakness_has_its_warning() {
         let blind =
             changed("output_matrix = [[0.0, 1.0, 0.0]]", "output_matrix = [[1.0, 0.0, 0.0]]");
-        assert!(blind[0].contains("do not determine the state"), "{blind:?}");
+        assert!(blind[0].contains("do not measure the whole state"), "{blind:?}");
         let weak = changed("k2 = 10.0", "k2 = 100.0");
         assert!(weak[0].contains("no solution"), "{weak:?}");
     }

@@ -81,6 +81,9 @@ impl<'s> Learning<'s> {
             records = jobs
                 .into_par_iter()
                 .map(|job| train(scenario, seed, job, progress))
+                // All of them first, so that the error of the first job is the one that is told.
+                .collect::<Vec<_>>()
+                .into_iter()
                 .collect::<Result<_, _>>()?;
         }
         let due = self.jobs.iter().filter(|job| job.apply_at == tick);

@@ -95,7 +95,8 @@ fn step_mend(plant_norm: f64, stiffness: f64) -> String {
     if plant_norm >= RUNAWAY {
         return "the plant runs away: change plant, disturbance or initial state".to_owned();
     }
-    let judged = if stiffness < 2.0 { "below 2, as it should be" } else { "2 or more: too much" };
+    let judged =
+        if stiffness < 2.0 { "below 2, as it should be" } else { "and can be too much from 2 on" };
     format!(
         "time.step times design.gain times (lambda_max of the graph + 1) is {stiffness:.3}, \
          {judged}; lower time.step, design.gain or the weights of the graph"
@@ -129,8 +130,8 @@ pub enum RunError {
         time: f64,
         /// `|x_0|` at that time. \[state unit\]
         plant_norm: f64,
-        /// `dt |K_1| (lambda_max(L) + 1)`, below 2 where Euler's method keeps an observer with
-        /// outputs of unit size stable.
+        /// `dt |K_1| (lambda_max(L) + 1)`; below 2, Euler's method keeps an observer with outputs
+        /// of unit size stable.
         stiffness: f64,
         /// What the core says.
         error: StepError,

@@ -88,6 +88,9 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let graph = agents::graph(root, agents.len())?;
     let recipes = learning::recipes(root)?;
     let learning = learning::cycles(root, &time, agents.len(), &recipes, network.is_some())?;
+    if let (Some(first), Some(network)) = (root.get_tables("learning")?.first(), &network) {
+        learning::check_size(first, network.architecture.parameter_count())?;
+    }
     let evaluation = run::evaluation(root, &time)?;
     let record = run::record(root, &time, n, agents.len())?;
     Ok(Scenario {

@@ -119,7 +119,7 @@ pub struct Design {
 /// The outer-weight law and its projection.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OuterLaw {
-    /// `Gamma`. \[1/s\]
+    /// `Gamma`. \[1/s^2\]
     pub gain: OuterGain,
     /// `omega_bar`, the bound that the Frobenius norm of the outer weights never exceeds.
     pub bound: f64,

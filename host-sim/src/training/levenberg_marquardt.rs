@@ -286,7 +286,9 @@ pub fn minimize<P: LeastSquares + ?Sized>(
             break StopReason::DampingMax;
         }
         core::mem::swap(&mut parameters, &mut step.candidate);
-        damping = (damping * settings.damping_decrease).max(settings.damping_min);
+        // A damping of 0 could never rise again.
+        let damping_min = settings.damping_min.max(f64::MIN_POSITIVE);
+        damping = (damping * settings.damping_decrease).max(damping_min);
     };
     let last = epochs.len() - 1;
     let (parameters, best_epoch) = match best {

@@ -8,6 +8,7 @@ use super::run::beyond_the_end;
 use crate::scenario::error::{ScenarioError, closest};
 use crate::scenario::reader::{Table, Value};
 use crate::scenario::{LearningCycle, Recipe, Time, Window};
+use crate::training::network_problem::PARAMETERS_MAX;
 use crate::training::{InitialParameters, LevenbergMarquardtSettings};
 
 /// Most epochs, and failed validations, that a recipe may ask for.
@@ -99,6 +100,20 @@ fn learners(value: &Value<'_>, agents: usize) -> Result<Vec<usize>, ScenarioErro
         learners.push(learner);
     }
     Ok(learners)
+}
+
+/// A network must not be too large for the trainer's normal equations.
+pub(in crate::scenario) fn check_size(
+    table: &Table<'_>,
+    parameters: usize,
+) -> Result<(), ScenarioError> {
+    if parameters <= PARAMETERS_MAX {
+        return Ok(());
+    }
+    let problem = format!(
+        "the network has {parameters} inner parameters, training takes up to {PARAMETERS_MAX}"
+    );
+    Err(table.error(problem, "write fewer or narrower network.layers, or no learning"))
 }
 
 /// A cycle may only begin when every earlier one of the same agent has been applied.
