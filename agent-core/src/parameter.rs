@@ -33,11 +33,6 @@ pub enum ParameterError {
         /// Column of that entry, from 0.
         column: usize,
     },
-    /// A matrix that must be positive definite is not.
-    NotPositiveDefinite {
-        /// Its name.
-        parameter: &'static str,
-    },
     /// The agent lists itself as its neighbour.
     OwnNeighbour {
         /// The agent.
@@ -61,9 +56,6 @@ impl core::fmt::Display for ParameterError {
             }
             Self::NotSymmetric { parameter, row, column } => {
                 write!(f, "{parameter} is not symmetric at row {row}, column {column}")
-            }
-            Self::NotPositiveDefinite { parameter } => {
-                write!(f, "{parameter} is not positive definite")
             }
             Self::OwnNeighbour { id } => write!(f, "agent {id} lists itself as a neighbour"),
             Self::RepeatedNeighbour { id } => write!(f, "neighbour {id} is listed twice"),

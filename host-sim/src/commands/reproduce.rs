@@ -17,7 +17,7 @@ use crate::figures::{
 };
 use crate::progress::ProgressBars;
 use crate::report::paper::PUBLISHED;
-use crate::report::tables::{AgentResult, ComparisonTable};
+use crate::report::tables::{AgentResult, ComparisonTable, change_percent};
 use crate::scenario::{PAPER, Scenario, Time};
 
 /// Arguments of `reproduce`.
@@ -128,12 +128,11 @@ fn agent_reports(time: &Time, without: &RunResult, with: &RunResult) -> Vec<Agen
     let agents = without.agents.iter().zip(&with.agents).enumerate();
     let report = |(index, (without, with)): (usize, (&AgentStatistics, &AgentStatistics))| {
         let (rmse_without, rmse_with) = (without.rmse(), with.rmse());
-        let change = |before: f64, after: f64| 100.0 * (after / before - 1.0);
         AgentReport {
             agent: index + 1,
             rmse_without,
             rmse_with,
-            change_percent: rmse_without.zip(rmse_with).map(|(b, a)| change(b, a)),
+            change_percent: change_percent(rmse_without, rmse_with),
             mean_interval_without: without.mean_interval(time),
             mean_interval_with: with.mean_interval(time),
             broadcasts_without: without.broadcasts(),

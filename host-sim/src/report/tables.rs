@@ -113,7 +113,8 @@ impl ComparisonTable<'_> {
     }
 }
 
-fn change_percent(without: Option<f64>, with: Option<f64>) -> Option<f64> {
+/// By how much `with` differs from `without`; `None` without anything to compare. \[%\]
+pub(crate) fn change_percent(without: Option<f64>, with: Option<f64>) -> Option<f64> {
     let (without, with) = (without.filter(|&rmse| rmse > 0.0)?, with?);
     Some(100.0 * (with - without) / without)
 }

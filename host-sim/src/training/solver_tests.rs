@@ -89,6 +89,47 @@ fn damping_runs_out_if_no_step_helps() {
     assert_eq!((report.stop, x, report.epochs.len()), (StopReason::DampingMax, 0.0, 1));
 }
 
+/// Falls with every step that is taken, and takes only so many.
+struct Exhausted {
+    steps_left: usize,
+    level: f64,
+    tries: usize,
+}
+
+impl LeastSquares for Exhausted {
+    fn parameter_count(&self) -> usize {
+        1
+    }
+
+    fn cost(&mut self, _: &[f64]) -> f64 {
+        self.tries += 1;
+        assert!(self.tries < 10_000, "the damping does not rise");
+        if self.steps_left == 0 {
+            return f64::INFINITY;
+        }
+        self.steps_left -= 1;
+        self.level *= 0.5;
+        self.level
+    }
+
+    fn normal_equations(&mut self, _: &[f64], hessian: &mut [f64], gradient: &mut [f64]) -> f64 {
+        (hessian[0], gradient[0]) = (1.0, 1.0);
+        self.level
+    }
+}
+
+#[test]
+fn damping_rises_again_from_the_smallest_number_there_is() {
+    let settings = LevenbergMarquardtSettings {
+        damping_min: 0.0,
+        damping_decrease: 1e-300,
+        ..Default::default()
+    };
+    let mut problem = Exhausted { steps_left: 2, level: 1.0, tries: 0 };
+    let (_, report) = minimize(&mut problem, vec![0.0], &settings, &mut |_| GO).expect("valid");
+    assert_eq!((report.stop, report.epochs.len()), (StopReason::DampingMax, 3));
+}
+
 #[test]
 fn validation_ends_training_and_returns_the_best_epoch() {
     // Steps of about 5 % of the distance: passes 1.5, then six failures.
