@@ -8,8 +8,9 @@ use agent_core::hold::Hold;
 use agent_core::inbox::Inbox;
 use agent_core::network::{Architecture, InnerNetwork, Layer};
 use agent_core::observer::{Neighbour, ObserverParams, OutputMatrix};
-use agent_core::outer_law::{OuterGain, OuterLawParams};
+use agent_core::outer_law::OuterLawParams;
 use agent_core::projection::ProjectionParams;
+use agent_core::symmetric::SymmetricMatrix;
 use agent_core::trigger::TriggerParams;
 use agent_core::{AgentId, StateVector, Tick};
 use nalgebra::{DMatrix, SMatrix};
@@ -34,11 +35,11 @@ pub(crate) enum Gain {
 
 impl Gain {
     /// As the core takes it.
-    fn borrowed(&self) -> OuterGain<'_> {
+    fn borrowed(&self) -> SymmetricMatrix<'_> {
         match self {
-            Self::Scalar(gain) => OuterGain::Scalar(*gain),
-            Self::Diagonal(diagonal) => OuterGain::Diagonal(diagonal),
-            Self::Full(entries) => OuterGain::Full(entries),
+            Self::Scalar(gain) => SymmetricMatrix::Scalar(*gain),
+            Self::Diagonal(diagonal) => SymmetricMatrix::Diagonal(diagonal),
+            Self::Full(entries) => SymmetricMatrix::Full(entries),
         }
     }
 }

@@ -10,8 +10,9 @@ use agent_core::agent::{AgentParams, AgentState};
 use agent_core::inbox::Inbox;
 use agent_core::network::{Architecture, InnerNetwork, Layer};
 use agent_core::observer::{Neighbour, ObserverParams, OutputMatrix};
-use agent_core::outer_law::{OuterGain, OuterLawParams};
+use agent_core::outer_law::OuterLawParams;
 use agent_core::projection::ProjectionParams;
+use agent_core::symmetric::SymmetricMatrix;
 use agent_core::trigger::TriggerParams;
 use agent_core::{StateVector, Tick};
 use integration_tests::close;
@@ -139,7 +140,7 @@ fn run_core(plant: &[Vector3<f64>]) -> Outcome {
             neighbours: AWAY[agent],
         };
         let outer_law =
-            OuterLawParams { gain: OuterGain::Scalar(OUTER_GAIN), projection: PROJECTION };
+            OuterLawParams { gain: SymmetricMatrix::Scalar(OUTER_GAIN), projection: PROJECTION };
         let trigger = TriggerParams {
             hold_error_weight: trigger.phi_1 as f32,
             consensus_weight: trigger.phi_2 as f32,

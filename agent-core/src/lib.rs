@@ -19,6 +19,9 @@
 //! | [`trigger`] | when to broadcast | `Trigger` |
 //! | [`agent`] | parameters, state, and the step that joins all these | |
 //! | [`capture`], [`bank`] | samples for offline training; switching in its result | |
+//! | [`package`] | all of the above parameters as bytes that prove themselves | |
+//! | [`checksum`], [`signature`] | against damage; against strangers | |
+//! | [`symmetric`], [`numeric`], [`parameter`] | gains; ordered sums; ranges | |
 //!
 //! Parameters ([`agent::AgentParams`]) never change and can live in flash; the state
 //! ([`agent::AgentState`]) is all that does. Time, measurements and frames are arguments, the
@@ -30,6 +33,7 @@ pub mod activation;
 pub mod agent;
 pub mod bank;
 pub mod capture;
+pub mod checksum;
 pub mod frame;
 pub mod hold;
 pub mod inbox;
@@ -37,8 +41,11 @@ pub mod network;
 pub mod numeric;
 pub mod observer;
 pub mod outer_law;
+pub mod package;
 pub mod parameter;
 pub mod projection;
+pub mod signature;
+pub mod symmetric;
 pub mod trigger;
 
 /// A vector of the state space, shape `[N]`.

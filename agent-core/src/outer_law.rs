@@ -18,87 +18,42 @@
 
 use crate::StateVector;
 use crate::numeric::{add_scaled, dot, square_root};
-use crate::parameter::{ParameterError, finite, positive};
+use crate::parameter::{ParameterError, finite};
 use crate::projection::ProjectionParams;
-
-/// `Gamma`, the symmetric positive definite adaptation gain, shape `[L, L]`. \[1/s^2\]
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum OuterGain<'a> {
-    /// This multiple of the identity.
-    Scalar(f32),
-    /// The diagonal; zero elsewhere.
-    Diagonal(&'a [f32]),
-    /// All entries, row by row.
-    Full(&'a [f32]),
-}
-
-impl OuterGain<'_> {
-    /// # Errors
-    /// A wrong number of entries for `features`, a diagonal that is not positive, a full
-    /// matrix that is not symmetric. Whether a full matrix is positive definite is for the
-    /// host to prove, which has room for a factorisation.
-    pub fn validate(&self, features: usize) -> Result<(), ParameterError> {
-        const PARAMETER: &str = "outer_law.gain";
-        let length = |expected: usize, found: usize| match expected == found {
-            true => Ok(()),
-            false => Err(ParameterError::Length { parameter: PARAMETER, expected, found }),
-        };
-        match *self {
-            Self::Scalar(gain) => positive(PARAMETER, gain),
-            Self::Diagonal(diagonal) => {
-                length(features, diagonal.len())?;
-                diagonal.iter().try_for_each(|&gain| positive(PARAMETER, gain))
-            }
-            Self::Full(entries) => {
-                length(features * features, entries.len())?;
-                finite(PARAMETER, entries)?;
-                for row in 0..features {
-                    positive(PARAMETER, entries[row * features + row])?;
-                    for column in 0..row {
-                        if entries[row * features + column] != entries[column * features + row] {
-                            return Err(ParameterError::NotSymmetric {
-                                parameter: PARAMETER,
-                                row,
-                                column,
-                            });
-                        }
-                    }
-                }
-                Ok(())
-            }
-        }
-    }
-
-    /// `Gamma sigma`, shape `[L]`, into `result`.
-    #[inline]
-    fn apply(&self, features: &[f32], result: &mut [f32]) {
-        match *self {
-            Self::Scalar(gain) => {
-                for (result, feature) in result.iter_mut().zip(features) {
-                    *result = gain * feature;
-                }
-            }
-            Self::Diagonal(diagonal) => {
-                for ((result, feature), gain) in result.iter_mut().zip(features).zip(diagonal) {
-                    *result = gain * feature;
-                }
-            }
-            Self::Full(entries) => {
-                for (result, row) in result.iter_mut().zip(entries.chunks_exact(features.len())) {
-                    *result = row.iter().zip(features).fold(0.0, |sum, (gain, f)| sum + gain * f);
-                }
-            }
-        }
-    }
-}
+use crate::symmetric::SymmetricMatrix;
 
 /// Constants of the law.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OuterLawParams<'a> {
-    /// `Gamma`.
-    pub gain: OuterGain<'a>,
+    /// `Gamma`, symmetric and positive definite, shape `[L, L]`. \[1/s^2\]
+    pub gain: SymmetricMatrix<'a>,
     /// The operator that keeps the weights bounded.
     pub projection: ProjectionParams,
+}
+
+impl OuterLawParams<'_> {
+    /// # Errors
+    /// A gain of another size than `features`, or one that is not symmetric with a positive
+    /// diagonal; a constant of the projection that is out of its range.
+    pub fn validate(&self, features: usize) -> Result<(), ParameterError> {
+        const GAIN: &str = "outer_law.gain";
+        self.gain.validate(GAIN, features)?;
+        self.gain.validate_diagonal(GAIN, features)?;
+        self.projection.validate()
+    }
+
+    /// Weights with this squared norm can be a start: within the bound.
+    pub(crate) fn validate_norm(&self, norm_squared: f32) -> Result<(), ParameterError> {
+        let bound = self.projection.bound();
+        if norm_squared <= bound * bound {
+            return Ok(());
+        }
+        Err(ParameterError::OutOfRange {
+            parameter: "norm of outer_weights",
+            value: square_root(norm_squared),
+            expected: "at most projection.radius + projection.boundary_layer",
+        })
+    }
 }
 
 /// `W_hat`, shape `[L, N]`, in a buffer for up to `FEATURES` rows.
@@ -130,16 +85,9 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
         for row in entries.chunks_exact(N) {
             rows.push(StateVector::from_column_slice(row)).map_err(|_| length(FEATURES * N))?;
         }
-        law.gain.validate(rows.len())?;
+        law.validate(rows.len())?;
         let norm_squared = rows.iter().fold(0.0, |sum, row| sum + dot(row, row));
-        let bound = law.projection.bound();
-        if norm_squared > bound * bound {
-            return Err(ParameterError::OutOfRange {
-                parameter: "norm of outer_weights",
-                value: square_root(norm_squared),
-                expected: "at most projection.radius + projection.boundary_layer",
-            });
-        }
+        law.validate_norm(norm_squared)?;
         Ok(Self { rows, gained_features: [0.0; FEATURES], norm_squared })
     }
 
@@ -252,7 +200,7 @@ mod tests {
         StateVector::<2>::new(x, y)
     }
 
-    fn step(gain: OuterGain, features: &[f32], innovation: [f32; 2]) -> OuterWeights<2, 4> {
+    fn step(gain: SymmetricMatrix, features: &[f32], innovation: [f32; 2]) -> OuterWeights<2, 4> {
         let law = OuterLawParams { gain, projection: PROJECTION };
         let mut weights = OuterWeights::<2, 4>::new(&[1.0, 2.0, -1.0, 0.5], &law).unwrap();
         let planned =
@@ -263,24 +211,14 @@ mod tests {
 
     #[test]
     fn one_euler_step_inside_the_ball() {
-        let weights = step(OuterGain::Scalar(2.0), &[0.5, -0.25], [1.0, -2.0]);
+        let weights = step(SymmetricMatrix::Scalar(2.0), &[0.5, -0.25], [1.0, -2.0]);
         // W - dt * gamma * sigma * (C^T e_3)^T = W - 0.5 * 2 * [0.5; -0.25] * [1, -2]
         assert_eq!(weights.rows(), [vector(0.5, 3.0), vector(-0.75, 0.0)]);
         assert_eq!(weights.norm_squared(), 0.25 + 9.0 + 0.5625);
     }
 
-    #[test]
-    fn the_three_forms_of_the_gain_agree_bit_for_bit() {
-        let features = [0.3, -0.7];
-        let scalar = step(OuterGain::Scalar(3.0), &features, [0.1, 0.2]);
-        let diagonal = step(OuterGain::Diagonal(&[3.0, 3.0]), &features, [0.1, 0.2]);
-        let full = step(OuterGain::Full(&[3.0, 0.0, 0.0, 3.0]), &features, [0.1, 0.2]);
-        assert_eq!(scalar.rows(), diagonal.rows());
-        assert_eq!(scalar.rows(), full.rows());
-    }
-
     const LAW: OuterLawParams<'static> =
-        OuterLawParams { gain: OuterGain::Scalar(2.0), projection: PROJECTION };
+        OuterLawParams { gain: SymmetricMatrix::Scalar(2.0), projection: PROJECTION };
 
     #[test]
     fn the_weights_never_leave_the_bound() {
@@ -330,17 +268,14 @@ mod tests {
     }
 
     #[test]
-    fn refuses_gains_and_weights_of_the_wrong_shape() {
-        assert!(OuterGain::Scalar(0.0).validate(2).is_err());
-        assert!(OuterGain::Diagonal(&[1.0]).validate(2).is_err());
-        assert!(OuterGain::Diagonal(&[1.0, -1.0]).validate(2).is_err());
-        assert!(OuterGain::Full(&[1.0, 0.5, 0.4, 1.0]).validate(2).is_err());
-        assert!(OuterGain::Full(&[1.0, 0.5, 0.5, 1.0]).validate(2).is_ok());
+    fn refuses_weights_of_the_wrong_shape_or_size() {
         for bad in [&[][..], &[1.0; 3], &[1.0; 10], &[1.0, f32::NAN], &[4.6, 0.0], &[1e20, 0.0]] {
             assert!(OuterWeights::<2, 4>::new(bad, &LAW).is_err());
         }
-        let two = OuterLawParams { gain: OuterGain::Diagonal(&[1.0, 1.0]), ..LAW };
+        let two = OuterLawParams { gain: SymmetricMatrix::Diagonal(&[1.0, 1.0]), ..LAW };
         assert!(OuterWeights::<2, 4>::new(&[1.0; 4], &two).is_ok());
         assert!(OuterWeights::<2, 4>::new(&[1.0; 2], &two).is_err());
+        let without = OuterLawParams { gain: SymmetricMatrix::Scalar(0.0), ..LAW };
+        assert!(OuterWeights::<2, 4>::new(&[1.0; 4], &without).is_err());
     }
 }

@@ -11,9 +11,10 @@ use agent_core::hold::Hold;
 use agent_core::inbox::Inbox;
 use agent_core::network::{InnerNetwork, LAYER_WIDTH_MAX, Scratch};
 use agent_core::observer::{Neighbour, ObserverParams, OutputMatrix};
-use agent_core::outer_law::{OuterGain, OuterLawParams};
+use agent_core::outer_law::OuterLawParams;
 use agent_core::parameter::ParameterError;
 use agent_core::projection::ProjectionParams;
+use agent_core::symmetric::SymmetricMatrix;
 use agent_core::trigger::TriggerParams;
 use agent_core::{AgentId, StateVector};
 use nalgebra::{DMatrix, SMatrix};
@@ -30,7 +31,7 @@ type Places<const N: usize> = Vec<Option<Hold<N>>>;
 
 /// Stands in where there is no network, and so no outer weights to adapt.
 const RESTING_OUTER_LAW: OuterLawParams<'static> = OuterLawParams {
-    gain: OuterGain::Scalar(1.0),
+    gain: SymmetricMatrix::Scalar(1.0),
     projection: ProjectionParams {
         radius: 1.0,
         boundary_layer: 1.0,
@@ -67,9 +68,9 @@ impl Storage {
     fn outer_law(&self, law: &scenario::OuterLaw) -> OuterLawParams<'_> {
         OuterLawParams {
             gain: match &law.gain {
-                scenario::OuterGain::Scalar(gain) => OuterGain::Scalar(*gain as f32),
-                scenario::OuterGain::Diagonal(_) => OuterGain::Diagonal(&self.outer_gain),
-                scenario::OuterGain::Full(_) => OuterGain::Full(&self.outer_gain),
+                scenario::OuterGain::Scalar(gain) => SymmetricMatrix::Scalar(*gain as f32),
+                scenario::OuterGain::Diagonal(_) => SymmetricMatrix::Diagonal(&self.outer_gain),
+                scenario::OuterGain::Full(_) => SymmetricMatrix::Full(&self.outer_gain),
             },
             projection: ProjectionParams {
                 radius: (law.bound - law.boundary_layer) as f32,

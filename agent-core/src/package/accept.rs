@@ -1,0 +1,292 @@
+//! What a package must pass before it may become active: the same code on node and host.
+//!
+//! In this order: header and checksum, signature where the node has a public key, format of the
+//! body, finiteness; then dimension, sizes, parameters and version; last the test vectors,
+//! which must come out to the bit. A package that passes computes on this very processor what it
+//! computed where it was made.
+
+use super::{Envelope, Package, PackageError};
+use crate::AgentId;
+use crate::StateVector;
+use crate::network::Scratch;
+use crate::numeric::{add_scaled, dot};
+use crate::parameter::{ParameterError, finite, not_negative, positive};
+use crate::signature::PublicKey;
+
+/// What a node demands of a package.
+#[derive(Clone, Copy, Debug)]
+pub struct Requirements<'k> {
+    /// If there is a key, only packages signed with its private half are accepted.
+    pub public_key: Option<&'k PublicKey>,
+    /// The package in use, if there is one.
+    pub in_use: Option<InUse>,
+    /// What the node's buffers hold.
+    pub capacity: Capacity,
+}
+
+/// What matters of the package in use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InUse {
+    /// Whose package it is.
+    pub agent: AgentId,
+    /// Its version.
+    pub version: u32,
+}
+
+/// Sizes of a node's static buffers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Capacity {
+    /// Features `L` that there are outer weights for.
+    pub features: usize,
+    /// Places for neighbours.
+    pub neighbours: usize,
+    /// Places for entries of `Gamma`.
+    pub gain_entries: usize,
+}
+
+impl Capacity {
+    /// No limit but those of the format: a host's.
+    pub const UNLIMITED: Self =
+        Self { features: usize::MAX, neighbours: usize::MAX, gain_entries: usize::MAX };
+}
+
+/// Why a node does not accept a package.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Refusal {
+    /// The bytes are no package.
+    Package(PackageError),
+    /// The node has a public key and the package no signature.
+    Unsigned,
+    /// The signature is not by the node's key, or not of this package.
+    Signature,
+    /// The package is for a state of another dimension.
+    Dimension {
+        /// The node's.
+        expected: usize,
+        /// The package's.
+        found: usize,
+    },
+    /// The package needs more of something than the node has.
+    Capacity {
+        /// Of what.
+        what: &'static str,
+        /// How much there is.
+        capacity: usize,
+        /// How much it needs.
+        found: usize,
+    },
+    /// A parameter is out of its range.
+    Parameter(ParameterError),
+    /// Neighbours are not listed in ascending order, each once.
+    NeighbourOrder {
+        /// The first that is out of order.
+        id: AgentId,
+    },
+    /// The box of trained inputs has a lower limit above the upper one.
+    EmptyBox {
+        /// Index of the component, from 0.
+        component: usize,
+    },
+    /// The package is another agent's.
+    Agent {
+        /// The agent that the node is.
+        expected: AgentId,
+        /// The agent that the package is for.
+        found: AgentId,
+    },
+    /// The package is older than the one in use.
+    Older {
+        /// The version in use.
+        in_use: u32,
+        /// The package's.
+        found: u32,
+    },
+    /// The package proves nothing: it has no test vectors.
+    NoTestVectors,
+    /// A test vector came out differently.
+    TestVector {
+        /// Its index, from 0.
+        index: usize,
+    },
+}
+
+impl core::fmt::Display for Refusal {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match *self {
+            Self::Package(error) => write!(f, "{error}"),
+            Self::Unsigned => write!(f, "the package is not signed, and this node asks for it"),
+            Self::Signature => write!(f, "the signature does not fit the package and the key"),
+            Self::Dimension { expected, found } => {
+                write!(f, "the package is for {found} state components, the node for {expected}")
+            }
+            Self::Capacity { what, capacity, found } => {
+                write!(f, "the package has {found} {what}, the node has room for {capacity}")
+            }
+            Self::Parameter(error) => write!(f, "{error}"),
+            Self::NeighbourOrder { id } => {
+                write!(f, "neighbour {id} is out of order, expected ascending numbers")
+            }
+            Self::EmptyBox { component } => {
+                write!(f, "the box of trained inputs is empty in component {component}")
+            }
+            Self::Agent { expected, found } => {
+                write!(f, "the package is for agent {found}, this is agent {expected}")
+            }
+            Self::Older { in_use, found } => {
+                write!(f, "the package has version {found}, version {in_use} is in use")
+            }
+            Self::NoTestVectors => write!(f, "the package has no test vectors"),
+            Self::TestVector { index } => {
+                write!(f, "test vector {index} comes out with other bits")
+            }
+        }
+    }
+}
+
+impl core::error::Error for Refusal {}
+
+impl From<PackageError> for Refusal {
+    fn from(error: PackageError) -> Self {
+        Self::Package(error)
+    }
+}
+
+impl From<ParameterError> for Refusal {
+    fn from(error: ParameterError) -> Self {
+        Self::Parameter(error)
+    }
+}
+
+/// The package in `bytes`, if a node of state dimension `N` with these requirements may use it.
+///
+/// # Errors
+/// The first check that fails; see [`Refusal`].
+pub fn accept<'a, const N: usize>(
+    bytes: &'a [u8],
+    requirements: &Requirements<'_>,
+    scratch: &mut Scratch,
+) -> Result<Package<'a>, Refusal> {
+    let envelope = Envelope::open(bytes)?;
+    if let Some(key) = requirements.public_key {
+        let signature = envelope.signature.ok_or(Refusal::Unsigned)?;
+        if !key.verify(envelope.signed_part, signature) {
+            return Err(Refusal::Signature);
+        }
+    }
+    let package = Package::from_envelope(&envelope)?;
+    check_sizes::<N>(&package, &requirements.capacity)?;
+    check_parameters::<N>(&package)?;
+    check_identity(&package, requirements)?;
+    check_test_vectors::<N>(&package, scratch)?;
+    Ok(package)
+}
+
+fn check_sizes<const N: usize>(package: &Package<'_>, capacity: &Capacity) -> Result<(), Refusal> {
+    if package.dimension() != N {
+        return Err(Refusal::Dimension { expected: N, found: package.dimension() });
+    }
+    let needs = [
+        ("features", capacity.features, package.features()),
+        ("neighbours", capacity.neighbours, package.neighbours.len()),
+        ("gain entries", capacity.gain_entries, package.outer_law.gain.entries().len()),
+    ];
+    for (what, capacity, found) in needs {
+        if found > capacity {
+            return Err(Refusal::Capacity { what, capacity, found });
+        }
+    }
+    Ok(())
+}
+
+fn check_parameters<const N: usize>(package: &Package<'_>) -> Result<(), Refusal> {
+    package.gain.validate("observer.gain", N)?;
+    package.outer_law.validate(package.features())?;
+    let norm_squared = package.outer_weights.chunks_exact(N).fold(0.0, |sum, row| {
+        let row = StateVector::<N>::from_column_slice(row);
+        sum + dot(&row, &row)
+    });
+    package.outer_law.validate_norm(norm_squared)?;
+    package.trigger.validate()?;
+    positive("step_size", package.step_size)?;
+    not_negative("broadcast_interval_min", package.broadcast_interval_min)?;
+    finite("output_matrix", package.output_matrix)?;
+    let mut previous = None;
+    for neighbour in package.neighbours() {
+        let id = neighbour.id;
+        if id == package.agent {
+            return Err(ParameterError::OwnNeighbour { id }.into());
+        }
+        if previous.is_some_and(|previous| id <= previous) {
+            return Err(Refusal::NeighbourOrder { id });
+        }
+        positive("observer.neighbours.weight", neighbour.weight)?;
+        previous = Some(id);
+    }
+    let limits = package.trained_box.low.iter().zip(package.trained_box.high);
+    match limits.map(|(low, high)| low <= high).position(|in_order| !in_order) {
+        Some(component) => Err(Refusal::EmptyBox { component }),
+        None => Ok(()),
+    }
+}
+
+fn check_identity(package: &Package<'_>, requirements: &Requirements<'_>) -> Result<(), Refusal> {
+    let Some(in_use) = requirements.in_use else { return Ok(()) };
+    if package.agent != in_use.agent {
+        return Err(Refusal::Agent { expected: in_use.agent, found: package.agent });
+    }
+    // Only what is signed can be trusted to ask for an exception.
+    let replaces = package.replaces.filter(|_| requirements.public_key.is_some());
+    if package.version < in_use.version && replaces.is_none_or(|newest| newest < in_use.version) {
+        return Err(Refusal::Older { in_use: in_use.version, found: package.version });
+    }
+    Ok(())
+}
+
+fn check_test_vectors<const N: usize>(
+    package: &Package<'_>,
+    scratch: &mut Scratch,
+) -> Result<(), Refusal> {
+    if package.test_vectors.is_empty() {
+        return Err(Refusal::NoTestVectors);
+    }
+    for (index, vector) in package.test_vectors().enumerate() {
+        let features = package.network.features(vector.input, scratch);
+        let same = features.is_some_and(|features| {
+            let output = combine::<N>(package.outer_weights, features);
+            same_bits(features, vector.features) && same_bits(output.as_slice(), vector.output)
+        });
+        if !same {
+            return Err(Refusal::TestVector { index });
+        }
+    }
+    Ok(())
+}
+
+/// `W_hat^T sigma` as [`crate::outer_law::OuterWeights::combine`] computes it, from weights in
+/// place.
+fn combine<const N: usize>(outer_weights: &[f32], features: &[f32]) -> StateVector<N> {
+    let mut sum = StateVector::zeros();
+    for (row, &feature) in outer_weights.chunks_exact(N).zip(features) {
+        add_scaled(&mut sum, feature, &StateVector::<N>::from_column_slice(row));
+    }
+    sum
+}
+
+fn same_bits(found: &[f32], expected: &[f32]) -> bool {
+    found.len() == expected.len()
+        && found.iter().zip(expected).all(|(found, expected)| found.to_bits() == expected.to_bits())
+}
+
+impl Package<'_> {
+    /// `sigma(Phi_hat(x))`, shape `[L]`, and `W_hat^T sigma`, shape `[N]`, for the package's own
+    /// weights: what a test vector holds. `None` if the network has another dimension than `N`.
+    pub fn evaluate<'s, const N: usize>(
+        &self,
+        input: &StateVector<N>,
+        scratch: &'s mut Scratch,
+    ) -> Option<(&'s [f32], StateVector<N>)> {
+        let features = self.network.features(input.as_slice(), scratch)?;
+        Some((features, combine(self.outer_weights, features)))
+    }
+}

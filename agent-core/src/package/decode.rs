@@ -1,0 +1,140 @@
+//! From bytes to a package.
+
+use super::wire::{CONSTANTS, Counts, Metadata};
+use super::{
+    Envelope, HEADER_LENGTH, NeighbourIds, Package, PackageError, StateBox, TEST_VECTORS_MAX,
+};
+use crate::network::{Architecture, INNER_LAYERS_MAX, InnerNetwork, Layer};
+use crate::outer_law::OuterLawParams;
+use crate::projection::ProjectionParams;
+use crate::trigger::TriggerParams;
+
+/// Numbers are words of this many bytes, at addresses that are multiples of it.
+pub(super) const WORD: usize = size_of::<f32>();
+
+#[cfg(target_endian = "big")]
+compile_error!("packages are used in place and their numbers are little-endian");
+
+impl<'a> Package<'a> {
+    /// The package that `bytes` hold, which must begin at an address that is a multiple of four.
+    ///
+    /// # Errors
+    /// Whatever [`PackageError`] lists.
+    pub fn decode(bytes: &'a [u8]) -> Result<Self, PackageError> {
+        Self::from_envelope(&Envelope::open(bytes)?)
+    }
+
+    /// The package in an envelope.
+    ///
+    /// # Errors
+    /// What [`PackageError`] lists about bodies.
+    pub fn from_envelope(envelope: &Envelope<'a>) -> Result<Self, PackageError> {
+        let (metadata, rest) = postcard::take_from_bytes::<Metadata<'a>>(envelope.body)
+            .map_err(|_| PackageError::Malformed)?;
+        let numbers = numbers(envelope.body, rest)?;
+        let architecture = architecture(&metadata)?;
+        if !(1..=architecture.inputs()).contains(&usize::from(metadata.outputs)) {
+            return Err(PackageError::Outputs { found: metadata.outputs.into() });
+        }
+        if usize::from(metadata.test_vectors) > TEST_VECTORS_MAX {
+            return Err(PackageError::TestVectors { found: metadata.test_vectors.into() });
+        }
+        let neighbours = NeighbourIds::new(metadata.neighbours).ok_or(PackageError::Malformed)?;
+        let counts = Counts::new(&metadata, &architecture);
+        let wrong_count =
+            PackageError::NumberCount { expected: counts.total(), found: numbers.len() };
+        if numbers.len() != counts.total() {
+            return Err(wrong_count);
+        }
+        if let Some(index) = numbers.iter().position(|number| !number.is_finite()) {
+            return Err(PackageError::NotFinite { index });
+        }
+        assemble(&metadata, architecture, neighbours, &counts, numbers)
+            .ok_or(wrong_count)?
+            .map_err(PackageError::Network)
+    }
+}
+
+/// The words that follow the metadata: `rest` after at most three zero bytes.
+fn numbers<'a>(body: &[u8], rest: &'a [u8]) -> Result<&'a [f32], PackageError> {
+    let end_of_metadata = HEADER_LENGTH + (body.len() - rest.len());
+    let padding = end_of_metadata.next_multiple_of(WORD) - end_of_metadata;
+    let (padding, words) = rest.split_at_checked(padding).ok_or(PackageError::Malformed)?;
+    if padding.iter().any(|&byte| byte != 0) || !words.len().is_multiple_of(WORD) {
+        return Err(PackageError::Malformed);
+    }
+    bytemuck::try_cast_slice(words).map_err(|_| PackageError::Alignment)
+}
+
+fn architecture(metadata: &Metadata<'_>) -> Result<Architecture, PackageError> {
+    let layers: heapless::Vec<Layer, INNER_LAYERS_MAX> = metadata
+        .layers
+        .iter()
+        .map(|layer| Layer { width: layer.width, activation: layer.activation.into() })
+        .collect();
+    Architecture::new(metadata.inputs.into(), &layers).map_err(PackageError::Network)
+}
+
+/// Deals out the numbers; `None` if they do not suffice.
+fn assemble<'a>(
+    metadata: &Metadata<'a>,
+    architecture: Architecture,
+    neighbours: NeighbourIds<'a>,
+    counts: &Counts,
+    mut numbers: &'a [f32],
+) -> Option<Result<Package<'a>, crate::network::NetworkError>> {
+    let mut take = |count: usize| -> Option<&'a [f32]> {
+        let (taken, rest) = numbers.split_at_checked(count)?;
+        numbers = rest;
+        Some(taken)
+    };
+    let inner = take(counts.inner)?;
+    let outer_weights = take(counts.outer_weights)?;
+    let output_matrix = take(counts.output_matrix)?;
+    let gain = metadata.gain.matrix(take(counts.gain)?)?;
+    let outer_gain = metadata.outer_gain.matrix(take(counts.outer_gain)?)?;
+    let edge_weights = take(counts.edge_weights)?;
+    let &[
+        radius,
+        boundary_layer,
+        smoothing,
+        hold_error_weight,
+        consensus_weight,
+        threshold,
+        step_size,
+        broadcast_interval_min,
+    ] = <&[f32; CONSTANTS]>::try_from(take(CONSTANTS)?).ok()?;
+    let (low, high) = (take(counts.dimension)?, take(counts.dimension)?);
+    let test_vectors = take(counts.test_vectors)?;
+    let network = match InnerNetwork::new(architecture, inner) {
+        Ok(network) => network,
+        Err(error) => return Some(Err(error)),
+    };
+    Some(Ok(Package {
+        version: metadata.version,
+        replaces: metadata.replaces,
+        agent: metadata.agent,
+        outer_weights_on_switch: metadata.outer_weights_on_switch,
+        network,
+        outer_weights,
+        output_matrix,
+        gain,
+        neighbours,
+        edge_weights,
+        outer_law: OuterLawParams {
+            gain: outer_gain,
+            projection: ProjectionParams {
+                radius,
+                boundary_layer,
+                smoothing,
+                smoothness: metadata.smoothness,
+            },
+        },
+        trigger: TriggerParams { hold_error_weight, consensus_weight, threshold },
+        step_size,
+        broadcast_interval_min,
+        trained_box: StateBox { low, high },
+        provenance: metadata.provenance,
+        test_vectors,
+    }))
+}

@@ -1,0 +1,120 @@
+//! From a package to bytes.
+
+use super::decode::WORD;
+use super::envelope::header;
+use super::wire::{Counts, Form, Metadata, WireLayer};
+use super::{HEADER_LENGTH, Package, TEST_VECTORS_MAX, test_vector_length};
+
+/// Why a package cannot be written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum EncodeError {
+    /// The buffer is too small, or the package too long for its header.
+    Space,
+    /// The numbers do not fit the architecture, or are too many.
+    Counts {
+        /// How many the metadata ask for.
+        expected: usize,
+        /// How many there are.
+        found: usize,
+    },
+}
+
+impl core::fmt::Display for EncodeError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match *self {
+            Self::Space => write!(f, "no space for the package"),
+            Self::Counts { expected, found } => {
+                write!(f, "the package would hold {found} numbers, its metadata ask for {expected}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for EncodeError {}
+
+impl Package<'_> {
+    /// Writes the unsigned package to the beginning of `buffer`; returns its length.
+    ///
+    /// # Errors
+    /// See [`EncodeError`]. Whether a node would accept the package is not asked.
+    pub fn encode(&self, buffer: &mut [u8]) -> Result<usize, EncodeError> {
+        let body = buffer.get_mut(HEADER_LENGTH..).ok_or(EncodeError::Space)?;
+        let length = self.encode_body(body)?;
+        let body = body.get(..length).ok_or(EncodeError::Space)?;
+        let header = header(body).ok_or(EncodeError::Space)?;
+        let place = buffer.first_chunk_mut::<HEADER_LENGTH>().ok_or(EncodeError::Space)?;
+        *place = header;
+        Ok(HEADER_LENGTH + length)
+    }
+
+    fn encode_body(&self, body: &mut [u8]) -> Result<usize, EncodeError> {
+        let metadata = self.metadata()?;
+        let length = postcard::to_slice(&metadata, body).map_err(|_| EncodeError::Space)?.len();
+        let start = (HEADER_LENGTH + length).next_multiple_of(WORD) - HEADER_LENGTH;
+        let expected = Counts::new(&metadata, self.network.architecture()).total();
+        let found = self.numbers().count();
+        if expected != found {
+            return Err(EncodeError::Counts { expected, found });
+        }
+        let end = start + WORD * found;
+        body.get_mut(length..start).ok_or(EncodeError::Space)?.fill(0);
+        let words = body.get_mut(start..end).ok_or(EncodeError::Space)?;
+        let (words, _) = words.as_chunks_mut::<WORD>();
+        for (word, number) in words.iter_mut().zip(self.numbers()) {
+            *word = number.to_le_bytes();
+        }
+        Ok(end)
+    }
+
+    fn metadata(&self) -> Result<Metadata<'_>, EncodeError> {
+        let architecture = self.network.architecture();
+        let vector_length = test_vector_length(self.dimension(), self.features());
+        let test_vectors = self.test_vectors.len() / vector_length.max(1);
+        if test_vectors > TEST_VECTORS_MAX {
+            let expected = TEST_VECTORS_MAX * vector_length;
+            return Err(EncodeError::Counts { expected, found: self.test_vectors.len() });
+        }
+        Ok(Metadata {
+            version: self.version,
+            replaces: self.replaces,
+            agent: self.agent,
+            outer_weights_on_switch: self.outer_weights_on_switch,
+            // Within the bounds of an architecture and its number of outputs.
+            inputs: architecture.inputs() as u8,
+            layers: architecture
+                .layers()
+                .iter()
+                .map(|l| WireLayer { width: l.width, activation: l.activation.into() })
+                .collect(),
+            outputs: self.outputs() as u8,
+            neighbours: self.neighbours.bytes(),
+            gain: Form::of(&self.gain),
+            outer_gain: Form::of(&self.outer_law.gain),
+            smoothness: self.outer_law.projection.smoothness,
+            test_vectors: test_vectors as u8,
+            provenance: self.provenance,
+        })
+    }
+
+    /// All numbers, in the order of the format.
+    fn numbers(&self) -> impl Iterator<Item = f32> + '_ {
+        let (projection, trigger) = (&self.outer_law.projection, &self.trigger);
+        let constants = [
+            projection.radius,
+            projection.boundary_layer,
+            projection.smoothing,
+            trigger.hold_error_weight,
+            trigger.consensus_weight,
+            trigger.threshold,
+            self.step_size,
+            self.broadcast_interval_min,
+        ];
+        let network = self.network.parameters().iter();
+        let matrices = self.outer_weights.iter().chain(self.output_matrix);
+        let gains = self.gain.entries().iter().chain(self.outer_law.gain.entries());
+        let before = network.chain(matrices).chain(gains).chain(self.edge_weights);
+        let limits = self.trained_box.low.iter().chain(self.trained_box.high);
+        before.copied().chain(constants).chain(limits.chain(self.test_vectors).copied())
+    }
+}

@@ -1,0 +1,111 @@
+//! Header, checksum and signature around a package's body.
+//!
+//! | bytes | what |
+//! | --- | --- |
+//! | 0..3 | [`MAGIC`] |
+//! | 3 | [`FORMAT_VERSION`] |
+//! | 4..8 | length of the body, little-endian |
+//! | 8..12 | CRC-32 (ISO-HDLC) of bytes 0..8 and the body, little-endian |
+//! | 12.. | the body |
+//! | then, if signed | Ed25519 signature of all bytes before it, 64 bytes, and its CRC-32 |
+//!
+//! Signing changes no byte that was there before. The signature has a checksum of its own, so
+//! that a node without a public key refuses a damaged one, too.
+//!
+//! Invariant: of two byte strings that differ in one bit at most one is an envelope.
+
+use super::PackageError;
+use crate::checksum::crc32;
+use crate::signature::SIGNATURE_LENGTH;
+
+/// What every package starts with: observer weight package.
+pub const MAGIC: [u8; 3] = *b"OWP";
+/// Version of the format that this crate writes and reads.
+pub const FORMAT_VERSION: u8 = 1;
+/// Bytes before the body. \[bytes\]
+pub const HEADER_LENGTH: usize = 12;
+/// Signature and its checksum. \[bytes\]
+pub const SIGNATURE_BLOCK_LENGTH: usize = SIGNATURE_LENGTH + CHECKSUM_LENGTH;
+
+const CHECKSUM_LENGTH: usize = 4;
+/// The part of the header that its checksum covers.
+const COVERED_LENGTH: usize = HEADER_LENGTH - CHECKSUM_LENGTH;
+
+/// A package's bytes, taken apart and found undamaged; the body has not been looked into.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Envelope<'a> {
+    /// The body.
+    pub body: &'a [u8],
+    /// What a signature signs: header and body.
+    pub signed_part: &'a [u8],
+    /// The signature, if there is one. Nobody has verified it yet.
+    pub signature: Option<&'a [u8; SIGNATURE_LENGTH]>,
+}
+
+impl<'a> Envelope<'a> {
+    /// Takes `bytes` apart, which must be a package and nothing but it.
+    ///
+    /// # Errors
+    /// [`PackageError::Length`], [`PackageError::Magic`], [`PackageError::FormatVersion`],
+    /// [`PackageError::Checksum`] or [`PackageError::SignatureChecksum`].
+    pub fn open(bytes: &'a [u8]) -> Result<Self, PackageError> {
+        let too_short = PackageError::Length { expected: HEADER_LENGTH, found: bytes.len() };
+        let (covered, rest) = bytes.split_first_chunk::<COVERED_LENGTH>().ok_or(too_short)?;
+        let (&checksum, rest) = rest.split_first_chunk::<CHECKSUM_LENGTH>().ok_or(too_short)?;
+        let &[m0, m1, m2, version, l0, l1, l2, l3] = covered;
+        if [m0, m1, m2] != MAGIC {
+            return Err(PackageError::Magic);
+        }
+        if version != FORMAT_VERSION {
+            return Err(PackageError::FormatVersion { found: version });
+        }
+        let length = u32::from_le_bytes([l0, l1, l2, l3]) as usize;
+        let wrong_length = PackageError::Length {
+            expected: length.saturating_add(HEADER_LENGTH),
+            found: bytes.len(),
+        };
+        let (body, block) = rest.split_at_checked(length).ok_or(wrong_length)?;
+        if crc32(&[covered, body]) != u32::from_le_bytes(checksum) {
+            return Err(PackageError::Checksum);
+        }
+        let signed_part = bytes.get(..HEADER_LENGTH + length).ok_or(wrong_length)?;
+        let signature = match block {
+            [] => None,
+            block => Some(open_signature(block).ok_or(wrong_length)??),
+        };
+        Ok(Self { body, signed_part, signature })
+    }
+}
+
+/// `None` if the block has the wrong length.
+fn open_signature(block: &[u8]) -> Option<Result<&[u8; SIGNATURE_LENGTH], PackageError>> {
+    let (signature, checksum) = block.split_first_chunk::<SIGNATURE_LENGTH>()?;
+    let checksum = u32::from_le_bytes(checksum.try_into().ok()?);
+    if crc32(&[signature]) == checksum {
+        Some(Ok(signature))
+    } else {
+        Some(Err(PackageError::SignatureChecksum))
+    }
+}
+
+/// The header of a package with this body.
+pub(super) fn header(body: &[u8]) -> Option<[u8; HEADER_LENGTH]> {
+    let length = u32::try_from(body.len()).ok()?.to_le_bytes();
+    let mut header = [0; HEADER_LENGTH];
+    let (covered, checksum) = header.split_at_mut_checked(COVERED_LENGTH)?;
+    let parts = MAGIC.iter().chain(&[FORMAT_VERSION]).chain(&length);
+    covered.iter_mut().zip(parts).for_each(|(place, byte)| *place = *byte);
+    let sum = crc32(&[covered, body]).to_le_bytes();
+    checksum.iter_mut().zip(&sum).for_each(|(place, byte)| *place = *byte);
+    Some(header)
+}
+
+/// What follows the body of a signed package.
+#[must_use]
+pub fn signature_block(signature: &[u8; SIGNATURE_LENGTH]) -> [u8; SIGNATURE_BLOCK_LENGTH] {
+    let mut block = [0; SIGNATURE_BLOCK_LENGTH];
+    let checksum = crc32(&[signature]).to_le_bytes();
+    let parts = signature.iter().chain(&checksum);
+    block.iter_mut().zip(parts).for_each(|(place, byte)| *place = *byte);
+    block
+}

@@ -1,0 +1,341 @@
+//! What a package's bytes must be, and what a node must refuse.
+
+extern crate std;
+
+use std::vec;
+use std::vec::Vec;
+
+use super::*;
+use crate::activation::Activation;
+use crate::network::{Architecture, Layer, NetworkError, Scratch};
+use proptest::prelude::*;
+
+/// A package's bytes, beginning on a multiple of four.
+struct Aligned {
+    words: Vec<u32>,
+    length: usize,
+}
+
+impl Aligned {
+    fn new(bytes: &[u8]) -> Self {
+        let mut words = vec![0u32; bytes.len().div_ceil(4)];
+        bytemuck::cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
+        Self { words, length: bytes.len() }
+    }
+
+    fn bytes(&self) -> &[u8] {
+        &bytemuck::cast_slice(&self.words)[..self.length]
+    }
+}
+
+/// What a package borrows: agent 7 of a plant with two states, with two neighbours.
+#[derive(Clone)]
+struct Content {
+    inner: [f32; 9],
+    outer_weights: [f32; 6],
+    neighbours: [u8; 4],
+    edge_weights: [f32; 2],
+    gain: [f32; 4],
+    low: [f32; 2],
+    high: [f32; 2],
+    test_vectors: [f32; 14],
+}
+
+impl Content {
+    fn new() -> Self {
+        let mut content = Self {
+            inner: [0.1, -0.2, 0.3, 0.5, 0.4, -0.6, -0.1, 0.7, 0.2],
+            outer_weights: [1.0, -2.0, 0.5, 0.25, -1.5, 3.0],
+            neighbours: [3, 0, 9, 1],
+            edge_weights: [1.0, 0.5],
+            gain: [50.0, 1.0, 1.0, 60.0],
+            low: [-1.0, -2.0],
+            high: [1.0, 2.0],
+            test_vectors: [0.0; 14],
+        };
+        for (index, input) in [[0.5, -0.25], [-1.0, 2.0]].into_iter().enumerate() {
+            let mut scratch = Scratch::NEW;
+            let package = content.package();
+            let (features, output) =
+                package.evaluate(&StateVector::<2>::from(input), &mut scratch).unwrap();
+            let vector = [&input[..], features, output.as_slice()].concat();
+            content.test_vectors[7 * index..][..7].copy_from_slice(&vector);
+        }
+        content
+    }
+
+    fn package(&self) -> Package<'_> {
+        let layers = [Layer { width: 3, activation: Activation::Tanh }];
+        let architecture = Architecture::new(2, &layers).unwrap();
+        Package {
+            version: 5,
+            replaces: None,
+            agent: 7,
+            outer_weights_on_switch: OnSwitch::Keep,
+            network: InnerNetwork::new(architecture, &self.inner[..]).unwrap(),
+            outer_weights: &self.outer_weights,
+            output_matrix: &[1.0, 0.0],
+            gain: SymmetricMatrix::Full(&self.gain),
+            neighbours: NeighbourIds::new(&self.neighbours).unwrap(),
+            edge_weights: &self.edge_weights,
+            outer_law: OuterLawParams {
+                gain: SymmetricMatrix::Scalar(3.0),
+                projection: crate::projection::ProjectionParams {
+                    radius: 9.0,
+                    boundary_layer: 1.0,
+                    smoothing: 0.1,
+                    smoothness: 1,
+                },
+            },
+            trigger: TriggerParams {
+                hold_error_weight: 1e4,
+                consensus_weight: 0.5,
+                threshold: 10.0,
+            },
+            step_size: 1e-3,
+            broadcast_interval_min: 2e-3,
+            trained_box: StateBox { low: &self.low, high: &self.high },
+            provenance: Provenance {
+                scenario_hash: [1, 2, 3, 4, 5, 6, 7, 8],
+                recipe: "better",
+                seed: 42,
+                samples: 300,
+                errors: Some(TrainingErrors { training: 0.5, test: 0.75 }),
+                tool_version: [0, 1, 0],
+            },
+            test_vectors: &self.test_vectors,
+        }
+    }
+}
+
+fn encoded(package: &Package<'_>) -> Aligned {
+    let mut buffer = [0xaa; 600];
+    let length = package.encode(&mut buffer).unwrap();
+    Aligned::new(&buffer[..length])
+}
+
+const ANY: Requirements<'static> =
+    Requirements { public_key: None, in_use: None, capacity: Capacity::UNLIMITED };
+
+fn refusal(package: &Package<'_>) -> Refusal {
+    accept::<2>(encoded(package).bytes(), &ANY, &mut Scratch::NEW).unwrap_err()
+}
+
+#[test]
+fn decoding_undoes_encoding_and_a_node_accepts_it() {
+    let content = Content::new();
+    let bytes = encoded(&content.package());
+    assert_eq!(Package::decode(bytes.bytes()), Ok(content.package()));
+    let accepted = accept::<2>(bytes.bytes(), &ANY, &mut Scratch::NEW).unwrap();
+    assert_eq!(accepted, content.package());
+    assert_eq!(accepted.test_vectors().count(), 2);
+    let ids: Vec<_> = accepted.neighbours().map(|n| (n.id, n.weight)).collect();
+    assert_eq!(ids, [(3, 1.0), (265, 0.5)]);
+}
+
+#[test]
+fn every_single_bit_flip_and_every_truncation_is_refused() {
+    let unsigned = encoded(&Content::new().package());
+    let signed = [unsigned.bytes(), &signature_block(&[0x5a; 64])].concat();
+    for bytes in [unsigned.bytes(), &signed] {
+        let mut copy = Aligned::new(bytes);
+        assert!(Package::decode(copy.bytes()).is_ok());
+        for bit in 0..bytes.len() * 8 {
+            let flip = |copy: &mut Aligned| {
+                bytemuck::cast_slice_mut::<u32, u8>(&mut copy.words)[bit / 8] ^= 1 << (bit % 8);
+            };
+            flip(&mut copy);
+            assert!(Package::decode(copy.bytes()).is_err(), "bit {bit}");
+            flip(&mut copy);
+        }
+        let whole = copy.length;
+        for length in 0..whole {
+            copy.length = length;
+            // Without its signature a signed package is the unsigned one.
+            assert_eq!(Package::decode(copy.bytes()).is_ok(), length == unsigned.length);
+        }
+    }
+}
+
+#[test]
+fn the_place_of_the_numbers_is_a_multiple_of_four() {
+    for recipe in ["", "a", "ab", "abc", "abcd"] {
+        let content = Content::new();
+        let mut package = content.package();
+        package.provenance.recipe = recipe;
+        let bytes = encoded(&package);
+        let decoded = Package::decode(bytes.bytes()).unwrap();
+        assert_eq!(decoded, package);
+        // Anywhere else in memory the words cannot be used in place.
+        let shifted = Aligned::new(&[&[0], bytes.bytes()].concat());
+        assert_eq!(Package::decode(&shifted.bytes()[1..]), Err(PackageError::Alignment));
+    }
+}
+
+/// `package` with its body changed, under a checksum that matches again.
+fn resealed(package: &Package<'_>, change: impl FnOnce(&mut Vec<u8>)) -> Aligned {
+    let mut body = Envelope::open(encoded(package).bytes()).unwrap().body.to_vec();
+    change(&mut body);
+    Aligned::new(&[&envelope::header(&body).unwrap()[..], &body].concat())
+}
+
+#[test]
+fn each_defect_of_the_bytes_has_its_own_error() {
+    let content = Content::new();
+    let package = content.package();
+    let bytes = encoded(&package).bytes().to_vec();
+    let decode = |change: &dyn Fn(&mut Vec<u8>)| {
+        let mut bytes = bytes.clone();
+        change(&mut bytes);
+        Package::decode(Aligned::new(&bytes).bytes()).map(|p| p.version).unwrap_err()
+    };
+    let length = |expected, found| PackageError::Length { expected, found };
+    assert_eq!(decode(&|b| b.truncate(11)), length(12, 11));
+    assert_eq!(decode(&|b| b[0] = b'o'), PackageError::Magic);
+    assert_eq!(decode(&|b| b[3] = 9), PackageError::FormatVersion { found: 9 });
+    assert_eq!(decode(&|b| b.push(0)), length(bytes.len(), bytes.len() + 1));
+    assert_eq!(decode(&|b| b[20] ^= 1), PackageError::Checksum);
+    assert_eq!(decode(&|b| b.extend([0; 68])), PackageError::SignatureChecksum);
+    let body = |change: &dyn Fn(&mut Vec<u8>)| {
+        Package::decode(resealed(&package, change).bytes()).map(|p| p.version).unwrap_err()
+    };
+    assert_eq!(body(&|b| b.clear()), PackageError::Malformed);
+    assert_eq!(body(&|b| b[3] = 2), PackageError::Malformed); // no such case of OnSwitch
+    assert_eq!(body(&|b| b.push(0)), PackageError::Malformed);
+    let network = |error| PackageError::Network(error);
+    assert_eq!(body(&|b| b[4] = 13), network(NetworkError::Inputs { found: 13 }));
+    assert_eq!(body(&|b| b[6] = 65), network(NetworkError::Width { layer: 0, found: 65 }));
+    assert_eq!(body(&|b| b[8] = 3), PackageError::Outputs { found: 3 });
+    assert_eq!(body(&|b| b[17] = 9), PackageError::TestVectors { found: 9 });
+    let count = body(&|b| b.extend([0; 4]));
+    assert!(
+        matches!(count, PackageError::NumberCount { expected, found } if found == expected + 1)
+    );
+    let not_finite = body(&|b| {
+        let end = b.len();
+        b[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+    });
+    assert!(matches!(not_finite, PackageError::NotFinite { .. }));
+}
+
+#[test]
+fn each_defect_of_the_content_has_its_own_refusal() {
+    let content = Content::new();
+    let package = content.package();
+    assert_eq!(refusal(&Package { test_vectors: &[], ..package.clone() }), Refusal::NoTestVectors);
+    let asymmetric = Content { gain: [50.0, 1.0, 1.5, 60.0], ..content.clone() };
+    assert_eq!(
+        refusal(&asymmetric.package()),
+        Refusal::Parameter(ParameterError::NotSymmetric {
+            parameter: "observer.gain",
+            row: 1,
+            column: 0
+        })
+    );
+    let empty = Content { low: [-1.0, 2.5], ..content.clone() };
+    assert_eq!(refusal(&empty.package()), Refusal::EmptyBox { component: 1 });
+    let unordered = Content { neighbours: [9, 1, 3, 0], ..content.clone() };
+    assert_eq!(refusal(&unordered.package()), Refusal::NeighbourOrder { id: 3 });
+    let twice = Content { neighbours: [3, 0, 3, 0], ..content.clone() };
+    assert_eq!(refusal(&twice.package()), Refusal::NeighbourOrder { id: 3 });
+    let own = Content { neighbours: [3, 0, 7, 0], ..content.clone() };
+    let own_neighbour = ParameterError::OwnNeighbour { id: 7 };
+    assert_eq!(refusal(&own.package()), Refusal::Parameter(own_neighbour));
+    let far = Content { outer_weights: [9.0; 6], ..content.clone() };
+    assert!(matches!(refusal(&far.package()), Refusal::Parameter(_)));
+    let weightless = Content { edge_weights: [1.0, 0.0], ..content.clone() };
+    assert!(matches!(refusal(&weightless.package()), Refusal::Parameter(_)));
+    let slow = Package { step_size: 0.0, ..package.clone() };
+    assert!(matches!(refusal(&slow), Refusal::Parameter(_)));
+    let mut deaf = package.clone();
+    deaf.trigger.threshold = 0.0;
+    assert!(matches!(refusal(&deaf), Refusal::Parameter(_)));
+    let negative = Package { broadcast_interval_min: -1.0, ..package.clone() };
+    assert!(matches!(refusal(&negative), Refusal::Parameter(_)));
+    let bytes = encoded(&package);
+    let other = accept::<3>(bytes.bytes(), &ANY, &mut Scratch::NEW).unwrap_err();
+    assert_eq!(other, Refusal::Dimension { expected: 3, found: 2 });
+}
+
+#[test]
+fn a_node_refuses_what_its_buffers_cannot_hold() {
+    let bytes = encoded(&Content::new().package());
+    let fits = Capacity { features: 3, neighbours: 2, gain_entries: 1 };
+    let with = |capacity| {
+        let requirements = Requirements { capacity, ..ANY };
+        accept::<2>(bytes.bytes(), &requirements, &mut Scratch::NEW).map(|_| ())
+    };
+    assert_eq!(with(fits), Ok(()));
+    for (capacity, what) in [
+        (Capacity { features: 2, ..fits }, "features"),
+        (Capacity { neighbours: 1, ..fits }, "neighbours"),
+        (Capacity { gain_entries: 0, ..fits }, "gain entries"),
+    ] {
+        assert!(matches!(with(capacity), Err(Refusal::Capacity { what: w, .. }) if w == what));
+    }
+}
+
+#[test]
+fn an_older_package_or_one_for_another_agent_is_refused() {
+    let content = Content::new();
+    let offered = |package: &Package<'_>, agent, version| {
+        let in_use = Some(InUse { agent, version });
+        let requirements = Requirements { in_use, ..ANY };
+        accept::<2>(encoded(package).bytes(), &requirements, &mut Scratch::NEW).map(|p| p.version)
+    };
+    let package = content.package();
+    assert_eq!(offered(&package, 7, 4), Ok(5));
+    assert_eq!(offered(&package, 7, 5), Ok(5));
+    let older = Err(Refusal::Older { in_use: 6, found: 5 });
+    assert_eq!(offered(&package, 7, 6), older);
+    // Without a signature anybody could ask for the exception.
+    assert_eq!(offered(&Package { replaces: Some(9), ..package.clone() }, 7, 6), older);
+    assert_eq!(offered(&package, 8, 1), Err(Refusal::Agent { expected: 8, found: 7 }));
+}
+
+#[test]
+fn a_network_that_computes_something_else_is_refused() {
+    let mut content = Content::new();
+    // One unit in the last place of one bias.
+    content.inner[1] = f32::from_bits(content.inner[1].to_bits() + 1);
+    assert_eq!(refusal(&content.package()), Refusal::TestVector { index: 0 });
+    let mut content = Content::new();
+    content.outer_weights[3] += 1e-3;
+    assert_eq!(refusal(&content.package()), Refusal::TestVector { index: 0 });
+    let mut content = Content::new();
+    content.test_vectors[13] += 1e-3;
+    assert_eq!(refusal(&content.package()), Refusal::TestVector { index: 1 });
+}
+
+#[test]
+fn parameters_come_out_as_they_went_in() {
+    let content = Content::new();
+    let package = content.package();
+    let (mut neighbours, mut gain) = ([Neighbour { id: 0, weight: 1.0 }; 4], [0.0; 9]);
+    let params = package.agent_params::<2>(&mut neighbours, &mut gain).unwrap();
+    assert_eq!((params.id(), params.step_size(), params.outputs()), (7, 1e-3, 1));
+    assert_eq!(params.gain().as_slice(), content.gain);
+    assert_eq!(params.neighbours().len(), 2);
+    assert!(package.agent_params::<2>(&mut [], &mut [0.0; 9]).is_err());
+    assert!(package.agent_params::<2>(&mut neighbours, &mut []).is_err());
+    assert!(package.agent_params::<3>(&mut neighbours, &mut [0.0; 9]).is_err());
+}
+
+proptest! {
+    #[test]
+    fn arbitrary_bytes_are_a_package_or_an_error(
+        body in prop::collection::vec(any::<u8>(), 0..300),
+        place in 0usize..80, byte: u8,
+    ) {
+        // Neither as they are, nor under a header that fits; nor a package with a changed byte.
+        let headed = [&envelope::header(&body).unwrap()[..], &body].concat();
+        let content = Content::new();
+        let changed = resealed(&content.package(), |b| b[place] = byte);
+        for bytes in [&Aligned::new(&body), &Aligned::new(&headed), &changed] {
+            if let Ok(package) = Package::decode(bytes.bytes()) {
+                prop_assert!(package.outer_weights.iter().all(|w| w.is_finite()));
+                let _ = accept::<2>(bytes.bytes(), &ANY, &mut Scratch::NEW);
+            }
+        }
+    }
+}

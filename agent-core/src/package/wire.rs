@@ -1,0 +1,140 @@
+//! The metadata of a package as postcard writes them, and how many numbers follow from them.
+
+use serde::{Deserialize, Serialize};
+
+use super::{OnSwitch, Provenance, test_vector_length};
+use crate::AgentId;
+use crate::activation::Activation;
+use crate::network::{Architecture, INNER_LAYERS_MAX};
+use crate::symmetric::SymmetricMatrix;
+
+/// Everything in a body that is not one of its numbers.
+#[derive(Serialize, Deserialize)]
+pub(super) struct Metadata<'a> {
+    pub(super) version: u32,
+    pub(super) replaces: Option<u32>,
+    pub(super) agent: AgentId,
+    pub(super) outer_weights_on_switch: OnSwitch,
+    pub(super) inputs: u8,
+    pub(super) layers: heapless::Vec<WireLayer, INNER_LAYERS_MAX>,
+    pub(super) outputs: u8,
+    #[serde(borrow)]
+    pub(super) neighbours: &'a [u8],
+    pub(super) gain: Form,
+    pub(super) outer_gain: Form,
+    pub(super) smoothness: u8,
+    pub(super) test_vectors: u8,
+    #[serde(borrow)]
+    pub(super) provenance: Provenance<'a>,
+}
+
+#[derive(Serialize, Deserialize)]
+pub(super) struct WireLayer {
+    pub(super) width: u8,
+    pub(super) activation: WireActivation,
+}
+
+#[derive(Clone, Copy, Serialize, Deserialize)]
+pub(super) enum WireActivation {
+    Tanh,
+    Logistic,
+    Gaussian,
+}
+
+impl From<WireActivation> for Activation {
+    fn from(activation: WireActivation) -> Self {
+        match activation {
+            WireActivation::Tanh => Self::Tanh,
+            WireActivation::Logistic => Self::Logistic,
+            WireActivation::Gaussian => Self::Gaussian,
+        }
+    }
+}
+
+impl From<Activation> for WireActivation {
+    fn from(activation: Activation) -> Self {
+        match activation {
+            Activation::Tanh => Self::Tanh,
+            Activation::Logistic => Self::Logistic,
+            Activation::Gaussian => Self::Gaussian,
+        }
+    }
+}
+
+/// Which form of a symmetric matrix the numbers are.
+#[derive(Clone, Copy, Serialize, Deserialize)]
+pub(super) enum Form {
+    Scalar,
+    Diagonal,
+    Full,
+}
+
+impl Form {
+    pub(super) fn of(matrix: &SymmetricMatrix<'_>) -> Self {
+        match matrix {
+            SymmetricMatrix::Scalar(_) => Self::Scalar,
+            SymmetricMatrix::Diagonal(_) => Self::Diagonal,
+            SymmetricMatrix::Full(_) => Self::Full,
+        }
+    }
+
+    fn count(self, size: usize) -> usize {
+        match self {
+            Self::Scalar => 1,
+            Self::Diagonal => size,
+            Self::Full => size * size,
+        }
+    }
+
+    /// The matrix of this form with these entries.
+    pub(super) fn matrix<'a>(self, entries: &'a [f32]) -> Option<SymmetricMatrix<'a>> {
+        Some(match self {
+            Self::Scalar => SymmetricMatrix::Scalar(*entries.first()?),
+            Self::Diagonal => SymmetricMatrix::Diagonal(entries),
+            Self::Full => SymmetricMatrix::Full(entries),
+        })
+    }
+}
+
+/// How many numbers a body has of each kind, in their order.
+pub(super) struct Counts {
+    pub(super) inner: usize,
+    pub(super) outer_weights: usize,
+    pub(super) output_matrix: usize,
+    pub(super) gain: usize,
+    pub(super) outer_gain: usize,
+    pub(super) edge_weights: usize,
+    pub(super) dimension: usize,
+    pub(super) test_vectors: usize,
+}
+
+/// `theta_0`, `beta`, `delta`, `phi_1`, `phi_2`, `epsilon / N`, `dt`, least broadcast interval.
+pub(super) const CONSTANTS: usize = 8;
+
+impl Counts {
+    pub(super) fn new(metadata: &Metadata<'_>, architecture: &Architecture) -> Self {
+        let (n, features) = (architecture.inputs(), architecture.features());
+        Self {
+            inner: architecture.parameter_count(),
+            outer_weights: features * n,
+            output_matrix: usize::from(metadata.outputs) * n,
+            gain: metadata.gain.count(n),
+            outer_gain: metadata.outer_gain.count(features),
+            edge_weights: metadata.neighbours.len() / 2,
+            dimension: n,
+            test_vectors: usize::from(metadata.test_vectors) * test_vector_length(n, features),
+        }
+    }
+
+    pub(super) fn total(&self) -> usize {
+        self.inner
+            + self.outer_weights
+            + self.output_matrix
+            + self.gain
+            + self.outer_gain
+            + self.edge_weights
+            + CONSTANTS
+            + 2 * self.dimension
+            + self.test_vectors
+    }
+}

@@ -1,0 +1,143 @@
+//! Symmetric matrices as they are written down: most are a multiple of the identity or
+//! diagonal, so a form of their own spares the zeros.
+//!
+//! Both gains have such a form: `Gamma` of the outer weights' law uses it in every step, `K_1`
+//! of the observer travels in it and is unfolded once.
+//!
+//! Invariants: none until [`SymmetricMatrix::validate`] has been asked.
+
+use nalgebra::SMatrix;
+
+use crate::parameter::{ParameterError, finite, positive};
+
+/// A symmetric matrix, shape `[size, size]`; which size, its user knows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SymmetricMatrix<'a> {
+    /// This multiple of the identity.
+    Scalar(f32),
+    /// The diagonal; zero elsewhere.
+    Diagonal(&'a [f32]),
+    /// All entries, row by row.
+    Full(&'a [f32]),
+}
+
+impl SymmetricMatrix<'_> {
+    /// # Errors
+    /// A wrong number of entries for `size`, an entry that is not finite, a full matrix that is
+    /// not symmetric. `parameter` is what the error calls the matrix.
+    pub fn validate(&self, parameter: &'static str, size: usize) -> Result<(), ParameterError> {
+        let length = |expected: usize, found: usize| match expected == found {
+            true => Ok(()),
+            false => Err(ParameterError::Length { parameter, expected, found }),
+        };
+        finite(parameter, self.entries())?;
+        match *self {
+            Self::Scalar(_) => Ok(()),
+            Self::Diagonal(diagonal) => length(size, diagonal.len()),
+            Self::Full(entries) => {
+                length(size * size, entries.len())?;
+                for (row, entries_of_row) in entries.chunks_exact(size.max(1)).enumerate() {
+                    let column_of_row = entries.iter().skip(row).step_by(size.max(1));
+                    let mut pairs = entries_of_row.iter().zip(column_of_row);
+                    if let Some(column) = pairs.position(|(above, below)| above != below) {
+                        let (row, column) = (row.max(column), row.min(column));
+                        return Err(ParameterError::NotSymmetric { parameter, row, column });
+                    }
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// # Errors
+    /// An entry of the diagonal that is not above 0. Whether a full matrix is positive definite
+    /// is for the host to prove, which has room for a factorisation.
+    pub fn validate_diagonal(
+        &self,
+        parameter: &'static str,
+        size: usize,
+    ) -> Result<(), ParameterError> {
+        let step = if matches!(self, Self::Full(_)) { size + 1 } else { 1 };
+        self.entries().iter().step_by(step).try_for_each(|&entry| positive(parameter, entry))
+    }
+
+    /// The numbers that the form consists of.
+    #[must_use]
+    pub fn entries(&self) -> &[f32] {
+        match self {
+            Self::Scalar(entry) => core::slice::from_ref(entry),
+            Self::Diagonal(entries) | Self::Full(entries) => entries,
+        }
+    }
+
+    /// The whole matrix; entries that the form does not have are zero.
+    #[must_use]
+    pub fn unfold<const N: usize>(&self) -> SMatrix<f32, N, N> {
+        match *self {
+            Self::Scalar(entry) => SMatrix::from_diagonal_element(entry),
+            Self::Diagonal(diagonal) => SMatrix::from_fn(|row, column| {
+                if row == column { diagonal.get(row).copied().unwrap_or(0.0) } else { 0.0 }
+            }),
+            Self::Full(entries) => SMatrix::from_fn(|row, column| {
+                entries.get(row * N + column).copied().unwrap_or(0.0)
+            }),
+        }
+    }
+
+    /// `matrix * vector` into `result`, terms in ascending order of the column.
+    #[inline]
+    pub fn apply(&self, vector: &[f32], result: &mut [f32]) {
+        match *self {
+            Self::Scalar(entry) => {
+                for (result, value) in result.iter_mut().zip(vector) {
+                    *result = entry * value;
+                }
+            }
+            Self::Diagonal(diagonal) => {
+                for ((result, value), entry) in result.iter_mut().zip(vector).zip(diagonal) {
+                    *result = entry * value;
+                }
+            }
+            Self::Full(entries) => {
+                for (result, row) in result.iter_mut().zip(entries.chunks_exact(vector.len())) {
+                    *result = row.iter().zip(vector).fold(0.0, |sum, (entry, v)| sum + entry * v);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::SymmetricMatrix::{Diagonal, Full, Scalar};
+    use super::*;
+
+    #[test]
+    fn the_three_forms_of_a_matrix_agree_bit_for_bit() {
+        let forms = [Scalar(3.0), Diagonal(&[3.0, 3.0]), Full(&[3.0, 0.0, 0.0, 3.0])];
+        for form in forms {
+            assert_eq!(form.validate("gain", 2), Ok(()));
+            assert_eq!(form.validate_diagonal("gain", 2), Ok(()));
+            assert_eq!(form.unfold::<2>(), SMatrix::<f32, 2, 2>::from_diagonal_element(3.0));
+            let mut result = [0.0; 2];
+            form.apply(&[0.3, -0.7], &mut result);
+            assert_eq!(result, [3.0f32 * 0.3, 3.0f32 * -0.7]);
+        }
+    }
+
+    #[test]
+    fn refuses_what_is_not_a_symmetric_matrix_of_this_size() {
+        let not_symmetric = ParameterError::NotSymmetric { parameter: "gain", row: 2, column: 0 };
+        let skew = [1.0, 0.5, 0.2, 0.5, 1.0, 0.0, 0.3, 0.0, 1.0];
+        assert_eq!(Full(&skew).validate("gain", 3), Err(not_symmetric));
+        assert!(Diagonal(&[1.0]).validate("gain", 2).is_err());
+        assert!(Full(&[1.0; 3]).validate("gain", 2).is_err());
+        assert!(Scalar(f32::NAN).validate("gain", 2).is_err());
+        assert!(Full(&[1.0, f32::INFINITY, f32::INFINITY, 1.0]).validate("gain", 2).is_err());
+        // A negative off the diagonal is nothing to object to.
+        assert!(Full(&[1.0, -0.5, -0.5, 1.0]).validate_diagonal("gain", 2).is_ok());
+        assert!(Full(&[1.0, 0.5, 0.5, -1.0]).validate_diagonal("gain", 2).is_err());
+        assert!(Diagonal(&[1.0, 0.0]).validate_diagonal("gain", 2).is_err());
+        assert!(Scalar(-1.0).validate_diagonal("gain", 2).is_err());
+    }
+}
