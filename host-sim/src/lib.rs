@@ -7,9 +7,10 @@
 //! | [`graph`] | who hears whom |
 //! | [`engine`] | the run: agents, links, learning cycles, statistics, traces |
 //! | [`training`] | offline training of the inner layers |
+//! | [`packages`] | weight packages: made, checked, in files |
 //! | [`analysis`] | the theorems' constants and bounds, held against a run |
 //! | [`figures`], [`report`] | pictures; tables and CSV files |
-//! | [`progress`], [`output_file`] | progress bars; files that are whole or not there |
+//! | [`progress`], [`output_file`], [`fnv`] | progress bars; files that are whole or not there; a hash |
 //! | [`commands`] | what the command line does |
 #![forbid(unsafe_code)]
 
@@ -17,8 +18,10 @@ pub mod analysis;
 pub mod commands;
 pub mod engine;
 pub mod figures;
+pub mod fnv;
 pub mod graph;
 pub mod output_file;
+pub mod packages;
 pub mod plant;
 pub mod progress;
 pub mod report;
