@@ -18,6 +18,7 @@
 //! | [`outer_law`], [`projection`] | the adaptation of the outer weights | `What_i Dot` |
 //! | [`trigger`] | when to broadcast | `Trigger` |
 //! | [`agent`] | parameters, state, and the step that joins all these | |
+//! | [`signature`] | who a package of weights comes from | |
 //! | [`capture`], [`bank`] | samples for offline training; switching in its result | |
 //!
 //! Parameters ([`agent::AgentParams`]) never change and can live in flash; the state
@@ -39,6 +40,7 @@ pub mod observer;
 pub mod outer_law;
 pub mod parameter;
 pub mod projection;
+pub mod signature;
 pub mod trigger;
 
 /// A vector of the state space, shape `[N]`.
