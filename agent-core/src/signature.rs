@@ -21,8 +21,8 @@
 //! The verifier comes with the cargo feature `signature`. Without it a [`PublicKey`] cannot
 //! exist, so that an `Option<&PublicKey>` is always `None` and code for it is left out.
 //!
-//! Cost on a Cortex-M4, opt-level `s`: 17.5 kB of flash, 6.1 kB of stack, 1.67 million
-//! instructions and 155 more per byte of the message; `docs/decisions/0006-signatures.md`
+//! Cost on a Cortex-M4, opt-level `s`: 17.5 kB of flash, 6.1 kB of stack, 1.66 million
+//! instructions and 157 more per byte of the message; `docs/decisions/0006-signatures.md`
 //! has the measurement. Invariant: no panic, whatever key, message (below 512 MiB) and
 //! signature are.
 
