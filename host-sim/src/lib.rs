@@ -11,6 +11,8 @@
 //! | [`analysis`] | the theorems' constants and bounds, held against a run |
 //! | [`figures`], [`report`] | pictures; tables and CSV files |
 //! | [`progress`], [`output_file`], [`fnv`] | progress bars; files that are whole or not there; a hash |
+//! | [`progress`], [`output_file`] | progress bars; files that are whole or not there |
+//! | [`signing`] | the operator's keys, for packages of weights |
 //! | [`commands`] | what the command line does |
 #![forbid(unsafe_code)]
 
@@ -26,4 +28,5 @@ pub mod plant;
 pub mod progress;
 pub mod report;
 pub mod scenario;
+pub mod signing;
 pub mod training;
