@@ -7,6 +7,8 @@
 //! | [`graph`] | who hears whom |
 //! | [`engine`] | the run: agents, links, learning cycles, statistics, traces |
 //! | [`training`] | offline training of the inner layers |
+//! | [`memory_map`] | where things lie in a board's memory, read from its `memory.x` |
+//! | [`image`], [`flash`] | weight packages as flash images; writing them into a board |
 //! | [`analysis`] | the theorems' constants and bounds, held against a run |
 //! | [`figures`], [`report`] | pictures; tables and CSV files |
 //! | [`progress`], [`output_file`] | progress bars; files that are whole or not there |
@@ -17,7 +19,10 @@ pub mod analysis;
 pub mod commands;
 pub mod engine;
 pub mod figures;
+pub mod flash;
 pub mod graph;
+pub mod image;
+pub mod memory_map;
 pub mod output_file;
 pub mod plant;
 pub mod progress;
