@@ -116,7 +116,7 @@ fn versions_that_print_no_addresses_are_understood() {
 #[test]
 fn a_byte_that_reads_back_differently_is_named_and_the_chip_not_started() {
     for (address, name, expected) in
-        [(0x30_0010, "the package", 0x10), (0x30_FFFF, "the commit area", 0xFF)]
+        [(0x30_0010, "the package", 0x10_u8), (0x30_FFFF, "the commit area", 0xFF)]
     {
         let chip = Chip::new(&format!("corrupt-{address:x}"));
         // Two of them: the first is named.

@@ -289,16 +289,16 @@ fn regions() -> impl Strategy<Value = WeightsRegion> {
             let spare = spare * erase_size;
             let length = 2 * slot_length + commit_length + 2 * spare;
             // The highest place ends with the last address there is; most straddle 64 KiB.
-            let origin = if high == 0 { 0 - length } else { high * 0x1_0000 - erase_size };
+            let origin =
+                if high == 0 { length.wrapping_neg() } else { high * 0x1_0000 - erase_size };
             let slots = origin + spare + if commit_first { commit_length } else { 0 };
-            let behind = slots + 2 * slot_length + spare;
             WeightsRegion {
                 origin,
                 length,
                 slot_a: slots,
                 slot_b: slots + slot_length,
                 slot_length,
-                commit: if commit_first { origin } else { behind },
+                commit: if commit_first { origin } else { origin + (length - commit_length) },
                 commit_length,
                 erase_size,
             }
@@ -307,6 +307,9 @@ fn regions() -> impl Strategy<Value = WeightsRegion> {
 }
 
 proptest! {
+    // Each case makes three maps of thousands of bytes.
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
     #[test]
     fn every_format_says_the_same(
         region in regions(),

@@ -200,9 +200,9 @@ fn without_a_single_assertion_the_weights_still_lie_safely() {
             "is 0",
         ),
         (
-            "_weights_slot_b_length = 28K",
-            "_weights_slot_b_length = 0xFFFFFFFFFFFFF000",
-            "_weights_slot_b_length",
+            "_weights_commit_length = 8K",
+            "_weights_commit_length = 0xFFFFFFFFFFFFF000",
+            "_weights_commit_length",
             "WEIGHTS ends at 0x310000",
         ),
         (

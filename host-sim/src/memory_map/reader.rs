@@ -37,15 +37,6 @@ impl Reader {
         self.tokens[self.next].1
     }
 
-    /// The next token; the end stays where it is.
-    fn take(&mut self) -> Token {
-        let token = self.peek().clone();
-        if token != Token::End {
-            self.next += 1;
-        }
-        token
-    }
-
     fn take_if(&mut self, sign: &str) -> bool {
         let there = matches!(self.peek(), Token::Sign(found) if *found == sign);
         if there {
