@@ -8,6 +8,8 @@
 //! | [`engine`] | the run: agents, links, learning cycles, statistics, traces |
 //! | [`training`] | offline training of the inner layers |
 //! | [`packages`] | weight packages: made, checked, in files |
+//! | [`memory_map`] | where things lie in a board's memory, read from its `memory.x` |
+//! | [`image`], [`flash`] | weight packages as flash images; writing them into a board |
 //! | [`analysis`] | the theorems' constants and bounds, held against a run |
 //! | [`figures`], [`report`] | pictures; tables and CSV files |
 //! | [`progress`], [`output_file`], [`fnv`] | progress bars; files that are whole or not there; a hash |
@@ -21,7 +23,10 @@ pub mod commands;
 pub mod engine;
 pub mod figures;
 pub mod fnv;
+pub mod flash;
 pub mod graph;
+pub mod image;
+pub mod memory_map;
 pub mod output_file;
 pub mod packages;
 pub mod plant;
