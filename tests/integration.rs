@@ -15,3 +15,4 @@ mod paper_run;
 mod reproduce;
 mod scales;
 mod scenario_errors;
+mod tensors;

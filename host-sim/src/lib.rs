@@ -10,6 +10,7 @@
 //! | [`analysis`] | the theorems' constants and bounds, held against a run |
 //! | [`figures`], [`report`] | pictures; tables and CSV files |
 //! | [`progress`], [`output_file`] | progress bars; files that are whole or not there |
+//! | [`tensors`] | networks from and for PyTorch, JAX and NumPy |
 //! | [`commands`] | what the command line does |
 #![forbid(unsafe_code)]
 
@@ -23,4 +24,5 @@ pub mod plant;
 pub mod progress;
 pub mod report;
 pub mod scenario;
+pub mod tensors;
 pub mod training;
