@@ -69,7 +69,7 @@ const REFUSED: [(&str, &str); 12] = [
     ),
     (
         "refused_missing.npz",
-        "has no array `layer2.bias`, only `outer.weight`; add it, or give it this name",
+        "has no array `layer2.bias`, it has `layer1.bias`, `layer1.weight`, `layer2.weight`, `outer.weight`; add the array, or give it this name",
     ),
     (
         "refused_unexpected.npz",

@@ -162,8 +162,10 @@ mod tests {
     #[test]
     fn both_orders_give_rows() {
         let rows = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
-        let by_columns =
-            StoredArray { first_index_fastest: true, ..stored(&[1.0, 4.0, 2.0, 5.0, 3.0, 6.0], &[2, 3]) };
+        let by_columns = StoredArray {
+            first_index_fastest: true,
+            ..stored(&[1.0, 4.0, 2.0, 5.0, 3.0, 6.0], &[2, 3])
+        };
         let mut rounding = None;
         for array in [stored(&rows, &[2, 3]), by_columns] {
             assert_eq!(array.values(&MATRIX, &mut rounding).unwrap(), rows.map(|v| v as f32));
@@ -174,7 +176,8 @@ mod tests {
     #[test]
     fn the_largest_rounding_is_reported() {
         let mut rounding = None;
-        let values = stored(&[0.5, 0.1, -3.3, 1.0], &[2, 2]).values(&MATRIX, &mut rounding).unwrap();
+        let values =
+            stored(&[0.5, 0.1, -3.3, 1.0], &[2, 2]).values(&MATRIX, &mut rounding).unwrap();
         assert_eq!(values, [0.5, 0.1, -3.3, 1.0]);
         let largest = rounding.clone().unwrap();
         assert_eq!((largest.index.as_slice(), largest.value), (&[1, 0][..], -3.3));

@@ -85,7 +85,7 @@ pub enum TensorProblem {
         prefix: String,
     },
     /// A part of the network is not there.
-    #[error("has no array `{array}`, only {}; add it, or give it this name", list(found))]
+    #[error("has no array `{array}`, it has {}; add the array, or give it this name", list(found))]
     Missing {
         /// The array's name.
         array: String,
@@ -101,7 +101,11 @@ pub enum TensorProblem {
         array: String,
     },
     /// An array has the wrong shape.
-    #[error("array `{array}` has shape {found:?}, expected {}; {}", shape(expected), shape_mend(found, expected))]
+    #[error(
+        "array `{array}` has shape {found:?}, expected {}; {}",
+        shape(expected),
+        shape_mend(found, expected)
+    )]
     Shape {
         /// Its name.
         array: String,
@@ -121,7 +125,9 @@ pub enum TensorProblem {
         found: String,
     },
     /// A value is infinite or not a number.
-    #[error("array `{array}` holds {value} at {index:?}, expected finite numbers; train the network again or repair the value")]
+    #[error(
+        "array `{array}` holds {value} at {index:?}, expected finite numbers; train the network again or repair the value"
+    )]
     NotFinite {
         /// The array's name.
         array: String,
@@ -131,7 +137,10 @@ pub enum TensorProblem {
         value: f64,
     },
     /// A float64 value is too large for float32.
-    #[error("array `{array}` holds {value:e} at {index:?}, beyond the largest float32, {:e}; scale the network so that its weights are smaller", f32::MAX)]
+    #[error(
+        "array `{array}` holds {value:e} at {index:?}, beyond the largest float32, {:e}; scale the network so that its weights are smaller",
+        f32::MAX
+    )]
     OutOfRange {
         /// The array's name.
         array: String,
@@ -141,13 +150,18 @@ pub enum TensorProblem {
         value: f64,
     },
     /// The file names an activation that the core does not have.
-    #[error("activation `{name}` is unknown, expected one of {}; train the network with one of these", activations::known())]
+    #[error(
+        "activation `{name}` is unknown, expected one of {}; train the network with one of these",
+        activations::known()
+    )]
     UnknownActivation {
         /// The name.
         name: String,
     },
     /// There are neither one activation nor as many as layers.
-    #[error("{found} activations for {layers} inner layers; give one for all layers or one for each")]
+    #[error(
+        "{found} activations for {layers} inner layers; give one for all layers or one for each"
+    )]
     ActivationCount {
         /// How many were given.
         found: usize,
@@ -155,7 +169,9 @@ pub enum TensorProblem {
         layers: usize,
     },
     /// The caller asks for other activations than the file states.
-    #[error("was written for the activations {stated}, asked for are {asked}; leave the choice to the file, or correct the file")]
+    #[error(
+        "was written for the activations {stated}, asked for are {asked}; leave the choice to the file, or correct the file"
+    )]
     ActivationsDiffer {
         /// What the file states, one a layer.
         stated: String,
@@ -241,7 +257,7 @@ fn list(names: &[String]) -> String {
     const SHOWN: usize = 20;
     let shown: Vec<String> = names.iter().take(SHOWN).map(|name| format!("`{name}`")).collect();
     match names.len() {
-        0 => "none at all".to_owned(),
+        0 => "none".to_owned(),
         all if all > SHOWN => format!("{} and {} more", shown.join(", "), all - SHOWN),
         _ => shown.join(", "),
     }

@@ -178,12 +178,8 @@ pub fn from_bytes(
     let stated = contents.activations.as_deref();
     let (functions, source) = activations.resolve(stated, parts.widths.len())?;
     let architecture = parts.architecture(&functions)?;
-    let report = ImportReport {
-        kind,
-        prefix: parts.prefix,
-        activations: source,
-        rounding: parts.rounding,
-    };
+    let report =
+        ImportReport { kind, prefix: parts.prefix, activations: source, rounding: parts.rounding };
     Ok((NetworkArrays { architecture, inner: parts.inner, outer: parts.outer }, report))
 }
 

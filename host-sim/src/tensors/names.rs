@@ -59,7 +59,8 @@ pub(super) fn assemble(arrays: Vec<StoredArray<'_>>) -> Result<Parts, TensorProb
         }
     }
     let prefix = common_prefix(named.keys())?;
-    let mut found = Found { arrays: named, prefix, rounding: None };
+    let names = named.keys().cloned().collect();
+    let mut found = Found { arrays: named, names, prefix, rounding: None };
     let layers = found.count_layers()?;
 
     let mut widths = Vec::with_capacity(layers);
@@ -146,9 +147,12 @@ fn common_prefix<'n>(
         })
 }
 
-/// The arrays that have not found their place yet.
+/// What a file holds.
 struct Found<'f> {
+    /// The arrays that have not found their place yet.
     arrays: BTreeMap<String, StoredArray<'f>>,
+    /// The names of all arrays.
+    names: Vec<String>,
     prefix: String,
     rounding: Option<Rounding>,
 }
@@ -183,7 +187,7 @@ impl<'f> Found<'f> {
     fn missing(&self, name: &str) -> TensorProblem {
         TensorProblem::Missing {
             array: format!("{}{name}", self.prefix),
-            found: self.arrays.keys().cloned().collect(),
+            found: self.names.clone(),
         }
     }
 
@@ -273,7 +277,9 @@ mod tests {
         mixed.push(array("layer2.bias", &[3], 1));
         let message = refused(mixed);
         assert!(message.contains("`layer2.bias` is no part") && message.contains("net.layer1"));
-        assert!(refused(small("net_")).contains("has no array `layer1.weight`, only `net_layer1"));
+        assert!(
+            refused(small("net_")).contains("has no array `layer1.weight`, it has `net_layer1")
+        );
     }
 
     #[test]
@@ -303,9 +309,9 @@ mod tests {
             let name = arrays.remove(missing).name.replace("kernel", "weight");
             let name = if missing == 0 { "layer1.weight" } else { &name };
             let found = refused(arrays);
-            assert!(found.contains(&format!("has no array `{name}`, only ")), "{found}");
+            assert!(found.contains(&format!("has no array `{name}`, it has ")), "{found}");
         }
-        assert!(refused(Vec::new()).contains("only none at all"));
+        assert!(refused(Vec::new()).contains("it has none; add"));
     }
 
     #[test]

@@ -68,7 +68,8 @@ impl Head {
         // Python's tuple of one needs its comma.
         let comma = if shape.len() == 1 { "," } else { "" };
         let shape = extents.join(", ");
-        let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}{comma}), }}");
+        let text =
+            format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}{comma}), }}");
         let before = MAGIC.len() + 4;
         // One byte more for the line's end.
         let padded = (before + text.len() + 1).next_multiple_of(ALIGNMENT) - before;
@@ -126,7 +127,11 @@ impl<'t> Text<'t> {
     }
 
     fn boolean(&mut self) -> Option<bool> {
-        if self.symbol("True").is_some() { Some(true) } else { self.symbol("False").map(|()| false) }
+        if self.symbol("True").is_some() {
+            Some(true)
+        } else {
+            self.symbol("False").map(|()| false)
+        }
     }
 
     fn tuple(&mut self) -> Option<Vec<usize>> {

@@ -4,7 +4,7 @@
 //! head nor a compressed stream that promises gigabytes is followed. Checksums of what is used
 //! are verified.
 
-use std::io::{self, Read, Write};
+use std::io::{Read, Write};
 
 use agent_core::network::INNER_LAYERS_MAX;
 use flate2::bufread::DeflateDecoder;
@@ -39,13 +39,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Contents<'_>, TensorProblem> {
         let path = String::from_utf8_lossy(entry.file_path().as_bytes()).escape_debug().to_string();
         let name = path.strip_suffix(".npy").unwrap_or(&path).to_owned();
         let unreadable = |reason| TensorProblem::Array { array: name.clone(), reason };
-        let local = archive
-            .get_entry(entry.wayfinder())
-            .map_err(|error| unreadable(error.to_string()))?;
+        let local =
+            archive.get_entry(entry.wayfinder()).map_err(|error| unreadable(error.to_string()))?;
         let unpacked = match entry.compression_method() {
-            CompressionMethod::STORE => {
-                unpack(local.verifying_reader(local.data()), &name)
-            }
+            CompressionMethod::STORE => unpack(local.verifying_reader(local.data()), &name),
             CompressionMethod::DEFLATE => {
                 unpack(local.verifying_reader(DeflateDecoder::new(local.data())), &name)
             }
@@ -71,7 +68,8 @@ pub(super) fn write(arrays: &[NamedArray], activations: &[&str]) -> Result<Vec<u
         let entry: Vec<u8> = Head::row_major("<f4", shape).into_iter().chain(values).collect();
         store(&mut archive, name, &entry).map_err(|error| error.to_string())?;
     }
-    store(&mut archive, ACTIVATIONS, &text_array(activations)).map_err(|error| error.to_string())?;
+    store(&mut archive, ACTIVATIONS, &text_array(activations))
+        .map_err(|error| error.to_string())?;
     archive.finish().map_err(|error| error.to_string())?;
     Ok(bytes)
 }
@@ -174,15 +172,10 @@ fn texts(head: &Head, source: impl Read) -> Result<Vec<String>, String> {
 fn exactly(source: impl Read, length: usize) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::with_capacity(length + 1);
     // One byte more than there should be, so that the reader reaches its end and verifies.
-    source.take(length as u64 + 1).read_to_end(&mut bytes).map_err(described)?;
+    source.take(length as u64 + 1).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
     match bytes.len() {
         found if found < length => Err(format!("it ends after {found} of {length} bytes")),
         found if found > length => Err(format!("it goes on after its {length} bytes")),
         _ => Ok(bytes),
     }
-}
-
-#[expect(clippy::needless_pass_by_value, reason = "for map_err")]
-fn described(error: io::Error) -> String {
-    error.to_string()
 }

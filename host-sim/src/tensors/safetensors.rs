@@ -19,11 +19,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Contents<'_>, TensorProblem> {
         reason: error.to_string(),
     };
     let (_, head) = SafeTensors::read_metadata(bytes).map_err(refused)?;
-    let activations = head
-        .metadata()
-        .as_ref()
-        .and_then(|metadata| metadata.get(ACTIVATIONS))
-        .map(|names| names.split(',').map(|name| name.trim().escape_debug().to_string()).collect());
+    let activations =
+        head.metadata().as_ref().and_then(|metadata| metadata.get(ACTIVATIONS)).map(|names| {
+            names.split(',').map(|name| name.trim().escape_debug().to_string()).collect()
+        });
     let tensors = SafeTensors::deserialize(bytes).map_err(refused)?;
     let arrays = tensors
         .iter()

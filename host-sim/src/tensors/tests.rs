@@ -42,8 +42,8 @@ fn what_unpacks_to_far_more_than_a_network_is_not_unpacked() {
 
 #[test]
 fn shapes_that_no_memory_could_hold_are_refused() {
-    for shape in [&[usize::MAX, usize::MAX][..], &[usize::MAX, 0], &[1 << 40, 1 << 20]] {
-        let message = refused(FileKind::Npz, &zeros_in_npz("layer1.weight.npy", shape, 64));
+    for shape in [[usize::MAX, usize::MAX], [1 << 40, 1 << 20], [1 << 13, 1 << 13]] {
+        let message = refused(FileKind::Npz, &zeros_in_npz("layer1.weight.npy", &shape, 64));
         assert!(message.contains("array `layer1.weight` has shape"), "{message}");
     }
     for head in [
