@@ -18,3 +18,4 @@ mod paper_run;
 mod reproduce;
 mod scales;
 mod scenario_errors;
+mod tensors;

@@ -15,6 +15,7 @@
 //! | [`progress`], [`output_file`], [`fnv`] | progress bars; files that are whole or not there; a hash |
 //! | [`progress`], [`output_file`] | progress bars; files that are whole or not there |
 //! | [`signing`] | the operator's keys, for packages of weights |
+//! | [`tensors`] | networks from and for PyTorch, JAX and NumPy |
 //! | [`commands`] | what the command line does |
 #![forbid(unsafe_code)]
 
@@ -34,4 +35,5 @@ pub mod progress;
 pub mod report;
 pub mod scenario;
 pub mod signing;
+pub mod tensors;
 pub mod training;
