@@ -19,10 +19,13 @@
 //! | [`trigger`] | when to broadcast | `Trigger` |
 //! | [`agent`] | parameters, state, and the step that joins all these | |
 //! | [`capture`], [`bank`] | samples for offline training; switching in its result | |
+//! | [`store`] | weight packages in flash, safe against loss of power at any instant | |
+//! | [`checksum`] | the CRC-32 of frames and flash | |
 //!
 //! Parameters ([`agent::AgentParams`]) never change and can live in flash; the state
 //! ([`agent::AgentState`]) is all that does. Time, measurements and frames are arguments, the
-//! frame to broadcast is a return value: nothing here touches a peripheral.
+//! frame to broadcast is a return value: nothing here touches a peripheral, except that
+//! [`store`] writes through the flash driver that it is given.
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -30,6 +33,7 @@ pub mod activation;
 pub mod agent;
 pub mod bank;
 pub mod capture;
+pub mod checksum;
 pub mod frame;
 pub mod hold;
 pub mod inbox;
@@ -39,6 +43,8 @@ pub mod observer;
 pub mod outer_law;
 pub mod parameter;
 pub mod projection;
+mod sequence;
+pub mod store;
 pub mod trigger;
 
 /// A vector of the state space, shape `[N]`.
