@@ -19,7 +19,7 @@ mod paper_run;
 mod reproduce;
 mod scales;
 mod scenario_errors;
-mod tensors;
 mod store_histories;
 mod store_model;
 mod store_power_cuts;
+mod tensors;
