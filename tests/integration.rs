@@ -19,6 +19,7 @@ mod paper_run;
 mod reproduce;
 mod scales;
 mod scenario_errors;
+mod store_damage;
 mod store_histories;
 mod store_model;
 mod store_power_cuts;
