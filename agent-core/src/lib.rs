@@ -18,10 +18,11 @@
 //! | [`outer_law`], [`projection`] | the adaptation of the outer weights | `What_i Dot` |
 //! | [`trigger`] | when to broadcast | `Trigger` |
 //! | [`agent`] | parameters, state, and the step that joins all these | |
+//! | [`health`] | what goes wrong at run time: counted, and what to do about it | `Zeno Bound` |
 //! | [`capture`], [`bank`] | samples for offline training; switching in its result | |
 //! | [`package`] | all of the above parameters as bytes that prove themselves | |
 //! | [`checksum`], [`signature`] | against damage; against strangers | |
-//! | [`symmetric`], [`numeric`], [`parameter`] | gains; ordered sums; ranges | |
+//! | [`symmetric`], [`numeric`], [`parameter`], [`region`] | gains; ordered sums; ranges; boxes | |
 //!
 //! Parameters ([`agent::AgentParams`]) never change and can live in flash; the state
 //! ([`agent::AgentState`]) is all that does. Time, measurements and frames are arguments, the
@@ -35,6 +36,7 @@ pub mod bank;
 pub mod capture;
 pub mod checksum;
 pub mod frame;
+pub mod health;
 pub mod hold;
 pub mod inbox;
 pub mod network;
@@ -44,6 +46,7 @@ pub mod outer_law;
 pub mod package;
 pub mod parameter;
 pub mod projection;
+pub mod region;
 pub mod signature;
 pub mod symmetric;
 pub mod trigger;

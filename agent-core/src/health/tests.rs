@@ -1,0 +1,1 @@
+//! Counters, rows of steps, and reports.
