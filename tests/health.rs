@@ -23,7 +23,11 @@ fn measure() {
                         calm.step(|_, _| ());
                     }
                     for _ in 0..duration {
-                        ring.step(|i, m| if i == 0 { *m = y });
+                        ring.step(|i, m| {
+                            if i == 0 {
+                                *m = y
+                            }
+                        });
                         calm.step(|_, _| ());
                     }
                     let mut back = None;
@@ -34,12 +38,25 @@ fn measure() {
                             ring.step(|_, _| ());
                             calm.step(|_, _| ());
                             let worst = (0..3).map(|a| ring.error(a) / 1.0).fold(0.0, f64::max);
-                            if worst > 0.5 { back = None } else if back.is_none() { back = Some(ring.tick - end) }
+                            if worst > 0.5 {
+                                back = None
+                            } else if back.is_none() {
+                                back = Some(ring.tick - end)
+                            }
                         }
                         levels.push((ring.error(0), calm.error(0)));
                     }
-                    println!("{name} y={y:e} x{duration} seed {seed}: back after {back:?}; errors at 1,3,10 s {:.3?} {:.3?} {:.3?}; |W|^2 {} restarts {:?}",
-                      levels[0], levels[2], levels[9], ring.agents[0].state.outer_weights().norm_squared(), ring.agents.iter().map(|a| a.health.counters().restarts).collect::<Vec<_>>());
+                    println!(
+                        "{name} y={y:e} x{duration} seed {seed}: back after {back:?}; errors at 1,3,10 s {:.3?} {:.3?} {:.3?}; |W|^2 {} restarts {:?}",
+                        levels[0],
+                        levels[2],
+                        levels[9],
+                        ring.agents[0].state.outer_weights().norm_squared(),
+                        ring.agents
+                            .iter()
+                            .map(|a| a.health.counters().restarts)
+                            .collect::<Vec<_>>()
+                    );
                 }
             }
         }

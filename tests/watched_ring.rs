@@ -63,7 +63,8 @@ impl Ring {
     /// The ring of a seed.
     pub(crate) fn new(seed: u64, settings: &HealthSettings) -> Self {
         let mut draw = Draw::new(seed);
-        let layers = [12, FEATURES as u8].map(|width| Layer { width, activation: Activation::Tanh });
+        let layers =
+            [12, FEATURES as u8].map(|width| Layer { width, activation: Activation::Tanh });
         let architecture = Architecture::new(3, &layers).unwrap();
         let parameters = draw.signed_many(architecture.parameter_count(), 0.5);
         let outer_weights = draw.signed_many(FEATURES * 3, 3.0);

@@ -39,7 +39,7 @@
 //!
 //! Everything is a function of the steps' outcomes: nodes that see the same do the same.
 //!
-//! Memory: 112 bytes of state, `16 N + 48` of parameters. Cost a step: `2 N` comparisons for a healthy
+//! Memory: 176 bytes of state, `16 N + 28` of parameters. Cost a step: `2 N` comparisons for a healthy
 //! estimate and `4 N` for another, and some 40 instructions beside them.
 //!
 //! [`StateBox`]: crate::package::StateBox
