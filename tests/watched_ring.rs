@@ -41,7 +41,7 @@ pub(crate) struct Watched {
     pub(crate) state: AgentState<3, FEATURES, Places<3>>,
     pub(crate) inbox: Inbox<3, Places<3>>,
     pub(crate) health: Health,
-    /// What the last steps returned: the error of each step that was refused.
+    /// Why the last step was refused, if it was.
     pub(crate) refusal: Option<StepError>,
 }
 
@@ -123,7 +123,7 @@ impl Ring {
     }
 
     /// Where the point is.
-    pub(crate) fn truth(&self) -> StateVector<3> {
+    fn truth(&self) -> StateVector<3> {
         let time = self.tick as f32 * STEP_SIZE;
         let angle = self.rates * time + self.phases;
         self.amplitudes.component_mul(&angle.map(f32::sin))
@@ -183,8 +183,13 @@ impl Ring {
         self.tick += 1;
     }
 
+    /// Undisturbed steps.
+    pub(crate) fn skip(&mut self, steps: Tick) {
+        (0..steps).for_each(|_| self.step(|_, _| ()));
+    }
+
     /// `|e_1i|`.
-    pub(crate) fn error(&self, agent: usize) -> f64 {
+    fn error(&self, agent: usize) -> f64 {
         let error = self.agents[agent].state.estimate() - self.truth();
         error.iter().fold(0.0, |sum, &e| sum + f64::from(e) * f64::from(e)).sqrt()
     }
