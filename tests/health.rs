@@ -31,10 +31,11 @@ const SETTLED: Tick = 1_000;
 const JUDGED: Tick = 3_000;
 
 /// Whether two error levels are the same. The runs part with the first disturbance: broadcasts fall on
-/// other steps, and outer weights begin anew; a level is one number out of many that would do.
+/// other steps, and outer weights begin anew. In 300 drawn cases the ratio was 0.97 to 1.07; outer
+/// weights that were left on their bound make it 1.8.
 fn same_level(found: [f64; 3], expected: [f64; 3]) -> bool {
     let norm = |levels: [f64; 3]| levels.iter().map(|level| level * level).sum::<f64>().sqrt();
-    close(norm(found), norm(expected), 0.1, 0.0)
+    close(norm(found), norm(expected), 0.2, 0.0)
 }
 
 /// A number that no sensor of this point gives: not a number, infinite, or huge.
@@ -110,7 +111,7 @@ fn agents_that_were_carried_off_return_by_beginning_anew() {
     println!("{found:.4?}, undisturbed {expected:.4?}");
     assert!(same_level(found, expected));
     for agent in &ring.agents {
-        assert_eq!(agent.health.counters().restarts, 1);
+        assert_eq!(agent.health.counters().restarts, 1, "one is enough");
         assert!(agent.health.network_in_use());
     }
 }

@@ -28,14 +28,18 @@
 //! nothing about the network and neither ends nor prolongs a row.
 //!
 //! # Recovering
-//! An agent that sees sane inputs again comes back by itself as long as its numbers do: the
-//! feedback shrinks an error by `1 - dt k` a step. Not so if a step overflows: it is not taken, the
-//! estimate stays huge, and the next one overflows again. And not so the outer weights, which one
-//! huge innovation throws onto their bound. So an agent begins anew, with the centre of the
-//! trained box and the package's outer weights, after [`HealthSettings::restart_after`] steps in a row
-//! that overflowed or led outside the plausible region, which is the trained box widened by
-//! [`HealthSettings::plausible_margin`] widths. Samples of neighbours outside that region are dropped,
-//! or they would carry it off again. [`Health::restart`] does all of it.
+//! A step that overflows is not taken: it does no harm by itself. But if the estimate is huge, or a
+//! held sample of a neighbour, the next step overflows again, and so on for ever. And a huge
+//! measurement that does not overflow throws the outer weights onto their bound, where they stay
+//! useless for a long time after the feedback, which shrinks an error by `1 - dt k` a step, has
+//! brought the estimate back. So an agent begins anew, with the centre of the trained box and the
+//! package's outer weights,
+//! - at once when a step leads outside the plausible region, which is the trained box widened by
+//!   [`HealthSettings::plausible_margin`] widths: the harm is done;
+//! - after [`HealthSettings::restart_after`] steps in a row that overflow.
+//!
+//! Samples of neighbours outside the plausible region are dropped, or they would carry it off again.
+//! [`Health::restart`] does all of it; `docs/decisions/0010-beginning-anew.md` has the measurements.
 //!
 //! Everything is a function of the steps' outcomes: nodes that see the same do the same.
 //!
@@ -78,8 +82,8 @@ pub struct Health {
     fallen_back: bool,
     /// Steps in a row towards falling back, or towards returning.
     row: u32,
-    /// Steps in a row towards a restart.
-    lost_row: u32,
+    /// Steps in a row that overflowed; `u32::MAX` if the estimate is implausible.
+    overflows: u32,
     last_report: Option<Tick>,
     reported: HealthCounters,
 }
@@ -104,19 +108,22 @@ impl Health {
     where
         S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
     {
+        // Whether the step was unhealthy, and for how many steps in a row the agent is lost.
         let (unhealthy, lost) = match outcome {
             Ok(output) => {
                 self.notice_time(tick);
                 if let Some(frame) = &output.broadcast {
                     self.notice_broadcast(params, frame.tick);
                 }
-                self.notice_state(params, state)
+                let (unhealthy, lost) = self.notice_state(params, state);
+                (unhealthy, if lost { u32::MAX } else { 0 })
             }
             Err(StepError::Diverged) => {
                 self.notice_time(tick);
                 count(&mut self.counters.diverged);
                 // A kind that was not chosen is no sign of health either.
-                (params.fall_back.is_some_and(|f| f.diverged).then_some(true), true)
+                let unhealthy = params.fall_back.is_some_and(|f| f.diverged).then_some(true);
+                (unhealthy, self.overflows.saturating_add(1))
             }
             Err(StepError::MeasurementNotFinite { .. }) => {
                 self.notice_time(tick);
@@ -131,9 +138,9 @@ impl Health {
         if let (Some(fall_back), Some(unhealthy)) = (&params.fall_back, unhealthy) {
             self.fall_back_or_return(fall_back, unhealthy);
         }
-        self.lost_row = if lost { self.lost_row.saturating_add(1) } else { 0 };
+        self.overflows = lost;
         match params.restart_after {
-            Some(after) if self.lost_row >= after.get() => Advice::Restart,
+            Some(after) if lost >= after.get() => Advice::Restart,
             _ => Advice::Continue,
         }
     }
@@ -248,7 +255,7 @@ impl Health {
         state.forget_neighbours_outside(&params.plausible);
         inbox.discard_outside(&params.plausible);
         self.last_broadcast = frame.tick;
-        self.lost_row = 0;
+        self.overflows = 0;
         count(&mut self.counters.restarts);
         Ok(frame)
     }

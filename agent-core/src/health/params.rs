@@ -31,8 +31,8 @@ pub struct HealthSettings {
     /// widths of the box. Above 0. Larger than any excursion of the plant: an agent whose plant
     /// really is outside would begin anew again and again.
     pub plausible_margin: f32,
-    /// After how many steps in a row that overflow or lead outside the plausible region the
-    /// agent begins anew; `None` for never.
+    /// After how many steps in a row that overflow the agent begins anew; outside the plausible
+    /// region it does so at once. `None` for never, in either case.
     pub restart_after: Option<NonZeroU32>,
     /// Least time between two reports. \[steps\]
     pub telemetry_interval: u32,
