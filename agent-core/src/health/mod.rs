@@ -44,7 +44,8 @@
 //! Everything is a function of the steps' outcomes: nodes that see the same do the same.
 //!
 //! Memory: 176 bytes of state, `16 N + 28` of parameters. Cost a step: `2 N` comparisons for a healthy
-//! estimate and `4 N` for another, and some 40 instructions beside them.
+//! estimate and up to `4 N` for another. With `N = 3` a healthy step without a broadcast takes
+//! about 95 instructions of a Cortex-M4F, counted by hand in the machine code.
 //!
 //! [`StateBox`]: crate::package::StateBox
 
