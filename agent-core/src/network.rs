@@ -181,6 +181,13 @@ impl<S: AsRef<[f32]>> InnerNetwork<S> {
         }
     }
 
+    /// Joins parameters that were found finite before; `None` if there are not as many as the
+    /// architecture asks for.
+    pub(crate) fn verified(architecture: Architecture, parameters: S) -> Option<Self> {
+        (parameters.as_ref().len() == architecture.parameter_count())
+            .then_some(Self { architecture, parameters })
+    }
+
     /// Widths and activations.
     #[must_use]
     pub fn architecture(&self) -> &Architecture {

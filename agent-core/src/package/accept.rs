@@ -188,8 +188,8 @@ fn check_sizes<const N: usize>(package: &Package<'_>, capacity: &Capacity) -> Re
     }
     let needs = [
         ("features", capacity.features, package.features()),
-        ("neighbours", capacity.neighbours, package.neighbours.len()),
-        ("gain entries", capacity.gain_entries, package.outer_law.gain.entries().len()),
+        ("neighbours", capacity.neighbours, package.node.neighbours.len()),
+        ("gain entries", capacity.gain_entries, package.node.outer_law.gain.entries().len()),
     ];
     for (what, capacity, found) in needs {
         if found > capacity {
@@ -200,21 +200,21 @@ fn check_sizes<const N: usize>(package: &Package<'_>, capacity: &Capacity) -> Re
 }
 
 fn check_parameters<const N: usize>(package: &Package<'_>) -> Result<(), Refusal> {
-    package.gain.validate("observer.gain", N)?;
-    package.outer_law.validate(package.features())?;
+    package.node.gain.validate("observer.gain", N)?;
+    package.node.outer_law.validate(package.features())?;
     let norm_squared = package.outer_weights.chunks_exact(N).fold(0.0, |sum, row| {
         let row = StateVector::<N>::from_column_slice(row);
         sum + dot(&row, &row)
     });
-    package.outer_law.validate_norm(norm_squared)?;
-    package.trigger.validate()?;
-    positive("step_size", package.step_size)?;
+    package.node.outer_law.validate_norm(norm_squared)?;
+    package.node.trigger.validate()?;
+    positive("step_size", package.node.step_size)?;
     not_negative("broadcast_interval_min", package.broadcast_interval_min)?;
-    finite("output_matrix", package.output_matrix)?;
+    finite("output_matrix", package.node.output_matrix)?;
     let mut previous = None;
-    for neighbour in package.neighbours() {
+    for neighbour in package.node.neighbours() {
         let id = neighbour.id;
-        if id == package.agent {
+        if id == package.node.agent {
             return Err(ParameterError::OwnNeighbour { id }.into());
         }
         if previous.is_some_and(|previous| id <= previous) {
@@ -232,8 +232,8 @@ fn check_parameters<const N: usize>(package: &Package<'_>) -> Result<(), Refusal
 
 fn check_identity(package: &Package<'_>, requirements: &Requirements<'_>) -> Result<(), Refusal> {
     let Some(in_use) = requirements.in_use else { return Ok(()) };
-    if package.agent != in_use.agent {
-        return Err(Refusal::Agent { expected: in_use.agent, found: package.agent });
+    if package.node.agent != in_use.agent {
+        return Err(Refusal::Agent { expected: in_use.agent, found: package.node.agent });
     }
     // Only what is signed can be trusted to ask for an exception.
     let replaces = package.replaces.filter(|_| requirements.public_key.is_some());

@@ -2,7 +2,7 @@
 
 use super::wire::{CONSTANTS, Counts, Metadata};
 use super::{
-    Envelope, HEADER_LENGTH, NeighbourIds, Package, PackageError, StateBox, TEST_VECTORS_MAX,
+    Envelope, HEADER_LENGTH, NeighbourIds, Node, Package, PackageError, StateBox, TEST_VECTORS_MAX,
 };
 use crate::network::{Architecture, INNER_LAYERS_MAX, InnerNetwork, Layer};
 use crate::outer_law::OuterLawParams;
@@ -116,25 +116,27 @@ fn assemble<'a>(
     Some(Ok(Package {
         version: metadata.version,
         replaces: metadata.replaces,
-        agent: metadata.agent,
         outer_weights_on_switch: metadata.outer_weights_on_switch,
         network,
         outer_weights,
-        output_matrix,
-        gain,
-        neighbours,
-        edge_weights,
-        outer_law: OuterLawParams {
-            gain: outer_gain,
-            projection: ProjectionParams {
-                radius,
-                boundary_layer,
-                smoothing,
-                smoothness: metadata.smoothness,
+        node: Node {
+            agent: metadata.agent,
+            output_matrix,
+            gain,
+            neighbours,
+            edge_weights,
+            outer_law: OuterLawParams {
+                gain: outer_gain,
+                projection: ProjectionParams {
+                    radius,
+                    boundary_layer,
+                    smoothing,
+                    smoothness: metadata.smoothness,
+                },
             },
+            trigger: TriggerParams { hold_error_weight, consensus_weight, threshold },
+            step_size,
         },
-        trigger: TriggerParams { hold_error_weight, consensus_weight, threshold },
-        step_size,
         broadcast_interval_min,
         trained_box: StateBox { low, high },
         provenance: metadata.provenance,

@@ -78,7 +78,7 @@ impl Package<'_> {
         Ok(Metadata {
             version: self.version,
             replaces: self.replaces,
-            agent: self.agent,
+            agent: self.node.agent,
             outer_weights_on_switch: self.outer_weights_on_switch,
             // Within the bounds of an architecture and its number of outputs.
             inputs: architecture.inputs() as u8,
@@ -87,11 +87,11 @@ impl Package<'_> {
                 .iter()
                 .map(|l| WireLayer { width: l.width, activation: l.activation.into() })
                 .collect(),
-            outputs: self.outputs() as u8,
-            neighbours: self.neighbours.bytes(),
-            gain: Form::of(&self.gain),
-            outer_gain: Form::of(&self.outer_law.gain),
-            smoothness: self.outer_law.projection.smoothness,
+            outputs: self.node.outputs(self.dimension()) as u8,
+            neighbours: self.node.neighbours.bytes(),
+            gain: Form::of(&self.node.gain),
+            outer_gain: Form::of(&self.node.outer_law.gain),
+            smoothness: self.node.outer_law.projection.smoothness,
             test_vectors: test_vectors as u8,
             provenance: self.provenance,
         })
@@ -99,7 +99,7 @@ impl Package<'_> {
 
     /// All numbers, in the order of the format.
     fn numbers(&self) -> impl Iterator<Item = f32> + '_ {
-        let (projection, trigger) = (&self.outer_law.projection, &self.trigger);
+        let (projection, trigger) = (&self.node.outer_law.projection, &self.node.trigger);
         let constants = [
             projection.radius,
             projection.boundary_layer,
@@ -107,13 +107,13 @@ impl Package<'_> {
             trigger.hold_error_weight,
             trigger.consensus_weight,
             trigger.threshold,
-            self.step_size,
+            self.node.step_size,
             self.broadcast_interval_min,
         ];
         let network = self.network.parameters().iter();
-        let matrices = self.outer_weights.iter().chain(self.output_matrix);
-        let gains = self.gain.entries().iter().chain(self.outer_law.gain.entries());
-        let before = network.chain(matrices).chain(gains).chain(self.edge_weights);
+        let matrices = self.outer_weights.iter().chain(self.node.output_matrix);
+        let gains = self.node.gain.entries().iter().chain(self.node.outer_law.gain.entries());
+        let before = network.chain(matrices).chain(gains).chain(self.node.edge_weights);
         let limits = self.trained_box.low.iter().chain(self.trained_box.high);
         before.copied().chain(constants).chain(limits.chain(self.test_vectors).copied())
     }

@@ -25,6 +25,7 @@ mod decode;
 mod encode;
 mod envelope;
 mod error;
+mod place;
 mod wire;
 
 pub use accept::{Capacity, InUse, Refusal, Requirements, accept};
@@ -33,6 +34,7 @@ pub use envelope::{
     Envelope, FORMAT_VERSION, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH, signature_block,
 };
 pub use error::PackageError;
+pub use place::NetworkPlace;
 
 use serde::{Deserialize, Serialize};
 
@@ -58,14 +60,32 @@ pub struct Package<'a> {
     /// If there is one, the package may take the place of any version up to this one although
     /// it is itself older. Counts only if the package is signed.
     pub replaces: Option<u32>,
-    /// Whose package it is.
-    pub agent: AgentId,
     /// What becomes of the adapted outer weights when the package is switched in.
     pub outer_weights_on_switch: OnSwitch,
     /// The inner network.
     pub network: InnerNetwork<&'a [f32]>,
     /// `W_hat` to start from, row by row, shape `[L, n]`.
     pub outer_weights: &'a [f32],
+    /// What makes the node this agent.
+    pub node: Node<'a>,
+    /// Time between broadcasts that Theorem 2 guarantees on the trajectories that the network
+    /// was trained on; 0 where none is known. \[s\]
+    pub broadcast_interval_min: f32,
+    /// The inputs that the network was trained on.
+    pub trained_box: StateBox<'a>,
+    /// Where the network comes from.
+    pub provenance: Provenance<'a>,
+    /// Inputs with the exact outputs for them, one after another: `n` numbers of input, `L`
+    /// features, `n` numbers of `W_hat^T sigma`.
+    pub test_vectors: &'a [f32],
+}
+
+/// Everything about an agent but its network: what a node needs to run the observer on its
+/// feedback alone.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Node<'a> {
+    /// The agent's number.
+    pub agent: AgentId,
     /// `C_i`, row by row, shape `[m, n]`.
     pub output_matrix: &'a [f32],
     /// `K_1`, shape `[n, n]`. \[1/s\]
@@ -80,16 +100,6 @@ pub struct Package<'a> {
     pub trigger: TriggerParams,
     /// `dt`. \[s\]
     pub step_size: f32,
-    /// Time between broadcasts that Theorem 2 guarantees on the trajectories that the network
-    /// was trained on; 0 where none is known. \[s\]
-    pub broadcast_interval_min: f32,
-    /// The inputs that the network was trained on.
-    pub trained_box: StateBox<'a>,
-    /// Where the network comes from.
-    pub provenance: Provenance<'a>,
-    /// Inputs with the exact outputs for them, one after another: `n` numbers of input, `L`
-    /// features, `n` numbers of `W_hat^T sigma`.
-    pub test_vectors: &'a [f32],
 }
 
 /// What becomes of the outer weights that an agent has adapted when another package takes over.
@@ -212,12 +222,6 @@ impl<'a> Package<'a> {
         self.network.architecture().features()
     }
 
-    /// `m`, how many outputs the agent measures.
-    #[must_use]
-    pub fn outputs(&self) -> usize {
-        self.output_matrix.len() / self.dimension().max(1)
-    }
-
     /// The test vectors, one after another.
     pub fn test_vectors(&self) -> impl Iterator<Item = TestVector<'a>> + '_ {
         let (n, features) = (self.dimension(), self.features());
@@ -228,6 +232,14 @@ impl<'a> Package<'a> {
             Some(TestVector { input, features, output })
         })
     }
+}
+
+impl Node<'_> {
+    /// `m`, how many outputs the agent of a state with `dimension` components measures.
+    #[must_use]
+    pub fn outputs(&self, dimension: usize) -> usize {
+        self.output_matrix.len() / dimension.max(1)
+    }
 
     /// The neighbours with the weights of their edges.
     pub fn neighbours(&self) -> impl Iterator<Item = Neighbour> + '_ {
@@ -235,21 +247,18 @@ impl<'a> Package<'a> {
         self.neighbours.iter().zip(weights).map(|(id, &weight)| Neighbour { id, weight })
     }
 
-    /// The agent's parameters, copied into memory of the caller: they outlive the package's bytes.
+    /// The agent's parameters, copied into memory of the caller: they outlive what is borrowed here.
     /// `neighbours` needs a place for each neighbour, `gain` one for each entry of `Gamma`.
     ///
     /// # Errors
-    /// What [`AgentParams::new`] refuses, another state dimension than `N`, or too few places.
-    pub fn agent_params<'b, const N: usize>(
+    /// What [`AgentParams::new`] refuses, matrices of another shape, or too few places.
+    pub fn params<'b, const N: usize>(
         &self,
         neighbours: &'b mut [Neighbour],
         gain: &'b mut [f32],
     ) -> Result<AgentParams<'b, N>, ParameterError> {
         let length =
             |parameter, expected, found| ParameterError::Length { parameter, expected, found };
-        if self.dimension() != N {
-            return Err(length("state", N, self.dimension()));
-        }
         let (capacity, found) = (neighbours.len(), self.neighbours.len());
         let neighbours =
             neighbours.get_mut(..found).ok_or(length("observer.neighbours", capacity, found))?;
@@ -264,10 +273,13 @@ impl<'a> Package<'a> {
             entries.len(),
         ))?;
         gain.copy_from_slice(entries);
+        if !self.output_matrix.len().is_multiple_of(N) {
+            return Err(length("output_matrix", self.outputs(N) * N, self.output_matrix.len()));
+        }
         let mut rows = heapless::Vec::<StateVector<N>, N>::new();
-        for row in self.output_matrix.chunks_exact(N.max(1)) {
+        for row in self.output_matrix.chunks_exact(N) {
             rows.push(StateVector::from_column_slice(row))
-                .map_err(|_| length("output_matrix", N, self.outputs()))?;
+                .map_err(|_| length("output_matrix", N, self.outputs(N)))?;
         }
         self.gain.validate("observer.gain", N)?;
         let observer = ObserverParams {

@@ -70,29 +70,31 @@ impl Content {
         Package {
             version: 5,
             replaces: None,
-            agent: 7,
             outer_weights_on_switch: OnSwitch::Keep,
             network: InnerNetwork::new(architecture, &self.inner[..]).unwrap(),
             outer_weights: &self.outer_weights,
-            output_matrix: &[1.0, 0.0],
-            gain: SymmetricMatrix::Full(&self.gain),
-            neighbours: NeighbourIds::new(&self.neighbours).unwrap(),
-            edge_weights: &self.edge_weights,
-            outer_law: OuterLawParams {
-                gain: SymmetricMatrix::Scalar(3.0),
-                projection: crate::projection::ProjectionParams {
-                    radius: 9.0,
-                    boundary_layer: 1.0,
-                    smoothing: 0.1,
-                    smoothness: 1,
+            node: Node {
+                agent: 7,
+                output_matrix: &[1.0, 0.0],
+                gain: SymmetricMatrix::Full(&self.gain),
+                neighbours: NeighbourIds::new(&self.neighbours).unwrap(),
+                edge_weights: &self.edge_weights,
+                outer_law: OuterLawParams {
+                    gain: SymmetricMatrix::Scalar(3.0),
+                    projection: crate::projection::ProjectionParams {
+                        radius: 9.0,
+                        boundary_layer: 1.0,
+                        smoothing: 0.1,
+                        smoothness: 1,
+                    },
                 },
+                trigger: TriggerParams {
+                    hold_error_weight: 1e4,
+                    consensus_weight: 0.5,
+                    threshold: 10.0,
+                },
+                step_size: 1e-3,
             },
-            trigger: TriggerParams {
-                hold_error_weight: 1e4,
-                consensus_weight: 0.5,
-                threshold: 10.0,
-            },
-            step_size: 1e-3,
             broadcast_interval_min: 2e-3,
             trained_box: StateBox { low: &self.low, high: &self.high },
             provenance: Provenance {
@@ -118,7 +120,7 @@ const ANY: Requirements<'static> =
     Requirements { public_key: None, in_use: None, capacity: Capacity::UNLIMITED };
 
 fn refusal(package: &Package<'_>) -> Refusal {
-    accept::<2>(encoded(package).bytes(), &ANY, &mut Scratch::NEW).unwrap_err()
+    accept::<2>(encoded(package).bytes(), &ANY, &mut Scratch::NEW.clone()).unwrap_err()
 }
 
 #[test]
@@ -126,10 +128,10 @@ fn decoding_undoes_encoding_and_a_node_accepts_it() {
     let content = Content::new();
     let bytes = encoded(&content.package());
     assert_eq!(Package::decode(bytes.bytes()), Ok(content.package()));
-    let accepted = accept::<2>(bytes.bytes(), &ANY, &mut Scratch::NEW).unwrap();
+    let accepted = accept::<2>(bytes.bytes(), &ANY, &mut Scratch::NEW.clone()).unwrap();
     assert_eq!(accepted, content.package());
     assert_eq!(accepted.test_vectors().count(), 2);
-    let ids: Vec<_> = accepted.neighbours().map(|n| (n.id, n.weight)).collect();
+    let ids: Vec<_> = accepted.node.neighbours().map(|n| (n.id, n.weight)).collect();
     assert_eq!(ids, [(3, 1.0), (265, 0.5)]);
 }
 
@@ -251,15 +253,16 @@ fn each_defect_of_the_content_has_its_own_refusal() {
     assert!(matches!(refusal(&far.package()), Refusal::Parameter(_)));
     let weightless = Content { edge_weights: [1.0, 0.0], ..content.clone() };
     assert!(matches!(refusal(&weightless.package()), Refusal::Parameter(_)));
-    let slow = Package { step_size: 0.0, ..package.clone() };
+    let mut slow = package.clone();
+    slow.node.step_size = 0.0;
     assert!(matches!(refusal(&slow), Refusal::Parameter(_)));
     let mut deaf = package.clone();
-    deaf.trigger.threshold = 0.0;
+    deaf.node.trigger.threshold = 0.0;
     assert!(matches!(refusal(&deaf), Refusal::Parameter(_)));
     let negative = Package { broadcast_interval_min: -1.0, ..package.clone() };
     assert!(matches!(refusal(&negative), Refusal::Parameter(_)));
     let bytes = encoded(&package);
-    let other = accept::<3>(bytes.bytes(), &ANY, &mut Scratch::NEW).unwrap_err();
+    let other = accept::<3>(bytes.bytes(), &ANY, &mut Scratch::NEW.clone()).unwrap_err();
     assert_eq!(other, Refusal::Dimension { expected: 3, found: 2 });
 }
 
@@ -269,7 +272,7 @@ fn a_node_refuses_what_its_buffers_cannot_hold() {
     let fits = Capacity { features: 3, neighbours: 2, gain_entries: 1 };
     let with = |capacity| {
         let requirements = Requirements { capacity, ..ANY };
-        accept::<2>(bytes.bytes(), &requirements, &mut Scratch::NEW).map(|_| ())
+        accept::<2>(bytes.bytes(), &requirements, &mut Scratch::NEW.clone()).map(|_| ())
     };
     assert_eq!(with(fits), Ok(()));
     for (capacity, what) in [
@@ -287,7 +290,8 @@ fn an_older_package_or_one_for_another_agent_is_refused() {
     let offered = |package: &Package<'_>, agent, version| {
         let in_use = Some(InUse { agent, version });
         let requirements = Requirements { in_use, ..ANY };
-        accept::<2>(encoded(package).bytes(), &requirements, &mut Scratch::NEW).map(|p| p.version)
+        accept::<2>(encoded(package).bytes(), &requirements, &mut Scratch::NEW.clone())
+            .map(|p| p.version)
     };
     let package = content.package();
     assert_eq!(offered(&package, 7, 4), Ok(5));
@@ -318,13 +322,24 @@ fn parameters_come_out_as_they_went_in() {
     let content = Content::new();
     let package = content.package();
     let (mut neighbours, mut gain) = ([Neighbour { id: 0, weight: 1.0 }; 4], [0.0; 9]);
-    let params = package.agent_params::<2>(&mut neighbours, &mut gain).unwrap();
+    let params = package.node.params::<2>(&mut neighbours, &mut gain).unwrap();
     assert_eq!((params.id(), params.step_size(), params.outputs()), (7, 1e-3, 1));
     assert_eq!(params.gain().as_slice(), content.gain);
     assert_eq!(params.neighbours().len(), 2);
-    assert!(package.agent_params::<2>(&mut [], &mut [0.0; 9]).is_err());
-    assert!(package.agent_params::<2>(&mut neighbours, &mut []).is_err());
-    assert!(package.agent_params::<3>(&mut neighbours, &mut [0.0; 9]).is_err());
+    assert!(package.node.params::<2>(&mut [], &mut [0.0; 9]).is_err());
+    assert!(package.node.params::<2>(&mut neighbours, &mut []).is_err());
+    assert!(package.node.params::<3>(&mut neighbours, &mut [0.0; 9]).is_err());
+}
+
+#[test]
+fn a_network_is_found_again_at_its_place() {
+    let bytes = encoded(&Content::new().package());
+    let package = Package::decode(bytes.bytes()).unwrap();
+    let place = NetworkPlace::new(&package, bytes.bytes()).unwrap();
+    assert_eq!(place.network(bytes.bytes()).unwrap(), package.network);
+    assert_eq!(place.network(&bytes.bytes()[..80]), None);
+    // Elsewhere there is no such package.
+    assert_eq!(NetworkPlace::new(&package, &[]), None);
 }
 
 proptest! {
@@ -340,7 +355,7 @@ proptest! {
         for bytes in [&Aligned::new(&body), &Aligned::new(&headed), &changed] {
             if let Ok(package) = Package::decode(bytes.bytes()) {
                 prop_assert!(package.outer_weights.iter().all(|w| w.is_finite()));
-                let _ = accept::<2>(bytes.bytes(), &ANY, &mut Scratch::NEW);
+                let _ = accept::<2>(bytes.bytes(), &ANY, &mut Scratch::NEW.clone());
             }
         }
     }
