@@ -11,8 +11,8 @@ use agent_core::network::{LAYER_WIDTH_MAX, Scratch};
 use agent_core::numeric::all_finite;
 use agent_core::observer::Neighbour;
 use agent_core::package::{
-    Capacity, InUse, Package, PackageError, Refusal, Requirements, SIGNATURE_BLOCK_LENGTH, accept,
-    signature_block,
+    Capacity, InUse, NetworkPlace, Package, PackageError, Refusal, Requirements,
+    SIGNATURE_BLOCK_LENGTH, accept, signature_block,
 };
 use fuzz::{Aligned, mend_package};
 use libfuzzer_sys::fuzz_target;
@@ -49,14 +49,14 @@ fn check_package(package: &Package<'_>, bytes: &[u8]) {
     let numbers = [
         package.network.parameters(),
         package.outer_weights,
-        package.output_matrix,
-        package.gain.entries(),
-        package.edge_weights,
-        package.outer_law.gain.entries(),
+        package.node.output_matrix,
+        package.node.gain.entries(),
+        package.node.edge_weights,
+        package.node.outer_law.gain.entries(),
         package.trained_box.low,
         package.trained_box.high,
         package.test_vectors,
-        &[package.step_size, package.broadcast_interval_min],
+        &[package.node.step_size, package.broadcast_interval_min],
     ];
     assert!(numbers.iter().all(|numbers| numbers.iter().all(|number| number.is_finite())));
     if let Some(errors) = package.provenance.errors {
@@ -64,9 +64,12 @@ fn check_package(package: &Package<'_>, bytes: &[u8]) {
     }
     let (n, features) = (package.dimension(), package.features());
     assert_eq!(package.outer_weights.len(), n * features);
-    assert_eq!(package.output_matrix.len(), n * package.outputs());
-    assert_eq!(package.edge_weights.len(), package.neighbours().count());
+    assert_eq!(package.node.output_matrix.len(), n * package.node.outputs(n));
+    assert_eq!(package.node.edge_weights.len(), package.node.neighbours().count());
     assert_eq!(package.test_vectors.len(), package.test_vectors().count() * (2 * n + features));
+
+    let place = NetworkPlace::new(package, bytes).expect("it was decoded from there");
+    assert_eq!(place.network(bytes).as_ref(), Some(&package.network));
 
     // What is written decodes to the same package, and is written the same again. It can be
     // shorter than what was read, where an integer took more bytes than it needs.
@@ -146,8 +149,8 @@ fn check_accepted<const N: usize>(bytes: &[u8], package: &Package<'_>) {
     assert!(package.test_vectors().count() > 0);
 
     // The limits of a node, each as tight as can be, and one less.
-    let (features, entries) = (package.features(), package.outer_law.gain.entries().len());
-    let places = package.neighbours.len();
+    let (features, entries) = (package.features(), package.node.outer_law.gain.entries().len());
+    let places = package.node.neighbours.len();
     let fits = Capacity { features, neighbours: places, gain_entries: entries };
     let with = |requirements| judge::<N>(bytes, &requirements).map(|_| ());
     assert_eq!(with(Requirements { capacity: fits, ..ANY }), Ok(()));
@@ -164,16 +167,16 @@ fn check_accepted<const N: usize>(bytes: &[u8], package: &Package<'_>) {
     }
     let after =
         |agent, version| with(Requirements { in_use: Some(InUse { agent, version }), ..ANY });
-    assert_eq!(after(package.agent, package.version), Ok(()));
+    assert_eq!(after(package.node.agent, package.version), Ok(()));
     if let Some(newer) = package.version.checked_add(1) {
-        assert!(matches!(after(package.agent, newer), Err(Refusal::Older { .. })));
+        assert!(matches!(after(package.node.agent, newer), Err(Refusal::Older { .. })));
     }
-    assert!(matches!(after(package.agent ^ 1, package.version), Err(Refusal::Agent { .. })));
+    assert!(matches!(after(package.node.agent ^ 1, package.version), Err(Refusal::Agent { .. })));
 
     // The parameters make an agent, and the agent runs.
     let mut neighbours = vec![Neighbour { id: 0, weight: 1.0 }; places];
     let mut gain = vec![0.0; entries];
-    let params = package.agent_params::<N>(&mut neighbours, &mut gain).expect("was accepted");
+    let params = package.node.params::<N>(&mut neighbours, &mut gain).expect("was accepted");
     let start = package.test_vectors().next().expect("at least one").input;
     let mut state = AgentState::<N, LAYER_WIDTH_MAX, _>::new(
         &params,
@@ -183,7 +186,7 @@ fn check_accepted<const N: usize>(bytes: &[u8], package: &Package<'_>) {
     )
     .expect("was accepted");
     let mut inbox = Inbox::<N, _>::new(vec![None; places]);
-    let measurement = vec![0.0; package.outputs()];
+    let measurement = vec![0.0; package.node.outputs(N)];
     for tick in 0..3 {
         match state.step(&params, Some(&package.network), tick, &measurement, &mut inbox) {
             Ok(output) => assert!(all_finite(&output.sample.derivative)),

@@ -5,7 +5,9 @@ use agent_core::StateVector;
 use agent_core::activation::Activation;
 use agent_core::network::{Architecture, InnerNetwork, Layer, Scratch};
 use agent_core::outer_law::OuterLawParams;
-use agent_core::package::{NeighbourIds, OnSwitch, Package, Provenance, StateBox, TrainingErrors};
+use agent_core::package::{
+    NeighbourIds, Node, OnSwitch, Package, Provenance, StateBox, TrainingErrors,
+};
 use agent_core::projection::ProjectionParams;
 use agent_core::symmetric::SymmetricMatrix;
 use agent_core::trigger::TriggerParams;
@@ -97,16 +99,8 @@ impl SamplePackage {
         let gain = self.gain.entries(N);
         let outer_gain = self.outer_gain.entries(architecture.features());
         let neighbours: Vec<u8> = self.neighbours.iter().flat_map(|id| id.to_le_bytes()).collect();
-        let package = Package {
-            version: self.version,
-            replaces: (self.version > 1).then_some(self.version),
+        let node = Node {
             agent: self.agent,
-            outer_weights_on_switch: match self.version % 2 {
-                0 => OnSwitch::Keep,
-                _ => OnSwitch::Replace,
-            },
-            network: InnerNetwork::new(architecture, &inner[..]).expect("a network"),
-            outer_weights: &outer_weights,
             output_matrix: &output_matrix,
             gain: self.gain.matrix(&gain),
             neighbours: NeighbourIds::new(&neighbours).expect("two bytes each"),
@@ -126,6 +120,17 @@ impl SamplePackage {
                 threshold: 10.0,
             },
             step_size: 1e-3,
+        };
+        let package = Package {
+            version: self.version,
+            replaces: (self.version > 1).then_some(self.version),
+            outer_weights_on_switch: match self.version % 2 {
+                0 => OnSwitch::Keep,
+                _ => OnSwitch::Replace,
+            },
+            network: InnerNetwork::new(architecture, &inner[..]).expect("a network"),
+            outer_weights: &outer_weights,
+            node,
             broadcast_interval_min: 0.0,
             trained_box: StateBox { low: &[-1.0; N], high: &[1.0; N] },
             provenance: Provenance {
