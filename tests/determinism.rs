@@ -158,7 +158,8 @@ fn what_is_recorded_changes_no_bit() {
     let full = simulate(&scenario, 0, true, true);
     assert!(full.traces.rows() == 3_001 && full.agents.iter().all(|a| !a.events.is_empty()));
     let mut silent = scenario.clone();
-    silent.record = host_sim::scenario::Record { trace_stride: None, events: false };
+    silent.record =
+        host_sim::scenario::Record { trace_stride: None, events: false, samples: false };
     let bare = simulate(&silent, 0, true, false);
     assert!(bare.traces.rows() == 0 && bare.stacked_error_squared.is_empty());
     assert!(bare.agents.iter().all(|agent| agent.events.is_empty()));

@@ -22,6 +22,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::checksum::crc32;
+use crate::checksum::{CHECKSUM_LENGTH, crc32};
 use crate::network::INPUTS_MAX;
 use crate::numeric::all_finite;
 use crate::{AgentId, StateVector, Tick};

@@ -13,6 +13,7 @@
 use crate::frame::{Frame, FrameError};
 use crate::hold::Hold;
 use crate::observer::Neighbour;
+use crate::sequence::is_newer;
 
 /// Places for the next frame of each neighbour, in `S`: an array on the node, a vector on
 /// the host, one entry for each neighbour in the order of the agent's parameters.
@@ -85,12 +86,6 @@ impl<const N: usize, S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>> Inb
         }
         self.count = 0;
     }
-}
-
-/// Whether `sequence` comes after `other`, also across the wrap from `u32::MAX` to 0.
-fn is_newer(sequence: u32, other: u32) -> bool {
-    let ahead = sequence.wrapping_sub(other);
-    ahead != 0 && ahead < 1 << 31
 }
 
 #[cfg(test)]

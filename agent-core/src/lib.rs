@@ -22,10 +22,13 @@
 //! | [`package`] | all of the above parameters as bytes that prove themselves | |
 //! | [`checksum`], [`signature`] | against damage; against strangers | |
 //! | [`symmetric`], [`numeric`], [`parameter`] | gains; ordered sums; ranges | |
+//! | [`store`] | weight packages in flash, safe against loss of power at any instant | |
+//! | [`checksum`] | the CRC-32 of frames and flash | |
 //!
 //! Parameters ([`agent::AgentParams`]) never change and can live in flash; the state
 //! ([`agent::AgentState`]) is all that does. Time, measurements and frames are arguments, the
-//! frame to broadcast is a return value: nothing here touches a peripheral.
+//! frame to broadcast is a return value: nothing here touches a peripheral, except that
+//! [`store`] writes through the flash driver that it is given.
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -46,6 +49,8 @@ pub mod parameter;
 pub mod projection;
 pub mod signature;
 pub mod symmetric;
+mod sequence;
+pub mod store;
 pub mod trigger;
 
 /// A vector of the state space, shape `[N]`.

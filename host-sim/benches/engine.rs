@@ -13,7 +13,7 @@ fn main() {
 #[divan::bench(args = [40.0], sample_count = 20)]
 fn agent_steps(bencher: Bencher, duration: f64) {
     let mut scenario = Scenario::parse("paper.toml", PAPER).expect("the built-in scenario");
-    scenario.record = Record { trace_stride: None, events: false };
+    scenario.record = Record { trace_stride: None, events: false, samples: false };
     scenario.time.duration = duration;
     let options = RunOptions { seed: 0, learning: false, bounds: false };
     let steps = scenario.steps() * scenario.agents.len() as u64;

@@ -7,9 +7,15 @@
 //! | [`graph`] | who hears whom |
 //! | [`engine`] | the run: agents, links, learning cycles, statistics, traces |
 //! | [`training`] | offline training of the inner layers |
+//! | [`packages`] | weight packages: made, checked, in files |
+//! | [`memory_map`] | where things lie in a board's memory, read from its `memory.x` |
+//! | [`image`], [`flash`] | weight packages as flash images; writing them into a board |
 //! | [`analysis`] | the theorems' constants and bounds, held against a run |
 //! | [`figures`], [`report`] | pictures; tables and CSV files |
+//! | [`progress`], [`output_file`], [`fnv`] | progress bars; files that are whole or not there; a hash |
 //! | [`progress`], [`output_file`] | progress bars; files that are whole or not there |
+//! | [`signing`] | the operator's keys, for packages of weights |
+//! | [`tensors`] | networks from and for PyTorch, JAX and NumPy |
 //! | [`commands`] | what the command line does |
 #![forbid(unsafe_code)]
 
@@ -17,10 +23,17 @@ pub mod analysis;
 pub mod commands;
 pub mod engine;
 pub mod figures;
+pub mod fnv;
+pub mod flash;
 pub mod graph;
+pub mod image;
+pub mod memory_map;
 pub mod output_file;
+pub mod packages;
 pub mod plant;
 pub mod progress;
 pub mod report;
 pub mod scenario;
+pub mod signing;
+pub mod tensors;
 pub mod training;

@@ -26,13 +26,18 @@ const TARGETS: [Target; 4] = [
 /// A library whose machine code is read.
 struct Artifact {
     package: &'static str,
-    /// Which of the package's crates, for cargo.
+    /// Which of the package's crates, and with what features, for cargo.
     selection: &'static [&'static str],
     file: &'static str,
 }
 
 const ARTIFACTS: [Artifact; 3] = [
-    Artifact { package: "agent-core", selection: &["--lib"], file: "libagent_core.rlib" },
+    Artifact {
+        package: "agent-core",
+        // Features only add code: this has all that the library has without them.
+        selection: &["--lib", "--features", "signature"],
+        file: "libagent_core.rlib",
+    },
     Artifact {
         package: "firmware-template",
         selection: &["--lib"],
@@ -69,14 +74,17 @@ const VARIANTS: [Variant; 2] = [
 pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
     let compiler = Compiler::find(&TARGETS.map(|target| target.triple), debian)?;
     let disassembler = Disassembler::find(debian)?;
-    let mut build = cargo("build");
-    build.args(["--quiet", "--release", "--package", "agent-core", "--package"]);
-    build.arg("firmware-template").args(TARGETS.iter().flat_map(|to| ["--target", to.triple]));
-    run(
-        "cross-build",
-        compiler.apply(&mut build),
-        "the node's crates must build without std; the error above names the line",
-    )?;
+    for features in [&[][..], &["--features", "agent-core/signature"]] {
+        let mut build = cargo("build");
+        build.args(["--quiet", "--release", "--package", "agent-core", "--package"]);
+        build.arg("firmware-template").args(features);
+        build.args(TARGETS.iter().flat_map(|to| ["--target", to.triple]));
+        run(
+            "cross-build",
+            compiler.apply(&mut build),
+            "the node's crates must build without std; the error above names the line",
+        )?;
+    }
     for target in TARGETS.iter().filter(|target| target.fused) {
         for variant in VARIANTS {
             let mut instructions = 0;

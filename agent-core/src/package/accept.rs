@@ -11,7 +11,7 @@ use crate::StateVector;
 use crate::network::Scratch;
 use crate::numeric::{add_scaled, dot};
 use crate::parameter::{ParameterError, finite, not_negative, positive};
-use crate::signature::PublicKey;
+use crate::signature::{PublicKey, verify};
 
 /// What a node demands of a package.
 #[derive(Clone, Copy, Debug)]
@@ -170,9 +170,7 @@ pub fn accept<'a, const N: usize>(
     let envelope = Envelope::open(bytes)?;
     if let Some(key) = requirements.public_key {
         let signature = envelope.signature.ok_or(Refusal::Unsigned)?;
-        if !key.verify(envelope.signed_part, signature) {
-            return Err(Refusal::Signature);
-        }
+        verify(key, envelope.signed_part, signature).map_err(|_| Refusal::Signature)?;
     }
     let package = Package::from_envelope(&envelope)?;
     check_sizes::<N>(&package, &requirements.capacity)?;

@@ -8,6 +8,7 @@ mod reproduce;
 mod run;
 mod scenario;
 mod summary;
+mod train;
 mod warnings;
 mod written;
 
@@ -21,8 +22,10 @@ use serde::Serialize;
 use crate::engine::{Progress, RunError};
 use crate::figures::FigureError;
 use crate::output_file::OutputError;
+use crate::packages::trained::TrainedError;
+use crate::packages::{PackageFileError, RecordingError};
 use crate::progress::ProgressBars;
-use crate::scenario::ScenarioError;
+use crate::scenario::{Scenario, ScenarioError, built_in};
 use crate::training::EpochReport;
 
 /// Simulates distributed, event-triggered state estimation with deep networks.
@@ -43,6 +46,8 @@ enum Command {
     Reproduce(reproduce::Arguments),
     /// Runs a scenario file
     Run(run::Arguments),
+    /// Trains a network on recorded samples and writes a weight package
+    Train(train::Arguments),
     /// Prints a built-in scenario, as a file to start from; without a name, lists them
     Scenario(scenario::Arguments),
 }
@@ -79,6 +84,12 @@ enum CommandError {
     #[error("{0}")]
     Usage(String),
     #[error(transparent)]
+    Package(#[from] PackageFileError),
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    #[error(transparent)]
+    Training(#[from] TrainedError),
+    #[error(transparent)]
     Run(#[from] RunError),
     #[error(transparent)]
     File(#[from] OutputError),
@@ -93,10 +104,15 @@ enum CommandError {
 impl CommandError {
     fn exit_code(&self) -> ExitCode {
         match self {
-            Self::Scenario(_) | Self::Usage(_) => ExitCode::from(2),
-            Self::Run(_) | Self::File(_) | Self::Figure(_) | Self::Output(_) | Self::Threads(_) => {
-                ExitCode::from(1)
+            Self::Scenario(_) | Self::Usage(_) | Self::Package(_) | Self::Recording(_) => {
+                ExitCode::from(2)
             }
+            Self::Training(_)
+            | Self::Run(_)
+            | Self::File(_)
+            | Self::Figure(_)
+            | Self::Output(_)
+            | Self::Threads(_) => ExitCode::from(1),
         }
     }
 }
@@ -112,6 +128,9 @@ pub fn main() -> ExitCode {
         }
         Command::Run(arguments) => {
             with_threads(arguments.common.threads, || run::execute(&arguments))
+        }
+        Command::Train(arguments) => {
+            with_threads(arguments.common.threads, || train::execute(&arguments))
         }
         Command::Scenario(arguments) => scenario::execute(&arguments),
     };
@@ -153,6 +172,15 @@ fn print_text(text: &str) -> Result<(), CommandError> {
     use std::io::Write;
     std::io::stdout().lock().write_all(text.as_bytes())?;
     Ok(())
+}
+
+/// The scenario in the file `path` or, where there is no such file, the built-in one of that name.
+fn load_scenario(path: &Path) -> Result<Scenario, CommandError> {
+    let name = path.to_str().filter(|_| !path.exists());
+    Ok(match name.and_then(|name| Some((name, built_in(name)?))) {
+        Some((name, text)) => Scenario::parse(name, text)?,
+        None => Scenario::load(path)?,
+    })
 }
 
 /// Makes the folder for results before anything is computed for it.

@@ -9,13 +9,14 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{CommandError, Common, Format, SharedProgress, summary, warnings, written};
-use super::{make_folder, print_json, print_text};
+use super::{load_scenario, make_folder, print_json, print_text};
 use crate::analysis::Checks;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunOptions, RunResult, run};
 use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_norms, events, states, write_all,
 };
+use crate::packages::PackageBytes;
 use crate::progress::ProgressBars;
 use crate::report::csv::{Row, write_table};
 use crate::scenario::{Record, Scenario};
@@ -26,8 +27,15 @@ const LINES: usize = 20;
 /// Arguments of `run`.
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
-    /// The scenario, a TOML file; `host-sim scenario paper` prints one to start from
+    /// The scenario, a TOML file, or the name of a built-in one; `host-sim scenario paper` prints
+    /// one to start from
     scenario: PathBuf,
+    /// Weight packages, each for the agent that it names, in place of the scenario's own network
+    #[arg(long, num_args = 1..)]
+    weights: Vec<PathBuf>,
+    /// Leaves the scenario's learning cycles out
+    #[arg(long)]
+    without_learning: bool,
     /// Folder for figures and tables [default: out/NAME, with the scenario's name]
     #[arg(long)]
     out: Option<PathBuf>,
@@ -55,7 +63,11 @@ struct AgentReport {
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let start = Instant::now();
-    let scenario = Scenario::load(&arguments.scenario)?;
+    let mut scenario = load_scenario(&arguments.scenario)?;
+    give_packages(&mut scenario, &arguments.weights)?;
+    if arguments.without_learning {
+        scenario.learning.clear();
+    }
     let out = match &arguments.out {
         Some(out) => out.clone(),
         None => Path::new("out").join(&scenario.name),
@@ -93,6 +105,28 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
+/// Hands each package to its agent.
+fn give_packages(scenario: &mut Scenario, files: &[PathBuf]) -> Result<(), CommandError> {
+    for file in files {
+        let package = PackageBytes::load(file)?;
+        let agent = usize::from(package.package().node.agent);
+        let agents = scenario.agents.len();
+        let place = agent.checked_sub(1).and_then(|index| scenario.agents.get_mut(index));
+        let place = place.ok_or_else(|| {
+            CommandError::Usage(format!(
+                "{}: is for agent {agent}, scenario {} has agents 1 to {agents}",
+                file.display(),
+                scenario.name
+            ))
+        })?;
+        if place.package.replace(package).is_some() {
+            let problem = format!("{}: a second package for agent {agent}", file.display());
+            return Err(CommandError::Usage(problem + "; give one for each"));
+        }
+    }
+    Ok(())
+}
+
 /// The run, and beside it the same run without learning if there is any learning and `compare`
 /// asks for it. That one is for comparison only: if it fails, there is none.
 fn simulate(
@@ -110,7 +144,7 @@ fn simulate(
     };
     let baseline = || {
         let mut scenario = scenario.clone();
-        scenario.record = Record { trace_stride: None, events: false };
+        scenario.record = Record { trace_stride: None, events: false, samples: false };
         let progress = SharedProgress::new(&bars, &done, total);
         let options = RunOptions { seed, learning: false, bounds: false };
         compare.then(|| run(&scenario, options, &progress).ok()).flatten()
@@ -217,6 +251,7 @@ fn write_files(
     let mut files = vec!["agents.csv".to_owned()];
     files.extend(tables?);
     files.extend(figures?);
+    files.extend(written::packages(out, result)?);
     Ok(files)
 }
 

@@ -37,7 +37,7 @@ pub(super) fn trainings(records: &[TrainingRecord]) -> String {
     if text.is_empty() { text } else { format!("Training\n{text}\n") }
 }
 
-fn reason(stop: StopReason) -> &'static str {
+pub(super) fn reason(stop: StopReason) -> &'static str {
     match stop {
         StopReason::Goal => "its goal",
         StopReason::Epochs => "the number of epochs",

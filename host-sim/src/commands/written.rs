@@ -45,6 +45,24 @@ pub(super) fn tables(
     Ok(names)
 }
 
+/// Writes the package of every training and, where they were recorded, the samples that it was
+/// trained on; returns the names of the files.
+pub(super) fn packages(folder: &Path, run: &RunResult) -> Result<Vec<String>, CommandError> {
+    let mut names = Vec::new();
+    for training in &run.trainings {
+        let stem = format!("agent{}_cycle{}", training.agent, training.cycle);
+        let package = format!("{stem}.weights");
+        training.package.save(&folder.join(&package))?;
+        names.push(package);
+        if let Some(recording) = &training.recording {
+            let samples = format!("{stem}_samples.csv");
+            recording.save(&folder.join(&samples))?;
+            names.push(samples);
+        }
+    }
+    Ok(names)
+}
+
 /// Ticks of all broadcasts, an entry for each agent.
 pub(super) fn events_of(run: &RunResult) -> Vec<&[u64]> {
     run.agents.iter().map(|agent| agent.events.as_slice()).collect()

@@ -1,129 +1,47 @@
 //! One agent of the network as the engine steps it: the core's parameters and state, its
 //! inbox, and what is measured of it.
 
-use std::sync::Arc;
-
-use agent_core::Tick;
 use agent_core::agent::{AgentParams, AgentState, StepError};
 use agent_core::capture::Sample;
 use agent_core::frame::FrameBytes;
 use agent_core::hold::Hold;
 use agent_core::inbox::Inbox;
 use agent_core::network::{InnerNetwork, LAYER_WIDTH_MAX, Scratch};
-use agent_core::observer::{Neighbour, ObserverParams, OutputMatrix};
-use agent_core::outer_law::OuterLawParams;
+use agent_core::observer::Neighbour;
+use agent_core::package::{Capacity, InUse, Node, OnSwitch, Refusal, Requirements, accept};
 use agent_core::parameter::ParameterError;
-use agent_core::projection::ProjectionParams;
-use agent_core::symmetric::SymmetricMatrix;
-use agent_core::trigger::TriggerParams;
-use agent_core::{AgentId, StateVector};
-use nalgebra::{DMatrix, SMatrix};
+use agent_core::{StateVector, Tick};
 
 use super::link::Link;
 use super::statistics::AgentStatistics;
-use crate::analysis::TriggerConstants;
-use crate::scenario::{self, Scenario};
+use crate::packages::{PackageBytes, PackageParameters};
+use crate::scenario;
 
-/// An inner network whose parameters several agents can share.
-pub(super) type SharedNetwork = InnerNetwork<Arc<[f32]>>;
+type SharedNetwork = InnerNetwork<PackageParameters>;
 
-type Places<const N: usize> = Vec<Option<Hold<N>>>;
+type HeldPlaces<const N: usize> = Vec<Option<Hold<N>>>;
 
-/// Stands in where there is no network, and so no outer weights to adapt.
-const RESTING_OUTER_LAW: OuterLawParams<'static> = OuterLawParams {
-    gain: SymmetricMatrix::Scalar(1.0),
-    projection: ProjectionParams {
-        radius: 1.0,
-        boundary_layer: 1.0,
-        smoothing: 1.0,
-        smoothness: 0,
-    },
-};
-
-/// What the core's parameters borrow: on a node it would lie in flash.
-pub(super) struct Storage {
-    neighbours: Vec<Vec<Neighbour>>,
+/// What the core's parameters borrow: on a node it would be static buffers.
+pub(super) struct Places {
+    neighbours: Vec<Neighbour>,
     outer_gain: Vec<f32>,
 }
 
-impl Storage {
-    pub(super) fn new(scenario: &Scenario) -> Self {
-        let neighbours = (0..scenario.agents.len())
-            .map(|i| {
-                let edges = scenario.graph.neighbours(i).iter();
-                edges
-                    .map(|edge| Neighbour { id: agent_id(edge.agent), weight: edge.weight as f32 })
-                    .collect()
-            })
-            .collect();
-        let gain = scenario.network.as_ref().map(|network| &network.outer_law.gain);
-        let outer_gain = match gain {
-            None | Some(scenario::OuterGain::Scalar(_)) => Vec::new(),
-            Some(scenario::OuterGain::Diagonal(gain)) => gain.iter().map(|&g| g as f32).collect(),
-            Some(scenario::OuterGain::Full(gain)) => row_major(gain),
-        };
-        Self { neighbours, outer_gain }
-    }
-
-    fn outer_law(&self, law: &scenario::OuterLaw) -> OuterLawParams<'_> {
-        OuterLawParams {
-            gain: match &law.gain {
-                scenario::OuterGain::Scalar(gain) => SymmetricMatrix::Scalar(*gain as f32),
-                scenario::OuterGain::Diagonal(_) => SymmetricMatrix::Diagonal(&self.outer_gain),
-                scenario::OuterGain::Full(_) => SymmetricMatrix::Full(&self.outer_gain),
-            },
-            projection: ProjectionParams {
-                radius: (law.bound - law.boundary_layer) as f32,
-                boundary_layer: law.boundary_layer as f32,
-                smoothing: law.smoothing as f32,
-                smoothness: law.smoothness,
-            },
+impl Places {
+    pub(super) fn new(node: &Node<'_>) -> Self {
+        Self {
+            neighbours: vec![Neighbour { id: 0, weight: 0.0 }; node.neighbours.len()],
+            outer_gain: vec![0.0; node.outer_law.gain.entries().len()],
         }
     }
 
-    /// The core's parameters of agent `index` (from 0).
+    /// The core's parameters of this node.
     pub(super) fn params<const N: usize>(
-        &self,
-        scenario: &Scenario,
-        trigger: &TriggerConstants,
-        index: usize,
+        &mut self,
+        node: &Node<'_>,
     ) -> Result<AgentParams<'_, N>, ParameterError> {
-        let output_matrix = &scenario.agents[index].output_matrix;
-        let rows: Vec<_> = output_matrix
-            .row_iter()
-            .map(|row| StateVector::<N>::from_iterator(row.iter().map(|&c| c as f32)))
-            .collect();
-        let observer = ObserverParams {
-            output_matrix: OutputMatrix::new(&rows)?,
-            gain: SMatrix::from_iterator(scenario.design.gain.iter().map(|&k| k as f32)),
-            neighbours: &self.neighbours[index],
-        };
-        let outer_law = match &scenario.network {
-            Some(network) => self.outer_law(&network.outer_law),
-            None => RESTING_OUTER_LAW,
-        };
-        let trigger = TriggerParams {
-            hold_error_weight: trigger.phi1 as f32,
-            consensus_weight: trigger.phi2 as f32,
-            threshold: trigger.threshold as f32,
-        };
-        AgentParams::new(
-            agent_id(index),
-            scenario.time.step_size as f32,
-            observer,
-            outer_law,
-            trigger,
-        )
+        node.params(&mut self.neighbours, &mut self.outer_gain)
     }
-}
-
-/// The number by which agent `index` (from 0) goes on the air.
-pub(super) fn agent_id(index: usize) -> AgentId {
-    AgentId::try_from(index + 1).expect("a scenario has at most 1,000 agents")
-}
-
-fn row_major(matrix: &DMatrix<f64>) -> Vec<f32> {
-    matrix.transpose().iter().map(|&entry| entry as f32).collect()
 }
 
 /// Norms that Theorem 2's bounding constant needs.
@@ -138,9 +56,11 @@ pub(super) struct GainNorms {
 /// One agent.
 pub(super) struct SimulatedAgent<'s, const N: usize> {
     params: AgentParams<'s, N>,
-    state: AgentState<N, LAYER_WIDTH_MAX, Places<N>>,
-    inbox: Inbox<N, Places<N>>,
+    state: AgentState<N, LAYER_WIDTH_MAX, HeldPlaces<N>>,
+    inbox: Inbox<N, HeldPlaces<N>>,
     network: Option<SharedNetwork>,
+    /// What is in use, as the rule against older packages asks.
+    in_use: Option<InUse>,
     /// `C_i` in double precision, `m` rows: what the plant's sensor does.
     sensor: Vec<[f64; N]>,
     measurement: [f32; N],
@@ -153,17 +73,16 @@ pub(super) struct SimulatedAgent<'s, const N: usize> {
 }
 
 impl<'s, const N: usize> SimulatedAgent<'s, N> {
+    /// The agent with these parameters, on its feedback alone until a package is loaded.
     pub(super) fn new(
         params: AgentParams<'s, N>,
         agent: &scenario::Agent,
-        network: Option<SharedNetwork>,
-        outer_weights: &[f64],
+        outer_weights: &[f32],
         norms: Option<GainNorms>,
     ) -> Result<Self, ParameterError> {
         let places = vec![None; params.neighbours().len()];
         let estimate = StateVector::from_iterator(agent.initial_estimate.iter().map(|&x| x as f32));
-        let outer_weights: Vec<f32> = outer_weights.iter().map(|&w| w as f32).collect();
-        let state = AgentState::new(&params, estimate, &outer_weights, places.clone())?;
+        let state = AgentState::new(&params, estimate, outer_weights, places.clone())?;
         let sensor = agent
             .output_matrix
             .row_iter()
@@ -174,7 +93,8 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             params,
             state,
             inbox: Inbox::new(places),
-            network,
+            network: None,
+            in_use: None,
             sensor,
             measurement: [0.0; N],
             norms: norms.map(|norms| (norms, Box::new(Scratch::NEW))),
@@ -240,9 +160,19 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         self.state.outer_weights().rows().iter().flat_map(|row| row.iter().copied()).collect()
     }
 
-    /// Switches in a newly trained network.
-    pub(super) fn switch_network(&mut self, network: SharedNetwork) {
-        self.network = Some(network);
+    /// Takes a package into use, between two steps and with the checks of a node. The agent's
+    /// parameters stay as they are: whoever calls has seen that the package has the same.
+    pub(super) fn load(&mut self, bytes: &PackageBytes) -> Result<(), Refusal> {
+        let requirements =
+            Requirements { public_key: None, in_use: self.in_use, capacity: Capacity::UNLIMITED };
+        let package = accept::<N>(bytes.as_bytes(), &requirements, &mut Scratch::NEW.clone())?;
+        let same_features = self.state.outer_weights().rows().len() == package.features();
+        if !same_features || package.outer_weights_on_switch == OnSwitch::Replace {
+            self.state.replace_outer_weights(&self.params, package.outer_weights)?;
+        }
+        self.in_use = Some(InUse { agent: package.node.agent, version: package.version });
+        self.network = Some(bytes.network());
+        Ok(())
     }
 }
 

@@ -6,17 +6,16 @@
 //! its own seed, so the result does not depend on how many threads there are.
 
 use std::ops::ControlFlow;
-use std::sync::Arc;
 
 use agent_core::Tick;
 use agent_core::capture::{Sample, is_due};
-use agent_core::network::{Architecture, InnerNetwork};
 use rayon::prelude::*;
 
-use super::agents::SharedNetwork;
 use super::{Progress, RunError, TrainingRecord};
+use crate::packages::trained::{INITIAL_VERSION, TrainedError, TrainingTask};
+use crate::packages::{PackageBytes, Recording};
 use crate::scenario::{LearningCycle, Scenario};
-use crate::training::{self, Dataset, EpochReport, TrainingError};
+use crate::training::{Dataset, EpochReport};
 
 /// The samples and the state of one agent in one cycle.
 struct Job {
@@ -28,14 +27,14 @@ struct Job {
     inputs: Vec<f64>,
     targets: Vec<f64>,
     outer_weights: Option<Vec<f32>>,
-    trained: Option<SharedNetwork>,
+    trained: Option<PackageBytes>,
 }
 
-/// A network whose time has come.
+/// A package whose time has come.
 pub(super) struct Switch {
     /// The agent that it is for, from 0.
     pub(super) agent: usize,
-    pub(super) network: SharedNetwork,
+    pub(super) package: PackageBytes,
 }
 
 /// All cycles of a run.
@@ -88,7 +87,7 @@ impl<'s> Learning<'s> {
         }
         let due = self.jobs.iter().filter(|job| job.apply_at == tick);
         let switches =
-            due.filter_map(|job| Some(Switch { agent: job.agent, network: job.trained.clone()? }));
+            due.filter_map(|job| Some(Switch { agent: job.agent, package: job.trained.clone()? }));
         Ok((switches.collect(), records))
     }
 
@@ -117,7 +116,7 @@ impl<'s> Learning<'s> {
     }
 }
 
-/// Trains one job's network.
+/// Trains one job's network and packs it.
 fn train(
     scenario: &Scenario,
     seed: u64,
@@ -126,7 +125,7 @@ fn train(
 ) -> Result<TrainingRecord, RunError> {
     let (cycle, agent) = (job.cycle, job.agent);
     let failed =
-        |error: TrainingError| RunError::Training { agent: agent + 1, cycle: cycle + 1, error };
+        |error: TrainedError| RunError::Training { agent: agent + 1, cycle: cycle + 1, error };
     let description = &scenario.learning[cycle];
     let recipe = scenario
         .recipe(&description.recipe)
@@ -134,45 +133,38 @@ fn train(
     let network = scenario.network.as_ref().ok_or(RunError::NoNetwork { cycle: cycle + 1 })?;
     let inputs = std::mem::take(&mut job.inputs);
     let targets = std::mem::take(&mut job.targets);
-    let raw = Dataset::new(scenario.dimension(), inputs, targets)
+    let samples = Dataset::new(scenario.dimension(), inputs, targets)
         .map_err(|error| failed(error.into()))?;
-    let interval = scenario.time.step_size * f64::from(description.stride.get());
-    let data = recipe.smoothing().apply(&raw, interval).map_err(|error| RunError::Smoothing {
-        agent: agent + 1,
-        cycle: cycle + 1,
-        error,
-    })?;
-    let outer: Vec<f64> =
-        job.outer_weights.iter().flatten().map(|&weight| f64::from(weight)).collect();
+    let first = job.collect_from.next_multiple_of(Tick::from(description.stride.get()));
+    let recording = Recording {
+        samples,
+        start: scenario.time.at(first),
+        interval: scenario.time.step_size * f64::from(description.stride.get()),
+        outer_weights: job.outer_weights.clone(),
+    };
+    let before = scenario.agents[agent].package.as_ref();
+    let before = before.map_or(INITIAL_VERSION, |package| package.package().version);
+    let task = TrainingTask {
+        scenario,
+        network,
+        recipe,
+        agent,
+        cycle,
+        seed,
+        version: u32::try_from(cycle + 1).unwrap_or(u32::MAX).saturating_add(before),
+    };
     let mut report_epoch = |epoch: &EpochReport| {
         progress.epoch(agent + 1, cycle + 1, epoch);
         ControlFlow::Continue(())
     };
-    let (parameters, report) = training::train_inner_network(
-        &network.architecture,
-        &outer,
-        &data,
-        &recipe.settings(),
-        job_seed(seed, cycle, agent),
-        &mut report_epoch,
-    )
-    .map_err(failed)?;
-    job.trained = Some(shared_network(&network.architecture, &parameters)?);
-    Ok(TrainingRecord { agent: agent + 1, cycle: cycle + 1, samples: data.len(), report })
-}
-
-/// The network with these parameters, rounded to the core's precision.
-pub(super) fn shared_network(
-    architecture: &Architecture,
-    parameters: &[f64],
-) -> Result<SharedNetwork, RunError> {
-    let parameters: Arc<[f32]> = parameters.iter().map(|&p| p as f32).collect();
-    InnerNetwork::new(architecture.clone(), parameters).map_err(RunError::Network)
-}
-
-/// A seed of its own for every agent in every cycle of a run: the run's seed and the place of
-/// the job, mixed so that neighbouring jobs start far apart.
-fn job_seed(seed: u64, cycle: usize, agent: usize) -> u64 {
-    let place = (cycle as u64) << 32 | agent as u64;
-    seed ^ place.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15)
+    let trained = task.carry_out(&recording, &mut report_epoch).map_err(failed)?;
+    job.trained = Some(trained.package.clone());
+    Ok(TrainingRecord {
+        agent: agent + 1,
+        cycle: cycle + 1,
+        samples: trained.samples,
+        report: trained.report,
+        package: trained.package,
+        recording: scenario.record.samples.then_some(recording),
+    })
 }

@@ -20,10 +20,12 @@ pub mod statistics;
 pub mod traces;
 
 use agent_core::agent::StepError;
-use agent_core::network::NetworkError;
+use agent_core::package::Refusal;
 use agent_core::parameter::ParameterError;
 
-use crate::training::{EpochReport, SmoothingError, TrainingError, TrainingReport};
+use crate::packages::trained::TrainedError;
+use crate::packages::{DraftError, PackageBytes, Recording};
+use crate::training::{EpochReport, TrainingError, TrainingReport};
 use statistics::AgentStatistics;
 use traces::Traces;
 
@@ -86,6 +88,10 @@ pub struct TrainingRecord {
     pub samples: usize,
     /// How it went.
     pub report: TrainingReport,
+    /// What was switched in.
+    pub package: PackageBytes,
+    /// What it was trained on, if the scenario records samples.
+    pub recording: Option<Recording>,
 }
 
 /// From this size of the plant's state on, an agent that diverges is not to blame.
@@ -115,9 +121,50 @@ pub enum RunError {
         /// What the core says.
         error: ParameterError,
     },
-    /// A network that the core refuses.
-    #[error("network: {0}")]
-    Network(NetworkError),
+    /// The scenario's network does not become a package.
+    #[error("agent {agent}: {error}; change [network] or [outer_law] in the scenario")]
+    Package {
+        /// The agent, from 1.
+        agent: usize,
+        /// Why.
+        error: DraftError,
+    },
+    /// The agent refuses a package as a node would.
+    #[error("agent {agent} refuses its package: {refusal}; train or sign it anew")]
+    Refused {
+        /// The agent, from 1.
+        agent: usize,
+        /// What it says.
+        refusal: Refusal,
+    },
+    /// A package was made for a node with another parameter.
+    #[error(
+        "the package of agent {agent} has another {parameter} than the scenario; train it for \
+         this scenario, or leave it out"
+    )]
+    PackageNode {
+        /// The agent, from 1.
+        agent: usize,
+        /// The parameter.
+        parameter: &'static str,
+    },
+    /// A package has other layers than the network that the agent is to learn.
+    #[error(
+        "the package of agent {agent} has other layers than [network], which the agent is to \
+         learn; give [network] the same layers, or run without learning"
+    )]
+    PackageLayers {
+        /// The agent, from 1.
+        agent: usize,
+    },
+    /// A package for an agent of a scenario without a network.
+    #[error(
+        "agent {agent} has a package, but the scenario no network; add [network] and [outer_law]"
+    )]
+    PackageWithoutNetwork {
+        /// The agent, from 1.
+        agent: usize,
+    },
     /// An agent could not take its step.
     #[error(
         "agent {agent} at t = {time}: {error}, |x_0| is {plant_norm:.3e} by then; {}",
@@ -145,16 +192,6 @@ pub enum RunError {
     /// There is no initial network.
     #[error("the initial inner network: {0}")]
     InitialNetwork(TrainingError),
-    /// Collected samples could not be cleaned.
-    #[error("samples of agent {agent} in learning cycle {cycle}: {error}")]
-    Smoothing {
-        /// The agent, from 1.
-        agent: usize,
-        /// The learning cycle, from 1.
-        cycle: usize,
-        /// What is wrong.
-        error: SmoothingError,
-    },
     /// A network could not be trained.
     #[error("training of agent {agent} in learning cycle {cycle}: {error}")]
     Training {
@@ -163,7 +200,7 @@ pub enum RunError {
         /// The learning cycle, from 1.
         cycle: usize,
         /// What the trainer says.
-        error: TrainingError,
+        error: TrainedError,
     },
     /// A learning cycle names a recipe that there is not.
     #[error(

@@ -3,14 +3,16 @@
 use agent_core::Tick;
 use rayon::prelude::*;
 
-use super::agents::{GainNorms, SharedNetwork, SimulatedAgent, Storage};
-use super::learning::{Learning, Switch, shared_network};
+use super::agents::{GainNorms, Places, SimulatedAgent};
+use super::learning::{Learning, Switch};
 use super::link::{Link, Lossless};
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
 use crate::analysis::{TriggerConstants, spectral_norm, stiffness};
+use crate::fnv::Fnv;
+use crate::packages::{NodeContent, PackageBytes, trained};
 use crate::plant::Stepper;
-use crate::scenario::Scenario;
+use crate::scenario::{Network, Scenario};
 use crate::training::{Dataset, TrainingError};
 
 /// From this many agents on, a step is shared among threads: below it, the cost of waking a
@@ -63,8 +65,18 @@ fn run_fixed<const N: usize>(
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
-    let storage = Storage::new(scenario);
-    let agents = build_agents::<N>(scenario, &storage, options)?;
+    let trigger = TriggerConstants::new(scenario);
+    let contents: Vec<_> = (0..scenario.agents.len())
+        .map(|index| NodeContent::new(scenario, &trigger, index))
+        .collect();
+    let packages = start_packages(scenario, &trigger, &contents, options)?;
+    let mut places: Vec<_> = contents.iter().map(|content| Places::new(&content.node())).collect();
+    let mut agents = build_agents::<N>(scenario, &contents, &packages, &mut places, options)?;
+    for (index, package) in packages.iter().enumerate() {
+        agents[index]
+            .load(package)
+            .map_err(|refusal| RunError::Refused { agent: index + 1, refusal })?;
+    }
     let mut simulation = Simulation {
         scenario,
         options,
@@ -73,7 +85,7 @@ fn run_fixed<const N: usize>(
         truth: std::array::from_fn(|component| scenario.initial_state[component]),
         traces: empty_traces(scenario),
         stacked_error_squared: Vec::new(),
-        digest: Digest::default(),
+        digest: Fnv::default(),
     };
     let trainings = simulation.all_steps(progress)?;
     Ok(simulation.finish(trainings))
@@ -81,22 +93,25 @@ fn run_fixed<const N: usize>(
 
 fn build_agents<'s, const N: usize>(
     scenario: &Scenario,
-    storage: &'s Storage,
+    contents: &[NodeContent],
+    packages: &[PackageBytes],
+    places: &'s mut [Places],
     options: RunOptions,
 ) -> Result<Vec<SimulatedAgent<'s, N>>, RunError> {
-    let trigger = TriggerConstants::new(scenario);
-    let network = initial_network(scenario, options.seed)?;
-    let no_weights = vec![0.0; N];
-    let outer_weights = scenario.network.as_ref().map_or(&no_weights, |network| &network.outer);
     let gain = spectral_norm(&scenario.design.gain);
-    let agents = scenario.agents.iter().enumerate();
-    let agents = agents.map(|(index, agent)| {
+    let agents = scenario.agents.iter().zip(contents).zip(places).enumerate();
+    let agents = agents.map(|(index, ((agent, content), places))| {
         let norms = options.bounds.then(|| GainNorms {
             gain,
             gain_output: spectral_norm(&(&scenario.design.gain * agent.output_matrix.transpose())),
         });
-        let params = storage.params::<N>(scenario, &trigger, index)?;
-        SimulatedAgent::new(params, agent, network.clone(), outer_weights, norms)
+        let params = places.params::<N>(&content.node())?;
+        match packages.get(index) {
+            Some(package) => {
+                SimulatedAgent::new(params, agent, package.package().outer_weights, norms)
+            }
+            None => SimulatedAgent::new(params, agent, &[0.0; N], norms),
+        }
     });
     let agents = agents.enumerate().map(|(index, agent)| {
         agent.map_err(|error| RunError::Parameter { agent: index + 1, error })
@@ -104,9 +119,58 @@ fn build_agents<'s, const N: usize>(
     agents.collect()
 }
 
-/// The network that every agent starts with.
-fn initial_network(scenario: &Scenario, seed: u64) -> Result<Option<SharedNetwork>, RunError> {
-    let Some(network) = &scenario.network else { return Ok(None) };
+/// The package that each agent starts with: the one that the scenario names, or one made of the
+/// scenario's own network. Without a network there are none.
+fn start_packages(
+    scenario: &Scenario,
+    trigger: &TriggerConstants,
+    contents: &[NodeContent],
+    options: RunOptions,
+) -> Result<Vec<PackageBytes>, RunError> {
+    let Some(network) = &scenario.network else {
+        return match scenario.agents.iter().position(|agent| agent.package.is_some()) {
+            Some(index) => Err(RunError::PackageWithoutNetwork { agent: index + 1 }),
+            None => Ok(Vec::new()),
+        };
+    };
+    let inner = initial_parameters(scenario, network, options.seed)?;
+    let agents = scenario.agents.iter().zip(contents).enumerate();
+    let packages = agents.map(|(index, (agent, content))| match &agent.package {
+        Some(package) => {
+            check_start(scenario, network, content, package, index, options)?;
+            Ok(package.clone())
+        }
+        None => trained::initial(scenario, trigger, network, &inner, index, options.seed)
+            .map_err(|error| RunError::Package { agent: index + 1, error }),
+    });
+    packages.collect()
+}
+
+/// A package from outside has to be for this very agent of this scenario.
+fn check_start(
+    scenario: &Scenario,
+    network: &Network,
+    content: &NodeContent,
+    package: &PackageBytes,
+    index: usize,
+    options: RunOptions,
+) -> Result<(), RunError> {
+    if let Some(parameter) = content.first_difference(&package.package().node) {
+        return Err(RunError::PackageNode { agent: index + 1, parameter });
+    }
+    let learns = scenario.learning.iter().any(|cycle| cycle.agents.contains(&index));
+    if options.learning && learns && *package.architecture() != network.architecture {
+        return Err(RunError::PackageLayers { agent: index + 1 });
+    }
+    Ok(())
+}
+
+/// The inner parameters that every agent without a package of its own starts with.
+fn initial_parameters(
+    scenario: &Scenario,
+    network: &Network,
+    seed: u64,
+) -> Result<Vec<f32>, RunError> {
     // Nothing is recorded yet: let every state component range over [-1, 1].
     let n = scenario.dimension();
     let corners = [vec![-1.0; n], vec![1.0; n]].concat();
@@ -114,7 +178,7 @@ fn initial_network(scenario: &Scenario, seed: u64) -> Result<Option<SharedNetwor
         .map_err(TrainingError::from)
         .and_then(|data| Ok(network.inner.draw(&network.architecture, &data, seed)?))
         .map_err(RunError::InitialNetwork)?;
-    shared_network(&network.architecture, &parameters).map(Some)
+    Ok(parameters.iter().map(|&parameter| parameter as f32).collect())
 }
 
 fn empty_traces(scenario: &Scenario) -> Traces {
@@ -134,7 +198,7 @@ struct Simulation<'s, const N: usize, L> {
     truth: [f64; N],
     traces: Traces,
     stacked_error_squared: Vec<f64>,
-    digest: Digest,
+    digest: Fnv,
 }
 
 impl<const N: usize, L: Link> Simulation<'_, N, L> {
@@ -151,8 +215,10 @@ impl<const N: usize, L: Link> Simulation<'_, N, L> {
             if let Some(learning) = &mut learning {
                 let (switches, mut records) = learning.switches_due(tick, progress)?;
                 trainings.append(&mut records);
-                for Switch { agent, network } in switches {
-                    self.agents[agent].switch_network(network);
+                for Switch { agent, package } in switches {
+                    self.agents[agent]
+                        .load(&package)
+                        .map_err(|refusal| RunError::Refused { agent: agent + 1, refusal })?;
                 }
             }
             self.note(tick, evaluation.contains(&tick));
@@ -264,25 +330,7 @@ impl<const N: usize, L: Link> Simulation<'_, N, L> {
             trainings,
             traces: self.traces,
             stacked_error_squared: self.stacked_error_squared,
-            digest: self.digest.0,
-        }
-    }
-}
-
-/// FNV-1a, 64 bits.
-struct Digest(u64);
-
-impl Default for Digest {
-    fn default() -> Self {
-        Self(0xcbf2_9ce4_8422_2325)
-    }
-}
-
-impl Digest {
-    #[inline]
-    fn add(&mut self, bytes: &[u8]) {
-        for &byte in bytes {
-            self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+            digest: self.digest.finish(),
         }
     }
 }

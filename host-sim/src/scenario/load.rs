@@ -8,6 +8,7 @@ use super::error::ScenarioError;
 use super::reader::{Source, Table};
 use super::sections::{agents, gains, learning, network, plant, run};
 use super::{BUILT_IN, Scenario};
+use crate::fnv::Fnv;
 
 impl Scenario {
     /// Reads and checks a file.
@@ -57,8 +58,18 @@ impl Scenario {
             let mend = "write keys as `key = value` and tables as `[name]`, each name once";
             source.error(line.or(Some(1)), None, problem, mend)
         })?;
-        read(&Table::root(&source, document.get_ref()))
+        let scenario = read(&Table::root(&source, document.get_ref()))?;
+        Ok(Scenario { hash: text_hash(text), ..scenario })
     }
+}
+
+/// A file that was only given other line ends is the same scenario.
+fn text_hash(text: &str) -> u64 {
+    let mut hash = Fnv::default();
+    for part in text.split('\r') {
+        hash.add(part.as_bytes());
+    }
+    hash.finish()
 }
 
 fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
@@ -95,6 +106,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let record = run::record(root, &time, n, agents.len())?;
     Ok(Scenario {
         name,
+        hash: 0,
         plant,
         disturbance,
         initial_state,

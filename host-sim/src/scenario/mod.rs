@@ -20,6 +20,7 @@ use agent_core::network::Architecture;
 use nalgebra::DMatrix;
 
 use crate::graph::Graph;
+use crate::packages::PackageBytes;
 use crate::plant::{Disturbance, Integrator, Plant};
 use crate::training::{InitialParameters, LevenbergMarquardtSettings, Smoothing, TrainingSettings};
 
@@ -28,6 +29,8 @@ use crate::training::{InitialParameters, LevenbergMarquardtSettings, Smoothing, 
 pub struct Scenario {
     /// Its name, for reports and file names.
     pub name: String,
+    /// Hash of the text that it was read from (FNV-1a, 64 bits), whatever its line ends.
+    pub hash: u64,
     /// `f`, the drift that nobody knows.
     pub plant: Plant,
     /// `d`, what else acts on the plant.
@@ -162,6 +165,8 @@ pub struct Agent {
     pub output_matrix: DMatrix<f64>,
     /// `x_hat_i(0)`, shape `[n]`.
     pub initial_estimate: Vec<f64>,
+    /// The weight package to start with, in place of the scenario's own network.
+    pub package: Option<PackageBytes>,
 }
 
 /// One cycle of collecting, training and switching in.
@@ -242,6 +247,8 @@ pub struct Record {
     pub trace_stride: Option<NonZeroU32>,
     /// Whether every agent's broadcast times are kept.
     pub events: bool,
+    /// Whether the samples of learning cycles are kept.
+    pub samples: bool,
 }
 
 #[cfg(test)]

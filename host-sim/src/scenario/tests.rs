@@ -63,7 +63,10 @@ fn the_paper_is_read_in_full() {
     assert_eq!(cycle.collect.ticks(&scenario.time), 10_000..16_000);
     assert_eq!((cycle.apply_at, cycle.recipe.as_str()), (20.0, "better"));
     assert_eq!(scenario.evaluation, Window { from: 20.0, to: 40.0 });
-    assert_eq!(scenario.record, Record { trace_stride: NonZeroU32::new(1), events: true });
+    assert_eq!(
+        scenario.record,
+        Record { trace_stride: NonZeroU32::new(1), events: true, samples: true }
+    );
 }
 
 #[test]

@@ -38,7 +38,7 @@ pub(in crate::scenario) fn agents(root: &Table<'_>, n: usize) -> Result<Vec<Agen
             let problem = format!("brings the network to {total} agents");
             return Err(table.error(problem, format!("write at most {AGENTS_MAX}")));
         }
-        agents.resize(total, Agent { output_matrix, initial_estimate });
+        agents.resize(total, Agent { output_matrix, initial_estimate, package: None });
     }
     Ok(agents)
 }

@@ -109,13 +109,14 @@ pub(in crate::scenario) fn record(
 }
 
 fn written_record(root: &Table<'_>) -> Result<Record, ScenarioError> {
-    let every_step = Record { trace_stride: NonZeroU32::new(1), events: true };
+    let every_step = Record { trace_stride: NonZeroU32::new(1), events: true, samples: false };
     let Some(table) = root.get_table("record")? else { return Ok(every_step) };
-    table.only(&["trace_stride", "events"])?;
+    table.only(&["trace_stride", "events", "samples"])?;
     let trace_stride = match table.get("trace_stride", "10") {
         Some(value) => NonZeroU32::new(value.integer(0..=u32::MAX)?),
         None => every_step.trace_stride,
     };
     let events = table.get("events", "true").map_or(Ok(every_step.events), |v| v.boolean())?;
-    Ok(Record { trace_stride, events })
+    let samples = table.get("samples", "true").map_or(Ok(every_step.samples), |v| v.boolean())?;
+    Ok(Record { trace_stride, events, samples })
 }

@@ -1,0 +1,183 @@
+//! Where slots and journal lie.
+
+use super::{RECORD_LENGTH, Slot};
+
+/// Where things lie. Offsets count from the start of the region that the flash driver covers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Layout {
+    /// Offsets of slot A and slot B. \[byte\]
+    pub slots: [u32; 2],
+    /// Length of either slot. \[byte\]
+    pub slot_length: u32,
+    /// Offset of the commit area. \[byte\]
+    pub commit: u32,
+    /// Length of the commit area, whose halves are erased in turns. \[byte\]
+    pub commit_length: u32,
+}
+
+/// A part of the region.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// A slot.
+    Slot(Slot),
+    /// The commit area.
+    Commit,
+}
+
+/// Why a layout is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum LayoutError {
+    /// A part does not begin and end with an erase unit, or a half of the commit area does not.
+    Unaligned {
+        /// Which part.
+        part: Part,
+        /// What its offset and length are to be multiples of, of the commit area twice. \[byte\]
+        erase_size: u32,
+    },
+    /// A part is too short to hold anything.
+    TooShort {
+        /// Which part.
+        part: Part,
+    },
+    /// A part ends behind the region.
+    OutOfRegion {
+        /// Which part.
+        part: Part,
+        /// How long the region is. \[byte\]
+        capacity: u32,
+    },
+    /// Two parts overlap.
+    Overlap {
+        /// One of them.
+        first: Part,
+        /// The other one.
+        second: Part,
+    },
+}
+
+impl core::fmt::Display for Part {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Slot(slot) => write!(f, "{slot}"),
+            Self::Commit => write!(f, "the commit area"),
+        }
+    }
+}
+
+impl core::fmt::Display for LayoutError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match *self {
+            Self::Unaligned { part: Part::Commit, erase_size } => {
+                write!(f, "the halves of the commit area are not erase units of {erase_size} bytes")
+            }
+            Self::Unaligned { part, erase_size } => {
+                write!(f, "{part} does not consist of erase units of {erase_size} bytes")
+            }
+            Self::TooShort { part } => write!(f, "{part} is too short to hold anything"),
+            Self::OutOfRegion { part, capacity } => {
+                write!(f, "{part} ends behind the region of {capacity} bytes")
+            }
+            Self::Overlap { first, second } => write!(f, "{first} and {second} overlap"),
+        }
+    }
+}
+
+impl core::error::Error for LayoutError {}
+
+impl Layout {
+    /// Whether everything lies apart, inside a region of `capacity` bytes, on erase units of
+    /// `erase_size` bytes.
+    ///
+    /// # Errors
+    /// The first thing that does not.
+    pub fn validate(&self, erase_size: u32, capacity: u32) -> Result<(), LayoutError> {
+        let [a, b] = self.slots;
+        let parts = [
+            (Part::Slot(Slot::A), a, self.slot_length, erase_size),
+            (Part::Slot(Slot::B), b, self.slot_length, erase_size),
+            (Part::Commit, self.commit, self.commit_length, erase_size.saturating_mul(2)),
+        ];
+        for (part, start, length, multiple) in parts {
+            if !start.is_multiple_of(erase_size) || !length.is_multiple_of(multiple) {
+                return Err(LayoutError::Unaligned { part, erase_size });
+            }
+            if length == 0 || (part == Part::Commit && self.places() == 0) {
+                return Err(LayoutError::TooShort { part });
+            }
+            if start.checked_add(length).is_none_or(|end| end > capacity) {
+                return Err(LayoutError::OutOfRegion { part, capacity });
+            }
+        }
+        let [a, b, commit] = parts;
+        for (one, other) in [(a, b), (a, commit), (b, commit)] {
+            let ((first, start, length, _), (second, other_start, other_length, _)) = (one, other);
+            // Both ends are known not to overflow.
+            if start < other_start.wrapping_add(other_length)
+                && other_start < start.wrapping_add(length)
+            {
+                return Err(LayoutError::Overlap { first, second });
+            }
+        }
+        Ok(())
+    }
+
+    /// Where a slot begins.
+    pub(super) fn slot(&self, slot: Slot) -> u32 {
+        slot.of(self.slots)
+    }
+
+    /// Length of a half of the commit area.
+    pub(super) fn half_length(&self) -> u32 {
+        self.commit_length / 2
+    }
+
+    /// How many records fit into a half of the commit area.
+    pub(super) fn places(&self) -> u32 {
+        self.half_length() / RECORD_LENGTH as u32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The default board's.
+    const LAYOUT: Layout =
+        Layout { slots: [0, 0x7000], slot_length: 0x7000, commit: 0xe000, commit_length: 0x2000 };
+    const A: Part = Part::Slot(Slot::A);
+    const B: Part = Part::Slot(Slot::B);
+
+    #[test]
+    fn the_default_boards_layout_is_fine_in_any_order() {
+        assert_eq!(LAYOUT.validate(4096, 0x10000), Ok(()));
+        assert_eq!(LAYOUT.places(), 128);
+        let turned = Layout { slots: [0x9000, 0x2000], commit: 0, ..LAYOUT };
+        assert_eq!(turned.validate(4096, 0x10000), Ok(()));
+    }
+
+    #[test]
+    fn each_defect_has_its_own_error() {
+        let validate = |layout: Layout| layout.validate(4096, 0x10000);
+        let unaligned = |part| Err(LayoutError::Unaligned { part, erase_size: 4096 });
+        assert_eq!(validate(Layout { slots: [1, 0x7000], ..LAYOUT }), unaligned(A));
+        assert_eq!(validate(Layout { slots: [0, 0x7800], ..LAYOUT }), unaligned(B));
+        assert_eq!(validate(Layout { slot_length: 0x6800, ..LAYOUT }), unaligned(A));
+        assert_eq!(validate(Layout { commit: 0xe020, ..LAYOUT }), unaligned(Part::Commit));
+        assert_eq!(validate(Layout { commit_length: 0x1000, ..LAYOUT }), unaligned(Part::Commit));
+        let too_short = |part| Err(LayoutError::TooShort { part });
+        assert_eq!(validate(Layout { slot_length: 0, ..LAYOUT }), too_short(A));
+        assert_eq!(validate(Layout { commit_length: 0, ..LAYOUT }), too_short(Part::Commit));
+        let small = Layout { slots: [0, 16], slot_length: 16, commit: 32, commit_length: 32 };
+        assert_eq!(small.validate(16, 64), too_short(Part::Commit));
+        let outside = |part| Err(LayoutError::OutOfRegion { part, capacity: 0x10000 });
+        assert_eq!(validate(Layout { slots: [0, 0xa000], ..LAYOUT }), outside(B));
+        assert_eq!(validate(Layout { commit_length: 0x4000, ..LAYOUT }), outside(Part::Commit));
+        assert_eq!(validate(Layout { slots: [0, 0xffff_f000], ..LAYOUT }), outside(B));
+        let overlap = |first, second| Err(LayoutError::Overlap { first, second });
+        assert_eq!(validate(Layout { slots: [0, 0x6000], ..LAYOUT }), overlap(A, B));
+        assert_eq!(validate(Layout { slots: [0x7000, 0], ..LAYOUT }), Ok(()));
+        assert_eq!(validate(Layout { commit: 0x6000, ..LAYOUT }), overlap(A, Part::Commit));
+        assert_eq!(validate(Layout { commit: 0xd000, ..LAYOUT }), overlap(B, Part::Commit));
+    }
+}

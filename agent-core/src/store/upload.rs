@@ -1,0 +1,126 @@
+//! A package on its way into a slot, in chunks of any size.
+//!
+//! Each erase unit is erased just before its first word is written, even if it looks erased: an
+//! erasure that was cut can look finished and not be. Whole words go straight from the chunk to
+//! the flash and are read back; the rest of a chunk waits for its word to become full.
+//!
+//! Memory: one word of 32 bytes. Cost of a chunk: its bytes once written and once compared, and
+//! an erasure for each unit that it enters.
+
+use super::flash::{MappedFlash, WORD_LENGTH_MAX, bytes_at, driver_error, erase_unit};
+use super::{Slot, StoreError};
+
+/// An unfinished upload.
+#[derive(Clone, Debug)]
+pub(super) struct Upload {
+    pub(super) slot: Slot,
+    /// Where the slot begins in the region.
+    start: u32,
+    /// How many bytes there are to be.
+    pub(super) length: u32,
+    /// How many have come.
+    pub(super) received: u32,
+    /// How many lie in flash, whole words.
+    written: u32,
+    /// The first `received - written` bytes of the next word.
+    word: [u8; WORD_LENGTH_MAX],
+}
+
+impl Upload {
+    pub(super) fn new(slot: Slot, start: u32, length: u32) -> Self {
+        Self { slot, start, length, received: 0, written: 0, word: [0; WORD_LENGTH_MAX] }
+    }
+
+    /// Which of `bytes`, to lie at `offset`, are new; the others must be what has come before.
+    pub(super) fn unseen<'a, F: MappedFlash>(
+        &self,
+        flash: &F,
+        offset: u32,
+        bytes: &'a [u8],
+    ) -> Result<&'a [u8], StoreError> {
+        let gap = StoreError::Gap { received: self.received };
+        let repeated = self.received.checked_sub(offset).ok_or(gap)?;
+        let past_end = StoreError::PastEnd { length: self.length };
+        let room = self.length.checked_sub(offset).ok_or(past_end)?;
+        if u32::try_from(bytes.len()).map_or(true, |length| length > room) {
+            return Err(past_end);
+        }
+        let (old, new) = bytes.split_at_checked(repeated as usize).unwrap_or((bytes, &[]));
+        // Up to `written` they lie in flash, the others in the word that is not yet full.
+        let in_flash = self.written.saturating_sub(offset);
+        let (first, second) = old.split_at_checked(in_flash as usize).unwrap_or((old, &[]));
+        let from = offset.max(self.written).wrapping_sub(self.written);
+        let waiting = self.word.get(from as usize..).unwrap_or_default();
+        let stored = bytes_at(flash, self.start.wrapping_add(offset), first.len() as u32);
+        if stored != Some(first) || !waiting.starts_with(second) {
+            return Err(StoreError::Conflict { offset });
+        }
+        Ok(new)
+    }
+
+    /// Takes the next bytes. After an error the slot's content is undefined.
+    pub(super) fn append<F: MappedFlash>(
+        &mut self,
+        flash: &mut F,
+        bytes: &[u8],
+    ) -> Result<(), StoreError> {
+        let mut rest = bytes;
+        let waiting = self.received.wrapping_sub(self.written) as usize;
+        // What the caller has counted fits into 32 bits.
+        self.received = self.received.wrapping_add(bytes.len() as u32);
+        if waiting > 0 {
+            let room = self.word.get_mut(waiting..F::WRITE_SIZE).unwrap_or_default();
+            let taken = room.len().min(rest.len());
+            let (now, later) = rest.split_at_checked(taken).unwrap_or((rest, &[]));
+            for (place, byte) in room.iter_mut().zip(now) {
+                *place = *byte;
+            }
+            if waiting.wrapping_add(taken) < F::WRITE_SIZE {
+                return Ok(());
+            }
+            self.program_word(flash)?;
+            rest = later;
+        }
+        while rest.len() >= F::WRITE_SIZE {
+            // Up to the end of the erase unit, in whole words.
+            let room = F::ERASE_SIZE.wrapping_sub(self.written as usize % F::ERASE_SIZE);
+            let whole = rest.len().wrapping_sub(rest.len() % F::WRITE_SIZE);
+            let (now, later) = rest.split_at_checked(room.min(whole)).unwrap_or((rest, &[]));
+            self.program(flash, now)?;
+            rest = later;
+        }
+        for (place, byte) in self.word.iter_mut().zip(rest) {
+            *place = *byte;
+        }
+        Ok(())
+    }
+
+    /// Writes the last word, filled up with the value of erased flash.
+    pub(super) fn finish<F: MappedFlash>(&mut self, flash: &mut F) -> Result<(), StoreError> {
+        let waiting = self.received.saturating_sub(self.written) as usize;
+        if waiting == 0 {
+            return Ok(());
+        }
+        self.word.iter_mut().skip(waiting).for_each(|byte| *byte = 0xff);
+        self.program_word(flash)
+    }
+
+    fn program_word<F: MappedFlash>(&mut self, flash: &mut F) -> Result<(), StoreError> {
+        let word = self.word;
+        self.program(flash, word.get(..F::WRITE_SIZE).unwrap_or_default())
+    }
+
+    /// Writes whole words that lie within one erase unit, and reads them back.
+    fn program<F: MappedFlash>(&mut self, flash: &mut F, words: &[u8]) -> Result<(), StoreError> {
+        let offset = self.start.wrapping_add(self.written);
+        if self.written.is_multiple_of(F::ERASE_SIZE as u32) {
+            erase_unit(flash, offset)?;
+        }
+        flash.write(offset, words).map_err(driver_error)?;
+        if bytes_at(flash, offset, words.len() as u32) != Some(words) {
+            return Err(StoreError::Verify { offset });
+        }
+        self.written = self.written.wrapping_add(words.len() as u32);
+        Ok(())
+    }
+}

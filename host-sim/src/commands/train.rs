@@ -1,0 +1,246 @@
+//! `train`: from recorded samples to a weight package.
+
+use std::fmt::Write;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::{CommandError, Common, Format, load_scenario, print_json, print_text, summary};
+use crate::packages::trained::{INITIAL_VERSION, Trained, TrainingTask};
+use crate::packages::{PackageBytes, Recording};
+use crate::progress::ProgressBars;
+use crate::scenario::{Network, Recipe, Scenario};
+use crate::training::{EpochReport, StopReason};
+
+/// Arguments of `train`.
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// Recorded samples, a CSV file with the columns time, xhat1.., dxhat1.. and perhaps w1_1..;
+    /// `run` writes such files if the scenario has record.samples = true
+    data: PathBuf,
+    /// The scenario that describes agent, network and recipe: a file, or a built-in one's name
+    #[arg(long)]
+    scenario: PathBuf,
+    /// The agent that the package is for, from 1
+    #[arg(long)]
+    agent: usize,
+    /// The package to write
+    #[arg(long)]
+    out: PathBuf,
+    /// Recipe of the scenario [default: that of the agent's first learning cycle]
+    #[arg(long)]
+    recipe: Option<String>,
+    /// Package that is in use now: its outer weights are taken where the samples have none, and
+    /// the new package gets the next version
+    #[arg(long)]
+    base: Option<PathBuf>,
+    /// Version of the package [default: one more than that of --base or of the file that is
+    /// replaced, else 2]
+    #[arg(long)]
+    package_version: Option<u32>,
+    #[command(flatten)]
+    pub(super) common: Common,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    package: String,
+    bytes: usize,
+    agent: usize,
+    version: u32,
+    recipe: &'a str,
+    seed: u64,
+    samples: usize,
+    epochs: usize,
+    stopped_by: &'static str,
+    training_error: Option<f64>,
+    validation_error: Option<f64>,
+    test_error: Option<f64>,
+    signed: bool,
+    elapsed_s: f64,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
+    let start = Instant::now();
+    let scenario = load_scenario(&arguments.scenario)?;
+    let (index, network) = agent_and_network(arguments, &scenario)?;
+    let (recipe, cycle) = recipe(arguments, &scenario, index)?;
+    let features = network.architecture.features();
+    let base = arguments.base.as_deref().map(PackageBytes::load).transpose()?;
+    let mut recording = Recording::load(&arguments.data, scenario.dimension(), features)?;
+    if let (None, Some(base)) = (&recording.outer_weights, &base) {
+        recording.outer_weights = Some(base.package().outer_weights.to_vec());
+    }
+    let version = version(arguments, base.as_ref())?;
+    let task = TrainingTask {
+        scenario: &scenario,
+        network,
+        recipe,
+        agent: index,
+        cycle,
+        seed: arguments.common.seed,
+        version,
+    };
+    let trained = train(&task, &recording)?;
+    let package = trained.package.clone();
+    package.save(&arguments.out)?;
+    let report = report(arguments, &task, &trained, &package, start.elapsed().as_secs_f64());
+    match arguments.common.format {
+        Format::Json => print_json(&report),
+        Format::Text => print_text(&text(arguments, &report)),
+    }
+}
+
+fn agent_and_network<'s>(
+    arguments: &Arguments,
+    scenario: &'s Scenario,
+) -> Result<(usize, &'s Network), CommandError> {
+    let agents = scenario.agents.len();
+    let index = arguments.agent.checked_sub(1).filter(|&index| index < agents);
+    let index = index.ok_or_else(|| {
+        CommandError::Usage(format!(
+            "--agent {}: scenario {} has agents 1 to {agents}",
+            arguments.agent, scenario.name
+        ))
+    })?;
+    let network = scenario.network.as_ref().ok_or_else(|| {
+        CommandError::Usage(format!(
+            "scenario {} has no network to train; add [network] and [outer_law]",
+            scenario.name
+        ))
+    })?;
+    Ok((index, network))
+}
+
+/// The recipe, and the learning cycle (from 0) that it belongs to.
+fn recipe<'s>(
+    arguments: &Arguments,
+    scenario: &'s Scenario,
+    index: usize,
+) -> Result<(&'s Recipe, usize), CommandError> {
+    let own = scenario.learning.iter().position(|cycle| cycle.agents.contains(&index));
+    let only = match &scenario.recipes[..] {
+        [only] => Some(only.name.as_str()),
+        _ => None,
+    };
+    let name = arguments
+        .recipe
+        .as_deref()
+        .or(own.map(|cycle| scenario.learning[cycle].recipe.as_str()))
+        .or(only);
+    let found = name.and_then(|name| scenario.recipe(name));
+    let recipe = found.ok_or_else(|| {
+        let names: Vec<_> = scenario.recipes.iter().map(|recipe| recipe.name.as_str()).collect();
+        CommandError::Usage(match names[..] {
+            [] => format!("scenario {} has no recipe; add [recipes.NAME]", scenario.name),
+            _ => format!("choose one of the recipes with --recipe: {}", names.join(", ")),
+        })
+    })?;
+    Ok((recipe, own.unwrap_or(0)))
+}
+
+fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, CommandError> {
+    if let Some(version) = arguments.package_version {
+        return Ok(version);
+    }
+    let replaced = if arguments.out.exists() {
+        // A file that is no package must not be replaced by mistake.
+        Some(PackageBytes::load(&arguments.out)?)
+    } else {
+        None
+    };
+    let before = base.into_iter().chain(&replaced).map(|package| package.package().version).max();
+    Ok(before.unwrap_or(INITIAL_VERSION).saturating_add(1))
+}
+
+/// Trains until it is done or someone presses Ctrl-C, which ends with the best so far.
+fn train(task: &TrainingTask<'_>, recording: &Recording) -> Result<Trained, CommandError> {
+    static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+    let handler = ctrlc::set_handler(|| {
+        // Whoever presses it twice does not want to wait for the epoch to end.
+        if INTERRUPTED.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    });
+    if let Err(error) = handler {
+        eprintln!("warning: Ctrl-C will end this without a result: {error}");
+    }
+    let bars = ProgressBars::new("training");
+    let total = task.recipe.solver.epochs_max as u64;
+    let mut report_epoch = |epoch: &EpochReport| {
+        bars.stepped(epoch.epoch as u64, total);
+        bars.epoch(task.agent + 1, task.cycle + 1, epoch.epoch, epoch.train);
+        if INTERRUPTED.load(Ordering::Relaxed) {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    };
+    let trained = task.carry_out(recording, &mut report_epoch);
+    bars.finish();
+    trained.map_err(CommandError::from)
+}
+
+fn report<'a>(
+    arguments: &Arguments,
+    task: &TrainingTask<'a>,
+    trained: &Trained,
+    package: &PackageBytes,
+    elapsed_s: f64,
+) -> Report<'a> {
+    let best = trained.report.best();
+    Report {
+        package: arguments.out.display().to_string(),
+        bytes: package.as_bytes().len(),
+        agent: arguments.agent,
+        version: task.version,
+        recipe: &task.recipe.name,
+        seed: task.seed,
+        samples: trained.samples,
+        epochs: trained.report.epochs.len().saturating_sub(1),
+        stopped_by: match trained.report.stop {
+            StopReason::Callback => "Ctrl-C, with the best network so far",
+            stop => summary::reason(stop),
+        },
+        training_error: best.map(|best| best.train),
+        validation_error: best.and_then(|best| best.validation),
+        test_error: best.and_then(|best| best.test),
+        signed: package.is_signed(),
+        elapsed_s,
+    }
+}
+
+fn text(arguments: &Arguments, report: &Report<'_>) -> String {
+    let error = |error: Option<f64>| error.map_or("none".to_owned(), |e| format!("{e:.3e}"));
+    let mut text = format!(
+        "Trained on {} samples, {} epochs, stopped by {}\n\
+         Mean squared error: training {}, validation {}, test {}\n",
+        report.samples,
+        report.epochs,
+        report.stopped_by,
+        error(report.training_error),
+        error(report.validation_error),
+        error(report.test_error),
+    );
+    // Writing into a string cannot fail.
+    let _ = writeln!(
+        text,
+        "Written to {}: agent {}, version {}, {} bytes, {}\n\
+         Recipe {}, seed {}, {:.2} s\n\
+         Next: host-sim weights verify {}",
+        report.package,
+        report.agent,
+        report.version,
+        report.bytes,
+        if report.signed { "signed" } else { "not signed" },
+        report.recipe,
+        report.seed,
+        report.elapsed_s,
+        arguments.out.display(),
+    );
+    text
+}

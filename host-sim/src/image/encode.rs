@@ -1,0 +1,109 @@
+//! Images as files.
+
+use std::path::Path;
+
+use ihex::Record;
+
+use super::uf2::{self, Uf2Family};
+use super::{ERASED, Image, ImageError};
+
+/// The name of a format, as on a command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Format {
+    /// Bytes without addresses; what lies between package and commit area is blanked.
+    Bin,
+    /// Intel HEX.
+    Hex,
+    /// Blocks for the USB drive of a bootloader; needs the chip's family.
+    Uf2,
+}
+
+impl Format {
+    /// The format that the ending of a file's name stands for.
+    #[must_use]
+    pub fn of_file(path: &Path) -> Option<Self> {
+        let ending = path.extension()?.to_str()?.to_ascii_lowercase();
+        match ending.as_str() {
+            "bin" => Some(Self::Bin),
+            "hex" | "ihex" => Some(Self::Hex),
+            "uf2" => Some(Self::Uf2),
+            _ => None,
+        }
+    }
+
+    /// The format with all that it needs; only UF2 needs a family, the others pay no heed to it.
+    ///
+    /// # Errors
+    /// UF2 without a family.
+    pub fn with_family(self, family: Option<Uf2Family>) -> Result<ImageFormat, ImageError> {
+        match self {
+            Self::Bin => Ok(ImageFormat::Bin),
+            Self::Hex => Ok(ImageFormat::Hex),
+            Self::Uf2 => family.map(ImageFormat::Uf2).ok_or(ImageError::FamilyMissing),
+        }
+    }
+}
+
+/// A format with all that it needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageFormat {
+    /// Bytes without addresses.
+    Bin,
+    /// Intel HEX.
+    Hex,
+    /// Blocks for this family of chips.
+    Uf2(Uf2Family),
+}
+
+/// Data bytes in a record of Intel HEX: what most tools write.
+const RECORD: usize = 16;
+
+/// Addresses that records reach without a new upper half.
+const HALF: u64 = 1 << 16;
+
+impl Image {
+    /// The image as the content of a file.
+    ///
+    /// # Errors
+    /// UF2 on a memory map whose parts are not made of its blocks.
+    pub fn encode(&self, format: ImageFormat) -> Result<Vec<u8>, ImageError> {
+        match format {
+            ImageFormat::Bin => Ok(self.bin()),
+            ImageFormat::Hex => self.hex(),
+            ImageFormat::Uf2(family) => uf2::encode(self, family),
+        }
+    }
+
+    fn bin(&self) -> Vec<u8> {
+        let [first, second] = &self.segments;
+        let mut bytes = first.bytes.clone();
+        bytes.extend(self.gap().map(|_| ERASED));
+        bytes.extend(&second.bytes);
+        bytes
+    }
+
+    fn hex(&self) -> Result<Vec<u8>, ImageError> {
+        let mut records = Vec::new();
+        let mut upper = None;
+        for segment in &self.segments {
+            let mut rest = segment.bytes.as_slice();
+            let mut address = segment.span().start;
+            while !rest.is_empty() {
+                let (high, low) = ((address / HALF) as u16, (address % HALF) as u16);
+                if upper.replace(high) != Some(high) {
+                    records.push(Record::ExtendedLinearAddress(high));
+                }
+                // No record crosses into the next upper half: readers disagree on what that means.
+                let (now, later) =
+                    rest.split_at(rest.len().min(RECORD).min((HALF - u64::from(low)) as usize));
+                records.push(Record::Data { offset: low, value: now.to_vec() });
+                address += now.len() as u64;
+                rest = later;
+            }
+        }
+        records.push(Record::EndOfFile);
+        ihex::create_object_file_representation(&records)
+            .map(String::into_bytes)
+            .map_err(|error| ImageError::Hex(error.to_string()))
+    }
+}

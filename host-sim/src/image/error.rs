@@ -1,0 +1,81 @@
+//! Why there is no image.
+
+use super::uf2::{PAYLOAD, UF2_FAMILIES};
+
+/// Why an image cannot be made or written as a file.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ImageError {
+    /// The package is empty, or longer than the slot.
+    #[error(
+        "the package has {found} bytes, a slot of the memory map {slot_length}; name a package file \
+         of at least 1 byte, train a smaller network, or make the slots in memory.x longer"
+    )]
+    PackageLength {
+        /// Length of the package [bytes].
+        found: usize,
+        /// Length of a slot [bytes].
+        slot_length: u32,
+    },
+    /// The commit record does not fit.
+    #[error(
+        "the commit record has {found} bytes; it takes a multiple of 8, at least 8 and at most \
+         one erase unit of {erase_size}"
+    )]
+    RecordLength {
+        /// Length of the record [bytes].
+        found: usize,
+        /// Length of an erase unit [bytes].
+        erase_size: u32,
+    },
+    /// A segment leaves the region or overlaps another one.
+    #[error(
+        "{name} would lie at {start:#x} to {end:#x}, but only {free_start:#x} to {free_end:#x} is \
+         free for it in WEIGHTS; correct the symbols in memory.x"
+    )]
+    Outside {
+        /// Which segment.
+        name: &'static str,
+        /// Its first address.
+        start: u64,
+        /// The first address behind it.
+        end: u64,
+        /// First address that is free for it.
+        free_start: u64,
+        /// First address behind what is free.
+        free_end: u64,
+    },
+    /// A UF2 file needs parts that begin and end with its blocks.
+    #[error(
+        "{name} would take {start:#x} to {end:#x} of a UF2 file, which is written in blocks of \
+         {PAYLOAD} bytes; choose a multiple of {PAYLOAD} for _weights_erase_size in memory.x, or the format hex"
+    )]
+    Uf2Alignment {
+        /// Which segment.
+        name: &'static str,
+        /// Its first address.
+        start: u64,
+        /// The first address behind it.
+        end: u64,
+    },
+    /// A UF2 file needs to know for which chips it is.
+    #[error(
+        "a UF2 file needs the family of the chip, which its bootloader compares; choose {}",
+        families()
+    )]
+    FamilyMissing,
+    /// There is no such family.
+    #[error("{found:?} is no family of chips for UF2; choose {}", families())]
+    Family {
+        /// What was given.
+        found: String,
+    },
+    /// Records that Intel HEX cannot hold.
+    #[error("the image cannot be written as Intel HEX: {0}; choose the format bin")]
+    Hex(String),
+}
+
+fn families() -> String {
+    let names: Vec<_> = UF2_FAMILIES.iter().map(|(name, _)| *name).collect();
+    format!("one of {}, or its number such as 0xe48bff56", names.join(", "))
+}

@@ -1,0 +1,196 @@
+//! Flash images: a weight package at the address where the firmware looks for it.
+//!
+//! An image fills one slot of the region that the memory map reserves for weights, and says in the
+//! commit area that this slot is in use:
+//!
+//! ```text
+//! slot          package | 0xFF up to a multiple of 8 bytes        the rest is not part of the image
+//! commit area   record  | 0xFF up to its end                      so that no older record stays
+//! ```
+//!
+//! These two [`Segment`]s are all that is written, with one exception for each of two formats:
+//!
+//! | format | what it is | what it covers besides |
+//! | --- | --- | --- |
+//! | `hex` | Intel HEX with 32-bit addresses | nothing: it has holes |
+//! | `uf2` | 512-byte blocks for USB drives | 0xFF up to the end of the package's last erase unit |
+//! | `bin` | bytes without addresses | all between the two segments, as 0xFF: an image of slot A blanks slot B |
+//!
+//! Invariants, checked for every image whatever its [`WeightsRegion`] says: the segments lie in the
+//! region and do not overlap, the package in its slot. What is in the package and in the record
+//! is not looked at.
+
+mod encode;
+mod error;
+mod tools;
+mod uf2;
+
+use std::ops::Range;
+
+pub use encode::{Format, ImageFormat};
+pub use error::ImageError;
+pub use tools::{ToolCommand, ToolUse, commands_for};
+pub use uf2::{UF2_FAMILIES, Uf2Family};
+
+use crate::memory_map::WeightsRegion;
+
+/// What erased flash reads as, on every NOR flash that the store supports.
+pub const ERASED: u8 = 0xFF;
+
+/// A package is padded to a multiple of this [bytes]: the largest unit of writing of common
+/// microcontrollers' flash.
+pub const PACKAGE_ALIGNMENT: usize = 8;
+
+/// One of the two places for weights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum ImageSlot {
+    /// The first slot.
+    A,
+    /// The second slot.
+    B,
+}
+
+impl core::fmt::Display for ImageSlot {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::A => "slot A",
+            Self::B => "slot B",
+        })
+    }
+}
+
+/// Bytes and where they go.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Segment {
+    /// What it is, for people.
+    pub name: &'static str,
+    /// Address of the first byte.
+    pub address: u32,
+    /// The bytes, at least one.
+    pub bytes: Vec<u8>,
+}
+
+impl Segment {
+    /// Its addresses.
+    #[must_use]
+    pub fn span(&self) -> Range<u64> {
+        let start = u64::from(self.address);
+        start..start + self.bytes.len() as u64
+    }
+}
+
+/// What is to be written, and where.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Image {
+    region: WeightsRegion,
+    slot: ImageSlot,
+    /// The package and the commit area, in the order of their addresses.
+    segments: [Segment; 2],
+}
+
+impl Image {
+    /// The image that puts `package` into `slot` and `record` at the start of the commit area.
+    ///
+    /// # Errors
+    /// An empty package or one that is longer than the slot; a record that is empty, longer than
+    /// an erase unit or no multiple of [`PACKAGE_ALIGNMENT`]; a region whose parts do not lie in it.
+    pub fn new(
+        region: &WeightsRegion,
+        slot: ImageSlot,
+        package: &[u8],
+        record: &[u8],
+    ) -> Result<Self, ImageError> {
+        let padded = package.len().next_multiple_of(PACKAGE_ALIGNMENT);
+        if package.is_empty() || padded as u64 > region.slot_length.into() {
+            return Err(ImageError::PackageLength {
+                found: package.len(),
+                slot_length: region.slot_length,
+            });
+        }
+        let fits = record.len() as u64 <= region.erase_size.min(region.commit_length).into();
+        if record.is_empty() || !record.len().is_multiple_of(PACKAGE_ALIGNMENT) || !fits {
+            return Err(ImageError::RecordLength {
+                found: record.len(),
+                erase_size: region.erase_size,
+            });
+        }
+        let filled = |bytes: &[u8], length: usize| {
+            let mut filled = bytes.to_vec();
+            filled.resize(length, ERASED);
+            filled
+        };
+        let address = match slot {
+            ImageSlot::A => region.slot_a,
+            ImageSlot::B => region.slot_b,
+        };
+        let package = Segment { name: "the package", address, bytes: filled(package, padded) };
+        let commit = Segment {
+            name: "the commit area",
+            address: region.commit,
+            bytes: filled(record, region.commit_length as usize),
+        };
+        let mut segments = [package, commit];
+        segments.sort_by_key(|segment| segment.address);
+        check(region, &segments)?;
+        Ok(Self { region: *region, slot, segments })
+    }
+
+    /// All that is written, in the order of the addresses.
+    #[must_use]
+    pub fn segments(&self) -> &[Segment] {
+        &self.segments
+    }
+
+    /// The slot that it fills.
+    #[must_use]
+    pub fn slot(&self) -> ImageSlot {
+        self.slot
+    }
+
+    /// Where the weights lie.
+    #[must_use]
+    pub fn region(&self) -> &WeightsRegion {
+        &self.region
+    }
+
+    /// The lowest address of the image; a `bin` file begins there.
+    #[must_use]
+    pub fn base(&self) -> u32 {
+        self.segments[0].address
+    }
+
+    /// What lies between the segments: a `bin` file blanks it.
+    #[must_use]
+    pub fn gap(&self) -> Range<u64> {
+        self.segments[0].span().end..self.segments[1].span().start
+    }
+
+    /// Whether a `bin` file blanks the slot that is not written.
+    #[must_use]
+    pub fn gap_holds_other_slot(&self) -> bool {
+        let other = match self.slot {
+            ImageSlot::A => self.region.slot_b,
+            ImageSlot::B => self.region.slot_a,
+        };
+        self.gap().contains(&other.into())
+    }
+}
+
+/// The last look before anything is written: `segments` lie in the region, apart, in order.
+fn check(region: &WeightsRegion, segments: &[Segment]) -> Result<(), ImageError> {
+    let mut end = u64::from(region.origin);
+    for segment in segments {
+        let span = segment.span();
+        if span.start < end || span.end > region.end() {
+            return Err(ImageError::Outside {
+                name: segment.name,
+                start: span.start,
+                end: span.end,
+                free_start: end,
+                free_end: region.end(),
+            });
+        }
+        end = span.end;
+    }
+    Ok(())
+}

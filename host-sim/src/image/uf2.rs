@@ -1,0 +1,131 @@
+//! UF2, the format of bootloaders that show a USB drive.
+//!
+//! A file is a sequence of blocks of 512 bytes, each of which stands for itself. All numbers are
+//! 32 bits, little-endian (<https://github.com/microsoft/uf2>, retrieved 2026):
+//!
+//! ```text
+//!   0  magic 0x0A324655      16  bytes of data: 256
+//!   4  magic 0x9E5D5157      20  number of the block, from 0
+//!   8  flags 0x2000          24  how many blocks
+//!  12  address               28  family of chips, as the flag says
+//!  32  data, then zeros     508  magic 0x0AB16F30
+//! ```
+//!
+//! The bootloader of the RP2040 finds out from the *number* of a block when a sector is to be
+//! erased (its erratum E14), so that a file with holes must hold whole sectors. Therefore each
+//! segment is filled up with 0xFF to whole erase units; they are erased anyway.
+
+use core::fmt;
+use core::str::FromStr;
+
+use super::{ERASED, Image, ImageError, Segment, check};
+
+/// Data bytes in a block: the number that every bootloader takes.
+pub(super) const PAYLOAD: usize = 256;
+
+/// Length of a block [bytes].
+const BLOCK: usize = 512;
+
+/// The first two words of a block and the last one.
+const MAGIC: [u32; 3] = [0x0A32_4655, 0x9E5D_5157, 0x0AB1_6F30];
+
+/// The word at 28 is a family.
+const FAMILY_PRESENT: u32 = 0x2000;
+
+/// The families that have names here; the numbers are those of the format's own list.
+pub const UF2_FAMILIES: [(&str, u32); 4] = [
+    ("rp2040", 0xE48B_FF56),
+    ("rp2350-arm-s", 0xE48B_FF59),
+    ("nrf52840", 0xADA5_2840),
+    ("stm32f4", 0x5775_5A57),
+];
+
+/// The chips for which a UF2 file is; their bootloader leaves other files alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Uf2Family(pub u32);
+
+impl FromStr for Uf2Family {
+    type Err = ImageError;
+
+    /// A name of [`UF2_FAMILIES`] or a number, decimal or with `0x`.
+    fn from_str(text: &str) -> Result<Self, ImageError> {
+        let named = UF2_FAMILIES.iter().find(|(name, _)| name.eq_ignore_ascii_case(text));
+        let number = || match text.strip_prefix("0x").or(text.strip_prefix("0X")) {
+            Some(digits) => u32::from_str_radix(digits, 16).ok(),
+            None => text.parse().ok(),
+        };
+        named
+            .map(|&(_, number)| number)
+            .or_else(number)
+            .map(Self)
+            .ok_or_else(|| ImageError::Family { found: text.to_owned() })
+    }
+}
+
+impl fmt::Display for Uf2Family {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match UF2_FAMILIES.iter().find(|(_, number)| *number == self.0) {
+            Some((name, _)) => f.write_str(name),
+            None => write!(f, "{:#010x}", self.0),
+        }
+    }
+}
+
+/// `image` as the content of a UF2 file.
+///
+/// # Errors
+/// Segments whose erase units are not made of blocks, or reach into each other.
+pub(super) fn encode(image: &Image, family: Uf2Family) -> Result<Vec<u8>, ImageError> {
+    let erase_size = image.region().erase_size as usize;
+    let segments = image.segments().iter().map(|segment| {
+        let mut whole = segment.clone();
+        whole.bytes.resize(segment.bytes.len().next_multiple_of(erase_size), ERASED);
+        whole
+    });
+    let segments: Vec<Segment> = segments.collect();
+    check(image.region(), &segments)?;
+    let mut blocks: Vec<(u64, &[u8; PAYLOAD])> = Vec::new();
+    for segment in &segments {
+        let span = segment.span();
+        let (payloads, rest) = segment.bytes.as_chunks::<PAYLOAD>();
+        if !span.start.is_multiple_of(PAYLOAD as u64) || !rest.is_empty() {
+            let (start, end) = (span.start, span.end);
+            return Err(ImageError::Uf2Alignment { name: segment.name, start, end });
+        }
+        blocks.extend(span.step_by(PAYLOAD).zip(payloads));
+    }
+    let count = blocks.len() as u32;
+    let mut file = Vec::with_capacity(blocks.len() * BLOCK);
+    for (number, (address, payload)) in (0..).zip(blocks) {
+        let [first, second, last] = MAGIC;
+        // The check above has seen that every address has 32 bits.
+        let address = address as u32;
+        let head =
+            [first, second, FAMILY_PRESENT, address, PAYLOAD as u32, number, count, family.0];
+        let end = file.len() + BLOCK;
+        file.extend(head.into_iter().flat_map(u32::to_le_bytes));
+        file.extend(payload);
+        file.resize(end - size_of::<u32>(), 0);
+        file.extend(last.to_le_bytes());
+    }
+    Ok(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn families_by_name_and_by_number() {
+        for (name, number) in UF2_FAMILIES {
+            assert_eq!(name.parse(), Ok(Uf2Family(number)));
+            assert_eq!(Uf2Family(number).to_string(), name);
+        }
+        assert_eq!("RP2040".parse(), Ok(Uf2Family(0xE48B_FF56)));
+        assert_eq!("0x12345678".parse(), Ok(Uf2Family(0x1234_5678)));
+        assert_eq!("17".parse(), Ok(Uf2Family(17)));
+        assert_eq!(Uf2Family(17).to_string(), "0x00000011");
+        let error = "rp2041".parse::<Uf2Family>().unwrap_err().to_string();
+        assert!(error.contains("rp2041") && error.contains("stm32f4"), "{error}");
+    }
+}

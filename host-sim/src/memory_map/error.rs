@@ -1,0 +1,66 @@
+//! What is wrong with a memory map, where, and how to mend it.
+
+/// Why a memory map cannot be used: file, line, name, problem and mend, in one line of text.
+///
+/// `memory.x:25: WEIGHTS: ORIGIN is 0x100000000, which is no 32-bit address; choose one below
+/// 0x100000000`
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct MemoryMapError {
+    /// The file, as it was named.
+    pub file: String,
+    /// The line, from 1; `None` if the file cannot be read or something is nowhere in it.
+    pub line: Option<usize>,
+    /// The region, the symbol or the statement.
+    pub name: Option<String>,
+    /// What is wrong: what was found.
+    pub problem: String,
+    /// What to write instead: what is expected.
+    pub mend: String,
+}
+
+impl core::fmt::Display for MemoryMapError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "{}", self.file)?;
+        if let Some(line) = self.line {
+            write!(f, ":{line}")?;
+        }
+        if let Some(name) = &self.name {
+            write!(f, ": {name}")?;
+        }
+        write!(f, ": {}; {}", self.problem, self.mend)
+    }
+}
+
+impl core::error::Error for MemoryMapError {}
+
+/// An error before the file's name is known: inside the reader there is only text.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Fault {
+    pub(super) line: usize,
+    pub(super) name: Option<String>,
+    pub(super) problem: String,
+    pub(super) mend: String,
+}
+
+impl Fault {
+    pub(super) fn new(line: usize, problem: impl Into<String>, mend: impl Into<String>) -> Self {
+        Self { line, name: None, problem: problem.into(), mend: mend.into() }
+    }
+
+    /// The same error, said of `name`; whoever was nearer to the error has named it better.
+    pub(super) fn about(mut self, name: &str) -> Self {
+        self.name.get_or_insert_with(|| name.to_owned());
+        self
+    }
+
+    pub(super) fn within(self, file: &str) -> MemoryMapError {
+        MemoryMapError {
+            file: file.to_owned(),
+            line: Some(self.line),
+            name: self.name,
+            problem: self.problem,
+            mend: self.mend,
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! The memory map of a board, read from its linker script.
+//!
+//! `memory.x` is the only place that says where things lie in a board's memory. The linker takes
+//! it as it is; so that host and firmware cannot disagree, the host reads the same file, in the
+//! part of the linker's language that a memory map needs:
+//!
+//! ```text
+//! statement = "MEMORY" "{" { region } "}"
+//!           | symbol "=" value ";"
+//!           | "ASSERT" "(" value "," "\"message\"" ")" [ ";" ]
+//!           | ";"
+//! region    = name [ "(" attributes ")" ] ":" ORIGIN "=" value [ "," ] LENGTH "=" value
+//! value     = compared { ("==" | "!=") compared }
+//! compared  = sum { ("<" | "<=" | ">" | ">=") sum }
+//! sum       = product { ("+" | "-") product }
+//! product   = operand { ("*" | "/" | "%") operand }
+//! operand   = number | symbol | "ORIGIN(" name ")" | "LENGTH(" name ")" | "(" value ")"
+//! number    = ( digits | "0x" hexadecimal ) [ "K" | "M" ]
+//! ```
+//!
+//! `ORIGIN` may be spelt `org` or `o`, `LENGTH` `len` or `l`, the suffixes in lower case. Comments
+//! are `/* ... */`. Statements are evaluated in their order, as unsigned 64-bit numbers without
+//! wrapping; an assertion that does not hold is an error with its message. All else is an error.
+//!
+//! Invariant: every region lies within the 32-bit addresses.
+
+mod error;
+mod reader;
+mod tokens;
+mod weights;
+
+use std::path::Path;
+
+pub use error::MemoryMapError;
+pub use weights::WeightsRegion;
+
+/// How many addresses there are: 2^32.
+pub(crate) const ADDRESSES: u64 = 1 << 32;
+
+/// Regions and symbols of a memory map, in the order of the file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MemoryMap {
+    /// The file, as it was named.
+    pub file: String,
+    /// What `MEMORY` describes.
+    pub regions: Vec<Region>,
+    /// What the assignments define.
+    pub symbols: Vec<Symbol>,
+}
+
+/// A part of the address space.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Region {
+    /// Its name.
+    pub name: String,
+    /// Its first address.
+    pub origin: u32,
+    /// How long it is [bytes]; it ends at 2^32 at the latest.
+    pub length: u64,
+    /// The line that names it, from 1.
+    pub line: usize,
+}
+
+/// A name for a number.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Symbol {
+    /// Its name.
+    pub name: String,
+    /// Its value.
+    pub value: u64,
+    /// The line that names it, from 1.
+    pub line: usize,
+}
+
+impl MemoryMap {
+    /// Reads the file at `path`.
+    ///
+    /// # Errors
+    /// A file that cannot be read, and those of [`MemoryMap::parse`].
+    pub fn read(path: &Path) -> Result<Self, MemoryMapError> {
+        let file = path.display().to_string();
+        match std::fs::read_to_string(path) {
+            Ok(text) => Self::parse(&text, &file),
+            Err(error) => Err(MemoryMapError {
+                file,
+                line: None,
+                name: None,
+                problem: format!("cannot be read: {error}"),
+                mend: "name the memory.x with which the firmware is linked".to_owned(),
+            }),
+        }
+    }
+
+    /// Reads `text`, which errors call `file`.
+    ///
+    /// # Errors
+    /// What the module's description does not have, arithmetic that leaves the 64 bits, regions
+    /// outside the 32-bit addresses, assertions that do not hold.
+    pub fn parse(text: &str, file: &str) -> Result<Self, MemoryMapError> {
+        let mut map = reader::read(text).map_err(|fault| fault.within(file))?;
+        file.clone_into(&mut map.file);
+        Ok(map)
+    }
+
+    /// The region of that name.
+    #[must_use]
+    pub fn region(&self, name: &str) -> Option<&Region> {
+        self.regions.iter().find(|region| region.name == name)
+    }
+
+    /// The symbol of that name.
+    #[must_use]
+    pub fn symbol(&self, name: &str) -> Option<&Symbol> {
+        self.symbols.iter().find(|symbol| symbol.name == name)
+    }
+
+    /// Where the weights lie.
+    ///
+    /// # Errors
+    /// A missing region or symbol, and what [`WeightsRegion`] promises but the file does not keep.
+    pub fn weights(&self) -> Result<WeightsRegion, MemoryMapError> {
+        WeightsRegion::of(self)
+    }
+}
+
+impl Region {
+    /// The first address behind it, 2^32 at most.
+    #[must_use]
+    pub fn end(&self) -> u64 {
+        u64::from(self.origin) + self.length
+    }
+}

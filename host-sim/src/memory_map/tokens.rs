@@ -1,0 +1,185 @@
+//! Splits the text of a linker script into tokens, each with its line.
+
+use core::fmt;
+
+use super::error::Fault;
+
+/// One token.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Token {
+    /// A name or a keyword.
+    Word(String),
+    /// A number, its suffix already applied.
+    Number(u64),
+    /// A text in quotes, without them.
+    Text(String),
+    /// One of [`SIGNS`].
+    Sign(&'static str),
+    /// Nothing follows.
+    End,
+}
+
+/// Signs of the scripts that are read here; where one is the start of another, the longer one
+/// comes first.
+const SIGNS: [&str; 20] = [
+    "<=", ">=", "==", "!=", "<", ">", "=", "!", "+", "-", "*", "/", "%", "(", ")", "{", "}", ",",
+    ":", ";",
+];
+
+impl fmt::Display for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Word(word) => write!(f, "`{word}`"),
+            Self::Number(number) => write!(f, "the number {number}"),
+            Self::Text(text) => write!(f, "the text \"{text}\""),
+            Self::Sign(sign) => write!(f, "`{sign}`"),
+            Self::End => f.write_str("the end of the file"),
+        }
+    }
+}
+
+/// The tokens of `text` with their lines from 1; the last one is [`Token::End`].
+///
+/// # Errors
+/// A character, a number, a comment or a text that linker scripts do not have.
+pub(super) fn tokens(text: &str) -> Result<Vec<(Token, usize)>, Fault> {
+    let mut found = Vec::new();
+    let mut line = 1;
+    let mut rest = text;
+    while let Some(first) = rest.chars().next() {
+        let started = line;
+        if first.is_whitespace() {
+            line += usize::from(first == '\n');
+            rest = &rest[first.len_utf8()..];
+        } else if let Some(comment) = rest.strip_prefix("/*") {
+            let Some((inside, behind)) = comment.split_once("*/") else {
+                return Err(Fault::new(started, "a comment that never ends", "close it with */"));
+            };
+            line += inside.matches('\n').count();
+            rest = behind;
+        } else if rest.starts_with("//") || first == '#' {
+            return Err(Fault::new(
+                started,
+                format!("`{}` starts no comment here", if first == '#' { "#" } else { "//" }),
+                "write comments as /* ... */",
+            ));
+        } else if let Some(quoted) = rest.strip_prefix('"') {
+            let end = quoted.find(['"', '\n']).filter(|&at| quoted[at..].starts_with('"'));
+            let Some(end) = end else {
+                return Err(Fault::new(
+                    started,
+                    "a text whose line has no closing quote",
+                    "close it with \" on the same line",
+                ));
+            };
+            found.push((Token::Text(quoted[..end].to_owned()), started));
+            rest = &quoted[end + 1..];
+        } else if is_in_word(first) {
+            let end = rest.find(|c| !is_in_word(c)).unwrap_or(rest.len());
+            let (word, behind) = rest.split_at(end);
+            let token = if first.is_ascii_digit() {
+                Token::Number(number(word).map_err(|(problem, mend)| {
+                    Fault::new(started, format!("`{word}` {problem}"), mend)
+                })?)
+            } else {
+                Token::Word(word.to_owned())
+            };
+            found.push((token, started));
+            rest = behind;
+        } else if let Some(sign) = SIGNS.into_iter().find(|&sign| rest.starts_with(sign)) {
+            found.push((Token::Sign(sign), started));
+            rest = &rest[sign.len()..];
+        } else {
+            return Err(Fault::new(
+                started,
+                format!("found {first:?}, which stands in no memory map"),
+                "expected a name, a number, or one of + - * / % ( ) { } < > = , : ;",
+            ));
+        }
+    }
+    found.push((Token::End, line));
+    Ok(found)
+}
+
+fn is_in_word(c: char) -> bool {
+    c.is_ascii_alphanumeric() || matches!(c, '_' | '.' | '$')
+}
+
+/// The value of `0x1F`, `31`, `4K` or `0x2m`, or problem and mend.
+fn number(word: &str) -> Result<u64, (&'static str, &'static str)> {
+    const FORMS: &str = "write it as 12, 0x1F, 64K or 3M";
+    let (digits, unit) = match word.as_bytes().last() {
+        Some(b'K' | b'k') => (&word[..word.len() - 1], 1 << 10),
+        Some(b'M' | b'm') => (&word[..word.len() - 1], 1 << 20),
+        _ => (word, 1),
+    };
+    let (digits, radix) = match digits.strip_prefix("0x").or(digits.strip_prefix("0X")) {
+        Some(hexadecimal) => (hexadecimal, 16),
+        None => (digits, 10),
+    };
+    if digits.is_empty() || !digits.chars().all(|digit| digit.is_digit(radix)) {
+        return Err(("is no number", FORMS));
+    }
+    if radix == 10 && digits.len() > 1 && digits.starts_with('0') {
+        return Err(("begins with 0, which linkers read as octal", FORMS));
+    }
+    u64::from_str_radix(digits, radix)
+        .ok()
+        .and_then(|value| value.checked_mul(unit))
+        .ok_or(("needs more than 64 bits", "write a smaller number"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers() {
+        for (word, value) in [
+            ("0", 0),
+            ("12", 12),
+            ("64K", 65_536),
+            ("3m", 3 << 20),
+            ("0x1F", 31),
+            ("0X10k", 16 << 10),
+            ("0xFFFFFFFFFFFFFFFF", u64::MAX),
+        ] {
+            assert_eq!(number(word), Ok(value), "{word}");
+        }
+        for word in ["0x", "K", "12G", "1F", "010", "0xK", "4KB", "99999999999999999999", "1_000"] {
+            assert!(number(word).is_err(), "{word}");
+        }
+        assert!(number("0xFFFFFFFFFFFFFFFFK").is_err());
+    }
+
+    #[test]
+    fn every_token_knows_the_line_on_which_it_starts() {
+        let found = tokens("a /* two\nlines */ <= 4K\n\"text\";").unwrap();
+        let expected = [
+            (Token::Word("a".to_owned()), 1),
+            (Token::Sign("<="), 2),
+            (Token::Number(4096), 2),
+            (Token::Text("text".to_owned()), 3),
+            (Token::Sign(";"), 3),
+            (Token::End, 3),
+        ];
+        assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn what_is_no_token_is_named_with_its_line() {
+        for (text, line, part) in [
+            ("a = 1;\nb = ?;", 2, "'?'"),
+            ("/* never", 1, "*/"),
+            ("\n\"open\n\"", 2, "closing quote"),
+            ("\n\n// comment", 3, "/* ... */"),
+            ("# comment", 1, "/* ... */"),
+            ("a = 010;", 1, "octal"),
+        ] {
+            let fault = tokens(text).unwrap_err();
+            assert_eq!(fault.line, line, "{text}");
+            let said = format!("{}; {}", fault.problem, fault.mend);
+            assert!(said.contains(part), "{said}");
+        }
+    }
+}

@@ -1,0 +1,241 @@
+//! Where the weights lie: two slots and the commit area, in a region of their own.
+
+use super::{MemoryMap, MemoryMapError, Region};
+
+/// The region `WEIGHTS` and what the symbols of the memory map place in it.
+///
+/// Both slots and the commit area lie inside the region, apart from each other, each on whole
+/// erase units, so that erasing one touches no other; the slots are equally long; the commit area
+/// has at least two erase units; no other region overlaps this one. All this is checked here,
+/// whether or not the file asserts it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WeightsRegion {
+    /// First address of the region.
+    pub origin: u32,
+    /// Its length [bytes].
+    pub length: u32,
+    /// First address of slot A.
+    pub slot_a: u32,
+    /// First address of slot B.
+    pub slot_b: u32,
+    /// Length of each slot [bytes].
+    pub slot_length: u32,
+    /// First address of the commit area.
+    pub commit: u32,
+    /// Length of the commit area [bytes].
+    pub commit_length: u32,
+    /// The smallest piece that can be erased [bytes].
+    pub erase_size: u32,
+}
+
+/// Name of the region.
+const REGION: &str = "WEIGHTS";
+
+/// A piece of the region: its name, the symbols of its origin and its length.
+type Part = (&'static str, &'static str, &'static str);
+
+const SLOT_A: Part = ("slot A", "_weights_slot_a_origin", "_weights_slot_a_length");
+const SLOT_B: Part = ("slot B", "_weights_slot_b_origin", "_weights_slot_b_length");
+const COMMIT: Part = ("the commit area", "_weights_commit_origin", "_weights_commit_length");
+const ERASE_SIZE: &str = "_weights_erase_size";
+
+impl WeightsRegion {
+    pub(super) fn of(map: &MemoryMap) -> Result<Self, MemoryMapError> {
+        let Some(region) = map.region(REGION) else {
+            return Err(missing(map, REGION, "a region", "MEMORY"));
+        };
+        let erase_size = value(map, ERASE_SIZE)?;
+        if erase_size == 0 {
+            return Err(wrong(map, ERASE_SIZE, "is 0", "give the smallest unit that is erased"));
+        }
+        check_apart_from_others(map, region)?;
+        let parts = [SLOT_A, SLOT_B, COMMIT];
+        for part in parts {
+            check_inside(map, region, part)?;
+            check_units(map, part, erase_size)?;
+        }
+        for (at, &first) in parts.iter().enumerate() {
+            for &second in &parts[at + 1..] {
+                check_apart(map, first, second)?;
+            }
+        }
+        let slot_length = value(map, SLOT_A.2)?;
+        if value(map, SLOT_B.2)? != slot_length {
+            return Err(wrong(
+                map,
+                SLOT_B.2,
+                &format!("is not {slot_length:#x}, the length of slot A"),
+                "make the slots equally long, so that they can stand in for each other",
+            ));
+        }
+        let commit_length = value(map, COMMIT.2)?;
+        // `check_units` has seen that it is a multiple, and not 0.
+        if commit_length == erase_size {
+            return Err(wrong(
+                map,
+                COMMIT.2,
+                "is one erase unit only",
+                "give it two, so that one holds a record while the other is erased",
+            ));
+        }
+        let Ok(length) = u32::try_from(region.length) else {
+            return Err(error(
+                map,
+                Some(region.line),
+                REGION,
+                "takes every address there is".to_owned(),
+                "leave room for RAM",
+            ));
+        };
+        Ok(Self {
+            origin: region.origin,
+            length,
+            slot_a: address(map, SLOT_A.1)?,
+            slot_b: address(map, SLOT_B.1)?,
+            slot_length: address(map, SLOT_A.2)?,
+            commit: address(map, COMMIT.1)?,
+            commit_length: address(map, COMMIT.2)?,
+            erase_size: address(map, ERASE_SIZE)?,
+        })
+    }
+
+    /// The first address behind the region, 2^32 at most.
+    #[must_use]
+    pub fn end(&self) -> u64 {
+        u64::from(self.origin) + u64::from(self.length)
+    }
+}
+
+fn check_apart_from_others(map: &MemoryMap, region: &Region) -> Result<(), MemoryMapError> {
+    let overlaps = |other: &&Region| {
+        other.name != region.name
+            && other.length > 0
+            && u64::from(other.origin) < region.end()
+            && u64::from(region.origin) < other.end()
+    };
+    match map.regions.iter().find(overlaps) {
+        None => Ok(()),
+        Some(other) => Err(error(
+            map,
+            Some(other.line),
+            &other.name,
+            format!(
+                "{:#x} to {:#x} overlaps {REGION}, {:#x} to {:#x}",
+                other.origin,
+                other.end(),
+                region.origin,
+                region.end()
+            ),
+            "shorten one of them: flashing weights would erase what lies there",
+        )),
+    }
+}
+
+fn check_inside(map: &MemoryMap, region: &Region, part: Part) -> Result<(), MemoryMapError> {
+    let (name, origin_symbol, length_symbol) = part;
+    let (origin, length) = (value(map, origin_symbol)?, value(map, length_symbol)?);
+    if length == 0 {
+        return Err(wrong(map, length_symbol, "is 0", "give it whole erase units"));
+    }
+    if origin < region.origin.into() {
+        return Err(wrong(
+            map,
+            origin_symbol,
+            &format!("{name} starts at {origin:#x}, before {REGION} at {:#x}", region.origin),
+            &format!("place it inside {REGION}"),
+        ));
+    }
+    // In a sum of 64 bits a large length could come out small.
+    if origin > region.end() || length > region.end() - origin {
+        return Err(wrong(
+            map,
+            length_symbol,
+            &format!(
+                "{name} starts at {origin:#x} and has {length:#x} bytes, {REGION} ends at {:#x}",
+                region.end()
+            ),
+            &format!("shorten it, or make {REGION} longer"),
+        ));
+    }
+    Ok(())
+}
+
+fn check_units(map: &MemoryMap, part: Part, erase_size: u64) -> Result<(), MemoryMapError> {
+    let (name, origin_symbol, length_symbol) = part;
+    for (symbol, what) in [(origin_symbol, "start"), (length_symbol, "length")] {
+        let found = value(map, symbol)?;
+        if !found.is_multiple_of(erase_size) {
+            return Err(wrong(
+                map,
+                symbol,
+                &format!("the {what} of {name}, {found:#x}, is no multiple of {erase_size:#x}"),
+                &format!("choose a multiple of {ERASE_SIZE}, so that erasing it touches no other"),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Both parts lie inside the region by now, so that their ends are small numbers.
+fn check_apart(map: &MemoryMap, first: Part, second: Part) -> Result<(), MemoryMapError> {
+    let span = |part: Part| -> Result<_, MemoryMapError> {
+        let origin = value(map, part.1)?;
+        Ok((origin, origin + value(map, part.2)?))
+    };
+    let (first_span, second_span) = (span(first)?, span(second)?);
+    if first_span.0 < second_span.1 && second_span.0 < first_span.1 {
+        return Err(wrong(
+            map,
+            second.1,
+            &format!(
+                "{}, {:#x} to {:#x}, overlaps {}, {:#x} to {:#x}",
+                second.0, second_span.0, second_span.1, first.0, first_span.0, first_span.1
+            ),
+            "place them apart",
+        ));
+    }
+    Ok(())
+}
+
+fn value(map: &MemoryMap, name: &str) -> Result<u64, MemoryMapError> {
+    match map.symbol(name) {
+        Some(symbol) => Ok(symbol.value),
+        None => Err(missing(map, name, "a symbol", "an assignment")),
+    }
+}
+
+fn address(map: &MemoryMap, name: &str) -> Result<u32, MemoryMapError> {
+    u32::try_from(value(map, name)?)
+        .map_err(|_| wrong(map, name, "needs more than 32 bits", "choose a smaller number"))
+}
+
+fn missing(map: &MemoryMap, name: &str, what: &str, by: &str) -> MemoryMapError {
+    error(
+        map,
+        None,
+        name,
+        format!("there is no such name, and {what} is needed"),
+        &format!("define it by {by}, as the project's own memory.x does"),
+    )
+}
+
+fn wrong(map: &MemoryMap, symbol: &str, problem: &str, mend: &str) -> MemoryMapError {
+    let line = map.symbol(symbol).map(|symbol| symbol.line);
+    error(map, line, symbol, problem.to_owned(), mend)
+}
+
+fn error(
+    map: &MemoryMap,
+    line: Option<usize>,
+    name: &str,
+    problem: String,
+    mend: &str,
+) -> MemoryMapError {
+    MemoryMapError {
+        file: map.file.clone(),
+        line,
+        name: Some(name.to_owned()),
+        problem,
+        mend: mend.to_owned(),
+    }
+}

@@ -1,0 +1,151 @@
+//! A package's bytes: they begin on a multiple of four, as in a node's flash, and can be shared.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use agent_core::network::{Architecture, InnerNetwork};
+use agent_core::package::{Envelope, NetworkPlace, Package, PackageError};
+
+use crate::output_file::{OutputError, write_whole};
+
+/// Longest file that is read as a package: beyond the largest network of all. \[bytes\]
+const LENGTH_MAX: u64 = 1 << 20;
+
+/// Bytes that decode as a package.
+#[derive(Clone, PartialEq)]
+pub struct PackageBytes {
+    words: Arc<[u32]>,
+    length: usize,
+    place: NetworkPlace,
+}
+
+/// Why a package file cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PackageFileError {
+    /// The file cannot be read.
+    #[error("{}: cannot be read: {error}; give the path of a weight package", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        error: std::io::Error,
+    },
+    /// The file is too long for any package.
+    #[error(
+        "{}: has {length} bytes, no package has more than {LENGTH_MAX}; give the path of a weight \
+         package", path.display()
+    )]
+    TooLong {
+        /// The file.
+        path: PathBuf,
+        /// Its length. \[bytes\]
+        length: u64,
+    },
+    /// It is no package.
+    #[error("{}: {error}; copy or make it anew", path.display())]
+    Package {
+        /// The file.
+        path: PathBuf,
+        /// What the core says.
+        error: PackageError,
+    },
+}
+
+impl PackageBytes {
+    /// Takes a copy of `bytes` if they decode as a package.
+    ///
+    /// # Errors
+    /// What [`Package::decode`] refuses, but for the alignment, which the copy has.
+    pub fn new(bytes: &[u8]) -> Result<Self, PackageError> {
+        let mut words = vec![0u32; bytes.len().div_ceil(4)];
+        bytemuck::cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
+        let length = bytes.len();
+        let copy = &bytemuck::cast_slice(&words)[..length];
+        let package = Package::decode(copy)?;
+        let place = NetworkPlace::new(&package, copy).ok_or(PackageError::Malformed)?;
+        Ok(Self { words: words.into(), length, place })
+    }
+
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// See [`PackageFileError`].
+    pub fn load(path: &Path) -> Result<Self, PackageFileError> {
+        let named = |error| PackageFileError::Read { path: path.to_owned(), error };
+        let length = std::fs::metadata(path).map_err(named)?.len();
+        if length > LENGTH_MAX {
+            return Err(PackageFileError::TooLong { path: path.to_owned(), length });
+        }
+        let bytes = std::fs::read(path).map_err(named)?;
+        Self::new(&bytes)
+            .map_err(|error| PackageFileError::Package { path: path.to_owned(), error })
+    }
+
+    /// Writes the file whole, or leaves what was there.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn save(&self, path: &Path) -> Result<(), OutputError> {
+        write_whole(path, |file| file.write_all(self.as_bytes()))
+    }
+
+    /// The bytes.
+    #[must_use]
+    pub fn as_bytes(&self) -> &[u8] {
+        &bytemuck::cast_slice(&self.words)[..self.length]
+    }
+
+    /// The package that they hold.
+    ///
+    /// # Panics
+    /// Never: they were decoded when this was made.
+    #[must_use]
+    pub fn package(&self) -> Package<'_> {
+        Package::decode(self.as_bytes()).expect("bytes that decoded before")
+    }
+
+    /// The inner network with its parameters in place.
+    ///
+    /// # Panics
+    /// Never: the place was found when this was made.
+    #[must_use]
+    pub fn network(&self) -> InnerNetwork<PackageParameters> {
+        let parameters = PackageParameters(self.clone());
+        InnerNetwork::new(self.architecture().clone(), parameters).expect("a decoded network")
+    }
+
+    /// Whether there is a signature, by whomever.
+    #[must_use]
+    pub fn is_signed(&self) -> bool {
+        Envelope::open(self.as_bytes()).is_ok_and(|envelope| envelope.signature.is_some())
+    }
+
+    /// Widths and activations.
+    #[must_use]
+    pub fn architecture(&self) -> &Architecture {
+        self.place.architecture()
+    }
+}
+
+impl std::fmt::Debug for PackageBytes {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let package = self.package();
+        write!(
+            f,
+            "PackageBytes({} bytes: agent {}, version {})",
+            self.length, package.node.agent, package.version
+        )
+    }
+}
+
+/// The inner parameters in a package, kept alive by whoever works with them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PackageParameters(PackageBytes);
+
+impl AsRef<[f32]> for PackageParameters {
+    #[inline]
+    fn as_ref(&self) -> &[f32] {
+        self.0.place.parameters(self.0.as_bytes()).unwrap_or(&[])
+    }
+}

@@ -1,0 +1,197 @@
+//! Everything that goes into a package, and the making of it.
+//!
+//! The test vectors are computed here, by the core's own code: the exact bits that every node has
+//! to reproduce. Their inputs lie inside the box that the network was trained on, where no
+//! activation is saturated more than in use.
+
+use agent_core::StateVector;
+use agent_core::network::{Architecture, InnerNetwork, NetworkError, Scratch};
+use agent_core::package::{
+    Capacity, EncodeError, OnSwitch, Package, PackageError, Provenance, Refusal, Requirements,
+    StateBox, TrainingErrors,
+};
+
+use super::check::check;
+use super::{NodeContent, PackageBytes, with_dimension};
+
+/// Test vectors in a package that is made here: as many as the patterns of [`test_inputs`].
+const TEST_VECTORS: usize = 4;
+
+/// The content of a package, owned.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Draft {
+    /// See [`Package::version`].
+    pub version: u32,
+    /// See [`Package::replaces`].
+    pub replaces: Option<u32>,
+    /// See [`Package::outer_weights_on_switch`].
+    pub on_switch: OnSwitch,
+    /// Inner layers.
+    pub architecture: Architecture,
+    /// Their parameters, in the core's flat order.
+    pub inner: Vec<f32>,
+    /// `W_hat` to start from, row by row, shape `[L, n]`.
+    pub outer_weights: Vec<f32>,
+    /// What makes the node this agent.
+    pub node: NodeContent,
+    /// See [`Package::broadcast_interval_min`]. \[s\]
+    pub broadcast_interval_min: f32,
+    /// Least value of each input that the network was trained on.
+    pub low: Vec<f32>,
+    /// Largest value of each input that the network was trained on.
+    pub high: Vec<f32>,
+    /// Hash of the scenario.
+    pub scenario_hash: u64,
+    /// How the network was trained.
+    pub recipe: String,
+    /// Seed of the training.
+    pub seed: u64,
+    /// Samples that it was trained on.
+    pub samples: u32,
+    /// Errors after training.
+    pub errors: Option<TrainingErrors>,
+}
+
+/// Why a draft does not become a package.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DraftError {
+    /// The network cannot be.
+    #[error("the network cannot go into a package: {0}")]
+    Network(NetworkError),
+    /// An input for a test vector, or what comes out for it, is not finite.
+    #[error("the network's output overflows for inputs inside the box that it was trained on")]
+    TestVector,
+    /// The numbers do not fit each other.
+    #[error("the package cannot be written: {0}")]
+    Encode(EncodeError),
+    /// The package does not decode.
+    #[error("the package cannot be used: {0}")]
+    Package(PackageError),
+    /// A node would refuse the package.
+    #[error("no node would accept the package: {0}")]
+    Refused(Refusal),
+}
+
+impl Draft {
+    /// A package of an existing one's content, to be changed.
+    #[must_use]
+    pub fn copy(package: &Package<'_>) -> Self {
+        let provenance = &package.provenance;
+        Self {
+            version: package.version,
+            replaces: package.replaces,
+            on_switch: package.outer_weights_on_switch,
+            architecture: package.network.architecture().clone(),
+            inner: package.network.parameters().to_vec(),
+            outer_weights: package.outer_weights.to_vec(),
+            node: NodeContent::copy(&package.node),
+            broadcast_interval_min: package.broadcast_interval_min,
+            low: package.trained_box.low.to_vec(),
+            high: package.trained_box.high.to_vec(),
+            scenario_hash: u64::from_be_bytes(provenance.scenario_hash),
+            recipe: provenance.recipe.to_owned(),
+            seed: provenance.seed,
+            samples: provenance.samples,
+            errors: provenance.errors,
+        }
+    }
+
+    /// Makes the package and lets the core's acceptance have its say.
+    ///
+    /// # Errors
+    /// See [`DraftError`].
+    pub fn seal(&self) -> Result<PackageBytes, DraftError> {
+        let network = InnerNetwork::new(self.architecture.clone(), &self.inner[..])
+            .map_err(DraftError::Network)?;
+        let mut package = Package {
+            version: self.version,
+            replaces: self.replaces,
+            outer_weights_on_switch: self.on_switch,
+            network,
+            outer_weights: &self.outer_weights,
+            node: self.node.node(),
+            broadcast_interval_min: self.broadcast_interval_min,
+            trained_box: StateBox { low: &self.low, high: &self.high },
+            provenance: Provenance {
+                scenario_hash: self.scenario_hash.to_be_bytes(),
+                recipe: &self.recipe,
+                seed: self.seed,
+                samples: self.samples,
+                errors: self.errors,
+                tool_version: tool_version(),
+            },
+            test_vectors: &[],
+        };
+        let test_vectors = test_vectors(&package).ok_or(DraftError::TestVector)?;
+        package.test_vectors = &test_vectors;
+        let bytes = encode(&package).map_err(DraftError::Encode)?;
+        let bytes = PackageBytes::new(&bytes).map_err(DraftError::Package)?;
+        let anyone = Requirements { public_key: None, in_use: None, capacity: Capacity::UNLIMITED };
+        check(&bytes, &anyone).map_err(DraftError::Refused)?;
+        Ok(bytes)
+    }
+}
+
+/// Major, minor and patch version of this program.
+fn tool_version() -> [u8; 3] {
+    let part = |text: &str| text.parse().unwrap_or(u8::MAX);
+    [
+        part(env!("CARGO_PKG_VERSION_MAJOR")),
+        part(env!("CARGO_PKG_VERSION_MINOR")),
+        part(env!("CARGO_PKG_VERSION_PATCH")),
+    ]
+}
+
+fn encode(package: &Package<'_>) -> Result<Vec<u8>, EncodeError> {
+    // Metadata and node data are small beside the weights; whatever is not used goes again.
+    let numbers = package.network.parameters().len()
+        + package.outer_weights.len()
+        + package.test_vectors.len();
+    let dimension = package.dimension();
+    let node = 3 * dimension * dimension
+        + 2 * package.node.edge_weights.len()
+        + package.node.outer_law.gain.entries().len();
+    let mut buffer = vec![0; 4 * (numbers + node) + package.provenance.recipe.len() + 512];
+    let length = package.encode(&mut buffer)?;
+    buffer.truncate(length);
+    Ok(buffer)
+}
+
+fn test_vectors(package: &Package<'_>) -> Option<Vec<f32>> {
+    let inputs = test_inputs(&package.trained_box);
+    let mut numbers = Vec::new();
+    for input in &inputs {
+        let vector = with_dimension!(
+            package.dimension(), test_vector(package, input), else None
+        );
+        numbers.extend(vector?);
+    }
+    numbers.iter().all(|number| number.is_finite()).then_some(numbers)
+}
+
+fn test_vector<const N: usize>(package: &Package<'_>, input: &[f32]) -> Option<Vec<f32>> {
+    let mut scratch = Scratch::NEW;
+    let state = (input.len() == N).then(|| StateVector::<N>::from_column_slice(input))?;
+    let (features, output) = package.evaluate(&state, &mut scratch)?;
+    Some([input, features, output.as_slice()].concat())
+}
+
+/// The box's centre, and the corners of the box of half its size in which components lie
+/// low or high by different patterns. Where a box has no limits, [-1, 1] takes its place.
+fn test_inputs(trained: &StateBox<'_>) -> [Vec<f32>; TEST_VECTORS] {
+    std::array::from_fn(|pattern| {
+        let limits = trained.low.iter().zip(trained.high).enumerate();
+        let component = limits.map(|(component, (&low, &high))| {
+            let width = high - low;
+            let (low, width) = if width.is_finite() { (low, width) } else { (-1.0, 2.0) };
+            let share = match pattern {
+                0 => 0.5,
+                pattern if (component + pattern) % 3 == 0 => 0.25,
+                _ => 0.75,
+            };
+            low + share * width
+        });
+        component.collect()
+    })
+}

@@ -1,0 +1,46 @@
+//! Weight packages on the host: making them, and checking them exactly as a node does.
+//!
+//! | module | what it is |
+//! | --- | --- |
+//! | [`bytes`] | a package's bytes, aligned and shared, in memory and in files |
+//! | [`node`] | what makes a node an agent, from a scenario |
+//! | [`draft`] | everything that goes into a package, and the making of it |
+//! | [`check`] | the node's own acceptance, for any state dimension |
+//! | [`recording`] | recorded samples, in memory and in files |
+//! | [`trained`] | from recorded samples to a package |
+//!
+//! The simulated agents load these very bytes. The format is agent-core's; see `docs/format.md`.
+
+pub mod bytes;
+pub mod check;
+pub mod draft;
+pub mod node;
+pub mod recording;
+pub mod trained;
+
+pub use bytes::{PackageBytes, PackageFileError, PackageParameters};
+pub use draft::{Draft, DraftError};
+pub use node::NodeContent;
+pub use recording::{Recording, RecordingError};
+
+/// Calls `$function::<N>($arguments)` for the state dimension `$n`, 1 to 12.
+macro_rules! with_dimension {
+    ($n:expr, $function:ident($($argument:expr),* $(,)?), else $otherwise:expr) => {
+        match $n {
+            1 => $function::<1>($($argument),*),
+            2 => $function::<2>($($argument),*),
+            3 => $function::<3>($($argument),*),
+            4 => $function::<4>($($argument),*),
+            5 => $function::<5>($($argument),*),
+            6 => $function::<6>($($argument),*),
+            7 => $function::<7>($($argument),*),
+            8 => $function::<8>($($argument),*),
+            9 => $function::<9>($($argument),*),
+            10 => $function::<10>($($argument),*),
+            11 => $function::<11>($($argument),*),
+            12 => $function::<12>($($argument),*),
+            _ => $otherwise,
+        }
+    };
+}
+pub(crate) use with_dimension;

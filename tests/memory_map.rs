@@ -1,0 +1,285 @@
+//! The reader of memory maps: the repository's own map, the language, and every message.
+
+use std::path::Path;
+
+use host_sim::memory_map::{MemoryMap, MemoryMapError, WeightsRegion};
+use proptest::prelude::*;
+
+/// The map of the default board.
+pub(crate) const MEMORY_X: &str = include_str!("../memory.x");
+
+/// What the region of that map is, as the linker computes it: GNU ld 2.40 on a file that includes
+/// it, symbols printed by `nm`.
+pub(crate) const WEIGHTS: WeightsRegion = WeightsRegion {
+    origin: 0x30_0000,
+    length: 64 << 10,
+    slot_a: 0x30_0000,
+    slot_b: 0x30_7000,
+    slot_length: 28 << 10,
+    commit: 0x30_E000,
+    commit_length: 8 << 10,
+    erase_size: 4 << 10,
+};
+
+fn parse(text: &str) -> Result<MemoryMap, MemoryMapError> {
+    MemoryMap::parse(text, "map.x")
+}
+
+/// The value of an expression, after two regions and a symbol.
+fn value(expression: &str) -> Result<u64, String> {
+    let text = format!(
+        "MEMORY {{ A : ORIGIN = 16, LENGTH = 4K B (rx!w) : org = ORIGIN(A) + LENGTH(A) l = 1M }}\n\
+         earlier = 7; result = {expression};"
+    );
+    match parse(&text) {
+        Ok(map) => Ok(map.symbol("result").expect("it was given a value").value),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+#[test]
+fn the_repositorys_map_is_what_the_linker_makes_of_it() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../memory.x");
+    let map = MemoryMap::read(&path).unwrap();
+    let regions: Vec<_> = map
+        .regions
+        .iter()
+        .map(|region| (region.name.as_str(), region.origin, region.length))
+        .collect();
+    let expected =
+        [("FLASH", 0, 3 << 20), ("WEIGHTS", 0x30_0000, 64 << 10), ("RAM", 0x2000_0000, 128 << 10)];
+    assert_eq!(regions, expected);
+    assert_eq!(map.weights(), Ok(WEIGHTS));
+}
+
+#[test]
+fn expressions_have_the_linkers_values() {
+    for (expression, expected) in [
+        ("1 + 2 * 3", 7),
+        ("(1 + 2) * 3", 9),
+        ("20 - 5 - 3", 12),
+        ("100 / 10 / 2", 5),
+        ("0x17 % 16 * 2", 14),
+        ("2k - 0x1K", 1024),
+        ("earlier * earlier", 49),
+        ("ORIGIN(A) + LENGTH ( A )", 4112),
+        ("ORIGIN(B)", 4112),
+        ("LENGTH(B)", 1 << 20),
+        ("1 + 1 == 2", 1),
+        ("3 < 2", 0),
+        ("3 <= 3", 1),
+        ("4 > 3 != 0", 1),
+        ("2 >= 3", 0),
+        ("/* a */ 1 /* b\n */ + /**/ 1", 2),
+    ] {
+        assert_eq!(value(expression), Ok(expected), "{expression}");
+    }
+}
+
+#[test]
+fn what_is_no_value_is_named() {
+    let deep = format!("{}1{}", "(".repeat(65), ")".repeat(65));
+    for (expression, message) in [
+        (
+            "1 - 2",
+            "map.x:2: result: 0x1 - 0x2 is negative; subtract less: addresses and sizes count from 0",
+        ),
+        ("8 / (4 - 4)", "map.x:2: result: 0x8 / 0x0 divides by 0; divide by something else"),
+        (
+            "0xFFFFFFFFFFFFFFFF + 1",
+            "map.x:2: result: 0xffffffffffffffff + 0x1 needs more than 64 bits; use smaller numbers",
+        ),
+        (
+            "later",
+            "map.x:2: result: the symbol `later` has no value up to here; give it one further up",
+        ),
+        (
+            "LENGTH(C)",
+            "map.x:2: result: there is no region `C` up to here; describe it further up, in MEMORY",
+        ),
+        (
+            "ALIGN(4)",
+            "map.x:2: result: found the function `ALIGN`; expected ORIGIN(region) or LENGTH(region)",
+        ),
+        ("1 2", "map.x:2: result: found the number 2; expected `;` behind the value"),
+        (
+            "1 + ;",
+            "map.x:2: result: found `;`; expected a number, a symbol, ORIGIN(region), LENGTH(region) or `(`",
+        ),
+        ("(1", "map.x:2: result: found `;`; expected `)` behind what it encloses"),
+        (
+            "1 << 2",
+            "map.x:2: result: found `<`; expected a number, a symbol, ORIGIN(region), LENGTH(region) or `(`",
+        ),
+        (
+            &deep,
+            "map.x:2: result: more than 64 parentheses within each other; give parts of the expression names of their own",
+        ),
+    ] {
+        assert_eq!(value(expression), Err(message.to_owned()), "{expression}");
+    }
+}
+
+#[test]
+fn every_mistake_is_named_with_its_line_and_its_mend() {
+    const STATEMENTS: &str =
+        "expected MEMORY { ... }, ASSERT(condition, \"message\"); or symbol = value;";
+    for (text, message) in [
+        ("\nSECTIONS { }", format!("map.x:2: found `SECTIONS` and then `{{`; {STATEMENTS}")),
+        ("a = 1;\n12 = 3;", format!("map.x:2: found the number 12; {STATEMENTS}")),
+        (". = 4;", "map.x:1: found `.`, the place where the linker stands; expected a symbol with a name; a memory map places nothing".to_owned()),
+        ("a = 1;\na = 2;", "map.x:2: a: already has a value, from line 1; give every symbol one value".to_owned()),
+        ("a = 1", "map.x:1: a: found the end of the file; expected `;` behind the value".to_owned()),
+        ("MEMORY {\n  A : ORIGIN = 0\n}", "map.x:3: A: found `}`; expected LENGTH = value (or len, or l)".to_owned()),
+        ("MEMORY { A ORIGIN = 0 }", "map.x:1: A: found `ORIGIN`; expected `:` behind the name of a region".to_owned()),
+        ("MEMORY { A : o = 0, l = 1 A : o = 2, l = 1 }", "map.x:1: A: there already is a region of this name, on line 1; give every region a name of its own".to_owned()),
+        ("MEMORY { A : o = 4096M, l = 1 }", "map.x:1: A: ORIGIN is 0x100000000, which is no 32-bit address; choose one below 0x100000000".to_owned()),
+        ("MEMORY { A : o = 4095M, l = 2M }", "map.x:1: A: 0x200000 bytes from 0xfff00000 on end behind the last 32-bit address; choose a smaller LENGTH".to_owned()),
+        ("MEMORY", "map.x:1: found the end of the file; expected `{` behind MEMORY".to_owned()),
+        ("a = 1;\nASSERT(a == 2, \"a has to be 2\")", "map.x:2: ASSERT: does not hold: a has to be 2; change the regions or symbols that the condition names".to_owned()),
+        ("ASSERT(1)", "map.x:1: ASSERT: found `)`; expected `,` behind the condition".to_owned()),
+        ("ASSERT(1, a)", "map.x:1: ASSERT: found `a`; expected the message, in quotes".to_owned()),
+        ("a = 4KB;", "map.x:1: `4KB` is no number; write it as 12, 0x1F, 64K or 3M".to_owned()),
+    ] {
+        assert_eq!(parse(text).unwrap_err().to_string(), message, "{text}");
+    }
+    let error = MemoryMap::read(Path::new("no/such/memory.x")).unwrap_err().to_string();
+    assert!(error.starts_with("no/such/memory.x: cannot be read: "), "{error}");
+}
+
+/// The repository's map with one change, and without its assertions: what they guard has to be
+/// found without them.
+fn changed(from: &str, to: &str) -> Result<WeightsRegion, String> {
+    assert!(MEMORY_X.contains(from), "{from} is no longer in memory.x");
+    let bare: String = MEMORY_X
+        .lines()
+        .filter(|line| !line.starts_with("ASSERT"))
+        .map(|line| format!("{line}\n"))
+        .collect();
+    let map = parse(&bare.replacen(from, to, 1)).map_err(|error| error.to_string())?;
+    map.weights().map_err(|error| error.to_string())
+}
+
+#[test]
+fn without_a_single_assertion_the_weights_still_lie_safely() {
+    assert_eq!(changed("RAM     : ORIGIN", "RAM     : ORIGIN"), Ok(WEIGHTS));
+    for (from, to, name, part) in [
+        ("  WEIGHTS : ORIGIN", "  OTHER : ORIGIN", "", "no region `WEIGHTS`"),
+        ("LENGTH = 3M", "LENGTH = 4M", "FLASH", "overlaps WEIGHTS"),
+        ("LENGTH = 64K", "LENGTH = 60K", "_weights_commit_length", "WEIGHTS ends at 0x30f000"),
+        ("_weights_erase_size = 4K", "_other = 4K", "_weights_erase_size", "no such name"),
+        ("_weights_erase_size = 4K", "_weights_erase_size = 0", "_weights_erase_size", "is 0"),
+        (
+            "_weights_erase_size = 4K",
+            "_weights_erase_size = 8K",
+            "_weights_slot_a_length",
+            "no multiple of 0x2000",
+        ),
+        (
+            "_weights_slot_a_origin = ORIGIN(WEIGHTS)",
+            "_weights_slot_a_origin = 0",
+            "_weights_slot_a_origin",
+            "before WEIGHTS",
+        ),
+        (
+            "_weights_slot_a_origin = ORIGIN(WEIGHTS)",
+            "_weights_slot_a_origin = ORIGIN(WEIGHTS) + 256",
+            "_weights_slot_a_origin",
+            "no multiple of 0x1000",
+        ),
+        (
+            "_weights_slot_a_length = 28K",
+            "_weights_slot_a_length = 24K",
+            "_weights_slot_b_length",
+            "length of slot A",
+        ),
+        (
+            "_weights_slot_a_length = 28K",
+            "_weights_slot_a_length = 0",
+            "_weights_slot_a_length",
+            "is 0",
+        ),
+        (
+            "_weights_commit_length = 8K",
+            "_weights_commit_length = 0xFFFFFFFFFFFFF000",
+            "_weights_commit_length",
+            "WEIGHTS ends at 0x310000",
+        ),
+        (
+            "_weights_slot_b_origin = _weights_slot_a_origin + _weights_slot_a_length",
+            "_weights_slot_b_origin = _weights_slot_a_origin + 4K",
+            "_weights_slot_b_origin",
+            "overlaps slot A",
+        ),
+        (
+            "_weights_commit_origin = _weights_slot_b_origin + _weights_slot_b_length",
+            "_weights_commit_origin = _weights_slot_b_origin",
+            "_weights_commit_origin",
+            "overlaps slot B",
+        ),
+        (
+            "_weights_commit_length = 8K",
+            "_weights_commit_length = 4K",
+            "_weights_commit_length",
+            "one erase unit only",
+        ),
+    ] {
+        let message = changed(from, to).unwrap_err();
+        assert!(message.starts_with("map.x:"), "{message}");
+        assert!(message.contains(name) && message.contains(part), "{to}: {message}");
+    }
+}
+
+/// What every outcome promises, whatever the text.
+fn sound(text: &str) -> Result<(), TestCaseError> {
+    match parse(text) {
+        Ok(map) => {
+            for region in &map.regions {
+                prop_assert!(region.end() <= 1 << 32);
+            }
+            if let Ok(weights) = map.weights() {
+                prop_assert!(weights.erase_size > 0 && weights.end() <= 1 << 32);
+                for (origin, length) in [
+                    (weights.slot_a, weights.slot_length),
+                    (weights.slot_b, weights.slot_length),
+                    (weights.commit, weights.commit_length),
+                ] {
+                    prop_assert!(origin >= weights.origin);
+                    prop_assert!(u64::from(origin) + u64::from(length) <= weights.end());
+                    prop_assert_eq!(origin % weights.erase_size, 0);
+                }
+            }
+        }
+        Err(error) => {
+            let lines = text.split('\n').count();
+            prop_assert!(error.line.is_some_and(|line| (1..=lines).contains(&line)), "{}", error);
+            prop_assert!(!error.problem.is_empty() && !error.mend.is_empty());
+        }
+    }
+    Ok(())
+}
+
+proptest! {
+    #[test]
+    fn any_text_is_a_map_or_an_error_with_its_line(text in any::<String>()) {
+        sound(&text)?;
+    }
+
+    #[test]
+    fn so_is_any_text_of_tokens(words in prop::collection::vec(prop::sample::select(vec![
+        "MEMORY", "{", "}", "ASSERT", "(", ")", "a", "b", "=", "==", "<", "+", "-", "*", "/", "%", ",", ":", ";",
+        "ORIGIN", "LENGTH", "0", "1", "0xFFFFFFFFFFFFFFFF", "4K", "\"text\"", "/*", "*/", "\n", "!", ".",
+    ]), 0..60)) {
+        sound(&words.join(" "))?;
+    }
+
+    #[test]
+    fn so_is_the_repositorys_map_with_a_piece_replaced(
+        start in 0..MEMORY_X.len(),
+        length in 0_usize..40,
+        piece in "[ -~\n]{0,12}",
+    ) {
+        let end = (start + length).min(MEMORY_X.len());
+        sound(&format!("{}{piece}{}", &MEMORY_X[..start], &MEMORY_X[end..]))?;
+    }
+}

@@ -1,0 +1,148 @@
+//! What a weight store must do, in a few lines, and packages for it.
+
+use agent_core::checksum::crc32;
+use agent_core::store::{CheckedError, Layout, MappedFlash, Store, StoreError};
+
+use crate::nor_flash::{SimulatedFlash, Tear};
+
+/// A package that proves itself: length, number, filling, checksum.
+pub(crate) fn package(number: u16, length: usize) -> Vec<u8> {
+    let length_field = u16::try_from(length).unwrap().to_le_bytes();
+    let mut bytes = [length_field, number.to_le_bytes()].concat();
+    bytes.extend((0..length - 8).map(|i| (usize::from(number).wrapping_mul(31) + i * 7) as u8));
+    bytes.extend(crc32(&[&bytes]).to_le_bytes());
+    bytes
+}
+
+/// The number of a package whose checksum matches.
+pub(crate) fn check(bytes: &[u8]) -> Result<u16, &'static str> {
+    let (body, checksum) = bytes.split_last_chunk::<4>().ok_or("too short")?;
+    if crc32(&[body]) != u32::from_le_bytes(*checksum) {
+        return Err("checksum");
+    }
+    Ok(u16::from_le_bytes([*body.get(2).ok_or("too short")?, *body.get(3).ok_or("too short")?]))
+}
+
+/// The length of the package at the start of these bytes, if there is one.
+pub(crate) fn length(bytes: &[u8]) -> Option<u32> {
+    let (length, _) = bytes.split_first_chunk::<2>()?;
+    Some(u32::from(u16::from_le_bytes(*length))).filter(|&length| length >= 8)
+}
+
+/// Two slots of `units` erase units each, and a commit area of two units.
+pub(crate) fn layout(erase_size: usize, units: usize) -> Layout {
+    let (erase_size, slot_length) = (erase_size as u32, (erase_size * units) as u32);
+    Layout {
+        slots: [0, slot_length],
+        slot_length,
+        commit: 2 * slot_length,
+        commit_length: 2 * erase_size,
+    }
+}
+
+/// Erased flash for such a layout.
+pub(crate) fn erased_flash<const WRITE: usize, const ERASE: usize>(
+    units: usize,
+    tear: Tear,
+    seed: u64,
+) -> SimulatedFlash<WRITE, ERASE> {
+    SimulatedFlash::new(ERASE * (2 * units + 2), tear, seed)
+}
+
+/// What a store holds, in numbers of packages.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Model {
+    pub(crate) in_use: Option<u16>,
+    pub(crate) staged: Option<u16>,
+    /// During a trial: what was in use before.
+    pub(crate) way_back: Option<Option<u16>>,
+}
+
+/// A call that changes what survives a reboot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Change {
+    Begin,
+    Stage(u16),
+    Activate,
+    Confirm,
+    Revert,
+}
+
+impl Model {
+    pub(crate) fn after(self, change: Change) -> Self {
+        match change {
+            Change::Begin => Self { staged: None, ..self },
+            Change::Stage(number) => Self { staged: Some(number), ..self },
+            Change::Activate => {
+                Self { in_use: self.staged, staged: None, way_back: Some(self.in_use) }
+            }
+            Change::Confirm => Self { way_back: None, ..self },
+            Change::Revert => self.rebooted(),
+        }
+    }
+
+    pub(crate) fn rebooted(self) -> Self {
+        match self.way_back {
+            Some(before) => Self { in_use: before, staged: None, way_back: None },
+            None => self,
+        }
+    }
+
+    /// What a store says of itself; every package that it names must be whole.
+    pub(crate) fn of<F: MappedFlash>(store: &Store<F>) -> Self {
+        let number = |slot| check(store.bytes(slot).unwrap()).unwrap();
+        for slot in [agent_core::store::Slot::A, agent_core::store::Slot::B] {
+            if let Some(bytes) = store.bytes(slot) {
+                assert_eq!(check(bytes).map(|_| ()), Ok(()), "{slot} is named and not whole");
+            }
+        }
+        let before = || store.in_use().and_then(|slot| store.bytes(slot.other()).map(check));
+        Self {
+            in_use: store.in_use().map(number),
+            staged: store.staged().map(number),
+            way_back: store.is_on_trial().then(|| before().map(Result::unwrap)),
+        }
+    }
+}
+
+/// What a store is known to hold, and what a reboot may find after calls that failed.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Ledger {
+    pub(crate) now: Model,
+    /// What calls would have led to that failed since the last success.
+    attempted: Vec<Model>,
+}
+
+impl Ledger {
+    /// Books the outcome of a change; `Ok` is final, an error of the flash leaves both open.
+    pub(crate) fn book(&mut self, change: Change, outcome: Result<(), StoreError>) {
+        match outcome {
+            Ok(()) => {
+                self.now = self.now.after(change);
+                self.attempted.clear();
+            }
+            Err(StoreError::Flash(_) | StoreError::Verify { .. }) => {
+                self.attempted.push(self.now.after(change));
+            }
+            Err(refused) => panic!("{change:?} is refused in {:?}: {refused}", self.now),
+        }
+    }
+
+    /// Books a reboot, after which `found` was there.
+    pub(crate) fn reboot(&mut self, found: Model) {
+        let attempted = self.attempted.drain(..);
+        let possible: Vec<_> =
+            [self.now].into_iter().chain(attempted).map(Model::rebooted).collect();
+        assert!(possible.contains(&found), "found {found:?} after {possible:?}");
+        self.now = found;
+    }
+}
+
+/// An outcome without what the check made of the package.
+pub(crate) fn plain<T>(outcome: Result<T, CheckedError<&'static str>>) -> Result<(), StoreError> {
+    match outcome {
+        Ok(_) => Ok(()),
+        Err(CheckedError::Store(error)) => Err(error),
+        Err(refused) => panic!("{refused:?}"),
+    }
+}
