@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use crate::nor_flash::{Fault, SimulatedFlash, Tear};
 use crate::store_model::{Change, Ledger, Model, check, erased_flash, layout, package, plain};
 
-const HISTORIES: u64 = 20_000;
+const HISTORIES: u64 = 50_000;
 /// Calls of one life.
 const CALLS: usize = 60;
 /// Erase units of a slot.

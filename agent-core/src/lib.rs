@@ -47,10 +47,10 @@ pub mod outer_law;
 pub mod package;
 pub mod parameter;
 pub mod projection;
-pub mod signature;
-pub mod symmetric;
 mod sequence;
+pub mod signature;
 pub mod store;
+pub mod symmetric;
 pub mod trigger;
 
 /// A vector of the state space, shape `[N]`.
