@@ -5,6 +5,9 @@
 
 use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
+/// Bytes in a checksum.
+pub const CHECKSUM_LENGTH: usize = 4;
+
 const ALGORITHM: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 
 /// The checksum of all `parts`, one after another.

@@ -21,7 +21,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::checksum::crc32;
 use crate::checksum::{CHECKSUM_LENGTH, crc32};
 use crate::network::INPUTS_MAX;
 use crate::numeric::all_finite;
@@ -36,8 +35,6 @@ pub const FRAME_LENGTH_MAX: usize = 1 + 3 + 5 + 10 + 1 + 1 + 4 * INPUTS_MAX + CH
 
 /// An encoded frame.
 pub type FrameBytes = heapless::Vec<u8, FRAME_LENGTH_MAX>;
-
-const CHECKSUM_LENGTH: usize = 4;
 
 /// One broadcast of one agent.
 #[derive(Clone, Copy, Debug, PartialEq)]

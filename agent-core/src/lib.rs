@@ -23,7 +23,6 @@
 //! | [`checksum`], [`signature`] | against damage; against strangers | |
 //! | [`symmetric`], [`numeric`], [`parameter`] | gains; ordered sums; ranges | |
 //! | [`store`] | weight packages in flash, safe against loss of power at any instant | |
-//! | [`checksum`] | the CRC-32 of frames and flash | |
 //!
 //! Parameters ([`agent::AgentParams`]) never change and can live in flash; the state
 //! ([`agent::AgentState`]) is all that does. Time, measurements and frames are arguments, the

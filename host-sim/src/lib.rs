@@ -13,7 +13,6 @@
 //! | [`analysis`] | the theorems' constants and bounds, held against a run |
 //! | [`figures`], [`report`] | pictures; tables and CSV files |
 //! | [`progress`], [`output_file`], [`fnv`] | progress bars; files that are whole or not there; a hash |
-//! | [`progress`], [`output_file`] | progress bars; files that are whole or not there |
 //! | [`signing`] | the operator's keys, for packages of weights |
 //! | [`tensors`] | networks from and for PyTorch, JAX and NumPy |
 //! | [`commands`] | what the command line does |

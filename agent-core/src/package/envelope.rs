@@ -15,7 +15,7 @@
 //! Invariant: of two byte strings that differ in one bit at most one is an envelope.
 
 use super::PackageError;
-use crate::checksum::crc32;
+use crate::checksum::{CHECKSUM_LENGTH, crc32};
 use crate::signature::SIGNATURE_LENGTH;
 
 /// What every package starts with: observer weight package.
@@ -27,7 +27,6 @@ pub const HEADER_LENGTH: usize = 12;
 /// Signature and its checksum. \[bytes\]
 pub const SIGNATURE_BLOCK_LENGTH: usize = SIGNATURE_LENGTH + CHECKSUM_LENGTH;
 
-const CHECKSUM_LENGTH: usize = 4;
 /// The part of the header that its checksum covers.
 const COVERED_LENGTH: usize = HEADER_LENGTH - CHECKSUM_LENGTH;
 

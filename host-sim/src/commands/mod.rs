@@ -10,9 +10,10 @@ mod scenario;
 mod summary;
 mod train;
 mod warnings;
+mod weights;
 mod written;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -21,11 +22,16 @@ use serde::Serialize;
 
 use crate::engine::{Progress, RunError};
 use crate::figures::FigureError;
+use crate::flash::FlashError;
+use crate::image::ImageError;
+use crate::memory_map::MemoryMapError;
 use crate::output_file::OutputError;
 use crate::packages::trained::TrainedError;
-use crate::packages::{PackageFileError, RecordingError};
+use crate::packages::{DraftError, PackageFileError, RecordingError};
 use crate::progress::ProgressBars;
-use crate::scenario::{Scenario, ScenarioError, built_in};
+use crate::scenario::{Network, Scenario, ScenarioError, built_in};
+use crate::signing::KeyFileError;
+use crate::tensors::TensorError;
 use crate::training::EpochReport;
 
 /// Simulates distributed, event-triggered state estimation with deep networks.
@@ -48,6 +54,11 @@ enum Command {
     Run(run::Arguments),
     /// Trains a network on recorded samples and writes a weight package
     Train(train::Arguments),
+    /// Looks at weight packages, checks, signs, converts and places them
+    #[command(subcommand)]
+    Weights(weights::Command),
+    /// Writes a weight package into a chip through probe-rs and reads it back
+    Flash(weights::FlashArguments),
     /// Prints a built-in scenario, as a file to start from; without a name, lists them
     Scenario(scenario::Arguments),
 }
@@ -83,6 +94,20 @@ enum CommandError {
     Scenario(#[from] ScenarioError),
     #[error("{0}")]
     Usage(String),
+    #[error("{}: a node would refuse it: {refusal}; train, sign or number it anew", path.display())]
+    Refused { path: PathBuf, refusal: String },
+    #[error(transparent)]
+    Draft(#[from] DraftError),
+    #[error(transparent)]
+    Key(#[from] KeyFileError),
+    #[error(transparent)]
+    Tensors(#[from] TensorError),
+    #[error(transparent)]
+    MemoryMap(#[from] MemoryMapError),
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    #[error(transparent)]
+    Flash(#[from] FlashError),
     #[error(transparent)]
     Package(#[from] PackageFileError),
     #[error(transparent)]
@@ -104,10 +129,18 @@ enum CommandError {
 impl CommandError {
     fn exit_code(&self) -> ExitCode {
         match self {
-            Self::Scenario(_) | Self::Usage(_) | Self::Package(_) | Self::Recording(_) => {
-                ExitCode::from(2)
-            }
-            Self::Training(_)
+            Self::Scenario(_)
+            | Self::Usage(_)
+            | Self::Refused { .. }
+            | Self::Draft(_)
+            | Self::Key(_)
+            | Self::Tensors(_)
+            | Self::MemoryMap(_)
+            | Self::Image(_)
+            | Self::Package(_)
+            | Self::Recording(_) => ExitCode::from(2),
+            Self::Flash(_)
+            | Self::Training(_)
             | Self::Run(_)
             | Self::File(_)
             | Self::Figure(_)
@@ -132,6 +165,8 @@ pub fn main() -> ExitCode {
         Command::Train(arguments) => {
             with_threads(arguments.common.threads, || train::execute(&arguments))
         }
+        Command::Weights(command) => weights::execute(&command),
+        Command::Flash(arguments) => weights::flash(&arguments),
         Command::Scenario(arguments) => scenario::execute(&arguments),
     };
     match done {
@@ -180,6 +215,24 @@ fn load_scenario(path: &Path) -> Result<Scenario, CommandError> {
     Ok(match name.and_then(|name| Some((name, built_in(name)?))) {
         Some((name, text)) => Scenario::parse(name, text)?,
         None => Scenario::load(path)?,
+    })
+}
+
+/// The index, from 0, of the agent that the command line calls `number`, from 1.
+fn agent_index(scenario: &Scenario, number: usize) -> Result<usize, CommandError> {
+    let agents = scenario.agents.len();
+    number.checked_sub(1).filter(|&index| index < agents).ok_or_else(|| {
+        let name = &scenario.name;
+        CommandError::Usage(format!("--agent {number}: scenario {name} has agents 1 to {agents}"))
+    })
+}
+
+/// The scenario's network, without which there is no package.
+fn network_of(scenario: &Scenario) -> Result<&Network, CommandError> {
+    scenario.network.as_ref().ok_or_else(|| {
+        let name = &scenario.name;
+        let problem = format!("scenario {name} has no network; add [network] and [outer_law]");
+        CommandError::Usage(problem)
     })
 }
 

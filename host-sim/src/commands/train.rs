@@ -9,11 +9,15 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
-use super::{CommandError, Common, Format, load_scenario, print_json, print_text, summary};
+use super::{
+    CommandError, Common, Format, agent_index, load_scenario, network_of, print_json, print_text,
+    summary,
+};
 use crate::packages::trained::{INITIAL_VERSION, Trained, TrainingTask};
 use crate::packages::{PackageBytes, Recording};
 use crate::progress::ProgressBars;
-use crate::scenario::{Network, Recipe, Scenario};
+use crate::scenario::{Recipe, Scenario};
+use crate::signing::OperatorKey;
 use crate::training::{EpochReport, StopReason};
 
 /// Arguments of `train`.
@@ -42,6 +46,9 @@ pub(super) struct Arguments {
     /// replaced, else 2]
     #[arg(long)]
     package_version: Option<u32>,
+    /// Private key to sign the package with
+    #[arg(long)]
+    sign: Option<PathBuf>,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -67,7 +74,9 @@ struct Report<'a> {
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let start = Instant::now();
     let scenario = load_scenario(&arguments.scenario)?;
-    let (index, network) = agent_and_network(arguments, &scenario)?;
+    let index = agent_index(&scenario, arguments.agent)?;
+    let network = network_of(&scenario)?;
+    let key = arguments.sign.as_deref().map(OperatorKey::read).transpose()?;
     let (recipe, cycle) = recipe(arguments, &scenario, index)?;
     let features = network.architecture.features();
     let base = arguments.base.as_deref().map(PackageBytes::load).transpose()?;
@@ -86,34 +95,16 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         version,
     };
     let trained = train(&task, &recording)?;
-    let package = trained.package.clone();
+    let package = match &key {
+        Some(key) => trained.package.signed(key),
+        None => trained.package.clone(),
+    };
     package.save(&arguments.out)?;
     let report = report(arguments, &task, &trained, &package, start.elapsed().as_secs_f64());
     match arguments.common.format {
         Format::Json => print_json(&report),
         Format::Text => print_text(&text(arguments, &report)),
     }
-}
-
-fn agent_and_network<'s>(
-    arguments: &Arguments,
-    scenario: &'s Scenario,
-) -> Result<(usize, &'s Network), CommandError> {
-    let agents = scenario.agents.len();
-    let index = arguments.agent.checked_sub(1).filter(|&index| index < agents);
-    let index = index.ok_or_else(|| {
-        CommandError::Usage(format!(
-            "--agent {}: scenario {} has agents 1 to {agents}",
-            arguments.agent, scenario.name
-        ))
-    })?;
-    let network = scenario.network.as_ref().ok_or_else(|| {
-        CommandError::Usage(format!(
-            "scenario {} has no network to train; add [network] and [outer_law]",
-            scenario.name
-        ))
-    })?;
-    Ok((index, network))
 }
 
 /// The recipe, and the learning cycle (from 0) that it belongs to.

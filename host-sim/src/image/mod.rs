@@ -32,7 +32,10 @@ pub use error::ImageError;
 pub use tools::{ToolCommand, ToolUse, commands_for};
 pub use uf2::{UF2_FAMILIES, Uf2Family};
 
+use agent_core::store::{Slot, factory_record};
+
 use crate::memory_map::WeightsRegion;
+use crate::packages::PackageBytes;
 
 /// What erased flash reads as, on every NOR flash that the store supports.
 pub const ERASED: u8 = 0xFF;
@@ -48,6 +51,15 @@ pub enum ImageSlot {
     A,
     /// The second slot.
     B,
+}
+
+impl From<ImageSlot> for Slot {
+    fn from(slot: ImageSlot) -> Self {
+        match slot {
+            ImageSlot::A => Self::A,
+            ImageSlot::B => Self::B,
+        }
+    }
 }
 
 impl core::fmt::Display for ImageSlot {
@@ -133,6 +145,19 @@ impl Image {
         segments.sort_by_key(|segment| segment.address);
         check(region, &segments)?;
         Ok(Self { region: *region, slot, segments })
+    }
+
+    /// The image that makes `package` the one in use, confirmed, in `slot`.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn of_package(
+        region: &WeightsRegion,
+        slot: ImageSlot,
+        package: &PackageBytes,
+    ) -> Result<Self, ImageError> {
+        let bytes = package.as_bytes();
+        Self::new(region, slot, bytes, &factory_record(slot.into(), bytes))
     }
 
     /// All that is written, in the order of the addresses.

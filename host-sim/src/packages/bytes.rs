@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use agent_core::network::{Architecture, InnerNetwork};
-use agent_core::package::{Envelope, NetworkPlace, Package, PackageError};
+use agent_core::package::{Envelope, NetworkPlace, Package, PackageError, signature_block};
 
 use crate::output_file::{OutputError, write_whole};
+use crate::signing::OperatorKey;
 
 /// Longest file that is read as a package: beyond the largest network of all. \[bytes\]
 const LENGTH_MAX: u64 = 1 << 20;
@@ -113,6 +114,18 @@ impl PackageBytes {
     pub fn network(&self) -> InnerNetwork<PackageParameters> {
         let parameters = PackageParameters(self.clone());
         InnerNetwork::new(self.architecture().clone(), parameters).expect("a decoded network")
+    }
+
+    /// The same package with a signature by this key, in place of any other.
+    ///
+    /// # Panics
+    /// Never: signing changes no byte of the package.
+    #[must_use]
+    pub fn signed(&self, key: &OperatorKey) -> Self {
+        let envelope = Envelope::open(self.as_bytes()).expect("bytes that decoded before");
+        let signature = key.sign(envelope.signed_part);
+        let bytes = [envelope.signed_part, &signature_block(&signature)].concat();
+        Self::new(&bytes).expect("a package with a signature of the right length")
     }
 
     /// Whether there is a signature, by whomever.

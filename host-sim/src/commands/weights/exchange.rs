@@ -1,0 +1,219 @@
+//! `weights import` and `weights export`: networks from and for other tools.
+
+use std::path::PathBuf;
+
+use agent_core::activation::Activation;
+use agent_core::package::OnSwitch;
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+
+use crate::analysis::TriggerConstants;
+use crate::commands::{
+    CommandError, Format, agent_index, load_scenario, network_of, print_json, print_text,
+};
+use crate::packages::trained::INITIAL_VERSION;
+use crate::packages::{Draft, NodeContent, PackageBytes};
+use crate::signing::OperatorKey;
+use crate::tensors::{self, Activations, NetworkArrays};
+
+/// Arguments of `weights export`.
+#[derive(Debug, Args)]
+pub(in crate::commands) struct Export {
+    /// The package
+    package: PathBuf,
+    /// The file to write: .npz for NumPy and MATLAB's Python bridge, .safetensors for PyTorch and JAX
+    #[arg(long)]
+    out: PathBuf,
+    /// How the result is printed on standard output
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+/// Arguments of `weights import`.
+#[derive(Debug, Args)]
+pub(in crate::commands) struct Import {
+    /// Arrays layer1.weight, layer1.bias .. and outer.weight in a .npz or .safetensors file
+    arrays: PathBuf,
+    /// The package to write
+    #[arg(long)]
+    out: PathBuf,
+    /// Package of the same node: gives everything but the network, and the version to follow
+    #[arg(long, required_unless_present = "scenario", conflicts_with_all = ["scenario", "agent"])]
+    base: Option<PathBuf>,
+    /// The scenario that describes the node, instead of --base
+    #[arg(long, requires = "agent")]
+    scenario: Option<PathBuf>,
+    /// The agent in the scenario, from 1
+    #[arg(long)]
+    agent: Option<usize>,
+    /// What the layers apply: one for all, or one a layer, with commas [default: what the file
+    /// says, else tanh]
+    #[arg(long, value_enum, value_delimiter = ',')]
+    activations: Vec<ActivationName>,
+    /// Version of the package [default: one more than that of --base, else 2]
+    #[arg(long)]
+    package_version: Option<u32>,
+    /// Keep the outer weights that the node has adapted when the package is switched in, instead
+    /// of replacing them by the imported ones
+    #[arg(long)]
+    keep_outer_weights: bool,
+    /// Private key to sign the package with
+    #[arg(long)]
+    sign: Option<PathBuf>,
+    /// How the result is printed on standard output
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum ActivationName {
+    Tanh,
+    Logistic,
+    Gaussian,
+}
+
+impl From<ActivationName> for Activation {
+    fn from(name: ActivationName) -> Self {
+        match name {
+            ActivationName::Tanh => Self::Tanh,
+            ActivationName::Logistic => Self::Logistic,
+            ActivationName::Gaussian => Self::Gaussian,
+        }
+    }
+}
+
+pub(super) fn export(arguments: &Export) -> Result<(), CommandError> {
+    #[derive(Serialize)]
+    struct Report {
+        package: String,
+        out: String,
+        inner_parameters: usize,
+        outer_parameters: usize,
+    }
+    let bytes = PackageBytes::load(&arguments.package)?;
+    let package = bytes.package();
+    let arrays = NetworkArrays {
+        architecture: package.network.architecture().clone(),
+        inner: package.network.parameters().to_vec(),
+        outer: package.outer_weights.to_vec(),
+    };
+    tensors::write(&arguments.out, &arrays)?;
+    let report = Report {
+        package: arguments.package.display().to_string(),
+        out: arguments.out.display().to_string(),
+        inner_parameters: arrays.inner.len(),
+        outer_parameters: arrays.outer.len(),
+    };
+    match arguments.format {
+        Format::Json => print_json(&report),
+        Format::Text => print_text(&format!(
+            "Written to {}: {} inner and {} outer parameters\n\
+             Back again: host-sim weights import {} --base {} --out NEW.weights\n",
+            report.out,
+            report.inner_parameters,
+            report.outer_parameters,
+            report.out,
+            report.package
+        )),
+    }
+}
+
+pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
+    #[derive(Serialize)]
+    struct Report {
+        package: String,
+        bytes: usize,
+        agent: u16,
+        version: u32,
+        signed: bool,
+        activations_from: String,
+        largest_rounding: Option<f64>,
+    }
+    let key = arguments.sign.as_deref().map(OperatorKey::read).transpose()?;
+    let mut draft = draft(arguments)?;
+    let activations: Vec<Activation> = arguments.activations.iter().map(|&a| a.into()).collect();
+    let activations = match activations[..] {
+        [] => Activations::FromFile,
+        [all] => Activations::All(all),
+        _ => Activations::PerLayer(activations),
+    };
+    let (arrays, import) = tensors::read(&arguments.arrays, activations)?;
+    draft.architecture = arrays.architecture;
+    draft.inner = arrays.inner;
+    draft.outer_weights = arrays.outer;
+    let mut package = draft.seal()?;
+    if let Some(key) = &key {
+        package = package.signed(key);
+    }
+    package.save(&arguments.out)?;
+    let report = Report {
+        package: arguments.out.display().to_string(),
+        bytes: package.as_bytes().len(),
+        agent: package.package().node.agent,
+        version: draft.version,
+        signed: package.is_signed(),
+        activations_from: format!("{:?}", import.activations).to_lowercase(),
+        largest_rounding: import.rounding.as_ref().map(|rounding| rounding.error),
+    };
+    match arguments.format {
+        Format::Json => print_json(&report),
+        Format::Text => print_text(&format!(
+            "Written to {}: agent {}, version {}, {} bytes, {}\n\
+             Activations: {}; {}\n",
+            report.package,
+            report.agent,
+            report.version,
+            report.bytes,
+            if report.signed { "signed" } else { "not signed" },
+            report.activations_from,
+            report.largest_rounding.map_or("every value as it was in the file".to_owned(), |e| {
+                format!("rounding to single precision changed values by up to {e:.1e}")
+            }),
+        )),
+    }
+}
+
+/// The package without its network yet.
+fn draft(arguments: &Import) -> Result<Draft, CommandError> {
+    let base = arguments.base.as_deref().map(PackageBytes::load).transpose()?;
+    let mut draft = match (&base, &arguments.scenario, arguments.agent) {
+        (Some(base), ..) => Draft::copy(&base.package()),
+        (None, Some(scenario), Some(agent)) => of_scenario(scenario, agent)?,
+        _ => {
+            let problem = "no node to import for".to_owned();
+            return Err(CommandError::Usage(problem + "; give --base, or --scenario and --agent"));
+        }
+    };
+    draft.version = arguments.package_version.unwrap_or(draft.version.saturating_add(1));
+    draft.replaces = None;
+    draft.on_switch = if arguments.keep_outer_weights { OnSwitch::Keep } else { OnSwitch::Replace };
+    draft.recipe = "import".to_owned();
+    draft.samples = 0;
+    draft.errors = None;
+    Ok(draft)
+}
+
+fn of_scenario(path: &std::path::Path, agent: usize) -> Result<Draft, CommandError> {
+    let scenario = load_scenario(path)?;
+    let index = agent_index(&scenario, agent)?;
+    let network = network_of(&scenario)?;
+    let n = scenario.dimension();
+    let trigger = TriggerConstants::new(&scenario);
+    Ok(Draft {
+        version: INITIAL_VERSION,
+        replaces: None,
+        on_switch: OnSwitch::Replace,
+        architecture: network.architecture.clone(),
+        inner: Vec::new(),
+        outer_weights: Vec::new(),
+        node: NodeContent::new(&scenario, &trigger, index),
+        broadcast_interval_min: 0.0,
+        low: vec![f32::MIN; n],
+        high: vec![f32::MAX; n],
+        scenario_hash: scenario.hash,
+        recipe: String::new(),
+        seed: 0,
+        samples: 0,
+        errors: None,
+    })
+}

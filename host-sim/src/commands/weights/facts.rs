@@ -1,0 +1,249 @@
+//! What is in a package, for people and as JSON.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use agent_core::activation::Activation;
+use agent_core::package::{FORMAT_VERSION, OnSwitch, SIGNATURE_BLOCK_LENGTH};
+use agent_core::symmetric::SymmetricMatrix;
+use serde::Serialize;
+
+use crate::packages::PackageBytes;
+
+/// A package, told.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Facts {
+    pub(super) format_version: u8,
+    pub(super) bytes: usize,
+    pub(super) signed: bool,
+    pub(super) version: u32,
+    pub(super) replaces: Option<u32>,
+    pub(super) agent: u16,
+    pub(super) dimension: usize,
+    pub(super) layers: Vec<Layer>,
+    pub(super) inner_parameters: usize,
+    pub(super) inner_parameters_largest: f32,
+    pub(super) outer_parameters: usize,
+    pub(super) outer_weights: Vec<f32>,
+    pub(super) outer_weights_norm: f64,
+    pub(super) outer_weights_on_switch: &'static str,
+    pub(super) output_matrix: Vec<f32>,
+    pub(super) gain: Matrix,
+    pub(super) neighbours: Vec<Neighbour>,
+    pub(super) outer_gain: Matrix,
+    pub(super) outer_weights_bound: f32,
+    pub(super) boundary_layer: f32,
+    pub(super) smoothing: f32,
+    pub(super) smoothness: u8,
+    pub(super) phi1: f32,
+    pub(super) phi2: f32,
+    pub(super) threshold: f32,
+    pub(super) step_s: f32,
+    pub(super) broadcast_interval_min_s: f32,
+    pub(super) trained_low: Vec<f32>,
+    pub(super) trained_high: Vec<f32>,
+    pub(super) scenario_hash: String,
+    pub(super) recipe: String,
+    pub(super) seed: u64,
+    pub(super) samples: u32,
+    pub(super) training_error: Option<f32>,
+    pub(super) test_error: Option<f32>,
+    pub(super) tool_version: String,
+    pub(super) test_vectors: usize,
+    /// Bytes beyond inner and outer parameters, test vectors and signature.
+    pub(super) overhead_bytes: usize,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub(super) struct Layer {
+    nodes: u8,
+    activation: &'static str,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Matrix {
+    form: &'static str,
+    entries: Vec<f32>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Neighbour {
+    agent: u16,
+    weight: f32,
+}
+
+impl Matrix {
+    fn new(matrix: &SymmetricMatrix<'_>) -> Self {
+        let form = match matrix {
+            SymmetricMatrix::Scalar(_) => "scalar",
+            SymmetricMatrix::Diagonal(_) => "diagonal",
+            SymmetricMatrix::Full(_) => "full",
+        };
+        Self { form, entries: matrix.entries().to_vec() }
+    }
+}
+
+/// As scenario files name them.
+fn activation_name(activation: Activation) -> &'static str {
+    match activation {
+        Activation::Tanh => "tanh",
+        Activation::Logistic => "logistic",
+        Activation::Gaussian => "gaussian",
+    }
+}
+
+impl Facts {
+    pub(super) fn new(bytes: &PackageBytes) -> Self {
+        let package = bytes.package();
+        let (node, provenance) = (&package.node, &package.provenance);
+        let architecture = package.network.architecture();
+        let parameters = package.network.parameters();
+        let squares = package.outer_weights.iter().map(|&w| f64::from(w) * f64::from(w));
+        let signed = bytes.is_signed();
+        let signature = if signed { SIGNATURE_BLOCK_LENGTH } else { 0 };
+        let numbers = parameters.len() + package.outer_weights.len() + package.test_vectors.len();
+        let [major, minor, patch] = provenance.tool_version;
+        Self {
+            format_version: FORMAT_VERSION,
+            bytes: bytes.as_bytes().len(),
+            signed,
+            version: package.version,
+            replaces: package.replaces,
+            agent: node.agent,
+            dimension: package.dimension(),
+            layers: architecture
+                .layers()
+                .iter()
+                .map(|l| Layer { nodes: l.width, activation: activation_name(l.activation) })
+                .collect(),
+            inner_parameters: parameters.len(),
+            inner_parameters_largest: parameters.iter().fold(0.0, |most, p| most.max(p.abs())),
+            outer_parameters: package.outer_weights.len(),
+            outer_weights: package.outer_weights.to_vec(),
+            outer_weights_norm: squares.fold(0.0, |sum, square| sum + square).sqrt(),
+            outer_weights_on_switch: match package.outer_weights_on_switch {
+                OnSwitch::Keep => "keep",
+                OnSwitch::Replace => "replace",
+            },
+            output_matrix: node.output_matrix.to_vec(),
+            gain: Matrix::new(&node.gain),
+            neighbours: node
+                .neighbours()
+                .map(|n| Neighbour { agent: n.id, weight: n.weight })
+                .collect(),
+            outer_gain: Matrix::new(&node.outer_law.gain),
+            outer_weights_bound: node.outer_law.projection.bound(),
+            boundary_layer: node.outer_law.projection.boundary_layer,
+            smoothing: node.outer_law.projection.smoothing,
+            smoothness: node.outer_law.projection.smoothness,
+            phi1: node.trigger.hold_error_weight,
+            phi2: node.trigger.consensus_weight,
+            threshold: node.trigger.threshold,
+            step_s: node.step_size,
+            broadcast_interval_min_s: package.broadcast_interval_min,
+            trained_low: package.trained_box.low.to_vec(),
+            trained_high: package.trained_box.high.to_vec(),
+            scenario_hash: format!("{:016x}", u64::from_be_bytes(provenance.scenario_hash)),
+            recipe: provenance.recipe.to_owned(),
+            seed: provenance.seed,
+            samples: provenance.samples,
+            training_error: provenance.errors.map(|errors| errors.training),
+            test_error: provenance.errors.map(|errors| errors.test),
+            tool_version: format!("{major}.{minor}.{patch}"),
+            test_vectors: package.test_vectors().count(),
+            overhead_bytes: bytes.as_bytes().len() - signature - 4 * numbers,
+        }
+    }
+
+    pub(super) fn text(&self, path: &Path) -> String {
+        let mut text = String::new();
+        // Writing into a string cannot fail.
+        let mut line = |name: &str, value: String| {
+            let _ = writeln!(text, "{name:22} {value}");
+        };
+        line("package", format!("{}, format {}", path.display(), self.format_version));
+        line("bytes", format!("{}, of which {} overhead", self.bytes, self.overhead_bytes));
+        line("signed", if self.signed { "yes" } else { "no" }.to_owned());
+        let replaces = self.replaces.map_or(String::new(), |newest| {
+            format!(" (may replace versions up to {newest}, if signed)")
+        });
+        line("version", format!("{}{replaces}", self.version));
+        line("agent", self.agent.to_string());
+        let layers: Vec<_> =
+            self.layers.iter().map(|l| format!("{} {}", l.nodes, l.activation)).collect();
+        line(
+            "network",
+            format!("{} inputs, {}, {} outputs", self.dimension, layers.join(", "), self.dimension),
+        );
+        line(
+            "inner parameters",
+            format!("{}, largest {:.4}", self.inner_parameters, self.inner_parameters_largest),
+        );
+        line(
+            "outer weights",
+            format!(
+                "{}, norm {:.4}, bound {}, when switched in: {}",
+                self.outer_parameters,
+                self.outer_weights_norm,
+                self.outer_weights_bound,
+                self.outer_weights_on_switch
+            ),
+        );
+        for (row, entries) in self.output_matrix.chunks_exact(self.dimension).enumerate() {
+            let name = if row == 0 { "output matrix" } else { "" };
+            line(name, format!("{entries:?}"));
+        }
+        line("gain K1 [1/s]", format!("{} {:?}", self.gain.form, self.gain.entries));
+        let neighbours: Vec<_> =
+            self.neighbours.iter().map(|n| format!("{} (weight {})", n.agent, n.weight)).collect();
+        line(
+            "neighbours",
+            if neighbours.is_empty() { "none".to_owned() } else { neighbours.join(", ") },
+        );
+        line(
+            "adaptation gain [1/s2]",
+            format!("{} {:?}", self.outer_gain.form, self.outer_gain.entries),
+        );
+        line(
+            "trigger",
+            format!("phi1 {} 1/s, phi2 {} 1/s, threshold {}", self.phi1, self.phi2, self.threshold),
+        );
+        line("step [s]", self.step_s.to_string());
+        line(
+            "shortest interval [s]",
+            match self.broadcast_interval_min_s {
+                0.0 => "not known".to_owned(),
+                interval => format!("{interval} by Theorem 2, on the training's trajectory"),
+            },
+        );
+        let unlimited = self.trained_low.iter().all(|&low| low == f32::MIN);
+        line(
+            "trained inputs",
+            match (self.samples, unlimited) {
+                (0, true) => "none: not trained on anything".to_owned(),
+                _ => {
+                    let limits = self.trained_low.iter().zip(&self.trained_high);
+                    let limits: Vec<_> = limits.map(|(l, h)| format!("[{l:.4}, {h:.4}]")).collect();
+                    limits.join(" x ")
+                }
+            },
+        );
+        let error =
+            |error: Option<f32>| error.map_or("not known".to_owned(), |e| format!("{e:.3e}"));
+        line(
+            "training",
+            format!(
+                "recipe {}, seed {}, {} samples, mean squared error {} (test {})",
+                self.recipe,
+                self.seed,
+                self.samples,
+                error(self.training_error),
+                error(self.test_error)
+            ),
+        );
+        line("scenario hash", self.scenario_hash.clone());
+        line("made by", format!("version {}", self.tool_version));
+        line("test vectors", self.test_vectors.to_string());
+        text
+    }
+}

@@ -1,0 +1,219 @@
+//! `weights image` and `flash`: packages into flash memory.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+
+use super::renamed;
+use crate::commands::{CommandError, Format, print_json, print_text};
+use crate::flash::{FlashTarget, ProbeRs};
+use crate::image::{self, Image, ImageSlot, ToolUse, Uf2Family, commands_for};
+use crate::memory_map::MemoryMap;
+use crate::output_file::write_whole;
+use crate::packages::PackageBytes;
+use crate::packages::check::check;
+use crate::signing::read_public_key;
+
+/// Where in which memory.
+#[derive(Debug, Args)]
+struct Place {
+    /// The slot to fill
+    #[arg(long, value_enum, ignore_case = true)]
+    slot: ImageSlot,
+    /// The board's memory map
+    #[arg(long)]
+    memory: PathBuf,
+    /// The node's public key: the package must be signed with its private half
+    #[arg(long)]
+    key: Option<PathBuf>,
+}
+
+/// Arguments of `weights image`.
+#[derive(Debug, Args)]
+pub(in crate::commands) struct Arguments {
+    /// The package
+    package: PathBuf,
+    #[command(flatten)]
+    place: Place,
+    /// Format of the image; with `json` besides, the result is printed as JSON
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "bin")]
+    format: Vec<OutputFormat>,
+    /// Family of the chip, for uf2: rp2040, rp2350-arm-s, nrf52840, stm32f4 or a number
+    #[arg(long)]
+    family: Option<Uf2Family>,
+    /// The file to write [default: the package's name with .slot-a.bin or so]
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+/// Format of the image, or of what is printed about it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum OutputFormat {
+    /// Bytes from the slot's address to the end of the weights; blanks what lies between
+    Bin,
+    /// Intel HEX
+    Hex,
+    /// Blocks for a USB bootloader
+    Uf2,
+    /// What is printed: text
+    Text,
+    /// What is printed: one JSON object
+    Json,
+}
+
+/// Arguments of `flash`.
+#[derive(Debug, Args)]
+pub(in crate::commands) struct FlashArguments {
+    /// The package
+    package: PathBuf,
+    #[command(flatten)]
+    place: Place,
+    /// The chip, as probe-rs calls it (`probe-rs chip list`)
+    #[arg(long)]
+    chip: Option<String>,
+    /// The debug probe, as `probe-rs list` names it; needed if there are several
+    #[arg(long)]
+    probe: Option<String>,
+    /// The program probe-rs [default: the one on PATH]
+    #[arg(long)]
+    probe_rs: Option<PathBuf>,
+    /// How the result is printed on standard output
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+/// The image of a package that a node would accept.
+fn image(path: &Path, place: &Place) -> Result<Image, CommandError> {
+    let region = MemoryMap::read(&place.memory)?.weights()?;
+    let key = place.key.as_deref().map(read_public_key).transpose()?;
+    let package = PackageBytes::load(path)?;
+    let requirements = super::verify::requirements(key.as_ref(), None);
+    check(&package, &requirements).map_err(|refusal| CommandError::Refused {
+        path: path.to_owned(),
+        refusal: refusal.to_string(),
+    })?;
+    Ok(Image::of_package(&region, place.slot, &package)?)
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
+    #[derive(Serialize)]
+    struct Report {
+        image: String,
+        bytes: usize,
+        slot: String,
+        segments: Vec<Segment>,
+        commands: Vec<Command>,
+    }
+    #[derive(Serialize)]
+    struct Segment {
+        name: &'static str,
+        address: u32,
+        bytes: usize,
+    }
+    #[derive(Serialize)]
+    struct Command {
+        tool: &'static str,
+        command: Option<String>,
+    }
+    let (format, printed) = formats(arguments)?;
+    let image = image(&arguments.package, &arguments.place)?;
+    let bytes = image.encode(format.with_family(arguments.family)?)?;
+    let ending = match image.slot() {
+        ImageSlot::A => format!(".slot-a.{format}"),
+        ImageSlot::B => format!(".slot-b.{format}"),
+    };
+    let out = arguments.out.clone().unwrap_or_else(|| renamed(&arguments.package, &ending));
+    write_whole(&out, |file| file.write_all(&bytes))?;
+    let commands = commands_for(&image, &out, format);
+    if printed == Format::Json {
+        return print_json(&Report {
+            image: out.display().to_string(),
+            bytes: bytes.len(),
+            slot: image.slot().to_string(),
+            segments: image
+                .segments()
+                .iter()
+                .map(|s| Segment { name: s.name, address: s.address, bytes: s.bytes.len() })
+                .collect(),
+            commands: commands
+                .iter()
+                .map(|command| Command {
+                    tool: command.tool,
+                    command: match &command.usage {
+                        ToolUse::Line(line) => Some(line.clone()),
+                        ToolUse::Needs(_) => None,
+                    },
+                })
+                .collect(),
+        });
+    }
+    let mut text =
+        format!("Written to {}: {} bytes, {}\n", out.display(), bytes.len(), image.slot());
+    for segment in image.segments() {
+        text += &format!(
+            "  {:#010x}  {} bytes  {}\n",
+            segment.address,
+            segment.bytes.len(),
+            segment.name
+        );
+    }
+    if format == image::Format::Bin && image.gap_holds_other_slot() {
+        text += "  A bin file has no holes: this one blanks the other slot. hex and uf2 do not.\n";
+    }
+    text += "To write it into the chip, one of\n";
+    for command in &commands {
+        text += &format!("  {command}\n");
+    }
+    print_text(&text)
+}
+
+/// The image's format and how the result is printed.
+fn formats(arguments: &Arguments) -> Result<(image::Format, Format), CommandError> {
+    let (mut image, mut printed) = (None, None);
+    for format in &arguments.format {
+        let twice = match format {
+            OutputFormat::Bin => image.replace(image::Format::Bin).is_some(),
+            OutputFormat::Hex => image.replace(image::Format::Hex).is_some(),
+            OutputFormat::Uf2 => image.replace(image::Format::Uf2).is_some(),
+            OutputFormat::Text => printed.replace(Format::Text).is_some(),
+            OutputFormat::Json => printed.replace(Format::Json).is_some(),
+        };
+        if twice {
+            let problem = "--format: give one of bin, hex and uf2, and text or json besides";
+            return Err(CommandError::Usage(problem.to_owned()));
+        }
+    }
+    Ok((image.unwrap_or(image::Format::Bin), printed.unwrap_or_default()))
+}
+
+pub(in crate::commands) fn flash(arguments: &FlashArguments) -> Result<(), CommandError> {
+    #[derive(Serialize)]
+    struct Report {
+        package: String,
+        slot: String,
+        bytes: usize,
+        verified: bool,
+    }
+    let image = image(&arguments.package, &arguments.place)?;
+    let program = ProbeRs::find(arguments.probe_rs.as_deref())?;
+    let target = FlashTarget { chip: arguments.chip.clone(), probe: arguments.probe.clone() };
+    program.flash(&target, &image, &mut |step| {
+        if arguments.format == Format::Text {
+            eprintln!("{step}");
+        }
+    })?;
+    let report = Report {
+        package: arguments.package.display().to_string(),
+        slot: image.slot().to_string(),
+        bytes: image.segments().iter().map(|segment| segment.bytes.len()).sum(),
+        verified: true,
+    };
+    match arguments.format {
+        Format::Json => print_json(&report),
+        Format::Text => print_text(&format!(
+            "Flashed {} into {}: {} bytes, read back and found equal\n",
+            report.package, report.slot, report.bytes
+        )),
+    }
+}

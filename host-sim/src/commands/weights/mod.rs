@@ -1,0 +1,171 @@
+//! `weights`: looking at packages, checking, signing, converting and placing them.
+
+mod diff;
+mod exchange;
+mod facts;
+mod image;
+mod verify;
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand};
+use serde::Serialize;
+
+use super::{CommandError, Format, print_json, print_text};
+use crate::packages::PackageBytes;
+use crate::signing::{OperatorKey, fingerprint};
+
+pub(super) use image::{FlashArguments, flash};
+
+/// What can be done with packages.
+#[derive(Debug, Subcommand)]
+pub(super) enum Command {
+    /// Says what is in a package
+    Inspect(Inspect),
+    /// Checks a package as a node would
+    Verify(verify::Arguments),
+    /// Says in what two packages differ
+    Diff(diff::Arguments),
+    /// Signs a package
+    Sign(Sign),
+    /// Makes a pair of keys for signing
+    Keygen(Keygen),
+    /// Makes a package of a network trained elsewhere (.npz or .safetensors)
+    Import(exchange::Import),
+    /// Writes a package's network for other tools (.npz or .safetensors)
+    Export(exchange::Export),
+    /// Makes a flash image of a package, for any flasher
+    Image(image::Arguments),
+}
+
+/// Arguments of `weights inspect`.
+#[derive(Debug, Args)]
+pub(super) struct Inspect {
+    /// The package
+    package: PathBuf,
+    /// How the result is printed on standard output
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+/// Arguments of `weights sign`.
+#[derive(Debug, Args)]
+pub(super) struct Sign {
+    /// The package
+    package: PathBuf,
+    /// The private key, as `weights keygen` or OpenSSL writes it
+    #[arg(long)]
+    key: PathBuf,
+    /// Where the signed package goes [default: in place of the package]
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// How the result is printed on standard output
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+/// Arguments of `weights keygen`.
+#[derive(Debug, Args)]
+pub(super) struct Keygen {
+    /// The private key goes to OUT.key, which must not exist yet, the public one to OUT.pub
+    #[arg(long)]
+    out: PathBuf,
+    /// How the result is printed on standard output
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) fn execute(command: &Command) -> Result<(), CommandError> {
+    match command {
+        Command::Inspect(arguments) => inspect(arguments),
+        Command::Verify(arguments) => verify::execute(arguments),
+        Command::Diff(arguments) => diff::execute(arguments),
+        Command::Sign(arguments) => sign(arguments),
+        Command::Keygen(arguments) => keygen(arguments),
+        Command::Import(arguments) => exchange::import(arguments),
+        Command::Export(arguments) => exchange::export(arguments),
+        Command::Image(arguments) => image::execute(arguments),
+    }
+}
+
+fn inspect(arguments: &Inspect) -> Result<(), CommandError> {
+    let bytes = PackageBytes::load(&arguments.package)?;
+    let facts = facts::Facts::new(&bytes);
+    match arguments.format {
+        Format::Json => print_json(&facts),
+        Format::Text => print_text(&facts.text(&arguments.package)),
+    }
+}
+
+fn sign(arguments: &Sign) -> Result<(), CommandError> {
+    #[derive(Serialize)]
+    struct Report {
+        package: String,
+        bytes: usize,
+        key_fingerprint: String,
+    }
+    let bytes = PackageBytes::load(&arguments.package)?;
+    let key = OperatorKey::read(&arguments.key)?;
+    let signed = bytes.signed(&key);
+    let out = arguments.out.as_ref().unwrap_or(&arguments.package);
+    signed.save(out)?;
+    let report = Report {
+        package: out.display().to_string(),
+        bytes: signed.as_bytes().len(),
+        key_fingerprint: fingerprint(key.public_key()),
+    };
+    match arguments.format {
+        Format::Json => print_json(&report),
+        Format::Text => print_text(&format!(
+            "Signed with key {}: {}, {} bytes\n",
+            report.key_fingerprint, report.package, report.bytes
+        )),
+    }
+}
+
+fn keygen(arguments: &Keygen) -> Result<(), CommandError> {
+    #[derive(Serialize)]
+    struct Report {
+        private_key: String,
+        public_key: String,
+        fingerprint: String,
+        public_key_bytes: [u8; 32],
+    }
+    let with_ending = |ending: &str| {
+        let mut name = arguments.out.clone().into_os_string();
+        name.push(ending);
+        PathBuf::from(name)
+    };
+    let (private, public) = (with_ending(".key"), with_ending(".pub"));
+    if public.exists() {
+        let problem = format!("{}: exists already", public.display());
+        return Err(CommandError::Usage(problem + "; choose another name, or move it away"));
+    }
+    let key = OperatorKey::generate()?;
+    key.write_new(&private)?;
+    key.write_public(&public)?;
+    let report = Report {
+        private_key: private.display().to_string(),
+        public_key: public.display().to_string(),
+        fingerprint: fingerprint(key.public_key()),
+        public_key_bytes: key.public_key_bytes(),
+    };
+    match arguments.format {
+        Format::Json => print_json(&report),
+        Format::Text => print_text(&format!(
+            "Private key: {} (keep it to yourself; no copy, no node needs it)\n\
+             Public key:  {} (for nodes and for `weights verify --key`)\n\
+             Fingerprint: {}\n\
+             For firmware: {:?}\n",
+            report.private_key, report.public_key, report.fingerprint, report.public_key_bytes
+        )),
+    }
+}
+
+/// The name of a file with another ending: `node1.weights` and `.slot-a.bin` give
+/// `node1.slot-a.bin`.
+fn renamed(path: &Path, ending: &str) -> PathBuf {
+    let mut name = path.with_extension("").into_os_string();
+    name.push(ending);
+    PathBuf::from(name)
+}

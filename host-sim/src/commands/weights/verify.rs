@@ -1,0 +1,142 @@
+//! `weights verify`: everything that a node would check, by the node's own code.
+
+use std::path::PathBuf;
+
+use agent_core::package::{Capacity, InUse, Requirements};
+use agent_core::signature::PublicKey;
+use clap::Args;
+use serde::Serialize;
+
+use crate::commands::{CommandError, Format, print_json, print_text};
+use crate::memory_map::MemoryMap;
+use crate::packages::check::check;
+use crate::packages::{PackageBytes, PackageFileError};
+use crate::signing::{fingerprint, read_public_key};
+
+/// Arguments of `weights verify`.
+#[derive(Debug, Args)]
+pub(in crate::commands) struct Arguments {
+    /// The package
+    package: PathBuf,
+    /// The node's public key: the package must be signed with its private half
+    #[arg(long)]
+    key: Option<PathBuf>,
+    /// The package that the node has in use: this one must be for the same agent and not older
+    #[arg(long)]
+    in_use: Option<PathBuf>,
+    /// The board's memory map: the package must fit a slot
+    #[arg(long)]
+    memory: Option<PathBuf>,
+    /// How the result is printed on standard output
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+#[derive(Serialize)]
+struct Report {
+    package: String,
+    accepted: bool,
+    refusal: Option<String>,
+    agent: Option<u16>,
+    version: Option<u32>,
+    signed: Option<bool>,
+    key_fingerprint: Option<String>,
+    test_vectors: Option<usize>,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
+    let report = match examine(arguments) {
+        Ok(report) => report,
+        Err(error @ CommandError::Refused { .. })
+        | Err(error @ CommandError::Package(PackageFileError::Package { .. }))
+            if arguments.format == Format::Json =>
+        {
+            print_json(&Report {
+                package: arguments.package.display().to_string(),
+                accepted: false,
+                refusal: Some(error.to_string()),
+                agent: None,
+                version: None,
+                signed: None,
+                key_fingerprint: None,
+                test_vectors: None,
+            })?;
+            return Err(error);
+        }
+        Err(error) => return Err(error),
+    };
+    match arguments.format {
+        Format::Json => print_json(&report),
+        Format::Text => print_text(&text(arguments, &report)),
+    }
+}
+
+/// What a node with this key and this package in use demands.
+pub(super) fn requirements<'k>(
+    key: Option<&'k PublicKey>,
+    in_use: Option<&PackageBytes>,
+) -> Requirements<'k> {
+    Requirements {
+        public_key: key,
+        in_use: in_use.map(|in_use| {
+            let package = in_use.package();
+            InUse { agent: package.node.agent, version: package.version }
+        }),
+        capacity: Capacity::UNLIMITED,
+    }
+}
+
+fn examine(arguments: &Arguments) -> Result<Report, CommandError> {
+    let key = arguments.key.as_deref().map(read_public_key).transpose()?;
+    let in_use = arguments.in_use.as_deref().map(PackageBytes::load).transpose()?;
+    let slot_length = match &arguments.memory {
+        Some(memory) => Some(MemoryMap::read(memory)?.weights()?.slot_length),
+        None => None,
+    };
+    let bytes = PackageBytes::load(&arguments.package)?;
+    let requirements = requirements(key.as_ref(), in_use.as_ref());
+    let refused =
+        |refusal: String| CommandError::Refused { path: arguments.package.clone(), refusal };
+    let package = check(&bytes, &requirements).map_err(|refusal| refused(refusal.to_string()))?;
+    let length = bytes.as_bytes().len();
+    if let Some(slot) = slot_length.filter(|&slot| length as u64 > u64::from(slot)) {
+        return Err(refused(format!("the package has {length} bytes, a slot {slot}")));
+    }
+    Ok(Report {
+        package: arguments.package.display().to_string(),
+        accepted: true,
+        refusal: None,
+        agent: Some(package.node.agent),
+        version: Some(package.version),
+        signed: Some(bytes.is_signed()),
+        key_fingerprint: key.as_ref().map(fingerprint),
+        test_vectors: Some(package.test_vectors().count()),
+    })
+}
+
+fn text(arguments: &Arguments, report: &Report) -> String {
+    let mut text = format!("{}: a node would accept it\n", report.package);
+    let mut passed = |what: &str| text += &format!("  ok   {what}\n");
+    passed("header, length and checksum");
+    if let Some(fingerprint) = &report.key_fingerprint {
+        passed(&format!("signature by the key {fingerprint}"));
+    }
+    passed("architecture, sizes and numbers");
+    passed("parameters in their ranges, K1 symmetric");
+    if arguments.in_use.is_some() {
+        passed("same agent, not older than the package in use");
+    }
+    if arguments.memory.is_some() {
+        passed("fits a slot");
+    }
+    if let Some(count) = report.test_vectors {
+        passed(&format!("{count} test vectors, bit for bit"));
+    }
+    if report.key_fingerprint.is_none() {
+        text += match report.signed {
+            Some(true) => "  --   signed, but no --key to verify the signature with\n",
+            _ => "  --   not signed: only nodes without a public key take it\n",
+        };
+    }
+    text
+}
