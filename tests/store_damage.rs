@@ -182,6 +182,21 @@ fn what_was_never_confirmed_is_not_salvaged() {
 }
 
 #[test]
+fn repeating_the_end_of_a_refused_package_writes_nothing() {
+    let mut flash = two_packages();
+    let (mut store, _) = boot(&mut flash);
+    let bytes = package(3, 70);
+    upload(&mut store, &bytes);
+    assert!(matches!(store.stage(|_| Err::<(), _>("no")), Err(CheckedError::Refused("no"))));
+    let before = (store.flash().spent, store.flash().mapped().to_vec());
+    for _ in 0..UNITS * UNIT / WORD {
+        assert_eq!(store.write(60, &bytes[60..]), Ok(70));
+    }
+    assert_eq!((store.flash().spent, store.flash().mapped().to_vec()), before);
+    assert_eq!(store.stage(check), Ok(3));
+}
+
+#[test]
 fn a_factory_image_boots_and_takes_updates() {
     for slot in [Slot::A, Slot::B] {
         let bytes = package(1, 61);
