@@ -6,7 +6,7 @@ use agent_core::store::{
     StoreError, factory_record,
 };
 
-use crate::nor_flash::{SimulatedFlash, Tear};
+use crate::nor_flash::{Fault, SimulatedFlash, Tear};
 use crate::store_model::{check, erased_flash, layout, length, package};
 
 const WORD: usize = 4;
@@ -169,6 +169,31 @@ fn what_was_never_confirmed_is_not_salvaged() {
     store.stage(check).unwrap();
     store.activate(check).unwrap();
     assert_eq!(salvaged(&mut flash), None);
+    // One that was uploaded and staged, but not recorded, after all that was recorded was lost.
+    let mut flash = two_packages();
+    flash.overwrite(0, &[0; 2 * SLOT_B]);
+    let (mut store, loaded) = boot(&mut flash);
+    assert_eq!((loaded.in_use, store.salvage(length, check)), (None, None));
+    upload(&mut store, &package(3, 70));
+    store.write(0, &package(3, 70)).unwrap();
+    store.flash().arm(1, Fault::Nothing);
+    let _ = store.stage(check);
+    assert_eq!(salvaged(&mut flash), None);
+}
+
+#[test]
+fn repeating_the_end_of_a_refused_package_writes_nothing() {
+    let mut flash = two_packages();
+    let (mut store, _) = boot(&mut flash);
+    let bytes = package(3, 70);
+    upload(&mut store, &bytes);
+    assert!(matches!(store.stage(|_| Err::<(), _>("no")), Err(CheckedError::Refused("no"))));
+    let before = (store.flash().spent, store.flash().mapped().to_vec());
+    for _ in 0..UNITS * UNIT / WORD {
+        assert_eq!(store.write(60, &bytes[60..]), Ok(70));
+    }
+    assert_eq!((store.flash().spent, store.flash().mapped().to_vec()), before);
+    assert_eq!(store.stage(check), Ok(3));
 }
 
 #[test]

@@ -22,10 +22,11 @@ use crate::parameter::{ParameterError, positive};
 /// Constants of the operator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProjectionParams {
-    /// `theta_0`, radius of the ball in which the operator is the identity. Above 0.
+    /// `theta_0`, radius of the ball in which the operator is the identity. 1e-15 to 1e15, as is
+    /// `beta`, so that no square of theirs overflows or vanishes.
     pub radius: f32,
     /// `beta`, thickness of the layer around it; in continuous time the argument stays within
-    /// `theta_0 + beta`, the paper's bound `omega_bar`. Above 0.
+    /// `theta_0 + beta`, the paper's bound `omega_bar`. 1e-15 to 1e15.
     pub boundary_layer: f32,
     /// `delta` of the operator, which rounds its corner. Above 0.
     pub smoothing: f32,
@@ -37,8 +38,14 @@ impl ProjectionParams {
     /// # Errors
     /// A constant that is out of its range.
     pub fn validate(&self) -> Result<(), ParameterError> {
-        positive("projection.radius", self.radius)?;
-        positive("projection.boundary_layer", self.boundary_layer)?;
+        for (parameter, value) in
+            [("projection.radius", self.radius), ("projection.boundary_layer", self.boundary_layer)]
+        {
+            if !(1e-15..=1e15).contains(&value) {
+                let expected = "1e-15 to 1e15";
+                return Err(ParameterError::OutOfRange { parameter, value, expected });
+            }
+        }
         positive("projection.smoothing", self.smoothing)?;
         if self.smoothness > 7 {
             return Err(ParameterError::OutOfRange {
@@ -162,6 +169,10 @@ mod tests {
         assert!(good.validate().is_ok());
         assert!(ProjectionParams { radius: 0.0, ..good }.validate().is_err());
         assert!(ProjectionParams { boundary_layer: -1.0, ..good }.validate().is_err());
+        for extreme in [1e-16, 1e16, f32::INFINITY, f32::NAN] {
+            assert!(ProjectionParams { radius: extreme, ..good }.validate().is_err());
+            assert!(ProjectionParams { boundary_layer: extreme, ..good }.validate().is_err());
+        }
         assert!(ProjectionParams { smoothing: f32::NAN, ..good }.validate().is_err());
         assert!(ProjectionParams { smoothness: 8, ..good }.validate().is_err());
     }

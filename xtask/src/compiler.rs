@@ -77,6 +77,12 @@ pub(crate) fn toolchain_programs() -> Option<PathBuf> {
     Some(Path::new(library.trim()).parent()?.join("bin"))
 }
 
+/// The triple of this machine.
+pub(crate) fn host() -> Option<String> {
+    let answer = ask(active_rustc().arg("-vV"))?;
+    Some(answer.lines().find_map(|line| line.strip_prefix("host: "))?.to_owned())
+}
+
 fn active_rustc() -> Command {
     Command::new(env::var_os("RUSTC").unwrap_or_else(|| "rustc".into()))
 }

@@ -6,6 +6,7 @@
 
 mod compiler;
 mod cross;
+mod fuzz;
 mod host;
 mod machine_code;
 mod packages;
@@ -17,12 +18,19 @@ use step::Failure;
 
 const HELP: &str = "\
 Usage: cargo xtask <task> [--debian]
+       cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
 
 Tasks:
   test    every test there is: the workspace on the host, doctests included, then `cross`
   cross   build the node's libraries for bare metal, look for fused multiply-add and
           platform mathematics in the machine code, link the memory map
   lint    formatting, clippy and documentation, warnings are errors
+  fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (10)
+          from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
+          long form. What a run adds to a corpus stays in target/fuzz/corpus, for the next.
+          This takes the stable toolchain and a C++ compiler (for libFuzzer), no cargo-fuzz;
+          with cargo-fuzz and a nightly toolchain, `cargo +nightly fuzz run TARGET` adds the
+          address sanitizer.
   help    this text
 
 Bare-metal targets come from the active Rust toolchain (`rustup target add ...`). Where it
@@ -42,15 +50,16 @@ fn main() -> ExitCode {
             host::test().and_then(|count| cross::cross(debian).map(|()| println!("tests: {count}")))
         }
         ["cross"] => cross::cross(debian),
-        ["lint"] => host::lint(),
+        ["lint"] => host::lint().and_then(|()| fuzz::lint(debian)),
+        ["fuzz", ref rest @ ..] => match fuzz::Options::read(rest) {
+            Some(options) => fuzz::fuzz(&options, debian),
+            None => return usage(),
+        },
         ["help" | "--help" | "-h"] => {
             println!("{HELP}");
             return ExitCode::SUCCESS;
         }
-        _ => {
-            eprintln!("{HELP}");
-            return ExitCode::from(2);
-        }
+        _ => return usage(),
     };
     let seconds = start.elapsed().as_secs_f64();
     match outcome {
@@ -64,4 +73,10 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// What a command line gets that is none.
+fn usage() -> ExitCode {
+    eprintln!("{HELP}");
+    ExitCode::from(2)
 }

@@ -3,7 +3,7 @@
 use std::{
     env,
     ffi::OsStr,
-    io::{BufRead, BufReader},
+    io::{BufRead, BufReader, Read},
     path::{Path, PathBuf},
     process::{Command, Stdio},
     time::Instant,
@@ -68,21 +68,58 @@ pub(crate) fn run_reading(
     mend: &str,
     mut read: impl FnMut(&str),
 ) -> Result<(), Failure> {
+    supervise(name, command, mend, Stream::Output, |line| {
+        read(line);
+        true
+    })
+}
+
+/// As [`run`], and lets only those lines of the standard error output through that `keep` wants.
+///
+/// # Errors
+/// As [`run`].
+pub(crate) fn run_filtering(
+    name: &str,
+    command: &mut Command,
+    mend: &str,
+    keep: impl FnMut(&str) -> bool,
+) -> Result<(), Failure> {
+    supervise(name, command, mend, Stream::Errors, keep)
+}
+
+/// Which of a command's outputs is read.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Stream {
+    Output,
+    Errors,
+}
+
+fn supervise(
+    name: &str,
+    command: &mut Command,
+    mend: &str,
+    stream: Stream,
+    mut keep: impl FnMut(&str) -> bool,
+) -> Result<(), Failure> {
     let shown = show(command);
     println!("==> {name}: {shown}");
     let start = Instant::now();
     let failed = |reason: String| Failure::new(format!("{name}: `{shown}`: {reason}"), mend);
-    let mut child = command
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .spawn()
-        .map_err(|error| failed(error.to_string()))?;
-    if let Some(output) = child.stdout.take() {
+    match stream {
+        Stream::Output => command.stdout(Stdio::piped()),
+        Stream::Errors => command.stderr(Stdio::piped()),
+    };
+    let mut child =
+        command.stdin(Stdio::null()).spawn().map_err(|error| failed(error.to_string()))?;
+    let output = child.stdout.take().map(|output| Box::new(output) as Box<dyn Read>);
+    let errors = child.stderr.take().map(|errors| Box::new(errors) as Box<dyn Read>);
+    if let Some(output) = output.or(errors) {
         for line in BufReader::new(output).split(b'\n') {
             let line = line.map_err(|error| failed(error.to_string()))?;
             let line = String::from_utf8_lossy(&line);
-            println!("{line}");
-            read(&line);
+            if keep(&line) {
+                println!("{line}");
+            }
         }
     }
     let status = child.wait().map_err(|error| failed(error.to_string()))?;

@@ -49,6 +49,9 @@ impl<'a> Package<'a> {
         if let Some(index) = numbers.iter().position(|number| !number.is_finite()) {
             return Err(PackageError::NotFinite { index });
         }
+        if metadata.provenance.errors.is_some_and(|errors| !errors.is_finite()) {
+            return Err(PackageError::TrainingErrorNotFinite);
+        }
         assemble(&metadata, architecture, neighbours, &counts, numbers)
             .ok_or(wrong_count)?
             .map_err(PackageError::Network)

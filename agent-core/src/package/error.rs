@@ -51,6 +51,8 @@ pub enum PackageError {
         /// Its index among all numbers of the body, from 0.
         index: usize,
     },
+    /// A mean squared error of the training is infinite or not a number.
+    TrainingErrorNotFinite,
     /// The network cannot be.
     Network(NetworkError),
 }
@@ -81,6 +83,7 @@ impl core::fmt::Display for PackageError {
                 write!(f, "the body has {found} numbers, its metadata ask for {expected}")
             }
             Self::NotFinite { index } => write!(f, "number {index} of the body is not finite"),
+            Self::TrainingErrorNotFinite => write!(f, "a training error is not finite"),
             Self::Network(error) => write!(f, "{error}"),
         }
     }

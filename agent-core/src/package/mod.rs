@@ -192,6 +192,12 @@ pub struct TrainingErrors {
     pub test: f32,
 }
 
+impl TrainingErrors {
+    fn is_finite(&self) -> bool {
+        self.training.is_finite() && self.test.is_finite()
+    }
+}
+
 /// One test vector of a package.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TestVector<'a> {

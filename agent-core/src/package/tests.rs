@@ -218,6 +218,12 @@ fn each_defect_of_the_bytes_has_its_own_error() {
         b[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
     });
     assert!(matches!(not_finite, PackageError::NotFinite { .. }));
+    for (training, test) in [(f32::NAN, 0.5), (0.5, f32::INFINITY)] {
+        let mut package = package.clone();
+        package.provenance.errors = Some(TrainingErrors { training, test });
+        let error = Package::decode(encoded(&package).bytes()).map(|p| p.version);
+        assert_eq!(error, Err(PackageError::TrainingErrorNotFinite));
+    }
 }
 
 #[test]

@@ -236,8 +236,10 @@ impl<F: MappedFlash> Store<F> {
         }
         let slot = self.contents.spare();
         let emptied = self.contents.without_spare();
-        // A first record, too, so that what never was activated is never salvaged.
-        if self.journal.may_name(slot) {
+        // Also where the journal does not know yet what loading or salvaging has brought into use,
+        // so that what never was activated is never salvaged.
+        let is_told = self.journal.newest().is_some_and(|newest| newest.in_use == emptied.in_use);
+        if !is_told || self.journal.may_name(slot) {
             self.commit(emptied)?;
         }
         self.contents = emptied;

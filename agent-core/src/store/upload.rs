@@ -64,6 +64,10 @@ impl Upload {
         flash: &mut F,
         bytes: &[u8],
     ) -> Result<(), StoreError> {
+        if bytes.is_empty() {
+            // Also because nothing waits once the last word has been filled up and written.
+            return Ok(());
+        }
         let mut rest = bytes;
         let waiting = self.received.wrapping_sub(self.written) as usize;
         // What the caller has counted fits into 32 bits.

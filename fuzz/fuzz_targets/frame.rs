@@ -1,0 +1,172 @@
+//! Frames: `Frame::decode`, `Frame::encode`, `Inbox::accept`, and the steps of an agent that
+//! receives them.
+//!
+//! The input is a sequence of events, as [`fuzz::Event`] reads it.
+#![no_main]
+
+use std::collections::BTreeMap;
+
+use agent_core::AgentId;
+use agent_core::StateVector;
+use agent_core::agent::{AgentParams, AgentState, StepError};
+use agent_core::frame::{FRAME_LENGTH_MAX, Frame, FrameError};
+use agent_core::inbox::Inbox;
+use agent_core::network::InnerNetwork;
+use agent_core::numeric::all_finite;
+use agent_core::observer::{Neighbour, ObserverParams, OutputMatrix};
+use agent_core::outer_law::OuterLawParams;
+use agent_core::projection::ProjectionParams;
+use agent_core::symmetric::SymmetricMatrix;
+use agent_core::trigger::TriggerParams;
+use fuzz::Event;
+use libfuzzer_sys::fuzz_target;
+use nalgebra::SMatrix;
+
+/// The receiver's state dimension.
+const N: usize = 3;
+const NEIGHBOURS: [Neighbour; 3] = [
+    Neighbour { id: 4, weight: 1.0 },
+    Neighbour { id: 9, weight: 0.5 },
+    Neighbour { id: 300, weight: 2.0 },
+];
+
+type Places = [Option<agent_core::hold::Hold<N>>; NEIGHBOURS.len()];
+
+fuzz_target!(|data: &[u8]| {
+    let params = params();
+    let mut state = AgentState::<N, 1, Places>::new(
+        &params,
+        StateVector::zeros(),
+        &[0.0; N],
+        [None; NEIGHBOURS.len()],
+    )
+    .expect("the parameters are valid");
+    let mut inbox = Inbox::<N, Places>::new([None; NEIGHBOURS.len()]);
+    // What must be waiting in the inbox: the newest frame of each sender.
+    let mut waiting = BTreeMap::<AgentId, Frame<N>>::new();
+    let mut tick = 0;
+    for event in Event::read(data) {
+        match event {
+            Event::Received(bytes) => {
+                check_decoding::<1>(&bytes);
+                check_decoding::<2>(&bytes);
+                check_decoding::<N>(&bytes);
+                check_decoding::<4>(&bytes);
+                check_decoding::<12>(&bytes);
+                let expected = expected(&mut waiting, &bytes);
+                assert_eq!(inbox.accept(&NEIGHBOURS, &bytes), expected);
+            }
+            Event::Step => {
+                check_step(&params, &mut state, tick, &mut inbox, &mut waiting);
+                tick += 1;
+            }
+        }
+        assert_eq!(inbox.len(), waiting.len());
+        assert_eq!(inbox.is_empty(), waiting.is_empty());
+    }
+    inbox.clear();
+    assert!(inbox.is_empty());
+});
+
+/// What holds for every frame that decodes from `bytes`, and for bytes that are none.
+fn check_decoding<const N: usize>(bytes: &[u8]) {
+    let frame = match Frame::<N>::decode(bytes) {
+        Ok(frame) => frame,
+        Err(FrameError::Dimension { expected, found }) => {
+            assert_eq!(expected, N);
+            return assert_ne!(found, N);
+        }
+        Err(FrameError::Length { found }) => {
+            assert_eq!(found, bytes.len());
+            return assert!(!(5..=FRAME_LENGTH_MAX).contains(&found));
+        }
+        Err(FrameError::UnknownSender { .. } | FrameError::DuplicateSender { .. }) => {
+            panic!("decoding knows no neighbours")
+        }
+        Err(_) => return,
+    };
+    assert!(all_finite(&frame.estimate));
+    // An integer can be written with more bytes than it needs; then the frame gets shorter.
+    let written = frame.encode();
+    assert_eq!(Frame::<N>::decode(&written), Ok(frame));
+    assert!(written.len() < bytes.len() || written == bytes);
+    // A frame is nothing but itself.
+    for cut in 0..written.len() {
+        assert!(Frame::<N>::decode(&written[..cut]).is_err());
+    }
+    for bit in 0..8 * written.len() {
+        let mut flipped = written.clone();
+        flipped[bit / 8] ^= 1 << (bit % 8);
+        assert_eq!(Frame::<N>::decode(&flipped), Err(FrameError::Checksum));
+    }
+}
+
+/// What the inbox has to say to `bytes`, by a simpler model of it.
+fn expected(waiting: &mut BTreeMap<AgentId, Frame<N>>, bytes: &[u8]) -> Result<(), FrameError> {
+    let frame = Frame::<N>::decode(bytes)?;
+    let sender = frame.sender;
+    if NEIGHBOURS.iter().all(|neighbour| neighbour.id != sender) {
+        return Err(FrameError::UnknownSender { sender });
+    }
+    if let Some(older) = waiting.get(&sender) {
+        // Half of all numbers are ahead of any number, across the wrap.
+        let ahead = frame.sequence.wrapping_sub(older.sequence) as i32;
+        if ahead <= 0 {
+            return Err(FrameError::DuplicateSender { sender });
+        }
+    }
+    waiting.insert(sender, frame);
+    Ok(())
+}
+
+/// A step takes all frames or none, and leaves nothing behind that is not finite.
+fn check_step(
+    params: &AgentParams<'_, N>,
+    state: &mut AgentState<N, 1, Places>,
+    tick: u64,
+    inbox: &mut Inbox<N, Places>,
+    waiting: &mut BTreeMap<AgentId, Frame<N>>,
+) {
+    let (estimate, holds) = (*state.estimate(), state.neighbour_holds().to_vec());
+    let network = None::<&InnerNetwork<&[f32]>>;
+    match state.step(params, network, tick, &[0.0], inbox) {
+        Ok(output) => {
+            assert!(all_finite(&output.sample.derivative) && all_finite(state.estimate()));
+            for (place, neighbour) in NEIGHBOURS.iter().enumerate() {
+                let held = state.neighbour_holds()[place];
+                match waiting.remove(&neighbour.id) {
+                    None => assert_eq!(held, holds[place]),
+                    Some(frame) => {
+                        let held = held.expect("it waited");
+                        assert_eq!(*held.estimate(), frame.estimate);
+                        assert_eq!((held.tick(), held.sequence()), (frame.tick, frame.sequence));
+                    }
+                }
+            }
+            if let Some(frame) = output.broadcast {
+                assert_eq!(Frame::<N>::decode(&frame.encode()), Ok(frame));
+            }
+        }
+        Err(error) => {
+            assert!(matches!(error, StepError::Diverged));
+            assert_eq!(*state.estimate(), estimate);
+            assert_eq!(state.neighbour_holds(), holds);
+            // Otherwise nothing else could be said about this agent.
+            inbox.clear();
+            waiting.clear();
+        }
+    }
+}
+
+fn params() -> AgentParams<'static, N> {
+    let observer = ObserverParams {
+        output_matrix: OutputMatrix::new(&[[1.0, 0.0, 0.0].into()]).expect("one row"),
+        gain: SMatrix::from_diagonal_element(5.0),
+        neighbours: &NEIGHBOURS,
+    };
+    let projection =
+        ProjectionParams { radius: 19.0, boundary_layer: 1.0, smoothing: 0.125, smoothness: 1 };
+    let outer_law = OuterLawParams { gain: SymmetricMatrix::Scalar(3.0), projection };
+    let trigger = TriggerParams { hold_error_weight: 1e4, consensus_weight: 0.5, threshold: 10.0 };
+    AgentParams::new(7, 1e-2, observer, outer_law, trigger).expect("parameters in range")
+}

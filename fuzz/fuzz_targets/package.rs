@@ -1,0 +1,199 @@
+//! Weight packages: `Package::decode`, `Package::encode` and `accept`.
+//!
+//! The input is a package. It is tried as it is, with header and checksums mended, and, if
+//! that decodes, with test vectors that are right, which leads past the last check of `accept`.
+#![no_main]
+
+use agent_core::StateVector;
+use agent_core::agent::{AgentState, StepError};
+use agent_core::inbox::Inbox;
+use agent_core::network::{LAYER_WIDTH_MAX, Scratch};
+use agent_core::numeric::all_finite;
+use agent_core::observer::Neighbour;
+use agent_core::package::{
+    Capacity, InUse, NetworkPlace, Package, PackageError, Refusal, Requirements,
+    SIGNATURE_BLOCK_LENGTH, accept, signature_block,
+};
+use fuzz::{Aligned, mend_package};
+use libfuzzer_sys::fuzz_target;
+
+const ANY: Requirements<'static> =
+    Requirements { public_key: None, in_use: None, capacity: Capacity::UNLIMITED };
+
+fuzz_target!(|data: &[u8]| {
+    let mut bytes = Aligned::new(data);
+    check_all(&bytes);
+    mend_package(bytes.bytes_mut());
+    check_all(&bytes);
+});
+
+fn check_all(bytes: &Aligned) {
+    match Package::decode(bytes.bytes()) {
+        Ok(package) => {
+            check_package(&package, bytes.bytes());
+            check_acceptance::<1>(bytes.bytes(), &package);
+            check_acceptance::<2>(bytes.bytes(), &package);
+            check_acceptance::<3>(bytes.bytes(), &package);
+            check_acceptance::<4>(bytes.bytes(), &package);
+            check_acceptance::<12>(bytes.bytes(), &package);
+        }
+        Err(error) => {
+            let refused = judge::<2>(bytes.bytes(), &ANY);
+            assert_eq!(refused.unwrap_err(), Refusal::Package(error));
+        }
+    }
+}
+
+/// What holds for every package that decodes from `bytes`.
+fn check_package(package: &Package<'_>, bytes: &[u8]) {
+    let numbers = [
+        package.network.parameters(),
+        package.outer_weights,
+        package.node.output_matrix,
+        package.node.gain.entries(),
+        package.node.edge_weights,
+        package.node.outer_law.gain.entries(),
+        package.trained_box.low,
+        package.trained_box.high,
+        package.test_vectors,
+        &[package.node.step_size, package.broadcast_interval_min],
+    ];
+    assert!(numbers.iter().all(|numbers| numbers.iter().all(|number| number.is_finite())));
+    if let Some(errors) = package.provenance.errors {
+        assert!(errors.training.is_finite() && errors.test.is_finite());
+    }
+    let (n, features) = (package.dimension(), package.features());
+    assert_eq!(package.outer_weights.len(), n * features);
+    assert_eq!(package.node.output_matrix.len(), n * package.node.outputs(n));
+    assert_eq!(package.node.edge_weights.len(), package.node.neighbours().count());
+    assert_eq!(package.test_vectors.len(), package.test_vectors().count() * (2 * n + features));
+
+    let place = NetworkPlace::new(package, bytes).expect("it was decoded from there");
+    assert_eq!(place.network(bytes).as_ref(), Some(&package.network));
+
+    // What is written decodes to the same package, and is written the same again. It can be
+    // shorter than what was read, where an integer took more bytes than it needs.
+    let mut written = Aligned::new(&vec![0xaa; bytes.len()]);
+    let length = package.encode(written.bytes_mut()).expect("no longer than before");
+    let written = Aligned::new(&written.bytes()[..length]);
+    let decoded = Package::decode(written.bytes());
+    assert_eq!(decoded.as_ref(), Ok(package));
+    let mut again = vec![0x55; length];
+    assert_eq!(package.encode(&mut again), Ok(length));
+    assert_eq!(again, written.bytes());
+    assert!(package.encode(&mut vec![0; length - 1]).is_err());
+
+    // Nothing may follow but a signature, and nothing may be missing.
+    let signed = Aligned::new(&[&again[..], &signature_block(&[0x5a; 64])].concat());
+    assert_eq!(Package::decode(signed.bytes()).as_ref(), Ok(package));
+    for cut in [1, 4, SIGNATURE_BLOCK_LENGTH - 1] {
+        let cut = &signed.bytes()[..signed.bytes().len() - cut];
+        assert!(matches!(Package::decode(cut), Err(PackageError::Length { .. })));
+    }
+    // Anywhere else in memory the numbers cannot be used in place.
+    let shifted = Aligned::new(&[&[0], &again[..]].concat());
+    assert_eq!(Package::decode(&shifted.bytes()[1..]), Err(PackageError::Alignment));
+}
+
+/// `accept` in a fresh scratch.
+fn judge<'b, const N: usize>(
+    bytes: &'b [u8],
+    requirements: &Requirements<'_>,
+) -> Result<Package<'b>, Refusal> {
+    let mut scratch = Scratch::NEW;
+    accept::<N>(bytes, requirements, &mut scratch)
+}
+
+/// `accept` gives what `decode` gives, or has a reason of its own.
+fn check_acceptance<const N: usize>(bytes: &[u8], package: &Package<'_>) {
+    match judge::<N>(bytes, &ANY) {
+        Ok(accepted) => {
+            assert_eq!(accepted, *package);
+            check_accepted::<N>(bytes, &accepted);
+        }
+        Err(Refusal::Dimension { .. }) => assert_ne!(package.dimension(), N),
+        Err(Refusal::TestVector { .. }) => {
+            let Some(proved) = with_right_test_vectors::<N>(package, bytes.len()) else { return };
+            let accepted = judge::<N>(proved.bytes(), &ANY).expect("nothing else was wrong");
+            check_accepted::<N>(proved.bytes(), &accepted);
+        }
+        Err(Refusal::Package(error)) => panic!("decodes, but is refused: {error}"),
+        Err(_) => {}
+    }
+}
+
+/// The package with the outputs that its network has for the inputs of its test vectors, if
+/// they are finite; `length` is that of the package's bytes.
+fn with_right_test_vectors<const N: usize>(
+    package: &Package<'_>,
+    length: usize,
+) -> Option<Aligned> {
+    let mut scratch = Scratch::NEW;
+    let mut numbers = vec![];
+    for vector in package.test_vectors() {
+        let input = StateVector::<N>::from_column_slice(vector.input);
+        let (features, output) = package.evaluate(&input, &mut scratch)?;
+        numbers.extend_from_slice(vector.input);
+        numbers.extend_from_slice(features);
+        numbers.extend_from_slice(output.as_slice());
+    }
+    let package = Package { test_vectors: &numbers, ..package.clone() };
+    let mut buffer = vec![0; length];
+    let length = package.encode(&mut buffer).expect("no longer than before");
+    numbers.iter().all(|number| number.is_finite()).then(|| Aligned::new(&buffer[..length]))
+}
+
+/// What a node relies on once it has accepted a package.
+fn check_accepted<const N: usize>(bytes: &[u8], package: &Package<'_>) {
+    assert_eq!(package.dimension(), N);
+    assert!(package.test_vectors().count() > 0);
+
+    // The limits of a node, each as tight as can be, and one less.
+    let (features, entries) = (package.features(), package.node.outer_law.gain.entries().len());
+    let places = package.node.neighbours.len();
+    let fits = Capacity { features, neighbours: places, gain_entries: entries };
+    let with = |requirements| judge::<N>(bytes, &requirements).map(|_| ());
+    assert_eq!(with(Requirements { capacity: fits, ..ANY }), Ok(()));
+    for capacity in [
+        Capacity { features: features - 1, ..fits },
+        Capacity { neighbours: places.wrapping_sub(1), ..fits },
+        Capacity { gain_entries: entries - 1, ..fits },
+    ] {
+        let refused = matches!(
+            with(Requirements { capacity, ..ANY }),
+            Err(Refusal::Capacity { capacity, found, .. }) if found == capacity + 1
+        );
+        assert!(refused || capacity.neighbours == usize::MAX);
+    }
+    let after =
+        |agent, version| with(Requirements { in_use: Some(InUse { agent, version }), ..ANY });
+    assert_eq!(after(package.node.agent, package.version), Ok(()));
+    if let Some(newer) = package.version.checked_add(1) {
+        assert!(matches!(after(package.node.agent, newer), Err(Refusal::Older { .. })));
+    }
+    assert!(matches!(after(package.node.agent ^ 1, package.version), Err(Refusal::Agent { .. })));
+
+    // The parameters make an agent, and the agent runs.
+    let mut neighbours = vec![Neighbour { id: 0, weight: 1.0 }; places];
+    let mut gain = vec![0.0; entries];
+    let params = package.node.params::<N>(&mut neighbours, &mut gain).expect("was accepted");
+    let start = package.test_vectors().next().expect("at least one").input;
+    let mut state = AgentState::<N, LAYER_WIDTH_MAX, _>::new(
+        &params,
+        StateVector::from_column_slice(start),
+        package.outer_weights,
+        vec![None; places],
+    )
+    .expect("was accepted");
+    let mut inbox = Inbox::<N, _>::new(vec![None; places]);
+    let measurement = vec![0.0; package.node.outputs(N)];
+    for tick in 0..3 {
+        match state.step(&params, Some(&package.network), tick, &measurement, &mut inbox) {
+            Ok(output) => assert!(all_finite(&output.sample.derivative)),
+            Err(error) => return assert!(matches!(error, StepError::Diverged)),
+        }
+        assert!(all_finite(state.estimate()));
+        assert!(state.outer_weights().rows().iter().all(all_finite));
+        assert!(state.outer_weights().norm_squared().is_finite());
+    }
+}

@@ -1,0 +1,432 @@
+//! The weight store on flash with any content.
+//!
+//! The input is an image of the flash, put together from arbitrary bytes, packages and
+//! records, and a sequence of calls, failures of flash and power, and reboots. Whatever comes:
+//! - no call panics, and none breaks the flash's rules;
+//! - what is in use after a load is whole and was accepted by the check;
+//! - what a call has returned `Ok` for survives a reboot, if nobody tampers with the flash;
+//! - in the end, on flash that works, a good package can be installed.
+#![no_main]
+
+#[allow(dead_code)]
+#[path = "../../tests/nor_flash.rs"]
+mod nor_flash;
+#[allow(dead_code)]
+#[path = "../../tests/store_model.rs"]
+mod store_model;
+
+use agent_core::checksum::crc32;
+use agent_core::store::{
+    CheckedError, Layout, MappedFlash, RECORD_LENGTH, Slot, Store, StoreError,
+};
+use libfuzzer_sys::arbitrary::{self, Arbitrary};
+use libfuzzer_sys::fuzz_target;
+use nor_flash::{Fault, SimulatedFlash, Tear};
+use store_model::{check, erased_flash, layout, length, package};
+
+/// A package with this number or a higher one is whole, and yet no check accepts it.
+const UNWANTED: u16 = 200;
+/// The package that is installed in the end.
+const LAST: u16 = 0;
+/// Far enough away that no fault is ever due.
+const NEVER: usize = usize::MAX;
+
+#[derive(Arbitrary, Debug)]
+struct Input {
+    units: Units,
+    tear: Damage,
+    image: Vec<Piece>,
+    /// The lowest sequence number of a record.
+    sequence: u32,
+    calls: Vec<Call>,
+}
+
+/// Which kind of flash.
+#[derive(Arbitrary, Debug)]
+enum Units {
+    Bytes,
+    Words,
+    DoubleWords,
+    Records,
+}
+
+#[derive(Arbitrary, Debug)]
+enum Damage {
+    Prefix,
+    Garbage,
+    Unseen,
+}
+
+#[derive(Arbitrary, Debug)]
+enum Piece {
+    Bytes { offset: u16, bytes: Vec<u8> },
+    Package { slot: bool, number: u8, length: u8 },
+    Record { place: u8, sequence: u16, in_use: u8, phase: u8, packages: [Recorded; 2] },
+}
+
+/// What a record says of a slot.
+#[derive(Arbitrary, Debug)]
+enum Recorded {
+    Nothing,
+    /// The package that lies there, or would by its first bytes.
+    Package,
+    /// So many bytes, with the right checksum.
+    Bytes(u8),
+    Anything {
+        length: u32,
+        checksum: u32,
+    },
+}
+
+#[derive(Arbitrary, Debug)]
+enum Call {
+    Load,
+    Salvage,
+    Begin {
+        length: u8,
+    },
+    Write {
+        number: u8,
+        length: u8,
+        from: u8,
+        to: u8,
+    },
+    Stage,
+    Activate,
+    Confirm,
+    Revert,
+    /// Everything up to the staged package.
+    Upload {
+        number: u8,
+        length: u8,
+        chunk: u8,
+    },
+    /// The power may fail once more, and cells may have forgotten what they held.
+    Reboot {
+        energy: Option<u8>,
+        forgotten: Option<(u16, u8)>,
+    },
+    PowerFails {
+        energy: u8,
+    },
+    Fails {
+        others: u8,
+        how: Failure,
+    },
+}
+
+#[derive(Arbitrary, Debug)]
+enum Failure {
+    Nothing,
+    Everything,
+    Torn,
+    Silent,
+}
+
+fuzz_target!(|input: Input| {
+    match input.units {
+        Units::Bytes => run::<1, 32>(&input, 4),
+        Units::Words => run::<4, 128>(&input, 1),
+        Units::DoubleWords => run::<8, 64>(&input, 3),
+        Units::Records => run::<32, 64>(&input, 2),
+    }
+});
+
+fn run<const WRITE: usize, const ERASE: usize>(input: &Input, units: usize) {
+    let tear = match input.tear {
+        Damage::Prefix => Tear::Prefix,
+        Damage::Garbage => Tear::Garbage,
+        Damage::Unseen => Tear::Unseen,
+    };
+    let mut flash = erased_flash::<WRITE, ERASE>(units, tear, u64::from(input.sequence));
+    let layout = layout(ERASE, units);
+    for piece in &input.image {
+        piece.put(&mut flash, &layout, input.sequence);
+    }
+    let mut run = Run {
+        store: Store::open(flash, layout).expect("the layout is valid"),
+        layout,
+        is_sound: true,
+        in_use: None,
+        way_back: None,
+        after_reboot: None,
+    };
+    for call in &input.calls {
+        run = run.after(call);
+    }
+    run.install_another();
+}
+
+impl Piece {
+    /// Puts it there with a debugger, as far as there is room.
+    fn put<const WRITE: usize, const ERASE: usize>(
+        &self,
+        flash: &mut SimulatedFlash<WRITE, ERASE>,
+        layout: &Layout,
+        lowest_sequence: u32,
+    ) {
+        match self {
+            Self::Bytes { offset, bytes } => put(flash, usize::from(*offset), bytes),
+            Self::Package { slot, number, length } => {
+                let bytes = package((*number).into(), length_in(layout, *length));
+                put(flash, layout.slots[usize::from(*slot)] as usize, &bytes);
+            }
+            Self::Record { place, sequence, in_use, phase, packages } => {
+                // As agent-core/src/store/record.rs describes it.
+                let mut record = [0; RECORD_LENGTH];
+                let sequence = lowest_sequence.wrapping_add((*sequence).into());
+                record[..4].copy_from_slice(&sequence.to_le_bytes());
+                record[4..7].copy_from_slice(&[1, in_use.wrapping_sub(1), *phase]);
+                for (recorded, slot) in packages.iter().zip([Slot::A, Slot::B]) {
+                    if slot == Slot::B && *in_use == 0 {
+                        // No store writes such a record: while nothing is in use, it fills A.
+                        continue;
+                    }
+                    let start = 8 + 8 * slot as usize;
+                    record[start..start + 8].copy_from_slice(&recorded.extent(flash, layout, slot));
+                }
+                let checksum = crc32(&[&record[..RECORD_LENGTH - 4]]);
+                record[RECORD_LENGTH - 4..].copy_from_slice(&checksum.to_le_bytes());
+                let offset = layout.commit as usize + RECORD_LENGTH * usize::from(*place);
+                put(flash, offset, &record);
+            }
+        }
+    }
+}
+
+impl Recorded {
+    /// Length and checksum.
+    fn extent<F: MappedFlash>(&self, flash: &F, layout: &Layout, slot: Slot) -> [u8; 8] {
+        let start = layout.slots[slot as usize] as usize;
+        let bytes = &flash.mapped()[start..start + layout.slot_length as usize];
+        let of = |length: usize| {
+            let length = length.min(bytes.len());
+            (length as u32, crc32(&[&bytes[..length]]))
+        };
+        let (length, checksum) = match *self {
+            Self::Nothing => (0, 0),
+            Self::Package => of(length(bytes).unwrap_or(0) as usize),
+            Self::Bytes(length) => of(length.into()),
+            Self::Anything { length, checksum } => (length, checksum),
+        };
+        let [l0, l1, l2, l3] = length.to_le_bytes();
+        let [c0, c1, c2, c3] = checksum.to_le_bytes();
+        [l0, l1, l2, l3, c0, c1, c2, c3]
+    }
+}
+
+/// Overwrites what there is from `offset` on with as many of `bytes` as fit.
+fn put<const WRITE: usize, const ERASE: usize>(
+    flash: &mut SimulatedFlash<WRITE, ERASE>,
+    offset: usize,
+    bytes: &[u8],
+) {
+    let offset = offset % flash.mapped().len();
+    let room = flash.mapped().len() - offset;
+    flash.overwrite(offset, &bytes[..bytes.len().min(room)]);
+}
+
+/// A length that a package can have and a slot can hold.
+fn length_in(layout: &Layout, length: u8) -> usize {
+    usize::from(length).clamp(8, layout.slot_length as usize)
+}
+
+/// The check of this node.
+fn accept(bytes: &[u8]) -> Result<u16, &'static str> {
+    check(bytes).and_then(|number| if number < UNWANTED { Ok(number) } else { Err("unwanted") })
+}
+
+/// What is in use: the number of a package, or `None` for nothing.
+type InUse = Option<u16>;
+
+/// A store and what is known of it.
+struct Run<const WRITE: usize, const ERASE: usize> {
+    store: Store<SimulatedFlash<WRITE, ERASE>>,
+    layout: Layout,
+    /// Whether neither power nor flash can fail before the next reboot.
+    is_sound: bool,
+    /// What is in use, once that has been loaded.
+    in_use: Option<InUse>,
+    /// What was in use before the trial, during one.
+    way_back: Option<InUse>,
+    /// What can be in use after the next reboot, if it is known.
+    after_reboot: Option<Vec<InUse>>,
+}
+
+impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
+    fn after(mut self, call: &Call) -> Self {
+        match *call {
+            Call::Reboot { energy, forgotten } => {
+                self = self.rebooted(energy.map(usize::from), forgotten);
+            }
+            Call::PowerFails { energy } => {
+                self.is_sound = false;
+                self.store.flash().drain(energy.into());
+            }
+            Call::Fails { others, ref how } => {
+                self.is_sound = false;
+                let fault = match how {
+                    Failure::Nothing => Fault::Nothing,
+                    Failure::Everything => Fault::Everything,
+                    Failure::Torn => Fault::Torn,
+                    Failure::Silent => Fault::Silent,
+                };
+                self.store.flash().arm((others % 8).into(), fault);
+            }
+            Call::Load => self.load(),
+            Call::Salvage => {
+                // What is to be found was found at once.
+                let found = self.store.salvage(length, accept);
+                assert!(found.is_none() || self.in_use.is_none());
+            }
+            Call::Begin { length } => {
+                let _ = self.store.begin(length.into());
+            }
+            Call::Write { number, length, from, to } => {
+                let bytes = package(number.into(), length_in(&self.layout, length));
+                let to = usize::from(to).min(bytes.len());
+                let from = usize::from(from).min(to);
+                let _ = self.store.write(from as u32, &bytes[from..to]);
+            }
+            Call::Stage => {
+                let _ = self.store.stage(accept);
+            }
+            Call::Upload { number, length, chunk } => self.upload(number.into(), length, chunk),
+            Call::Activate => self.activate(),
+            Call::Confirm => self.confirm(),
+            Call::Revert => self.revert(),
+        }
+        self.check_what_is_in_use();
+        self
+    }
+
+    /// Loads what is in use, or looks for it; it must be what was in use before a reboot.
+    fn load(&mut self) {
+        let loaded = self.store.load(accept);
+        let mut found = loaded.in_use;
+        if found.is_none() {
+            found = self.store.salvage(length, accept);
+        }
+        assert_eq!(self.store.in_use(), found.map(|(slot, _)| slot));
+        let number = found.map(|(_, number)| number);
+        match (self.in_use, &self.after_reboot) {
+            (Some(before), _) => assert_eq!(number, before),
+            (None, Some(possible)) => {
+                assert!(possible.contains(&number), "{number:?}: {possible:?}")
+            }
+            (None, None) => {}
+        }
+        if self.in_use.is_none() {
+            self.after_reboot = Some(vec![number]);
+        }
+        self.in_use = Some(number);
+    }
+
+    fn rebooted(self, energy: Option<usize>, forgotten: Option<(u16, u8)>) -> Self {
+        let mut flash = self.store.into_flash();
+        if let Some((offset, byte)) = forgotten {
+            put(&mut flash, offset.into(), &[byte]);
+        }
+        flash.power_on(energy);
+        flash.arm(NEVER, Fault::Nothing);
+        Self {
+            store: Store::open(flash, self.layout).expect("the layout is valid"),
+            is_sound: energy.is_none(),
+            in_use: None,
+            way_back: None,
+            after_reboot: self.after_reboot.filter(|_| forgotten.is_none()),
+            ..self
+        }
+    }
+
+    fn upload(&mut self, number: u16, length: u8, chunk: u8) {
+        let bytes = package(number, length_in(&self.layout, length));
+        let outcome = self.try_upload(&bytes, usize::from(chunk).max(1));
+        let must_succeed = self.is_sound && self.in_use.is_some() && self.way_back.is_none();
+        match outcome {
+            Ok(staged) => {
+                assert_eq!(staged, number);
+                let slot = self.store.staged().expect("just staged");
+                assert_eq!(self.store.bytes(slot), Some(&bytes[..]));
+            }
+            Err(CheckedError::Refused(_)) => assert!(number >= UNWANTED),
+            Err(error) => assert!(!must_succeed, "{error:?}"),
+        }
+    }
+
+    fn try_upload(
+        &mut self,
+        bytes: &[u8],
+        chunk: usize,
+    ) -> Result<u16, CheckedError<&'static str>> {
+        self.store.begin(bytes.len() as u32)?;
+        let mut received = 0;
+        for bytes in bytes.chunks(chunk) {
+            received = self.store.write(received, bytes)?;
+        }
+        self.store.stage(accept)
+    }
+
+    fn activate(&mut self) {
+        let before = self.in_use;
+        if let Ok(number) = self.store.activate(accept) {
+            assert!(self.store.is_on_trial());
+            self.way_back = before;
+            self.in_use = Some(Some(number));
+            self.after_reboot = before.map(|before| vec![before]);
+        }
+    }
+
+    fn confirm(&mut self) {
+        match self.store.confirm() {
+            Ok(()) => {
+                self.way_back = None;
+                self.after_reboot = self.in_use.map(|number| vec![number]);
+            }
+            Err(StoreError::NotOnTrial) => assert_eq!(self.way_back, None),
+            Err(error) => {
+                assert!(!self.is_sound, "{error}");
+                if let (Some(possible), Some(number)) = (&mut self.after_reboot, self.in_use) {
+                    possible.push(number);
+                }
+            }
+        }
+    }
+
+    fn revert(&mut self) {
+        match self.store.revert() {
+            Ok(_) => {
+                self.in_use = self.way_back.take();
+                self.after_reboot = self.in_use.map(|number| vec![number]);
+            }
+            Err(StoreError::NotOnTrial) => assert_eq!(self.way_back, None),
+            Err(error) => assert!(!self.is_sound, "{error}"),
+        }
+    }
+
+    /// What is in use is whole and wanted, at any time, and the flash's rules are kept.
+    fn check_what_is_in_use(&self) {
+        if let Some(number) = self.in_use {
+            let slot = self.store.in_use();
+            let bytes = slot.map(|slot| self.store.bytes(slot).expect("what is in use is there"));
+            assert_eq!(bytes.map(accept), number.map(Ok));
+            assert_eq!(self.store.is_on_trial(), self.way_back.is_some());
+        }
+        assert_eq!(self.store.flash().misuses, 0);
+    }
+
+    /// On flash that works a good package can always be installed, and stays.
+    fn install_another(self) {
+        let mut run = self.rebooted(None, None);
+        run.load();
+        run.upload(LAST, 20, 7);
+        run.activate();
+        assert_eq!(run.in_use, Some(Some(LAST)));
+        run.confirm();
+        run.check_what_is_in_use();
+        assert_eq!(run.after_reboot, Some(vec![Some(LAST)]));
+        let mut run = run.rebooted(None, None);
+        run.load();
+        assert_eq!(run.in_use, Some(Some(LAST)));
+    }
+}

@@ -1,0 +1,169 @@
+//! Real packages, which a node accepts.
+
+use agent_core::AgentId;
+use agent_core::StateVector;
+use agent_core::activation::Activation;
+use agent_core::network::{Architecture, InnerNetwork, Layer, Scratch};
+use agent_core::outer_law::OuterLawParams;
+use agent_core::package::{
+    NeighbourIds, Node, OnSwitch, Package, Provenance, StateBox, TrainingErrors,
+};
+use agent_core::projection::ProjectionParams;
+use agent_core::symmetric::SymmetricMatrix;
+use agent_core::trigger::TriggerParams;
+
+/// In which form a symmetric matrix is given.
+#[derive(Clone, Copy, Debug)]
+pub enum Form {
+    /// As a multiple of the identity.
+    Scalar,
+    /// As its diagonal.
+    Diagonal,
+    /// In full.
+    Full,
+}
+
+impl Form {
+    /// A diagonally dominant matrix in this form, as its entries.
+    fn entries(self, size: usize) -> Vec<f32> {
+        match self {
+            Self::Scalar => vec![3.0],
+            Self::Diagonal => (0..size).map(|row| 3.0 + row as f32).collect(),
+            Self::Full => (0..size * size)
+                .map(|index| if index % (size + 1) == 0 { 20.0 } else { 0.125 })
+                .collect(),
+        }
+    }
+
+    fn matrix(self, entries: &[f32]) -> SymmetricMatrix<'_> {
+        match self {
+            Self::Scalar => SymmetricMatrix::Scalar(entries[0]),
+            Self::Diagonal => SymmetricMatrix::Diagonal(entries),
+            Self::Full => SymmetricMatrix::Full(entries),
+        }
+    }
+}
+
+/// What distinguishes one real package from another.
+#[derive(Clone, Debug)]
+pub struct SamplePackage {
+    /// Its version.
+    pub version: u32,
+    /// Whose it is.
+    pub agent: AgentId,
+    /// The inner layers.
+    pub layers: Vec<(u8, Activation)>,
+    /// How many outputs the agent measures.
+    pub outputs: usize,
+    /// Its neighbours.
+    pub neighbours: Vec<AgentId>,
+    /// Form of `K_1`.
+    pub gain: Form,
+    /// Form of `Gamma`.
+    pub outer_gain: Form,
+    /// How many test vectors there are.
+    pub test_vectors: usize,
+    /// Name of the training recipe.
+    pub recipe: &'static str,
+}
+
+impl SamplePackage {
+    /// The smallest that a node accepts.
+    #[must_use]
+    pub fn smallest() -> Self {
+        Self {
+            version: 1,
+            agent: 0,
+            layers: vec![(1, Activation::Tanh)],
+            outputs: 1,
+            neighbours: vec![],
+            gain: Form::Scalar,
+            outer_gain: Form::Scalar,
+            test_vectors: 1,
+            recipe: "",
+        }
+    }
+
+    /// The bytes of the unsigned package for a state of dimension `N`.
+    ///
+    /// # Panics
+    /// If the description is not one of a package.
+    #[must_use]
+    pub fn encode<const N: usize>(&self) -> Vec<u8> {
+        let layers: Vec<Layer> =
+            self.layers.iter().map(|&(width, activation)| Layer { width, activation }).collect();
+        let architecture = Architecture::new(N, &layers).expect("an architecture");
+        let inner = numbers(architecture.parameter_count());
+        let outer_weights = numbers(architecture.features() * N);
+        let output_matrix = numbers(self.outputs * N);
+        let gain = self.gain.entries(N);
+        let outer_gain = self.outer_gain.entries(architecture.features());
+        let neighbours: Vec<u8> = self.neighbours.iter().flat_map(|id| id.to_le_bytes()).collect();
+        let node = Node {
+            agent: self.agent,
+            output_matrix: &output_matrix,
+            gain: self.gain.matrix(&gain),
+            neighbours: NeighbourIds::new(&neighbours).expect("two bytes each"),
+            edge_weights: &vec![0.5; self.neighbours.len()],
+            outer_law: OuterLawParams {
+                gain: self.outer_gain.matrix(&outer_gain),
+                projection: ProjectionParams {
+                    radius: 19.0,
+                    boundary_layer: 1.0,
+                    smoothing: 0.125,
+                    smoothness: 1,
+                },
+            },
+            trigger: TriggerParams {
+                hold_error_weight: 1e4,
+                consensus_weight: 0.5,
+                threshold: 10.0,
+            },
+            step_size: 1e-3,
+        };
+        let package = Package {
+            version: self.version,
+            replaces: (self.version > 1).then_some(self.version),
+            outer_weights_on_switch: match self.version % 2 {
+                0 => OnSwitch::Keep,
+                _ => OnSwitch::Replace,
+            },
+            network: InnerNetwork::new(architecture, &inner[..]).expect("a network"),
+            outer_weights: &outer_weights,
+            node,
+            broadcast_interval_min: 0.0,
+            trained_box: StateBox { low: &[-1.0; N], high: &[1.0; N] },
+            provenance: Provenance {
+                scenario_hash: *b"scenario",
+                recipe: self.recipe,
+                seed: 42,
+                samples: 300,
+                errors: (!self.recipe.is_empty())
+                    .then_some(TrainingErrors { training: 0.5, test: 0.75 }),
+                tool_version: [0, 1, 0],
+            },
+            test_vectors: &[],
+        };
+        let mut scratch = Scratch::NEW;
+        let inputs = numbers(self.test_vectors * N);
+        let mut test_vectors = vec![];
+        for input in inputs.chunks_exact(N) {
+            let (features, output) = package
+                .evaluate(&StateVector::<N>::from_column_slice(input), &mut scratch)
+                .expect("the same dimension");
+            test_vectors.extend_from_slice(input);
+            test_vectors.extend_from_slice(features);
+            test_vectors.extend_from_slice(output.as_slice());
+        }
+        let package = Package { test_vectors: &test_vectors, ..package };
+        let mut buffer = vec![0; 1 << 20];
+        let length = package.encode(&mut buffer).expect("a package");
+        buffer.truncate(length);
+        buffer
+    }
+}
+
+/// Numbers between -0.25 and 0.25 without a pattern that a network could hide behind.
+fn numbers(count: usize) -> Vec<f32> {
+    (0..count).map(|index| ((index * 37 + 11) % 101) as f32 / 202.0 - 0.25).collect()
+}

@@ -1,0 +1,253 @@
+//! Coverage-guided fuzzing on the stable toolchain.
+//!
+//! The targets are laid out for cargo-fuzz, but that needs a nightly compiler. All that the fuzzer
+//! itself needs is LLVM's coverage counters, which are stable code generation options, and
+//! libFuzzer, whose sources come with the crate libfuzzer-sys and want a C++ compiler. What is
+//! missing is the address sanitizer, and in code without `unsafe` it has nothing to find.
+
+use std::{
+    env, fs, io,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use crate::{
+    compiler::host,
+    packages,
+    step::{Failure, cargo, on_path, run, run_filtering, target_folder, workspace},
+};
+
+/// What tells libFuzzer where the program has been, and what it has compared with what.
+const COVERAGE: [&str; 6] = [
+    "--cfg=fuzzing",
+    "-Cpasses=sancov-module",
+    "-Cllvm-args=-sanitizer-coverage-level=4",
+    "-Cllvm-args=-sanitizer-coverage-inline-8bit-counters",
+    "-Cllvm-args=-sanitizer-coverage-pc-table",
+    "-Cllvm-args=-sanitizer-coverage-trace-compares",
+];
+
+/// How long each target runs if nothing else is said. \[s\]
+const SECONDS: u32 = 10;
+/// An input that takes longer is a finding. \[s\]
+const TIMEOUT: u32 = 10;
+/// An input that takes more memory is a finding. \[MB\]
+const MEMORY: u32 = 2048;
+
+/// What the command line asks for.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Options {
+    seconds: u32,
+    /// All that there are, if none is named.
+    targets: Vec<String>,
+}
+
+impl Options {
+    /// Reads `[--seconds N] [TARGET...]`; `None` if that is not what there is.
+    pub(crate) fn read(arguments: &[&str]) -> Option<Self> {
+        let mut options = Self { seconds: SECONDS, targets: vec![] };
+        let mut arguments = arguments.iter();
+        while let Some(&argument) = arguments.next() {
+            if argument == "--seconds" {
+                options.seconds = arguments.next()?.parse().ok().filter(|&seconds| seconds > 0)?;
+            } else if argument.starts_with('-') {
+                return None;
+            } else {
+                options.targets.push(argument.to_owned());
+            }
+        }
+        Some(options)
+    }
+}
+
+/// Builds the fuzz targets and runs each from its corpus.
+///
+/// # Errors
+/// A finding, a target that does not exist, or no C++ compiler.
+pub(crate) fn fuzz(options: &Options, debian: bool) -> Result<(), Failure> {
+    let failed = |error: io::Error| {
+        Failure::new(format!("fuzzing: {error}"), "see that fuzz/ is complete and target/ writable")
+    };
+    let known = targets().map_err(failed)?;
+    if let Some(unknown) = options.targets.iter().find(|target| !known.contains(target)) {
+        return Err(Failure::new(
+            format!("there is no fuzz target {unknown}"),
+            format!("one of: {}", known.join(", ")),
+        ));
+    }
+    let chosen = if options.targets.is_empty() { &known } else { &options.targets };
+    let host = prepare(debian)?;
+    run(
+        "fuzz targets",
+        apply(&mut fuzz_cargo("build"), &host).arg("--bins"),
+        "the error above names the line",
+    )?;
+    let programs = folder().join(&host).join("release");
+    for target in chosen {
+        run_target(target, &programs.join(target), options.seconds)?;
+    }
+    Ok(())
+}
+
+/// Checks formatting and clippy's lints of the fuzz targets, in the same settings as [`fuzz`]
+/// builds them in, so that both share what they compile.
+///
+/// # Errors
+/// The first that is not clean, or no C++ compiler.
+pub(crate) fn lint(debian: bool) -> Result<(), Failure> {
+    run(
+        "formatting of the fuzz targets",
+        fuzz_cargo("fmt").args(["--", "--check"]),
+        "cargo fmt --manifest-path fuzz/Cargo.toml",
+    )?;
+    let host = prepare(debian)?;
+    run(
+        "clippy on the fuzz targets",
+        apply(&mut fuzz_cargo("clippy"), &host).args(["--all-targets", "--", "-D", "warnings"]),
+        "follow what clippy proposes, or allow the lint where it is wrong and say why",
+    )
+}
+
+/// The names of all targets, in alphabetical order.
+fn targets() -> io::Result<Vec<String>> {
+    let mut names = vec![];
+    for entry in fs::read_dir(workspace().join("fuzz/fuzz_targets"))? {
+        let path = entry?.path();
+        if let (Some(name), Some("rs")) =
+            (path.file_stem(), path.extension().and_then(|extension| extension.to_str()))
+        {
+            names.push(name.to_string_lossy().into_owned());
+        }
+    }
+    names.sort();
+    Ok(names)
+}
+
+/// Sees to a C++ compiler; returns the triple of this machine.
+fn prepare(debian: bool) -> Result<String, Failure> {
+    if env::var_os("CXX").is_none() && !on_path("c++") {
+        if !packages::allowed(debian) {
+            return Err(Failure::new(
+                "libFuzzer needs a C++ compiler",
+                "install g++ or clang++ (on Debian: cargo xtask fuzz --debian), or set CXX",
+            ));
+        }
+        packages::install(&["g++"])?;
+    }
+    host().ok_or_else(|| Failure::new("rustc does not tell its host", "see what `rustc -vV` says"))
+}
+
+fn fuzz_cargo(task: &str) -> Command {
+    let mut command = cargo(task);
+    command.args(["--manifest-path", "fuzz/Cargo.toml"]);
+    command
+}
+
+/// Makes `command` compile with coverage. The target is named so that the flags are not for
+/// build scripts and procedural macros, too.
+fn apply<'command>(command: &'command mut Command, host: &str) -> &'command mut Command {
+    command
+        .env_remove("CARGO_ENCODED_RUSTFLAGS")
+        .env("RUSTFLAGS", COVERAGE.join(" "))
+        .env("CARGO_TARGET_DIR", folder())
+        .args(["--quiet", "--release", "--target", host])
+}
+
+/// Where programs, findings and what is added to the corpora go.
+fn folder() -> PathBuf {
+    target_folder().join("fuzz")
+}
+
+/// Runs one target, from the committed corpus and what earlier runs have added to it.
+fn run_target(target: &str, program: &Path, seconds: u32) -> Result<(), Failure> {
+    let added = folder().join("corpus").join(target);
+    let findings = folder().join("findings").join(target);
+    for folder in [&added, &findings] {
+        fs::create_dir_all(folder).map_err(|error| {
+            Failure::new(format!("{}: {error}", folder.display()), "see that it can be written")
+        })?;
+    }
+    let mut command = Command::new(program);
+    command
+        .current_dir(workspace())
+        .arg(format!("-max_total_time={seconds}"))
+        .arg(format!("-timeout={TIMEOUT}"))
+        .arg(format!("-rss_limit_mb={MEMORY}"))
+        // libFuzzer puts a name right behind this.
+        .arg(format!("-artifact_prefix={}/", findings.display()))
+        .arg(&added)
+        .arg(Path::new("fuzz/corpus").join(target));
+    let mut finding = None;
+    run_filtering(&format!("fuzz target {target}"), &mut command, "see what it says", |line| {
+        if let Some(path) = written_to(line) {
+            finding = Some(path.to_owned());
+        }
+        is_of_interest(line)
+    })
+    .map_err(|failure| match finding {
+        Some(path) => Failure::new(
+            format!("fuzz target {target}: a finding, {path}"),
+            format!(
+                "repeat it with `{} {path}`; once it is mended, copy the input to \
+                 fuzz/corpus/{target}/ so that it stays so",
+                program.display()
+            ),
+        ),
+        None => failure,
+    })
+}
+
+/// Where libFuzzer says that it has put the input that it stopped at.
+fn written_to(line: &str) -> Option<&str> {
+    line.split_once("Test unit written to ").map(|(_, path)| path.trim())
+}
+
+/// Whether a line is more than one of the thousands that tell of a new or a smaller input, or of
+/// the dictionary at the end.
+fn is_of_interest(line: &str) -> bool {
+    let mut words = line.split_whitespace();
+    let first = words.next().unwrap_or_default();
+    let is_status = first.starts_with('#') && words.next().is_some_and(|word| word != "DONE");
+    let is_dictionary = first.starts_with('"') || first.starts_with("######");
+    !is_status && !is_dictionary
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn targets_and_time_are_read_in_any_order() {
+        let options = |seconds, targets: &[&str]| {
+            Some(Options { seconds, targets: targets.iter().map(|&t| t.to_owned()).collect() })
+        };
+        assert_eq!(Options::read(&[]), options(SECONDS, &[]));
+        assert_eq!(Options::read(&["frame", "--seconds", "1800"]), options(1800, &["frame"]));
+        assert_eq!(Options::read(&["--seconds", "5", "b", "a"]), options(5, &["b", "a"]));
+        for wrong in [&["--seconds"][..], &["--seconds", "0"], &["--seconds", "x"], &["--fast"]] {
+            assert_eq!(Options::read(wrong), None);
+        }
+    }
+
+    #[test]
+    fn only_the_end_of_a_run_and_findings_are_shown() {
+        for dull in [
+            "#12\tNEW    cov: 219 ft: 427 corp: 9/493b lim: 85 exec/s: 0 rss: 27Mb L: 81/85",
+            "#139796\tREDUCE cov: 22 ft: 28 corp: 15/284b lim: 1360 exec/s: 0 rss: 27Mb",
+            "#65536\tpulse  cov: 22 ft: 28 corp: 15/284b lim: 1360 exec/s: 0 rss: 27Mb",
+            "###### Recommended dictionary. ######",
+            "\"\\203\\004\\034]\" # Uses: 589",
+        ] {
+            assert!(!is_of_interest(dull), "{dull}");
+        }
+        for telling in [
+            "#224696\tDONE   cov: 421 ft: 1683 corp: 390/43Kb lim: 443 exec/s: 14043 rss: 28Mb",
+            "thread '<unnamed>' (12) panicked at fuzz_targets/package.rs:57:9:",
+            "",
+        ] {
+            assert!(is_of_interest(telling), "{telling}");
+        }
+        let line = "artifact_prefix='x/'; Test unit written to x/crash-98fd42";
+        assert_eq!(written_to(line), Some("x/crash-98fd42"));
+    }
+}
