@@ -20,6 +20,7 @@
 //!
 //! Memory: `4 N + 20` bytes. Cost: a few comparisons for each sample that arrives.
 
+use crate::sequence::is_newer;
 use crate::{StateVector, Tick};
 
 /// One agent's last broadcast sample.
@@ -53,8 +54,7 @@ impl<const N: usize> Hold<N> {
     /// from `u32::MAX` to 0.
     #[inline]
     pub(crate) fn is_newer_than(&self, other: &Self) -> bool {
-        let ahead = self.sequence.wrapping_sub(other.sequence);
-        (ahead != 0 && ahead < 1 << 31) || self.tick > other.tick
+        is_newer(self.sequence, other.sequence) || self.tick > other.tick
     }
 
     /// Whether this sample takes the place of `held` in the receiver's step `now`: see the
