@@ -4,9 +4,11 @@ use std::fs;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use agent_core::store::{Layout, Slot, Store};
 use serde_json::Value;
 
 use crate::command_line::{Folder, object, short, texts};
+use crate::nor_flash::{SimulatedFlash, Tear};
 
 /// The repository's memory map.
 const MEMORY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../memory.x");
@@ -113,9 +115,14 @@ fn images_lie_where_the_memory_map_says() {
     assert_eq!(bin.len(), 0x9000);
     assert_eq!(bin[..package.len()], package);
     // What a node finds in this flash, it loads.
-    let mut region = vec![0xff; 0x7000];
-    region.extend(&bin);
-    crate::nor_flash::assert_loads(&region, &package);
+    let mut flash = SimulatedFlash::<8, 0x1000>::new(0x1_0000, Tear::Prefix, 0);
+    flash.overwrite(0x7000, &bin);
+    let layout =
+        Layout { slots: [0, 0x7000], slot_length: 0x7000, commit: 0xe000, commit_length: 0x2000 };
+    let mut store = Store::open(flash, layout).unwrap();
+    let loaded = store.load(|bytes| if bytes == package { Ok(()) } else { Err(()) });
+    assert_eq!(loaded.in_use, Some((Slot::B, ())));
+    assert!(!store.is_on_trial());
     for (format, family) in [("hex", ""), ("uf2", " --family stm32f4")] {
         let text = folder.succeed(&format!(
             "weights image node1.weights --slot A --memory {MEMORY} --format {format}{family}"
