@@ -208,8 +208,9 @@ fn is_of_interest(line: &str) -> bool {
     let mut words = line.split_whitespace();
     let first = words.next().unwrap_or_default();
     let is_status = first.starts_with('#') && words.next().is_some_and(|word| word != "DONE");
+    let is_new_function = first.starts_with("NEW_FUNC");
     let is_dictionary = first.starts_with('"') || first.starts_with("######");
-    !is_status && !is_dictionary
+    !is_status && !is_new_function && !is_dictionary
 }
 
 #[cfg(test)]
@@ -235,6 +236,7 @@ mod tests {
             "#12\tNEW    cov: 219 ft: 427 corp: 9/493b lim: 85 exec/s: 0 rss: 27Mb L: 81/85",
             "#139796\tREDUCE cov: 22 ft: 28 corp: 15/284b lim: 1360 exec/s: 0 rss: 27Mb",
             "#65536\tpulse  cov: 22 ft: 28 corp: 15/284b lim: 1360 exec/s: 0 rss: 27Mb",
+            "\tNEW_FUNC[1/2]: 0x55624f428121",
             "###### Recommended dictionary. ######",
             "\"\\203\\004\\034]\" # Uses: 589",
         ] {
