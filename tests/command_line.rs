@@ -13,26 +13,26 @@ use crate::described::{Described, SHORT_RECIPE, cycle, network, picks};
 use crate::reproduce::paper;
 
 /// A folder of its own for one test, removed at the end.
-struct Folder(PathBuf);
+pub(crate) struct Folder(PathBuf);
 
 impl Folder {
-    fn new(name: &str) -> Self {
+    pub(crate) fn new(name: &str) -> Self {
         let name = format!("host-sim-{}-{name}", std::process::id());
         let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         fs::create_dir_all(&path).unwrap();
         Self(path)
     }
 
-    fn path(&self, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.0.join(name)
     }
 
-    fn write(&self, name: &str, text: &str) {
+    pub(crate) fn write(&self, name: &str, text: &str) {
         fs::write(self.path(name), text).unwrap();
     }
 
     /// Runs the program in this folder, with these arguments, separated by blanks.
-    fn run(&self, arguments: &str) -> Output {
+    pub(crate) fn run(&self, arguments: &str) -> Output {
         Command::new(env!("CARGO_BIN_EXE_simulator-under-test"))
             .args(arguments.split_whitespace())
             .current_dir(&self.0)
@@ -41,7 +41,7 @@ impl Folder {
     }
 
     /// Runs it; it must succeed and have nothing to say on standard error, which is a pipe here.
-    fn succeed(&self, arguments: &str) -> String {
+    pub(crate) fn succeed(&self, arguments: &str) -> String {
         let output = self.run(arguments);
         let (standard, error) = texts(&output);
         assert_eq!((output.status.code(), error.as_str()), (Some(0), ""), "{arguments}");
@@ -49,7 +49,7 @@ impl Folder {
     }
 
     /// Runs it; it must end with this code, without a result. Returns what it says.
-    fn fail(&self, arguments: &str, code: i32) -> String {
+    pub(crate) fn fail(&self, arguments: &str, code: i32) -> String {
         let output = self.run(arguments);
         let (standard, error) = texts(&output);
         assert_eq!((output.status.code(), standard.as_str()), (Some(code), ""), "{arguments}");
@@ -59,7 +59,7 @@ impl Folder {
     }
 
     /// The content of every file in a folder in this one.
-    fn files(&self, folder: &str) -> BTreeMap<String, Vec<u8>> {
+    pub(crate) fn files(&self, folder: &str) -> BTreeMap<String, Vec<u8>> {
         let entries = fs::read_dir(self.path(folder)).unwrap().map(Result::unwrap);
         let file = |entry: fs::DirEntry| {
             (entry.file_name().into_string().unwrap(), fs::read(entry.path()).unwrap())
@@ -74,13 +74,13 @@ impl Drop for Folder {
     }
 }
 
-fn texts(output: &Output) -> (String, String) {
+pub(crate) fn texts(output: &Output) -> (String, String) {
     let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).unwrap();
     (text(&output.stdout), text(&output.stderr))
 }
 
 /// A scenario of a fraction of a second that uses everything.
-fn short() -> Described {
+pub(crate) fn short() -> Described {
     let mut described = Described::linear(2, "path", [(picks(2, [0]), 1), (picks(2, [1]), 1)]);
     described.duration = 0.8;
     described.network = network(&[(4, "tanh")], "2.0");
@@ -89,7 +89,7 @@ fn short() -> Described {
 }
 
 /// The one JSON object that `text` is.
-fn object(text: &str) -> Value {
+pub(crate) fn object(text: &str) -> Value {
     let value: Value = serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"));
     assert!(value.is_object() && text.ends_with("}\n") && text.lines().count() == 1, "{text}");
     value

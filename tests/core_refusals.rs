@@ -218,7 +218,7 @@ fn refused_frames<const N: usize>(seed: u64, noise: &[u8]) -> Result<(), TestCas
         if neighbours.len() > 1 {
             // As old as the one that waits, or older.
             for sequence in [3, 2] {
-                let again = Frame { sender: neighbours[0].id, sequence, ..valid };
+                let again = Frame { sender: neighbours[0].id, sequence, tick: 3, ..valid };
                 refused.push(again.encode().to_vec());
             }
         }

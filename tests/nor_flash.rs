@@ -24,7 +24,7 @@ impl Tear {
     pub(crate) const ALL: [Self; 3] = [Self::Prefix, Self::Garbage, Self::Unseen];
 }
 
-/// What one write or erasure does instead of its work, without any loss of power.
+/// What a write or an erasure does instead of its work, without any loss of power.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Fault {
     /// It reports an error and has done nothing.
@@ -65,8 +65,8 @@ pub(crate) struct SimulatedFlash<const WRITE: usize, const ERASE: usize> {
     tear: Tear,
     /// How many more bytes can be written and erased before the power fails.
     energy: Cell<Option<usize>>,
-    /// What befalls the write or erasure after so many others.
-    fault: Cell<Option<(usize, Fault)>>,
+    /// What befalls so many writes and erasures after so many others.
+    fault: Cell<Option<(usize, usize, Fault)>>,
     noise: u64,
     pub(crate) power_lost: bool,
     /// How many bytes have been written and erased.
@@ -106,9 +106,9 @@ impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
         self.energy.set(Some(energy));
     }
 
-    /// Lets the write or erasure after `others` go wrong.
-    pub(crate) fn arm(&self, others: usize, fault: Fault) {
-        self.fault.set(Some((others, fault)));
+    /// Lets `count` writes and erasures go wrong after `others`.
+    pub(crate) fn arm(&self, others: usize, count: usize, fault: Fault) {
+        self.fault.set(Some((others, count, fault)));
     }
 
     /// Puts bytes there as a debugger does, or as cells that forget.
@@ -142,9 +142,12 @@ impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
         self.power_lost = done < length;
         self.spent += done;
         let fault = match self.fault.take() {
-            Some((0, fault)) => Some(fault),
-            Some((others, fault)) => {
-                self.fault.set(Some((others - 1, fault)));
+            Some((0, count, fault)) => {
+                self.fault.set((count > 1).then_some((0, count - 1, fault)));
+                Some(fault)
+            }
+            Some((others, count, fault)) => {
+                self.fault.set(Some((others - 1, count, fault)));
                 None
             }
             None => None,

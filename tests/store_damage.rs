@@ -176,7 +176,7 @@ fn what_was_never_confirmed_is_not_salvaged() {
     assert_eq!((loaded.in_use, store.salvage(length, check)), (None, None));
     upload(&mut store, &package(3, 70));
     store.write(0, &package(3, 70)).unwrap();
-    store.flash().arm(1, Fault::Nothing);
+    store.flash().arm(1, 1, Fault::Nothing);
     let _ = store.stage(check);
     assert_eq!(salvaged(&mut flash), None);
 }

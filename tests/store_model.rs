@@ -140,9 +140,8 @@ impl Ledger {
 
 /// An outcome without what the check made of the package.
 pub(crate) fn plain<T>(outcome: Result<T, CheckedError<&'static str>>) -> Result<(), StoreError> {
-    match outcome {
-        Ok(_) => Ok(()),
-        Err(CheckedError::Store(error)) => Err(error),
-        Err(refused) => panic!("{refused:?}"),
-    }
+    outcome.map(|_| ()).map_err(|error| match error {
+        CheckedError::Store(error) => error,
+        refused => panic!("{refused:?}"),
+    })
 }

@@ -57,7 +57,7 @@ const REFUSED: [(&str, &str); 12] = [
     ),
     (
         "refused_bfloat16.safetensors",
-        "array `layer1.bias` holds BF16, expected little-endian float32 or float64; convert it to float32",
+        "array `layer1.weight` holds BF16, expected little-endian float32 or float64; convert it to float32",
     ),
     (
         "refused_nan.npz",
@@ -221,9 +221,12 @@ fn files_that_are_not_what_their_name_says_are_refused() {
 #[test]
 fn exported_files_are_those_that_numpy_and_pytorch_have_read() {
     let (arrays, _) = imported("numpy_activations.npz");
-    for name in ["exported.npz", "exported.safetensors"] {
+    let written = ["exported.npz", "exported.safetensors"].map(|name| {
         let path = folder("exported").join(name);
         tensors::write(&path, &arrays).unwrap();
+        (name, path)
+    });
+    for (name, path) in written {
         assert!(
             fs::read(&path).unwrap() == fs::read(fixture(name)).unwrap(),
             "{} changed: let read_exported.py read it, then replace {name}",

@@ -84,6 +84,11 @@ pub enum FrameError {
         /// Who sent it.
         sender: AgentId,
     },
+    /// The estimate lies outside the region in which the receiver believes it.
+    Implausible {
+        /// Who sent it.
+        sender: AgentId,
+    },
     /// This sender already has this frame, or a newer one, waiting for the next step.
     DuplicateSender {
         /// Who sent it.
@@ -107,6 +112,9 @@ impl core::fmt::Display for FrameError {
                 write!(f, "the estimate from agent {sender} is not finite")
             }
             Self::UnknownSender { sender } => write!(f, "agent {sender} is not a neighbour"),
+            Self::Implausible { sender } => {
+                write!(f, "the estimate from agent {sender} is outside the plausible region")
+            }
             Self::DuplicateSender { sender } => {
                 write!(f, "agent {sender} already has a frame waiting")
             }

@@ -7,13 +7,20 @@
 //! Memory: `4 N + 24` bytes a neighbour. Cost: the frame's length, and a search among the
 //! neighbours.
 //!
+//! A frame can carry any finite number. [`Inbox::accept_within`] also refuses an estimate that
+//! cannot be true; without it a single frame can make the receiver's step diverge.
+//!
+//! Whether a frame is newer than the sample that its receiver already holds is decided when the
+//! step takes it over, which is when the receiver's time is known: see [`crate::hold`].
+//!
 //! Invariant: whatever arrives, an inbox holds at most one valid frame of each neighbour, and
 //! a refused one changes nothing.
 
+use crate::Tick;
 use crate::frame::{Frame, FrameError};
 use crate::hold::Hold;
 use crate::observer::Neighbour;
-use crate::sequence::is_newer;
+use crate::region::Region;
 
 /// Places for the next frame of each neighbour, in `S`: an array on the node, a vector on
 /// the host, one entry for each neighbour in the order of the agent's parameters.
@@ -37,20 +44,42 @@ impl<const N: usize, S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>> Inb
     /// What [`Frame::decode`] refuses, and a sender that is unknown or already has this frame
     /// or a newer one waiting.
     pub fn accept(&mut self, neighbours: &[Neighbour], bytes: &[u8]) -> Result<(), FrameError> {
-        let frame = Frame::<N>::decode(bytes)?;
+        self.keep(neighbours, &Frame::decode(bytes)?)
+    }
+
+    /// Like [`Self::accept`] for frames whose estimate lies in `region` only: what a neighbour that
+    /// has diverged broadcasts, or that speaks of another plant, does not get in.
+    ///
+    /// # Errors
+    /// As for [`Self::accept`], and [`FrameError::Implausible`].
+    pub fn accept_within(
+        &mut self,
+        neighbours: &[Neighbour],
+        region: &Region<N>,
+        bytes: &[u8],
+    ) -> Result<(), FrameError> {
+        let frame = Frame::decode(bytes)?;
+        if !region.contains(&frame.estimate) {
+            return Err(FrameError::Implausible { sender: frame.sender });
+        }
+        self.keep(neighbours, &frame)
+    }
+
+    fn keep(&mut self, neighbours: &[Neighbour], frame: &Frame<N>) -> Result<(), FrameError> {
         let sender = frame.sender;
         let unknown = FrameError::UnknownSender { sender };
         let place = neighbours.iter().position(|n| n.id == sender).ok_or(unknown)?;
         let pending = self.pending.as_mut().get_mut(place).ok_or(unknown)?;
+        let sample = Hold::new(frame.estimate, frame.tick, frame.sequence);
         match pending {
             // After a step that was refused, a frame can still wait when the next one comes.
-            Some(waiting) if !is_newer(frame.sequence, waiting.sequence()) => {
+            Some(waiting) if !sample.is_newer_than(waiting) => {
                 return Err(FrameError::DuplicateSender { sender });
             }
             Some(_) => {}
             None => self.count += 1,
         }
-        *pending = Some(Hold::new(frame.estimate, frame.tick, frame.sequence));
+        *pending = Some(sample);
         Ok(())
     }
 
@@ -72,19 +101,41 @@ impl<const N: usize, S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>> Inb
         self.count = 0;
     }
 
+    /// Discards what waits with an estimate outside `region`.
+    pub fn discard_outside(&mut self, region: &Region<N>) {
+        for place in self.pending.as_mut() {
+            if place.take_if(|waiting| !region.contains(waiting.estimate())).is_some() {
+                self.count -= 1;
+            }
+        }
+    }
+
     /// The waiting frames, one place for each neighbour.
     pub(crate) fn pending(&self) -> &[Option<Hold<N>>] {
         self.pending.as_ref()
     }
 
-    /// Moves every waiting frame into the place of its sender among `holds`.
-    pub(crate) fn drain_into(&mut self, holds: &mut [Option<Hold<N>>]) {
+    /// Moves every waiting frame into the place of its sender among `holds`, in the step `now`,
+    /// unless what is held there stays; returns how many frames are dropped for that reason.
+    pub(crate) fn drain_into(
+        &mut self,
+        holds: &mut [Option<Hold<N>>],
+        now: Tick,
+        silence: Tick,
+    ) -> u32 {
+        if self.is_empty() {
+            return 0;
+        }
+        let mut dropped = 0;
         for (hold, pending) in holds.iter_mut().zip(self.pending.as_mut()) {
-            if let Some(sample) = pending.take() {
-                *hold = Some(sample);
+            match (pending.take(), &*hold) {
+                (None, _) => {}
+                (Some(sample), Some(held)) if !sample.replaces(held, now, silence) => dropped += 1,
+                (Some(sample), _) => *hold = Some(sample.taken_over(now)),
             }
         }
         self.count = 0;
+        dropped
     }
 }
 
@@ -137,8 +188,37 @@ mod tests {
         inbox.accept(&NEIGHBOURS, &frame(9).encode()).unwrap();
         let old = Hold::new([7.0, 7.0].into(), 1, 0);
         let mut holds = [Some(old), Some(old)];
-        inbox.drain_into(&mut holds);
-        assert_eq!(holds, [Some(old), Some(Hold::new([1.0, 2.0].into(), 11, 5))]);
+        assert_eq!(inbox.drain_into(&mut holds, 12, 10), 0);
+        let new = Hold::new([1.0, 2.0].into(), 11, 5).taken_over(12);
+        assert_eq!(holds, [Some(old), Some(new)]);
         assert!(inbox.is_empty());
+    }
+
+    #[test]
+    fn draining_drops_what_is_not_newer_than_what_is_held() {
+        let held = Hold::new([7.0, 7.0].into(), 11, 5).taken_over(12);
+        let mut holds = [None, Some(held)];
+        for (now, dropped) in [(13, 1), (22, 1), (23, 0)] {
+            let mut inbox = Inbox::<2, _>::new([None; 2]);
+            inbox.accept(&NEIGHBOURS, &frame(9).encode()).unwrap();
+            assert_eq!(inbox.drain_into(&mut holds, now, 10), dropped, "{now}");
+            assert!(inbox.is_empty());
+            assert_eq!(holds[1] == Some(held), dropped == 1);
+        }
+    }
+
+    #[test]
+    fn an_estimate_that_cannot_be_true_is_refused_or_discarded() {
+        let region = Region::new([-5.0, -5.0].into(), [5.0, 5.0].into()).unwrap();
+        let mut inbox = Inbox::<2, _>::new([None; 2]);
+        let huge = Frame::<2> { estimate: [1.0, 1e30].into(), ..frame(9) }.encode();
+        let implausible = Err(FrameError::Implausible { sender: 9 });
+        assert_eq!(inbox.accept_within(&NEIGHBOURS, &region, &huge), implausible);
+        assert!(inbox.is_empty());
+        assert_eq!(inbox.accept_within(&NEIGHBOURS, &region, &frame(4).encode()), Ok(()));
+        assert_eq!(inbox.accept(&NEIGHBOURS, &huge), Ok(()));
+        inbox.discard_outside(&region);
+        assert_eq!(inbox.len(), 1);
+        assert!(inbox.pending()[0].is_some() && inbox.pending()[1].is_none());
     }
 }

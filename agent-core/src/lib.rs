@@ -18,11 +18,12 @@
 //! | [`outer_law`], [`projection`] | the adaptation of the outer weights | `What_i Dot` |
 //! | [`trigger`] | when to broadcast | `Trigger` |
 //! | [`agent`] | parameters, state, and the step that joins all these | |
+//! | [`health`] | what goes wrong at run time: counted, and what to do about it | `Zeno Bound` |
 //! | [`capture`], [`bank`] | samples for offline training; switching in its result | |
 //! | [`package`] | all of the above parameters as bytes that prove themselves | |
 //! | [`checksum`], [`signature`] | against damage; against strangers | |
-//! | [`symmetric`], [`numeric`], [`parameter`] | gains; ordered sums; ranges | |
 //! | [`store`] | weight packages in flash, safe against loss of power at any instant | |
+//! | [`symmetric`], [`numeric`], [`parameter`], [`region`] | gains; ordered sums; ranges; boxes | |
 //!
 //! Parameters ([`agent::AgentParams`]) never change and can live in flash; the state
 //! ([`agent::AgentState`]) is all that does. Time, measurements and frames are arguments, the
@@ -37,6 +38,7 @@ pub mod bank;
 pub mod capture;
 pub mod checksum;
 pub mod frame;
+pub mod health;
 pub mod hold;
 pub mod inbox;
 pub mod network;
@@ -46,6 +48,7 @@ pub mod outer_law;
 pub mod package;
 pub mod parameter;
 pub mod projection;
+pub mod region;
 mod sequence;
 pub mod signature;
 pub mod store;

@@ -272,7 +272,7 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
                     Failure::Torn => Fault::Torn,
                     Failure::Silent => Fault::Silent,
                 };
-                self.store.flash().arm((others % 8).into(), fault);
+                self.store.flash().arm((others % 8).into(), 1, fault);
             }
             Call::Load => self.load(),
             Call::Salvage => {
@@ -329,7 +329,7 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
             put(&mut flash, offset.into(), &[byte]);
         }
         flash.power_on(energy);
-        flash.arm(NEVER, Fault::Nothing);
+        flash.arm(NEVER, 1, Fault::Nothing);
         Self {
             store: Store::open(flash, self.layout).expect("the layout is valid"),
             is_sound: energy.is_none(),

@@ -12,14 +12,24 @@
 //! same interval, as the paper's simultaneous broadcast asks, and the result does not depend
 //! on the order in which agents are stepped.
 //!
+//! Every step is one `dt`, also after ticks that were skipped because the node was late. The
+//! alternatives are worse: Euler's method over `k dt` leaves its region of stability, with the
+//! paper's gain from `k = 8` on; and `k` steps with the one measurement there is make a late node
+//! later. What is lost is the drift of the plant over the skipped ticks, as with measurements that
+//! were missed, and the feedback removes it at its own rate. [`crate::health`] counts the ticks.
+//!
+//! An agent whose estimate nothing can be made of any more is [restarted](AgentState::restart);
+//! when, is the matter of [`crate::health`].
+//!
 //! Cost: that of the modules. Memory: [`AgentState`] takes `4 N (FEATURES + 5) + 8 FEATURES`
-//! bytes and the network's scratch, and `4 N + 24` bytes a neighbour.
+//! bytes and the network's scratch, and `4 N + 28` bytes a neighbour.
 //!
 //! Invariants: every number in the state is finite; an error leaves state and inbox as they
 //! were before the call.
 
 mod error;
 mod params;
+mod restart;
 
 pub use error::StepError;
 pub use params::AgentParams;
@@ -59,6 +69,7 @@ pub struct AgentState<const N: usize, const FEATURES: usize, S> {
     consensus_is_current: bool,
     /// `e_3i` of the last step in the first `m` components.
     output_error: StateVector<N>,
+    stale_frames: u32,
     scratch: Scratch,
 }
 
@@ -95,6 +106,7 @@ where
             consensus_term: StateVector::zeros(),
             consensus_is_current: false,
             output_error: StateVector::zeros(),
+            stale_frames: 0,
             scratch: Scratch::NEW,
         })
     }
@@ -135,7 +147,7 @@ where
     {
         self.check(params, network, tick, measurement, inbox)?;
 
-        let consensus_term = self.consensus_with(params, inbox);
+        let consensus_term = self.consensus_with(params, tick, inbox);
         let mut output_error = StateVector::zeros();
         let innovation = params.observer.output_matrix.output_error(
             &self.estimate,
@@ -162,7 +174,8 @@ where
 
         // Nothing can fail from here on.
         let sample = Sample { tick, estimate: self.estimate, derivative };
-        inbox.drain_into(self.neighbour_holds.as_mut());
+        let silence = params.restart_silence;
+        self.stale_frames = inbox.drain_into(self.neighbour_holds.as_mut(), tick, silence);
         self.last_tick = Some(tick);
         self.estimate = estimate;
         self.consensus_term = consensus_term;
@@ -181,15 +194,26 @@ where
         if !params.trigger.fires(&hold_error, &self.consensus_term) {
             return None;
         }
-        let sequence = self.own_hold.sequence().wrapping_add(1);
-        self.own_hold = Hold::new(self.estimate, tick, sequence);
-        self.consensus_is_current = false;
+        self.sample_estimate(tick);
         Some(self.announcement(params))
     }
 
-    /// `z_i` with the held estimates as they are once the inbox is emptied into them.
+    /// Holds the estimate as the agent's next sample.
     #[inline]
-    fn consensus_with<I>(&self, params: &AgentParams<'_, N>, inbox: &Inbox<N, I>) -> StateVector<N>
+    fn sample_estimate(&mut self, tick: Tick) {
+        let sequence = self.own_hold.sequence().wrapping_add(1);
+        self.own_hold = Hold::new(self.estimate, tick, sequence);
+        self.consensus_is_current = false;
+    }
+
+    /// `z_i` with the held estimates as they are once the inbox is emptied into them at `tick`.
+    #[inline]
+    fn consensus_with<I>(
+        &self,
+        params: &AgentParams<'_, N>,
+        tick: Tick,
+        inbox: &Inbox<N, I>,
+    ) -> StateVector<N>
     where
         I: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
     {
@@ -197,7 +221,14 @@ where
             return self.consensus_term;
         }
         let held = self.neighbour_holds.as_ref().iter().zip(inbox.pending());
-        let held = held.map(|(held, pending)| pending.as_ref().or(held.as_ref()));
+        let held = held.map(|(held, pending)| match (held, pending) {
+            (Some(held), Some(pending))
+                if !pending.replaces(held, tick, params.restart_silence) =>
+            {
+                Some(held)
+            }
+            (held, pending) => pending.as_ref().or(held.as_ref()),
+        });
         params
             .observer
             .consensus_term(self.own_hold.estimate(), held.map(|hold| hold.map(Hold::estimate)))
@@ -298,5 +329,10 @@ where
     #[must_use]
     pub fn neighbour_holds(&self) -> &[Option<Hold<N>>] {
         self.neighbour_holds.as_ref()
+    }
+    /// How many frames the last step dropped because it already held something as new.
+    #[must_use]
+    pub fn stale_frames(&self) -> u32 {
+        self.stale_frames
     }
 }

@@ -2,11 +2,13 @@
 
 use nalgebra::SMatrix;
 
-use crate::AgentId;
+use crate::hold::RESTART_SILENCE;
 use crate::observer::{Neighbour, ObserverParams};
 use crate::outer_law::OuterLawParams;
 use crate::parameter::{ParameterError, positive};
+use crate::projection::ProjectionParams;
 use crate::trigger::TriggerParams;
+use crate::{AgentId, Tick};
 
 /// Everything about an agent that does not change, checked as a whole.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,6 +18,7 @@ pub struct AgentParams<'a, const N: usize> {
     pub(super) observer: ObserverParams<'a, N>,
     pub(super) outer_law: OuterLawParams<'a>,
     pub(super) trigger: TriggerParams,
+    pub(super) restart_silence: Tick,
 }
 
 impl<'a, const N: usize> AgentParams<'a, N> {
@@ -34,7 +37,16 @@ impl<'a, const N: usize> AgentParams<'a, N> {
         observer.validate(id)?;
         outer_law.projection.validate()?;
         trigger.validate()?;
-        Ok(Self { id, step_size, observer, outer_law, trigger })
+        let restart_silence = RESTART_SILENCE;
+        Ok(Self { id, step_size, observer, outer_law, trigger, restart_silence })
+    }
+
+    /// The same with another number of steps than [`RESTART_SILENCE`] until a neighbour that began
+    /// anew is heard again. Above the longest delay of the link, or a frame that was overtaken
+    /// can take the place of a newer one.
+    #[must_use]
+    pub fn with_restart_silence(self, restart_silence: Tick) -> Self {
+        Self { restart_silence, ..self }
     }
 
     /// The agent's number.
@@ -59,6 +71,12 @@ impl<'a, const N: usize> AgentParams<'a, N> {
     #[must_use]
     pub fn gain(&self) -> &SMatrix<f32, N, N> {
         &self.observer.gain
+    }
+
+    /// The operator that keeps the outer weights bounded.
+    #[must_use]
+    pub fn projection(&self) -> &ProjectionParams {
+        &self.outer_law.projection
     }
 
     /// The neighbours, in the order of an inbox's places.

@@ -332,6 +332,22 @@ fn parameters_come_out_as_they_went_in() {
 }
 
 #[test]
+fn the_specification_shows_these_very_bytes() {
+    let specification = include_str!("../../../docs/format.md");
+    let (_, example) = specification.split_once("```text\n0000").unwrap();
+    let (example, _) = example.split_once("```").unwrap();
+    let example = std::format!("0000{example}");
+    let mut shown = Vec::new();
+    for line in example.lines() {
+        let (offset, rest) = line.split_once("  ").unwrap();
+        assert_eq!(usize::from_str_radix(offset, 16), Ok(shown.len()), "{line}");
+        let (bytes, _) = rest.split_once("  ").unwrap();
+        shown.extend(bytes.split(' ').map(|byte| u8::from_str_radix(byte, 16).unwrap()));
+    }
+    assert_eq!(shown, encoded(&Content::new().package()).bytes());
+}
+
+#[test]
 fn a_network_is_found_again_at_its_place() {
     let bytes = encoded(&Content::new().package());
     let package = Package::decode(bytes.bytes()).unwrap();

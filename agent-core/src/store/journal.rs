@@ -88,8 +88,8 @@ impl Journal {
         self.newest.map(|(_, contents)| contents)
     }
 
-    /// Whether flash may hold a newest record that names bytes in `slot`; so may, for all that is
-    /// known, the writer of what lies there if there is no record at all.
+    /// Whether the newest record in flash names, or may name, bytes in `slot`. Without any record
+    /// everything is in doubt.
     pub(super) fn may_name(&self, slot: Slot) -> bool {
         self.in_doubt || self.newest().is_none_or(|newest| newest.package(slot).is_some())
     }

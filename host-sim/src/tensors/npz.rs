@@ -163,7 +163,8 @@ fn texts(head: &Head, source: impl Read) -> Result<Vec<String>, String> {
                 .map(|&character| char::from_u32(u32::from_le_bytes(character)))
                 .collect();
             let string = string.ok_or("it holds characters that are none")?;
-            Ok(string.trim_end_matches('\0').escape_debug().to_string())
+            // MATLAB fills up with blanks.
+            Ok(string.trim_end_matches('\0').trim_end().escape_debug().to_string())
         })
         .collect()
 }
@@ -177,5 +178,22 @@ fn exactly(source: impl Read, length: usize) -> Result<Vec<u8>, String> {
         found if found < length => Err(format!("it ends after {found} of {length} bytes")),
         found if found > length => Err(format!("it goes on after its {length} bytes")),
         _ => Ok(bytes),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn strings_come_back_without_what_fills_them_up() {
+        for strings in [&["tanh", "logistic"][..], &["tanh    ", "logistic"]] {
+            let Ok(Unpacked::Activations(names)) =
+                unpack(text_array(strings).as_slice(), ACTIVATIONS)
+            else {
+                panic!("{strings:?} cannot be read");
+            };
+            assert_eq!(names, ["tanh", "logistic"]);
+        }
     }
 }

@@ -1,0 +1,294 @@
+//! What goes wrong at run time: counted, reported in moderation, and what to do about it.
+//!
+//! [`Health`] looks at the outcome of every step and at every refused frame, changes neither, and
+//! gives two pieces of advice: whether the inner network is to be used
+//! ([`Health::network_in_use`]) and whether the agent is to begin anew ([`Advice`]).
+//!
+//! | watched | how | counter |
+//! | --- | --- | --- |
+//! | inputs unlike those of the training | `x_hat(t_(k+1))`, the next input of the network, outside [`StateBox`] | `outside_box` |
+//! | outer weights near their bound | the projection acts: `|W_hat|^2 > theta_0^2` after a step with the network, a step that was shortened onto the bound included | `projection_active` |
+//! | numbers that are none | refused by step and inbox | `measurements_not_finite`, `frames_not_finite` |
+//! | divergence | a step that would overflow; an estimate outside the plausible region | `diverged`, `implausible` |
+//! | broadcasts closer than Theorem 2 allows (`Zeno Bound`) | ticks between two samples | `early_broadcasts` |
+//! | a node that is late | ticks without a step | `skipped_ticks` |
+//!
+//! # The interval of Theorem 2
+//! On the trajectories that the bound `b` was computed for, the estimate moves at most
+//! `e_2i_max dt` a step, so the trigger fires after `j >= b / dt` steps at the earliest. The alarm
+//! is `j < floor(b / dt)`: neither the rounding of the quotient nor a late step, which moves the
+//! estimate by one `dt` while several ticks go by, can raise a false one; and a violation by less
+//! than one step is missed. Bounds below two steps leave nothing to watch.
+//!
+//! # Falling back
+//! After `after` unhealthy steps in a row the network is left out, after `return_after` healthy
+//! ones it is used again; what makes a step unhealthy is for [`FallBack`] to say. While the
+//! network is out the outer weights rest and the projection does not act, so that they count for
+//! nothing then; they return as they left. A step that was refused for its input says
+//! nothing about the network and neither ends nor prolongs a row.
+//!
+//! # Recovering
+//! A step that overflows is not taken: it does no harm by itself. But if the estimate is huge, or a
+//! held sample of a neighbour, the next step overflows again, and so on for ever. And a huge
+//! measurement that does not overflow throws the outer weights onto their bound, where they stay
+//! useless for a long time after the feedback, which shrinks an error by `1 - dt k` a step, has
+//! brought the estimate back. So an agent begins anew, with the centre of the trained box and the
+//! package's outer weights,
+//! - at once when a step leads outside the plausible region, which is the trained box widened by
+//!   [`HealthSettings::plausible_margin`] widths: the harm is done;
+//! - after [`HealthSettings::restart_after`] steps in a row that overflow.
+//!
+//! Samples of neighbours outside the plausible region are dropped, or they would carry it off again.
+//! [`Health::restart`] does all of it; `docs/decisions/0010-beginning-anew.md` has the measurements.
+//!
+//! Everything is a function of the steps' outcomes: nodes that see the same do the same.
+//!
+//! Memory: 176 bytes of state, `16 N + 28` of parameters. Cost a step: `2 N` comparisons for a healthy
+//! estimate and up to `4 N` for another. With `N = 3` a healthy step without a broadcast takes
+//! about 95 instructions of a Cortex-M4F, counted by hand in the machine code.
+//!
+//! [`StateBox`]: crate::package::StateBox
+
+mod counters;
+mod params;
+
+pub use counters::HealthCounters;
+pub use params::{FallBack, HealthParams, HealthSettings};
+
+use crate::Tick;
+use crate::agent::{AgentParams, AgentState, StepError, StepOutput};
+use crate::frame::{Frame, FrameError};
+use crate::hold::Hold;
+use crate::inbox::Inbox;
+use crate::parameter::ParameterError;
+
+/// What to do after a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[must_use]
+pub enum Advice {
+    /// Go on; broadcast what the step returned.
+    Continue,
+    /// Call [`Health::restart`] and broadcast what it returns in place of the step's frame.
+    Restart,
+}
+
+/// What an agent's health has been so far.
+#[derive(Clone, Debug, Default)]
+pub struct Health {
+    counters: HealthCounters,
+    /// Tick of the last attempt at a step.
+    last_tick: Option<Tick>,
+    /// Tick of the agent's last sample; the first belongs to tick 0.
+    last_broadcast: Tick,
+    fallen_back: bool,
+    /// Steps in a row towards falling back, or towards returning.
+    row: u32,
+    /// Steps in a row that overflowed; `u32::MAX` if the estimate is implausible.
+    overflows: u32,
+    last_report: Option<Tick>,
+    reported: HealthCounters,
+}
+
+impl Health {
+    /// The health of an agent that has not taken a step.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Takes notice of the attempt at a step at `tick`, of what came of it, and of the state that
+    /// it left.
+    #[inline]
+    pub fn observe<const N: usize, const FEATURES: usize, S>(
+        &mut self,
+        params: &HealthParams<N>,
+        tick: Tick,
+        outcome: &Result<StepOutput<N>, StepError>,
+        state: &AgentState<N, FEATURES, S>,
+    ) -> Advice
+    where
+        S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+    {
+        // Whether the step was unhealthy, and for how many steps in a row the agent is lost.
+        let (unhealthy, lost) = match outcome {
+            Ok(output) => {
+                self.notice_time(tick);
+                if let Some(frame) = &output.broadcast {
+                    self.notice_broadcast(params, frame.tick);
+                }
+                let (unhealthy, lost) = self.notice_state(params, state);
+                (unhealthy, if lost { u32::MAX } else { 0 })
+            }
+            Err(StepError::Diverged) => {
+                self.notice_time(tick);
+                count(&mut self.counters.diverged);
+                // A kind that was not chosen is no sign of health either.
+                let unhealthy = params.fall_back.is_some_and(|f| f.diverged).then_some(true);
+                (unhealthy, self.overflows.saturating_add(1))
+            }
+            Err(StepError::MeasurementNotFinite { .. }) => {
+                self.notice_time(tick);
+                count(&mut self.counters.measurements_not_finite);
+                return Advice::Continue;
+            }
+            Err(_) => {
+                count(&mut self.counters.steps_refused);
+                return Advice::Continue;
+            }
+        };
+        if let (Some(fall_back), Some(unhealthy)) = (&params.fall_back, unhealthy) {
+            self.fall_back_or_return(fall_back, unhealthy);
+        }
+        self.overflows = lost;
+        match params.restart_after {
+            Some(after) if lost >= after.get() => Advice::Restart,
+            _ => Advice::Continue,
+        }
+    }
+
+    /// Whether the step was unhealthy, and whether the agent is lost.
+    #[inline]
+    fn notice_state<const N: usize, const FEATURES: usize, S>(
+        &mut self,
+        params: &HealthParams<N>,
+        state: &AgentState<N, FEATURES, S>,
+    ) -> (Option<bool>, bool)
+    where
+        S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+    {
+        let outside = !params.trained.contains(state.estimate());
+        let lost = outside && !params.plausible.contains(state.estimate());
+        let projection_active =
+            !self.fallen_back && state.outer_weights().norm_squared() > params.radius_squared;
+        let stale = state.stale_frames();
+        if outside || projection_active || stale > 0 {
+            let counters = &mut self.counters;
+            counters.frames_stale = counters.frames_stale.saturating_add(stale);
+            for (happened, counter) in [
+                (outside, &mut counters.outside_box),
+                (lost, &mut counters.implausible),
+                (projection_active, &mut counters.projection_active),
+            ] {
+                if happened {
+                    count(counter);
+                }
+            }
+        }
+        let unhealthy = params.fall_back.map(|kinds| {
+            kinds.outside_box && outside || kinds.projection_active && projection_active
+        });
+        (unhealthy, lost)
+    }
+
+    #[inline]
+    fn notice_time(&mut self, tick: Tick) {
+        if let Some(last) = self.last_tick {
+            let skipped = tick.saturating_sub(last).saturating_sub(1);
+            if skipped > 0 {
+                let skipped = u32::try_from(skipped).unwrap_or(u32::MAX);
+                self.counters.skipped_ticks = self.counters.skipped_ticks.saturating_add(skipped);
+            }
+        }
+        self.last_tick = Some(tick);
+    }
+
+    fn notice_broadcast<const N: usize>(&mut self, params: &HealthParams<N>, tick: Tick) {
+        if tick.saturating_sub(self.last_broadcast) < Tick::from(params.interval_min) {
+            count(&mut self.counters.early_broadcasts);
+        }
+        self.last_broadcast = tick;
+    }
+
+    fn fall_back_or_return(&mut self, fall_back: &FallBack, unhealthy: bool) {
+        if unhealthy == self.fallen_back {
+            self.row = 0;
+            return;
+        }
+        self.row += 1;
+        let limit = if self.fallen_back { fall_back.return_after } else { fall_back.after };
+        if self.row >= limit.get() {
+            self.row = 0;
+            count(if self.fallen_back {
+                &mut self.counters.returns
+            } else {
+                &mut self.counters.fall_backs
+            });
+            self.fallen_back = !self.fallen_back;
+        }
+    }
+
+    /// Takes notice of a frame that the inbox refused.
+    pub fn frame_refused(&mut self, error: &FrameError) {
+        count(match error {
+            FrameError::NotFinite { .. } => &mut self.counters.frames_not_finite,
+            FrameError::Implausible { .. } => &mut self.counters.frames_implausible,
+            _ => &mut self.counters.frames_refused,
+        });
+    }
+
+    /// Whether the next step is to be taken with the inner network.
+    #[inline]
+    #[must_use]
+    pub fn network_in_use(&self) -> bool {
+        !self.fallen_back
+    }
+
+    /// Lets the agent begin anew after the attempt at a step at `tick`: see the module's
+    /// description. `outer_weights` are the package's, row by row, shape `[L, N]`. Returns the
+    /// frame to broadcast in place of the step's.
+    ///
+    /// # Errors
+    /// Outer weights that do not fit; nothing is changed then.
+    pub fn restart<const N: usize, const FEATURES: usize, S, I>(
+        &mut self,
+        params: &HealthParams<N>,
+        agent: &AgentParams<'_, N>,
+        state: &mut AgentState<N, FEATURES, S>,
+        inbox: &mut Inbox<N, I>,
+        tick: Tick,
+        outer_weights: &[f32],
+    ) -> Result<Frame<N>, ParameterError>
+    where
+        S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+        I: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+    {
+        let frame = state.restart(agent, tick, params.trained.centre(), outer_weights)?;
+        state.forget_neighbours_outside(&params.plausible);
+        inbox.discard_outside(&params.plausible);
+        self.last_broadcast = frame.tick;
+        self.overflows = 0;
+        count(&mut self.counters.restarts);
+        Ok(frame)
+    }
+
+    /// What has been counted so far.
+    #[must_use]
+    pub fn counters(&self) -> &HealthCounters {
+        &self.counters
+    }
+
+    /// The counters, if they are to be reported now: something has changed since the last report,
+    /// which lies at least [`HealthSettings::telemetry_interval`] ticks back.
+    pub fn due<const N: usize>(
+        &mut self,
+        params: &HealthParams<N>,
+        tick: Tick,
+    ) -> Option<HealthCounters> {
+        let interval = Tick::from(params.telemetry_interval);
+        let early = self.last_report.is_some_and(|last| tick.saturating_sub(last) < interval);
+        if early || self.counters == self.reported {
+            return None;
+        }
+        self.last_report = Some(tick);
+        self.reported = self.counters;
+        Some(self.counters)
+    }
+}
+
+#[inline]
+fn count(counter: &mut u32) {
+    *counter = counter.saturating_add(1);
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,378 @@
+//! Counters, rows of steps, restarts, and reports, on an agent that estimates a number.
+
+use core::num::NonZeroU32;
+
+use super::*;
+use crate::activation::Activation;
+use crate::network::{Architecture, InnerNetwork, Layer};
+use crate::observer::{Neighbour, ObserverParams, OutputMatrix};
+use crate::outer_law::OuterLawParams;
+use crate::package::StateBox;
+use crate::projection::ProjectionParams;
+use crate::region::Region;
+use crate::symmetric::SymmetricMatrix;
+use crate::trigger::TriggerParams;
+use nalgebra::SMatrix;
+
+const NEIGHBOURS: [Neighbour; 1] = [Neighbour { id: 9, weight: 1.0 }];
+const BOX: StateBox<'static> = StateBox { low: &[-1.0], high: &[3.0] };
+const START: f32 = 0.5;
+const WEIGHTS: [f32; 1] = [0.25];
+
+const FALL_BACK: FallBack = FallBack {
+    after: NonZeroU32::new(3).unwrap(),
+    return_after: NonZeroU32::new(2).unwrap(),
+    outside_box: true,
+    projection_active: true,
+    diverged: true,
+};
+
+const SETTINGS: HealthSettings = HealthSettings {
+    fall_back: Some(FALL_BACK),
+    plausible_margin: 10.0,
+    restart_after: NonZeroU32::new(2),
+    telemetry_interval: 10,
+};
+
+/// An agent, what watches over it, and the tick of its next step. A step of 1/16 s with a gain of
+/// 16 / s takes the estimate to the measurement in one go.
+struct Rig {
+    agent: AgentParams<'static, 1>,
+    params: HealthParams<1>,
+    state: AgentState<1, 1, [Option<Hold<1>>; 1]>,
+    inbox: Inbox<1, [Option<Hold<1>>; 1]>,
+    health: Health,
+    tick: Tick,
+    advice: Advice,
+}
+
+fn agent() -> AgentParams<'static, 1> {
+    AgentParams::new(
+        4,
+        0.0625,
+        ObserverParams {
+            output_matrix: OutputMatrix::new(&[[1.0].into()]).unwrap(),
+            gain: SMatrix::from_diagonal_element(16.0),
+            neighbours: &NEIGHBOURS,
+        },
+        OuterLawParams {
+            gain: SymmetricMatrix::Scalar(1e-6),
+            projection: ProjectionParams {
+                radius: 2.0,
+                boundary_layer: 1.0,
+                smoothing: 0.1,
+                smoothness: 1,
+            },
+        },
+        TriggerParams { hold_error_weight: 1.0, consensus_weight: 0.0, threshold: 0.25 },
+    )
+    .unwrap()
+}
+
+impl Rig {
+    fn new(settings: &HealthSettings, interval_min: f32) -> Self {
+        let agent = agent();
+        Self {
+            params: HealthParams::new(&agent, &BOX, interval_min, settings).unwrap(),
+            state: AgentState::new(&agent, [START].into(), &WEIGHTS, [None]).unwrap(),
+            agent,
+            inbox: Inbox::new([None]),
+            health: Health::new(),
+            tick: 0,
+            advice: Advice::Continue,
+        }
+    }
+
+    /// A step with a network whose one feature is 1/2 + the logistic function of 0, and the
+    /// measurement that leads to the estimate `next`.
+    fn step_to(&mut self, next: f32) -> Result<StepOutput<1>, StepError> {
+        let layer = Layer { width: 1, activation: Activation::Logistic };
+        let network =
+            InnerNetwork::new(Architecture::new(1, &[layer]).unwrap(), [0.0, 0.0]).unwrap();
+        let network = Some(&network).filter(|_| self.health.network_in_use());
+        let feed_forward =
+            network.map_or(0.0, |_| 0.5 * 0.0625 * self.state.outer_weights().rows()[0][0]);
+        let measurement = [next - feed_forward];
+        let outcome =
+            self.state.step(&self.agent, network, self.tick, &measurement, &mut self.inbox);
+        self.advice = self.health.observe(&self.params, self.tick, &outcome, &self.state);
+        self.tick += 1;
+        outcome
+    }
+
+    fn hear(&mut self, sequence: u32, tick: Tick, estimate: f32) {
+        let frame = Frame::<1> { sender: 9, sequence, tick, estimate: [estimate].into() };
+        self.inbox.accept(&NEIGHBOURS, &frame.encode()).unwrap();
+    }
+
+    fn restart(&mut self) -> Frame<1> {
+        let Self { agent, params, state, inbox, health, tick, .. } = self;
+        health.restart(params, agent, state, inbox, *tick - 1, &WEIGHTS).unwrap()
+    }
+}
+
+#[test]
+fn a_healthy_agent_counts_nothing() {
+    let mut rig = Rig::new(&SETTINGS, 0.0);
+    for _ in 0..20 {
+        rig.step_to(1.0).unwrap();
+        assert_eq!(rig.advice, Advice::Continue);
+    }
+    assert_eq!(*rig.health.counters(), HealthCounters::default());
+    assert_eq!(rig.health.due(&rig.params, rig.tick), None);
+}
+
+#[test]
+fn the_network_is_left_out_and_used_again_at_the_configured_steps() {
+    let mut rig = Rig::new(&SETTINGS, 0.0);
+    // Two steps outside and one inside are no row of three.
+    let outside = [(5.0, true), (5.0, true), (1.0, true), (5.0, true), (5.0, true), (5.0, false)];
+    for (next, in_use) in outside {
+        rig.step_to(next).unwrap();
+        assert_eq!(rig.health.network_in_use(), in_use);
+    }
+    // Nor does a step that was refused for its input end a row or count in it.
+    for (next, in_use) in
+        [(1.0, false), (5.0, false), (1.0, false), (f32::NAN, false), (1.0, true), (5.0, true)]
+    {
+        assert_eq!(rig.step_to(next).is_ok(), next.is_finite());
+        assert_eq!(rig.health.network_in_use(), in_use);
+    }
+    let expected = HealthCounters {
+        outside_box: 7,
+        measurements_not_finite: 1,
+        fall_backs: 1,
+        returns: 1,
+        ..HealthCounters::default()
+    };
+    assert_eq!(*rig.health.counters(), expected);
+}
+
+#[test]
+fn the_projection_counts_only_while_the_network_is_used() {
+    let mut rig = Rig::new(&SETTINGS, 0.0);
+    // Above theta_0 = 2, below the bound of 3.
+    rig.state.replace_outer_weights(&rig.agent, &[2.5]).unwrap();
+    for in_use in [true, true, false, false, true, true, true, false] {
+        rig.step_to(1.0).unwrap();
+        assert_eq!(rig.health.network_in_use(), in_use);
+    }
+    let counters = rig.health.counters();
+    assert_eq!((counters.projection_active, counters.fall_backs, counters.returns), (6, 2, 1));
+}
+
+#[test]
+fn only_the_kinds_that_were_chosen_lead_to_falling_back() {
+    let fall_back = Some(FallBack { outside_box: false, ..FALL_BACK });
+    for (fall_back, outside) in [(None, 5), (fall_back, 5)] {
+        let mut rig = Rig::new(&HealthSettings { fall_back, ..SETTINGS }, 0.0);
+        for _ in 0..outside {
+            rig.step_to(5.0).unwrap();
+        }
+        assert!(rig.health.network_in_use());
+        assert_eq!(rig.health.counters().outside_box, outside);
+    }
+}
+
+#[test]
+fn intervals_are_rounded_so_that_none_is_reported_falsely() {
+    let interval = |seconds| Rig::new(&SETTINGS, seconds).params.interval_min();
+    // At 16 steps a second.
+    let cases = [(0.0, 0), (0.06, 0), (0.0625, 1), (0.2499, 3), (0.25, 4), (1e30, u32::MAX)];
+    for (seconds, steps) in cases {
+        assert_eq!(interval(seconds), steps, "{seconds}");
+    }
+    let mut rig = Rig::new(&SETTINGS, 0.2499);
+    // Broadcasts at 3 (allowed), 5 (early), 8 (allowed) and 9 (early).
+    for (tick, next) in (1..).zip([0.5, 0.5, 1.5, 1.5, 2.5, 2.5, 2.5, 1.5, 0.5]) {
+        let broadcast = rig.step_to(next).unwrap().broadcast;
+        assert_eq!(
+            broadcast.map(|frame| frame.tick),
+            [3, 5, 8, 9].into_iter().find(|&t| t == tick)
+        );
+    }
+    let expected = HealthCounters { early_broadcasts: 2, ..HealthCounters::default() };
+    assert_eq!(*rig.health.counters(), expected);
+}
+
+#[test]
+fn every_refusal_has_its_counter() {
+    let mut rig = Rig::new(&SETTINGS, 0.0);
+    for next in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        assert!(rig.step_to(next).is_err());
+    }
+    rig.tick += 4;
+    rig.step_to(1.0).unwrap();
+    // The same tick once more is refused, and is no tick that was skipped.
+    rig.tick -= 1;
+    assert!(rig.step_to(1.0).is_err());
+    let sender = 9;
+    for error in [
+        FrameError::NotFinite { sender },
+        FrameError::Implausible { sender },
+        FrameError::Implausible { sender },
+        FrameError::Checksum,
+        FrameError::DuplicateSender { sender },
+        FrameError::UnknownSender { sender },
+    ] {
+        rig.health.frame_refused(&error);
+    }
+    for (sequence, tick) in [(5, 7), (5, 7), (4, 6), (6, 8)] {
+        rig.hear(sequence, tick, 1.0);
+        rig.step_to(1.0).unwrap();
+    }
+    let expected = HealthCounters {
+        measurements_not_finite: 3,
+        steps_refused: 1,
+        skipped_ticks: 4,
+        frames_not_finite: 1,
+        frames_implausible: 2,
+        frames_refused: 3,
+        frames_stale: 2,
+        ..HealthCounters::default()
+    };
+    assert_eq!(*rig.health.counters(), expected);
+}
+
+#[test]
+fn counters_stay_where_they_end() {
+    let mut rig = Rig::new(&SETTINGS, 0.0);
+    rig.health.counters.frames_refused = u32::MAX - 1;
+    rig.health.counters.skipped_ticks = u32::MAX - 1;
+    rig.step_to(1.0).unwrap();
+    for _ in 0..3 {
+        rig.health.frame_refused(&FrameError::Checksum);
+        rig.tick += 1 << 40;
+        rig.step_to(1.0).unwrap();
+    }
+    assert_eq!(rig.health.counters().frames_refused, u32::MAX);
+    assert_eq!(rig.health.counters().skipped_ticks, u32::MAX);
+}
+
+#[test]
+fn a_lost_agent_begins_anew_and_its_frames_go_on() {
+    let mut rig = Rig::new(&SETTINGS, 0.0);
+    rig.step_to(40.0).unwrap();
+    assert_eq!(rig.advice, Advice::Continue, "outside the box, inside the plausible region");
+    rig.hear(3, 0, 1e30);
+    rig.step_to(1.0).unwrap();
+    assert_eq!(rig.advice, Advice::Restart);
+    rig.hear(4, 1, 1e31);
+
+    let other = rig.state.own_hold().sequence();
+    let frame = rig.restart();
+    assert_eq!((frame.sender, frame.sequence, frame.tick), (4, other.wrapping_add(1), 2));
+    assert_eq!(frame.estimate, Region::<1>::copied(&BOX).unwrap().centre());
+    assert_eq!(rig.state.estimate(), &frame.estimate);
+    assert_eq!(rig.state.own_hold().estimate(), &frame.estimate);
+    assert_eq!(rig.state.outer_weights().rows()[0][0], WEIGHTS[0]);
+    assert_eq!(rig.state.neighbour_holds(), [None]);
+    assert!(rig.inbox.is_empty());
+
+    rig.hear(5, 2, 1.0);
+    rig.step_to(1.0).unwrap();
+    assert_eq!(rig.advice, Advice::Continue);
+    assert_eq!(rig.health.counters().restarts, 1);
+    assert_eq!(rig.health.counters().skipped_ticks, 0);
+    assert!(rig.state.neighbour_holds()[0].is_some());
+}
+
+#[test]
+fn only_a_row_of_overflows_is_a_reason_to_begin_anew() {
+    let mut rig = Rig::new(&HealthSettings { fall_back: None, ..SETTINGS }, 0.0);
+    let (go_on, anew) = (Advice::Continue, Advice::Restart);
+    let max = f32::MAX;
+    for (next, advice) in
+        [(max, go_on), (1.0, go_on), (max, go_on), (f32::NAN, go_on), (max, anew), (max, anew)]
+    {
+        let _ = rig.step_to(next);
+        assert_eq!(rig.advice, advice);
+    }
+    rig.restart();
+    for advice in [go_on, anew] {
+        assert_eq!(rig.step_to(max), Err(StepError::Diverged));
+        assert_eq!(rig.advice, advice);
+    }
+    let expected = HealthCounters {
+        diverged: 6,
+        measurements_not_finite: 1,
+        restarts: 1,
+        ..HealthCounters::default()
+    };
+    assert_eq!(*rig.health.counters(), expected);
+}
+
+#[test]
+fn a_restart_keeps_what_neighbours_said_and_may_be_refused() {
+    let mut rig = Rig::new(&SETTINGS, 0.0);
+    rig.hear(3, 0, 2.0);
+    rig.step_to(1.0).unwrap();
+    let held = rig.state.neighbour_holds()[0];
+    let (estimate, own) = (*rig.state.estimate(), *rig.state.own_hold());
+    let Rig { agent, params, state, inbox, health, .. } = &mut rig;
+    for weights in [&[][..], &[f32::NAN], &[5.0], &[0.1, 0.1]] {
+        assert!(health.restart(params, agent, state, inbox, 0, weights).is_err());
+        assert_eq!((*state.estimate(), *state.own_hold()), (estimate, own));
+        assert_eq!(health.counters().restarts, 0);
+    }
+    rig.restart();
+    assert_eq!(rig.state.neighbour_holds(), [held]);
+    // Time does not go back, and does not end either.
+    let weights = &WEIGHTS;
+    let late = rig.state.restart(&rig.agent, 0, [1.0].into(), weights).unwrap();
+    assert_eq!(late.tick, 1);
+    let last = rig.state.restart(&rig.agent, Tick::MAX, [1.0].into(), weights).unwrap();
+    assert_eq!(last.tick, Tick::MAX);
+}
+
+#[test]
+fn without_a_limit_nobody_is_told_to_begin_anew() {
+    let mut rig = Rig::new(&HealthSettings { restart_after: None, ..SETTINGS }, 0.0);
+    rig.hear(3, 0, 1e38);
+    for _ in 0..20 {
+        let _ = rig.step_to(1.0);
+        assert_eq!(rig.advice, Advice::Continue);
+    }
+    let counters = rig.health.counters();
+    assert_eq!(counters.implausible + counters.diverged, 20);
+}
+
+#[test]
+fn reports_are_rare_and_only_about_news() {
+    let mut rig = Rig::new(&SETTINGS, 0.0);
+    let mut reports = [None; 60];
+    for (tick, report) in (0..).zip(&mut reports) {
+        // Something happens at ticks 3 to 20 and at 45.
+        if (3..=20).contains(&tick) || tick == 45 {
+            rig.health.frame_refused(&FrameError::Checksum);
+        }
+        *report = rig.health.due(&rig.params, tick).map(|counters| counters.frames_refused);
+    }
+    let mut expected = [None; 60];
+    for (tick, count) in [(3, 1), (13, 11), (23, 18), (45, 19)] {
+        expected[tick] = Some(count);
+    }
+    assert_eq!(reports, expected);
+}
+
+#[test]
+fn refuses_settings_that_make_no_sense() {
+    let agent = agent();
+    let with = |limits: &StateBox<'_>, interval, settings: &HealthSettings| {
+        HealthParams::new(&agent, limits, interval, settings)
+    };
+    assert!(with(&BOX, 0.1, &SETTINGS).is_ok());
+    for interval in [-1.0, f32::NAN, f32::INFINITY] {
+        assert!(with(&BOX, interval, &SETTINGS).is_err());
+    }
+    for plausible_margin in [0.0, -1.0, f32::NAN, 1e38] {
+        assert!(with(&BOX, 0.0, &HealthSettings { plausible_margin, ..SETTINGS }).is_err());
+    }
+    let idle =
+        FallBack { outside_box: false, projection_active: false, diverged: false, ..FALL_BACK };
+    let idle = HealthSettings { fall_back: Some(idle), ..SETTINGS };
+    assert!(with(&BOX, 0.0, &idle).is_err());
+    for (low, high) in [(&[1.0][..], &[1.0][..]), (&[2.0], &[1.0]), (&[0.0; 2], &[1.0; 2])] {
+        assert!(with(&StateBox { low, high }, 0.0, &SETTINGS).is_err());
+    }
+}

@@ -1,0 +1,117 @@
+//! A box in state space with limits of its own: it outlives the package that it was copied from.
+//!
+//! Memory: `8 N` bytes. Cost of asking: at most `2 N` comparisons. Invariants: the limits are
+//! finite, and no lower limit is above its upper one.
+
+use crate::StateVector;
+use crate::package::StateBox;
+use crate::parameter::{ParameterError, finite, not_negative};
+
+/// All `x` with `low <= x <= high`, component by component.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Region<const N: usize> {
+    low: StateVector<N>,
+    high: StateVector<N>,
+}
+
+impl<const N: usize> Region<N> {
+    /// # Errors
+    /// A limit that is not finite, or a lower one above its upper one.
+    pub fn new(low: StateVector<N>, high: StateVector<N>) -> Result<Self, ParameterError> {
+        finite("region.low", low.iter())?;
+        finite("region.high", high.iter())?;
+        for (&low, &high) in low.iter().zip(high.iter()) {
+            if low > high {
+                return Err(ParameterError::OutOfRange {
+                    parameter: "region.low",
+                    value: low,
+                    expected: "at most region.high",
+                });
+            }
+        }
+        Ok(Self { low, high })
+    }
+
+    /// The same limits as those of a package.
+    ///
+    /// # Errors
+    /// As for [`Self::new`], and a box of another dimension.
+    pub fn copied(limits: &StateBox<'_>) -> Result<Self, ParameterError> {
+        let copied = |parameter, limits: &[f32]| match limits.len() {
+            found if found == N => Ok(StateVector::from_column_slice(limits)),
+            found => Err(ParameterError::Length { parameter, expected: N, found }),
+        };
+        Self::new(copied("region.low", limits.low)?, copied("region.high", limits.high)?)
+    }
+
+    /// The region that reaches `margin` times its width further on either side. A component
+    /// without any width has no scale of its own and takes that of the widest one.
+    ///
+    /// # Errors
+    /// A margin that is not finite or below 0, or a limit that would not be finite.
+    pub fn widened(&self, margin: f32) -> Result<Self, ParameterError> {
+        not_negative("region.margin", margin)?;
+        let width = self.high - self.low;
+        let widest = width.iter().fold(0.0f32, |widest, &width| widest.max(width));
+        let reach = width.map(|width| margin * if width > 0.0 { width } else { widest });
+        Self::new(self.low - reach, self.high + reach)
+    }
+
+    /// The point in the middle.
+    #[must_use]
+    pub fn centre(&self) -> StateVector<N> {
+        self.low * 0.5 + self.high * 0.5
+    }
+
+    /// Whether every component of `x` lies within its limits; never for one that is not a number.
+    #[inline]
+    #[must_use]
+    pub fn contains(&self, x: &StateVector<N>) -> bool {
+        let limits = self.low.iter().zip(self.high.iter());
+        limits.zip(x.iter()).all(|((low, high), x)| low <= x && x <= high)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_belong_to_the_region_and_nothing_beyond_them() {
+        let region =
+            Region::<2>::copied(&StateBox { low: &[-1.0, 2.0], high: &[3.0, 2.0] }).unwrap();
+        assert_eq!(region.centre(), StateVector::<2>::new(1.0, 2.0));
+        for (x, inside) in [
+            ([-1.0, 2.0], true),
+            ([3.0, 2.0], true),
+            ([3.5, 2.0], false),
+            ([0.0, 1.5], false),
+            ([f32::NAN, 2.0], false),
+            ([0.0, f32::INFINITY], false),
+        ] {
+            assert_eq!(region.contains(&x.into()), inside, "{x:?}");
+        }
+    }
+
+    #[test]
+    fn widening_goes_by_each_components_width() {
+        let region = Region::<3>::new([-1.0, 2.0, 0.0].into(), [3.0, 2.0, 1.0].into()).unwrap();
+        let expected = Region::new([-9.0, -6.0, -2.0].into(), [11.0, 10.0, 3.0].into());
+        assert_eq!(region.widened(2.0), expected);
+        assert_eq!(region.widened(0.0), Ok(region));
+    }
+
+    #[test]
+    fn refuses_what_is_no_region() {
+        let region = |low: f32, high: f32| Region::<1>::new([low].into(), [high].into());
+        assert!(region(1.0, 0.5).is_err());
+        assert!(region(f32::NAN, 1.0).is_err());
+        assert!(region(0.0, f32::INFINITY).is_err());
+        let wide = region(-1e38, 1e38).unwrap();
+        assert!(wide.widened(1.0).is_ok());
+        for margin in [10.0, -1.0, f32::NAN] {
+            assert!(wide.widened(margin).is_err());
+        }
+        assert!(Region::<2>::copied(&StateBox { low: &[0.0; 2], high: &[1.0; 3] }).is_err());
+    }
+}
