@@ -6,8 +6,6 @@
 
 use std::collections::BTreeMap;
 
-use agent_core::AgentId;
-use agent_core::StateVector;
 use agent_core::agent::{AgentParams, AgentState, StepError};
 use agent_core::frame::{FRAME_LENGTH_MAX, Frame, FrameError};
 use agent_core::inbox::Inbox;
@@ -18,10 +16,13 @@ use agent_core::outer_law::OuterLawParams;
 use agent_core::projection::ProjectionParams;
 use agent_core::symmetric::SymmetricMatrix;
 use agent_core::trigger::TriggerParams;
+use agent_core::{AgentId, StateVector, Tick};
 use fuzz::Event;
 use libfuzzer_sys::fuzz_target;
 use nalgebra::SMatrix;
 
+/// Short enough for a short input.
+const RESTART_SILENCE: Tick = 2;
 /// The receiver's state dimension.
 const N: usize = 3;
 const NEIGHBOURS: [Neighbour; 3] = [
@@ -42,8 +43,7 @@ fuzz_target!(|data: &[u8]| {
     )
     .expect("the parameters are valid");
     let mut inbox = Inbox::<N, Places>::new([None; NEIGHBOURS.len()]);
-    // What must be waiting in the inbox: the newest frame of each sender.
-    let mut waiting = BTreeMap::<AgentId, Frame<N>>::new();
+    let mut model = Model::default();
     let mut tick = 0;
     for event in Event::read(data) {
         match event {
@@ -53,16 +53,16 @@ fuzz_target!(|data: &[u8]| {
                 check_decoding::<N>(&bytes);
                 check_decoding::<4>(&bytes);
                 check_decoding::<12>(&bytes);
-                let expected = expected(&mut waiting, &bytes);
+                let expected = model.receive(&bytes);
                 assert_eq!(inbox.accept(&NEIGHBOURS, &bytes), expected);
             }
             Event::Step => {
-                check_step(&params, &mut state, tick, &mut inbox, &mut waiting);
+                check_step(&params, &mut state, tick, &mut inbox, &mut model);
                 tick += 1;
             }
         }
-        assert_eq!(inbox.len(), waiting.len());
-        assert_eq!(inbox.is_empty(), waiting.is_empty());
+        assert_eq!(inbox.len(), model.waiting.len());
+        assert_eq!(inbox.is_empty(), model.waiting.is_empty());
     }
     inbox.clear();
     assert!(inbox.is_empty());
@@ -91,32 +91,62 @@ fn check_decoding<const N: usize>(bytes: &[u8]) {
     assert_eq!(Frame::<N>::decode(&written), Ok(frame));
     assert!(written.len() < bytes.len() || written == bytes);
     // A frame is nothing but itself.
-    for cut in 0..written.len() {
+    for cut in (0..written.len()).step_by(5) {
         assert!(Frame::<N>::decode(&written[..cut]).is_err());
     }
-    for bit in 0..8 * written.len() {
+    for bit in (0..8 * written.len()).step_by(29) {
         let mut flipped = written.clone();
         flipped[bit / 8] ^= 1 << (bit % 8);
         assert_eq!(Frame::<N>::decode(&flipped), Err(FrameError::Checksum));
     }
 }
 
-/// What the inbox has to say to `bytes`, by a simpler model of it.
-fn expected(waiting: &mut BTreeMap<AgentId, Frame<N>>, bytes: &[u8]) -> Result<(), FrameError> {
-    let frame = Frame::<N>::decode(bytes)?;
-    let sender = frame.sender;
-    if NEIGHBOURS.iter().all(|neighbour| neighbour.id != sender) {
-        return Err(FrameError::UnknownSender { sender });
-    }
-    if let Some(older) = waiting.get(&sender) {
-        // Half of all numbers are ahead of any number, across the wrap.
-        let ahead = frame.sequence.wrapping_sub(older.sequence) as i32;
-        if ahead <= 0 {
+/// A simpler inbox and simpler holds.
+#[derive(Default)]
+struct Model {
+    /// The newest frame of each sender, until the next step.
+    waiting: BTreeMap<AgentId, Frame<N>>,
+    /// What is held of each sender, with the step in which it was taken over.
+    held: BTreeMap<AgentId, (Frame<N>, Tick)>,
+}
+
+impl Model {
+    /// What the inbox has to say to `bytes`.
+    fn receive(&mut self, bytes: &[u8]) -> Result<(), FrameError> {
+        let frame = Frame::<N>::decode(bytes)?;
+        let sender = frame.sender;
+        if NEIGHBOURS.iter().all(|neighbour| neighbour.id != sender) {
+            return Err(FrameError::UnknownSender { sender });
+        }
+        if self.waiting.get(&sender).is_some_and(|older| !is_newer(&frame, older)) {
             return Err(FrameError::DuplicateSender { sender });
         }
+        self.waiting.insert(sender, frame);
+        Ok(())
     }
-    waiting.insert(sender, frame);
-    Ok(())
+
+    /// Takes over what waits, as far as it is newer, or the silence was long; returns how many
+    /// frames are dropped.
+    fn step(&mut self, now: Tick) -> u32 {
+        let mut dropped = 0;
+        for (sender, frame) in std::mem::take(&mut self.waiting) {
+            let stays = self.held.get(&sender).is_some_and(|(held, since)| {
+                !is_newer(&frame, held) && now.saturating_sub(*since) <= RESTART_SILENCE
+            });
+            if stays {
+                dropped += 1;
+            } else {
+                self.held.insert(sender, (frame, now));
+            }
+        }
+        dropped
+    }
+}
+
+/// Half of all sequence numbers are ahead of any number, across the wrap; ticks do not wrap.
+fn is_newer(frame: &Frame<N>, older: &Frame<N>) -> bool {
+    let ahead = frame.sequence.wrapping_sub(older.sequence) as i32;
+    ahead > 0 || frame.tick > older.tick
 }
 
 /// A step takes all frames or none, and leaves nothing behind that is not finite.
@@ -125,23 +155,19 @@ fn check_step(
     state: &mut AgentState<N, 1, Places>,
     tick: u64,
     inbox: &mut Inbox<N, Places>,
-    waiting: &mut BTreeMap<AgentId, Frame<N>>,
+    model: &mut Model,
 ) {
     let (estimate, holds) = (*state.estimate(), state.neighbour_holds().to_vec());
     let network = None::<&InnerNetwork<&[f32]>>;
     match state.step(params, network, tick, &[0.0], inbox) {
         Ok(output) => {
             assert!(all_finite(&output.sample.derivative) && all_finite(state.estimate()));
-            for (place, neighbour) in NEIGHBOURS.iter().enumerate() {
-                let held = state.neighbour_holds()[place];
-                match waiting.remove(&neighbour.id) {
-                    None => assert_eq!(held, holds[place]),
-                    Some(frame) => {
-                        let held = held.expect("it waited");
-                        assert_eq!(*held.estimate(), frame.estimate);
-                        assert_eq!((held.tick(), held.sequence()), (frame.tick, frame.sequence));
-                    }
-                }
+            assert_eq!(state.stale_frames(), model.step(tick));
+            for (held, neighbour) in state.neighbour_holds().iter().zip(NEIGHBOURS) {
+                let expected = model.held.get(&neighbour.id).map(|(frame, _)| frame);
+                assert_eq!(held.map(|held| *held.estimate()), expected.map(|f| f.estimate));
+                let numbers = held.map(|held| (held.tick(), held.sequence()));
+                assert_eq!(numbers, expected.map(|frame| (frame.tick, frame.sequence)));
             }
             if let Some(frame) = output.broadcast {
                 assert_eq!(Frame::<N>::decode(&frame.encode()), Ok(frame));
@@ -153,7 +179,7 @@ fn check_step(
             assert_eq!(state.neighbour_holds(), holds);
             // Otherwise nothing else could be said about this agent.
             inbox.clear();
-            waiting.clear();
+            model.waiting.clear();
         }
     }
 }
@@ -168,5 +194,7 @@ fn params() -> AgentParams<'static, N> {
         ProjectionParams { radius: 19.0, boundary_layer: 1.0, smoothing: 0.125, smoothness: 1 };
     let outer_law = OuterLawParams { gain: SymmetricMatrix::Scalar(3.0), projection };
     let trigger = TriggerParams { hold_error_weight: 1e4, consensus_weight: 0.5, threshold: 10.0 };
-    AgentParams::new(7, 1e-2, observer, outer_law, trigger).expect("parameters in range")
+    AgentParams::new(7, 1e-2, observer, outer_law, trigger)
+        .expect("parameters in range")
+        .with_restart_silence(RESTART_SILENCE)
 }

@@ -8,10 +8,11 @@
 //! - in the end, on flash that works, a good package can be installed.
 #![no_main]
 
+// The tests' own; not all of it is of use here.
 #[allow(dead_code)]
 #[path = "../../tests/nor_flash.rs"]
 mod nor_flash;
-#[allow(dead_code)]
+#[allow(dead_code, clippy::needless_pass_by_value)]
 #[path = "../../tests/store_model.rs"]
 mod store_model;
 
@@ -312,7 +313,7 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
         match (self.in_use, &self.after_reboot) {
             (Some(before), _) => assert_eq!(number, before),
             (None, Some(possible)) => {
-                assert!(possible.contains(&number), "{number:?}: {possible:?}")
+                assert!(possible.contains(&number), "{number:?}: {possible:?}");
             }
             (None, None) => {}
         }
