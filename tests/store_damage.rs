@@ -281,7 +281,7 @@ fn an_upload_takes_repetitions_and_names_what_is_missing() {
     assert_eq!(store.write(50, &bytes[50..]), Ok(70));
     assert_eq!(store.stage(check), Ok(1));
     assert_eq!(store.bytes(Slot::A), Some(&bytes[..]));
-    assert_eq!(store.flash().mapped()[70..72], [0xff; 2]);
+    assert_eq!(store.flash().mapped()[70..SLOT_B], [0xff; SLOT_B - 70]);
     // Units behind the package are left alone: one erasure for each that it entered, and the
     // journal's first.
     assert_eq!(store.flash().erasures, 3);

@@ -64,12 +64,12 @@ impl Upload {
         flash: &mut F,
         bytes: &[u8],
     ) -> Result<(), StoreError> {
+        // A repetition brings nothing new, and may come when the last word is already filled up.
         if bytes.is_empty() {
-            // Also because nothing waits once the last word has been filled up and written.
             return Ok(());
         }
         let mut rest = bytes;
-        let waiting = self.received.wrapping_sub(self.written) as usize;
+        let waiting = self.received.saturating_sub(self.written) as usize;
         // What the caller has counted fits into 32 bits.
         self.received = self.received.wrapping_add(bytes.len() as u32);
         if waiting > 0 {
