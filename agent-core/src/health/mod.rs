@@ -39,7 +39,7 @@
 //! - after [`HealthSettings::restart_after`] steps in a row that overflow.
 //!
 //! Samples of neighbours outside the plausible region are dropped, or they would carry it off again.
-//! [`Health::restart`] does all of it; `docs/decisions/0010-beginning-anew.md` has the measurements.
+//! [`Health::restart`] does all of it; `docs/decisions/0009-beginning-anew.md` has the measurements.
 //!
 //! Everything is a function of the steps' outcomes: nodes that see the same do the same.
 //!
