@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use agent_core::store::Slot;
 use host_sim::flash::{FlashError, FlashStep, FlashTarget, ProbeRs};
-use host_sim::image::{Image, ImageSlot};
+use host_sim::image::Image;
 
 use crate::image::image;
 
@@ -61,7 +62,7 @@ impl Drop for Chip {
 
 #[test]
 fn the_chip_holds_the_image_and_nothing_else() {
-    for (slot, name) in [(ImageSlot::A, "slot-a"), (ImageSlot::B, "slot-b")] {
+    for (slot, name) in [(Slot::A, "slot-a"), (Slot::B, "slot-b")] {
         let chip = Chip::new(name);
         let image = image(slot, 2_213);
         let (done, steps) = chip.flash(&image);
@@ -73,7 +74,7 @@ fn the_chip_holds_the_image_and_nothing_else() {
             .collect();
         assert_eq!(chip.memory(), expected);
         let steps: Vec<_> = steps.iter().map(ToString::to_string).collect();
-        let address = if slot == ImageSlot::A { "0x00300000" } else { "0x00307000" };
+        let address = if slot == Slot::A { "0x00300000" } else { "0x00307000" };
         assert_eq!(
             steps,
             [
@@ -89,7 +90,7 @@ fn the_chip_holds_the_image_and_nothing_else() {
 #[test]
 fn probe_rs_is_called_with_the_options_that_it_has() {
     let chip = Chip::new("calls");
-    chip.flash(&image(ImageSlot::B, 64)).0.unwrap();
+    chip.flash(&image(Slot::B, 64)).0.unwrap();
     let calls = chip.calls();
     let (download, rest) = calls.split_first().unwrap();
     let file = download
@@ -110,7 +111,7 @@ fn probe_rs_is_called_with_the_options_that_it_has() {
 fn versions_that_print_no_addresses_are_understood() {
     let chip = Chip::new("list");
     chip.set("list", "");
-    chip.flash(&image(ImageSlot::A, 2_213)).0.unwrap();
+    chip.flash(&image(Slot::A, 2_213)).0.unwrap();
 }
 
 #[test]
@@ -121,7 +122,7 @@ fn a_byte_that_reads_back_differently_is_named_and_the_chip_not_started() {
         let chip = Chip::new(&format!("corrupt-{address:x}"));
         // Two of them: the first is named.
         chip.set("corrupt", &format!("{:#x}\n{address:#x}\n", address + 0x20));
-        let error = chip.flash(&image(ImageSlot::A, 2_213)).0.unwrap_err();
+        let error = chip.flash(&image(Slot::A, 2_213)).0.unwrap_err();
         let FlashError::Differs { name: named, address: at, expected: wrote, found } = error else {
             panic!("{error}");
         };
@@ -137,7 +138,7 @@ fn what_probe_rs_says_is_passed_on() {
     {
         let chip = Chip::new(&format!("fail-{command}"));
         chip.set("fail", command);
-        let error = chip.flash(&image(ImageSlot::A, 100)).0.unwrap_err();
+        let error = chip.flash(&image(Slot::A, 100)).0.unwrap_err();
         assert!(matches!(error, FlashError::Failed { .. }), "{error}");
         let message = error.to_string();
         for part in

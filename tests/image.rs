@@ -3,9 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use host_sim::image::{
-    Format, Image, ImageError, ImageFormat, ImageSlot, ToolUse, Uf2Family, commands_for,
-};
+use agent_core::store::Slot;
+use host_sim::image::{Format, Image, ImageError, ImageFormat, ToolUse, Uf2Family, commands_for};
 use host_sim::memory_map::WeightsRegion;
 use proptest::prelude::*;
 
@@ -24,7 +23,7 @@ pub(crate) fn package(length: usize) -> Vec<u8> {
     (0..length).map(|at| (at % 251) as u8).collect()
 }
 
-pub(crate) fn image(slot: ImageSlot, length: usize) -> Image {
+pub(crate) fn image(slot: Slot, length: usize) -> Image {
     Image::new(&WEIGHTS, slot, &package(length), &RECORD).unwrap()
 }
 
@@ -97,7 +96,7 @@ fn besides(memory: &Memory, segments: &Memory) -> Vec<u64> {
 
 #[test]
 fn package_and_record_lie_where_the_firmware_looks() {
-    for (slot, address) in [(ImageSlot::A, 0x30_0000), (ImageSlot::B, 0x30_7000)] {
+    for (slot, address) in [(Slot::A, 0x30_0000), (Slot::B, 0x30_7000)] {
         let memory = segments(&image(slot, 2_213));
         for (at, byte) in (0..).zip(package(2_213)) {
             assert_eq!(memory[&(address + at)], byte);
@@ -115,7 +114,7 @@ fn package_and_record_lie_where_the_firmware_looks() {
 
 #[test]
 fn hex_holds_the_segments_and_nothing_else() {
-    for slot in [ImageSlot::A, ImageSlot::B] {
+    for slot in [Slot::A, Slot::B] {
         let image = image(slot, 2_213);
         assert_eq!(read_hex(&image.encode(ImageFormat::Hex).unwrap()), segments(&image));
     }
@@ -123,7 +122,7 @@ fn hex_holds_the_segments_and_nothing_else() {
 
 #[test]
 fn uf2_fills_the_last_erase_unit_of_the_package_and_nothing_else() {
-    for (slot, address) in [(ImageSlot::A, 0x30_0000_u64), (ImageSlot::B, 0x30_7000)] {
+    for (slot, address) in [(Slot::A, 0x30_0000_u64), (Slot::B, 0x30_7000)] {
         let image = image(slot, 5_000);
         let memory = read_uf2(&image.encode(ImageFormat::Uf2(FAMILY)).unwrap(), FAMILY.0);
         let filled: Vec<u64> = (address + 5_000..address + 8_192).collect();
@@ -133,7 +132,7 @@ fn uf2_fills_the_last_erase_unit_of_the_package_and_nothing_else() {
 
 #[test]
 fn bin_blanks_what_lies_between_the_segments() {
-    for (slot, address) in [(ImageSlot::A, 0x30_0000_u64), (ImageSlot::B, 0x30_7000)] {
+    for (slot, address) in [(Slot::A, 0x30_0000_u64), (Slot::B, 0x30_7000)] {
         let image = image(slot, 2_213);
         let file = image.encode(ImageFormat::Bin).unwrap();
         assert_eq!(u64::from(image.base()), address);
@@ -143,27 +142,27 @@ fn bin_blanks_what_lies_between_the_segments() {
         let gap: Vec<u64> = (address + 2_216..0x30_E000).collect();
         assert_eq!(besides(&memory, &segments(&image)), gap);
         assert_eq!(image.gap(), address + 2_216..0x30_E000);
-        assert_eq!(image.gap_holds_other_slot(), slot == ImageSlot::A);
+        assert_eq!(image.gap_holds_other_slot(), slot == Slot::A);
     }
 }
 
 #[test]
 fn a_full_slot_fits_and_one_byte_more_does_not() {
-    let full = image(ImageSlot::A, 28 << 10);
+    let full = image(Slot::A, 28 << 10);
     assert_eq!(full.segments()[0].span(), 0x30_0000..0x30_7000);
-    let refused = Image::new(&WEIGHTS, ImageSlot::A, &package((28 << 10) + 1), &RECORD);
+    let refused = Image::new(&WEIGHTS, Slot::A, &package((28 << 10) + 1), &RECORD);
     assert_eq!(
         refused,
         Err(ImageError::PackageLength { found: (28 << 10) + 1, slot_length: 28 << 10 })
     );
-    let refused = Image::new(&WEIGHTS, ImageSlot::A, &[], &RECORD).unwrap_err().to_string();
+    let refused = Image::new(&WEIGHTS, Slot::A, &[], &RECORD).unwrap_err().to_string();
     assert!(refused.contains("0 bytes") && refused.contains("28672"), "{refused}");
 }
 
 #[test]
 fn a_record_that_does_not_fit_is_refused() {
     for length in [0, 31, 4_104] {
-        let refused = Image::new(&WEIGHTS, ImageSlot::A, &package(8), &package(length));
+        let refused = Image::new(&WEIGHTS, Slot::A, &package(8), &package(length));
         assert_eq!(
             refused,
             Err(ImageError::RecordLength { found: length, erase_size: 4_096 }),
@@ -182,7 +181,7 @@ fn what_would_leave_the_region_or_overlap_is_refused_whatever_the_region_says() 
         WeightsRegion { commit: 0x30_0000, ..WEIGHTS },
         WeightsRegion { slot_a: u32::MAX - 7, ..WEIGHTS },
     ] {
-        let refused = Image::new(&region, ImageSlot::A, &package(100), &RECORD).unwrap_err();
+        let refused = Image::new(&region, Slot::A, &package(100), &RECORD).unwrap_err();
         assert!(matches!(refused, ImageError::Outside { .. }), "{refused}");
         assert!(refused.to_string().contains("memory.x"), "{refused}");
     }
@@ -191,7 +190,7 @@ fn what_would_leave_the_region_or_overlap_is_refused_whatever_the_region_says() 
 #[test]
 fn uf2_refuses_what_is_not_made_of_its_blocks() {
     let region = WeightsRegion { erase_size: 128, slot_a: 0x30_0080, ..WEIGHTS };
-    let image = Image::new(&region, ImageSlot::A, &package(256), &RECORD).unwrap();
+    let image = Image::new(&region, Slot::A, &package(256), &RECORD).unwrap();
     let refused = image.encode(ImageFormat::Uf2(FAMILY)).unwrap_err();
     assert!(matches!(refused, ImageError::Uf2Alignment { start: 0x30_0080, .. }), "{refused}");
     assert_eq!(Format::Uf2.with_family(None), Err(ImageError::FamilyMissing));
@@ -213,7 +212,7 @@ fn the_ending_of_a_name_tells_the_format() {
 
 /// The command lines for slot B; `None` where a tool needs another format.
 fn lines(name: &str, format: Format) -> Vec<(&'static str, Option<String>)> {
-    let commands = commands_for(&image(ImageSlot::B, 100), Path::new(name), format);
+    let commands = commands_for(&image(Slot::B, 100), Path::new(name), format);
     let line = |usage| match usage {
         ToolUse::Line(line) => Some(line),
         ToolUse::Needs(formats) => {
@@ -276,7 +275,7 @@ fn every_tool_gets_its_exact_command_line() {
             ("USB drive of a bootloader", line("cp w.uf2 DRIVE")),
         ]
     );
-    let needs = &commands_for(&image(ImageSlot::B, 100), Path::new("w.hex"), Format::Hex)[4];
+    let needs = &commands_for(&image(Slot::B, 100), Path::new("w.hex"), Format::Hex)[4];
     assert_eq!(needs.to_string(), "picotool: takes no such file; choose --format uf2 or bin");
 }
 
@@ -317,7 +316,7 @@ proptest! {
         share in 0.0_f64..=1.0,
     ) {
         let length = 1 + (f64::from(region.slot_length - 1) * share) as usize;
-        let slot = if b { ImageSlot::B } else { ImageSlot::A };
+        let slot = if b { Slot::B } else { Slot::A };
         let image = Image::new(&region, slot, &package(length), &RECORD).unwrap();
         let segments = segments(&image);
         prop_assert_eq!(&read_hex(&image.encode(ImageFormat::Hex).unwrap()), &segments);

@@ -137,6 +137,20 @@ pub enum Activation {
 }
 
 impl Activation {
+    /// Every activation with its name, as people write it in files.
+    pub const NAMES: [(&'static str, Self); 3] =
+        [("tanh", Self::Tanh), ("logistic", Self::Logistic), ("gaussian", Self::Gaussian)];
+
+    /// Its name in [`Self::NAMES`].
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Tanh => "tanh",
+            Self::Logistic => "logistic",
+            Self::Gaussian => "gaussian",
+        }
+    }
+
     /// Applies the function to every element of `values`, in place.
     ///
     /// Each element gets the bits that [`tanh`], [`logistic`] or [`gaussian`] gives for it,

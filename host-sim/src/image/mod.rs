@@ -44,33 +44,6 @@ pub const ERASED: u8 = 0xFF;
 /// microcontrollers' flash.
 pub const PACKAGE_ALIGNMENT: usize = 8;
 
-/// One of the two places for weights.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum ImageSlot {
-    /// The first slot.
-    A,
-    /// The second slot.
-    B,
-}
-
-impl From<ImageSlot> for Slot {
-    fn from(slot: ImageSlot) -> Self {
-        match slot {
-            ImageSlot::A => Self::A,
-            ImageSlot::B => Self::B,
-        }
-    }
-}
-
-impl core::fmt::Display for ImageSlot {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(match self {
-            Self::A => "slot A",
-            Self::B => "slot B",
-        })
-    }
-}
-
 /// Bytes and where they go.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Segment {
@@ -95,7 +68,7 @@ impl Segment {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Image {
     region: WeightsRegion,
-    slot: ImageSlot,
+    slot: Slot,
     /// The package and the commit area, in the order of their addresses.
     segments: [Segment; 2],
 }
@@ -108,7 +81,7 @@ impl Image {
     /// an erase unit or no multiple of [`PACKAGE_ALIGNMENT`]; a region whose parts do not lie in it.
     pub fn new(
         region: &WeightsRegion,
-        slot: ImageSlot,
+        slot: Slot,
         package: &[u8],
         record: &[u8],
     ) -> Result<Self, ImageError> {
@@ -132,8 +105,8 @@ impl Image {
             filled
         };
         let address = match slot {
-            ImageSlot::A => region.slot_a,
-            ImageSlot::B => region.slot_b,
+            Slot::A => region.slot_a,
+            Slot::B => region.slot_b,
         };
         let package = Segment { name: "the package", address, bytes: filled(package, padded) };
         let commit = Segment {
@@ -153,11 +126,11 @@ impl Image {
     /// As [`Self::new`].
     pub fn of_package(
         region: &WeightsRegion,
-        slot: ImageSlot,
+        slot: Slot,
         package: &PackageBytes,
     ) -> Result<Self, ImageError> {
         let bytes = package.as_bytes();
-        Self::new(region, slot, bytes, &factory_record(slot.into(), bytes))
+        Self::new(region, slot, bytes, &factory_record(slot, bytes))
     }
 
     /// All that is written, in the order of the addresses.
@@ -168,7 +141,7 @@ impl Image {
 
     /// The slot that it fills.
     #[must_use]
-    pub fn slot(&self) -> ImageSlot {
+    pub fn slot(&self) -> Slot {
         self.slot
     }
 
@@ -194,8 +167,8 @@ impl Image {
     #[must_use]
     pub fn gap_holds_other_slot(&self) -> bool {
         let other = match self.slot {
-            ImageSlot::A => self.region.slot_b,
-            ImageSlot::B => self.region.slot_a,
+            Slot::A => self.region.slot_b,
+            Slot::B => self.region.slot_a,
         };
         self.gap().contains(&other.into())
     }

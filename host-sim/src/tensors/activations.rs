@@ -28,13 +28,6 @@ pub enum ActivationsSource {
     Assumed,
 }
 
-/// As in scenario files.
-const NAMES: [(&str, Activation); 3] = [
-    ("tanh", Activation::Tanh),
-    ("logistic", Activation::Logistic),
-    ("gaussian", Activation::Gaussian),
-];
-
 impl Activations {
     /// One activation for each of the `layers`, with their source; `stated` is what the file
     /// says.
@@ -71,12 +64,12 @@ impl Activations {
 
 /// The names of an architecture's activations, one a layer.
 pub(super) fn names_of(architecture: &Architecture) -> Vec<&'static str> {
-    architecture.layers().iter().map(|layer| name(layer.activation)).collect()
+    architecture.layers().iter().map(|layer| layer.activation.name()).collect()
 }
 
 /// All names, for a message.
 pub(super) fn known() -> String {
-    NAMES.map(|(name, _)| name).join(", ")
+    Activation::NAMES.map(|(name, _)| name).join(", ")
 }
 
 fn one_each(given: Vec<Activation>, layers: usize) -> Result<Vec<Activation>, TensorProblem> {
@@ -87,16 +80,8 @@ fn one_each(given: Vec<Activation>, layers: usize) -> Result<Vec<Activation>, Te
     }
 }
 
-fn name(activation: Activation) -> &'static str {
-    match activation {
-        Activation::Tanh => "tanh",
-        Activation::Logistic => "logistic",
-        Activation::Gaussian => "gaussian",
-    }
-}
-
 fn from_name(sought: &str) -> Result<Activation, TensorProblem> {
-    NAMES
+    Activation::NAMES
         .iter()
         .find(|(name, _)| *name == sought)
         .map(|&(_, activation)| activation)
@@ -104,5 +89,5 @@ fn from_name(sought: &str) -> Result<Activation, TensorProblem> {
 }
 
 fn joined(activations: &[Activation]) -> String {
-    activations.iter().map(|&activation| name(activation)).collect::<Vec<_>>().join(",")
+    activations.iter().map(|activation| activation.name()).collect::<Vec<_>>().join(",")
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use agent_core::activation::Activation;
 use agent_core::package::OnSwitch;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde::Serialize;
 
 use crate::analysis::TriggerConstants;
@@ -14,7 +14,7 @@ use crate::commands::{
 use crate::packages::trained::INITIAL_VERSION;
 use crate::packages::{Draft, NodeContent, PackageBytes};
 use crate::signing::OperatorKey;
-use crate::tensors::{self, Activations, NetworkArrays};
+use crate::tensors::{self, Activations, ActivationsSource, NetworkArrays};
 
 /// Arguments of `weights export`.
 #[derive(Debug, Args)]
@@ -48,8 +48,8 @@ pub(in crate::commands) struct Import {
     agent: Option<usize>,
     /// What the layers apply: one for all, or one a layer, with commas [default: what the file
     /// says, else tanh]
-    #[arg(long, value_enum, value_delimiter = ',')]
-    activations: Vec<ActivationName>,
+    #[arg(long, value_parser = activation, value_delimiter = ',')]
+    activations: Vec<Activation>,
     /// Version of the package [default: one more than that of --base, else 2]
     #[arg(long)]
     package_version: Option<u32>,
@@ -65,21 +65,12 @@ pub(in crate::commands) struct Import {
     format: Format,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum ActivationName {
-    Tanh,
-    Logistic,
-    Gaussian,
-}
-
-impl From<ActivationName> for Activation {
-    fn from(name: ActivationName) -> Self {
-        match name {
-            ActivationName::Tanh => Self::Tanh,
-            ActivationName::Logistic => Self::Logistic,
-            ActivationName::Gaussian => Self::Gaussian,
-        }
-    }
+fn activation(name: &str) -> Result<Activation, String> {
+    let found = Activation::NAMES.iter().find(|(known, _)| *known == name);
+    found.map(|&(_, activation)| activation).ok_or_else(|| {
+        let names = Activation::NAMES.map(|(known, _)| known).join(", ");
+        format!("there is no activation {name:?}; choose one of {names}")
+    })
 }
 
 pub(super) fn export(arguments: &Export) -> Result<(), CommandError> {
@@ -131,11 +122,10 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
     }
     let key = arguments.sign.as_deref().map(OperatorKey::read).transpose()?;
     let mut draft = draft(arguments)?;
-    let activations: Vec<Activation> = arguments.activations.iter().map(|&a| a.into()).collect();
-    let activations = match activations[..] {
+    let activations = match arguments.activations[..] {
         [] => Activations::FromFile,
         [all] => Activations::All(all),
-        _ => Activations::PerLayer(activations),
+        _ => Activations::PerLayer(arguments.activations.clone()),
     };
     let (arrays, import) = tensors::read(&arguments.arrays, activations)?;
     draft.architecture = arrays.architecture;
@@ -165,7 +155,12 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
             report.version,
             report.bytes,
             if report.signed { "signed" } else { "not signed" },
-            report.activations_from,
+            match import.activations {
+                ActivationsSource::File => "as the file says",
+                ActivationsSource::Caller => "as given",
+                ActivationsSource::Assumed =>
+                    "tanh, since neither the file nor --activations says anything else",
+            },
             report.largest_rounding.map_or("every value as it was in the file".to_owned(), |e| {
                 format!("rounding to single precision changed values by up to {e:.1e}")
             }),

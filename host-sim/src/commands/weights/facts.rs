@@ -3,7 +3,6 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use agent_core::activation::Activation;
 use agent_core::package::{FORMAT_VERSION, OnSwitch, SIGNATURE_BLOCK_LENGTH};
 use agent_core::symmetric::SymmetricMatrix;
 use serde::Serialize;
@@ -83,15 +82,6 @@ impl Matrix {
     }
 }
 
-/// As scenario files name them.
-fn activation_name(activation: Activation) -> &'static str {
-    match activation {
-        Activation::Tanh => "tanh",
-        Activation::Logistic => "logistic",
-        Activation::Gaussian => "gaussian",
-    }
-}
-
 impl Facts {
     pub(super) fn new(bytes: &PackageBytes) -> Self {
         let package = bytes.package();
@@ -114,7 +104,7 @@ impl Facts {
             layers: architecture
                 .layers()
                 .iter()
-                .map(|l| Layer { nodes: l.width, activation: activation_name(l.activation) })
+                .map(|l| Layer { nodes: l.width, activation: l.activation.name() })
                 .collect(),
             inner_parameters: parameters.len(),
             inner_parameters_largest: parameters.iter().fold(0.0, |most, p| most.max(p.abs())),

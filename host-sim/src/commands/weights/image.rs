@@ -2,13 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
+use agent_core::store::Slot;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::renamed;
 use crate::commands::{CommandError, Format, print_json, print_text};
 use crate::flash::{FlashTarget, ProbeRs};
-use crate::image::{self, Image, ImageSlot, ToolUse, Uf2Family, commands_for};
+use crate::image::{self, Image, ToolUse, Uf2Family, commands_for};
 use crate::memory_map::MemoryMap;
 use crate::output_file::write_whole;
 use crate::packages::PackageBytes;
@@ -18,9 +19,9 @@ use crate::signing::read_public_key;
 /// Where in which memory.
 #[derive(Debug, Args)]
 struct Place {
-    /// The slot to fill
-    #[arg(long, value_enum, ignore_case = true)]
-    slot: ImageSlot,
+    /// The slot to fill: a or b
+    #[arg(long, value_parser = slot)]
+    slot: Slot,
     /// The board's memory map
     #[arg(long)]
     memory: PathBuf,
@@ -83,6 +84,14 @@ pub(in crate::commands) struct FlashArguments {
     format: Format,
 }
 
+fn slot(name: &str) -> Result<Slot, String> {
+    match name {
+        "a" | "A" => Ok(Slot::A),
+        "b" | "B" => Ok(Slot::B),
+        _ => Err("there are the slots a and b".to_owned()),
+    }
+}
+
 /// The image of a package that a node would accept.
 fn image(path: &Path, place: &Place) -> Result<Image, CommandError> {
     let region = MemoryMap::read(&place.memory)?.weights()?;
@@ -120,8 +129,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let image = image(&arguments.package, &arguments.place)?;
     let bytes = image.encode(format.with_family(arguments.family)?)?;
     let ending = match image.slot() {
-        ImageSlot::A => format!(".slot-a.{format}"),
-        ImageSlot::B => format!(".slot-b.{format}"),
+        Slot::A => format!(".slot-a.{format}"),
+        Slot::B => format!(".slot-b.{format}"),
     };
     let out = arguments.out.clone().unwrap_or_else(|| renamed(&arguments.package, &ending));
     write_whole(&out, |file| file.write_all(&bytes))?;

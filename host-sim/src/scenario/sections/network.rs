@@ -54,11 +54,7 @@ fn layer(value: &Value<'_>) -> Result<Layer, ScenarioError> {
     let table = value.table()?;
     table.only(&["nodes", "activation"])?;
     let width = table.require("nodes", "8")?.integer(1..=LAYER_WIDTH_MAX as u32)? as u8;
-    let activation = table.require("activation", "\"tanh\"")?.choice(&[
-        ("tanh", Activation::Tanh),
-        ("logistic", Activation::Logistic),
-        ("gaussian", Activation::Gaussian),
-    ])?;
+    let activation = table.require("activation", "\"tanh\"")?.choice(&Activation::NAMES)?;
     Ok(Layer { width, activation })
 }
 
