@@ -68,6 +68,12 @@ fn from_samples_to_a_signed_package_that_nobody_can_change() {
     folder.succeed("weights verify next.weights --in-use node1.weights");
     let error = folder.fail("weights verify node1.weights --in-use next.weights", 2);
     assert!(error.contains("version 2, version 3 is in use"), "{error}");
+    // Only the operator can send a node back to it.
+    let back = "weights sign node1.weights --key operator.key --replaces 3 --out back.weights";
+    folder.succeed(back);
+    let node = "--in-use next.weights";
+    folder.succeed(&format!("weights verify back.weights {node} --key operator.pub"));
+    folder.fail(&format!("weights verify back.weights {node}"), 2);
     let difference = json(&folder, "weights diff node1.weights next.weights");
     assert_eq!(difference["identical"], false);
     assert!(difference["inner_parameters"]["changed"].as_u64().unwrap() > 0);

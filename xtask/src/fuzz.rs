@@ -32,7 +32,7 @@ const COVERAGE: [&str; 6] = [
 /// How long each target runs if nothing else is said. \[s\]
 const SECONDS: u32 = 10;
 /// An input that takes longer is a finding. \[s\]
-const TIMEOUT: u32 = 10;
+const TIMEOUT: u32 = 60;
 /// An input that takes more memory is a finding. \[MB\]
 const MEMORY: u32 = 2048;
 

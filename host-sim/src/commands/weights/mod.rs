@@ -12,7 +12,7 @@ use clap::{Args, Subcommand};
 use serde::Serialize;
 
 use super::{CommandError, Format, print_json, print_text};
-use crate::packages::PackageBytes;
+use crate::packages::{Draft, PackageBytes};
 use crate::signing::{OperatorKey, fingerprint};
 
 pub(super) use image::{FlashArguments, flash};
@@ -56,6 +56,10 @@ pub(super) struct Sign {
     /// The private key, as `weights keygen` or OpenSSL writes it
     #[arg(long)]
     key: PathBuf,
+    /// Lets the package take the place of any version up to this one although it is older: how
+    /// to go back to a network that worked
+    #[arg(long, value_name = "VERSION")]
+    replaces: Option<u32>,
     /// Where the signed package goes [default: in place of the package]
     #[arg(long)]
     out: Option<PathBuf>,
@@ -104,8 +108,11 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
         bytes: usize,
         key_fingerprint: String,
     }
-    let bytes = PackageBytes::load(&arguments.package)?;
+    let mut bytes = PackageBytes::load(&arguments.package)?;
     let key = OperatorKey::read(&arguments.key)?;
+    if arguments.replaces.is_some() {
+        bytes = Draft { replaces: arguments.replaces, ..Draft::copy(&bytes.package()) }.seal()?;
+    }
     let signed = bytes.signed(&key);
     let out = arguments.out.as_ref().unwrap_or(&arguments.package);
     signed.save(out)?;
