@@ -232,13 +232,10 @@ fn every_tool_gets_its_exact_command_line() {
             (
                 "probe-rs",
                 line(
-                    "probe-rs download --chip CHIP --binary-format bin --base-address 0x307000 --verify w.bin && probe-rs reset --chip CHIP"
+                    "probe-rs download --chip CHIP --binary-format bin --base-address 0x307000 --restore-unwritten --verify w.bin && probe-rs reset --chip CHIP"
                 )
             ),
-            (
-                "OpenOCD",
-                line("openocd -f BOARD.cfg -c 'program {w.bin} verify reset exit 0x307000'")
-            ),
+            ("OpenOCD", line("openocd -f BOARD.cfg -c 'program w.bin verify reset exit 0x307000'")),
             ("st-flash", line("st-flash --reset write w.bin 0x307000")),
             ("dfu-util", line("dfu-util -a 0 -s 0x307000 -D w.bin")),
             ("picotool", line("picotool load -v w.bin -t bin -o 0x307000 && picotool reboot")),
@@ -251,12 +248,12 @@ fn every_tool_gets_its_exact_command_line() {
             (
                 "probe-rs",
                 line(
-                    "probe-rs download --chip CHIP --binary-format hex --verify 'my weights.hex' && probe-rs reset --chip CHIP"
+                    "probe-rs download --chip CHIP --binary-format hex --restore-unwritten --verify 'my weights.hex' && probe-rs reset --chip CHIP"
                 )
             ),
             (
                 "OpenOCD",
-                line("openocd -f BOARD.cfg -c 'program {my weights.hex} verify reset exit'")
+                line("openocd -f BOARD.cfg -c 'program my\\ weights.hex verify reset exit'")
             ),
             ("st-flash", line("st-flash --reset --format ihex write 'my weights.hex'")),
             ("dfu-util", None),

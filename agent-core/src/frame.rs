@@ -19,6 +19,8 @@
 //! Cost: linear in the length. Invariant: decoding either gives a frame with a finite
 //! estimate of the right dimension, or an error; it never panics, whatever the bytes.
 
+use postcard::ser_flavors::Size;
+use postcard::serialize_with_flavor;
 use serde::{Deserialize, Serialize};
 
 use crate::checksum::{CHECKSUM_LENGTH, crc32};
@@ -183,7 +185,9 @@ impl<const N: usize> Frame<N> {
         }
         let (wire, rest): (Wire, &[u8]) =
             postcard::take_from_bytes(body).map_err(|_| FrameError::Malformed)?;
-        if !rest.is_empty() {
+        // One frame, one byte string: a longer way to write an integer is none.
+        let canonical = serialize_with_flavor(&wire, Size::default());
+        if !rest.is_empty() || canonical != Ok(body.len()) {
             return Err(FrameError::Malformed);
         }
         let Payload::Estimate(components) = wire.payload;
@@ -265,6 +269,12 @@ mod tests {
         assert_eq!(decode(&resealed(|b| b[7] = 1)), Err(FrameError::Malformed));
         assert_eq!(decode(&resealed(|b| b.push(0).unwrap())), Err(FrameError::Malformed));
         assert_eq!(decode(&resealed(|b| b.truncate(b.len() - 1))), Err(FrameError::Malformed));
+        // The sender 2, written with a byte too many.
+        let longer = resealed(|b| {
+            b[1] = 0x82;
+            b.insert(2, 0).unwrap();
+        });
+        assert_eq!(decode(&longer), Err(FrameError::Malformed));
         assert_eq!(
             Frame::<2>::decode(&bytes),
             Err(FrameError::Dimension { expected: 2, found: 3 })

@@ -17,7 +17,7 @@
 //! Cost: one comparison inside the ball; about 40 operations in the boundary layer.
 
 use crate::numeric::square_root;
-use crate::parameter::{ParameterError, positive};
+use crate::parameter::ParameterError;
 
 /// Constants of the operator.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,15 +38,16 @@ impl ProjectionParams {
     /// # Errors
     /// A constant that is out of its range.
     pub fn validate(&self) -> Result<(), ParameterError> {
-        for (parameter, value) in
-            [("projection.radius", self.radius), ("projection.boundary_layer", self.boundary_layer)]
-        {
+        for (parameter, value) in [
+            ("projection.radius", self.radius),
+            ("projection.boundary_layer", self.boundary_layer),
+            ("projection.smoothing", self.smoothing),
+        ] {
             if !(1e-15..=1e15).contains(&value) {
                 let expected = "1e-15 to 1e15";
                 return Err(ParameterError::OutOfRange { parameter, value, expected });
             }
         }
-        positive("projection.smoothing", self.smoothing)?;
         if self.smoothness > 7 {
             return Err(ParameterError::OutOfRange {
                 parameter: "projection.smoothness",

@@ -13,6 +13,7 @@
 //! | [`analysis`] | the theorems' constants and bounds, held against a run |
 //! | [`figures`], [`report`] | pictures; tables and CSV files |
 //! | [`progress`], [`output_file`], [`fnv`] | progress bars; files that are whole or not there; a hash |
+//! | [`shell`] | command lines for people to copy |
 //! | [`signing`] | the operator's keys, for packages of weights |
 //! | [`tensors`] | networks from and for PyTorch, JAX and NumPy |
 //! | [`commands`] | what the command line does |
@@ -33,6 +34,7 @@ pub mod plant;
 pub mod progress;
 pub mod report;
 pub mod scenario;
+pub mod shell;
 pub mod signing;
 pub mod tensors;
 pub mod training;

@@ -330,6 +330,7 @@ where
     pub fn neighbour_holds(&self) -> &[Option<Hold<N>>] {
         self.neighbour_holds.as_ref()
     }
+
     /// How many frames the last step dropped because it already held something as new.
     #[must_use]
     pub fn stale_frames(&self) -> u32 {

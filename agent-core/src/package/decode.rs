@@ -1,5 +1,8 @@
 //! From bytes to a package.
 
+use postcard::ser_flavors::Size;
+use postcard::serialize_with_flavor;
+
 use super::wire::{CONSTANTS, Counts, Metadata};
 use super::{
     Envelope, HEADER_LENGTH, NeighbourIds, Node, Package, PackageError, StateBox, TEST_VECTORS_MAX,
@@ -31,6 +34,12 @@ impl<'a> Package<'a> {
     pub fn from_envelope(envelope: &Envelope<'a>) -> Result<Self, PackageError> {
         let (metadata, rest) = postcard::take_from_bytes::<Metadata<'a>>(envelope.body)
             .map_err(|_| PackageError::Malformed)?;
+        // One package, one byte string: a longer way to write an integer is none, or processors
+        // with longer words would take what others refuse.
+        let canonical = serialize_with_flavor(&metadata, Size::default());
+        if canonical != Ok(envelope.body.len() - rest.len()) {
+            return Err(PackageError::Malformed);
+        }
         let numbers = numbers(envelope.body, rest)?;
         let architecture = architecture(&metadata)?;
         if !(1..=architecture.inputs()).contains(&usize::from(metadata.outputs)) {

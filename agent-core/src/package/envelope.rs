@@ -76,6 +76,22 @@ impl<'a> Envelope<'a> {
     }
 }
 
+impl Envelope<'_> {
+    /// The length of the package that `bytes` begin with, whatever follows it: for a slot of
+    /// flash of which nobody knows what was written to it. With a signature if there is an
+    /// undamaged one.
+    #[must_use]
+    pub fn length_in(bytes: &[u8]) -> Option<usize> {
+        let (_, rest) = bytes.split_first_chunk::<{ MAGIC.len() + 1 }>()?;
+        let (&length, _) = rest.split_first_chunk::<4>()?;
+        let unsigned = HEADER_LENGTH.checked_add(u32::from_le_bytes(length) as usize)?;
+        let signed = unsigned.checked_add(SIGNATURE_BLOCK_LENGTH)?;
+        [signed, unsigned]
+            .into_iter()
+            .find(|&length| bytes.get(..length).is_some_and(|bytes| Envelope::open(bytes).is_ok()))
+    }
+}
+
 /// `None` if the block has the wrong length.
 fn open_signature(block: &[u8]) -> Option<Result<&[u8; SIGNATURE_LENGTH], PackageError>> {
     let (signature, checksum) = block.split_first_chunk::<SIGNATURE_LENGTH>()?;

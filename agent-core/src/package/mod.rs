@@ -188,13 +188,15 @@ pub struct Provenance<'a> {
 pub struct TrainingErrors {
     /// Over the samples that the network was trained on.
     pub training: f32,
-    /// Over samples that it never saw.
-    pub test: f32,
+    /// Over samples that were held back from training.
+    pub held_out: f32,
 }
 
 impl TrainingErrors {
-    fn is_finite(&self) -> bool {
-        self.training.is_finite() && self.test.is_finite()
+    /// Whether both are numbers.
+    #[must_use]
+    pub fn is_finite(&self) -> bool {
+        self.training.is_finite() && self.held_out.is_finite()
     }
 }
 
@@ -264,6 +266,9 @@ impl Node<'_> {
             neighbours.get_mut(..found).ok_or(length("observer.neighbours", capacity, found))?;
         for (place, neighbour) in neighbours.iter_mut().zip(self.neighbours()) {
             *place = neighbour;
+        }
+        if self.edge_weights.len() != found {
+            return Err(length("edge_weights", found, self.edge_weights.len()));
         }
         let entries = self.outer_law.gain.entries();
         let capacity = gain.len();

@@ -102,7 +102,7 @@ impl Content {
                 recipe: "better",
                 seed: 42,
                 samples: 300,
-                errors: Some(TrainingErrors { training: 0.5, test: 0.75 }),
+                errors: Some(TrainingErrors { training: 0.5, held_out: 0.75 }),
                 tool_version: [0, 1, 0],
             },
             test_vectors: &self.test_vectors,
@@ -160,6 +160,21 @@ fn every_single_bit_flip_and_every_truncation_is_refused() {
 }
 
 #[test]
+fn a_package_is_found_at_the_beginning_of_a_slot() {
+    let unsigned = encoded(&Content::new().package());
+    let signed = [unsigned.bytes(), &signature_block(&[0x5a; 64])].concat();
+    for (package, rest) in [(unsigned.bytes(), 0xff), (&signed, 0xff), (unsigned.bytes(), 0)] {
+        for spare in [0, 1, 67, 500] {
+            let slot = [package, &vec![rest; spare]].concat();
+            assert_eq!(Envelope::length_in(&slot), Some(package.len()));
+        }
+        assert_eq!(Envelope::length_in(&package[..package.len() / 2]), None);
+    }
+    assert_eq!(Envelope::length_in(&[0xff; 400]), None);
+    assert_eq!(Envelope::length_in(&[]), None);
+}
+
+#[test]
 fn the_place_of_the_numbers_is_a_multiple_of_four() {
     for recipe in ["", "a", "ab", "abc", "abcd"] {
         let content = Content::new();
@@ -204,6 +219,13 @@ fn each_defect_of_the_bytes_has_its_own_error() {
     assert_eq!(body(&|b| b.clear()), PackageError::Malformed);
     assert_eq!(body(&|b| b[3] = 2), PackageError::Malformed); // no such case of OnSwitch
     assert_eq!(body(&|b| b.push(0)), PackageError::Malformed);
+    // Version 5, written with a byte too many; one of the padding's goes for it.
+    let longer = |b: &mut Vec<u8>| {
+        b[0] = 0x85;
+        b.insert(1, 0);
+        b.splice(b.len()..b.len(), [0; 3]);
+    };
+    assert_eq!(body(&longer), PackageError::Malformed);
     let network = |error| PackageError::Network(error);
     assert_eq!(body(&|b| b[4] = 13), network(NetworkError::Inputs { found: 13 }));
     assert_eq!(body(&|b| b[6] = 65), network(NetworkError::Width { layer: 0, found: 65 }));
@@ -220,7 +242,7 @@ fn each_defect_of_the_bytes_has_its_own_error() {
     assert!(matches!(not_finite, PackageError::NotFinite { .. }));
     for (training, test) in [(f32::NAN, 0.5), (0.5, f32::INFINITY)] {
         let mut package = package.clone();
-        package.provenance.errors = Some(TrainingErrors { training, test });
+        package.provenance.errors = Some(TrainingErrors { training, held_out: test });
         let error = Package::decode(encoded(&package).bytes()).map(|p| p.version);
         assert_eq!(error, Err(PackageError::TrainingErrorNotFinite));
     }

@@ -13,10 +13,12 @@ use super::{
     CommandError, Common, Format, agent_index, load_scenario, network_of, print_json, print_text,
     summary,
 };
+use crate::analysis::TriggerConstants;
 use crate::packages::trained::{INITIAL_VERSION, Trained, TrainingTask};
-use crate::packages::{PackageBytes, Recording};
+use crate::packages::{NodeContent, PackageBytes, Recording};
 use crate::progress::ProgressBars;
 use crate::scenario::{Recipe, Scenario};
+use crate::shell::shell_word;
 use crate::signing::OperatorKey;
 use crate::training::{EpochReport, StopReason};
 
@@ -73,6 +75,7 @@ struct Report<'a> {
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let start = Instant::now();
+    let interrupted = interruptions();
     let scenario = load_scenario(&arguments.scenario)?;
     let index = agent_index(&scenario, arguments.agent)?;
     let network = network_of(&scenario)?;
@@ -80,6 +83,16 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let (recipe, cycle) = recipe(arguments, &scenario, index)?;
     let features = network.architecture.features();
     let base = arguments.base.as_deref().map(PackageBytes::load).transpose()?;
+    if let (Some(base), Some(path)) = (&base, &arguments.base) {
+        let node = NodeContent::new(&scenario, &TriggerConstants::new(&scenario), index);
+        if let Some(parameter) = node.first_difference(&base.package().node) {
+            let problem = format!("{}: has another {parameter} than agent", path.display());
+            let number = arguments.agent;
+            return Err(CommandError::Usage(format!(
+                "{problem} {number} of the scenario; give the package of this agent as --base"
+            )));
+        }
+    }
     let mut recording = Recording::load(&arguments.data, scenario.dimension(), features)?;
     if let (None, Some(base)) = (&recording.outer_weights, &base) {
         recording.outer_weights = Some(base.package().outer_weights.to_vec());
@@ -94,7 +107,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         seed: arguments.common.seed,
         version,
     };
-    let trained = train(&task, &recording)?;
+    let trained = train(&task, &recording, interrupted)?;
     let package = match &key {
         Some(key) => trained.package.signed(key),
         None => trained.package.clone(),
@@ -148,8 +161,8 @@ fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, Co
     Ok(before.unwrap_or(INITIAL_VERSION).saturating_add(1))
 }
 
-/// Trains until it is done or someone presses Ctrl-C, which ends with the best so far.
-fn train(task: &TrainingTask<'_>, recording: &Recording) -> Result<Trained, CommandError> {
+/// Becomes true when someone presses Ctrl-C.
+fn interruptions() -> &'static AtomicBool {
     static INTERRUPTED: AtomicBool = AtomicBool::new(false);
     let handler = ctrlc::set_handler(|| {
         // Whoever presses it twice does not want to wait for the epoch to end.
@@ -160,12 +173,21 @@ fn train(task: &TrainingTask<'_>, recording: &Recording) -> Result<Trained, Comm
     if let Err(error) = handler {
         eprintln!("warning: Ctrl-C will end this without a result: {error}");
     }
+    &INTERRUPTED
+}
+
+/// Trains until it is done or interrupted, which ends with the best so far.
+fn train(
+    task: &TrainingTask<'_>,
+    recording: &Recording,
+    interrupted: &AtomicBool,
+) -> Result<Trained, CommandError> {
     let bars = ProgressBars::new("training");
     let total = task.recipe.solver.epochs_max as u64;
     let mut report_epoch = |epoch: &EpochReport| {
         bars.stepped(epoch.epoch as u64, total);
         bars.epoch(task.agent + 1, task.cycle + 1, epoch.epoch, epoch.train);
-        if INTERRUPTED.load(Ordering::Relaxed) {
+        if interrupted.load(Ordering::Relaxed) {
             ControlFlow::Break(())
         } else {
             ControlFlow::Continue(())
@@ -194,7 +216,7 @@ fn report<'a>(
         samples: trained.samples,
         epochs: trained.report.epochs.len().saturating_sub(1),
         stopped_by: match trained.report.stop {
-            StopReason::Callback => "Ctrl-C, with the best network so far",
+            StopReason::Callback => "interruption",
             stop => summary::reason(stop),
         },
         training_error: best.map(|best| best.train),
@@ -207,8 +229,9 @@ fn report<'a>(
 
 fn text(arguments: &Arguments, report: &Report<'_>) -> String {
     let error = |error: Option<f64>| error.map_or("none".to_owned(), |e| format!("{e:.3e}"));
+    let kept = if report.stopped_by == "interruption" { " (the best network so far)" } else { "" };
     let mut text = format!(
-        "Trained on {} samples, {} epochs, stopped by {}\n\
+        "Trained on {} samples, {} epochs, stopped by {}{kept}\n\
          Mean squared error: training {}, validation {}, test {}\n",
         report.samples,
         report.epochs,
@@ -231,7 +254,7 @@ fn text(arguments: &Arguments, report: &Report<'_>) -> String {
         report.recipe,
         report.seed,
         report.elapsed_s,
-        arguments.out.display(),
+        shell_word(&arguments.out),
     );
     text
 }

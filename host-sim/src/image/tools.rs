@@ -11,6 +11,7 @@ use core::fmt;
 use std::path::Path;
 
 use super::{Format, Image};
+use crate::shell::{path_argument, quoted};
 
 /// How a tool writes an image.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -62,22 +63,22 @@ pub fn commands_for(image: &Image, file: &Path, format: Format) -> Vec<ToolComma
     use Format::{Bin, Hex, Uf2};
     let base = format!("{:#x}", image.base());
     let path = path_argument(file);
-    let word = shell_word(&path);
+    let word = quoted(&path);
     let reset = "probe-rs reset --chip CHIP";
     let probe_rs = match format {
         Bin => Ok(format!(
-            "probe-rs download --chip CHIP --binary-format bin --base-address {base} --verify \
-             {word} && {reset}"
+            "probe-rs download --chip CHIP --binary-format bin --base-address {base} \
+             --restore-unwritten --verify {word} && {reset}"
         )),
         Hex => Ok(format!(
-            "probe-rs download --chip CHIP --binary-format hex --verify {word} && {reset}"
+            "probe-rs download --chip CHIP --binary-format hex --restore-unwritten \
+             --verify {word} && {reset}"
         )),
         Uf2 => Err([Hex, Bin].as_slice()),
     };
-    // In Tcl's braces a name may hold blanks.
     let program = |address: &str| {
-        let script = format!("program {{{path}}} verify reset exit{address}");
-        Ok(format!("openocd -f BOARD.cfg -c {}", shell_word(&script)))
+        let script = format!("program {} verify reset exit{address}", tcl_word(&path));
+        Ok(format!("openocd -f BOARD.cfg -c {}", quoted(&script)))
     };
     let openocd = match format {
         Bin => program(&format!(" {base}")),
@@ -118,20 +119,14 @@ pub fn commands_for(image: &Image, file: &Path, format: Format) -> Vec<ToolComma
     .collect()
 }
 
-/// The file's name in a form that no tool takes for an option.
-fn path_argument(file: &Path) -> String {
-    let name = file.display().to_string();
-    if name.starts_with('-') { format!("./{name}") } else { name }
-}
-
-/// `text` as one word of a Unix shell.
-fn shell_word(text: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "_-./+:=@%,".contains(c);
-    if !text.is_empty() && text.chars().all(plain) {
-        text.to_owned()
-    } else {
-        format!("'{}'", text.replace('\'', r"'\''"))
-    }
+/// `path` as one word of a Tcl script.
+fn tcl_word(path: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
+    let escaped = path.chars().flat_map(|c| {
+        let backslash = (!plain(c)).then_some('\\');
+        backslash.into_iter().chain([c])
+    });
+    escaped.collect()
 }
 
 #[cfg(test)]
@@ -139,15 +134,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_for_the_shell() {
-        for (text, word) in [
+    fn a_name_stays_one_word_of_tcl() {
+        for (name, word) in [
             ("a/b-1.hex", "a/b-1.hex"),
-            ("two words", "'two words'"),
-            ("it's", r"'it'\''s'"),
-            ("", "''"),
+            ("two words", "two\\ words"),
+            ("x} ; exec reboot {", "x\\}\\ \\;\\ exec\\ reboot\\ \\{"),
+            ("[exec reboot]", "\\[exec\\ reboot\\]"),
+            ("$HOME", "\\$HOME"),
         ] {
-            assert_eq!(shell_word(text), word);
+            assert_eq!(tcl_word(name), word);
         }
-        assert_eq!(path_argument(Path::new("-rf.hex")), "./-rf.hex");
     }
 }

@@ -1,5 +1,6 @@
 //! A package's bytes: they begin on a multiple of four, as in a node's flash, and can be shared.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -34,15 +35,25 @@ pub enum PackageFileError {
     },
     /// The file is too long for any package.
     #[error(
-        "{}: has {length} bytes, no package has more than {LENGTH_MAX}; give the path of a weight \
-         package", path.display()
+        "{}: has more than {LENGTH_MAX} bytes, which no package has; give the path of a weight package",
+        path.display()
     )]
     TooLong {
         /// The file.
         path: PathBuf,
-        /// Its length. \[bytes\]
-        length: u64,
     },
+    /// There is something else where a package is to be written.
+    #[error(
+        "{}: is there and is no weight package, so it is not replaced; name another file",
+        path.display()
+    )]
+    Other {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file cannot be written.
+    #[error(transparent)]
+    Write(#[from] OutputError),
     /// It is no package.
     #[error("{}: {error}; copy or make it anew", path.display())]
     Package {
@@ -74,21 +85,26 @@ impl PackageBytes {
     /// See [`PackageFileError`].
     pub fn load(path: &Path) -> Result<Self, PackageFileError> {
         let named = |error| PackageFileError::Read { path: path.to_owned(), error };
-        let length = std::fs::metadata(path).map_err(named)?.len();
-        if length > LENGTH_MAX {
-            return Err(PackageFileError::TooLong { path: path.to_owned(), length });
+        let mut bytes = Vec::new();
+        let file = std::fs::File::open(path).map_err(named)?;
+        file.take(LENGTH_MAX + 1).read_to_end(&mut bytes).map_err(named)?;
+        if bytes.len() as u64 > LENGTH_MAX {
+            return Err(PackageFileError::TooLong { path: path.to_owned() });
         }
-        let bytes = std::fs::read(path).map_err(named)?;
         Self::new(&bytes)
             .map_err(|error| PackageFileError::Package { path: path.to_owned(), error })
     }
 
-    /// Writes the file whole, or leaves what was there.
+    /// Writes the file whole, or leaves what was there; another package is replaced, anything else
+    /// is not.
     ///
     /// # Errors
-    /// What the system says.
-    pub fn save(&self, path: &Path) -> Result<(), OutputError> {
-        write_whole(path, |file| file.write_all(self.as_bytes()))
+    /// [`PackageFileError::Other`] or [`PackageFileError::Write`].
+    pub fn save(&self, path: &Path) -> Result<(), PackageFileError> {
+        if path.exists() && Self::load(path).is_err() {
+            return Err(PackageFileError::Other { path: path.to_owned() });
+        }
+        Ok(write_whole(path, |file| file.write_all(self.as_bytes()))?)
     }
 
     /// The bytes.

@@ -89,9 +89,10 @@ impl TrainingTask<'_> {
             task_seed(self.seed, self.cycle, self.agent),
             progress,
         )?;
-        let errors = report.best().map(|best| TrainingErrors {
-            training: best.train as f32,
-            test: best.test.or(best.validation).unwrap_or(best.train) as f32,
+        let errors = report.best().and_then(|best| {
+            let held_out = best.test.or(best.validation)? as f32;
+            let errors = TrainingErrors { training: best.train as f32, held_out };
+            errors.is_finite().then_some(errors)
         });
         let (low, high) = limits(&recording.samples);
         let trigger = TriggerConstants::new(self.scenario);
@@ -103,7 +104,7 @@ impl TrainingTask<'_> {
             inner: parameters.iter().map(|&p| p as f32).collect(),
             outer_weights,
             node: NodeContent::new(self.scenario, &trigger, self.agent),
-            broadcast_interval_min: interval_bound(&trigger, &recording.samples),
+            broadcast_interval_min: interval_bound(self.scenario, &trigger, recording),
             low,
             high,
             scenario_hash: self.scenario.hash,
@@ -170,11 +171,15 @@ fn limits(samples: &Dataset) -> (Vec<f32>, Vec<f32>) {
 }
 
 /// Theorem 2 on the recorded trajectory: the hold error has to grow from 0 to the trigger's
-/// radius, and grows no faster than the estimate moves. \[s\]
-fn interval_bound(trigger: &TriggerConstants, samples: &Dataset) -> f32 {
+/// radius, and grows no faster than the estimate moves. 0, for not known, if not every step was
+/// recorded: a faster one may lie in between. \[s\]
+fn interval_bound(scenario: &Scenario, trigger: &TriggerConstants, recording: &Recording) -> f32 {
+    let every_step = recording.interval < 1.5 * scenario.time.step_size;
+    let samples = &recording.samples;
     let rates = samples.targets().chunks_exact(samples.dimension());
     let rate_squared = rates
         .map(|rate| rate.iter().fold(0.0, |sum, r| sum + r * r))
         .fold(0.0, |largest: f64, rate| largest.max(rate));
-    if rate_squared > 0.0 { (trigger.radius() / rate_squared.sqrt()) as f32 } else { 0.0 }
+    let bound = (trigger.radius() / rate_squared.sqrt()) as f32;
+    if every_step && bound.is_finite() { bound } else { 0.0 }
 }

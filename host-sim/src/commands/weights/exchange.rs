@@ -1,6 +1,6 @@
 //! `weights import` and `weights export`: networks from and for other tools.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use agent_core::activation::Activation;
 use agent_core::package::OnSwitch;
@@ -13,6 +13,7 @@ use crate::commands::{
 };
 use crate::packages::trained::INITIAL_VERSION;
 use crate::packages::{Draft, NodeContent, PackageBytes};
+use crate::shell::shell_word;
 use crate::signing::OperatorKey;
 use crate::tensors::{self, Activations, ActivationsSource, NetworkArrays};
 
@@ -88,6 +89,10 @@ pub(super) fn export(arguments: &Export) -> Result<(), CommandError> {
         inner: package.network.parameters().to_vec(),
         outer: package.outer_weights.to_vec(),
     };
+    if arguments.out.exists() && tensors::read(&arguments.out, Activations::FromFile).is_err() {
+        let problem = format!("{}: is there and holds no network", arguments.out.display());
+        return Err(CommandError::Usage(problem + ", so it is not replaced; name another file"));
+    }
     tensors::write(&arguments.out, &arrays)?;
     let report = Report {
         package: arguments.package.display().to_string(),
@@ -103,8 +108,8 @@ pub(super) fn export(arguments: &Export) -> Result<(), CommandError> {
             report.out,
             report.inner_parameters,
             report.outer_parameters,
-            report.out,
-            report.package
+            shell_word(&arguments.out),
+            shell_word(&arguments.package)
         )),
     }
 }
@@ -117,7 +122,7 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
         agent: u16,
         version: u32,
         signed: bool,
-        activations_from: String,
+        activations_from: &'static str,
         largest_rounding: Option<f64>,
     }
     let key = arguments.sign.as_deref().map(OperatorKey::read).transpose()?;
@@ -128,10 +133,12 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
         _ => Activations::PerLayer(arguments.activations.clone()),
     };
     let (arrays, import) = tensors::read(&arguments.arrays, activations)?;
+    check_fit(arguments, &draft, &arrays)?;
     draft.architecture = arrays.architecture;
     draft.inner = arrays.inner;
     draft.outer_weights = arrays.outer;
-    let mut package = draft.seal()?;
+    let mut package =
+        draft.seal().map_err(|error| no_package(&arguments.arrays, &error.to_string()))?;
     if let Some(key) = &key {
         package = package.signed(key);
     }
@@ -142,7 +149,11 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
         agent: package.package().node.agent,
         version: draft.version,
         signed: package.is_signed(),
-        activations_from: format!("{:?}", import.activations).to_lowercase(),
+        activations_from: match import.activations {
+            ActivationsSource::File => "file",
+            ActivationsSource::Caller => "caller",
+            ActivationsSource::Assumed => "assumed",
+        },
         largest_rounding: import.rounding.as_ref().map(|rounding| rounding.error),
     };
     match arguments.format {
@@ -168,6 +179,32 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
     }
 }
 
+fn no_package(arrays: &Path, problem: &str) -> CommandError {
+    let file = arrays.display();
+    CommandError::Usage(format!("{file}: {problem}; change the arrays, or the node to import for"))
+}
+
+/// The network has to fit the node's state and gains.
+fn check_fit(
+    arguments: &Import,
+    draft: &Draft,
+    arrays: &NetworkArrays,
+) -> Result<(), CommandError> {
+    let (n, found) = (draft.low.len(), arrays.architecture.inputs());
+    if found != n {
+        let problem = format!("the network has {found} inputs, the node's state {n} components");
+        return Err(no_package(&arguments.arrays, &problem));
+    }
+    let (gain, features) = (draft.node.node().outer_law.gain, arrays.architecture.features());
+    if gain.validate("the node's outer gain", features).is_err() {
+        let problem = format!(
+            "the last inner layer has {features} nodes, and the node's outer gain another size"
+        );
+        return Err(no_package(&arguments.arrays, &problem));
+    }
+    Ok(())
+}
+
 /// The package without its network yet.
 fn draft(arguments: &Import) -> Result<Draft, CommandError> {
     let base = arguments.base.as_deref().map(PackageBytes::load).transpose()?;
@@ -184,11 +221,14 @@ fn draft(arguments: &Import) -> Result<Draft, CommandError> {
     draft.on_switch = if arguments.keep_outer_weights { OnSwitch::Keep } else { OnSwitch::Replace };
     draft.recipe = "import".to_owned();
     draft.samples = 0;
+    draft.seed = 0;
     draft.errors = None;
+    // Known only of the network that was trained here.
+    draft.broadcast_interval_min = 0.0;
     Ok(draft)
 }
 
-fn of_scenario(path: &std::path::Path, agent: usize) -> Result<Draft, CommandError> {
+fn of_scenario(path: &Path, agent: usize) -> Result<Draft, CommandError> {
     let scenario = load_scenario(path)?;
     let index = agent_index(&scenario, agent)?;
     let network = network_of(&scenario)?;

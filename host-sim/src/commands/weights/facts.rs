@@ -46,7 +46,7 @@ pub(super) struct Facts {
     pub(super) seed: u64,
     pub(super) samples: u32,
     pub(super) training_error: Option<f32>,
-    pub(super) test_error: Option<f32>,
+    pub(super) held_out_error: Option<f32>,
     pub(super) tool_version: String,
     pub(super) test_vectors: usize,
     /// Bytes beyond inner and outer parameters, test vectors and signature.
@@ -138,7 +138,7 @@ impl Facts {
             seed: provenance.seed,
             samples: provenance.samples,
             training_error: provenance.errors.map(|errors| errors.training),
-            test_error: provenance.errors.map(|errors| errors.test),
+            held_out_error: provenance.errors.map(|errors| errors.held_out),
             tool_version: format!("{major}.{minor}.{patch}"),
             test_vectors: package.test_vectors().count(),
             overhead_bytes: bytes.as_bytes().len() - signature - 4 * numbers,
@@ -223,12 +223,12 @@ impl Facts {
         line(
             "training",
             format!(
-                "recipe {}, seed {}, {} samples, mean squared error {} (test {})",
+                "recipe {}, seed {}, {} samples, mean squared error {} (held out: {})",
                 self.recipe,
                 self.seed,
                 self.samples,
                 error(self.training_error),
-                error(self.test_error)
+                error(self.held_out_error)
             ),
         );
         line("scenario hash", self.scenario_hash.clone());

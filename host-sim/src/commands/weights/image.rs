@@ -124,6 +124,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     struct Command {
         tool: &'static str,
         command: Option<String>,
+        /// Where there is no command: the formats that the tool takes.
+        needs: Vec<String>,
     }
     let (format, printed) = formats(arguments)?;
     let image = image(&arguments.package, &arguments.place)?;
@@ -153,6 +155,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                         ToolUse::Line(line) => Some(line.clone()),
                         ToolUse::Needs(_) => None,
                     },
+                    needs: match &command.usage {
+                        ToolUse::Line(_) => Vec::new(),
+                        ToolUse::Needs(formats) => {
+                            formats.iter().map(ToString::to_string).collect()
+                        }
+                    },
                 })
                 .collect(),
         });
@@ -168,8 +176,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         );
     }
     if format == image::Format::Bin && image.gap_holds_other_slot() {
-        text += "  A bin file has no holes: this one blanks the other slot. hex and uf2 do not.\n";
+        text += "  A bin file has no holes: this one blanks the other slot; hex and uf2 have a hole there.\n";
     }
+    if format == image::Format::Hex && image.gap_holds_other_slot() {
+        text += "  OpenOCD and st-flash fill the hole of a hex file: with them, the other slot is blanked.\n";
+    }
+    text += "Erase units larger than memory.x says would lose what else they hold.\n";
     text += "To write it into the chip, one of\n";
     for command in &commands {
         text += &format!("  {command}\n");
