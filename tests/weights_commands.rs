@@ -209,7 +209,10 @@ fn mistakes_on_the_command_line_say_what_to_do() {
         ("weights inspect mine.toml", "mine.toml"),
         ("weights sign out/agent1_cycle1.weights --key operator.pub", "operator.pub"),
         ("weights keygen --out operator", "exists already"),
-        ("run mine.toml --weights out/agent1_cycle1.weights out/agent1_cycle1.weights", "second"),
+        (
+            "run mine.toml --weights out/agent1_cycle1.weights --weights out/agent1_cycle1.weights",
+            "second",
+        ),
     ];
     let before = fs::read(folder.path("mine.toml")).unwrap();
     for (arguments, expected) in cases {

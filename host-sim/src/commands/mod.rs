@@ -138,7 +138,13 @@ impl CommandError {
             | Self::MemoryMap(_)
             | Self::Image(_)
             | Self::Package(_)
-            | Self::Recording(_) => ExitCode::from(2),
+            | Self::Recording(_)
+            | Self::Run(
+                RunError::Refused { .. }
+                | RunError::PackageNode { .. }
+                | RunError::PackageLayers { .. }
+                | RunError::PackageWithoutNetwork { .. },
+            ) => ExitCode::from(2),
             Self::Flash(_)
             | Self::Training(_)
             | Self::Run(_)

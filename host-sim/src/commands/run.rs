@@ -30,8 +30,9 @@ pub(super) struct Arguments {
     /// The scenario, a TOML file, or the name of a built-in one; `host-sim scenario paper` prints
     /// one to start from
     scenario: PathBuf,
-    /// Weight packages, each for the agent that it names, in place of the scenario's own network
-    #[arg(long, num_args = 1..)]
+    /// A weight package for the agent that it names, in place of the scenario's own network; once
+    /// for each package
+    #[arg(long, value_name = "PACKAGE")]
     weights: Vec<PathBuf>,
     /// Leaves the scenario's learning cycles out
     #[arg(long)]

@@ -63,6 +63,9 @@ struct Report<'a> {
     version: u32,
     recipe: &'a str,
     seed: u64,
+    recorded_samples: usize,
+    interval_s: f64,
+    gaps: usize,
     samples: usize,
     epochs: usize,
     stopped_by: &'static str,
@@ -107,13 +110,27 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         seed: arguments.common.seed,
         version,
     };
-    let trained = train(&task, &recording, interrupted)?;
+    let trained = train(&task, &recording, interrupted).map_err(|error| match error {
+        CommandError::Training(error) => {
+            CommandError::Usage(format!("{}: {error}", arguments.data.display()))
+        }
+        other => other,
+    })?;
+    let (parameters, equations) =
+        (network.architecture.parameter_count(), trained.samples * scenario.dimension());
+    if equations < parameters {
+        eprintln!(
+            "warning: {equations} numbers to learn {parameters} parameters from; record longer, or \
+             lower smoothing_window or decimation in the recipe"
+        );
+    }
     let package = match &key {
         Some(key) => trained.package.signed(key),
         None => trained.package.clone(),
     };
     package.save(&arguments.out)?;
-    let report = report(arguments, &task, &trained, &package, start.elapsed().as_secs_f64());
+    let elapsed_s = start.elapsed().as_secs_f64();
+    let report = report(arguments, &task, &recording, &trained, &package, elapsed_s);
     match arguments.common.format {
         Format::Json => print_json(&report),
         Format::Text => print_text(&text(arguments, &report)),
@@ -201,6 +218,7 @@ fn train(
 fn report<'a>(
     arguments: &Arguments,
     task: &TrainingTask<'a>,
+    recording: &Recording,
     trained: &Trained,
     package: &PackageBytes,
     elapsed_s: f64,
@@ -213,6 +231,9 @@ fn report<'a>(
         version: task.version,
         recipe: &task.recipe.name,
         seed: task.seed,
+        recorded_samples: recording.samples.len(),
+        interval_s: recording.interval,
+        gaps: recording.gaps.len(),
         samples: trained.samples,
         epochs: trained.report.epochs.len().saturating_sub(1),
         stopped_by: match trained.report.stop {
@@ -230,9 +251,14 @@ fn report<'a>(
 fn text(arguments: &Arguments, report: &Report<'_>) -> String {
     let error = |error: Option<f64>| error.map_or("none".to_owned(), |e| format!("{e:.3e}"));
     let kept = if report.stopped_by == "interruption" { " (the best network so far)" } else { "" };
+    let seconds = report.recorded_samples as f64 * report.interval_s;
     let mut text = format!(
-        "Trained on {} samples, {} epochs, stopped by {}{kept}\n\
+        "Read {} samples, one every {:.6} s, {seconds:.3} s in all, {} gaps\n\
+         Trained on {} of them after smoothing and decimation, {} epochs, stopped by {}{kept}\n\
          Mean squared error: training {}, validation {}, test {}\n",
+        report.recorded_samples,
+        report.interval_s,
+        report.gaps,
         report.samples,
         report.epochs,
         report.stopped_by,

@@ -138,6 +138,7 @@ fn train(
     let first = job.collect_from.next_multiple_of(Tick::from(description.stride.get()));
     let recording = Recording {
         samples,
+        gaps: Vec::new(),
         start: scenario.time.at(first),
         interval: scenario.time.step_size * f64::from(description.stride.get()),
         outer_weights: job.outer_weights.clone(),

@@ -3,7 +3,7 @@
 //!
 //! | column | what |
 //! | --- | --- |
-//! | `time [s]` | when, at a fixed interval |
+//! | `time [s]` | when, at a fixed interval; where samples are missing, the recording has a gap |
 //! | `xhat1` .. | the estimate, one column a component |
 //! | `dxhat1` .. | its derivative |
 //! | `w1_1` .. (may be left out) | `W_hat`, row (feature) and column (component); where rows leave them empty, the last that does not counts |
@@ -21,8 +21,10 @@ use crate::training::{DataError, Dataset};
 /// Samples of one agent, and what belongs to them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recording {
-    /// `(x_hat, d/dt x_hat)` as recorded, equidistant in time.
+    /// `(x_hat, d/dt x_hat)` as recorded, in the order of time.
     pub samples: Dataset,
+    /// Where a gap precedes a sample: its index. Between gaps samples are equidistant.
+    pub gaps: Vec<usize>,
     /// When the first was taken. \[s\]
     pub start: f64,
     /// Time between two samples. \[s\]
@@ -46,10 +48,23 @@ pub struct RecordingError {
     pub mend: String,
 }
 
-/// How much two intervals between samples may differ, as a share: what rounded times amount to.
-const INTERVAL_TOLERANCE: f64 = 0.01;
+/// From this many intervals on, the time between two samples is a gap: a sample is missing. What
+/// is less is jitter of the clock that wrote the times.
+const GAP: f64 = 1.5;
 
 impl Recording {
+    /// The samples between gaps, one data set for each piece.
+    ///
+    /// # Panics
+    /// If a gap is not inside the samples; a loaded recording's are.
+    pub fn pieces(&self) -> impl Iterator<Item = Dataset> + '_ {
+        let starts = [0].into_iter().chain(self.gaps.iter().copied());
+        let ends = self.gaps.iter().copied().chain([self.samples.len()]);
+        starts
+            .zip(ends)
+            .filter_map(|(start, end)| self.samples.select(&(start..end).collect::<Vec<_>>()))
+    }
+
     /// Writes the samples as a CSV file.
     ///
     /// # Errors
@@ -99,6 +114,7 @@ impl Recording {
         let columns = Columns::find(&headers, dimension, features)
             .map_err(|(problem, mend)| wrong(Some(1), problem, &mend))?;
         let (mut times, mut inputs, mut targets) = (Vec::new(), Vec::new(), Vec::new());
+        let mut lines = Vec::new();
         let mut outer_weights = None;
         for record in reader.records() {
             let record = record.map_err(|e| unreadable(path, line + 1, &e))?;
@@ -108,9 +124,14 @@ impl Recording {
                 text.parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(|| {
                     let name = headers.get(column).unwrap_or_default();
                     let problem = format!("{name:?} is {text:?}");
-                    wrong(Some(line), problem, "write a finite number, or leave the line out")
+                    wrong(
+                        Some(line),
+                        problem,
+                        "write a finite number, or leave the line out and with it the sample",
+                    )
                 })
             };
+            lines.push(line);
             times.push(number(columns.time)?);
             for &column in &columns.estimate {
                 inputs.push(number(column)?);
@@ -124,14 +145,13 @@ impl Recording {
                 outer_weights = Some(row.collect::<Result<Vec<f32>, _>>()?);
             }
         }
-        let interval = interval(&times).map_err(|(index, problem)| {
-            // The header is line 1.
-            let line = index.map(|index| index as u64 + 2);
-            wrong(line, problem, "record at a fixed interval, without gaps")
+        let (interval, gaps) = interval(&times).map_err(|(index, problem)| {
+            let line = index.and_then(|index| lines.get(index).copied());
+            wrong(line, problem, "write samples at a fixed interval, in the order of time")
         })?;
         let samples = Dataset::new(dimension, inputs, targets)
             .map_err(|e: DataError| wrong(None, e.to_string(), "record more samples"))?;
-        Ok(Self { samples, start: times[0], interval, outer_weights })
+        Ok(Self { samples, gaps, start: times[0], interval, outer_weights })
     }
 }
 
@@ -179,6 +199,12 @@ impl Columns {
         if words.contains(&too_many) {
             return Err((format!("there is a column {too_many}"), expected));
         }
+        let time = find("time")?;
+        let unit = headers.get(time).and_then(|name| name.split_once('[')).map(|(_, unit)| unit);
+        if let Some(unit) = unit.filter(|unit| unit.trim_end_matches(']').trim() != "s") {
+            let problem = format!("the unit of time is [{unit}");
+            return Err((problem, "write times in seconds, `time [s]`".to_owned()));
+        }
         let all = |stem: &str| -> Result<Vec<usize>, _> {
             (1..=dimension).map(|c| find(&format!("{stem}{c}"))).collect()
         };
@@ -200,31 +226,34 @@ impl Columns {
                 return Err((problem, mend));
             }
         };
-        Ok(Self { time: find("time")?, estimate: all("xhat")?, derivative: all("dxhat")?, weights })
+        Ok(Self { time, estimate: all("xhat")?, derivative: all("dxhat")?, weights })
     }
 }
 
-/// The time between two samples; an index and a problem if it is not always the same.
-fn interval(times: &[f64]) -> Result<f64, (Option<usize>, String)> {
-    let (&[first, .., last], count) = (times, times.len()) else {
+/// The time between two samples, and the samples that a gap precedes; an index and a problem if
+/// time does not advance.
+fn interval(times: &[f64]) -> Result<(f64, Vec<usize>), (Option<usize>, String)> {
+    if times.len() < 2 {
         return Err((None, format!("{} samples, at least 2 are needed", times.len())));
-    };
-    let interval = (last - first) / (count - 1) as f64;
-    if interval <= 0.0 {
-        return Err((None, "times do not advance from first to last".to_owned()));
     }
-    for (index, pair) in times.windows(2).enumerate() {
-        let step = pair[1] - pair[0];
-        // Also false where a time is so far off that the interval makes no sense.
-        let regular = (step - interval).abs() <= INTERVAL_TOLERANCE * interval;
-        if !regular {
-            let problem = format!(
-                "is {step} s after the line before, while the samples are {interval} s apart on average"
-            );
-            return Err((Some(index + 1), problem));
-        }
+    let steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    if let Some(index) = steps.iter().position(|&step| step <= 0.0) {
+        let problem = format!(
+            "is not after the line before: {} s, then {} s",
+            times[index],
+            times[index + 1]
+        );
+        return Err((Some(index + 1), problem));
     }
-    Ok(interval)
+    let mut sorted = steps.clone();
+    sorted.sort_by(f64::total_cmp);
+    let median = sorted[sorted.len() / 2];
+    let after_gap = steps.iter().enumerate().filter(|&(_, &step)| step >= GAP * median);
+    let gaps: Vec<usize> = after_gap.map(|(index, _)| index + 1).collect();
+    // Without gaps the mean is what rounded times mean.
+    let regular: Vec<f64> = steps.into_iter().filter(|&step| step < GAP * median).collect();
+    let sum = regular.iter().fold(0.0, |sum, step| sum + step);
+    Ok((sum / regular.len() as f64, gaps))
 }
 
 #[cfg(test)]
@@ -253,6 +282,7 @@ mod tests {
         let targets = vec![1.5, -0.25, 1e9, 3.0, 2.0, 1.0];
         let recording = Recording {
             samples: Dataset::new(2, inputs, targets).unwrap(),
+            gaps: Vec::new(),
             start: 10.0,
             interval: 0.001,
             outer_weights: Some(vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6]),
@@ -262,7 +292,7 @@ mod tests {
         let read = Recording::load(&file.0, 2, 3).unwrap();
         assert_eq!(read.samples, recording.samples);
         assert_eq!(read.outer_weights, recording.outer_weights);
-        assert!((read.interval / 0.001 - 1.0).abs() < 1e-9);
+        assert_eq!((read.interval as f32, read.gaps.len()), (0.001, 0));
     }
 
     #[test]
@@ -278,6 +308,14 @@ mod tests {
     }
 
     #[test]
+    fn a_missing_sample_is_a_gap_and_jitter_is_none() {
+        let text = "time,xhat1,dxhat1\n0,1,2\n1.1,1,2\n2,1,2\n4,3,4\n5,3,4\n9,5,6\n";
+        let file = File::new("gap.csv", text);
+        let read = Recording::load(&file.0, 1, 4).unwrap();
+        assert_eq!((read.interval, read.gaps), (1.0, vec![3, 5]));
+    }
+
+    #[test]
     fn every_mistake_is_reported_with_its_line() {
         let cases = [
             ("time,xhat1\n0,1\n", "1: there is no column dxhat1"),
@@ -287,8 +325,9 @@ mod tests {
             ("time,xhat1,dxhat1\n0,1,2\n1,x,2\n", "3: \"xhat1\" is \"x\""),
             ("time,xhat1,dxhat1\n0,1,2\n1,NaN,2\n", "3: \"xhat1\" is \"NaN\""),
             ("time,xhat1,dxhat1\n0,1,2\n1,2\n", "3: is no line of a CSV file"),
-            ("time,xhat1,dxhat1\n0,1,2\n1,2,3\n3,1,2\n", "3: is 1 s after"),
-            ("time,xhat1,dxhat1\n0,1,2\n0,1,2\n", "times do not advance"),
+            ("time,xhat1,dxhat1\n0,1,2\n1,2,3\n\n0.5,1,2\n", "5: is not after"),
+            ("time [ms],xhat1,dxhat1\n0,1,2\n1,2,3\n", "1: the unit of time is [ms]"),
+            ("time,xhat1,dxhat1\n0,1,2\n0,1,2\n", "3: is not after"),
             ("time,xhat1,dxhat1\n0,1,2\n", ": 1 samples, at least 2"),
         ];
         for (text, expected) in cases {

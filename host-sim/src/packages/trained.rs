@@ -64,6 +64,26 @@ impl From<DataError> for TrainedError {
 }
 
 impl TrainingTask<'_> {
+    /// Smoothed and decimated samples; what is shorter than the smoothing window between two gaps
+    /// is left out.
+    fn cleaned(&self, recording: &Recording) -> Result<Dataset, TrainedError> {
+        let smoothing = self.recipe.smoothing();
+        let (mut inputs, mut targets, mut refused) = (Vec::new(), Vec::new(), None);
+        for piece in recording.pieces() {
+            match smoothing.apply(&piece, recording.interval) {
+                Ok(data) => {
+                    inputs.extend_from_slice(data.inputs());
+                    targets.extend_from_slice(data.targets());
+                }
+                Err(error) => refused = Some(error),
+            }
+        }
+        match refused {
+            Some(error) if inputs.is_empty() => Err(error.into()),
+            _ => Ok(Dataset::new(recording.samples.dimension(), inputs, targets)?),
+        }
+    }
+
     /// Cleans the samples, trains and packs; outer weights that the recording does not tell are the
     /// scenario's. `progress` can end the training with the best
     /// network so far.
@@ -75,7 +95,7 @@ impl TrainingTask<'_> {
         recording: &Recording,
         progress: &mut dyn FnMut(&EpochReport) -> ControlFlow<()>,
     ) -> Result<Trained, TrainedError> {
-        let data = self.recipe.smoothing().apply(&recording.samples, recording.interval)?;
+        let data = self.cleaned(recording)?;
         let outer_weights = match &recording.outer_weights {
             Some(recorded) => recorded.clone(),
             None => self.network.outer.iter().map(|&w| w as f32).collect(),

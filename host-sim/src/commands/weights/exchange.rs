@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use agent_core::activation::Activation;
+use agent_core::network::Architecture;
 use agent_core::package::OnSwitch;
 use clap::Args;
 use serde::Serialize;
@@ -132,7 +133,10 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
         [all] => Activations::All(all),
         _ => Activations::PerLayer(arguments.activations.clone()),
     };
-    let (arrays, import) = tensors::read(&arguments.arrays, activations)?;
+    let (mut arrays, import) = tensors::read(&arguments.arrays, activations)?;
+    if import.activations == ActivationsSource::Assumed {
+        take_activations(&mut arrays, &draft.architecture);
+    }
     check_fit(arguments, &draft, &arrays)?;
     draft.architecture = arrays.architecture;
     draft.inner = arrays.inner;
@@ -160,7 +164,8 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
         Format::Json => print_json(&report),
         Format::Text => print_text(&format!(
             "Written to {}: agent {}, version {}, {} bytes, {}\n\
-             Activations: {}; {}\n",
+             Activations: {}; {}\n\
+             Outer weights that the node has adapted: {}\n",
             report.package,
             report.agent,
             report.version,
@@ -170,12 +175,31 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
                 ActivationsSource::File => "as the file says",
                 ActivationsSource::Caller => "as given",
                 ActivationsSource::Assumed =>
-                    "tanh, since neither the file nor --activations says anything else",
+                    "those of the node's network, or tanh; give --activations if that is wrong",
             },
             report.largest_rounding.map_or("every value as it was in the file".to_owned(), |e| {
                 format!("rounding to single precision changed values by up to {e:.1e}")
             }),
+            match draft.on_switch {
+                OnSwitch::Keep => "kept when the package is switched in",
+                OnSwitch::Replace =>
+                    "replaced by the imported ones (--keep-outer-weights keeps them)",
+            },
         )),
+    }
+}
+
+/// Where nobody says what the layers apply, the network that is replaced does, if it has as many.
+fn take_activations(arrays: &mut NetworkArrays, replaced: &Architecture) {
+    let mut layers = arrays.architecture.layers().to_vec();
+    if layers.len() != replaced.layers().len() {
+        return;
+    }
+    for (layer, replaced) in layers.iter_mut().zip(replaced.layers()) {
+        layer.activation = replaced.activation;
+    }
+    if let Ok(architecture) = Architecture::new(arrays.architecture.inputs(), &layers) {
+        arrays.architecture = architecture;
     }
 }
 

@@ -38,7 +38,7 @@ pub(in crate::commands) struct Arguments {
     #[command(flatten)]
     place: Place,
     /// Format of the image; with `json` besides, the result is printed as JSON
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "bin")]
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "hex")]
     format: Vec<OutputFormat>,
     /// Family of the chip, for uf2: rp2040, rp2350-arm-s, nrf52840, stm32f4 or a number
     #[arg(long)]
@@ -205,7 +205,7 @@ fn formats(arguments: &Arguments) -> Result<(image::Format, Format), CommandErro
             return Err(CommandError::Usage(problem.to_owned()));
         }
     }
-    Ok((image.unwrap_or(image::Format::Bin), printed.unwrap_or_default()))
+    Ok((image.unwrap_or(image::Format::Hex), printed.unwrap_or_default()))
 }
 
 pub(in crate::commands) fn flash(arguments: &FlashArguments) -> Result<(), CommandError> {

@@ -12,6 +12,7 @@ use clap::{Args, Subcommand};
 use serde::Serialize;
 
 use super::{CommandError, Format, print_json, print_text};
+use crate::packages::check::check;
 use crate::packages::{Draft, PackageBytes};
 use crate::signing::{OperatorKey, fingerprint};
 
@@ -113,6 +114,11 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
     if arguments.replaces.is_some() {
         bytes = Draft { replaces: arguments.replaces, ..Draft::copy(&bytes.package()) }.seal()?;
     }
+    // Nothing is signed that the operator's own nodes would refuse.
+    check(&bytes, &verify::requirements(None, None)).map_err(|refusal| CommandError::Refused {
+        path: arguments.package.clone(),
+        refusal: refusal.to_string(),
+    })?;
     let signed = bytes.signed(&key);
     let out = arguments.out.as_ref().unwrap_or(&arguments.package);
     signed.save(out)?;
@@ -160,7 +166,7 @@ fn keygen(arguments: &Keygen) -> Result<(), CommandError> {
     match arguments.format {
         Format::Json => print_json(&report),
         Format::Text => print_text(&format!(
-            "Private key: {} (keep it to yourself; no copy, no node needs it)\n\
+            "Private key: {} (for you alone: keep a safe copy, give it to nobody)\n\
              Public key:  {} (for nodes and for `weights verify --key`)\n\
              Fingerprint: {}\n\
              For firmware: {:?}\n",
