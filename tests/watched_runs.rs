@@ -228,33 +228,28 @@ fn a_link_that_makes_estimates_up_ends_only_the_unwatched_run() {
         let options = RunOptions { seed: 0, learning: false, bounds: false };
         run_over(scenario, Forging(Lossless::new(&scenario.graph)), options, &Silent)
     };
-    for limit in [Some(6.0), None] {
+    let settings = HealthSettings { fall_back: None, ..SETTINGS };
+    let run_both = |limit| {
         let scenario = three("0", limit);
         let calm = simulate(&scenario, false).unwrap();
         let error = over(&scenario).unwrap_err();
         assert!(matches!(error, RunError::Step { error: StepError::Diverged, .. }), "{error}");
-        let settings = HealthSettings { fall_back: None, ..SETTINGS };
-        let result = over(&watched(&scenario, settings)).unwrap();
-        assert!(same_errors(&result, &calm));
-        for (agent, counters) in (1..).zip(counters(&result)) {
-            println!("{limit:?}, agent {agent}: {counters:?}");
-            let refused = result.agents[agent - 1].frames_refused;
-            match limit {
-                // Who knows its box refuses them,
-                Some(_) => {
-                    let frames_implausible = counters.frames_implausible;
-                    let expected = HealthCounters { frames_implausible, ..Default::default() };
-                    assert_eq!((counters, refused), (expected, u64::from(frames_implausible)));
-                    assert_eq!(frames_implausible > 0, agent > 1);
-                }
-                // and who does not cannot tell before its steps overflow.
-                None => {
-                    assert_eq!((counters.frames_implausible, refused), (0, 0));
-                    assert_eq!(counters.diverged > 0, agent > 1);
-                }
-            }
-        }
+        (over(&watched(&scenario, settings)).unwrap(), calm)
+    };
+    let (result, calm) = run_both(Some(6.0));
+    assert!(same_errors(&result, &calm));
+    for (agent, counters) in result.agents.iter().zip(counters(&result)) {
+        let frames_implausible = counters.frames_implausible;
+        assert_eq!(counters, HealthCounters { frames_implausible, ..HealthCounters::default() });
+        assert_eq!(agent.frames_refused, u64::from(frames_implausible));
     }
+    let heard: Vec<_> = counters(&result).iter().map(|c| c.frames_implausible > 0).collect();
+    assert_eq!(heard, [false, true, true]);
+    // A network that was not trained knows no box: its agent believes every finite number. The run
+    // goes on, but the agents are carried off.
+    let (result, calm) = run_both(None);
+    let diverged: u32 = counters(&result).iter().map(|counters| counters.diverged).sum();
+    assert!(diverged > 0 && !same_errors(&result, &calm));
 }
 
 #[test]
