@@ -89,7 +89,9 @@ mod tests {
     use super::*;
 
     fn of(health: Option<HealthCounters>) -> AgentStatistics {
-        AgentStatistics { health, ..AgentStatistics::default() }
+        let mut agent = AgentStatistics::default();
+        agent.health = health;
+        agent
     }
 
     #[test]
