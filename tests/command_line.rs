@@ -252,6 +252,48 @@ fn run_in_json_is_one_object() {
 }
 
 #[test]
+fn a_watched_run_tells_what_was_counted() {
+    let folder = Folder::new("watched");
+    let mut watched = short();
+    watched.learning += "\n[health]\nfall_back_after = 20\n";
+    folder.write("mine.toml", &watched.text());
+    let result = object(&folder.succeed("run mine.toml --format json"));
+    let options = RunOptions { seed: 0, learning: true, bounds: true };
+    let expected = run(&watched.scenario(), options, &Silent).unwrap().agents;
+    for (agent, expected) in agents(&result).iter().zip(&expected) {
+        let health = &agent["health"];
+        let keys = [
+            "outside_box",
+            "implausible",
+            "projection_active",
+            "diverged",
+            "measurements_not_finite",
+            "steps_refused",
+            "skipped_ticks",
+            "early_broadcasts",
+            "frames_not_finite",
+            "frames_implausible",
+            "frames_refused",
+            "frames_stale",
+            "fall_backs",
+            "returns",
+            "restarts",
+        ];
+        assert_keys(health, &keys);
+        assert!(keys.iter().all(|key| health[key].is_u64()), "{health}");
+        let counters = expected.health.unwrap();
+        assert_eq!(health["outside_box"], counters.outside_box);
+        assert_eq!(health["fall_backs"], counters.fall_backs);
+        assert_eq!(health["restarts"], counters.restarts);
+    }
+    assert!(expected.iter().any(|agent| agent.health.unwrap().outside_box > 0));
+    let text = folder.succeed("run mine.toml");
+    assert!(text.contains("\nHealth\n  agent ") && text.contains("outside the trained box: "));
+    folder.write("calm.toml", &short().text());
+    assert!(!folder.succeed("run calm.toml").contains("\nHealth\n"));
+}
+
+#[test]
 fn a_run_that_records_nothing_draws_nothing() {
     let folder = Folder::new("nothing");
     let mut bare = short();

@@ -12,7 +12,7 @@ use proptest::prelude::*;
 use crate::drawn_network::Draw;
 use crate::watched_ring::{BOX, Ring};
 
-const SETTINGS: HealthSettings = HealthSettings {
+pub(crate) const SETTINGS: HealthSettings = HealthSettings {
     fall_back: Some(FallBack {
         after: NonZeroU32::new(5).unwrap(),
         return_after: NonZeroU32::new(50).unwrap(),
@@ -174,15 +174,15 @@ fn what_happened_is_counted_exactly() {
 
 /// Keeps count of an agent's steps outside the box beside the core, and of what follows.
 #[derive(Default)]
-struct Ledger {
-    outside: Vec<bool>,
-    left_out: bool,
+pub(crate) struct Ledger {
+    pub(crate) outside: Vec<bool>,
+    pub(crate) left_out: bool,
     since: usize,
 }
 
 impl Ledger {
     /// Whether the network is in use after one more step.
-    fn enter(&mut self, outside: bool) -> bool {
+    pub(crate) fn enter(&mut self, outside: bool) -> bool {
         self.outside.push(outside);
         let steps = if self.left_out { 50 } else { 5 };
         let recent = &self.outside[self.since..];

@@ -27,4 +27,5 @@ mod store_model;
 mod store_power_cuts;
 mod tensors;
 mod watched_ring;
+mod watched_runs;
 mod weights_commands;

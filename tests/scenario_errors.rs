@@ -95,6 +95,11 @@ fn impossible_learning() {
 }
 
 #[test]
+fn impossible_watches() {
+    check(include_str!("scenario_errors/health.txt"));
+}
+
+#[test]
 fn expressions_that_cannot_be_read() {
     check(include_str!("scenario_errors/expressions.txt"));
 }

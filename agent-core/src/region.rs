@@ -44,17 +44,32 @@ impl<const N: usize> Region<N> {
         Self::new(copied("region.low", limits.low)?, copied("region.high", limits.high)?)
     }
 
+    /// Every finite point.
+    #[must_use]
+    pub fn unlimited() -> Self {
+        Self { low: StateVector::repeat(f32::MIN), high: StateVector::repeat(f32::MAX) }
+    }
+
     /// The region that reaches `margin` times its width further on either side. A component
-    /// without any width has no scale of its own and takes that of the widest one.
+    /// without any width has no scale of its own and takes that of the widest one. A limit that
+    /// would overflow is the last finite number, which limits nothing.
     ///
     /// # Errors
-    /// A margin that is not finite or below 0, or a limit that would not be finite.
+    /// A margin that is not finite or below 0.
     pub fn widened(&self, margin: f32) -> Result<Self, ParameterError> {
         not_negative("region.margin", margin)?;
-        let width = self.high - self.low;
-        let widest = width.iter().fold(0.0f32, |widest, &width| widest.max(width));
+        let limited = |limit: f32| limit.clamp(f32::MIN, f32::MAX);
+        let width = (self.high - self.low).map(limited);
+        let wider = |widest, &width| if width > widest { width } else { widest };
+        let widest = width.iter().fold(0.0, wider);
         let reach = width.map(|width| margin * if width > 0.0 { width } else { widest });
-        Self::new(self.low - reach, self.high + reach)
+        Self::new((self.low - reach).map(limited), (self.high + reach).map(limited))
+    }
+
+    /// Whether it is a single point.
+    #[must_use]
+    pub fn is_point(&self) -> bool {
+        self.low == self.high
     }
 
     /// The point in the middle.
@@ -102,15 +117,32 @@ mod tests {
     }
 
     #[test]
+    fn limits_end_with_the_numbers() {
+        let unlimited = Region::<2>::unlimited();
+        for margin in [0.0, 1e-30, 10.0, f32::MAX] {
+            assert_eq!(unlimited.widened(margin), Ok(unlimited));
+        }
+        let region = Region::<2>::new([-1e38, 2.0].into(), [1e38, 2.0].into()).unwrap();
+        assert_eq!(region.widened(10.0), Ok(unlimited));
+        let low_only = Region::<2>::new([f32::MIN, 0.0].into(), [0.0, 1.0].into()).unwrap();
+        let expected = Region::new([f32::MIN, -2.0].into(), [f32::MAX, 3.0].into());
+        assert_eq!(low_only.widened(2.0), expected);
+        assert_eq!(unlimited.centre(), StateVector::<2>::zeros());
+        assert!(unlimited.contains(&[f32::MIN, f32::MAX].into()));
+        assert!(!unlimited.contains(&[f32::INFINITY, 0.0].into()));
+        assert!(!unlimited.contains(&[0.0, f32::NAN].into()));
+        assert!(!region.is_point());
+        assert!(Region::<1>::new([2.0].into(), [2.0].into()).unwrap().is_point());
+    }
+
+    #[test]
     fn refuses_what_is_no_region() {
         let region = |low: f32, high: f32| Region::<1>::new([low].into(), [high].into());
         assert!(region(1.0, 0.5).is_err());
         assert!(region(f32::NAN, 1.0).is_err());
         assert!(region(0.0, f32::INFINITY).is_err());
-        let wide = region(-1e38, 1e38).unwrap();
-        assert!(wide.widened(1.0).is_ok());
-        for margin in [10.0, -1.0, f32::NAN] {
-            assert!(wide.widened(margin).is_err());
+        for margin in [-1.0, f32::NAN, f32::INFINITY] {
+            assert!(region(-1.0, 1.0).unwrap().widened(margin).is_err());
         }
         assert!(Region::<2>::copied(&StateBox { low: &[0.0; 2], high: &[1.0; 3] }).is_err());
     }

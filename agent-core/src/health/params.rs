@@ -57,9 +57,13 @@ impl<const N: usize> HealthParams<N> {
     /// The watch over the agent with these parameters. `trained_box` and
     /// `broadcast_interval_min` \[s\] are the package's; an interval of 0 is not watched.
     ///
+    /// Whatever [`accept`](crate::package::accept) takes is taken here. The plausible region of a box
+    /// that is a single point has no limits, because nothing says how far from it is far; that of a
+    /// box without limits, which is what a network has that was not trained, has none either.
+    ///
     /// # Errors
-    /// A box that is not finite, has no width at all or not the dimension `N`; a setting that is out
-    /// of its range; a fall-back for no reason.
+    /// A box that is not finite or not of the dimension `N`; a setting that is out of its range; a
+    /// fall-back for no reason.
     pub fn new(
         agent: &AgentParams<'_, N>,
         trained_box: &StateBox<'_>,
@@ -77,14 +81,11 @@ impl<const N: usize> HealthParams<N> {
             });
         }
         let trained = Region::copied(trained_box)?;
-        let plausible = trained.widened(settings.plausible_margin)?;
-        if plausible == trained {
-            return Err(ParameterError::OutOfRange {
-                parameter: "width of trained_box",
-                value: 0.0,
-                expected: "above 0 in one component at least",
-            });
-        }
+        let plausible = if trained.is_point() {
+            Region::unlimited()
+        } else {
+            trained.widened(settings.plausible_margin)?
+        };
         let radius = agent.projection().radius;
         Ok(Self {
             trained,

@@ -365,14 +365,45 @@ fn refuses_settings_that_make_no_sense() {
     for interval in [-1.0, f32::NAN, f32::INFINITY] {
         assert!(with(&BOX, interval, &SETTINGS).is_err());
     }
-    for plausible_margin in [0.0, -1.0, f32::NAN, 1e38] {
+    for plausible_margin in [0.0, -1.0, f32::NAN, f32::INFINITY] {
         assert!(with(&BOX, 0.0, &HealthSettings { plausible_margin, ..SETTINGS }).is_err());
     }
     let idle =
         FallBack { outside_box: false, projection_active: false, diverged: false, ..FALL_BACK };
     let idle = HealthSettings { fall_back: Some(idle), ..SETTINGS };
     assert!(with(&BOX, 0.0, &idle).is_err());
-    for (low, high) in [(&[1.0][..], &[1.0][..]), (&[2.0], &[1.0]), (&[0.0; 2], &[1.0; 2])] {
+    for (low, high) in [(&[2.0][..], &[1.0][..]), (&[f32::NAN], &[1.0]), (&[0.0; 2], &[1.0; 2])] {
         assert!(with(&StateBox { low, high }, 0.0, &SETTINGS).is_err());
+    }
+}
+
+#[test]
+fn a_box_of_one_point_and_one_without_limits_make_every_finite_estimate_plausible() {
+    let agent = agent();
+    let settings = HealthSettings { fall_back: None, ..SETTINGS };
+    for (limits, outside) in [([1.0, 1.0], 2), ([f32::MIN, f32::MAX], 0)] {
+        let limits = StateBox { low: &limits[..1], high: &limits[1..] };
+        let mut rig = Rig::new(&settings, 0.0);
+        rig.params = HealthParams::new(&agent, &limits, 0.0, &settings).unwrap();
+        assert_eq!(rig.params.plausible_region(), &Region::unlimited());
+        for next in [1.0, 1e9, -1e9] {
+            rig.step_to(next).unwrap();
+            assert_eq!(rig.advice, Advice::Continue);
+        }
+        // What overflows is still a reason to begin anew, with the centre.
+        for advice in [Advice::Continue, Advice::Restart] {
+            assert_eq!(rig.step_to(f32::MAX), Err(StepError::Diverged));
+            assert_eq!(rig.advice, advice);
+        }
+        assert_eq!(rig.restart().estimate[0], 0.5 * limits.low[0] + 0.5 * limits.high[0]);
+        let expected = HealthCounters {
+            outside_box: outside,
+            // So large an error throws the outer weights onto their bound.
+            projection_active: 2,
+            diverged: 2,
+            restarts: 1,
+            ..HealthCounters::default()
+        };
+        assert_eq!(*rig.health.counters(), expected);
     }
 }

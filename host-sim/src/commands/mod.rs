@@ -4,6 +4,7 @@
 //! `--format json`. Progress goes to standard error, and only to a terminal. Exit codes: 0
 //! done, 2 bad usage or bad input, 1 anything else.
 
+mod health;
 mod reproduce;
 mod run;
 mod scenario;

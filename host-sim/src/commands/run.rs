@@ -8,6 +8,7 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
+use super::health::{self, HealthReport};
 use super::{CommandError, Common, Format, SharedProgress, summary, warnings, written};
 use super::{load_scenario, make_folder, print_json, print_text};
 use crate::analysis::Checks;
@@ -60,6 +61,9 @@ struct AgentReport {
     broadcasts: u64,
     mean_interval: Option<f64>,
     min_interval: Option<f64>,
+    /// Of an agent that was watched.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    health: Option<HealthReport>,
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
@@ -92,6 +96,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Format::Text => {
             let mut text = agent_table(&scenario, &agents, &before);
             text += &summary::trainings(&result.trainings);
+            text += &health::table(&result.agents);
             text += &summary::checks(&Checks::new(&scenario, &result));
             text += &format!(
                 "Written to {}: {}\n{}\nScenario {}, seed {}, {elapsed_s:.2} s\n",
@@ -178,6 +183,7 @@ fn agent_reports(scenario: &Scenario, result: &RunResult) -> Vec<AgentReport> {
             broadcasts: agent.broadcasts(),
             mean_interval: agent.mean_interval(&scenario.time),
             min_interval: agent.min_interval(&scenario.time),
+            health: agent.health.map(HealthReport),
         })
         .collect()
 }

@@ -1,7 +1,7 @@
 //! What a person should know before a run takes its time.
 
 use crate::analysis::{GainCertificate, outputs_determine_state};
-use crate::scenario::Scenario;
+use crate::scenario::{Agent, Scenario};
 
 /// Prints what speaks against `scenario`, a line each, on standard error.
 pub(super) fn print(scenario: &Scenario) {
@@ -39,6 +39,17 @@ fn warnings(scenario: &Scenario) -> Vec<String> {
             );
         }
     }
+    let trained = |agent: &Agent| agent.package.is_some();
+    if scenario.health.is_some()
+        && scenario.learning.is_empty()
+        && !scenario.agents.iter().any(trained)
+    {
+        warnings.push(
+            "no agent's network is trained, so [health] knows no box of trained inputs and counts \
+             no step outside; add [[learning]], or give packages with --weights"
+                .to_owned(),
+        );
+    }
     warnings
 }
 
@@ -66,6 +77,15 @@ mod tests {
         assert!(blind[0].contains("do not measure the whole state"), "{blind:?}");
         let weak = changed("k2 = 10.0", "k2 = 100.0");
         assert!(weak[0].contains("no solution"), "{weak:?}");
+    }
+
+    #[test]
+    fn a_watch_without_anything_trained_sees_little() {
+        let text = format!("{PAPER}\n[health]\n");
+        let mut scenario = Scenario::parse("paper.toml", &text).unwrap();
+        assert_eq!(warnings(&scenario), [""; 0]);
+        scenario.learning.clear();
+        assert!(warnings(&scenario)[0].contains("no agent's network is trained"));
     }
 
     #[test]

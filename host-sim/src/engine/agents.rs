@@ -1,9 +1,10 @@
 //! One agent of the network as the engine steps it: the core's parameters and state, its
 //! inbox, and what is measured of it.
 
-use agent_core::agent::{AgentParams, AgentState, StepError};
+use agent_core::agent::{AgentParams, AgentState, StepError, StepOutput};
 use agent_core::capture::Sample;
 use agent_core::frame::FrameBytes;
+use agent_core::health::HealthSettings;
 use agent_core::hold::Hold;
 use agent_core::inbox::Inbox;
 use agent_core::network::{InnerNetwork, LAYER_WIDTH_MAX, Scratch};
@@ -14,12 +15,17 @@ use agent_core::{StateVector, Tick};
 
 use super::link::Link;
 use super::statistics::AgentStatistics;
+use super::watch::{Watch, is_trouble};
 use crate::packages::{PackageBytes, PackageParameters};
 use crate::scenario;
 
 type SharedNetwork = InnerNetwork<PackageParameters>;
 
 type HeldPlaces<const N: usize> = Vec<Option<Hold<N>>>;
+
+pub(super) type SimulatedState<const N: usize> = AgentState<N, LAYER_WIDTH_MAX, HeldPlaces<N>>;
+
+pub(super) type SimulatedInbox<const N: usize> = Inbox<N, HeldPlaces<N>>;
 
 /// What the core's parameters borrow: on a node it would be static buffers.
 pub(super) struct Places {
@@ -56,8 +62,8 @@ pub(super) struct GainNorms {
 /// One agent.
 pub(super) struct SimulatedAgent<'s, const N: usize> {
     params: AgentParams<'s, N>,
-    state: AgentState<N, LAYER_WIDTH_MAX, HeldPlaces<N>>,
-    inbox: Inbox<N, HeldPlaces<N>>,
+    state: SimulatedState<N>,
+    inbox: SimulatedInbox<N>,
     network: Option<SharedNetwork>,
     /// What is in use, as the rule against older packages asks.
     in_use: Option<InUse>,
@@ -65,7 +71,12 @@ pub(super) struct SimulatedAgent<'s, const N: usize> {
     sensor: Vec<[f64; N]>,
     measurement: [f32; N],
     norms: Option<(GainNorms, Box<Scratch>)>,
+    /// How the agent is watched, if it is.
+    health: Option<HealthSettings>,
+    /// Its watch, from the first package on.
+    watch: Option<Watch<N>>,
     pub(super) statistics: AgentStatistics,
+    /// Of the last step, if there is something to learn from it.
     pub(super) last_sample: Option<Sample<N>>,
     /// What the last step broadcast.
     pub(super) outgoing: Option<FrameBytes>,
@@ -79,6 +90,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         agent: &scenario::Agent,
         outer_weights: &[f32],
         norms: Option<GainNorms>,
+        health: Option<HealthSettings>,
     ) -> Result<Self, ParameterError> {
         let places = vec![None; params.neighbours().len()];
         let estimate = StateVector::from_iterator(agent.initial_estimate.iter().map(|&x| x as f32));
@@ -98,6 +110,8 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             sensor,
             measurement: [0.0; N],
             norms: norms.map(|norms| (norms, Box::new(Scratch::NEW))),
+            health,
+            watch: None,
             statistics: AgentStatistics::default(),
             last_sample: None,
             outgoing,
@@ -109,34 +123,63 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     /// because agents are stepped in parallel.
     #[inline]
     pub(super) fn step(&mut self, tick: Tick, truth: &[f64; N], link: &impl Link, index: usize) {
-        let (inbox, neighbours) = (&mut self.inbox, self.params.neighbours());
-        let refused = &mut self.statistics.frames_refused;
+        let (inbox, params) = (&mut self.inbox, &self.params);
+        let (refused, watch) = (&mut self.statistics.frames_refused, &mut self.watch);
         link.deliver(index, tick, |bytes| {
             // A node drops a frame that it cannot use and goes on; so does its simulation.
-            *refused += u64::from(inbox.accept(neighbours, bytes).is_err());
+            let accepted = match watch {
+                None => inbox.accept(params.neighbours(), bytes),
+                Some(watch) => watch.accept(params, inbox, bytes),
+            };
+            *refused += u64::from(accepted.is_err());
         });
         for (measured, row) in self.measurement.iter_mut().zip(&self.sensor) {
             let exact = row.iter().zip(truth).fold(0.0, |sum, (c, x)| sum + c * x);
             *measured = exact as f32;
         }
         let measurement = &self.measurement[..self.sensor.len()];
-        let network = self.network.as_ref();
-        match self.state.step(&self.params, network, tick, measurement, &mut self.inbox) {
-            Ok(output) => {
-                self.outgoing = output.broadcast.map(|frame| frame.encode());
-                if self.norms.is_some() {
-                    self.observe_bounds(&output.sample);
-                }
-                self.last_sample = Some(output.sample);
+        let network_in_use = self.watch.as_ref().is_none_or(Watch::network_in_use);
+        let network = self.network.as_ref().filter(|_| network_in_use);
+        let outcome = self.state.step(&self.params, network, tick, measurement, &mut self.inbox);
+        if self.norms.is_some()
+            && let Ok(output) = &outcome
+        {
+            self.observe_bounds(&output.sample, network_in_use);
+        }
+        let Some(watch) = &mut self.watch else {
+            match outcome {
+                Ok(output) => self.take_output(output),
+                Err(failure) => self.failure = Some(failure),
             }
-            Err(failure) => self.failure = Some(failure),
+            return;
+        };
+        let (params, state, inbox) = (&self.params, &mut self.state, &mut self.inbox);
+        let anew = watch.look_after(params, state, inbox, tick, &outcome);
+        match (anew, outcome) {
+            // What led there is nothing to learn from.
+            (Some(frame), _) => {
+                self.outgoing = Some(frame.encode());
+                self.last_sample = None;
+            }
+            (None, Ok(output)) => self.take_output(output),
+            (None, Err(failure)) => {
+                self.last_sample = None;
+                self.failure = Some(failure).filter(|&failure| !is_trouble(failure));
+            }
         }
     }
 
+    #[inline]
+    fn take_output(&mut self, output: StepOutput<N>) {
+        self.outgoing = output.broadcast.map(|frame| frame.encode());
+        self.last_sample = Some(output.sample);
+    }
+
     /// Keeps the largest `e_2i_max` of Theorem 2 and the largest norm of the outer weights.
-    fn observe_bounds(&mut self, sample: &Sample<N>) {
+    fn observe_bounds(&mut self, sample: &Sample<N>, network_in_use: bool) {
         let Some((norms, scratch)) = &mut self.norms else { return };
-        let features = self.network.as_ref().and_then(|network| {
+        let network = self.network.as_ref().filter(|_| network_in_use);
+        let features = network.and_then(|network| {
             let features = network.features(sample.estimate.as_slice(), scratch)?;
             Some(norm(features))
         });
@@ -166,13 +209,24 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         let requirements =
             Requirements { public_key: None, in_use: self.in_use, capacity: Capacity::UNLIMITED };
         let package = accept::<N>(bytes.as_bytes(), &requirements, &mut Scratch::NEW.clone())?;
+        let watch = match &self.health {
+            Some(health) => Some(Watch::new(&self.params, &package, health, self.watch.as_ref())?),
+            None => None,
+        };
         let same_features = self.state.outer_weights().rows().len() == package.features();
         if !same_features || package.outer_weights_on_switch == OnSwitch::Replace {
             self.state.replace_outer_weights(&self.params, package.outer_weights)?;
         }
         self.in_use = Some(InUse { agent: package.node.agent, version: package.version });
         self.network = Some(bytes.network());
+        self.watch = watch;
         Ok(())
+    }
+
+    /// What was measured of it.
+    pub(super) fn finish(mut self) -> AgentStatistics {
+        self.statistics.health = self.watch.as_ref().map(Watch::counters);
+        self.statistics
     }
 }
 

@@ -18,6 +18,7 @@ pub mod link;
 mod run;
 pub mod statistics;
 pub mod traces;
+mod watch;
 
 use agent_core::agent::StepError;
 use agent_core::package::Refusal;
@@ -165,7 +166,7 @@ pub enum RunError {
         /// The agent, from 1.
         agent: usize,
     },
-    /// An agent could not take its step.
+    /// An agent that is not watched, or could not go on if it were, did not take its step.
     #[error(
         "agent {agent} at t = {time}: {error}, |x_0| is {plant_norm:.3e} by then; {}",
         step_mend(*plant_norm, *stiffness)

@@ -108,9 +108,10 @@ fn build_agents<'s, const N: usize>(
         let params = places.params::<N>(&content.node())?;
         match packages.get(index) {
             Some(package) => {
-                SimulatedAgent::new(params, agent, package.package().outer_weights, norms)
+                let outer_weights = package.package().outer_weights;
+                SimulatedAgent::new(params, agent, outer_weights, norms, scenario.health)
             }
-            None => SimulatedAgent::new(params, agent, &[0.0; N], norms),
+            None => SimulatedAgent::new(params, agent, &[0.0; N], norms, None),
         }
     });
     let agents = agents.enumerate().map(|(index, agent)| {
@@ -326,7 +327,7 @@ impl<const N: usize, L: Link> Simulation<'_, N, L> {
             }
         }
         RunResult {
-            agents: self.agents.into_iter().map(|agent| agent.statistics).collect(),
+            agents: self.agents.into_iter().map(SimulatedAgent::finish).collect(),
             trainings,
             traces: self.traces,
             stacked_error_squared: self.stacked_error_squared,

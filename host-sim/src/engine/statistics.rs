@@ -1,6 +1,7 @@
 //! What a run measures of each agent while it goes on.
 
 use agent_core::Tick;
+use agent_core::health::HealthCounters;
 
 use crate::scenario::Time;
 
@@ -17,6 +18,8 @@ pub struct AgentStatistics {
     min_interval: Option<Tick>,
     /// Received frames that the agent refused.
     pub frames_refused: u64,
+    /// What went wrong; `None` for an agent that was not watched.
+    pub health: Option<HealthCounters>,
     /// Largest `e_2i_max` of Theorem 2 that occurred; 0 if it was not asked for. \[state unit/s\]
     pub hold_error_rate_max: f64,
     /// Largest `|W_hat_i|` (Frobenius) that occurred; 0 if it was not asked for.

@@ -6,7 +6,7 @@ use toml::de::DeTable;
 
 use super::error::ScenarioError;
 use super::reader::{Source, Table};
-use super::sections::{agents, gains, learning, network, plant, run};
+use super::sections::{agents, gains, health, learning, network, plant, run};
 use super::{BUILT_IN, Scenario};
 use crate::fnv::Fnv;
 
@@ -85,6 +85,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         "agents",
         "learning",
         "recipes",
+        "health",
         "evaluation",
         "record",
     ])?;
@@ -102,6 +103,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     if let (Some(first), Some(network)) = (root.get_tables("learning")?.first(), &network) {
         learning::check_size(first, network.architecture.parameter_count())?;
     }
+    let health = health::health(root, network.is_some())?;
     let evaluation = run::evaluation(root, &time)?;
     let record = run::record(root, &time, n, agents.len())?;
     Ok(Scenario {
@@ -117,6 +119,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         agents,
         learning,
         recipes,
+        health,
         evaluation,
         record,
     })

@@ -16,6 +16,7 @@ pub use error::ScenarioError;
 
 use std::num::NonZeroU32;
 
+use agent_core::health::HealthSettings;
 use agent_core::network::Architecture;
 use nalgebra::DMatrix;
 
@@ -51,6 +52,8 @@ pub struct Scenario {
     pub learning: Vec<LearningCycle>,
     /// Ways of training that learning cycles name, in the order of the file.
     pub recipes: Vec<Recipe>,
+    /// How agents are watched; without it they are not.
+    pub health: Option<HealthSettings>,
     /// Over which time errors are evaluated.
     pub evaluation: Window,
     /// What is written down.

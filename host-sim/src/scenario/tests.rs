@@ -1,6 +1,7 @@
 use super::*;
 use crate::plant::{Harmonic, Wave};
 use agent_core::activation::Activation;
+use agent_core::health::FallBack;
 use nalgebra::{DVector, dmatrix};
 
 fn paper() -> Scenario {
@@ -231,4 +232,46 @@ fn cycles_of_different_agents_may_overlap() {
     let scenario = Scenario::parse("two.toml", &text).unwrap();
     let agents: Vec<_> = scenario.learning.iter().map(|cycle| cycle.agents.clone()).collect();
     assert_eq!(agents, [vec![0, 2], vec![1]]);
+}
+
+/// The paper with the table that it shows behind `#`, or with these lines in it.
+fn watched(lines: Option<&str>) -> FallBackAndRest {
+    let example = PAPER.split("# [health]\n").nth(1).unwrap();
+    let example = example.split("# --- Results").next().unwrap();
+    let keys = example.lines().filter_map(|line| line.strip_prefix("# "));
+    let keys: Vec<_> = keys.filter(|line| line.contains("_") && line.contains(" = ")).collect();
+    assert_eq!(keys.len(), 5, "{keys:?}");
+    let lines = lines.map_or_else(|| keys.join("\n"), str::to_owned);
+    let settings = with("[evaluation]\n", &format!("[health]\n{lines}\n[evaluation]\n")).health;
+    let settings = settings.unwrap();
+    (settings.fall_back, settings.plausible_margin, settings.restart_after.map(NonZeroU32::get))
+}
+
+type FallBackAndRest = (Option<FallBack>, f32, Option<u32>);
+
+#[test]
+fn the_watch_is_read_in_full_and_has_defaults() {
+    assert_eq!(paper().health, None);
+    let all = FallBack {
+        after: NonZeroU32::new(10).unwrap(),
+        return_after: NonZeroU32::new(100).unwrap(),
+        outside_box: true,
+        projection_active: true,
+        diverged: true,
+    };
+    assert_eq!(watched(None), (Some(all), 10.0, Some(10)));
+    assert_eq!(watched(Some("")), (None, 10.0, Some(10)));
+    assert_eq!(watched(Some("fall_back_after = 10")), (Some(all), 10.0, Some(10)));
+    let chosen = "fall_back_after = 3\nreturn_after = 4\nfall_back_on = [\"projection\"]\n\
+                  plausible_margin = 2.5\nrestart_after = 0";
+    let fall_back = FallBack {
+        after: NonZeroU32::new(3).unwrap(),
+        return_after: NonZeroU32::new(4).unwrap(),
+        outside_box: false,
+        projection_active: true,
+        diverged: false,
+    };
+    assert_eq!(watched(Some(chosen)), (Some(fall_back), 2.5, None));
+    let never = chosen.replace("after = 3", "after = 0");
+    assert_eq!(watched(Some(&never)), (None, 2.5, None));
 }

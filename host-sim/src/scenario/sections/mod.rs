@@ -2,6 +2,7 @@
 
 pub(super) mod agents;
 pub(super) mod gains;
+pub(super) mod health;
 pub(super) mod learning;
 pub(super) mod network;
 pub(super) mod plant;

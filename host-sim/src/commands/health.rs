@@ -1,0 +1,122 @@
+//! What the watch over the agents has counted, for people and for programs.
+
+use std::fmt::Write;
+
+use agent_core::health::HealthCounters;
+use serde::{Serialize, Serializer};
+
+use crate::engine::statistics::AgentStatistics;
+
+/// Up to this many agents have a line each.
+const LINES: usize = 12;
+
+/// Counters as one object, a field each.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct HealthReport(pub(super) HealthCounters);
+
+impl Serialize for HealthReport {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(named(&self.0).map(|(name, _, count)| (name, count)))
+    }
+}
+
+/// The name of each counter, what it says to people, and how much it is.
+fn named(counters: &HealthCounters) -> [(&'static str, &'static str, u32); 15] {
+    let HealthCounters {
+        outside_box,
+        implausible,
+        projection_active,
+        diverged,
+        measurements_not_finite,
+        steps_refused,
+        skipped_ticks,
+        early_broadcasts,
+        frames_not_finite,
+        frames_implausible,
+        frames_refused,
+        frames_stale,
+        fall_backs,
+        returns,
+        restarts,
+    } = *counters;
+    [
+        ("outside_box", "steps outside the trained box", outside_box),
+        ("implausible", "of them implausible", implausible),
+        ("projection_active", "steps with an active projection", projection_active),
+        ("diverged", "steps that would have overflowed", diverged),
+        ("measurements_not_finite", "measurements not finite", measurements_not_finite),
+        ("steps_refused", "steps refused for other reasons", steps_refused),
+        ("skipped_ticks", "ticks skipped", skipped_ticks),
+        ("early_broadcasts", "broadcasts sooner than Theorem 2 allows", early_broadcasts),
+        ("frames_not_finite", "frames not finite", frames_not_finite),
+        ("frames_implausible", "implausible frames", frames_implausible),
+        ("frames_refused", "frames refused for other reasons", frames_refused),
+        ("frames_stale", "frames out of date", frames_stale),
+        ("fall_backs", "times the network was left out", fall_backs),
+        ("returns", "times it was used again", returns),
+        ("restarts", "times begun anew", restarts),
+    ]
+}
+
+/// A line for each agent that has something to tell; nothing at all if none was watched.
+pub(super) fn table(agents: &[AgentStatistics]) -> String {
+    let watched = agents.iter().enumerate();
+    let watched: Vec<_> = watched.filter_map(|(i, agent)| Some((i + 1, agent.health?))).collect();
+    if watched.is_empty() {
+        return String::new();
+    }
+    let mut text = String::from("Health\n");
+    let told = |(_, counters): &&(usize, HealthCounters)| *counters != HealthCounters::default();
+    for (agent, counters) in watched.iter().filter(told).take(LINES) {
+        let counted = named(counters).into_iter().filter(|(_, _, count)| *count > 0);
+        let parts: Vec<_> = counted.map(|(_, what, count)| format!("{what}: {count}")).collect();
+        // Writing into a string cannot fail.
+        let _ = writeln!(text, "  agent {agent}: {}", parts.join(", "));
+    }
+    match watched.iter().filter(told).count() {
+        0 => text.push_str("  nothing to report\n"),
+        count if count > LINES => {
+            let _ = writeln!(text, "  and {} more agents, with --format json", count - LINES);
+        }
+        _ => {}
+    }
+    text.push('\n');
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(health: Option<HealthCounters>) -> AgentStatistics {
+        let mut agent = AgentStatistics::default();
+        agent.health = health;
+        agent
+    }
+
+    #[test]
+    fn only_what_happened_is_told() {
+        let calm = HealthCounters::default();
+        let counters = HealthCounters { outside_box: 40, fall_backs: 2, returns: 1, ..calm };
+        assert_eq!(table(&[of(None), of(None)]), "");
+        assert_eq!(table(&[of(None), of(Some(calm))]), "Health\n  nothing to report\n\n");
+        assert_eq!(
+            table(&[of(Some(calm)), of(Some(counters)), of(None)]),
+            "Health\n  agent 2: steps outside the trained box: 40, \
+             times the network was left out: 2, times it was used again: 1\n\n"
+        );
+        let many = vec![of(Some(counters)); 15];
+        let text = table(&many);
+        assert_eq!(text.lines().count(), 1 + 12 + 1 + 1);
+        assert!(text.ends_with("  and 3 more agents, with --format json\n\n"), "{text}");
+    }
+
+    #[test]
+    fn every_counter_is_a_field_of_its_own() {
+        let counters = HealthCounters { restarts: 3, ..HealthCounters::default() };
+        let value = serde_json::to_value(HealthReport(counters)).unwrap();
+        let fields = value.as_object().unwrap();
+        assert_eq!((fields.len(), &fields["restarts"]), (15, &3.into()));
+        assert_eq!(fields.values().filter(|&count| *count == 0).count(), 14);
+    }
+}

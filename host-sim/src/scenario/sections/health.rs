@@ -1,0 +1,111 @@
+//! `[health]`.
+
+use std::num::NonZeroU32;
+
+use agent_core::health::{FallBack, HealthSettings};
+
+use crate::scenario::error::ScenarioError;
+use crate::scenario::reader::{Table, Value};
+
+/// Widths of the trained box: as in docs/decisions/0010-beginning-anew.md.
+const PLAUSIBLE_MARGIN: f32 = 10.0;
+/// Steps in a row that overflow until an agent begins anew.
+const RESTART_AFTER: u32 = 10;
+/// Where `return_after` is not written, this many times `fall_back_after`: leaving the network out
+/// should be quick, coming back to it should not.
+const RETURN_FACTOR: u32 = 10;
+
+/// A sign of trouble that a network can be left out for.
+#[derive(Clone, Copy, PartialEq)]
+enum Sign {
+    OutsideBox,
+    Projection,
+    Diverged,
+}
+
+const SIGNS: [(&str, Sign); 3] = [
+    ("outside-box", Sign::OutsideBox),
+    ("projection", Sign::Projection),
+    ("diverged", Sign::Diverged),
+];
+
+pub(in crate::scenario) fn health(
+    root: &Table<'_>,
+    has_network: bool,
+) -> Result<Option<HealthSettings>, ScenarioError> {
+    let Some(table) = root.get_table("health")? else { return Ok(None) };
+    if !has_network {
+        let mend = "write a table [network], or remove this one";
+        return Err(table.error("there is no network to watch", mend));
+    }
+    table.only(&[
+        "fall_back_after",
+        "return_after",
+        "fall_back_on",
+        "plausible_margin",
+        "restart_after",
+    ])?;
+    let plausible_margin = match table.get("plausible_margin", "10.0") {
+        Some(value) => margin(&value)?,
+        None => PLAUSIBLE_MARGIN,
+    };
+    let restart_after = steps_or_never(&table, "restart_after", RESTART_AFTER)?;
+    let fall_back = fall_back(&table)?;
+    // There is nobody to report to before the end.
+    let telemetry_interval = u32::MAX;
+    Ok(Some(HealthSettings { fall_back, plausible_margin, restart_after, telemetry_interval }))
+}
+
+fn fall_back(table: &Table<'_>) -> Result<Option<FallBack>, ScenarioError> {
+    let after = steps_or_never(table, "fall_back_after", 0)?;
+    let written = match table.get("return_after", "100") {
+        Some(value) => NonZeroU32::new(value.integer(1..=u32::MAX)?),
+        None => None,
+    };
+    let list = table.get("fall_back_on", "[\"outside-box\", \"diverged\"]");
+    let signs = list.as_ref().map_or(Ok(SIGNS.map(|(_, sign)| sign).to_vec()), signs)?;
+    // Without it the other two keys are checked and rest.
+    let Some(after) = after else { return Ok(None) };
+    let return_after = written
+        .unwrap_or_else(|| after.saturating_mul(NonZeroU32::MIN.saturating_add(RETURN_FACTOR - 1)));
+    Ok(Some(FallBack {
+        after,
+        return_after,
+        outside_box: signs.contains(&Sign::OutsideBox),
+        projection_active: signs.contains(&Sign::Projection),
+        diverged: signs.contains(&Sign::Diverged),
+    }))
+}
+
+/// Steps; 0 for never.
+fn steps_or_never(
+    table: &Table<'_>,
+    key: &str,
+    default: u32,
+) -> Result<Option<NonZeroU32>, ScenarioError> {
+    let steps = table.get(key, "10").map_or(Ok(default), |value| value.integer(0..=u32::MAX))?;
+    Ok(NonZeroU32::new(steps))
+}
+
+/// Above 0 in the agents' single precision, too.
+fn margin(value: &Value<'_>) -> Result<f32, ScenarioError> {
+    let margin = value.number_in("a number above 0", |number| number as f32 > 0.0)?;
+    Ok(margin as f32)
+}
+
+fn signs(value: &Value<'_>) -> Result<Vec<Sign>, ScenarioError> {
+    let list = value.list("write \"outside-box\"")?;
+    if list.is_empty() {
+        let mend = "name at least one, or write fall_back_after = 0";
+        return Err(value.error("names no sign of trouble", mend));
+    }
+    let mut signs = Vec::with_capacity(list.len());
+    for entry in &list {
+        let sign = entry.choice(&SIGNS)?;
+        if signs.contains(&sign) {
+            return Err(entry.error("is named twice", "name each sign once"));
+        }
+        signs.push(sign);
+    }
+    Ok(signs)
+}
