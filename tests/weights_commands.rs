@@ -4,7 +4,8 @@ use std::fs;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use agent_core::store::{Layout, Slot, Store};
+use agent_core::store::{Slot, Store};
+use host_sim::memory_map::MemoryMap;
 use serde_json::Value;
 
 use crate::command_line::{Folder, object, short, texts};
@@ -123,8 +124,7 @@ fn images_lie_where_the_memory_map_says() {
     // What a node finds in this flash, it loads.
     let mut flash = SimulatedFlash::<8, 0x1000>::new(0x1_0000, Tear::Prefix, 0);
     flash.overwrite(0x7000, &bin);
-    let layout =
-        Layout { slots: [0, 0x7000], slot_length: 0x7000, commit: 0xe000, commit_length: 0x2000 };
+    let layout = MemoryMap::read(MEMORY.as_ref()).unwrap().weights().unwrap().layout();
     let mut store = Store::open(flash, layout).unwrap();
     let loaded = store.load(|bytes| if bytes == package { Ok(()) } else { Err(()) });
     assert_eq!(loaded.in_use, Some((Slot::B, ())));

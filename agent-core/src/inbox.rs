@@ -110,6 +110,15 @@ impl<const N: usize, S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>> Inb
         }
     }
 
+    /// Discards what waits in places that are not to be kept.
+    pub(crate) fn keep_places(&mut self, keep: impl Fn(usize) -> bool) {
+        for (place, waiting) in self.pending.as_mut().iter_mut().enumerate() {
+            if !keep(place) && waiting.take().is_some() {
+                self.count -= 1;
+            }
+        }
+    }
+
     /// The waiting frames, one place for each neighbour.
     pub(crate) fn pending(&self) -> &[Option<Hold<N>>] {
         self.pending.as_ref()

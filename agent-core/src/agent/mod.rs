@@ -30,6 +30,7 @@
 mod error;
 mod params;
 mod restart;
+mod switch;
 
 pub use error::StepError;
 pub use params::AgentParams;

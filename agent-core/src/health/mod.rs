@@ -53,9 +53,11 @@
 
 mod counters;
 mod params;
+mod probation;
 
 pub use counters::HealthCounters;
 pub use params::{FallBack, HealthParams, HealthSettings};
+pub use probation::Probation;
 
 use crate::Tick;
 use crate::agent::{AgentParams, AgentState, StepError, StepOutput};

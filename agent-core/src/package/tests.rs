@@ -7,6 +7,9 @@ use std::vec::Vec;
 
 use super::*;
 use crate::activation::Activation;
+use crate::agent::AgentState;
+use crate::frame::Frame;
+use crate::inbox::Inbox;
 use crate::network::{Architecture, Layer, NetworkError, Scratch};
 use proptest::prelude::*;
 
@@ -351,6 +354,53 @@ fn parameters_come_out_as_they_went_in() {
     assert!(package.node.params::<2>(&mut [], &mut [0.0; 9]).is_err());
     assert!(package.node.params::<2>(&mut neighbours, &mut []).is_err());
     assert!(package.node.params::<3>(&mut neighbours, &mut [0.0; 9]).is_err());
+}
+
+#[test]
+fn an_agent_goes_on_with_another_package() {
+    let places = || ([Neighbour { id: 0, weight: 1.0 }; 2], [0.0; 1]);
+    let content = Content::new();
+    let package = content.package();
+    let (mut neighbours, mut gain) = places();
+    let old = package.node.params::<2>(&mut neighbours, &mut gain).unwrap();
+    let start = StateVector::<2>::new(0.5, -0.5);
+    let mut state =
+        AgentState::<2, 3, _>::new(&old, start, package.outer_weights, [None; 2]).unwrap();
+    let mut inbox = Inbox::<2, _>::new([None; 2]);
+    let from = |sender, sequence| {
+        Frame::<2> { sender, sequence, tick: 0, estimate: [1.0, 2.0].into() }.encode()
+    };
+    for sender in [3, 265] {
+        inbox.accept(old.neighbours(), &from(sender, 0)).unwrap();
+    }
+    state.step(&old, Some(&package.network), 0, &[0.4], &mut inbox).unwrap();
+    inbox.accept(old.neighbours(), &from(3, 1)).unwrap();
+    let (estimate, adapted) = (*state.estimate(), state.outer_weights().rows().to_vec());
+
+    // Neighbour 4 in the place of neighbour 3.
+    let other = Content { neighbours: [4, 0, 9, 1], ..content.clone() };
+    let mut other = other.package();
+    let (mut neighbours, mut gain) = places();
+    let new = other.node.params::<2>(&mut neighbours, &mut gain).unwrap();
+    state.switch(&old, &new, &other, &mut inbox).unwrap();
+    assert!(state.neighbour_holds()[0].is_none() && state.neighbour_holds()[1].is_some());
+    assert!(inbox.is_empty());
+    assert_eq!((*state.estimate(), state.outer_weights().rows()), (estimate, &adapted[..]));
+    other.outer_weights_on_switch = OnSwitch::Replace;
+    state.switch(&new, &new, &other, &mut inbox).unwrap();
+    assert_eq!(state.outer_weights().rows()[2].as_slice(), &content.outer_weights[4..]);
+    state.step(&new, Some(&other.network), 1, &[0.4], &mut inbox).unwrap();
+
+    // Places for another number of neighbours cannot be made from these.
+    let one = Content { neighbours: [3, 0, 9, 1], ..content.clone() };
+    let mut one = one.package();
+    one.node.neighbours = NeighbourIds::new(&[3, 0]).unwrap();
+    one.node.edge_weights = &[1.0];
+    let (mut neighbours, mut gain) = places();
+    let fewer = one.node.params::<2>(&mut neighbours, &mut gain).unwrap();
+    let before = state.clone();
+    assert!(state.switch(&new, &fewer, &one, &mut inbox).is_err());
+    assert_eq!(state.neighbour_holds(), before.neighbour_holds());
 }
 
 #[test]

@@ -9,7 +9,7 @@ use agent_core::hold::Hold;
 use agent_core::inbox::Inbox;
 use agent_core::network::{InnerNetwork, LAYER_WIDTH_MAX, Scratch};
 use agent_core::observer::Neighbour;
-use agent_core::package::{Capacity, InUse, Node, OnSwitch, Refusal, Requirements, accept};
+use agent_core::package::{Capacity, InUse, Node, Refusal, Requirements, accept};
 use agent_core::parameter::ParameterError;
 use agent_core::{StateVector, Tick};
 
@@ -213,10 +213,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             Some(health) => Some(Watch::new(&self.params, &package, health, self.watch.as_ref())?),
             None => None,
         };
-        let same_features = self.state.outer_weights().rows().len() == package.features();
-        if !same_features || package.outer_weights_on_switch == OnSwitch::Replace {
-            self.state.replace_outer_weights(&self.params, package.outer_weights)?;
-        }
+        self.state.switch(&self.params, &self.params, &package, &mut self.inbox)?;
         self.in_use = Some(InUse { agent: package.node.agent, version: package.version });
         self.network = Some(bytes.network());
         self.watch = watch;

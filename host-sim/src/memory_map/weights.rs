@@ -1,5 +1,7 @@
 //! Where the weights lie: two slots and the commit area, in a region of their own.
 
+use agent_core::store::Layout;
+
 use super::{MemoryMap, MemoryMapError, Region};
 
 /// The region `WEIGHTS` and what the symbols of the memory map place in it.
@@ -87,7 +89,7 @@ impl WeightsRegion {
                 "leave room for RAM",
             ));
         };
-        Ok(Self {
+        let found = Self {
             origin: region.origin,
             length,
             slot_a: address(map, SLOT_A.1)?,
@@ -96,7 +98,29 @@ impl WeightsRegion {
             commit: address(map, COMMIT.1)?,
             commit_length: address(map, COMMIT.2)?,
             erase_size: address(map, ERASE_SIZE)?,
-        })
+        };
+        // The last word is that of the node's own store.
+        match found.layout().validate(found.erase_size, found.length) {
+            Ok(()) => Ok(found),
+            Err(problem) => Err(error(
+                map,
+                Some(region.line),
+                REGION,
+                format!("cannot hold the store: {problem}"),
+                "give slots whole erase units, the commit record an even number of them",
+            )),
+        }
+    }
+
+    /// The same as the node's store is told.
+    #[must_use]
+    pub fn layout(&self) -> Layout {
+        Layout {
+            slots: [self.slot_a - self.origin, self.slot_b - self.origin],
+            slot_length: self.slot_length,
+            commit: self.commit - self.origin,
+            commit_length: self.commit_length,
+        }
     }
 
     /// The first address behind the region, 2^32 at most.

@@ -7,7 +7,7 @@ use agent_core::health::{FallBack, HealthSettings};
 use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::{Table, Value};
 
-/// Widths of the trained box: as in docs/decisions/0010-beginning-anew.md.
+/// Widths of the trained box: as in docs/decisions/0009-beginning-anew.md.
 const PLAUSIBLE_MARGIN: f32 = 10.0;
 /// Steps in a row that overflow until an agent begins anew.
 const RESTART_AFTER: u32 = 10;

@@ -1,0 +1,56 @@
+//! Going on with another package, between two steps: the paper's `T_p`, at which the piecewise
+//! continuous `Phi_hat` jumps while the estimate goes on.
+
+use super::{AgentParams, AgentState};
+use crate::hold::Hold;
+use crate::inbox::Inbox;
+use crate::outer_law::OuterWeights;
+use crate::package::{OnSwitch, Package};
+use crate::parameter::ParameterError;
+
+impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S>
+where
+    S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+{
+    /// Prepares the next step for `package`, whose parameters are `new`, after steps with the
+    /// parameters `old`. The estimate goes on. The adapted outer weights go on, too, unless the
+    /// package says otherwise or has another number of features. A sample or a waiting frame in the
+    /// place of a neighbour that is another one from now on is dropped.
+    ///
+    /// # Errors
+    /// Outer weights that do not fit, or another number of neighbours than there are places for
+    /// (make a new state then); nothing is changed in either case.
+    pub fn switch<I>(
+        &mut self,
+        old: &AgentParams<'_, N>,
+        new: &AgentParams<'_, N>,
+        package: &Package<'_>,
+        inbox: &mut Inbox<N, I>,
+    ) -> Result<(), ParameterError>
+    where
+        I: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+    {
+        let (expected, found) = (self.neighbour_holds.as_ref().len(), new.neighbours().len());
+        if expected != found {
+            let parameter = "observer.neighbours";
+            return Err(ParameterError::Length { parameter, expected, found });
+        }
+        let same_features = self.outer_weights.rows().len() == package.features();
+        if !same_features || package.outer_weights_on_switch == OnSwitch::Replace {
+            self.outer_weights = OuterWeights::new(package.outer_weights, &new.outer_law)?;
+        }
+        let stays = |place: usize| {
+            let (old, new) = (old.neighbours().get(place), new.neighbours().get(place));
+            old.zip(new).is_some_and(|(old, new)| old.id == new.id)
+        };
+        for (place, hold) in self.neighbour_holds.as_mut().iter_mut().enumerate() {
+            if !stays(place) {
+                *hold = None;
+            }
+        }
+        inbox.keep_places(stays);
+        // Weights of edges may have changed, too.
+        self.consensus_is_current = false;
+        Ok(())
+    }
+}
