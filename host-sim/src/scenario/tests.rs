@@ -157,7 +157,7 @@ fn what_is_left_out_has_its_default() {
     let head = PAPER.split("# --- Results").next().unwrap();
     let scenario = Scenario::parse("short.toml", head).unwrap();
     assert_eq!(scenario.evaluation, paper().evaluation);
-    assert_eq!(scenario.record, paper().record);
+    assert_eq!(scenario.record, Record { samples: false, ..paper().record });
     let scenario = with("boundary_layer = 1.0\n", "");
     assert_eq!(scenario.network, paper().network);
     assert_eq!(with("trace_stride = 1\n", "trace_stride = 0\n").record.trace_stride, None);
