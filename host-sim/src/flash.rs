@@ -55,7 +55,7 @@ pub enum FlashStep {
         name: &'static str,
         /// Its first address.
         address: u32,
-        /// Its length [bytes].
+        /// Its length \[bytes\].
         bytes: usize,
     },
     /// The firmware is started anew.

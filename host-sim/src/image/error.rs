@@ -12,9 +12,9 @@ pub enum ImageError {
          of at least 1 byte, train a smaller network, or make the slots in memory.x longer"
     )]
     PackageLength {
-        /// Length of the package [bytes].
+        /// Length of the package \[bytes\].
         found: usize,
-        /// Length of a slot [bytes].
+        /// Length of a slot \[bytes\].
         slot_length: u32,
     },
     /// The commit record does not fit.
@@ -23,9 +23,9 @@ pub enum ImageError {
          one erase unit of {erase_size}"
     )]
     RecordLength {
-        /// Length of the record [bytes].
+        /// Length of the record \[bytes\].
         found: usize,
-        /// Length of an erase unit [bytes].
+        /// Length of an erase unit \[bytes\].
         erase_size: u32,
     },
     /// A segment leaves the region or overlaps another one.

@@ -40,7 +40,7 @@ use crate::packages::PackageBytes;
 /// What erased flash reads as, on every NOR flash that the store supports.
 pub const ERASED: u8 = 0xFF;
 
-/// A package is padded to a multiple of this [bytes]: the largest unit of writing of common
+/// A package is padded to a multiple of this \[bytes\]: the largest unit of writing of common
 /// microcontrollers' flash.
 pub const PACKAGE_ALIGNMENT: usize = 8;
 

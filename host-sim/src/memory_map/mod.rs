@@ -55,7 +55,7 @@ pub struct Region {
     pub name: String,
     /// Its first address.
     pub origin: u32,
-    /// How long it is [bytes]; it ends at 2^32 at the latest.
+    /// How long it is \[bytes\]; it ends at 2^32 at the latest.
     pub length: u64,
     /// The line that names it, from 1.
     pub line: usize,

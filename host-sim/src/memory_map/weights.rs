@@ -14,19 +14,19 @@ use super::{MemoryMap, MemoryMapError, Region};
 pub struct WeightsRegion {
     /// First address of the region.
     pub origin: u32,
-    /// Its length [bytes].
+    /// Its length \[bytes\].
     pub length: u32,
     /// First address of slot A.
     pub slot_a: u32,
     /// First address of slot B.
     pub slot_b: u32,
-    /// Length of each slot [bytes].
+    /// Length of each slot \[bytes\].
     pub slot_length: u32,
     /// First address of the commit area.
     pub commit: u32,
-    /// Length of the commit area [bytes].
+    /// Length of the commit area \[bytes\].
     pub commit_length: u32,
-    /// The smallest piece that can be erased [bytes].
+    /// The smallest piece that can be erased \[bytes\].
     pub erase_size: u32,
 }
 

@@ -6,10 +6,10 @@
 //!
 //! | module | what it knows |
 //! | --- | --- |
-//! | [`names`] | which array is which part of a network, and in which orientation |
-//! | [`activations`] | the names of the activations, and whose word counts |
-//! | [`array`](mod@array) | one array: element type, order, rounding to float32 |
-//! | [`npz`], [`npy`], [`safetensors`] | the formats |
+//! | `names` | which array is which part of a network, and in which orientation |
+//! | `activations` | the names of the activations, and whose word counts |
+//! | `array` | one array: element type, order, rounding to float32 |
+//! | `npz`, `npy`, `safetensors` | the formats |
 //!
 //! Cost: the file, at most [`FILE_BYTES_MAX`], and the network, once each in memory.
 //!
