@@ -94,7 +94,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             agents,
         }),
         Format::Text => {
-            let mut text = agent_table(&scenario, &agents, &before);
+            let mut text = packages_in_use(&scenario);
+            text += &agent_table(&scenario, &agents, &before);
             text += &summary::trainings(&result.trainings);
             text += &health::table(&result.agents);
             text += &summary::checks(&Checks::new(&scenario, &result));
@@ -131,6 +132,18 @@ fn give_packages(scenario: &mut Scenario, files: &[PathBuf]) -> Result<(), Comma
         }
     }
     Ok(())
+}
+
+/// Which agents start with a package from outside.
+fn packages_in_use(scenario: &Scenario) -> String {
+    let agents = scenario.agents.iter().enumerate();
+    let lines = agents.filter_map(|(index, agent)| {
+        let bytes = agent.package.as_ref()?;
+        let package = bytes.package();
+        let (version, recipe) = (package.version, package.provenance.recipe);
+        Some(format!("Agent {} starts with its package, version {version} ({recipe})\n", index + 1))
+    });
+    lines.collect()
 }
 
 /// The run, and beside it the same run without learning if there is any learning and `compare`
