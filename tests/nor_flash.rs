@@ -40,6 +40,8 @@ pub(crate) enum Fault {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SimulatedError {
     Arguments(NorFlashErrorKind),
+    /// The bytes cannot be read, now or until they are erased.
+    Unreadable,
     /// A word was to be written again without an erasure in between.
     Rewritten,
     /// The power failed, now or before.
@@ -62,11 +64,15 @@ pub(crate) struct SimulatedFlash<const WRITE: usize, const ERASE: usize> {
     bytes: Vec<u8>,
     /// Whether each word has been written, wholly or not, since it was erased.
     written: Vec<bool>,
+    /// Whether each word refuses to be read until it is erased.
+    unreadable: Vec<bool>,
     tear: Tear,
     /// How many more bytes can be written and erased before the power fails.
     energy: Cell<Option<usize>>,
     /// What befalls so many writes and erasures after so many others.
     fault: Cell<Option<(usize, usize, Fault)>>,
+    /// How many more reads succeed before how many fail.
+    read_fault: Cell<(usize, usize)>,
     noise: u64,
     pub(crate) power_lost: bool,
     /// How many bytes have been written and erased.
@@ -83,9 +89,11 @@ impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
         Self {
             bytes: vec![0xff; capacity],
             written: vec![false; capacity / WRITE],
+            unreadable: vec![false; capacity / WRITE],
             tear,
             energy: Cell::new(None),
             fault: Cell::new(None),
+            read_fault: Cell::new((0, 0)),
             noise: seed,
             power_lost: false,
             spent: 0,
@@ -109,6 +117,19 @@ impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
     /// Lets `count` writes and erasures go wrong after `others`.
     pub(crate) fn arm(&self, others: usize, count: usize, fault: Fault) {
         self.fault.set(Some((others, count, fault)));
+    }
+
+    /// Lets `count` reads fail after `others`.
+    pub(crate) fn arm_reads(&self, others: usize, count: usize) {
+        self.read_fault.set((others, count));
+    }
+
+    /// Lets `length` bytes refuse to be read until they are erased, as error correction does with
+    /// words that it cannot correct.
+    pub(crate) fn spoil(&mut self, offset: usize, length: usize) {
+        let words = offset / WRITE..(offset + length).div_ceil(WRITE);
+        self.unreadable[words.clone()].fill(true);
+        self.written[words].fill(true);
     }
 
     /// Puts bytes there as a debugger does, or as cells that forget.
@@ -178,6 +199,7 @@ impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
         let whole = if torn && self.tear != Tear::Prefix { done - done % ERASE } else { done };
         self.bytes[start..start + whole].fill(0xff);
         self.written[start / WRITE..(start + whole) / WRITE].fill(false);
+        self.unreadable[start / WRITE..(start + whole) / WRITE].fill(false);
         if torn && self.tear != Tear::Prefix {
             for place in start + whole..start + whole + ERASE {
                 self.bytes[place] = if self.tear == Tear::Garbage { self.noise() } else { 0xff };
@@ -209,6 +231,15 @@ impl<const WRITE: usize, const ERASE: usize> ReadNorFlash for SimulatedFlash<WRI
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), SimulatedError> {
         let arguments = check_read(self, offset, bytes.len());
         self.checked(arguments)?;
+        let (others, count) = self.read_fault.get();
+        self.read_fault.set((
+            others.saturating_sub(1),
+            if others == 0 { count.saturating_sub(1) } else { count },
+        ));
+        let words = offset as usize / WRITE..(offset as usize + bytes.len()).div_ceil(WRITE);
+        if (others == 0 && count > 0) || self.unreadable[words].contains(&true) {
+            return Err(SimulatedError::Unreadable);
+        }
         bytes.copy_from_slice(&self.bytes[offset as usize..][..bytes.len()]);
         Ok(())
     }
@@ -268,6 +299,20 @@ fn the_simulated_flash_is_as_strict_as_it_says() {
     assert_eq!(flash.erase(0, 16), Ok(()));
     assert_eq!(flash.write(4, &[9; 8]), Ok(()));
     assert_eq!(flash.spent, 4 + 16 + 8);
+}
+
+#[test]
+fn simulated_reads_fail_when_they_are_told_to() {
+    let mut flash = SimulatedFlash::<4, 16>::new(64, Tear::Prefix, 0);
+    flash.arm_reads(1, 2);
+    let outcomes = [0; 4].map(|_| flash.read(0, &mut [0]).is_ok());
+    assert_eq!(outcomes, [true, false, false, true]);
+    flash.spoil(20, 4);
+    assert_eq!(flash.read(16, &mut [0; 4]), Ok(()));
+    assert_eq!(flash.read(16, &mut [0; 5]), Err(SimulatedError::Unreadable));
+    assert_eq!(flash.write(20, &[0; 4]), Err(SimulatedError::Rewritten));
+    flash.erase(16, 32).unwrap();
+    assert_eq!(flash.read(16, &mut [0; 16]), Ok(()));
 }
 
 #[test]

@@ -56,7 +56,12 @@ fn two_packages() -> Flash {
 fn salvaged(flash: &mut Flash) -> Option<(Slot, u16)> {
     let (mut store, loaded) = boot(flash);
     assert_eq!(loaded.in_use, None);
-    store.salvage(length, check)
+    store.salvage(length, check, newer)
+}
+
+/// Whether the first of two numbers of packages is the newer one.
+fn newer(one: &u16, other: &u16) -> bool {
+    one > other
 }
 
 #[test]
@@ -114,27 +119,57 @@ fn a_package_that_the_check_refuses_is_not_used_and_not_overwritten_before_the_o
 }
 
 #[test]
-fn the_way_back_is_gone_and_the_package_on_trial_stays() {
+fn the_way_back_is_gone_and_the_package_that_failed_its_trial_stays_out() {
     let mut flash = two_packages();
     let (mut store, _) = boot(&mut flash);
     upload(&mut store, &package(3, 70));
     store.stage(check).unwrap();
     store.activate(check).unwrap();
+    let on_trial = flash.clone();
+    // The boot that ends the trial, and every later one; the package is whole all the while.
     flash.overwrite(SLOT_B, &[0]);
-    let (store, loaded) = boot(&mut flash);
-    assert_eq!(loaded.in_use, Some((Slot::A, 3)));
-    assert_eq!(loaded.refusals, [None, Some(Refusal::Checksum)]);
-    assert!(!store.is_on_trial());
+    for _ in 0..3 {
+        let (mut store, loaded) = boot(&mut flash);
+        assert_eq!(loaded.in_use, None);
+        assert_eq!(loaded.refusals, [None, Some(Refusal::Checksum)]);
+        assert_eq!((store.salvage(length, check, newer), store.is_on_trial()), (None, false));
+        assert_eq!(store.bytes(Slot::A), None);
+    }
+    install(&mut boot(&mut flash).0, 4);
+    assert_eq!(boot(&mut flash).1.in_use.unwrap().1, 4);
+    // Also if the slot rots after the boot that ended the trial.
+    let mut flash = on_trial;
+    assert_eq!(boot(&mut flash).1.in_use, Some((Slot::B, 2)));
+    flash.overwrite(SLOT_B, &[0]);
+    assert_eq!(boot(&mut flash).1.in_use, None);
+    assert_eq!(salvaged(&mut flash), None);
+    // And after a reversion without a reboot.
+    let mut flash = two_packages();
+    let (mut store, _) = boot(&mut flash);
+    upload(&mut store, &package(3, 70));
+    store.stage(check).unwrap();
+    store.activate(check).unwrap();
+    assert_eq!(store.revert(), Ok(Some(Slot::B)));
+    assert_eq!(store.bytes(Slot::A), None);
+    flash.overwrite(SLOT_B, &[0]);
+    assert_eq!(boot(&mut flash).1.in_use, None);
+    assert_eq!(salvaged(&mut flash), None);
 }
 
 #[test]
 fn packages_prove_themselves_when_no_record_helps() {
     // Nothing anywhere.
     assert_eq!(salvaged(&mut new_flash()), None);
-    // The journal is lost.
+    // The journal is lost: the newer of two, whichever slot it lies in, or the only one.
     let mut flash = two_packages();
     flash.overwrite(COMMIT, &[0; 2 * UNIT]);
-    assert_eq!(salvaged(&mut flash), Some((Slot::A, 1)));
+    assert_eq!(salvaged(&mut flash), Some((Slot::B, 2)));
+    flash.overwrite(0, &package(3, 60));
+    assert_eq!(salvaged(&mut flash), Some((Slot::A, 3)));
+    flash.overwrite(0, &package(2, 60));
+    assert_eq!(salvaged(&mut flash), Some((Slot::A, 2)));
+    flash.overwrite(0, &[0]);
+    assert_eq!(salvaged(&mut flash), Some((Slot::B, 2)));
     // A debugger has replaced both packages; the slot in use is tried first.
     let mut flash = two_packages();
     flash.overwrite(0, &package(8, 60));
@@ -142,9 +177,9 @@ fn packages_prove_themselves_when_no_record_helps() {
     assert_eq!(salvaged(&mut flash), Some((Slot::B, 9)));
     // What was salvaged is in use like any other, and not overwritten.
     let (mut store, _) = boot(&mut flash);
-    store.salvage(length, check).unwrap();
+    store.salvage(length, check, newer).unwrap();
     assert_eq!(store.bytes(Slot::B), Some(&package(9, 60)[..]));
-    assert_eq!(store.salvage(length, check), None);
+    assert_eq!(store.salvage(length, check, newer), None);
     install(&mut store, 10);
     assert_eq!(store.in_use(), Some(Slot::A));
     let (mut store, loaded) = boot(&mut flash);
@@ -173,7 +208,7 @@ fn what_was_never_confirmed_is_not_salvaged() {
     let mut flash = two_packages();
     flash.overwrite(0, &[0; 2 * SLOT_B]);
     let (mut store, loaded) = boot(&mut flash);
-    assert_eq!((loaded.in_use, store.salvage(length, check)), (None, None));
+    assert_eq!((loaded.in_use, store.salvage(length, check, newer)), (None, None));
     upload(&mut store, &package(3, 70));
     store.write(0, &package(3, 70)).unwrap();
     store.flash().arm(1, 1, Fault::Nothing);
@@ -309,7 +344,7 @@ fn nothing_is_done_before_the_slots_have_been_looked_at() {
     let mut store = Store::open(&mut flash, layout(UNIT, UNITS)).unwrap();
     assert_eq!(store.begin(70), Err(StoreError::NotLoaded));
     assert_eq!(store.activate(check), Err(CheckedError::Store(StoreError::NotLoaded)));
-    assert_eq!(store.salvage(length, check), None);
+    assert_eq!(store.salvage(length, check, newer), None);
     store.load(check);
     assert_eq!(store.activate(check), Ok(3));
     assert_eq!(store.begin(70), Err(StoreError::OnTrial));

@@ -6,13 +6,16 @@
 
 use std::ops::AddAssign;
 
+use agent_core::checksum::crc32;
 use agent_core::store::{CheckedError, MappedFlash, Store, StoreError};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::nor_flash::{Fault, SimulatedFlash, Tear};
-use crate::store_model::{Change, Ledger, Model, check, erased_flash, layout, package, plain};
+use crate::store_model::{
+    Change, Ledger, Model, check, erased_flash, is_flash_error, layout, package, plain,
+};
 
 const HISTORIES: u64 = 50_000;
 /// Calls of one life.
@@ -31,6 +34,9 @@ struct Tally {
     confirmed: u64,
     reverted: u64,
     refused: u64,
+    unread: u64,
+    blocked: u64,
+    overruled: u64,
 }
 
 impl AddAssign for Tally {
@@ -43,6 +49,9 @@ impl AddAssign for Tally {
         self.confirmed += other.confirmed;
         self.reverted += other.reverted;
         self.refused += other.refused;
+        self.unread += other.unread;
+        self.blocked += other.blocked;
+        self.overruled += other.overruled;
     }
 }
 
@@ -169,7 +178,7 @@ impl<F: MappedFlash> Session<'_, F> {
                 sent.received = received.max(from + size);
                 assert_eq!(now as usize, sent.received);
             }
-            (Err(StoreError::Flash(_) | StoreError::Verify { .. }), None) => self.sent = None,
+            (Err(error), None) if is_flash_error(error) => self.sent = None,
             (outcome, refusal) => {
                 assert_eq!(outcome.err(), refusal);
                 self.tally.refused += 1;
@@ -182,7 +191,7 @@ impl<F: MappedFlash> Session<'_, F> {
         if complete && self.draw.random_bool(0.1) {
             match self.store.stage(|_| Err::<(), _>("not today")) {
                 Err(CheckedError::Refused("not today")) => self.tally.refused += 1,
-                Err(CheckedError::Store(StoreError::Flash(_) | StoreError::Verify { .. })) => {}
+                Err(CheckedError::Store(error)) if is_flash_error(error) => {}
                 other => panic!("{other:?}"),
             }
         } else {
@@ -218,6 +227,78 @@ impl<F: MappedFlash> Session<'_, F> {
     }
 }
 
+/// How reading goes wrong in a life.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Reading {
+    Fine,
+    /// Some reads fail, and the next boot may read the same places.
+    Transient,
+    /// Places of the journal that hold no record cannot be read until they are erased.
+    Spoiled,
+}
+
+/// A boot at which reading fails, for a while: it may come to other results, but changes nothing
+/// that the next boot finds, unless the store takes a new package after it.
+fn boot_in_doubt<const WRITE: usize, const ERASE: usize>(
+    flash: &mut SimulatedFlash<WRITE, ERASE>,
+    ledger: &mut Ledger,
+    number: &mut u16,
+    draw: &mut ChaCha8Rng,
+    tally: &mut Tally,
+) {
+    let places = 2 * ERASE / 32;
+    flash.power_on(None);
+    flash.arm(usize::MAX, 1, Fault::Nothing);
+    flash.arm_reads(draw.random_range(0..2 * places), draw.random_range(1..=2 * places));
+    let before = flash.mapped().to_vec();
+    let mut store = Store::open(&mut *flash, layout(ERASE, UNITS)).unwrap();
+    store.flash().arm_reads(0, 0);
+    let loaded = store.load(check).in_use.map(|(_, number)| number);
+    assert_eq!(loaded, store.in_use().map(|slot| check(store.bytes(slot).unwrap()).unwrap()));
+    if store.opening().unreadable_places == 0 {
+        // A second look has helped.
+        ledger.reboot(Model::of(&store));
+        return;
+    }
+    tally.unread += 1;
+    assert!(store.flash().mapped() == before, "something was written in doubt");
+    if draw.random_bool(0.5) {
+        return;
+    }
+    *number += 1;
+    let bytes = package(*number, 20);
+    match store.begin(20) {
+        Err(StoreError::Unreadable { .. }) => {
+            tally.blocked += 1;
+            assert!(store.flash().mapped() == before, "something was written after a refusal");
+        }
+        Ok(()) => {
+            tally.overruled += 1;
+            store.write(0, &bytes).unwrap();
+            store.stage(check).unwrap();
+            store.activate(check).unwrap();
+            store.confirm().unwrap();
+            ledger.installed(*number, loaded);
+            assert_eq!(Model::of(&store), ledger.now);
+        }
+        // A word that looks erased and is not, twice in a row.
+        Err(error) => panic!("{error}"),
+    }
+}
+
+/// Lets a place of the journal that holds no record refuse to be read.
+fn spoil_a_place<const WRITE: usize, const ERASE: usize>(
+    flash: &mut SimulatedFlash<WRITE, ERASE>,
+    draw: &mut ChaCha8Rng,
+) {
+    let places = draw.random_range(0..2 * ERASE / 32);
+    let offset = 2 * UNITS * ERASE + 32 * places;
+    let place = &flash.mapped()[offset..offset + 32];
+    if crc32(&[&place[..28]]).to_le_bytes() != place[28..] {
+        flash.spoil(offset, 32);
+    }
+}
+
 fn live<const WRITE: usize, const ERASE: usize>(seed: u64) -> Tally {
     let mut draw = ChaCha8Rng::seed_from_u64(seed);
     let tear = Tear::ALL[draw.random_range(0..3)];
@@ -227,8 +308,21 @@ fn live<const WRITE: usize, const ERASE: usize>(seed: u64) -> Tally {
     let faulty = draw.random_bool(0.5);
     // An erasure that fails without a word is the only thing that a life can hide from the store.
     let mut silent = false;
+    let reading = match draw.random_range(0..4) {
+        0 => Reading::Transient,
+        1 => Reading::Spoiled,
+        _ => Reading::Fine,
+    };
     let mut calls = 0;
     while calls < CALLS {
+        match reading {
+            Reading::Transient if draw.random_bool(0.5) => {
+                boot_in_doubt(&mut flash, &mut ledger, &mut number, &mut draw, &mut tally);
+            }
+            Reading::Spoiled if draw.random_bool(0.1) => spoil_a_place(&mut flash, &mut draw),
+            _ => {}
+        }
+        flash.arm_reads(0, 0);
         let energy = draw.random_bool(0.1).then(|| draw.random_range(0..ERASE + 32));
         flash.power_on(energy);
         let mut store = Store::open(&mut flash, layout(ERASE, UNITS)).unwrap();
@@ -236,6 +330,9 @@ fn live<const WRITE: usize, const ERASE: usize>(seed: u64) -> Tally {
         tally.boots += 1;
         if !store.flash().power_lost {
             ledger.reboot(Model::of(&store));
+            if reading == Reading::Spoiled && draw.random_bool(0.5) {
+                store.forget_unreadable();
+            }
             let mut session = Session {
                 store,
                 ledger: &mut ledger,
@@ -256,6 +353,10 @@ fn live<const WRITE: usize, const ERASE: usize>(seed: u64) -> Tally {
                     let others = session.draw.random_range(0..4);
                     session.store.flash().arm(others, session.draw.random_range(1..=3), fault);
                     session.tally.faults += 1;
+                }
+                if reading == Reading::Transient && session.draw.random_bool(0.05) {
+                    let others = session.draw.random_range(0..4);
+                    session.store.flash().arm_reads(others, session.draw.random_range(1..=3));
                 }
                 session.call();
                 if session.store.flash().power_lost {
@@ -295,5 +396,6 @@ fn what_returned_ok_survives_whatever_happens() {
         });
     println!("{histories} lives, seeds 0 to {}: {total:?}", histories.saturating_sub(1));
     let enough = histories / 4;
+    assert!(total.unread >= enough / 4 && total.blocked > 0 && total.overruled >= enough / 16);
     assert!(total.cuts >= enough && total.confirmed >= enough && total.reverted >= enough);
 }

@@ -56,6 +56,8 @@ pub(crate) struct Model {
     pub(crate) staged: Option<u16>,
     /// During a trial: what was in use before.
     pub(crate) way_back: Option<Option<u16>>,
+    /// What was in use before what is, if that has proved itself, and what steps in for it.
+    pub(crate) reserve: Option<u16>,
 }
 
 /// A call that changes what survives a reboot.
@@ -71,19 +73,23 @@ pub(crate) enum Change {
 impl Model {
     pub(crate) fn after(self, change: Change) -> Self {
         match change {
-            Change::Begin => Self { staged: None, ..self },
+            Change::Begin => Self { staged: None, reserve: None, ..self },
             Change::Stage(number) => Self { staged: Some(number), ..self },
-            Change::Activate => {
-                Self { in_use: self.staged, staged: None, way_back: Some(self.in_use) }
-            }
-            Change::Confirm => Self { way_back: None, ..self },
+            Change::Activate => Self {
+                in_use: self.staged,
+                staged: None,
+                way_back: Some(self.in_use),
+                reserve: None,
+            },
+            Change::Confirm => Self { way_back: None, reserve: self.way_back.flatten(), ..self },
             Change::Revert => self.rebooted(),
         }
     }
 
+    /// A package that failed its trial is no reserve.
     pub(crate) fn rebooted(self) -> Self {
         match self.way_back {
-            Some(before) => Self { in_use: before, staged: None, way_back: None },
+            Some(before) => Self { in_use: before, ..Self::default() },
             None => self,
         }
     }
@@ -96,11 +102,14 @@ impl Model {
                 assert_eq!(check(bytes).map(|_| ()), Ok(()), "{slot} is named and not whole");
             }
         }
-        let before = || store.in_use().and_then(|slot| store.bytes(slot.other()).map(check));
+        let spare = store.in_use().map_or(agent_core::store::Slot::A, |slot| slot.other());
+        let other = store.bytes(spare).map(|bytes| check(bytes).unwrap());
+        let is_reserve = !store.is_on_trial() && store.staged().is_none();
         Self {
             in_use: store.in_use().map(number),
             staged: store.staged().map(number),
-            way_back: store.is_on_trial().then(|| before().map(Result::unwrap)),
+            way_back: store.is_on_trial().then_some(other),
+            reserve: other.filter(|_| is_reserve),
         }
     }
 }
@@ -113,6 +122,12 @@ pub(crate) struct Ledger {
     attempted: Vec<Model>,
 }
 
+/// Whether the flash and not the caller is the reason.
+pub(crate) fn is_flash_error(error: StoreError) -> bool {
+    use StoreError::{Flash, Unreadable, Verify};
+    matches!(error, Flash(_) | Verify { .. } | Unreadable { .. })
+}
+
 impl Ledger {
     /// Books the outcome of a change; `Ok` is final, an error of the flash leaves both open.
     pub(crate) fn book(&mut self, change: Change, outcome: Result<(), StoreError>) {
@@ -121,11 +136,17 @@ impl Ledger {
                 self.now = self.now.after(change);
                 self.attempted.clear();
             }
-            Err(StoreError::Flash(_) | StoreError::Verify { .. }) => {
+            Err(error) if is_flash_error(error) => {
                 self.attempted.push(self.now.after(change));
             }
             Err(refused) => panic!("{change:?} is refused in {:?}: {refused}", self.now),
         }
+    }
+
+    /// Books that whatever was before, a package was installed behind another.
+    pub(crate) fn installed(&mut self, number: u16, before: Option<u16>) {
+        self.now = Model { in_use: Some(number), reserve: before, ..Model::default() };
+        self.attempted.clear();
     }
 
     /// Books a reboot, after which `found` was there.

@@ -277,7 +277,7 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
             Call::Load => self.load(),
             Call::Salvage => {
                 // What is to be found was found at once.
-                let found = self.store.salvage(length, accept);
+                let found = self.store.salvage(length, accept, |one, other| one > other);
                 assert!(found.is_none() || self.in_use.is_none());
             }
             Call::Begin { length } => {
@@ -306,7 +306,7 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
         let loaded = self.store.load(accept);
         let mut found = loaded.in_use;
         if found.is_none() {
-            found = self.store.salvage(length, accept);
+            found = self.store.salvage(length, accept, |one, other| one > other);
         }
         assert_eq!(self.store.in_use(), found.map(|(slot, _)| slot));
         let number = found.map(|(_, number)| number);
@@ -397,6 +397,9 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
     fn revert(&mut self) {
         match self.store.revert() {
             Ok(_) => {
+                // The package that failed is not named any more.
+                let spare = self.store.in_use().map_or(Slot::A, Slot::other);
+                assert_eq!(self.store.bytes(spare), None);
                 self.in_use = self.way_back.take();
                 self.after_reboot = self.in_use.map(|number| vec![number]);
             }

@@ -13,6 +13,13 @@ pub enum StoreError {
         /// Where, from the start of the region. \[byte\]
         offset: u32,
     },
+    /// A place of the journal cannot be read and may hold the newest record, and to record
+    /// anything it would have to be erased. Another boot may read it; if none does,
+    /// [`Store::forget_unreadable`](super::Store::forget_unreadable) gives it up.
+    Unreadable {
+        /// Where, from the start of the region. \[byte\]
+        offset: u32,
+    },
     /// Nobody has looked yet at what lies in the slots: [`Store::load`](super::Store::load) first.
     NotLoaded,
     /// A package is on trial, and what lies in the other slot is the way back.
@@ -61,6 +68,9 @@ impl core::fmt::Display for StoreError {
         match *self {
             Self::Flash(kind) => write!(f, "flash: {kind}"),
             Self::Verify { offset } => write!(f, "flash at {offset:#x} reads not as written"),
+            Self::Unreadable { offset } => {
+                write!(f, "the journal at {offset:#x} cannot be read and may be the newest record")
+            }
             Self::NotLoaded => write!(f, "the slots have not been looked at yet"),
             Self::OnTrial => write!(f, "a package is on trial"),
             Self::NotOnTrial => write!(f, "no package is on trial"),

@@ -12,6 +12,9 @@ use super::StoreError;
 pub trait MappedFlash: NorFlash {
     /// The whole region, offset 0 first: what [`ReadNorFlash::read`] would read, also right after
     /// a write or an erasure. A driver in front of which there is a cache must invalidate it.
+    ///
+    /// The first byte must lie at an address that is a multiple of 4, since the numbers of a
+    /// package are used in place as words of 32 bits. Where it does not, packages are refused.
     fn mapped(&self) -> &[u8];
 }
 

@@ -14,6 +14,16 @@
 //! is erased; a number that a torn place may hold is not given out again, since what reads as torn
 //! now may read as whole one day.
 //!
+//! # Places that cannot be read
+//! What the driver refuses to read, twice in a row, is not taken for torn: it may be the newest
+//! record behind a disturbance that passes. Until a record has been appended, everything is
+//! therefore in doubt, and a half is erased only if no such place in it can be the newest record:
+//! if a record was found, and one in that half too, which is then older. (A half is filled in one
+//! go, so that its records are all older or all newer than those of the other.) Behind the newest
+//! record that was found, appending is allowed: flash with error correction reports words that
+//! way whose write was cut, and a node must get on after that.
+//!
+//!
 //! Cost: opening reads the commit area once; appending writes [`RECORD_LENGTH`] bytes, at most
 //! twice, and erases at most one half.
 
@@ -29,6 +39,23 @@ enum Half {
     Second,
 }
 
+impl Half {
+    fn other(self) -> Self {
+        match self {
+            Self::First => Self::Second,
+            Self::Second => Self::First,
+        }
+    }
+
+    /// This half's of two things.
+    fn of<T>(self, [first, second]: &mut [T; 2]) -> &mut T {
+        match self {
+            Self::First => first,
+            Self::Second => second,
+        }
+    }
+}
+
 /// The newest record, and where the next one goes.
 #[derive(Clone, Debug)]
 pub(super) struct Journal {
@@ -39,32 +66,59 @@ pub(super) struct Journal {
     next_place: u32,
     /// Places that hold something and yet no record.
     torn: u32,
-    /// Whether the last write failed, so that flash may hold a newer record than is known here.
+    /// Places that could not be read, and the first of them.
+    unreadable: u32,
+    first_unreadable: Option<u32>,
+    /// A place that could not be read, may hold the newest record, and would be erased next.
+    blocked_by: Option<u32>,
+    /// Whether the last write failed or a place could not be read, so that flash may hold a newer
+    /// record than is known here.
     in_doubt: bool,
 }
+
+/// How many numbers are left out where places are torn or cannot be read. More than were spent
+/// in a row on writes that failed.
+const SKIPPED_NUMBERS: u32 = 0x1_0000;
 
 /// What a place holds.
 enum Place {
     Free,
     Torn,
+    Unreadable,
     Record(u32, Contents),
 }
 
 impl Journal {
-    /// Reads the whole commit area. A place that cannot be read counts as torn: flash with error
-    /// correction reports a word that way whose write was cut.
+    /// Reads the whole commit area.
     pub(super) fn read<F: MappedFlash>(flash: &mut F, layout: &Layout) -> Self {
-        let mut journal =
-            Self { sequence: 0, newest: None, next_place: 0, torn: 0, in_doubt: false };
+        let mut journal = Self {
+            sequence: 0,
+            newest: None,
+            next_place: 0,
+            torn: 0,
+            unreadable: 0,
+            first_unreadable: None,
+            blocked_by: None,
+            in_doubt: false,
+        };
+        // Of each half: the first place that could not be read, and whether it has a record.
+        let mut seen = [(None, false); 2];
         for half in [Half::First, Half::Second] {
             // The place behind the last that is not free.
             let mut end = 0;
             let mut holds_newest = false;
+            let (first_unreadable, has_record) = half.of(&mut seen);
             for place in 0..layout.places() {
-                match read_place(flash, place_offset(layout, half, place)) {
+                let offset = place_offset(layout, half, place);
+                match read_place(flash, offset) {
                     Place::Free => continue,
                     Place::Torn => journal.torn = journal.torn.wrapping_add(1),
+                    Place::Unreadable => {
+                        journal.unreadable = journal.unreadable.wrapping_add(1);
+                        first_unreadable.get_or_insert(offset);
+                    }
                     Place::Record(sequence, contents) => {
+                        *has_record = true;
                         if journal.newest.is_none() || is_newer(sequence, journal.sequence) {
                             journal.newest = Some((half, contents));
                             journal.sequence = sequence;
@@ -78,8 +132,20 @@ impl Journal {
                 journal.next_place = end;
             }
         }
-        // Whatever the torn places were to become, their numbers were not higher than this.
-        journal.sequence = journal.sequence.wrapping_add(journal.torn);
+        if journal.torn > 0 || journal.unreadable > 0 {
+            // Whatever these places hold or were to become, their numbers were not higher.
+            journal.sequence = journal.sequence.wrapping_add(SKIPPED_NUMBERS);
+        }
+        journal.in_doubt = journal.unreadable > 0;
+        let [(in_first, _), (in_second, _)] = seen;
+        journal.first_unreadable = in_first.or(in_second);
+        journal.blocked_by = match journal.newest {
+            None => journal.first_unreadable,
+            Some((half, _)) => {
+                let (first_unreadable, has_record) = *half.other().of(&mut seen);
+                first_unreadable.filter(|_| !has_record)
+            }
+        };
         journal
     }
 
@@ -92,6 +158,21 @@ impl Journal {
     /// everything is in doubt.
     pub(super) fn may_name(&self, slot: Slot) -> bool {
         self.in_doubt || self.newest().is_none_or(|newest| newest.package(slot).is_some())
+    }
+
+    /// How many places could not be read when the journal was.
+    pub(super) fn unreadable(&self) -> u32 {
+        self.unreadable
+    }
+
+    /// The first of them.
+    pub(super) fn first_unreadable(&self) -> Option<u32> {
+        self.first_unreadable
+    }
+
+    /// Takes what could not be read for torn.
+    pub(super) fn forget_unreadable(&mut self) {
+        self.blocked_by = None;
     }
 
     /// How many places held something and yet no record when the journal was read.
@@ -125,10 +206,10 @@ impl Journal {
         }
         // A place can look free and still refuse a write, after one that was cut before it
         // changed any bit that can be read. An erasure heals that.
-        let half = match self.newest {
-            Some((Half::First, _)) => Half::Second,
-            Some((Half::Second, _)) | None => Half::First,
-        };
+        let half = self.newest.map_or(Half::First, |(half, _)| half.other());
+        if let Some(offset) = self.blocked_by {
+            return Err(StoreError::Unreadable { offset });
+        }
         let start = place_offset(layout, half, 0);
         let mut erased = 0;
         while erased < layout.half_length() {
@@ -155,13 +236,13 @@ impl Journal {
         let offset = place_offset(layout, half, place);
         let record = contents.encode(self.sequence);
         flash.write(offset, &record).map_err(driver_error)?;
-        let mut found = [0; RECORD_LENGTH];
-        flash.read(offset, &mut found).map_err(driver_error)?;
-        if found != record {
+        if read_record(flash, offset).map_err(driver_error)? != record {
             return Err(StoreError::Verify { offset });
         }
         self.newest = Some((half, contents));
         self.next_place = place.wrapping_add(1);
+        // It has a higher number than whatever could not be read.
+        self.blocked_by = None;
         Ok(())
     }
 }
@@ -175,11 +256,20 @@ fn place_offset(layout: &Layout, half: Half, place: u32) -> u32 {
     start.wrapping_add(place.wrapping_mul(RECORD_LENGTH as u32))
 }
 
-fn read_place<F: MappedFlash>(flash: &mut F, offset: u32) -> Place {
+/// The bytes of a place; a second look if the first one fails.
+fn read_record<F: MappedFlash>(
+    flash: &mut F,
+    offset: u32,
+) -> Result<[u8; RECORD_LENGTH], F::Error> {
     let mut bytes = [0; RECORD_LENGTH];
     if flash.read(offset, &mut bytes).is_err() {
-        return Place::Torn;
+        flash.read(offset, &mut bytes)?;
     }
+    Ok(bytes)
+}
+
+fn read_place<F: MappedFlash>(flash: &mut F, offset: u32) -> Place {
+    let Ok(bytes) = read_record(flash, offset) else { return Place::Unreadable };
     if bytes == [0xff; RECORD_LENGTH] {
         return Place::Free;
     }

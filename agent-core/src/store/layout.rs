@@ -35,6 +35,12 @@ pub enum LayoutError {
         /// What its offset and length are to be multiples of, of the commit area twice. \[byte\]
         erase_size: u32,
     },
+    /// A slot does not begin at a multiple of 4 bytes, as the numbers of a package must that are
+    /// used in place.
+    UnalignedPackage {
+        /// Which slot.
+        part: Part,
+    },
     /// A part is too short to hold anything.
     TooShort {
         /// Which part.
@@ -74,6 +80,9 @@ impl core::fmt::Display for LayoutError {
             Self::Unaligned { part, erase_size } => {
                 write!(f, "{part} does not consist of erase units of {erase_size} bytes")
             }
+            Self::UnalignedPackage { part } => {
+                write!(f, "{part} does not begin at a multiple of {PACKAGE_ALIGNMENT} bytes")
+            }
             Self::TooShort { part } => write!(f, "{part} is too short to hold anything"),
             Self::OutOfRegion { part, capacity } => {
                 write!(f, "{part} ends behind the region of {capacity} bytes")
@@ -85,9 +94,12 @@ impl core::fmt::Display for LayoutError {
 
 impl core::error::Error for LayoutError {}
 
+/// What the offset of a slot must be a multiple of: the size of a package's numbers. \[byte\]
+const PACKAGE_ALIGNMENT: u32 = size_of::<f32>() as u32;
+
 impl Layout {
     /// Whether everything lies apart, inside a region of `capacity` bytes, on erase units of
-    /// `erase_size` bytes.
+    /// `erase_size` bytes, and the slots on multiples of 4 bytes.
     ///
     /// # Errors
     /// The first thing that does not.
@@ -101,6 +113,9 @@ impl Layout {
         for (part, start, length, multiple) in parts {
             if !start.is_multiple_of(erase_size) || !length.is_multiple_of(multiple) {
                 return Err(LayoutError::Unaligned { part, erase_size });
+            }
+            if part != Part::Commit && !start.is_multiple_of(PACKAGE_ALIGNMENT) {
+                return Err(LayoutError::UnalignedPackage { part });
             }
             if length == 0 || (part == Part::Commit && self.places() == 0) {
                 return Err(LayoutError::TooShort { part });
@@ -170,6 +185,12 @@ mod tests {
         assert_eq!(validate(Layout { commit_length: 0, ..LAYOUT }), too_short(Part::Commit));
         let small = Layout { slots: [0, 16], slot_length: 16, commit: 32, commit_length: 32 };
         assert_eq!(small.validate(16, 64), too_short(Part::Commit));
+        let odd = Layout { slots: [0, 6], slot_length: 6, commit: 12, commit_length: 64 };
+        assert_eq!(odd.validate(2, 128), Err(LayoutError::UnalignedPackage { part: B }));
+        assert_eq!(
+            Layout { slots: [0, 8], slot_length: 6, commit: 14, ..odd }.validate(2, 78),
+            Ok(())
+        );
         let outside = |part| Err(LayoutError::OutOfRegion { part, capacity: 0x10000 });
         assert_eq!(validate(Layout { slots: [0, 0xa000], ..LAYOUT }), outside(B));
         assert_eq!(validate(Layout { commit_length: 0x4000, ..LAYOUT }), outside(Part::Commit));

@@ -21,12 +21,17 @@
 //!
 //! # When flash forgets, or somebody else has written to it
 //! [`Store::load`] takes a package only if length, checksum and check agree. If the slot in use
-//! is refused, the other recorded package is loaded, be it older, staged, or one that did not
-//! pass its trial: a network that was once checked is better than none. If no record helps,
-//! because the journal is lost or a debugger has replaced the packages, [`Store::salvage`] takes
-//! the first slot whose bytes prove themselves to the check alone. It does not go against a
-//! record that says that nothing is in use. Both only change the store's memory; the next record
-//! makes it last, and until then every boot comes to the same result.
+//! is refused, the other recorded package is loaded, be it older or staged: a network that was
+//! once checked is better than none. One that failed its trial is not recorded any more, since it
+//! may be what makes the node reset. If no record helps, because the journal is lost or a debugger
+//! has replaced the packages, [`Store::salvage`] takes a slot whose bytes prove themselves to the
+//! check alone. It does not go against a record that says that nothing is in use, or nothing in
+//! that slot. Both only change the store's memory; the next record makes it last, and until then
+//! every boot comes to the same result.
+//!
+//! A record that the driver cannot read may come back. Loading goes on with what was found, but
+//! the end of a trial is not recorded then, and where an erasure could destroy the newest record
+//! the store refuses to record anything ([`StoreError::Unreadable`]).
 //!
 //! An older record that bit rot brings back names bytes that have since been replaced, which
 //! their checksum tells. Other values of erased flash than 0xFF are out of scope.
@@ -96,6 +101,9 @@ pub struct Opening {
     pub recorded: bool,
     /// How many places of the journal hold something and yet no record, as after a cut write.
     pub torn_places: u32,
+    /// How many places of the journal could not be read. If there are any, a newer record than
+    /// was found may come back, until one is appended.
+    pub unreadable_places: u32,
     /// Whether a trial was under way, and how recording its end went. After an error the store
     /// goes on with what was in use before the trial all the same.
     pub trial_ended: Option<Result<(), StoreError>>,
@@ -139,14 +147,22 @@ impl<F: MappedFlash> Store<F> {
         layout.validate(F::ERASE_SIZE as u32, capacity)?;
         let journal = Journal::read(&mut flash, &layout);
         let newest = journal.newest();
-        let opening =
-            Opening { recorded: newest.is_some(), torn_places: journal.torn(), trial_ended: None };
+        let opening = Opening {
+            recorded: newest.is_some(),
+            torn_places: journal.torn(),
+            unreadable_places: journal.unreadable(),
+            trial_ended: None,
+        };
         let contents = newest.unwrap_or(Contents::NOTHING);
         let mut store =
             Self { flash, layout, journal, contents, upload: None, opening, loaded: false };
         if contents.phase == Phase::Trial {
             let reverted = contents.reverted();
-            store.opening.trial_ended = Some(store.commit(reverted));
+            // What cannot be read may be the confirmation.
+            store.opening.trial_ended = Some(match store.journal.first_unreadable() {
+                Some(offset) => Err(StoreError::Unreadable { offset }),
+                None => store.commit(reverted),
+            });
             store.contents = reverted;
         }
         Ok(store)
@@ -186,35 +202,53 @@ impl<F: MappedFlash> Store<F> {
         Loaded { in_use: None, refusals }
     }
 
-    /// Looks for a package that no valid record describes, after [`Store::load`] found none:
-    /// takes the first slot that begins with what `length` takes for a package, returning its
-    /// length, and `check` for a good one. Nothing is recorded. It finds nothing if something is
-    /// in use, or if the journal says that nothing is to be.
+    /// Looks for a package that no valid record describes, after [`Store::load`] found none: one
+    /// that lies where `length` takes the beginning of a slot for a package, returning its length,
+    /// and that `check` takes for a good one. Of two such packages the one goes first whose slot
+    /// the journal says is in use; without any record slot A, unless `newer` says that what the
+    /// check made of its first argument is newer than its second.
+    ///
+    /// Nothing is recorded. It finds nothing if something is in use, if the journal says that
+    /// nothing is to be, or in a slot of which the journal says that it holds nothing.
     pub fn salvage<T, E>(
         &mut self,
         mut length: impl FnMut(&[u8]) -> Option<u32>,
         mut check: impl FnMut(&[u8]) -> Result<T, E>,
+        newer: impl FnOnce(&T, &T) -> bool,
     ) -> Option<(Slot, T)> {
-        let wanted = match self.journal.newest() {
-            Some(newest) => newest.rebooted().in_use?,
-            None => Slot::A,
-        };
         if self.contents.in_use.is_some() || !self.loaded || self.upload.is_some() {
             return None;
         }
-        for slot in [wanted, wanted.other()] {
-            let whole = bytes_at(&self.flash, self.layout.slot(slot), self.layout.slot_length);
-            let found = whole.and_then(|whole| {
-                let bytes = whole.get(..usize::try_from(length(whole)?).ok()?)?;
-                Some((Extent::of(bytes)?, check(bytes).ok()?))
-            });
-            if let Some((extent, package)) = found {
-                self.contents = Contents { in_use: Some(slot), ..Contents::NOTHING }
-                    .with_package(slot, Some(extent));
-                return Some((slot, package));
+        let newest = self.journal.newest().map(Contents::rebooted);
+        let first_slot = newest.map_or(Some(Slot::A), |newest| newest.in_use)?;
+        let mut candidate = |slot| {
+            if newest.is_some_and(|newest| newest.package(slot).is_none()) {
+                return None;
             }
-        }
-        None
+            let whole = bytes_at(&self.flash, self.layout.slot(slot), self.layout.slot_length)?;
+            let bytes = whole.get(..usize::try_from(length(whole)?).ok()?)?;
+            Some((slot, Extent::of(bytes)?, check(bytes).ok()?))
+        };
+        let (slot, extent, package) = match (candidate(first_slot), candidate(first_slot.other())) {
+            (Some(first), Some(second)) => {
+                if newest.is_none() && newer(&second.2, &first.2) {
+                    second
+                } else {
+                    first
+                }
+            }
+            (first, second) => first.or(second)?,
+        };
+        self.contents =
+            Contents { in_use: Some(slot), ..Contents::NOTHING }.with_package(slot, Some(extent));
+        Some((slot, package))
+    }
+
+    /// Gives up the places of the journal that cannot be read, for flash that will not recover:
+    /// [`StoreError::Unreadable`] no longer stands in the way of the next record. If one of them
+    /// held the newest record, what the store found at boot replaces it.
+    pub fn forget_unreadable(&mut self) {
+        self.journal.forget_unreadable();
     }
 
     /// Begins the upload of a package of `length` bytes into the slot that is not in use. What

@@ -97,10 +97,11 @@ impl Contents {
     }
 
     /// The same after a trial that was not passed: what was in use before is so again, if there
-    /// was anything.
+    /// was anything. The package on trial is not named any more, so that nothing falls back to it.
     pub(super) fn reverted(self) -> Self {
         let before = self.in_use.map(Slot::other).filter(|&slot| self.package(slot).is_some());
-        Self { in_use: before, phase: Phase::Confirmed, ..self }
+        let failed = self.in_use.map_or(self, |failed| self.with_package(failed, None));
+        Self { in_use: before, phase: Phase::Confirmed, ..failed }
     }
 
     /// What is left of this after a reboot.
