@@ -76,8 +76,8 @@ pub(super) struct Journal {
     in_doubt: bool,
 }
 
-/// How many numbers are left out where places are torn or cannot be read. More than were spent
-/// in a row on writes that failed.
+/// How many numbers are left out for each place that is torn or cannot be read. More than were
+/// spent in a row on writes that failed.
 const SKIPPED_NUMBERS: u32 = 0x1_0000;
 
 /// What a place holds.
@@ -132,10 +132,10 @@ impl Journal {
                 journal.next_place = end;
             }
         }
-        if journal.torn > 0 || journal.unreadable > 0 {
-            // Whatever these places hold or were to become, their numbers were not higher.
-            journal.sequence = journal.sequence.wrapping_add(SKIPPED_NUMBERS);
-        }
+        // Whatever these places hold or were to become, their numbers were not higher, even if
+        // numbers were left out before each of them.
+        let unknown = journal.torn.wrapping_add(journal.unreadable);
+        journal.sequence = journal.sequence.wrapping_add(unknown.wrapping_mul(SKIPPED_NUMBERS));
         journal.in_doubt = journal.unreadable > 0;
         let [(in_first, _), (in_second, _)] = seen;
         journal.first_unreadable = in_first.or(in_second);
