@@ -10,7 +10,7 @@ use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
 use crate::analysis::{TriggerConstants, spectral_norm, stiffness};
 use crate::fnv::Fnv;
-use crate::packages::{NodeContent, PackageBytes, trained};
+use crate::packages::{NodeContent, PackageBytes, trained, with_dimension};
 use crate::plant::Stepper;
 use crate::scenario::{Network, Scenario};
 use crate::training::{Dataset, TrainingError};
@@ -48,15 +48,12 @@ pub fn run_over(
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
-    macro_rules! of_dimension {
-        ($($n:literal)*) => {
-            match scenario.dimension() {
-                $($n => run_fixed::<$n>(scenario, link, options, progress),)*
-                n => panic!("a state of {n} components, expected 1 to 12"),
-            }
-        };
-    }
-    of_dimension!(1 2 3 4 5 6 7 8 9 10 11 12)
+    let n = scenario.dimension();
+    with_dimension!(
+        n,
+        run_fixed(scenario, link, options, progress),
+        else panic!("a state of {n} components, expected 1 to 12")
+    )
 }
 
 fn run_fixed<const N: usize>(
