@@ -53,6 +53,9 @@ fn from_samples_to_a_signed_package_that_nobody_can_change() {
     let error = folder.fail("weights verify out/agent1_cycle1.weights --key operator.pub", 2);
     assert!(error.contains("not signed"), "{error}");
 
+    let error = folder.fail("weights verify node1.weights --features 3", 2);
+    assert!(error.contains("4 features, the node has room for 3"), "{error}");
+
     let mut bytes = own.clone();
     bytes[own.len() / 2] ^= 0x10;
     fs::write(folder.path("tampered.weights"), &bytes).unwrap();

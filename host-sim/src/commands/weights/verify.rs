@@ -27,9 +27,36 @@ pub(in crate::commands) struct Arguments {
     /// The board's memory map: the package must fit a slot
     #[arg(long)]
     memory: Option<PathBuf>,
+    #[command(flatten)]
+    capacity: Sizes,
     /// How the result is printed on standard output
     #[arg(long, value_enum, default_value_t)]
     format: Format,
+}
+
+/// What the node's firmware has room for; without them, there is room for everything.
+#[derive(Debug, Args)]
+struct Sizes {
+    /// Features (nodes of the last inner layer) that the firmware has room for
+    #[arg(long)]
+    features: Option<usize>,
+    /// Neighbours that the firmware has room for
+    #[arg(long)]
+    neighbours: Option<usize>,
+    /// Entries of the outer gain that the firmware has room for
+    #[arg(long)]
+    gain_entries: Option<usize>,
+}
+
+impl Sizes {
+    fn capacity(&self) -> Capacity {
+        let or_any = |size: Option<usize>| size.unwrap_or(usize::MAX);
+        Capacity {
+            features: or_any(self.features),
+            neighbours: or_any(self.neighbours),
+            gain_entries: or_any(self.gain_entries),
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -94,7 +121,10 @@ fn examine(arguments: &Arguments) -> Result<Report, CommandError> {
         None => None,
     };
     let bytes = PackageBytes::load(&arguments.package)?;
-    let requirements = requirements(key.as_ref(), in_use.as_ref());
+    let requirements = Requirements {
+        capacity: arguments.capacity.capacity(),
+        ..requirements(key.as_ref(), in_use.as_ref())
+    };
     let refused =
         |refusal: String| CommandError::Refused { path: arguments.package.clone(), refusal };
     let package = check(&bytes, &requirements).map_err(|refusal| refused(refusal.to_string()))?;
