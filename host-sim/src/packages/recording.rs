@@ -325,7 +325,7 @@ mod tests {
             ("time,xhat1,dxhat1\n0,1,2\n1,x,2\n", "3: \"xhat1\" is \"x\""),
             ("time,xhat1,dxhat1\n0,1,2\n1,NaN,2\n", "3: \"xhat1\" is \"NaN\""),
             ("time,xhat1,dxhat1\n0,1,2\n1,2\n", "3: is no line of a CSV file"),
-            ("time,xhat1,dxhat1\n0,1,2\n1,2,3\n\n0.5,1,2\n", "5: is not after"),
+            ("time,xhat1,dxhat1\n0,1,2\n1,2,3\n0.5,1,2\n", "4: is not after"),
             ("time [ms],xhat1,dxhat1\n0,1,2\n1,2,3\n", "1: the unit of time is [ms]"),
             ("time,xhat1,dxhat1\n0,1,2\n0,1,2\n", "3: is not after"),
             ("time,xhat1,dxhat1\n0,1,2\n", ": 1 samples, at least 2"),
