@@ -139,7 +139,7 @@ impl SamplePackage {
                 seed: 42,
                 samples: 300,
                 errors: (!self.recipe.is_empty())
-                    .then_some(TrainingErrors { training: 0.5, test: 0.75 }),
+                    .then_some(TrainingErrors { training: 0.5, held_out: 0.75 }),
                 tool_version: [0, 1, 0],
             },
             test_vectors: &[],
