@@ -1,21 +1,57 @@
-//! The checksum of frames, packages and records: CRC-32 (ISO-HDLC, the one of Ethernet).
+//! The checksum of frames, packages, records and messages: CRC-32 (ISO-HDLC, the one of
+//! Ethernet).
 //!
 //! Any change of up to 32 bits in a row is found, and any single bit; 1 of 4 billion other
 //! changes is not. Cost: about 9 operations a byte; memory: a table of 1 KiB in flash.
 
-use crc::{CRC_32_ISO_HDLC, Crc, Table};
+use crc::{CRC_32_ISO_HDLC, Crc, Digest, Table};
 
 /// Bytes in a checksum.
 pub const CHECKSUM_LENGTH: usize = 4;
 
-const ALGORITHM: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
+static ALGORITHM: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 
 /// The checksum of all `parts`, one after another.
 #[must_use]
 pub fn crc32(parts: &[&[u8]]) -> u32 {
-    let mut digest = ALGORITHM.digest();
-    parts.iter().for_each(|part| digest.update(part));
-    digest.finalize()
+    let mut checksum = Checksum::new();
+    parts.iter().for_each(|part| checksum.update(part));
+    checksum.finish()
+}
+
+/// The checksum of bytes that come bit by bit.
+#[derive(Clone)]
+pub struct Checksum(Digest<'static, u32, Table<1>>);
+
+impl Checksum {
+    /// That of no byte.
+    #[must_use]
+    pub fn new() -> Self {
+        Self(ALGORITHM.digest())
+    }
+
+    /// Takes the next bytes.
+    pub fn update(&mut self, bytes: &[u8]) {
+        self.0.update(bytes);
+    }
+
+    /// The checksum of all bytes so far.
+    #[must_use]
+    pub fn finish(self) -> u32 {
+        self.0.finalize()
+    }
+}
+
+impl Default for Checksum {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl core::fmt::Debug for Checksum {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "Checksum({:08x})", self.clone().finish())
+    }
 }
 
 #[cfg(test)]

@@ -50,6 +50,8 @@ pub mod parameter;
 pub mod projection;
 pub mod region;
 mod sequence;
+pub mod serial;
+pub mod service;
 pub mod signature;
 pub mod store;
 pub mod symmetric;

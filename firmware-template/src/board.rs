@@ -1,9 +1,21 @@
-//! What an agent needs from its board: three traits, none of which allocates.
+//! What a node needs from its board.
 //!
-//! Only [`Clock::wait`] blocks for longer than a transfer takes. Errors are the board's own
-//! type; the agent only decides whether it goes on without this sample or frame.
+//! | trait | what it is | who implements it |
+//! | --- | --- | --- |
+//! | [`Sensor`] | reads the agent's own part of the output, `y_i` | [`crate::RegisterSensor`], or the board |
+//! | [`Link`] | moves frames to and from the neighbours | [`crate::SerialLink`], or the board |
+//! | [`Clock`] | paces the steps | the board |
+//! | [`embedded_io`]'s `Read`, `ReadReady`, `Write` | the service port, to a laptop | the board's HAL |
+//! | [`agent_core::store::MappedFlash`] | keeps weight packages | the board |
+//!
+//! [`Hardware`] joins the first four to a [`Board`], which is what [`crate::node::Node`] runs on.
+//! None of this allocates, and only [`Clock::rest`] waits.
 
 use core::fmt::Debug;
+
+use agent_core::serial::{Decoder, SerialError};
+use agent_core::service::REQUEST_LENGTH_MAX;
+use embedded_io::{Read, ReadReady, Write};
 
 /// Reads the agent's own part of the output, `y_i`.
 pub trait Sensor {
@@ -50,10 +62,144 @@ pub trait Link {
 
 /// Paces the agent at the fixed sampling period of its observer.
 pub trait Clock {
-    /// The sampling period `[s]`.
-    fn period(&self) -> f32;
+    /// Begins to count sampling periods of this length \[s\], which is the `dt` of the package in
+    /// use. Called when the node begins and whenever a package has another period.
+    fn start(&mut self, period: f32);
 
-    /// Blocks until the next sampling instant and returns how many periods have begun since
-    /// the last call: 1 when the agent keeps up, more when it missed instants, never 0.
-    fn wait(&mut self) -> u32;
+    /// How many periods have begun since the last call: 1 when the agent keeps up, more when it
+    /// missed instants, 0 when it is not yet time. Never waits.
+    fn elapsed(&mut self) -> u32;
+
+    /// Waits until something may have happened: a period, or a byte for the service port. It may
+    /// return at any time without a reason, as an instruction that waits for an interrupt does.
+    fn rest(&mut self);
+}
+
+/// Everything around a node but its flash.
+pub trait Board {
+    /// See [`Clock::start`].
+    fn start(&mut self, period: f32);
+
+    /// See [`Clock::elapsed`].
+    fn elapsed(&mut self) -> u32;
+
+    /// See [`Clock::rest`].
+    fn rest(&mut self);
+
+    /// Takes a sample into `measurement` and returns how many components it has; `None` if the
+    /// sensor failed, or has more components than there is room for.
+    fn measure(&mut self, measurement: &mut [f32]) -> Option<usize>;
+
+    /// Hands a frame to the link; returns whether that worked. See [`Link::send`].
+    fn broadcast(&mut self, frame: &[u8]) -> bool;
+
+    /// The oldest received frame, or that it was lost. See [`Link::poll`].
+    fn frame<'buffer>(&mut self, buffer: &'buffer mut [u8]) -> Option<Result<&'buffer [u8], Lost>>;
+
+    /// The next request at the service port, or that it was damaged. Never waits.
+    fn request<'buffer>(
+        &mut self,
+        buffer: &'buffer mut RequestBuffer,
+    ) -> Option<Result<&'buffer [u8], SerialError>>;
+
+    /// Sends bytes through the service port. Bytes that cannot be sent are lost: telemetry must not
+    /// hold up a step.
+    fn respond(&mut self, bytes: &[u8]);
+
+    /// Lets go of what [`respond`](Self::respond) may have kept back.
+    fn flush(&mut self);
+}
+
+/// Something could not be received.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lost;
+
+/// Room for one request.
+pub type RequestBuffer = [u8; REQUEST_LENGTH_MAX];
+
+/// Decodes the service port's requests.
+pub type RequestDecoder = Decoder<{ REQUEST_LENGTH_MAX + agent_core::checksum::CHECKSUM_LENGTH }>;
+
+/// A board made of a sensor, a link, a clock and a service port.
+#[derive(Debug)]
+pub struct Hardware<S, L, C, P> {
+    sensor: S,
+    link: L,
+    clock: C,
+    port: P,
+    decoder: RequestDecoder,
+}
+
+impl<S: Sensor, L: Link, C: Clock, P: Read + ReadReady + Write> Hardware<S, L, C, P> {
+    /// Joins the parts.
+    pub const fn new(sensor: S, link: L, clock: C, port: P) -> Self {
+        Self { sensor, link, clock, port, decoder: RequestDecoder::new() }
+    }
+}
+
+impl<S: Sensor, L: Link, C: Clock, P: Read + ReadReady + Write> Board for Hardware<S, L, C, P> {
+    fn start(&mut self, period: f32) {
+        self.clock.start(period);
+    }
+
+    fn elapsed(&mut self) -> u32 {
+        self.clock.elapsed()
+    }
+
+    fn rest(&mut self) {
+        self.clock.rest();
+    }
+
+    fn measure(&mut self, measurement: &mut [f32]) -> Option<usize> {
+        let outputs = self.sensor.outputs();
+        self.sensor.read(measurement.get_mut(..outputs)?).ok()?;
+        Some(outputs)
+    }
+
+    fn broadcast(&mut self, frame: &[u8]) -> bool {
+        self.link.send(frame).is_ok()
+    }
+
+    fn frame<'buffer>(&mut self, buffer: &'buffer mut [u8]) -> Option<Result<&'buffer [u8], Lost>> {
+        self.link.poll(buffer).map_err(|_| Lost).transpose()
+    }
+
+    fn request<'buffer>(
+        &mut self,
+        buffer: &'buffer mut RequestBuffer,
+    ) -> Option<Result<&'buffer [u8], SerialError>> {
+        // A receiver that is flooded gets back to its steps after the longest request.
+        for _ in 0..2 * REQUEST_LENGTH_MAX {
+            if !self.port.read_ready().unwrap_or(false) {
+                return None;
+            }
+            let mut byte = [0];
+            if !matches!(self.port.read(&mut byte), Ok(1)) {
+                return None;
+            }
+            let [byte] = byte;
+            if let Some(message) = self.decoder.push(byte) {
+                return Some(message.and_then(|message| copied(message, buffer)));
+            }
+        }
+        None
+    }
+
+    fn respond(&mut self, bytes: &[u8]) {
+        let _ = self.port.write_all(bytes);
+    }
+
+    fn flush(&mut self) {
+        let _ = self.port.flush();
+    }
+}
+
+/// `message` at the start of `buffer`.
+pub(crate) fn copied<'buffer>(
+    message: &[u8],
+    buffer: &'buffer mut [u8],
+) -> Result<&'buffer [u8], SerialError> {
+    let place = buffer.get_mut(..message.len()).ok_or(SerialError::TooLong)?;
+    place.copy_from_slice(message);
+    Ok(place)
 }

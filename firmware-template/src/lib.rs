@@ -12,7 +12,13 @@
 #![forbid(unsafe_code)]
 
 pub mod board;
+mod in_the_loop;
+pub mod node;
 pub mod registers;
+mod serial_link;
 
-pub use board::{Clock, Link, Sensor};
+pub use board::{Board, Clock, Hardware, Link, Lost, Sensor};
+pub use in_the_loop::InTheLoop;
+pub use node::{Node, Settings};
 pub use registers::RegisterSensor;
+pub use serial_link::SerialLink;

@@ -4,6 +4,7 @@
 use super::{AgentParams, AgentState};
 use crate::hold::Hold;
 use crate::inbox::Inbox;
+use crate::observer::Neighbour;
 use crate::outer_law::OuterWeights;
 use crate::package::{OnSwitch, Package};
 use crate::parameter::ParameterError;
@@ -13,7 +14,7 @@ where
     S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
 {
     /// Prepares the next step for `package`, whose parameters are `new`, after steps with the
-    /// parameters `old`. The estimate goes on. The adapted outer weights go on, too, unless the
+    /// neighbours `old`. The estimate goes on. The adapted outer weights go on, too, unless the
     /// package says otherwise or has another number of features. A sample or a waiting frame in the
     /// place of a neighbour that is another one from now on is dropped.
     ///
@@ -22,7 +23,7 @@ where
     /// (make a new state then); nothing is changed in either case.
     pub fn switch<I>(
         &mut self,
-        old: &AgentParams<'_, N>,
+        old: &[Neighbour],
         new: &AgentParams<'_, N>,
         package: &Package<'_>,
         inbox: &mut Inbox<N, I>,
@@ -40,7 +41,7 @@ where
             self.outer_weights = OuterWeights::new(package.outer_weights, &new.outer_law)?;
         }
         let stays = |place: usize| {
-            let (old, new) = (old.neighbours().get(place), new.neighbours().get(place));
+            let (old, new) = (old.get(place), new.neighbours().get(place));
             old.zip(new).is_some_and(|(old, new)| old.id == new.id)
         };
         for (place, hold) in self.neighbour_holds.as_mut().iter_mut().enumerate() {

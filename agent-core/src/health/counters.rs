@@ -1,7 +1,9 @@
 //! How often what happened.
 
+use serde::{Deserialize, Serialize};
+
 /// Counts since the node began; each stays at `u32::MAX` once it is there.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HealthCounters {
     /// Steps that led to an estimate outside the box of trained inputs.
     pub outside_box: u32,

@@ -2,6 +2,7 @@
 
 use core::num::NonZeroU32;
 
+use crate::StateVector;
 use crate::agent::AgentParams;
 use crate::package::StateBox;
 use crate::parameter::{ParameterError, not_negative, positive};
@@ -36,6 +37,18 @@ pub struct HealthSettings {
     pub restart_after: Option<NonZeroU32>,
     /// Least time between two reports. \[steps\]
     pub telemetry_interval: u32,
+}
+
+impl HealthSettings {
+    /// What does no harm to a plant that its network was trained for, and ends what no plant does:
+    /// docs/decisions/0009-beginning-anew.md has the measurements. The network is never left out;
+    /// reports come at most every 1,000 steps.
+    pub const RECOMMENDED: Self = Self {
+        fall_back: None,
+        plausible_margin: 10.0,
+        restart_after: NonZeroU32::new(10),
+        telemetry_interval: 1_000,
+    };
 }
 
 /// Everything about the watch that does not change, checked as a whole. It owns what it needs of
@@ -103,6 +116,12 @@ impl<const N: usize> HealthParams<N> {
     #[must_use]
     pub fn plausible_region(&self) -> &Region<N> {
         &self.plausible
+    }
+
+    /// The centre of the trained box: where an agent begins that knows nothing of the state.
+    #[must_use]
+    pub fn start_estimate(&self) -> StateVector<N> {
+        self.trained.centre()
     }
 
     /// Theorem 2's bound, rounded down; 0 if it is not watched. \[steps\]

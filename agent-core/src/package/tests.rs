@@ -382,12 +382,12 @@ fn an_agent_goes_on_with_another_package() {
     let mut other = other.package();
     let (mut neighbours, mut gain) = places();
     let new = other.node.params::<2>(&mut neighbours, &mut gain).unwrap();
-    state.switch(&old, &new, &other, &mut inbox).unwrap();
+    state.switch(old.neighbours(), &new, &other, &mut inbox).unwrap();
     assert!(state.neighbour_holds()[0].is_none() && state.neighbour_holds()[1].is_some());
     assert!(inbox.is_empty());
     assert_eq!((*state.estimate(), state.outer_weights().rows()), (estimate, &adapted[..]));
     other.outer_weights_on_switch = OnSwitch::Replace;
-    state.switch(&new, &new, &other, &mut inbox).unwrap();
+    state.switch(new.neighbours(), &new, &other, &mut inbox).unwrap();
     assert_eq!(state.outer_weights().rows()[2].as_slice(), &content.outer_weights[4..]);
     state.step(&new, Some(&other.network), 1, &[0.4], &mut inbox).unwrap();
 
@@ -399,7 +399,7 @@ fn an_agent_goes_on_with_another_package() {
     let (mut neighbours, mut gain) = places();
     let fewer = one.node.params::<2>(&mut neighbours, &mut gain).unwrap();
     let before = state.clone();
-    assert!(state.switch(&new, &fewer, &one, &mut inbox).is_err());
+    assert!(state.switch(new.neighbours(), &fewer, &one, &mut inbox).is_err());
     assert_eq!(state.neighbour_holds(), before.neighbour_holds());
 }
 

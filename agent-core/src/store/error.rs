@@ -1,13 +1,14 @@
 //! Why the store refuses something.
 
 use embedded_storage::nor_flash::NorFlashErrorKind;
+use serde::{Deserialize, Serialize};
 
 /// Why a call is refused. Nothing has changed then, but for what the variants say.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum StoreError {
     /// The flash driver reports an error. An unfinished upload that it hit is dropped.
-    Flash(NorFlashErrorKind),
+    Flash(#[serde(with = "flash_kind")] NorFlashErrorKind),
     /// What was written reads differently. An unfinished upload that it hit is dropped.
     Verify {
         /// Where, from the start of the region. \[byte\]
@@ -141,3 +142,28 @@ impl<E: core::fmt::Display> core::fmt::Display for Refusal<E> {
 }
 
 impl<E: core::error::Error> core::error::Error for Refusal<E> {}
+
+/// How a message carries what a flash driver says: postcard knows nothing of the foreign type.
+mod flash_kind {
+    use embedded_storage::nor_flash::NorFlashErrorKind;
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    const KINDS: [NorFlashErrorKind; 2] =
+        [NorFlashErrorKind::NotAligned, NorFlashErrorKind::OutOfBounds];
+
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks for it")]
+    pub(super) fn serialize<S: Serializer>(
+        kind: &NorFlashErrorKind,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        let place = KINDS.iter().position(|known| known == kind).unwrap_or(KINDS.len());
+        serializer.serialize_u8(place as u8)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<NorFlashErrorKind, D::Error> {
+        let place = usize::from(u8::deserialize(deserializer)?);
+        Ok(KINDS.get(place).copied().unwrap_or(NorFlashErrorKind::Other))
+    }
+}

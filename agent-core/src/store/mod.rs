@@ -58,10 +58,11 @@ use crate::checksum::crc32;
 use flash::{assert_units, bytes_at};
 use journal::Journal;
 use record::{Contents, Extent, Phase};
+use serde::{Deserialize, Serialize};
 use upload::Upload;
 
 /// One of the two places for a package.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Slot {
     /// The first.
     A,

@@ -213,7 +213,8 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             Some(health) => Some(Watch::new(&self.params, &package, health, self.watch.as_ref())?),
             None => None,
         };
-        self.state.switch(&self.params, &self.params, &package, &mut self.inbox)?;
+        let neighbours = self.params.neighbours();
+        self.state.switch(neighbours, &self.params, &package, &mut self.inbox)?;
         self.in_use = Some(InUse { agent: package.node.agent, version: package.version });
         self.network = Some(bytes.network());
         self.watch = watch;

@@ -7,10 +7,6 @@ use agent_core::health::{FallBack, HealthSettings};
 use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::{Table, Value};
 
-/// Widths of the trained box: as in docs/decisions/0009-beginning-anew.md.
-const PLAUSIBLE_MARGIN: f32 = 10.0;
-/// Steps in a row that overflow until an agent begins anew.
-const RESTART_AFTER: u32 = 10;
 /// Where `return_after` is not written, this many times `fall_back_after`: leaving the network out
 /// should be quick, coming back to it should not.
 const RETURN_FACTOR: u32 = 10;
@@ -47,9 +43,10 @@ pub(in crate::scenario) fn health(
     ])?;
     let plausible_margin = match table.get("plausible_margin", "10.0") {
         Some(value) => margin(&value)?,
-        None => PLAUSIBLE_MARGIN,
+        None => HealthSettings::RECOMMENDED.plausible_margin,
     };
-    let restart_after = steps_or_never(&table, "restart_after", RESTART_AFTER)?;
+    let restart_after =
+        steps_or_never(&table, "restart_after", HealthSettings::RECOMMENDED.restart_after)?;
     let fall_back = fall_back(&table)?;
     // There is nobody to report to before the end.
     let telemetry_interval = u32::MAX;
@@ -57,7 +54,7 @@ pub(in crate::scenario) fn health(
 }
 
 fn fall_back(table: &Table<'_>) -> Result<Option<FallBack>, ScenarioError> {
-    let after = steps_or_never(table, "fall_back_after", 0)?;
+    let after = steps_or_never(table, "fall_back_after", None)?;
     let written = match table.get("return_after", "100") {
         Some(value) => NonZeroU32::new(value.integer(1..=u32::MAX)?),
         None => None,
@@ -81,10 +78,12 @@ fn fall_back(table: &Table<'_>) -> Result<Option<FallBack>, ScenarioError> {
 fn steps_or_never(
     table: &Table<'_>,
     key: &str,
-    default: u32,
+    default: Option<NonZeroU32>,
 ) -> Result<Option<NonZeroU32>, ScenarioError> {
-    let steps = table.get(key, "10").map_or(Ok(default), |value| value.integer(0..=u32::MAX))?;
-    Ok(NonZeroU32::new(steps))
+    match table.get(key, "10") {
+        Some(value) => Ok(NonZeroU32::new(value.integer(0..=u32::MAX)?)),
+        None => Ok(default),
+    }
 }
 
 /// Above 0 in the agents' single precision, too.

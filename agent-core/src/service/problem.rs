@@ -1,0 +1,205 @@
+//! Why a node does not do what it is asked.
+
+use serde::{Deserialize, Serialize};
+
+use crate::package::{PackageError, Refusal};
+use crate::store::{CheckedError, StoreError};
+
+/// Why a node does not do what it is asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Problem {
+    /// The request is none that the node knows.
+    Unknown,
+    /// The request is for a node in the loop, and this one has a sensor and a clock.
+    NotInTheLoop,
+    /// There is no package in use.
+    NoPackage,
+    /// The estimate is not finite, or has another number of components than the state.
+    Estimate,
+    /// The store refuses.
+    Store(StoreError),
+    /// The package is refused.
+    Package(RefusalReport),
+}
+
+impl core::fmt::Display for Problem {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Unknown => write!(f, "the node does not know this request"),
+            Self::NotInTheLoop => {
+                write!(f, "the node has its own sensor and clock, it is not in the loop")
+            }
+            Self::NoPackage => write!(f, "the node has no package in use"),
+            Self::Estimate => {
+                write!(f, "the estimate is not finite or not of the node's state dimension")
+            }
+            Self::Store(error) => write!(f, "{error}"),
+            Self::Package(report) => write!(f, "the package is refused: {report}"),
+        }
+    }
+}
+
+impl core::error::Error for Problem {}
+
+impl From<StoreError> for Problem {
+    fn from(error: StoreError) -> Self {
+        Self::Store(error)
+    }
+}
+
+impl From<CheckedError<Refusal>> for Problem {
+    fn from(error: CheckedError<Refusal>) -> Self {
+        match error {
+            CheckedError::Store(error) => Self::Store(error),
+            CheckedError::Refused(refusal) => Self::Package(RefusalReport::from(&refusal)),
+        }
+    }
+}
+
+/// A [`Refusal`] as it fits into a message: which check failed, and its numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RefusalReport {
+    /// The check.
+    pub kind: RefusalKind,
+    /// What the node expected, where that is a number; otherwise 0.
+    pub expected: u32,
+    /// What the package has, or the index of what is wrong in it; where that is no number, 0.
+    pub found: u32,
+}
+
+/// The check that a package has failed: the variants of [`Refusal`] and [`PackageError`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "they are those of the other enumerations")]
+pub enum RefusalKind {
+    Length,
+    Magic,
+    FormatVersion,
+    Checksum,
+    SignatureChecksum,
+    Malformed,
+    Alignment,
+    Outputs,
+    TestVectorCount,
+    NumberCount,
+    NotFinite,
+    TrainingErrorNotFinite,
+    Network,
+    Unsigned,
+    Signature,
+    Dimension,
+    Capacity,
+    Parameter,
+    NeighbourOrder,
+    EmptyBox,
+    Agent,
+    Older,
+    NoTestVectors,
+    TestVector,
+    /// The slot's bytes are not the recorded ones.
+    Slot,
+    /// A check that this version does not know.
+    Other,
+}
+
+impl RefusalReport {
+    const fn new(kind: RefusalKind, expected: u32, found: u32) -> Self {
+        Self { kind, expected, found }
+    }
+
+    /// A slot whose bytes are not the recorded ones.
+    pub const SLOT: Self = Self::new(RefusalKind::Slot, 0, 0);
+}
+
+impl From<&Refusal> for RefusalReport {
+    fn from(refusal: &Refusal) -> Self {
+        use RefusalKind as Kind;
+        let (kind, expected, found) = match *refusal {
+            Refusal::Package(error) => return Self::from(&error),
+            Refusal::Unsigned => (Kind::Unsigned, 0, 0),
+            Refusal::Signature => (Kind::Signature, 0, 0),
+            Refusal::Dimension { expected, found } => {
+                (Kind::Dimension, count(expected), count(found))
+            }
+            Refusal::Capacity { capacity, found, .. } => {
+                (Kind::Capacity, count(capacity), count(found))
+            }
+            Refusal::Parameter(_) => (Kind::Parameter, 0, 0),
+            Refusal::NeighbourOrder { id } => (Kind::NeighbourOrder, 0, id.into()),
+            Refusal::EmptyBox { component } => (Kind::EmptyBox, 0, count(component)),
+            Refusal::Agent { expected, found } => (Kind::Agent, expected.into(), found.into()),
+            Refusal::Older { in_use, found } => (Kind::Older, in_use, found),
+            Refusal::NoTestVectors => (Kind::NoTestVectors, 0, 0),
+            Refusal::TestVector { index } => (Kind::TestVector, 0, count(index)),
+        };
+        Self::new(kind, expected, found)
+    }
+}
+
+impl From<&PackageError> for RefusalReport {
+    fn from(error: &PackageError) -> Self {
+        use RefusalKind as Kind;
+        let (kind, expected, found) = match *error {
+            PackageError::Length { expected, found } => {
+                (Kind::Length, count(expected), count(found))
+            }
+            PackageError::Magic => (Kind::Magic, 0, 0),
+            PackageError::FormatVersion { found } => (Kind::FormatVersion, 0, found.into()),
+            PackageError::Checksum => (Kind::Checksum, 0, 0),
+            PackageError::SignatureChecksum => (Kind::SignatureChecksum, 0, 0),
+            PackageError::Malformed => (Kind::Malformed, 0, 0),
+            PackageError::Alignment => (Kind::Alignment, 0, 0),
+            PackageError::Outputs { found } => (Kind::Outputs, 0, count(found)),
+            PackageError::TestVectors { found } => (Kind::TestVectorCount, 0, count(found)),
+            PackageError::NumberCount { expected, found } => {
+                (Kind::NumberCount, count(expected), count(found))
+            }
+            PackageError::NotFinite { index } => (Kind::NotFinite, 0, count(index)),
+            PackageError::TrainingErrorNotFinite => (Kind::TrainingErrorNotFinite, 0, 0),
+            PackageError::Network(_) => (Kind::Network, 0, 0),
+        };
+        Self::new(kind, expected, found)
+    }
+}
+
+fn count(number: usize) -> u32 {
+    u32::try_from(number).unwrap_or(u32::MAX)
+}
+
+impl core::fmt::Display for RefusalReport {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        use RefusalKind as Kind;
+        let Self { kind, expected, found } = *self;
+        match kind {
+            Kind::Length => write!(f, "{found} bytes, expected {expected}"),
+            Kind::Magic => write!(f, "no weight package"),
+            Kind::FormatVersion => write!(f, "its format has version {found}"),
+            Kind::Checksum => write!(f, "its checksum does not match"),
+            Kind::SignatureChecksum => write!(f, "its signature's checksum does not match"),
+            Kind::Malformed => write!(f, "its body does not follow the format"),
+            Kind::Alignment => write!(f, "it does not begin at a multiple of four bytes"),
+            Kind::Outputs => write!(f, "{found} outputs are not between 1 and the state's"),
+            Kind::TestVectorCount => write!(f, "{found} test vectors are too many"),
+            Kind::NumberCount => write!(f, "{found} numbers, expected {expected}"),
+            Kind::NotFinite => write!(f, "number {found} is not finite"),
+            Kind::TrainingErrorNotFinite => write!(f, "a training error is not finite"),
+            Kind::Network => write!(f, "there is no such network"),
+            Kind::Unsigned => write!(f, "it is not signed, and this node asks for it"),
+            Kind::Signature => write!(f, "its signature does not fit the node's key"),
+            Kind::Dimension => {
+                write!(f, "it is for {found} state components, the node for {expected}")
+            }
+            Kind::Capacity => write!(f, "it needs {found} places where the node has {expected}"),
+            Kind::Parameter => {
+                write!(f, "a parameter is out of its range (`weights verify` names it)")
+            }
+            Kind::NeighbourOrder => write!(f, "neighbour {found} is out of order"),
+            Kind::EmptyBox => write!(f, "the trained box is empty in component {found}"),
+            Kind::Agent => write!(f, "it is for agent {found}, this is agent {expected}"),
+            Kind::Older => write!(f, "it has version {found}, version {expected} is in use"),
+            Kind::NoTestVectors => write!(f, "it has no test vectors"),
+            Kind::TestVector => write!(f, "test vector {found} comes out with other bits"),
+            Kind::Slot => write!(f, "the bytes in its slot are not the recorded ones"),
+            Kind::Other => write!(f, "a check that this version does not know"),
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! A board whose plant, clock and link are played by somebody at the other end of the service
+//! port: the simulator, for a co-simulation ("hardware in the loop").
+//!
+//! Requests to the node and stimuli ([`Request::Frame`], [`Request::Tick`]) come over one port and
+//! take effect in their order. What a turn has to tell is written at once.
+//!
+//! Memory: the port, one request, `FRAMES` frames, and 512 bytes of input and output.
+
+use agent_core::frame::FRAME_LENGTH_MAX;
+use agent_core::serial::SerialError;
+use agent_core::service::{Numbers, Request, Response, Rows, receive, send};
+use embedded_io::{Read, Write};
+
+use crate::board::{Board, Lost, RequestBuffer, RequestDecoder, copied};
+
+/// Bytes that are read or written at once.
+const CHUNK: usize = 256;
+
+/// A board in the loop, with room for `FRAMES` frames between two steps.
+#[derive(Debug)]
+pub struct InTheLoop<P, const FRAMES: usize> {
+    port: P,
+    decoder: RequestDecoder,
+    input: [u8; CHUNK],
+    /// The part of the input that nobody has looked at.
+    unread: core::ops::Range<usize>,
+    output: heapless::Vec<u8, CHUNK>,
+    frames: heapless::Deque<heapless::Vec<u8, FRAME_LENGTH_MAX>, FRAMES>,
+    periods: u32,
+    measurement: Option<Numbers>,
+}
+
+impl<P: Read + Write, const FRAMES: usize> InTheLoop<P, FRAMES> {
+    /// The board at the end of this port.
+    pub const fn new(port: P) -> Self {
+        Self {
+            port,
+            decoder: RequestDecoder::new(),
+            input: [0; CHUNK],
+            unread: 0..0,
+            output: heapless::Vec::new(),
+            frames: heapless::Deque::new(),
+            periods: 0,
+            measurement: None,
+        }
+    }
+
+    /// The next message, as far as it has arrived.
+    fn message(&mut self) -> Option<Result<&[u8], SerialError>> {
+        // What the decoder returns borrows it, so the end of a message is found first.
+        loop {
+            let byte = *self.input.get(self.unread.next()?)?;
+            if byte == agent_core::serial::DELIMITER {
+                return self.decoder.push(byte);
+            }
+            let _ = self.decoder.push(byte);
+        }
+    }
+
+    fn write_out(&mut self) {
+        let _ = self.port.write_all(&self.output);
+        self.output.clear();
+    }
+}
+
+/// What a message says to the board; the node gets the others.
+enum Stimulus {
+    Frame(heapless::Vec<u8, FRAME_LENGTH_MAX>),
+    Tick(u32, Option<Numbers>),
+}
+
+fn stimulus(message: &[u8]) -> Option<Stimulus> {
+    match receive::<Request<'_>>(message)? {
+        // A longer one is no frame, and an empty one is refused as such.
+        Request::Frame { bytes } => {
+            Some(Stimulus::Frame(heapless::Vec::from_slice(bytes).unwrap_or_default()))
+        }
+        Request::Tick { periods, measurement } => Some(Stimulus::Tick(periods, measurement)),
+        _ => None,
+    }
+}
+
+impl<P: Read + Write, const FRAMES: usize> Board for InTheLoop<P, FRAMES> {
+    fn start(&mut self, _period: f32) {}
+
+    fn elapsed(&mut self) -> u32 {
+        core::mem::take(&mut self.periods)
+    }
+
+    fn rest(&mut self) {
+        if self.unread.is_empty()
+            && self.periods == 0
+            && let Ok(length) = self.port.read(&mut self.input)
+        {
+            self.unread = 0..length;
+        }
+    }
+
+    fn measure(&mut self, measurement: &mut [f32]) -> Option<usize> {
+        let numbers = self.measurement.take()?;
+        measurement.get_mut(..numbers.len())?.copy_from_slice(&numbers);
+        Some(numbers.len())
+    }
+
+    fn broadcast(&mut self, frame: &[u8]) -> bool {
+        let response: Response<'_, Rows<'_, 1>> = Response::Broadcast { bytes: frame };
+        send(&response, |bytes| self.respond(bytes));
+        true
+    }
+
+    fn frame<'buffer>(&mut self, buffer: &'buffer mut [u8]) -> Option<Result<&'buffer [u8], Lost>> {
+        let frame = self.frames.pop_front()?;
+        Some(copied(&frame, buffer).map_err(|_| Lost))
+    }
+
+    fn request<'buffer>(
+        &mut self,
+        buffer: &'buffer mut RequestBuffer,
+    ) -> Option<Result<&'buffer [u8], SerialError>> {
+        while self.periods == 0 {
+            let message = match self.message()? {
+                Ok(message) => message,
+                Err(error) => return Some(Err(error)),
+            };
+            match stimulus(message) {
+                None => return Some(copied(message, buffer)),
+                Some(Stimulus::Frame(frame)) => {
+                    // What a node has no room for is lost, as with a real receiver.
+                    let _ = self.frames.push_back(frame);
+                }
+                Some(Stimulus::Tick(periods, measurement)) => {
+                    (self.periods, self.measurement) = (periods, measurement);
+                }
+            }
+        }
+        None
+    }
+
+    fn respond(&mut self, bytes: &[u8]) {
+        if self.output.capacity() - self.output.len() < bytes.len() {
+            self.write_out();
+        }
+        if self.output.extend_from_slice(bytes).is_err() {
+            let _ = self.port.write_all(bytes);
+        }
+    }
+
+    fn flush(&mut self) {
+        self.write_out();
+        let _ = self.port.flush();
+    }
+}

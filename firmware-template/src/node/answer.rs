@@ -1,0 +1,152 @@
+//! Requests and their answers.
+
+use agent_core::health::Probation;
+use agent_core::service::{Problem, Upload, receive};
+use agent_core::store::MappedFlash;
+use agent_core::{StateVector, Tick};
+
+use super::load::{decoded, verified};
+use super::{Event, Next, Node, Request, Response, Rows, Session, respond};
+use crate::board::Board;
+
+/// The answer to a request, and what follows from it.
+type Answer<'a, const N: usize> = Result<(Response<'a, Rows<'a, N>>, Next), Problem>;
+
+impl<
+    F: MappedFlash,
+    const N: usize,
+    const FEATURES: usize,
+    const NEIGHBOURS: usize,
+    const GAINS: usize,
+    const SAMPLES: usize,
+> Node<F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
+{
+    /// Does what is asked for, and answers.
+    pub(super) fn answer<B: Board>(
+        &mut self,
+        session: Option<&Session<'_, N>>,
+        board: &mut B,
+        bytes: &[u8],
+    ) -> Next {
+        let answer = match receive::<Request<'_>>(bytes) {
+            None => Err(Problem::Unknown),
+            Some(Request::Samples { from, most }) => {
+                let next = self.send_samples(board, from, most);
+                Ok((Response::SamplesEnd { next }, Next::Continue))
+            }
+            Some(Request::StartAt { estimate }) => self.start(session, board, &estimate),
+            Some(request) => self.carry_out(&request),
+        };
+        match answer {
+            Ok((response, next)) => {
+                respond(board, &response);
+                next
+            }
+            Err(problem) => {
+                respond::<B, N>(board, &Response::Refused(problem));
+                Next::Continue
+            }
+        }
+    }
+
+    fn carry_out(&mut self, request: &Request<'_>) -> Answer<'static, N> {
+        let upload = |received| Ok((Response::Upload(Upload { received }), Next::Continue));
+        match *request {
+            Request::Query => Ok((Response::Status(self.status()), Next::Continue)),
+            Request::Begin { length } => {
+                self.store.begin(length)?;
+                upload(0)
+            }
+            Request::Chunk { offset, bytes } => upload(self.store.write(offset, bytes)?),
+            Request::Stage => self.stage(),
+            Request::Activate => self.activate(),
+            Request::Confirm => {
+                self.store.confirm()?;
+                self.probation = None;
+                Ok((Response::Done, Next::Continue))
+            }
+            Request::Revert => self.revert(),
+            Request::Reset => Ok((Response::Done, Next::Reset)),
+            Request::Subscribe(subscription) => {
+                self.subscription = subscription;
+                Ok((Response::Done, Next::Continue))
+            }
+            Request::Frame { .. } | Request::Tick { .. } => Err(Problem::NotInTheLoop),
+            Request::Samples { .. } | Request::StartAt { .. } => Err(Problem::Unknown),
+        }
+    }
+
+    fn stage(&mut self) -> Answer<'static, N> {
+        // The settings are copied, because the store is about to be written to.
+        let key = self.settings.public_key.clone();
+        let requirements =
+            agent_core::package::Requirements { public_key: key.as_ref(), ..self.requirements() };
+        let package = self.store.stage(|bytes| verified::<N>(bytes, &requirements))?;
+        Ok((Response::Staged { version: package.version }, Next::Continue))
+    }
+
+    fn activate(&mut self) -> Answer<'static, N> {
+        let package = self.store.activate(decoded)?;
+        if let Some(slot) = self.store.in_use() {
+            self.in_use = Some(package.in_slot(slot));
+        }
+        let counters = self.health.counters();
+        self.probation = Some(Probation::new(self.settings.good_steps, counters));
+        Ok((Response::InUse { version: Some(package.version) }, Next::Switch))
+    }
+
+    fn revert(&mut self) -> Answer<'static, N> {
+        let slot = self.store.revert()?;
+        self.probation = None;
+        self.in_use = slot.and_then(|slot| {
+            let package = decoded(self.store.bytes(slot)?).ok()?;
+            Some(package.in_slot(slot))
+        });
+        let version = self.in_use.map(|package| package.version);
+        Ok((Response::InUse { version }, Next::Switch))
+    }
+
+    /// Goes on from another estimate, and lets the neighbours know.
+    fn start<B: Board>(
+        &mut self,
+        session: Option<&Session<'_, N>>,
+        board: &mut B,
+        estimate: &[f32],
+    ) -> Answer<'static, N> {
+        let session = session.ok_or(Problem::NoPackage)?;
+        let estimate: &[f32; N] = estimate.try_into().map_err(|_| Problem::Estimate)?;
+        if !self.start_at(session, StateVector::from(*estimate)) {
+            return Err(Problem::Estimate);
+        }
+        self.announce(session, board);
+        Ok((Response::Done, Next::Continue))
+    }
+
+    /// Sends at most `most` samples from the tick `from` on; returns where to go on.
+    fn send_samples<B: Board>(&self, board: &mut B, from: Tick, most: u8) -> Tick {
+        let mut next = from;
+        let samples = self.samples.samples().filter(|sample| sample.tick >= from);
+        for sample in samples.take(usize::from(most)) {
+            next = sample.tick.saturating_add(1);
+            let response = Response::Sample {
+                tick: sample.tick,
+                estimate: Rows::one(&sample.estimate),
+                derivative: Rows::one(&sample.derivative),
+            };
+            respond(board, &response);
+        }
+        next
+    }
+
+    /// Confirms the package on trial.
+    pub(super) fn confirm<B: Board>(&mut self, board: &mut B, tick: Tick) {
+        // A journal that cannot be written may be so later.
+        if self.store.confirm().is_ok()
+            && let Some(package) = &self.in_use
+        {
+            let event = Event::Confirmed { tick, version: package.version };
+            respond::<B, N>(board, &Response::Event(event));
+            self.probation = None;
+        }
+    }
+}

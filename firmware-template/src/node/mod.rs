@@ -1,0 +1,286 @@
+//! A whole node above its board: an agent, its weight packages, and what it says and is told.
+//!
+//! [`Node::run`] is the loop. What is due goes first: a step whenever the board says that a period
+//! has begun, one request whenever there is time.
+//!
+//! ```text
+//!            frames                     requests
+//! Board ----------------> turn    +----------------> answer ----> Store (flash)
+//!       <---------------- step    |    <----------------
+//!            broadcast, state     |         response
+//!                   one session: one package in use
+//! ```
+//!
+//! A session lasts as long as one package is in use. It begins by copying what the package says
+//! about the agent into RAM; the network and its outer weights stay in flash and are found anew for
+//! every step, since no reference may outlive a write to flash. A package is switched in between
+//! two sessions, and so between two steps.
+//!
+//! Without a package that proves itself a node steps nothing and says so, unless it has a
+//! [`Settings::fallback`]: then it is the observer without a network.
+//!
+//! Memory: see docs/performance.md. Invariants: whatever arrives from outside, the node goes on;
+//! only a package that passed [`agent_core::package::accept`] is ever in use.
+
+mod answer;
+mod load;
+mod turn;
+
+use core::num::NonZeroU32;
+
+use agent_core::Tick;
+use agent_core::agent::{AgentParams, AgentState};
+use agent_core::capture::CaptureRing;
+use agent_core::health::{Health, HealthParams, HealthSettings, Probation};
+use agent_core::hold::Hold;
+use agent_core::inbox::Inbox;
+use agent_core::observer::Neighbour;
+use agent_core::package::{NetworkPlace, Node as NodeContent};
+use agent_core::service::{
+    Event, Firmware, PROTOCOL_VERSION, PackageStatus, RefusalReport, Request, Response, Rows,
+    Status, Subscription, send,
+};
+use agent_core::signature::PublicKey;
+use agent_core::store::{Layout, LayoutError, MappedFlash, Slot, Store};
+
+use crate::board::{Board, RequestBuffer};
+
+/// What the user of a node chooses.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Where slots and journal lie in the flash.
+    pub layout: Layout,
+    /// If there is a key, only packages signed with its private half are accepted.
+    pub public_key: Option<PublicKey>,
+    /// How the agent is watched.
+    pub health: HealthSettings,
+    /// Good steps in a row after which a package on trial is confirmed.
+    pub good_steps: NonZeroU32,
+    /// One sample in so many ticks is kept for training.
+    pub sample_stride: NonZeroU32,
+    /// What the node says without being asked, until somebody asks for something else.
+    pub subscription: Subscription,
+    /// The agent that the node is while it has no package; `None` if its package is to say.
+    pub fallback: Option<NodeContent<'static>>,
+    /// Version of the firmware: major, minor, patch.
+    pub version: [u8; 3],
+}
+
+/// Samples held from neighbours, in as many places as the agent has neighbours.
+type Holds<const N: usize, const NEIGHBOURS: usize> = heapless::Vec<Option<Hold<N>>, NEIGHBOURS>;
+
+/// A node: `N` state components, and room for `FEATURES` features, `NEIGHBOURS` neighbours,
+/// `GAINS` entries of `Gamma`, and `SAMPLES` samples for training.
+#[derive(Debug)]
+pub struct Node<
+    F,
+    const N: usize,
+    const FEATURES: usize,
+    const NEIGHBOURS: usize,
+    const GAINS: usize,
+    const SAMPLES: usize,
+> {
+    settings: Settings,
+    store: Store<F>,
+    agent: Option<Agent<N, FEATURES, NEIGHBOURS>>,
+    health: Health,
+    probation: Option<Probation>,
+    samples: CaptureRing<N, SAMPLES>,
+    subscription: Subscription,
+    next_tick: Tick,
+    in_use: Option<InUsePackage>,
+    counts: Counts,
+    refused_at_start: [Option<RefusalReport>; 2],
+}
+
+/// What the observer changes.
+#[derive(Debug)]
+struct Agent<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize> {
+    state: AgentState<N, FEATURES, Holds<N, NEIGHBOURS>>,
+    inbox: Inbox<N, Holds<N, NEIGHBOURS>>,
+    /// Whether the neighbours know the first sample.
+    announced: bool,
+}
+
+/// What is known of the package in use.
+#[derive(Clone, Copy, Debug)]
+struct InUsePackage {
+    agent: agent_core::AgentId,
+    version: u32,
+    checksum: u32,
+    slot: Slot,
+}
+
+/// What a node counts that its agent's health does not know of.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counts {
+    messages_damaged: u32,
+    measurements_missing: u32,
+    broadcasts_lost: u32,
+}
+
+/// What the parameters of a session borrow.
+struct Places<const NEIGHBOURS: usize, const GAINS: usize> {
+    neighbours: [Neighbour; NEIGHBOURS],
+    gain: [f32; GAINS],
+}
+
+/// What does not change while one package is in use.
+struct Session<'a, const N: usize> {
+    params: AgentParams<'a, N>,
+    watch: HealthParams<N>,
+    /// `None` for the built-in agent, which has no network.
+    network: Option<(Slot, NetworkPlace)>,
+}
+
+/// How a request, or a session, ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Next {
+    Continue,
+    /// Another package is in use.
+    Switch,
+    Reset,
+}
+
+impl<
+    F: MappedFlash,
+    const N: usize,
+    const FEATURES: usize,
+    const NEIGHBOURS: usize,
+    const GAINS: usize,
+    const SAMPLES: usize,
+> Node<F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
+{
+    /// The node as it finds itself after a reset: with the package in use that its flash holds.
+    ///
+    /// # Errors
+    /// A layout that does not fit the flash.
+    pub fn new(flash: F, settings: Settings) -> Result<Self, LayoutError> {
+        let store = Store::open(flash, settings.layout)?;
+        let mut node = Self {
+            store,
+            agent: None,
+            health: Health::new(),
+            probation: None,
+            samples: CaptureRing::new(settings.sample_stride),
+            subscription: settings.subscription,
+            next_tick: 0,
+            in_use: None,
+            counts: Counts::default(),
+            refused_at_start: [None; 2],
+            settings,
+        };
+        node.load();
+        Ok(node)
+    }
+
+    /// Lets the node work until it is told to reset: then let go of it, and begin anew.
+    pub fn run<B: Board>(&mut self, board: &mut B) {
+        self.hello(board);
+        let mut old = heapless::Vec::<Neighbour, NEIGHBOURS>::new();
+        loop {
+            let mut places = Places {
+                neighbours: [Neighbour { id: 0, weight: 0.0 }; NEIGHBOURS],
+                gain: [0.0; GAINS],
+            };
+            let session = self.begin_session(&mut places, &old);
+            let next = self.session(session.as_ref(), board);
+            if next == Next::Reset {
+                return;
+            }
+            old.clear();
+            if let Some(session) = &session {
+                // As many as there are places.
+                let _ = old.extend_from_slice(session.params.neighbours());
+            }
+        }
+    }
+
+    fn session<B: Board>(&mut self, session: Option<&Session<'_, N>>, board: &mut B) -> Next {
+        if let Some(session) = session {
+            board.start(session.params.step_size());
+        }
+        let mut buffer: RequestBuffer = [0; _];
+        loop {
+            let periods = board.elapsed();
+            if periods > 0 {
+                self.turn(session, board, periods);
+                board.flush();
+                continue;
+            }
+            match board.request(&mut buffer) {
+                None => board.rest(),
+                Some(Err(_)) => count(&mut self.counts.messages_damaged),
+                Some(Ok(bytes)) => {
+                    let next = self.answer(session, board, bytes);
+                    board.flush();
+                    if next != Next::Continue {
+                        return next;
+                    }
+                }
+            }
+        }
+    }
+
+    fn hello<B: Board>(&self, board: &mut B) {
+        // Ends whatever a receiver may still hold of the time before the reset.
+        board.respond(&[agent_core::serial::DELIMITER]);
+        respond::<B, N>(board, &Response::Hello(self.status()));
+        board.flush();
+    }
+
+    fn status(&self) -> Status {
+        let trial = self.probation.as_ref();
+        Status {
+            protocol: PROTOCOL_VERSION,
+            firmware: Firmware {
+                version: self.settings.version,
+                dimension: N as u8,
+                features: FEATURES as u8,
+                neighbours: NEIGHBOURS as u8,
+                signed_only: self.settings.public_key.is_some(),
+                sample_stride: self.settings.sample_stride.get(),
+            },
+            tick: self.next_tick,
+            package: self.in_use.map(|package| PackageStatus {
+                agent: package.agent,
+                version: package.version,
+                checksum: package.checksum,
+                slot: package.slot,
+                trial: trial.map(|trial| (trial.good_steps(), self.settings.good_steps.get())),
+                network_in_use: self.health.network_in_use(),
+            }),
+            staged: self.store.staged().is_some(),
+            upload: self.store.received().map(|received| agent_core::service::Upload { received }),
+            refused_at_start: self.refused_at_start,
+            samples: u32::try_from(self.samples.len()).unwrap_or(u32::MAX),
+            messages_damaged: self.counts.messages_damaged,
+            measurements_missing: self.counts.measurements_missing,
+            broadcasts_lost: self.counts.broadcasts_lost,
+            health: *self.health.counters(),
+        }
+    }
+
+    /// The flash driver, for whoever looks at a node from outside.
+    #[must_use]
+    pub fn flash(&self) -> &F {
+        self.store.flash()
+    }
+
+    /// Gives the flash driver back, as a reset does.
+    #[must_use]
+    pub fn into_flash(self) -> F {
+        self.store.into_flash()
+    }
+}
+
+/// Sends a response. One function for all of them, so that the encoder exists once.
+#[inline(never)]
+fn respond<B: Board, const N: usize>(board: &mut B, response: &Response<'_, Rows<'_, N>>) {
+    send(response, |bytes| board.respond(bytes));
+}
+
+#[inline]
+fn count(counter: &mut u32) {
+    *counter = counter.saturating_add(1);
+}

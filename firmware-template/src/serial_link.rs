@@ -1,0 +1,63 @@
+//! A link over a shared serial line: RS-485, a UART between two nodes, or a radio module that
+//! passes bytes through.
+//!
+//! Frames travel as [`agent_core::serial`] encodes messages, so that whoever joins late finds the
+//! next one. Who may talk when is the matter of the line; frames that collide fail their checksum
+//! and are lost, as the observer expects of a link.
+//!
+//! Memory: the port, and 90 bytes.
+
+use agent_core::checksum::CHECKSUM_LENGTH;
+use agent_core::frame::FRAME_LENGTH_MAX;
+use agent_core::serial::{Decoder, Encoder, SerialError};
+use embedded_io::{Read, ReadReady, Write};
+
+use crate::board::copied;
+use crate::{Link, Lost};
+
+/// A link over `P`.
+#[derive(Debug)]
+pub struct SerialLink<P> {
+    port: P,
+    decoder: Decoder<{ FRAME_LENGTH_MAX + CHECKSUM_LENGTH }>,
+}
+
+impl<P> SerialLink<P> {
+    /// The link over this port.
+    pub const fn new(port: P) -> Self {
+        Self { port, decoder: Decoder::new() }
+    }
+}
+
+impl<P: Read + ReadReady + Write> Link for SerialLink<P> {
+    type Error = Lost;
+
+    fn send(&mut self, frame: &[u8]) -> Result<(), Lost> {
+        let mut outcome = Ok(());
+        let port = &mut self.port;
+        let mut encoder = Encoder::new(|block: &[u8]| {
+            if outcome.is_ok() {
+                outcome = port.write_all(block).map_err(|_| Lost);
+            }
+        });
+        encoder.extend(frame);
+        encoder.finish();
+        outcome
+    }
+
+    fn poll<'buffer>(&mut self, buffer: &'buffer mut [u8]) -> Result<Option<&'buffer [u8]>, Lost> {
+        while self.port.read_ready().map_err(|_| Lost)? {
+            let mut byte = [0];
+            if self.port.read(&mut byte).map_err(|_| Lost)? == 0 {
+                break;
+            }
+            let [byte] = byte;
+            if let Some(message) = self.decoder.push(byte) {
+                let frame: Result<_, SerialError> =
+                    message.and_then(|message| copied(message, buffer));
+                return frame.map(Some).map_err(|_| Lost);
+            }
+        }
+        Ok(None)
+    }
+}
