@@ -2,7 +2,8 @@
 //!
 //! The active toolchain, if it has the targets. Otherwise Debian's compiler, which comes
 //! with the sources of `core` and `alloc` but not built for bare metal: they are built once,
-//! into a sysroot under the target folder, and a two-line `rustc` points the compiler there.
+//! into a sysroot under the target folder, and a two-line `rustc` points the compiler there and
+//! to Debian's linker.
 
 use std::{
     env, fs, io,
@@ -22,6 +23,8 @@ const RUSTC: &str = "/usr/bin/rustc";
 const CARGO: &str = "/usr/bin/cargo";
 /// What Debian's packages put where rustc looks for it.
 const RUSTLIB: &str = "/usr/lib/rustlib";
+/// The linker, which the bare-metal targets know by Rust's name for it.
+const LLD: &str = "/usr/bin/lld";
 const CRATES: [&str; 3] = ["core", "alloc", "compiler_builtins"];
 
 /// A compiler that has every target that was asked for.
@@ -149,7 +152,7 @@ fn sysroot(targets: &[&str]) -> Result<PathBuf, Failure> {
     let rustc = prefix.join("bin/rustc");
     let stamp = prefix.join("stamp");
     let package_versions = PACKAGES.map(|name| packages::version(name).unwrap_or_default());
-    let wanted = format!("{}\n{}\n", package_versions.join(" "), targets.join(" "));
+    let wanted = format!("with a linker\n{}\n{}\n", package_versions.join(" "), targets.join(" "));
     if fs::read_to_string(&stamp).is_ok_and(|found| found == wanted) {
         let seconds = start.elapsed().as_secs_f64();
         println!("compiler: {} is up to date, {seconds:.1} s", prefix.display());
@@ -235,9 +238,12 @@ fn lay_out(prefix: &Path, scratch: &Path, targets: &[&str]) -> io::Result<()> {
             call(Command::new("ln").arg("-s").arg(entry.path()).arg(link))?;
         }
     }
-    let rustc = prefix.join("bin/rustc");
-    fs::create_dir_all(prefix.join("bin"))?;
-    fs::write(&rustc, format!("#!/bin/sh\nexec {RUSTC} --sysroot \"${{0%/*}}/..\" \"$@\"\n"))?;
+    let programs = prefix.join("bin");
+    fs::create_dir_all(&programs)?;
+    call(Command::new("ln").args(["-s", LLD]).arg(programs.join("rust-lld")))?;
+    let rustc = programs.join("rustc");
+    let call_rustc = format!("exec {RUSTC} --sysroot \"${{0%/*}}/..\" \"$@\"");
+    fs::write(&rustc, format!("#!/bin/sh\nPATH=\"${{0%/*}}:$PATH\" {call_rustc}\n"))?;
     call(Command::new("chmod").arg("755").arg(rustc))
 }
 
