@@ -208,18 +208,12 @@ impl<S: AsRef<[f32]>> InnerNetwork<S> {
             return None;
         }
         let (mut source, mut target) = (&mut scratch.first, &mut scratch.second);
-        let mut parameters = self.parameters.as_ref();
-        let mut inputs = x.len();
-        source.get_mut(..inputs)?.copy_from_slice(x);
-        for layer in self.architecture.layers() {
-            let width = usize::from(layer.width);
-            let (biases, rest) = parameters.split_at_checked(width)?;
-            let (weights, rest) = rest.split_at_checked(width * inputs)?;
-            let outputs = target.get_mut(..width)?;
-            affine(biases, weights, source.get(..inputs)?, outputs);
-            layer.activation.apply(outputs);
-            parameters = rest;
-            inputs = width;
+        let (&first, others) = self.architecture.layers().split_first()?;
+        let mut parameters = evaluate(first, self.parameters.as_ref(), x, source)?;
+        let mut inputs = usize::from(first.width);
+        for &layer in others {
+            parameters = evaluate(layer, parameters, source.get(..inputs)?, target)?;
+            inputs = usize::from(layer.width);
             core::mem::swap(&mut source, &mut target);
         }
         source.get(..inputs)
@@ -238,41 +232,93 @@ impl Scratch {
     pub const NEW: Self = Self { first: [0.0; LAYER_WIDTH_MAX], second: [0.0; LAYER_WIDTH_MAX] };
 }
 
-/// `outputs = biases + weights^T inputs`, inputs in ascending order for every output.
+/// Evaluates one layer into `outputs` and returns the parameters that follow its own; `None` if the
+/// lengths do not belong together.
+fn evaluate<'p>(
+    layer: Layer,
+    parameters: &'p [f32],
+    inputs: &[f32],
+    outputs: &mut [f32; LAYER_WIDTH_MAX],
+) -> Option<&'p [f32]> {
+    let width = usize::from(layer.width);
+    let (own, rest) = parameters.split_at_checked(width * (inputs.len() + 1))?;
+    let outputs = outputs.get_mut(..width)?;
+    affine(own, inputs, outputs)?;
+    layer.activation.apply(outputs);
+    Some(rest)
+}
+
+/// `outputs = biases + weights^T inputs` for the parameters of one layer; `None` if the lengths do
+/// not belong together.
 ///
-/// Twelve outputs at a time (then four, then one) so that a vector unit has independent
-/// lanes; each lane adds in the same order as a plain loop would.
+/// The sums of up to twelve outputs stay in registers and give a vector unit independent lanes;
+/// each lane adds in the same order as a plain loop would. Usual widths have a function each, in
+/// which rows follow one another without a gap; any width will do.
 #[inline]
-fn affine(biases: &[f32], weights: &[f32], inputs: &[f32], outputs: &mut [f32]) {
+fn affine(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
+    match outputs.len() {
+        4 => narrow::<4>(parameters, inputs, outputs),
+        5 => narrow::<5>(parameters, inputs, outputs),
+        6 => narrow::<6>(parameters, inputs, outputs),
+        8 => narrow::<8>(parameters, inputs, outputs),
+        10 => narrow::<10>(parameters, inputs, outputs),
+        12 => narrow::<12>(parameters, inputs, outputs),
+        _ => wide(parameters, inputs, outputs),
+    }
+}
+
+/// A layer of `WIDTH` nodes, in one block.
+#[inline(never)]
+fn narrow<const WIDTH: usize>(
+    parameters: &[f32],
+    inputs: &[f32],
+    outputs: &mut [f32],
+) -> Option<()> {
+    // Biases are a row like any other, the first.
+    let (biases, rows) = parameters.as_chunks::<WIDTH>().0.split_first()?;
+    let mut sums = *biases;
+    for (row, &input) in rows.iter().zip(inputs) {
+        add_row(&mut sums, row, input);
+    }
+    *outputs.first_chunk_mut()? = sums;
+    Some(())
+}
+
+/// A layer of any width, in blocks.
+#[inline(never)]
+fn wide(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
     let width = outputs.len();
     let mut first = 0;
     while first < width {
         first += match width - first {
-            12.. => affine_block::<12>(first, biases, weights, inputs, outputs),
-            4.. => affine_block::<4>(first, biases, weights, inputs, outputs),
-            _ => affine_block::<1>(first, biases, weights, inputs, outputs),
+            12.. => block::<12>(first, parameters, inputs, outputs)?,
+            4.. => block::<4>(first, parameters, inputs, outputs)?,
+            _ => block::<1>(first, parameters, inputs, outputs)?,
         };
     }
+    Some(())
 }
 
 /// The `LANES` outputs from `first`; returns `LANES`.
 #[inline(always)]
-fn affine_block<const LANES: usize>(
+fn block<const LANES: usize>(
     first: usize,
-    biases: &[f32],
-    weights: &[f32],
+    parameters: &[f32],
     inputs: &[f32],
     outputs: &mut [f32],
-) -> usize {
-    let width = outputs.len();
-    let block = first..first + LANES;
-    let mut sums = [0.0f32; LANES];
-    sums.copy_from_slice(&biases[block.clone()]);
-    for (row, &input) in weights.chunks_exact(width).zip(inputs) {
-        for (sum, &weight) in sums.iter_mut().zip(&row[block.clone()]) {
-            *sum += weight * input;
-        }
+) -> Option<usize> {
+    let mut rows = parameters.chunks_exact(outputs.len());
+    let mut sums = *rows.next()?.get(first..)?.first_chunk::<LANES>()?;
+    for (row, &input) in rows.zip(inputs) {
+        add_row(&mut sums, row.get(first..)?.first_chunk()?, input);
     }
-    outputs[block].copy_from_slice(&sums);
-    LANES
+    *outputs.get_mut(first..)?.first_chunk_mut()? = sums;
+    Some(LANES)
+}
+
+#[inline(always)]
+fn add_row<const LANES: usize>(sums: &mut [f32; LANES], row: &[f32; LANES], input: f32) {
+    for (sum, &weight) in sums.iter_mut().zip(row) {
+        *sum += weight * input;
+    }
 }

@@ -50,7 +50,7 @@ fn measurement(tick: u32) -> f32 {
 fn frame(id: u16, tick: u32) -> Option<FrameBytes> {
     let period = 7 + 6 * u32::from(id);
     let sequence = tick / period;
-    if tick % period != 0 {
+    if !tick.is_multiple_of(period) {
         return None;
     }
     let phase = tick + 300 * u32::from(id);
