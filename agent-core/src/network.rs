@@ -208,12 +208,17 @@ impl<S: AsRef<[f32]>> InnerNetwork<S> {
             return None;
         }
         let (mut source, mut target) = (&mut scratch.first, &mut scratch.second);
-        let (&first, others) = self.architecture.layers().split_first()?;
-        let mut parameters = evaluate(first, self.parameters.as_ref(), x, source)?;
-        let mut inputs = usize::from(first.width);
-        for &layer in others {
-            parameters = evaluate(layer, parameters, source.get(..inputs)?, target)?;
-            inputs = usize::from(layer.width);
+        let mut parameters = self.parameters.as_ref();
+        let mut inputs = x.len();
+        source.get_mut(..inputs)?.copy_from_slice(x);
+        for layer in self.architecture.layers() {
+            let width = usize::from(layer.width);
+            let (own, rest) = parameters.split_at_checked(width * (inputs + 1))?;
+            let outputs = target.get_mut(..width)?;
+            affine(own, source.get(..inputs)?, outputs)?;
+            layer.activation.apply(outputs);
+            parameters = rest;
+            inputs = width;
             core::mem::swap(&mut source, &mut target);
         }
         source.get(..inputs)
@@ -232,28 +237,12 @@ impl Scratch {
     pub const NEW: Self = Self { first: [0.0; LAYER_WIDTH_MAX], second: [0.0; LAYER_WIDTH_MAX] };
 }
 
-/// Evaluates one layer into `outputs` and returns the parameters that follow its own; `None` if the
-/// lengths do not belong together.
-fn evaluate<'p>(
-    layer: Layer,
-    parameters: &'p [f32],
-    inputs: &[f32],
-    outputs: &mut [f32; LAYER_WIDTH_MAX],
-) -> Option<&'p [f32]> {
-    let width = usize::from(layer.width);
-    let (own, rest) = parameters.split_at_checked(width * (inputs.len() + 1))?;
-    let outputs = outputs.get_mut(..width)?;
-    affine(own, inputs, outputs)?;
-    layer.activation.apply(outputs);
-    Some(rest)
-}
-
 /// `outputs = biases + weights^T inputs` for the parameters of one layer; `None` if the lengths do
 /// not belong together.
 ///
 /// The sums of up to twelve outputs stay in registers and give a vector unit independent lanes;
 /// each lane adds in the same order as a plain loop would. Usual widths have a function each, in
-/// which rows follow one another without a gap; any width will do.
+/// which rows follow one another without a gap; any other width will do.
 #[inline]
 fn affine(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
     match outputs.len() {
@@ -268,7 +257,7 @@ fn affine(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()>
 }
 
 /// A layer of `WIDTH` nodes, in one block.
-#[inline(never)]
+#[inline(always)]
 fn narrow<const WIDTH: usize>(
     parameters: &[f32],
     inputs: &[f32],
@@ -276,12 +265,31 @@ fn narrow<const WIDTH: usize>(
 ) -> Option<()> {
     // Biases are a row like any other, the first.
     let (biases, rows) = parameters.as_chunks::<WIDTH>().0.split_first()?;
+    weighted_sums(biases, rows, inputs, outputs.first_chunk_mut()?);
+    Some(())
+}
+
+/// `biases + rows^T inputs`, four rows a turn. A function of its own for every width: inlined side
+/// by side they would compete for registers, and every layer would prepare the loops of all.
+#[inline(never)]
+fn weighted_sums<const WIDTH: usize>(
+    biases: &[f32; WIDTH],
+    rows: &[[f32; WIDTH]],
+    inputs: &[f32],
+    outputs: &mut [f32; WIDTH],
+) {
     let mut sums = *biases;
-    for (row, &input) in rows.iter().zip(inputs) {
+    let (rows_by_four, rows_left) = rows.as_chunks::<4>();
+    let (inputs_by_four, inputs_left) = inputs.as_chunks::<4>();
+    for (rows, inputs) in rows_by_four.iter().zip(inputs_by_four) {
+        for (row, &input) in rows.iter().zip(inputs) {
+            add_row(&mut sums, row, input);
+        }
+    }
+    for (row, &input) in rows_left.iter().zip(inputs_left) {
         add_row(&mut sums, row, input);
     }
-    *outputs.first_chunk_mut()? = sums;
-    Some(())
+    *outputs = sums;
 }
 
 /// A layer of any width, in blocks.
