@@ -68,8 +68,8 @@ fn frame(id: u16, tick: u32) -> Option<FrameBytes> {
         _ => {}
     }
     let mut bytes = frame.encode();
-    if sequence % 40 == 37 {
-        bytes[5] ^= 0x10;
+    if let (37, Some(byte)) = (sequence % 40, bytes.get_mut(5)) {
+        *byte ^= 0x10;
     }
     Some(bytes)
 }

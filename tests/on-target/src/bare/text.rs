@@ -37,14 +37,17 @@ impl Line {
     }
 
     pub(super) fn decimal(mut self, number: u32) -> Self {
-        let mut begun = false;
-        for exponent in (0..10).rev() {
-            let digit = (number / 10_u32.pow(exponent) % 10) as u8;
-            begun |= digit != 0 || exponent == 0;
-            if begun {
-                self.byte(b'0' + digit);
+        let mut digits = [b'0'; 10];
+        let (mut rest, mut count) = (number, 0);
+        for digit in digits.iter_mut().rev() {
+            if rest == 0 && count > 0 {
+                break;
             }
+            *digit = b'0' + (rest % 10) as u8;
+            rest /= 10;
+            count += 1;
         }
+        digits.iter().skip(digits.len() - count).for_each(|&digit| self.byte(digit));
         self
     }
 
