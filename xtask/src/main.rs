@@ -6,6 +6,7 @@
 
 mod compiler;
 mod cross;
+mod emulate;
 mod fuzz;
 mod host;
 mod machine_code;
@@ -21,9 +22,12 @@ Usage: cargo xtask <task> [--debian]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
 
 Tasks:
-  test    every test there is: the workspace on the host, doctests included, then `cross`
+  test    every test there is: the workspace on the host, doctests included, then `cross` and
+          `emulate`
   cross   build the node's libraries for bare metal, look for fused multiply-add and
           platform mathematics in the machine code, link the memory map
+  emulate the examination in tests/on-target on emulated processors (QEMU): the bits that the
+          host computes, instructions within their budgets, no way to panic
   lint    formatting, clippy and documentation, warnings are errors
   fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (10)
           from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
@@ -46,10 +50,9 @@ fn main() -> ExitCode {
 
     let start = Instant::now();
     let outcome = match names[..] {
-        ["test"] => {
-            host::test().and_then(|count| cross::cross(debian).map(|()| println!("tests: {count}")))
-        }
+        ["test"] => test(debian),
         ["cross"] => cross::cross(debian),
+        ["emulate"] => emulate::emulate(debian),
         ["lint"] => host::lint().and_then(|()| fuzz::lint(debian)),
         ["fuzz", ref rest @ ..] => match fuzz::Options::read(rest) {
             Some(options) => fuzz::fuzz(&options, debian),
@@ -73,6 +76,15 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Everything that runs code of this workspace.
+fn test(debian: bool) -> Result<(), Failure> {
+    let count = host::test()?;
+    cross::cross(debian)?;
+    emulate::emulate(debian)?;
+    println!("tests: {count}");
+    Ok(())
 }
 
 /// What a command line gets that is none.
