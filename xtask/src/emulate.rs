@@ -179,7 +179,7 @@ fn examine(machine: &Machine, program: &Path) -> Result<String, Failure> {
     let start = Instant::now();
     let failed = |reason: String| Failure::new(format!("{name}: {reason}"), MEND);
     let child = command.spawn().map_err(|error| failed(error.to_string()))?;
-    let (code, output) = wait(child).map_err(failed)?;
+    let (code, output) = wait(child, TIMEOUT).map_err(failed)?;
     print!("{output}");
     let report = Report::read(&output);
     if let Some(section) = report.wrong {
@@ -209,8 +209,8 @@ fn examine(machine: &Machine, program: &Path) -> Result<String, Failure> {
 
 const MEND: &str = "`cargo test -p on-target` compares the host with the same digests";
 
-/// Waits for the emulator's end, and no longer than [`TIMEOUT`]; returns exit code and output.
-fn wait(mut child: Child) -> Result<(Option<i32>, String), String> {
+/// Waits for the end of `child`, and no longer than `timeout`; returns exit code and output.
+fn wait(mut child: Child, timeout: Duration) -> Result<(Option<i32>, String), String> {
     let mut stdout = child.stdout.take().ok_or("its output cannot be read")?;
     let reader = thread::spawn(move || {
         let mut bytes = Vec::new();
@@ -220,14 +220,14 @@ fn wait(mut child: Child) -> Result<(Option<i32>, String), String> {
     let status = loop {
         match child.try_wait() {
             Ok(Some(status)) => break status,
-            Ok(None) if start.elapsed() < TIMEOUT => thread::sleep(Duration::from_millis(20)),
+            Ok(None) if start.elapsed() < timeout => thread::sleep(Duration::from_millis(20)),
             outcome => {
                 // One that ended in the meantime needs no end.
                 let _ = child.kill();
                 let _ = child.wait();
                 return Err(match outcome {
                     Err(error) => error.to_string(),
-                    _ => format!("it hangs: no end after {} s", TIMEOUT.as_secs()),
+                    _ => format!("it hangs: no end after {timeout:?}"),
                 });
             }
         }
@@ -286,6 +286,15 @@ impl std::fmt::Display for Report {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_hangs_is_ended() {
+        let start = |command: &mut Command| command.stdout(Stdio::piped()).spawn().unwrap();
+        let hang = wait(start(Command::new("sleep").arg("60")), Duration::from_millis(50));
+        assert_eq!(hang, Err("it hangs: no end after 50ms".to_owned()));
+        let end = wait(start(Command::new("echo").arg("done")), Duration::from_secs(60));
+        assert_eq!(end, Ok((Some(0), "done\n".to_owned())));
+    }
 
     #[test]
     fn reports_are_read_line_by_line() {

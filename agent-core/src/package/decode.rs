@@ -31,6 +31,8 @@ impl<'a> Package<'a> {
     ///
     /// # Errors
     /// What [`PackageError`] lists about bodies.
+    // Apart from its callers, so that what only decoding needs is off the stack in what follows.
+    #[inline(never)]
     pub fn from_envelope(envelope: &Envelope<'a>) -> Result<Self, PackageError> {
         let (metadata, rest) = postcard::take_from_bytes::<Metadata<'a>>(envelope.body)
             .map_err(|_| PackageError::Malformed)?;
