@@ -34,7 +34,7 @@
 //! | Gaussian | 26 | 0 | 1 comparison, 3 integer operations |
 //!
 //! No memory, no table, no branch that a compiler must keep: `apply` becomes vector code on
-//! x86-64 and branches on `a < 0.55` on a Cortex-M4F.
+//! x86-64, and on a Cortex-M it branches on `a < 0.55` and computes one form only.
 //!
 //! # Invariants
 //!

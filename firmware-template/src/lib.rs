@@ -23,6 +23,6 @@ pub use board::{Board, Clock, Hardware, Link, Lost, Sensor};
 pub use in_the_loop::InTheLoop;
 pub use key::key_from_hex;
 pub use memory_map::{Symbols, WeightsRegion};
-pub use node::{Node, Settings};
+pub use node::{Memory, Node, Settings};
 pub use registers::RegisterSensor;
 pub use serial_link::SerialLink;

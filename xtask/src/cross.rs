@@ -24,6 +24,11 @@ const TARGETS: [Target; 4] = [
     Target { triple: "riscv32imac-unknown-none-elf", fused: false },
 ];
 
+/// Every target of the node's crates.
+pub(crate) fn triples() -> [&'static str; TARGETS.len()] {
+    TARGETS.map(|target| target.triple)
+}
+
 /// A library whose machine code is read.
 struct Artifact {
     package: &'static str,
@@ -68,7 +73,7 @@ const VARIANTS: [Variant; 2] = [
 /// # Errors
 /// The first step that fails.
 pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
-    let compiler = Compiler::find(&TARGETS.map(|target| target.triple), debian)?;
+    let compiler = Compiler::find(&triples(), debian)?;
     let disassembler = Disassembler::find(debian)?;
     for features in [&[][..], &["--features", "agent-core/signature"]] {
         let mut build = cargo("build");

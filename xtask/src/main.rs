@@ -6,6 +6,7 @@
 
 mod compiler;
 mod cross;
+mod emulate;
 mod firmware;
 mod fuzz;
 mod host;
@@ -23,9 +24,12 @@ Usage: cargo xtask <task> [--debian]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
 
 Tasks:
-  test    every test there is: the workspace on the host, doctests included, then `cross`
+  test    every test there is: the workspace on the host, doctests included, then `cross` and
+          `emulate`
   cross   build the node's libraries for bare metal, look for fused multiply-add and
           platform mathematics in the machine code, link the memory map
+  emulate the examination in tests/on-target on emulated processors (QEMU): the bits that the
+          host computes, instructions within their budgets, no way to panic
   firmware  build a node's firmware: for qemu-mps2-an386, with --public-key so that it takes
           only packages signed with the private half (`weights keygen` prints the key)
   lint    formatting, clippy and documentation, warnings are errors
@@ -50,10 +54,9 @@ fn main() -> ExitCode {
 
     let start = Instant::now();
     let outcome = match names[..] {
-        ["test"] => {
-            host::test().and_then(|count| cross::cross(debian).map(|()| println!("tests: {count}")))
-        }
+        ["test"] => test(debian),
         ["cross"] => cross::cross(debian),
+        ["emulate"] => emulate::emulate(debian),
         ["lint"] => host::lint().and_then(|()| fuzz::lint(debian)),
         ["firmware", ref rest @ ..] => match firmware::Options::read(rest) {
             Some(options) => firmware::firmware(&options, debian),
@@ -81,6 +84,15 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Everything that runs code of this workspace.
+fn test(debian: bool) -> Result<(), Failure> {
+    let count = host::test()?;
+    cross::cross(debian)?;
+    emulate::emulate(debian)?;
+    println!("tests: {count}");
+    Ok(())
 }
 
 /// What a command line gets that is none.

@@ -23,20 +23,21 @@ impl<
     const NEIGHBOURS: usize,
     const GAINS: usize,
     const SAMPLES: usize,
-> Node<F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
+> Node<'_, F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
 {
     const CAPACITY: Capacity =
         Capacity { features: FEATURES, neighbours: NEIGHBOURS, gain_entries: GAINS };
 
     /// Takes what the flash holds into use, after all checks.
     pub(super) fn load(&mut self) {
+        let Self { store, memory, settings, .. } = self;
         let requirements = Requirements {
-            public_key: self.settings.public_key.as_ref(),
+            public_key: settings.public_key.as_ref(),
             in_use: None,
             capacity: Self::CAPACITY,
         };
-        let mut check = |bytes: &[u8]| verified::<N>(bytes, &requirements);
-        let loaded = self.store.load(&mut check);
+        let mut check = |bytes: &[u8]| verified::<N>(bytes, &requirements, &mut memory.scratch);
+        let loaded = store.load(&mut check);
         self.refused_at_start = loaded.refusals.map(|refusal| {
             refusal.map(|refusal| match refusal {
                 store::Refusal::Check(refusal) => RefusalReport::from(&refusal),
@@ -45,24 +46,25 @@ impl<
         });
         let found = loaded.in_use.or_else(|| {
             let length = |slot: &[u8]| u32::try_from(Envelope::length_in(slot)?).ok();
-            self.store.salvage(length, check, |new: &Verified, old| new.version > old.version)
+            store.salvage(length, check, |new: &Verified, old| new.version > old.version)
         });
         self.in_use = found.map(|(slot, package)| package.in_slot(slot));
     }
 
-    /// The check that a package has to pass before it is staged.
-    pub(super) fn requirements(&self) -> Requirements<'_> {
-        Requirements {
-            public_key: self.settings.public_key.as_ref(),
-            in_use: self
-                .in_use
-                .map(|package| InUse { agent: package.agent, version: package.version }),
+    /// Lets the upload become the staged package, if it passes all checks.
+    pub(super) fn stage_upload(&mut self) -> Result<Verified, store::CheckedError<Refusal>> {
+        let Self { store, memory, settings, in_use, .. } = self;
+        let requirements = Requirements {
+            public_key: settings.public_key.as_ref(),
+            in_use: in_use.map(|package| InUse { agent: package.agent, version: package.version }),
             capacity: Self::CAPACITY,
-        }
+        };
+        store.stage(|bytes| verified::<N>(bytes, &requirements, &mut memory.scratch))
     }
 
     /// Prepares the agent for what is in use, which follows on an agent with the neighbours `old`.
     /// `None` if nothing is in use and nothing is built in.
+    #[inline(never)]
     pub(super) fn begin_session<'a>(
         &mut self,
         places: &'a mut Places<NEIGHBOURS, GAINS>,
@@ -82,14 +84,14 @@ impl<
         let watch =
             HealthParams::new(&params, &trained_box, interval_min, &self.settings.health).ok()?;
 
-        let switched = match (&mut self.agent, &package) {
+        let switched = match (&mut self.memory.agent, &package) {
             (Some(agent), Some(package)) => {
                 agent.state.switch(old, &params, package, &mut agent.inbox).is_ok()
             }
             _ => false,
         };
         if !switched {
-            let estimate = match &self.agent {
+            let estimate = match &self.memory.agent {
                 Some(agent) => *agent.state.estimate(),
                 None => watch.start_estimate(),
             };
@@ -99,7 +101,7 @@ impl<
             let mut holds = Holds::<N, NEIGHBOURS>::new();
             holds.resize(params.neighbours().len(), None).ok()?;
             let state = AgentState::new(&params, estimate, outer_weights, holds.clone()).ok()?;
-            self.agent = Some(Agent { state, inbox: Inbox::new(holds), announced: false });
+            self.memory.agent = Some(Agent { state, inbox: Inbox::new(holds), announced: false });
         }
         let network = slot
             .zip(bytes.zip(package))
@@ -110,7 +112,7 @@ impl<
     /// Lets the agent begin with this estimate; returns whether it could.
     pub(super) fn start_at(&mut self, session: &Session<'_, N>, estimate: StateVector<N>) -> bool {
         let tick = self.next_tick;
-        let Some(agent) = &mut self.agent else { return false };
+        let Some(agent) = &mut self.memory.agent else { return false };
         let weights = match &session.network {
             Some((slot, _)) => {
                 let package = self.store.bytes(*slot).and_then(|bytes| Package::decode(bytes).ok());
@@ -170,9 +172,9 @@ impl Verified {
 pub(super) fn verified<const N: usize>(
     bytes: &[u8],
     requirements: &Requirements<'_>,
+    scratch: &mut Scratch,
 ) -> Result<Verified, Refusal> {
-    let mut scratch = Scratch::NEW;
-    let package = accept::<N>(bytes, requirements, &mut scratch)?;
+    let package = accept::<N>(bytes, requirements, scratch)?;
     Ok(Verified::of(&package, bytes))
 }
 

@@ -35,6 +35,7 @@ const CRITICAL: [f32; 16] = [
 /// As many floats on each side of a critical one.
 const AROUND: u32 = 2;
 
+#[inline(never)]
 pub(crate) fn digest() -> u64 {
     let mut digest = Digest::NEW;
     let mut both_signs = |bits: u32| {

@@ -74,6 +74,7 @@ fn frame(id: u16, tick: u32) -> Option<FrameBytes> {
     Some(bytes)
 }
 
+#[inline(never)]
 pub(crate) fn digest(meter: &mut impl Meter, figures: &mut Figures) -> Result<u64, Unusable> {
     let mut digest = Digest::NEW;
     let mut places = Places::EMPTY;

@@ -40,6 +40,7 @@ fn forward(
     true
 }
 
+#[inline(never)]
 pub(crate) fn digest(meter: &mut impl Meter, figures: &mut Figures) -> Result<u64, Unusable> {
     let mut digest = Digest::NEW;
     let mut scratch = Scratch::NEW;

@@ -48,6 +48,7 @@ fn is_accepted(bytes: &[u8], scratch: &mut Scratch) -> Result<u32, Refusal> {
     accept::<N>(bytes, &REQUIREMENTS, scratch).map(|package| package.version)
 }
 
+#[inline(never)]
 pub(crate) fn digest(meter: &mut impl Meter, figures: &mut Figures) -> Result<u64, Unusable> {
     let mut digest = Digest::NEW;
     let mut scratch = Scratch::NEW;
