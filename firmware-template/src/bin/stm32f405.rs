@@ -219,6 +219,7 @@ impl<U: Instance> Uart<U> {
         end: QueuedEnd<'static>,
         driver: Option<AnyPin<Output>>,
     ) {
+        // The baud rates above are ones that the hardware has.
         if let Ok(mut serial) = serial {
             serial.listen(Event::RxNotEmpty);
             let uart = Self { serial, end, driver };
@@ -328,9 +329,10 @@ impl Clock for Timer {
 
 #[interrupt]
 fn TIM2() {
-    // SAFETY: nobody else touches the status register, whose bits are cleared by writing 0 and
-    // ignore 1.
-    unsafe { TIM2::steal() }.sr().write(|w| unsafe { w.bits(!1 << 1) });
+    /// `CC1IF` of the status register.
+    const COMPARE_1: u32 = 1 << 1;
+    // SAFETY: only this touches the status register, whose bits are cleared by 0 and ignore 1.
+    unsafe { TIM2::steal().sr().write(|w| w.bits(!COMPARE_1)) };
 }
 
 /// The accelerometer of an LSM303AGR: 1,344 samples a second, +-2 g, 4 mg a count.
@@ -382,11 +384,12 @@ struct Flash {
 }
 
 impl Flash {
-    /// RM0090, 3.6.1.
+    /// What opens the control register (RM0090, 3.6.1).
     const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
-    /// The status register's errors and its end of operation, cleared by writing 1 (3.9.4).
-    const STATUS: u32 = 0b1111_0010 | 1;
+    /// The errors in the status register: PGSERR, PGPERR, PGAERR, WRPERR, OPERR.
     const ERRORS: u32 = 0b1111_0010;
+    /// With them its end of operation; all are cleared by writing 1.
+    const STATUS: u32 = Self::ERRORS | 1;
     /// Where sector 5 begins, the first of 128 KiB (3.4, table 5).
     const SECTOR_5: usize = 0x0802_0000;
 
@@ -424,7 +427,7 @@ impl Flash {
         outcome
     }
 
-    /// Makes the cache forget what was erased; writing goes through it (RM0090, 3.5.2).
+    /// Makes the cache forget what was erased; writing goes through it.
     fn clear_cache(&mut self) {
         let acr = self.flash.acr();
         acr.modify(|_, w| w.dcen().clear_bit());
@@ -466,10 +469,11 @@ impl NorFlash for Flash {
             for sector in sectors {
                 let sector = (first + sector) as u8;
                 flash.operate(|flash| {
-                    // SAFETY: the sector lies in the region that is ours.
+                    // The register's value after a reset would lock it.
                     let cr = flash.cr();
-                    cr.write(|w| unsafe { w.ser().set_bit().snb().bits(sector).psize().psize32() });
-                    cr.modify(|_, w| w.strt().set_bit());
+                    cr.write(|w| w.lock().clear_bit().psize().psize32().ser().set_bit());
+                    // SAFETY: the sector lies in the region that is ours.
+                    cr.modify(|_, w| unsafe { w.snb().bits(sector).strt().set_bit() });
                 })?;
             }
             Ok(())
@@ -485,7 +489,7 @@ impl NorFlash for Flash {
         self.unlocked(|flash| {
             for (index, word) in words.iter().enumerate() {
                 flash.operate(|flash| {
-                    flash.cr().write(|w| w.pg().set_bit().psize().psize32());
+                    flash.cr().write(|w| w.lock().clear_bit().psize().psize32().pg().set_bit());
                     // SAFETY: the word lies in the region that is ours, aligned; nothing borrows
                     // from it, since `self` is borrowed exclusively.
                     unsafe { first.add(index).write_volatile(u32::from_le_bytes(*word)) };
