@@ -12,45 +12,46 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// A board: the feature that selects it, and its memory map.
-struct Board {
-    feature: &'static str,
-    map: &'static str,
-    /// Whether a peripheral access crate names its interrupts.
-    names_interrupts: bool,
-}
-
-const BOARDS: [Board; 3] = [
-    Board { feature: "qemu-mps2-an386", map: "../memory.x", names_interrupts: false },
-    Board { feature: "stm32f405", map: "boards/stm32f405.x", names_interrupts: true },
-    Board { feature: "nrf52840", map: "boards/nrf52840.x", names_interrupts: true },
+/// The feature that selects a board, and its memory map.
+const BOARDS: [(&str, &str); 3] = [
+    (EMULATED, "../memory.x"),
+    ("stm32f405", "boards/stm32f405.x"),
+    ("nrf52840", "boards/nrf52840.x"),
 ];
+
+/// A board without a peripheral access crate.
+const EMULATED: &str = "qemu-mps2-an386";
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo::rerun-if-changed=build.rs");
     if env::var("CARGO_CFG_TARGET_OS")? != "none" {
         return Ok(());
     }
-    let variable = |feature: &str| feature.to_uppercase().replace('-', "_");
-    let mut boards = BOARDS.iter().filter(|board| {
-        env::var_os(format!("CARGO_FEATURE_{}", variable(board.feature))).is_some()
+    let mut boards = BOARDS.iter().filter(|(board, _)| {
+        let variable = board.to_uppercase().replace('-', "_");
+        env::var_os(format!("CARGO_FEATURE_{variable}")).is_some()
     });
-    let Some(board) = boards.next() else { return Ok(()) };
+    let Some((board, map)) = boards.next() else { return Ok(()) };
     if boards.next().is_some() {
         return Err("two boards were asked for; name one with --features".into());
     }
     let out = PathBuf::from(env::var("OUT_DIR")?);
-    let map = fs::canonicalize(board.map).map_err(|error| format!("{}: {error}", board.map))?;
+    let map = fs::canonicalize(map).map_err(|error| format!("{map}: {error}"))?;
     println!("cargo::rerun-if-changed={}", map.display());
 
     let script = out.join("board.x");
-    let runtime = runtime_script(&out, board.names_interrupts)?;
+    let runtime = runtime_script(&out)?;
     println!("cargo::rerun-if-changed={}", runtime.display());
     let text = fs::read_to_string(&runtime)?;
     let (before, after) = text
         .split_once("INCLUDE memory.x")
         .ok_or_else(|| format!("{} does not include memory.x", runtime.display()))?;
     fs::write(&script, format!("{before}INCLUDE \"{}\"{after}", map.display()))?;
+    if *board == EMULATED {
+        // cortex-m-rt includes it for the names of a chip's interrupts, of which it uses none.
+        fs::write(out.join("device.x"), "")?;
+        println!("cargo::rustc-link-search={}", out.display());
+    }
     println!("cargo::rustc-link-arg-bins=--nmagic");
     println!("cargo::rustc-link-arg-bins=-T{}", script.display());
     Ok(())
@@ -58,7 +59,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// The linker script that cortex-m-rt's build script, which cargo runs before this one, has left
 /// among the outputs of build scripts; the newest, if there are several.
-fn runtime_script(out: &Path, names_interrupts: bool) -> Result<PathBuf, Box<dyn Error>> {
+fn runtime_script(out: &Path) -> Result<PathBuf, Box<dyn Error>> {
     let outputs = out.ancestors().find(|folder| folder.ends_with("build"));
     let outputs = outputs.ok_or("cargo puts build scripts' outputs where this does not look")?;
     let mut newest = None;
@@ -72,9 +73,7 @@ fn runtime_script(out: &Path, names_interrupts: bool) -> Result<PathBuf, Box<dyn
                 if path.to_string_lossy().contains("cortex-m-rt") {
                     folders.push(path);
                 }
-            } else if name == "link.x"
-                && fs::read_to_string(&path)?.contains("INCLUDE device.x") == names_interrupts
-            {
+            } else if name == "link.x" {
                 let time = fs::metadata(&path)?.modified()?;
                 if newest.as_ref().is_none_or(|(newest, _)| *newest < time) {
                     newest = Some((time, path));
