@@ -7,6 +7,7 @@ use agent_core::frame::Frame;
 use agent_core::hold::Hold;
 use agent_core::inbox::Inbox;
 use agent_core::network::{Architecture, InnerNetwork, LAYER_WIDTH_MAX, Layer, Scratch};
+use agent_core::package::NetworkPlace;
 use integration_tests::close;
 use proptest::prelude::*;
 
