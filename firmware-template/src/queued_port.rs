@@ -44,12 +44,12 @@ pub fn queued_port<'queue, const RECEIVED: usize, const TO_SEND: usize>(
 
 impl QueuedEnd<'_> {
     /// Hands over what has arrived; it is lost if there is no room.
-    pub fn received(&mut self, byte: u8) {
+    pub fn put(&mut self, byte: u8) {
         let _ = self.received.enqueue(byte);
     }
 
     /// The next byte to send.
-    pub fn next(&mut self) -> Option<u8> {
+    pub fn take(&mut self) -> Option<u8> {
         self.to_send.dequeue()
     }
 }
@@ -134,8 +134,8 @@ mod tests {
         assert!(WOKEN.load(Ordering::Relaxed) > 0);
         let mut buffer = [0; 8];
         assert_eq!(there.poll(&mut buffer), Ok(None));
-        while let Some(byte) = here_end.next() {
-            there_end.received(byte);
+        while let Some(byte) = here_end.take() {
+            there_end.put(byte);
         }
         assert_eq!(there.poll(&mut buffer), Ok(Some(&[1, 0, 3][..])));
         assert_eq!(there.poll(&mut buffer), Ok(None));
@@ -151,11 +151,11 @@ mod tests {
         assert_eq!(port.write(&[]), Ok(0));
         assert_eq!(port.write_all(&[4]), Err(Full));
         assert_eq!(
-            (end.next(), end.next(), end.next(), end.next()),
+            (end.take(), end.take(), end.take(), end.take()),
             (Some(1), Some(2), Some(3), None)
         );
 
-        (1..=4).for_each(|byte| end.received(byte));
+        (1..=4).for_each(|byte| end.put(byte));
         let mut buffer = [0; 8];
         assert_eq!(port.read_ready(), Ok(true));
         assert_eq!(port.read(&mut buffer), Ok(3));

@@ -218,14 +218,14 @@ impl Uart {
     fn serve(&mut self) {
         while self.uart.events_rxdrdy.read().events_rxdrdy().bit_is_set() {
             self.uart.events_rxdrdy.reset();
-            self.end.received(self.uart.rxd.read().rxd().bits());
+            self.end.put(self.uart.rxd.read().rxd().bits());
         }
         if self.uart.events_txdrdy.read().events_txdrdy().bit_is_set() {
             self.uart.events_txdrdy.reset();
             self.sending = false;
         }
         if !self.sending
-            && let Some(byte) = self.end.next()
+            && let Some(byte) = self.end.take()
         {
             self.sending = true;
             // SAFETY: every value is one that this register takes.
@@ -252,7 +252,7 @@ impl Header {
     const CONTROL: [u8; 2] = 0x8841_u16.to_le_bytes();
     const EVERYBODY: [u8; 2] = [0xff; 2];
 
-    fn new(sequence: u8, source: u16) -> [u8; Self::LENGTH] {
+    fn of(sequence: u8, source: u16) -> [u8; Self::LENGTH] {
         let [[c0, c1], [p0, p1], [e0, e1]] = [Self::CONTROL, PAN.to_le_bytes(), Self::EVERYBODY];
         let [s0, s1] = source.to_le_bytes();
         [c0, c1, sequence, p0, p1, e0, e1, s0, s1]
@@ -393,7 +393,7 @@ impl Link for Air {
 
     fn send(&mut self, frame: &[u8]) -> Result<(), Lost> {
         let mut bytes = Vec::<u8, { Header::LENGTH + FRAME_LENGTH_MAX }>::new();
-        let header = Header::new(self.sequence, self.address);
+        let header = Header::of(self.sequence, self.address);
         self.sequence = self.sequence.wrapping_add(1);
         if bytes.extend_from_slice(&header).is_err() || bytes.extend_from_slice(frame).is_err() {
             return Err(Lost);

@@ -239,7 +239,7 @@ impl<U: Instance> Uart<U> {
     fn receive(&mut self) {
         loop {
             match self.serial.read() {
-                Ok(byte) => self.end.received(byte),
+                Ok(byte) => self.end.put(byte),
                 Err(hal::nb::Error::WouldBlock) => break,
                 // The HAL has taken the damaged byte, and with it the error.
                 Err(hal::nb::Error::Other(_)) => (),
@@ -252,7 +252,7 @@ impl<U: Instance> Uart<U> {
         if !flags.contains(Flag::TxEmpty) {
             return;
         }
-        if let Some(byte) = self.end.next() {
+        if let Some(byte) = self.end.take() {
             if let Some(driver) = &mut self.driver {
                 driver.set_high();
             }
