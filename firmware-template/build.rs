@@ -12,12 +12,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// The feature that selects a board, and its memory map.
-const BOARDS: [(&str, &str); 3] = [
-    (EMULATED, "../memory.x"),
-    ("stm32f405", "boards/stm32f405.x"),
-    ("nrf52840", "boards/nrf52840.x"),
-];
+/// The features that select a board. Its memory map is `boards/<board>.x`, if there is one, and
+/// otherwise the one at the top.
+const BOARDS: [&str; 3] = [EMULATED, "stm32f405", "nrf52840"];
 
 /// A board without a peripheral access crate.
 const EMULATED: &str = "qemu-mps2-an386";
@@ -27,16 +24,18 @@ fn main() -> Result<(), Box<dyn Error>> {
     if env::var("CARGO_CFG_TARGET_OS")? != "none" {
         return Ok(());
     }
-    let mut boards = BOARDS.iter().filter(|(board, _)| {
+    let mut boards = BOARDS.into_iter().filter(|board| {
         let variable = board.to_uppercase().replace('-', "_");
         env::var_os(format!("CARGO_FEATURE_{variable}")).is_some()
     });
-    let Some((board, map)) = boards.next() else { return Ok(()) };
+    let Some(board) = boards.next() else { return Ok(()) };
     if boards.next().is_some() {
         return Err("two boards were asked for; name one with --features".into());
     }
     let out = PathBuf::from(env::var("OUT_DIR")?);
-    let map = fs::canonicalize(map).map_err(|error| format!("{map}: {error}"))?;
+    let own_map = Path::new("boards").join(format!("{board}.x"));
+    let map = if own_map.exists() { &own_map } else { Path::new("../memory.x") };
+    let map = fs::canonicalize(map).map_err(|error| format!("{}: {error}", map.display()))?;
     println!("cargo::rerun-if-changed={}", map.display());
 
     let script = out.join("board.x");
@@ -47,7 +46,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         .split_once("INCLUDE memory.x")
         .ok_or_else(|| format!("{} does not include memory.x", runtime.display()))?;
     fs::write(&script, format!("{before}INCLUDE \"{}\"{after}", map.display()))?;
-    if *board == EMULATED {
+    if board == EMULATED {
         // cortex-m-rt includes it for the names of a chip's interrupts, of which it uses none.
         fs::write(out.join("device.x"), "")?;
         println!("cargo::rustc-link-search={}", out.display());

@@ -9,7 +9,7 @@
 //! | link between nodes | IEEE 802.15.4 radio, [`CHANNEL`], broadcast data frames in [`PAN`] |
 //! | sensor | TMP117 on TWIM0 at address 0x48, SDA P0.26, SCL P0.27, 400 kHz: `y` is the temperature in degrees C |
 //! | clock | TIMER1, which runs freely at 16 MHz |
-//! | weights | the last 64 KiB of flash, `boards/nrf52840.x` |
+//! | weights | the last 64 KiB of flash, as the board's memory map says |
 //!
 //! **The link.** The radio listens whenever it does not send. Its interrupt puts each whole frame
 //! into a queue of [`FRAMES`] and has it listening again within microseconds; the next frame needs

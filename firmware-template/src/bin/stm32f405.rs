@@ -9,7 +9,7 @@
 //! | link between nodes | USART6, TX PC6, RX PC7, 1 Mbaud, driver enable PB8, for an RS-485 transceiver |
 //! | sensor | LSM303AGR on I2C1, SCL PB6, SDA PB7, 400 kHz: `y` is the acceleration along x in m/s^2 |
 //! | clock | TIM2, which runs freely at 84 MHz |
-//! | weights | flash sectors 8 to 11, `boards/stm32f405.x` |
+//! | weights | flash sectors 8 to 11, as the board's memory map says |
 //!
 //! **Nothing waits but [`Clock::rest`].** Both ports are queues that their interrupts fill and
 //! empty, so no byte is lost while a step runs. A sample takes 0.25 ms of the bus and the processor.
