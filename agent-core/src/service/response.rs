@@ -145,7 +145,7 @@ impl From<&StepError> for Outcome {
 }
 
 /// Who a node is, and how it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Status {
     /// [`PROTOCOL_VERSION`](super::PROTOCOL_VERSION) of the node. Always the first field.
     pub protocol: u8,
@@ -191,7 +191,7 @@ pub struct Firmware {
 }
 
 /// The package in use.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PackageStatus {
     /// The agent that the node is.
     pub agent: AgentId,
@@ -199,6 +199,8 @@ pub struct PackageStatus {
     pub version: u32,
     /// CRC-32 of its bytes, by which a file can be recognised.
     pub checksum: u32,
+    /// `dt`, which makes times of ticks. \[s\]
+    pub step_size: f32,
     /// Where it lies.
     pub slot: Slot,
     /// If it is on trial, how many good steps in a row it has taken and how many it takes.

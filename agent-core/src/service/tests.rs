@@ -45,6 +45,7 @@ fn status() -> Status {
             agent: 2,
             version: 3,
             checksum: 0xdead_beef,
+            step_size: 1e-3,
             slot: Slot::B,
             trial: Some((17, 1_000)),
             network_in_use: true,

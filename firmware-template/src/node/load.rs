@@ -146,16 +146,22 @@ pub(super) struct Verified {
     agent: agent_core::AgentId,
     pub(super) version: u32,
     checksum: u32,
+    step_size: f32,
 }
 
 impl Verified {
     fn of(package: &Package<'_>, bytes: &[u8]) -> Self {
-        Self { agent: package.node.agent, version: package.version, checksum: crc32(&[bytes]) }
+        Self {
+            agent: package.node.agent,
+            version: package.version,
+            checksum: crc32(&[bytes]),
+            step_size: package.node.step_size,
+        }
     }
 
     pub(super) fn in_slot(self, slot: store::Slot) -> InUsePackage {
-        let Self { agent, version, checksum } = self;
-        InUsePackage { agent, version, checksum, slot }
+        let Self { agent, version, checksum, step_size } = self;
+        InUsePackage { agent, version, checksum, step_size, slot }
     }
 }
 

@@ -108,6 +108,7 @@ struct InUsePackage {
     agent: agent_core::AgentId,
     version: u32,
     checksum: u32,
+    step_size: f32,
     slot: Slot,
 }
 
@@ -246,6 +247,7 @@ impl<
                 agent: package.agent,
                 version: package.version,
                 checksum: package.checksum,
+                step_size: package.step_size,
                 slot: package.slot,
                 trial: trial.map(|trial| (trial.good_steps(), self.settings.good_steps.get())),
                 network_in_use: self.health.network_in_use(),
