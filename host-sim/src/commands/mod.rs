@@ -4,6 +4,8 @@
 //! `--format json`. Progress goes to standard error, and only to a terminal. Exit codes: 0
 //! done, 2 bad usage or bad input, 1 anything else.
 
+#[cfg(unix)]
+mod cosim;
 mod health;
 mod reproduce;
 mod run;
@@ -21,6 +23,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use serde::Serialize;
 
+#[cfg(unix)]
+use crate::cosim::CosimError;
 use crate::engine::{Progress, RunError};
 use crate::figures::FigureError;
 use crate::flash::FlashError;
@@ -53,6 +57,9 @@ enum Command {
     Reproduce(reproduce::Arguments),
     /// Runs a scenario file
     Run(run::Arguments),
+    /// Runs a scenario together with emulated or real nodes and compares every bit
+    #[cfg(unix)]
+    Cosim(cosim::Arguments),
     /// Trains a network on recorded samples and writes a weight package
     Train(train::Arguments),
     /// Looks at weight packages, checks, signs, converts and places them
@@ -125,6 +132,15 @@ enum CommandError {
     Output(#[from] std::io::Error),
     #[error("cannot start {0} threads; choose fewer with --threads")]
     Threads(u16),
+    #[cfg(unix)]
+    #[error(transparent)]
+    Cosim(#[from] CosimError),
+    #[cfg(unix)]
+    #[error("{0}")]
+    Mismatches(String),
+    #[cfg(unix)]
+    #[error("{0}")]
+    Firmware(String),
 }
 
 impl CommandError {
@@ -153,6 +169,12 @@ impl CommandError {
             | Self::Figure(_)
             | Self::Output(_)
             | Self::Threads(_) => ExitCode::from(1),
+            #[cfg(unix)]
+            Self::Cosim(CosimError::NoNetwork { .. } | CosimError::Health { .. }) => {
+                ExitCode::from(2)
+            }
+            #[cfg(unix)]
+            Self::Cosim(_) | Self::Mismatches(_) | Self::Firmware(_) => ExitCode::from(1),
         }
     }
 }
@@ -168,6 +190,10 @@ pub fn main() -> ExitCode {
         }
         Command::Run(arguments) => {
             with_threads(arguments.common.threads, || run::execute(&arguments))
+        }
+        #[cfg(unix)]
+        Command::Cosim(arguments) => {
+            with_threads(arguments.common.threads, || cosim::execute(&arguments))
         }
         Command::Train(arguments) => {
             with_threads(arguments.common.threads, || train::execute(&arguments))
