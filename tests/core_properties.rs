@@ -3,11 +3,11 @@
 
 use agent_core::StateVector;
 use agent_core::agent::{AgentParams, AgentState};
-use agent_core::bank::NetworkBank;
 use agent_core::frame::Frame;
 use agent_core::hold::Hold;
 use agent_core::inbox::Inbox;
 use agent_core::network::{Architecture, InnerNetwork, LAYER_WIDTH_MAX, Layer, Scratch};
+use agent_core::package::NetworkPlace;
 use integration_tests::close;
 use proptest::prelude::*;
 
@@ -59,16 +59,15 @@ fn network<const N: usize>(drawn: &DrawnAgent<N>, dense: &[Dense]) -> InnerNetwo
 }
 
 /// Runs agent 0 of a drawn network beside a copy with capacity for `WIDE` features, arrays
-/// for its `PLACES` neighbours, and its network in a bank with room to spare.
+/// for its `PLACES` neighbours, and its network in a static buffer with room to spare.
 fn spare_capacity_run<const N: usize, const WIDE: usize, const PLACES: usize>(
     drawn: &DrawnNetwork<N>,
     draw: &mut Draw,
 ) -> Result<(), TestCaseError> {
     let mut members = drawn.members();
-    let mut bank = NetworkBank::<2048>::new();
     let reference = drawn.agents[0].inner_network();
-    bank.stage(reference.architecture().clone(), reference.parameters()).unwrap();
-    prop_assert!(bank.switch());
+    let buffer = heapless::Vec::<f32, 2048>::from_slice(reference.parameters()).unwrap();
+    let in_buffer = InnerNetwork::new(reference.architecture().clone(), buffer).unwrap();
     let in_slice =
         InnerNetwork::new(reference.architecture().clone(), reference.parameters()).unwrap();
 
@@ -86,7 +85,7 @@ fn spare_capacity_run<const N: usize, const WIDE: usize, const PLACES: usize>(
         let measurements = draw.measurements(drawn);
         let y = &measurements[0];
         let found = match tick % 2 {
-            0 => wide.step(&params, bank.active(), tick, y, &mut inbox),
+            0 => wide.step(&params, Some(&in_buffer), tick, y, &mut inbox),
             _ => wide.step(&params, Some(&in_slice), tick, y, &mut inbox),
         };
         let order = draw.order(members.len());
@@ -374,15 +373,15 @@ proptest! {
 }
 
 #[test]
-fn an_agent_of_the_papers_size_fits_into_six_kibibytes() {
-    // Three states, five features, two neighbours, 425 inner parameters twice.
+fn an_agent_of_the_papers_size_fits_into_two_kibibytes() {
+    // Three states, five features, two neighbours; the network stays in flash.
     type Places = [Option<Hold<3>>; 2];
     let sizes = [
         size_of::<AgentParams<'_, 3>>(),
         size_of::<AgentState<3, 5, Places>>(),
         size_of::<Inbox<3, Places>>(),
-        size_of::<NetworkBank<425>>(),
+        size_of::<NetworkPlace>(),
     ];
-    println!("parameters, state, inbox, networks: {sizes:?} bytes");
-    assert!(sizes.iter().sum::<usize>() <= 6 * 1024, "{sizes:?} bytes");
+    println!("parameters, state, inbox, place: {sizes:?} bytes");
+    assert!(sizes.iter().sum::<usize>() <= 2 * 1024, "{sizes:?} bytes");
 }

@@ -74,12 +74,12 @@ fn the_chip_holds_the_image_and_nothing_else() {
             .collect();
         assert_eq!(chip.memory(), expected);
         let steps: Vec<_> = steps.iter().map(ToString::to_string).collect();
-        let address = if slot == Slot::A { "0x00300000" } else { "0x00307000" };
+        let address = if slot == Slot::A { "0x21000000" } else { "0x21007000" };
         assert_eq!(
             steps,
             [
                 "writing 10408 bytes".to_owned(),
-                "reading the commit area back: 8192 bytes at 0x0030e000".to_owned(),
+                "reading the commit area back: 8192 bytes at 0x2100e000".to_owned(),
                 format!("reading the package back: 2216 bytes at {address}"),
                 "resetting the chip".to_owned(),
             ]
@@ -100,8 +100,8 @@ fn probe_rs_is_called_with_the_options_that_it_has() {
     assert_eq!(
         rest,
         [
-            "read --chip nRF52840 b8 0x30e000 8192",
-            "read --chip nRF52840 b8 0x307000 64",
+            "read --chip nRF52840 b8 0x2100e000 8192",
+            "read --chip nRF52840 b8 0x21007000 64",
             "reset --chip nRF52840",
         ]
     );
@@ -117,7 +117,7 @@ fn versions_that_print_no_addresses_are_understood() {
 #[test]
 fn a_byte_that_reads_back_differently_is_named_and_the_chip_not_started() {
     for (address, name, expected) in
-        [(0x30_0010, "the package", 0x10_u8), (0x30_FFFF, "the commit area", 0xFF)]
+        [(0x2100_0010, "the package", 0x10_u8), (0x2100_FFFF, "the commit area", 0xFF)]
     {
         let chip = Chip::new(&format!("corrupt-{address:x}"));
         // Two of them: the first is named.

@@ -96,7 +96,7 @@ fn besides(memory: &Memory, segments: &Memory) -> Vec<u64> {
 
 #[test]
 fn package_and_record_lie_where_the_firmware_looks() {
-    for (slot, address) in [(Slot::A, 0x30_0000), (Slot::B, 0x30_7000)] {
+    for (slot, address) in [(Slot::A, 0x2100_0000), (Slot::B, 0x2100_7000)] {
         let memory = segments(&image(slot, 2_213));
         for (at, byte) in (0..).zip(package(2_213)) {
             assert_eq!(memory[&(address + at)], byte);
@@ -104,7 +104,7 @@ fn package_and_record_lie_where_the_firmware_looks() {
         // Padded to 2,216.
         assert_eq!([2_213, 2_214, 2_215].map(|at| memory[&(address + at)]), [0xFF; 3]);
         assert!(!memory.contains_key(&(address + 2_216)));
-        let commit: Vec<u8> = memory.range(0x30_E000..).map(|(_, &byte)| byte).collect();
+        let commit: Vec<u8> = memory.range(0x2100_E000..).map(|(_, &byte)| byte).collect();
         assert_eq!(commit.len(), 8 << 10);
         assert_eq!(commit[..32], RECORD);
         assert!(commit[32..].iter().all(|&byte| byte == 0xFF));
@@ -122,7 +122,7 @@ fn hex_holds_the_segments_and_nothing_else() {
 
 #[test]
 fn uf2_fills_the_last_erase_unit_of_the_package_and_nothing_else() {
-    for (slot, address) in [(Slot::A, 0x30_0000_u64), (Slot::B, 0x30_7000)] {
+    for (slot, address) in [(Slot::A, 0x2100_0000_u64), (Slot::B, 0x2100_7000)] {
         let image = image(slot, 5_000);
         let memory = read_uf2(&image.encode(ImageFormat::Uf2(FAMILY)).unwrap(), FAMILY.0);
         let filled: Vec<u64> = (address + 5_000..address + 8_192).collect();
@@ -132,16 +132,16 @@ fn uf2_fills_the_last_erase_unit_of_the_package_and_nothing_else() {
 
 #[test]
 fn bin_blanks_what_lies_between_the_segments() {
-    for (slot, address) in [(Slot::A, 0x30_0000_u64), (Slot::B, 0x30_7000)] {
+    for (slot, address) in [(Slot::A, 0x2100_0000_u64), (Slot::B, 0x2100_7000)] {
         let image = image(slot, 2_213);
         let file = image.encode(ImageFormat::Bin).unwrap();
         assert_eq!(u64::from(image.base()), address);
-        assert_eq!(file.len() as u64, 0x31_0000 - address);
+        assert_eq!(file.len() as u64, 0x2101_0000 - address);
         let mut memory = Memory::new();
         put(&mut memory, address, &file);
-        let gap: Vec<u64> = (address + 2_216..0x30_E000).collect();
+        let gap: Vec<u64> = (address + 2_216..0x2100_E000).collect();
         assert_eq!(besides(&memory, &segments(&image)), gap);
-        assert_eq!(image.gap(), address + 2_216..0x30_E000);
+        assert_eq!(image.gap(), address + 2_216..0x2100_E000);
         assert_eq!(image.gap_holds_other_slot(), slot == Slot::A);
     }
 }
@@ -149,7 +149,7 @@ fn bin_blanks_what_lies_between_the_segments() {
 #[test]
 fn a_full_slot_fits_and_one_byte_more_does_not() {
     let full = image(Slot::A, 28 << 10);
-    assert_eq!(full.segments()[0].span(), 0x30_0000..0x30_7000);
+    assert_eq!(full.segments()[0].span(), 0x2100_0000..0x2100_7000);
     let refused = Image::new(&WEIGHTS, Slot::A, &package((28 << 10) + 1), &RECORD);
     assert_eq!(
         refused,
@@ -175,10 +175,10 @@ fn a_record_that_does_not_fit_is_refused() {
 fn what_would_leave_the_region_or_overlap_is_refused_whatever_the_region_says() {
     for region in [
         WeightsRegion { slot_a: 0x2F_F000, ..WEIGHTS },
-        WeightsRegion { slot_a: 0x30_F000, ..WEIGHTS },
-        WeightsRegion { slot_a: 0x31_0000, ..WEIGHTS },
-        WeightsRegion { commit: 0x30_F000, ..WEIGHTS },
-        WeightsRegion { commit: 0x30_0000, ..WEIGHTS },
+        WeightsRegion { slot_a: 0x2100_F000, ..WEIGHTS },
+        WeightsRegion { slot_a: 0x2101_0000, ..WEIGHTS },
+        WeightsRegion { commit: 0x2100_F000, ..WEIGHTS },
+        WeightsRegion { commit: 0x2100_0000, ..WEIGHTS },
         WeightsRegion { slot_a: u32::MAX - 7, ..WEIGHTS },
     ] {
         let refused = Image::new(&region, Slot::A, &package(100), &RECORD).unwrap_err();
@@ -189,10 +189,10 @@ fn what_would_leave_the_region_or_overlap_is_refused_whatever_the_region_says() 
 
 #[test]
 fn uf2_refuses_what_is_not_made_of_its_blocks() {
-    let region = WeightsRegion { erase_size: 128, slot_a: 0x30_0080, ..WEIGHTS };
+    let region = WeightsRegion { erase_size: 128, slot_a: 0x2100_0080, ..WEIGHTS };
     let image = Image::new(&region, Slot::A, &package(256), &RECORD).unwrap();
     let refused = image.encode(ImageFormat::Uf2(FAMILY)).unwrap_err();
-    assert!(matches!(refused, ImageError::Uf2Alignment { start: 0x30_0080, .. }), "{refused}");
+    assert!(matches!(refused, ImageError::Uf2Alignment { start: 0x2100_0080, .. }), "{refused}");
     assert_eq!(Format::Uf2.with_family(None), Err(ImageError::FamilyMissing));
     assert_eq!(Format::Hex.with_family(None), Ok(ImageFormat::Hex));
 }
@@ -232,13 +232,16 @@ fn every_tool_gets_its_exact_command_line() {
             (
                 "probe-rs",
                 line(
-                    "probe-rs download --chip CHIP --binary-format bin --base-address 0x307000 --restore-unwritten --verify w.bin && probe-rs reset --chip CHIP"
+                    "probe-rs download --chip CHIP --binary-format bin --base-address 0x21007000 --restore-unwritten --verify w.bin && probe-rs reset --chip CHIP"
                 )
             ),
-            ("OpenOCD", line("openocd -f BOARD.cfg -c 'program w.bin verify reset exit 0x307000'")),
-            ("st-flash", line("st-flash --reset write w.bin 0x307000")),
-            ("dfu-util", line("dfu-util -a 0 -s 0x307000 -D w.bin")),
-            ("picotool", line("picotool load -v w.bin -t bin -o 0x307000 && picotool reboot")),
+            (
+                "OpenOCD",
+                line("openocd -f BOARD.cfg -c 'program w.bin verify reset exit 0x21007000'")
+            ),
+            ("st-flash", line("st-flash --reset write w.bin 0x21007000")),
+            ("dfu-util", line("dfu-util -a 0 -s 0x21007000 -D w.bin")),
+            ("picotool", line("picotool load -v w.bin -t bin -o 0x21007000 && picotool reboot")),
             ("USB drive of a bootloader", None),
         ]
     );

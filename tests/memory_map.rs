@@ -11,12 +11,12 @@ pub(crate) const MEMORY_X: &str = include_str!("../memory.x");
 /// What the region of that map is, as the linker computes it: GNU ld 2.40 on a file that includes
 /// it, symbols printed by `nm`.
 pub(crate) const WEIGHTS: WeightsRegion = WeightsRegion {
-    origin: 0x30_0000,
+    origin: 0x2100_0000,
     length: 64 << 10,
-    slot_a: 0x30_0000,
-    slot_b: 0x30_7000,
+    slot_a: 0x2100_0000,
+    slot_b: 0x2100_7000,
     slot_length: 28 << 10,
-    commit: 0x30_E000,
+    commit: 0x2100_E000,
     commit_length: 8 << 10,
     erase_size: 4 << 10,
 };
@@ -46,8 +46,11 @@ fn the_repositorys_map_is_what_the_linker_makes_of_it() {
         .iter()
         .map(|region| (region.name.as_str(), region.origin, region.length))
         .collect();
-    let expected =
-        [("FLASH", 0, 3 << 20), ("WEIGHTS", 0x30_0000, 64 << 10), ("RAM", 0x2000_0000, 128 << 10)];
+    let expected = [
+        ("FLASH", 0, 4 << 20),
+        ("RAM", 0x2000_0000, 128 << 10),
+        ("WEIGHTS", 0x2100_0000, 64 << 10),
+    ];
     assert_eq!(regions, expected);
     assert_eq!(map.weights(), Ok(WEIGHTS));
 }
@@ -165,8 +168,8 @@ fn without_a_single_assertion_the_weights_still_lie_safely() {
     assert_eq!(changed("RAM     : ORIGIN", "RAM     : ORIGIN"), Ok(WEIGHTS));
     for (from, to, name, part) in [
         ("  WEIGHTS : ORIGIN", "  OTHER : ORIGIN", "", "no region `WEIGHTS`"),
-        ("LENGTH = 3M", "LENGTH = 4M", "FLASH", "overlaps WEIGHTS"),
-        ("LENGTH = 64K", "LENGTH = 60K", "_weights_commit_length", "WEIGHTS ends at 0x30f000"),
+        ("LENGTH = 4M", "LENGTH = 600M", "FLASH", "overlaps WEIGHTS"),
+        ("LENGTH = 64K", "LENGTH = 60K", "_weights_commit_length", "WEIGHTS ends at 0x2100f000"),
         ("_weights_erase_size = 4K", "_other = 4K", "_weights_erase_size", "no such name"),
         ("_weights_erase_size = 4K", "_weights_erase_size = 0", "_weights_erase_size", "is 0"),
         (
@@ -203,7 +206,7 @@ fn without_a_single_assertion_the_weights_still_lie_safely() {
             "_weights_commit_length = 8K",
             "_weights_commit_length = 0xFFFFFFFFFFFFF000",
             "_weights_commit_length",
-            "WEIGHTS ends at 0x310000",
+            "WEIGHTS ends at 0x21010000",
         ),
         (
             "_weights_slot_b_origin = _weights_slot_a_origin + _weights_slot_a_length",

@@ -120,7 +120,7 @@ fn images_lie_where_the_memory_map_says() {
     let report = object(&folder.succeed(&format!(
         "weights image node1.weights --slot b --memory {MEMORY} --format bin,json"
     )));
-    assert_eq!(report["segments"][0]["address"], 0x30_7000);
+    assert_eq!(report["segments"][0]["address"], 0x2100_7000);
     let bin = fs::read(folder.path("node1.slot-b.bin")).unwrap();
     assert_eq!(bin.len(), 0x9000);
     assert_eq!(bin[..package.len()], package);
@@ -136,7 +136,7 @@ fn images_lie_where_the_memory_map_says() {
         let text = folder.succeed(&format!(
             "weights image node1.weights --slot A --memory {MEMORY} --format {format}{family}"
         ));
-        assert!(text.contains("probe-rs") && text.contains("0x00300000"), "{text}");
+        assert!(text.contains("probe-rs") && text.contains("0x21000000"), "{text}");
         assert!(folder.path(&format!("node1.slot-a.{format}")).exists());
     }
     let error = folder

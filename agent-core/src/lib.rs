@@ -19,7 +19,8 @@
 //! | [`trigger`] | when to broadcast | `Trigger` |
 //! | [`agent`] | parameters, state, and the step that joins all these | |
 //! | [`health`] | what goes wrong at run time: counted, and what to do about it | `Zeno Bound` |
-//! | [`capture`], [`bank`] | samples for offline training; switching in its result | |
+//! | [`capture`] | samples for offline training | |
+//! | [`serial`], [`service`] | messages on a stream; what a node and a laptop say to each other | |
 //! | [`package`] | all of the above parameters as bytes that prove themselves | |
 //! | [`checksum`], [`signature`] | against damage; against strangers | |
 //! | [`store`] | weight packages in flash, safe against loss of power at any instant | |
@@ -34,7 +35,6 @@
 
 pub mod activation;
 pub mod agent;
-pub mod bank;
 pub mod capture;
 pub mod checksum;
 pub mod frame;

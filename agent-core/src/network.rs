@@ -267,12 +267,16 @@ fn affine_block<const LANES: usize>(
     let width = outputs.len();
     let block = first..first + LANES;
     let mut sums = [0.0f32; LANES];
-    sums.copy_from_slice(&biases[block.clone()]);
-    for (row, &input) in weights.chunks_exact(width).zip(inputs) {
-        for (sum, &weight) in sums.iter_mut().zip(&row[block.clone()]) {
+    for (sum, bias) in sums.iter_mut().zip(biases.get(block.clone()).unwrap_or_default()) {
+        *sum = *bias;
+    }
+    for (row, &input) in weights.chunks_exact(width.max(1)).zip(inputs) {
+        for (sum, &weight) in sums.iter_mut().zip(row.get(block.clone()).unwrap_or_default()) {
             *sum += weight * input;
         }
     }
-    outputs[block].copy_from_slice(&sums);
+    for (output, sum) in outputs.get_mut(block).unwrap_or_default().iter_mut().zip(sums) {
+        *output = sum;
+    }
     LANES
 }

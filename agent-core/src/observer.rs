@@ -114,7 +114,7 @@ impl<const N: usize> ObserverParams<'_, N> {
             if id == own {
                 return Err(ParameterError::OwnNeighbour { id });
             }
-            if self.neighbours[..index].iter().any(|earlier| earlier.id == id) {
+            if self.neighbours.iter().take(index).any(|earlier| earlier.id == id) {
                 return Err(ParameterError::RepeatedNeighbour { id });
             }
             positive("observer.neighbours.weight", neighbour.weight)?;

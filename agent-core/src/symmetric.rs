@@ -99,7 +99,8 @@ impl SymmetricMatrix<'_> {
                 }
             }
             Self::Full(entries) => {
-                for (result, row) in result.iter_mut().zip(entries.chunks_exact(vector.len())) {
+                let rows = entries.chunks_exact(vector.len().max(1));
+                for (result, row) in result.iter_mut().zip(rows) {
                     *result = row.iter().zip(vector).fold(0.0, |sum, (entry, v)| sum + entry * v);
                 }
             }

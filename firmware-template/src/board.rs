@@ -186,12 +186,23 @@ impl<S: Sensor, L: Link, C: Clock, P: Read + ReadReady + Write> Board for Hardwa
     }
 
     fn respond(&mut self, bytes: &[u8]) {
-        let _ = self.port.write_all(bytes);
+        let _ = write_whole(&mut self.port, bytes);
     }
 
     fn flush(&mut self) {
         let _ = self.port.flush();
     }
+}
+
+/// Writes all of `bytes`, or says that it could not: `write_all` panics where a port writes nothing.
+pub(crate) fn write_whole<P: Write>(port: &mut P, mut bytes: &[u8]) -> Result<(), Lost> {
+    while !bytes.is_empty() {
+        match port.write(bytes) {
+            Ok(length) if length > 0 => bytes = bytes.get(length..).unwrap_or_default(),
+            _ => return Err(Lost),
+        }
+    }
+    Ok(())
 }
 
 /// `message` at the start of `buffer`.

@@ -11,7 +11,7 @@ use agent_core::serial::SerialError;
 use agent_core::service::{Numbers, Request, Response, Rows, receive, send};
 use embedded_io::{Read, Write};
 
-use crate::board::{Board, Lost, RequestBuffer, RequestDecoder, copied};
+use crate::board::{Board, Lost, RequestBuffer, RequestDecoder, copied, write_whole};
 
 /// Bytes that are read or written at once.
 const CHUNK: usize = 256;
@@ -58,7 +58,7 @@ impl<P: Read + Write, const FRAMES: usize> InTheLoop<P, FRAMES> {
     }
 
     fn write_out(&mut self) {
-        let _ = self.port.write_all(&self.output);
+        let _ = write_whole(&mut self.port, &self.output);
         self.output.clear();
     }
 }
@@ -141,7 +141,7 @@ impl<P: Read + Write, const FRAMES: usize> Board for InTheLoop<P, FRAMES> {
             self.write_out();
         }
         if self.output.extend_from_slice(bytes).is_err() {
-            let _ = self.port.write_all(bytes);
+            let _ = write_whole(&mut self.port, bytes);
         }
     }
 

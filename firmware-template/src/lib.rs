@@ -13,12 +13,16 @@
 
 pub mod board;
 mod in_the_loop;
+mod key;
+mod memory_map;
 pub mod node;
 pub mod registers;
 mod serial_link;
 
 pub use board::{Board, Clock, Hardware, Link, Lost, Sensor};
 pub use in_the_loop::InTheLoop;
+pub use key::key_from_hex;
+pub use memory_map::{Symbols, WeightsRegion};
 pub use node::{Node, Settings};
 pub use registers::RegisterSensor;
 pub use serial_link::SerialLink;

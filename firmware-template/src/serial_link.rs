@@ -12,7 +12,7 @@ use agent_core::frame::FRAME_LENGTH_MAX;
 use agent_core::serial::{Decoder, Encoder, SerialError};
 use embedded_io::{Read, ReadReady, Write};
 
-use crate::board::copied;
+use crate::board::{copied, write_whole};
 use crate::{Link, Lost};
 
 /// A link over `P`.
@@ -37,7 +37,7 @@ impl<P: Read + ReadReady + Write> Link for SerialLink<P> {
         let port = &mut self.port;
         let mut encoder = Encoder::new(|block: &[u8]| {
             if outcome.is_ok() {
-                outcome = port.write_all(block).map_err(|_| Lost);
+                outcome = write_whole(port, block);
             }
         });
         encoder.extend(frame);

@@ -20,9 +20,19 @@ use crate::{
 const PACKAGES: [&str; 4] = ["rustc-web", "cargo-web", "rust-web-src", "lld"];
 const RUSTC: &str = "/usr/bin/rustc";
 const CARGO: &str = "/usr/bin/cargo";
+const LINKER: &str = "/usr/bin/ld.lld";
 /// What Debian's packages put where rustc looks for it.
 const RUSTLIB: &str = "/usr/lib/rustlib";
 const CRATES: [&str; 3] = ["core", "alloc", "compiler_builtins"];
+
+/// Every target that anything here is built for. The sysroot has all of them, whatever a task needs,
+/// so that no task throws away what another one has built.
+const TARGETS: [&str; 4] = [
+    "thumbv6m-none-eabi",
+    "thumbv7em-none-eabihf",
+    "thumbv8m.main-none-eabihf",
+    "riscv32imac-unknown-none-elf",
+];
 
 /// A compiler that has every target that was asked for.
 #[derive(Debug)]
@@ -51,7 +61,7 @@ impl Compiler {
         }
         println!("compiler: the active toolchain lacks {missing}; using Debian's");
         install()?;
-        Ok(Self { rustc: Some(sysroot(targets)?) })
+        Ok(Self { rustc: Some(sysroot()?) })
     }
 
     /// Makes `command`, a cargo call, compile with this compiler into a folder of its own,
@@ -61,6 +71,11 @@ impl Compiler {
         command.env_remove("RUSTFLAGS").env_remove("CARGO_ENCODED_RUSTFLAGS");
         if let Some(rustc) = &self.rustc {
             command.env("RUSTC", rustc);
+            // Debian has Rust's linker under its own name only.
+            for target in TARGETS {
+                let target = target.to_uppercase().replace(['-', '.'], "_");
+                command.env(format!("CARGO_TARGET_{target}_LINKER"), LINKER);
+            }
         }
         command.env("CARGO_TARGET_DIR", cross_folder())
     }
@@ -142,14 +157,14 @@ fn numbers(version: &str) -> Vec<u32> {
 }
 
 /// Builds the sysroot, unless it is there already, and returns its `rustc`.
-fn sysroot(targets: &[&str]) -> Result<PathBuf, Failure> {
+fn sysroot() -> Result<PathBuf, Failure> {
     let start = Instant::now();
     let (version, _) = release().unwrap_or_default();
     let prefix = target_folder().join(format!("sysroot-{version}"));
     let rustc = prefix.join("bin/rustc");
     let stamp = prefix.join("stamp");
     let package_versions = PACKAGES.map(|name| packages::version(name).unwrap_or_default());
-    let wanted = format!("{}\n{}\n", package_versions.join(" "), targets.join(" "));
+    let wanted = format!("{}\n{}\n", package_versions.join(" "), TARGETS.join(" "));
     if fs::read_to_string(&stamp).is_ok_and(|found| found == wanted) {
         let seconds = start.elapsed().as_secs_f64();
         println!("compiler: {} is up to date, {seconds:.1} s", prefix.display());
@@ -173,10 +188,10 @@ fn sysroot(targets: &[&str]) -> Result<PathBuf, Failure> {
     write_scratch_crate(&scratch).map_err(failed)?;
     run(
         "core and alloc for bare metal",
-        &mut build_command(&scratch, targets),
+        &mut build_command(&scratch),
         "see what the compiler says; Debian's packages must all have one version",
     )?;
-    lay_out(&prefix, &scratch, targets).map_err(failed)?;
+    lay_out(&prefix, &scratch).map_err(failed)?;
     fs::write(&stamp, wanted).map_err(failed)?;
     Ok(rustc)
 }
@@ -191,7 +206,7 @@ fn write_scratch_crate(folder: &Path) -> io::Result<()> {
     )
 }
 
-fn build_command(scratch: &Path, targets: &[&str]) -> Command {
+fn build_command(scratch: &Path) -> Command {
     let vendored = format!("source.debian.directory=\"{RUSTLIB}/src/rust/library/vendor\"");
     let mut command = Command::new(CARGO);
     command
@@ -208,16 +223,16 @@ fn build_command(scratch: &Path, targets: &[&str]) -> Command {
         .env("CARGO_TARGET_DIR", scratch.join("target"))
         .args(["build", "--quiet", "--offline", "--release", "-Zbuild-std=core,alloc"])
         .args(["--config", "source.crates-io.replace-with=\"debian\"", "--config", &vendored]);
-    for target in targets {
+    for target in TARGETS {
         command.args(["--target", target]);
     }
     command
 }
 
 /// Moves what was built to where rustc looks for it, and links the rest of Debian's files.
-fn lay_out(prefix: &Path, scratch: &Path, targets: &[&str]) -> io::Result<()> {
+fn lay_out(prefix: &Path, scratch: &Path) -> io::Result<()> {
     let rustlib = prefix.join("lib/rustlib");
-    for target in targets {
+    for target in TARGETS {
         let folder = rustlib.join(target).join("lib");
         fs::create_dir_all(&folder)?;
         let built = scratch.join("target").join(target).join("release/deps");

@@ -6,6 +6,7 @@
 
 mod compiler;
 mod cross;
+mod firmware;
 mod fuzz;
 mod host;
 mod machine_code;
@@ -18,12 +19,15 @@ use step::Failure;
 
 const HELP: &str = "\
 Usage: cargo xtask <task> [--debian]
+       cargo xtask firmware --board BOARD|all [--public-key HEX] [--debian]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
 
 Tasks:
   test    every test there is: the workspace on the host, doctests included, then `cross`
   cross   build the node's libraries for bare metal, look for fused multiply-add and
           platform mathematics in the machine code, link the memory map
+  firmware  build a node's firmware: for qemu-mps2-an386, with --public-key so that it takes
+          only packages signed with the private half (`weights keygen` prints the key)
   lint    formatting, clippy and documentation, warnings are errors
   fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (10)
           from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
@@ -51,6 +55,10 @@ fn main() -> ExitCode {
         }
         ["cross"] => cross::cross(debian),
         ["lint"] => host::lint().and_then(|()| fuzz::lint(debian)),
+        ["firmware", ref rest @ ..] => match firmware::Options::read(rest) {
+            Some(options) => firmware::firmware(&options, debian),
+            None => return usage(),
+        },
         ["fuzz", ref rest @ ..] => match fuzz::Options::read(rest) {
             Some(options) => fuzz::fuzz(&options, debian),
             None => return usage(),

@@ -79,11 +79,11 @@ fn numbers<'a>(body: &[u8], rest: &'a [u8]) -> Result<&'a [f32], PackageError> {
 }
 
 fn architecture(metadata: &Metadata<'_>) -> Result<Architecture, PackageError> {
-    let layers: heapless::Vec<Layer, INNER_LAYERS_MAX> = metadata
-        .layers
-        .iter()
-        .map(|layer| Layer { width: layer.width, activation: layer.activation.into() })
-        .collect();
+    let mut layers = heapless::Vec::<Layer, INNER_LAYERS_MAX>::new();
+    for layer in &metadata.layers {
+        // There is as much room as there are layers.
+        let _ = layers.push(Layer { width: layer.width, activation: layer.activation.into() });
+    }
     Architecture::new(metadata.inputs.into(), &layers).map_err(PackageError::Network)
 }
 

@@ -1,0 +1,92 @@
+//! The node's firmware, one binary a board.
+
+use std::path::PathBuf;
+
+use crate::{
+    compiler::{Compiler, cross_folder},
+    step::{Failure, cargo, run},
+};
+
+/// A board that the template has a file for.
+#[derive(Debug)]
+pub(crate) struct Board {
+    /// Name of the file, of the feature, and of the binary.
+    pub(crate) name: &'static str,
+    pub(crate) target: &'static str,
+}
+
+/// The board that this machine can emulate.
+pub(crate) const EMULATED: &str = "qemu-mps2-an386";
+
+/// Every board of the template.
+pub(crate) const BOARDS: [Board; 1] = [Board { name: EMULATED, target: "thumbv7em-none-eabihf" }];
+
+/// What `cargo xtask firmware` is asked for.
+#[derive(Debug)]
+pub(crate) struct Options {
+    boards: Vec<&'static Board>,
+    /// 64 hexadecimal digits; packages then have to be signed.
+    public_key: Option<String>,
+}
+
+impl Options {
+    /// Reads the arguments after the task; `None` if they are none.
+    pub(crate) fn read(arguments: &[&str]) -> Option<Self> {
+        let mut options = Self { boards: Vec::new(), public_key: None };
+        let mut arguments = arguments.iter();
+        while let Some(&argument) = arguments.next() {
+            let value = *arguments.next()?;
+            match argument {
+                "--board" if value == "all" => options.boards.extend(&BOARDS),
+                "--board" => {
+                    options.boards.push(BOARDS.iter().find(|board| board.name == value)?);
+                }
+                "--public-key" => options.public_key = Some(value.to_owned()),
+                _ => return None,
+            }
+        }
+        (!options.boards.is_empty()).then_some(options)
+    }
+}
+
+/// Builds the firmware of the boards that were asked for, and prints where it is.
+///
+/// # Errors
+/// There is no compiler, or the build fails.
+pub(crate) fn firmware(options: &Options, debian: bool) -> Result<(), Failure> {
+    let public_key = options.public_key.as_deref();
+    let programs = options.boards.iter().map(|board| build(board, public_key, debian));
+    for program in programs.collect::<Result<Vec<_>, _>>()? {
+        println!("firmware: {}", program.display());
+    }
+    Ok(())
+}
+
+/// Builds the firmware of one board and returns the program.
+///
+/// # Errors
+/// As [`firmware`].
+pub(crate) fn build(
+    board: &Board,
+    public_key: Option<&str>,
+    debian: bool,
+) -> Result<PathBuf, Failure> {
+    let compiler = Compiler::find(&[board.target], debian)?;
+    let mut command = cargo("build");
+    let features = match public_key {
+        Some(_) => format!("{},signature", board.name),
+        None => board.name.to_owned(),
+    };
+    command.args(["--quiet", "--profile", "firmware", "--package", "firmware-template"]);
+    command.args(["--target", board.target, "--bin", board.name, "--features", &features]);
+    if let Some(key) = public_key {
+        command.env("NODE_PUBLIC_KEY", key);
+    }
+    run(
+        &format!("firmware for {}", board.name),
+        compiler.apply(&mut command),
+        "the error above names the line; a symbol the_firmware_has_a_path_that_panics that is not \
+         defined means what it says",
+    )?;
+    Ok(cross_folder().join(board.target).join("firmware").join(board.name))
+}
