@@ -72,8 +72,8 @@ fn cosim_finds_one_bit_in_the_weights_of_one_node() {
     let start = &mut |index, package: &PackageBytes| {
         let uses = (index == 1).then(|| {
             changed(package, |draft| {
-                let weight = &mut draft.inner[7];
-                *weight = f32::from_bits(weight.to_bits() ^ 1);
+                let bias = draft.inner.last_mut().unwrap();
+                *bias = f32::from_bits(bias.to_bits() ^ 1 << 8);
             })
         });
         Ok(board(Some(package), &Quirks { uses, ..Quirks::default() }, false))
