@@ -47,6 +47,17 @@ pub struct Turn {
     pub unasked: Vec<Vec<u8>>,
 }
 
+/// What a node said to a request.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Exchange {
+    /// The answer as it was framed, in its parts.
+    pub answers: Vec<Vec<u8>>,
+    /// The frames that it broadcast meanwhile.
+    pub frames: Vec<Vec<u8>>,
+    /// What else it said, as it was framed.
+    pub unasked: Vec<Vec<u8>>,
+}
+
 impl Board {
     /// The node at the end of a line, called `label`. If it `lives_on`, it has a package of its
     /// own, which is replaced if it is another.
@@ -108,8 +119,7 @@ impl Board {
             if !right(&status) {
                 self.replace(package.as_bytes())?;
             }
-            self.ask(&Request::Reset, "reset", is_done)?;
-            status = self.hello()?;
+            status = self.reset()?;
         }
         if !right(&status) {
             let refusal = status.refused_at_start.into_iter().flatten().next();
@@ -136,8 +146,7 @@ impl Board {
     /// See [`Fault`].
     pub fn start_at(&mut self, estimate: &[f32]) -> Result<Vec<Vec<u8>>, Fault> {
         let estimate = numbers(estimate);
-        let (frames, _) = self.ask(&Request::StartAt { estimate }, "start", is_done)?;
-        Ok(frames)
+        self.ask(&Request::StartAt { estimate }, "start", is_done)
     }
 
     /// Hands it the frames of its neighbours and its measurement: time for a step.
@@ -213,7 +222,7 @@ impl Board {
                 Fault::Unexpected { found, expected }
             }
             PushError::Service(ServiceError::Nonsense(bytes)) => Fault::Nonsense(bytes),
-            error @ PushError::Length { .. } => Fault::Start(error.to_string()),
+            error => Fault::Start(error.to_string()),
         }
     }
 
@@ -224,34 +233,62 @@ impl Board {
         Ok(())
     }
 
-    /// Asks, and returns what it says until the answer: frames, and the answer as it was framed.
-    ///
-    /// # Errors
-    /// See [`Fault`].
-    pub fn ask(
+    /// Asks for what it has to do, and returns the frames that it broadcasts meanwhile.
+    fn ask(
         &mut self,
         request: &Request<'_>,
         what: &'static str,
         is_expected: fn(&Message<'_>) -> bool,
-    ) -> Result<(Vec<Vec<u8>>, Vec<u8>), Fault> {
-        self.conversation.prepare(request);
-        let sent = self.conversation.flush(self.timeout);
-        sent.map_err(|error| self.line_fault(error, "readiness to receive"))?;
-        let mut frames = Vec::new();
-        loop {
-            let bytes = self.message("answer")?;
-            match heard(&bytes)? {
+    ) -> Result<Vec<Vec<u8>>, Fault> {
+        let exchange = self.exchange(request)?;
+        for answer in &exchange.answers {
+            match heard(answer)? {
                 Message::Refused(problem) => {
                     return Err(Fault::Refused { request: what, problem });
                 }
-                Message::Broadcast { bytes } => frames.push(bytes.to_vec()),
-                message if is_expected(&message) => return Ok((frames, bytes)),
-                message if message.is_answer() => {
+                message if !is_expected(&message) => {
                     return Err(Fault::Unexpected { found: name(&message), expected: "an answer" });
                 }
                 _ => {}
             }
         }
+        Ok(exchange.frames)
+    }
+
+    /// Asks, and returns all that it says up to the end of the answer.
+    ///
+    /// # Errors
+    /// See [`Fault`].
+    pub fn exchange(&mut self, request: &Request<'_>) -> Result<Exchange, Fault> {
+        self.conversation.prepare(request);
+        let sent = self.conversation.flush(self.timeout);
+        sent.map_err(|error| self.line_fault(error, "readiness to receive"))?;
+        let mut exchange = Exchange::default();
+        loop {
+            let bytes = self.message("answer")?;
+            match heard(&bytes)? {
+                Message::Broadcast { bytes } => exchange.frames.push(bytes.to_vec()),
+                message @ Message::Hello(_) => {
+                    return Err(Fault::Unexpected { found: name(&message), expected: "an answer" });
+                }
+                Message::Sample { .. } => exchange.answers.push(bytes),
+                message if message.is_answer() => {
+                    exchange.answers.push(bytes);
+                    return Ok(exchange);
+                }
+                _ => exchange.unasked.push(bytes),
+            }
+        }
+    }
+
+    /// Lets it begin anew, as after switching on.
+    ///
+    /// # Errors
+    /// See [`Fault`].
+    pub fn reset(&mut self) -> Result<Status, Fault> {
+        self.ask(&Request::Reset, "reset", is_done)?;
+        self.conversation.expect_reset();
+        self.hello()
     }
 
     /// Waits for its greeting.
@@ -332,8 +369,7 @@ impl Board {
 }
 
 /// Whether the answer is that it has been done.
-#[must_use]
-pub fn is_done(message: &Message<'_>) -> bool {
+fn is_done(message: &Message<'_>) -> bool {
     matches!(message, Message::Done)
 }
 

@@ -24,7 +24,7 @@ pub(super) struct LoopNode {
     pub(super) board: Board,
     neighbours: Vec<usize>,
     /// What it broadcast for the coming tick.
-    pub(super) frames: Vec<Vec<u8>>,
+    frames: Vec<Vec<u8>>,
     /// Whether those are what the simulated agent broadcast.
     frames_agree: bool,
     pub(super) report: BoardReport,
@@ -35,6 +35,15 @@ impl LoopNode {
     pub(super) fn part(&mut self, tick: Tick, reason: &str) {
         if self.report.parted.is_none() {
             self.report.parted = Some(format!("from tick {tick} on, because {reason}"));
+        }
+    }
+
+    /// It has broadcast what no simulated agent has.
+    pub(super) fn broadcast_alone(&mut self, frames: Vec<Vec<u8>>) {
+        if !frames.is_empty() {
+            self.report.broadcasts += frames.len() as u64;
+            self.frames_agree = false;
+            self.frames = frames;
         }
     }
 
@@ -142,7 +151,7 @@ impl Companion for Lockstep<'_> {
             self.noted(index, mismatch);
         }
         if let Some(relay) = &mut self.relay {
-            relay.begin(packages)?;
+            relay.begin(packages);
         }
         self.begun = Some(Instant::now());
         Ok(())

@@ -80,6 +80,11 @@ impl Conversation {
         (self.bytes, self.damaged)
     }
 
+    /// See [`Line::expect_reset`].
+    pub fn expect_reset(&mut self) {
+        self.line.expect_reset();
+    }
+
     /// Prepares a request; [`Self::flush`] sends it.
     pub fn prepare(&mut self, request: &Request<'_>) {
         send(request, |bytes| self.unsent.extend_from_slice(bytes));

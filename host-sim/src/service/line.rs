@@ -29,6 +29,8 @@ pub struct Line {
     input: File,
     output: File,
     received: VecDeque<u8>,
+    /// Whether this is a pair of pipes, which a node closes and opens again when it resets.
+    pipes: bool,
     /// The other end of a pipe may not have opened it yet: then an end of file means nothing.
     opened: bool,
 }
@@ -59,7 +61,7 @@ impl Line {
     pub fn over_socket(socket: UnixStream) -> io::Result<Self> {
         socket.set_nonblocking(true)?;
         let output = File::from(OwnedFd::from(socket.try_clone()?));
-        Ok(Self::new(File::from(OwnedFd::from(socket)), output, true))
+        Ok(Self::new(File::from(OwnedFd::from(socket)), output, false))
     }
 
     /// The serial line `path` with `baud` bits per second, eight data bits, no parity.
@@ -80,7 +82,7 @@ impl Line {
         // The crate opens ports so that they do not block.
         let descriptor = OwnedFd::from(port);
         let output = File::from(descriptor.try_clone()?);
-        Ok(Self::new(File::from(descriptor), output, true))
+        Ok(Self::new(File::from(descriptor), output, false))
     }
 
     /// The line over two named pipes: the node reads from `to_node`, and opens it first, and writes
@@ -110,11 +112,16 @@ impl Line {
                 Err(error) => return Err(error.into()),
             }
         };
-        Ok(Self::new(input, output, false))
+        Ok(Self::new(input, output, true))
     }
 
-    fn new(input: File, output: File, opened: bool) -> Self {
-        Self { input, output, received: VecDeque::new(), opened }
+    fn new(input: File, output: File, pipes: bool) -> Self {
+        Self { input, output, received: VecDeque::new(), pipes, opened: !pipes }
+    }
+
+    /// The node has said that it resets: that it closes its pipes now is not its end.
+    pub fn expect_reset(&mut self) {
+        self.opened = !self.pipes;
     }
 
     /// Sends all of `bytes`.
@@ -156,13 +163,14 @@ impl Line {
     fn read_available(&mut self) -> Result<(), LineError> {
         let mut buffer = [0; CHUNK];
         match self.input.read(&mut buffer) {
+            // A pipe is open from the first byte on.
             Ok(0) if !self.opened => std::thread::sleep(Duration::from_millis(1)),
             Ok(0) if self.received.is_empty() => return Err(LineError::Closed),
             Ok(length) => {
-                self.opened = true;
+                self.opened |= length > 0;
                 self.received.extend(&buffer[..length]);
             }
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => self.opened = true,
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
             Err(error) => self.broken(error)?,
         }
         Ok(())

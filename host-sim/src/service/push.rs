@@ -5,11 +5,15 @@
 //! that it is. Before it does, the last piece that the node has is sent once more: the node
 //! notices if it had begun with another package, and then all begins anew.
 
+use std::time::Duration;
+
 use agent_core::checksum::crc32;
 use agent_core::service::{CHUNK_LENGTH_MAX, PackageStatus, Problem, Request, Status};
 use agent_core::store::StoreError;
 
+use super::address::AddressError;
 use super::{Conversation, LineError, Message, Patience, ServiceError};
+use crate::interruption;
 use crate::packages::PackageBytes;
 
 /// Why a package is not in use.
@@ -19,6 +23,9 @@ pub enum PushError {
     /// The node cannot be talked to, or does not do what it is asked.
     #[error(transparent)]
     Service(#[from] ServiceError),
+    /// The node cannot be reached.
+    #[error(transparent)]
+    Address(#[from] AddressError),
     /// No node takes a file of this length.
     #[error("{found} bytes are no weight package; give the path of one")]
     Length {
@@ -56,6 +63,40 @@ pub enum Progress {
 #[must_use]
 pub fn checksum(package: &[u8]) -> u32 {
     crc32(&[package])
+}
+
+/// How often a broken connection is made anew, and how long is waited before.
+const RECONNECTIONS: u32 = 10;
+const RECONNECTION_PAUSE: Duration = Duration::from_millis(500);
+
+/// As [`transfer`], over connections that may break: then `connect` makes another, and the transfer
+/// goes on. Returns the connection, too.
+///
+/// # Errors
+/// See [`PushError`].
+pub fn transfer_over(
+    connect: &mut dyn FnMut() -> Result<Conversation, AddressError>,
+    package: &[u8],
+    patience: Patience,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<(Conversation, u32), PushError> {
+    let mut conversation = connect()?;
+    let mut left = RECONNECTIONS;
+    loop {
+        let broken = match transfer(&mut conversation, package, patience, progress) {
+            Err(error) if error.is_broken_line() && left > 0 => error,
+            done => return done.map(|version| (conversation, version)),
+        };
+        conversation = loop {
+            left -= 1;
+            std::thread::sleep(RECONNECTION_PAUSE);
+            match connect() {
+                Ok(conversation) => break conversation,
+                Err(_) if left == 0 || interruption::requested() => return Err(broken),
+                Err(_) => {}
+            }
+        };
+    }
 }
 
 /// Asks for the node's status.
