@@ -7,6 +7,8 @@ mod core_properties;
 mod core_refusals;
 #[cfg(unix)]
 mod cosim;
+#[cfg(unix)]
+mod cosim_service;
 mod described;
 mod determinism;
 mod drawn_network;

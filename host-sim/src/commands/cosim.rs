@@ -4,6 +4,7 @@ use std::fmt::Write;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
@@ -19,6 +20,7 @@ use crate::memory_map::MemoryMap;
 use crate::packages::PackageBytes;
 use crate::progress::ProgressBars;
 use crate::scenario::Scenario;
+use crate::shell::shell_word;
 
 /// Arguments of `cosim`.
 #[derive(Debug, Args)]
@@ -97,7 +99,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let service = arguments
         .serve
         .as_ref()
-        .map(|folder| Service { folder: folder.clone(), speed: arguments.speed });
+        .map(|folder| Service {
+            folder: folder.clone(),
+            speed: arguments.speed,
+            stop: Arc::default(),
+        });
+    if arguments.serve.is_some() && arguments.common.format == Format::Text {
+        eprintln!("{}", served(arguments, endpoints.len()));
+    }
     let bars = ProgressBars::new("co-simulating");
     let done = AtomicU64::new(0);
     let progress = SharedProgress::new(&bars, &done, scenario.steps());
@@ -116,6 +125,17 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             report.mismatches
         ))),
     }
+}
+
+/// How to talk to the nodes.
+fn served(arguments: &Arguments, agents: usize) -> String {
+    let Some(folder) = &arguments.serve else { return String::new() };
+    let socket = shell_word(&folder.join("agent-1.sock"));
+    let others = if agents > 1 { format!(", agents 1 to {agents}") } else { String::new() };
+    format!(
+        "Nodes can be reached until Ctrl-C{others}:\n  host-sim monitor {socket}\n  host-sim push \
+         {socket} PACKAGE\n  host-sim node {socket} status"
+    )
 }
 
 fn scenario(arguments: &Arguments) -> Result<Scenario, CommandError> {

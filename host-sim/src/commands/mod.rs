@@ -7,6 +7,12 @@
 #[cfg(unix)]
 mod cosim;
 mod health;
+#[cfg(unix)]
+mod monitor;
+#[cfg(unix)]
+mod node;
+#[cfg(unix)]
+mod push;
 mod reproduce;
 mod run;
 mod scenario;
@@ -35,6 +41,8 @@ use crate::packages::trained::TrainedError;
 use crate::packages::{DraftError, PackageFileError, RecordingError};
 use crate::progress::ProgressBars;
 use crate::scenario::{Network, Scenario, ScenarioError, built_in};
+#[cfg(unix)]
+use crate::service::{ServiceError, address::AddressError, push::PushError};
 use crate::signing::KeyFileError;
 use crate::tensors::TensorError;
 use crate::training::EpochReport;
@@ -60,6 +68,15 @@ enum Command {
     /// Runs a scenario together with emulated or real nodes and compares every bit
     #[cfg(unix)]
     Cosim(cosim::Arguments),
+    /// Shows what a running node tells, and records its samples for `train`
+    #[cfg(unix)]
+    Monitor(monitor::Arguments),
+    /// Brings a weight package into a running node
+    #[cfg(unix)]
+    Push(push::Arguments),
+    /// Asks a running node for its status, or to confirm, revert or reset
+    #[cfg(unix)]
+    Node(node::Arguments),
     /// Trains a network on recorded samples and writes a weight package
     Train(train::Arguments),
     /// Looks at weight packages, checks, signs, converts and places them
@@ -141,6 +158,21 @@ enum CommandError {
     #[cfg(unix)]
     #[error("{0}")]
     Firmware(String),
+    #[cfg(unix)]
+    #[error(transparent)]
+    Address(#[from] AddressError),
+    #[cfg(unix)]
+    #[error("{0}; see that the board is on and that nobody else talks to it, and try again")]
+    Service(#[from] ServiceError),
+    #[cfg(unix)]
+    #[error(transparent)]
+    Push(#[from] PushError),
+    #[cfg(unix)]
+    #[error("{}: {refusal}; what was in use stays in use; {mend}", path.display())]
+    Refusal { path: PathBuf, refusal: String, mend: &'static str },
+    #[cfg(unix)]
+    #[error("{0}")]
+    Node(String),
 }
 
 impl CommandError {
@@ -174,7 +206,15 @@ impl CommandError {
                 ExitCode::from(2)
             }
             #[cfg(unix)]
-            Self::Cosim(_) | Self::Mismatches(_) | Self::Firmware(_) => ExitCode::from(1),
+            Self::Cosim(_)
+            | Self::Mismatches(_)
+            | Self::Firmware(_)
+            | Self::Address(_)
+            | Self::Service(_)
+            | Self::Push(_)
+            | Self::Node(_) => ExitCode::from(1),
+            #[cfg(unix)]
+            Self::Refusal { .. } => ExitCode::from(2),
         }
     }
 }
@@ -195,6 +235,12 @@ pub fn main() -> ExitCode {
         Command::Cosim(arguments) => {
             with_threads(arguments.common.threads, || cosim::execute(&arguments))
         }
+        #[cfg(unix)]
+        Command::Monitor(arguments) => monitor::execute(&arguments),
+        #[cfg(unix)]
+        Command::Push(arguments) => push::execute(&arguments),
+        #[cfg(unix)]
+        Command::Node(arguments) => node::execute(&arguments),
         Command::Train(arguments) => {
             with_threads(arguments.common.threads, || train::execute(&arguments))
         }

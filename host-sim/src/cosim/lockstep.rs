@@ -13,7 +13,7 @@ use super::board::Board;
 use super::compare::{Mismatch, announcement_mismatch, first_mismatch};
 use super::fault::{Fault, NodeError};
 use super::relay::Relay;
-use super::{BoardReport, Setup};
+use super::{BoardReport, CosimError, Setup};
 use crate::engine::companion::{AgentStart, AgentStep, Companion, CompanionError, Switch};
 use crate::interruption;
 use crate::packages::PackageBytes;
@@ -162,13 +162,11 @@ impl Companion for Lockstep<'_> {
         tick: Tick,
         switches: &mut Vec<Switch>,
     ) -> Result<ControlFlow<()>, CompanionError> {
-        if interruption::requested() {
-            // A run that is served has no other end.
-            return if self.relay.is_some() {
-                Ok(ControlFlow::Break(()))
-            } else {
-                Err(super::CosimError::Interrupted.into())
-            };
+        match &self.relay {
+            // For a run that is served it is the end that was meant.
+            Some(relay) if relay.is_over() => return Ok(ControlFlow::Break(())),
+            None if interruption::requested() => return Err(CosimError::Interrupted.into()),
+            _ => {}
         }
         for switch in &*switches {
             let pushed = self.nodes[switch.agent].board.push(switch.package.as_bytes());

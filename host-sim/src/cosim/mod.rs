@@ -36,6 +36,8 @@ pub mod qemu;
 mod relay;
 
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use agent_core::health::HealthSettings;
@@ -62,12 +64,14 @@ pub struct Setup<'s> {
 }
 
 /// A co-simulation in real time, whose nodes others can talk to.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Service {
     /// Where the sockets go, `agent-1.sock` and so on.
     pub folder: PathBuf,
     /// How much faster than real time it goes; above 0.
     pub speed: f64,
+    /// Becomes true when the run is to end before the next step, beside Ctrl-C.
+    pub stop: Arc<AtomicBool>,
 }
 
 /// What a co-simulation returns.

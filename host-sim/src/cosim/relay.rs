@@ -13,6 +13,8 @@
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use agent_core::Tick;
@@ -50,6 +52,7 @@ pub(super) struct Relay {
     /// One step in real time.
     step: Duration,
     next_step: Option<Instant>,
+    stop: Arc<AtomicBool>,
 }
 
 /// One node's socket, and what is known of its packages.
@@ -103,7 +106,12 @@ impl Relay {
             doors.push(door);
         }
         let step = Duration::from_secs_f64(scenario.time.step_size / service.speed);
-        Ok(Self { doors, step, next_step: None })
+        Ok(Self { doors, step, next_step: None, stop: service.stop.clone() })
+    }
+
+    /// Whether somebody wants the run to end.
+    pub(super) fn is_over(&self) -> bool {
+        interruption::requested() || self.stop.load(Ordering::Relaxed)
     }
 
     /// The nodes have begun with these packages.
@@ -136,7 +144,7 @@ impl Relay {
                 switches.extend(serve.map(|(package, back)| Switch { agent: index, package, back }));
             }
             let left = due.saturating_duration_since(Instant::now());
-            if left.is_zero() || interruption::requested() {
+            if left.is_zero() || self.is_over() {
                 break;
             }
             std::thread::sleep(left.min(REST));
