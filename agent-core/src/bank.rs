@@ -5,7 +5,7 @@
 //! piecewise continuous `Phi_hat` jumps). A node that reads its weights in place from flash
 //! needs no bank.
 //!
-//! Memory: twice `4 PARAMETERS + 28` bytes. Invariant: what is in use is always a whole, checked
+//! Memory: twice `4 PARAMETERS + 24` bytes. Invariant: what is in use is always a whole, checked
 //! network, or nothing.
 
 use crate::network::{Architecture, InnerNetwork, NetworkError};
