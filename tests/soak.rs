@@ -56,14 +56,7 @@ use drive::{Course, Soak};
 
 /// The long course.
 fn course(steps: u64) -> Course {
-    Course {
-        steps,
-        calibration: 20_000,
-        faulty: 6_000,
-        calm: 4_000,
-        judged: 1_000,
-        incidents: 1.0,
-    }
+    Course { steps, calibration: 20_000, faulty: 6_000, calm: 4_000, judged: 1_000, incidents: 1.0 }
 }
 
 #[test]

@@ -88,7 +88,10 @@ impl Soak {
                     None => Peer::twin(&package),
                 },
                 twin: Peer::twin(&package),
-                judge: Judge::new(agent, Package::new(package.package().version, package.as_bytes())),
+                judge: Judge::new(
+                    agent,
+                    Package::new(package.package().version, package.as_bytes()),
+                ),
                 operator: Operator::default(),
                 links: Links::new(id(agent), edges.iter().map(|edge| id(edge.agent)).collect()),
                 neighbours: edges.iter().map(|edge| edge.agent).collect(),
@@ -148,7 +151,8 @@ impl Soak {
                 if error > self.tally.bound {
                     let bound = self.tally.bound;
                     let calm = phase - course.faulty;
-                    let error = format!("its error is {error} after {calm} calm steps, above {bound}");
+                    let error =
+                        format!("its error is {error} after {calm} calm steps, above {bound}");
                     return Err(self.told(index, &error));
                 }
                 self.tally.recoveries += u64::from(phase + 1 == cycle);

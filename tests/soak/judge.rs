@@ -9,8 +9,8 @@ use std::collections::VecDeque;
 use agent_core::Tick;
 use agent_core::frame::Frame;
 use agent_core::service::{
-    Event, Outcome, PROTOCOL_VERSION, Problem, RefusalReport, Request, State, Status,
-    Subscription, receive,
+    Event, Outcome, PROTOCOL_VERSION, Problem, RefusalReport, Request, State, Status, Subscription,
+    receive,
 };
 use host_sim::service::Message;
 use host_sim::service::conversation::name;
@@ -161,7 +161,12 @@ impl Judge {
     }
 
     /// What comes before the state of a step, or before the answer to a start.
-    fn unasked(&mut self, said: &mut Said<'_>, told: &mut Told, tally: &mut Tally) -> Result<(), String> {
+    fn unasked(
+        &mut self,
+        said: &mut Said<'_>,
+        told: &mut Told,
+        tally: &mut Tally,
+    ) -> Result<(), String> {
         while let Some(message) = said.front() {
             match message {
                 Message::Broadcast { bytes } => {
@@ -229,7 +234,11 @@ impl Judge {
             return Err(format!("{state:?} after {measurement:?} in tick {tick}"));
         }
         if state.outcome == Outcome::Restarted || state.outcome == Outcome::Diverged {
-            tally.event(if state.outcome == Outcome::Restarted { "agent began anew" } else { "step refused: it overflows" });
+            tally.event(if state.outcome == Outcome::Restarted {
+                "agent began anew"
+            } else {
+                "step refused: it overflows"
+            });
         }
         finite(&state)?;
         told.estimate = Some(state.estimate);
@@ -329,11 +338,15 @@ fn sampled(from: Tick, most: u8, said: &mut Said<'_>) -> Result<(), String> {
         match said.pop_front() {
             Some(Message::Sample { tick, estimate, derivative }) if tick >= next => {
                 if !estimate.iter().chain(&derivative).all(|x| x.is_finite()) {
-                    return Err(format!("the sample of tick {tick} is {estimate:?}, {derivative:?}"));
+                    return Err(format!(
+                        "the sample of tick {tick} is {estimate:?}, {derivative:?}"
+                    ));
                 }
                 (next, count) = (tick + 1, count + 1);
             }
-            Some(Message::SamplesEnd { next: found }) if found == next && count <= u32::from(most) => {
+            Some(Message::SamplesEnd { next: found })
+                if found == next && count <= u32::from(most) =>
+            {
                 return Ok(());
             }
             other => return Err(instead("a sample, or the end of samples", other)),

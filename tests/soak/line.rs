@@ -99,8 +99,11 @@ fn crc32(bytes: &[u8]) -> u32 {
 #[test]
 fn the_second_decoder_hears_what_was_sent_and_only_that() {
     let long = [&[0, 7][..], &[0xa5; 126]].concat();
-    let requests =
-        [Request::Query, Request::Chunk { offset: 0, bytes: &long }, Request::Begin { length: 256 }];
+    let requests = [
+        Request::Query,
+        Request::Chunk { offset: 0, bytes: &long },
+        Request::Begin { length: 256 },
+    ];
     let mut stream: Vec<u8> = requests.iter().flat_map(encoded).collect();
     let whole = heard(&stream);
     assert!(whole.iter().zip(&requests).all(|(message, request)| {

@@ -67,7 +67,10 @@ impl Peer {
     }
 
     /// The firmware in an emulator.
-    pub(super) fn emulated(firmware: &std::path::Path, package: &PackageBytes) -> Result<Self, String> {
+    pub(super) fn emulated(
+        firmware: &std::path::Path,
+        package: &PackageBytes,
+    ) -> Result<Self, String> {
         let (emulator, line) = Emulator::start(firmware, package)?;
         Ok(Self::new(Body::Emulator(emulator), line))
     }
@@ -98,7 +101,10 @@ impl Peer {
             }
             let left = deadline.saturating_duration_since(Instant::now());
             let received = self.line.receive(left).map_err(|error| {
-                format!("{error} where {end:?} is due, after {:?}", super::judge::names(&said.messages))
+                format!(
+                    "{error} where {end:?} is due, after {:?}",
+                    super::judge::names(&said.messages)
+                )
             })?;
             self.unread.extend(received);
         }

@@ -114,12 +114,8 @@ impl Rates {
 
     /// Nothing goes wrong, while good packages are pushed and confirmed.
     pub(super) fn learning() -> Self {
-        let operator = Operator {
-            push: 0.01,
-            activate: 0.05,
-            confirm: 0.005,
-            ..Operator::default()
-        };
+        let operator =
+            Operator { push: 0.01, activate: 0.05, confirm: 0.005, ..Operator::default() };
         Self { operator, ..Self::calm() }
     }
 

@@ -119,7 +119,11 @@ impl fmt::Display for Tally {
         line(f, "calm times in which the state recovered", &self.recoveries)?;
         line(f, "largest error then", &format_args!("{:.4}", self.largest_error))?;
         line(f, "its bound", &format_args!("{:.4}", self.bound))?;
-        line(f, "longest answer [ms]", &format_args!("{:.1}", self.longest_answer.as_secs_f64() * 1e3))?;
+        line(
+            f,
+            "longest answer [ms]",
+            &format_args!("{:.1}", self.longest_answer.as_secs_f64() * 1e3),
+        )?;
         line(f, "seconds", &format_args!("{:.1}", self.begun.elapsed().as_secs_f64()))?;
         line(f, "steps/s", &format_args!("{:.0}", self.rate()))
     }

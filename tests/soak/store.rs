@@ -57,9 +57,7 @@ pub(super) enum Answer {
 type Outcome = Result<Message<'static>, StoreError>;
 
 fn answer(outcome: Outcome) -> Answer {
-    Answer::Exactly(
-        outcome.unwrap_or_else(|error| Message::Refused(Problem::Store(error))),
-    )
+    Answer::Exactly(outcome.unwrap_or_else(|error| Message::Refused(Problem::Store(error))))
 }
 
 impl Store {

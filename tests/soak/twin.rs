@@ -12,7 +12,7 @@ use agent_core::service::{Request, Subscription, send};
 use agent_core::store::{MappedFlash, Slot};
 use embedded_io::ErrorKind;
 use firmware_template::{InTheLoop, Memory, Node, Settings};
-use host_sim::image::Image;
+use host_sim::image::{ERASED, Image};
 use host_sim::packages::PackageBytes;
 use host_sim::service::Line;
 
@@ -38,7 +38,13 @@ impl Twin {
         let region = region();
         let mut flash = Flash::new(region.length as usize, Tear::Prefix, 0);
         for segment in Image::of_package(&region, Slot::A, package).unwrap().segments() {
-            flash.overwrite((segment.address - region.origin) as usize, &segment.bytes);
+            let start = (segment.address - region.origin) as usize;
+            for (place, word) in segment.bytes.chunks(4).enumerate() {
+                // What an image has of erased flash leaves it so.
+                if word != [ERASED; 4] {
+                    flash.overwrite(start + 4 * place, word);
+                }
+            }
         }
         let content = flash.mapped().to_vec();
         let (thread, socket, line) = started(flash);
