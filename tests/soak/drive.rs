@@ -54,6 +54,8 @@ struct Place {
     /// Periods that the node is still to miss, and how many it has missed.
     pause: (u32, u32),
     stream: Vec<u8>,
+    /// When somebody last wanted an answer.
+    asked: Instant,
     estimate: Option<Vec<f32>>,
 }
 
@@ -98,6 +100,7 @@ impl Soak {
                 sensor: rows.row(0).iter().copied().collect(),
                 pause: (0, 0),
                 stream: Vec::new(),
+                asked: Instant::now(),
                 estimate: None,
             })
         };
@@ -159,6 +162,9 @@ impl Soak {
             }
             self.tally.progress(course.steps);
         }
+        for index in 0..self.places.len() {
+            self.cycle_power(index).map_err(|error| self.told(index, &error))?;
+        }
         Ok(())
     }
 
@@ -185,7 +191,7 @@ impl Soak {
         for index in 0..self.places.len() {
             let stream = self.composed(index, rates);
             let place = &mut self.places[index];
-            place.stream = stream;
+            (place.stream, place.asked) = (stream, Instant::now());
             let sent = place.node.send(&place.stream).and_then(|()| place.twin.send(&place.stream));
             sent.map_err(|error| self.told(index, &error))?;
         }
@@ -258,15 +264,19 @@ impl Soak {
 
     /// What both have said, if it is the same.
     fn heard(&mut self, index: usize, end: End) -> Result<Said, String> {
-        let begun = Instant::now();
-        let Place { node, twin, .. } = &mut self.places[index];
+        let Place { node, twin, asked, .. } = &mut self.places[index];
         let said = node.hear(end)?;
-        self.tally.longest_answer = self.tally.longest_answer.max(begun.elapsed());
+        self.tally.longest_answer = self.tally.longest_answer.max(asked.elapsed());
         let by_twin = twin.hear(end).map_err(|error| format!("the twin: {error}"))?;
         self.tally.compared_bytes += said.bytes.len() as u64;
         if said.bytes != by_twin.bytes {
+            said.messages.iter().for_each(|message| self.tally.stack(message));
             let same = said.messages.iter().map(|message| common(message));
             if !same.eq(by_twin.messages.iter().map(|message| common(message))) {
+                let pairs = said.bytes.iter().zip(&by_twin.bytes);
+                let longer = said.bytes.len().abs_diff(by_twin.bytes.len());
+                let differing = pairs.filter(|(node, twin)| node != twin).count() + longer;
+                self.tally.mismatching_bytes += differing as u64;
                 let (node, twin) = (&said.messages, &by_twin.messages);
                 return Err(format!("it says\n{node:02x?}, its twin\n{twin:02x?}"));
             }
@@ -284,6 +294,7 @@ impl Soak {
 
     fn incident(&mut self, index: usize, rates: &Rates) -> Result<(), String> {
         let place = &mut self.places[index];
+        place.asked = Instant::now();
         if self.rng.random_bool(rates.node.reset) {
             self.tally.fault("reset");
             for peer in [&mut place.node, &mut place.twin] {
@@ -298,16 +309,25 @@ impl Soak {
             self.greeted(index)?;
         } else if self.rng.random_bool(rates.node.power) {
             self.tally.fault("power cut");
-            place.node.cycle_power()?;
-            place.twin.cycle_power()?;
-            let (flash, by_twin) = (place.node.flash(), place.twin.flash());
-            if let Some(place) = (0..flash.len()).find(|&place| flash[place] != by_twin[place]) {
-                return Err(format!("its flash is not its twin's, from byte {place:#x} on"));
-            }
-            self.tally.compared_bytes += flash.len() as u64;
-            self.greeted(index)?;
+            self.cycle_power(index)?;
         }
         Ok(())
+    }
+
+    /// Lets the power of both fail, compares what their flash holds, and lets them begin anew.
+    fn cycle_power(&mut self, index: usize) -> Result<(), String> {
+        let Place { node, twin, asked, .. } = &mut self.places[index];
+        *asked = Instant::now();
+        node.cycle_power()?;
+        twin.cycle_power()?;
+        let (flash, by_twin) = (node.flash(), twin.flash());
+        self.tally.compared_bytes += flash.len() as u64;
+        let differing = (0..flash.len()).filter(|&place| flash[place] != by_twin[place]);
+        self.tally.mismatching_bytes += differing.clone().count() as u64;
+        if let Some(place) = differing.min() {
+            return Err(format!("its flash is not its twin's, from byte {place:#x} on"));
+        }
+        self.greeted(index)
     }
 }
 

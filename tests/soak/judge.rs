@@ -80,6 +80,7 @@ impl Judge {
         for message in line::heard(stream) {
             let Some(bytes) = message else {
                 self.messages_damaged += 1;
+                tally.event("message found damaged");
                 continue;
             };
             match receive::<Request<'_>>(&bytes) {
@@ -102,7 +103,10 @@ impl Judge {
         tally: &mut Tally,
     ) -> Result<(), String> {
         let answer = match *request {
-            Request::Frame { .. } => return Ok(()),
+            Request::Frame { .. } => {
+                tally.event("frame taken from the line");
+                return Ok(());
+            }
             Request::Tick { periods, ref measurement } => {
                 return self.turned(periods, measurement.as_deref(), said, told, tally);
             }
@@ -151,7 +155,10 @@ impl Judge {
             (Answer::PackageRefused, Some(Message::Refused(Problem::Package(report)))) => {
                 format!("{:?}", report.kind)
             }
-            (expected, found) => return Err(instead(&format!("{expected:?} to {what}"), found)),
+            (expected, found) => {
+                tally.wrong_acceptances += u64::from(matches!(found, Some(Message::Staged { .. })));
+                return Err(instead(&format!("{expected:?} to {what}"), found));
+            }
         };
         if what == "activate" && result == "done" {
             self.taken_on_trial = 0;

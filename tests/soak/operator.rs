@@ -63,6 +63,9 @@ impl Operator {
             (store.is_on_trial(), rates.confirm, Request::Confirm),
             (store.is_on_trial(), rates.revert, Request::Revert),
         ];
+        if desk.rng.random_bool(rates.query) {
+            requests.push(encoded(&Request::Query));
+        }
         for (possible, rate, request) in wishes {
             if possible && desk.rng.random_bool(rate) {
                 requests.push(encoded(&request));
@@ -113,30 +116,53 @@ impl Operator {
             let mut bytes = push.bytes[offset as usize..end as usize].to_vec();
             let mut place = offset;
             if desk.rng.random_bool(desk.rates.bad_chunk) {
-                match desk.rng.random_range(0..4) {
-                    0 => {
-                        desk.tally.fault("chunk out of order");
-                        place = desk.rng.random_range(0..=length);
-                        let end = length.min(place + size) as usize;
-                        bytes = push.bytes[place as usize..end].to_vec();
-                    }
-                    1 => {
-                        desk.tally.fault("chunk beyond the end");
-                        place = length - desk.rng.random_range(0..=offset.min(9));
-                    }
-                    2 => {
-                        desk.tally.fault("chunk at a place of its own");
-                        place = desk.rng.random();
-                    }
-                    _ => {
-                        desk.tally.fault("chunk with other bytes");
-                        let changed = desk.rng.random_range(0..bytes.len().max(1));
-                        bytes.iter_mut().skip(changed).for_each(|byte| *byte ^= 0x55);
-                    }
-                }
+                let kind;
+                (kind, place, bytes) = bad_chunk(&push.bytes, offset, bytes, desk.rng);
+                desk.tally.fault(kind);
             }
             requests.push(encoded(&Request::Chunk { offset: place, bytes: &bytes }));
             offset = end;
+        }
+    }
+}
+
+/// A chunk in place of the one that is due, which begins at `offset` and has these bytes.
+fn bad_chunk(
+    package: &[u8],
+    offset: u32,
+    mut due: Vec<u8>,
+    rng: &mut impl Rng,
+) -> (&'static str, u32, Vec<u8>) {
+    let length = package.len() as u32;
+    let piece = |place: u32| {
+        let end = package.len().min(place as usize + CHUNK_LENGTH_MAX);
+        package[place as usize..end].to_vec()
+    };
+    match rng.random_range(0..6) {
+        0 => {
+            let place = rng.random_range(offset..=length);
+            ("chunk too early", place, piece(place))
+        }
+        1 => {
+            let place = rng.random_range(0..=offset);
+            ("chunk repeated", place, piece(place))
+        }
+        2 => {
+            let place = rng.random_range(0..=offset);
+            let mut bytes = piece(place);
+            bytes.iter_mut().for_each(|byte| *byte ^= 0x55);
+            ("chunk repeated with other bytes", place, bytes)
+        }
+        3 => {
+            due.resize(CHUNK_LENGTH_MAX, 0);
+            // Only what comes last can reach beyond.
+            let place = offset.min(length.saturating_sub(rng.random_range(0..128)));
+            ("chunk beyond the end", place, due)
+        }
+        4 => ("chunk at a place of its own", rng.random(), due),
+        _ => {
+            due.iter_mut().skip(rng.random_range(0..64)).for_each(|byte| *byte ^= 0x55);
+            ("chunk with other bytes", offset, due)
         }
     }
 }

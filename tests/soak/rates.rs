@@ -96,6 +96,8 @@ pub(super) struct Operator {
     pub(super) confirm: f64,
     /// A package on trial is reverted.
     pub(super) revert: f64,
+    /// Somebody asks for the status.
+    pub(super) query: f64,
     /// Any request at all, out of turn.
     pub(super) any_request: f64,
 }
@@ -108,7 +110,7 @@ impl Rates {
             frame: Frame::default(),
             measurement: Measurement::default(),
             node: Node::default(),
-            operator: Operator::default(),
+            operator: Operator { query: 0.002, ..Operator::default() },
         }
     }
 
@@ -161,8 +163,9 @@ impl Rates {
                 bad_package: 0.6,
                 bad_chunk: 0.02,
                 activate: 0.02,
-                confirm: 0.001,
-                revert: 0.001,
+                confirm: 0.0005,
+                revert: 0.0005,
+                query: 0.002,
                 any_request: 0.005,
             },
         }

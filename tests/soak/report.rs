@@ -4,6 +4,9 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::time::{Duration, Instant};
 
+use agent_core::service::receive;
+use host_sim::service::Message;
+
 /// Between two lines of progress.
 const INTERVAL: Duration = Duration::from_secs(5);
 
@@ -15,11 +18,15 @@ pub(super) struct Tally {
     pub(super) steps: u64,
     pub(super) node_steps: u64,
     pub(super) compared_bytes: u64,
+    pub(super) mismatching_bytes: u64,
+    pub(super) wrong_acceptances: u64,
     faults: BTreeMap<&'static str, u64>,
     pushed: BTreeMap<&'static str, u64>,
     answers: BTreeMap<String, u64>,
     events: BTreeMap<&'static str, u64>,
     pub(super) longest_answer: Duration,
+    /// What a node never used of its stack. \[byte\]
+    stack_unused: Option<u32>,
     pub(super) recoveries: u64,
     /// The bound of the error after faults, and the largest that occurred.
     pub(super) bound: f64,
@@ -35,11 +42,14 @@ impl Tally {
             steps: 0,
             node_steps: 0,
             compared_bytes: 0,
+            mismatching_bytes: 0,
+            wrong_acceptances: 0,
             faults: BTreeMap::new(),
             pushed: BTreeMap::new(),
             answers: BTreeMap::new(),
             events: BTreeMap::new(),
             longest_answer: Duration::ZERO,
+            stack_unused: None,
             recoveries: 0,
             bound: f64::INFINITY,
             largest_error: 0.0,
@@ -70,6 +80,14 @@ impl Tally {
         counts.chain(self.answers.get(name)).sum()
     }
 
+    /// Takes down what a node says of its stack, if it does.
+    pub(super) fn stack(&mut self, message: &[u8]) {
+        if let Some(Message::Status(status) | Message::Hello(status)) = receive(message) {
+            let least = self.stack_unused.into_iter().chain(status.stack_unused).min();
+            self.stack_unused = least;
+        }
+    }
+
     fn rate(&self) -> f64 {
         self.steps as f64 / self.begun.elapsed().as_secs_f64()
     }
@@ -98,7 +116,7 @@ impl fmt::Display for Tally {
         line(f, "steps", &self.steps)?;
         line(f, "steps of nodes", &self.node_steps)?;
         line(f, "bytes compared", &self.compared_bytes)?;
-        line(f, "mismatching bytes", &0)?;
+        line(f, "mismatching bytes", &self.mismatching_bytes)?;
         writeln!(f, "faults")?;
         for (name, count) in &self.faults {
             line(f, name, count)?;
@@ -115,7 +133,10 @@ impl fmt::Display for Tally {
         for (name, count) in &self.events {
             line(f, name, count)?;
         }
-        line(f, "wrong acceptances", &0)?;
+        if let Some(bytes) = self.stack_unused {
+            line(f, "least of a stack that was never used [byte]", &bytes)?;
+        }
+        line(f, "wrong acceptances", &self.wrong_acceptances)?;
         line(f, "calm times in which the state recovered", &self.recoveries)?;
         line(f, "largest error then", &format_args!("{:.4}", self.largest_error))?;
         line(f, "its bound", &format_args!("{:.4}", self.bound))?;
