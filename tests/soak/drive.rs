@@ -11,7 +11,7 @@ use host_sim::service::Message;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::judge::Judge;
+use super::judge::{Judge, names};
 use super::line::{disturbed, encoded};
 use super::links::{Links, huge};
 use super::operator::{Desk, Operator};
@@ -277,8 +277,7 @@ impl Soak {
                 let longer = said.bytes.len().abs_diff(by_twin.bytes.len());
                 let differing = pairs.filter(|(node, twin)| node != twin).count() + longer;
                 self.tally.mismatching_bytes += differing as u64;
-                let (node, twin) = (&said.messages, &by_twin.messages);
-                return Err(format!("it says\n{node:02x?}, its twin\n{twin:02x?}"));
+                return Err(difference(&said.messages, &by_twin.messages));
             }
         }
         Ok(said)
@@ -288,7 +287,7 @@ impl Soak {
         let said = self.heard(index, End::Hello)?;
         match &said.messages[..] {
             [greeting] => self.places[index].judge.rebooted(greeting),
-            more => Err(format!("it greets with {:?}", super::judge::names(more))),
+            more => Err(format!("it greets with {:?}", names(more))),
         }
     }
 
@@ -302,7 +301,7 @@ impl Soak {
             }
             let said = self.heard(index, End::Done)?;
             if said.messages.len() != 1 {
-                return Err(format!("it resets with {:?}", super::judge::names(&said.messages)));
+                return Err(format!("it resets with {:?}", names(&said.messages)));
             }
             let place = &mut self.places[index];
             place.node.expect_reset();
@@ -329,6 +328,20 @@ impl Soak {
         }
         self.greeted(index)
     }
+}
+
+/// The first message that differs, for people.
+fn difference(node: &[Vec<u8>], twin: &[Vec<u8>]) -> String {
+    let count = node.len().max(twin.len());
+    let first = (0..count).find(|&place| {
+        node.get(place).map(|message| common(message))
+            != twin.get(place).map(|message| common(message))
+    });
+    let shown = |messages: &[Vec<u8>]| match messages.get(first.unwrap_or_default()) {
+        Some(message) => format!("{:?}, {message:02x?}", names(std::slice::from_ref(message))),
+        None => "nothing".to_owned(),
+    };
+    format!("message {first:?} of the node is {}; of its twin, {}", shown(node), shown(twin))
 }
 
 /// A message without what only a board knows.
