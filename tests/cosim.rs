@@ -36,7 +36,7 @@ pub(crate) fn without_learning() -> Scenario {
     scenario
 }
 
-fn board(package: Option<&PackageBytes>, quirks: &Quirks, lives_on: bool) -> Board {
+pub(crate) fn board(package: Option<&PackageBytes>, quirks: &Quirks, lives_on: bool) -> Board {
     let line = Line::over_socket(loop_node::spawn(package, quirks)).unwrap();
     Board::new(line, "thread", lives_on)
 }
@@ -49,7 +49,8 @@ fn cosimulated(scenario: &Scenario, start: &mut Start<'_>) -> Result<CosimReport
 #[test]
 fn cosim_of_the_paper_with_a_learning_cycle_has_the_same_bits() {
     let scenario = short_paper();
-    let start = &mut |_, package: &PackageBytes| Ok(board(Some(package), &Quirks::default(), false));
+    let start =
+        &mut |_, package: &PackageBytes| Ok(board(Some(package), &Quirks::default(), false));
     let report = cosimulated(&scenario, start).unwrap();
     assert_eq!((report.first_mismatch, report.mismatches), (None, 0));
     assert_eq!((report.steps, report.nodes), (2000, 3));

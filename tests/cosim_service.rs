@@ -71,9 +71,8 @@ fn cosim_nodes_are_recorded_trained_for_and_pushed_to_while_every_bit_agrees() {
         let told = folder.succeed("monitor nodes/agent-1.sock --record samples.csv --count 500");
         assert!(told.contains("agent 1, package version 1"), "{told}");
         assert!(told.contains("x_hat") && told.contains("samples.csv: 499 samples"), "{told}");
-        let train = folder.run(
-            "train samples.csv --scenario paper --agent 1 --recipe better --out node.weights",
-        );
+        let train = folder
+            .run("train samples.csv --scenario paper --agent 1 --recipe better --out node.weights");
         assert!(train.status.success(), "{}", texts(&train).1);
         let bytes = std::fs::read(folder.path("node.weights")).unwrap();
 
@@ -95,7 +94,10 @@ fn cosim_nodes_are_recorded_trained_for_and_pushed_to_while_every_bit_agrees() {
         }
         drop(broken);
         let pushed = folder.succeed("push nodes/agent-1.sock node.weights --confirm");
-        assert!(pushed.contains("version 2 pushed") && pushed.contains("from byte 640"), "{pushed}");
+        assert!(
+            pushed.contains("version 2 pushed") && pushed.contains("from byte 640"),
+            "{pushed}"
+        );
         assert!(pushed.contains("in use and confirmed"), "{pushed}");
         let status = folder.succeed("node nodes/agent-1.sock");
         assert!(status.contains("package version 2") && status.contains("confirmed"), "{status}");

@@ -96,14 +96,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         let board_name = || endpoints[index].to_string();
         board.map_err(|fault| NodeError { agent: index + 1, board: board_name(), fault })
     };
-    let service = arguments
-        .serve
-        .as_ref()
-        .map(|folder| Service {
-            folder: folder.clone(),
-            speed: arguments.speed,
-            stop: Arc::default(),
-        });
+    let service = arguments.serve.as_ref().map(|folder| Service {
+        folder: folder.clone(),
+        speed: arguments.speed,
+        stop: Arc::default(),
+    });
     if arguments.serve.is_some() && arguments.common.format == Format::Text {
         eprintln!("{}", served(arguments, endpoints.len()));
     }
@@ -111,8 +108,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let done = AtomicU64::new(0);
     let progress = SharedProgress::new(&bars, &done, scenario.steps());
     let setup = Setup { start, timeout };
-    let report =
-        cosimulate(&scenario, arguments.common.seed, setup, service.as_ref(), &progress)?;
+    let report = cosimulate(&scenario, arguments.common.seed, setup, service.as_ref(), &progress)?;
     bars.finish();
     match arguments.common.format {
         Format::Json => print_json(&report)?,

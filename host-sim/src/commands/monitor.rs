@@ -147,7 +147,11 @@ impl Monitor<'_> {
         }
     }
 
-    fn state(&mut self, state: &State<Vec<f32>>, message: &Message<'_>) -> Result<(), CommandError> {
+    fn state(
+        &mut self,
+        state: &State<Vec<f32>>,
+        message: &Message<'_>,
+    ) -> Result<(), CommandError> {
         self.states += 1;
         if self.arguments.record.is_some() {
             if self.all_steps {

@@ -166,9 +166,9 @@ fn mend(error: &PushError) -> &'static str {
         PushError::Service(ServiceError::Refused(Problem::Store(StoreError::OnTrial))) => {
             "decide about the package on trial with `host-sim node ENDPOINT confirm` or `revert`"
         }
-        PushError::Service(ServiceError::Refused(Problem::Store(StoreError::Length { .. }))) => {
-            "train a smaller network, or give the node larger slots in memory.x"
-        }
+        PushError::Service(ServiceError::Refused(Problem::Store(StoreError::Length {
+            ..
+        }))) => "train a smaller network, or give the node larger slots in memory.x",
         _ => "train, sign or number it anew",
     }
 }

@@ -180,20 +180,13 @@ fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, Co
 }
 
 /// Trains until it is done or interrupted, which ends with the best so far.
-fn train(
-    task: &TrainingTask<'_>,
-    recording: &Recording,
-) -> Result<Trained, CommandError> {
+fn train(task: &TrainingTask<'_>, recording: &Recording) -> Result<Trained, CommandError> {
     let bars = ProgressBars::new("training");
     let total = task.recipe.solver.epochs_max as u64;
     let mut report_epoch = |epoch: &EpochReport| {
         bars.stepped(epoch.epoch as u64, total);
         bars.epoch(task.agent + 1, task.cycle + 1, epoch.epoch, epoch.train);
-        if interruption::requested() {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
+        if interruption::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let trained = task.carry_out(recording, &mut report_epoch);
     bars.finish();

@@ -196,10 +196,7 @@ mod tests {
         let mut other = turn();
         other.frames[0][2] = 9;
         let mismatch = first_mismatch(1, 7, &other, &step(Some(&frame()))).unwrap().to_string();
-        assert_eq!(
-            mismatch,
-            format!("{on}frame[2] is 0x09 on the node and 0x03 in the simulator")
-        );
+        assert_eq!(mismatch, format!("{on}frame[2] is 0x09 on the node and 0x03 in the simulator"));
         let mismatch = first_mismatch(1, 7, &turn(), &step(None)).unwrap().to_string();
         assert_eq!(
             mismatch,

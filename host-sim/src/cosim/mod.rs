@@ -117,15 +117,7 @@ pub struct BoardReport {
 impl BoardReport {
     fn new(agent: usize, board: &str) -> Self {
         let board = board.to_owned();
-        Self {
-            agent,
-            board,
-            compared: 0,
-            mismatches: 0,
-            broadcasts: 0,
-            switches: 0,
-            parted: None,
-        }
+        Self { agent, board, compared: 0, mismatches: 0, broadcasts: 0, switches: 0, parted: None }
     }
 }
 
@@ -210,16 +202,20 @@ pub fn cosimulate(
     let mut lockstep = Lockstep::new(setup, relay);
     let options = RunOptions { seed, learning: true, bounds: false };
     let result =
-        run_accompanied(&scenario, &mut lockstep, options, progress).map_err(|error| match error {
-            RunError::Companion(error) => match error.downcast::<NodeError>() {
-                Ok(error) if matches!(error.fault, Fault::Interrupted) => CosimError::Interrupted,
-                Ok(error) => CosimError::Node(*error),
-                Err(error) => error
-                    .downcast::<CosimError>()
-                    .map_or_else(|error| CosimError::Run(RunError::Companion(error)), |e| *e),
+        run_accompanied(&scenario, &mut lockstep, options, progress).map_err(
+            |error| match error {
+                RunError::Companion(error) => match error.downcast::<NodeError>() {
+                    Ok(error) if matches!(error.fault, Fault::Interrupted) => {
+                        CosimError::Interrupted
+                    }
+                    Ok(error) => CosimError::Node(*error),
+                    Err(error) => error
+                        .downcast::<CosimError>()
+                        .map_or_else(|error| CosimError::Run(RunError::Companion(error)), |e| *e),
+                },
+                error => CosimError::Run(error),
             },
-            error => CosimError::Run(error),
-        })?;
+        )?;
     let elapsed_s = lockstep.begun.map_or(0.0, |begun| (Instant::now() - begun).as_secs_f64());
     let boards: Vec<_> = lockstep.nodes.iter().map(|node| node.report.clone()).collect();
     let steps = lockstep.steps;

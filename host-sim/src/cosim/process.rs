@@ -128,7 +128,8 @@ mod tests {
     #[test]
     fn a_process_that_does_not_listen_is_killed() {
         let folder = tempfile::tempdir().unwrap();
-        let process = start(folder.path(), "trap '' TERM; echo ready; while :; do sleep 0.01; done");
+        let process =
+            start(folder.path(), "trap '' TERM; echo ready; while :; do sleep 0.01; done");
         while process.said() != "ready" {
             std::thread::sleep(Duration::from_millis(1));
         }

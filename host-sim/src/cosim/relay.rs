@@ -141,7 +141,11 @@ impl Relay {
             for (index, (door, node)) in self.doors.iter_mut().zip(&mut *nodes).enumerate() {
                 let serve = door.serve(tick, node).map_err(|fault| (index, fault))?;
                 let serve = serve.into_iter();
-                switches.extend(serve.map(|(package, back)| Switch { agent: index, package, back }));
+                switches.extend(serve.map(|(package, back)| Switch {
+                    agent: index,
+                    package,
+                    back,
+                }));
             }
             let left = due.saturating_duration_since(Instant::now());
             if left.is_zero() || self.is_over() {

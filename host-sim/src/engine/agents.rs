@@ -235,8 +235,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     }
 
     fn load_after(&mut self, bytes: &PackageBytes, in_use: Option<InUse>) -> Result<(), Refusal> {
-        let requirements =
-            Requirements { public_key: None, in_use, capacity: Capacity::UNLIMITED };
+        let requirements = Requirements { public_key: None, in_use, capacity: Capacity::UNLIMITED };
         let package = accept::<N>(bytes.as_bytes(), &requirements, &mut Scratch::NEW.clone())?;
         let watch = match &self.health {
             Some(health) => Some(Watch::new(&self.params, &package, health, self.watch.as_ref())?),

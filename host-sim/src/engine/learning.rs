@@ -80,10 +80,9 @@ impl<'s> Learning<'s> {
                 .collect::<Result<_, _>>()?;
         }
         let due = self.jobs.iter().filter(|job| job.apply_at == tick);
-        let switches =
-            due.filter_map(|job| {
-                Some(Switch { agent: job.agent, package: job.trained.clone()?, back: false })
-            });
+        let switches = due.filter_map(|job| {
+            Some(Switch { agent: job.agent, package: job.trained.clone()?, back: false })
+        });
         Ok((switches.collect(), records))
     }
 

@@ -247,7 +247,11 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
     }
 
     /// Switches in what the learning cycles and the companion want to have in use from `tick` on.
-    fn switch(&mut self, tick: Tick, mut switches: Vec<Switch>) -> Result<ControlFlow<()>, RunError> {
+    fn switch(
+        &mut self,
+        tick: Tick,
+        mut switches: Vec<Switch>,
+    ) -> Result<ControlFlow<()>, RunError> {
         if let Some(companion) = &mut self.companion
             && let ControlFlow::Break(()) =
                 companion.before_step(tick, &mut switches).map_err(RunError::Companion)?

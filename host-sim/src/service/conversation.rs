@@ -115,8 +115,7 @@ impl Conversation {
             if let Some(message) = self.heard.pop_front() {
                 return Ok(message);
             }
-            let received =
-                self.line.receive(deadline.saturating_duration_since(Instant::now()))?;
+            let received = self.line.receive(deadline.saturating_duration_since(Instant::now()))?;
             self.bytes += received.len() as u64;
             for byte in received {
                 if let Some(message) = self.decoder.push(byte) {

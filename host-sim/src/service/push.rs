@@ -103,10 +103,7 @@ pub fn transfer_over(
 ///
 /// # Errors
 /// See [`ServiceError`].
-pub fn status(
-    conversation: &mut Conversation,
-    patience: Patience,
-) -> Result<Status, ServiceError> {
+pub fn status(conversation: &mut Conversation, patience: Patience) -> Result<Status, ServiceError> {
     conversation.insist(&Request::Query, patience, &mut |_| {}, "its status", |m| match m {
         Message::Status(status) => Some(*status),
         _ => None,
