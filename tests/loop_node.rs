@@ -13,7 +13,7 @@ use agent_core::service::{Request, Subscription, send};
 use agent_core::store::{Layout, MappedFlash, Slot};
 use embedded_io::ErrorKind;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
-use firmware_template::{InTheLoop, Node, Settings};
+use firmware_template::{InTheLoop, Memory, Node, Settings};
 use host_sim::image::Image;
 use host_sim::memory_map::{MemoryMap, WeightsRegion};
 use host_sim::packages::PackageBytes;
@@ -21,7 +21,7 @@ use host_sim::packages::PackageBytes;
 use crate::nor_flash::{SimulatedError, SimulatedFlash, Tear};
 
 /// Room of the nodes here: the paper's agents, and a little more.
-type TestNode = Node<Flash, 3, 8, 2, 8, 64>;
+type TestNode<'m> = Node<'m, Flash, 3, 8, 2, 8, 64>;
 
 /// The memory map that the project has.
 pub(crate) fn region() -> WeightsRegion {
@@ -65,9 +65,11 @@ fn run(mut flash: Flash, quirks: &Quirks, socket: UnixStream) {
             sample_stride: NonZeroU32::new(20).unwrap(),
             subscription: Subscription::default(),
             fallback: None,
+            stack_unused: None,
             version: [0, 1, 0],
         };
-        let mut node = TestNode::new(flash, settings).unwrap();
+        let mut memory = Memory::new();
+        let mut node = TestNode::new(flash, settings, &mut memory).unwrap();
         node.flash().changed.set(quirks.uses.is_some());
         node.run(&mut board);
         flash = node.into_flash();

@@ -34,7 +34,7 @@
 //! | Gaussian | 26 | 0 | 1 comparison, 3 integer operations |
 //!
 //! No memory, no table, no branch that a compiler must keep: `apply` becomes vector code on
-//! x86-64 and branches on `a < 0.55` on a Cortex-M4F.
+//! x86-64, and on a Cortex-M it branches on `a < 0.55` and computes one form only.
 //!
 //! # Invariants
 //!
@@ -122,6 +122,9 @@ const SCALE_EXPONENT: u32 = 64;
 /// 2^-64.
 const SCALE: f32 = f32::from_bits((EXPONENT_BIAS - SCALE_EXPONENT) << SIGNIFICAND_BITS);
 
+/// The bit of the sign.
+const SIGN: u32 = 1 << 31;
+
 /// Clears the lower 12 of the 24 significand bits.
 const UPPER_HALF: u32 = 0xffff_f000;
 
@@ -157,14 +160,32 @@ impl Activation {
     /// whatever the length.
     #[inline]
     pub fn apply(self, values: &mut [f32]) {
-        // Plain loops: the compiler turns these, and not hand-made groups of four, into
-        // vector code without shuffles.
         match self {
-            Self::Tanh => values.iter_mut().for_each(|v| *v = tanh(*v)),
-            Self::Logistic => values.iter_mut().for_each(|v| *v = logistic(*v)),
-            Self::Gaussian => values.iter_mut().for_each(|v| *v = gaussian(*v)),
+            Self::Tanh => tanh_in_place(values),
+            Self::Logistic => logistic_in_place(values),
+            Self::Gaussian => gaussian_in_place(values),
         }
     }
+}
+
+// Plain loops: the compiler turns these, and not hand-made groups of four, into vector code
+// without shuffles. Each is a function of its own, so that its constants, and no others, stay in
+// registers.
+
+#[inline(never)]
+fn tanh_in_place(values: &mut [f32]) {
+    let bits: &mut [u32] = bytemuck::cast_slice_mut(values);
+    bits.iter_mut().for_each(|v| *v = tanh_bits(*v));
+}
+
+#[inline(never)]
+fn logistic_in_place(values: &mut [f32]) {
+    values.iter_mut().for_each(|v| *v = logistic(*v));
+}
+
+#[inline(never)]
+fn gaussian_in_place(values: &mut [f32]) {
+    values.iter_mut().for_each(|v| *v = gaussian(*v));
 }
 
 /// Hyperbolic tangent: odd, never decreasing, in [-1, 1].
@@ -173,20 +194,34 @@ impl Activation {
 #[inline]
 #[must_use]
 pub fn tanh(x: f32) -> f32 {
-    let magnitude = x.abs();
+    f32::from_bits(tanh_bits(x.to_bits()))
+}
 
+/// [`tanh`] from bit pattern to bit pattern. Sign and comparison are matters of integers (positive
+/// floats are in the order of their bits), which spares moves between two kinds of registers, and
+/// a call where floats are compared in software.
+#[inline(always)]
+fn tanh_bits(x: u32) -> u32 {
+    let magnitude = f32::from_bits(x & !SIGN);
+    let is_small = x & !SIGN < TANH_SMALL_BELOW.to_bits();
+    let result = if is_small { tanh_small(magnitude) } else { tanh_large(magnitude) };
+    x & SIGN | result.to_bits() & !SIGN
+}
+
+#[inline(always)]
+fn tanh_small(magnitude: f32) -> f32 {
     let square = magnitude * magnitude;
-    let small = magnitude - magnitude * (square * horner(&TANH_SMALL, square));
+    magnitude - magnitude * (square * horner(&TANH_SMALL, square))
+}
 
+#[inline(always)]
+fn tanh_large(magnitude: f32) -> f32 {
     let quarter = 0.25 * magnitude;
     let mut expm1 = quarter + (quarter * quarter) * horner(&TANH_LARGE, quarter);
     expm1 = expm1 * (expm1 + 2.0);
     expm1 = expm1 * (expm1 + 2.0);
     expm1 = expm1 * (expm1 + 2.0);
-    let large = 1.0 - 2.0 / (expm1 + 2.0);
-
-    let result = if magnitude < TANH_SMALL_BELOW { small } else { large };
-    result.copysign(x)
+    1.0 - 2.0 / (expm1 + 2.0)
 }
 
 /// Logistic sigmoid `1 / (1 + exp(-x))`: never decreasing, in [0, 1].

@@ -2,7 +2,7 @@
 //! derivative, `(x_hat, d/dt x_hat)`, the paper's input-output data.
 //!
 //! Memory: `8 N + 8` bytes a sample. Invariant: the ring holds the newest samples, in the
-//! order in which they were taken, one every `stride` steps.
+//! order in which they were taken.
 
 use core::num::NonZeroU32;
 
@@ -19,24 +19,23 @@ pub struct Sample<const N: usize> {
     pub derivative: StateVector<N>,
 }
 
-/// The newest `CAPACITY` of every `stride`-th sample, in a static buffer.
-#[derive(Clone, Debug)]
+/// The newest `CAPACITY` of every n-th sample, in a static buffer.
+#[derive(Clone, Debug, Default)]
 pub struct CaptureRing<const N: usize, const CAPACITY: usize> {
     samples: heapless::Deque<Sample<N>, CAPACITY>,
-    stride: NonZeroU32,
 }
 
 impl<const N: usize, const CAPACITY: usize> CaptureRing<N, CAPACITY> {
-    /// An empty ring that keeps the samples whose tick is a multiple of `stride`.
+    /// An empty ring.
     #[must_use]
-    pub fn new(stride: NonZeroU32) -> Self {
-        Self { samples: heapless::Deque::new(), stride }
+    pub const fn new() -> Self {
+        Self { samples: heapless::Deque::new() }
     }
 
-    /// Keeps `sample` if its turn has come; returns whether it did.
+    /// Keeps `sample` if its tick is a multiple of `stride`; returns whether it did.
     #[inline]
-    pub fn offer(&mut self, sample: &Sample<N>) -> bool {
-        let due = is_due(sample.tick, self.stride);
+    pub fn offer(&mut self, sample: &Sample<N>, stride: NonZeroU32) -> bool {
+        let due = is_due(sample.tick, stride);
         if due {
             if self.samples.is_full() {
                 let _ = self.samples.pop_front();
@@ -117,8 +116,9 @@ mod tests {
 
     #[test]
     fn keeps_the_newest_of_every_stride() {
-        let mut ring = CaptureRing::<1, 3>::new(NonZeroU32::new(5).unwrap());
-        let kept = (0..=23).filter(|&tick| ring.offer(&sample(tick))).count();
+        let mut ring = CaptureRing::<1, 3>::new();
+        let stride = NonZeroU32::new(5).unwrap();
+        let kept = (0..=23).filter(|&tick| ring.offer(&sample(tick), stride)).count();
         assert_eq!(kept, 5);
         assert_eq!(ring.len(), 3);
         assert!(ring.samples().map(|s| s.tick).eq([10, 15, 20]));

@@ -191,10 +191,9 @@ impl<const N: usize> Frame<N> {
             return Err(FrameError::Malformed);
         }
         let Payload::Estimate(components) = wire.payload;
-        if components.len() != N {
-            return Err(FrameError::Dimension { expected: N, found: components.len() });
-        }
-        let estimate = StateVector::from_column_slice(&components);
+        let estimate = <[f32; N]>::try_from(components.as_slice())
+            .map_err(|_| FrameError::Dimension { expected: N, found: components.len() })?;
+        let estimate = StateVector::from(estimate);
         if !all_finite(&estimate) {
             return Err(FrameError::NotFinite { sender: wire.sender });
         }

@@ -213,10 +213,9 @@ impl<S: AsRef<[f32]>> InnerNetwork<S> {
         source.get_mut(..inputs)?.copy_from_slice(x);
         for layer in self.architecture.layers() {
             let width = usize::from(layer.width);
-            let (biases, rest) = parameters.split_at_checked(width)?;
-            let (weights, rest) = rest.split_at_checked(width * inputs)?;
+            let (own, rest) = parameters.split_at_checked(width * (inputs + 1))?;
             let outputs = target.get_mut(..width)?;
-            affine(biases, weights, source.get(..inputs)?, outputs);
+            affine(own, source.get(..inputs)?, outputs)?;
             layer.activation.apply(outputs);
             parameters = rest;
             inputs = width;
@@ -238,45 +237,96 @@ impl Scratch {
     pub const NEW: Self = Self { first: [0.0; LAYER_WIDTH_MAX], second: [0.0; LAYER_WIDTH_MAX] };
 }
 
-/// `outputs = biases + weights^T inputs`, inputs in ascending order for every output.
+/// `outputs = biases + weights^T inputs` for the parameters of one layer; `None` if the lengths do
+/// not belong together.
 ///
-/// Twelve outputs at a time (then four, then one) so that a vector unit has independent
-/// lanes; each lane adds in the same order as a plain loop would.
+/// The sums of up to twelve outputs stay in registers and give a vector unit independent lanes;
+/// each lane adds in the same order as a plain loop would. Usual widths have a function each, in
+/// which rows follow one another without a gap; any other width will do.
 #[inline]
-fn affine(biases: &[f32], weights: &[f32], inputs: &[f32], outputs: &mut [f32]) {
+fn affine(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
+    match outputs.len() {
+        4 => narrow::<4>(parameters, inputs, outputs),
+        5 => narrow::<5>(parameters, inputs, outputs),
+        6 => narrow::<6>(parameters, inputs, outputs),
+        8 => narrow::<8>(parameters, inputs, outputs),
+        10 => narrow::<10>(parameters, inputs, outputs),
+        12 => narrow::<12>(parameters, inputs, outputs),
+        _ => wide(parameters, inputs, outputs),
+    }
+}
+
+/// A layer of `WIDTH` nodes, in one block.
+#[inline(always)]
+fn narrow<const WIDTH: usize>(
+    parameters: &[f32],
+    inputs: &[f32],
+    outputs: &mut [f32],
+) -> Option<()> {
+    // Biases are a row like any other, the first.
+    let (biases, rows) = parameters.as_chunks::<WIDTH>().0.split_first()?;
+    weighted_sums(biases, rows, inputs, outputs.first_chunk_mut()?);
+    Some(())
+}
+
+/// `biases + rows^T inputs`, four rows a turn. A function of its own for every width: inlined side
+/// by side they would compete for registers, and every layer would prepare the loops of all.
+#[inline(never)]
+fn weighted_sums<const WIDTH: usize>(
+    biases: &[f32; WIDTH],
+    rows: &[[f32; WIDTH]],
+    inputs: &[f32],
+    outputs: &mut [f32; WIDTH],
+) {
+    let mut sums = *biases;
+    let (rows_by_four, rows_left) = rows.as_chunks::<4>();
+    let (inputs_by_four, inputs_left) = inputs.as_chunks::<4>();
+    for (rows, inputs) in rows_by_four.iter().zip(inputs_by_four) {
+        for (row, &input) in rows.iter().zip(inputs) {
+            add_row(&mut sums, row, input);
+        }
+    }
+    for (row, &input) in rows_left.iter().zip(inputs_left) {
+        add_row(&mut sums, row, input);
+    }
+    *outputs = sums;
+}
+
+/// A layer of any width, in blocks.
+#[inline(never)]
+fn wide(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
     let width = outputs.len();
     let mut first = 0;
     while first < width {
         first += match width - first {
-            12.. => affine_block::<12>(first, biases, weights, inputs, outputs),
-            4.. => affine_block::<4>(first, biases, weights, inputs, outputs),
-            _ => affine_block::<1>(first, biases, weights, inputs, outputs),
+            12.. => block::<12>(first, parameters, inputs, outputs)?,
+            4.. => block::<4>(first, parameters, inputs, outputs)?,
+            _ => block::<1>(first, parameters, inputs, outputs)?,
         };
     }
+    Some(())
 }
 
 /// The `LANES` outputs from `first`; returns `LANES`.
 #[inline(always)]
-fn affine_block<const LANES: usize>(
+fn block<const LANES: usize>(
     first: usize,
-    biases: &[f32],
-    weights: &[f32],
+    parameters: &[f32],
     inputs: &[f32],
     outputs: &mut [f32],
-) -> usize {
-    let width = outputs.len();
-    let block = first..first + LANES;
-    let mut sums = [0.0f32; LANES];
-    for (sum, bias) in sums.iter_mut().zip(biases.get(block.clone()).unwrap_or_default()) {
-        *sum = *bias;
+) -> Option<usize> {
+    let mut rows = parameters.chunks_exact(outputs.len());
+    let mut sums = *rows.next()?.get(first..)?.first_chunk::<LANES>()?;
+    for (row, &input) in rows.zip(inputs) {
+        add_row(&mut sums, row.get(first..)?.first_chunk()?, input);
     }
-    for (row, &input) in weights.chunks_exact(width.max(1)).zip(inputs) {
-        for (sum, &weight) in sums.iter_mut().zip(row.get(block.clone()).unwrap_or_default()) {
-            *sum += weight * input;
-        }
+    *outputs.get_mut(first..)?.first_chunk_mut()? = sums;
+    Some(LANES)
+}
+
+#[inline(always)]
+fn add_row<const LANES: usize>(sums: &mut [f32; LANES], row: &[f32; LANES], input: f32) {
+    for (sum, &weight) in sums.iter_mut().zip(row) {
+        *sum += weight * input;
     }
-    for (output, sum) in outputs.get_mut(block).unwrap_or_default().iter_mut().zip(sums) {
-        *output = sum;
-    }
-    LANES
 }

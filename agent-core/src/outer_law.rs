@@ -65,6 +65,11 @@ pub struct OuterWeights<const N: usize, const FEATURES: usize> {
 }
 
 impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
+    /// No weights.
+    pub(crate) const fn none() -> Self {
+        Self { rows: heapless::Vec::new(), gained_features: [0.0; FEATURES], norm_squared: 0.0 }
+    }
+
     /// Weights from their entries, row by row: shape `[L, N]`, `1 <= L <= FEATURES`.
     ///
     /// # Errors
@@ -82,8 +87,8 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
         }
         finite(PARAMETER, entries)?;
         let mut rows = heapless::Vec::new();
-        for row in entries.chunks_exact(N) {
-            rows.push(StateVector::from_column_slice(row)).map_err(|_| length(FEATURES * N))?;
+        for row in entries.as_chunks::<N>().0 {
+            rows.push(StateVector::from(*row)).map_err(|_| length(FEATURES * N))?;
         }
         law.validate(rows.len())?;
         let norm_squared = rows.iter().fold(0.0, |sum, row| sum + dot(row, row));

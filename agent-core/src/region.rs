@@ -37,9 +37,9 @@ impl<const N: usize> Region<N> {
     /// # Errors
     /// As for [`Self::new`], and a box of another dimension.
     pub fn copied(limits: &StateBox<'_>) -> Result<Self, ParameterError> {
-        let copied = |parameter, limits: &[f32]| match limits.len() {
-            found if found == N => Ok(StateVector::from_column_slice(limits)),
-            found => Err(ParameterError::Length { parameter, expected: N, found }),
+        let copied = |parameter, limits: &[f32]| match <[f32; N]>::try_from(limits) {
+            Ok(limits) => Ok(StateVector::from(limits)),
+            Err(_) => Err(ParameterError::Length { parameter, expected: N, found: limits.len() }),
         };
         Self::new(copied("region.low", limits.low)?, copied("region.high", limits.high)?)
     }

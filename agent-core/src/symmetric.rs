@@ -36,11 +36,10 @@ impl SymmetricMatrix<'_> {
             Self::Diagonal(diagonal) => length(size, diagonal.len()),
             Self::Full(entries) => {
                 length(size * size, entries.len())?;
-                for (row, entries_of_row) in entries.chunks_exact(size.max(1)).enumerate() {
-                    let column_of_row = entries.iter().skip(row).step_by(size.max(1));
-                    let mut pairs = entries_of_row.iter().zip(column_of_row);
-                    if let Some(column) = pairs.position(|(above, below)| above != below) {
-                        let (row, column) = (row.max(column), row.min(column));
+                let entry = |row: usize, column: usize| entries.get(row * size + column);
+                let below = (0..size).flat_map(|row| (0..row).map(move |column| (row, column)));
+                for (row, column) in below {
+                    if entry(row, column) != entry(column, row) {
                         return Err(ParameterError::NotSymmetric { parameter, row, column });
                     }
                 }
@@ -58,7 +57,12 @@ impl SymmetricMatrix<'_> {
         size: usize,
     ) -> Result<(), ParameterError> {
         let step = if matches!(self, Self::Full(_)) { size + 1 } else { 1 };
-        self.entries().iter().step_by(step).try_for_each(|&entry| positive(parameter, entry))
+        let mut entries = self.entries();
+        while let Some(&entry) = entries.first() {
+            positive(parameter, entry)?;
+            entries = entries.get(step..).unwrap_or_default();
+        }
+        Ok(())
     }
 
     /// The numbers that the form consists of.

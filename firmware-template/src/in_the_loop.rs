@@ -45,6 +45,11 @@ impl<P: Read + Write, const FRAMES: usize> InTheLoop<P, FRAMES> {
         }
     }
 
+    /// The port, for what comes after the node's work.
+    pub fn port(&mut self) -> &mut P {
+        &mut self.port
+    }
+
     /// The next message, as far as it has arrived.
     fn message(&mut self) -> Option<Result<&[u8], SerialError>> {
         // What the decoder returns borrows it, so the end of a message is found first.

@@ -2,7 +2,8 @@
 //!
 //! The active toolchain, if it has the targets. Otherwise Debian's compiler, which comes
 //! with the sources of `core` and `alloc` but not built for bare metal: they are built once,
-//! into a sysroot under the target folder, and a two-line `rustc` points the compiler there.
+//! into a sysroot under the target folder, and a two-line `rustc` points the compiler there and
+//! to Debian's linker.
 
 use std::{
     env, fs, io,
@@ -20,9 +21,10 @@ use crate::{
 const PACKAGES: [&str; 4] = ["rustc-web", "cargo-web", "rust-web-src", "lld"];
 const RUSTC: &str = "/usr/bin/rustc";
 const CARGO: &str = "/usr/bin/cargo";
-const LINKER: &str = "/usr/bin/ld.lld";
 /// What Debian's packages put where rustc looks for it.
 const RUSTLIB: &str = "/usr/lib/rustlib";
+/// The linker, which the bare-metal targets know by Rust's name for it.
+const LLD: &str = "/usr/bin/lld";
 const CRATES: [&str; 3] = ["core", "alloc", "compiler_builtins"];
 
 /// Every target that anything here is built for. The sysroot has all of them, whatever a task needs,
@@ -71,11 +73,6 @@ impl Compiler {
         command.env_remove("RUSTFLAGS").env_remove("CARGO_ENCODED_RUSTFLAGS");
         if let Some(rustc) = &self.rustc {
             command.env("RUSTC", rustc);
-            // Debian has Rust's linker under its own name only.
-            for target in TARGETS {
-                let target = target.to_uppercase().replace(['-', '.'], "_");
-                command.env(format!("CARGO_TARGET_{target}_LINKER"), LINKER);
-            }
         }
         command.env("CARGO_TARGET_DIR", cross_folder())
     }
@@ -164,7 +161,7 @@ fn sysroot() -> Result<PathBuf, Failure> {
     let rustc = prefix.join("bin/rustc");
     let stamp = prefix.join("stamp");
     let package_versions = PACKAGES.map(|name| packages::version(name).unwrap_or_default());
-    let wanted = format!("{}\n{}\n", package_versions.join(" "), TARGETS.join(" "));
+    let wanted = format!("with a linker\n{}\n{}\n", package_versions.join(" "), TARGETS.join(" "));
     if fs::read_to_string(&stamp).is_ok_and(|found| found == wanted) {
         let seconds = start.elapsed().as_secs_f64();
         println!("compiler: {} is up to date, {seconds:.1} s", prefix.display());
@@ -250,9 +247,12 @@ fn lay_out(prefix: &Path, scratch: &Path) -> io::Result<()> {
             call(Command::new("ln").arg("-s").arg(entry.path()).arg(link))?;
         }
     }
-    let rustc = prefix.join("bin/rustc");
-    fs::create_dir_all(prefix.join("bin"))?;
-    fs::write(&rustc, format!("#!/bin/sh\nexec {RUSTC} --sysroot \"${{0%/*}}/..\" \"$@\"\n"))?;
+    let programs = prefix.join("bin");
+    fs::create_dir_all(&programs)?;
+    call(Command::new("ln").args(["-s", LLD]).arg(programs.join("rust-lld")))?;
+    let rustc = programs.join("rustc");
+    let call_rustc = format!("exec {RUSTC} --sysroot \"${{0%/*}}/..\" \"$@\"");
+    fs::write(&rustc, format!("#!/bin/sh\nPATH=\"${{0%/*}}:$PATH\" {call_rustc}\n"))?;
     call(Command::new("chmod").arg("755").arg(rustc))
 }
 

@@ -7,7 +7,7 @@ use crate::{
     compiler::{self, Compiler, cross_folder},
     firmware,
     machine_code::{BINUTILS, Disassembler, Findings},
-    packages,
+    packages, project,
     step::{Failure, cargo, on_path, run, workspace},
 };
 
@@ -23,6 +23,11 @@ const TARGETS: [Target; 4] = [
     Target { triple: "thumbv8m.main-none-eabihf", fused: true },
     Target { triple: "riscv32imac-unknown-none-elf", fused: false },
 ];
+
+/// Every target of the node's crates.
+pub(crate) fn triples() -> [&'static str; TARGETS.len()] {
+    TARGETS.map(|target| target.triple)
+}
 
 /// A library whose machine code is read.
 struct Artifact {
@@ -68,7 +73,7 @@ const VARIANTS: [Variant; 2] = [
 /// # Errors
 /// The first step that fails.
 pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
-    let compiler = Compiler::find(&TARGETS.map(|target| target.triple), debian)?;
+    let compiler = Compiler::find(&triples(), debian)?;
     let disassembler = Disassembler::find(debian)?;
     for features in [&[][..], &["--features", "agent-core/signature"]] {
         let mut build = cargo("build");
@@ -100,6 +105,7 @@ pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
         allow(&format!("machine code of {}", board.name), &found)?;
         println!("machine code of {}: {} instructions, none fused", board.name, found.instructions);
     }
+    project::check(debian)?;
     memory_map(debian)
 }
 

@@ -22,6 +22,9 @@ use crate::{
 /// The package with a disassembler and a linker for Arm.
 pub(crate) const BINUTILS: &str = "binutils-arm-none-eabi";
 
+/// Part of the name of all that panics in Rust's library, in either mangling.
+const PANICKING: &str = "4core9panicking";
+
 const FUSED: [&str; 4] = ["vfma", "vfms", "vfnma", "vfnms"];
 
 /// Functions of the C library's `math.h`, without the suffix of their `float` variants.
@@ -39,6 +42,8 @@ pub(crate) struct Findings {
     pub(crate) instructions: usize,
     /// Instructions and symbols that must not be there, each with the function it is in.
     pub(crate) forbidden: Vec<String>,
+    /// Symbols of the library's panics. Only in a linked program do they mean that one is reached.
+    pub(crate) panics: Vec<String>,
 }
 
 /// A program that disassembles Arm code: GNU's or LLVM's `objdump`.
@@ -75,6 +80,14 @@ impl Disassembler {
     /// # Errors
     /// The disassembler failed.
     pub(crate) fn read(&self, file: &Path) -> Result<Findings, Failure> {
+        Ok(findings(&self.listing(file)?))
+    }
+
+    /// What the disassembler prints of an object, a library or a program: symbols and code.
+    ///
+    /// # Errors
+    /// The disassembler failed.
+    pub(crate) fn listing(&self, file: &Path) -> Result<String, Failure> {
         let failed = |reason: String| {
             Failure::new(
                 format!("{} {}: {reason}", self.0.display(), file.display()),
@@ -89,7 +102,7 @@ impl Disassembler {
         if !output.status.success() {
             return Err(failed(String::from_utf8_lossy(&output.stderr).into_owned()));
         }
-        Ok(findings(&String::from_utf8_lossy(&output.stdout)))
+        Ok(String::from_utf8_lossy(&output.stdout).into_owned())
     }
 }
 
@@ -97,6 +110,13 @@ fn findings(listing: &str) -> Findings {
     let mut found = Findings::default();
     let mut function = "?";
     for line in listing.lines() {
+        let symbol = line.split_whitespace().next_back();
+        if let Some(symbol) = symbol.filter(|name| name.contains(PANICKING)) {
+            // Names of the symbol table; those of the code itself end otherwise.
+            if !symbol.ends_with([':', '>']) {
+                found.panics.push(symbol.to_owned());
+            }
+        }
         if let Some(symbol) = undefined_symbol(line) {
             if is_platform_mathematics(symbol) {
                 found.forbidden.push(format!("undefined symbol {symbol}"));
@@ -140,10 +160,11 @@ lib.rmeta:     file format elf32-littlearm
 00000000         *UND*\t00000000 .hidden tanhf
 00000000         *UND*\t00000000 __aeabi_memcpy4
 00000000 l     F .text.f\t0000000c f
+00000010 l     F .text\t00000004 _ZN4core9panicking9panic_fmt17h0123456789abcdefE
 00000000 <f>:
    0:\tvmla.f32\ts0, s1, s2
    4:\tvfmaeq.f32\ts0, s1, s2
-   8:\tbx\tlr
+   8:\tbl\t10 <_ZN4core9panicking9panic_fmt17h0123456789abcdefE>
    c:\t.word\t0x3f800000
 ";
     const LLVM: &str = "
@@ -162,6 +183,7 @@ lib.rmeta:     file format elf32-littlearm
             Findings {
                 instructions: 3,
                 forbidden: expected(&["undefined symbol tanhf", "vfmaeq.f32 in f"]),
+                panics: expected(&["_ZN4core9panicking9panic_fmt17h0123456789abcdefE"]),
             }
         );
         assert_eq!(
@@ -169,6 +191,7 @@ lib.rmeta:     file format elf32-littlearm
             Findings {
                 instructions: 2,
                 forbidden: expected(&["undefined symbol fmaf", "vfnms.f32 in g"]),
+                panics: Vec::new(),
             }
         );
     }

@@ -6,11 +6,15 @@
 
 mod compiler;
 mod cross;
+mod emulate;
 mod firmware;
 mod fuzz;
 mod host;
 mod machine_code;
 mod packages;
+mod project;
+mod size;
+mod stack;
 mod step;
 
 use std::{process::ExitCode, time::Instant};
@@ -20,14 +24,23 @@ use step::Failure;
 const HELP: &str = "\
 Usage: cargo xtask <task> [--debian]
        cargo xtask firmware --board BOARD|all [--public-key HEX] [--debian]
+       cargo xtask new PATH [--board BOARD]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
 
 Tasks:
-  test    every test there is: the workspace on the host, doctests included, then `cross`
+  test    every test there is: the workspace on the host, doctests included, then `cross` and
+          `emulate`
   cross   build the node's libraries for bare metal, look for fused multiply-add and
           platform mathematics in the machine code, link the memory map
-  firmware  build a node's firmware: for qemu-mps2-an386, with --public-key so that it takes
-          only packages signed with the private half (`weights keygen` prints the key)
+  emulate the examination in tests/on-target on emulated processors (QEMU): the bits that the
+          host computes, instructions within their budgets, no way to panic
+  firmware  build a node's firmware: for qemu-mps2-an386, stm32f405, nrf52840; with
+          --public-key so that it takes only packages signed with the private half
+          (`weights keygen` prints the key)
+  new     make a project of your own in the folder PATH: the node's crates with one board's
+          program and memory map (qemu-mps2-an386 if none is named); it builds on its own
+  size    what the firmware of the emulated board takes of flash, RAM and stack, against its
+          budgets
   lint    formatting, clippy and documentation, warnings are errors
   fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (10)
           from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
@@ -50,13 +63,17 @@ fn main() -> ExitCode {
 
     let start = Instant::now();
     let outcome = match names[..] {
-        ["test"] => {
-            host::test().and_then(|count| cross::cross(debian).map(|()| println!("tests: {count}")))
-        }
+        ["test"] => test(debian),
         ["cross"] => cross::cross(debian),
+        ["size"] => size::size(debian),
+        ["emulate"] => emulate::emulate(debian),
         ["lint"] => host::lint().and_then(|()| fuzz::lint(debian)),
         ["firmware", ref rest @ ..] => match firmware::Options::read(rest) {
             Some(options) => firmware::firmware(&options, debian),
+            None => return usage(),
+        },
+        ["new", ref rest @ ..] => match project::Options::read(rest) {
+            Some(options) => project::new(&options),
             None => return usage(),
         },
         ["fuzz", ref rest @ ..] => match fuzz::Options::read(rest) {
@@ -81,6 +98,15 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Everything that runs code of this workspace.
+fn test(debian: bool) -> Result<(), Failure> {
+    let count = host::test()?;
+    cross::cross(debian)?;
+    emulate::emulate(debian)?;
+    println!("tests: {count}");
+    Ok(())
 }
 
 /// What a command line gets that is none.

@@ -200,8 +200,8 @@ fn check_sizes<const N: usize>(package: &Package<'_>, capacity: &Capacity) -> Re
 fn check_parameters<const N: usize>(package: &Package<'_>) -> Result<(), Refusal> {
     package.node.gain.validate("observer.gain", N)?;
     package.node.outer_law.validate(package.features())?;
-    let norm_squared = package.outer_weights.chunks_exact(N).fold(0.0, |sum, row| {
-        let row = StateVector::<N>::from_column_slice(row);
+    let norm_squared = package.outer_weights.as_chunks::<N>().0.iter().fold(0.0, |sum, row| {
+        let row = StateVector::from(*row);
         sum + dot(&row, &row)
     });
     package.node.outer_law.validate_norm(norm_squared)?;
@@ -265,8 +265,8 @@ fn check_test_vectors<const N: usize>(
 /// place.
 fn combine<const N: usize>(outer_weights: &[f32], features: &[f32]) -> StateVector<N> {
     let mut sum = StateVector::zeros();
-    for (row, &feature) in outer_weights.chunks_exact(N).zip(features) {
-        add_scaled(&mut sum, feature, &StateVector::<N>::from_column_slice(row));
+    for (row, &feature) in outer_weights.as_chunks::<N>().0.iter().zip(features) {
+        add_scaled(&mut sum, feature, &StateVector::from(*row));
     }
     sum
 }

@@ -31,6 +31,8 @@ impl<'a> Package<'a> {
     ///
     /// # Errors
     /// What [`PackageError`] lists about bodies.
+    // Apart from its callers, so that what only decoding needs is off the stack in what follows.
+    #[inline(never)]
     pub fn from_envelope(envelope: &Envelope<'a>) -> Result<Self, PackageError> {
         let (metadata, rest) = postcard::take_from_bytes::<Metadata<'a>>(envelope.body)
             .map_err(|_| PackageError::Malformed)?;
@@ -61,9 +63,8 @@ impl<'a> Package<'a> {
         if metadata.provenance.errors.is_some_and(|errors| !errors.is_finite()) {
             return Err(PackageError::TrainingErrorNotFinite);
         }
-        assemble(&metadata, architecture, neighbours, &counts, numbers)
-            .ok_or(wrong_count)?
-            .map_err(PackageError::Network)
+        let mut numbers = Numbers { rest: numbers, wrong_count };
+        assemble(&metadata, architecture, neighbours, &counts, &mut numbers)
     }
 }
 
@@ -87,25 +88,37 @@ fn architecture(metadata: &Metadata<'_>) -> Result<Architecture, PackageError> {
     Architecture::new(metadata.inputs.into(), &layers).map_err(PackageError::Network)
 }
 
-/// Deals out the numbers; `None` if they do not suffice.
+/// The numbers that have not been dealt out yet.
+struct Numbers<'a> {
+    rest: &'a [f32],
+    /// What is wrong if they do not suffice.
+    wrong_count: PackageError,
+}
+
+impl<'a> Numbers<'a> {
+    fn take(&mut self, count: usize) -> Result<&'a [f32], PackageError> {
+        let (taken, rest) = self.rest.split_at_checked(count).ok_or(self.wrong_count)?;
+        self.rest = rest;
+        Ok(taken)
+    }
+}
+
+/// Deals out the numbers. Its result is the caller's, so that a package is not copied on its way.
 fn assemble<'a>(
     metadata: &Metadata<'a>,
     architecture: Architecture,
     neighbours: NeighbourIds<'a>,
     counts: &Counts,
-    mut numbers: &'a [f32],
-) -> Option<Result<Package<'a>, crate::network::NetworkError>> {
-    let mut take = |count: usize| -> Option<&'a [f32]> {
-        let (taken, rest) = numbers.split_at_checked(count)?;
-        numbers = rest;
-        Some(taken)
-    };
-    let inner = take(counts.inner)?;
-    let outer_weights = take(counts.outer_weights)?;
-    let output_matrix = take(counts.output_matrix)?;
-    let gain = metadata.gain.matrix(take(counts.gain)?)?;
-    let outer_gain = metadata.outer_gain.matrix(take(counts.outer_gain)?)?;
-    let edge_weights = take(counts.edge_weights)?;
+    numbers: &mut Numbers<'a>,
+) -> Result<Package<'a>, PackageError> {
+    let inner = numbers.take(counts.inner)?;
+    let outer_weights = numbers.take(counts.outer_weights)?;
+    let output_matrix = numbers.take(counts.output_matrix)?;
+    let gain = numbers.take(counts.gain)?;
+    let gain = metadata.gain.matrix(gain).ok_or(numbers.wrong_count)?;
+    let outer_gain = numbers.take(counts.outer_gain)?;
+    let outer_gain = metadata.outer_gain.matrix(outer_gain).ok_or(numbers.wrong_count)?;
+    let edge_weights = numbers.take(counts.edge_weights)?;
     let &[
         radius,
         boundary_layer,
@@ -115,14 +128,11 @@ fn assemble<'a>(
         threshold,
         step_size,
         broadcast_interval_min,
-    ] = <&[f32; CONSTANTS]>::try_from(take(CONSTANTS)?).ok()?;
-    let (low, high) = (take(counts.dimension)?, take(counts.dimension)?);
-    let test_vectors = take(counts.test_vectors)?;
-    let network = match InnerNetwork::new(architecture, inner) {
-        Ok(network) => network,
-        Err(error) => return Some(Err(error)),
-    };
-    Some(Ok(Package {
+    ] = <&[f32; CONSTANTS]>::try_from(numbers.take(CONSTANTS)?).map_err(|_| numbers.wrong_count)?;
+    let (low, high) = (numbers.take(counts.dimension)?, numbers.take(counts.dimension)?);
+    let test_vectors = numbers.take(counts.test_vectors)?;
+    let network = InnerNetwork::new(architecture, inner).map_err(PackageError::Network)?;
+    Ok(Package {
         version: metadata.version,
         replaces: metadata.replaces,
         outer_weights_on_switch: metadata.outer_weights_on_switch,
@@ -150,5 +160,5 @@ fn assemble<'a>(
         trained_box: StateBox { low, high },
         provenance: metadata.provenance,
         test_vectors,
-    }))
+    })
 }

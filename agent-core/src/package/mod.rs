@@ -282,8 +282,8 @@ impl Node<'_> {
             return Err(length("output_matrix", self.outputs(N) * N, self.output_matrix.len()));
         }
         let mut rows = heapless::Vec::<StateVector<N>, N>::new();
-        for row in self.output_matrix.chunks_exact(N) {
-            rows.push(StateVector::from_column_slice(row))
+        for row in self.output_matrix.as_chunks::<N>().0 {
+            rows.push(StateVector::from(*row))
                 .map_err(|_| length("output_matrix", N, self.outputs(N)))?;
         }
         self.gain.validate("observer.gain", N)?;

@@ -31,7 +31,8 @@ use embedded_storage::nor_flash::{
     ErrorType as FlashErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase,
     check_read, check_write,
 };
-use firmware_template::{InTheLoop, Node, Settings, WeightsRegion, memory_map};
+use firmware_template::{InTheLoop, Memory, Node, Settings, WeightsRegion, memory_map};
+use static_cell::{ConstStaticCell, StaticCell};
 
 /// State components of the paper's plant.
 const N: usize = 3;
@@ -47,12 +48,18 @@ const EXIT_SUCCESS: usize = 0;
 const EXIT_NO_CHANNEL: usize = 2;
 /// memory.x does not describe flash that the store can use.
 const EXIT_LAYOUT: usize = 3;
+/// Somebody has taken the memory; there is nobody else.
+const EXIT_MEMORY: usize = 5;
 /// The public key that was compiled in is none.
 #[cfg(feature = "signature")]
 const EXIT_KEY: usize = 4;
 
 type Loop = InTheLoop<Port, { 2 * NEIGHBOURS }>;
-type LoopNode = Node<RamFlash, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>;
+type LoopNode = Node<'static, RamFlash, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>;
+
+static MEMORY: ConstStaticCell<Memory<N, FEATURES, NEIGHBOURS, SAMPLES>> =
+    ConstStaticCell::new(Memory::new());
+static LOOP: StaticCell<Loop> = StaticCell::new();
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
@@ -68,17 +75,42 @@ fn main() -> ! {
         subscription: Subscription { state_every: None, outer_weights: false },
         // Which agent this is, its package says.
         fallback: None,
+        stack_unused: Some(stack_unused),
         version: [0, 1, 0],
     };
     let Some(port) = Port::open() else { exit(EXIT_NO_CHANNEL) };
-    let mut board = Loop::new(port);
-    match LoopNode::new(flash, settings) {
-        Ok(mut node) => node.run(&mut board),
-        Err(_) => exit(EXIT_LAYOUT),
-    }
-    // Closes the pipes, which outlive a reset.
-    drop(board);
+    let (Some(board), Some(memory)) = (in_the_loop(port), MEMORY.try_take()) else {
+        exit(EXIT_MEMORY)
+    };
+    let mut node = LoopNode::new(flash, settings, memory);
+    let Ok(node) = &mut node else { exit(EXIT_LAYOUT) };
+    node.run(board);
+    // The emulator would keep them open over the reset.
+    board.port().close();
     SCB::sys_reset()
+}
+
+/// The board, placed where it stays. Out of line, so that the stack is free again of what it is
+/// copied from.
+#[inline(never)]
+fn in_the_loop(port: Port) -> Option<&'static mut Loop> {
+    LOOP.try_init_with(|| Loop::new(port))
+}
+
+/// Bytes of the stack that still hold what cortex-m-rt has painted them with.
+fn stack_unused() -> u32 {
+    unsafe extern "C" {
+        safe static _stack_end: u32;
+        safe static _stack_start: u32;
+    }
+    let (low, high) = (&raw const _stack_end, &raw const _stack_start);
+    let mut word = low;
+    // SAFETY: all words between the two addresses are RAM. What has been painted is nobody's, and
+    // reading stops at the first word that somebody has written to.
+    while word < high && unsafe { word.read_volatile() } == cortex_m_rt::STACK_PAINT_VALUE {
+        word = word.wrapping_add(1);
+    }
+    (word.addr() - low.addr()) as u32
 }
 
 /// The key that packages have to be signed with, if the firmware was built for one.
@@ -115,6 +147,15 @@ impl Port {
         let input = File::open(words.next()?, nr::open::R_BINARY)?;
         let output = File::open(words.next()?, nr::open::W_TRUNC_BINARY)?;
         Some(Self::Pipes { input, output })
+    }
+}
+
+impl Port {
+    fn close(&mut self) {
+        if let Self::Pipes { input, output } = self {
+            input.close();
+            output.close();
+        }
     }
 }
 
@@ -183,18 +224,16 @@ impl File {
         buffer.len().saturating_sub(missing)
     }
 
+    fn close(&mut self) {
+        // SAFETY: CLOSE (0x02) takes a handle that OPEN returned; the host refuses one it has closed.
+        unsafe { syscall!(CLOSE, self.0) };
+    }
+
     /// How many bytes were written.
     fn write(&mut self, bytes: &[u8]) -> usize {
         // SAFETY: WRITE (0x05) reads as many bytes as its third argument says.
         let missing = unsafe { syscall!(WRITE, self.0, bytes.as_ptr(), bytes.len()) };
         bytes.len().saturating_sub(missing)
-    }
-}
-
-impl Drop for File {
-    fn drop(&mut self) {
-        // SAFETY: CLOSE (0x02) takes a handle that OPEN returned, once.
-        unsafe { syscall!(CLOSE, self.0) };
     }
 }
 

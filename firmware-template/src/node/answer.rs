@@ -5,7 +5,7 @@ use agent_core::service::{Problem, Upload, receive};
 use agent_core::store::MappedFlash;
 use agent_core::{StateVector, Tick};
 
-use super::load::{decoded, verified};
+use super::load::decoded;
 use super::{Event, Next, Node, Request, Response, Rows, Session, respond};
 use crate::board::Board;
 
@@ -19,9 +19,10 @@ impl<
     const NEIGHBOURS: usize,
     const GAINS: usize,
     const SAMPLES: usize,
-> Node<F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
+> Node<'_, F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
 {
-    /// Does what is asked for, and answers.
+    /// Does what is asked for, and answers. Its stack is not to add to a turn's.
+    #[inline(never)]
     pub(super) fn answer<B: Board>(
         &mut self,
         session: Option<&Session<'_, N>>,
@@ -77,11 +78,7 @@ impl<
     }
 
     fn stage(&mut self) -> Answer<'static, N> {
-        // The settings are copied, because the store is about to be written to.
-        let key = self.settings.public_key.clone();
-        let requirements =
-            agent_core::package::Requirements { public_key: key.as_ref(), ..self.requirements() };
-        let package = self.store.stage(|bytes| verified::<N>(bytes, &requirements))?;
+        let package = self.stage_upload()?;
         Ok((Response::Staged { version: package.version }, Next::Continue))
     }
 
@@ -125,7 +122,7 @@ impl<
     /// Sends at most `most` samples from the tick `from` on; returns where to go on.
     fn send_samples<B: Board>(&self, board: &mut B, from: Tick, most: u8) -> Tick {
         let mut next = from;
-        let samples = self.samples.samples().filter(|sample| sample.tick >= from);
+        let samples = self.memory.samples.samples().filter(|sample| sample.tick >= from);
         for sample in samples.take(usize::from(most)) {
             next = sample.tick.saturating_add(1);
             let response = Response::Sample {

@@ -1,10 +1,9 @@
 //! Which package is in use, and what a session takes from it.
 
 use agent_core::StateVector;
-use agent_core::agent::AgentState;
+use agent_core::agent::AgentParams;
 use agent_core::checksum::crc32;
 use agent_core::health::HealthParams;
-use agent_core::inbox::Inbox;
 use agent_core::network::Scratch;
 use agent_core::observer::Neighbour;
 use agent_core::package::{
@@ -14,7 +13,7 @@ use agent_core::package::{
 use agent_core::service::RefusalReport;
 use agent_core::store::{self, MappedFlash};
 
-use super::{Agent, Holds, InUsePackage, Node, Places, Session};
+use super::{Agent, InUsePackage, Node, Places, Session};
 
 impl<
     F: MappedFlash,
@@ -23,20 +22,21 @@ impl<
     const NEIGHBOURS: usize,
     const GAINS: usize,
     const SAMPLES: usize,
-> Node<F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
+> Node<'_, F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
 {
     const CAPACITY: Capacity =
         Capacity { features: FEATURES, neighbours: NEIGHBOURS, gain_entries: GAINS };
 
     /// Takes what the flash holds into use, after all checks.
     pub(super) fn load(&mut self) {
+        let Self { store, memory, settings, .. } = self;
         let requirements = Requirements {
-            public_key: self.settings.public_key.as_ref(),
+            public_key: settings.public_key.as_ref(),
             in_use: None,
             capacity: Self::CAPACITY,
         };
-        let mut check = |bytes: &[u8]| verified::<N>(bytes, &requirements);
-        let loaded = self.store.load(&mut check);
+        let mut check = |bytes: &[u8]| verified::<N>(bytes, &requirements, &mut memory.scratch);
+        let loaded = store.load(&mut check);
         self.refused_at_start = loaded.refusals.map(|refusal| {
             refusal.map(|refusal| match refusal {
                 store::Refusal::Check(refusal) => RefusalReport::from(&refusal),
@@ -45,24 +45,25 @@ impl<
         });
         let found = loaded.in_use.or_else(|| {
             let length = |slot: &[u8]| u32::try_from(Envelope::length_in(slot)?).ok();
-            self.store.salvage(length, check, |new: &Verified, old| new.version > old.version)
+            store.salvage(length, check, |new: &Verified, old| new.version > old.version)
         });
         self.in_use = found.map(|(slot, package)| package.in_slot(slot));
     }
 
-    /// The check that a package has to pass before it is staged.
-    pub(super) fn requirements(&self) -> Requirements<'_> {
-        Requirements {
-            public_key: self.settings.public_key.as_ref(),
-            in_use: self
-                .in_use
-                .map(|package| InUse { agent: package.agent, version: package.version }),
+    /// Lets the upload become the staged package, if it passes all checks.
+    pub(super) fn stage_upload(&mut self) -> Result<Verified, store::CheckedError<Refusal>> {
+        let Self { store, memory, settings, in_use, .. } = self;
+        let requirements = Requirements {
+            public_key: settings.public_key.as_ref(),
+            in_use: in_use.map(|package| InUse { agent: package.agent, version: package.version }),
             capacity: Self::CAPACITY,
-        }
+        };
+        store.stage(|bytes| verified::<N>(bytes, &requirements, &mut memory.scratch))
     }
 
     /// Prepares the agent for what is in use, which follows on an agent with the neighbours `old`.
     /// `None` if nothing is in use and nothing is built in.
+    #[inline(never)]
     pub(super) fn begin_session<'a>(
         &mut self,
         places: &'a mut Places<NEIGHBOURS, GAINS>,
@@ -82,24 +83,17 @@ impl<
         let watch =
             HealthParams::new(&params, &trained_box, interval_min, &self.settings.health).ok()?;
 
-        let switched = match (&mut self.agent, &package) {
-            (Some(agent), Some(package)) => {
+        let agent = &mut self.memory.agent;
+        let switched = agent.begun
+            && package.as_ref().is_some_and(|package| {
                 agent.state.switch(old, &params, package, &mut agent.inbox).is_ok()
-            }
-            _ => false,
-        };
+            });
         if !switched {
-            let estimate = match &self.agent {
-                Some(agent) => *agent.state.estimate(),
-                None => watch.start_estimate(),
-            };
-            let zeros = [0.0; N];
-            let outer_weights =
-                package.as_ref().map_or(&zeros[..], |package| package.outer_weights);
-            let mut holds = Holds::<N, NEIGHBOURS>::new();
-            holds.resize(params.neighbours().len(), None).ok()?;
-            let state = AgentState::new(&params, estimate, outer_weights, holds.clone()).ok()?;
-            self.agent = Some(Agent { state, inbox: Inbox::new(holds), announced: false });
+            let estimate =
+                if agent.begun { *agent.state.estimate() } else { watch.start_estimate() };
+            let weights = package.as_ref().map_or(&[0.0; N][..], |package| package.outer_weights);
+            agent.begun = agent.begin(&params, estimate, weights);
+            agent.begun.then_some(())?;
         }
         let network = slot
             .zip(bytes.zip(package))
@@ -107,36 +101,41 @@ impl<
         Some(Session { params, watch, network })
     }
 
-    /// Lets the agent begin with this estimate; returns whether it could.
+    /// Lets the agent go on from this estimate; returns whether it could.
     pub(super) fn start_at(&mut self, session: &Session<'_, N>, estimate: StateVector<N>) -> bool {
-        let tick = self.next_tick;
-        let Some(agent) = &mut self.agent else { return false };
-        let weights = match &session.network {
-            Some((slot, _)) => {
-                let package = self.store.bytes(*slot).and_then(|bytes| Package::decode(bytes).ok());
-                package.map(|package| package.outer_weights)
-            }
-            None => Some(&[0.0; N][..]),
+        let Self { store, memory, next_tick, .. } = self;
+        let package = match &session.network {
+            Some((slot, _)) => store.bytes(*slot).and_then(|bytes| Package::decode(bytes).ok()),
+            None => None,
         };
-        let Some(weights) = weights else { return false };
+        let weights = package.as_ref().map_or(&[0.0; N][..], |package| package.outer_weights);
+        let agent = &mut memory.agent;
         if agent.announced {
-            return agent
-                .state
-                .restart(&session.params, tick.saturating_sub(1), estimate, weights)
-                .is_ok();
+            let tick = next_tick.saturating_sub(1);
+            let restarted = agent.state.restart(&session.params, tick, estimate, weights).is_ok();
+            agent.announced = !restarted;
+            restarted
+        } else {
+            agent.begin(&session.params, estimate, weights)
         }
-        let mut holds = Holds::<N, NEIGHBOURS>::new();
-        if holds.resize(session.params.neighbours().len(), None).is_err() {
-            return false;
-        }
-        let state = AgentState::new(&session.params, estimate, weights, holds);
-        match state {
-            Ok(state) => {
-                agent.state = state;
-                true
-            }
-            Err(_) => false,
-        }
+    }
+}
+
+impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize>
+    Agent<N, FEATURES, NEIGHBOURS>
+{
+    /// Begins as after switching on; returns whether it could.
+    fn begin(
+        &mut self,
+        params: &AgentParams<'_, N>,
+        estimate: StateVector<N>,
+        outer_weights: &[f32],
+    ) -> bool {
+        let neighbours = params.neighbours().len();
+        self.announced = false;
+        self.state.places().resize(neighbours, None).is_ok()
+            && self.inbox.places().resize(neighbours, None).is_ok()
+            && self.state.begin(params, estimate, outer_weights).is_ok()
     }
 }
 
@@ -170,9 +169,9 @@ impl Verified {
 pub(super) fn verified<const N: usize>(
     bytes: &[u8],
     requirements: &Requirements<'_>,
+    scratch: &mut Scratch,
 ) -> Result<Verified, Refusal> {
-    let mut scratch = Scratch::NEW;
-    let package = accept::<N>(bytes, requirements, &mut scratch)?;
+    let package = accept::<N>(bytes, requirements, scratch)?;
     Ok(Verified::of(&package, bytes))
 }
 

@@ -34,6 +34,7 @@ use agent_core::capture::CaptureRing;
 use agent_core::health::{Health, HealthParams, HealthSettings, Probation};
 use agent_core::hold::Hold;
 use agent_core::inbox::Inbox;
+use agent_core::network::Scratch;
 use agent_core::observer::Neighbour;
 use agent_core::package::{NetworkPlace, Node as NodeContent};
 use agent_core::service::{
@@ -62,6 +63,8 @@ pub struct Settings {
     pub subscription: Subscription,
     /// The agent that the node is while it has no package; `None` if its package is to say.
     pub fallback: Option<NodeContent<'static>>,
+    /// Tells how many bytes of the stack have never been used, if the board can.
+    pub stack_unused: Option<fn() -> u32>,
     /// Version of the firmware: major, minor, patch.
     pub version: [u8; 3],
 }
@@ -69,10 +72,49 @@ pub struct Settings {
 /// Samples held from neighbours, in as many places as the agent has neighbours.
 type Holds<const N: usize, const NEIGHBOURS: usize> = heapless::Vec<Option<Hold<N>>, NEIGHBOURS>;
 
-/// A node: `N` state components, and room for `FEATURES` features, `NEIGHBOURS` neighbours,
-/// `GAINS` entries of `Gamma`, and `SAMPLES` samples for training.
+/// Most of what a node needs, to be placed in a `static`: `N` state components, and room for
+/// `FEATURES` features, `NEIGHBOURS` neighbours, and `SAMPLES` samples for training.
+#[derive(Debug)]
+pub struct Memory<
+    const N: usize,
+    const FEATURES: usize,
+    const NEIGHBOURS: usize,
+    const SAMPLES: usize,
+> {
+    agent: Agent<N, FEATURES, NEIGHBOURS>,
+    samples: CaptureRing<N, SAMPLES>,
+    /// Where packages are tried out.
+    scratch: Scratch,
+}
+
+impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize, const SAMPLES: usize>
+    Memory<N, FEATURES, NEIGHBOURS, SAMPLES>
+{
+    /// Memory of nothing.
+    #[must_use]
+    pub const fn new() -> Self {
+        let agent = Agent {
+            state: AgentState::blank(heapless::Vec::new()),
+            inbox: Inbox::blank(heapless::Vec::new()),
+            begun: false,
+            announced: false,
+        };
+        Self { agent, samples: CaptureRing::new(), scratch: Scratch::NEW }
+    }
+}
+
+impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize, const SAMPLES: usize> Default
+    for Memory<N, FEATURES, NEIGHBOURS, SAMPLES>
+{
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// A node; its numbers are those of its [`Memory`], and room for `GAINS` entries of `Gamma`.
 #[derive(Debug)]
 pub struct Node<
+    'm,
     F,
     const N: usize,
     const FEATURES: usize,
@@ -82,10 +124,9 @@ pub struct Node<
 > {
     settings: Settings,
     store: Store<F>,
-    agent: Option<Agent<N, FEATURES, NEIGHBOURS>>,
+    memory: &'m mut Memory<N, FEATURES, NEIGHBOURS, SAMPLES>,
     health: Health,
     probation: Option<Probation>,
-    samples: CaptureRing<N, SAMPLES>,
     subscription: Subscription,
     next_tick: Tick,
     in_use: Option<InUsePackage>,
@@ -98,6 +139,8 @@ pub struct Node<
 struct Agent<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize> {
     state: AgentState<N, FEATURES, Holds<N, NEIGHBOURS>>,
     inbox: Inbox<N, Holds<N, NEIGHBOURS>>,
+    /// Whether there is an agent at all.
+    begun: bool,
     /// Whether the neighbours know the first sample.
     announced: bool,
 }
@@ -120,7 +163,8 @@ struct Counts {
     broadcasts_lost: u32,
 }
 
-/// What the parameters of a session borrow.
+/// What the parameters of a session are made of.
+#[derive(Clone, Copy, Debug)]
 struct Places<const NEIGHBOURS: usize, const GAINS: usize> {
     neighbours: [Neighbour; NEIGHBOURS],
     gain: [f32; GAINS],
@@ -144,26 +188,34 @@ enum Next {
 }
 
 impl<
+    'm,
     F: MappedFlash,
     const N: usize,
     const FEATURES: usize,
     const NEIGHBOURS: usize,
     const GAINS: usize,
     const SAMPLES: usize,
-> Node<F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
+> Node<'m, F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
 {
-    /// The node as it finds itself after a reset: with the package in use that its flash holds.
+    /// The node as it finds itself after a reset: with the package in use that its flash holds. What
+    /// `memory` held before is forgotten.
     ///
     /// # Errors
     /// A layout that does not fit the flash.
-    pub fn new(flash: F, settings: Settings) -> Result<Self, LayoutError> {
+    #[inline(never)] // The stack is to be free again of what opening the store takes.
+    pub fn new(
+        flash: F,
+        settings: Settings,
+        memory: &'m mut Memory<N, FEATURES, NEIGHBOURS, SAMPLES>,
+    ) -> Result<Self, LayoutError> {
         let store = Store::open(flash, settings.layout)?;
+        memory.agent.begun = false;
+        memory.samples.clear();
         let mut node = Self {
             store,
-            agent: None,
+            memory,
             health: Health::new(),
             probation: None,
-            samples: CaptureRing::new(settings.sample_stride),
             subscription: settings.subscription,
             next_tick: 0,
             in_use: None,
@@ -255,7 +307,8 @@ impl<
             staged: self.store.staged().is_some(),
             upload: self.store.received().map(|received| agent_core::service::Upload { received }),
             refused_at_start: self.refused_at_start,
-            samples: u32::try_from(self.samples.len()).unwrap_or(u32::MAX),
+            stack_unused: self.settings.stack_unused.map(|stack_unused| stack_unused()),
+            samples: u32::try_from(self.memory.samples.len()).unwrap_or(u32::MAX),
             messages_damaged: self.counts.messages_damaged,
             measurements_missing: self.counts.measurements_missing,
             broadcasts_lost: self.counts.broadcasts_lost,

@@ -19,9 +19,10 @@ impl<
     const NEIGHBOURS: usize,
     const GAINS: usize,
     const SAMPLES: usize,
-> Node<F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
+> Node<'_, F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
 {
     /// The turn of the newest of the `periods` that have begun.
+    #[inline(never)]
     pub(super) fn turn<B: Board>(
         &mut self,
         session: Option<&Session<'_, N>>,
@@ -40,7 +41,7 @@ impl<
             }
         };
         if let Some(sample) = &sample {
-            self.samples.offer(sample);
+            self.memory.samples.offer(sample, self.settings.sample_stride);
         }
         if let Some(probation) = &mut self.probation
             && probation.observe(sample.is_some(), self.health.counters())
@@ -52,7 +53,7 @@ impl<
 
     /// Tells the neighbours the first sample, unless they know it.
     pub(super) fn announce<B: Board>(&mut self, session: &Session<'_, N>, board: &mut B) {
-        let Some(agent) = &mut self.agent else { return };
+        let agent = &mut self.memory.agent;
         if !agent.announced {
             agent.announced = true;
             let frame = agent.state.announcement(&session.params).encode();
@@ -63,7 +64,7 @@ impl<
     }
 
     fn take_frames<B: Board>(&mut self, session: &Session<'_, N>, board: &mut B) {
-        let Some(agent) = &mut self.agent else { return };
+        let agent = &mut self.memory.agent;
         let mut buffer = [0; FRAME_LENGTH_MAX];
         // Not more than can be of use, so that a flood does not hold up the step.
         for _ in 0..2 * NEIGHBOURS {
@@ -89,9 +90,8 @@ impl<
         board: &mut B,
         tick: Tick,
     ) -> (Outcome, Option<Sample<N>>) {
-        let Self { agent: Some(agent), store, health, counts, .. } = self else {
-            return (Outcome::NoPackage, None);
-        };
+        let Self { memory, store, health, counts, .. } = self;
+        let agent = &mut memory.agent;
         let mut measurement = [0.0; N];
         let outputs = board.measure(&mut measurement);
         let Some(measurement) = outputs.and_then(|outputs| measurement.get(..outputs)) else {
@@ -158,7 +158,7 @@ impl<
         if !agent_core::capture::is_due(tick, every) {
             return;
         }
-        let agent = self.agent.as_ref().filter(|_| session.is_some());
+        let agent = session.map(|_| &self.memory.agent);
         let outer_weights = agent.filter(|_| self.subscription.outer_weights);
         let state = State {
             tick,

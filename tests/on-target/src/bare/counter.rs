@@ -1,0 +1,76 @@
+//! Instructions from a clock that an emulator drives by them.
+//!
+//! `qemu-system-* -icount shift=6` lets 64 ns of virtual time go by with every instruction, and
+//! every clock on the board follows. How many ticks that are differs, so the counter times two
+//! loops of a known length: their difference gives ticks for an instruction, whatever the call
+//! costs. A third loop has to come out right, or the counter is not used. On a chip, where
+//! instructions take one clock cycle or more, the third loop shows cycles to be none.
+
+use core::hint::black_box;
+use core::sync::atomic::{Ordering, compiler_fence};
+
+use on_target::Meter;
+
+/// A clock whose ticks are exact multiples of instructions, or nearly.
+pub(super) trait Clock {
+    /// Now, in ticks modulo the clock's range.
+    fn now(&self) -> u32;
+    /// Ticks from one time to another.
+    fn between(start: u32, end: u32) -> u32;
+    /// Runs a loop of exactly two instructions, `iterations` times; above 0.
+    fn spin(iterations: u32);
+}
+
+/// Iterations of the loops that are timed, and of the one that is to be predicted.
+const SHORT: u32 = 1_000;
+const LONG: u32 = 501_000;
+const PROOF: u32 = 3_333;
+
+/// Instructions of one iteration.
+const ITERATION: u32 = 2;
+
+/// How far the prediction may be off: the ends of an interval fall between ticks. \[instructions\]
+const TOLERANCE: u32 = 2;
+
+pub(super) struct Counter<C> {
+    clock: C,
+    /// Ticks that go by while nothing is done.
+    overhead: u32,
+    /// Ticks for [`Self::INSTRUCTIONS`].
+    ticks: u32,
+}
+
+impl<C: Clock> Counter<C> {
+    const INSTRUCTIONS: u32 = (LONG - SHORT) * ITERATION;
+
+    /// A counter over `clock`; `None` if that does not count instructions.
+    pub(super) fn calibrated(clock: C) -> Option<Self> {
+        let mut counter = Self { clock, overhead: 0, ticks: Self::INSTRUCTIONS };
+        counter.overhead = counter.time(|| ()).1;
+        let ((), long) = counter.time(|| C::spin(LONG));
+        let ((), short) = counter.time(|| C::spin(SHORT));
+        counter.ticks = long.checked_sub(short).filter(|&ticks| ticks > 0)?;
+        let ((), short) = counter.count(|| C::spin(SHORT));
+        let ((), longer) = counter.count(|| C::spin(SHORT + PROOF));
+        let found = longer.checked_sub(short)?;
+        (found.abs_diff(PROOF * ITERATION) <= TOLERANCE).then_some(counter)
+    }
+
+    fn time<R>(&mut self, work: impl FnOnce() -> R) -> (R, u32) {
+        let start = self.clock.now();
+        compiler_fence(Ordering::SeqCst);
+        let result = work();
+        compiler_fence(Ordering::SeqCst);
+        (result, C::between(start, self.clock.now()).saturating_sub(self.overhead))
+    }
+}
+
+impl<C: Clock> Meter for Counter<C> {
+    fn count<R>(&mut self, work: impl FnOnce() -> R) -> (R, u32) {
+        let (result, ticks) = self.time(work);
+        let scaled = u64::from(ticks) * u64::from(Self::INSTRUCTIONS);
+        let ticks = u64::from(self.ticks.max(1));
+        // The black box keeps the division from drifting into the next interval.
+        (result, black_box(((scaled + ticks / 2) / ticks) as u32))
+    }
+}

@@ -1,0 +1,63 @@
+//! The examination without an operating system.
+
+#[cfg_attr(target_arch = "arm", path = "cortex_m.rs")]
+#[cfg_attr(target_arch = "riscv32", path = "riscv.rs")]
+mod board;
+mod counter;
+mod text;
+
+use on_target::{Section, examine};
+use semihosting::process::exit;
+
+use counter::Counter;
+use text::Line;
+
+/// Exit codes; 0 is success.
+const MISMATCH: i32 = 1;
+const UNUSABLE: i32 = 2;
+const PANIC: i32 = 101;
+
+/// What the runtime crates start once memory is set up.
+fn run() -> ! {
+    let Some(mut counter) = board::clock().and_then(Counter::calibrated) else {
+        Line::new().text("instructions cannot be counted").print();
+        exit(UNUSABLE)
+    };
+    let mut equal = true;
+    let outcome = examine(&mut counter, |&Section { name, digest, golden }| {
+        let line = Line::new().text("section ").text(name).text(" ").hexadecimal(digest).text(" ");
+        if digest == golden {
+            line.text("ok").print();
+        } else {
+            equal = false;
+            line.hexadecimal(golden).print();
+        }
+    });
+    match outcome {
+        Ok(figures) => {
+            for (figure, statistics) in figures.iter() {
+                Line::new()
+                    .text("instructions ")
+                    .text(figure.name())
+                    .text(" ")
+                    .decimal(statistics.mean())
+                    .text(" ")
+                    .decimal(statistics.max)
+                    .text(" ")
+                    .decimal(statistics.count)
+                    .print();
+            }
+            exit(if equal { 0 } else { MISMATCH })
+        }
+        Err(unusable) => {
+            Line::new().text(unusable.what).print();
+            exit(UNUSABLE)
+        }
+    }
+}
+
+/// Nothing here panics, and `cargo xtask emulate` shows that nothing can.
+#[panic_handler]
+fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+    exit(PANIC)
+}

@@ -1,0 +1,156 @@
+//! A node: everything between a measurement and the bytes to broadcast.
+
+use core::num::NonZeroU32;
+
+use agent_core::StateVector;
+use agent_core::agent::{AgentParams, AgentState, StepError, StepOutput};
+use agent_core::frame::{FrameBytes, FrameError};
+use agent_core::health::{Advice, FallBack, Health, HealthParams, HealthSettings};
+use agent_core::hold::Hold;
+use agent_core::inbox::Inbox;
+use agent_core::network::Scratch;
+use agent_core::observer::Neighbour;
+use agent_core::package::NetworkPlace;
+
+use crate::Unusable;
+use crate::package;
+
+/// State dimension, features and neighbours of the paper's agent 1.
+pub(crate) const N: usize = 3;
+pub(crate) const FEATURES: usize = 5;
+pub(crate) const NEIGHBOURS: usize = 2;
+
+const SETTINGS: HealthSettings = HealthSettings {
+    fall_back: Some(FallBack {
+        after: NonZeroU32::new(3).unwrap(),
+        return_after: NonZeroU32::new(20).unwrap(),
+        outside_box: true,
+        projection_active: true,
+        diverged: true,
+    }),
+    plausible_margin: 10.0,
+    restart_after: NonZeroU32::new(5),
+    telemetry_interval: 100,
+};
+
+/// Where the parameters live that a package's bytes only describe.
+#[derive(Debug)]
+pub(crate) struct Places {
+    neighbours: [Neighbour; NEIGHBOURS],
+    gain: [f32; 1],
+}
+
+impl Places {
+    pub(crate) const EMPTY: Self =
+        Self { neighbours: [Neighbour { id: 0, weight: 0.0 }; NEIGHBOURS], gain: [0.0] };
+}
+
+/// A node that works from the embedded package.
+#[derive(Debug)]
+pub(crate) struct Node<'a> {
+    pub(crate) params: AgentParams<'a, N>,
+    pub(crate) state: AgentState<N, FEATURES, [Option<Hold<N>>; NEIGHBOURS]>,
+    pub(crate) inbox: Inbox<N, [Option<Hold<N>>; NEIGHBOURS]>,
+    pub(crate) health: Health,
+    watch: HealthParams<N>,
+    network: NetworkPlace,
+    outer_weights: &'static [f32],
+}
+
+/// What came of a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Outcome {
+    /// It was taken.
+    Taken,
+    /// It was refused.
+    Refused(StepError),
+    /// The agent began anew.
+    Restarted,
+}
+
+impl<'a> Node<'a> {
+    pub(crate) fn new(places: &'a mut Places, scratch: &mut Scratch) -> Result<Self, Unusable> {
+        let package = package::package(scratch)?;
+        let params = package
+            .node
+            .params::<N>(&mut places.neighbours, &mut places.gain)
+            .map_err(|_| Unusable { what: "the package's parameters do not fit" })?;
+        let state = AgentState::new(
+            &params,
+            StateVector::zeros(),
+            package.outer_weights,
+            [None; NEIGHBOURS],
+        )
+        .map_err(|_| Unusable { what: "the package's agent does not fit" })?;
+        let watch = HealthParams::new(
+            &params,
+            &package.trained_box,
+            package.broadcast_interval_min,
+            &SETTINGS,
+        )
+        .map_err(|_| Unusable { what: "the package's box does not fit" })?;
+        let network = NetworkPlace::new(&package, package::bytes())
+            .ok_or(Unusable { what: "the package has no place" })?;
+        Ok(Self {
+            params,
+            state,
+            inbox: Inbox::new([None; NEIGHBOURS]),
+            health: Health::new(),
+            watch,
+            network,
+            outer_weights: package.outer_weights,
+        })
+    }
+
+    /// Replaces the outer weights by the package's times `factor`.
+    pub(crate) fn enlarge_outer_weights(&mut self, factor: f32) -> Result<(), Unusable> {
+        let mut entries = [0.0; FEATURES * N];
+        for (entry, original) in entries.iter_mut().zip(self.outer_weights) {
+            *entry = factor * original;
+        }
+        self.state
+            .replace_outer_weights(&self.params, &entries)
+            .map_err(|_| Unusable { what: "the enlarged outer weights do not fit" })
+    }
+
+    /// A received frame. A function of its own, whose instructions are what a node takes.
+    #[inline(never)]
+    pub(crate) fn receive(&mut self, bytes: &[u8]) -> Result<(), FrameError> {
+        self.inbox
+            .accept_within(self.params.neighbours(), self.watch.plausible_region(), bytes)
+            .inspect_err(|error| self.health.frame_refused(error))
+    }
+
+    /// A step; what is to be broadcast is left in `broadcast`. A function of its own, whose
+    /// instructions are what a node takes.
+    #[inline(never)]
+    pub(crate) fn step(
+        &mut self,
+        package: &[u8],
+        tick: u64,
+        measurement: &[f32],
+        broadcast: &mut FrameBytes,
+    ) -> Outcome {
+        broadcast.clear();
+        let network = self.network.network(package).filter(|_| self.health.network_in_use());
+        let outcome =
+            self.state.step(&self.params, network.as_ref(), tick, measurement, &mut self.inbox);
+        let advice = self.health.observe(&self.watch, tick, &outcome, &self.state);
+        if advice == Advice::Restart {
+            let Self { params, state, inbox, health, watch, outer_weights, .. } = self;
+            if let Ok(frame) = health.restart(watch, params, state, inbox, tick, outer_weights) {
+                *broadcast = frame.encode();
+                return Outcome::Restarted;
+            }
+        }
+        match outcome {
+            Ok(StepOutput { broadcast: frame, .. }) => {
+                if let Some(frame) = frame {
+                    *broadcast = frame.encode();
+                }
+                Outcome::Taken
+            }
+            Err(error) => Outcome::Refused(error),
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! Weight packages: the embedded one, damaged and changed ones, and checksums.
+
+use agent_core::checksum::crc32;
+use agent_core::network::Scratch;
+use agent_core::package::{Capacity, HEADER_LENGTH, Package, Refusal, Requirements, accept};
+
+use crate::Unusable;
+use crate::digest::Digest;
+use crate::draw::Draw;
+use crate::meter::{Figure, Figures, Meter};
+use crate::node::{FEATURES, N, NEIGHBOURS};
+
+/// Bytes of the fixture.
+pub(crate) const LENGTH: usize = 2_096;
+
+/// Numbers are used in place, so a package begins at a multiple of four.
+#[repr(C, align(4))]
+struct Aligned([u8; LENGTH]);
+
+static FIXTURE: Aligned = Aligned(*include_bytes!("../fixtures/agent1.weights"));
+
+/// Where the header keeps the checksum, which covers everything else.
+const CHECKSUM: core::ops::Range<usize> = HEADER_LENGTH - 4..HEADER_LENGTH;
+
+/// Every how many bits of the package one is flipped; a prime.
+const FLIP_STRIDE: usize = 499;
+
+const REQUIREMENTS: Requirements<'static> = Requirements {
+    public_key: None,
+    in_use: None,
+    capacity: Capacity { features: FEATURES, neighbours: NEIGHBOURS, gain_entries: 1 },
+};
+
+/// The embedded package's bytes.
+pub(crate) fn bytes() -> &'static [u8] {
+    &FIXTURE.0
+}
+
+/// The embedded package.
+pub(crate) fn package(scratch: &mut Scratch) -> Result<Package<'static>, Unusable> {
+    accept::<N>(bytes(), &REQUIREMENTS, scratch)
+        .map_err(|_| Unusable { what: "the embedded package is refused" })
+}
+
+/// A function of its own, whose instructions are what a node takes.
+#[inline(never)]
+fn is_accepted(bytes: &[u8], scratch: &mut Scratch) -> Result<u32, Refusal> {
+    accept::<N>(bytes, &REQUIREMENTS, scratch).map(|package| package.version)
+}
+
+#[inline(never)]
+pub(crate) fn digest(meter: &mut impl Meter, figures: &mut Figures) -> Result<u64, Unusable> {
+    let mut digest = Digest::NEW;
+    let mut scratch = Scratch::NEW;
+    for _ in 0..4 {
+        let (accepted, instructions) = meter.count(|| is_accepted(bytes(), &mut scratch));
+        figures.add(Figure::Package, instructions);
+        digest.number(outcome(&accepted));
+    }
+
+    let package = package(&mut scratch)?;
+    digest.floats(package.network.parameters());
+    digest.bytes(package.provenance.recipe.as_bytes());
+    for vector in package.test_vectors() {
+        let Some(input) = vector.input.first_chunk::<N>() else { continue };
+        if let Some((features, output)) = package.evaluate::<N>(&(*input).into(), &mut scratch) {
+            digest.floats(features);
+            digest.floats(&output);
+        }
+    }
+
+    // Damage that the checksum finds, then the same with a checksum that fits again, so that the
+    // inner checks are reached: the format, the parameters' ranges, the test vectors.
+    let mut copy = Aligned(FIXTURE.0);
+    for bit in (0..8 * LENGTH).step_by(FLIP_STRIDE) {
+        let flip = 1 << (bit % 8);
+        copy.0[bit / 8] ^= flip;
+        digest.number(outcome(&is_accepted(&copy.0, &mut scratch)));
+        let checksum = crc32(&[&copy.0[..CHECKSUM.start], &copy.0[CHECKSUM.end..]]);
+        copy.0[CHECKSUM].copy_from_slice(&checksum.to_le_bytes());
+        digest.number(outcome(&is_accepted(&copy.0, &mut scratch)));
+        copy.0[bit / 8] ^= flip;
+        copy.0[CHECKSUM].copy_from_slice(&FIXTURE.0[CHECKSUM]);
+    }
+
+    let mut draw = Draw::new(0x0c0d_e5e5);
+    copy.0.fill_with(|| draw.bits() as u8);
+    for length in (0..LENGTH).step_by(131) {
+        digest.number(crc32(&[&copy.0[..length]]));
+    }
+    Ok(digest.finish())
+}
+
+/// A number for every way in which an acceptance can end.
+fn outcome(accepted: &Result<u32, Refusal>) -> u32 {
+    match accepted {
+        Ok(version) => *version,
+        Err(Refusal::Package(_)) => 1_001,
+        Err(Refusal::Dimension { found, .. }) => 2_000 + *found as u32,
+        Err(Refusal::Capacity { found, .. }) => 3_000 + *found as u32,
+        Err(Refusal::Parameter(_)) => 1_004,
+        Err(Refusal::NeighbourOrder { .. }) => 1_005,
+        Err(Refusal::EmptyBox { component }) => 6_000 + *component as u32,
+        Err(Refusal::TestVector { index }) => 7_000 + *index as u32,
+        Err(_) => 1_008,
+    }
+}

@@ -1,0 +1,309 @@
+//! The examination of `tests/on-target` on emulated processors: the same bits as on the host,
+//! within the budgets of instructions, and without a way to panic.
+
+use std::{
+    fmt::Write as _,
+    io::Read,
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use crate::{
+    compiler::{Compiler, cross_folder},
+    cross,
+    machine_code::Disassembler,
+    packages,
+    step::{Failure, cargo, on_path, run},
+};
+
+/// Most instructions of a Cortex-M4F for the network of the paper's size and its outer weights.
+const FORWARD_M4F: u32 = 2_600;
+/// Most instructions of a Cortex-M4F for a step that broadcasts nothing.
+const STEP_M4F: u32 = 4_000;
+/// The same for a Cortex-M0, which computes floats in software.
+const STEP_M0: u32 = 190_000;
+
+/// An emulated board and what runs on it.
+struct Machine {
+    emulator: &'static str,
+    name: &'static str,
+    core: &'static str,
+    triple: &'static str,
+    /// Compiled for size, with another inlining and another order of instructions.
+    small: bool,
+    /// Whether the program's machine code is read.
+    inspected: bool,
+    /// Most instructions of a figure, as the program calls it.
+    budgets: &'static [(&'static str, u32)],
+}
+
+const MACHINES: [Machine; 6] = [
+    Machine {
+        core: "Cortex-M4F, opt-level s",
+        small: true,
+        inspected: true,
+        budgets: &[],
+        ..arm("mps2-an386", "thumbv7em-none-eabihf")
+    },
+    Machine {
+        core: "Cortex-M4F",
+        inspected: true,
+        budgets: &[("forward", FORWARD_M4F), ("step", STEP_M4F)],
+        ..arm("mps2-an386", "thumbv7em-none-eabihf")
+    },
+    Machine { core: "Cortex-M7", ..arm("mps2-an500", "thumbv7em-none-eabihf") },
+    Machine { core: "Cortex-M33", ..arm("mps2-an505", "thumbv8m.main-none-eabihf") },
+    Machine {
+        core: "Cortex-M0",
+        budgets: &[("step", STEP_M0)],
+        ..arm("microbit", "thumbv6m-none-eabi")
+    },
+    Machine {
+        emulator: "qemu-system-riscv32",
+        core: "RV32IMAC",
+        ..arm("virt", "riscv32imac-unknown-none-elf")
+    },
+];
+
+const fn arm(name: &'static str, triple: &'static str) -> Machine {
+    Machine {
+        emulator: "qemu-system-arm",
+        name,
+        core: "",
+        triple,
+        small: false,
+        inspected: false,
+        budgets: &[],
+    }
+}
+
+/// Debian's packages with the emulators.
+const PACKAGES: [&str; 2] = ["qemu-system-arm", "qemu-system-misc"];
+
+/// Longer than any machine takes, tenfold.
+const TIMEOUT: Duration = Duration::from_secs(120);
+
+/// Runs the examination on every machine.
+///
+/// # Errors
+/// A digest that is not the golden one, a budget that is exceeded, a machine that hangs, a way to
+/// panic, or anything that is missing for the examination.
+pub(crate) fn emulate(debian: bool) -> Result<(), Failure> {
+    let compiler = Compiler::find(&cross::triples(), debian)?;
+    let disassembler = Disassembler::find(debian)?;
+    find_emulators(debian)?;
+    let mut table = String::from(
+        "machine     core                     sections  instructions, mean (largest): forward, \
+         step, with broadcast, frame, package\n",
+    );
+    for machine in &MACHINES {
+        let program = build(&compiler, machine)?;
+        if machine.inspected {
+            inspect(&disassembler, machine, &program)?;
+        }
+        let report = examine(machine, &program)?;
+        let _ = writeln!(table, "{:11} {:24} {report}", machine.name, machine.core);
+    }
+    print!("{table}");
+    Ok(())
+}
+
+fn find_emulators(debian: bool) -> Result<(), Failure> {
+    if MACHINES.iter().all(|machine| on_path(machine.emulator)) {
+        return Ok(());
+    }
+    if packages::allowed(debian) {
+        return packages::install(&PACKAGES);
+    }
+    let programs = ["qemu-system-arm", "qemu-system-riscv32"].join(" or ");
+    Err(Failure::new(
+        format!("there is no {programs}"),
+        format!("install {} (or, on Debian: cargo xtask ... --debian)", PACKAGES.join(" ")),
+    ))
+}
+
+fn build(compiler: &Compiler, machine: &Machine) -> Result<PathBuf, Failure> {
+    let mut build = cargo("build");
+    build.args(["--quiet", "--profile", "firmware", "--package", "on-target"]);
+    build.args(["--bin", "on-target", "--target", machine.triple]);
+    if machine.small {
+        build.args(["--config", "profile.firmware.opt-level=\"s\""]);
+    }
+    run(
+        &format!("examination for {}", machine.core),
+        compiler.apply(&mut build),
+        "the examination must build and link for every machine; the error above says why not",
+    )?;
+    Ok(cross_folder().join(machine.triple).join("firmware/on-target"))
+}
+
+/// Looks for what must not be in a node's program: ways to panic, and what would change the bits.
+fn inspect(disassembler: &Disassembler, machine: &Machine, program: &Path) -> Result<(), Failure> {
+    let found = disassembler.read(program)?;
+    let name = format!("machine code of the examination, {}", machine.core);
+    if !found.panics.is_empty() {
+        return Err(Failure::new(
+            format!("{name}: it can panic, it has {}", found.panics.join(", ")),
+            "see who calls these functions (objdump -d, addr2line -i) and let it return an \
+             Option or a Result instead",
+        ));
+    }
+    if !found.forbidden.is_empty() || found.instructions == 0 {
+        return Err(Failure::new(
+            format!("{name}: {} instructions; {}", found.instructions, found.forbidden.join("; ")),
+            "write a * b + c instead of mul_add, a comparison instead of min and max",
+        ));
+    }
+    println!("{name}: {} instructions, none of which panics or fuses", found.instructions);
+    Ok(())
+}
+
+/// Runs `program` and judges what it says; returns its part of the table.
+fn examine(machine: &Machine, program: &Path) -> Result<String, Failure> {
+    let name = format!("{} ({})", machine.name, machine.core);
+    let mut command = Command::new(machine.emulator);
+    command
+        .args(["-M", machine.name, "-nographic", "-monitor", "none", "-serial", "none"])
+        // The boards' clocks follow the instructions.
+        .args(["-icount", "shift=6", "-semihosting-config", "enable=on,target=native"])
+        .arg("-kernel")
+        .arg(program)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped());
+    if machine.triple.starts_with("riscv") {
+        command.args(["-bios", "none"]);
+    }
+    println!("==> examination on {name}");
+    let start = Instant::now();
+    let failed = |reason: String| Failure::new(format!("{name}: {reason}"), MEND);
+    let child = command.spawn().map_err(|error| failed(error.to_string()))?;
+    let (code, output) = wait(child, TIMEOUT).map_err(failed)?;
+    print!("{output}");
+    let report = Report::read(&output);
+    if let Some(section) = report.wrong {
+        return Err(failed(format!("section {section} has another digest than on the host")));
+    }
+    if code != Some(0) || report.sections == 0 {
+        return Err(failed(format!("the examination ended with exit code {code:?}: {output}")));
+    }
+    for &(figure, budget) in machine.budgets {
+        match report.figures.iter().find(|found| found.name == figure) {
+            Some(found) if found.largest <= budget => {}
+            Some(found) => {
+                return Err(Failure::new(
+                    format!(
+                        "{name}: {figure} takes up to {} instructions, more than {budget}",
+                        found.largest
+                    ),
+                    "see what has become slower in agent-core's machine code",
+                ));
+            }
+            None => return Err(failed(format!("it did not count instructions of {figure}"))),
+        }
+    }
+    println!("<== examination on {name}: ok, {:.1} s", start.elapsed().as_secs_f64());
+    Ok(report.to_string())
+}
+
+const MEND: &str = "`cargo test -p on-target` compares the host with the same digests";
+
+/// Waits for the end of `child`, and no longer than `timeout`; returns exit code and output.
+fn wait(mut child: Child, timeout: Duration) -> Result<(Option<i32>, String), String> {
+    let mut stdout = child.stdout.take().ok_or("its output cannot be read")?;
+    let reader = thread::spawn(move || {
+        let mut bytes = Vec::new();
+        stdout.read_to_end(&mut bytes).map(|_| String::from_utf8_lossy(&bytes).into_owned())
+    });
+    let start = Instant::now();
+    let status = loop {
+        match child.try_wait() {
+            Ok(Some(status)) => break status,
+            Ok(None) if start.elapsed() < timeout => thread::sleep(Duration::from_millis(20)),
+            outcome => {
+                // One that ended in the meantime needs no end.
+                let _ = child.kill();
+                let _ = child.wait();
+                return Err(match outcome {
+                    Err(error) => error.to_string(),
+                    _ => format!("it hangs: no end after {timeout:?}"),
+                });
+            }
+        }
+    };
+    let output = reader.join().map_err(|_| "its output cannot be read")?;
+    Ok((status.code(), output.map_err(|error| error.to_string())?))
+}
+
+/// What an examination printed.
+#[derive(Debug, Default, PartialEq, Eq)]
+struct Report {
+    sections: usize,
+    /// The first section with another digest.
+    wrong: Option<String>,
+    figures: Vec<Figure>,
+}
+
+#[derive(Debug, PartialEq, Eq)]
+struct Figure {
+    name: String,
+    mean: u32,
+    largest: u32,
+}
+
+impl Report {
+    fn read(output: &str) -> Self {
+        let mut report = Self::default();
+        for line in output.lines() {
+            match line.split_whitespace().collect::<Vec<_>>()[..] {
+                ["section", _, _, "ok"] => report.sections += 1,
+                ["section", name, ..] => {
+                    report.wrong.get_or_insert_with(|| name.to_owned());
+                }
+                ["instructions", name, mean, largest, _] => {
+                    if let (Ok(mean), Ok(largest)) = (mean.parse(), largest.parse()) {
+                        report.figures.push(Figure { name: name.to_owned(), mean, largest });
+                    }
+                }
+                _ => {}
+            }
+        }
+        report
+    }
+}
+
+impl std::fmt::Display for Report {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:8}", self.sections)?;
+        for Figure { mean, largest, .. } in &self.figures {
+            write!(f, "  {mean} ({largest})")?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_hangs_is_ended() {
+        let start = |command: &mut Command| command.stdout(Stdio::piped()).spawn().unwrap();
+        let hang = wait(start(Command::new("sleep").arg("60")), Duration::from_millis(50));
+        assert_eq!(hang, Err("it hangs: no end after 50ms".to_owned()));
+        let end = wait(start(Command::new("echo").arg("done")), Duration::from_secs(60));
+        assert_eq!(end, Ok((Some(0), "done\n".to_owned())));
+    }
+
+    #[test]
+    fn reports_are_read_line_by_line() {
+        let output = "section a 00ff ok\nnoise\nsection b 00ff 00fe\nsection c 1 2\n\
+                      instructions step 3000 3300 17\ninstructions step many 1 1\n";
+        let step = Figure { name: "step".to_owned(), mean: 3_000, largest: 3_300 };
+        let wrong = Some("b".to_owned());
+        let expected = Report { sections: 1, wrong, figures: vec![step] };
+        assert_eq!(Report::read(output), expected);
+        assert_eq!(expected.to_string(), "       1  3000 (3300)");
+    }
+}
