@@ -157,6 +157,7 @@ fn hello(package: &PackageBytes) -> Status {
         staged: false,
         upload: None,
         refused_at_start: [None; 2],
+        stack_unused: None,
         samples: 0,
         messages_damaged: 0,
         measurements_missing: 0,
