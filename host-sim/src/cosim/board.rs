@@ -281,6 +281,19 @@ impl Board {
         }
     }
 
+    /// Asks how it is.
+    ///
+    /// # Errors
+    /// See [`Fault`].
+    pub fn status(&mut self) -> Result<Status, Fault> {
+        for answer in &self.exchange(&Request::Query)?.answers {
+            if let Message::Status(status) = heard(answer)? {
+                return Ok(status);
+            }
+        }
+        Err(Fault::Unexpected { found: "another answer".to_owned(), expected: "a status" })
+    }
+
     /// Lets it begin anew, as after switching on.
     ///
     /// # Errors

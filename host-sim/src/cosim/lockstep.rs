@@ -105,6 +105,18 @@ impl<'s> Lockstep<'s> {
         Ok(packages)
     }
 
+    /// Asks every node, at the end, what it never used of its stack.
+    pub(super) fn ask_for_stacks(&mut self) -> Result<(), NodeError> {
+        for index in 0..self.nodes.len() {
+            let node = &mut self.nodes[index];
+            match node.board.status() {
+                Ok(status) => node.report.stack_unused = status.stack_unused,
+                Err(fault) => return Err(self.named(index, fault)),
+            }
+        }
+        Ok(())
+    }
+
     fn feed(&mut self, agents: &[AgentStep<'_>]) -> Result<(), NodeError> {
         for (index, agent) in agents.iter().enumerate() {
             let (before, rest) = self.nodes.split_at_mut(index);
