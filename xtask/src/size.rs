@@ -1,6 +1,6 @@
 //! What the firmware takes of a microcontroller, held against budgets.
 
-use std::{fs, path::Path, process::Command};
+use std::{fs, path::Path};
 
 use object::{Object, ObjectSection, ObjectSymbol, SectionFlags, elf};
 use rustc_demangle::demangle;
