@@ -85,15 +85,27 @@ impl<S: FnMut(&[u8])> Flavor for Framed<S> {
     }
 }
 
+/// What can be received.
+pub trait Message<'a>: Sized {
+    /// The message that `bytes` hold, and nothing but it; `None` if they hold none.
+    fn decode(bytes: &'a [u8]) -> Option<Self>;
+}
+
+impl<'a, V: Deserialize<'a>> Message<'a> for Response<'a, V> {
+    fn decode(bytes: &'a [u8]) -> Option<Self> {
+        match postcard::take_from_bytes(bytes) {
+            Ok((message, [])) => Some(message),
+            _ => None,
+        }
+    }
+}
+
 /// The message that `bytes` hold, and nothing but it; `None` if they hold none.
 ///
 /// `bytes` are what [`crate::serial::Decoder`] returned.
 #[must_use]
-pub fn receive<'a, M: Deserialize<'a>>(bytes: &'a [u8]) -> Option<M> {
-    match postcard::take_from_bytes(bytes) {
-        Ok((message, [])) => Some(message),
-        _ => None,
-    }
+pub fn receive<'a, M: Message<'a>>(bytes: &'a [u8]) -> Option<M> {
+    M::decode(bytes)
 }
 
 #[cfg(test)]
