@@ -41,7 +41,7 @@ pub const RESTART_SILENCE: Tick = 1_000;
 impl<const N: usize> Hold<N> {
     /// The sample that was taken at `tick` and broadcast under the number `sequence`.
     #[must_use]
-    pub fn new(sample: StateVector<N>, tick: Tick, sequence: u32) -> Self {
+    pub const fn new(sample: StateVector<N>, tick: Tick, sequence: u32) -> Self {
         Self { sample, tick, sequence, taken_over: tick }
     }
 

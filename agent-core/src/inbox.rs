@@ -30,6 +30,13 @@ pub struct Inbox<const N: usize, S> {
     count: usize,
 }
 
+impl<const N: usize, S> Inbox<N, S> {
+    /// An inbox with these places, all of which have to be empty, for a `static`.
+    pub const fn blank(places: S) -> Self {
+        Self { pending: places, count: 0 }
+    }
+}
+
 impl<const N: usize, S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>> Inbox<N, S> {
     /// An empty inbox; what `places` hold is discarded.
     pub fn new(mut places: S) -> Self {
@@ -81,6 +88,12 @@ impl<const N: usize, S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>> Inb
         }
         *pending = Some(sample);
         Ok(())
+    }
+
+    /// Discards what waits and gives out the places, to be made as many as there are neighbours.
+    pub fn places(&mut self) -> &mut S {
+        self.clear();
+        &mut self.pending
     }
 
     /// How many frames wait.

@@ -65,6 +65,11 @@ pub struct OuterWeights<const N: usize, const FEATURES: usize> {
 }
 
 impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
+    /// No weights.
+    pub(crate) const fn none() -> Self {
+        Self { rows: heapless::Vec::new(), gained_features: [0.0; FEATURES], norm_squared: 0.0 }
+    }
+
     /// Weights from their entries, row by row: shape `[L, N]`, `1 <= L <= FEATURES`.
     ///
     /// # Errors

@@ -16,6 +16,8 @@ mod in_the_loop;
 mod key;
 mod memory_map;
 pub mod node;
+mod periods;
+mod queued_port;
 pub mod registers;
 mod serial_link;
 
@@ -24,5 +26,7 @@ pub use in_the_loop::InTheLoop;
 pub use key::key_from_hex;
 pub use memory_map::{Symbols, WeightsRegion};
 pub use node::{Memory, Node, Settings};
+pub use periods::Periods;
+pub use queued_port::{Full, QueuedEnd, QueuedPort, queued_port};
 pub use registers::RegisterSensor;
 pub use serial_link::SerialLink;

@@ -7,7 +7,7 @@ use crate::{
     compiler::{self, Compiler, cross_folder},
     firmware,
     machine_code::{BINUTILS, Disassembler, Findings},
-    packages,
+    packages, project,
     step::{Failure, cargo, on_path, run, workspace},
 };
 
@@ -105,6 +105,7 @@ pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
         allow(&format!("machine code of {}", board.name), &found)?;
         println!("machine code of {}: {} instructions, none fused", board.name, found.instructions);
     }
+    project::check(debian)?;
     memory_map(debian)
 }
 

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::{
     compiler::{Compiler, cross_folder},
-    step::{Failure, cargo, run},
+    step::{Failure, cargo, run, workspace},
 };
 
 /// A board that the template has a file for.
@@ -13,13 +13,45 @@ pub(crate) struct Board {
     /// Name of the file, of the feature, and of the binary.
     pub(crate) name: &'static str,
     pub(crate) target: &'static str,
+    /// What runs a program on it, for cargo: the program's path comes behind.
+    pub(crate) runner: &'static str,
+    /// What writes weights into its flash, for a project's README.
+    pub(crate) flash_weights: &'static str,
+}
+
+impl Board {
+    /// Its memory map: the one at the top belongs to the board without one of its own.
+    pub(crate) fn memory_map(&self) -> PathBuf {
+        let own = workspace().join(format!("firmware-template/boards/{}.x", self.name));
+        if own.exists() { own } else { workspace().join("memory.x") }
+    }
 }
 
 /// The board that this machine can emulate.
 pub(crate) const EMULATED: &str = "qemu-mps2-an386";
 
 /// Every board of the template.
-pub(crate) const BOARDS: [Board; 1] = [Board { name: EMULATED, target: "thumbv7em-none-eabihf" }];
+pub(crate) const BOARDS: [Board; 3] = [
+    Board {
+        name: EMULATED,
+        target: "thumbv7em-none-eabihf",
+        runner: "qemu-system-arm -machine mps2-an386 -display none -monitor none -serial stdio \
+                 -semihosting-config enable=on,target=native,arg=node,arg=uart -kernel",
+        flash_weights: "host-sim weights image node.weights --slot a --memory memory.x --format bin",
+    },
+    Board {
+        name: "stm32f405",
+        target: "thumbv7em-none-eabihf",
+        runner: "probe-rs run --chip STM32F405RGTx",
+        flash_weights: "host-sim flash node.weights --slot a --memory memory.x --chip STM32F405RGTx",
+    },
+    Board {
+        name: "nrf52840",
+        target: "thumbv7em-none-eabihf",
+        runner: "probe-rs run --chip nRF52840_xxAA",
+        flash_weights: "host-sim flash node.weights --slot a --memory memory.x --chip nRF52840_xxAA",
+    },
+];
 
 /// What `cargo xtask firmware` is asked for.
 #[derive(Debug)]

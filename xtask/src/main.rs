@@ -12,6 +12,7 @@ mod fuzz;
 mod host;
 mod machine_code;
 mod packages;
+mod project;
 mod step;
 
 use std::{process::ExitCode, time::Instant};
@@ -21,6 +22,7 @@ use step::Failure;
 const HELP: &str = "\
 Usage: cargo xtask <task> [--debian]
        cargo xtask firmware --board BOARD|all [--public-key HEX] [--debian]
+       cargo xtask new PATH [--board BOARD]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
 
 Tasks:
@@ -30,8 +32,11 @@ Tasks:
           platform mathematics in the machine code, link the memory map
   emulate the examination in tests/on-target on emulated processors (QEMU): the bits that the
           host computes, instructions within their budgets, no way to panic
-  firmware  build a node's firmware: for qemu-mps2-an386, with --public-key so that it takes
-          only packages signed with the private half (`weights keygen` prints the key)
+  firmware  build a node's firmware: for qemu-mps2-an386, stm32f405, nrf52840; with
+          --public-key so that it takes only packages signed with the private half
+          (`weights keygen` prints the key)
+  new     make a project of your own in the folder PATH: the node's crates with one board's
+          program and memory map (qemu-mps2-an386 if none is named); it builds on its own
   lint    formatting, clippy and documentation, warnings are errors
   fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (10)
           from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
@@ -60,6 +65,10 @@ fn main() -> ExitCode {
         ["lint"] => host::lint().and_then(|()| fuzz::lint(debian)),
         ["firmware", ref rest @ ..] => match firmware::Options::read(rest) {
             Some(options) => firmware::firmware(&options, debian),
+            None => return usage(),
+        },
+        ["new", ref rest @ ..] => match project::Options::read(rest) {
+            Some(options) => project::new(&options),
             None => return usage(),
         },
         ["fuzz", ref rest @ ..] => match fuzz::Options::read(rest) {

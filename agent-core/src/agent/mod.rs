@@ -74,6 +74,27 @@ pub struct AgentState<const N: usize, const FEATURES: usize, S> {
     scratch: Scratch,
 }
 
+impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S> {
+    /// A state that knows nothing, for a `static`: it has to [begin](Self::begin) before its first step.
+    #[must_use]
+    pub const fn blank(neighbour_holds: S) -> Self {
+        const { assert!(N >= 1) };
+        let zeros = StateVector::from_array_storage(nalgebra::ArrayStorage([[0.0; N]]));
+        Self {
+            last_tick: None,
+            estimate: zeros,
+            outer_weights: OuterWeights::none(),
+            own_hold: Hold::new(zeros, 0, 0),
+            neighbour_holds,
+            consensus_term: zeros,
+            consensus_is_current: false,
+            output_error: zeros,
+            stale_frames: 0,
+            scratch: Scratch::NEW,
+        }
+    }
+}
+
 impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S>
 where
     S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
@@ -88,28 +109,51 @@ where
         params: &AgentParams<'_, N>,
         estimate: StateVector<N>,
         outer_weights: &[f32],
-        mut neighbour_holds: S,
+        neighbour_holds: S,
     ) -> Result<Self, ParameterError> {
-        finite("initial_estimate", estimate.iter())?;
-        let outer_weights = OuterWeights::new(outer_weights, &params.outer_law)?;
         let (expected, found) = (params.neighbours().len(), neighbour_holds.as_ref().len());
         if expected != found {
             let parameter = "neighbour_holds";
             return Err(ParameterError::Length { parameter, expected, found });
         }
-        neighbour_holds.as_mut().fill(None);
-        Ok(Self {
-            last_tick: None,
-            estimate,
-            outer_weights,
-            own_hold: Hold::new(estimate, 0, 0),
-            neighbour_holds,
-            consensus_term: StateVector::zeros(),
-            consensus_is_current: false,
-            output_error: StateVector::zeros(),
-            stale_frames: 0,
-            scratch: Scratch::NEW,
-        })
+        let mut state = Self::blank(neighbour_holds);
+        state.begin(params, estimate, outer_weights)?;
+        Ok(state)
+    }
+
+    /// Makes the state in place what [`Self::new`] makes it, with the places that it has.
+    ///
+    /// # Errors
+    /// As for [`Self::new`]; nothing is changed then.
+    pub fn begin(
+        &mut self,
+        params: &AgentParams<'_, N>,
+        estimate: StateVector<N>,
+        outer_weights: &[f32],
+    ) -> Result<(), ParameterError> {
+        finite("initial_estimate", estimate.iter())?;
+        let (expected, found) = (params.neighbours().len(), self.neighbour_holds.as_ref().len());
+        if expected != found {
+            let parameter = "neighbour_holds";
+            return Err(ParameterError::Length { parameter, expected, found });
+        }
+        self.outer_weights = OuterWeights::new(outer_weights, &params.outer_law)?;
+        self.last_tick = None;
+        self.estimate = estimate;
+        self.own_hold = Hold::new(estimate, 0, 0);
+        self.neighbour_holds.as_mut().fill(None);
+        self.consensus_term = StateVector::zeros();
+        self.consensus_is_current = false;
+        self.output_error = StateVector::zeros();
+        self.stale_frames = 0;
+        Ok(())
+    }
+
+    /// The places for the neighbours' samples, to be made as many as there are neighbours before
+    /// [`Self::begin`].
+    pub fn places(&mut self) -> &mut S {
+        self.consensus_is_current = false;
+        &mut self.neighbour_holds
     }
 
     /// The agent's own last sample as a frame: the broadcast at `t_0`, or a repetition for a

@@ -32,7 +32,7 @@ use embedded_storage::nor_flash::{
     check_read, check_write,
 };
 use firmware_template::{InTheLoop, Memory, Node, Settings, WeightsRegion, memory_map};
-use static_cell::StaticCell;
+use static_cell::{ConstStaticCell, StaticCell};
 
 /// State components of the paper's plant.
 const N: usize = 3;
@@ -57,7 +57,8 @@ const EXIT_KEY: usize = 4;
 type Loop = InTheLoop<Port, { 2 * NEIGHBOURS }>;
 type LoopNode = Node<'static, RamFlash, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>;
 
-static MEMORY: StaticCell<Memory<N, FEATURES, NEIGHBOURS, SAMPLES>> = StaticCell::new();
+static MEMORY: ConstStaticCell<Memory<N, FEATURES, NEIGHBOURS, SAMPLES>> =
+    ConstStaticCell::new(Memory::new());
 static LOOP: StaticCell<Loop> = StaticCell::new();
 
 #[cortex_m_rt::entry]
@@ -77,18 +78,22 @@ fn main() -> ! {
         version: [0, 1, 0],
     };
     let Some(port) = Port::open() else { exit(EXIT_NO_CHANNEL) };
-    let (Some(board), Some(memory)) =
-        (LOOP.try_init_with(|| Loop::new(port)), MEMORY.try_init_with(Memory::new))
-    else {
+    let (Some(board), Some(memory)) = (in_the_loop(port), MEMORY.try_take()) else {
         exit(EXIT_MEMORY)
     };
-    match LoopNode::new(flash, settings, memory) {
-        Ok(mut node) => node.run(board),
-        Err(_) => exit(EXIT_LAYOUT),
-    }
+    let mut node = LoopNode::new(flash, settings, memory);
+    let Ok(node) = &mut node else { exit(EXIT_LAYOUT) };
+    node.run(board);
     // The emulator would keep them open over the reset.
     board.port().close();
     SCB::sys_reset()
+}
+
+/// The board, placed where it stays. Out of line, so that the stack is free again of what it is
+/// copied from.
+#[inline(never)]
+fn in_the_loop(port: Port) -> Option<&'static mut Loop> {
+    LOOP.try_init_with(|| Loop::new(port))
 }
 
 /// The key that packages have to be signed with, if the firmware was built for one.

@@ -1,10 +1,9 @@
 //! Which package is in use, and what a session takes from it.
 
 use agent_core::StateVector;
-use agent_core::agent::AgentState;
+use agent_core::agent::AgentParams;
 use agent_core::checksum::crc32;
 use agent_core::health::HealthParams;
-use agent_core::inbox::Inbox;
 use agent_core::network::Scratch;
 use agent_core::observer::Neighbour;
 use agent_core::package::{
@@ -14,7 +13,7 @@ use agent_core::package::{
 use agent_core::service::RefusalReport;
 use agent_core::store::{self, MappedFlash};
 
-use super::{Agent, Holds, InUsePackage, Node, Places, Session};
+use super::{Agent, InUsePackage, Node, Places, Session};
 
 impl<
     F: MappedFlash,
@@ -84,24 +83,17 @@ impl<
         let watch =
             HealthParams::new(&params, &trained_box, interval_min, &self.settings.health).ok()?;
 
-        let switched = match (&mut self.memory.agent, &package) {
-            (Some(agent), Some(package)) => {
+        let agent = &mut self.memory.agent;
+        let switched = agent.begun
+            && package.as_ref().is_some_and(|package| {
                 agent.state.switch(old, &params, package, &mut agent.inbox).is_ok()
-            }
-            _ => false,
-        };
+            });
         if !switched {
-            let estimate = match &self.memory.agent {
-                Some(agent) => *agent.state.estimate(),
-                None => watch.start_estimate(),
-            };
-            let zeros = [0.0; N];
-            let outer_weights =
-                package.as_ref().map_or(&zeros[..], |package| package.outer_weights);
-            let mut holds = Holds::<N, NEIGHBOURS>::new();
-            holds.resize(params.neighbours().len(), None).ok()?;
-            let state = AgentState::new(&params, estimate, outer_weights, holds.clone()).ok()?;
-            self.memory.agent = Some(Agent { state, inbox: Inbox::new(holds), announced: false });
+            let estimate =
+                if agent.begun { *agent.state.estimate() } else { watch.start_estimate() };
+            let weights = package.as_ref().map_or(&[0.0; N][..], |package| package.outer_weights);
+            agent.begun = agent.begin(&params, estimate, weights);
+            agent.begun.then_some(())?;
         }
         let network = slot
             .zip(bytes.zip(package))
@@ -109,36 +101,41 @@ impl<
         Some(Session { params, watch, network })
     }
 
-    /// Lets the agent begin with this estimate; returns whether it could.
+    /// Lets the agent go on from this estimate; returns whether it could.
     pub(super) fn start_at(&mut self, session: &Session<'_, N>, estimate: StateVector<N>) -> bool {
-        let tick = self.next_tick;
-        let Some(agent) = &mut self.memory.agent else { return false };
-        let weights = match &session.network {
-            Some((slot, _)) => {
-                let package = self.store.bytes(*slot).and_then(|bytes| Package::decode(bytes).ok());
-                package.map(|package| package.outer_weights)
-            }
-            None => Some(&[0.0; N][..]),
+        let Self { store, memory, next_tick, .. } = self;
+        let package = match &session.network {
+            Some((slot, _)) => store.bytes(*slot).and_then(|bytes| Package::decode(bytes).ok()),
+            None => None,
         };
-        let Some(weights) = weights else { return false };
+        let weights = package.as_ref().map_or(&[0.0; N][..], |package| package.outer_weights);
+        let agent = &mut memory.agent;
         if agent.announced {
-            return agent
-                .state
-                .restart(&session.params, tick.saturating_sub(1), estimate, weights)
-                .is_ok();
+            let tick = next_tick.saturating_sub(1);
+            let restarted = agent.state.restart(&session.params, tick, estimate, weights).is_ok();
+            agent.announced = !restarted;
+            restarted
+        } else {
+            agent.begin(&session.params, estimate, weights)
         }
-        let mut holds = Holds::<N, NEIGHBOURS>::new();
-        if holds.resize(session.params.neighbours().len(), None).is_err() {
-            return false;
-        }
-        let state = AgentState::new(&session.params, estimate, weights, holds);
-        match state {
-            Ok(state) => {
-                agent.state = state;
-                true
-            }
-            Err(_) => false,
-        }
+    }
+}
+
+impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize>
+    Agent<N, FEATURES, NEIGHBOURS>
+{
+    /// Begins as after switching on; returns whether it could.
+    fn begin(
+        &mut self,
+        params: &AgentParams<'_, N>,
+        estimate: StateVector<N>,
+        outer_weights: &[f32],
+    ) -> bool {
+        let neighbours = params.neighbours().len();
+        self.announced = false;
+        self.state.places().resize(neighbours, None).is_ok()
+            && self.inbox.places().resize(neighbours, None).is_ok()
+            && self.state.begin(params, estimate, outer_weights).is_ok()
     }
 }
 

@@ -79,7 +79,7 @@ pub struct Memory<
     const NEIGHBOURS: usize,
     const SAMPLES: usize,
 > {
-    agent: Option<Agent<N, FEATURES, NEIGHBOURS>>,
+    agent: Agent<N, FEATURES, NEIGHBOURS>,
     samples: CaptureRing<N, SAMPLES>,
     /// Where packages are tried out.
     scratch: Scratch,
@@ -91,7 +91,13 @@ impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize, const SAMPL
     /// Memory of nothing.
     #[must_use]
     pub const fn new() -> Self {
-        Self { agent: None, samples: CaptureRing::new(), scratch: Scratch::NEW }
+        let agent = Agent {
+            state: AgentState::blank(heapless::Vec::new()),
+            inbox: Inbox::blank(heapless::Vec::new()),
+            begun: false,
+            announced: false,
+        };
+        Self { agent, samples: CaptureRing::new(), scratch: Scratch::NEW }
     }
 }
 
@@ -131,6 +137,8 @@ pub struct Node<
 struct Agent<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize> {
     state: AgentState<N, FEATURES, Holds<N, NEIGHBOURS>>,
     inbox: Inbox<N, Holds<N, NEIGHBOURS>>,
+    /// Whether there is an agent at all.
+    begun: bool,
     /// Whether the neighbours know the first sample.
     announced: bool,
 }
@@ -192,13 +200,14 @@ impl<
     ///
     /// # Errors
     /// A layout that does not fit the flash.
+    #[inline(never)] // The stack is to be free again of what opening the store takes.
     pub fn new(
         flash: F,
         settings: Settings,
         memory: &'m mut Memory<N, FEATURES, NEIGHBOURS, SAMPLES>,
     ) -> Result<Self, LayoutError> {
         let store = Store::open(flash, settings.layout)?;
-        memory.agent = None;
+        memory.agent.begun = false;
         memory.samples.clear();
         let mut node = Self {
             store,

@@ -53,7 +53,7 @@ impl<
 
     /// Tells the neighbours the first sample, unless they know it.
     pub(super) fn announce<B: Board>(&mut self, session: &Session<'_, N>, board: &mut B) {
-        let Some(agent) = &mut self.memory.agent else { return };
+        let agent = &mut self.memory.agent;
         if !agent.announced {
             agent.announced = true;
             let frame = agent.state.announcement(&session.params).encode();
@@ -64,7 +64,7 @@ impl<
     }
 
     fn take_frames<B: Board>(&mut self, session: &Session<'_, N>, board: &mut B) {
-        let Some(agent) = &mut self.memory.agent else { return };
+        let agent = &mut self.memory.agent;
         let mut buffer = [0; FRAME_LENGTH_MAX];
         // Not more than can be of use, so that a flood does not hold up the step.
         for _ in 0..2 * NEIGHBOURS {
@@ -91,7 +91,7 @@ impl<
         tick: Tick,
     ) -> (Outcome, Option<Sample<N>>) {
         let Self { memory, store, health, counts, .. } = self;
-        let Some(agent) = &mut memory.agent else { return (Outcome::NoPackage, None) };
+        let agent = &mut memory.agent;
         let mut measurement = [0.0; N];
         let outputs = board.measure(&mut measurement);
         let Some(measurement) = outputs.and_then(|outputs| measurement.get(..outputs)) else {
@@ -158,7 +158,7 @@ impl<
         if !agent_core::capture::is_due(tick, every) {
             return;
         }
-        let agent = self.memory.agent.as_ref().filter(|_| session.is_some());
+        let agent = session.map(|_| &self.memory.agent);
         let outer_weights = agent.filter(|_| self.subscription.outer_weights);
         let state = State {
             tick,
