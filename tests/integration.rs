@@ -5,6 +5,10 @@ mod command_line;
 mod core_against_oracle;
 mod core_properties;
 mod core_refusals;
+#[cfg(unix)]
+mod cosim;
+#[cfg(unix)]
+mod cosim_service;
 mod described;
 mod determinism;
 mod drawn_network;
@@ -13,6 +17,8 @@ mod health;
 mod image;
 mod levenberg_marquardt;
 mod links;
+#[cfg(unix)]
+mod loop_node;
 mod memory_map;
 mod nor_flash;
 mod oracle;

@@ -240,6 +240,7 @@ fn run(steps: u32) -> (Vec<u8>, u32) {
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every: NonZeroU32::new(500), outer_weights: false },
         fallback: fallback(),
+        stack_unused: None,
         version: [0, 1, 0],
     };
     // Two state components; room for no features, 1 neighbour, no adaptation gain, 8 samples.

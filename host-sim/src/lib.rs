@@ -10,10 +10,12 @@
 //! | [`packages`] | weight packages: made, checked, in files |
 //! | [`memory_map`] | where things lie in a board's memory, read from its `memory.x` |
 //! | [`image`], [`flash`] | weight packages as flash images; writing them into a board |
+//! | [`service`] | talking to a running node: packages, samples |
+//! | [`cosim`] | runs together with nodes that are really there, compared bit for bit |
 //! | [`analysis`] | the theorems' constants and bounds, held against a run |
 //! | [`figures`], [`report`] | pictures; tables and CSV files |
 //! | [`progress`], [`output_file`], [`fnv`] | progress bars; files that are whole or not there; a hash |
-//! | [`shell`] | command lines for people to copy |
+//! | [`shell`], [`interruption`] | command lines for people to copy; Ctrl-C |
 //! | [`signing`] | the operator's keys, for packages of weights |
 //! | [`tensors`] | networks from and for PyTorch, JAX and NumPy |
 //! | [`commands`] | what the command line does |
@@ -21,12 +23,15 @@
 
 pub mod analysis;
 pub mod commands;
+#[cfg(unix)]
+pub mod cosim;
 pub mod engine;
 pub mod figures;
 pub mod flash;
 pub mod fnv;
 pub mod graph;
 pub mod image;
+pub mod interruption;
 pub mod memory_map;
 pub mod output_file;
 pub mod packages;
@@ -34,6 +39,8 @@ pub mod plant;
 pub mod progress;
 pub mod report;
 pub mod scenario;
+#[cfg(unix)]
+pub mod service;
 pub mod shell;
 pub mod signing;
 pub mod tensors;

@@ -12,6 +12,7 @@ const DRAWS: u8 = 10;
 
 const STEPS: &str =
     "{prefix:12} [{bar:32}] {percent:>3} %  {human_pos} of {human_len} steps  {eta} left";
+const BYTES: &str = "{prefix:12} [{bar:32}] {percent:>3} %  {bytes} of {total_bytes}";
 const EPOCHS: &str = "{prefix:12} {msg}  ({human_pos} epochs in all)";
 
 /// The two bars.
@@ -37,10 +38,8 @@ impl ProgressBars {
     fn drawn_on(name: &str, target: ProgressDrawTarget) -> Self {
         let bars = MultiProgress::with_draw_target(target);
         let bar = |template: &str, prefix: &str| {
-            let style = ProgressStyle::with_template(template)
-                .unwrap_or_else(|_| ProgressStyle::default_bar())
-                .progress_chars("=> ");
-            bars.add(ProgressBar::new(0)).with_style(style).with_prefix(prefix.to_owned())
+            let bar = bars.add(ProgressBar::new(0)).with_style(style(template));
+            bar.with_prefix(prefix.to_owned())
         };
         Self { steps: bar(STEPS, name), epochs: bar(EPOCHS, "training") }
     }
@@ -51,6 +50,15 @@ impl ProgressBars {
             self.steps.set_length(steps);
         }
         self.steps.set_position(tick);
+    }
+
+    /// So many of `total` bytes have been sent.
+    pub fn pushed(&self, bytes: u64, total: u64) {
+        if self.steps.length() != Some(total) {
+            self.steps.set_style(style(BYTES));
+            self.steps.set_length(total);
+        }
+        self.steps.set_position(bytes);
     }
 
     /// Training of `agent` in `cycle` (both from 1) has finished epoch `number`, which left a
@@ -71,6 +79,12 @@ impl ProgressBars {
     }
 }
 
+fn style(template: &str) -> ProgressStyle {
+    ProgressStyle::with_template(template)
+        .unwrap_or_else(|_| ProgressStyle::default_bar())
+        .progress_chars("=> ")
+}
+
 impl Drop for ProgressBars {
     fn drop(&mut self) {
         self.finish();
@@ -83,7 +97,7 @@ mod tests {
 
     #[test]
     fn templates_are_valid() {
-        for template in [STEPS, EPOCHS] {
+        for template in [STEPS, BYTES, EPOCHS] {
             assert!(ProgressStyle::with_template(template).is_ok(), "{template}");
         }
     }

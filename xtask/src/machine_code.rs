@@ -80,6 +80,14 @@ impl Disassembler {
     /// # Errors
     /// The disassembler failed.
     pub(crate) fn read(&self, file: &Path) -> Result<Findings, Failure> {
+        Ok(findings(&self.listing(file)?))
+    }
+
+    /// What the disassembler prints of an object, a library or a program: symbols and code.
+    ///
+    /// # Errors
+    /// The disassembler failed.
+    pub(crate) fn listing(&self, file: &Path) -> Result<String, Failure> {
         let failed = |reason: String| {
             Failure::new(
                 format!("{} {}: {reason}", self.0.display(), file.display()),
@@ -94,7 +102,7 @@ impl Disassembler {
         if !output.status.success() {
             return Err(failed(String::from_utf8_lossy(&output.stderr).into_owned()));
         }
-        Ok(findings(&String::from_utf8_lossy(&output.stdout)))
+        Ok(String::from_utf8_lossy(&output.stdout).into_owned())
     }
 }
 

@@ -13,6 +13,8 @@ mod host;
 mod machine_code;
 mod packages;
 mod project;
+mod size;
+mod stack;
 mod step;
 
 use std::{process::ExitCode, time::Instant};
@@ -37,6 +39,8 @@ Tasks:
           (`weights keygen` prints the key)
   new     make a project of your own in the folder PATH: the node's crates with one board's
           program and memory map (qemu-mps2-an386 if none is named); it builds on its own
+  size    what the firmware of the emulated board takes of flash, RAM and stack, against its
+          budgets
   lint    formatting, clippy and documentation, warnings are errors
   fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (10)
           from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
@@ -61,6 +65,7 @@ fn main() -> ExitCode {
     let outcome = match names[..] {
         ["test"] => test(debian),
         ["cross"] => cross::cross(debian),
+        ["size"] => size::size(debian),
         ["emulate"] => emulate::emulate(debian),
         ["lint"] => host::lint().and_then(|()| fuzz::lint(debian)),
         ["firmware", ref rest @ ..] => match firmware::Options::read(rest) {

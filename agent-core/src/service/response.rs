@@ -161,6 +161,8 @@ pub struct Status {
     pub upload: Option<Upload>,
     /// Why the packages in slot A and slot B were refused when the node began, if they were.
     pub refused_at_start: [Option<RefusalReport>; 2],
+    /// Bytes of the stack that have never been used, if the board can tell.
+    pub stack_unused: Option<u32>,
     /// Samples that are kept for training.
     pub samples: u32,
     /// Messages that arrived damaged.

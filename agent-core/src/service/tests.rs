@@ -53,6 +53,7 @@ fn status() -> Status {
         staged: false,
         upload: Some(Upload { received: 256 }),
         refused_at_start: [Some(RefusalReport::SLOT), None],
+        stack_unused: Some(120_000),
         samples: 12,
         messages_damaged: 1,
         measurements_missing: 0,

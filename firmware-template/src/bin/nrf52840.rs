@@ -152,6 +152,7 @@ fn main() -> ! {
         subscription: Subscription { state_every: NonZeroU32::new(10), outer_weights: false },
         // Which agent this is, its package says.
         fallback: None,
+        stack_unused: None,
         version: [0, 1, 0],
     };
     // SAFETY: memory.x gives this region to nobody else, and this is the only call.

@@ -75,6 +75,7 @@ fn main() -> ! {
         subscription: Subscription { state_every: None, outer_weights: false },
         // Which agent this is, its package says.
         fallback: None,
+        stack_unused: Some(stack_unused),
         version: [0, 1, 0],
     };
     let Some(port) = Port::open() else { exit(EXIT_NO_CHANNEL) };
@@ -94,6 +95,22 @@ fn main() -> ! {
 #[inline(never)]
 fn in_the_loop(port: Port) -> Option<&'static mut Loop> {
     LOOP.try_init_with(|| Loop::new(port))
+}
+
+/// Bytes of the stack that still hold what cortex-m-rt has painted them with.
+fn stack_unused() -> u32 {
+    unsafe extern "C" {
+        safe static _stack_end: u32;
+        safe static _stack_start: u32;
+    }
+    let (low, high) = (&raw const _stack_end, &raw const _stack_start);
+    let mut word = low;
+    // SAFETY: all words between the two addresses are RAM. What has been painted is nobody's, and
+    // reading stops at the first word that somebody has written to.
+    while word < high && unsafe { word.read_volatile() } == cortex_m_rt::STACK_PAINT_VALUE {
+        word = word.wrapping_add(1);
+    }
+    (word.addr() - low.addr()) as u32
 }
 
 /// The key that packages have to be signed with, if the firmware was built for one.

@@ -150,6 +150,7 @@ fn main() -> ! {
         // Once a second, at the period of 1 ms.
         subscription: Subscription { state_every: NonZeroU32::new(1_000), outer_weights: false },
         fallback: fallback(),
+        stack_unused: None,
         version: [0, 1, 0],
     };
     // SAFETY: memory.x gives this region to nobody else, and this is the only call.

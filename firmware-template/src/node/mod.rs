@@ -63,6 +63,8 @@ pub struct Settings {
     pub subscription: Subscription,
     /// The agent that the node is while it has no package; `None` if its package is to say.
     pub fallback: Option<NodeContent<'static>>,
+    /// Tells how many bytes of the stack have never been used, if the board can.
+    pub stack_unused: Option<fn() -> u32>,
     /// Version of the firmware: major, minor, patch.
     pub version: [u8; 3],
 }
@@ -305,6 +307,7 @@ impl<
             staged: self.store.staged().is_some(),
             upload: self.store.received().map(|received| agent_core::service::Upload { received }),
             refused_at_start: self.refused_at_start,
+            stack_unused: self.settings.stack_unused.map(|stack_unused| stack_unused()),
             samples: u32::try_from(self.memory.samples.len()).unwrap_or(u32::MAX),
             messages_damaged: self.counts.messages_damaged,
             measurements_missing: self.counts.measurements_missing,

@@ -58,6 +58,14 @@ fn named(counters: &HealthCounters) -> [(&'static str, &'static str, u32); 15] {
     ]
 }
 
+/// What has been counted, on one line.
+#[cfg(unix)]
+pub(super) fn line(counters: &HealthCounters) -> String {
+    let counted = named(counters).into_iter().filter(|(_, _, count)| *count > 0);
+    let parts: Vec<_> = counted.map(|(_, what, count)| format!("{what}: {count}")).collect();
+    if parts.is_empty() { "nothing to report".to_owned() } else { parts.join(", ") }
+}
+
 /// A line for each agent that has something to tell; nothing at all if none was watched.
 pub(super) fn table(agents: &[AgentStatistics]) -> String {
     let watched = agents.iter().enumerate();

@@ -4,7 +4,15 @@
 //! `--format json`. Progress goes to standard error, and only to a terminal. Exit codes: 0
 //! done, 2 bad usage or bad input, 1 anything else.
 
+#[cfg(unix)]
+mod cosim;
 mod health;
+#[cfg(unix)]
+mod monitor;
+#[cfg(unix)]
+mod node;
+#[cfg(unix)]
+mod push;
 mod reproduce;
 mod run;
 mod scenario;
@@ -21,6 +29,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use serde::Serialize;
 
+#[cfg(unix)]
+use crate::cosim::CosimError;
 use crate::engine::{Progress, RunError};
 use crate::figures::FigureError;
 use crate::flash::FlashError;
@@ -31,6 +41,8 @@ use crate::packages::trained::TrainedError;
 use crate::packages::{DraftError, PackageFileError, RecordingError};
 use crate::progress::ProgressBars;
 use crate::scenario::{Network, Scenario, ScenarioError, built_in};
+#[cfg(unix)]
+use crate::service::{ServiceError, address::AddressError, push::PushError};
 use crate::signing::KeyFileError;
 use crate::tensors::TensorError;
 use crate::training::EpochReport;
@@ -53,6 +65,18 @@ enum Command {
     Reproduce(reproduce::Arguments),
     /// Runs a scenario file
     Run(run::Arguments),
+    /// Runs a scenario together with emulated or real nodes and compares every bit
+    #[cfg(unix)]
+    Cosim(cosim::Arguments),
+    /// Shows what a running node tells, and records its samples for `train`
+    #[cfg(unix)]
+    Monitor(monitor::Arguments),
+    /// Brings a weight package into a running node
+    #[cfg(unix)]
+    Push(push::Arguments),
+    /// Asks a running node for its status, or to confirm, revert or reset
+    #[cfg(unix)]
+    Node(node::Arguments),
     /// Trains a network on recorded samples and writes a weight package
     Train(train::Arguments),
     /// Looks at weight packages, checks, signs, converts and places them
@@ -125,6 +149,30 @@ enum CommandError {
     Output(#[from] std::io::Error),
     #[error("cannot start {0} threads; choose fewer with --threads")]
     Threads(u16),
+    #[cfg(unix)]
+    #[error(transparent)]
+    Cosim(#[from] CosimError),
+    #[cfg(unix)]
+    #[error("{0}")]
+    Mismatches(String),
+    #[cfg(unix)]
+    #[error("{0}")]
+    Firmware(String),
+    #[cfg(unix)]
+    #[error(transparent)]
+    Address(#[from] AddressError),
+    #[cfg(unix)]
+    #[error("{0}; see that the board is on and that nobody else talks to it, and try again")]
+    Service(#[from] ServiceError),
+    #[cfg(unix)]
+    #[error(transparent)]
+    Push(#[from] PushError),
+    #[cfg(unix)]
+    #[error("{}: {refusal}; what was in use stays in use; {mend}", path.display())]
+    Refusal { path: PathBuf, refusal: String, mend: &'static str },
+    #[cfg(unix)]
+    #[error("{0}")]
+    Node(String),
 }
 
 impl CommandError {
@@ -153,6 +201,20 @@ impl CommandError {
             | Self::Figure(_)
             | Self::Output(_)
             | Self::Threads(_) => ExitCode::from(1),
+            #[cfg(unix)]
+            Self::Cosim(CosimError::NoNetwork { .. } | CosimError::Health { .. }) => {
+                ExitCode::from(2)
+            }
+            #[cfg(unix)]
+            Self::Cosim(_)
+            | Self::Mismatches(_)
+            | Self::Firmware(_)
+            | Self::Address(_)
+            | Self::Service(_)
+            | Self::Push(_)
+            | Self::Node(_) => ExitCode::from(1),
+            #[cfg(unix)]
+            Self::Refusal { .. } => ExitCode::from(2),
         }
     }
 }
@@ -169,6 +231,16 @@ pub fn main() -> ExitCode {
         Command::Run(arguments) => {
             with_threads(arguments.common.threads, || run::execute(&arguments))
         }
+        #[cfg(unix)]
+        Command::Cosim(arguments) => {
+            with_threads(arguments.common.threads, || cosim::execute(&arguments))
+        }
+        #[cfg(unix)]
+        Command::Monitor(arguments) => monitor::execute(&arguments),
+        #[cfg(unix)]
+        Command::Push(arguments) => push::execute(&arguments),
+        #[cfg(unix)]
+        Command::Node(arguments) => node::execute(&arguments),
         Command::Train(arguments) => {
             with_threads(arguments.common.threads, || train::execute(&arguments))
         }

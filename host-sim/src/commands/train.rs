@@ -3,7 +3,6 @@
 use std::fmt::Write;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use clap::Args;
@@ -14,6 +13,7 @@ use super::{
     summary,
 };
 use crate::analysis::TriggerConstants;
+use crate::interruption::{self, Again};
 use crate::packages::trained::{INITIAL_VERSION, Trained, TrainingTask};
 use crate::packages::{NodeContent, PackageBytes, Recording};
 use crate::progress::ProgressBars;
@@ -78,7 +78,8 @@ struct Report<'a> {
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let start = Instant::now();
-    let interrupted = interruptions();
+    // Whoever presses Ctrl-C twice does not want to wait for the epoch to end.
+    interruption::listen(Again::Exit);
     let scenario = load_scenario(&arguments.scenario)?;
     let index = agent_index(&scenario, arguments.agent)?;
     let network = network_of(&scenario)?;
@@ -110,7 +111,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         seed: arguments.common.seed,
         version,
     };
-    let trained = train(&task, &recording, interrupted).map_err(|error| match error {
+    let trained = train(&task, &recording).map_err(|error| match error {
         CommandError::Training(error) => {
             CommandError::Usage(format!("{}: {error}", arguments.data.display()))
         }
@@ -178,37 +179,14 @@ fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, Co
     Ok(before.unwrap_or(INITIAL_VERSION).saturating_add(1))
 }
 
-/// Becomes true when someone presses Ctrl-C.
-fn interruptions() -> &'static AtomicBool {
-    static INTERRUPTED: AtomicBool = AtomicBool::new(false);
-    let handler = ctrlc::set_handler(|| {
-        // Whoever presses it twice does not want to wait for the epoch to end.
-        if INTERRUPTED.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-    });
-    if let Err(error) = handler {
-        eprintln!("warning: Ctrl-C will end this without a result: {error}");
-    }
-    &INTERRUPTED
-}
-
 /// Trains until it is done or interrupted, which ends with the best so far.
-fn train(
-    task: &TrainingTask<'_>,
-    recording: &Recording,
-    interrupted: &AtomicBool,
-) -> Result<Trained, CommandError> {
+fn train(task: &TrainingTask<'_>, recording: &Recording) -> Result<Trained, CommandError> {
     let bars = ProgressBars::new("training");
     let total = task.recipe.solver.epochs_max as u64;
     let mut report_epoch = |epoch: &EpochReport| {
         bars.stepped(epoch.epoch as u64, total);
         bars.epoch(task.agent + 1, task.cycle + 1, epoch.epoch, epoch.train);
-        if interrupted.load(Ordering::Relaxed) {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
+        if interruption::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let trained = task.carry_out(recording, &mut report_epoch);
     bars.finish();

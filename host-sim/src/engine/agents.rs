@@ -11,8 +11,10 @@ use agent_core::network::{InnerNetwork, LAYER_WIDTH_MAX, Scratch};
 use agent_core::observer::Neighbour;
 use agent_core::package::{Capacity, InUse, Node, Refusal, Requirements, accept};
 use agent_core::parameter::ParameterError;
+use agent_core::service::Outcome;
 use agent_core::{StateVector, Tick};
 
+use super::companion::AgentStep;
 use super::link::Link;
 use super::statistics::AgentStatistics;
 use super::watch::{Watch, is_trouble};
@@ -81,6 +83,8 @@ pub(super) struct SimulatedAgent<'s, const N: usize> {
     /// What the last step broadcast.
     pub(super) outgoing: Option<FrameBytes>,
     pub(super) failure: Option<StepError>,
+    /// What came of the last step, in the words of a node.
+    outcome: Outcome,
 }
 
 impl<'s, const N: usize> SimulatedAgent<'s, N> {
@@ -116,6 +120,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             last_sample: None,
             outgoing,
             failure: None,
+            outcome: Outcome::Stepped,
         })
     }
 
@@ -141,6 +146,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         let network_in_use = self.watch.as_ref().is_none_or(Watch::network_in_use);
         let network = self.network.as_ref().filter(|_| network_in_use);
         let outcome = self.state.step(&self.params, network, tick, measurement, &mut self.inbox);
+        self.outcome = outcome.as_ref().map_or_else(Outcome::from, |_| Outcome::Stepped);
         if self.norms.is_some()
             && let Ok(output) = &outcome
         {
@@ -158,6 +164,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         match (anew, outcome) {
             // What led there is nothing to learn from.
             (Some(frame), _) => {
+                self.outcome = Outcome::Restarted;
                 self.outgoing = Some(frame.encode());
                 self.last_sample = None;
             }
@@ -203,11 +210,32 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         self.state.outer_weights().rows().iter().flat_map(|row| row.iter().copied()).collect()
     }
 
+    /// What the last step took and did.
+    pub(super) fn last_step(&self) -> AgentStep<'_> {
+        AgentStep {
+            measurement: &self.measurement[..self.sensor.len()],
+            outcome: self.outcome,
+            estimate: self.estimate(),
+            derivative: self.last_sample.as_ref().map(|sample| sample.derivative.as_slice()),
+            outer_weights: self.outer_weights(),
+            broadcast: self.outgoing.as_ref(),
+        }
+    }
+
     /// Takes a package into use, between two steps and with the checks of a node. The agent's
     /// parameters stay as they are: whoever calls has seen that the package has the same.
     pub(super) fn load(&mut self, bytes: &PackageBytes) -> Result<(), Refusal> {
-        let requirements =
-            Requirements { public_key: None, in_use: self.in_use, capacity: Capacity::UNLIMITED };
+        self.load_after(bytes, self.in_use)
+    }
+
+    /// Goes back to a package, which may be older than the one in use; otherwise as
+    /// [`Self::load`].
+    pub(super) fn go_back(&mut self, bytes: &PackageBytes) -> Result<(), Refusal> {
+        self.load_after(bytes, None)
+    }
+
+    fn load_after(&mut self, bytes: &PackageBytes, in_use: Option<InUse>) -> Result<(), Refusal> {
+        let requirements = Requirements { public_key: None, in_use, capacity: Capacity::UNLIMITED };
         let package = accept::<N>(bytes.as_bytes(), &requirements, &mut Scratch::NEW.clone())?;
         let watch = match &self.health {
             Some(health) => Some(Watch::new(&self.params, &package, health, self.watch.as_ref())?),

@@ -11,6 +11,7 @@ use agent_core::Tick;
 use agent_core::capture::{Sample, is_due};
 use rayon::prelude::*;
 
+use super::companion::Switch;
 use super::{Progress, RunError, TrainingRecord};
 use crate::packages::trained::{INITIAL_VERSION, TrainedError, TrainingTask};
 use crate::packages::{PackageBytes, Recording};
@@ -28,13 +29,6 @@ struct Job {
     targets: Vec<f64>,
     outer_weights: Option<Vec<f32>>,
     trained: Option<PackageBytes>,
-}
-
-/// A package whose time has come.
-pub(super) struct Switch {
-    /// The agent that it is for, from 0.
-    pub(super) agent: usize,
-    pub(super) package: PackageBytes,
 }
 
 /// All cycles of a run.
@@ -86,8 +80,9 @@ impl<'s> Learning<'s> {
                 .collect::<Result<_, _>>()?;
         }
         let due = self.jobs.iter().filter(|job| job.apply_at == tick);
-        let switches =
-            due.filter_map(|job| Some(Switch { agent: job.agent, package: job.trained.clone()? }));
+        let switches = due.filter_map(|job| {
+            Some(Switch { agent: job.agent, package: job.trained.clone()?, back: false })
+        });
         Ok((switches.collect(), records))
     }
 

@@ -13,6 +13,7 @@
 //! the same whatever the number of threads.
 
 mod agents;
+pub mod companion;
 mod learning;
 pub mod link;
 mod run;
@@ -30,7 +31,8 @@ use crate::training::{EpochReport, TrainingError, TrainingReport};
 use statistics::AgentStatistics;
 use traces::Traces;
 
-pub use run::{run, run_over};
+pub use companion::{Companion, CompanionError};
+pub use run::{run, run_accompanied, run_over};
 
 /// Hears how a run goes on; every method does nothing by default.
 pub trait Progress: Sync {
@@ -213,6 +215,9 @@ pub enum RunError {
         /// The name.
         recipe: String,
     },
+    /// Who went along with the run ended it.
+    #[error(transparent)]
+    Companion(CompanionError),
     /// A learning cycle without a network.
     #[error("learning cycle {cycle} has no network to train; add [network] to the scenario")]
     NoNetwork {

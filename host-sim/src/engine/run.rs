@@ -1,10 +1,13 @@
 //! The loop over steps.
 
+use std::ops::ControlFlow;
+
 use agent_core::Tick;
 use rayon::prelude::*;
 
 use super::agents::{GainNorms, Places, SimulatedAgent};
-use super::learning::{Learning, Switch};
+use super::companion::{AgentStart, Companion, Switch};
+use super::learning::Learning;
 use super::link::{Link, Lossless};
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
@@ -35,6 +38,23 @@ pub fn run(
     run_over(scenario, Lossless::new(&scenario.graph), options, progress)
 }
 
+/// Runs `scenario` over the paper's lossless links, and lets `companion` go along.
+///
+/// # Errors
+/// As [`run`], and those of the companion.
+///
+/// # Panics
+/// As [`run_over`].
+pub fn run_accompanied(
+    scenario: &Scenario,
+    companion: &mut dyn Companion,
+    options: RunOptions,
+    progress: &dyn Progress,
+) -> Result<RunResult, RunError> {
+    let link = Lossless::new(&scenario.graph);
+    run_any(scenario, link, Some(companion), options, progress)
+}
+
 /// Runs `scenario` over `link`.
 ///
 /// # Errors
@@ -48,10 +68,20 @@ pub fn run_over(
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
+    run_any(scenario, link, None, options, progress)
+}
+
+fn run_any(
+    scenario: &Scenario,
+    link: impl Link,
+    companion: Option<&mut dyn Companion>,
+    options: RunOptions,
+    progress: &dyn Progress,
+) -> Result<RunResult, RunError> {
     let n = scenario.dimension();
     with_dimension!(
         n,
-        run_fixed(scenario, link, options, progress),
+        run_fixed(scenario, link, companion, options, progress),
         else panic!("a state of {n} components, expected 1 to 12")
     )
 }
@@ -59,6 +89,7 @@ pub fn run_over(
 fn run_fixed<const N: usize>(
     scenario: &Scenario,
     link: impl Link,
+    companion: Option<&mut dyn Companion>,
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
@@ -78,12 +109,14 @@ fn run_fixed<const N: usize>(
         scenario,
         options,
         link,
+        companion,
         agents,
         truth: std::array::from_fn(|component| scenario.initial_state[component]),
         traces: empty_traces(scenario),
         stacked_error_squared: Vec::new(),
         digest: Fnv::default(),
     };
+    simulation.begin(&packages)?;
     let trainings = simulation.all_steps(progress)?;
     Ok(simulation.finish(trainings))
 }
@@ -188,10 +221,11 @@ fn empty_traces(scenario: &Scenario) -> Traces {
     Traces::with_capacity(dimension, agents, usize::try_from(rows).unwrap_or(0))
 }
 
-struct Simulation<'s, const N: usize, L> {
+struct Simulation<'s, 'c, const N: usize, L> {
     scenario: &'s Scenario,
     options: RunOptions,
     link: L,
+    companion: Option<&'c mut dyn Companion>,
     agents: Vec<SimulatedAgent<'s, N>>,
     truth: [f64; N],
     traces: Traces,
@@ -199,7 +233,39 @@ struct Simulation<'s, const N: usize, L> {
     digest: Fnv,
 }
 
-impl<const N: usize, L: Link> Simulation<'_, N, L> {
+impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
+    fn begin(&mut self, packages: &[PackageBytes]) -> Result<(), RunError> {
+        let Some(companion) = &mut self.companion else { return Ok(()) };
+        let graph = &self.scenario.graph;
+        let agents = self.agents.iter().enumerate().map(|(index, agent)| AgentStart {
+            package: packages.get(index),
+            estimate: agent.estimate(),
+            announcement: agent.outgoing.as_ref(),
+            neighbours: graph.neighbours(index).iter().map(|n| n.agent).collect(),
+        });
+        companion.begin(&agents.collect::<Vec<_>>()).map_err(RunError::Companion)
+    }
+
+    /// Switches in what the learning cycles and the companion want to have in use from `tick` on.
+    fn switch(
+        &mut self,
+        tick: Tick,
+        mut switches: Vec<Switch>,
+    ) -> Result<ControlFlow<()>, RunError> {
+        if let Some(companion) = &mut self.companion
+            && let ControlFlow::Break(()) =
+                companion.before_step(tick, &mut switches).map_err(RunError::Companion)?
+        {
+            return Ok(ControlFlow::Break(()));
+        }
+        for Switch { agent: index, package, back } in switches {
+            let agent = &mut self.agents[index];
+            let switched = if back { agent.go_back(&package) } else { agent.load(&package) };
+            switched.map_err(|refusal| RunError::Refused { agent: index + 1, refusal })?;
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
     fn all_steps(&mut self, progress: &dyn Progress) -> Result<Vec<TrainingRecord>, RunError> {
         let (scenario, time) = (self.scenario, self.scenario.time);
         let steps = scenario.steps();
@@ -210,14 +276,14 @@ impl<const N: usize, L: Link> Simulation<'_, N, L> {
         let mut trainings = Vec::new();
         self.send_broadcasts(0);
         for tick in 0..steps {
+            let mut switches = Vec::new();
             if let Some(learning) = &mut learning {
-                let (switches, mut records) = learning.switches_due(tick, progress)?;
+                let mut records;
+                (switches, records) = learning.switches_due(tick, progress)?;
                 trainings.append(&mut records);
-                for Switch { agent, package } in switches {
-                    self.agents[agent]
-                        .load(&package)
-                        .map_err(|refusal| RunError::Refused { agent: agent + 1, refusal })?;
-                }
+            }
+            if let ControlFlow::Break(()) = self.switch(tick, switches)? {
+                return Ok(trainings);
             }
             self.note(tick, evaluation.contains(&tick));
             self.step_agents(tick)?;
@@ -228,6 +294,10 @@ impl<const N: usize, L: Link> Simulation<'_, N, L> {
                     |agent| agents[agent].last_sample,
                     |agent| agents[agent].outer_weights(),
                 );
+            }
+            if let Some(companion) = &mut self.companion {
+                let steps: Vec<_> = self.agents.iter().map(SimulatedAgent::last_step).collect();
+                companion.after_step(tick, &steps).map_err(RunError::Companion)?;
             }
             self.send_broadcasts(tick + 1);
             plant.step(

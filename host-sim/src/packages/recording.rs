@@ -70,27 +70,9 @@ impl Recording {
     /// # Errors
     /// A file that cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), OutputError> {
-        let n = self.samples.dimension();
         let weights = self.outer_weights.as_deref().unwrap_or(&[]);
-        let mut header = vec!["time [s]".to_owned()];
-        header.extend((1..=n).map(|c| format!("xhat{c} [state unit]")));
-        header.extend((1..=n).map(|c| format!("dxhat{c} [state unit/s]")));
-        header.extend((0..weights.len()).map(|i| format!("w{}_{}", i / n + 1, i % n + 1)));
-        let last = self.samples.len() - 1;
-        write_table(path, &header, 0..=last, |row, index| {
-            row.double(self.start + index as f64 * self.interval)?;
-            let place = index * n..(index + 1) * n;
-            for &value in &self.samples.inputs()[place.clone()] {
-                row.double(value)?;
-            }
-            for &value in &self.samples.targets()[place] {
-                row.double(value)?;
-            }
-            for &weight in weights {
-                if index == last { row.single(weight)? } else { row.text("")? }
-            }
-            Ok(())
-        })
+        let time = |index| self.start + index as f64 * self.interval;
+        write_samples(path, &self.samples, time, weights)
     }
 
     /// Reads samples of an agent with `dimension` state components and, if there is a network,
@@ -153,6 +135,39 @@ impl Recording {
             .map_err(|e: DataError| wrong(None, e.to_string(), "record more samples"))?;
         Ok(Self { samples, gaps, start: times[0], interval, outer_weights })
     }
+}
+
+/// Writes `samples` as a CSV file; `time` of each, and the outer weights that belong to them, row by
+/// row, or none.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn write_samples(
+    path: &Path,
+    samples: &Dataset,
+    time: impl Fn(usize) -> f64,
+    outer_weights: &[f32],
+) -> Result<(), OutputError> {
+    let n = samples.dimension();
+    let mut header = vec!["time [s]".to_owned()];
+    header.extend((1..=n).map(|c| format!("xhat{c} [state unit]")));
+    header.extend((1..=n).map(|c| format!("dxhat{c} [state unit/s]")));
+    header.extend((0..outer_weights.len()).map(|i| format!("w{}_{}", i / n + 1, i % n + 1)));
+    let last = samples.len() - 1;
+    write_table(path, &header, 0..=last, |row, index| {
+        row.double(time(index))?;
+        let place = index * n..(index + 1) * n;
+        for &value in &samples.inputs()[place.clone()] {
+            row.double(value)?;
+        }
+        for &value in &samples.targets()[place] {
+            row.double(value)?;
+        }
+        for &weight in outer_weights {
+            if index == last { row.single(weight)? } else { row.text("")? }
+        }
+        Ok(())
+    })
 }
 
 fn unreadable(path: &Path, line: u64, error: &dyn Display) -> RecordingError {

@@ -1,0 +1,129 @@
+//! `node`: small requests to a running node.
+
+use std::time::Duration;
+
+use agent_core::service::{Request, Status};
+use clap::{Args, ValueEnum};
+
+use super::health;
+use super::{CommandError, Format, print_json, print_text};
+use crate::interruption::{self, Again};
+use crate::service::address::AddressError;
+use crate::service::push::{self, done};
+use crate::service::{Address, Conversation, Message, Patience};
+
+/// How long a node may take for an answer, and how often it is asked: erasing flash takes a while.
+pub(super) const PATIENCE: Patience = Patience { timeout: Duration::from_secs(3), tries: 3 };
+
+/// Arguments of `node`.
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// The node: unix:PATH or serial:/dev/tty...[@BAUD]
+    endpoint: Address,
+    /// What it is to do
+    #[arg(value_enum, default_value_t)]
+    action: Action,
+    /// How its status is printed on standard output
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum Action {
+    /// Say how it is
+    #[default]
+    Status,
+    /// Keep the package that is on trial
+    Confirm,
+    /// Go back to the package before the one on trial
+    Revert,
+    /// Begin anew, as after switching on
+    Reset,
+}
+
+/// A conversation with the node at `address`, in step.
+pub(super) fn connect(address: &Address) -> Result<Conversation, AddressError> {
+    let mut conversation = Conversation::new(address.connect()?);
+    conversation.prepare_delimiter();
+    Ok(conversation)
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
+    interruption::listen(Again::Exit);
+    let mut conversation = connect(&arguments.endpoint)?;
+    let node = &mut conversation;
+    match arguments.action {
+        Action::Status => {}
+        Action::Confirm => {
+            node.insist(&Request::Confirm, PATIENCE, &mut |_| {}, "that it is done", done)?;
+        }
+        Action::Revert => {
+            let in_use = |m: &Message<'_>| matches!(m, Message::InUse { .. }).then_some(());
+            node.insist(&Request::Revert, PATIENCE, &mut |_| {}, "what is in use", in_use)?;
+        }
+        Action::Reset => {
+            node.insist(&Request::Reset, PATIENCE, &mut |_| {}, "that it is done", done)?;
+        }
+    }
+    let status = push::status(node, PATIENCE)?;
+    match arguments.format {
+        Format::Json => print_json(&status),
+        Format::Text => print_text(&text(&arguments.endpoint, &status)),
+    }
+}
+
+/// A node's status for people.
+pub(super) fn text(address: &Address, status: &Status) -> String {
+    let firmware = &status.firmware;
+    let [major, minor, patch] = firmware.version;
+    let mut text = format!(
+        "{address}: firmware {major}.{minor}.{patch}, {} state components, room for {} features and \
+         {} neighbours{}\n",
+        firmware.dimension,
+        firmware.features,
+        firmware.neighbours,
+        if firmware.signed_only { ", signed packages only" } else { "" },
+    );
+    match &status.package {
+        None => text += "  no package in use: it observes nothing\n",
+        Some(package) => {
+            let trial = package.trial.map_or("confirmed".to_owned(), |(good, needed)| {
+                format!("on trial, {good} of {needed} good steps in a row")
+            });
+            text += &format!(
+                "  agent {}, package version {} ({:#010x}) in {}, {trial}{}\n",
+                package.agent,
+                package.version,
+                package.checksum,
+                package.slot,
+                if package.network_in_use { "" } else { ", network left out" },
+            );
+            let seconds = status.tick as f64 * f64::from(package.step_size);
+            text += &format!("  next step: tick {} (t = {seconds:.3} s)\n", status.tick);
+        }
+    }
+    if status.staged {
+        text += "  a package waits for its activation\n";
+    }
+    if let Some(upload) = status.upload {
+        text += &format!("  an unfinished upload has {} bytes\n", upload.received);
+    }
+    for (slot, refusal) in ["A", "B"].iter().zip(status.refused_at_start) {
+        if let Some(refusal) = refusal {
+            text += &format!("  the package in slot {slot} was refused at the start: {refusal}\n");
+        }
+    }
+    let counts = [
+        ("samples kept", status.samples),
+        ("damaged messages", status.messages_damaged),
+        ("measurements missing", status.measurements_missing),
+        ("broadcasts lost", status.broadcasts_lost),
+    ];
+    let counts = counts.iter().filter(|(_, count)| *count > 0);
+    let counts: Vec<_> = counts.map(|(what, count)| format!("{what}: {count}")).collect();
+    if !counts.is_empty() {
+        text += &format!("  {}\n", counts.join(", "));
+    }
+    text += &format!("  health: {}\n", health::line(&status.health));
+    text
+}

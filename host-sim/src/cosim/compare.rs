@@ -1,0 +1,206 @@
+//! What a node did, held against what the simulated agent did: bit for bit.
+
+use std::fmt;
+
+use agent_core::Tick;
+use agent_core::service::State;
+use serde::Serialize;
+
+use super::board::Turn;
+use crate::engine::companion::AgentStep;
+
+/// Where node and simulator differ.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Mismatch {
+    /// The agent, from 1.
+    pub agent: usize,
+    /// The tick of the step.
+    pub tick: Tick,
+    /// What differs.
+    pub quantity: &'static str,
+    /// Which component, row or byte of it, from 0; for outer weights, row by row.
+    pub component: Option<usize>,
+    /// What the node has. A number is followed by its bits.
+    pub node: String,
+    /// What the simulator has.
+    pub simulator: String,
+}
+
+impl fmt::Display for Mismatch {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { agent, tick, quantity, component, node, simulator } = self;
+        write!(f, "agent {agent}, tick {tick}: {quantity}")?;
+        if let Some(component) = component {
+            write!(f, "[{component}]")?;
+        }
+        write!(f, " is {node} on the node and {simulator} in the simulator")
+    }
+}
+
+/// A quantity, its component, and both values.
+type Difference = (&'static str, Option<usize>, String, String);
+
+/// The first difference between a node's turn at `tick` and the simulated agent's step; `agent`
+/// from 0.
+#[must_use]
+pub fn first_mismatch(
+    agent: usize,
+    tick: Tick,
+    turn: &Turn,
+    step: &AgentStep<'_>,
+) -> Option<Mismatch> {
+    let difference = match &turn.state {
+        Some(state) => of_state(tick, state, step),
+        None => Some(("state", None, "not told".to_owned(), format!("of tick {tick}"))),
+    };
+    let broadcast = step.broadcast.map(|frame| &frame[..]);
+    let difference = difference.or_else(|| of_frames(&turn.frames, broadcast));
+    difference.map(|difference| mismatch(agent, tick, difference))
+}
+
+/// The first difference between the frames that announce a node and the simulated agent.
+#[must_use]
+pub fn announcement_mismatch(
+    agent: usize,
+    frames: &[Vec<u8>],
+    announcement: Option<&[u8]>,
+) -> Option<Mismatch> {
+    of_frames(frames, announcement).map(|difference| mismatch(agent, 0, difference))
+}
+
+fn mismatch(agent: usize, tick: Tick, difference: Difference) -> Mismatch {
+    let (quantity, component, node, simulator) = difference;
+    Mismatch { agent: agent + 1, tick, quantity, component, node, simulator }
+}
+
+fn of_state(tick: Tick, state: &State<Vec<f32>>, step: &AgentStep<'_>) -> Option<Difference> {
+    if state.tick != tick {
+        return Some(("tick", None, state.tick.to_string(), tick.to_string()));
+    }
+    if state.outcome != step.outcome {
+        let (node, simulator) = (format!("{:?}", state.outcome), format!("{:?}", step.outcome));
+        return Some(("outcome", None, node, simulator));
+    }
+    of_numbers("derivative", &state.derivative, step.derivative.unwrap_or(&[]))
+        .or_else(|| of_numbers("estimate", &state.estimate, step.estimate))
+        .or_else(|| of_numbers("outer weights", &state.outer_weights, &step.outer_weights))
+}
+
+fn of_numbers(quantity: &'static str, node: &[f32], simulator: &[f32]) -> Option<Difference> {
+    if node.len() != simulator.len() {
+        let count = |numbers: &[f32]| format!("{} numbers", numbers.len());
+        return Some((quantity, None, count(node), count(simulator)));
+    }
+    let component = node.iter().zip(simulator).position(|(a, b)| a.to_bits() != b.to_bits())?;
+    let shown = |number: f32| format!("{number:e} ({:#010x})", number.to_bits());
+    Some((quantity, Some(component), shown(node[component]), shown(simulator[component])))
+}
+
+fn of_frames(node: &[Vec<u8>], simulator: Option<&[u8]>) -> Option<Difference> {
+    let frame = match (node, simulator) {
+        ([], None) => return None,
+        ([frame], Some(_)) => frame,
+        _ => {
+            let count = |count| match count {
+                0 => "none".to_owned(),
+                1 => "one frame".to_owned(),
+                count => format!("{count} frames"),
+            };
+            let simulated = count(usize::from(simulator.is_some()));
+            return Some(("broadcast", None, count(node.len()), simulated));
+        }
+    };
+    let simulated = simulator?;
+    if frame.len() != simulated.len() {
+        let length = |frame: &[u8]| format!("{} bytes", frame.len());
+        return Some(("frame", None, length(frame), length(simulated)));
+    }
+    let byte = frame.iter().zip(simulated).position(|(a, b)| a != b)?;
+    let shown = |byte: u8| format!("{byte:#04x}");
+    Some(("frame", Some(byte), shown(frame[byte]), shown(simulated[byte])))
+}
+
+#[cfg(test)]
+mod tests {
+    use agent_core::frame::FrameBytes;
+    use agent_core::service::Outcome;
+
+    use super::*;
+
+    fn frame() -> FrameBytes {
+        FrameBytes::from_slice(&[1, 2, 3]).unwrap()
+    }
+
+    fn step(broadcast: Option<&FrameBytes>) -> AgentStep<'_> {
+        AgentStep {
+            measurement: &[1.0],
+            outcome: Outcome::Stepped,
+            estimate: &[1.0, 2.0],
+            derivative: Some(&[0.0, -3.0]),
+            outer_weights: vec![0.5; 4],
+            broadcast,
+        }
+    }
+
+    fn turn() -> Turn {
+        let state = State {
+            tick: 7,
+            outcome: Outcome::Stepped,
+            estimate: vec![1.0, 2.0],
+            derivative: vec![0.0, -3.0],
+            outer_weights: vec![0.5; 4],
+        };
+        Turn { state: Some(state), frames: vec![vec![1, 2, 3]], unasked: Vec::new() }
+    }
+
+    #[test]
+    fn equal_bits_are_no_mismatch() {
+        assert_eq!(first_mismatch(0, 7, &turn(), &step(Some(&frame()))), None);
+    }
+
+    #[test]
+    fn every_difference_is_named_precisely() {
+        let told = |change: fn(&mut State<Vec<f32>>)| {
+            let mut turn = turn();
+            change(turn.state.as_mut().unwrap());
+            first_mismatch(1, 7, &turn, &step(Some(&frame()))).unwrap().to_string()
+        };
+        let on = "agent 2, tick 7: ";
+        assert_eq!(
+            told(|state| state.tick = 8),
+            format!("{on}tick is 8 on the node and 7 in the simulator")
+        );
+        assert_eq!(
+            told(|state| state.outcome = Outcome::Diverged),
+            format!("{on}outcome is Diverged on the node and Stepped in the simulator")
+        );
+        // Minus zero is another number here.
+        assert_eq!(
+            told(|state| state.derivative[0] = -0.0),
+            format!(
+                "{on}derivative[0] is -0e0 (0x80000000) on the node and 0e0 (0x00000000) in the \
+                 simulator"
+            )
+        );
+        assert_eq!(
+            told(|state| state.estimate[1] = f32::from_bits(2.0f32.to_bits() + 1)),
+            format!(
+                "{on}estimate[1] is 2.0000002e0 (0x40000001) on the node and 2e0 (0x40000000) in \
+                 the simulator"
+            )
+        );
+        assert_eq!(
+            told(|state| state.outer_weights.clear()),
+            format!("{on}outer weights is 0 numbers on the node and 4 numbers in the simulator")
+        );
+        let mut other = turn();
+        other.frames[0][2] = 9;
+        let mismatch = first_mismatch(1, 7, &other, &step(Some(&frame()))).unwrap().to_string();
+        assert_eq!(mismatch, format!("{on}frame[2] is 0x09 on the node and 0x03 in the simulator"));
+        let mismatch = first_mismatch(1, 7, &turn(), &step(None)).unwrap().to_string();
+        assert_eq!(
+            mismatch,
+            format!("{on}broadcast is one frame on the node and none in the simulator")
+        );
+    }
+}

@@ -1,0 +1,208 @@
+//! Emulated nodes: a QEMU process each, with its flash in a file.
+//!
+//! The firmware keeps its weights in the memory of the board that starts at [`FLASH_ORIGIN`]. A file
+//! stands for that memory, so what a node writes there survives its resets, as in a real flash. The
+//! file is written like a flash at the factory: erased, with the start package in slot A.
+//!
+//! The node gets to know over what it is to talk from its semihosting arguments: `node fifo IN OUT`,
+//! or `node uart`.
+
+use std::fs::File;
+use std::io::{self, ErrorKind};
+use std::os::unix::fs::FileExt;
+use std::os::unix::net::UnixListener;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use agent_core::store::Slot;
+use nix::sys::stat::Mode;
+use nix::unistd::mkfifo;
+use tempfile::TempDir;
+
+use super::board::Board;
+use super::fault::Fault;
+use super::process::Process;
+use crate::image::{ERASED, Image};
+use crate::interruption;
+use crate::memory_map::WeightsRegion;
+use crate::packages::PackageBytes;
+use crate::service::{Line, LineError};
+
+/// The emulator's program.
+pub const PROGRAM: &str = "qemu-system-arm";
+
+/// The board that is emulated.
+pub const MACHINE: &str = "mps2-an386";
+
+/// Where the memory begins that the file stands for.
+pub const FLASH_ORIGIN: u32 = 0x2100_0000;
+
+/// How long it is: all that the board has there. \[byte\]
+pub const FLASH_LENGTH: u64 = 16 << 20;
+
+/// How the host reaches the node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channel {
+    /// Two named pipes that the node opens by semihosting.
+    Pipes,
+    /// The board's serial line, which is a socket here.
+    Uart,
+}
+
+/// How emulated nodes are started.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Qemu {
+    /// The emulator: a path, or a name to be looked for on `PATH`.
+    pub program: PathBuf,
+    /// What it runs.
+    pub firmware: PathBuf,
+    /// Where the firmware looks for its weights.
+    pub region: WeightsRegion,
+    /// How long it may take to begin.
+    pub timeout: Duration,
+}
+
+impl Qemu {
+    /// Starts a node with `package` in its flash.
+    ///
+    /// # Errors
+    /// See [`Fault`]; nothing is left behind then.
+    pub fn start(&self, channel: Channel, package: &PackageBytes) -> Result<Board, Fault> {
+        let folder = tempfile::Builder::new().prefix("host-sim-node-").tempdir();
+        let folder = folder.map_err(|error| {
+            let place = std::env::temp_dir();
+            let mend = "free the disk, or set TMPDIR to a folder that can be written to";
+            Fault::Start(format!("{}: {error}; {mend}", place.display()))
+        })?;
+        let flash = folder.path().join("flash");
+        self.write_flash(&flash, package)?;
+        let mut command = Command::new(&self.program);
+        command
+            .args(["-M", &format!("{MACHINE},memory-backend=flash"), "-object"])
+            .arg(format!(
+                "memory-backend-file,id=flash,size={FLASH_LENGTH},mem-path={},share=on",
+                option(&flash)
+            ))
+            .args(["-nographic", "-monitor", "none", "-kernel"])
+            .arg(&self.firmware);
+        match channel {
+            Channel::Pipes => self.start_with_pipes(command, folder),
+            Channel::Uart => self.start_with_uart(command, folder),
+        }
+    }
+
+    fn start_with_pipes(&self, mut command: Command, folder: TempDir) -> Result<Board, Fault> {
+        let (input, output) = (folder.path().join("in"), folder.path().join("out"));
+        for pipe in [&input, &output] {
+            mkfifo(pipe, Mode::S_IRUSR | Mode::S_IWUSR).map_err(|e| Fault::System(e.into()))?;
+        }
+        command.args(["-serial", "none", "-semihosting-config"]).arg(format!(
+            "enable=on,target=native,arg=node,arg=fifo,arg={},arg={}",
+            option(&input),
+            option(&output)
+        ));
+        let mut process = self.spawn(&mut command, &folder)?;
+        let alive = || process.ended().is_none();
+        match Line::over_pipes(&input, &output, self.timeout, alive) {
+            Ok(line) => Ok(Board::new(line, "qemu", false).with_process(process, folder)),
+            Err(LineError::Silent) => Err(self.not_begun(&mut process)),
+            Err(LineError::Interrupted) => Err(Fault::Interrupted),
+            Err(LineError::System(error)) => Err(Fault::System(error)),
+            Err(LineError::Closed) => Err(Fault::Closed),
+        }
+    }
+
+    fn start_with_uart(&self, mut command: Command, folder: TempDir) -> Result<Board, Fault> {
+        // The emulator connects to us, so that no byte is lost before we do.
+        let path = folder.path().join("uart");
+        let listener = UnixListener::bind(&path).map_err(Fault::System)?;
+        listener.set_nonblocking(true).map_err(Fault::System)?;
+        command.arg("-serial").arg(format!("unix:{}", option(&path)));
+        command.args(["-semihosting-config", "enable=on,target=native,arg=node,arg=uart"]);
+        let mut process = self.spawn(&mut command, &folder)?;
+        let deadline = Instant::now() + self.timeout;
+        loop {
+            match listener.accept() {
+                Ok((socket, _)) => {
+                    let line = Line::over_socket(socket).map_err(Fault::System)?;
+                    let board = Board::new(line, "qemu-uart", false);
+                    return Ok(board.with_process(process, folder));
+                }
+                Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+                Err(error) => return Err(Fault::System(error)),
+            }
+            if interruption::requested() {
+                return Err(Fault::Interrupted);
+            }
+            if process.ended().is_some() || Instant::now() >= deadline {
+                return Err(self.not_begun(&mut process));
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+
+    fn spawn(&self, command: &mut Command, folder: &TempDir) -> Result<Process, Fault> {
+        Process::start(command, &folder.path().join("console")).map_err(|error| {
+            let program = self.program.display();
+            Fault::Start(if error.kind() == ErrorKind::NotFound {
+                format!(
+                    "{program}: there is no such program; install QEMU (on Debian `apt-get install \
+                     --no-install-recommends qemu-system-arm`; `cargo xtask test` does so where it \
+                     may), or name it with --qemu PATH"
+                )
+            } else {
+                format!("{program}: cannot be started: {error}; name another with --qemu PATH")
+            })
+        })
+    }
+
+    fn not_begun(&self, process: &mut Process) -> Fault {
+        match process.ended() {
+            Some(status) => Fault::Ended { status: status.to_string(), said: process.said() },
+            None => Fault::Silent {
+                expected: "opening of its channel",
+                seconds: self.timeout.as_secs_f64(),
+                damaged: 0,
+            },
+        }
+    }
+
+    /// The memory as a factory would write it.
+    fn write_flash(&self, path: &Path, package: &PackageBytes) -> Result<(), Fault> {
+        let offset = |address: u64| address.checked_sub(FLASH_ORIGIN.into());
+        let origin = offset(self.region.origin.into());
+        let end = offset(self.region.end()).filter(|&end| end <= FLASH_LENGTH);
+        let (Some(origin), Some(_)) = (origin, end) else {
+            return Err(Fault::Start(format!(
+                "WEIGHTS at {:#010x} is not in the memory of {MACHINE} that stands for flash, \
+                 {FLASH_ORIGIN:#010x} to {:#010x}; give the memory map of that board with --memory",
+                self.region.origin,
+                u64::from(FLASH_ORIGIN) + FLASH_LENGTH
+            )));
+        };
+        let image = Image::of_package(&self.region, Slot::A, package)
+            .map_err(|error| Fault::Start(error.to_string()))?;
+        let write = || -> io::Result<()> {
+            let file = File::create(path)?;
+            file.set_len(FLASH_LENGTH)?;
+            file.write_all_at(&vec![ERASED; self.region.length as usize], origin)?;
+            for segment in image.segments() {
+                let place = offset(segment.address.into()).unwrap_or(origin);
+                file.write_all_at(&segment.bytes, place)?;
+            }
+            Ok(())
+        };
+        write().map_err(|error| {
+            Fault::Start(format!(
+                "{}: {error}; free the disk, or set TMPDIR to a folder with more room",
+                path.display()
+            ))
+        })
+    }
+}
+
+/// A path as a part of one of QEMU's options, where a comma is written twice.
+fn option(path: &Path) -> String {
+    path.display().to_string().replace(',', ",,")
+}

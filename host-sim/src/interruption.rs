@@ -1,0 +1,33 @@
+//! Ctrl-C, and being told to end: a wish that commands look for at points where they can stop in
+//! good order.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+static REQUESTED: AtomicBool = AtomicBool::new(false);
+
+/// What a second wish does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Again {
+    /// Ends the process at once.
+    Exit,
+    /// Nothing: there are processes and files to be removed, and that does not take long.
+    Wait,
+}
+
+/// From here on, the wish is noted in place of the process's end.
+pub fn listen(again: Again) {
+    let handler = ctrlc::set_handler(move || {
+        if REQUESTED.swap(true, Ordering::Relaxed) && again == Again::Exit {
+            std::process::exit(130);
+        }
+    });
+    if let Err(error) = handler {
+        eprintln!("warning: Ctrl-C will end this without a result: {error}");
+    }
+}
+
+/// Whether somebody has asked for the end.
+#[must_use]
+pub fn requested() -> bool {
+    REQUESTED.load(Ordering::Relaxed)
+}

@@ -1,0 +1,119 @@
+//! Where a node is found.
+
+use std::fmt;
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use super::Line;
+
+/// Bits per second of a serial line, if nobody says otherwise.
+pub const BAUD: u32 = 115_200;
+
+/// Where a node is found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Address {
+    /// A Unix socket, such as the co-simulation offers.
+    Socket(PathBuf),
+    /// A serial line and its bits per second.
+    Serial(PathBuf, u32),
+}
+
+/// A node cannot be reached.
+#[derive(Debug, thiserror::Error)]
+#[error("{address}: {error}; {mend}")]
+pub struct AddressError {
+    /// Where it should be.
+    pub address: Address,
+    /// What the system says.
+    #[source]
+    pub error: std::io::Error,
+    /// What to do about it.
+    mend: &'static str,
+}
+
+impl Address {
+    /// A line to the node.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn connect(&self) -> Result<Line, AddressError> {
+        let (line, mend) = match self {
+            Self::Socket(path) => (
+                UnixStream::connect(path).and_then(Line::over_socket),
+                "start `host-sim cosim --serve FOLDER`, or name a socket in its folder",
+            ),
+            Self::Serial(path, baud) => (
+                Line::over_serial(path, *baud),
+                "connect the board, make sure that nobody else has the line open and that you may \
+                 use it (on Linux, the group dialout)",
+            ),
+        };
+        line.map_err(|error| AddressError { address: self.clone(), error, mend })
+    }
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Socket(path) => write!(f, "unix:{}", path.display()),
+            Self::Serial(path, BAUD) => write!(f, "serial:{}", path.display()),
+            Self::Serial(path, baud) => write!(f, "serial:{}@{baud}", path.display()),
+        }
+    }
+}
+
+impl FromStr for Address {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if let Some(line) = text.strip_prefix("serial:") {
+            let (path, baud) = match line.rsplit_once('@') {
+                None => (line, BAUD),
+                Some((path, baud)) => {
+                    let baud = baud.parse().ok().filter(|&baud| baud > 0);
+                    (path, baud.ok_or("write bits per second behind @, as in @115200")?)
+                }
+            };
+            if path.is_empty() {
+                return Err("write the line's device, as in serial:/dev/ttyUSB0".to_owned());
+            }
+            return Ok(Self::Serial(path.into(), baud));
+        }
+        let path = text.strip_prefix("unix:").unwrap_or(text);
+        if path.is_empty() {
+            return Err("write unix:PATH or serial:/dev/tty...[@BAUD]".to_owned());
+        }
+        Ok(Self::Socket(path.into()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_read_and_written() {
+        let socket = |path: &str| Address::Socket(path.into());
+        assert_eq!("unix:out/agent-1.sock".parse(), Ok(socket("out/agent-1.sock")));
+        assert_eq!("out/agent-1.sock".parse(), Ok(socket("out/agent-1.sock")));
+        for (text, baud) in [("serial:/dev/ttyUSB0", BAUD), ("serial:/dev/ttyUSB0@9600", 9600)] {
+            let address: Address = text.parse().unwrap();
+            assert_eq!(address, Address::Serial("/dev/ttyUSB0".into(), baud));
+            assert_eq!(address.to_string(), text);
+        }
+        for text in ["", "unix:", "serial:", "serial:/dev/ttyS0@fast", "serial:/dev/ttyS0@0"] {
+            assert!(text.parse::<Address>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_node_that_is_not_there_is_reported_with_a_mend() {
+        let error = socket_error("no/such.sock");
+        assert!(error.starts_with("unix:no/such.sock: ") && error.contains("--serve"), "{error}");
+    }
+
+    fn socket_error(path: &str) -> String {
+        Address::Socket(path.into()).connect().unwrap_err().to_string()
+    }
+}

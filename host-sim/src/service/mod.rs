@@ -1,0 +1,26 @@
+//! Talking to a running node over its service port.
+//!
+//! | module | what it is |
+//! | --- | --- |
+//! | [`line`] | bytes to and from a node, with a deadline for everything |
+//! | [`address`] | where a node is found: a socket or a serial line |
+//! | [`conversation`] | messages on a line: requests, their answers, and what comes unasked |
+//! | [`push`] | a weight package into a node |
+//! | [`record`] | a node's samples, for training |
+//!
+//! The messages are agent-core's: [`agent_core::service`].
+
+pub mod address;
+pub mod conversation;
+pub mod line;
+pub mod push;
+pub mod record;
+
+pub use address::Address;
+pub use conversation::{Conversation, Patience, ServiceError};
+pub use line::{Line, LineError};
+
+use agent_core::service::Response;
+
+/// What a node says, with its numbers in vectors.
+pub type Message<'a> = Response<'a, Vec<f32>>;

@@ -1,0 +1,233 @@
+//! A weight package into a node: begin, chunks, staging, activation.
+//!
+//! The bytes are sent as they are; whether they are a package is the node's to say. Whatever is lost
+//! on the way is asked for again, and a transfer that was broken off goes on where the node says
+//! that it is. Before it does, the last piece that the node has is sent once more: the node
+//! notices if it had begun with another package, and then all begins anew.
+
+use std::time::Duration;
+
+use agent_core::checksum::crc32;
+use agent_core::service::{CHUNK_LENGTH_MAX, PackageStatus, Problem, Request, Status};
+use agent_core::store::StoreError;
+
+use super::address::AddressError;
+use super::{Conversation, LineError, Message, Patience, ServiceError};
+use crate::interruption;
+use crate::packages::PackageBytes;
+
+/// Why a package is not in use.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PushError {
+    /// The node cannot be talked to, or does not do what it is asked.
+    #[error(transparent)]
+    Service(#[from] ServiceError),
+    /// The node cannot be reached.
+    #[error(transparent)]
+    Address(#[from] AddressError),
+    /// No node takes a file of this length.
+    #[error("{found} bytes are no weight package; give the path of one")]
+    Length {
+        /// Its length.
+        found: usize,
+    },
+}
+
+impl PushError {
+    /// Whether the node has looked at the package and does not want it.
+    #[must_use]
+    pub fn is_refusal(&self) -> bool {
+        matches!(self, Self::Service(ServiceError::Refused(_)) | Self::Length { .. })
+    }
+
+    /// Whether it makes sense to connect anew and go on.
+    #[must_use]
+    pub fn is_broken_line(&self) -> bool {
+        matches!(self, Self::Service(ServiceError::Line(LineError::Closed | LineError::Silent)))
+    }
+}
+
+/// How a push goes on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progress {
+    /// It begins, or goes on from this byte.
+    From(usize),
+    /// The node has so many bytes.
+    Received(usize),
+    /// The node verifies it.
+    Verifying,
+}
+
+/// The checksum by which a node names what it has in use.
+#[must_use]
+pub fn checksum(package: &[u8]) -> u32 {
+    crc32(&[package])
+}
+
+/// How often a broken connection is made anew, and how long is waited before.
+const RECONNECTIONS: u32 = 10;
+const RECONNECTION_PAUSE: Duration = Duration::from_millis(500);
+
+/// As [`transfer`], over connections that may break: then `connect` makes another, and the transfer
+/// goes on. Returns the connection, too.
+///
+/// # Errors
+/// See [`PushError`].
+pub fn transfer_over(
+    connect: &mut dyn FnMut() -> Result<Conversation, AddressError>,
+    package: &[u8],
+    patience: Patience,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<(Conversation, u32), PushError> {
+    let mut conversation = connect()?;
+    let mut left = RECONNECTIONS;
+    loop {
+        let broken = match transfer(&mut conversation, package, patience, progress) {
+            Err(error) if error.is_broken_line() && left > 0 => error,
+            done => return done.map(|version| (conversation, version)),
+        };
+        conversation = loop {
+            left -= 1;
+            std::thread::sleep(RECONNECTION_PAUSE);
+            match connect() {
+                Ok(conversation) => break conversation,
+                Err(_) if left == 0 || interruption::requested() => return Err(broken),
+                Err(_) => {}
+            }
+        };
+    }
+}
+
+/// Asks for the node's status.
+///
+/// # Errors
+/// See [`ServiceError`].
+pub fn status(conversation: &mut Conversation, patience: Patience) -> Result<Status, ServiceError> {
+    conversation.insist(&Request::Query, patience, &mut |_| {}, "its status", |m| match m {
+        Message::Status(status) => Some(*status),
+        _ => None,
+    })
+}
+
+/// Brings the package into the node, from the first byte or from where an earlier transfer ended,
+/// and has it verified. Returns its version. What is in use stays in use.
+///
+/// # Errors
+/// See [`PushError`].
+pub fn transfer(
+    conversation: &mut Conversation,
+    package: &[u8],
+    patience: Patience,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<u32, PushError> {
+    let length = u32::try_from(package.len()).ok().filter(|&length| length > 0);
+    let length = length.ok_or(PushError::Length { found: package.len() })?;
+    let before = status(conversation, patience)?;
+    let received = before.upload.map_or(0, |upload| upload.received as usize);
+    if (1..=package.len()).contains(&received) {
+        match send_and_stage(conversation, package, received, patience, progress) {
+            // It was another package, or none that could be gone on with.
+            Err(ServiceError::Refused(_)) => {}
+            done => return Ok(done?),
+        }
+    }
+    conversation.insist(&Request::Begin { length }, patience, &mut |_| {}, UPLOAD, uploaded)?;
+    Ok(send_and_stage(conversation, package, 0, patience, progress)?)
+}
+
+const UPLOAD: &str = "how much it has received";
+
+fn uploaded(message: &Message<'_>) -> Option<u32> {
+    match message {
+        Message::Upload(upload) => Some(upload.received),
+        _ => None,
+    }
+}
+
+/// Sends what is missing when `received` bytes have been, and has it verified.
+fn send_and_stage(
+    conversation: &mut Conversation,
+    package: &[u8],
+    received: usize,
+    patience: Patience,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<u32, ServiceError> {
+    progress(Progress::From(received));
+    let mut offset = received.saturating_sub(CHUNK_LENGTH_MAX);
+    while offset < package.len() {
+        let end = package.len().min(offset + CHUNK_LENGTH_MAX);
+        let chunk = Request::Chunk { offset: offset as u32, bytes: &package[offset..end] };
+        // What an earlier chunk brought is no answer to this one.
+        let arrived = |m: &Message<'_>| uploaded(m).filter(|&received| received as usize >= end);
+        conversation.insist(&chunk, patience, &mut |_| {}, UPLOAD, arrived)?;
+        offset = end;
+        progress(Progress::Received(end));
+    }
+    progress(Progress::Verifying);
+    let staged = |m: &Message<'_>| match m {
+        Message::Staged { version } => Some(*version),
+        _ => None,
+    };
+    let expected = "whether it has verified the package";
+    match conversation.insist(&Request::Stage, patience, &mut |_| {}, expected, staged) {
+        // The answer to the first try may have been lost: then it has been staged, and which version
+        // that is, is in the bytes that the node has verified.
+        Err(ServiceError::Refused(Problem::Store(StoreError::NoUpload)))
+            if status(conversation, patience)?.staged =>
+        {
+            Ok(PackageBytes::new(package).map_or(0, |package| package.package().version))
+        }
+        done => done,
+    }
+}
+
+/// Lets the node use what it has verified from its next step on, on trial. Returns the version.
+///
+/// # Errors
+/// See [`PushError`].
+pub fn activate(
+    conversation: &mut Conversation,
+    package: &[u8],
+    patience: Patience,
+) -> Result<u32, PushError> {
+    let in_use = |m: &Message<'_>| match m {
+        Message::InUse { version } => *version,
+        _ => None,
+    };
+    let expected = "which package is in use";
+    match conversation.insist(&Request::Activate, patience, &mut |_| {}, expected, in_use) {
+        // The answer to the first try may have been lost.
+        Err(error @ ServiceError::Refused(Problem::Store(StoreError::NothingStaged))) => {
+            match status(conversation, patience)?.package {
+                Some(used) if used.checksum == checksum(package) => Ok(used.version),
+                _ => Err(error.into()),
+            }
+        }
+        done => Ok(done?),
+    }
+}
+
+/// Ends the trial of what is in use: it stays.
+///
+/// # Errors
+/// See [`ServiceError`].
+pub fn confirm(conversation: &mut Conversation, patience: Patience) -> Result<(), ServiceError> {
+    match conversation.insist(&Request::Confirm, patience, &mut |_| {}, "that it is done", done) {
+        // It has confirmed it itself, or the answer to the first try was lost.
+        Err(ServiceError::Refused(Problem::Store(StoreError::NotOnTrial))) => Ok(()),
+        done => done,
+    }
+}
+
+/// Whether the answer is that it has been done.
+#[must_use]
+pub fn done(message: &Message<'_>) -> Option<()> {
+    matches!(message, Message::Done).then_some(())
+}
+
+/// The package in use, if its bytes are these.
+#[must_use]
+pub fn in_use(status: &Status, package: &[u8]) -> Option<PackageStatus> {
+    status.package.filter(|used| used.checksum == checksum(package))
+}

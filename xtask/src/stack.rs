@@ -1,0 +1,244 @@
+//! How much stack a program needs at worst: frames and calls, read off its machine code.
+//!
+//! A frame is everything that a function subtracts from the stack pointer, whichever way it goes
+//! through the function, and so never less than what it really takes. The compiler's own figures
+//! (`-Zemit-stack-sizes`) say the same for every function of the firmware; they are not used
+//! because they need a compiler that is told to allow unstable options, and this reads the very
+//! program that is shipped.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Frames and calls of every function.
+#[derive(Debug, Default)]
+pub(crate) struct CallGraph {
+    functions: BTreeMap<String, Function>,
+}
+
+#[derive(Debug, Default)]
+struct Function {
+    /// \[byte\]
+    frame: u32,
+    callees: BTreeSet<String>,
+    /// It calls something that only a register knows.
+    indirect: bool,
+    /// It moves the stack pointer by what only a register knows.
+    dynamic: bool,
+}
+
+/// The deepest way down.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Deepest {
+    /// \[byte\]
+    pub(crate) depth: u32,
+    /// The functions on the way with their frames, the first one first.
+    pub(crate) path: Vec<(String, u32)>,
+    /// Functions that call something that cannot be followed.
+    pub(crate) indirect: BTreeSet<String>,
+}
+
+/// Why there is no worst case.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum Unbounded {
+    /// A function calls itself, by way of these.
+    Recursion(Vec<String>),
+    /// The frame of this function has no fixed size.
+    Dynamic(String),
+    /// There is no such function.
+    Missing(String),
+}
+
+impl CallGraph {
+    /// Reads a disassembler's listing of Thumb code.
+    pub(crate) fn read(listing: &str) -> Self {
+        let mut graph = Self::default();
+        let mut name = None;
+        for line in listing.lines() {
+            if let Some(label) = line.strip_suffix(">:") {
+                let found = label.split_once('<').map_or(label, |(_, name)| name).to_owned();
+                graph.functions.entry(found.clone()).or_default();
+                name = Some(found);
+            } else if let Some(name) = &name
+                && let Some((mnemonic, operands)) = instruction(line)
+                && let Some(function) = graph.functions.get_mut(name)
+            {
+                function.notice(name, mnemonic, operands);
+            }
+        }
+        graph
+    }
+
+    /// The deepest way down from `entry`.
+    ///
+    /// # Errors
+    /// There is no bound.
+    pub(crate) fn deepest(&self, entry: &str) -> Result<Deepest, Unbounded> {
+        let mut known = BTreeMap::new();
+        let mut indirect = BTreeSet::new();
+        let depth = self.depth(entry, &mut Vec::new(), &mut known, &mut indirect)?;
+        let mut path = Vec::new();
+        let mut name = entry;
+        while let Some(function) = self.functions.get(name) {
+            path.push((name.to_owned(), function.frame));
+            let callees = function.callees.iter().filter_map(|callee| known.get_key_value(callee));
+            match callees.max_by_key(|(_, depth)| **depth) {
+                Some((callee, _)) => name = callee,
+                None => break,
+            }
+        }
+        Ok(Deepest { depth, path, indirect })
+    }
+
+    fn depth(
+        &self,
+        name: &str,
+        way: &mut Vec<String>,
+        known: &mut BTreeMap<String, u32>,
+        indirect: &mut BTreeSet<String>,
+    ) -> Result<u32, Unbounded> {
+        if let Some(depth) = known.get(name) {
+            return Ok(*depth);
+        }
+        let function =
+            self.functions.get(name).ok_or_else(|| Unbounded::Missing(name.to_owned()))?;
+        if function.dynamic {
+            return Err(Unbounded::Dynamic(name.to_owned()));
+        }
+        way.push(name.to_owned());
+        if function.indirect {
+            indirect.insert(name.to_owned());
+        }
+        let mut below = 0;
+        for callee in &function.callees {
+            if way.contains(callee) {
+                return Err(Unbounded::Recursion(way.clone()));
+            }
+            below = below.max(self.depth(callee, way, known, indirect)?);
+        }
+        way.pop();
+        let depth = function.frame + below;
+        known.insert(name.to_owned(), depth);
+        Ok(depth)
+    }
+}
+
+impl Function {
+    fn notice(&mut self, own: &str, mnemonic: &str, operands: &str) {
+        let base = mnemonic.split('.').next().unwrap_or(mnemonic);
+        match base {
+            "push" | "vpush" => self.frame += register_bytes(operands),
+            "stmdb" | "vstmdb" if operands.starts_with("sp!") => {
+                self.frame += register_bytes(operands);
+            }
+            "sub" | "subw" if operands.starts_with("sp") => match constant(operands) {
+                Some(bytes) => self.frame += bytes,
+                None => self.dynamic = true,
+            },
+            "str" | "strd" if operands.ends_with("]!") && operands.contains("[sp, #-") => {
+                self.frame += constant(operands).unwrap_or(8);
+            }
+            "blx" | "bx" if operands.starts_with('r') || operands.starts_with("ip") => {
+                self.indirect = true;
+            }
+            _ if base.starts_with('b') && !base.starts_with("bf") && !base.starts_with("bic") => {
+                // A jump to another function is a call whose frame has gone; counting both is safe.
+                let target = operands.rsplit_once('<').map(|(_, target)| target);
+                let target = target.and_then(|target| target.strip_suffix('>'));
+                if let Some(target) = target
+                    && !target.contains('+')
+                    && target != own
+                {
+                    self.callees.insert(target.to_owned());
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Mnemonic and operands of `   1c:   vmul.f32   s0, s1, s2`.
+fn instruction(line: &str) -> Option<(&str, &str)> {
+    let (address, rest) = line.trim_start().split_once(':')?;
+    if address.is_empty() || !address.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+        return None;
+    }
+    let rest = rest.trim();
+    let (mnemonic, operands) = rest.split_once(char::is_whitespace).unwrap_or((rest, ""));
+    let operands = operands.split([';', '@']).next().unwrap_or(operands);
+    (!mnemonic.starts_with(['.', '<'])).then_some((mnemonic, operands.trim()))
+}
+
+/// What `{r4, r5, r6, lr}` or `{d8-d15}` takes. \[byte\]
+fn register_bytes(operands: &str) -> u32 {
+    let list = operands.split_once('{').map_or("", |(_, list)| list).trim_end_matches('}');
+    let registers = list.split(',').map(str::trim).filter(|register| !register.is_empty());
+    registers
+        .map(|register| {
+            let size = if register.starts_with('d') { 8 } else { 4 };
+            let number = |name: &str| name.get(1..).and_then(|digits| digits.parse::<u32>().ok());
+            let count = match register.split_once('-') {
+                Some((first, last)) => {
+                    number(last).zip(number(first)).map_or(16, |(last, first)| last - first + 1)
+                }
+                None => 1,
+            };
+            size * count
+        })
+        .sum()
+}
+
+/// The last `#n` of the operands, without its sign.
+fn constant(operands: &str) -> Option<u32> {
+    let (_, number) = operands.rsplit_once('#')?;
+    let number = number.trim_start_matches('-').trim_end_matches(['!', ']']).trim();
+    match number.strip_prefix("0x") {
+        Some(digits) => u32::from_str_radix(digits, 16).ok(),
+        None => number.parse().ok(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LISTING: &str = "
+00000400 <main>:
+     400:\tpush\t{r4, r5, r7, lr}
+     402:\tvpush\t{d8-d9}
+     404:\tsub.w\tsp, sp, #0x100
+     408:\tbl\t500 <left>
+     40c:\tbl\t600 <right>\t@ imm = #0x1f0
+     410:\tbeq.n\t408 <main+0x8>
+00000500 <left>:
+     500:\tstr.w\tlr, [sp, #-4]!
+     504:\tblx\tr3
+     506:\tb.w\t600 <right>
+00000600 <right>:
+     600:\tsub\tsp, #8
+     602:\tbfi\tr0, r1, #0, #8
+     604:\tbx\tlr
+     606:\t.word\t0x12345678
+";
+
+    #[test]
+    fn the_deepest_way_adds_up() {
+        let deepest = CallGraph::read(LISTING).deepest("main").unwrap();
+        assert_eq!(deepest.depth, (16 + 16 + 256) + 4 + 8);
+        let names: Vec<&str> = deepest.path.iter().map(|(name, _)| name.as_str()).collect();
+        assert_eq!(names, ["main", "left", "right"]);
+        assert!(deepest.indirect.iter().eq(["left"]));
+    }
+
+    #[test]
+    fn what_has_no_bound_is_said() {
+        let loops = LISTING
+            .replace("bl\t500 <left>", "bl\t600 <right>")
+            .replace("602:\tbfi\tr0, r1, #0, #8", "602:\tbl\t500 <left>");
+        let expected = ["left", "right"].map(str::to_owned).to_vec();
+        assert_eq!(CallGraph::read(&loops).deepest("left"), Err(Unbounded::Recursion(expected)));
+        let dynamic = LISTING.replace("sub\tsp, #8", "sub.w\tsp, sp, r1");
+        let expected = Err(Unbounded::Dynamic("right".to_owned()));
+        assert_eq!(CallGraph::read(&dynamic).deepest("main"), expected);
+        let expected = Err(Unbounded::Missing("nothing".to_owned()));
+        assert_eq!(CallGraph::read(LISTING).deepest("nothing"), expected);
+    }
+}
