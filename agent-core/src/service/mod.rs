@@ -29,15 +29,15 @@
 mod problem;
 mod request;
 mod response;
+mod writer;
 
 pub use problem::{Problem, RefusalKind, RefusalReport};
 pub use request::{Numbers, Request, Subscription};
 pub use response::{Event, Firmware, Outcome, PackageStatus, Response, Rows, State, Status};
 
-use postcard::ser_flavors::Flavor;
 use serde::{Deserialize, Serialize};
 
-use crate::serial::Encoder;
+use writer::Writer;
 
 /// Version of the messages that this crate writes and reads.
 pub const PROTOCOL_VERSION: u8 = 1;
@@ -58,31 +58,10 @@ pub struct Upload {
 
 /// Frames and sends `message`: `sink` gets the bytes for the stream, piece by piece.
 pub fn send(message: &impl Serialize, sink: impl FnMut(&[u8])) {
-    // Nothing here fails: every sequence knows its length, and the stream takes everything.
-    let _ = postcard::serialize_with_flavor(message, Framed(Encoder::new(sink)));
-}
-
-struct Framed<S>(Encoder<S>);
-
-impl<S: FnMut(&[u8])> Flavor for Framed<S> {
-    type Output = ();
-
-    #[inline]
-    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
-        self.0.extend(&[byte]);
-        Ok(())
-    }
-
-    #[inline]
-    fn try_extend(&mut self, bytes: &[u8]) -> postcard::Result<()> {
-        self.0.extend(bytes);
-        Ok(())
-    }
-
-    fn finalize(self) -> postcard::Result<()> {
-        self.0.finish();
-        Ok(())
-    }
+    let mut writer = Writer::new(sink);
+    // No message fails: see the writer.
+    let _ = message.serialize(&mut writer);
+    writer.finish();
 }
 
 /// What can be received.
