@@ -17,6 +17,7 @@
 //! (`W_q` of the paper in row-major order).
 
 use crate::activation::Activation;
+use crate::numeric::unrolled;
 
 /// Most inner layers that a network can have.
 pub const INNER_LAYERS_MAX: usize = 8;
@@ -218,7 +219,9 @@ impl<S: AsRef<[f32]>> InnerNetwork<S> {
         let (mut source, mut target) = (&mut scratch.first, &mut scratch.second);
         let mut parameters = self.parameters.as_ref();
         let mut inputs = x.len();
-        source.get_mut(..inputs)?.copy_from_slice(x);
+        for (place, component) in source.iter_mut().zip(x) {
+            *place = *component;
+        }
         for layer in self.architecture.layers() {
             let width = usize::from(layer.width);
             let (own, rest) = parameters.split_at_checked(width * (inputs + 1))?;
@@ -287,27 +290,8 @@ fn weighted_sums<const LANES: usize>(
     Some(LANES)
 }
 
-/// `sums + row * input`. Written out, so that the sums are in registers also where the compiler
-/// optimises for size and unrolls no loop; lanes that there are not take no instruction.
+/// `sums + row * input`.
 #[inline(always)]
 fn add_row<const LANES: usize>(sums: &mut [f32; LANES], row: &[f32; LANES], input: f32) {
-    const { assert!(LANES <= 12) };
-    add_four_lanes(sums, row, input, 0);
-    add_four_lanes(sums, row, input, 4);
-    add_four_lanes(sums, row, input, 8);
-}
-
-#[inline(always)]
-fn add_four_lanes(sums: &mut [f32], row: &[f32], input: f32, first: usize) {
-    add_lane(sums, row, input, first);
-    add_lane(sums, row, input, first + 1);
-    add_lane(sums, row, input, first + 2);
-    add_lane(sums, row, input, first + 3);
-}
-
-#[inline(always)]
-fn add_lane(sums: &mut [f32], row: &[f32], input: f32, lane: usize) {
-    if let (Some(sum), Some(weight)) = (sums.get_mut(lane), row.get(lane)) {
-        *sum += weight * input;
-    }
+    unrolled!(lane < LANES, { sums[lane] += row[lane] * input });
 }
