@@ -252,34 +252,59 @@ impl Scratch {
 /// not belong together.
 ///
 /// Up to twelve sums at a time stay in registers and give a vector unit independent lanes; each
-/// adds in the same order as a plain loop would.
-#[inline(never)]
+/// adds in the same order as a plain loop would. The paper's widths have a function each, in which
+/// rows follow one another without a gap; any other width will do.
+#[inline]
 fn affine(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
+    match outputs.len() {
+        12 => narrow::<12>(parameters, inputs, outputs),
+        5 => narrow::<5>(parameters, inputs, outputs),
+        _ => wide(parameters, inputs, outputs),
+    }
+}
+
+/// A layer of `WIDTH` nodes, in one block. A function of its own for every width: inlined side by
+/// side they would compete for registers.
+#[inline(never)]
+fn narrow<const WIDTH: usize>(
+    parameters: &[f32],
+    inputs: &[f32],
+    outputs: &mut [f32],
+) -> Option<()> {
+    // Biases are a row like any other, the first.
+    let (biases, rows) = parameters.as_chunks::<WIDTH>().0.split_first()?;
+    let mut sums = *biases;
+    for (row, &input) in rows.iter().zip(inputs) {
+        add_row(&mut sums, row, input);
+    }
+    *outputs.first_chunk_mut()? = sums;
+    Some(())
+}
+
+/// A layer of any width, in blocks.
+#[inline(never)]
+fn wide(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
     let width = outputs.len();
     let mut first = 0;
     while first < width {
         let (parameters, outputs) = (parameters.get(first..)?, outputs.get_mut(first..)?);
         first += match outputs.len() {
-            12.. => weighted_sums::<12>(parameters, width, inputs, outputs)?,
-            5 => weighted_sums::<5>(parameters, width, inputs, outputs)?,
-            4.. => weighted_sums::<4>(parameters, width, inputs, outputs)?,
-            _ => weighted_sums::<1>(parameters, width, inputs, outputs)?,
+            12.. => block::<12>(parameters, width, inputs, outputs)?,
+            4.. => block::<4>(parameters, width, inputs, outputs)?,
+            _ => block::<1>(parameters, width, inputs, outputs)?,
         };
     }
     Some(())
 }
 
-/// The first `LANES` of `outputs`, in a layer whose rows have `width` weights; returns `LANES`. A
-/// function of its own for every number of lanes: inlined side by side they would compete for
-/// registers.
-#[inline(never)]
-fn weighted_sums<const LANES: usize>(
+/// The first `LANES` of `outputs`, in a layer whose rows have `width` weights; returns `LANES`.
+#[inline(always)]
+fn block<const LANES: usize>(
     parameters: &[f32],
     width: usize,
     inputs: &[f32],
     outputs: &mut [f32],
 ) -> Option<usize> {
-    // Biases are a row like any other, the first.
     let mut rows = parameters;
     let mut sums = *rows.first_chunk::<LANES>()?;
     for &input in inputs {
