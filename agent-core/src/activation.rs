@@ -211,13 +211,13 @@ fn tanh_bits(x: u32) -> u32 {
 #[inline(always)]
 fn tanh_small(magnitude: f32) -> f32 {
     let square = magnitude * magnitude;
-    magnitude - magnitude * (square * horner(&TANH_SMALL, square))
+    magnitude - magnitude * (square * cubic(TANH_SMALL, square))
 }
 
 #[inline(always)]
 fn tanh_large(magnitude: f32) -> f32 {
     let quarter = 0.25 * magnitude;
-    let mut expm1 = quarter + (quarter * quarter) * horner(&TANH_LARGE, quarter);
+    let mut expm1 = quarter + (quarter * quarter) * quartic(TANH_LARGE, quarter);
     expm1 = expm1 * (expm1 + 2.0);
     expm1 = expm1 * (expm1 + 2.0);
     expm1 = expm1 * (expm1 + 2.0);
@@ -262,14 +262,22 @@ fn exp_scaled(high: f32, tail: f32, biased_one: u32) -> f32 {
     let rounded = (high + tail) * LOG2_E + ROUNDER;
     let k = rounded - ROUNDER;
     let r = (high - k * LN2_HIGH) + (tail - k * LN2_LOW);
-    let significand = 1.0 + (r + (r * r) * horner(&EXP, r));
+    let significand = 1.0 + (r + (r * r) * quartic(EXP, r));
     // The bits of `rounded` are those of ROUNDER plus k; the shift drops all but k.
     let power = f32::from_bits(rounded.to_bits().wrapping_add(biased_one) << SIGNIFICAND_BITS);
     significand * power
 }
 
-/// The polynomial with `coefficients`, lowest degree first, at `v`.
+// Written out, since a loop stays one where the compiler optimises for size.
+
+/// The polynomial with these coefficients, lowest degree first, at `v`.
 #[inline(always)]
-fn horner<const N: usize>(coefficients: &[f32; N], v: f32) -> f32 {
-    coefficients.iter().rev().copied().reduce(|sum, c| sum * v + c).unwrap_or(0.0)
+fn cubic([c0, c1, c2, c3]: [f32; 4], v: f32) -> f32 {
+    ((c3 * v + c2) * v + c1) * v + c0
+}
+
+/// The same with one degree more.
+#[inline(always)]
+fn quartic([c0, c1, c2, c3, c4]: [f32; 5], v: f32) -> f32 {
+    cubic([c1, c2, c3, c4], v) * v + c0
 }

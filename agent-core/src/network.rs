@@ -17,6 +17,7 @@
 //! (`W_q` of the paper in row-major order).
 
 use crate::activation::Activation;
+use crate::numeric::unrolled;
 
 /// Most inner layers that a network can have.
 pub const INNER_LAYERS_MAX: usize = 8;
@@ -218,7 +219,9 @@ impl<S: AsRef<[f32]>> InnerNetwork<S> {
         let (mut source, mut target) = (&mut scratch.first, &mut scratch.second);
         let mut parameters = self.parameters.as_ref();
         let mut inputs = x.len();
-        source.get_mut(..inputs)?.copy_from_slice(x);
+        for (place, component) in source.iter_mut().zip(x) {
+            *place = *component;
+        }
         for layer in self.architecture.layers() {
             let width = usize::from(layer.width);
             let (own, rest) = parameters.split_at_checked(width * (inputs + 1))?;
@@ -248,24 +251,21 @@ impl Scratch {
 /// `outputs = biases + weights^T inputs` for the parameters of one layer; `None` if the lengths do
 /// not belong together.
 ///
-/// The sums of up to twelve outputs stay in registers and give a vector unit independent lanes;
-/// each lane adds in the same order as a plain loop would. Usual widths have a function each, in
-/// which rows follow one another without a gap; any other width will do.
+/// Up to twelve sums at a time stay in registers and give a vector unit independent lanes; each
+/// adds in the same order as a plain loop would. The paper's widths have a function each, in which
+/// rows follow one another without a gap; any other width will do.
 #[inline]
 fn affine(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
     match outputs.len() {
-        4 => narrow::<4>(parameters, inputs, outputs),
-        5 => narrow::<5>(parameters, inputs, outputs),
-        6 => narrow::<6>(parameters, inputs, outputs),
-        8 => narrow::<8>(parameters, inputs, outputs),
-        10 => narrow::<10>(parameters, inputs, outputs),
         12 => narrow::<12>(parameters, inputs, outputs),
+        5 => narrow::<5>(parameters, inputs, outputs),
         _ => wide(parameters, inputs, outputs),
     }
 }
 
-/// A layer of `WIDTH` nodes, in one block.
-#[inline(always)]
+/// A layer of `WIDTH` nodes, in one block. A function of its own for every width: inlined side by
+/// side they would compete for registers.
+#[inline(never)]
 fn narrow<const WIDTH: usize>(
     parameters: &[f32],
     inputs: &[f32],
@@ -273,31 +273,12 @@ fn narrow<const WIDTH: usize>(
 ) -> Option<()> {
     // Biases are a row like any other, the first.
     let (biases, rows) = parameters.as_chunks::<WIDTH>().0.split_first()?;
-    weighted_sums(biases, rows, inputs, outputs.first_chunk_mut()?);
-    Some(())
-}
-
-/// `biases + rows^T inputs`, four rows a turn. A function of its own for every width: inlined side
-/// by side they would compete for registers, and every layer would prepare the loops of all.
-#[inline(never)]
-fn weighted_sums<const WIDTH: usize>(
-    biases: &[f32; WIDTH],
-    rows: &[[f32; WIDTH]],
-    inputs: &[f32],
-    outputs: &mut [f32; WIDTH],
-) {
     let mut sums = *biases;
-    let (rows_by_four, rows_left) = rows.as_chunks::<4>();
-    let (inputs_by_four, inputs_left) = inputs.as_chunks::<4>();
-    for (rows, inputs) in rows_by_four.iter().zip(inputs_by_four) {
-        for (row, &input) in rows.iter().zip(inputs) {
-            add_row(&mut sums, row, input);
-        }
-    }
-    for (row, &input) in rows_left.iter().zip(inputs_left) {
+    for (row, &input) in rows.iter().zip(inputs) {
         add_row(&mut sums, row, input);
     }
-    *outputs = sums;
+    *outputs.first_chunk_mut()? = sums;
+    Some(())
 }
 
 /// A layer of any width, in blocks.
@@ -306,35 +287,36 @@ fn wide(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
     let width = outputs.len();
     let mut first = 0;
     while first < width {
-        first += match width - first {
-            12.. => block::<12>(first, parameters, inputs, outputs)?,
-            4.. => block::<4>(first, parameters, inputs, outputs)?,
-            _ => block::<1>(first, parameters, inputs, outputs)?,
+        let (parameters, outputs) = (parameters.get(first..)?, outputs.get_mut(first..)?);
+        first += match outputs.len() {
+            12.. => block::<12>(parameters, width, inputs, outputs)?,
+            4.. => block::<4>(parameters, width, inputs, outputs)?,
+            _ => block::<1>(parameters, width, inputs, outputs)?,
         };
     }
     Some(())
 }
 
-/// The `LANES` outputs from `first`; returns `LANES`.
+/// The first `LANES` of `outputs`, in a layer whose rows have `width` weights; returns `LANES`.
 #[inline(always)]
 fn block<const LANES: usize>(
-    first: usize,
     parameters: &[f32],
+    width: usize,
     inputs: &[f32],
     outputs: &mut [f32],
 ) -> Option<usize> {
-    let mut rows = parameters.chunks_exact(outputs.len());
-    let mut sums = *rows.next()?.get(first..)?.first_chunk::<LANES>()?;
-    for (row, &input) in rows.zip(inputs) {
-        add_row(&mut sums, row.get(first..)?.first_chunk()?, input);
+    let mut rows = parameters;
+    let mut sums = *rows.first_chunk::<LANES>()?;
+    for &input in inputs {
+        rows = rows.get(width..)?;
+        add_row(&mut sums, rows.first_chunk()?, input);
     }
-    *outputs.get_mut(first..)?.first_chunk_mut()? = sums;
+    *outputs.first_chunk_mut()? = sums;
     Some(LANES)
 }
 
+/// `sums + row * input`.
 #[inline(always)]
 fn add_row<const LANES: usize>(sums: &mut [f32; LANES], row: &[f32; LANES], input: f32) {
-    for (sum, &weight) in sums.iter_mut().zip(row) {
-        *sum += weight * input;
-    }
+    unrolled!(lane < LANES, { sums[lane] += row[lane] * input });
 }

@@ -15,7 +15,7 @@
 
 use nalgebra::SMatrix;
 
-use crate::numeric::{add_scaled, dot};
+use crate::numeric::{add_scaled, components_mut, difference, dot};
 use crate::parameter::{ParameterError, finite, positive};
 use crate::{AgentId, StateVector};
 
@@ -63,8 +63,9 @@ impl<const N: usize> OutputMatrix<N> {
         measurement: &[f32],
         error: &mut StateVector<N>,
     ) -> StateVector<N> {
-        let mut innovation = StateVector::zeros();
-        for ((row, &measured), error) in self.rows.iter().zip(measurement).zip(error.iter_mut()) {
+        let mut innovation = StateVector::from([0.0; N]);
+        let errors = components_mut(error);
+        for ((row, &measured), error) in self.rows.iter().zip(measurement).zip(errors) {
             *error = dot(row, estimate) - measured;
             add_scaled(&mut innovation, *error, row);
         }
@@ -131,10 +132,10 @@ impl<const N: usize> ObserverParams<'_, N> {
         own: &StateVector<N>,
         held: impl Iterator<Item = Option<&'h StateVector<N>>>,
     ) -> StateVector<N> {
-        let mut term = StateVector::zeros();
+        let mut term = StateVector::from([0.0; N]);
         for (neighbour, held) in self.neighbours.iter().zip(held) {
             if let Some(held) = held {
-                add_scaled(&mut term, neighbour.weight, &(held - own));
+                add_scaled(&mut term, neighbour.weight, &difference(held, own));
             }
         }
         term

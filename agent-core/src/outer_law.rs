@@ -17,7 +17,7 @@
 //! weights by finite numbers or changes none.
 
 use crate::StateVector;
-use crate::numeric::{add_scaled, dot, square_root};
+use crate::numeric::{add_scaled, components, components_mut, dot, square_root, unrolled};
 use crate::parameter::{ParameterError, finite};
 use crate::projection::ProjectionParams;
 use crate::symmetric::SymmetricMatrix;
@@ -112,7 +112,7 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     #[inline]
     #[must_use]
     pub fn combine(&self, features: &[f32]) -> StateVector<N> {
-        let mut sum = StateVector::zeros();
+        let mut sum = StateVector::from([0.0; N]);
         for (row, &feature) in self.rows.iter().zip(features) {
             add_scaled(&mut sum, feature, row);
         }
@@ -139,15 +139,22 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
                 .zip(gained)
                 .fold(0.0, |sum, (row, gained)| sum + gained * dot(row, innovation))
         });
+        let mut direction = *innovation;
+        components_mut(&mut direction).iter_mut().for_each(|component| *component *= step_size);
         let mut planned = PlannedStep {
-            direction: innovation * step_size,
+            direction,
             shrink: step_size * correction,
             scale: None,
             norm_squared: 0.0,
         };
         for (row, &gained) in self.rows.iter().zip(gained) {
-            let row = planned.row(row, gained);
-            planned.norm_squared += dot(&row, &row);
+            let (row, direction) = (components(row), components(&direction));
+            let mut sum = 0.0;
+            unrolled!(lane < N, {
+                let weight = planned.weight(row[lane], gained, direction[lane]);
+                sum += weight * weight;
+            });
+            planned.norm_squared += sum;
         }
         if !planned.norm_squared.is_finite() {
             return None;
@@ -164,9 +171,12 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     #[inline]
     pub fn commit(&mut self, planned: &PlannedStep<N>) {
         for (row, &gained) in self.rows.iter_mut().zip(&self.gained_features) {
-            *row = planned.row(row, gained);
+            let (row, direction) = (components_mut(row), components(&planned.direction));
+            unrolled!(lane < N, {
+                row[lane] = planned.weight(row[lane], gained, direction[lane]);
+            });
             if let Some(scale) = planned.scale {
-                *row *= scale;
+                row.iter_mut().for_each(|weight| *weight *= scale);
             }
         }
         self.norm_squared = planned.norm_squared;
@@ -184,13 +194,11 @@ pub struct PlannedStep<const N: usize> {
 }
 
 impl<const N: usize> PlannedStep<N> {
-    /// Row `l` after the step: `w - dt (Gamma sigma)_l C^T e_3 - dt c w`.
-    #[inline]
-    fn row(&self, row: &StateVector<N>, gained: f32) -> StateVector<N> {
-        let mut result = *row;
-        add_scaled(&mut result, -gained, &self.direction);
-        add_scaled(&mut result, -self.shrink, row);
-        result
+    /// A weight of row `l` after the step: `w - dt (Gamma sigma)_l (C^T e_3)_j - dt c w`.
+    #[inline(always)]
+    fn weight(&self, weight: f32, gained: f32, direction: f32) -> f32 {
+        let moved = weight + -gained * direction;
+        moved + -self.shrink * weight
     }
 }
 

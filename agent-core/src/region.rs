@@ -4,6 +4,7 @@
 //! finite, and no lower limit is above its upper one.
 
 use crate::StateVector;
+use crate::numeric::components;
 use crate::package::StateBox;
 use crate::parameter::{ParameterError, finite, not_negative};
 
@@ -82,8 +83,8 @@ impl<const N: usize> Region<N> {
     #[inline]
     #[must_use]
     pub fn contains(&self, x: &StateVector<N>) -> bool {
-        let limits = self.low.iter().zip(self.high.iter());
-        limits.zip(x.iter()).all(|((low, high), x)| low <= x && x <= high)
+        let limits = components(&self.low).iter().zip(components(&self.high));
+        limits.zip(components(x)).all(|((low, high), x)| low <= x && x <= high)
     }
 }
 

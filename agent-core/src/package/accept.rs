@@ -264,7 +264,7 @@ fn check_test_vectors<const N: usize>(
 /// `W_hat^T sigma` as [`crate::outer_law::OuterWeights::combine`] computes it, from weights in
 /// place.
 fn combine<const N: usize>(outer_weights: &[f32], features: &[f32]) -> StateVector<N> {
-    let mut sum = StateVector::zeros();
+    let mut sum = StateVector::from([0.0; N]);
     for (row, &feature) in outer_weights.as_chunks::<N>().0.iter().zip(features) {
         add_scaled(&mut sum, feature, &StateVector::from(*row));
     }

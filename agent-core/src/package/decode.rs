@@ -1,12 +1,10 @@
 //! From bytes to a package.
 
-use postcard::ser_flavors::Size;
-use postcard::serialize_with_flavor;
-
 use super::wire::{CONSTANTS, Counts, Metadata};
 use super::{
     Envelope, HEADER_LENGTH, NeighbourIds, Node, Package, PackageError, StateBox, TEST_VECTORS_MAX,
 };
+use crate::codec::Reader;
 use crate::network::{Architecture, INNER_LAYERS_MAX, InnerNetwork, Layer};
 use crate::outer_law::OuterLawParams;
 use crate::projection::ProjectionParams;
@@ -34,14 +32,9 @@ impl<'a> Package<'a> {
     // Apart from its callers, so that what only decoding needs is off the stack in what follows.
     #[inline(never)]
     pub fn from_envelope(envelope: &Envelope<'a>) -> Result<Self, PackageError> {
-        let (metadata, rest) = postcard::take_from_bytes::<Metadata<'a>>(envelope.body)
-            .map_err(|_| PackageError::Malformed)?;
-        // One package, one byte string: a longer way to write an integer is none, or processors
-        // with longer words would take what others refuse.
-        let canonical = serialize_with_flavor(&metadata, Size::default());
-        if canonical != Ok(envelope.body.len() - rest.len()) {
-            return Err(PackageError::Malformed);
-        }
+        let mut reader = Reader::new(envelope.body);
+        let metadata = Metadata::read(&mut reader).ok_or(PackageError::Malformed)?;
+        let rest = reader.finish().ok_or(PackageError::Malformed)?;
         let numbers = numbers(envelope.body, rest)?;
         let architecture = architecture(&metadata)?;
         if !(1..=architecture.inputs()).contains(&usize::from(metadata.outputs)) {
