@@ -172,10 +172,10 @@ impl Board {
     /// # Errors
     /// See [`Fault`].
     pub fn turn(&mut self) -> Result<Turn, Fault> {
-        const EXPECTED: &str = "the state after its step";
+        const EXPECTED: &str = "a state after its step";
         let mut turn = Turn::default();
         loop {
-            let bytes = self.message(EXPECTED)?;
+            let bytes = self.message("state after its step")?;
             match heard(&bytes)? {
                 Message::State(state) => {
                     turn.state = Some(state);

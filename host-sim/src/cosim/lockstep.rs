@@ -106,7 +106,7 @@ impl<'s> Lockstep<'s> {
     }
 
     fn feed(&mut self, agents: &[AgentStep<'_>]) -> Result<(), NodeError> {
-        for index in 0..self.nodes.len() {
+        for (index, agent) in agents.iter().enumerate() {
             let (before, rest) = self.nodes.split_at_mut(index);
             let Some((node, after)) = rest.split_first_mut() else { break };
             let frames = node.neighbours.iter().flat_map(|&neighbour| {
@@ -116,7 +116,7 @@ impl<'s> Lockstep<'s> {
                 };
                 sender.frames.iter().map(Vec::as_slice)
             });
-            let fed = node.board.feed(frames, agents[index].measurement);
+            let fed = node.board.feed(frames, agent.measurement);
             fed.map_err(|fault| self.named(index, fault))?;
         }
         Ok(())
