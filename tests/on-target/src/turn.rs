@@ -26,6 +26,8 @@ const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 2;
 const SAMPLES: usize = 8;
 
+/// What a node says in a turn at most, its greeting included. \[byte\]
+const SAID: usize = 1024;
 /// Length of a slot, of the journal's halves, and of an erase unit. \[byte\]
 const UNIT: usize = 4096;
 const LAYOUT: Layout = Layout {
@@ -96,12 +98,31 @@ struct Bench<'b, M> {
     figures: &'b mut Figures,
     digest: Digest,
     turn: u32,
-    /// What has happened in this turn.
-    received: u32,
+    /// What the neighbours say before this turn, made before it is counted.
+    frames: [FrameBytes; NEIGHBOURS],
+    received: usize,
     broadcast: bool,
-    /// The neighbour whose frame is next.
-    next: u16,
+    /// What the node has said, hashed when it is not counted any more.
+    said: [u8; SAID],
+    length: usize,
     is_counted: bool,
+}
+
+impl<M> Bench<'_, M> {
+    /// What a link or a port does that has a buffer.
+    #[inline]
+    fn hear(&mut self, bytes: &[u8]) {
+        let room = self.said.get_mut(self.length..).unwrap_or_default();
+        if let Some(place) = room.get_mut(..bytes.len()) {
+            place.copy_from_slice(bytes);
+            self.length += bytes.len();
+        }
+    }
+
+    fn hash_what_was_said(&mut self) {
+        self.digest.bytes(self.said.get(..self.length).unwrap_or_default());
+        self.length = 0;
+    }
 }
 
 impl<M: Meter> Board for Bench<'_, M> {
@@ -113,7 +134,9 @@ impl<M: Meter> Board for Bench<'_, M> {
         if self.turn == TURNS {
             return 0;
         }
-        (self.received, self.broadcast, self.next) = (0, false, 2);
+        self.hash_what_was_said();
+        self.frames = [frame(2, self.turn), frame(3, self.turn)];
+        (self.received, self.broadcast) = (0, false);
         self.is_counted = true;
         self.meter.start();
         1
@@ -127,20 +150,16 @@ impl<M: Meter> Board for Bench<'_, M> {
     }
 
     fn broadcast(&mut self, frame: &[u8]) -> bool {
-        self.digest.bytes(frame);
+        self.hear(frame);
         self.broadcast = true;
         true
     }
 
     fn frame<'buffer>(&mut self, buffer: &'buffer mut [u8]) -> Option<Result<&'buffer [u8], Lost>> {
-        if self.next > 3 {
-            return None;
-        }
-        let bytes = frame(self.next, self.turn);
-        self.next += 1;
+        let bytes = self.frames.get(self.received)?;
         self.received += 1;
         let place = buffer.get_mut(..bytes.len())?;
-        place.iter_mut().zip(&bytes).for_each(|(place, byte)| *place = *byte);
+        place.copy_from_slice(bytes);
         Some(Ok(place))
     }
 
@@ -165,7 +184,7 @@ impl<M: Meter> Board for Bench<'_, M> {
     }
 
     fn respond(&mut self, bytes: &[u8]) {
-        self.digest.bytes(bytes);
+        self.hear(bytes);
     }
 
     fn flush(&mut self) {
@@ -173,7 +192,7 @@ impl<M: Meter> Board for Bench<'_, M> {
             return;
         }
         let instructions = self.meter.stop();
-        if self.received == 2 && self.broadcast {
+        if self.received == NEIGHBOURS && self.broadcast {
             self.figures.add(Figure::Turn, instructions);
         }
         self.turn += 1;
@@ -216,11 +235,14 @@ pub(crate) fn digest(meter: &mut impl Meter, figures: &mut Figures) -> Result<u6
         figures,
         digest: Digest::NEW,
         turn: 0,
+        frames: [FrameBytes::new(), FrameBytes::new()],
         received: 0,
         broadcast: false,
-        next: 0,
+        said: [0; SAID],
+        length: 0,
         is_counted: false,
     };
     node.run(&mut bench);
+    bench.hash_what_was_said();
     Ok(bench.digest.finish())
 }
