@@ -254,7 +254,7 @@ impl Scratch {
 /// Up to twelve sums at a time stay in registers and give a vector unit independent lanes; each
 /// adds in the same order as a plain loop would. The paper's widths have a function each, in which
 /// rows follow one another without a gap; any other width will do.
-#[inline]
+#[inline(always)]
 fn affine(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
     match outputs.len() {
         12 => narrow::<12>(parameters, inputs, outputs),
