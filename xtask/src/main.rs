@@ -5,6 +5,7 @@
 #![forbid(unsafe_code)]
 
 mod compiler;
+mod cosim;
 mod cross;
 mod emulate;
 mod firmware;
@@ -28,8 +29,8 @@ Usage: cargo xtask <task> [--debian]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
 
 Tasks:
-  test    every test there is: the workspace on the host, doctests included, then `cross` and
-          `emulate`
+  test    every test there is: the workspace on the host, doctests included, then `cross`,
+          `emulate`, and a co-simulation with the emulated board's firmware
   cross   build the node's libraries for bare metal, look for fused multiply-add and
           platform mathematics in the machine code, link the memory map
   emulate the examination in tests/on-target on emulated processors (QEMU): the bits that the
@@ -105,6 +106,7 @@ fn test(debian: bool) -> Result<(), Failure> {
     let count = host::test()?;
     cross::cross(debian)?;
     emulate::emulate(debian)?;
+    cosim::test(debian)?;
     println!("tests: {count}");
     Ok(())
 }
