@@ -16,6 +16,8 @@
 //! the weights row by row, one row of `width` weights for each input of the layer
 //! (`W_q` of the paper in row-major order).
 
+use serde::Serialize;
+
 use crate::activation::Activation;
 use crate::numeric::unrolled;
 
@@ -27,7 +29,7 @@ pub const LAYER_WIDTH_MAX: usize = 64;
 pub const INPUTS_MAX: usize = 12;
 
 /// One inner layer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Layer {
     /// Nodes, 1 to [`LAYER_WIDTH_MAX`].
     pub width: u8,

@@ -5,7 +5,7 @@ use super::{
     Envelope, HEADER_LENGTH, NeighbourIds, Node, Package, PackageError, StateBox, TEST_VECTORS_MAX,
 };
 use crate::codec::Reader;
-use crate::network::{Architecture, INNER_LAYERS_MAX, InnerNetwork, Layer};
+use crate::network::{Architecture, InnerNetwork};
 use crate::outer_law::OuterLawParams;
 use crate::projection::ProjectionParams;
 use crate::trigger::TriggerParams;
@@ -36,7 +36,8 @@ impl<'a> Package<'a> {
         let metadata = Metadata::read(&mut reader).ok_or(PackageError::Malformed)?;
         let rest = reader.finish().ok_or(PackageError::Malformed)?;
         let numbers = numbers(envelope.body, rest)?;
-        let architecture = architecture(&metadata)?;
+        let architecture = Architecture::new(metadata.inputs.into(), &metadata.layers)
+            .map_err(PackageError::Network)?;
         if !(1..=architecture.inputs()).contains(&usize::from(metadata.outputs)) {
             return Err(PackageError::Outputs { found: metadata.outputs.into() });
         }
@@ -70,15 +71,6 @@ fn numbers<'a>(body: &[u8], rest: &'a [u8]) -> Result<&'a [f32], PackageError> {
         return Err(PackageError::Malformed);
     }
     bytemuck::try_cast_slice(words).map_err(|_| PackageError::Alignment)
-}
-
-fn architecture(metadata: &Metadata<'_>) -> Result<Architecture, PackageError> {
-    let mut layers = heapless::Vec::<Layer, INNER_LAYERS_MAX>::new();
-    for layer in &metadata.layers {
-        // There is as much room as there are layers.
-        let _ = layers.push(Layer { width: layer.width, activation: layer.activation.into() });
-    }
-    Architecture::new(metadata.inputs.into(), &layers).map_err(PackageError::Network)
 }
 
 /// The numbers that have not been dealt out yet.
