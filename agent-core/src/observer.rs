@@ -34,9 +34,14 @@ impl<const N: usize> OutputMatrix<N> {
     pub fn new(rows: &[StateVector<N>]) -> Result<Self, ParameterError> {
         let length =
             ParameterError::Length { parameter: "output_matrix", expected: N, found: rows.len() };
-        let rows = heapless::Vec::from_slice(rows).map_err(|_| length)?;
+        Self::of(heapless::Vec::from_slice(rows).map_err(|_| length)?)
+    }
+
+    /// The same of rows of which there are not too many.
+    pub(crate) fn of(rows: heapless::Vec<StateVector<N>, N>) -> Result<Self, ParameterError> {
         if rows.is_empty() {
-            return Err(length);
+            let parameter = "output_matrix";
+            return Err(ParameterError::Length { parameter, expected: N, found: 0 });
         }
         rows.iter().try_for_each(|row| finite("output_matrix", components(row)))?;
         Ok(Self { rows })

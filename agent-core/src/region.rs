@@ -59,7 +59,6 @@ impl<const N: usize> Region<N> {
     /// A margin that is not finite or below 0.
     pub fn widened(&self, margin: f32) -> Result<Self, ParameterError> {
         not_negative("region.margin", margin)?;
-        let limited = |limit: f32| limit.clamp(f32::MIN, f32::MAX);
         let width = |low: f32, high: f32| limited(high - low);
         let mut wider = *self;
         let limits = components_mut(&mut wider.low).iter_mut().zip(components_mut(&mut wider.high));
@@ -103,6 +102,12 @@ impl<const N: usize> Region<N> {
     pub fn contains(&self, x: &StateVector<N>) -> bool {
         self.limits().zip(components(x)).all(|((low, high), x)| low <= x && x <= high)
     }
+}
+
+/// The last finite number in place of an infinite one.
+#[inline(never)]
+fn limited(limit: f32) -> f32 {
+    limit.clamp(f32::MIN, f32::MAX)
 }
 
 #[cfg(test)]

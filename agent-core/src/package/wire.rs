@@ -99,13 +99,13 @@ impl Form {
         }
     }
 
-    /// The matrix of this form with these entries.
-    pub(super) fn matrix<'a>(self, entries: &'a [f32]) -> Option<SymmetricMatrix<'a>> {
-        Some(match self {
-            Self::Scalar => SymmetricMatrix::Scalar(*entries.first()?),
+    /// The matrix of this form with these entries, of which there is at least one.
+    pub(super) fn matrix<'a>(self, entries: &'a [f32]) -> SymmetricMatrix<'a> {
+        match self {
+            Self::Scalar => SymmetricMatrix::Scalar(entries.first().copied().unwrap_or(0.0)),
             Self::Diagonal => SymmetricMatrix::Diagonal(entries),
             Self::Full => SymmetricMatrix::Full(entries),
-        })
+        }
     }
 }
 
