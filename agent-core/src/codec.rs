@@ -74,6 +74,19 @@ impl<'a> Reader<'a> {
         self.bytes(length as usize)
     }
 
+    /// A sequence of bytes that is UTF-8.
+    pub(crate) fn text(&mut self) -> &'a str {
+        // As `core::str::from_utf8`, which is made for speed and takes twice the code.
+        match self.sequence().utf8_chunks().next() {
+            None => "",
+            Some(chunk) if chunk.invalid().is_empty() => chunk.valid(),
+            Some(_) => {
+                self.refuse();
+                ""
+            }
+        }
+    }
+
     /// A yes or no; also whether a value follows that may be missing.
     #[inline(never)]
     pub(crate) fn flag(&mut self) -> bool {
@@ -149,6 +162,8 @@ pub(crate) fn push_integer<const CAPACITY: usize>(
 mod tests {
     extern crate std;
 
+    use std::{string::String, vec};
+
     use proptest::prelude::*;
 
     use super::*;
@@ -198,6 +213,20 @@ mod tests {
                 (sequence, optional, reader.f32(), reader.array())
             });
             prop_assert_eq!(read, Some((numbers, optional, number, [7u8; 3])));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn text_is_what_the_standard_library_takes(
+            bytes in prop::collection::vec(prop_oneof![any::<u8>(), 0..0x80u8, 0xc0..=0xf4u8], 0..6),
+            text: String,
+        ) {
+            for bytes in [&bytes[..], text.as_bytes()] {
+                let mut written = vec![0; bytes.len() + 10];
+                let written = &*postcard::to_slice(bytes, &mut written).unwrap();
+                prop_assert_eq!(whole(written, Reader::text), core::str::from_utf8(bytes).ok());
+            }
         }
     }
 

@@ -16,6 +16,8 @@
 //! the weights row by row, one row of `width` weights for each input of the layer
 //! (`W_q` of the paper in row-major order).
 
+use serde::Serialize;
+
 use crate::activation::Activation;
 use crate::numeric::unrolled;
 
@@ -27,7 +29,7 @@ pub const LAYER_WIDTH_MAX: usize = 64;
 pub const INPUTS_MAX: usize = 12;
 
 /// One inner layer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Layer {
     /// Nodes, 1 to [`LAYER_WIDTH_MAX`].
     pub width: u8,
@@ -254,7 +256,7 @@ impl Scratch {
 /// Up to twelve sums at a time stay in registers and give a vector unit independent lanes; each
 /// adds in the same order as a plain loop would. The paper's widths have a function each, in which
 /// rows follow one another without a gap; any other width will do.
-#[inline]
+#[inline(always)]
 fn affine(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
     match outputs.len() {
         12 => narrow::<12>(parameters, inputs, outputs),

@@ -40,7 +40,7 @@ use crate::frame::Frame;
 use crate::hold::Hold;
 use crate::inbox::Inbox;
 use crate::network::{InnerNetwork, Scratch};
-use crate::numeric::{add_scaled, all_finite, difference, product};
+use crate::numeric::{add_scaled, all_finite, components, difference, product};
 use crate::outer_law::OuterWeights;
 use crate::parameter::{ParameterError, finite};
 use crate::{StateVector, Tick};
@@ -131,7 +131,7 @@ where
         estimate: StateVector<N>,
         outer_weights: &[f32],
     ) -> Result<(), ParameterError> {
-        finite("initial_estimate", estimate.iter())?;
+        finite("initial_estimate", components(&estimate))?;
         let (expected, found) = (params.neighbours().len(), self.neighbour_holds.as_ref().len());
         if expected != found {
             let parameter = "neighbour_holds";

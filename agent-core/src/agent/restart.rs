@@ -4,6 +4,7 @@ use super::AgentParams;
 use super::AgentState;
 use crate::frame::Frame;
 use crate::hold::Hold;
+use crate::numeric::components;
 use crate::outer_law::OuterWeights;
 use crate::parameter::{ParameterError, finite};
 use crate::region::Region;
@@ -31,7 +32,7 @@ where
         estimate: StateVector<N>,
         outer_weights: &[f32],
     ) -> Result<Frame<N>, ParameterError> {
-        finite("restart_estimate", estimate.iter())?;
+        finite("restart_estimate", components(&estimate))?;
         self.outer_weights = OuterWeights::new(outer_weights, &params.outer_law)?;
         // A last tick of `Tick::MAX` would have no successor.
         let tick = tick.max(self.last_tick.unwrap_or(0)).min(Tick::MAX - 1);

@@ -288,7 +288,7 @@ impl Node<'_> {
         }
         self.gain.validate("observer.gain", N)?;
         let observer = ObserverParams {
-            output_matrix: OutputMatrix::new(&rows)?,
+            output_matrix: OutputMatrix::of(rows)?,
             gain: self.gain.unfold(),
             neighbours,
         };

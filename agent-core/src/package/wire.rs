@@ -8,7 +8,7 @@ use super::{OnSwitch, Provenance, TrainingErrors, test_vector_length};
 use crate::AgentId;
 use crate::activation::Activation;
 use crate::codec::Reader;
-use crate::network::{Architecture, INNER_LAYERS_MAX};
+use crate::network::{Architecture, INNER_LAYERS_MAX, Layer};
 use crate::symmetric::SymmetricMatrix;
 
 /// Everything in a body that is not one of its numbers.
@@ -19,7 +19,7 @@ pub(super) struct Metadata<'a> {
     pub(super) agent: AgentId,
     pub(super) outer_weights_on_switch: OnSwitch,
     pub(super) inputs: u8,
-    pub(super) layers: heapless::Vec<WireLayer, INNER_LAYERS_MAX>,
+    pub(super) layers: heapless::Vec<Layer, INNER_LAYERS_MAX>,
     pub(super) outputs: u8,
     pub(super) neighbours: &'a [u8],
     pub(super) gain: Form,
@@ -50,7 +50,7 @@ impl<'a> Metadata<'a> {
             test_vectors: reader.byte(),
             provenance: Provenance {
                 scenario_hash: reader.array(),
-                recipe: core::str::from_utf8(reader.sequence()).ok()?,
+                recipe: reader.text(),
                 seed: reader.u64(),
                 samples: reader.u32(),
                 errors: reader
@@ -63,48 +63,15 @@ impl<'a> Metadata<'a> {
 }
 
 /// Their number, then one after another.
-fn read_layers(reader: &mut Reader<'_>) -> Option<heapless::Vec<WireLayer, INNER_LAYERS_MAX>> {
-    const ACTIVATIONS: [WireActivation; 3] =
-        [WireActivation::Tanh, WireActivation::Logistic, WireActivation::Gaussian];
+fn read_layers(reader: &mut Reader<'_>) -> Option<heapless::Vec<Layer, INNER_LAYERS_MAX>> {
+    const ACTIVATIONS: [Activation; 3] =
+        [Activation::Tanh, Activation::Logistic, Activation::Gaussian];
     let mut layers = heapless::Vec::new();
     for _ in 0..reader.byte() {
         let (width, activation) = (reader.byte(), reader.one_of(&ACTIVATIONS)?);
-        layers.push(WireLayer { width, activation }).ok()?;
+        layers.push(Layer { width, activation }).ok()?;
     }
     Some(layers)
-}
-
-#[derive(Serialize)]
-pub(super) struct WireLayer {
-    pub(super) width: u8,
-    pub(super) activation: WireActivation,
-}
-
-#[derive(Clone, Copy, Serialize)]
-pub(super) enum WireActivation {
-    Tanh,
-    Logistic,
-    Gaussian,
-}
-
-impl From<WireActivation> for Activation {
-    fn from(activation: WireActivation) -> Self {
-        match activation {
-            WireActivation::Tanh => Self::Tanh,
-            WireActivation::Logistic => Self::Logistic,
-            WireActivation::Gaussian => Self::Gaussian,
-        }
-    }
-}
-
-impl From<Activation> for WireActivation {
-    fn from(activation: Activation) -> Self {
-        match activation {
-            Activation::Tanh => Self::Tanh,
-            Activation::Logistic => Self::Logistic,
-            Activation::Gaussian => Self::Gaussian,
-        }
-    }
 }
 
 /// Which form of a symmetric matrix the numbers are.
@@ -132,13 +99,13 @@ impl Form {
         }
     }
 
-    /// The matrix of this form with these entries.
-    pub(super) fn matrix<'a>(self, entries: &'a [f32]) -> Option<SymmetricMatrix<'a>> {
-        Some(match self {
-            Self::Scalar => SymmetricMatrix::Scalar(*entries.first()?),
+    /// The matrix of this form with these entries, of which there is at least one.
+    pub(super) fn matrix<'a>(self, entries: &'a [f32]) -> SymmetricMatrix<'a> {
+        match self {
+            Self::Scalar => SymmetricMatrix::Scalar(entries.first().copied().unwrap_or(0.0)),
             Self::Diagonal => SymmetricMatrix::Diagonal(entries),
             Self::Full => SymmetricMatrix::Full(entries),
-        })
+        }
     }
 }
 
