@@ -74,6 +74,8 @@ use core::f32::consts::LOG2_E;
 
 use serde::Serialize;
 
+use crate::numeric::for_each;
+
 /// Where `tanh` changes its form: just above atanh(1/2) = 0.5493, so that `1 - 2 / (m + 2)`
 /// never has to answer in the finer binade below 1/2. Chosen, not fitted.
 const TANH_SMALL_BELOW: f32 = 0.55;
@@ -176,32 +178,18 @@ impl Activation {
 
 #[inline(never)]
 fn tanh_in_place(values: &mut [f32]) {
-    for_each(bytemuck::cast_slice_mut(values), tanh_bits);
+    let bits: &mut [u32] = bytemuck::cast_slice_mut(values);
+    for_each(bits, |bits| *bits = tanh_bits(*bits));
 }
 
 #[inline(never)]
 fn logistic_in_place(values: &mut [f32]) {
-    for_each(values, logistic);
+    for_each(values, |value| *value = logistic(*value));
 }
 
 #[inline(never)]
 fn gaussian_in_place(values: &mut [f32]) {
-    for_each(values, gaussian);
-}
-
-/// Replaces every value by its image. Whether there is another one is asked at the end of a turn,
-/// not at its beginning: where the compiler optimises for size it leaves a loop as it is written,
-/// and this spares four instructions a value.
-#[inline(always)]
-fn for_each<T: Copy>(values: &mut [T], image: impl Fn(T) -> T) {
-    let Some((mut value, mut rest)) = values.split_first_mut() else { return };
-    loop {
-        *value = image(*value);
-        match rest.split_first_mut() {
-            Some(next) => (value, rest) = next,
-            None => return,
-        }
-    }
+    for_each(values, |value| *value = gaussian(*value));
 }
 
 /// Hyperbolic tangent: odd, never decreasing, in [-1, 1].

@@ -19,7 +19,7 @@
 use serde::Serialize;
 
 use crate::activation::Activation;
-use crate::numeric::unrolled;
+use crate::numeric::{for_each, unrolled};
 
 /// Most inner layers that a network can have.
 pub const INNER_LAYERS_MAX: usize = 8;
@@ -276,9 +276,7 @@ fn narrow<const WIDTH: usize>(
     // Biases are a row like any other, the first.
     let (biases, rows) = parameters.as_chunks::<WIDTH>().0.split_first()?;
     let mut sums = *biases;
-    for (row, &input) in rows.iter().zip(inputs) {
-        add_row(&mut sums, row, input);
-    }
+    for_each(rows.iter().zip(inputs), |(row, &input)| add_row(&mut sums, row, input));
     *outputs.first_chunk_mut()? = sums;
     Some(())
 }

@@ -42,11 +42,20 @@ impl OuterLawParams<'_> {
         self.projection.validate()
     }
 
-    /// Weights with this squared norm can be a start: within the bound.
-    pub(crate) fn validate_norm(&self, norm_squared: f32) -> Result<(), ParameterError> {
+    /// The squared norm of weights that can be a start: of as many rows as the gain asks for, and
+    /// within the bound.
+    pub(crate) fn validate_weights<const N: usize>(
+        &self,
+        rows: &[[f32; N]],
+    ) -> Result<f32, ParameterError> {
+        self.validate(rows.len())?;
+        let norm_squared = rows.iter().fold(0.0, |sum, row| {
+            let row = StateVector::from(*row);
+            sum + dot(&row, &row)
+        });
         let bound = self.projection.bound();
         if norm_squared <= bound * bound {
-            return Ok(());
+            return Ok(norm_squared);
         }
         Err(ParameterError::OutOfRange {
             parameter: "norm of outer_weights",
@@ -76,24 +85,42 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     /// A length that is not a multiple of `N`, no row or too many, an entry that is not finite, a
     /// norm above the law's bound, a gain of another size than `L`.
     pub fn new(entries: &[f32], law: &OuterLawParams) -> Result<Self, ParameterError> {
+        let mut weights = Self::none();
+        weights.replace(entries, law)?;
+        Ok(weights)
+    }
+
+    /// Makes the weights in place what [`Self::new`] makes them.
+    ///
+    /// # Errors
+    /// As for [`Self::new`]; nothing is changed then.
+    pub(crate) fn replace(
+        &mut self,
+        entries: &[f32],
+        law: &OuterLawParams,
+    ) -> Result<(), ParameterError> {
         const PARAMETER: &str = "outer_weights";
         let length = |expected| ParameterError::Length {
             parameter: PARAMETER,
             expected,
             found: entries.len(),
         };
-        if entries.is_empty() || !entries.len().is_multiple_of(N) {
-            return Err(length((entries.len() / N).max(1) * N));
+        let (rows, rest) = entries.as_chunks::<N>();
+        if rows.is_empty() || !rest.is_empty() {
+            return Err(length(rows.len().max(1) * N));
+        }
+        if rows.len() > FEATURES {
+            return Err(length(FEATURES * N));
         }
         finite(PARAMETER, entries)?;
-        let mut rows = heapless::Vec::new();
-        for row in entries.as_chunks::<N>().0 {
-            rows.push(StateVector::from(*row)).map_err(|_| length(FEATURES * N))?;
+        let norm_squared = law.validate_weights(rows)?;
+        self.rows.clear();
+        for row in rows {
+            // There is room for all.
+            let _ = self.rows.push(StateVector::from(*row));
         }
-        law.validate(rows.len())?;
-        let norm_squared = rows.iter().fold(0.0, |sum, row| sum + dot(row, row));
-        law.validate_norm(norm_squared)?;
-        Ok(Self { rows, gained_features: [0.0; FEATURES], norm_squared })
+        self.norm_squared = norm_squared;
+        Ok(())
     }
 
     /// The rows, one for each feature, shape `[L]` of `[N]`.

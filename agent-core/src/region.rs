@@ -4,6 +4,7 @@
 //! finite, and no lower limit is above its upper one.
 
 use crate::StateVector;
+use crate::hold::Hold;
 use crate::numeric::{components, components_mut};
 use crate::package::StateBox;
 use crate::parameter::{ParameterError, finite, not_negative};
@@ -94,6 +95,18 @@ impl<const N: usize> Region<N> {
     #[inline]
     fn limits(&self) -> impl Iterator<Item = (&f32, &f32)> {
         components(&self.low).iter().zip(components(&self.high))
+    }
+
+    /// Empties the places of the samples outside; returns how many there were.
+    pub(crate) fn discard_outside(&self, places: &mut [Option<Hold<N>>]) -> usize {
+        let mut discarded = 0;
+        for place in places {
+            if place.as_ref().is_some_and(|held| !self.contains(held.estimate())) {
+                *place = None;
+                discarded += 1;
+            }
+        }
+        discarded
     }
 
     /// Whether every component of `x` lies within its limits; never for one that is not a number.

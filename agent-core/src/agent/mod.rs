@@ -137,7 +137,7 @@ where
             let parameter = "neighbour_holds";
             return Err(ParameterError::Length { parameter, expected, found });
         }
-        self.outer_weights = OuterWeights::new(outer_weights, &params.outer_law)?;
+        self.outer_weights.replace(outer_weights, &params.outer_law)?;
         self.last_tick = None;
         self.estimate = estimate;
         self.own_hold = Hold::new(estimate, 0, 0);
@@ -334,9 +334,7 @@ where
         params: &AgentParams<'_, N>,
         outer_weights: &[f32],
     ) -> Result<(), ParameterError> {
-        let outer_weights = OuterWeights::new(outer_weights, &params.outer_law)?;
-        self.outer_weights = outer_weights;
-        Ok(())
+        self.outer_weights.replace(outer_weights, &params.outer_law)
     }
 
     /// `x_hat_i`, at the tick after the last step.
