@@ -68,9 +68,10 @@ impl<C: Clock> Counter<C> {
 
     fn instructions(&self, ticks: u32) -> u32 {
         let scaled = u64::from(ticks) * u64::from(Self::INSTRUCTIONS);
-        let ticks = u64::from(self.ticks.max(1));
+        let ticks = u64::from(self.ticks);
+        let instructions = (scaled + ticks / 2).checked_div(ticks).unwrap_or(0);
         // The black box keeps the division from drifting into the next interval.
-        black_box(((scaled + ticks / 2) / ticks) as u32)
+        black_box(instructions as u32)
     }
 }
 
