@@ -98,7 +98,7 @@ pub(crate) fn emulate(debian: bool) -> Result<(), Failure> {
     find_emulators(debian)?;
     let mut table = String::from(
         "machine     core                     sections  instructions, mean (largest): forward, \
-         step, with broadcast, frame, package, turn\n",
+         step, with broadcast, frame, package, turn, turn with outer weights told\n",
     );
     for machine in &MACHINES {
         let program = build(&compiler, machine)?;

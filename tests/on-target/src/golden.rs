@@ -9,5 +9,5 @@ pub const DIGESTS: [(&str, u64); 5] = [
     ("network", 0xdd77_0492_c179_ad7b),
     ("agent", 0xdfbc_5faa_9bff_4763),
     ("package", 0xf9c5_a18e_ac01_9224),
-    ("turn", 0x9499_8df1_5664_8523),
+    ("turn", 0x9e3e_4240_e3ec_8524),
 ];

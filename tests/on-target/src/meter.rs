@@ -41,14 +41,23 @@ pub enum Figure {
     Frame,
     /// The acceptance of a package without a signature.
     Package,
-    /// A whole turn of a node: two frames received, a step, a broadcast, all that it can tell.
+    /// A turn of a node: two frames received, a step, a broadcast, state and health told.
     Turn,
+    /// The same with the outer weights told, too, as in a co-simulation.
+    WholeTurn,
 }
 
 impl Figure {
     /// Every figure.
-    pub const ALL: [Self; 6] =
-        [Self::Forward, Self::Step, Self::Broadcast, Self::Frame, Self::Package, Self::Turn];
+    pub const ALL: [Self; 7] = [
+        Self::Forward,
+        Self::Step,
+        Self::Broadcast,
+        Self::Frame,
+        Self::Package,
+        Self::Turn,
+        Self::WholeTurn,
+    ];
 
     /// One word.
     #[must_use]
@@ -60,6 +69,7 @@ impl Figure {
             Self::Frame => "frame",
             Self::Package => "package",
             Self::Turn => "turn",
+            Self::WholeTurn => "whole-turn",
         }
     }
 }
