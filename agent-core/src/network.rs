@@ -259,26 +259,22 @@ impl Scratch {
 #[inline(always)]
 fn affine(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
     match outputs.len() {
-        12 => narrow::<12>(parameters, inputs, outputs),
-        5 => narrow::<5>(parameters, inputs, outputs),
-        _ => wide(parameters, inputs, outputs),
+        12 => narrow::<12>(parameters, inputs, outputs.first_chunk_mut()?),
+        5 => narrow::<5>(parameters, inputs, outputs.first_chunk_mut()?),
+        _ => wide(parameters, inputs, outputs)?,
     }
+    Some(())
 }
 
 /// A layer of `WIDTH` nodes, in one block. A function of its own for every width: inlined side by
 /// side they would compete for registers.
 #[inline(never)]
-fn narrow<const WIDTH: usize>(
-    parameters: &[f32],
-    inputs: &[f32],
-    outputs: &mut [f32],
-) -> Option<()> {
-    // Biases are a row like any other, the first.
-    let (biases, rows) = parameters.as_chunks::<WIDTH>().0.split_first()?;
+fn narrow<const WIDTH: usize>(parameters: &[f32], inputs: &[f32], outputs: &mut [f32; WIDTH]) {
+    let Some((biases, rows)) = parameters.split_first_chunk::<WIDTH>() else { return };
     let mut sums = *biases;
+    let (rows, _) = rows.as_chunks::<WIDTH>();
     for_each(rows.iter().zip(inputs), |(row, &input)| add_row(&mut sums, row, input));
-    *outputs.first_chunk_mut()? = sums;
-    Some(())
+    *outputs = sums;
 }
 
 /// A layer of any width, in blocks.
