@@ -36,7 +36,7 @@ pub(crate) fn without_learning() -> Scenario {
     scenario
 }
 
-fn board(package: Option<&PackageBytes>, quirks: &Quirks, lives_on: bool) -> Board {
+pub(crate) fn board(package: Option<&PackageBytes>, quirks: &Quirks, lives_on: bool) -> Board {
     let line = Line::over_socket(loop_node::spawn(package, quirks)).unwrap();
     Board::new(line, "thread", lives_on)
 }

@@ -8,6 +8,10 @@ mod core_refusals;
 #[cfg(unix)]
 mod cosim;
 #[cfg(unix)]
+mod cosim_faults;
+#[cfg(unix)]
+mod cosim_qemu;
+#[cfg(unix)]
 mod cosim_service;
 mod described;
 mod determinism;

@@ -72,6 +72,10 @@ mod tests;
 
 use core::f32::consts::LOG2_E;
 
+use serde::Serialize;
+
+use crate::numeric::for_each;
+
 /// Where `tanh` changes its form: just above atanh(1/2) = 0.5493, so that `1 - 2 / (m + 2)`
 /// never has to answer in the finer binade below 1/2. Chosen, not fitted.
 const TANH_SMALL_BELOW: f32 = 0.55;
@@ -128,8 +132,8 @@ const SIGN: u32 = 1 << 31;
 /// Clears the lower 12 of the 24 significand bits.
 const UPPER_HALF: u32 = 0xffff_f000;
 
-/// Which function the nodes of a layer apply.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+/// Which function the nodes of a layer apply; packages number them in this order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 pub enum Activation {
     /// Hyperbolic tangent, the paper's tangent-sigmoid.
     Tanh,
@@ -158,7 +162,7 @@ impl Activation {
     ///
     /// Each element gets the bits that [`tanh`], [`logistic`] or [`gaussian`] gives for it,
     /// whatever the length.
-    #[inline]
+    #[inline(always)]
     pub fn apply(self, values: &mut [f32]) {
         match self {
             Self::Tanh => tanh_in_place(values),
@@ -175,17 +179,17 @@ impl Activation {
 #[inline(never)]
 fn tanh_in_place(values: &mut [f32]) {
     let bits: &mut [u32] = bytemuck::cast_slice_mut(values);
-    bits.iter_mut().for_each(|v| *v = tanh_bits(*v));
+    for_each(bits, |bits| *bits = tanh_bits(*bits));
 }
 
 #[inline(never)]
 fn logistic_in_place(values: &mut [f32]) {
-    values.iter_mut().for_each(|v| *v = logistic(*v));
+    for_each(values, |value| *value = logistic(*value));
 }
 
 #[inline(never)]
 fn gaussian_in_place(values: &mut [f32]) {
-    values.iter_mut().for_each(|v| *v = gaussian(*v));
+    for_each(values, |value| *value = gaussian(*value));
 }
 
 /// Hyperbolic tangent: odd, never decreasing, in [-1, 1].
@@ -211,13 +215,13 @@ fn tanh_bits(x: u32) -> u32 {
 #[inline(always)]
 fn tanh_small(magnitude: f32) -> f32 {
     let square = magnitude * magnitude;
-    magnitude - magnitude * (square * horner(&TANH_SMALL, square))
+    magnitude - magnitude * (square * cubic(TANH_SMALL, square))
 }
 
 #[inline(always)]
 fn tanh_large(magnitude: f32) -> f32 {
     let quarter = 0.25 * magnitude;
-    let mut expm1 = quarter + (quarter * quarter) * horner(&TANH_LARGE, quarter);
+    let mut expm1 = quarter + (quarter * quarter) * quartic(TANH_LARGE, quarter);
     expm1 = expm1 * (expm1 + 2.0);
     expm1 = expm1 * (expm1 + 2.0);
     expm1 = expm1 * (expm1 + 2.0);
@@ -257,19 +261,27 @@ pub fn gaussian(x: f32) -> f32 {
 /// `|high| <= 104.04`, `tail` is small beside it, and the scaled result must be a normal
 /// number. `high - k LN2_HIGH` is exact: both are multiples of the smaller of 2^-16 and the
 /// ulp of `high`, which is 2^-25 or more unless k = 0, and their difference is below 1/2.
-#[inline(always)]
+#[inline]
 fn exp_scaled(high: f32, tail: f32, biased_one: u32) -> f32 {
     let rounded = (high + tail) * LOG2_E + ROUNDER;
     let k = rounded - ROUNDER;
     let r = (high - k * LN2_HIGH) + (tail - k * LN2_LOW);
-    let significand = 1.0 + (r + (r * r) * horner(&EXP, r));
+    let significand = 1.0 + (r + (r * r) * quartic(EXP, r));
     // The bits of `rounded` are those of ROUNDER plus k; the shift drops all but k.
     let power = f32::from_bits(rounded.to_bits().wrapping_add(biased_one) << SIGNIFICAND_BITS);
     significand * power
 }
 
-/// The polynomial with `coefficients`, lowest degree first, at `v`.
+// Written out, since a loop stays one where the compiler optimises for size.
+
+/// The polynomial with these coefficients, lowest degree first, at `v`.
 #[inline(always)]
-fn horner<const N: usize>(coefficients: &[f32; N], v: f32) -> f32 {
-    coefficients.iter().rev().copied().reduce(|sum, c| sum * v + c).unwrap_or(0.0)
+fn cubic([c0, c1, c2, c3]: [f32; 4], v: f32) -> f32 {
+    ((c3 * v + c2) * v + c1) * v + c0
+}
+
+/// The same with one degree more.
+#[inline(always)]
+fn quartic([c0, c1, c2, c3, c4]: [f32; 5], v: f32) -> f32 {
+    cubic([c1, c2, c3, c4], v) * v + c0
 }

@@ -19,13 +19,9 @@
 //! Cost: linear in the length. Invariant: decoding either gives a frame with a finite
 //! estimate of the right dimension, or an error; it never panics, whatever the bytes.
 
-use postcard::ser_flavors::Size;
-use postcard::serialize_with_flavor;
-use serde::{Deserialize, Serialize};
-
 use crate::checksum::{CHECKSUM_LENGTH, crc32};
+use crate::codec::{Reader, push_integer};
 use crate::network::INPUTS_MAX;
-use crate::numeric::all_finite;
 use crate::{AgentId, StateVector, Tick};
 
 /// Version of the format that this crate writes and reads.
@@ -126,42 +122,15 @@ impl core::fmt::Display for FrameError {
 
 impl core::error::Error for FrameError {}
 
-/// A frame as postcard writes it.
-#[derive(Serialize, Deserialize)]
-struct Wire {
-    version: u8,
-    sender: AgentId,
-    sequence: u32,
-    tick: Tick,
-    payload: Payload,
-}
-
-#[derive(Serialize, Deserialize)]
-enum Payload {
-    Estimate(heapless::Vec<f32, INPUTS_MAX>),
-}
+/// The kind of payload that is an estimate.
+const ESTIMATE: u8 = 0;
 
 impl<const N: usize> Frame<N> {
     /// The bytes to broadcast.
     #[must_use]
     pub fn encode(&self) -> FrameBytes {
         const { assert!(N >= 1 && N <= INPUTS_MAX, "the state dimension is 1 to 12") };
-        let wire = Wire {
-            version: VERSION,
-            sender: self.sender,
-            sequence: self.sequence,
-            tick: self.tick,
-            payload: Payload::Estimate(self.estimate.iter().copied().collect()),
-        };
-        let mut bytes = FrameBytes::new();
-        let mut buffer = [0; FRAME_LENGTH_MAX];
-        // Both always fit: FRAME_LENGTH_MAX is the sum of every field's largest size.
-        if let Ok(body) = postcard::to_slice(&wire, &mut buffer) {
-            let checksum = crc32(&[body]).to_le_bytes();
-            let _ = bytes.extend_from_slice(body);
-            let _ = bytes.extend_from_slice(&checksum);
-        }
-        bytes
+        encode(self.sender, self.sequence, self.tick, self.estimate.as_slice())
     }
 
     /// The frame that `bytes` hold, and nothing but it.
@@ -170,40 +139,74 @@ impl<const N: usize> Frame<N> {
     /// [`FrameError::Length`], [`FrameError::Checksum`], [`FrameError::Malformed`],
     /// [`FrameError::Version`], [`FrameError::Dimension`] or [`FrameError::NotFinite`].
     pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
-        let length = FrameError::Length { found: bytes.len() };
-        if bytes.len() > FRAME_LENGTH_MAX {
-            return Err(length);
-        }
-        let (body, checksum) = bytes.split_last_chunk::<CHECKSUM_LENGTH>().ok_or(length)?;
-        if crc32(&[body]) != u32::from_le_bytes(*checksum) {
-            return Err(FrameError::Checksum);
-        }
-        match body.first() {
-            None => return Err(length),
-            Some(&VERSION) => {}
-            Some(&found) => return Err(FrameError::Version { found }),
-        }
-        let (wire, rest): (Wire, &[u8]) =
-            postcard::take_from_bytes(body).map_err(|_| FrameError::Malformed)?;
-        // One frame, one byte string: a longer way to write an integer is none.
-        let canonical = serialize_with_flavor(&wire, Size::default());
-        if !rest.is_empty() || canonical != Ok(body.len()) {
-            return Err(FrameError::Malformed);
-        }
-        let Payload::Estimate(components) = wire.payload;
-        let estimate = <[f32; N]>::try_from(components.as_slice())
-            .map_err(|_| FrameError::Dimension { expected: N, found: components.len() })?;
-        let estimate = StateVector::from(estimate);
-        if !all_finite(&estimate) {
-            return Err(FrameError::NotFinite { sender: wire.sender });
-        }
-        Ok(Self { sender: wire.sender, sequence: wire.sequence, tick: wire.tick, estimate })
+        let mut estimate = StateVector::<N>::zeros();
+        let Header { sender, sequence, tick } = decode(bytes, estimate.as_mut_slice())?;
+        Ok(Self { sender, sequence, tick, estimate })
     }
+}
+
+/// What a frame says beside the estimate.
+struct Header {
+    sender: AgentId,
+    sequence: u32,
+    tick: Tick,
+}
+
+// One function for every dimension.
+fn encode(sender: AgentId, sequence: u32, tick: Tick, estimate: &[f32]) -> FrameBytes {
+    let mut bytes = FrameBytes::new();
+    // Everything fits: FRAME_LENGTH_MAX is the sum of every field's largest size.
+    let _ = bytes.push(VERSION);
+    for integer in [sender.into(), sequence.into(), tick] {
+        push_integer(&mut bytes, integer);
+    }
+    let _ = bytes.extend_from_slice(&[ESTIMATE, estimate.len() as u8]);
+    for component in estimate {
+        let _ = bytes.extend_from_slice(&component.to_le_bytes());
+    }
+    let checksum = crc32(&[&bytes]).to_le_bytes();
+    let _ = bytes.extend_from_slice(&checksum);
+    bytes
+}
+
+/// Takes `bytes` apart; the estimate goes into `estimate`, whose content means nothing after an
+/// error.
+fn decode(bytes: &[u8], estimate: &mut [f32]) -> Result<Header, FrameError> {
+    let length = FrameError::Length { found: bytes.len() };
+    if bytes.len() > FRAME_LENGTH_MAX {
+        return Err(length);
+    }
+    let (body, checksum) = bytes.split_last_chunk::<CHECKSUM_LENGTH>().ok_or(length)?;
+    if crc32(&[body]) != u32::from_le_bytes(*checksum) {
+        return Err(FrameError::Checksum);
+    }
+    let (&version, rest) = body.split_first().ok_or(length)?;
+    if version != VERSION {
+        return Err(FrameError::Version { found: version });
+    }
+    let mut reader = Reader::new(rest);
+    let header = Header { sender: reader.u16(), sequence: reader.u32(), tick: reader.u64() };
+    let (kind, found) = (reader.byte(), usize::from(reader.byte()));
+    let (words, rest) = reader.finish().ok_or(FrameError::Malformed)?.as_chunks();
+    if kind != ESTIMATE || words.len() != found || found > INPUTS_MAX || !rest.is_empty() {
+        return Err(FrameError::Malformed);
+    }
+    if found != estimate.len() {
+        return Err(FrameError::Dimension { expected: estimate.len(), found });
+    }
+    for (component, &word) in estimate.iter_mut().zip(words) {
+        *component = f32::from_le_bytes(word);
+        if !component.is_finite() {
+            return Err(FrameError::NotFinite { sender: header.sender });
+        }
+    }
+    Ok(header)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::numeric::all_finite;
     use proptest::prelude::*;
 
     fn frame() -> Frame<3> {

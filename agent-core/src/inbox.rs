@@ -116,11 +116,7 @@ impl<const N: usize, S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>> Inb
 
     /// Discards what waits with an estimate outside `region`.
     pub fn discard_outside(&mut self, region: &Region<N>) {
-        for place in self.pending.as_mut() {
-            if place.take_if(|waiting| !region.contains(waiting.estimate())).is_some() {
-                self.count -= 1;
-            }
-        }
+        self.count -= region.discard_outside(self.pending.as_mut());
     }
 
     /// Discards what waits in places that are not to be kept.

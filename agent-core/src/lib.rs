@@ -37,6 +37,7 @@ pub mod activation;
 pub mod agent;
 pub mod capture;
 pub mod checksum;
+mod codec;
 pub mod frame;
 pub mod health;
 pub mod hold;

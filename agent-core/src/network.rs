@@ -16,7 +16,10 @@
 //! the weights row by row, one row of `width` weights for each input of the layer
 //! (`W_q` of the paper in row-major order).
 
+use serde::Serialize;
+
 use crate::activation::Activation;
+use crate::numeric::{for_each, unrolled};
 
 /// Most inner layers that a network can have.
 pub const INNER_LAYERS_MAX: usize = 8;
@@ -26,7 +29,7 @@ pub const LAYER_WIDTH_MAX: usize = 64;
 pub const INPUTS_MAX: usize = 12;
 
 /// One inner layer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Layer {
     /// Nodes, 1 to [`LAYER_WIDTH_MAX`].
     pub width: u8,
@@ -218,7 +221,9 @@ impl<S: AsRef<[f32]>> InnerNetwork<S> {
         let (mut source, mut target) = (&mut scratch.first, &mut scratch.second);
         let mut parameters = self.parameters.as_ref();
         let mut inputs = x.len();
-        source.get_mut(..inputs)?.copy_from_slice(x);
+        for (place, component) in source.iter_mut().zip(x) {
+            *place = *component;
+        }
         for layer in self.architecture.layers() {
             let width = usize::from(layer.width);
             let (own, rest) = parameters.split_at_checked(width * (inputs + 1))?;
@@ -248,55 +253,27 @@ impl Scratch {
 /// `outputs = biases + weights^T inputs` for the parameters of one layer; `None` if the lengths do
 /// not belong together.
 ///
-/// The sums of up to twelve outputs stay in registers and give a vector unit independent lanes;
-/// each lane adds in the same order as a plain loop would. Usual widths have a function each, in
-/// which rows follow one another without a gap; any other width will do.
-#[inline]
+/// Up to twelve sums at a time stay in registers and give a vector unit independent lanes; each
+/// adds in the same order as a plain loop would. The paper's widths have a function each, in which
+/// rows follow one another without a gap; any other width will do.
+#[inline(always)]
 fn affine(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
     match outputs.len() {
-        4 => narrow::<4>(parameters, inputs, outputs),
-        5 => narrow::<5>(parameters, inputs, outputs),
-        6 => narrow::<6>(parameters, inputs, outputs),
-        8 => narrow::<8>(parameters, inputs, outputs),
-        10 => narrow::<10>(parameters, inputs, outputs),
-        12 => narrow::<12>(parameters, inputs, outputs),
-        _ => wide(parameters, inputs, outputs),
+        12 => narrow::<12>(parameters, inputs, outputs.first_chunk_mut()?),
+        5 => narrow::<5>(parameters, inputs, outputs.first_chunk_mut()?),
+        _ => wide(parameters, inputs, outputs)?,
     }
-}
-
-/// A layer of `WIDTH` nodes, in one block.
-#[inline(always)]
-fn narrow<const WIDTH: usize>(
-    parameters: &[f32],
-    inputs: &[f32],
-    outputs: &mut [f32],
-) -> Option<()> {
-    // Biases are a row like any other, the first.
-    let (biases, rows) = parameters.as_chunks::<WIDTH>().0.split_first()?;
-    weighted_sums(biases, rows, inputs, outputs.first_chunk_mut()?);
     Some(())
 }
 
-/// `biases + rows^T inputs`, four rows a turn. A function of its own for every width: inlined side
-/// by side they would compete for registers, and every layer would prepare the loops of all.
+/// A layer of `WIDTH` nodes, in one block. A function of its own for every width: inlined side by
+/// side they would compete for registers.
 #[inline(never)]
-fn weighted_sums<const WIDTH: usize>(
-    biases: &[f32; WIDTH],
-    rows: &[[f32; WIDTH]],
-    inputs: &[f32],
-    outputs: &mut [f32; WIDTH],
-) {
+fn narrow<const WIDTH: usize>(parameters: &[f32], inputs: &[f32], outputs: &mut [f32; WIDTH]) {
+    let Some((biases, rows)) = parameters.split_first_chunk::<WIDTH>() else { return };
     let mut sums = *biases;
-    let (rows_by_four, rows_left) = rows.as_chunks::<4>();
-    let (inputs_by_four, inputs_left) = inputs.as_chunks::<4>();
-    for (rows, inputs) in rows_by_four.iter().zip(inputs_by_four) {
-        for (row, &input) in rows.iter().zip(inputs) {
-            add_row(&mut sums, row, input);
-        }
-    }
-    for (row, &input) in rows_left.iter().zip(inputs_left) {
-        add_row(&mut sums, row, input);
-    }
+    let (rows, _) = rows.as_chunks::<WIDTH>();
+    for_each(rows.iter().zip(inputs), |(row, &input)| add_row(&mut sums, row, input));
     *outputs = sums;
 }
 
@@ -306,35 +283,36 @@ fn wide(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
     let width = outputs.len();
     let mut first = 0;
     while first < width {
-        first += match width - first {
-            12.. => block::<12>(first, parameters, inputs, outputs)?,
-            4.. => block::<4>(first, parameters, inputs, outputs)?,
-            _ => block::<1>(first, parameters, inputs, outputs)?,
+        let (parameters, outputs) = (parameters.get(first..)?, outputs.get_mut(first..)?);
+        first += match outputs.len() {
+            12.. => block::<12>(parameters, width, inputs, outputs)?,
+            4.. => block::<4>(parameters, width, inputs, outputs)?,
+            _ => block::<1>(parameters, width, inputs, outputs)?,
         };
     }
     Some(())
 }
 
-/// The `LANES` outputs from `first`; returns `LANES`.
+/// The first `LANES` of `outputs`, in a layer whose rows have `width` weights; returns `LANES`.
 #[inline(always)]
 fn block<const LANES: usize>(
-    first: usize,
     parameters: &[f32],
+    width: usize,
     inputs: &[f32],
     outputs: &mut [f32],
 ) -> Option<usize> {
-    let mut rows = parameters.chunks_exact(outputs.len());
-    let mut sums = *rows.next()?.get(first..)?.first_chunk::<LANES>()?;
-    for (row, &input) in rows.zip(inputs) {
-        add_row(&mut sums, row.get(first..)?.first_chunk()?, input);
+    let mut rows = parameters;
+    let mut sums = *rows.first_chunk::<LANES>()?;
+    for &input in inputs {
+        rows = rows.get(width..)?;
+        add_row(&mut sums, rows.first_chunk()?, input);
     }
-    *outputs.get_mut(first..)?.first_chunk_mut()? = sums;
+    *outputs.first_chunk_mut()? = sums;
     Some(LANES)
 }
 
+/// `sums + row * input`.
 #[inline(always)]
 fn add_row<const LANES: usize>(sums: &mut [f32; LANES], row: &[f32; LANES], input: f32) {
-    for (sum, &weight) in sums.iter_mut().zip(row) {
-        *sum += weight * input;
-    }
+    unrolled!(lane < LANES, { sums[lane] += row[lane] * input });
 }

@@ -15,8 +15,9 @@
 
 use nalgebra::SMatrix;
 
-use crate::numeric::{add_scaled, dot};
+use crate::numeric::{add_scaled, components, components_mut, difference, dot};
 use crate::parameter::{ParameterError, finite, positive};
+use crate::symmetric::SymmetricMatrix;
 use crate::{AgentId, StateVector};
 
 /// `C_i`, the output matrix: which combinations of the state the agent measures.
@@ -33,11 +34,16 @@ impl<const N: usize> OutputMatrix<N> {
     pub fn new(rows: &[StateVector<N>]) -> Result<Self, ParameterError> {
         let length =
             ParameterError::Length { parameter: "output_matrix", expected: N, found: rows.len() };
-        let rows = heapless::Vec::from_slice(rows).map_err(|_| length)?;
+        Self::of(heapless::Vec::from_slice(rows).map_err(|_| length)?)
+    }
+
+    /// The same of rows of which there are not too many.
+    pub(crate) fn of(rows: heapless::Vec<StateVector<N>, N>) -> Result<Self, ParameterError> {
         if rows.is_empty() {
-            return Err(length);
+            let parameter = "output_matrix";
+            return Err(ParameterError::Length { parameter, expected: N, found: 0 });
         }
-        finite("output_matrix", rows.iter().flat_map(|row| row.iter()))?;
+        rows.iter().try_for_each(|row| finite("output_matrix", components(row)))?;
         Ok(Self { rows })
     }
 
@@ -63,8 +69,9 @@ impl<const N: usize> OutputMatrix<N> {
         measurement: &[f32],
         error: &mut StateVector<N>,
     ) -> StateVector<N> {
-        let mut innovation = StateVector::zeros();
-        for ((row, &measured), error) in self.rows.iter().zip(measurement).zip(error.iter_mut()) {
+        let mut innovation = StateVector::from([0.0; N]);
+        let errors = components_mut(error);
+        for ((row, &measured), error) in self.rows.iter().zip(measurement).zip(errors) {
             *error = dot(row, estimate) - measured;
             add_scaled(&mut innovation, *error, row);
         }
@@ -97,18 +104,7 @@ impl<const N: usize> ObserverParams<'_, N> {
     /// A gain that is not finite or not symmetric, a neighbour that is listed twice or is the
     /// agent `own` itself, a weight that is not above 0.
     pub fn validate(&self, own: AgentId) -> Result<(), ParameterError> {
-        finite("observer.gain", self.gain.iter())?;
-        for row in 0..N {
-            for column in 0..row {
-                if self.gain[(row, column)] != self.gain[(column, row)] {
-                    return Err(ParameterError::NotSymmetric {
-                        parameter: "observer.gain",
-                        row,
-                        column,
-                    });
-                }
-            }
-        }
+        SymmetricMatrix::Full(self.gain.data.0.as_flattened()).validate("observer.gain", N)?;
         for (index, neighbour) in self.neighbours.iter().enumerate() {
             let id = neighbour.id;
             if id == own {
@@ -131,10 +127,10 @@ impl<const N: usize> ObserverParams<'_, N> {
         own: &StateVector<N>,
         held: impl Iterator<Item = Option<&'h StateVector<N>>>,
     ) -> StateVector<N> {
-        let mut term = StateVector::zeros();
+        let mut term = StateVector::from([0.0; N]);
         for (neighbour, held) in self.neighbours.iter().zip(held) {
             if let Some(held) = held {
-                add_scaled(&mut term, neighbour.weight, &(held - own));
+                add_scaled(&mut term, neighbour.weight, &difference(held, own));
             }
         }
         term

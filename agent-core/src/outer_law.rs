@@ -17,7 +17,7 @@
 //! weights by finite numbers or changes none.
 
 use crate::StateVector;
-use crate::numeric::{add_scaled, dot, square_root};
+use crate::numeric::{add_scaled, components, components_mut, dot, square_root, unrolled};
 use crate::parameter::{ParameterError, finite};
 use crate::projection::ProjectionParams;
 use crate::symmetric::SymmetricMatrix;
@@ -42,11 +42,20 @@ impl OuterLawParams<'_> {
         self.projection.validate()
     }
 
-    /// Weights with this squared norm can be a start: within the bound.
-    pub(crate) fn validate_norm(&self, norm_squared: f32) -> Result<(), ParameterError> {
+    /// The squared norm of weights that can be a start: of as many rows as the gain asks for, and
+    /// within the bound.
+    pub(crate) fn validate_weights<const N: usize>(
+        &self,
+        rows: &[[f32; N]],
+    ) -> Result<f32, ParameterError> {
+        self.validate(rows.len())?;
+        let norm_squared = rows.iter().fold(0.0, |sum, row| {
+            let row = StateVector::from(*row);
+            sum + dot(&row, &row)
+        });
         let bound = self.projection.bound();
         if norm_squared <= bound * bound {
-            return Ok(());
+            return Ok(norm_squared);
         }
         Err(ParameterError::OutOfRange {
             parameter: "norm of outer_weights",
@@ -76,24 +85,42 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     /// A length that is not a multiple of `N`, no row or too many, an entry that is not finite, a
     /// norm above the law's bound, a gain of another size than `L`.
     pub fn new(entries: &[f32], law: &OuterLawParams) -> Result<Self, ParameterError> {
+        let mut weights = Self::none();
+        weights.replace(entries, law)?;
+        Ok(weights)
+    }
+
+    /// Makes the weights in place what [`Self::new`] makes them.
+    ///
+    /// # Errors
+    /// As for [`Self::new`]; nothing is changed then.
+    pub(crate) fn replace(
+        &mut self,
+        entries: &[f32],
+        law: &OuterLawParams,
+    ) -> Result<(), ParameterError> {
         const PARAMETER: &str = "outer_weights";
         let length = |expected| ParameterError::Length {
             parameter: PARAMETER,
             expected,
             found: entries.len(),
         };
-        if entries.is_empty() || !entries.len().is_multiple_of(N) {
-            return Err(length((entries.len() / N).max(1) * N));
+        let (rows, rest) = entries.as_chunks::<N>();
+        if rows.is_empty() || !rest.is_empty() {
+            return Err(length(rows.len().max(1) * N));
+        }
+        if rows.len() > FEATURES {
+            return Err(length(FEATURES * N));
         }
         finite(PARAMETER, entries)?;
-        let mut rows = heapless::Vec::new();
-        for row in entries.as_chunks::<N>().0 {
-            rows.push(StateVector::from(*row)).map_err(|_| length(FEATURES * N))?;
+        let norm_squared = law.validate_weights(rows)?;
+        self.rows.clear();
+        for row in rows {
+            // There is room for all.
+            let _ = self.rows.push(StateVector::from(*row));
         }
-        law.validate(rows.len())?;
-        let norm_squared = rows.iter().fold(0.0, |sum, row| sum + dot(row, row));
-        law.validate_norm(norm_squared)?;
-        Ok(Self { rows, gained_features: [0.0; FEATURES], norm_squared })
+        self.norm_squared = norm_squared;
+        Ok(())
     }
 
     /// The rows, one for each feature, shape `[L]` of `[N]`.
@@ -112,7 +139,7 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     #[inline]
     #[must_use]
     pub fn combine(&self, features: &[f32]) -> StateVector<N> {
-        let mut sum = StateVector::zeros();
+        let mut sum = StateVector::from([0.0; N]);
         for (row, &feature) in self.rows.iter().zip(features) {
             add_scaled(&mut sum, feature, row);
         }
@@ -139,15 +166,22 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
                 .zip(gained)
                 .fold(0.0, |sum, (row, gained)| sum + gained * dot(row, innovation))
         });
+        let mut direction = *innovation;
+        components_mut(&mut direction).iter_mut().for_each(|component| *component *= step_size);
         let mut planned = PlannedStep {
-            direction: innovation * step_size,
+            direction,
             shrink: step_size * correction,
             scale: None,
             norm_squared: 0.0,
         };
         for (row, &gained) in self.rows.iter().zip(gained) {
-            let row = planned.row(row, gained);
-            planned.norm_squared += dot(&row, &row);
+            let (row, direction) = (components(row), components(&direction));
+            let mut sum = 0.0;
+            unrolled!(lane < N, {
+                let weight = planned.weight(row[lane], gained, direction[lane]);
+                sum += weight * weight;
+            });
+            planned.norm_squared += sum;
         }
         if !planned.norm_squared.is_finite() {
             return None;
@@ -164,9 +198,12 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     #[inline]
     pub fn commit(&mut self, planned: &PlannedStep<N>) {
         for (row, &gained) in self.rows.iter_mut().zip(&self.gained_features) {
-            *row = planned.row(row, gained);
+            let (row, direction) = (components_mut(row), components(&planned.direction));
+            unrolled!(lane < N, {
+                row[lane] = planned.weight(row[lane], gained, direction[lane]);
+            });
             if let Some(scale) = planned.scale {
-                *row *= scale;
+                row.iter_mut().for_each(|weight| *weight *= scale);
             }
         }
         self.norm_squared = planned.norm_squared;
@@ -184,13 +221,11 @@ pub struct PlannedStep<const N: usize> {
 }
 
 impl<const N: usize> PlannedStep<N> {
-    /// Row `l` after the step: `w - dt (Gamma sigma)_l C^T e_3 - dt c w`.
-    #[inline]
-    fn row(&self, row: &StateVector<N>, gained: f32) -> StateVector<N> {
-        let mut result = *row;
-        add_scaled(&mut result, -gained, &self.direction);
-        add_scaled(&mut result, -self.shrink, row);
-        result
+    /// A weight of row `l` after the step: `w - dt (Gamma sigma)_l (C^T e_3)_j - dt c w`.
+    #[inline(always)]
+    fn weight(&self, weight: f32, gained: f32, direction: f32) -> f32 {
+        let moved = weight + -gained * direction;
+        moved + -self.shrink * weight
     }
 }
 

@@ -65,22 +65,24 @@ impl core::fmt::Display for ParameterError {
 
 impl core::error::Error for ParameterError {}
 
+// Functions of their own, since each check makes an error of six words.
+
 /// `value` if it is finite and above zero.
+#[inline(never)]
 pub(crate) fn positive(parameter: &'static str, value: f32) -> Result<(), ParameterError> {
     in_range(parameter, value, value > 0.0, "a finite number above 0")
 }
 
 /// `value` if it is finite and not below zero.
+#[inline(never)]
 pub(crate) fn not_negative(parameter: &'static str, value: f32) -> Result<(), ParameterError> {
     in_range(parameter, value, value >= 0.0, "a finite number, 0 or above")
 }
 
 /// Every one of `values` finite.
-pub(crate) fn finite<'v>(
-    parameter: &'static str,
-    values: impl IntoIterator<Item = &'v f32>,
-) -> Result<(), ParameterError> {
-    values.into_iter().try_for_each(|&value| in_range(parameter, value, true, "a finite number"))
+#[inline(never)]
+pub(crate) fn finite(parameter: &'static str, values: &[f32]) -> Result<(), ParameterError> {
+    values.iter().try_for_each(|&value| in_range(parameter, value, true, "a finite number"))
 }
 
 fn in_range(

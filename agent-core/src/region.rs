@@ -4,6 +4,8 @@
 //! finite, and no lower limit is above its upper one.
 
 use crate::StateVector;
+use crate::hold::Hold;
+use crate::numeric::{components, components_mut};
 use crate::package::StateBox;
 use crate::parameter::{ParameterError, finite, not_negative};
 
@@ -18,9 +20,9 @@ impl<const N: usize> Region<N> {
     /// # Errors
     /// A limit that is not finite, or a lower one above its upper one.
     pub fn new(low: StateVector<N>, high: StateVector<N>) -> Result<Self, ParameterError> {
-        finite("region.low", low.iter())?;
-        finite("region.high", high.iter())?;
-        for (&low, &high) in low.iter().zip(high.iter()) {
+        finite("region.low", components(&low))?;
+        finite("region.high", components(&high))?;
+        for (&low, &high) in components(&low).iter().zip(components(&high)) {
             if low > high {
                 return Err(ParameterError::OutOfRange {
                     parameter: "region.low",
@@ -58,33 +60,67 @@ impl<const N: usize> Region<N> {
     /// A margin that is not finite or below 0.
     pub fn widened(&self, margin: f32) -> Result<Self, ParameterError> {
         not_negative("region.margin", margin)?;
-        let limited = |limit: f32| limit.clamp(f32::MIN, f32::MAX);
-        let width = (self.high - self.low).map(limited);
-        let wider = |widest, &width| if width > widest { width } else { widest };
-        let widest = width.iter().fold(0.0, wider);
-        let reach = width.map(|width| margin * if width > 0.0 { width } else { widest });
-        Self::new((self.low - reach).map(limited), (self.high + reach).map(limited))
+        let width = |low: f32, high: f32| limited(high - low);
+        let mut wider = *self;
+        let limits = components_mut(&mut wider.low).iter_mut().zip(components_mut(&mut wider.high));
+        let widest = self.limits().fold(0.0, |widest, (&low, &high)| {
+            let width = width(low, high);
+            if width > widest { width } else { widest }
+        });
+        for (low, high) in limits {
+            let width = width(*low, *high);
+            let reach = margin * if width > 0.0 { width } else { widest };
+            (*low, *high) = (limited(*low - reach), limited(*high + reach));
+        }
+        Ok(wider)
     }
 
     /// Whether it is a single point.
     #[must_use]
     pub fn is_point(&self) -> bool {
-        self.low == self.high
+        self.limits().all(|(low, high)| low == high)
     }
 
     /// The point in the middle.
     #[must_use]
     pub fn centre(&self) -> StateVector<N> {
-        self.low * 0.5 + self.high * 0.5
+        let mut centre = self.low;
+        for (low, high) in components_mut(&mut centre).iter_mut().zip(components(&self.high)) {
+            *low = *low * 0.5 + high * 0.5;
+        }
+        centre
+    }
+
+    /// The lower and the upper limit of each component.
+    #[inline]
+    fn limits(&self) -> impl Iterator<Item = (&f32, &f32)> {
+        components(&self.low).iter().zip(components(&self.high))
+    }
+
+    /// Empties the places of the samples outside; returns how many there were.
+    pub(crate) fn discard_outside(&self, places: &mut [Option<Hold<N>>]) -> usize {
+        let mut discarded = 0;
+        for place in places {
+            if place.as_ref().is_some_and(|held| !self.contains(held.estimate())) {
+                *place = None;
+                discarded += 1;
+            }
+        }
+        discarded
     }
 
     /// Whether every component of `x` lies within its limits; never for one that is not a number.
     #[inline]
     #[must_use]
     pub fn contains(&self, x: &StateVector<N>) -> bool {
-        let limits = self.low.iter().zip(self.high.iter());
-        limits.zip(x.iter()).all(|((low, high), x)| low <= x && x <= high)
+        self.limits().zip(components(x)).all(|((low, high), x)| low <= x && x <= high)
     }
+}
+
+/// The last finite number in place of an infinite one.
+#[inline(never)]
+fn limited(limit: f32) -> f32 {
+    limit.clamp(f32::MIN, f32::MAX)
 }
 
 #[cfg(test)]

@@ -36,11 +36,11 @@ impl SymmetricMatrix<'_> {
             Self::Diagonal(diagonal) => length(size, diagonal.len()),
             Self::Full(entries) => {
                 length(size * size, entries.len())?;
-                let entry = |row: usize, column: usize| entries.get(row * size + column);
-                let below = (0..size).flat_map(|row| (0..row).map(move |column| (row, column)));
-                for (row, column) in below {
-                    if entry(row, column) != entry(column, row) {
-                        return Err(ParameterError::NotSymmetric { parameter, row, column });
+                for row in 0..size {
+                    for column in 0..row {
+                        if self.entry(row, column, size) != self.entry(column, row, size) {
+                            return Err(ParameterError::NotSymmetric { parameter, row, column });
+                        }
                     }
                 }
                 Ok(())
@@ -74,18 +74,27 @@ impl SymmetricMatrix<'_> {
         }
     }
 
+    /// An entry of the matrix; 0 where the form has none.
+    fn entry(&self, row: usize, column: usize, size: usize) -> f32 {
+        let place = match self {
+            Self::Full(_) => row * size + column,
+            _ if row != column => return 0.0,
+            Self::Diagonal(_) => row,
+            Self::Scalar(_) => 0,
+        };
+        self.entries().get(place).copied().unwrap_or(0.0)
+    }
+
     /// The whole matrix; entries that the form does not have are zero.
     #[must_use]
     pub fn unfold<const N: usize>(&self) -> SMatrix<f32, N, N> {
-        match *self {
-            Self::Scalar(entry) => SMatrix::from_diagonal_element(entry),
-            Self::Diagonal(diagonal) => SMatrix::from_fn(|row, column| {
-                if row == column { diagonal.get(row).copied().unwrap_or(0.0) } else { 0.0 }
-            }),
-            Self::Full(entries) => SMatrix::from_fn(|row, column| {
-                entries.get(row * N + column).copied().unwrap_or(0.0)
-            }),
+        let mut matrix = SMatrix::from([[0.0; N]; N]);
+        for (column, entries) in matrix.data.0.iter_mut().enumerate() {
+            for (row, entry) in entries.iter_mut().enumerate() {
+                *entry = self.entry(row, column, N);
+            }
         }
+        matrix
     }
 
     /// `matrix * vector` into `result`, terms in ascending order of the column.
@@ -103,9 +112,11 @@ impl SymmetricMatrix<'_> {
                 }
             }
             Self::Full(entries) => {
-                let rows = entries.chunks_exact(vector.len().max(1));
-                for (result, row) in result.iter_mut().zip(rows) {
+                let mut rows: &[f32] = entries;
+                for result in result {
+                    let Some((row, rest)) = rows.split_at_checked(vector.len()) else { break };
                     *result = row.iter().zip(vector).fold(0.0, |sum, (entry, v)| sum + entry * v);
+                    rows = rest;
                 }
             }
         }

@@ -211,6 +211,7 @@ pub(crate) fn copied<'buffer>(
     buffer: &'buffer mut [u8],
 ) -> Result<&'buffer [u8], SerialError> {
     let place = buffer.get_mut(..message.len()).ok_or(SerialError::TooLong)?;
-    place.copy_from_slice(message);
+    // `copy_from_slice` would keep a path that panics where the compiler optimises for size.
+    place.iter_mut().zip(message).for_each(|(place, byte)| *place = *byte);
     Ok(place)
 }

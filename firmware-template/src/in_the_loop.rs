@@ -103,7 +103,8 @@ impl<P: Read + Write, const FRAMES: usize> Board for InTheLoop<P, FRAMES> {
 
     fn measure(&mut self, measurement: &mut [f32]) -> Option<usize> {
         let numbers = self.measurement.take()?;
-        measurement.get_mut(..numbers.len())?.copy_from_slice(&numbers);
+        let places = measurement.get_mut(..numbers.len())?;
+        places.iter_mut().zip(&numbers).for_each(|(place, number)| *place = *number);
         Some(numbers.len())
     }
 

@@ -15,8 +15,8 @@ pub(crate) struct Board {
     pub(crate) target: &'static str,
     /// What runs a program on it, for cargo: the program's path comes behind.
     pub(crate) runner: &'static str,
-    /// What writes weights into its flash, for a project's README.
-    pub(crate) flash_weights: &'static str,
+    /// Where host-sim finds its service port, for a project's README.
+    pub(crate) port: &'static str,
 }
 
 impl Board {
@@ -35,21 +35,22 @@ pub(crate) const BOARDS: [Board; 3] = [
     Board {
         name: EMULATED,
         target: "thumbv7em-none-eabihf",
-        runner: "qemu-system-arm -machine mps2-an386 -display none -monitor none -serial stdio \
+        runner: "qemu-system-arm -machine mps2-an386 -display none -monitor none \
+                 -serial unix:node.sock,server,nowait \
                  -semihosting-config enable=on,target=native,arg=node,arg=uart -kernel",
-        flash_weights: "host-sim weights image node.weights --slot a --memory memory.x --format bin",
+        port: "unix:node.sock",
     },
     Board {
         name: "stm32f405",
         target: "thumbv7em-none-eabihf",
         runner: "probe-rs run --chip STM32F405RGTx",
-        flash_weights: "host-sim flash node.weights --slot a --memory memory.x --chip STM32F405RGTx",
+        port: "serial:/dev/ttyACM0",
     },
     Board {
         name: "nrf52840",
         target: "thumbv7em-none-eabihf",
         runner: "probe-rs run --chip nRF52840_xxAA",
-        flash_weights: "host-sim flash node.weights --slot a --memory memory.x --chip nRF52840_xxAA",
+        port: "serial:/dev/ttyACM0",
     },
 ];
 

@@ -5,6 +5,7 @@
 #![forbid(unsafe_code)]
 
 mod compiler;
+mod cosim;
 mod cross;
 mod emulate;
 mod firmware;
@@ -31,7 +32,7 @@ Usage: cargo xtask <task> [--debian]
 
 Tasks:
   test    every test there is: the workspace on the host, doctests included, then `cross`,
-          `emulate` and `soak`
+          `emulate`, a co-simulation with the emulated board's firmware, and `soak`
   cross   build the node's libraries for bare metal, look for fused multiply-add and
           platform mathematics in the machine code, link the memory map
   emulate the examination in tests/on-target on emulated processors (QEMU): the bits that the
@@ -115,6 +116,7 @@ fn test(debian: bool) -> Result<(), Failure> {
     let count = host::test()?;
     cross::cross(debian)?;
     emulate::emulate(debian)?;
+    cosim::test(debian)?;
     soak::soak(&soak::Options::default(), debian)?;
     println!("tests: {count}");
     Ok(())

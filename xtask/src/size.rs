@@ -1,6 +1,6 @@
 //! What the firmware takes of a microcontroller, held against budgets.
 
-use std::{fs, path::Path, process::Command};
+use std::{fs, path::Path};
 
 use object::{Object, ObjectSection, ObjectSymbol, SectionFlags, elf};
 use rustc_demangle::demangle;
@@ -20,9 +20,6 @@ const STATIC: u64 = 8 * 1024;
 const STACK: u64 = 4 * 1024;
 /// The samples for training: 64 of a tick and two vectors of three. \[byte\]
 const SAMPLES: u64 = 64 * 32;
-
-/// Steps of the run in which the painted stack is looked at: with a package pushed and switched in.
-const STEPS: &str = "3000";
 
 /// One line of the table.
 struct Figure {
@@ -110,30 +107,22 @@ fn sections(program: &Path) -> Result<Sections, Failure> {
     Ok(Sections { flash, memory, stack })
 }
 
-/// What a node never uses of its stack, in a co-simulation with a switch of packages.
+/// What a node never uses of its stack in the paper's experiment, with a package pushed at t = 20.
 fn stack_unused(program: &Path) -> Result<u64, Failure> {
-    let mut command: Command = cargo("run");
-    command.args([
-        "--quiet",
-        "--release",
-        "--package",
-        "host-sim",
-        "--",
-        "cosim",
-        "--steps",
-        STEPS,
-    ]);
-    command.args(["--switch-at", "1.5", "--format", "json", "--firmware"]).arg(program);
-    println!("==> painted stack: a co-simulation of {STEPS} steps");
+    println!("==> painted stack: the paper's experiment as a co-simulation");
+    // Not optimised further than the tests, which have built it already.
+    let mut command = cargo("run");
+    command.args(["--quiet", "--package", "host-sim", "--", "cosim", "--format", "json"]);
+    command.arg("--firmware").arg(program);
     let answer = ask(&mut command).unwrap_or_default();
-    let key = "\"stack_unused\":";
-    let number = answer.split_once(key).map(|(_, rest)| {
-        rest.trim_start().chars().take_while(char::is_ascii_digit).collect::<String>()
+    let figures = answer.split("\"stack_unused\":").skip(1).filter_map(|rest| {
+        let digits: String = rest.chars().take_while(char::is_ascii_digit).collect();
+        digits.parse().ok()
     });
-    number.and_then(|number| number.parse().ok()).ok_or_else(|| {
+    figures.min().ok_or_else(|| {
         Failure::new(
             "painted stack: the co-simulation says nothing of it",
-            "see what `cargo run --release -- cosim --steps 3000` says",
+            "see what `cargo run --release -- cosim` says",
         )
     })
 }

@@ -40,7 +40,7 @@ use crate::frame::Frame;
 use crate::hold::Hold;
 use crate::inbox::Inbox;
 use crate::network::{InnerNetwork, Scratch};
-use crate::numeric::{add_scaled, all_finite, product};
+use crate::numeric::{add_scaled, all_finite, components, difference, product};
 use crate::outer_law::OuterWeights;
 use crate::parameter::{ParameterError, finite};
 use crate::{StateVector, Tick};
@@ -131,13 +131,13 @@ where
         estimate: StateVector<N>,
         outer_weights: &[f32],
     ) -> Result<(), ParameterError> {
-        finite("initial_estimate", estimate.iter())?;
+        finite("initial_estimate", components(&estimate))?;
         let (expected, found) = (params.neighbours().len(), self.neighbour_holds.as_ref().len());
         if expected != found {
             let parameter = "neighbour_holds";
             return Err(ParameterError::Length { parameter, expected, found });
         }
-        self.outer_weights = OuterWeights::new(outer_weights, &params.outer_law)?;
+        self.outer_weights.replace(outer_weights, &params.outer_law)?;
         self.last_tick = None;
         self.estimate = estimate;
         self.own_hold = Hold::new(estimate, 0, 0);
@@ -193,7 +193,7 @@ where
         self.check(params, network, tick, measurement, inbox)?;
 
         let consensus_term = self.consensus_with(params, tick, inbox);
-        let mut output_error = StateVector::zeros();
+        let mut output_error = StateVector::from([0.0; N]);
         let innovation = params.observer.output_matrix.output_error(
             &self.estimate,
             measurement,
@@ -201,10 +201,10 @@ where
         );
         let features = network
             .and_then(|network| network.features(self.estimate.as_slice(), &mut self.scratch));
-        let mut derivative = product(params.gain(), &(consensus_term - innovation));
+        let mut derivative = product(params.gain(), &difference(&consensus_term, &innovation));
         let mut planned = None;
         if let Some(features) = features {
-            derivative += self.outer_weights.combine(features);
+            add_scaled(&mut derivative, 1.0, &self.outer_weights.combine(features));
             let step = self
                 .outer_weights
                 .plan_step(&params.outer_law, params.step_size, features, &innovation)
@@ -235,7 +235,7 @@ where
     /// Samples the estimate and returns it as a frame if the trigger fires at `tick`.
     #[inline]
     fn broadcast_if_due(&mut self, params: &AgentParams<'_, N>, tick: Tick) -> Option<Frame<N>> {
-        let hold_error = self.own_hold.estimate() - self.estimate;
+        let hold_error = difference(self.own_hold.estimate(), &self.estimate);
         if !params.trigger.fires(&hold_error, &self.consensus_term) {
             return None;
         }
@@ -334,9 +334,7 @@ where
         params: &AgentParams<'_, N>,
         outer_weights: &[f32],
     ) -> Result<(), ParameterError> {
-        let outer_weights = OuterWeights::new(outer_weights, &params.outer_law)?;
-        self.outer_weights = outer_weights;
-        Ok(())
+        self.outer_weights.replace(outer_weights, &params.outer_law)
     }
 
     /// `x_hat_i`, at the tick after the last step.

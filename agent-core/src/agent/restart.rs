@@ -4,7 +4,7 @@ use super::AgentParams;
 use super::AgentState;
 use crate::frame::Frame;
 use crate::hold::Hold;
-use crate::outer_law::OuterWeights;
+use crate::numeric::components;
 use crate::parameter::{ParameterError, finite};
 use crate::region::Region;
 use crate::{StateVector, Tick};
@@ -31,8 +31,8 @@ where
         estimate: StateVector<N>,
         outer_weights: &[f32],
     ) -> Result<Frame<N>, ParameterError> {
-        finite("restart_estimate", estimate.iter())?;
-        self.outer_weights = OuterWeights::new(outer_weights, &params.outer_law)?;
+        finite("restart_estimate", components(&estimate))?;
+        self.outer_weights.replace(outer_weights, &params.outer_law)?;
         // A last tick of `Tick::MAX` would have no successor.
         let tick = tick.max(self.last_tick.unwrap_or(0)).min(Tick::MAX - 1);
         self.last_tick = Some(tick);
@@ -46,10 +46,8 @@ where
     /// Drops the neighbours' held samples that lie outside `region`: their senders count as not
     /// heard until their next frame.
     pub fn forget_neighbours_outside(&mut self, region: &Region<N>) {
-        for hold in self.neighbour_holds.as_mut() {
-            if hold.take_if(|held| !region.contains(held.estimate())).is_some() {
-                self.consensus_is_current = false;
-            }
+        if region.discard_outside(self.neighbour_holds.as_mut()) > 0 {
+            self.consensus_is_current = false;
         }
     }
 }

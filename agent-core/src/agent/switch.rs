@@ -5,7 +5,6 @@ use super::{AgentParams, AgentState};
 use crate::hold::Hold;
 use crate::inbox::Inbox;
 use crate::observer::Neighbour;
-use crate::outer_law::OuterWeights;
 use crate::package::{OnSwitch, Package};
 use crate::parameter::ParameterError;
 
@@ -38,7 +37,7 @@ where
         }
         let same_features = self.outer_weights.rows().len() == package.features();
         if !same_features || package.outer_weights_on_switch == OnSwitch::Replace {
-            self.outer_weights = OuterWeights::new(package.outer_weights, &new.outer_law)?;
+            self.outer_weights.replace(package.outer_weights, &new.outer_law)?;
         }
         let stays = |place: usize| {
             let (old, new) = (old.get(place), new.neighbours().get(place));

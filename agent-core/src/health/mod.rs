@@ -280,7 +280,8 @@ impl Health {
     ) -> Option<HealthCounters> {
         let interval = Tick::from(params.telemetry_interval);
         let early = self.last_report.is_some_and(|last| tick.saturating_sub(last) < interval);
-        if early || self.counters == self.reported {
+        // Arrays are compared in a loop, fields one after another.
+        if early || self.counters.to_array() == self.reported.to_array() {
             return None;
         }
         self.last_report = Some(tick);

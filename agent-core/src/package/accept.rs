@@ -9,7 +9,7 @@ use super::{Envelope, Package, PackageError};
 use crate::AgentId;
 use crate::StateVector;
 use crate::network::Scratch;
-use crate::numeric::{add_scaled, dot};
+use crate::numeric::add_scaled;
 use crate::parameter::{ParameterError, finite, not_negative, positive};
 use crate::signature::{PublicKey, verify};
 
@@ -199,12 +199,7 @@ fn check_sizes<const N: usize>(package: &Package<'_>, capacity: &Capacity) -> Re
 
 fn check_parameters<const N: usize>(package: &Package<'_>) -> Result<(), Refusal> {
     package.node.gain.validate("observer.gain", N)?;
-    package.node.outer_law.validate(package.features())?;
-    let norm_squared = package.outer_weights.as_chunks::<N>().0.iter().fold(0.0, |sum, row| {
-        let row = StateVector::from(*row);
-        sum + dot(&row, &row)
-    });
-    package.node.outer_law.validate_norm(norm_squared)?;
+    package.node.outer_law.validate_weights(package.outer_weights.as_chunks::<N>().0)?;
     package.node.trigger.validate()?;
     positive("step_size", package.node.step_size)?;
     not_negative("broadcast_interval_min", package.broadcast_interval_min)?;
@@ -264,7 +259,7 @@ fn check_test_vectors<const N: usize>(
 /// `W_hat^T sigma` as [`crate::outer_law::OuterWeights::combine`] computes it, from weights in
 /// place.
 fn combine<const N: usize>(outer_weights: &[f32], features: &[f32]) -> StateVector<N> {
-    let mut sum = StateVector::zeros();
+    let mut sum = StateVector::from([0.0; N]);
     for (row, &feature) in outer_weights.as_chunks::<N>().0.iter().zip(features) {
         add_scaled(&mut sum, feature, &StateVector::from(*row));
     }

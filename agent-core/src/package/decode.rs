@@ -1,13 +1,11 @@
 //! From bytes to a package.
 
-use postcard::ser_flavors::Size;
-use postcard::serialize_with_flavor;
-
 use super::wire::{CONSTANTS, Counts, Metadata};
 use super::{
     Envelope, HEADER_LENGTH, NeighbourIds, Node, Package, PackageError, StateBox, TEST_VECTORS_MAX,
 };
-use crate::network::{Architecture, INNER_LAYERS_MAX, InnerNetwork, Layer};
+use crate::codec::Reader;
+use crate::network::{Architecture, InnerNetwork};
 use crate::outer_law::OuterLawParams;
 use crate::projection::ProjectionParams;
 use crate::trigger::TriggerParams;
@@ -34,16 +32,12 @@ impl<'a> Package<'a> {
     // Apart from its callers, so that what only decoding needs is off the stack in what follows.
     #[inline(never)]
     pub fn from_envelope(envelope: &Envelope<'a>) -> Result<Self, PackageError> {
-        let (metadata, rest) = postcard::take_from_bytes::<Metadata<'a>>(envelope.body)
-            .map_err(|_| PackageError::Malformed)?;
-        // One package, one byte string: a longer way to write an integer is none, or processors
-        // with longer words would take what others refuse.
-        let canonical = serialize_with_flavor(&metadata, Size::default());
-        if canonical != Ok(envelope.body.len() - rest.len()) {
-            return Err(PackageError::Malformed);
-        }
+        let mut reader = Reader::new(envelope.body);
+        let metadata = Metadata::read(&mut reader).ok_or(PackageError::Malformed)?;
+        let rest = reader.finish().ok_or(PackageError::Malformed)?;
         let numbers = numbers(envelope.body, rest)?;
-        let architecture = architecture(&metadata)?;
+        let architecture = Architecture::new(metadata.inputs.into(), &metadata.layers)
+            .map_err(PackageError::Network)?;
         if !(1..=architecture.inputs()).contains(&usize::from(metadata.outputs)) {
             return Err(PackageError::Outputs { found: metadata.outputs.into() });
         }
@@ -52,10 +46,9 @@ impl<'a> Package<'a> {
         }
         let neighbours = NeighbourIds::new(metadata.neighbours).ok_or(PackageError::Malformed)?;
         let counts = Counts::new(&metadata, &architecture);
-        let wrong_count =
-            PackageError::NumberCount { expected: counts.total(), found: numbers.len() };
-        if numbers.len() != counts.total() {
-            return Err(wrong_count);
+        let (expected, found) = (counts.total(), numbers.len());
+        if expected != found {
+            return Err(PackageError::NumberCount { expected, found });
         }
         if let Some(index) = numbers.iter().position(|number| !number.is_finite()) {
             return Err(PackageError::NotFinite { index });
@@ -63,8 +56,7 @@ impl<'a> Package<'a> {
         if metadata.provenance.errors.is_some_and(|errors| !errors.is_finite()) {
             return Err(PackageError::TrainingErrorNotFinite);
         }
-        let mut numbers = Numbers { rest: numbers, wrong_count };
-        assemble(&metadata, architecture, neighbours, &counts, &mut numbers)
+        Ok(assemble(&metadata, architecture, neighbours, &counts, numbers))
     }
 }
 
@@ -79,46 +71,31 @@ fn numbers<'a>(body: &[u8], rest: &'a [u8]) -> Result<&'a [f32], PackageError> {
     bytemuck::try_cast_slice(words).map_err(|_| PackageError::Alignment)
 }
 
-fn architecture(metadata: &Metadata<'_>) -> Result<Architecture, PackageError> {
-    let mut layers = heapless::Vec::<Layer, INNER_LAYERS_MAX>::new();
-    for layer in &metadata.layers {
-        // There is as much room as there are layers.
-        let _ = layers.push(Layer { width: layer.width, activation: layer.activation.into() });
-    }
-    Architecture::new(metadata.inputs.into(), &layers).map_err(PackageError::Network)
+/// Takes the next `count` of `numbers`.
+#[inline(never)]
+fn take<'a>(numbers: &mut &'a [f32], count: usize) -> &'a [f32] {
+    // There are as many as are asked for in all.
+    let (taken, rest) = numbers.split_at_checked(count).unwrap_or_default();
+    *numbers = rest;
+    taken
 }
 
-/// The numbers that have not been dealt out yet.
-struct Numbers<'a> {
-    rest: &'a [f32],
-    /// What is wrong if they do not suffice.
-    wrong_count: PackageError,
-}
-
-impl<'a> Numbers<'a> {
-    fn take(&mut self, count: usize) -> Result<&'a [f32], PackageError> {
-        let (taken, rest) = self.rest.split_at_checked(count).ok_or(self.wrong_count)?;
-        self.rest = rest;
-        Ok(taken)
-    }
-}
-
-/// Deals out the numbers. Its result is the caller's, so that a package is not copied on its way.
+/// Deals out the numbers, which are finite and as many as `counts` say.
 fn assemble<'a>(
     metadata: &Metadata<'a>,
     architecture: Architecture,
     neighbours: NeighbourIds<'a>,
     counts: &Counts,
-    numbers: &mut Numbers<'a>,
-) -> Result<Package<'a>, PackageError> {
-    let inner = numbers.take(counts.inner)?;
-    let outer_weights = numbers.take(counts.outer_weights)?;
-    let output_matrix = numbers.take(counts.output_matrix)?;
-    let gain = numbers.take(counts.gain)?;
-    let gain = metadata.gain.matrix(gain).ok_or(numbers.wrong_count)?;
-    let outer_gain = numbers.take(counts.outer_gain)?;
-    let outer_gain = metadata.outer_gain.matrix(outer_gain).ok_or(numbers.wrong_count)?;
-    let edge_weights = numbers.take(counts.edge_weights)?;
+    mut numbers: &'a [f32],
+) -> Package<'a> {
+    let numbers = &mut numbers;
+    let network = InnerNetwork::verified(architecture, take(numbers, counts.inner));
+    let outer_weights = take(numbers, counts.outer_weights);
+    let output_matrix = take(numbers, counts.output_matrix);
+    let gain = metadata.gain.matrix(take(numbers, counts.gain));
+    let outer_gain = metadata.outer_gain.matrix(take(numbers, counts.outer_gain));
+    let edge_weights = take(numbers, counts.edge_weights);
+    let constants = take(numbers, CONSTANTS).first_chunk().unwrap_or(&[0.0; CONSTANTS]);
     let &[
         radius,
         boundary_layer,
@@ -128,11 +105,10 @@ fn assemble<'a>(
         threshold,
         step_size,
         broadcast_interval_min,
-    ] = <&[f32; CONSTANTS]>::try_from(numbers.take(CONSTANTS)?).map_err(|_| numbers.wrong_count)?;
-    let (low, high) = (numbers.take(counts.dimension)?, numbers.take(counts.dimension)?);
-    let test_vectors = numbers.take(counts.test_vectors)?;
-    let network = InnerNetwork::new(architecture, inner).map_err(PackageError::Network)?;
-    Ok(Package {
+    ] = constants;
+    let (low, high) = (take(numbers, counts.dimension), take(numbers, counts.dimension));
+    let test_vectors = take(numbers, counts.test_vectors);
+    Package {
         version: metadata.version,
         replaces: metadata.replaces,
         outer_weights_on_switch: metadata.outer_weights_on_switch,
@@ -160,5 +136,5 @@ fn assemble<'a>(
         trained_box: StateBox { low, high },
         provenance: metadata.provenance,
         test_vectors,
-    })
+    }
 }

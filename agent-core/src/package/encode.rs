@@ -2,7 +2,7 @@
 
 use super::decode::WORD;
 use super::envelope::header;
-use super::wire::{Counts, Form, Metadata, WireLayer};
+use super::wire::{Counts, Form, Metadata};
 use super::{HEADER_LENGTH, Package, TEST_VECTORS_MAX, test_vector_length};
 
 /// Why a package cannot be written.
@@ -82,11 +82,7 @@ impl Package<'_> {
             outer_weights_on_switch: self.outer_weights_on_switch,
             // Within the bounds of an architecture and its number of outputs.
             inputs: architecture.inputs() as u8,
-            layers: architecture
-                .layers()
-                .iter()
-                .map(|l| WireLayer { width: l.width, activation: l.activation.into() })
-                .collect(),
+            layers: architecture.layers().iter().copied().collect(),
             outputs: self.node.outputs(self.dimension()) as u8,
             neighbours: self.node.neighbours.bytes(),
             gain: Form::of(&self.node.gain),

@@ -36,7 +36,7 @@ pub use envelope::{
 pub use error::PackageError;
 pub use place::NetworkPlace;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use crate::AgentId;
 use crate::StateVector;
@@ -103,7 +103,7 @@ pub struct Node<'a> {
 }
 
 /// What becomes of the outer weights that an agent has adapted when another package takes over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum OnSwitch {
     /// They go on, as in the paper; the package's own are for a node that starts with it.
     Keep,
@@ -167,7 +167,7 @@ impl<'a> NeighbourIds<'a> {
 }
 
 /// Where a network comes from. Nothing depends on it but people.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Provenance<'a> {
     /// Hash of the scenario that it was trained for; see the host's documentation.
     pub scenario_hash: [u8; 8],
@@ -184,7 +184,7 @@ pub struct Provenance<'a> {
 }
 
 /// Mean squared errors after training. \[squared state unit/s^2\]
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TrainingErrors {
     /// Over the samples that the network was trained on.
     pub training: f32,
@@ -288,7 +288,7 @@ impl Node<'_> {
         }
         self.gain.validate("observer.gain", N)?;
         let observer = ObserverParams {
-            output_matrix: OutputMatrix::new(&rows)?,
+            output_matrix: OutputMatrix::of(rows)?,
             gain: self.gain.unfold(),
             neighbours,
         };

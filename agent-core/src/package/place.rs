@@ -49,6 +49,14 @@ impl NetworkPlace {
         bytemuck::try_cast_slice(bytes.get(self.start..self.end)?).ok()
     }
 
+    /// The package's outer weights, row by row, shape `[L, n]`, in the same bytes: they follow the
+    /// network's parameters.
+    #[must_use]
+    pub fn outer_weights<'a>(&self, bytes: &'a [u8]) -> Option<&'a [f32]> {
+        let length = WORD * self.architecture.features() * self.architecture.inputs();
+        bytemuck::try_cast_slice(bytes.get(self.end..)?.get(..length)?).ok()
+    }
+
     /// Widths and activations.
     #[must_use]
     pub fn architecture(&self) -> &Architecture {

@@ -1,68 +1,81 @@
 //! The metadata of a package as postcard writes them, and how many numbers follow from them.
+//!
+//! Writing is serde's. Reading is by hand, since a node does it: see [`crate::codec`].
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
-use super::{OnSwitch, Provenance, test_vector_length};
+use super::{OnSwitch, Provenance, TrainingErrors, test_vector_length};
 use crate::AgentId;
 use crate::activation::Activation;
-use crate::network::{Architecture, INNER_LAYERS_MAX};
+use crate::codec::Reader;
+use crate::network::{Architecture, INNER_LAYERS_MAX, Layer};
 use crate::symmetric::SymmetricMatrix;
 
 /// Everything in a body that is not one of its numbers.
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize)]
 pub(super) struct Metadata<'a> {
     pub(super) version: u32,
     pub(super) replaces: Option<u32>,
     pub(super) agent: AgentId,
     pub(super) outer_weights_on_switch: OnSwitch,
     pub(super) inputs: u8,
-    pub(super) layers: heapless::Vec<WireLayer, INNER_LAYERS_MAX>,
+    pub(super) layers: heapless::Vec<Layer, INNER_LAYERS_MAX>,
     pub(super) outputs: u8,
-    #[serde(borrow)]
     pub(super) neighbours: &'a [u8],
     pub(super) gain: Form,
     pub(super) outer_gain: Form,
     pub(super) smoothness: u8,
     pub(super) test_vectors: u8,
-    #[serde(borrow)]
     pub(super) provenance: Provenance<'a>,
 }
 
-#[derive(Serialize, Deserialize)]
-pub(super) struct WireLayer {
-    pub(super) width: u8,
-    pub(super) activation: WireActivation,
-}
-
-#[derive(Clone, Copy, Serialize, Deserialize)]
-pub(super) enum WireActivation {
-    Tanh,
-    Logistic,
-    Gaussian,
-}
-
-impl From<WireActivation> for Activation {
-    fn from(activation: WireActivation) -> Self {
-        match activation {
-            WireActivation::Tanh => Self::Tanh,
-            WireActivation::Logistic => Self::Logistic,
-            WireActivation::Gaussian => Self::Gaussian,
-        }
+impl<'a> Metadata<'a> {
+    /// The metadata, field by field in their order; `None` if there are none. What the bytes hold
+    /// is theirs only if the reader finishes.
+    #[inline(never)]
+    pub(super) fn read(reader: &mut Reader<'a>) -> Option<Self> {
+        const FORMS: [Form; 3] = [Form::Scalar, Form::Diagonal, Form::Full];
+        Some(Self {
+            version: reader.u32(),
+            replaces: reader.flag().then(|| reader.u32()),
+            agent: reader.u16(),
+            outer_weights_on_switch: reader.one_of(&[OnSwitch::Keep, OnSwitch::Replace])?,
+            inputs: reader.byte(),
+            layers: read_layers(reader)?,
+            outputs: reader.byte(),
+            neighbours: reader.sequence(),
+            gain: reader.one_of(&FORMS)?,
+            outer_gain: reader.one_of(&FORMS)?,
+            smoothness: reader.byte(),
+            test_vectors: reader.byte(),
+            provenance: Provenance {
+                scenario_hash: reader.array(),
+                recipe: reader.text(),
+                seed: reader.u64(),
+                samples: reader.u32(),
+                errors: reader
+                    .flag()
+                    .then(|| TrainingErrors { training: reader.f32(), held_out: reader.f32() }),
+                tool_version: reader.array(),
+            },
+        })
     }
 }
 
-impl From<Activation> for WireActivation {
-    fn from(activation: Activation) -> Self {
-        match activation {
-            Activation::Tanh => Self::Tanh,
-            Activation::Logistic => Self::Logistic,
-            Activation::Gaussian => Self::Gaussian,
-        }
+/// Their number, then one after another.
+fn read_layers(reader: &mut Reader<'_>) -> Option<heapless::Vec<Layer, INNER_LAYERS_MAX>> {
+    const ACTIVATIONS: [Activation; 3] =
+        [Activation::Tanh, Activation::Logistic, Activation::Gaussian];
+    let mut layers = heapless::Vec::new();
+    for _ in 0..reader.byte() {
+        let (width, activation) = (reader.byte(), reader.one_of(&ACTIVATIONS)?);
+        layers.push(Layer { width, activation }).ok()?;
     }
+    Some(layers)
 }
 
 /// Which form of a symmetric matrix the numbers are.
-#[derive(Clone, Copy, Serialize, Deserialize)]
+#[derive(Clone, Copy, Serialize)]
 pub(super) enum Form {
     Scalar,
     Diagonal,
@@ -86,13 +99,13 @@ impl Form {
         }
     }
 
-    /// The matrix of this form with these entries.
-    pub(super) fn matrix<'a>(self, entries: &'a [f32]) -> Option<SymmetricMatrix<'a>> {
-        Some(match self {
-            Self::Scalar => SymmetricMatrix::Scalar(*entries.first()?),
+    /// The matrix of this form with these entries, of which there is at least one.
+    pub(super) fn matrix<'a>(self, entries: &'a [f32]) -> SymmetricMatrix<'a> {
+        match self {
+            Self::Scalar => SymmetricMatrix::Scalar(entries.first().copied().unwrap_or(0.0)),
             Self::Diagonal => SymmetricMatrix::Diagonal(entries),
             Self::Full => SymmetricMatrix::Full(entries),
-        })
+        }
     }
 }
 

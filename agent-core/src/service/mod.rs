@@ -29,15 +29,15 @@
 mod problem;
 mod request;
 mod response;
+mod writer;
 
 pub use problem::{Problem, RefusalKind, RefusalReport};
 pub use request::{Numbers, Request, Subscription};
 pub use response::{Event, Firmware, Outcome, PackageStatus, Response, Rows, State, Status};
 
-use postcard::ser_flavors::Flavor;
 use serde::{Deserialize, Serialize};
 
-use crate::serial::Encoder;
+use writer::Writer;
 
 /// Version of the messages that this crate writes and reads.
 pub const PROTOCOL_VERSION: u8 = 1;
@@ -58,30 +58,24 @@ pub struct Upload {
 
 /// Frames and sends `message`: `sink` gets the bytes for the stream, piece by piece.
 pub fn send(message: &impl Serialize, sink: impl FnMut(&[u8])) {
-    // Nothing here fails: every sequence knows its length, and the stream takes everything.
-    let _ = postcard::serialize_with_flavor(message, Framed(Encoder::new(sink)));
+    let mut writer = Writer::new(sink);
+    // No message fails: see the writer.
+    let _ = message.serialize(&mut writer);
+    writer.finish();
 }
 
-struct Framed<S>(Encoder<S>);
+/// What can be received.
+pub trait Message<'a>: Sized {
+    /// The message that `bytes` hold, and nothing but it; `None` if they hold none.
+    fn decode(bytes: &'a [u8]) -> Option<Self>;
+}
 
-impl<S: FnMut(&[u8])> Flavor for Framed<S> {
-    type Output = ();
-
-    #[inline]
-    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
-        self.0.extend(&[byte]);
-        Ok(())
-    }
-
-    #[inline]
-    fn try_extend(&mut self, bytes: &[u8]) -> postcard::Result<()> {
-        self.0.extend(bytes);
-        Ok(())
-    }
-
-    fn finalize(self) -> postcard::Result<()> {
-        self.0.finish();
-        Ok(())
+impl<'a, V: Deserialize<'a>> Message<'a> for Response<'a, V> {
+    fn decode(bytes: &'a [u8]) -> Option<Self> {
+        match postcard::take_from_bytes(bytes) {
+            Ok((message, [])) => Some(message),
+            _ => None,
+        }
     }
 }
 
@@ -89,11 +83,8 @@ impl<S: FnMut(&[u8])> Flavor for Framed<S> {
 ///
 /// `bytes` are what [`crate::serial::Decoder`] returned.
 #[must_use]
-pub fn receive<'a, M: Deserialize<'a>>(bytes: &'a [u8]) -> Option<M> {
-    match postcard::take_from_bytes(bytes) {
-        Ok((message, [])) => Some(message),
-        _ => None,
-    }
+pub fn receive<'a, M: Message<'a>>(bytes: &'a [u8]) -> Option<M> {
+    M::decode(bytes)
 }
 
 #[cfg(test)]

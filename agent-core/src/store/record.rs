@@ -83,12 +83,10 @@ impl Contents {
 
     /// The same, but for what lies in `slot`.
     pub(super) fn with_package(self, slot: Slot, package: Option<Extent>) -> Self {
-        let [a, b] = self.packages;
-        let packages = match slot {
-            Slot::A => [package, b],
-            Slot::B => [a, package],
-        };
-        Self { packages, ..self }
+        let mut contents = self;
+        let [a, b] = &mut contents.packages;
+        *slot.of([a, b]) = package;
+        contents
     }
 
     /// The same with the spare slot empty.

@@ -48,8 +48,8 @@ use embedded_storage::nor_flash::{
 };
 use firmware_template::registers::Channel as Register;
 use firmware_template::{
-    Clock, Hardware, Link, Lost, Node, Periods, QueuedEnd, RegisterSensor, Settings, WeightsRegion,
-    memory_map, queued_port,
+    Clock, Hardware, Link, Lost, Memory, Node, Periods, QueuedEnd, RegisterSensor, Settings,
+    WeightsRegion, memory_map, queued_port,
 };
 use heapless::spsc::Queue;
 use heapless::{Deque, Vec};

@@ -210,7 +210,7 @@ struct File(usize);
 impl File {
     fn open(path: &[u8], mode: usize) -> Option<Self> {
         let mut name = [0; COMMAND_LINE];
-        name.get_mut(..path.len())?.copy_from_slice(path);
+        name.get_mut(..path.len())?.iter_mut().zip(path).for_each(|(place, byte)| *place = *byte);
         // SAFETY: OPEN (0x01) reads the name up to its terminating zero, which lies in the buffer:
         // the command line that the path is a part of is shorter than it.
         let handle = unsafe { syscall!(OPEN, name.as_ptr(), mode, path.len()) };

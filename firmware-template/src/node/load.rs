@@ -11,7 +11,7 @@ use agent_core::package::{
     StateBox, accept,
 };
 use agent_core::service::RefusalReport;
-use agent_core::store::{self, MappedFlash};
+use agent_core::store::{self, MappedFlash, Store};
 
 use super::{Agent, InUsePackage, Node, Places, Session};
 
@@ -104,11 +104,8 @@ impl<
     /// Lets the agent go on from this estimate; returns whether it could.
     pub(super) fn start_at(&mut self, session: &Session<'_, N>, estimate: StateVector<N>) -> bool {
         let Self { store, memory, next_tick, .. } = self;
-        let package = match &session.network {
-            Some((slot, _)) => store.bytes(*slot).and_then(|bytes| Package::decode(bytes).ok()),
-            None => None,
-        };
-        let weights = package.as_ref().map_or(&[0.0; N][..], |package| package.outer_weights);
+        let zeros = [0.0; N];
+        let weights = session.outer_weights(store).unwrap_or(&zeros);
         let agent = &mut memory.agent;
         if agent.announced {
             let tick = next_tick.saturating_sub(1);
@@ -136,6 +133,17 @@ impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize>
         self.state.places().resize(neighbours, None).is_ok()
             && self.inbox.places().resize(neighbours, None).is_ok()
             && self.state.begin(params, estimate, outer_weights).is_ok()
+    }
+}
+
+impl<const N: usize> Session<'_, N> {
+    /// The outer weights that the package in use brings along.
+    pub(super) fn outer_weights<'s, F: MappedFlash>(
+        &self,
+        store: &'s Store<F>,
+    ) -> Option<&'s [f32]> {
+        let (slot, place) = self.network.as_ref()?;
+        place.outer_weights(store.bytes(*slot)?)
     }
 }
 

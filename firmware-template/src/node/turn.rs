@@ -5,7 +5,6 @@ use agent_core::agent::StepOutput;
 use agent_core::capture::Sample;
 use agent_core::frame::{FRAME_LENGTH_MAX, FrameError};
 use agent_core::health::Advice;
-use agent_core::package::Package;
 use agent_core::service::{Outcome, State};
 use agent_core::store::MappedFlash;
 
@@ -115,12 +114,8 @@ impl<
         let (outcome, sample) = match advice {
             Advice::Continue => (outcome, sample),
             Advice::Restart => {
-                let slot = session.network.as_ref().map(|(slot, _)| *slot);
-                let package = slot
-                    .and_then(|slot| store.bytes(slot))
-                    .and_then(|bytes| Package::decode(bytes).ok());
                 let zeros = [0.0; N];
-                let weights = package.map_or(&zeros[..], |package| package.outer_weights);
+                let weights = session.outer_weights(store).unwrap_or(&zeros);
                 let (state, inbox) = (&mut agent.state, &mut agent.inbox);
                 match health.restart(&session.watch, params, state, inbox, tick, weights) {
                     Ok(frame) => {

@@ -124,16 +124,16 @@ impl Monitor<'_> {
 
     fn hear(&mut self, message: &Message<'_>) -> Result<(), CommandError> {
         match message {
-            Message::State(state) => return self.state(state, message),
+            Message::State(state) => self.state(state, message),
             Message::Sample { tick, estimate, derivative } => {
                 self.recorder.sample(*tick, estimate, derivative);
-                return Ok(());
+                Ok(())
             }
             Message::SamplesEnd { .. } => {
                 self.next_sample = self.next_sample.max(self.recorder.next_tick());
-                return Ok(());
+                Ok(())
             }
-            _ if self.arguments.format == Format::Json => return print_json(message),
+            _ if self.arguments.format == Format::Json => print_json(message),
             Message::Event(Event::Confirmed { tick, version }) => {
                 print_text(&format!("{}  version {version} has proved itself\n", self.time(*tick)))
             }

@@ -113,6 +113,9 @@ pub(super) fn text(address: &Address, status: &Status) -> String {
             text += &format!("  the package in slot {slot} was refused at the start: {refusal}\n");
         }
     }
+    if let Some(bytes) = status.stack_unused {
+        text += &format!("  {bytes} bytes of the stack have never been used\n");
+    }
     let counts = [
         ("samples kept", status.samples),
         ("damaged messages", status.messages_damaged),

@@ -172,10 +172,10 @@ impl Board {
     /// # Errors
     /// See [`Fault`].
     pub fn turn(&mut self) -> Result<Turn, Fault> {
-        const EXPECTED: &str = "the state after its step";
+        const EXPECTED: &str = "a state after its step";
         let mut turn = Turn::default();
         loop {
-            let bytes = self.message(EXPECTED)?;
+            let bytes = self.message("state after its step")?;
             match heard(&bytes)? {
                 Message::State(state) => {
                     turn.state = Some(state);
@@ -279,6 +279,19 @@ impl Board {
                 _ => exchange.unasked.push(bytes),
             }
         }
+    }
+
+    /// Asks how it is.
+    ///
+    /// # Errors
+    /// See [`Fault`].
+    pub fn status(&mut self) -> Result<Status, Fault> {
+        for answer in &self.exchange(&Request::Query)?.answers {
+            if let Message::Status(status) = heard(answer)? {
+                return Ok(status);
+            }
+        }
+        Err(Fault::Unexpected { found: "another answer".to_owned(), expected: "a status" })
     }
 
     /// Lets it begin anew, as after switching on.

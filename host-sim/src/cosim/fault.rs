@@ -40,7 +40,7 @@ pub enum Fault {
         damaged: u32,
     },
     /// Its process has ended.
-    #[error("its process has ended ({status}){}; mend what it says, or the firmware", quoted(.said))]
+    #[error("its process has ended ({status}){}", quoted(.said))]
     Ended {
         /// How.
         status: String,
@@ -124,7 +124,11 @@ pub enum Fault {
 }
 
 fn quoted(text: &str) -> String {
-    if text.is_empty() { String::new() } else { format!(" and says:\n{text}\n") }
+    if text.is_empty() {
+        "; see what has ended it, and start again".to_owned()
+    } else {
+        format!(" and says:\n{text}\n; mend that, or give a firmware that runs on this board")
+    }
 }
 
 fn mend(problem: Problem) -> &'static str {

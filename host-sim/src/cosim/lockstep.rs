@@ -105,8 +105,20 @@ impl<'s> Lockstep<'s> {
         Ok(packages)
     }
 
-    fn feed(&mut self, agents: &[AgentStep<'_>]) -> Result<(), NodeError> {
+    /// Asks every node, at the end, what it never used of its stack.
+    pub(super) fn ask_for_stacks(&mut self) -> Result<(), NodeError> {
         for index in 0..self.nodes.len() {
+            let node = &mut self.nodes[index];
+            match node.board.status() {
+                Ok(status) => node.report.stack_unused = status.stack_unused,
+                Err(fault) => return Err(self.named(index, fault)),
+            }
+        }
+        Ok(())
+    }
+
+    fn feed(&mut self, agents: &[AgentStep<'_>]) -> Result<(), NodeError> {
+        for (index, agent) in agents.iter().enumerate() {
             let (before, rest) = self.nodes.split_at_mut(index);
             let Some((node, after)) = rest.split_first_mut() else { break };
             let frames = node.neighbours.iter().flat_map(|&neighbour| {
@@ -116,7 +128,7 @@ impl<'s> Lockstep<'s> {
                 };
                 sender.frames.iter().map(Vec::as_slice)
             });
-            let fed = node.board.feed(frames, agents[index].measurement);
+            let fed = node.board.feed(frames, agent.measurement);
             fed.map_err(|fault| self.named(index, fault))?;
         }
         Ok(())

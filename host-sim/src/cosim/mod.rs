@@ -112,12 +112,23 @@ pub struct BoardReport {
     pub switches: u64,
     /// Since when it is not compared any more and why, if so.
     pub parted: Option<String>,
+    /// What it never used of its stack, if it can tell. \[byte\]
+    pub stack_unused: Option<u32>,
 }
 
 impl BoardReport {
     fn new(agent: usize, board: &str) -> Self {
         let board = board.to_owned();
-        Self { agent, board, compared: 0, mismatches: 0, broadcasts: 0, switches: 0, parted: None }
+        Self {
+            agent,
+            board,
+            compared: 0,
+            mismatches: 0,
+            broadcasts: 0,
+            switches: 0,
+            parted: None,
+            stack_unused: None,
+        }
     }
 }
 
@@ -217,6 +228,7 @@ pub fn cosimulate(
             },
         )?;
     let elapsed_s = lockstep.begun.map_or(0.0, |begun| (Instant::now() - begun).as_secs_f64());
+    lockstep.ask_for_stacks()?;
     let boards: Vec<_> = lockstep.nodes.iter().map(|node| node.report.clone()).collect();
     let steps = lockstep.steps;
     Ok(CosimReport {

@@ -107,7 +107,7 @@ fn make(path: &Path, board: &Board) -> Result<(), Failure> {
     write(&path.join("agent-core/Cargo.toml"), &core_manifest.to_string())?;
     write(&path.join("Cargo.toml"), &workspace_manifest.to_string())?;
 
-    let Board { name, target, runner, flash_weights } = *board;
+    let Board { name, target, runner, port, .. } = *board;
     let config =
         format!("[build]\ntarget = \"{target}\"\n\n[target.{target}]\nrunner = \"{runner}\"\n");
     write(&path.join(".cargo/config.toml"), &config)?;
@@ -116,7 +116,7 @@ fn make(path: &Path, board: &Board) -> Result<(), Failure> {
     let readme = include_str!("README.md")
         .replace("{board}", name)
         .replace("{target}", target)
-        .replace("{flash_weights}", flash_weights)
+        .replace("{port}", port)
         .replace("{program}", program);
     write(&path.join("README.md"), &readme)
 }
