@@ -52,7 +52,17 @@ mod twin;
 
 use std::path::PathBuf;
 
+use agent_core::service::{CHUNK_LENGTH_MAX, Problem, Request, Upload, send};
+use agent_core::store::StoreError;
+use host_sim::service::Message;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
 use drive::{Course, Soak};
+use judge::Judge;
+use report::Tally;
+use store::Package;
+use supply::{Kind, Supply};
 
 /// The long course.
 fn course(steps: u64) -> Course {
@@ -74,6 +84,45 @@ fn twins() {
     println!("{}", soak.tally);
     for name in ["reset", "power cut", "stage: done", "activate: done", "broadcast"] {
         assert!(soak.tally.count_of(name) > 0, "{name}");
+    }
+}
+
+/// The judge himself: one right answer to each request passes, and nothing else does.
+#[test]
+fn the_judge_lets_nothing_wrong_pass() {
+    let rng = &mut ChaCha8Rng::seed_from_u64(1);
+    let mut supply = Supply::new(&supply::scenario(), rng);
+    let factory = supply.factory(0);
+    let judged = |requests: &[Request<'_>], said: &[Message<'_>], supply: &Supply| {
+        let stream: Vec<u8> = requests.iter().flat_map(line::encoded).collect();
+        let mut framed = Vec::new();
+        said.iter().for_each(|message| send(message, |bytes| framed.extend_from_slice(bytes)));
+        let messages: Vec<_> = line::heard(&framed).into_iter().flatten().collect();
+        let mut judge = Judge::new(0, Package::new(2, factory.as_bytes()));
+        judge.judge(&stream, &messages, supply, &mut Tally::new()).is_ok()
+    };
+    let received = |received| Message::Upload(Upload { received });
+    let refused = |error| Message::Refused(Problem::Store(error));
+    let begin = [Request::Begin { length: 9 }];
+    assert!(judged(&begin, &[received(0)], &supply));
+    for wrong in [&[][..], &[received(0), received(0)], &[received(1)], &[Message::Done]] {
+        assert!(!judged(&begin, wrong, &supply), "{wrong:?}");
+    }
+    assert!(judged(&[Request::Confirm], &[refused(StoreError::NotOnTrial)], &supply));
+    assert!(!judged(&[Request::Confirm], &[Message::Done], &supply));
+
+    for kind in [Kind::Valid, Kind::Older, Kind::OtherAgent, Kind::Flipped, Kind::OtherTestVector] {
+        let bytes = supply.package(kind, 0, 2, rng);
+        let mut requests = vec![Request::Begin { length: bytes.len() as u32 }];
+        let mut said = vec![received(0)];
+        for (index, bytes) in bytes.chunks(CHUNK_LENGTH_MAX).enumerate() {
+            let offset = (index * CHUNK_LENGTH_MAX) as u32;
+            requests.push(Request::Chunk { offset, bytes });
+            said.push(received(offset + bytes.len() as u32));
+        }
+        requests.push(Request::Stage);
+        said.push(Message::Staged { version: 3 });
+        assert_eq!(judged(&requests, &said, &supply), kind == Kind::Valid, "{kind:?}");
     }
 }
 

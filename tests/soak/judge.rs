@@ -231,7 +231,7 @@ impl Judge {
         self.taken_on_trial = self.taken_on_trial.saturating_add(u32::from(can_step));
         self.unasked(said, told, tally)?;
         let every = self.subscription.state_every;
-        if every.is_none_or(|every| tick % Tick::from(every.get()) != 0) {
+        if every.is_none_or(|every| !tick.is_multiple_of(Tick::from(every.get()))) {
             return Ok(());
         }
         let Some(Message::State(state)) = said.pop_front() else {

@@ -124,7 +124,7 @@ impl Peer {
             Body::Emulator(emulator) => emulator.cycle_power()?,
             Body::Twin(twin) => twin.cycle_power()?,
         };
-        self.decoder = Box::new(Decoder::new());
+        *self.decoder = Decoder::new();
         Ok(())
     }
 
