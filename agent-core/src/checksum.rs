@@ -21,7 +21,8 @@ const fn table() -> [u32; 16] {
         let mut remainder = bits as u32;
         let mut shift = 0;
         while shift < 4 {
-            remainder = if remainder & 1 == 0 { remainder >> 1 } else { remainder >> 1 ^ POLYNOMIAL };
+            remainder =
+                if remainder & 1 == 0 { remainder >> 1 } else { remainder >> 1 ^ POLYNOMIAL };
             shift += 1;
         }
         table[bits] = remainder;
@@ -54,9 +55,9 @@ impl Checksum {
     pub fn update(&mut self, bytes: &[u8]) {
         // The index has four bits, so it is always in the table.
         let shifted = |register: u32| register >> 4 ^ TABLE[(register & 0xf) as usize];
-        self.0 = bytes.iter().fold(self.0, |register, &byte| {
-            shifted(shifted(register ^ u32::from(byte)))
-        });
+        self.0 = bytes
+            .iter()
+            .fold(self.0, |register, &byte| shifted(shifted(register ^ u32::from(byte))));
     }
 
     /// The checksum of all bytes so far.

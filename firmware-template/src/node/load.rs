@@ -138,7 +138,10 @@ impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize>
 
 impl<const N: usize> Session<'_, N> {
     /// The outer weights that the package in use brings along.
-    pub(super) fn outer_weights<'s, F: MappedFlash>(&self, store: &'s Store<F>) -> Option<&'s [f32]> {
+    pub(super) fn outer_weights<'s, F: MappedFlash>(
+        &self,
+        store: &'s Store<F>,
+    ) -> Option<&'s [f32]> {
         let (slot, place) = self.network.as_ref()?;
         place.outer_weights(store.bytes(*slot)?)
     }
