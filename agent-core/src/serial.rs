@@ -50,30 +50,35 @@ impl<S: FnMut(&[u8])> Encoder<S> {
     /// Takes the message's next bytes.
     pub fn extend(&mut self, bytes: &[u8]) {
         self.checksum.update(bytes);
-        bytes.iter().for_each(|&byte| self.stuff(byte));
+        self.stuff(bytes);
     }
 
     /// Ends the message.
     pub fn finish(mut self) {
         let checksum = self.checksum.clone().finish().to_le_bytes();
-        checksum.iter().for_each(|&byte| self.stuff(byte));
+        self.stuff(&checksum);
         self.end_block();
         (self.sink)(&[DELIMITER]);
     }
 
-    #[inline]
-    fn stuff(&mut self, byte: u8) {
-        if byte == 0 {
+    #[inline(never)]
+    fn stuff(&mut self, bytes: &[u8]) {
+        let mut length = self.length;
+        for &byte in bytes {
+            if byte != 0 {
+                length = length.wrapping_add(1);
+                if let Some(place) = self.block.get_mut(usize::from(length)) {
+                    *place = byte;
+                }
+                if length != BLOCK_LENGTH_MAX {
+                    continue;
+                }
+            }
+            self.length = length;
             self.end_block();
-            return;
+            length = 0;
         }
-        self.length = self.length.wrapping_add(1);
-        if let Some(place) = self.block.get_mut(usize::from(self.length)) {
-            *place = byte;
-        }
-        if self.length == BLOCK_LENGTH_MAX {
-            self.end_block();
-        }
+        self.length = length;
     }
 
     /// A block shorter than the longest stands for its data and a zero.

@@ -112,9 +112,11 @@ impl SymmetricMatrix<'_> {
                 }
             }
             Self::Full(entries) => {
-                let rows = entries.chunks_exact(vector.len().max(1));
-                for (result, row) in result.iter_mut().zip(rows) {
+                let mut rows: &[f32] = entries;
+                for result in result {
+                    let Some((row, rest)) = rows.split_at_checked(vector.len()) else { break };
                     *result = row.iter().zip(vector).fold(0.0, |sum, (entry, v)| sum + entry * v);
+                    rows = rest;
                 }
             }
         }

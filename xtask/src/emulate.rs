@@ -22,7 +22,9 @@ use crate::{
 const FORWARD_M4F: u32 = 2_600;
 /// Most instructions of a Cortex-M4F for a step that broadcasts nothing.
 const STEP_M4F: u32 = 4_000;
-/// The same for a Cortex-M0, which computes floats in software.
+/// Most instructions of a Cortex-M4F for a whole turn of a node.
+const TURN_M4F: u32 = 12_000;
+/// A step of a Cortex-M0, which computes floats in software.
 const STEP_M0: u32 = 190_000;
 
 /// An emulated board and what runs on it.
@@ -50,7 +52,7 @@ const MACHINES: [Machine; 6] = [
     Machine {
         core: "Cortex-M4F",
         inspected: true,
-        budgets: &[("forward", FORWARD_M4F), ("step", STEP_M4F)],
+        budgets: &[("forward", FORWARD_M4F), ("step", STEP_M4F), ("turn", TURN_M4F)],
         ..arm("mps2-an386", "thumbv7em-none-eabihf")
     },
     Machine { core: "Cortex-M7", ..arm("mps2-an500", "thumbv7em-none-eabihf") },
@@ -96,7 +98,7 @@ pub(crate) fn emulate(debian: bool) -> Result<(), Failure> {
     find_emulators(debian)?;
     let mut table = String::from(
         "machine     core                     sections  instructions, mean (largest): forward, \
-         step, with broadcast, frame, package\n",
+         step, with broadcast, frame, package, turn, turn with outer weights told\n",
     );
     for machine in &MACHINES {
         let program = build(&compiler, machine)?;

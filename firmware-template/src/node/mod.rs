@@ -1,7 +1,7 @@
 //! A whole node above its board: an agent, its weight packages, and what it says and is told.
 //!
 //! [`Node::run`] is the loop. What is due goes first: a step whenever the board says that a period
-//! has begun, one request whenever there is time.
+//! has begun, then one request.
 //!
 //! ```text
 //!            frames                     requests
@@ -259,9 +259,10 @@ impl<
             if periods > 0 {
                 self.turn(session, board, periods);
                 board.flush();
-                continue;
             }
+            // One after every turn, too, so that a node that is late can still be told what to do.
             match board.request(&mut buffer) {
+                None if periods > 0 => {}
                 None => board.rest(),
                 Some(Err(_)) => count(&mut self.counts.messages_damaged),
                 Some(Ok(bytes)) => {

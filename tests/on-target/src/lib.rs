@@ -11,6 +11,7 @@
 //! | `network` | the package's network, and one with other widths and activations |
 //! | `agent` | an agent as a node runs it: frames, trigger, adaptation, faults, restart |
 //! | `package` | acceptance and refusal of a weight package, checksums |
+//! | `turn` | a whole node of the firmware template: all that it broadcasts and tells |
 //!
 //! Inputs come from integers alone, and the weights from a package that the host's training
 //! made (`fixtures/agent1.weights`, agent 1 of `host-sim run paper`, seed 0).
@@ -29,6 +30,7 @@ mod meter;
 mod network;
 mod node;
 mod package;
+mod turn;
 
 pub use meter::{Figure, Figures, Meter, NoMeter, Statistics};
 
@@ -64,7 +66,8 @@ pub fn examine(
             "activations" => activations::digest(),
             "network" => network::digest(meter, &mut figures)?,
             "agent" => agent::digest(meter, &mut figures)?,
-            _ => package::digest(meter, &mut figures)?,
+            "package" => package::digest(meter, &mut figures)?,
+            _ => turn::digest(meter, &mut figures)?,
         };
         report(&Section { name, digest, golden });
     }

@@ -4,6 +4,12 @@
 pub trait Meter {
     /// Runs `work`; the number is 0 where nothing counts.
     fn count<R>(&mut self, work: impl FnOnce() -> R) -> (R, u32);
+
+    /// Begins to count where the work is not a function's.
+    fn start(&mut self);
+
+    /// What has been counted since then.
+    fn stop(&mut self) -> u32;
 }
 
 /// Counts nothing.
@@ -13,6 +19,12 @@ pub struct NoMeter;
 impl Meter for NoMeter {
     fn count<R>(&mut self, work: impl FnOnce() -> R) -> (R, u32) {
         (work(), 0)
+    }
+
+    fn start(&mut self) {}
+
+    fn stop(&mut self) -> u32 {
+        0
     }
 }
 
@@ -29,12 +41,23 @@ pub enum Figure {
     Frame,
     /// The acceptance of a package without a signature.
     Package,
+    /// A turn of a node: two frames received, a step, a broadcast, state and health told.
+    Turn,
+    /// The same with the outer weights told, too, as in a co-simulation.
+    WholeTurn,
 }
 
 impl Figure {
     /// Every figure.
-    pub const ALL: [Self; 5] =
-        [Self::Forward, Self::Step, Self::Broadcast, Self::Frame, Self::Package];
+    pub const ALL: [Self; 7] = [
+        Self::Forward,
+        Self::Step,
+        Self::Broadcast,
+        Self::Frame,
+        Self::Package,
+        Self::Turn,
+        Self::WholeTurn,
+    ];
 
     /// One word.
     #[must_use]
@@ -45,6 +68,8 @@ impl Figure {
             Self::Broadcast => "broadcast",
             Self::Frame => "frame",
             Self::Package => "package",
+            Self::Turn => "turn",
+            Self::WholeTurn => "whole-turn",
         }
     }
 }

@@ -15,9 +15,11 @@ pub(crate) const LENGTH: usize = 2_096;
 
 /// Numbers are used in place, so a package begins at a multiple of four.
 #[repr(C, align(4))]
-struct Aligned([u8; LENGTH]);
+pub(crate) struct Aligned(pub(crate) [u8; LENGTH]);
 
-static FIXTURE: Aligned = Aligned(*include_bytes!("../fixtures/agent1.weights"));
+pub(crate) const FIXTURE: Aligned = Aligned(*include_bytes!("../fixtures/agent1.weights"));
+
+static PLACED: Aligned = FIXTURE;
 
 /// Where the header keeps the checksum, which covers everything else.
 const CHECKSUM: core::ops::Range<usize> = HEADER_LENGTH - 4..HEADER_LENGTH;
@@ -33,7 +35,7 @@ const REQUIREMENTS: Requirements<'static> = Requirements {
 
 /// The embedded package's bytes.
 pub(crate) fn bytes() -> &'static [u8] {
-    &FIXTURE.0
+    &PLACED.0
 }
 
 /// The embedded package.

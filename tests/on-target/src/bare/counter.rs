@@ -38,6 +38,8 @@ pub(super) struct Counter<C> {
     overhead: u32,
     /// Ticks for [`Self::INSTRUCTIONS`].
     ticks: u32,
+    /// When counting began.
+    started: u32,
 }
 
 impl<C: Clock> Counter<C> {
@@ -45,7 +47,7 @@ impl<C: Clock> Counter<C> {
 
     /// A counter over `clock`; `None` if that does not count instructions.
     pub(super) fn calibrated(clock: C) -> Option<Self> {
-        let mut counter = Self { clock, overhead: 0, ticks: Self::INSTRUCTIONS };
+        let mut counter = Self { clock, overhead: 0, ticks: Self::INSTRUCTIONS, started: 0 };
         counter.overhead = counter.time(|| ()).1;
         let ((), long) = counter.time(|| C::spin(LONG));
         let ((), short) = counter.time(|| C::spin(SHORT));
@@ -63,14 +65,30 @@ impl<C: Clock> Counter<C> {
         compiler_fence(Ordering::SeqCst);
         (result, C::between(start, self.clock.now()).saturating_sub(self.overhead))
     }
+
+    fn instructions(&self, ticks: u32) -> u32 {
+        let scaled = u64::from(ticks) * u64::from(Self::INSTRUCTIONS);
+        let ticks = u64::from(self.ticks);
+        let instructions = (scaled + ticks / 2).checked_div(ticks).unwrap_or(0);
+        // The black box keeps the division from drifting into the next interval.
+        black_box(instructions as u32)
+    }
 }
 
 impl<C: Clock> Meter for Counter<C> {
     fn count<R>(&mut self, work: impl FnOnce() -> R) -> (R, u32) {
         let (result, ticks) = self.time(work);
-        let scaled = u64::from(ticks) * u64::from(Self::INSTRUCTIONS);
-        let ticks = u64::from(self.ticks.max(1));
-        // The black box keeps the division from drifting into the next interval.
-        (result, black_box(((scaled + ticks / 2) / ticks) as u32))
+        (result, self.instructions(ticks))
+    }
+
+    fn start(&mut self) {
+        self.started = self.clock.now();
+        compiler_fence(Ordering::SeqCst);
+    }
+
+    fn stop(&mut self) -> u32 {
+        compiler_fence(Ordering::SeqCst);
+        let ticks = C::between(self.started, self.clock.now());
+        self.instructions(ticks.saturating_sub(self.overhead))
     }
 }
