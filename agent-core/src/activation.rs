@@ -179,8 +179,7 @@ impl Activation {
 #[inline(never)]
 fn tanh_in_place(values: &mut [f32]) {
     let bits: &mut [u32] = bytemuck::cast_slice_mut(values);
-    // From the last one to the first, one pointer is all that a Cortex-M has to keep.
-    for_each(bits.iter_mut().rev(), |bits| *bits = tanh_bits(*bits));
+    for_each(bits, |bits| *bits = tanh_bits(*bits));
 }
 
 #[inline(never)]

@@ -252,8 +252,8 @@ impl Scratch {
     pub const NEW: Self = Self { first: [0.0; LAYER_WIDTH_MAX], second: [0.0; LAYER_WIDTH_MAX] };
 }
 
-/// `outputs = biases + weights^T inputs` for the parameters of one layer; `None` if the lengths do
-/// not belong together.
+/// `outputs = biases + weights^T inputs` for the layer whose parameters come first; `None` if there
+/// are too few.
 ///
 /// Up to twelve sums at a time stay in registers and give a vector unit independent lanes; each
 /// adds in the same order as a plain loop would. The paper's widths have a function each, in which
