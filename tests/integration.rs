@@ -31,6 +31,8 @@ mod paper_run;
 mod reproduce;
 mod scales;
 mod scenario_errors;
+#[cfg(unix)]
+mod soak;
 mod store_damage;
 mod store_histories;
 mod store_model;

@@ -112,7 +112,11 @@ pub(crate) fn emulate(debian: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-fn find_emulators(debian: bool) -> Result<(), Failure> {
+/// Sees that there are emulators, or installs them where that is allowed.
+///
+/// # Errors
+/// There are none.
+pub(crate) fn find_emulators(debian: bool) -> Result<(), Failure> {
     if MACHINES.iter().all(|machine| on_path(machine.emulator)) {
         return Ok(());
     }

@@ -15,6 +15,7 @@ mod machine_code;
 mod packages;
 mod project;
 mod size;
+mod soak;
 mod stack;
 mod step;
 
@@ -26,11 +27,12 @@ const HELP: &str = "\
 Usage: cargo xtask <task> [--debian]
        cargo xtask firmware --board BOARD|all [--public-key HEX] [--debian]
        cargo xtask new PATH [--board BOARD]
+       cargo xtask soak [--steps N] [--seed S] [--debian]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
 
 Tasks:
   test    every test there is: the workspace on the host, doctests included, then `cross`,
-          `emulate`, and a co-simulation with the emulated board's firmware
+          `emulate`, a co-simulation with the emulated board's firmware, and `soak`
   cross   build the node's libraries for bare metal, look for fused multiply-add and
           platform mathematics in the machine code, link the memory map
   emulate the examination in tests/on-target on emulated processors (QEMU): the bits that the
@@ -42,6 +44,10 @@ Tasks:
           program and memory map (qemu-mps2-an386 if none is named); it builds on its own
   size    what the firmware of the emulated board takes of flash, RAM and stack, against its
           budgets
+  soak    three nodes of the emulated board's firmware beside the same code on the host, for N
+          steps (20000), with packages pushed, messages and frames damaged, sensors failing,
+          resets and losses of power, all drawn from the seed S (1): every byte must be the
+          same, and right. `--steps 1000000` is the long form
   lint    formatting, clippy and documentation, warnings are errors
   fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (10)
           from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
@@ -77,6 +83,10 @@ fn main() -> ExitCode {
             Some(options) => project::new(&options),
             None => return usage(),
         },
+        ["soak", ref rest @ ..] => match soak::Options::read(rest) {
+            Some(options) => soak::soak(&options, debian),
+            None => return usage(),
+        },
         ["fuzz", ref rest @ ..] => match fuzz::Options::read(rest) {
             Some(options) => fuzz::fuzz(&options, debian),
             None => return usage(),
@@ -107,6 +117,7 @@ fn test(debian: bool) -> Result<(), Failure> {
     cross::cross(debian)?;
     emulate::emulate(debian)?;
     cosim::test(debian)?;
+    soak::soak(&soak::Options::default(), debian)?;
     println!("tests: {count}");
     Ok(())
 }

@@ -1,0 +1,371 @@
+//! What a node may say, from what reached it: exactly one answer to each request, in order, and the
+//! right one; steps as they were asked for; numbers that are finite; counters that only rise.
+//!
+//! This knows nothing of the node's insides, and what it says about packages comes from
+//! [`super::store`] and [`super::supply`].
+
+use std::collections::VecDeque;
+
+use agent_core::Tick;
+use agent_core::frame::Frame;
+use agent_core::service::{
+    Event, Outcome, PROTOCOL_VERSION, Problem, RefusalReport, Request, State, Status, Subscription,
+    receive,
+};
+use host_sim::service::Message;
+use host_sim::service::conversation::name;
+
+use super::line;
+use super::report::Tally;
+use super::store::{Answer, Package, Store};
+use super::supply::Supply;
+
+/// Good steps until a package on trial is confirmed.
+const GOOD_STEPS: u32 = 1_000;
+/// Samples that a node keeps.
+const SAMPLES: u32 = 64;
+
+/// What is known of a node from outside.
+#[derive(Clone, Debug)]
+pub(super) struct Judge {
+    /// From 0.
+    agent: usize,
+    pub(super) store: Store,
+    pub(super) subscription: Subscription,
+    next_tick: Tick,
+    messages_damaged: u32,
+    measurements_missing: u32,
+    counters: Vec<u32>,
+    /// Steps taken since the package in use was activated.
+    taken_on_trial: u32,
+}
+
+/// What others have to know of what a node has said.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Told {
+    pub(super) broadcasts: Vec<Vec<u8>>,
+    /// The last estimate.
+    pub(super) estimate: Option<Vec<f32>>,
+}
+
+type Said<'m> = VecDeque<Message<'m>>;
+
+impl Judge {
+    pub(super) fn new(agent: usize, factory: Package) -> Self {
+        Self {
+            agent,
+            store: Store::new(factory),
+            subscription: Subscription::default(),
+            next_tick: 0,
+            messages_damaged: 0,
+            measurements_missing: 0,
+            counters: Vec::new(),
+            taken_on_trial: 0,
+        }
+    }
+
+    /// What the node has to do when `stream` reaches it, against what it has said.
+    ///
+    /// # Errors
+    /// What it should have said and what it has.
+    pub(super) fn judge(
+        &mut self,
+        stream: &[u8],
+        messages: &[Vec<u8>],
+        supply: &Supply,
+        tally: &mut Tally,
+    ) -> Result<Told, String> {
+        let mut said = parsed(messages)?;
+        let mut told = Told::default();
+        for message in line::heard(stream) {
+            let Some(bytes) = message else {
+                self.messages_damaged += 1;
+                tally.event("message found damaged");
+                continue;
+            };
+            match receive::<Request<'_>>(&bytes) {
+                Some(request) => self.carried_out(&request, &mut said, &mut told, supply, tally)?,
+                None => answered(&mut said, &Message::Refused(Problem::Unknown))?,
+            }
+        }
+        match said.pop_front() {
+            None => Ok(told),
+            Some(message) => Err(format!("it says {}, and nobody asked", name(&message))),
+        }
+    }
+
+    fn carried_out(
+        &mut self,
+        request: &Request<'_>,
+        said: &mut Said<'_>,
+        told: &mut Told,
+        supply: &Supply,
+        tally: &mut Tally,
+    ) -> Result<(), String> {
+        let answer = match *request {
+            Request::Frame { .. } => {
+                tally.event("frame taken from the line");
+                return Ok(());
+            }
+            Request::Tick { periods, ref measurement } => {
+                return self.turned(periods, measurement.as_deref(), said, told, tally);
+            }
+            Request::Query => {
+                return match said.pop_front() {
+                    Some(Message::Status(status)) => self.described(&status),
+                    other => Err(instead("its status", other)),
+                };
+            }
+            Request::Samples { from, most } => return sampled(from, most, said),
+            Request::StartAt { ref estimate } => {
+                let usable = estimate.len() == 3 && estimate.iter().all(|x| x.is_finite());
+                self.unasked(said, told, tally)?;
+                let refused = Message::Refused(Problem::Estimate);
+                return answered(said, if usable { &Message::Done } else { &refused });
+            }
+            Request::Subscribe(subscription) => {
+                self.subscription = subscription;
+                return answered(said, &Message::Done);
+            }
+            // The driver sends it alone, and judges its answer itself.
+            Request::Reset => return Err("a reset in between".to_owned()),
+            Request::Begin { length } => self.store.begin(length),
+            Request::Chunk { offset, bytes } => self.store.chunk(offset, bytes),
+            Request::Stage => self.store.stage(self.agent, supply),
+            Request::Activate => self.store.activate(),
+            Request::Confirm => self.store.confirm(),
+            Request::Revert => self.store.revert(),
+        };
+        let what = match request {
+            Request::Begin { .. } => "begin",
+            Request::Chunk { .. } => "chunk",
+            Request::Stage => "stage",
+            Request::Activate => "activate",
+            Request::Confirm => "confirm",
+            _ => "revert",
+        };
+        let result = match (&answer, said.pop_front()) {
+            (Answer::Exactly(expected), Some(found)) if *expected == found => match found {
+                Message::Refused(Problem::Store(error)) => {
+                    let error = format!("{error:?}");
+                    error.split(' ').next().unwrap_or_default().to_owned()
+                }
+                _ => "done".to_owned(),
+            },
+            (Answer::PackageRefused, Some(Message::Refused(Problem::Package(report)))) => {
+                format!("{:?}", report.kind)
+            }
+            (expected, found) => {
+                tally.wrong_acceptances += u64::from(matches!(found, Some(Message::Staged { .. })));
+                return Err(instead(&format!("{expected:?} to {what}"), found));
+            }
+        };
+        if what == "activate" && result == "done" {
+            self.taken_on_trial = 0;
+        }
+        tally.answer(format!("{what}: {result}"));
+        Ok(())
+    }
+
+    /// What comes before the state of a step, or before the answer to a start.
+    fn unasked(
+        &mut self,
+        said: &mut Said<'_>,
+        told: &mut Told,
+        tally: &mut Tally,
+    ) -> Result<(), String> {
+        while let Some(message) = said.front() {
+            match message {
+                Message::Broadcast { bytes } => {
+                    let frame = Frame::<3>::decode(bytes).map_err(|error| error.to_string())?;
+                    if usize::from(frame.sender) != self.agent + 1 {
+                        return Err(format!("it broadcasts as agent {}", frame.sender));
+                    }
+                    tally.event("broadcast");
+                    told.broadcasts.push(bytes.to_vec());
+                }
+                Message::Health { counters, .. } => {
+                    self.counters_rise(&counters.to_array())?;
+                    tally.event("health report");
+                }
+                Message::Event(Event::Confirmed { tick, version }) => {
+                    let due = self.store.is_on_trial() && self.taken_on_trial >= GOOD_STEPS;
+                    if !due || *version != self.store.in_use.version || tick + 1 != self.next_tick {
+                        return Err(format!("version {version} is confirmed in tick {tick}"));
+                    }
+                    self.store.way_back = None;
+                    tally.event("confirmed by good steps");
+                }
+                _ => break,
+            }
+            said.pop_front();
+        }
+        Ok(())
+    }
+
+    fn turned(
+        &mut self,
+        periods: u32,
+        measurement: Option<&[f32]>,
+        said: &mut Said<'_>,
+        told: &mut Told,
+        tally: &mut Tally,
+    ) -> Result<(), String> {
+        if periods == 0 {
+            return Ok(());
+        }
+        let tick = self.next_tick + Tick::from(periods) - 1;
+        self.next_tick = tick + 1;
+        // Each of the paper's agents measures one component.
+        let expected: &[Outcome] = match measurement {
+            None => &[Outcome::NoMeasurement],
+            Some(y) if y.len() > 3 => &[Outcome::NoMeasurement],
+            Some(&[y]) if y.is_finite() => {
+                &[Outcome::Stepped, Outcome::Restarted, Outcome::Diverged]
+            }
+            Some([_]) => &[Outcome::MeasurementNotFinite],
+            Some(_) => &[Outcome::MeasurementLength],
+        };
+        self.measurements_missing += u32::from(expected == [Outcome::NoMeasurement]);
+        let can_step = expected.contains(&Outcome::Stepped);
+        self.taken_on_trial = self.taken_on_trial.saturating_add(u32::from(can_step));
+        self.unasked(said, told, tally)?;
+        let every = self.subscription.state_every;
+        if every.is_none_or(|every| tick % Tick::from(every.get()) != 0) {
+            return Ok(());
+        }
+        let Some(Message::State(state)) = said.pop_front() else {
+            return Err(format!("it does not tell its state in tick {tick}"));
+        };
+        if state.tick != tick || !expected.contains(&state.outcome) {
+            return Err(format!("{state:?} after {measurement:?} in tick {tick}"));
+        }
+        if state.outcome == Outcome::Restarted || state.outcome == Outcome::Diverged {
+            tally.event(if state.outcome == Outcome::Restarted {
+                "agent began anew"
+            } else {
+                "step refused: it overflows"
+            });
+        }
+        finite(&state)?;
+        told.estimate = Some(state.estimate);
+        Ok(())
+    }
+
+    /// It has begun anew, and says so.
+    pub(super) fn rebooted(&mut self, greeting: &[u8]) -> Result<(), String> {
+        self.store.reboot();
+        *self = Self {
+            subscription: Subscription::default(),
+            next_tick: 0,
+            messages_damaged: 0,
+            measurements_missing: 0,
+            counters: Vec::new(),
+            ..self.clone()
+        };
+        match receive::<Message<'_>>(greeting) {
+            Some(Message::Hello(status)) => self.described(&status),
+            other => Err(instead("its greeting", other)),
+        }
+    }
+
+    /// Whether this is the node that all that happened has made.
+    fn described(&mut self, status: &Status) -> Result<(), String> {
+        let Some(package) = &status.package else { return Err("it has no package".to_owned()) };
+        let store = &self.store;
+        let found = (
+            (package.version, package.checksum, package.slot, usize::from(package.agent)),
+            package.trial.is_some(),
+            status.staged,
+            status.upload.map(|upload| upload.received),
+        );
+        let expected = (
+            (store.in_use.version, store.in_use.checksum, store.slot, self.agent + 1),
+            store.is_on_trial(),
+            store.staged.is_some(),
+            store.upload.as_ref().map(super::store::Unfinished::received),
+        );
+        if found != expected {
+            return Err(format!("it has {found:?}, where {expected:?} should be"));
+        }
+        let counts = (status.tick, status.messages_damaged, status.measurements_missing);
+        let expected = (self.next_tick, self.messages_damaged, self.measurements_missing);
+        if counts != expected {
+            return Err(format!("it counts {counts:?}, where {expected:?} has happened"));
+        }
+        let sound = status.protocol == PROTOCOL_VERSION
+            && status.refused_at_start == [None::<RefusalReport>; 2]
+            && status.samples <= SAMPLES
+            && status.broadcasts_lost == 0
+            && !status.firmware.signed_only;
+        if !sound {
+            return Err(format!("{status:?}"));
+        }
+        self.counters_rise(&status.health.to_array())
+    }
+
+    fn counters_rise(&mut self, counters: &[u32]) -> Result<(), String> {
+        if self.counters.iter().zip(counters).any(|(before, now)| now < before) {
+            return Err(format!("counters fall from {:?} to {counters:?}", self.counters));
+        }
+        self.counters = counters.to_vec();
+        Ok(())
+    }
+}
+
+/// The messages in the order in which they came.
+///
+/// # Errors
+/// The first that is none.
+fn parsed(messages: &[Vec<u8>]) -> Result<Said<'_>, String> {
+    let parse = |bytes: &'_ Vec<u8>| format!("it sends what is no message: {bytes:02x?}");
+    messages.iter().map(|bytes| receive(bytes).ok_or_else(|| parse(bytes))).collect()
+}
+
+/// What messages are, for people.
+pub(super) fn names(messages: &[Vec<u8>]) -> Vec<String> {
+    parsed(messages).map_or_else(|error| vec![error], |said| said.iter().map(name).collect())
+}
+
+fn instead(expected: &str, found: Option<Message<'_>>) -> String {
+    let found = found.map_or_else(|| "nothing".to_owned(), |message| name(&message));
+    format!("{expected} is due, and it says {found}")
+}
+
+fn answered(said: &mut Said<'_>, expected: &Message<'static>) -> Result<(), String> {
+    match said.pop_front() {
+        Some(found) if found == *expected => Ok(()),
+        found => Err(instead(&name(expected), found)),
+    }
+}
+
+fn sampled(from: Tick, most: u8, said: &mut Said<'_>) -> Result<(), String> {
+    let (mut next, mut count) = (from, 0);
+    loop {
+        match said.pop_front() {
+            Some(Message::Sample { tick, estimate, derivative }) if tick >= next => {
+                if !estimate.iter().chain(&derivative).all(|x| x.is_finite()) {
+                    return Err(format!(
+                        "the sample of tick {tick} is {estimate:?}, {derivative:?}"
+                    ));
+                }
+                (next, count) = (tick + 1, count + 1);
+            }
+            Some(Message::SamplesEnd { next: found })
+                if found == next && count <= u32::from(most) =>
+            {
+                return Ok(());
+            }
+            other => return Err(instead("a sample, or the end of samples", other)),
+        }
+    }
+}
+
+fn finite(state: &State<Vec<f32>>) -> Result<(), String> {
+    let State { estimate, derivative, outer_weights, .. } = state;
+    let mut numbers = estimate.iter().chain(derivative).chain(outer_weights);
+    if estimate.len() != 3 || !numbers.all(|number| number.is_finite()) {
+        return Err(format!("{state:?}"));
+    }
+    Ok(())
+}

@@ -1,0 +1,138 @@
+//! A node that can be talked to and whose power can fail: the firmware in an emulator, or its twin,
+//! the same code compiled for this machine, in a thread.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use agent_core::serial::Decoder;
+use agent_core::service::receive;
+use host_sim::packages::PackageBytes;
+use host_sim::service::{Line, Message};
+
+use super::emulator::Emulator;
+use super::twin::Twin;
+
+/// How long a node has for an answer.
+pub(super) const DEADLINE: Duration = Duration::from_secs(20);
+
+/// Longest message of a node.
+const MESSAGE_MAX: usize = 4096;
+
+/// What the last message is that a node says for the time being.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum End {
+    /// The answer to the fence with this number.
+    Fence(u64),
+    /// That it resets.
+    Done,
+    /// Its greeting.
+    Hello,
+}
+
+impl End {
+    fn is(self, message: &[u8]) -> bool {
+        match (self, receive::<Message<'_>>(message)) {
+            (Self::Fence(number), Some(Message::SamplesEnd { next })) => next == number,
+            (Self::Done, Some(Message::Done)) | (Self::Hello, Some(Message::Hello(_))) => true,
+            _ => false,
+        }
+    }
+}
+
+/// What a node has said: the bytes, and the messages that they make.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Said {
+    pub(super) bytes: Vec<u8>,
+    pub(super) messages: Vec<Vec<u8>>,
+}
+
+enum Body {
+    Emulator(Emulator),
+    Twin(Twin),
+}
+
+/// A node and the line to it.
+pub(super) struct Peer {
+    body: Body,
+    line: Line,
+    decoder: Box<Decoder<MESSAGE_MAX>>,
+    unread: VecDeque<u8>,
+}
+
+impl Peer {
+    /// The node's code in a thread.
+    pub(super) fn twin(package: &PackageBytes) -> Self {
+        let (twin, line) = Twin::start(package);
+        Self::new(Body::Twin(twin), line)
+    }
+
+    /// The firmware in an emulator.
+    pub(super) fn emulated(
+        firmware: &std::path::Path,
+        package: &PackageBytes,
+    ) -> Result<Self, String> {
+        let (emulator, line) = Emulator::start(firmware, package)?;
+        Ok(Self::new(Body::Emulator(emulator), line))
+    }
+
+    fn new(body: Body, line: Line) -> Self {
+        Self { body, line, decoder: Box::new(Decoder::new()), unread: VecDeque::new() }
+    }
+
+    pub(super) fn send(&mut self, bytes: &[u8]) -> Result<(), String> {
+        self.line.send(bytes, DEADLINE).map_err(|error| error.to_string())
+    }
+
+    /// All that it says up to `end`.
+    pub(super) fn hear(&mut self, end: End) -> Result<Said, String> {
+        let deadline = Instant::now() + DEADLINE;
+        let mut said = Said::default();
+        loop {
+            while let Some(byte) = self.unread.pop_front() {
+                said.bytes.push(byte);
+                if let Some(message) = self.decoder.push(byte) {
+                    let message = message.map_err(|error| error.to_string())?.to_vec();
+                    let last = end.is(&message);
+                    said.messages.push(message);
+                    if last {
+                        return Ok(said);
+                    }
+                }
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            let received = self.line.receive(left).map_err(|error| {
+                format!(
+                    "{error} where {end:?} is due, after {:?}",
+                    super::judge::names(&said.messages)
+                )
+            })?;
+            self.unread.extend(received);
+        }
+    }
+
+    /// It has said that it resets; its pipes close for a moment.
+    pub(super) fn expect_reset(&mut self) {
+        self.line.expect_reset();
+    }
+
+    /// Lets its power fail, and return.
+    pub(super) fn cycle_power(&mut self) -> Result<(), String> {
+        if !self.unread.is_empty() {
+            return Err(format!("{} bytes that nobody asked for", self.unread.len()));
+        }
+        self.line = match &mut self.body {
+            Body::Emulator(emulator) => emulator.cycle_power()?,
+            Body::Twin(twin) => twin.cycle_power()?,
+        };
+        self.decoder = Box::new(Decoder::new());
+        Ok(())
+    }
+
+    /// What its flash held when its power failed last.
+    pub(super) fn flash(&self) -> &[u8] {
+        match &self.body {
+            Body::Emulator(emulator) => emulator.flash(),
+            Body::Twin(twin) => twin.flash(),
+        }
+    }
+}

@@ -1,0 +1,155 @@
+//! What a node's store holds, as far as its answers tell, in a few lines of its own.
+
+use agent_core::checksum::crc32;
+use agent_core::service::{Problem, Upload};
+use agent_core::store::{Slot, StoreError};
+use host_sim::service::Message;
+
+use super::supply::Supply;
+use crate::loop_node::region;
+
+/// A package that a node has accepted.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Package {
+    pub(super) version: u32,
+    pub(super) checksum: u32,
+}
+
+impl Package {
+    pub(super) fn new(version: u32, bytes: &[u8]) -> Self {
+        Self { version, checksum: crc32(&[bytes]) }
+    }
+}
+
+/// An unfinished upload.
+#[derive(Clone, Debug)]
+pub(super) struct Unfinished {
+    pub(super) length: u32,
+    pub(super) bytes: Vec<u8>,
+}
+
+impl Unfinished {
+    pub(super) fn received(&self) -> u32 {
+        self.bytes.len() as u32
+    }
+}
+
+/// What a node's store holds.
+#[derive(Clone, Debug)]
+pub(super) struct Store {
+    pub(super) slot: Slot,
+    pub(super) in_use: Package,
+    /// During a trial: what was in use before.
+    pub(super) way_back: Option<Package>,
+    pub(super) staged: Option<Package>,
+    pub(super) upload: Option<Unfinished>,
+    /// How often a complete upload has been judged.
+    pub(super) judged: u64,
+}
+
+/// An answer: what it has to be, or that it has to be a refusal by the package's checks.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Answer {
+    Exactly(Message<'static>),
+    PackageRefused,
+}
+
+type Outcome = Result<Message<'static>, StoreError>;
+
+fn answer(outcome: Outcome) -> Answer {
+    Answer::Exactly(outcome.unwrap_or_else(|error| Message::Refused(Problem::Store(error))))
+}
+
+impl Store {
+    /// As it leaves the factory.
+    pub(super) fn new(in_use: Package) -> Self {
+        Self { slot: Slot::A, in_use, way_back: None, staged: None, upload: None, judged: 0 }
+    }
+
+    pub(super) fn is_on_trial(&self) -> bool {
+        self.way_back.is_some()
+    }
+
+    pub(super) fn begin(&mut self, length: u32) -> Answer {
+        let maximum = region().layout().slot_length;
+        answer(if self.is_on_trial() {
+            Err(StoreError::OnTrial)
+        } else if length == 0 || length > maximum {
+            Err(StoreError::Length { found: length, maximum })
+        } else {
+            self.staged = None;
+            self.upload = Some(Unfinished { length, bytes: Vec::new() });
+            Ok(Message::Upload(Upload { received: 0 }))
+        })
+    }
+
+    pub(super) fn chunk(&mut self, offset: u32, bytes: &[u8]) -> Answer {
+        answer(self.chunk_outcome(offset, bytes))
+    }
+
+    fn chunk_outcome(&mut self, offset: u32, bytes: &[u8]) -> Outcome {
+        let upload = self.upload.as_mut().ok_or(StoreError::NoUpload)?;
+        let received = upload.received();
+        if offset > received {
+            return Err(StoreError::Gap { received });
+        }
+        if offset as usize + bytes.len() > upload.length as usize {
+            return Err(StoreError::PastEnd { length: upload.length });
+        }
+        let known = &upload.bytes[offset as usize..];
+        let repeated = known.len().min(bytes.len());
+        if known[..repeated] != bytes[..repeated] {
+            return Err(StoreError::Conflict { offset });
+        }
+        upload.bytes.extend_from_slice(&bytes[repeated..]);
+        Ok(Message::Upload(Upload { received: upload.received() }))
+    }
+
+    /// Only bytes that were made for this agent may pass, and not below the version in use.
+    pub(super) fn stage(&mut self, agent: usize, supply: &Supply) -> Answer {
+        let Some(upload) = &self.upload else { return answer(Err(StoreError::NoUpload)) };
+        let (received, length) = (upload.received(), upload.length);
+        if received < length {
+            return answer(Err(StoreError::Incomplete { received, length }));
+        }
+        self.judged += 1;
+        match supply.version_of(agent, &upload.bytes) {
+            Some(version) if version >= self.in_use.version => {
+                self.staged = Some(Package::new(version, &upload.bytes));
+                self.upload = None;
+                Answer::Exactly(Message::Staged { version })
+            }
+            _ => Answer::PackageRefused,
+        }
+    }
+
+    pub(super) fn activate(&mut self) -> Answer {
+        answer(self.staged.take().ok_or(StoreError::NothingStaged).map(|staged| {
+            let version = Some(staged.version);
+            self.way_back = Some(std::mem::replace(&mut self.in_use, staged));
+            self.slot = self.slot.other();
+            Message::InUse { version }
+        }))
+    }
+
+    pub(super) fn confirm(&mut self) -> Answer {
+        answer(self.way_back.take().ok_or(StoreError::NotOnTrial).map(|_| Message::Done))
+    }
+
+    pub(super) fn revert(&mut self) -> Answer {
+        answer(self.way_back.take().ok_or(StoreError::NotOnTrial).map(|before| {
+            let version = Some(before.version);
+            self.in_use = before;
+            self.slot = self.slot.other();
+            Message::InUse { version }
+        }))
+    }
+
+    /// What a reset leaves: uploads are forgotten and trials have failed.
+    pub(super) fn reboot(&mut self) {
+        self.upload = None;
+        if self.is_on_trial() {
+            self.revert();
+        }
+    }
+}

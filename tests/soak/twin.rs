@@ -1,0 +1,144 @@
+//! The node's code in a thread, with its flash in memory.
+
+use std::cell::Cell;
+use std::io::{Read as _, Write as _};
+use std::net::Shutdown;
+use std::num::NonZeroU32;
+use std::os::unix::net::UnixStream;
+use std::thread::JoinHandle;
+
+use agent_core::health::HealthSettings;
+use agent_core::service::{Request, Subscription, send};
+use agent_core::store::{MappedFlash, Slot};
+use embedded_io::ErrorKind;
+use firmware_template::{InTheLoop, Memory, Node, Settings};
+use host_sim::image::{ERASED, Image};
+use host_sim::packages::PackageBytes;
+use host_sim::service::Line;
+
+use crate::loop_node::region;
+use crate::nor_flash::{SimulatedFlash, Tear};
+
+/// As strict as real flash, in the units of the emulated board.
+type Flash = SimulatedFlash<4, 4096>;
+/// The sizes of the emulated board's firmware.
+type TwinNode<'m> = Node<'m, Flash, 3, 8, 4, 8, 64>;
+type Loop<'s> = InTheLoop<Port<'s>, 8>;
+
+/// A running twin.
+pub(super) struct Twin {
+    thread: Option<JoinHandle<Flash>>,
+    socket: UnixStream,
+    flash: Vec<u8>,
+}
+
+impl Twin {
+    /// Starts one with this package in its flash.
+    pub(super) fn start(package: &PackageBytes) -> (Self, Line) {
+        let region = region();
+        let mut flash = Flash::new(region.length as usize, Tear::Prefix, 0);
+        for segment in Image::of_package(&region, Slot::A, package).unwrap().segments() {
+            let start = (segment.address - region.origin) as usize;
+            for (place, word) in segment.bytes.chunks(4).enumerate() {
+                // What an image has of erased flash leaves it so.
+                if word != [ERASED; 4] {
+                    flash.overwrite(start + 4 * place, word);
+                }
+            }
+        }
+        let content = flash.mapped().to_vec();
+        let (thread, socket, line) = started(flash);
+        (Self { thread: Some(thread), socket, flash: content }, line)
+    }
+
+    /// Ends it between two requests, and starts another with what its flash holds.
+    pub(super) fn cycle_power(&mut self) -> Result<Line, String> {
+        let flash = self.end().ok_or("the twin has panicked")?;
+        self.flash = flash.mapped().to_vec();
+        if flash.misuses + flash.rewrites > 0 {
+            return Err("the flash was used as no flash can be".to_owned());
+        }
+        let (thread, socket, line) = started(flash);
+        (self.thread, self.socket) = (Some(thread), socket);
+        Ok(line)
+    }
+
+    pub(super) fn flash(&self) -> &[u8] {
+        &self.flash
+    }
+
+    fn end(&mut self) -> Option<Flash> {
+        let _ = self.socket.shutdown(Shutdown::Both);
+        self.thread.take()?.join().ok()
+    }
+}
+
+impl Drop for Twin {
+    fn drop(&mut self) {
+        let _ = self.end();
+    }
+}
+
+fn started(flash: Flash) -> (JoinHandle<Flash>, UnixStream, Line) {
+    let (here, there) = UnixStream::pair().unwrap();
+    let line = Line::over_socket(here.try_clone().unwrap()).unwrap();
+    (std::thread::spawn(move || live(flash, &there)), here, line)
+}
+
+/// One life after another until the other end of the socket is closed; returns the flash.
+fn live(mut flash: Flash, socket: &UnixStream) -> Flash {
+    let over = Cell::new(false);
+    while !over.get() {
+        let settings = Settings {
+            layout: region().layout(),
+            public_key: None,
+            health: HealthSettings::RECOMMENDED,
+            good_steps: NonZeroU32::new(1_000).unwrap(),
+            sample_stride: NonZeroU32::new(20).unwrap(),
+            subscription: Subscription::default(),
+            fallback: None,
+            stack_unused: None,
+            version: [0, 1, 0],
+        };
+        let mut memory = Memory::new();
+        let mut node = TwinNode::new(flash, settings, &mut memory).unwrap();
+        node.run(&mut Loop::new(Port { socket, over: &over }));
+        flash = node.into_flash();
+    }
+    flash
+}
+
+/// The node's end of the socket.
+struct Port<'s> {
+    socket: &'s UnixStream,
+    over: &'s Cell<bool>,
+}
+
+impl embedded_io::ErrorType for Port<'_> {
+    type Error = ErrorKind;
+}
+
+impl embedded_io::Read for Port<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, ErrorKind> {
+        let length = self.socket.read(buffer).unwrap_or(0);
+        if length > 0 {
+            return Ok(length);
+        }
+        // The power has failed: a reset is how a node lets go of its flash, and changes nothing in it.
+        self.over.set(true);
+        let mut last = vec![0];
+        send(&Request::Reset, |bytes| last.extend_from_slice(bytes));
+        buffer[..last.len()].copy_from_slice(&last);
+        Ok(last.len())
+    }
+}
+
+impl embedded_io::Write for Port<'_> {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, ErrorKind> {
+        self.socket.write(bytes).map_err(|_| ErrorKind::Other)
+    }
+
+    fn flush(&mut self) -> Result<(), ErrorKind> {
+        Ok(())
+    }
+}
