@@ -22,6 +22,7 @@
 use crate::checksum::{CHECKSUM_LENGTH, crc32};
 use crate::codec::{Reader, push_integer};
 use crate::network::INPUTS_MAX;
+use crate::numeric::zeros;
 use crate::{AgentId, StateVector, Tick};
 
 /// Version of the format that this crate writes and reads.
@@ -139,7 +140,7 @@ impl<const N: usize> Frame<N> {
     /// [`FrameError::Length`], [`FrameError::Checksum`], [`FrameError::Malformed`],
     /// [`FrameError::Version`], [`FrameError::Dimension`] or [`FrameError::NotFinite`].
     pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
-        let mut estimate = StateVector::<N>::zeros();
+        let mut estimate = zeros::<N>();
         let Header { sender, sequence, tick } = decode(bytes, estimate.as_mut_slice())?;
         Ok(Self { sender, sequence, tick, estimate })
     }

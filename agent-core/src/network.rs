@@ -221,14 +221,16 @@ impl<S: AsRef<[f32]>> InnerNetwork<S> {
         let (mut source, mut target) = (&mut scratch.first, &mut scratch.second);
         let mut parameters = self.parameters.as_ref();
         let mut inputs = x.len();
-        for (place, component) in source.iter_mut().zip(x) {
-            *place = *component;
-        }
+        for_each(source.iter_mut().zip(x), |(place, component)| *place = *component);
         for layer in self.architecture.layers() {
             let width = usize::from(layer.width);
             let (own, rest) = parameters.split_at_checked(width * (inputs + 1))?;
-            let outputs = target.get_mut(..width)?;
-            affine(own, source.get(..inputs)?, outputs)?;
+            // Never so: an architecture has no wider layer.
+            if width > target.len() || inputs > source.len() {
+                return None;
+            }
+            let outputs = &mut target[..width];
+            affine(own, &source[..inputs], outputs)?;
             layer.activation.apply(outputs);
             parameters = rest;
             inputs = width;
@@ -250,8 +252,8 @@ impl Scratch {
     pub const NEW: Self = Self { first: [0.0; LAYER_WIDTH_MAX], second: [0.0; LAYER_WIDTH_MAX] };
 }
 
-/// `outputs = biases + weights^T inputs` for the parameters of one layer; `None` if the lengths do
-/// not belong together.
+/// `outputs = biases + weights^T inputs` for the layer whose parameters come first; `None` if there
+/// are too few.
 ///
 /// Up to twelve sums at a time stay in registers and give a vector unit independent lanes; each
 /// adds in the same order as a plain loop would. The paper's widths have a function each, in which

@@ -5,7 +5,7 @@
 //! Here every sum starts from zero and adds its terms in ascending order.
 
 use micromath::F32Ext;
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{ArrayStorage, SMatrix, SVector};
 
 /// Repeats a block for every `lane` below a constant of at most 12, written out: where the compiler
 /// optimises for size it unrolls no loop, and a loop of three turns takes more code than what it
@@ -40,6 +40,12 @@ pub(crate) fn for_each<T>(items: impl IntoIterator<Item = T>, mut work: impl FnM
     }
 }
 
+/// The zero vector. A constant, since an array of so many zeros would be filled in a loop.
+#[inline(always)]
+pub(crate) const fn zeros<const N: usize>() -> SVector<f32, N> {
+    const { SVector::from_array_storage(ArrayStorage([[0.0; N]])) }
+}
+
 /// The components of a vector, for loops without nalgebra's iterators.
 #[inline(always)]
 pub(crate) fn components<const N: usize>(vector: &SVector<f32, N>) -> &[f32; N] {
@@ -71,7 +77,7 @@ pub fn product<const R: usize, const C: usize>(
     matrix: &SMatrix<f32, R, C>,
     vector: &SVector<f32, C>,
 ) -> SVector<f32, R> {
-    let mut result = SVector::from([0.0; R]);
+    let mut result = zeros();
     for (column, &factor) in matrix.data.0.iter().zip(components(vector)) {
         let result = components_mut(&mut result);
         unrolled!(lane < R, { result[lane] += column[lane] * factor });

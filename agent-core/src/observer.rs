@@ -15,7 +15,7 @@
 
 use nalgebra::SMatrix;
 
-use crate::numeric::{add_scaled, components, components_mut, difference, dot};
+use crate::numeric::{add_scaled, components, components_mut, difference, dot, zeros};
 use crate::parameter::{ParameterError, finite, positive};
 use crate::symmetric::SymmetricMatrix;
 use crate::{AgentId, StateVector};
@@ -69,7 +69,7 @@ impl<const N: usize> OutputMatrix<N> {
         measurement: &[f32],
         error: &mut StateVector<N>,
     ) -> StateVector<N> {
-        let mut innovation = StateVector::from([0.0; N]);
+        let mut innovation = zeros();
         let errors = components_mut(error);
         for ((row, &measured), error) in self.rows.iter().zip(measurement).zip(errors) {
             *error = dot(row, estimate) - measured;
@@ -127,7 +127,7 @@ impl<const N: usize> ObserverParams<'_, N> {
         own: &StateVector<N>,
         held: impl Iterator<Item = Option<&'h StateVector<N>>>,
     ) -> StateVector<N> {
-        let mut term = StateVector::from([0.0; N]);
+        let mut term = zeros();
         for (neighbour, held) in self.neighbours.iter().zip(held) {
             if let Some(held) = held {
                 add_scaled(&mut term, neighbour.weight, &difference(held, own));

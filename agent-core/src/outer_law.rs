@@ -17,7 +17,9 @@
 //! weights by finite numbers or changes none.
 
 use crate::StateVector;
-use crate::numeric::{add_scaled, components, components_mut, dot, square_root, unrolled};
+use crate::numeric::{
+    add_scaled, components, components_mut, dot, for_each, square_root, unrolled, zeros,
+};
 use crate::parameter::{ParameterError, finite};
 use crate::projection::ProjectionParams;
 use crate::symmetric::SymmetricMatrix;
@@ -139,10 +141,9 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     #[inline]
     #[must_use]
     pub fn combine(&self, features: &[f32]) -> StateVector<N> {
-        let mut sum = StateVector::from([0.0; N]);
-        for (row, &feature) in self.rows.iter().zip(features) {
-            add_scaled(&mut sum, feature, row);
-        }
+        let mut sum = zeros();
+        let rows = self.rows.iter().zip(features);
+        for_each(rows, |(row, &feature)| add_scaled(&mut sum, feature, row));
         sum
     }
 

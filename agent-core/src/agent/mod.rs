@@ -40,7 +40,7 @@ use crate::frame::Frame;
 use crate::hold::Hold;
 use crate::inbox::Inbox;
 use crate::network::{InnerNetwork, Scratch};
-use crate::numeric::{add_scaled, all_finite, components, difference, product};
+use crate::numeric::{add_scaled, all_finite, components, difference, product, zeros};
 use crate::outer_law::OuterWeights;
 use crate::parameter::{ParameterError, finite};
 use crate::{StateVector, Tick};
@@ -79,7 +79,7 @@ impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S> {
     #[must_use]
     pub const fn blank(neighbour_holds: S) -> Self {
         const { assert!(N >= 1) };
-        let zeros = StateVector::from_array_storage(nalgebra::ArrayStorage([[0.0; N]]));
+        let zeros = zeros();
         Self {
             last_tick: None,
             estimate: zeros,
@@ -142,9 +142,9 @@ where
         self.estimate = estimate;
         self.own_hold = Hold::new(estimate, 0, 0);
         self.neighbour_holds.as_mut().fill(None);
-        self.consensus_term = StateVector::zeros();
+        self.consensus_term = zeros();
         self.consensus_is_current = false;
-        self.output_error = StateVector::zeros();
+        self.output_error = zeros();
         self.stale_frames = 0;
         Ok(())
     }
@@ -193,7 +193,7 @@ where
         self.check(params, network, tick, measurement, inbox)?;
 
         let consensus_term = self.consensus_with(params, tick, inbox);
-        let mut output_error = StateVector::from([0.0; N]);
+        let mut output_error = zeros();
         let innovation = params.observer.output_matrix.output_error(
             &self.estimate,
             measurement,

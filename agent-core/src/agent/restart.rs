@@ -4,7 +4,7 @@ use super::AgentParams;
 use super::AgentState;
 use crate::frame::Frame;
 use crate::hold::Hold;
-use crate::numeric::components;
+use crate::numeric::{components, zeros};
 use crate::parameter::{ParameterError, finite};
 use crate::region::Region;
 use crate::{StateVector, Tick};
@@ -37,8 +37,8 @@ where
         let tick = tick.max(self.last_tick.unwrap_or(0)).min(Tick::MAX - 1);
         self.last_tick = Some(tick);
         self.estimate = estimate;
-        self.consensus_term = StateVector::zeros();
-        self.output_error = StateVector::zeros();
+        self.consensus_term = zeros();
+        self.output_error = zeros();
         self.sample_estimate(tick + 1);
         Ok(self.announcement(params))
     }

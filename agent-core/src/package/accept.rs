@@ -9,7 +9,7 @@ use super::{Envelope, Package, PackageError};
 use crate::AgentId;
 use crate::StateVector;
 use crate::network::Scratch;
-use crate::numeric::add_scaled;
+use crate::numeric::{components_mut, zeros};
 use crate::parameter::{ParameterError, finite, not_negative, positive};
 use crate::signature::{PublicKey, verify};
 
@@ -259,11 +259,13 @@ fn check_test_vectors<const N: usize>(
 /// `W_hat^T sigma` as [`crate::outer_law::OuterWeights::combine`] computes it, from weights in
 /// place.
 fn combine<const N: usize>(outer_weights: &[f32], features: &[f32]) -> StateVector<N> {
-    let mut sum = StateVector::from([0.0; N]);
+    let mut output = zeros();
     for (row, &feature) in outer_weights.as_chunks::<N>().0.iter().zip(features) {
-        add_scaled(&mut sum, feature, &StateVector::from(*row));
+        for (sum, weight) in components_mut(&mut output).iter_mut().zip(row) {
+            *sum += feature * weight;
+        }
     }
-    sum
+    output
 }
 
 fn same_bits(found: &[f32], expected: &[f32]) -> bool {
