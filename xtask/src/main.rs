@@ -116,6 +116,7 @@ fn test(debian: bool) -> Result<(), Failure> {
     let count = host::test()?;
     cross::cross(debian)?;
     emulate::emulate(debian)?;
+    size::size(debian)?;
     cosim::test(debian)?;
     soak::soak(&soak::Options::default(), debian)?;
     println!("tests: {count}");

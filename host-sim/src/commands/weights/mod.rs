@@ -169,8 +169,11 @@ fn keygen(arguments: &Keygen) -> Result<(), CommandError> {
             "Private key: {} (for you alone: keep a safe copy, give it to nobody)\n\
              Public key:  {} (for nodes and for `weights verify --key`)\n\
              Fingerprint: {}\n\
-             For firmware: {:?}\n",
-            report.private_key, report.public_key, report.fingerprint, report.public_key_bytes
+             For firmware (cargo xtask firmware --public-key): {}\n",
+            report.private_key,
+            report.public_key,
+            report.fingerprint,
+            report.public_key_bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>()
         )),
     }
 }
