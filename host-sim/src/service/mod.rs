@@ -2,7 +2,7 @@
 //!
 //! | module | what it is |
 //! | --- | --- |
-//! | [`line`] | bytes to and from a node, with a deadline for everything |
+//! | [`mod@line`] | bytes to and from a node, with a deadline for everything |
 //! | [`address`] | where a node is found: a socket or a serial line |
 //! | [`conversation`] | messages on a line: requests, their answers, and what comes unasked |
 //! | [`push`] | a weight package into a node |
