@@ -339,7 +339,7 @@ mod tests {
     use super::*;
 
     fn segment(length: u8) -> Segment {
-        Segment { name: "test", address: 0x2100_0000, bytes: (0..length).collect() }
+        Segment { name: "test", address: 0x30_0000, bytes: (0..length).collect() }
     }
 
     #[test]
