@@ -18,6 +18,7 @@
 //! | [`shell`], [`interruption`] | command lines for people to copy; Ctrl-C |
 //! | [`signing`] | the operator's keys, for packages of weights |
 //! | [`tensors`] | networks from and for PyTorch, JAX and NumPy |
+//! | [`warning`] | what a person should know about a scenario, a training or a run |
 //! | [`commands`] | what the command line does |
 #![forbid(unsafe_code)]
 
@@ -45,3 +46,4 @@ pub mod shell;
 pub mod signing;
 pub mod tensors;
 pub mod training;
+pub mod warning;

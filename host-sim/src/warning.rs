@@ -1,0 +1,120 @@
+//! What a person should know about a scenario, a training or a run, and what to do about it.
+//!
+//! Every warning has a code that scripts can rely on; the text is for people and may change.
+//! `docs/json.md` explains each code.
+
+use std::fmt;
+
+use serde::{Serialize, Serializer};
+
+/// What a warning is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
+pub enum WarningCode {
+    /// The agents together do not measure the whole state.
+    StateNotCovered,
+    /// `K_1` does not solve `BMI` with this `k_1`.
+    GainNotASolution,
+    /// `rho` is below the estimate of `chi_bar_max`.
+    RhoTooSmall,
+    /// The step is too long for the observer's own error dynamics.
+    UnstableStep,
+    /// The error grew without bound.
+    UnstableRun,
+    /// An agent broadcast in more than a quarter of the steps.
+    FrequentBroadcasts,
+    /// The evaluation window begins before the last switch of a network.
+    WindowBeforeSwitch,
+    /// `[health]` without any trained network.
+    HealthUntrained,
+    /// The outer weights limit what the network can say: all zero, or all rows equal.
+    OuterWeights,
+    /// An input does not vary by more than rounding, so it gets no weight.
+    ConstantInput,
+    /// Single precision leaves few digits of an input's variation.
+    InputResolution,
+    /// The trained network explains nothing of the targets.
+    ExplainsNothing,
+    /// The trained network is worse than a constant on the validation samples.
+    WorseThanConstant,
+    /// The smoothing window is longer than the period of the signal.
+    LongSmoothing,
+    /// Fewer training numbers than parameters.
+    FewSamples,
+    /// The trained network was not switched in.
+    NotSwitchedIn,
+}
+
+impl WarningCode {
+    /// Every code.
+    pub const ALL: [Self; 16] = [
+        Self::StateNotCovered,
+        Self::GainNotASolution,
+        Self::RhoTooSmall,
+        Self::UnstableStep,
+        Self::UnstableRun,
+        Self::FrequentBroadcasts,
+        Self::WindowBeforeSwitch,
+        Self::HealthUntrained,
+        Self::OuterWeights,
+        Self::ConstantInput,
+        Self::InputResolution,
+        Self::ExplainsNothing,
+        Self::WorseThanConstant,
+        Self::LongSmoothing,
+        Self::FewSamples,
+        Self::NotSwitchedIn,
+    ];
+
+    /// The code as JSON has it.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::StateNotCovered => "state-not-covered",
+            Self::GainNotASolution => "gain-not-a-solution",
+            Self::RhoTooSmall => "rho-too-small",
+            Self::UnstableStep => "unstable-step",
+            Self::UnstableRun => "unstable-run",
+            Self::FrequentBroadcasts => "frequent-broadcasts",
+            Self::WindowBeforeSwitch => "window-before-switch",
+            Self::HealthUntrained => "health-untrained",
+            Self::OuterWeights => "outer-weights",
+            Self::ConstantInput => "constant-input",
+            Self::InputResolution => "input-resolution",
+            Self::ExplainsNothing => "explains-nothing",
+            Self::WorseThanConstant => "worse-than-constant",
+            Self::LongSmoothing => "long-smoothing",
+            Self::FewSamples => "few-samples",
+            Self::NotSwitchedIn => "not-switched-in",
+        }
+    }
+}
+
+impl Serialize for WarningCode {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.as_str())
+    }
+}
+
+/// One warning.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Warning {
+    /// What it is about.
+    pub code: WarningCode,
+    /// What is wrong, where, and what to do.
+    pub text: String,
+}
+
+impl Warning {
+    /// A warning with this text.
+    #[must_use]
+    pub fn new(code: WarningCode, text: impl Into<String>) -> Self {
+        Self { code, text: text.into() }
+    }
+}
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
