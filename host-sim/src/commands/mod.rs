@@ -139,6 +139,8 @@ enum CommandError {
     Recording(#[from] RecordingError),
     #[error(transparent)]
     Training(#[from] TrainedError),
+    #[error("{0}")]
+    NotPacked(String),
     #[error(transparent)]
     Run(#[from] RunError),
     #[error(transparent)]
@@ -196,6 +198,7 @@ impl CommandError {
             ) => ExitCode::from(2),
             Self::Flash(_)
             | Self::Training(_)
+            | Self::NotPacked(_)
             | Self::Run(_)
             | Self::File(_)
             | Self::Figure(_)

@@ -8,19 +8,21 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
+use super::summary::ExplainedVariance;
 use super::{
     CommandError, Common, Format, agent_index, load_scenario, network_of, print_json, print_text,
     summary,
 };
 use crate::analysis::TriggerConstants;
 use crate::interruption::{self, Again};
-use crate::packages::trained::{INITIAL_VERSION, Trained, TrainingTask};
+use crate::packages::trained::{INITIAL_VERSION, Prepared, Trained, TrainedError, TrainingTask};
 use crate::packages::{NodeContent, PackageBytes, Recording};
 use crate::progress::ProgressBars;
 use crate::scenario::{Recipe, Scenario};
 use crate::shell::shell_word;
 use crate::signing::OperatorKey;
 use crate::training::{EpochReport, StopReason};
+use crate::warning::Warning;
 
 /// Arguments of `train`.
 #[derive(Debug, Args)]
@@ -69,9 +71,13 @@ struct Report<'a> {
     samples: usize,
     epochs: usize,
     stopped_by: &'static str,
-    training_error: Option<f64>,
+    smoothing_window_s: f64,
+    decimation: usize,
+    training_error: f64,
     validation_error: Option<f64>,
     test_error: Option<f64>,
+    explained_variance: ExplainedVariance,
+    warnings: &'a [Warning],
     signed: bool,
     elapsed_s: f64,
 }
@@ -111,19 +117,19 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         seed: arguments.common.seed,
         version,
     };
-    let trained = train(&task, &recording).map_err(|error| match error {
-        CommandError::Training(error) => {
-            CommandError::Usage(format!("{}: {error}", arguments.data.display()))
-        }
-        other => other,
-    })?;
-    let (parameters, equations) =
-        (network.architecture.parameter_count(), trained.samples * scenario.dimension());
-    if equations < parameters {
-        eprintln!(
-            "warning: {equations} numbers to learn {parameters} parameters from; record longer, or \
-             lower smoothing_window or decimation in the recipe"
-        );
+    let of_these = |error: TrainedError| match error {
+        // Not the samples, but what came of them.
+        TrainedError::NotFinite { .. } | TrainedError::Draft(_) => CommandError::Training(error),
+        _ => CommandError::Usage(format!("{}: {error}", arguments.data.display())),
+    };
+    let prepared = task.prepare(&recording).map_err(of_these)?;
+    let told = prepared.warnings.len();
+    prepared.warnings.iter().for_each(warn);
+    let trained = train(&task, prepared).map_err(of_these)?;
+    trained.warnings[told..].iter().for_each(warn);
+    if !trained.accepted {
+        let problem = "not packed, because the network explains nothing of the end of the samples";
+        return Err(CommandError::NotPacked(format!("{}: {problem}", arguments.out.display())));
     }
     let package = match &key {
         Some(key) => trained.package.signed(key),
@@ -180,7 +186,7 @@ fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, Co
 }
 
 /// Trains until it is done or interrupted, which ends with the best so far.
-fn train(task: &TrainingTask<'_>, recording: &Recording) -> Result<Trained, CommandError> {
+fn train(task: &TrainingTask<'_>, prepared: Prepared<'_, '_>) -> Result<Trained, TrainedError> {
     let bars = ProgressBars::new("training");
     let total = task.recipe.solver.epochs_max as u64;
     let mut report_epoch = |epoch: &EpochReport| {
@@ -188,20 +194,24 @@ fn train(task: &TrainingTask<'_>, recording: &Recording) -> Result<Trained, Comm
         bars.epoch(task.agent + 1, task.cycle + 1, epoch.epoch, epoch.train);
         if interruption::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
-    let trained = task.carry_out(recording, &mut report_epoch);
+    let trained = prepared.carry_out(&mut report_epoch);
     bars.finish();
-    trained.map_err(CommandError::from)
+    trained
+}
+
+fn warn(warning: &Warning) {
+    eprintln!("warning: {warning}");
 }
 
 fn report<'a>(
     arguments: &Arguments,
     task: &TrainingTask<'a>,
     recording: &Recording,
-    trained: &Trained,
+    trained: &'a Trained,
     package: &PackageBytes,
     elapsed_s: f64,
 ) -> Report<'a> {
-    let best = trained.report.best();
+    let quality = &trained.quality;
     Report {
         package: arguments.out.display().to_string(),
         bytes: package.as_bytes().len(),
@@ -218,9 +228,13 @@ fn report<'a>(
             StopReason::Callback => "interruption",
             stop => summary::reason(stop),
         },
-        training_error: best.map(|best| best.train),
-        validation_error: best.and_then(|best| best.validation),
-        test_error: best.and_then(|best| best.test),
+        smoothing_window_s: trained.smoothing_window,
+        decimation: trained.decimation,
+        training_error: quality.training.error,
+        validation_error: quality.validation.map(|fit| fit.error),
+        test_error: quality.test.map(|fit| fit.error),
+        explained_variance: ExplainedVariance::of(quality),
+        warnings: &trained.warnings,
         signed: package.is_signed(),
         elapsed_s,
     }
@@ -232,17 +246,22 @@ fn text(arguments: &Arguments, report: &Report<'_>) -> String {
     let seconds = report.recorded_samples as f64 * report.interval_s;
     let mut text = format!(
         "Read {} samples, one every {:.6} s, {seconds:.3} s in all, {} gaps\n\
-         Trained on {} of them after smoothing and decimation, {} epochs, stopped by {}{kept}\n\
-         Mean squared error: training {}, validation {}, test {}\n",
+         Trained on {} of them after averaging over {} s and keeping every {}., {} epochs, \
+         stopped by {}{kept}\n\
+         Mean squared error: training {}, validation {}, test {}\n\
+         Variance explained: {}\n",
         report.recorded_samples,
         report.interval_s,
         report.gaps,
         report.samples,
+        report.smoothing_window_s,
+        report.decimation,
         report.epochs,
         report.stopped_by,
-        error(report.training_error),
+        error(Some(report.training_error)),
         error(report.validation_error),
         error(report.test_error),
+        report.explained_variance,
     );
     // Writing into a string cannot fail.
     let _ = writeln!(

@@ -17,6 +17,7 @@ use crate::packages::trained::{INITIAL_VERSION, TrainedError, TrainingTask};
 use crate::packages::{PackageBytes, Recording};
 use crate::scenario::{LearningCycle, Scenario};
 use crate::training::{Dataset, EpochReport};
+use crate::warning::Warning;
 
 /// The samples and the state of one agent in one cycle.
 struct Job {
@@ -28,7 +29,9 @@ struct Job {
     inputs: Vec<f64>,
     targets: Vec<f64>,
     outer_weights: Option<Vec<f32>>,
-    trained: Option<PackageBytes>,
+    trained: bool,
+    /// The trained network, if it is to be switched in.
+    package: Option<PackageBytes>,
 }
 
 /// All cycles of a run.
@@ -50,7 +53,8 @@ impl<'s> Learning<'s> {
             inputs: Vec::new(),
             targets: Vec::new(),
             outer_weights: None,
-            trained: None,
+            trained: false,
+            package: None,
         };
         let jobs = scenario.learning.iter().enumerate();
         let jobs = jobs.flat_map(|(cycle, description)| {
@@ -67,8 +71,8 @@ impl<'s> Learning<'s> {
         progress: &dyn Progress,
     ) -> Result<(Vec<Switch>, Vec<TrainingRecord>), RunError> {
         let mut records = Vec::new();
-        if self.jobs.iter().any(|job| job.apply_at == tick && job.trained.is_none()) {
-            let ready = |job: &&mut Job| job.outer_weights.is_some() && job.trained.is_none();
+        if self.jobs.iter().any(|job| job.apply_at == tick && !job.trained) {
+            let ready = |job: &&mut Job| job.outer_weights.is_some() && !job.trained;
             let (scenario, seed) = (self.scenario, self.seed);
             let jobs: Vec<&mut Job> = self.jobs.iter_mut().filter(ready).collect();
             records = jobs
@@ -81,7 +85,7 @@ impl<'s> Learning<'s> {
         }
         let due = self.jobs.iter().filter(|job| job.apply_at == tick);
         let switches = due.filter_map(|job| {
-            Some(Switch { agent: job.agent, package: job.trained.clone()?, back: false })
+            Some(Switch { agent: job.agent, package: job.package.clone()?, back: false })
         });
         Ok((switches.collect(), records))
     }
@@ -154,12 +158,20 @@ fn train(
         ControlFlow::Continue(())
     };
     let trained = task.carry_out(&recording, &mut report_epoch).map_err(failed)?;
-    job.trained = Some(trained.package.clone());
+    job.trained = true;
+    job.package = trained.accepted.then(|| trained.package.clone());
+    let of_this = |warning: Warning| {
+        let text = format!("agent {}, cycle {}: {}", agent + 1, cycle + 1, warning.text);
+        Warning::new(warning.code, text)
+    };
     Ok(TrainingRecord {
         agent: agent + 1,
         cycle: cycle + 1,
         samples: trained.samples,
         report: trained.report,
+        quality: trained.quality,
+        switched_in: trained.accepted,
+        warnings: trained.warnings.into_iter().map(of_this).collect(),
         package: trained.package,
         recording: scenario.record.samples.then_some(recording),
     })

@@ -25,9 +25,11 @@ use agent_core::agent::StepError;
 use agent_core::package::Refusal;
 use agent_core::parameter::ParameterError;
 
+use crate::packages::quality::Quality;
 use crate::packages::trained::TrainedError;
 use crate::packages::{DraftError, PackageBytes, Recording};
 use crate::training::{EpochReport, TrainingError, TrainingReport};
+use crate::warning::Warning;
 use statistics::AgentStatistics;
 use traces::Traces;
 
@@ -91,7 +93,13 @@ pub struct TrainingRecord {
     pub samples: usize,
     /// How it went.
     pub report: TrainingReport,
-    /// What was switched in.
+    /// What the trained network says of its samples.
+    pub quality: Quality,
+    /// Whether it was switched in; one that explains nothing of the end of its samples is not.
+    pub switched_in: bool,
+    /// What a person should know of this training.
+    pub warnings: Vec<Warning>,
+    /// The trained network.
     pub package: PackageBytes,
     /// What it was trained on, if the scenario records samples.
     pub recording: Option<Recording>,

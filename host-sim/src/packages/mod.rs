@@ -7,14 +7,19 @@
 //! | [`draft`] | everything that goes into a package, and the making of it |
 //! | [`check`] | the node's own acceptance, for any state dimension |
 //! | [`recording`] | recorded samples, in memory and in files |
+//! | [`cleaning`] | recorded samples as training takes them |
+//! | [`quality`] | how well a trained network says what the samples say |
 //! | [`trained`] | from recorded samples to a package |
 //!
 //! The simulated agents load these very bytes. The format is agent-core's; see `docs/format.md`.
 
 pub mod bytes;
 pub mod check;
+pub mod cleaning;
 pub mod draft;
+pub mod judgement;
 pub mod node;
+pub mod quality;
 pub mod recording;
 pub mod trained;
 

@@ -5,12 +5,17 @@ use std::ops::ControlFlow;
 
 use agent_core::package::{OnSwitch, TrainingErrors};
 
+use super::cleaning::Cleaned;
+use super::judgement::{Samples, judgement};
+use super::quality::{Fit, LAST_SHARE, Quality, estimates, explained, mean_squared_error};
 use super::{Draft, DraftError, NodeContent, PackageBytes, Recording};
 use crate::analysis::TriggerConstants;
-use crate::scenario::{Network, Recipe, Scenario};
+use crate::scenario::{Network, Recipe, Scenario, SwitchIn};
+use crate::training::data::divide_at_random;
 use crate::training::{
-    self, DataError, Dataset, EpochReport, SmoothingError, TrainingError, TrainingReport,
+    self, DataError, Dataset, EpochReport, Scaling, SmoothingError, TrainingError, TrainingReport,
 };
+use crate::warning::Warning;
 
 /// What is trained for whom.
 #[derive(Clone, Copy, Debug)]
@@ -31,6 +36,20 @@ pub struct TrainingTask<'s> {
     pub version: u32,
 }
 
+/// A task with its samples, ready to be carried out.
+#[derive(Debug)]
+pub struct Prepared<'t, 's> {
+    task: &'t TrainingTask<'s>,
+    recording: &'t Recording,
+    cleaned: Cleaned,
+    /// `W_hat` that the network is trained for, row by row, shape `[L, n]`.
+    outer_weights: Vec<f32>,
+    /// The scaling that the samples to train on ask for.
+    scaling: Scaling,
+    /// What speaks against these samples, before any work is done.
+    pub warnings: Vec<Warning>,
+}
+
 /// A trained package and how it came about.
 #[derive(Clone, Debug)]
 pub struct Trained {
@@ -38,8 +57,19 @@ pub struct Trained {
     pub package: PackageBytes,
     /// Samples that were left after cleaning and decimation.
     pub samples: usize,
+    /// Length of the averaging window; 0 for none. \[s\]
+    pub smoothing_window: f64,
+    /// Every how many averages one was used.
+    pub decimation: usize,
     /// How training went.
     pub report: TrainingReport,
+    /// What the network in the package says of the samples.
+    pub quality: Quality,
+    /// Whether it is fit for use: it explains something ([`Quality::explains`]), or the recipe asks
+    /// for it in any case.
+    pub accepted: bool,
+    /// What a person should know.
+    pub warnings: Vec<Warning>,
 }
 
 /// Why there is no trained package.
@@ -55,6 +85,15 @@ pub enum TrainedError {
     /// The trained network does not become a package.
     #[error("{0}")]
     Draft(#[from] DraftError),
+    /// The error of the trained network overflows.
+    #[error(
+        "the mean squared error of the trained network is {error}, so there is nothing to pack; \
+         check the samples for values that are far too large"
+    )]
+    NotFinite {
+        /// The error.
+        error: f64,
+    },
 }
 
 impl From<DataError> for TrainedError {
@@ -63,30 +102,36 @@ impl From<DataError> for TrainedError {
     }
 }
 
-impl TrainingTask<'_> {
-    /// Smoothed and decimated samples; what is shorter than the smoothing window between two gaps
-    /// is left out.
-    fn cleaned(&self, recording: &Recording) -> Result<Dataset, TrainedError> {
-        let smoothing = self.recipe.smoothing();
-        let (mut inputs, mut targets, mut refused) = (Vec::new(), Vec::new(), None);
-        for piece in recording.pieces() {
-            match smoothing.apply(&piece, recording.interval) {
-                Ok(data) => {
-                    inputs.extend_from_slice(data.inputs());
-                    targets.extend_from_slice(data.targets());
-                }
-                Err(error) => refused = Some(error),
-            }
+impl<'s> TrainingTask<'s> {
+    /// Cleans the samples and looks at them; outer weights that the recording does not tell are
+    /// the scenario's.
+    ///
+    /// # Errors
+    /// Samples that cannot be cleaned or divided.
+    pub fn prepare<'t>(
+        &'t self,
+        recording: &'t Recording,
+    ) -> Result<Prepared<'t, 's>, TrainedError> {
+        let cleaned = Cleaned::new(recording, self.recipe)?;
+        let outer_weights = match &recording.outer_weights {
+            Some(recorded) => recorded.clone(),
+            None => self.network.outer.iter().map(|&w| w as f32).collect(),
+        };
+        let train = cleaned.data.divide(self.recipe.split, self.task_seed())?.train;
+        let scaling = Scaling::of(&train);
+        let warnings = Samples {
+            train: &train,
+            scaling: &scaling,
+            outer_weights: &outer_weights,
+            parameters: self.network.architecture.parameter_count(),
+            window: cleaned.window,
+            period: cleaned.period,
         }
-        match refused {
-            Some(error) if inputs.is_empty() => Err(error.into()),
-            _ => Ok(Dataset::new(recording.samples.dimension(), inputs, targets)?),
-        }
+        .warnings();
+        Ok(Prepared { task: self, recording, cleaned, outer_weights, scaling, warnings })
     }
 
-    /// Cleans the samples, trains and packs; outer weights that the recording does not tell are the
-    /// scenario's. `progress` can end the training with the best
-    /// network so far.
+    /// Prepares and carries out.
     ///
     /// # Errors
     /// See [`TrainedError`].
@@ -95,46 +140,110 @@ impl TrainingTask<'_> {
         recording: &Recording,
         progress: &mut dyn FnMut(&EpochReport) -> ControlFlow<()>,
     ) -> Result<Trained, TrainedError> {
-        let data = self.cleaned(recording)?;
-        let outer_weights = match &recording.outer_weights {
-            Some(recorded) => recorded.clone(),
-            None => self.network.outer.iter().map(|&w| w as f32).collect(),
-        };
-        let outer: Vec<f64> = outer_weights.iter().map(|&w| f64::from(w)).collect();
+        self.prepare(recording)?.carry_out(progress)
+    }
+
+    /// A seed of its own for every agent in every cycle of a run: the run's seed and the place of
+    /// the task, mixed so that neighbouring tasks start far apart.
+    fn task_seed(&self) -> u64 {
+        let place = (self.cycle as u64) << 32 | self.agent as u64;
+        self.seed ^ place.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15)
+    }
+}
+
+impl Prepared<'_, '_> {
+    /// Trains, packs, and judges the network in the package. `progress` can end the training with
+    /// the best network so far.
+    ///
+    /// # Errors
+    /// See [`TrainedError`].
+    pub fn carry_out(
+        mut self,
+        progress: &mut dyn FnMut(&EpochReport) -> ControlFlow<()>,
+    ) -> Result<Trained, TrainedError> {
+        let task = self.task;
+        let outer: Vec<f64> = self.outer_weights.iter().map(|&w| f64::from(w)).collect();
         let (parameters, report) = training::train_inner_network(
-            &self.network.architecture,
+            &task.network.architecture,
             &outer,
-            &data,
-            &self.recipe.settings(),
-            task_seed(self.seed, self.cycle, self.agent),
+            &self.cleaned.data,
+            &task.recipe.settings(),
+            task.task_seed(),
             progress,
         )?;
-        let errors = report.best().and_then(|best| {
-            let held_out = best.test.or(best.validation)? as f32;
-            let errors = TrainingErrors { training: best.train as f32, held_out };
-            errors.is_finite().then_some(errors)
-        });
-        let (low, high) = limits(&recording.samples);
-        let trigger = TriggerConstants::new(self.scenario);
-        let draft = Draft {
-            version: self.version,
+        let (low, high) = limits(&self.recording.samples);
+        let trigger = TriggerConstants::new(task.scenario);
+        let mut draft = Draft {
+            version: task.version,
             replaces: None,
             on_switch: OnSwitch::Keep,
-            architecture: self.network.architecture.clone(),
+            architecture: task.network.architecture.clone(),
             inner: parameters.iter().map(|&p| p as f32).collect(),
-            outer_weights,
-            node: NodeContent::new(self.scenario, &trigger, self.agent),
-            broadcast_interval_min: interval_bound(self.scenario, &trigger, recording),
+            outer_weights: std::mem::take(&mut self.outer_weights),
+            node: NodeContent::new(task.scenario, &trigger, task.agent),
+            broadcast_interval_min: interval_bound(task.scenario, &trigger, self.recording),
             low,
             high,
-            scenario_hash: self.scenario.hash,
-            recipe: self.recipe.name.clone(),
-            seed: self.seed,
-            samples: u32::try_from(data.len()).unwrap_or(u32::MAX),
-            errors,
+            scenario_hash: task.scenario.hash,
+            recipe: task.recipe.name.clone(),
+            seed: task.seed,
+            samples: u32::try_from(self.cleaned.data.len()).unwrap_or(u32::MAX),
+            errors: None,
         };
-        Ok(Trained { package: draft.seal()?, samples: data.len(), report })
+        // What is told of the network is what the package computes, in single precision.
+        let quality = self.quality(&draft.seal()?)?;
+        let held_out = quality.test.or(quality.validation);
+        draft.errors = held_out.and_then(|held_out| {
+            let (training, held_out) = (quality.training.error as f32, held_out.error as f32);
+            let errors = TrainingErrors { training, held_out };
+            errors.is_finite().then_some(errors)
+        });
+        let accepted = quality.explains() || task.recipe.switch_in == SwitchIn::Always;
+        let mut warnings = self.warnings;
+        warnings.extend(judgement(&quality, accepted, &task.recipe.name));
+        Ok(Trained {
+            package: draft.seal()?,
+            samples: self.cleaned.data.len(),
+            smoothing_window: self.cleaned.window,
+            decimation: self.cleaned.stride,
+            report,
+            quality,
+            accepted,
+            warnings,
+        })
     }
+
+    /// The network in `package` against the samples that trained it.
+    fn quality(&self, package: &PackageBytes) -> Result<Quality, TrainedError> {
+        let (data, judged) = (&self.cleaned.data, &self.cleaned.judged);
+        let parts = divide_at_random(data.len(), self.task.recipe.split, self.task.task_seed())?;
+        let fit = |part: &Vec<usize>| -> Option<Fit> {
+            let samples = data.select(part)?;
+            let error = mean_squared_error(&samples, &estimates(package, &samples));
+            let mut chosen = vec![false; data.len()];
+            part.iter().for_each(|&row| chosen[row] = true);
+            let explained = self.cleaned.judged_in(&chosen).and_then(|samples| {
+                explained(&samples, &estimates(package, &samples), &self.scaling)
+            });
+            Some(Fit { error, explained })
+        };
+        let [training, validation, test] = parts.each_ref().map(fit);
+        let training = training.ok_or(DataError::TooFewSamples { found: 0, needed: 1 })?;
+        if !training.error.is_finite() {
+            return Err(TrainedError::NotFinite { error: training.error });
+        }
+        let last = judged.select(&last_rows(judged.len()));
+        let last = last
+            .and_then(|samples| explained(&samples, &estimates(package, &samples), &self.scaling));
+        Ok(Quality { training, validation, test, last })
+    }
+}
+
+/// The last [`LAST_SHARE`] of `count` rows, at least one.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "between 0 and count")]
+fn last_rows(count: usize) -> Vec<usize> {
+    let last = (count as f64 * LAST_SHARE).ceil() as usize;
+    (count - last.clamp(1, count)..count).collect()
 }
 
 /// The package that agent `index` (from 0) starts with: the scenario's own network, not trained
@@ -173,13 +282,6 @@ pub fn initial(
 
 /// Version of a package that was not trained.
 pub const INITIAL_VERSION: u32 = 1;
-
-/// A seed of its own for every agent in every cycle of a run: the run's seed and the place of
-/// the task, mixed so that neighbouring tasks start far apart.
-fn task_seed(seed: u64, cycle: usize, agent: usize) -> u64 {
-    let place = (cycle as u64) << 32 | agent as u64;
-    seed ^ place.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15)
-}
 
 /// Least and largest value of each input.
 fn limits(samples: &Dataset) -> (Vec<f32>, Vec<f32>) {

@@ -23,7 +23,7 @@ use nalgebra::DMatrix;
 use crate::graph::Graph;
 use crate::packages::PackageBytes;
 use crate::plant::{Disturbance, Integrator, Plant};
-use crate::training::{InitialParameters, LevenbergMarquardtSettings, Smoothing, TrainingSettings};
+use crate::training::{InitialParameters, LevenbergMarquardtSettings, TrainingSettings};
 
 /// One experiment, complete but for the seed.
 #[derive(Clone, Debug)]
@@ -193,27 +193,35 @@ pub struct Recipe {
     /// Its name.
     pub name: String,
     /// Length of the centred moving average that cleans inputs and targets of the high-gain
-    /// chatter; 0 leaves them raw. \[s\]
-    pub smoothing_window: f64,
-    /// Of the cleaned samples every how many-th is used.
-    pub decimation: NonZeroU32,
+    /// chatter; 0 leaves them raw, `None` lets the samples' own spectrum decide. \[s\]
+    pub smoothing_window: Option<f64>,
+    /// Of the cleaned samples every how many-th is used; `None` follows from the window.
+    pub decimation: Option<NonZeroU32>,
+    /// Whether training takes place in units of the data.
+    pub normalise: bool,
     /// Where training starts.
     pub initial: InitialParameters,
     /// Parts of the samples for training, validation and test; they add up to 1.
     pub split: [f64; 3],
-    /// Penalty on the squared norm of the inner parameters; 0 for none.
+    /// Penalty on the squared norm of the inner weights; 0 for none.
     pub weight_decay: f64,
     /// Settings of the solver.
     pub solver: LevenbergMarquardtSettings,
+    /// When the trained network is used.
+    pub switch_in: SwitchIn,
+}
+
+/// When a trained network is packed and switched in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SwitchIn {
+    /// If it explains a part of the variance of the smoothed targets at the end of the samples.
+    #[default]
+    Checked,
+    /// Always.
+    Always,
 }
 
 impl Recipe {
-    /// How samples are cleaned.
-    #[must_use]
-    pub fn smoothing(&self) -> Smoothing {
-        Smoothing { window: self.smoothing_window, stride: self.decimation.get() as usize }
-    }
-
     /// Start, division of the samples, and solver.
     #[must_use]
     pub fn settings(&self) -> TrainingSettings {
@@ -222,6 +230,7 @@ impl Recipe {
             split: self.split,
             initial: self.initial.clone(),
             weight_decay: self.weight_decay,
+            normalise: self.normalise,
         }
     }
 }

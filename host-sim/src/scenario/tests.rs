@@ -74,7 +74,7 @@ fn the_paper_is_read_in_full() {
 fn the_papers_recipe_and_the_defaults_of_the_other() {
     let scenario = paper();
     let paper = scenario.recipe("paper").unwrap();
-    assert_eq!((paper.smoothing_window, paper.decimation.get()), (0.0, 1));
+    assert_eq!((paper.smoothing_window, paper.decimation.map(|d| d.get())), (Some(0.0), Some(1)));
     assert_eq!(paper.initial, InitialParameters::Constant(0.1));
     assert_eq!(paper.split, [0.7, 0.15, 0.15]);
     let solver = LevenbergMarquardtSettings {
@@ -85,9 +85,14 @@ fn the_papers_recipe_and_the_defaults_of_the_other() {
     };
     assert_eq!(paper.solver, solver);
     let better = scenario.recipe("better").unwrap();
-    assert_eq!((better.smoothing_window, better.decimation.get()), (0.4, 20));
+    assert_eq!((paper.normalise, better.normalise), (false, true));
+    assert_eq!((paper.switch_in, better.switch_in), (SwitchIn::Always, SwitchIn::Checked));
+    assert_eq!(
+        (better.smoothing_window, better.decimation.map(|d| d.get())),
+        (Some(0.4), Some(20))
+    );
     assert_eq!(better.initial, InitialParameters::Glorot);
-    assert_eq!((paper.weight_decay, better.weight_decay), (0.0, 0.03));
+    assert_eq!((paper.weight_decay, better.weight_decay), (0.0, 1e-4));
     let solver = LevenbergMarquardtSettings { epochs_max: 60, ..Default::default() };
     assert_eq!(better.solver, solver);
     assert_eq!(scenario.recipe("best"), None);

@@ -121,6 +121,12 @@ impl Dataset {
         &self.targets
     }
 
+    /// As many samples with other values, which have to be as many and finite.
+    pub(super) fn with_values(&self, inputs: Vec<f64>, targets: Vec<f64>) -> Self {
+        debug_assert_eq!((inputs.len(), targets.len()), (self.inputs.len(), self.targets.len()));
+        Self { dimension: self.dimension, inputs, targets }
+    }
+
     /// The samples with the given indices, or `None` if there are none.
     ///
     /// # Panics
@@ -164,6 +170,18 @@ pub struct Division {
     pub validation: Option<Dataset>,
     /// To report.
     pub test: Option<Dataset>,
+}
+
+impl Division {
+    /// The division with `change` done to each part.
+    #[must_use]
+    pub fn map(&self, change: impl Fn(&Dataset) -> Dataset) -> Self {
+        Self {
+            train: change(&self.train),
+            validation: self.validation.as_ref().map(&change),
+            test: self.test.as_ref().map(&change),
+        }
+    }
 }
 
 /// Indices of training, validation and test set, each ascending.

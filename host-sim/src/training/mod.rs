@@ -11,8 +11,10 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | [`data`] | samples, their division |
+//! | [`averaging`] | how long to average samples, from the samples themselves |
 //! | [`smoothing`] | takes the chatter out of recorded samples |
 //! | [`initial`] | parameters to start from |
+//! | [`scaling`] | samples in units of their own, so that the user's do not matter |
 //! | [`network_problem`] | network and data as a least-squares problem |
 //! | [`weight_decay`] | a preference for small parameters |
 //! | [`levenberg_marquardt`] | the solver, for any least-squares problem |
@@ -27,6 +29,7 @@
 //! width: every sum has a fixed order, no multiplication is fused with an addition, and no
 //! function of the platform's libm is called.
 
+pub mod averaging;
 mod cholesky;
 pub mod data;
 mod elementary;
@@ -38,6 +41,7 @@ mod network_tests;
 mod normal_matrix;
 mod panel_product;
 mod propagation;
+pub mod scaling;
 pub mod smoothing;
 #[cfg(test)]
 mod solver_tests;
@@ -45,6 +49,7 @@ mod solver_tests;
 mod testing;
 pub mod weight_decay;
 
+pub use averaging::Averaging;
 pub use data::{DataError, Dataset, Division};
 pub use initial::{InitialError, InitialParameters};
 pub use levenberg_marquardt::{
@@ -52,6 +57,7 @@ pub use levenberg_marquardt::{
     TrainingReport, minimize,
 };
 pub use network_problem::{NetworkProblem, ProblemError};
+pub use scaling::Scaling;
 pub use smoothing::{Smoothing, SmoothingError};
 pub use weight_decay::WeightDecay;
 
@@ -67,8 +73,12 @@ pub struct TrainingSettings {
     pub split: [f64; 3],
     /// Start. Default [`InitialParameters::NguyenWidrow`].
     pub initial: InitialParameters,
-    /// λ of the penalty λ‖θ‖² that is added to the mean squared error. Default 0.
+    /// λ of the penalty λ‖w‖² on the weights, but not the biases, that is added to the mean
+    /// squared error. Default 0.
     pub weight_decay: f64,
+    /// Whether training takes place in units of the data ([`Scaling`]): errors, goal, damping and
+    /// decay are then shares of the targets' variance. Default true.
+    pub normalise: bool,
 }
 
 impl Default for TrainingSettings {
@@ -78,6 +88,7 @@ impl Default for TrainingSettings {
             split: [0.7, 0.15, 0.15],
             initial: InitialParameters::NguyenWidrow,
             weight_decay: 0.0,
+            normalise: true,
         }
     }
 }
@@ -117,12 +128,28 @@ pub fn train_inner_network(
     seed: u64,
     progress: &mut dyn FnMut(&EpochReport) -> ControlFlow<()>,
 ) -> Result<(Vec<f64>, TrainingReport), TrainingError> {
-    let Division { train, validation, test } = dataset.divide(settings.split, seed)?;
+    let mut division = dataset.divide(settings.split, seed)?;
+    let scaling = settings.normalise.then(|| Scaling::of(&division.train));
+    let mut outer_weights = outer_weights.to_vec();
+    if let Some(scaling) = &scaling {
+        division = division.map(|part| scaling.apply(part));
+        outer_weights = scaling.outer_weights(&outer_weights);
+    }
+    let Division { train, validation, test } = &division;
     let (validation, test) = (validation.as_ref(), test.as_ref());
-    let problem = NetworkProblem::new(architecture, outer_weights, &train, validation, test)?;
-    let mut problem = WeightDecay { problem, weight_decay: settings.weight_decay };
-    let start = settings.initial.draw(architecture, &train, seed ^ START_STREAM)?;
-    Ok(minimize(&mut problem, start, &settings.levenberg_marquardt, progress)?)
+    let problem = NetworkProblem::new(architecture, &outer_weights, train, validation, test)?;
+    let is_bias = weight_decay::biases(architecture);
+    let mut problem = WeightDecay { problem, weight_decay: settings.weight_decay, is_bias };
+    let mut start = settings.initial.draw(architecture, train, seed ^ START_STREAM)?;
+    if let (Some(scaling), InitialParameters::Given(_)) = (&scaling, &settings.initial) {
+        scaling.unfold(architecture, &mut start);
+    }
+    let solver = &settings.levenberg_marquardt;
+    let (mut parameters, report) = minimize(&mut problem, start, solver, progress)?;
+    if let Some(scaling) = &scaling {
+        scaling.fold(architecture, &mut parameters);
+    }
+    Ok((parameters, report))
 }
 
 /// Any fixed number will do: it separates the random numbers of the start from those of the

@@ -82,8 +82,11 @@ impl Smoothing {
     }
 
     /// h, samples to either side of a window's centre.
+    ///
+    /// # Errors
+    /// If the window or `step` is out of range.
     #[allow(clippy::cast_possible_truncation, reason = "saturates; longer than any record")]
-    fn half_width(&self, step: f64) -> Result<usize, SmoothingError> {
+    pub fn half_width(&self, step: f64) -> Result<usize, SmoothingError> {
         if !(step > 0.0 && step.is_finite()) {
             return Err(SmoothingError::Step { step });
         }

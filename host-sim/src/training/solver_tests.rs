@@ -211,6 +211,7 @@ fn a_network_learns_another_network() {
     let data = Dataset::new(2, inputs, targets).expect("valid");
     let settings = TrainingSettings {
         levenberg_marquardt: LevenbergMarquardtSettings { goal: 1e-6, ..Default::default() },
+        normalise: false,
         ..Default::default()
     };
     let train = |seed| {
@@ -231,13 +232,64 @@ fn the_bits_are_the_same_on_every_machine() {
     let (data, outer) = (random_data(3, 300, 1), random_values(15, 2));
     let mut settings = TrainingSettings::default();
     settings.levenberg_marquardt.epochs_max = 5;
-    let (parameters, _) =
-        train_inner_network(&architecture, &outer, &data, &settings, 7, &mut |_| GO).expect("fits");
-    // The number was recorded on x86-64; it changes if a sum is reordered.
-    let mut hash = Fnv::default();
-    parameters.iter().for_each(|p| hash.add(&p.to_le_bytes()));
-    let hash = hash.finish();
-    assert_eq!(hash, 0xd630_8077_b05d_78ff, "{hash:#018x}");
+    // The numbers were recorded on x86-64; they change if a sum is reordered.
+    for (normalise, expected) in [(false, 0xd630_8077_b05d_78ff), (true, 0x3fa2_9033_e1de_a1d8)] {
+        settings.normalise = normalise;
+        let (parameters, _) =
+            train_inner_network(&architecture, &outer, &data, &settings, 7, &mut |_| GO)
+                .expect("fits");
+        let mut hash = Fnv::default();
+        parameters.iter().for_each(|p| hash.add(&p.to_le_bytes()));
+        let hash = hash.finish();
+        assert_eq!(hash, expected, "{normalise}: {hash:#018x}");
+    }
+}
+
+/// The same experiment in other units has the same training: scaled by powers of two, to the bit.
+#[test]
+fn training_does_not_depend_on_units() {
+    let architecture = architecture(2, &[(6, Tanh), (3, Tanh)]);
+    let angle = |s: usize| 0.05 * s as f64;
+    let inputs = (0..200).flat_map(|s| [libm::sin(angle(s)), libm::cos(angle(s))]).collect();
+    let targets = (0..200).flat_map(|s| [libm::cos(angle(s)), 2.0 * libm::sin(2.0 * angle(s))]);
+    let data = Dataset::new(2, inputs, targets.collect()).expect("valid");
+    let outer = [1.5, 0.5, -0.5, 2.0, 1.0, -1.0];
+    let settings = TrainingSettings {
+        levenberg_marquardt: LevenbergMarquardtSettings { epochs_max: 20, ..Default::default() },
+        weight_decay: 1e-4,
+        ..Default::default()
+    };
+    // Component c in units of 1 / units[c], shifted by offset[c] of the old units.
+    let train = |units: [f64; 2], offset: [f64; 2]| {
+        let change = |values: &[f64], shift: [f64; 2]| -> Vec<f64> {
+            values.iter().enumerate().map(|(i, v)| (v + shift[i % 2]) * units[i % 2]).collect()
+        };
+        let (inputs, targets) = (change(data.inputs(), offset), change(data.targets(), [0.0; 2]));
+        let data = Dataset::new(2, inputs, targets).expect("valid");
+        let outer = change(&outer, [0.0; 2]);
+        train_inner_network(&architecture, &outer, &data, &settings, 3, &mut |_| GO).expect("fits")
+    };
+    let (parameters, report) = train([1.0; 2], [0.0; 2]);
+    assert!(report.epochs.last().is_some_and(|last| last.train < 0.5), "{report:?}");
+    for units in [[2f64.powi(20); 2], [2f64.powi(-20); 2], [1024.0, 1.0 / 64.0]] {
+        let (other, same) = train(units, [0.0; 2]);
+        assert_eq!(same, report, "{units:?}");
+        // Weights of the first layer take the units up, all else stays.
+        for (index, (a, b)) in parameters.iter().zip(&other).enumerate() {
+            let unit = match index {
+                6..12 => units[0],
+                12..18 => units[1],
+                _ => 1.0,
+            };
+            assert_eq!(*a, b * unit, "{units:?}, parameter {index}");
+        }
+    }
+    let best = |report: &TrainingReport| report.best().expect("an epoch").train;
+    for (units, offset) in [([1e-6; 2], [0.0; 2]), ([1e6; 2], [0.0; 2]), ([1.0, 3.0], [1e3, -1e3])]
+    {
+        let (_, other) = train(units, offset);
+        assert_close(&[best(&other)], &[best(&report)], 0.01, 0.0);
+    }
 }
 
 #[test]

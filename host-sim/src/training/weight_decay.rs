@@ -1,8 +1,11 @@
 //! Weight decay: a least-squares problem with a preference for small parameters.
 //!
 //! ```text
-//! E_λ(θ) = E(θ) + λ ‖θ‖²,   JᵀJ/M + λ I,   Jᵀe/M + λ θ
+//! E_λ(θ) = E(θ) + λ ‖w‖²,   JᵀJ/M + λ D,   Jᵀe/M + λ D θ
 //! ```
+//!
+//! where w are the weights in θ without the biases, and D is diagonal, 1 for a weight and 0 for a
+//! bias: a bias says where a node is active, not how steep it is, and depends on the inputs' offset.
 //!
 //! Among the networks that explain the samples equally well it prefers the smoother one. The
 //! samples of one collection window lie on a single curve in the state space, and the trained
@@ -11,6 +14,7 @@
 //! Reported errors are the plain mean squared ones; goal and progress are judged by E_λ.
 
 use super::levenberg_marquardt::LeastSquares;
+use agent_core::network::Architecture;
 
 /// `problem` with the penalty λ‖θ‖².
 #[derive(Clone, Debug)]
@@ -19,11 +23,25 @@ pub struct WeightDecay<P> {
     pub problem: P,
     /// λ, 0 or above.
     pub weight_decay: f64,
+    /// Which parameters are biases and pay nothing, one entry for each.
+    pub is_bias: Vec<bool>,
+}
+
+/// Which of the flat inner parameters are biases, one entry for each.
+#[must_use]
+pub fn biases(architecture: &Architecture) -> Vec<bool> {
+    let layer = |(inputs, layer): (usize, agent_core::network::Layer)| {
+        let width = usize::from(layer.width);
+        let part = |is_bias: bool, count| std::iter::repeat_n(is_bias, count);
+        part(true, width).chain(part(false, inputs * width))
+    };
+    architecture.shapes().flat_map(layer).collect()
 }
 
 impl<P> WeightDecay<P> {
     fn penalty(&self, parameters: &[f64]) -> f64 {
-        self.weight_decay * parameters.iter().fold(0.0, |sum, p| sum + p * p)
+        let weights = parameters.iter().zip(&self.is_bias).filter(|(_, is_bias)| !**is_bias);
+        self.weight_decay * weights.fold(0.0, |sum, (w, _)| sum + w * w)
     }
 }
 
@@ -44,7 +62,8 @@ impl<P: LeastSquares> LeastSquares for WeightDecay<P> {
     ) -> f64 {
         let cost = self.problem.normal_equations(parameters, hessian, gradient);
         let count = parameters.len();
-        for (index, (gradient, parameter)) in gradient.iter_mut().zip(parameters).enumerate() {
+        let places = gradient.iter_mut().zip(parameters).zip(&self.is_bias).enumerate();
+        for (index, ((gradient, parameter), _)) in places.filter(|(_, (_, is_bias))| !**is_bias) {
             hessian[index * count + index] += self.weight_decay;
             *gradient += self.weight_decay * parameter;
         }
@@ -67,10 +86,12 @@ impl<P: LeastSquares> LeastSquares for WeightDecay<P> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::training::testing::assert_close;
     use crate::training::{LevenbergMarquardtSettings, minimize};
     use std::ops::ControlFlow;
 
-    /// One residual a parameter, `θ - 3`: with decay the minimum is at `3 / (1 + λ M)`.
+    /// One residual a parameter, `θ - 3`: with decay the minimum of a weight is at
+    /// `3 / (1 + λ M)`, that of a bias stays.
     struct Shifted;
 
     impl LeastSquares for Shifted {
@@ -97,15 +118,14 @@ mod tests {
     #[test]
     fn the_minimum_moves_as_the_formula_says() {
         for (weight_decay, expected) in [(0.0, 3.0), (0.5, 1.5), (1.0, 1.0)] {
-            let mut problem = WeightDecay { problem: Shifted, weight_decay };
+            let is_bias = vec![false, true];
+            let mut problem = WeightDecay { problem: Shifted, weight_decay, is_bias };
             let settings = LevenbergMarquardtSettings::default();
             let (solution, _) = minimize(&mut problem, vec![-1.0, 7.0], &settings, &mut |_| {
                 ControlFlow::Continue(())
             })
             .unwrap();
-            for parameter in solution {
-                assert!((parameter - expected).abs() <= 1e-6 * expected, "{parameter}");
-            }
+            assert_close(&solution, &[expected, 3.0], 1e-6, 0.0);
         }
     }
 }

@@ -7,12 +7,15 @@ use super::network::initial_parameters;
 use super::run::beyond_the_end;
 use crate::scenario::error::{ScenarioError, closest};
 use crate::scenario::reader::{Table, Value};
-use crate::scenario::{LearningCycle, Recipe, Time, Window};
+use crate::scenario::{LearningCycle, Recipe, SwitchIn, Time, Window};
 use crate::training::network_problem::PARAMETERS_MAX;
 use crate::training::{InitialParameters, LevenbergMarquardtSettings};
 
 /// Most epochs, and failed validations, that a recipe may ask for.
 const EPOCHS_MAX: u32 = 1_000_000;
+
+/// Weight decay where a recipe names none: `docs/decisions/0004-training-recipe.md`.
+const WEIGHT_DECAY: f64 = 1e-3;
 
 /// The learning cycles of `agents` agents.
 pub(in crate::scenario) fn cycles(
@@ -58,7 +61,7 @@ fn cycle(
         let problem = format!("is {}, not after collect_from", to_value.written());
         return Err(to_value.error(problem, format!("write a time after {from}")));
     }
-    let stride = stride(table, "stride")?;
+    let stride = stride(table, "stride")?.unwrap_or(NonZeroU32::MIN);
     let apply_value = table.require("apply_at", "10.0")?;
     let apply_at = apply_value.positive()?;
     if time.tick(apply_at) >= time.tick(time.duration) {
@@ -140,9 +143,9 @@ fn check_order(
     Ok(())
 }
 
-fn stride(table: &Table<'_>, key: &str) -> Result<NonZeroU32, ScenarioError> {
-    let stride = table.get(key, "1").map_or(Ok(1), |value| value.integer(1..=u32::MAX))?;
-    Ok(NonZeroU32::new(stride).unwrap_or(NonZeroU32::MIN))
+fn stride(table: &Table<'_>, key: &str) -> Result<Option<NonZeroU32>, ScenarioError> {
+    let stride = table.get(key, "1").map(|value| value.integer(1..=u32::MAX)).transpose()?;
+    Ok(stride.and_then(NonZeroU32::new))
 }
 
 /// The recipes, in the order of the file.
@@ -156,6 +159,7 @@ fn recipe(name: &str, table: &Table<'_>) -> Result<Recipe, ScenarioError> {
     table.only(&[
         "smoothing_window",
         "decimation",
+        "normalise",
         "initial",
         "split",
         "weight_decay",
@@ -168,23 +172,36 @@ fn recipe(name: &str, table: &Table<'_>) -> Result<Recipe, ScenarioError> {
         "mu_max",
         "min_gradient",
         "validation_failures",
+        "switch_in",
     ])?;
     let smoothing_window =
-        table.get("smoothing_window", "0.1").map_or(Ok(0.0), |value| value.not_negative())?;
+        table.get("smoothing_window", "0.1").map(|value| value.not_negative()).transpose()?;
+    let normalise = table.get("normalise", "true").map_or(Ok(true), |value| value.boolean())?;
+    let switch_in = match table.get("switch_in", "\"always\"") {
+        Some(value) => {
+            value.choice(&[("checked", SwitchIn::Checked), ("always", SwitchIn::Always)])?
+        }
+        None => SwitchIn::default(),
+    };
     let initial = match table.get("initial", "{ random = \"glorot\" }") {
         Some(value) => initial_parameters(&value)?,
         None => InitialParameters::Glorot,
     };
-    let weight_decay =
-        table.get("weight_decay", "0.01").map_or(Ok(0.0), |value| value.not_negative())?;
+    let weight_decay = match table.get("weight_decay", "1e-3") {
+        Some(value) => value.not_negative()?,
+        None if normalise => WEIGHT_DECAY,
+        None => 0.0,
+    };
     Ok(Recipe {
         name: name.to_owned(),
         smoothing_window,
         decimation: stride(table, "decimation")?,
+        normalise,
         initial,
         split: split(table)?,
         weight_decay,
         solver: solver(table)?,
+        switch_in,
     })
 }
 

@@ -1,0 +1,232 @@
+//! How long to average recorded samples, from the samples themselves.
+//!
+//! The targets carry chatter, which is fast, on top of the signal, which is slow. How much of both
+//! there is at an averaging time T tells Hadamard's variance, the mean square of second
+//! differences between neighbouring averages over T:
+//!
+//! ```text
+//! V(T) = (1/6) mean_t (ȳ_T(t + 2T) − 2 ȳ_T(t + T) + ȳ_T(t))²
+//! ```
+//!
+//! It is a spectral measure: V(T) is the power in about an octave around the frequency 0.37/T.
+//! Chatter lets it fall with T, the signal's curvature lets it rise with T⁴. Its least value lies
+//! where both are equal. There the error that averaging puts into the signal, ÿT²/24, is still
+//! √96 times smaller than what V sees of it, so the window with the least error is about
+//! 96^(1/6) = 2.1 times as long, since the chatter of a bounded estimate falls with T²: **the
+//! window is twice the averaging time of the least V**. Where V rises from the first sample on,
+//! there is no chatter and the window is 0.
+//!
+//! Cost: six operations a sample, component and averaging time, of which there are about four an
+//! octave.
+//!
+//! Invariants: every sum has a fixed order; units of state and targets do not matter.
+
+use super::data::Dataset;
+
+/// V has left its least value behind when it exceeds it so many times.
+const RISE: f64 = 4.0;
+
+/// A sine of period P has its largest V at an averaging time of 0.37 P.
+const PEAK: f64 = 0.37;
+
+/// What the samples say about averaging.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Averaging {
+    /// Window of the centred moving average that balances chatter and signal; 0 for none. \[s\]
+    pub window: f64,
+    /// The shortest of the components' periods, that of a component the one with most power;
+    /// `None` if no component rises above its chatter. \[s\]
+    pub period: Option<f64>,
+}
+
+impl Averaging {
+    /// Examines the targets of `pieces`, each of equidistant samples that are `interval` \[s\]
+    /// apart.
+    #[must_use]
+    pub fn of(pieces: &[Dataset], interval: f64) -> Self {
+        let n = pieces.first().map_or(0, Dataset::dimension);
+        let longest = pieces.iter().map(Dataset::len).max().unwrap_or(0);
+        let lengths = averaging_lengths(longest / 3);
+        let components: Vec<Component> =
+            (0..n).map(|c| Component::of(pieces, c, &lengths)).collect();
+        let power = |index: usize| {
+            let parts = components.iter().filter(|component| component.signal > 0.0);
+            parts.fold(0.0, |sum, part| sum + part.variances[index] / part.signal)
+        };
+        let together: Vec<f64> = (0..lengths.len()).map(power).collect();
+        let window = match first_least(&together) {
+            Some(least) if lengths[least] > 1 => 2.0 * lengths[least] as f64 * interval,
+            _ => 0.0,
+        };
+        let peaks = components.iter().filter_map(|component| component.peak);
+        let shortest = peaks.map(|index| lengths[index]).min();
+        Self { window, period: shortest.map(|length| length as f64 * interval / PEAK) }
+    }
+
+    /// Every how many averages one is worth keeping: about twenty a window, all without one.
+    #[must_use]
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "small, positive")]
+    pub fn stride(window: f64, interval: f64) -> usize {
+        ((window / (20.0 * interval)).round() as usize).max(1)
+    }
+}
+
+/// One component of the targets.
+struct Component {
+    /// V for each averaging length.
+    variances: Vec<f64>,
+    /// Variance of the averages over the length of the least V.
+    signal: f64,
+    /// Index of the largest V beyond the least one, if it rises out of the chatter.
+    peak: Option<usize>,
+}
+
+impl Component {
+    fn of(pieces: &[Dataset], index: usize, lengths: &[usize]) -> Self {
+        let sums: Vec<Vec<f64>> = pieces.iter().map(|piece| running_sums(piece, index)).collect();
+        let variances: Vec<f64> = lengths.iter().map(|&m| hadamard(&sums, m)).collect();
+        let least = first_least(&variances);
+        let signal = least.map_or(0.0, |least| variance_of_averages(&sums, lengths[least]));
+        let peak = least.and_then(|least| {
+            let beyond = (least..lengths.len()).map(|i| (variances[i], i));
+            let (largest, at) = beyond.fold((0.0, least), |a, b| if b.0 > a.0 { b } else { a });
+            (largest > RISE * variances[least]).then_some(at)
+        });
+        Self { variances, signal, peak }
+    }
+}
+
+/// 1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20 ... up to `longest`.
+fn averaging_lengths(longest: usize) -> Vec<usize> {
+    let mut lengths = Vec::new();
+    let mut length = 1usize;
+    while length <= longest {
+        lengths.push(length);
+        length += (length.next_power_of_two() / 8).max(1);
+    }
+    lengths
+}
+
+/// The first index with the least value, where what comes after a rise by [`RISE`] does not count:
+/// an average over a whole period of the signal is small, too.
+fn first_least(values: &[f64]) -> Option<usize> {
+    let mut least = (f64::INFINITY, None);
+    for (index, &value) in values.iter().enumerate() {
+        if value < least.0 {
+            least = (value, Some(index));
+        } else if value > RISE * least.0 {
+            break;
+        }
+    }
+    least.1
+}
+
+/// Sums of the first 0, 1, 2 .. targets of a component.
+fn running_sums(piece: &Dataset, index: usize) -> Vec<f64> {
+    let targets = piece.targets().iter().skip(index).step_by(piece.dimension());
+    let mut sums = vec![0.0];
+    sums.extend(targets.scan(0.0, |sum, y| {
+        *sum += y;
+        Some(*sum)
+    }));
+    sums
+}
+
+/// V for averages over `m` samples, over all pieces that are long enough.
+fn hadamard(pieces: &[Vec<f64>], m: usize) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for sums in pieces {
+        for start in 0..sums.len().saturating_sub(3 * m) {
+            let [a, b, c, d] = [0, m, 2 * m, 3 * m].map(|offset| sums[start + offset]);
+            let difference = ((d - c) - (c - b)) - ((c - b) - (b - a));
+            sum += difference * difference;
+            count += 1.0;
+        }
+    }
+    sum / (6.0 * count * (m * m) as f64)
+}
+
+fn variance_of_averages(pieces: &[Vec<f64>], m: usize) -> f64 {
+    let averages = || {
+        pieces.iter().flat_map(|sums| {
+            (0..sums.len().saturating_sub(m)).map(|s| (sums[s + m] - sums[s]) / m as f64)
+        })
+    };
+    let count = averages().count() as f64;
+    let mean = averages().fold(0.0, |sum, y| sum + y) / count;
+    averages().fold(0.0, |sum, y| sum + (y - mean) * (y - mean)) / count
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::training::testing::random_values;
+
+    const STEP: f64 = 0.001;
+
+    /// A sine of period `period` \[s\] and size 1, and on it white noise of this size.
+    fn noisy_sine(samples: usize, period: f64, noise: f64, unit: f64) -> Dataset {
+        let random = random_values(samples, 3);
+        let angle = |s: usize| 2.0 * std::f64::consts::PI * s as f64 * STEP / period;
+        let targets: Vec<f64> =
+            (0..samples).map(|s| unit * (libm::sin(angle(s)) + noise * random[s])).collect();
+        Dataset::new(1, vec![0.0; samples], targets).expect("valid")
+    }
+
+    /// Mean squared error of the centred average over `window` against the sine.
+    fn error(data: &Dataset, period: f64, window: f64) -> f64 {
+        let half = (0.5 * window / STEP).round() as usize;
+        let sums = running_sums(data, 0);
+        let range = half..data.len() - half;
+        let count = range.len() as f64;
+        let squares = range.map(|s| {
+            let average = (sums[s + half + 1] - sums[s - half]) / (2 * half + 1) as f64;
+            let truth = libm::sin(2.0 * std::f64::consts::PI * s as f64 * STEP / period);
+            (average - truth) * (average - truth)
+        });
+        squares.sum::<f64>() / count
+    }
+
+    #[test]
+    fn the_window_is_near_the_best_one() {
+        for (period, noise) in [(2.0, 0.3), (2.0, 3.0), (0.5, 1.0), (6.0, 10.0)] {
+            let data = noisy_sine(20_000, period, noise, 1.0);
+            let found = Averaging::of(std::slice::from_ref(&data), STEP);
+            let best = (1..200).map(|k| error(&data, period, 0.002 * f64::from(k)));
+            let best = best.fold(f64::INFINITY, f64::min);
+            let reached = error(&data, period, found.window);
+            assert!(reached <= 3.0 * best, "{period} {noise}: {found:?}, {reached} {best}");
+        }
+    }
+
+    #[test]
+    fn clean_samples_are_left_alone() {
+        let data = noisy_sine(5_000, 1.0, 0.0, 1.0);
+        assert_eq!(Averaging::of(&[data], STEP).window, 0.0);
+    }
+
+    #[test]
+    fn the_period_is_that_of_the_signal() {
+        for (period, noise) in [(0.2, 0.0), (0.5, 0.5), (2.0, 0.5), (2.0, 3.0)] {
+            let data = noisy_sine(20_000, period, noise, 1.0);
+            let found = Averaging::of(&[data], STEP).period.expect("a signal");
+            assert!(found > 0.8 * period && found < 1.25 * period, "{period}: {found}");
+        }
+        let noise = noisy_sine(20_000, 1e9, 1.0, 1.0);
+        assert_eq!(Averaging::of(&[noise], STEP).period, None);
+    }
+
+    #[test]
+    fn units_and_pieces_do_not_matter() {
+        let data = noisy_sine(8_000, 1.0, 1.0, 1.0);
+        let whole = Averaging::of(&[data], STEP);
+        assert_eq!(Averaging::of(&[noisy_sine(8_000, 1.0, 1.0, 1024.0)], STEP), whole);
+        let other = Averaging::of(&[noisy_sine(8_000, 1.0, 1.0, 1.0)], 4.0 * STEP);
+        assert_eq!(other.window, 4.0 * whole.window);
+        let pieces = [1, 2, 3].map(|_| noisy_sine(3_000, 1.0, 1.0, 1.0));
+        let cut = Averaging::of(&pieces, STEP).window;
+        assert!(cut > 0.5 * whole.window && cut < 2.0 * whole.window, "{cut} {whole:?}");
+        let short = Averaging::of(&[noisy_sine(2, 1.0, 1.0, 1.0)], STEP);
+        assert_eq!(short, Averaging { window: 0.0, period: None });
+    }
+}
