@@ -22,9 +22,9 @@ const INTERVAL_TOLERANCE: f64 = 0.05;
 const SEEDS: std::ops::Range<u64> = 0..10;
 /// What the median seed must reach: about 1.05 times what it reached when this was written.
 /// \[state unit\]
-const MEDIAN_RMSE: Three = [0.034, 0.030, 0.025];
+const MEDIAN_RMSE: Three = [0.037, 0.035, 0.0265];
 /// What the median seed must change against the run without learning. \[%\]
-const MEDIAN_CHANGE: Three = [-74.0, -72.0, -82.0];
+const MEDIAN_CHANGE: Three = [-73.0, -70.0, -82.0];
 
 /// The paper's scenario with this recipe.
 pub(crate) fn paper(recipe: &str) -> Scenario {
