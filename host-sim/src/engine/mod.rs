@@ -25,6 +25,7 @@ use agent_core::agent::StepError;
 use agent_core::package::Refusal;
 use agent_core::parameter::ParameterError;
 
+use crate::analysis::StepCheck;
 use crate::packages::quality::Quality;
 use crate::packages::trained::TrainedError;
 use crate::packages::{DraftError, PackageBytes, Recording};
@@ -108,16 +109,12 @@ pub struct TrainingRecord {
 /// From this size of the plant's state on, an agent that diverges is not to blame.
 const RUNAWAY: f64 = 1e6;
 
-fn step_mend(plant_norm: f64, stiffness: f64) -> String {
+fn step_hint(plant_norm: f64, step: &StepCheck) -> String {
     if plant_norm >= RUNAWAY {
         return "the plant runs away: change plant, disturbance or initial state".to_owned();
     }
-    let judged =
-        if stiffness < 2.0 { "below 2, as it should be" } else { "and can be too much from 2 on" };
-    format!(
-        "time.step times design.gain times (lambda_max of the graph + 1) is {stiffness:.3}, \
-         {judged}; lower time.step, design.gain or the weights of the graph"
-    )
+    let more = if step.is_stable() { "; lower time.step, or change [network] or [outer_law]" } else { "" };
+    step.describe() + more
 }
 
 /// Why a run ended early.
@@ -179,7 +176,7 @@ pub enum RunError {
     /// An agent that is not watched, or could not go on if it were, did not take its step.
     #[error(
         "agent {agent} at t = {time}: {error}, |x_0| is {plant_norm:.3e} by then; {}",
-        step_mend(*plant_norm, *stiffness)
+        step_hint(*plant_norm, step)
     )]
     Step {
         /// The agent, from 1.
@@ -188,9 +185,8 @@ pub enum RunError {
         time: f64,
         /// `|x_0|` at that time. \[state unit\]
         plant_norm: f64,
-        /// `dt |K_1| (lambda_max(L) + 1)`; below 2, Euler's method keeps an observer with outputs
-        /// of unit size stable.
-        stiffness: f64,
+        /// Whether the step is short enough for the observer itself.
+        step: StepCheck,
         /// What the core says.
         error: StepError,
     },

@@ -11,7 +11,7 @@ use super::learning::Learning;
 use super::link::{Link, Lossless};
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
-use crate::analysis::{TriggerConstants, spectral_norm, stiffness};
+use crate::analysis::{StepCheck, TriggerConstants, spectral_norm};
 use crate::fnv::Fnv;
 use crate::packages::{NodeContent, PackageBytes, trained, with_dimension};
 use crate::plant::Stepper;
@@ -365,7 +365,7 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
                 agent: index + 1,
                 time: self.scenario.time.at(tick),
                 plant_norm: truth.iter().fold(0.0, |sum, x| sum + x * x).sqrt(),
-                stiffness: stiffness(self.scenario),
+                step: StepCheck::new(self.scenario),
                 error,
             }),
             None => Ok(()),
