@@ -29,6 +29,7 @@ use crate::analysis::StepCheck;
 use crate::packages::quality::Quality;
 use crate::packages::trained::TrainedError;
 use crate::packages::{DraftError, PackageBytes, Recording};
+use crate::plant::RateFault;
 use crate::training::{EpochReport, TrainingError, TrainingReport};
 use crate::warning::Warning;
 use statistics::AgentStatistics;
@@ -190,6 +191,9 @@ pub enum RunError {
         /// What the core says.
         error: StepError,
     },
+    /// An expression of plant or disturbance has no finite value.
+    #[error(transparent)]
+    Expression(RateFault),
     /// The plant's state is not finite any more in single precision, in which agents measure it.
     #[error("the plant diverged at t = {time}; lower time.step or change the plant's parameters")]
     PlantDiverged {
