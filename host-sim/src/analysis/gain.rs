@@ -117,7 +117,8 @@ impl GainCertificate {
                 significant(gain, 3)
             ),
             GainVerdict::StateNotCovered => "NOT a solution, and no gain helps: together the \
-                                             agents do not measure the whole state"
+                                             agents do not measure the whole state; let some \
+                                             agent measure what is missing"
                 .to_owned(),
         })
     }
@@ -159,7 +160,7 @@ fn left_side<'s>(scenario: &'s Scenario, gain: &DMatrix<f64>) -> BlockMatrix<'s>
 }
 
 /// `C^T C`.
-pub(super) fn gram(output_matrix: &DMatrix<f64>) -> DMatrix<f64> {
+pub(crate) fn gram(output_matrix: &DMatrix<f64>) -> DMatrix<f64> {
     let n = output_matrix.ncols();
     DMatrix::from_fn(n, n, |row, column| {
         output_matrix.row_iter().fold(0.0, |sum, output| sum + output[row] * output[column])

@@ -2,8 +2,10 @@
 //! against what the run measured.
 //!
 //! * [`GainCertificate`]: is `K_1` a solution of `BMI`?
+//! * [`StepCheck`]: is the step short enough for the observer itself?
 //! * [`TriggerConstants`]: `phi_1`, `phi_2` and the hold error at which the trigger fires.
 //! * [`UltimateBound`]: Theorem 1's bound on `|e_1(t)|^2` (equation `UUB Bound`).
+//! * [`LumpedUncertainty`]: what its premise on `rho` asks.
 //! * [`minimum_interval`]: Theorem 2's bound on the time between broadcasts (`Zeno Bound`).
 
 mod block_cholesky;
@@ -12,6 +14,7 @@ mod elimination;
 mod gain;
 mod jacobi;
 mod lanczos;
+mod lumped;
 mod report;
 mod smallest;
 mod step;
@@ -20,10 +23,12 @@ use nalgebra::DMatrix;
 
 use crate::graph::Graph;
 use crate::scenario::{Design, OuterGain, Scenario};
+pub(crate) use gain::gram;
 pub use gain::{GainCertificate, GainVerdict, outputs_determine_state};
 use lanczos::spectrum;
+pub use lumped::LumpedUncertainty;
 pub use step::StepCheck;
-pub use report::{AgentCheck, Checks, UltimateBoundCheck};
+pub use report::{AgentCheck, Checks, DesignChecks, Status, UltimateBoundCheck};
 
 /// `|A|`, the largest singular value.
 #[must_use]

@@ -13,9 +13,11 @@
 //! the same whatever the number of threads.
 
 mod agents;
+pub mod bounds;
 pub mod companion;
 mod learning;
 pub mod link;
+mod lumped;
 mod run;
 pub mod statistics;
 pub mod traces;
@@ -32,10 +34,12 @@ use crate::packages::{DraftError, PackageBytes, Recording};
 use crate::plant::RateFault;
 use crate::training::{EpochReport, TrainingError, TrainingReport};
 use crate::warning::Warning;
+use bounds::Bounds;
 use statistics::AgentStatistics;
 use traces::Traces;
 
 pub use companion::{Companion, CompanionError};
+pub use lumped::LumpedSamples;
 pub use run::{run, run_accompanied, run_over};
 
 /// Hears how a run goes on; every method does nothing by default.
@@ -64,7 +68,7 @@ pub struct RunOptions {
     pub seed: u64,
     /// Whether learning cycles are carried out.
     pub learning: bool,
-    /// Whether the quantities that the theorems bound are measured at every step.
+    /// Whether the quantities that the theorems bound are measured.
     pub bounds: bool,
 }
 
@@ -77,8 +81,8 @@ pub struct RunResult {
     pub trainings: Vec<TrainingRecord>,
     /// Rows of `x_0` and all `x_hat_i`; empty if the scenario records none.
     pub traces: Traces,
-    /// `|e_1|^2`, all agents stacked, at every step; empty if bounds were not asked for.
-    pub stacked_error_squared: Vec<f64>,
+    /// What the theorems bound; `None` if it was not asked for.
+    pub bounds: Option<Bounds>,
     /// A hash of every broadcast and of the final state of every agent: two runs did the same
     /// if and only if (but for chance) these agree.
     pub digest: u64,

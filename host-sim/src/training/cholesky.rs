@@ -49,7 +49,7 @@ impl Cholesky {
     ///
     /// # Panics
     /// If `matrix` or `b` is too short for the order.
-    pub(super) fn solve(&mut self, matrix: &[f64], damping: f64, b: &mut [f64]) -> bool {
+    pub(crate) fn solve(&mut self, matrix: &[f64], damping: f64, b: &mut [f64]) -> bool {
         let positive = self.factor(matrix, damping);
         if positive {
             self.forward(b);
