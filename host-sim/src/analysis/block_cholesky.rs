@@ -160,20 +160,20 @@ impl<'m> BlockCholesky<'m> {
                     for (a, &rank_a) in rows.iter().enumerate().skip(b) {
                         // The dense rest keeps its upper triangle.
                         let left = &below[a * n * n..][..n * n];
-                        let at = (rank_b - eliminated) * n * dense_order + (rank_a - eliminated) * n;
-                        subtract_product_transposed(
-                            &mut dense[at..],
-                            dense_order,
-                            left,
-                            right,
-                            n,
-                        );
+                        let at =
+                            (rank_b - eliminated) * n * dense_order + (rank_a - eliminated) * n;
+                        subtract_product_transposed(&mut dense[at..], dense_order, left, right, n);
                     }
                     continue;
                 }
                 let target = &mut later[rank_b - k - 1];
                 let target_rows = &self.elimination.rows[rank_b];
-                subtract_product(&mut target[..n * n], &below[b * n * n..][..n * n], &transposed, n);
+                subtract_product(
+                    &mut target[..n * n],
+                    &below[b * n * n..][..n * n],
+                    &transposed,
+                    n,
+                );
                 let mut from = 0;
                 for (a, rank_a) in rows.iter().enumerate().skip(b + 1) {
                     let place = from + target_rows[from..].partition_point(|rank| rank < rank_a);
@@ -188,8 +188,7 @@ impl<'m> BlockCholesky<'m> {
             return None;
         }
         drop(dense);
-        let mut factor =
-            Factor { structure: self, columns, dense: tail, lower: shift, error: 0.0 };
+        let mut factor = Factor { structure: self, columns, dense: tail, lower: shift, error: 0.0 };
         factor.error = self.error(shift, factor.magnitude());
         factor.lower = shift - factor.error;
         Some(factor)
@@ -221,9 +220,8 @@ impl<'m> BlockCholesky<'m> {
             let own = self.matrix.diagonal.get(vertex);
             for i in 0..n {
                 for j in 0..n {
-                    let own = own.map_or(0.0, |block| {
-                        block[(i, j)] - if i == j { shift } else { 0.0 }
-                    });
+                    let own =
+                        own.map_or(0.0, |block| block[(i, j)] - if i == j { shift } else { 0.0 });
                     let entry = own + coefficient * coupling[(i, j)];
                     match rank.checked_sub(eliminated) {
                         None => columns[rank][i * n + j] = entry,
@@ -233,8 +231,7 @@ impl<'m> BlockCholesky<'m> {
             }
         }
         for &(a, b, coefficient) in &self.pairs {
-            let (first, second) =
-                (self.rank[a].min(self.rank[b]), self.rank[a].max(self.rank[b]));
+            let (first, second) = (self.rank[a].min(self.rank[b]), self.rank[a].max(self.rank[b]));
             for i in 0..n {
                 for j in 0..n {
                     let entry = coefficient * coupling[(i, j)];

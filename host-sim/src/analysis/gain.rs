@@ -77,7 +77,11 @@ impl GainCertificate {
             GainVerdict::StateNotCovered
         } else if found.lower > 0.0 {
             let factor = round_up(k1 / found.lower);
-            if found.upper < k1 { GainVerdict::Multiply { factor } } else { GainVerdict::Open { factor } }
+            if found.upper < k1 {
+                GainVerdict::Multiply { factor }
+            } else {
+                GainVerdict::Open { factor }
+            }
         } else {
             let n = scenario.dimension();
             let matrix = left_side(scenario, &DMatrix::identity(n, n));
@@ -153,9 +157,8 @@ fn left_side<'s>(scenario: &'s Scenario, gain: &DMatrix<f64>) -> BlockMatrix<'s>
         })
     });
     // The order of the sums makes entries (i, j) and (j, i) differ by rounding: make them equal.
-    let blocks = blocks.map(|b: DMatrix<f64>| {
-        DMatrix::from_fn(n, n, |i, j| b[(i.max(j), i.min(j))])
-    });
+    let blocks =
+        blocks.map(|b: DMatrix<f64>| DMatrix::from_fn(n, n, |i, j| b[(i.max(j), i.min(j))]));
     BlockMatrix { diagonal: blocks.collect(), coupling: gain.clone(), graph: &scenario.graph }
 }
 
@@ -180,8 +183,7 @@ pub fn outputs_determine_state(scenario: &Scenario) -> bool {
         return false;
     }
     // In units in which every component is seen equally well.
-    let scaled =
-        DMatrix::from_fn(n, n, |i, j| seen[(i, j)] / (seen[(i, i)] * seen[(j, j)]).sqrt());
+    let scaled = DMatrix::from_fn(n, n, |i, j| seen[(i, j)] / (seen[(i, i)] * seen[(j, j)]).sqrt());
     // Rounding of the sums, with room to spare.
     Eigen::new(&scaled).values[0] > 1e-12
 }

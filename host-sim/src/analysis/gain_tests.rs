@@ -42,14 +42,12 @@ fn dense(scenario: &Scenario) -> DMatrix<f64> {
 /// where the components do not touch.
 fn dense_smallest(scenario: &Scenario) -> f64 {
     let (n, agents, matrix) = (scenario.dimension(), scenario.agents.len(), dense(scenario));
-    let touching = (0..matrix.nrows()).any(|i| {
-        (0..matrix.ncols()).any(|j| i % n != j % n && matrix[(i, j)] != 0.0)
-    });
+    let touching = (0..matrix.nrows())
+        .any(|i| (0..matrix.ncols()).any(|j| i % n != j % n && matrix[(i, j)] != 0.0));
     let (parts, stride, order) = if touching { (1, 1, n * agents) } else { (n, n, agents) };
     let smallest = (0..parts).map(|part| {
-        let entries = faer::Mat::from_fn(order, order, |i, j| {
-            matrix[(i * stride + part, j * stride + part)]
-        });
+        let entries =
+            faer::Mat::from_fn(order, order, |i, j| matrix[(i * stride + part, j * stride + part)]);
         let values = entries.self_adjoint_eigenvalues(faer::Side::Lower).unwrap();
         values.into_iter().fold(f64::INFINITY, f64::min)
     });
@@ -194,7 +192,10 @@ fn k1_itself_is_too_near_to_tell_and_above_it_is_not() {
         scenario.design.gain[(0, 0)] = gain;
         let found = GainCertificate::new(&scenario);
         assert_eq!(found.holds(), holds, "{found:?}");
-        assert!(matches!(found.verdict, GainVerdict::Open { .. }) != (holds || gain < k1), "{found:?}");
+        assert!(
+            matches!(found.verdict, GainVerdict::Open { .. }) != (holds || gain < k1),
+            "{found:?}"
+        );
     }
     let mut scenario = exactly;
     scenario.design.gain[(0, 0)] = k1;
@@ -222,7 +223,10 @@ fn large_dense_graphs() {
         let scenario = network(agents, n, &graph, "20.0", |agent| agent % n);
         let start = std::time::Instant::now();
         let found = GainCertificate::new(&scenario);
-        println!("{agents} agents, half of all edges, n = {n}: {found:?} in {:.2?}", start.elapsed());
+        println!(
+            "{agents} agents, half of all edges, n = {n}: {found:?} in {:.2?}",
+            start.elapsed()
+        );
         assert!(found.uncertainty < 1e-6 * found.eigenvalue_min);
     }
     for n in [3, 12] {

@@ -109,8 +109,7 @@ mod tests {
         let root = Eigen::new(&matrix).square_root();
         for row in 0..3 {
             for column in 0..3 {
-                let product =
-                    (0..3).fold(0.0, |sum, k| sum + root[(row, k)] * root[(k, column)]);
+                let product = (0..3).fold(0.0, |sum, k| sum + root[(row, k)] * root[(k, column)]);
                 assert!((product - matrix[(row, column)]).abs() < 1e-14, "{row}, {column}");
             }
         }

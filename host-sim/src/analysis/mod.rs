@@ -27,8 +27,8 @@ pub(crate) use gain::gram;
 pub use gain::{GainCertificate, GainVerdict, outputs_determine_state};
 use lanczos::spectrum;
 pub use lumped::LumpedUncertainty;
-pub use step::StepCheck;
 pub use report::{AgentCheck, Checks, DesignChecks, Status, UltimateBoundCheck};
+pub use step::StepCheck;
 
 /// `|A|`, the largest singular value.
 #[must_use]

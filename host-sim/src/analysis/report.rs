@@ -8,6 +8,8 @@
 //! * Theorem 2: a bound on the rate of the hold error. It is measured along the run, so nothing else
 //!   is presupposed; but an interval that it allows can only be told from a shorter one if it is at
 //!   least a step long, as broadcasts happen between steps only.
+//!
+//! An agent that began anew left the dynamics of both.
 
 use super::{
     GainCertificate, LumpedUncertainty, StepCheck, TriggerConstants, UltimateBound,
@@ -15,6 +17,7 @@ use super::{
 };
 use crate::engine::RunResult;
 use crate::engine::bounds::{BoundShare, Growth};
+use crate::engine::statistics::AgentStatistics;
 use crate::report::number::significant;
 use crate::scenario::Scenario;
 
@@ -166,6 +169,9 @@ impl Checks {
             let shortest = agent.min_interval(&scenario.time);
             let status = match bound {
                 _ if bounds.is_none() => not_measured(),
+                _ if restarts(agent) > 0 => {
+                    Status::NotApplicable("the agent began anew".to_owned())
+                }
                 None => Status::NotApplicable("the hold error did not move".to_owned()),
                 Some(bound) if bound < step_size => Status::NotApplicable(format!(
                     "not testable at this step: its bound, {} s, is below one step",
@@ -173,12 +179,22 @@ impl Checks {
                 )),
                 Some(bound) => Status::kept(shortest.is_none_or(|interval| interval >= bound)),
             };
-            AgentCheck { status, hold_error_rate: rate, interval_bound: bound, interval_min: shortest }
+            AgentCheck {
+                status,
+                hold_error_rate: rate,
+                interval_bound: bound,
+                interval_min: shortest,
+            }
         });
         let theorem2 = agents.collect();
         let lumped = bounds.map(|bounds| LumpedUncertainty::new(scenario, &bounds.lumped));
         let share = bounds.and_then(|bounds| bounds.ultimate);
-        let status = ultimate_status(&design, scenario, lumped, share);
+        let began_anew = run.agents.iter().filter(|agent| restarts(agent) > 0).count();
+        let status = match began_anew {
+            0 => ultimate_status(&design, scenario, lumped, share),
+            1 => Status::NotApplicable("an agent began anew".to_owned()),
+            count => Status::NotApplicable(format!("{count} agents began anew")),
+        };
         let rho = scenario.design.rho;
         let theorem1 = UltimateBoundCheck { status, rho, lumped, share };
         Self { design, theorem1, theorem2, growth: bounds.map(|bounds| bounds.growth) }
@@ -202,6 +218,10 @@ impl Checks {
     pub fn unbounded(&self) -> bool {
         self.growth.is_some_and(|growth| growth.without_bound(self.design.step.is_stable()))
     }
+}
+
+fn restarts(agent: &AgentStatistics) -> u32 {
+    agent.health.map_or(0, |health| health.restarts)
 }
 
 fn not_measured() -> Status {

@@ -199,7 +199,11 @@ mod tests {
             let (i, j) = (row / n, column / n);
             (0..n).fold(0.0, |sum, k| {
                 let inner = if k == column % n { laplacian[(i, j)] } else { 0.0 }
-                    + if i == j { gram(&scenario.agents[i].output_matrix)[(k, column % n)] } else { 0.0 };
+                    + if i == j {
+                        gram(&scenario.agents[i].output_matrix)[(k, column % n)]
+                    } else {
+                        0.0
+                    };
                 sum + scenario.design.gain[(row % n, k)] * inner
             })
         });

@@ -53,7 +53,13 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     if let Some(fault) = RateFault::find(&scenario.plant, &scenario.disturbance, 0.0, state) {
         return Err(RunError::Expression(fault).into());
     }
-    if design.step.is_stable() { Ok(()) } else { Err(CommandError::Unstable(design.step.describe())) }
+    if design.step.is_stable() {
+        return Ok(());
+    }
+    let name = &scenario.name;
+    Err(CommandError::Unstable(format!(
+        "a run of scenario {name} would be unstable, as told above"
+    )))
 }
 
 fn text(scenario: &Scenario, design: &DesignChecks, warnings: &[Warning]) -> String {

@@ -206,13 +206,10 @@ mod tests {
         let mut scenario = Scenario::parse("paper.toml", &text).unwrap();
         scenario.learning.clear();
         scenario.network = None;
-        scenario.time.duration = 0.4;
+        scenario.time.duration = 0.2;
         let found = after_run(&scenario);
-        let expected = [
-            WarningCode::UnstableRun,
-            WarningCode::FrequentBroadcasts,
-            WarningCode::RhoTooSmall,
-        ];
+        let expected =
+            [WarningCode::UnstableRun, WarningCode::FrequentBroadcasts, WarningCode::RhoTooSmall];
         assert_eq!(codes(&found), expected, "{found:?}");
         assert!(found[0].text.contains("grew without bound"), "{found:?}");
         assert!(found[2].text.contains("the disturbance alone"), "{found:?}");

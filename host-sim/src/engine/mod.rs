@@ -118,7 +118,8 @@ fn step_hint(plant_norm: f64, step: &StepCheck) -> String {
     if plant_norm >= RUNAWAY {
         return "the plant runs away: change plant, disturbance or initial state".to_owned();
     }
-    let more = if step.is_stable() { "; lower time.step, or change [network] or [outer_law]" } else { "" };
+    let more =
+        if step.is_stable() { "; lower time.step, or change [network] or [outer_law]" } else { "" };
     step.describe() + more
 }
 

@@ -33,17 +33,21 @@ pub fn text(checks: &Checks) -> String {
     text += &design_text(&checks.design);
     text += &theorem1(checks);
     for (index, agent) in checks.theorem2.iter().enumerate().take(LINES) {
-        let second = |time: Option<f64>| {
-            time.map_or("none".to_owned(), |time| format!("{} s", significant(time, 4)))
+        let shortest = agent
+            .interval_min
+            .map_or("none".to_owned(), |time| format!("{} s", significant(time, 3)));
+        let bound = match agent.interval_bound {
+            Some(bound) if agent.status.premise().is_none() => {
+                format!(", bound {} s", significant(bound, 3))
+            }
+            _ => String::new(),
         };
         // Writing into a string cannot fail.
         let _ = writeln!(
             text,
-            "  Theorem 2, agent {}: {}; shortest interval {}, bound {}",
+            "  Theorem 2, agent {}: {}; shortest interval {shortest}{bound}",
             index + 1,
             in_words(&agent.status),
-            second(agent.interval_min),
-            second(agent.interval_bound),
         );
     }
     if checks.theorem2.len() > LINES {

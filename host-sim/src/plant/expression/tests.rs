@@ -196,7 +196,8 @@ fn what_is_not_defined_is_never_swallowed() {
     ] {
         for (text, operation) in cases {
             let message = fault(text).unwrap_or_else(|| panic!("{text}: no fault"));
-            let expected = format!("expression 2 for y, `{text}`: {operation} is {words}, at t = 0.5");
+            let expected =
+                format!("expression 2 for y, `{text}`: {operation} is {words}, at t = 0.5");
             assert!(message.starts_with(&expected), "{message}\n{expected}");
         }
     }
