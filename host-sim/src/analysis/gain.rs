@@ -179,7 +179,7 @@ pub fn outputs_determine_state(scenario: &Scenario) -> bool {
     for agent in &scenario.agents {
         seen += gram(&agent.output_matrix);
     }
-    if (0..n).any(|i| !(seen[(i, i)] > 0.0)) {
+    if (0..n).any(|i| seen[(i, i)] <= 0.0) {
         return false;
     }
     // In units in which every component is seen equally well.

@@ -26,7 +26,7 @@ use crate::training::cholesky::Cholesky;
 
 const ITERATIONS_MAX: u64 = 80;
 /// Operations after which the search ends whatever it has found.
-const OPERATIONS_MAX: u64 = 2_000_000_000;
+const OPERATIONS_MAX: u64 = 400_000_000;
 /// The bounds need not be nearer to each other than this, relatively.
 const TOLERANCE: f64 = 0.01;
 

@@ -122,7 +122,7 @@ fn largest_of_inverse(factor: &Factor<'_, '_>, start: Vec<f64>) -> Vec<f64> {
             break;
         }
         let length = normalise(&mut image);
-        if !(length > 1e-14 * projected[(0, 0)].abs()) {
+        if !length.is_finite() || length <= 1e-14 * projected[(0, 0)].abs() {
             // The basis spans all that the start has a part in.
             projected = projected.view((0, 0), (k + 1, k + 1)).into_owned();
             break;

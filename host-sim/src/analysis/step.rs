@@ -145,7 +145,7 @@ fn largest(matrix: &BlockMatrix<'_>) -> f64 {
         let length = normalise(&mut image);
         // Nothing is left: the basis spans an invariant subspace.
         scale = scale.max(own.abs());
-        let spans = !(length > 1e-13 * scale);
+        let spans = !length.is_finite() || length <= 1e-13 * scale;
         if spans || iteration % SETTLING == 0 || iteration == ITERATIONS_MAX {
             let found = tridiagonal_max(&diagonal, &off_diagonal);
             let still = found - settled <= TOLERANCE * found.abs();

@@ -51,7 +51,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
     let state = &scenario.initial_state;
     if let Some(fault) = RateFault::find(&scenario.plant, &scenario.disturbance, 0.0, state) {
-        return Err(RunError::Expression(fault).into());
+        return Err(RunError::Expression(Box::new(fault)).into());
     }
     if design.step.is_stable() {
         return Ok(());

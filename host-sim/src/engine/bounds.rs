@@ -160,7 +160,7 @@ impl<'s> BoundsMeter<'s> {
             let part = squared / share.bound.at(at);
             let trivial = tick == 0 && share.bound.weight_error == 0.0;
             // Also where the share is not a number.
-            if !trivial && !(part <= share.largest) {
+            if !trivial && (part > share.largest || part.is_nan()) {
                 (share.largest, share.largest_at) = (part, at);
             }
             if self.evaluation.contains(&tick) {

@@ -66,8 +66,11 @@ impl LumpedSamples {
             }
         }
         let dimension = scenario.dimension();
-        let features =
-            scenario.network.as_ref().map_or(0, |network| network.architecture.features());
+        // A package from outside may have more features than the scenario's network.
+        let own = scenario.network.iter().map(|network| network.architecture.features());
+        let packages = scenario.agents.iter().filter_map(|agent| agent.package.as_ref());
+        let features = own.chain(packages.map(|package| package.architecture().features()));
+        let features = features.max().unwrap_or(0);
         let each = (scenario.agents.len() * (features + dimension)) as u64;
         let points = (NUMBERS_MAX / each.max(1)).clamp(POINTS_MIN, POINTS);
         Self {

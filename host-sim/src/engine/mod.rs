@@ -198,7 +198,7 @@ pub enum RunError {
     },
     /// An expression of plant or disturbance has no finite value.
     #[error(transparent)]
-    Expression(RateFault),
+    Expression(Box<RateFault>),
     /// The plant's state is not finite any more in single precision, in which agents measure it.
     #[error("the plant diverged at t = {time}; lower time.step or change the plant's parameters")]
     PlantDiverged {

@@ -227,7 +227,7 @@ fn plant_error(scenario: &Scenario, plant: &mut Stepper, tick: Tick, before: &[f
     match fault {
         // What overflows in a plant that runs away is not the expression's fault.
         Some(fault) if !(fault.expression().overflow && runs_away(fault.expression())) => {
-            RunError::Expression(fault)
+            RunError::Expression(Box::new(fault))
         }
         _ => RunError::PlantDiverged { time: time.at(tick + 1) },
     }
