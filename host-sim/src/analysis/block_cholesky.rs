@@ -25,6 +25,9 @@
 use nalgebra::DMatrix;
 use pulp::Arch;
 
+use super::block_kernels::{
+    Sum, divide_block, factor_block, subtract_product, subtract_product_transposed,
+};
 use super::block_matrix::{BlockMatrix, UNIT_ROUNDOFF};
 use super::elimination::Elimination;
 use crate::training::cholesky::Cholesky;
@@ -389,80 +392,4 @@ fn usual_weight(matrix: &BlockMatrix<'_>) -> Option<(f64, usize)> {
     weights.sort_by(f64::total_cmp);
     let runs = weights.chunk_by(|a, b| a == b).map(|run| (run[0], run.len()));
     runs.max_by_key(|&(_, count)| count)
-}
-
-/// A sum that keeps what rounding takes (Kahan and Neumaier).
-#[derive(Clone, Copy, Debug, Default)]
-struct Sum {
-    sum: f64,
-    lost: f64,
-}
-
-impl Sum {
-    fn add(&mut self, term: f64) {
-        let sum = self.sum + term;
-        let (large, small) =
-            if self.sum.abs() >= term.abs() { (self.sum, term) } else { (term, self.sum) };
-        self.lost += (large - sum) + small;
-        self.sum = sum;
-    }
-
-    fn value(&self) -> f64 {
-        self.sum + self.lost
-    }
-}
-
-/// Factors one block in place, lower triangle; `false` where it is not positive definite.
-fn factor_block(a: &mut [f64], n: usize) -> bool {
-    for j in 0..n {
-        let pivot = (0..j).fold(a[j * n + j], |sum, k| sum - a[j * n + k] * a[j * n + k]);
-        // Also false for a pivot that is not a number.
-        if !(pivot > 0.0 && pivot.is_finite()) {
-            return false;
-        }
-        let root = pivot.sqrt();
-        a[j * n + j] = root;
-        for i in j + 1..n {
-            let sum = (0..j).fold(a[i * n + j], |sum, k| sum - a[i * n + k] * a[j * n + k]);
-            a[i * n + j] = sum / root;
-        }
-    }
-    true
-}
-
-/// `X L^-T` in place of `X`.
-fn divide_block(x: &mut [f64], l: &[f64], n: usize) {
-    for row in x.chunks_exact_mut(n) {
-        for j in 0..n {
-            let sum = (0..j).fold(row[j], |sum, k| sum - row[k] * l[j * n + k]);
-            row[j] = sum / l[j * n + j];
-        }
-    }
-}
-
-/// `target -= left right^T`, given `right^T`.
-fn subtract_product(target: &mut [f64], left: &[f64], right_transposed: &[f64], n: usize) {
-    for (target, left) in target.chunks_exact_mut(n).zip(left.chunks_exact(n)) {
-        for (&factor, right) in left.iter().zip(right_transposed.chunks_exact(n)) {
-            for (target, right) in target.iter_mut().zip(right) {
-                *target -= factor * right;
-            }
-        }
-    }
-}
-
-/// `target -= right left^T`, of rows `stride` apart.
-fn subtract_product_transposed(
-    target: &mut [f64],
-    stride: usize,
-    left: &[f64],
-    right: &[f64],
-    n: usize,
-) {
-    for (i, right) in right.chunks_exact(n).enumerate() {
-        for (j, left) in left.chunks_exact(n).enumerate() {
-            target[i * stride + j] =
-                left.iter().zip(right).fold(target[i * stride + j], |sum, (l, r)| sum - l * r);
-        }
-    }
 }

@@ -9,6 +9,7 @@
 //! * [`minimum_interval`]: Theorem 2's bound on the time between broadcasts (`Zeno Bound`).
 
 mod block_cholesky;
+mod block_kernels;
 mod block_matrix;
 mod elimination;
 mod gain;

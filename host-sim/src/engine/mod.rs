@@ -15,6 +15,7 @@
 mod agents;
 pub mod bounds;
 pub mod companion;
+mod failure;
 mod learning;
 pub mod link;
 mod lumped;
@@ -35,6 +36,7 @@ use crate::plant::RateFault;
 use crate::training::{EpochReport, TrainingError, TrainingReport};
 use crate::warning::Warning;
 use bounds::Bounds;
+use failure::step_hint;
 use statistics::AgentStatistics;
 use traces::Traces;
 
@@ -109,18 +111,6 @@ pub struct TrainingRecord {
     pub package: PackageBytes,
     /// What it was trained on, if the scenario records samples.
     pub recording: Option<Recording>,
-}
-
-/// From this size of the plant's state on, an agent that diverges is not to blame.
-const RUNAWAY: f64 = 1e6;
-
-fn step_hint(plant_norm: f64, step: &StepCheck) -> String {
-    if plant_norm >= RUNAWAY {
-        return "the plant runs away: change plant, disturbance or initial state".to_owned();
-    }
-    let more =
-        if step.is_stable() { "; lower time.step, or change [network] or [outer_law]" } else { "" };
-    step.describe() + more
 }
 
 /// Why a run ended early.

@@ -9,13 +9,14 @@ use super::agents::{GainNorms, Places, SimulatedAgent};
 use super::bounds::BoundsMeter;
 use super::companion::{AgentStart, Companion, Switch};
 use super::learning::Learning;
+use super::failure::plant_error;
 use super::link::{Link, Lossless};
 use super::traces::{Traces, squared_error};
-use super::{Progress, RUNAWAY, RunError, RunOptions, RunResult, TrainingRecord};
+use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
 use crate::analysis::{StepCheck, TriggerConstants, spectral_norm};
 use crate::fnv::Fnv;
 use crate::packages::{NodeContent, PackageBytes, trained, with_dimension};
-use crate::plant::{ExpressionFault, Stepper};
+use crate::plant::Stepper;
 use crate::scenario::{Network, Scenario};
 use crate::training::{Dataset, TrainingError};
 
@@ -211,26 +212,6 @@ fn initial_parameters(
         .and_then(|data| Ok(network.inner.draw(&network.architecture, &data, seed)?))
         .map_err(RunError::InitialNetwork)?;
     Ok(parameters.iter().map(|&parameter| parameter as f32).collect())
-}
-
-/// Why the step at `tick` from `before` did not lead to a state that can be measured.
-fn plant_error(scenario: &Scenario, plant: &mut Stepper, tick: Tick, before: &[f64]) -> RunError {
-    let time = &scenario.time;
-    let (drift, disturbance) = (&scenario.plant, &scenario.disturbance);
-    let fault = plant.fault(drift, disturbance, time.at(tick), time.step_size, before);
-    let size = |x: &[f64]| x.iter().fold(0.0f64, |size, x| size.max(x.abs()));
-    let runs_away = |fault: &ExpressionFault| {
-        // A stage of the integrator may be far beyond the state that it starts from.
-        let stage = fault.values.iter().fold(size(before), |size, (_, x)| size.max(x.abs()));
-        stage > RUNAWAY * size(&scenario.initial_state).max(1.0)
-    };
-    match fault {
-        // What overflows in a plant that runs away is not the expression's fault.
-        Some(fault) if !(fault.expression().overflow && runs_away(fault.expression())) => {
-            RunError::Expression(Box::new(fault))
-        }
-        _ => RunError::PlantDiverged { time: time.at(tick + 1) },
-    }
 }
 
 fn empty_traces(scenario: &Scenario) -> Traces {
