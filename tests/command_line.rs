@@ -85,6 +85,8 @@ pub(crate) fn short() -> Described {
     described.duration = 0.8;
     described.network = network(&[(4, "tanh")], "2.0");
     described.learning = cycle(&[1, 2], 0.1, 0.5, 0.6) + SHORT_RECIPE;
+    // From the switch on, so that there is nothing to warn of.
+    described.learning += "\n[evaluation]\nfrom = 0.6\nto = 0.8\n";
     described
 }
 

@@ -85,7 +85,8 @@ fn last_switch(scenario: &Scenario) -> Option<f64> {
 
 /// What speaks against what a run of `scenario` found.
 pub(super) fn after(scenario: &Scenario, run: &RunResult, checks: &Checks) -> Vec<Warning> {
-    let mut warnings = Vec::new();
+    let of_trainings = run.trainings.iter().flat_map(|training| &training.warnings);
+    let mut warnings: Vec<Warning> = of_trainings.cloned().collect();
     let mut warn = |code, text: String| warnings.push(Warning::new(code, text));
     if let Some(text) = unstable_run(checks) {
         warn(WarningCode::UnstableRun, text);
