@@ -41,6 +41,7 @@ mod store_power_cuts;
 mod store_reading;
 mod tensors;
 mod units;
+mod verdicts;
 mod watched_ring;
 mod watched_runs;
 mod weights_commands;

@@ -4,6 +4,7 @@
 //! `--format json`. Progress goes to standard error, and only to a terminal. Exit codes: 0
 //! done, 2 bad usage or bad input, 1 anything else.
 
+mod check;
 #[cfg(unix)]
 mod cosim;
 mod health;
@@ -65,6 +66,11 @@ enum Command {
     Reproduce(reproduce::Arguments),
     /// Runs a scenario file
     Run(run::Arguments),
+    /// Tells what there is to know of a scenario without running it: gain, step, trigger, bounds
+    ///
+    /// Ends with 0, also with warnings; with 1 where a run would be meaningless, as with a step that
+    /// is too long for the observer; with 2 on bad input.
+    Check(check::Arguments),
     /// Runs a scenario together with emulated or real nodes and compares every bit
     #[cfg(unix)]
     Cosim(cosim::Arguments),
@@ -149,6 +155,8 @@ enum CommandError {
     Figure(#[from] FigureError),
     #[error("cannot write to standard output: {0}")]
     Output(#[from] std::io::Error),
+    #[error("{0}")]
+    Unstable(String),
     #[error("cannot start {0} threads; choose fewer with --threads")]
     Threads(u16),
     #[cfg(unix)]
@@ -203,6 +211,7 @@ impl CommandError {
             | Self::File(_)
             | Self::Figure(_)
             | Self::Output(_)
+            | Self::Unstable(_)
             | Self::Threads(_) => ExitCode::from(1),
             #[cfg(unix)]
             Self::Cosim(CosimError::NoNetwork { .. } | CosimError::Health { .. }) => {
@@ -234,6 +243,7 @@ pub fn main() -> ExitCode {
         Command::Run(arguments) => {
             with_threads(arguments.common.threads, || run::execute(&arguments))
         }
+        Command::Check(arguments) => check::execute(&arguments),
         #[cfg(unix)]
         Command::Cosim(arguments) => {
             with_threads(arguments.common.threads, || cosim::execute(&arguments))

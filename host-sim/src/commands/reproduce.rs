@@ -7,7 +7,7 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
-use super::{CommandError, Common, Format, SharedProgress, summary, written};
+use super::{CommandError, Common, Format, SharedProgress, summary, warnings, written};
 use super::{make_folder, print_json, print_text};
 use crate::analysis::Checks;
 use crate::engine::statistics::AgentStatistics;
@@ -16,9 +16,11 @@ use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_axis_limit, error_norms, events, states, write_all,
 };
 use crate::progress::ProgressBars;
+use crate::report::checks::{self, ChecksReport};
 use crate::report::paper::PUBLISHED;
 use crate::report::tables::{AgentResult, ComparisonTable, change_percent};
 use crate::scenario::{PAPER, Scenario, Time};
+use crate::warning::Warning;
 
 /// Arguments of `reproduce`.
 #[derive(Debug, Args)]
@@ -39,6 +41,8 @@ struct Report<'a> {
     recipe: &'a str,
     elapsed_s: f64,
     agents: Vec<AgentReport>,
+    checks: ChecksReport,
+    warnings: &'a [Warning],
 }
 
 #[derive(Serialize)]
@@ -68,6 +72,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         published: &PUBLISHED,
         window: (scenario.evaluation.from, scenario.evaluation.to),
     };
+    let checks = Checks::new(&scenario, &with);
+    let mut warnings = warnings::before(&scenario, &checks.design);
+    warnings.extend(warnings::after(&scenario, &with, &checks));
     let out = &arguments.out;
     let (files, figures) = rayon::join(
         || write_tables(out, &scenario, &table, &without, &with),
@@ -82,11 +89,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             recipe: &arguments.recipe,
             elapsed_s,
             agents: agent_reports(&scenario.time, &without, &with),
-        }),
+            checks: ChecksReport::new(&checks),
+            warnings: &warnings,
+        })?,
         Format::Text => {
             let mut text = format!("\n{}\n", table.to_text());
             text += &summary::trainings(&with.trainings);
-            text += &summary::checks(&Checks::new(&scenario, &with));
+            text += &checks::text(&checks);
+            text += &warnings::lines(&warnings);
             text += "Figures, as SVG and PNG\n";
             for (name, what) in figures {
                 text += &format!("  {}: {what}\n", out.join(name).display());
@@ -98,9 +108,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 arguments.recipe,
                 arguments.common.seed,
             );
-            print_text(&text)
+            print_text(&text)?;
         }
     }
+    warnings::unstable_run(&checks).map_or(Ok(()), |text| Err(CommandError::Unstable(text)))
 }
 
 /// The simulation with inner networks held constant, and the one that trains them.

@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::health::{self, HealthReport};
 use super::{CommandError, Common, Format, SharedProgress, summary, warnings, written};
 use super::{load_scenario, make_folder, print_json, print_text};
-use crate::analysis::Checks;
+use crate::analysis::{Checks, DesignChecks};
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunOptions, RunResult, run};
 use crate::figures::{
@@ -19,8 +19,10 @@ use crate::figures::{
 };
 use crate::packages::PackageBytes;
 use crate::progress::ProgressBars;
+use crate::report::checks::{self, ChecksReport};
 use crate::report::csv::{Row, write_table};
 use crate::scenario::{Record, Scenario};
+use crate::warning::Warning;
 
 /// Up to this many agents have a line each in the terminal.
 const LINES: usize = 20;
@@ -51,6 +53,8 @@ struct Report<'a> {
     seed: u64,
     elapsed_s: f64,
     agents: Vec<AgentReport>,
+    checks: ChecksReport,
+    warnings: &'a [Warning],
 }
 
 #[derive(Serialize)]
@@ -78,27 +82,37 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         None => Path::new("out").join(&scenario.name),
     };
     make_folder(&out)?;
-    warnings::print(&scenario);
+    let design = DesignChecks::new(&scenario);
+    let mut warnings = warnings::before(&scenario, &design);
+    warnings::print(&warnings);
     let compare = arguments.common.format == Format::Text;
     let (result, baseline) = simulate(&scenario, arguments.common.seed, compare)?;
+    let checks = Checks::of(design, &scenario, &result);
+    let found = warnings::after(&scenario, &result, &checks);
     let agents = agent_reports(&scenario, &result);
     let before: Vec<_> =
         baseline.iter().flat_map(|run| &run.agents).map(AgentStatistics::rmse).collect();
     let files = write_files(&out, &scenario, &result, &agents)?;
     let elapsed_s = start.elapsed().as_secs_f64();
     match arguments.common.format {
-        Format::Json => print_json(&Report {
-            scenario: &scenario.name,
-            seed: arguments.common.seed,
-            elapsed_s,
-            agents,
-        }),
+        Format::Json => {
+            warnings.extend(found);
+            print_json(&Report {
+                scenario: &scenario.name,
+                seed: arguments.common.seed,
+                elapsed_s,
+                agents,
+                checks: ChecksReport::new(&checks),
+                warnings: &warnings,
+            })?;
+        }
         Format::Text => {
             let mut text = packages_in_use(&scenario);
             text += &agent_table(&scenario, &agents, &before);
             text += &summary::trainings(&result.trainings);
             text += &health::table(&result.agents);
-            text += &summary::checks(&Checks::new(&scenario, &result));
+            text += &checks::text(&checks);
+            text += &warnings::lines(&found);
             text += &format!(
                 "Written to {}: {}\n{}\nScenario {}, seed {}, {elapsed_s:.2} s\n",
                 out.display(),
@@ -107,9 +121,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 scenario.name,
                 arguments.common.seed,
             );
-            print_text(&text)
+            print_text(&text)?;
         }
     }
+    warnings::unstable_run(&checks).map_or(Ok(()), |text| Err(CommandError::Unstable(text)))
 }
 
 /// Hands each package to its agent.
