@@ -4,6 +4,8 @@
 //! `--format json`. Progress goes to standard error, and only to a terminal. Exit codes: 0
 //! done, 2 bad usage or bad input, 1 anything else.
 
+mod agent_table;
+mod baselines;
 #[cfg(unix)]
 mod cosim;
 mod health;
@@ -16,8 +18,10 @@ mod push;
 mod reproduce;
 mod run;
 mod scenario;
+mod seeds;
 mod summary;
 mod train;
+mod trainings;
 mod warnings;
 mod weights;
 mod written;
@@ -143,6 +147,8 @@ enum CommandError {
     NotPacked(String),
     #[error(transparent)]
     Run(#[from] RunError),
+    #[error("seed {seed}: {error}")]
+    Seed { seed: u64, error: RunError },
     #[error(transparent)]
     File(#[from] OutputError),
     #[error(transparent)]
@@ -200,6 +206,7 @@ impl CommandError {
             | Self::Training(_)
             | Self::NotPacked(_)
             | Self::Run(_)
+            | Self::Seed { .. }
             | Self::File(_)
             | Self::Figure(_)
             | Self::Output(_)
