@@ -191,8 +191,7 @@ fn draw_running_rms(
     let time = traces.time();
     let columns = columns(panel, traces);
     let window = rms_window(traces);
-    // Without an end of the transient there is nothing steady.
-    let mut breaks = vec![settling_row(traces, limit).unwrap_or(traces.rows())];
+    let mut breaks = vec![settling_row(traces, limit)];
     let jumps = markers.iter().filter(|marker| marker.jump);
     breaks.extend(jumps.map(|marker| time.partition_point(|&t| t < marker.time)));
     breaks.push(traces.rows());
@@ -240,11 +239,11 @@ fn running_rms(
     line.finish()
 }
 
-/// The first row at which all errors are within `limit`.
-fn settling_row(traces: &Traces, limit: f64) -> Option<usize> {
-    let within =
-        |row: &usize| largest_error(traces, *row..row + 1).is_none_or(|error| error <= limit);
-    (0..traces.rows()).find(within)
+/// The first row from which on all errors of the first quarter are within `limit`.
+fn settling_row(traces: &Traces, limit: f64) -> usize {
+    let beyond =
+        |row: &usize| largest_error(traces, *row..row + 1).is_some_and(|error| error > limit);
+    (0..traces.rows() / TRANSIENT_PART).rfind(beyond).map_or(0, |row| row + 1)
 }
 
 /// Until when the transient goes that the upper axes cut off \[s\], and an axis for it; `None` if
@@ -252,9 +251,8 @@ fn settling_row(traces: &Traces, limit: f64) -> Option<usize> {
 fn transient(traces: &Traces, limit: f64) -> Option<(f64, Axis)> {
     let time = traces.time();
     let (start, end) = (*time.first()?, *time.last()?);
-    let settled = settling_row(traces, limit).filter(|&row| row > 0)?;
-    let length = round_up(1.5 * (time[settled] - start));
-    let until = (length < 0.25 * (end - start)).then_some(start + length)?;
+    let settled = Some(settling_row(traces, limit)).filter(|&row| row > 0)?;
+    let until = (start + round_up(1.5 * (time[settled] - start))).min(end);
     let last = time.partition_point(|&time| time <= until);
     let largest = largest_error(traces, 0..last).unwrap_or(1.0);
     Some((until, Axis::rounded(0.0, largest, 2.0)))

@@ -58,7 +58,7 @@ pub(super) fn marker_entries(markers: &[Marker<'_>]) -> Vec<Entry> {
     }
     let entry = |marker: &Marker<'_>| Entry {
         text: marker.label.to_owned(),
-        sample: Sample::Line(marker.stroke),
+        sample: Sample::Upright(marker.stroke),
     };
     kinds.into_iter().map(entry).collect()
 }
@@ -106,9 +106,10 @@ const fn stroke(index: usize, color: &'static str) -> Stroke {
     }
 }
 
-/// Draws references, whose lines lie on a white ground, so that curves do not hide them.
+/// Draws references, whose lines lie on a white ground, so that curves do not hide them. The last
+/// one is drawn first: dots are seen on dashes, but not dashes on dots.
 pub(super) fn draw_references(canvas: &mut Canvas, panel: &Panel, references: &[Reference<'_>]) {
-    for (index, reference) in references.iter().enumerate() {
+    for (index, reference) in references.iter().enumerate().rev() {
         let (left, right) = (panel.at_x(reference.from), panel.at_x(reference.to));
         let (left, right) = (left.max(panel.area.left), right.min(panel.area.right()));
         for (error, color) in reference.levels() {
@@ -116,7 +117,7 @@ pub(super) fn draw_references(canvas: &mut Canvas, panel: &Panel, references: &[
             if y < panel.area.top || left >= right {
                 continue;
             }
-            canvas.segment((left, y), (right, y), Stroke::solid("#ffffff", 2.4).faint(0.75));
+            canvas.segment((left, y), (right, y), Stroke::solid("#ffffff", 2.2).faint(0.4));
             canvas.segment((left, y), (right, y), stroke(index, color));
         }
     }

@@ -12,7 +12,7 @@ pub(super) const NOTE: f64 = 11.0;
 
 /// Where the label of the y axis stands, and the space left of tick labels. \[user unit\]
 pub(super) const LABEL_BASELINE: f64 = 14.0;
-pub(super) const LABEL_SPACE: f64 = 20.0;
+pub(super) const LABEL_SPACE: f64 = 23.0;
 
 /// Font size of tick labels and legends. \[user unit\]
 pub(super) const TICK_SIZE: f64 = 10.5;
@@ -184,6 +184,8 @@ pub(super) struct Entry {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Sample {
     Line(Stroke),
+    /// A line that stands upright in the figure.
+    Upright(Stroke),
     /// A filled patch of a colour and an opacity.
     Patch(&'static str, f64),
     None,
@@ -213,8 +215,16 @@ pub(super) fn legend_rows(entries: &[Entry], width: f64) -> Vec<Vec<&Entry>> {
 }
 
 fn entry_width(entry: &Entry) -> f64 {
-    let sample = if entry.sample == Sample::None { 0.0 } else { SAMPLE_WIDTH + SAMPLE_GAP };
-    sample + font::width(&entry.text, TICK_SIZE)
+    sample_width(entry.sample) + font::width(&entry.text, TICK_SIZE)
+}
+
+/// Width of a sample and the gap behind it.
+fn sample_width(sample: Sample) -> f64 {
+    match sample {
+        Sample::None => 0.0,
+        Sample::Upright(_) => 4.0 + SAMPLE_GAP,
+        Sample::Line(_) | Sample::Patch(..) => SAMPLE_WIDTH + SAMPLE_GAP,
+    }
 }
 
 /// Draws a legend from (`left`, `top`) downwards.
@@ -223,10 +233,14 @@ pub(super) fn draw_legend(canvas: &mut Canvas, rows: &[Vec<&Entry>], left: f64, 
         let middle = top + (row as f64 + 0.5) * LEGEND_ROW;
         let mut x = left;
         for entry in entries {
-            let mut text_at = x + SAMPLE_WIDTH + SAMPLE_GAP;
+            let text_at = x + sample_width(entry.sample);
             match entry.sample {
                 Sample::Line(stroke) => {
                     canvas.segment((x, middle), (x + SAMPLE_WIDTH, middle), stroke);
+                }
+                Sample::Upright(stroke) => {
+                    let half = 0.46 * LEGEND_ROW;
+                    canvas.segment((x + 2.0, middle + half), (x + 2.0, middle - half), stroke);
                 }
                 Sample::Patch(color, opacity) => {
                     let mut patch = PathData::default();
@@ -237,7 +251,7 @@ pub(super) fn draw_legend(canvas: &mut Canvas, rows: &[Vec<&Entry>], left: f64, 
                     }
                     canvas.area(patch, color, opacity);
                 }
-                Sample::None => text_at = x,
+                Sample::None => {}
             }
             let at = TextAt::new(text_at, middle + 0.36 * TICK_SIZE, TICK_SIZE, Anchor::Start);
             canvas.text(&entry.text, at);

@@ -21,7 +21,13 @@ pub fn aligned(headings: &[[&str; 2]], rows: &[Vec<String>]) -> String {
     if groups.iter().any(|group| !group.name.is_empty()) {
         let widths: Vec<usize> =
             groups.iter().map(|group| span(&widths[group.columns.clone()])).collect();
-        lines.push(line(groups.iter().map(|group| group.name), &widths));
+        // A heading of several columns stands in their middle.
+        let centred = groups.iter().zip(&widths).map(|(group, &width)| {
+            let room = if group.columns.len() > 1 { width - count(group.name) } else { 0 };
+            format!("{}{}", group.name, " ".repeat(room / 2))
+        });
+        let centred: Vec<String> = centred.collect();
+        lines.push(line(centred.iter().map(String::as_str), &widths));
     }
     lines.push(line(headings.iter().map(|[_, name]| *name), &widths));
     lines.push("-".repeat(span(&widths)));
@@ -75,7 +81,7 @@ mod tests {
         let row = |entries: [&str; 4]| entries.map(str::to_owned).to_vec();
         let rows = [row(["1", "0.1000", "1.234e-10", "-"]), row(["100", "2", "3", "4"])];
         let expected = "\
-                    RMSE  a long group
+              RMSE        a long group
 agent       a          b             c
 --------------------------------------
     1  0.1000  1.234e-10             -
