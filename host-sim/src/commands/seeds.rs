@@ -212,15 +212,15 @@ mod tests {
         let expected = "\
 Seeds 3 to 4, 2 runs; those without learning are the same for each
 
-               RMSE, learned   change against no network [%]
-agent  median     min     max  median    min             max
+            RMSE, learned      change against no network [%]
+agent  median     min     max     median       min       max
 ------------------------------------------------------------
-    1  0.2000  0.1000  0.3000    +0.0  -50.0           +50.0
+    1  0.2000  0.1000  0.3000        0.0     -50.0     +50.0
 
-       broadcasts, learned    mean interval, learned [s]
-agent  median  min     max    median       min       max
+       broadcasts, learned   mean interval, learned [s]
+agent  median    min   max    median       min       max
 --------------------------------------------------------
-    1   102.5  100     105  0.005000  0.005000  0.005000
+    1   102.5    100   105  0.005000  0.005000  0.005000
 
 ";
         assert_eq!(text, expected);

@@ -13,6 +13,8 @@ mod error_norms;
 mod event_map;
 mod events;
 mod font;
+#[cfg(test)]
+mod label_tests;
 mod marks;
 mod palette;
 mod panel;

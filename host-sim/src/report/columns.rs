@@ -14,8 +14,13 @@ pub fn aligned(headings: &[[&str; 2]], rows: &[Vec<String>]) -> String {
     }
     let groups = groups(headings);
     for group in &groups {
-        let inside = span(&widths[group.columns.clone()]);
-        widths[group.columns.end - 1] += count(group.name).saturating_sub(inside);
+        // What a long heading needs beyond its columns is shared among them.
+        let inside = &mut widths[group.columns.clone()];
+        let missing = count(group.name).saturating_sub(span(inside));
+        let columns = inside.len();
+        for (index, width) in inside.iter_mut().enumerate() {
+            *width += missing / columns + usize::from(index >= columns - missing % columns);
+        }
     }
     let mut lines = Vec::with_capacity(rows.len() + 3);
     if groups.iter().any(|group| !group.name.is_empty()) {
@@ -80,14 +85,20 @@ mod tests {
         let headings = [["", "agent"], ["RMSE", "a"], ["RMSE", "b"], ["a long group", "c"]];
         let row = |entries: [&str; 4]| entries.map(str::to_owned).to_vec();
         let rows = [row(["1", "0.1000", "1.234e-10", "-"]), row(["100", "2", "3", "4"])];
-        let expected = "\
-              RMSE        a long group
-agent       a          b             c
---------------------------------------
-    1  0.1000  1.234e-10             -
-  100       2          3             4
-";
-        assert_eq!(aligned(&headings, &rows), expected);
+        let expected = [
+            "              RMSE        a long group",
+            "agent       a          b             c",
+            "--------------------------------------",
+            "    1  0.1000  1.234e-10             -",
+            "  100       2          3             4",
+            "",
+        ];
+        assert_eq!(aligned(&headings, &rows), expected.join("\n"));
+        let headings = [["a heading of two", "a"], ["a heading of two", "b"]];
+        let lines =
+            ["a heading of two", "      a        b", "----------------", "      1        2", ""];
+        let rows = [vec!["1".to_owned(), "2".to_owned()]];
+        assert_eq!(aligned(&headings, &rows), lines.join("\n"));
     }
 
     #[test]
