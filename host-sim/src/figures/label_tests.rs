@@ -95,9 +95,10 @@ fn assert_legible(name: &str, figure: &Figure) {
 
 #[test]
 fn labels_overprint_nothing() {
+    type Named = fn(usize) -> String;
     let long = |index: usize| format!("concentration_of_substrate_in_tank_{index}");
     let short = |index: usize| format!("x{index}");
-    let shapes: [(&str, usize, usize, f64, f64, fn(usize) -> String); 9] = [
+    let shapes: [(&str, usize, usize, f64, f64, Named); 9] = [
         ("paper", 3, 3, 0.0, 3.0, short),
         ("one state", 1, 1, 0.0, 1.0, short),
         ("eight agents", 2, 8, 0.0, 1.0, short),
