@@ -17,6 +17,8 @@ pub(super) struct Axis {
     step: f64,
     /// Into how many parts the minor grid divides a step.
     parts: u32,
+    /// Whether values are exponents of ten.
+    powers: bool,
 }
 
 impl Axis {
@@ -25,7 +27,18 @@ impl Axis {
     pub(super) fn exact(from: f64, to: f64, count: f64) -> Self {
         let (from, to) = drawable(from, to);
         let (step, parts) = round_step((to - from) / count.max(1.0));
-        Self { from, to, step, parts }
+        Self { from, to, step, parts, powers: false }
+    }
+
+    /// An axis of the decimal logarithms of values, from the power of ten at or below `from` to the
+    /// one at or above `to`, both above 0.
+    pub(super) fn powers(from: f64, to: f64) -> Self {
+        let exponent =
+            |value: f64| if value > 0.0 { value.log10().clamp(-300.0, 300.0) } else { 0.0 };
+        let from = exponent(from).floor();
+        let to = exponent(to).ceil().max(from + 1.0);
+        let step = ((to - from) / 4.0).ceil();
+        Self { from, to, step, parts: 1, powers: true }
     }
 
     /// A horizontal axis over exactly this range, `width` long, with as many labels of font size
@@ -74,6 +87,9 @@ impl Axis {
 
     /// How a tick is written: less the offset, as a multiple of the power of ten.
     pub(super) fn label(&self, tick: f64) -> String {
+        if self.powers {
+            return format!("10{}", raised(tick as i32));
+        }
         let scale = 10.0_f64.powi(self.exponent());
         decimal((tick - self.offset()) / scale, self.step / scale)
     }
@@ -95,7 +111,7 @@ impl Axis {
     /// What labels count from: a multiple of ten steps, or 0 if that makes none of them shorter.
     fn offset(&self) -> f64 {
         let largest = self.from.abs().max(self.to.abs());
-        if self.to - self.from >= LITTLE * largest || self.from * self.to <= 0.0 {
+        if self.powers || self.to - self.from >= LITTLE * largest || self.from * self.to <= 0.0 {
             return 0.0;
         }
         let unit = 10.0 * self.step;
@@ -106,7 +122,7 @@ impl Axis {
     fn exponent(&self) -> i32 {
         let offset = self.offset();
         let largest = (self.from - offset).abs().max((self.to - offset).abs());
-        if (PLAIN_FROM..PLAIN_TO).contains(&largest) || largest == 0.0 {
+        if self.powers || (PLAIN_FROM..PLAIN_TO).contains(&largest) || largest == 0.0 {
             return 0;
         }
         (largest.log10() + 1e-9).floor() as i32
@@ -225,6 +241,14 @@ mod tests {
         assert_eq!(of(-1e5, -99_998.0, 2.0), expect(&["0", "1", "2"], "− 100000"));
         assert_eq!(of(300.0, 300.000_2, 2.0), expect(&["0", "1", "2"], "×10⁻⁴ + 300"));
         assert_eq!(of(86_400.0, 86_400.5, 5.0).1, "+ 86400");
+    }
+
+    #[test]
+    fn an_axis_of_powers_ends_on_them() {
+        assert_eq!(labels(&Axis::powers(0.03, 12.0)), ["10⁻²", "10⁻¹", "10⁰", "10¹", "10²"]);
+        assert_eq!(labels(&Axis::powers(1.0, 1.0)), ["10⁰", "10¹"]);
+        assert_eq!(labels(&Axis::powers(1e-9, 1e3)), ["10⁻⁹", "10⁻⁶", "10⁻³", "10⁰", "10³"]);
+        assert_eq!(Axis::powers(1e-9, 1e-7).note(), "");
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! Norms of the estimation errors over time (Figures 1 and 2 of the paper).
 //!
 //! `|e_1i(t)|` starts at the norm of the initial error and then chatters at a small fraction of
-//! it. The upper axes show that steady state on a linear scale and the lower ones the transient, so
-//! that neither hides the other. Over the chattering lines goes their running root mean square,
+//! it. The upper axes show that steady state on a linear scale and the lower ones the transient on a
+//! logarithmic one, so that neither hides the other. Over the chattering lines goes their running root mean square,
 //! the quantity of the paper's table, and beside it the same of the runs to compare with.
 
 use std::ops::Range;
@@ -102,9 +102,8 @@ pub fn error_norms(figure: &ErrorFigure<'_>) -> Figure {
     panel.draw_grid(&mut canvas, labels);
     // The more lines lie over each other, the fainter.
     let opacity = (1.5 / traces.agents().max(1) as f64).clamp(0.25, 0.5);
-    draw_errors(&mut canvas, &panel, traces, |agent| {
-        Stroke::solid(palette::agent(agent), 0.45).faint(opacity)
-    });
+    let line = |agent| Stroke::solid(palette::agent(agent), 0.45).faint(opacity);
+    draw_errors(&mut canvas, &panel, traces, line, |error| error);
     draw_references(&mut canvas, &panel, references);
     if traces.agents() <= LINES {
         draw_running_rms(&mut canvas, &panel, traces, limit, figure.markers);
@@ -152,24 +151,26 @@ const fn rms_line(agent: usize) -> Stroke {
     Stroke::solid(palette::agent(agent), 1.4)
 }
 
-/// Draws the errors into the panel, with lines as given, or their spread if there are many.
+/// Draws the errors into the panel, with lines as given, or their spread if there are many; `scale`
+/// is that of the panel's axis.
 fn draw_errors(
     canvas: &mut Canvas,
     panel: &Panel,
     traces: &Traces,
     line_of: impl Fn(usize) -> Stroke,
+    scale: impl Fn(f64) -> f64 + Sync,
 ) {
     let time = traces.time();
     if traces.agents() > LINES {
         let columns = series::columns(time, &panel.x, series::column_count(panel.area.width, 6));
-        let spreads: Vec<Spread> =
-            series::spreads(time, &columns, traces.agents(), |row, agent| traces.error(row, agent));
+        let error = |row, agent| scale(traces.error(row, agent));
+        let spreads: Vec<Spread> = series::spreads(time, &columns, traces.agents(), error);
         series::draw_spreads(canvas, panel, &spreads);
         return;
     }
     let columns = columns(panel, traces);
     for agent in 0..traces.agents() {
-        let line = series::line(panel, time, &columns, |row| traces.error(row, agent));
+        let line = series::line(panel, time, &columns, |row| scale(traces.error(row, agent)));
         canvas.line(line, line_of(agent));
     }
 }
@@ -255,7 +256,8 @@ fn transient(traces: &Traces, limit: f64) -> Option<(f64, Axis)> {
     let until = (start + round_up(1.5 * (time[settled] - start))).min(end);
     let last = time.partition_point(|&time| time <= until);
     let largest = largest_error(traces, 0..last).unwrap_or(1.0);
-    Some((until, Axis::rounded(0.0, largest, 2.0)))
+    // As far down as the upper axes' first ticks: below that there is only chatter.
+    Some((until, Axis::powers(0.2 * limit, largest)))
 }
 
 /// Draws the transient.
@@ -263,7 +265,8 @@ fn draw_transient(canvas: &mut Canvas, panel: &Panel, traces: &Traces) {
     let area = panel.area;
     let labels = Labels { x_ticks: true, y_ticks: true, minor_grid: false };
     panel.draw_grid(canvas, labels);
-    draw_errors(canvas, panel, traces, |agent| Stroke::solid(palette::agent(agent), 0.9));
+    let line = |agent| Stroke::solid(palette::agent(agent), 0.9);
+    draw_errors(canvas, panel, traces, line, libm::log10);
     panel.draw_frame(canvas, labels);
     panel.label_x(canvas, TIME_LABEL);
     let at = TextAt::new(area.left, area.top - 4.0, TICK_SIZE, Anchor::Start);

@@ -163,4 +163,5 @@ fn what_the_upper_axes_cut_off_is_shown_below() {
     // times that on.
     let below = texts.iter().position(|text| *text == "transient in full").unwrap();
     assert!(texts[..below].contains(&"0.10") && texts.contains(&"6"), "{texts:?}");
+    assert!(texts.contains(&"10⁻²") && texts.contains(&"10¹"), "{texts:?}");
 }
