@@ -262,11 +262,11 @@ fn run_in_json_is_one_object() {
     for (training, record) in
         result["trainings"].as_array().unwrap().iter().zip(&expected.trainings)
     {
-        let best = record.report.best().unwrap();
+        let quality = &record.quality;
         assert_eq!((&training["agent"], &training["cycle"]), (&record.agent.into(), &1.into()));
         assert_eq!(training["samples"], record.samples);
-        assert_eq!(training["training_error"], number(Some(best.train)));
-        assert_eq!(training["validation_error"], number(best.validation));
+        assert_eq!(training["training_error"], number(Some(quality.training.error)));
+        assert_eq!(training["validation_error"], number(quality.validation.map(|fit| fit.error)));
     }
     assert_eq!(result["trainings"].as_array().unwrap().len(), 2);
     let expected = expected.agents;

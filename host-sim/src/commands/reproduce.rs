@@ -188,7 +188,7 @@ fn agent_reports(time: &Time, runs: &Runs) -> Vec<AgentReport> {
             rmse_with,
             change_percent_no_network: change_percent(rmse_no_network, rmse_with),
             change_percent: change_percent(rmse_without, rmse_with),
-            explained_variance: None,
+            explained_variance: trainings::explained(&runs.with.trainings, index + 1),
             mean_interval_no_network: intervals[0],
             mean_interval_without: intervals[1],
             mean_interval_with: intervals[2],

@@ -226,7 +226,7 @@ fn agent_reports(
                 rmse_untrained: comparison.rmse_untrained,
                 change_percent_no_network: comparison.change_no_network,
                 change_percent: comparison.change_untrained,
-                explained_variance: None,
+                explained_variance: trainings::explained(&result.trainings, index + 1),
                 max_error: agent.max_error(),
                 broadcasts: agent.broadcasts(),
                 broadcasts_no_network: comparison.broadcasts_no_network,

@@ -51,6 +51,12 @@ pub(super) fn summaries(records: &[TrainingRecord]) -> Vec<TrainingSummary> {
     records.iter().map(TrainingSummary::new).collect()
 }
 
+/// Share of the variance that the last training of `agent`, from 1, explains in the last part of its
+/// samples' time.
+pub(super) fn explained(records: &[TrainingRecord], agent: usize) -> Option<f64> {
+    records.iter().rfind(|record| record.agent == agent).and_then(|record| record.quality.last)
+}
+
 /// How each training went, a line each.
 pub(super) fn text(trainings: &[TrainingSummary]) -> String {
     if trainings.is_empty() {
