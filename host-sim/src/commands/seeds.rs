@@ -218,9 +218,9 @@ agent  median     min     max     median       min       max
     1  0.2000  0.1000  0.3000        0.0     -50.0     +50.0
 
        broadcasts, learned   mean interval, learned [s]
-agent  median    min   max    median       min       max
+agent   median   min   max    median       min       max
 --------------------------------------------------------
-    1   102.5    100   105  0.005000  0.005000  0.005000
+    1    102.5   100   105  0.005000  0.005000  0.005000
 
 ";
         assert_eq!(text, expected);

@@ -225,11 +225,11 @@ mod tests {
 Table 1: RMSE of |e_1i(t)| for t in [20, 40] s [state unit]
 
                       untrained        learned      change against  change against untrained [%]
-agent  no network    here   paper     here   paper  no network [%]          here           paper
+agent  no network    here   paper     here   paper  no network [%]           here          paper
 ------------------------------------------------------------------------------------------------
-    1      0.1211  0.1401  0.1827  0.03230  0.0777           -73.3         -76.9           -57.5
-    2     0.08000  0.1173  0.1775  0.02870  0.0634           -64.1         -75.5           -64.3
-    3    1.000e-5  0.1580  0.2070  0.02270  0.0876       +226900.0         -85.6           -57.7
+    1      0.1211  0.1401  0.1827  0.03230  0.0777           -73.3          -76.9          -57.5
+    2     0.08000  0.1173  0.1775  0.02870  0.0634           -64.1          -75.5          -64.3
+    3    1.000e-5  0.1580  0.2070  0.02270  0.0876       +226900.0          -85.6          -57.7
 
 Mean time between broadcasts [s]
 
