@@ -22,8 +22,8 @@ pub(crate) fn short_paper() -> Scenario {
     scenario.learning[0].apply_at = 1.0;
     for recipe in &mut scenario.recipes {
         recipe.solver.epochs_max = 4;
-        recipe.smoothing_window = 0.02;
-        recipe.decimation = 2.try_into().unwrap();
+        recipe.smoothing_window = Some(0.02);
+        recipe.decimation = Some(2.try_into().unwrap());
     }
     scenario
 }

@@ -93,8 +93,8 @@ pub(super) fn scenario() -> Scenario {
     scenario.learning[0].apply_at = 7.0;
     for recipe in &mut scenario.recipes {
         recipe.solver.epochs_max = 8;
-        recipe.smoothing_window = 0.02;
-        recipe.decimation = 20.try_into().unwrap();
+        recipe.smoothing_window = Some(0.02);
+        recipe.decimation = Some(20.try_into().unwrap());
     }
     scenario
 }
