@@ -1,5 +1,6 @@
 //! Every test that needs more than one module or crate, in one binary; a module for each subject.
 
+mod baselines;
 mod bits;
 mod command_line;
 mod core_against_oracle;
@@ -19,6 +20,7 @@ mod drawn_network;
 mod flash;
 mod health;
 mod image;
+mod json_documented;
 mod levenberg_marquardt;
 mod links;
 #[cfg(unix)]

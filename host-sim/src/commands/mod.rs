@@ -4,6 +4,8 @@
 //! `--format json`. Progress goes to standard error, and only to a terminal. Exit codes: 0
 //! done, 2 bad usage or bad input, 1 anything else.
 
+mod agent_table;
+mod baselines;
 mod check;
 #[cfg(unix)]
 mod cosim;
@@ -17,8 +19,10 @@ mod push;
 mod reproduce;
 mod run;
 mod scenario;
+mod seeds;
 mod summary;
 mod train;
+mod trainings;
 mod warnings;
 mod weights;
 mod written;
@@ -149,6 +153,8 @@ enum CommandError {
     NotPacked(String),
     #[error(transparent)]
     Run(#[from] RunError),
+    #[error("seed {seed}: {error}")]
+    Seed { seed: u64, error: RunError },
     #[error(transparent)]
     File(#[from] OutputError),
     #[error(transparent)]
@@ -208,6 +214,7 @@ impl CommandError {
             | Self::Training(_)
             | Self::NotPacked(_)
             | Self::Run(_)
+            | Self::Seed { .. }
             | Self::File(_)
             | Self::Figure(_)
             | Self::Output(_)

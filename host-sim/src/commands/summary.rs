@@ -1,15 +1,11 @@
 //! What a person reads on the terminal after a run.
 
-use std::fmt::{self, Write};
+use std::fmt;
 
 use serde::Serialize;
 
-use crate::engine::TrainingRecord;
 use crate::packages::quality::Quality;
 use crate::training::StopReason;
-
-/// Up to this many agents have a line each.
-const LINES: usize = 12;
 
 /// Share of the smoothed targets' variance that a network explains, in text and JSON.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -41,36 +37,7 @@ impl fmt::Display for ExplainedVariance {
     }
 }
 
-/// How each training went, a line each.
-pub(super) fn trainings(records: &[TrainingRecord]) -> String {
-    let mut text = String::new();
-    for record in records.iter().take(LINES) {
-        let report = &record.report;
-        let quality = &record.quality;
-        let part = |error: Option<f64>| error.map_or("none".to_owned(), |e| format!("{e:.3e}"));
-        // Writing into a string cannot fail.
-        let _ = writeln!(
-            text,
-            "  agent {}, cycle {}: {} samples, {} epochs, stopped by {}; mean squared error: \
-             training {:.3e}, validation {}, test {}; variance explained: {}{}",
-            record.agent,
-            record.cycle,
-            record.samples,
-            report.epochs.len() - 1,
-            reason(report.stop),
-            quality.training.error,
-            part(quality.validation.map(|fit| fit.error)),
-            part(quality.test.map(|fit| fit.error)),
-            ExplainedVariance::of(quality),
-            if record.switched_in { "" } else { "; NOT switched in" },
-        );
-    }
-    if records.len() > LINES {
-        let _ = writeln!(text, "  and {} more trainings, in training.csv", records.len() - LINES);
-    }
-    if text.is_empty() { text } else { format!("Training\n{text}\n") }
-}
-
+/// What ended a training.
 pub(super) fn reason(stop: StopReason) -> &'static str {
     match stop {
         StopReason::Goal => "its goal",
