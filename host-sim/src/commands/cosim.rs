@@ -10,7 +10,9 @@ use std::time::Duration;
 
 use clap::Args;
 
-use super::{CommandError, Common, Format, SharedProgress, load_scenario, print_json, print_text};
+use super::{
+    CommandError, Common, Format, SharedProgress, load_scenario, print_outcome, print_text,
+};
 use crate::cosim::endpoint::{Endpoint, for_agents};
 use crate::cosim::fault::{Fault, NodeError};
 use crate::cosim::qemu::{Channel, MACHINE, PROGRAM, Qemu};
@@ -21,6 +23,7 @@ use crate::packages::PackageBytes;
 use crate::progress::ProgressBars;
 use crate::scenario::Scenario;
 use crate::shell::shell_word;
+use crate::terminal;
 
 /// Arguments of `cosim`.
 #[derive(Debug, Args)]
@@ -102,7 +105,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         stop: Arc::default(),
     });
     if arguments.serve.is_some() && arguments.common.format == Format::Text {
-        eprintln!("{}", served(arguments, endpoints.len()));
+        terminal::note(served(arguments, endpoints.len()));
     }
     let bars = ProgressBars::new("co-simulating");
     let done = AtomicU64::new(0);
@@ -110,16 +113,20 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let setup = Setup { start, timeout };
     let report = cosimulate(&scenario, arguments.common.seed, setup, service.as_ref(), &progress)?;
     bars.finish();
-    match arguments.common.format {
-        Format::Json => print_json(&report)?,
-        Format::Text => print_text(&text(&scenario, arguments, &report))?,
-    }
-    match &report.first_mismatch {
+    let outcome = match &report.first_mismatch {
         None => Ok(()),
         Some(first) => Err(CommandError::Mismatches(format!(
             "{} steps of nodes differ from the simulated ones, first {first}",
             report.mismatches
         ))),
+    };
+    match arguments.common.format {
+        Format::Json => print_outcome(&report, outcome),
+        Format::Text => {
+            let printed = print_text(&text(&scenario, arguments, &report));
+            // Mismatches count, whether anyone reads of them or not.
+            outcome.and(printed)
+        }
     }
 }
 
@@ -210,7 +217,7 @@ fn build_firmware(workspace: &Path) -> Result<PathBuf, CommandError> {
             let line = line?;
             match line.strip_prefix("firmware: ") {
                 Some(path) => firmware = Some(workspace.join(path)),
-                None => eprintln!("{line}"),
+                None => terminal::note(line),
             }
         }
     }

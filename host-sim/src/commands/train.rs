@@ -21,6 +21,7 @@ use crate::progress::ProgressBars;
 use crate::scenario::{Recipe, Scenario};
 use crate::shell::shell_word;
 use crate::signing::OperatorKey;
+use crate::terminal;
 use crate::training::{EpochReport, StopReason};
 use crate::warning::Warning;
 
@@ -200,7 +201,7 @@ fn train(task: &TrainingTask<'_>, prepared: Prepared<'_, '_>) -> Result<Trained,
 }
 
 fn warn(warning: &Warning) {
-    eprintln!("warning: {warning}");
+    terminal::warning(warning);
 }
 
 fn report<'a>(

@@ -2,11 +2,12 @@
 
 use crate::analysis::{GainCertificate, outputs_determine_state};
 use crate::scenario::{Agent, Scenario};
+use crate::terminal;
 
 /// Prints what speaks against `scenario`, a line each, on standard error.
 pub(super) fn print(scenario: &Scenario) {
     for warning in warnings(scenario) {
-        eprintln!("warning: {warning}");
+        terminal::warning(warning);
     }
 }
 

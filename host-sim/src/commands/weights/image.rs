@@ -15,6 +15,7 @@ use crate::output_file::write_whole;
 use crate::packages::PackageBytes;
 use crate::packages::check::check;
 use crate::signing::read_public_key;
+use crate::terminal;
 
 /// Where in which memory.
 #[derive(Debug, Args)]
@@ -129,13 +130,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
     let (format, printed) = formats(arguments)?;
     let image = image(&arguments.package, &arguments.place)?;
-    let bytes = image.encode(format.with_family(arguments.family)?)?;
+    let encoding = format.with_family(arguments.family)?;
+    let bytes = image.encode(encoding)?;
     let ending = match image.slot() {
         Slot::A => format!(".slot-a.{format}"),
         Slot::B => format!(".slot-b.{format}"),
     };
     let out = arguments.out.clone().unwrap_or_else(|| renamed(&arguments.package, &ending));
-    write_whole(&out, |file| file.write_all(&bytes))?;
+    write_whole(&out, encoding.file_kind(), |file| file.write_all(&bytes))?;
     let commands = commands_for(&image, &out, format);
     if printed == Format::Json {
         return print_json(&Report {
@@ -221,7 +223,7 @@ pub(in crate::commands) fn flash(arguments: &FlashArguments) -> Result<(), Comma
     let target = FlashTarget { chip: arguments.chip.clone(), probe: arguments.probe.clone() };
     program.flash(&target, &image, &mut |step| {
         if arguments.format == Format::Text {
-            eprintln!("{step}");
+            terminal::note(step);
         }
     })?;
     let report = Report {
