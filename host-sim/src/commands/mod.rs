@@ -18,6 +18,7 @@ mod node;
 mod push;
 mod reproduce;
 mod run;
+mod run_folder;
 mod scenario;
 mod summary;
 mod train;
@@ -40,7 +41,7 @@ use crate::flash::FlashError;
 use crate::image::ImageError;
 use crate::interruption;
 use crate::memory_map::MemoryMapError;
-use crate::output_file::{self, OutputError};
+use crate::output_file::OutputError;
 use crate::packages::trained::TrainedError;
 use crate::packages::{DraftError, PackageFileError, RecordingError};
 use crate::progress::ProgressBars;
@@ -302,11 +303,6 @@ fn network_of(scenario: &Scenario) -> Result<&Network, CommandError> {
         let problem = format!("scenario {name} has no network; add [network] and [outer_law]");
         CommandError::Usage(problem)
     })
-}
-
-/// Makes the folder for results before anything is computed for it.
-fn make_folder(folder: &Path) -> Result<(), CommandError> {
-    Ok(output_file::make_folder(folder)?)
 }
 
 /// One of several runs that go on at the same time and share the progress bars.

@@ -7,8 +7,9 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
+use super::run_folder::RunFolder;
 use super::{CommandError, Common, Format, SharedProgress, summary, written};
-use super::{make_folder, print_json, print_text};
+use super::{print_json, print_text};
 use crate::analysis::Checks;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunOptions, RunResult, run};
@@ -59,7 +60,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     for cycle in &mut scenario.learning {
         cycle.recipe.clone_from(&arguments.recipe);
     }
-    make_folder(&arguments.out)?;
+    let mut planned = written::planned(&scenario, "_without", false);
+    planned.extend(written::planned(&scenario, "_with", false));
+    planned.push("table1.csv".to_owned());
+    planned.extend(written::pictures(FIGURES.map(|(stem, _)| stem)));
+    let folder = RunFolder::claim(&arguments.out, &planned)?;
     let (without, with) = both_runs(&scenario, arguments.common.seed)?;
     let results = [&without, &with].map(|run| agent_results(run, &scenario.time));
     let table = ComparisonTable {
@@ -68,13 +73,13 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         published: &PUBLISHED,
         window: (scenario.evaluation.from, scenario.evaluation.to),
     };
-    let out = &arguments.out;
+    let (out, stage) = (&arguments.out, folder.stage());
     let (files, figures) = rayon::join(
-        || write_tables(out, &scenario, &table, &without, &with),
-        || write_figures(out, &scenario, &without, &with),
+        || write_tables(stage, &scenario, &table, &without, &with),
+        || write_figures(stage, &scenario, &without, &with),
     );
-    files?;
-    let figures = figures?;
+    files.and(figures).map_err(|error| folder.placed(error))?;
+    let (_, others) = folder.publish(&scenario, arguments.common.seed)?;
     let elapsed_s = start.elapsed().as_secs_f64();
     match arguments.common.format {
         Format::Json => print_json(&Report {
@@ -88,11 +93,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             text += &summary::trainings(&with.trainings);
             text += &summary::checks(&Checks::new(&scenario, &with));
             text += "Figures, as SVG and PNG\n";
-            for (name, what) in figures {
+            for (name, what) in FIGURES {
                 text += &format!("  {}: {what}\n", out.join(name).display());
             }
             text += &format!(
-                "Tables in {}: table1.csv, traces, broadcast times and training as CSV\n\n\
+                "Tables in {}: table1.csv, traces, broadcast times and training as CSV\n{others}\n\
                  Recipe {}, seed {}, {elapsed_s:.2} s\n",
                 out.display(),
                 arguments.recipe,
@@ -155,23 +160,25 @@ fn write_tables(
     Ok(())
 }
 
-/// Writes the figures; returns the name of each and what it shows.
+/// Name of each figure's files, and what it shows.
+const FIGURES: [(&str, &str); 4] = [
+    ("figure1", "estimation errors, inner networks held constant"),
+    ("figure2", "estimation errors, inner networks trained once"),
+    ("figure3", "broadcast times around the switch to the trained networks"),
+    ("figure4", "true state and every agent's estimate"),
+];
+
+/// Writes the figures.
 fn write_figures(
     out: &Path,
     scenario: &Scenario,
     without: &RunResult,
     with: &RunResult,
-) -> Result<[(&'static str, &'static str); 4], CommandError> {
+) -> Result<(), CommandError> {
     let error_limit = Some(error_axis_limit(&[&without.traces, &with.traces]));
     let window = written::event_window(scenario);
     let event_ticks = written::events_of(with);
     let markers = written::markers(scenario);
-    let shown = [
-        ("figure1", "estimation errors, inner networks held constant"),
-        ("figure2", "estimation errors, inner networks trained once"),
-        ("figure3", "broadcast times around the switch to the trained networks"),
-        ("figure4", "true state and every agent's estimate"),
-    ];
     let draw = |index: usize| match index {
         0 => error_norms(&ErrorFigure {
             title: "Figure 1: without learning",
@@ -195,7 +202,7 @@ fn write_figures(
         _ => states(&StateFigure { title: "Figure 4: with learning", traces: &with.traces }),
     };
     let figures: Vec<_> =
-        shown.iter().enumerate().map(|(index, (stem, _))| (*stem, draw(index))).collect();
+        FIGURES.iter().enumerate().map(|(index, (stem, _))| (*stem, draw(index))).collect();
     write_all(out, &figures)?;
-    Ok(shown)
+    Ok(())
 }

@@ -9,8 +9,9 @@ use clap::Args;
 use serde::Serialize;
 
 use super::health::{self, HealthReport};
+use super::run_folder::RunFolder;
 use super::{CommandError, Common, Format, SharedProgress, summary, warnings, written};
-use super::{load_scenario, make_folder, print_json, print_text};
+use super::{load_scenario, print_json, print_text};
 use crate::analysis::Checks;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunOptions, RunResult, run};
@@ -38,7 +39,8 @@ pub(super) struct Arguments {
     /// Leaves the scenario's learning cycles out
     #[arg(long)]
     without_learning: bool,
-    /// Folder for figures and tables [default: out/NAME, with the scenario's name]
+    /// Folder for figures and tables [default: out/NAME, with the scenario's name, or
+    /// out/NAME-without-learning]
     #[arg(long)]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -75,16 +77,24 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
     let out = match &arguments.out {
         Some(out) => out.clone(),
+        None if arguments.without_learning => {
+            Path::new("out").join(format!("{}-without-learning", scenario.name))
+        }
         None => Path::new("out").join(&scenario.name),
     };
-    make_folder(&out)?;
+    let mut planned = written::planned(&scenario, "", true);
+    planned.push("agents.csv".to_owned());
+    planned.extend(written::pictures(["errors", "states", "events"]));
+    let folder = RunFolder::claim(&out, &planned)?;
     warnings::print(&scenario);
     let compare = arguments.common.format == Format::Text;
     let (result, baseline) = simulate(&scenario, arguments.common.seed, compare)?;
     let agents = agent_reports(&scenario, &result);
     let before: Vec<_> =
         baseline.iter().flat_map(|run| &run.agents).map(AgentStatistics::rmse).collect();
-    let files = write_files(&out, &scenario, &result, &agents)?;
+    write_files(folder.stage(), &scenario, &result, &agents)
+        .map_err(|error| folder.placed(error))?;
+    let (files, others) = folder.publish(&scenario, arguments.common.seed)?;
     let elapsed_s = start.elapsed().as_secs_f64();
     match arguments.common.format {
         Format::Json => print_json(&Report {
@@ -100,10 +110,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             text += &health::table(&result.agents);
             text += &summary::checks(&Checks::new(&scenario, &result));
             text += &format!(
-                "Written to {}: {}\n{}\nScenario {}, seed {}, {elapsed_s:.2} s\n",
+                "Written to {}: {}\n{others}\nScenario {}, seed {}, {elapsed_s:.2} s\n",
                 out.display(),
                 files.join(", "),
-                older_files(&out, &files),
                 scenario.name,
                 arguments.common.seed,
             );
@@ -172,20 +181,6 @@ fn simulate(
     Ok((result?, baseline))
 }
 
-/// A line that tells which files in `out` are not of this run, if there are any: nothing is
-/// deleted, but nothing is to be mistaken either.
-fn older_files(out: &Path, files: &[String]) -> String {
-    let Ok(entries) = std::fs::read_dir(out) else { return String::new() };
-    let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
-    let mut older: Vec<String> = names.filter(|name| !files.contains(name)).collect();
-    older.sort();
-    match older.len() {
-        0 => String::new(),
-        1..=12 => format!("Not of this run: {}\n", older.join(", ")),
-        count => format!("Not of this run: {count} other files there\n"),
-    }
-}
-
 fn agent_reports(scenario: &Scenario, result: &RunResult) -> Vec<AgentReport> {
     let agents = result.agents.iter().enumerate();
     agents
@@ -240,13 +235,13 @@ fn agent_table(scenario: &Scenario, agents: &[AgentReport], before: &[Option<f64
     text
 }
 
-/// Writes everything; returns the names of the files.
+/// Writes everything.
 fn write_files(
     out: &Path,
     scenario: &Scenario,
     result: &RunResult,
     agents: &[AgentReport],
-) -> Result<Vec<String>, CommandError> {
+) -> Result<(), CommandError> {
     let header = [
         "agent",
         "rmse [state unit]",
@@ -268,18 +263,12 @@ fn write_files(
         || written::tables(out, "", scenario, result),
         || write_figures(out, scenario, result),
     );
-    let mut files = vec!["agents.csv".to_owned()];
-    files.extend(tables?);
-    files.extend(figures?);
-    files.extend(written::packages(out, result)?);
-    Ok(files)
+    tables?;
+    figures?;
+    written::packages(out, result)
 }
 
-fn write_figures(
-    out: &Path,
-    scenario: &Scenario,
-    result: &RunResult,
-) -> Result<Vec<String>, CommandError> {
+fn write_figures(out: &Path, scenario: &Scenario, result: &RunResult) -> Result<(), CommandError> {
     let markers = written::markers(scenario);
     let event_ticks = written::events_of(result);
     let window = written::event_window(scenario);
@@ -304,6 +293,5 @@ fn write_figures(
         figures.push(("events", events(&figure)));
     }
     write_all(out, &figures)?;
-    let names = figures.iter().flat_map(|(stem, _)| [format!("{stem}.svg"), format!("{stem}.png")]);
-    Ok(names.collect())
+    Ok(())
 }

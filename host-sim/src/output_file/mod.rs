@@ -158,14 +158,25 @@ impl OutputFile {
         self,
         fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
     ) -> Result<(), OutputError> {
+        self.finish(fill, true)
+    }
+
+    /// `durable`: the bytes are on the disk before the old file is gone.
+    fn finish(
+        self,
+        fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+        durable: bool,
+    ) -> Result<(), OutputError> {
         let Self { path, kind, target } = self;
         let failed = |error| OutputError::Write { path: path.clone(), error };
         match target {
             Target::Stream(file) => filled(file, fill).map(drop).map_err(failed),
             Target::File { temporary, file, place, made } => {
                 let file = filled(file, fill).map_err(failed)?;
-                // What a system writes later may fail later: while the old file is still there.
-                file.sync_data().map_err(failed)?;
+                if durable {
+                    // What a system writes later may fail later: the old file is still there now.
+                    file.sync_data().map_err(failed)?;
+                }
                 place::check(&path, &place, kind)?;
                 temporary.rename(&place).map_err(failed)?;
                 made.keep();
@@ -198,6 +209,39 @@ pub fn write_whole(
     fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> Result<(), OutputError> {
     OutputFile::prepare(path, kind)?.write(fill)
+}
+
+/// As [`write_whole`], without waiting for the disk: for the many files of a run, which can be made
+/// again.
+///
+/// # Errors
+/// As [`write_whole`].
+pub fn write_result(
+    path: &Path,
+    kind: FileKind,
+    fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+) -> Result<(), OutputError> {
+    OutputFile::prepare(path, kind)?.finish(fill, false)
+}
+
+/// The regular file, there or not yet, that `path` stands for when links are followed; `None` if that
+/// is something to be written into.
+///
+/// # Errors
+/// See [`OutputError`].
+pub fn destination(path: &Path) -> Result<Option<PathBuf>, OutputError> {
+    Ok(match place::find(path)? {
+        Place::File(place) => Some(place),
+        Place::Stream(_) => None,
+    })
+}
+
+/// Gives a new file mode and owner of the one that it will replace.
+///
+/// # Errors
+/// What the system says, in most cases that the owner is another user.
+pub fn resemble(new: &Path, before: &fs::Metadata) -> io::Result<()> {
+    place::resemble(&File::open(new)?, before)
 }
 
 /// Makes a folder for results, with those above it.

@@ -45,25 +45,32 @@ impl Cholesky {
     /// Solves `(A + damping I) x = b` in place of `b`. `matrix` is A, row-major, shape
     /// `[order][order]`, of which the upper triangle is read.
     ///
-    /// Returns whether the matrix was positive definite; if not, `b` holds nothing of use.
+    /// Returns whether the matrix was positive definite; if not, `b` holds nothing of use. So it is
+    /// if `stopped` says so on the way; it is asked after every few million multiplications.
     ///
     /// # Panics
     /// If `matrix` or `b` is too short for the order.
-    pub(super) fn solve(&mut self, matrix: &[f64], damping: f64, b: &mut [f64]) -> bool {
+    pub(super) fn solve(
+        &mut self,
+        matrix: &[f64],
+        damping: f64,
+        b: &mut [f64],
+        stopped: &dyn Fn() -> bool,
+    ) -> bool {
         for row in 0..self.order {
             let source = &matrix[row * self.order..][row..self.order];
             let target = &mut self.factor[row * self.stride..][row..self.order];
             target.copy_from_slice(source);
             target[0] += damping;
         }
-        let positive = self.factorise();
+        let positive = self.factorise(stopped);
         if positive {
             self.substitute(b);
         }
         positive
     }
 
-    fn factorise(&mut self) -> bool {
+    fn factorise(&mut self, stopped: &dyn Fn() -> bool) -> bool {
         let (order, stride) = (self.order, self.stride);
         for first in (0..order).step_by(BLOCK) {
             let rows = BLOCK.min(order - first);
@@ -79,6 +86,9 @@ impl Cholesky {
                 }
             }
             for start in (next..order).step_by(BLOCK) {
+                if stopped() {
+                    return false;
+                }
                 let column = start / LANES * LANES;
                 self.arch.dispatch(PanelProduct {
                     left: &self.columns[start..order.min(start + BLOCK)],
@@ -195,7 +205,7 @@ mod tests {
             let mut results = Vec::new();
             for arch in instruction_sets() {
                 let mut x = b.clone();
-                assert!(Cholesky::new(order, arch).solve(&matrix, 0.5, &mut x));
+                assert!(Cholesky::new(order, arch).solve(&matrix, 0.5, &mut x, &|| false));
                 results.push(x);
             }
             assert!(results.iter().all(|x| *x == results[0]), "bits");
@@ -212,11 +222,15 @@ mod tests {
         let order = 40;
         let mut matrix = positive_definite(order);
         let mut cholesky = Cholesky::new(order, Arch::new());
-        assert!(cholesky.solve(&matrix, 0.0, &mut vec![1.0; order]));
+        assert!(cholesky.solve(&matrix, 0.0, &mut vec![1.0; order], &|| false));
+        assert!(!cholesky.solve(&matrix, 0.0, &mut vec![1.0; order], &|| true), "stopped");
         matrix[35 * order + 35] = -1.0;
-        assert!(!cholesky.solve(&matrix, 0.0, &mut vec![1.0; order]));
-        assert!(cholesky.solve(&matrix, 10.0, &mut vec![1.0; order]), "enough damping mends it");
+        assert!(!cholesky.solve(&matrix, 0.0, &mut vec![1.0; order], &|| false));
+        assert!(
+            cholesky.solve(&matrix, 10.0, &mut vec![1.0; order], &|| false),
+            "enough damping mends it"
+        );
         matrix[3] = f64::NAN;
-        assert!(!cholesky.solve(&matrix, 10.0, &mut vec![1.0; order]));
+        assert!(!cholesky.solve(&matrix, 10.0, &mut vec![1.0; order], &|| false));
     }
 }
