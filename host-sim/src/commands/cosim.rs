@@ -1,21 +1,20 @@
 //! `cosim`: a scenario together with nodes that are really there.
 
 use std::fmt::Write;
-use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
 use clap::Args;
 
+use super::firmware::{self, Firmware};
 use super::{
     CommandError, Common, Format, SharedProgress, load_scenario, print_outcome, print_text,
 };
 use crate::cosim::endpoint::{Endpoint, for_agents};
 use crate::cosim::fault::{Fault, NodeError};
-use crate::cosim::qemu::{Channel, MACHINE, PROGRAM, Qemu};
+use crate::cosim::qemu::{Channel, PROGRAM, Qemu};
 use crate::cosim::{CosimReport, Service, Setup, board::Board, cosimulate};
 use crate::interruption::{self, Again};
 use crate::memory_map::MemoryMap;
@@ -44,10 +43,11 @@ pub(super) struct Arguments {
     /// Leaves the scenario's learning cycles out
     #[arg(long)]
     without_learning: bool,
-    /// What emulated nodes run [default: what `cargo xtask firmware --board qemu-mps2-an386` builds]
+    /// What emulated nodes run [default: what `cargo xtask firmware --board qemu-mps2-an386` builds in
+    /// the project that the current folder lies in, else what `cargo xtask install` has installed]
     #[arg(long, value_name = "ELF")]
     firmware: Option<PathBuf>,
-    /// The memory map that it was linked with [default: the project's memory.x]
+    /// The memory map that it was linked with [default: memory.x of the project or the installation]
     #[arg(long, value_name = "MEMORY.X")]
     memory: Option<PathBuf>,
     /// The emulator
@@ -165,67 +165,10 @@ fn scenario(arguments: &Arguments) -> Result<Scenario, CommandError> {
 }
 
 fn emulator(arguments: &Arguments, timeout: Duration) -> Result<Qemu, CommandError> {
-    let memory = match &arguments.memory {
-        Some(memory) => memory.clone(),
-        None => workspace("--memory MEMORY.X")?.join("memory.x"),
-    };
+    let Firmware { program, memory } =
+        firmware::find(arguments.firmware.as_deref(), arguments.memory.as_deref())?;
     let region = MemoryMap::read(&memory)?.weights()?;
-    let firmware = match &arguments.firmware {
-        Some(firmware) if !firmware.is_file() => {
-            let problem = format!("{}: there is no such file", firmware.display());
-            return Err(CommandError::Usage(format!(
-                "{problem}; name the firmware's ELF file, or leave --firmware out to have it built"
-            )));
-        }
-        Some(firmware) => firmware.clone(),
-        None => build_firmware(&workspace("--firmware ELF")?)?,
-    };
-    Ok(Qemu { program: arguments.qemu.clone(), firmware, region, timeout })
-}
-
-/// The folder of the project: around the current one, or where this program was built.
-fn workspace(otherwise: &str) -> Result<PathBuf, CommandError> {
-    let is_project = |folder: &&Path| folder.join("firmware-template/Cargo.toml").is_file();
-    let current = std::env::current_dir()?;
-    let built = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let found = current.ancestors().chain(built.ancestors()).find(is_project);
-    found.map(Path::to_owned).ok_or_else(|| {
-        CommandError::Usage(format!(
-            "this is no folder of the project, whose firmware and memory.x are needed; change into \
-             it, or give {otherwise}"
-        ))
-    })
-}
-
-/// Builds the firmware of emulated nodes; what the build says goes to standard error.
-fn build_firmware(workspace: &Path) -> Result<PathBuf, CommandError> {
-    let line = format!("cargo xtask firmware --board qemu-{MACHINE}");
-    let failed = |what: String| {
-        CommandError::Firmware(format!("`{line}` {what}; mend that, or give --firmware ELF"))
-    };
-    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let mut build = Command::new(cargo)
-        .args(line.split(' ').skip(1))
-        .current_dir(workspace)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .spawn()
-        .map_err(|error| failed(format!("cannot be started: {error}")))?;
-    let mut firmware = None;
-    if let Some(output) = build.stdout.take() {
-        for line in BufReader::new(output).lines() {
-            let line = line?;
-            match line.strip_prefix("firmware: ") {
-                Some(path) => firmware = Some(workspace.join(path)),
-                None => terminal::note(line),
-            }
-        }
-    }
-    let status = build.wait()?;
-    if !status.success() {
-        return Err(failed(format!("fails ({status})")));
-    }
-    firmware.ok_or_else(|| failed("does not say where the firmware is".to_owned()))
+    Ok(Qemu { program: arguments.qemu.clone(), firmware: program, region, timeout })
 }
 
 fn text(scenario: &Scenario, arguments: &Arguments, report: &CosimReport) -> String {

@@ -9,6 +9,8 @@
 #[cfg(unix)]
 mod cosim;
 mod error;
+#[cfg(unix)]
+mod firmware;
 mod health;
 #[cfg(unix)]
 mod monitor;
