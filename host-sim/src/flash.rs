@@ -14,13 +14,12 @@
 
 use std::ffi::OsStr;
 use std::fmt;
-use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
 
 use crate::image::{Image, ImageError, ImageFormat, Segment};
+use crate::output_file::temporary::Temporary;
 
 /// The program's name.
 const PROGRAM: &str = "probe-rs";
@@ -200,12 +199,12 @@ impl ProbeRs {
         image: &Image,
         progress: &mut dyn FnMut(FlashStep),
     ) -> Result<(), FlashError> {
-        let file = TemporaryFile::new(&image.encode(ImageFormat::Hex)?)?;
+        let file = temporary_file(&image.encode(ImageFormat::Hex)?)?;
         let bytes = image.segments().iter().map(|segment| segment.bytes.len()).sum();
         let step = FlashStep::Download { bytes };
         progress(step);
         let mut download = self.command("download", target);
-        download.args(["--binary-format", "hex", "--restore-unwritten"]).arg(&file.path);
+        download.args(["--binary-format", "hex", "--restore-unwritten"]).arg(file.path());
         run(step, &mut download)?;
         // The commit area first: see the module's description.
         let region = image.region();
@@ -306,32 +305,13 @@ fn bytes_of(printed: &str, segment: &Segment) -> Result<Vec<u8>, String> {
 }
 
 /// A file for another program to read, removed at the end.
-struct TemporaryFile {
-    path: PathBuf,
-}
-
-impl TemporaryFile {
-    fn new(content: &[u8]) -> Result<Self, FlashError> {
-        static COUNT: AtomicU32 = AtomicU32::new(0);
-        let number = COUNT.fetch_add(1, Ordering::Relaxed);
-        let name = format!("host-sim-{}-{number}.hex", std::process::id());
-        let path = std::env::temp_dir().join(name);
-        // A file that somebody else has put there is not written to.
-        let made = OpenOptions::new().write(true).create_new(true).open(&path);
-        let mut file =
-            made.map_err(|error| FlashError::TemporaryFile { path: path.clone(), error })?;
-        let made = Self { path };
-        file.write_all(content)
-            .map_err(|error| FlashError::TemporaryFile { path: made.path.clone(), error })?;
-        Ok(made)
-    }
-}
-
-impl Drop for TemporaryFile {
-    fn drop(&mut self) {
-        // Best effort: the system clears the folder at some time.
-        let _ = fs::remove_file(&self.path);
-    }
+fn temporary_file(content: &[u8]) -> Result<Temporary, FlashError> {
+    let folder = std::env::temp_dir();
+    let failed = |path: &Path, error| FlashError::TemporaryFile { path: path.to_owned(), error };
+    let (made, mut file) =
+        Temporary::file(&folder, Some(0o600)).map_err(|error| failed(&folder, error))?;
+    file.write_all(content).map_err(|error| failed(made.path(), error))?;
+    Ok(made)
 }
 
 #[cfg(test)]

@@ -3,8 +3,7 @@
 //!
 //! A command that does not [`listen`] ends at once: its temporary files are removed, what was there
 //! before it stays, and the exit code is 128 and the signal's number, 130 for Ctrl-C and 143 for a
-//! request to terminate. Signals that the process was started to ignore (`nohup`, or an interrupt of
-//! a script's background job) stay ignored.
+//! request to terminate. Under `nohup`, the terminal's end is no reason to end.
 
 use std::sync::Once;
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, Ordering};
@@ -73,23 +72,24 @@ pub fn install() {
 
 #[cfg(unix)]
 fn handle_signals() -> std::io::Result<()> {
-    let ignored = ignored_signals();
-    let wanted = [HANG_UP, INTERRUPT, TERMINATE];
-    let wanted = wanted.into_iter().filter(|signal| ignored >> (signal - 1) & 1 == 0);
-    let mut signals = signal_hook::iterator::Signals::new(wanted)?;
+    let mut signals = signal_hook::iterator::Signals::new([INTERRUPT, TERMINATE])?;
+    if !hang_up_is_ignored() {
+        signals.add_signal(HANG_UP)?;
+    }
     std::thread::Builder::new()
         .name("signals".to_owned())
         .spawn(move || signals.forever().for_each(received))?;
     Ok(())
 }
 
-/// The signals that this process was started to ignore, a bit each from the lowest, as far as the
-/// system tells.
+/// Whether this process was started to survive its terminal, as far as the system tells.
 #[cfg(unix)]
-fn ignored_signals() -> u64 {
+fn hang_up_is_ignored() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    // A bit for each signal, the first the lowest.
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0)
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask >> (HANG_UP - 1) & 1 == 1)
 }
 
 #[cfg(not(unix))]

@@ -22,6 +22,7 @@ use crate::packages::PackageBytes;
 use crate::progress::ProgressBars;
 use crate::report::csv::{Row, write_table};
 use crate::scenario::{Record, Scenario};
+use crate::terminal::one_line;
 
 /// Up to this many agents have a line each in the terminal.
 const LINES: usize = 20;
@@ -149,7 +150,7 @@ fn packages_in_use(scenario: &Scenario) -> String {
     let lines = agents.filter_map(|(index, agent)| {
         let bytes = agent.package.as_ref()?;
         let package = bytes.package();
-        let (version, recipe) = (package.version, package.provenance.recipe);
+        let (version, recipe) = (package.version, one_line(package.provenance.recipe));
         Some(format!("Agent {} starts with its package, version {version} ({recipe})\n", index + 1))
     });
     lines.collect()

@@ -286,7 +286,7 @@ fn text(arguments: &Arguments, report: &Report<'_>) -> String {
         report.version,
         report.bytes,
         if report.signed { "signed" } else { "not signed" },
-        report.recipe,
+        terminal::one_line(report.recipe),
         report.seed,
         report.elapsed_s,
         shell_word(&arguments.out),

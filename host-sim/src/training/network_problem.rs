@@ -158,7 +158,7 @@ impl LeastSquares for NetworkProblem {
         let mut sums = SquareSums::new();
         for batch in self.train.batches() {
             if is_set(self.stop) {
-                break;
+                return f64::NAN;
             }
             let estimates = self.propagation.forward(batch.inputs);
             sums.add(self.arch, estimates, &batch, &mut self.residuals);
