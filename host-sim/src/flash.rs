@@ -19,6 +19,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use crate::image::{Image, ImageError, ImageFormat, Segment};
+use crate::interruption;
 use crate::output_file::temporary::Temporary;
 
 /// The program's name.
@@ -104,6 +105,12 @@ pub enum FlashError {
         /// What the system says.
         #[source]
         error: io::Error,
+    },
+    /// Somebody asked for the end.
+    #[error("interrupted at {step}; the chip is as it was left, flash it again")]
+    Interrupted {
+        /// What was not done, or not to its end.
+        step: FlashStep,
     },
     /// The image cannot be written as a file.
     #[error(transparent)]
@@ -262,8 +269,12 @@ impl ProbeRs {
     }
 }
 
-/// Runs `command` to its end and returns what it printed.
+/// Runs `command` to its end and returns what it printed. Whoever asks for the end has to wait for
+/// that: a program that writes flash is not to be stopped in the middle.
 fn run(step: FlashStep, command: &mut Command) -> Result<String, FlashError> {
+    if interruption::requested() {
+        return Err(FlashError::Interrupted { step });
+    }
     // Without an input, a question of which probe to take is an error, and nobody waits.
     let output = command
         .stdin(Stdio::null())
@@ -271,6 +282,10 @@ fn run(step: FlashStep, command: &mut Command) -> Result<String, FlashError> {
         .map_err(|error| FlashError::Start { program: command.get_program().into(), error })?;
     if output.status.success() {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
+    }
+    if interruption::requested() {
+        // Ctrl-C reaches every program of the terminal.
+        return Err(FlashError::Interrupted { step });
     }
     let said = String::from_utf8_lossy(&output.stderr).trim().to_owned();
     let said = if said.is_empty() { output.status.to_string() } else { said };

@@ -152,6 +152,7 @@ impl CommandError {
             Self::Flash(error) => match error {
                 FlashError::NotInstalled { .. } => ErrorCode::ProbeRs,
                 FlashError::TemporaryFile { .. } => ErrorCode::OutputFailed,
+                FlashError::Interrupted { .. } => ErrorCode::Interrupted,
                 _ => ErrorCode::Flash,
             },
             Self::Printed(error) => error.code(),

@@ -10,6 +10,7 @@ use super::renamed;
 use crate::commands::{CommandError, Format, print_json, print_text};
 use crate::flash::{FlashTarget, ProbeRs};
 use crate::image::{self, Image, ToolUse, Uf2Family, commands_for};
+use crate::interruption::{self, Again};
 use crate::memory_map::MemoryMap;
 use crate::output_file::write_whole;
 use crate::packages::PackageBytes;
@@ -218,6 +219,7 @@ pub(in crate::commands) fn flash(arguments: &FlashArguments) -> Result<(), Comma
         bytes: usize,
         verified: bool,
     }
+    interruption::listen(Again::Exit);
     let image = image(&arguments.package, &arguments.place)?;
     let program = ProbeRs::find(arguments.probe_rs.as_deref())?;
     let target = FlashTarget { chip: arguments.chip.clone(), probe: arguments.probe.clone() };
