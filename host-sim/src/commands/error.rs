@@ -90,6 +90,8 @@ error_codes! {
     Diverged = "plant-diverged", 1;
     /// A network cannot be trained.
     Training = "training-failed", 1;
+    /// A network explains nothing, and was not packed.
+    NotPacked = "not-packed", 1;
     /// A figure cannot be drawn.
     Figure = "figure-failed", 1;
     /// probe-rs is not there.
@@ -143,6 +145,7 @@ impl CommandError {
                 TrainedError::Draft(_) => ErrorCode::Network,
                 _ => ErrorCode::Training,
             },
+            Self::NotPacked(_) => ErrorCode::NotPacked,
             Self::Run(error) => run(error),
             Self::File(error) | Self::Figure(FigureError::Write(error)) => output(error),
             Self::Figure(_) => ErrorCode::Figure,
