@@ -58,6 +58,14 @@ impl Folder {
         error
     }
 
+    /// The content of every result in a folder in this one: the manifest tells the command line, which
+    /// differs from run to run.
+    pub(crate) fn results(&self, folder: &str) -> BTreeMap<String, Vec<u8>> {
+        let mut files = self.files(folder);
+        assert!(files.remove("run.json").is_some());
+        files
+    }
+
     /// The content of every file in a folder in this one.
     pub(crate) fn files(&self, folder: &str) -> BTreeMap<String, Vec<u8>> {
         let entries = fs::read_dir(self.path(folder)).unwrap().map(Result::unwrap);
@@ -179,7 +187,8 @@ fn without_arguments_it_reproduces_the_paper_into_out() {
         "training_with",
     ];
     assert_tables(&files, &tables);
-    assert_eq!(files.len(), 4 * 2 + tables.len());
+    // And the manifest, which names them.
+    assert_eq!(files.len(), 4 * 2 + tables.len() + 1);
     for expected in ["Table 1", "Theorem 1", "Theorem 2, agent 3", "out/figure2", "Recipe better"] {
         assert!(text.contains(expected), "{expected} is missing:\n{text}");
     }
@@ -231,7 +240,7 @@ fn reproduce_in_json_is_one_object_and_the_same_again() {
     }
     assert_eq!(agents(&first), agents(&second));
     // Tables and pictures, too, are the same bytes on one thread and on two.
-    let (first, second) = (folder.files("a"), folder.files("b"));
+    let (first, second) = (folder.results("a"), folder.results("b"));
     assert!(first.keys().eq(second.keys()));
     for (name, bytes) in &first {
         assert!(*bytes == second[name], "{name}");
@@ -287,12 +296,12 @@ fn run_in_json_is_one_object() {
         assert_eq!(agent["mean_interval"], number(statistics.mean_interval(&scenario.time)));
         assert_eq!(agent["min_interval"], number(statistics.min_interval(&scenario.time)));
     }
-    let files = folder.files("out/described");
+    let files = folder.results("out/described");
     assert_pictures(&files, &["errors", "events", "states"]);
     assert_tables(&files, &["agents", "events", "traces", "training"]);
     // The same seed draws the same pictures; another one, others.
     folder.succeed("run mine.toml --format json --seed 7 --out again --threads 2");
-    assert!(files == folder.files("again"));
+    assert!(files == folder.results("again"));
     folder.succeed("run mine.toml --seed 8 --out other");
     assert_ne!(files["traces.csv"], folder.files("other")["traces.csv"]);
 }
@@ -346,7 +355,7 @@ fn a_run_that_records_nothing_draws_nothing() {
     (bare.trace_stride, bare.events, bare.learning) = (0, false, String::new());
     folder.write("bare.toml", &bare.text());
     folder.succeed("run bare.toml");
-    assert!(folder.files("out/described").keys().eq(["agents.csv"]));
+    assert!(folder.files("out/described").keys().eq(["agents.csv", "run.json"]));
 }
 
 #[test]
@@ -404,12 +413,13 @@ fn a_mistake_in_a_scenario_changes_no_file() {
     folder.write("results/notes.txt", "mine\n");
     let before = folder.files("results");
     let line = 1 + short().text().lines().position(|line| line.contains("duration =")).unwrap();
-    for format in ["text", "json"] {
-        let message = folder.fail(&format!("run wrong.toml --out results --format {format}"), 2);
-        let place = format!("error: wrong.toml:{line}: time.duration: ");
-        assert!(message.starts_with(&place) && message.contains("; write "), "{message}");
-        assert_eq!(message.lines().count(), 1);
-    }
+    let message = folder.fail("run wrong.toml --out results", 2);
+    let place = format!("error: wrong.toml:{line}: time.duration: ");
+    assert!(message.starts_with(&place) && message.contains("; write "), "{message}");
+    assert_eq!(message.lines().count(), 1);
+    let output = folder.run("run wrong.toml --out results --format json");
+    assert_eq!(output.status.code(), Some(2));
+    assert_eq!(object(&texts(&output).0)["error"]["line"], line);
     assert_eq!(folder.files("results"), before);
 }
 
@@ -423,9 +433,9 @@ fn a_plant_that_diverges_ends_with_1_and_leaves_results_alone() {
         .to_owned();
     folder.write("cubic.toml", &described.text());
     fs::create_dir(folder.path("results")).unwrap();
-    folder.write("results/traces.csv", "from the run before\n");
+    folder.write("results/traces.csv", "time [s],x1 [state unit]\n");
     let before = folder.files("results");
-    let message = folder.fail("run cubic.toml --out results --format json", 1);
+    let message = folder.fail("run cubic.toml --out results", 1);
     // x^3 from 10 reaches infinity at 1/200 s, by Euler's method a little later.
     assert!(message.starts_with("error: the plant diverged at t = 0.0"), "{message}");
     assert_eq!(folder.files("results"), before);

@@ -17,6 +17,8 @@ mod cosim_service;
 mod described;
 mod determinism;
 mod drawn_network;
+#[cfg(unix)]
+mod files;
 mod flash;
 mod health;
 mod image;

@@ -137,9 +137,20 @@ fn a_file_that_is_not_there() {
     // What the system says differs from system to system.
     assert!(error.problem.starts_with("cannot be read: "), "{error}");
     assert!(error.to_string().starts_with("no/such.toml: cannot be read: "), "{error}");
-    let mend = "give the path of a scenario file, or write one of the built-in scenarios \
-                (paper, lorenz, pendulum, duffing, expressions) to a file first";
+    let mend = "give the path of a scenario file, or the name of a built-in one (paper, lorenz, \
+                pendulum, duffing, expressions); `host-sim scenario paper > mine.toml` writes a \
+                file to start from";
     assert_eq!((error.line, error.key, error.mend.as_str()), (None, None, mend));
+    let error = Scenario::load("lorentz".as_ref()).unwrap_err();
+    assert!(error.mend.starts_with("give lorenz, the path"), "{error}");
+    assert!(error.mend.contains("`host-sim scenario lorenz >"), "{error}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_file_without_an_end_is_refused() {
+    let error = Scenario::load("/dev/zero".as_ref()).unwrap_err().to_string();
+    assert!(error.starts_with("/dev/zero: has more than 16 MiB"), "{error}");
 }
 
 #[test]

@@ -14,13 +14,13 @@
 
 use std::ffi::OsStr;
 use std::fmt;
-use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
 
 use crate::image::{Image, ImageError, ImageFormat, Segment};
+use crate::interruption;
+use crate::output_file::temporary::Temporary;
 
 /// The program's name.
 const PROGRAM: &str = "probe-rs";
@@ -105,6 +105,12 @@ pub enum FlashError {
         /// What the system says.
         #[source]
         error: io::Error,
+    },
+    /// Somebody asked for the end.
+    #[error("interrupted at {step}; the chip is as it was left, flash it again")]
+    Interrupted {
+        /// What was not done, or not to its end.
+        step: FlashStep,
     },
     /// The image cannot be written as a file.
     #[error(transparent)]
@@ -200,12 +206,12 @@ impl ProbeRs {
         image: &Image,
         progress: &mut dyn FnMut(FlashStep),
     ) -> Result<(), FlashError> {
-        let file = TemporaryFile::new(&image.encode(ImageFormat::Hex)?)?;
+        let file = temporary_file(&image.encode(ImageFormat::Hex)?)?;
         let bytes = image.segments().iter().map(|segment| segment.bytes.len()).sum();
         let step = FlashStep::Download { bytes };
         progress(step);
         let mut download = self.command("download", target);
-        download.args(["--binary-format", "hex", "--restore-unwritten"]).arg(&file.path);
+        download.args(["--binary-format", "hex", "--restore-unwritten"]).arg(file.path());
         run(step, &mut download)?;
         // The commit area first: see the module's description.
         let region = image.region();
@@ -263,8 +269,12 @@ impl ProbeRs {
     }
 }
 
-/// Runs `command` to its end and returns what it printed.
+/// Runs `command` to its end and returns what it printed. Whoever asks for the end has to wait for
+/// that: a program that writes flash is not to be stopped in the middle.
 fn run(step: FlashStep, command: &mut Command) -> Result<String, FlashError> {
+    if interruption::requested() {
+        return Err(FlashError::Interrupted { step });
+    }
     // Without an input, a question of which probe to take is an error, and nobody waits.
     let output = command
         .stdin(Stdio::null())
@@ -272,6 +282,10 @@ fn run(step: FlashStep, command: &mut Command) -> Result<String, FlashError> {
         .map_err(|error| FlashError::Start { program: command.get_program().into(), error })?;
     if output.status.success() {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
+    }
+    if interruption::requested() {
+        // Ctrl-C reaches every program of the terminal.
+        return Err(FlashError::Interrupted { step });
     }
     let said = String::from_utf8_lossy(&output.stderr).trim().to_owned();
     let said = if said.is_empty() { output.status.to_string() } else { said };
@@ -306,32 +320,13 @@ fn bytes_of(printed: &str, segment: &Segment) -> Result<Vec<u8>, String> {
 }
 
 /// A file for another program to read, removed at the end.
-struct TemporaryFile {
-    path: PathBuf,
-}
-
-impl TemporaryFile {
-    fn new(content: &[u8]) -> Result<Self, FlashError> {
-        static COUNT: AtomicU32 = AtomicU32::new(0);
-        let number = COUNT.fetch_add(1, Ordering::Relaxed);
-        let name = format!("host-sim-{}-{number}.hex", std::process::id());
-        let path = std::env::temp_dir().join(name);
-        // A file that somebody else has put there is not written to.
-        let made = OpenOptions::new().write(true).create_new(true).open(&path);
-        let mut file =
-            made.map_err(|error| FlashError::TemporaryFile { path: path.clone(), error })?;
-        let made = Self { path };
-        file.write_all(content)
-            .map_err(|error| FlashError::TemporaryFile { path: made.path.clone(), error })?;
-        Ok(made)
-    }
-}
-
-impl Drop for TemporaryFile {
-    fn drop(&mut self) {
-        // Best effort: the system clears the folder at some time.
-        let _ = fs::remove_file(&self.path);
-    }
+fn temporary_file(content: &[u8]) -> Result<Temporary, FlashError> {
+    let folder = std::env::temp_dir();
+    let failed = |path: &Path, error| FlashError::TemporaryFile { path: path.to_owned(), error };
+    let (made, mut file) =
+        Temporary::file(&folder, Some(0o600)).map_err(|error| failed(&folder, error))?;
+    file.write_all(content).map_err(|error| failed(made.path(), error))?;
+    Ok(made)
 }
 
 #[cfg(test)]

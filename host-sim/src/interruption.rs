@@ -1,9 +1,31 @@
-//! Ctrl-C, and being told to end: a wish that commands look for at points where they can stop in
-//! good order.
+//! Being told to end, by Ctrl-C or by a signal: a wish that commands look for at points where they
+//! can stop in good order.
+//!
+//! A command that does not [`listen`] ends at once: its temporary files are removed, what was there
+//! before it stays, and the exit code is 128 and the signal's number, 130 for Ctrl-C and 143 for a
+//! request to terminate. Under `nohup`, the terminal's end is no reason to end.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::Once;
+use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, Ordering};
+
+use crate::output_file::temporary;
+use crate::terminal;
 
 static REQUESTED: AtomicBool = AtomicBool::new(false);
+/// Number of the first signal.
+static SIGNAL: AtomicI32 = AtomicI32::new(0);
+/// An [`Again`], or [`END`].
+static RESPONSE: AtomicU8 = AtomicU8::new(END);
+
+/// Nobody listens: the first signal ends the process.
+const END: u8 = 0;
+const EXIT: u8 = 1;
+const WAIT: u8 = 2;
+
+/// POSIX gives them these numbers.
+const HANG_UP: i32 = 1;
+const INTERRUPT: i32 = 2;
+const TERMINATE: i32 = 15;
 
 /// What a second wish does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -14,20 +36,111 @@ pub enum Again {
     Wait,
 }
 
-/// From here on, the wish is noted in place of the process's end.
-pub fn listen(again: Again) {
-    let handler = ctrlc::set_handler(move || {
-        if REQUESTED.swap(true, Ordering::Relaxed) && again == Again::Exit {
-            std::process::exit(130);
+/// What asked for the end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Signal {
+    /// Ctrl-C.
+    Interrupt,
+    /// A request to terminate, as `kill` and service managers send it.
+    Terminate,
+    /// The terminal has gone.
+    HangUp,
+}
+
+impl Signal {
+    /// Its name in reports.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Interrupt => "interrupt",
+            Self::Terminate => "terminate",
+            Self::HangUp => "hangup",
+        }
+    }
+}
+
+/// Has signals remove temporary files before they end the process. Once is enough.
+pub fn install() {
+    static INSTALLED: Once = Once::new();
+    INSTALLED.call_once(|| {
+        if let Err(error) = handle_signals() {
+            terminal::warning(format_args!("Ctrl-C will end this without a result: {error}"));
         }
     });
-    if let Err(error) = handler {
-        eprintln!("warning: Ctrl-C will end this without a result: {error}");
+}
+
+#[cfg(unix)]
+fn handle_signals() -> std::io::Result<()> {
+    let mut signals = signal_hook::iterator::Signals::new([INTERRUPT, TERMINATE])?;
+    if !hang_up_is_ignored() {
+        signals.add_signal(HANG_UP)?;
     }
+    std::thread::Builder::new()
+        .name("signals".to_owned())
+        .spawn(move || signals.forever().for_each(received))?;
+    Ok(())
+}
+
+/// Whether this process was started to survive its terminal, as far as the system tells.
+#[cfg(unix)]
+fn hang_up_is_ignored() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    // A bit for each signal, the first the lowest.
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask >> (HANG_UP - 1) & 1 == 1)
+}
+
+#[cfg(not(unix))]
+fn handle_signals() -> Result<(), ctrlc::Error> {
+    ctrlc::set_handler(|| received(INTERRUPT))
+}
+
+fn received(signal: i32) {
+    let again = REQUESTED.load(Ordering::Relaxed);
+    match RESPONSE.load(Ordering::Relaxed) {
+        WAIT => {}
+        EXIT if !again => {}
+        _ => {
+            temporary::remove_all();
+            std::process::exit(128 + signal);
+        }
+    }
+    if !again {
+        SIGNAL.store(signal, Ordering::Relaxed);
+        REQUESTED.store(true, Ordering::Release);
+    }
+}
+
+/// From here on, the wish is noted in place of the process's end.
+pub fn listen(again: Again) {
+    let response = match again {
+        Again::Exit => EXIT,
+        Again::Wait => WAIT,
+    };
+    RESPONSE.store(response, Ordering::Relaxed);
+    install();
 }
 
 /// Whether somebody has asked for the end.
 #[must_use]
 pub fn requested() -> bool {
-    REQUESTED.load(Ordering::Relaxed)
+    REQUESTED.load(Ordering::Acquire)
+}
+
+/// What asked for the end, if anything did.
+#[must_use]
+pub fn signal() -> Option<Signal> {
+    requested().then(|| match SIGNAL.load(Ordering::Relaxed) {
+        HANG_UP => Signal::HangUp,
+        TERMINATE => Signal::Terminate,
+        _ => Signal::Interrupt,
+    })
+}
+
+/// The flag that becomes true when somebody asks for the end.
+#[must_use]
+pub fn flag() -> &'static AtomicBool {
+    &REQUESTED
 }

@@ -15,12 +15,14 @@
 //! | [`analysis`] | the theorems' constants and bounds, held against a run |
 //! | [`figures`], [`report`] | pictures; tables and CSV files |
 //! | [`progress`], [`output_file`], [`fnv`] | progress bars; files that are whole or not there; a hash |
-//! | [`shell`], [`interruption`] | command lines for people to copy; Ctrl-C |
+//! | [`terminal`] | the one place that prints |
+//! | [`shell`], [`interruption`] | command lines for people to copy; Ctrl-C and other signals |
 //! | [`signing`] | the operator's keys, for packages of weights |
 //! | [`tensors`] | networks from and for PyTorch, JAX and NumPy |
 //! | [`warning`] | what a person should know about a scenario, a training or a run |
 //! | [`commands`] | what the command line does |
 #![forbid(unsafe_code)]
+#![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod analysis;
 pub mod commands;
@@ -45,5 +47,6 @@ pub mod service;
 pub mod shell;
 pub mod signing;
 pub mod tensors;
+pub mod terminal;
 pub mod training;
 pub mod warning;

@@ -21,7 +21,7 @@ use ed25519_dalek::{SECRET_KEY_LENGTH, Signer, SigningKey};
 use sha2::{Digest, Sha256};
 use zeroize::Zeroizing;
 
-use crate::output_file::{OutputError, write_whole};
+use crate::output_file::{FileKind, OutputError, write_whole};
 
 /// A key could not be made, written or read.
 #[derive(Debug, thiserror::Error)]
@@ -172,7 +172,7 @@ impl OperatorKey {
     /// # Errors
     /// [`KeyFileError::WritePublic`]; the file is then as it was before.
     pub fn write_public(&self, path: &Path) -> Result<(), KeyFileError> {
-        write_whole(path, |file| {
+        write_whole(path, FileKind::NEW, |file| {
             let pem = PublicKeyBytes(self.public_key_bytes())
                 .to_public_key_pem(LineEnding::LF)
                 .map_err(|error| io::Error::other(error.to_string()))?;

@@ -11,6 +11,7 @@ mod emulate;
 mod firmware;
 mod fuzz;
 mod host;
+mod install;
 mod machine_code;
 mod packages;
 mod project;
@@ -27,6 +28,7 @@ const HELP: &str = "\
 Usage: cargo xtask <task> [--debian]
        cargo xtask firmware --board BOARD|all [--public-key HEX] [--debian]
        cargo xtask new PATH [--board BOARD]
+       cargo xtask install [--prefix PREFIX] [--debian]
        cargo xtask soak [--steps N] [--seed S] [--debian]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
 
@@ -42,6 +44,9 @@ Tasks:
           (`weights keygen` prints the key)
   new     make a project of your own in the folder PATH: the node's crates with one board's
           program and memory map (qemu-mps2-an386 if none is named); it builds on its own
+  install put the program at PREFIX/bin/host-sim and, for `host-sim cosim` outside of this project,
+          the emulated board's firmware and memory map in PREFIX/share/host-sim; PREFIX is
+          ~/.local if none is named
   size    what the firmware of the emulated board takes of flash, RAM and stack, against its
           budgets
   soak    three nodes of the emulated board's firmware beside the same code on the host, for N
@@ -81,6 +86,10 @@ fn main() -> ExitCode {
         },
         ["new", ref rest @ ..] => match project::Options::read(rest) {
             Some(options) => project::new(&options),
+            None => return usage(),
+        },
+        ["install", ref rest @ ..] => match install::Options::read(rest) {
+            Some(options) => install::install(&options, debian),
             None => return usage(),
         },
         ["soak", ref rest @ ..] => match soak::Options::read(rest) {

@@ -187,7 +187,7 @@ impl<'m> BlockCholesky<'m> {
             }
         }
         let mut tail = Cholesky::new(dense_order, Arch::new());
-        if !tail.factor(&dense, 0.0) {
+        if !tail.factor(&dense, 0.0, &|| false) {
             return None;
         }
         drop(dense);

@@ -146,7 +146,7 @@ impl<'s> Search<'s> {
     /// Solves with this damping; returns whether there is a solution inside the ball.
     fn damped(&mut self, matrix: &[f64], right: &[f64], damping: f64) -> bool {
         self.solution.copy_from_slice(right);
-        self.cholesky.solve(matrix, damping, &mut self.solution)
+        self.cholesky.solve(matrix, damping, &mut self.solution, &|| false)
             && dot(&self.solution, &self.solution).sqrt() <= self.radius
     }
 

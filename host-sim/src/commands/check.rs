@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
-use super::{CommandError, Format, load_scenario, print_json, print_text, warnings};
+use super::{CommandError, Format, load_scenario, print_outcome, print_text, warnings};
 use crate::analysis::DesignChecks;
 use crate::engine::RunError;
 use crate::plant::RateFault;
@@ -38,28 +38,34 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let scenario = load_scenario(&arguments.scenario)?;
     let design = DesignChecks::new(&scenario);
     let warnings = warnings::before(&scenario, &design);
-    match arguments.format {
-        Format::Json => print_json(&Report {
-            scenario: &scenario.name,
-            agents: scenario.agents.len(),
-            dimension: scenario.dimension(),
-            steps: scenario.steps(),
-            checks: DesignReport::new(&design),
-            warnings: &warnings,
-        })?,
-        Format::Text => print_text(&text(&scenario, &design, &warnings))?,
-    }
     let state = &scenario.initial_state;
-    if let Some(fault) = RateFault::find(&scenario.plant, &scenario.disturbance, 0.0, state) {
-        return Err(RunError::Expression(Box::new(fault)).into());
+    let fault = RateFault::find(&scenario.plant, &scenario.disturbance, 0.0, state);
+    let outcome = if let Some(fault) = fault {
+        Err(RunError::Expression(Box::new(fault)).into())
+    } else if design.step.is_stable() {
+        Ok(())
+    } else {
+        let name = &scenario.name;
+        let problem = format!("a run of scenario {name} would be unstable, as told above");
+        Err(CommandError::Unstable(problem))
+    };
+    match arguments.format {
+        Format::Json => {
+            let report = Report {
+                scenario: &scenario.name,
+                agents: scenario.agents.len(),
+                dimension: scenario.dimension(),
+                steps: scenario.steps(),
+                checks: DesignReport::new(&design),
+                warnings: &warnings,
+            };
+            print_outcome(&report, outcome)
+        }
+        Format::Text => {
+            let printed = print_text(&text(&scenario, &design, &warnings));
+            outcome.and(printed)
+        }
     }
-    if design.step.is_stable() {
-        return Ok(());
-    }
-    let name = &scenario.name;
-    Err(CommandError::Unstable(format!(
-        "a run of scenario {name} would be unstable, as told above"
-    )))
 }
 
 fn text(scenario: &Scenario, design: &DesignChecks, warnings: &[Warning]) -> String {

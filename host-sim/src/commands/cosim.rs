@@ -1,21 +1,22 @@
 //! `cosim`: a scenario together with nodes that are really there.
 
 use std::fmt::Write;
-use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
 use clap::Args;
 
+use super::firmware::{self, Firmware};
 use super::warnings;
-use super::{CommandError, Common, Format, SharedProgress, load_scenario, print_json, print_text};
+use super::{
+    CommandError, Common, Format, SharedProgress, load_scenario, print_outcome, print_text,
+};
 use crate::analysis::StepCheck;
 use crate::cosim::endpoint::{Endpoint, for_agents};
 use crate::cosim::fault::{Fault, NodeError};
-use crate::cosim::qemu::{Channel, MACHINE, PROGRAM, Qemu};
+use crate::cosim::qemu::{Channel, PROGRAM, Qemu};
 use crate::cosim::{CosimReport, Service, Setup, board::Board, cosimulate};
 use crate::interruption::{self, Again};
 use crate::memory_map::MemoryMap;
@@ -23,6 +24,7 @@ use crate::packages::PackageBytes;
 use crate::progress::ProgressBars;
 use crate::scenario::Scenario;
 use crate::shell::shell_word;
+use crate::terminal;
 use crate::warning::{Warning, WarningCode};
 
 /// Arguments of `cosim`.
@@ -44,10 +46,11 @@ pub(super) struct Arguments {
     /// Leaves the scenario's learning cycles out
     #[arg(long)]
     without_learning: bool,
-    /// What emulated nodes run [default: what `cargo xtask firmware --board qemu-mps2-an386` builds]
+    /// What emulated nodes run [default: what `cargo xtask firmware --board qemu-mps2-an386` builds in
+    /// the project that the current folder lies in, else what `cargo xtask install` has installed]
     #[arg(long, value_name = "ELF")]
     firmware: Option<PathBuf>,
-    /// The memory map that it was linked with [default: the project's memory.x]
+    /// The memory map that it was linked with [default: memory.x of the project or the installation]
     #[arg(long, value_name = "MEMORY.X")]
     memory: Option<PathBuf>,
     /// The emulator
@@ -109,7 +112,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         stop: Arc::default(),
     });
     if arguments.serve.is_some() && arguments.common.format == Format::Text {
-        eprintln!("{}", served(arguments, endpoints.len()));
+        terminal::note(served(arguments, endpoints.len()));
     }
     let bars = ProgressBars::new("co-simulating");
     let done = AtomicU64::new(0);
@@ -117,16 +120,20 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let setup = Setup { start, timeout };
     let report = cosimulate(&scenario, arguments.common.seed, setup, service.as_ref(), &progress)?;
     bars.finish();
-    match arguments.common.format {
-        Format::Json => print_json(&report)?,
-        Format::Text => print_text(&text(&scenario, arguments, &report))?,
-    }
-    match &report.first_mismatch {
+    let outcome = match &report.first_mismatch {
         None => Ok(()),
         Some(first) => Err(CommandError::Mismatches(format!(
             "{} steps of nodes differ from the simulated ones, first {first}",
             report.mismatches
         ))),
+    };
+    match arguments.common.format {
+        Format::Json => print_outcome(&report, outcome),
+        Format::Text => {
+            let printed = print_text(&text(&scenario, arguments, &report));
+            // Mismatches count, whether anyone reads of them or not.
+            outcome.and(printed)
+        }
     }
 }
 
@@ -165,67 +172,10 @@ fn scenario(arguments: &Arguments) -> Result<Scenario, CommandError> {
 }
 
 fn emulator(arguments: &Arguments, timeout: Duration) -> Result<Qemu, CommandError> {
-    let memory = match &arguments.memory {
-        Some(memory) => memory.clone(),
-        None => workspace("--memory MEMORY.X")?.join("memory.x"),
-    };
+    let Firmware { program, memory } =
+        firmware::find(arguments.firmware.as_deref(), arguments.memory.as_deref())?;
     let region = MemoryMap::read(&memory)?.weights()?;
-    let firmware = match &arguments.firmware {
-        Some(firmware) if !firmware.is_file() => {
-            let problem = format!("{}: there is no such file", firmware.display());
-            return Err(CommandError::Usage(format!(
-                "{problem}; name the firmware's ELF file, or leave --firmware out to have it built"
-            )));
-        }
-        Some(firmware) => firmware.clone(),
-        None => build_firmware(&workspace("--firmware ELF")?)?,
-    };
-    Ok(Qemu { program: arguments.qemu.clone(), firmware, region, timeout })
-}
-
-/// The folder of the project: around the current one, or where this program was built.
-fn workspace(otherwise: &str) -> Result<PathBuf, CommandError> {
-    let is_project = |folder: &&Path| folder.join("firmware-template/Cargo.toml").is_file();
-    let current = std::env::current_dir()?;
-    let built = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let found = current.ancestors().chain(built.ancestors()).find(is_project);
-    found.map(Path::to_owned).ok_or_else(|| {
-        CommandError::Usage(format!(
-            "this is no folder of the project, whose firmware and memory.x are needed; change into \
-             it, or give {otherwise}"
-        ))
-    })
-}
-
-/// Builds the firmware of emulated nodes; what the build says goes to standard error.
-fn build_firmware(workspace: &Path) -> Result<PathBuf, CommandError> {
-    let line = format!("cargo xtask firmware --board qemu-{MACHINE}");
-    let failed = |what: String| {
-        CommandError::Firmware(format!("`{line}` {what}; mend that, or give --firmware ELF"))
-    };
-    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let mut build = Command::new(cargo)
-        .args(line.split(' ').skip(1))
-        .current_dir(workspace)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .spawn()
-        .map_err(|error| failed(format!("cannot be started: {error}")))?;
-    let mut firmware = None;
-    if let Some(output) = build.stdout.take() {
-        for line in BufReader::new(output).lines() {
-            let line = line?;
-            match line.strip_prefix("firmware: ") {
-                Some(path) => firmware = Some(workspace.join(path)),
-                None => eprintln!("{line}"),
-            }
-        }
-    }
-    let status = build.wait()?;
-    if !status.success() {
-        return Err(failed(format!("fails ({status})")));
-    }
-    firmware.ok_or_else(|| failed("does not say where the firmware is".to_owned()))
+    Ok(Qemu { program: arguments.qemu.clone(), firmware: program, region, timeout })
 }
 
 fn text(scenario: &Scenario, arguments: &Arguments, report: &CosimReport) -> String {

@@ -1,14 +1,19 @@
 //! What the command line does.
 //!
 //! Standard output carries results: text for people, or one JSON object with
-//! `--format json`. Progress goes to standard error, and only to a terminal. Exit codes: 0
-//! done, 2 bad usage or bad input, 1 anything else.
+//! `--format json`, also for errors. Messages go to standard error; so does progress, and only to a
+//! terminal. Exit codes: 0 done; 2 bad usage, bad input, or refused; 1 anything else; 128 and the
+//! number of the signal that ended it. Whoever stops reading the output (`head`) changes no
+//! exit code, and whatever happens to the messages changes nothing else.
 
 mod agent_table;
 mod baselines;
 mod check;
 #[cfg(unix)]
 mod cosim;
+mod error;
+#[cfg(unix)]
+mod firmware;
 mod health;
 #[cfg(unix)]
 mod monitor;
@@ -18,6 +23,7 @@ mod node;
 mod push;
 mod reproduce;
 mod run;
+mod run_folder;
 mod scenario;
 mod seeds;
 mod summary;
@@ -40,6 +46,7 @@ use crate::engine::{Progress, RunError};
 use crate::figures::FigureError;
 use crate::flash::FlashError;
 use crate::image::ImageError;
+use crate::interruption;
 use crate::memory_map::MemoryMapError;
 use crate::output_file::OutputError;
 use crate::packages::trained::TrainedError;
@@ -50,6 +57,7 @@ use crate::scenario::{Network, Scenario, ScenarioError, built_in};
 use crate::service::{ServiceError, address::AddressError, push::PushError};
 use crate::signing::KeyFileError;
 use crate::tensors::TensorError;
+use crate::terminal;
 use crate::training::EpochReport;
 
 /// Simulates distributed, event-triggered state estimation with deep networks.
@@ -159,6 +167,12 @@ enum CommandError {
     File(#[from] OutputError),
     #[error(transparent)]
     Figure(#[from] FigureError),
+    #[error(
+        "{}: another command is writing its results into this folder; wait for its end, or name \
+         another folder with --out",
+        path.display()
+    )]
+    FolderInUse { path: PathBuf },
     #[error("cannot write to standard output: {0}")]
     Output(#[from] std::io::Error),
     #[error("{0}")]
@@ -189,60 +203,20 @@ enum CommandError {
     #[cfg(unix)]
     #[error("{0}")]
     Node(String),
-}
-
-impl CommandError {
-    fn exit_code(&self) -> ExitCode {
-        match self {
-            Self::Scenario(_)
-            | Self::Usage(_)
-            | Self::Refused { .. }
-            | Self::Draft(_)
-            | Self::Key(_)
-            | Self::Tensors(_)
-            | Self::MemoryMap(_)
-            | Self::Image(_)
-            | Self::Package(_)
-            | Self::Recording(_)
-            | Self::Run(
-                RunError::Refused { .. }
-                | RunError::PackageNode { .. }
-                | RunError::PackageLayers { .. }
-                | RunError::PackageWithoutNetwork { .. },
-            ) => ExitCode::from(2),
-            Self::Flash(_)
-            | Self::Training(_)
-            | Self::NotPacked(_)
-            | Self::Run(_)
-            | Self::Seed { .. }
-            | Self::File(_)
-            | Self::Figure(_)
-            | Self::Output(_)
-            | Self::Unstable(_)
-            | Self::Threads(_) => ExitCode::from(1),
-            #[cfg(unix)]
-            Self::Cosim(CosimError::NoNetwork { .. } | CosimError::Health { .. }) => {
-                ExitCode::from(2)
-            }
-            #[cfg(unix)]
-            Self::Cosim(_)
-            | Self::Mismatches(_)
-            | Self::Firmware(_)
-            | Self::Address(_)
-            | Self::Service(_)
-            | Self::Push(_)
-            | Self::Node(_) => ExitCode::from(1),
-            #[cfg(unix)]
-            Self::Refusal { .. } => ExitCode::from(2),
-        }
-    }
+    /// A result that has been printed says it, too.
+    #[error(transparent)]
+    Printed(Box<Self>),
 }
 
 /// Parses the arguments of the process and does what they ask.
 #[must_use]
 pub fn main() -> ExitCode {
-    // clap itself leaves with 2 on bad usage and with 0 after help.
-    let line = CommandLine::parse();
+    interruption::install();
+    let json = error::json_wanted(std::env::args_os().skip(1));
+    let line = match CommandLine::try_parse() {
+        Ok(line) => line,
+        Err(problem) => return error::bad_usage(&problem, json),
+    };
     let done = match line.command.unwrap_or(Command::Reproduce(line.reproduce)) {
         Command::Reproduce(arguments) => {
             with_threads(arguments.common.threads, || reproduce::execute(&arguments))
@@ -270,14 +244,7 @@ pub fn main() -> ExitCode {
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
-        // Whoever read our output has gone, as `head` does: nothing is wrong.
-        Err(CommandError::Output(error)) if error.kind() == std::io::ErrorKind::BrokenPipe => {
-            ExitCode::SUCCESS
-        }
-        Err(error) => {
-            eprintln!("error: {error}");
-            error.exit_code()
-        }
+        Err(error) => error::report(&error, json),
     }
 }
 
@@ -294,27 +261,47 @@ fn with_threads(
 
 /// Prints `value` as one JSON object on a line of its own.
 fn print_json(value: &impl Serialize) -> Result<(), CommandError> {
-    use std::io::Write;
-    let mut output = std::io::stdout().lock();
-    serde_json::to_writer(&mut output, value).map_err(std::io::Error::from)?;
-    writeln!(output)?;
-    Ok(())
+    Ok(terminal::print_json(value)?)
 }
 
-/// Prints `text` as it is.
+/// Prints `text`.
 fn print_text(text: &str) -> Result<(), CommandError> {
-    use std::io::Write;
-    std::io::stdout().lock().write_all(text.as_bytes())?;
-    Ok(())
+    Ok(terminal::print(text)?)
 }
 
-/// The scenario in the file `path` or, where there is no such file, the built-in one of that name.
+/// Prints a result that says what `outcome` is: it then counts as told, and what became of the
+/// printing changes it only from a success.
+fn print_outcome(
+    result: &impl Serialize,
+    outcome: Result<(), CommandError>,
+) -> Result<(), CommandError> {
+    #[derive(Serialize)]
+    struct WithError<'r, R: Serialize> {
+        #[serde(flatten)]
+        result: &'r R,
+        #[serde(skip_serializing_if = "Option::is_none")]
+        error: Option<error::ErrorReport>,
+    }
+    let error = outcome.as_ref().err().map(error::ErrorReport::new);
+    let printed = print_json(&WithError { result, error });
+    match outcome {
+        Ok(()) => printed,
+        Err(error) => Err(CommandError::Printed(Box::new(error))),
+    }
+}
+
+/// The built-in scenario of that name, or the one in the file `path`. A built-in name is that of the
+/// scenario whatever lies in the current folder; `./NAME` is the file.
 fn load_scenario(path: &Path) -> Result<Scenario, CommandError> {
-    let name = path.to_str().filter(|_| !path.exists());
-    Ok(match name.and_then(|name| Some((name, built_in(name)?))) {
-        Some((name, text)) => Scenario::parse(name, text)?,
-        None => Scenario::load(path)?,
-    })
+    let Some((name, text)) = path.to_str().and_then(|name| Some((name, built_in(name)?))) else {
+        return Ok(Scenario::load(path)?);
+    };
+    if path.is_file() {
+        terminal::note(format_args!(
+            "{name} is the built-in scenario; write ./{name} for the file of that name"
+        ));
+    }
+    Ok(Scenario::parse(name, text)?)
 }
 
 /// The index, from 0, of the agent that the command line calls `number`, from 1.
@@ -333,12 +320,6 @@ fn network_of(scenario: &Scenario) -> Result<&Network, CommandError> {
         let problem = format!("scenario {name} has no network; add [network] and [outer_law]");
         CommandError::Usage(problem)
     })
-}
-
-/// Makes the folder for results before anything is computed for it.
-fn make_folder(folder: &Path) -> Result<(), CommandError> {
-    std::fs::create_dir_all(folder)
-        .map_err(|error| OutputError { path: folder.to_owned(), error }.into())
 }
 
 /// One of several runs that go on at the same time and share the progress bars.

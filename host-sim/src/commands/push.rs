@@ -14,6 +14,7 @@ use crate::packages::{PackageBytes, PackageFileError};
 use crate::progress::ProgressBars;
 use crate::service::push::{Progress, PushError};
 use crate::service::{Address, Conversation, LineError, ServiceError, push};
+use crate::terminal;
 
 /// Longest file that is sent: more than any slot holds. \[byte\]
 const LENGTH_MAX: u64 = 1 << 20;
@@ -116,7 +117,7 @@ fn read(arguments: &Arguments) -> Result<Vec<u8>, CommandError> {
         return Err(PackageFileError::TooLong { path: path.clone() }.into());
     }
     if let Err(error) = PackageBytes::new(&bytes) {
-        eprintln!("warning: {}: {error}; a node will refuse it", path.display());
+        terminal::warning(format_args!("{}: {error}; a node will refuse it", path.display()));
     }
     Ok(bytes)
 }

@@ -8,10 +8,11 @@ use clap::Args;
 use serde::Serialize;
 
 use super::baselines::Baseline;
+use super::run_folder::RunFolder;
 use super::seeds::{self, SeedRun};
 use super::trainings::{self, TrainingSummary};
-use super::{CommandError, Common, Format, SharedProgress, warnings, written};
-use super::{make_folder, print_json, print_text};
+use super::{CommandError, Common, Format, SharedProgress, print_outcome, print_text};
+use super::{warnings, written};
 use crate::analysis::Checks;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunOptions, RunResult, run};
@@ -86,13 +87,18 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     for cycle in &mut scenario.learning {
         cycle.recipe.clone_from(&arguments.recipe);
     }
-    make_folder(&arguments.out)?;
     let seed = arguments.common.seed;
     let end = seed.checked_add(arguments.seeds).ok_or_else(|| {
         let problem =
             format!("--seed {seed}: there are not {} seeds from there on", arguments.seeds);
         CommandError::Usage(problem + "; write a smaller one")
     })?;
+    let mut planned = written::planned(&scenario, "_without", false);
+    planned.extend(written::planned(&scenario, "_with", false));
+    planned.push("table1.csv".to_owned());
+    planned.extend((arguments.seeds > 1).then(|| "seeds.csv".to_owned()));
+    planned.extend(written::pictures(FIGURES.map(|(stem, _)| stem)));
+    let folder = RunFolder::claim(&arguments.out, &planned)?;
     let (runs, others) = simulate(&scenario, seed..end)?;
     let Runs { no_network, without, with } = &runs;
     let results = [no_network, without, with].map(|run| agent_results(run, &scenario.time));
@@ -110,27 +116,31 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         let first = SeedRun::new(seed, &with.agents, &scenario.time);
         [vec![first], others].concat()
     });
-    let out = &arguments.out;
+    let (out, stage) = (&arguments.out, folder.stage());
     let (files, figures) = rayon::join(
-        || write_tables(out, &scenario, &table, &runs, seeds.as_deref()),
-        || write_figures(out, &scenario, &runs),
+        || write_tables(stage, &scenario, &table, &runs, seeds.as_deref()),
+        || write_figures(stage, &scenario, &runs),
     );
-    files?;
-    let figures = figures?;
+    files.and(figures).map_err(|error| folder.placed(error))?;
+    let (_, others) = folder.publish(&scenario, seed)?;
     let seeds = seeds.map(|seeds| seeds::Report::new(&seeds, &no_network.agents, &without.agents));
     let trainings = trainings::summaries(&with.trainings);
+    let outcome = warnings::outcome(&checks);
     let elapsed_s = start.elapsed().as_secs_f64();
     match arguments.common.format {
-        Format::Json => print_json(&Report {
-            seed,
-            recipe: &arguments.recipe,
-            elapsed_s,
-            agents: agent_reports(&scenario.time, &runs),
-            trainings,
-            seeds,
-            checks: ChecksReport::new(&checks),
-            warnings: &warnings,
-        })?,
+        Format::Json => {
+            let report = Report {
+                seed,
+                recipe: &arguments.recipe,
+                elapsed_s,
+                agents: agent_reports(&scenario.time, &runs),
+                trainings,
+                seeds,
+                checks: ChecksReport::new(&checks),
+                warnings: &warnings,
+            };
+            print_outcome(&report, outcome)
+        }
         Format::Text => {
             let mut text = format!("\n{}\n", table.to_text());
             text += &seeds.map_or_else(String::new, |seeds| seeds.text());
@@ -138,20 +148,20 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             text += &checks::text(&checks);
             text += &warnings::lines(&warnings);
             text += "Figures, as SVG and PNG\n";
-            for (name, what) in figures {
+            for (name, what) in FIGURES {
                 text += &format!("  {}: {what}\n", out.join(name).display());
             }
             text += &format!(
-                "Tables in {}: table1.csv, {}traces, broadcast times and training as CSV\n\n\
+                "Tables in {}: table1.csv, {}traces, broadcast times and training as CSV\n{others}\n\
                  Recipe {}, seed {seed}, {elapsed_s:.2} s\n",
                 out.display(),
                 if arguments.seeds > 1 { "seeds.csv, " } else { "" },
                 arguments.recipe,
             );
-            print_text(&text)?;
+            let printed = print_text(&text);
+            outcome.and(printed)
         }
     }
-    warnings::unstable_run(&checks).map_or(Ok(()), |text| Err(CommandError::Unstable(text)))
 }
 
 /// The runs of the first seed, and the learned ones of the others, all in parallel.
@@ -227,12 +237,16 @@ fn write_tables(
     Ok(())
 }
 
-/// Writes the figures; returns the name of each and what it shows.
-fn write_figures(
-    out: &Path,
-    scenario: &Scenario,
-    runs: &Runs,
-) -> Result<[(&'static str, &'static str); 4], CommandError> {
+/// Name of each figure's files, and what it shows.
+const FIGURES: [(&str, &str); 4] = [
+    ("figure1", "estimation errors, inner networks held constant"),
+    ("figure2", "estimation errors, inner networks trained once"),
+    ("figure3", "broadcast times around the switch to the trained networks"),
+    ("figure4", "true state and every agent's estimate"),
+];
+
+/// Writes the figures.
+fn write_figures(out: &Path, scenario: &Scenario, runs: &Runs) -> Result<(), CommandError> {
     let Runs { no_network, without, with } = runs;
     let no_network = Some(no_network.agents.as_slice());
     let references = [None, Some(without.agents.as_slice())]
@@ -242,12 +256,6 @@ fn write_figures(
     let window = written::event_window(scenario);
     let event_ticks = written::events_of(with);
     let markers = written::markers(scenario);
-    let shown = [
-        ("figure1", "estimation errors, inner networks held constant"),
-        ("figure2", "estimation errors, inner networks trained once"),
-        ("figure3", "broadcast times around the switch to the trained networks"),
-        ("figure4", "true state and every agent's estimate"),
-    ];
     let draw = |index: usize| match index {
         0 => error_norms(&ErrorFigure {
             title: "Figure 1: untrained networks",
@@ -277,7 +285,7 @@ fn write_figures(
         }),
     };
     let figures: Vec<_> =
-        shown.iter().enumerate().map(|(index, (stem, _))| (*stem, draw(index))).collect();
+        FIGURES.iter().enumerate().map(|(index, (stem, _))| (*stem, draw(index))).collect();
     write_all(out, &figures)?;
-    Ok(shown)
+    Ok(())
 }

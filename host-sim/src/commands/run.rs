@@ -9,11 +9,10 @@ use serde::Serialize;
 
 use super::baselines::{Baseline, Baselines, Choice, Comparison, Plan, States, has_packages};
 use super::health::{self, HealthReport};
+use super::run_folder::RunFolder;
 use super::trainings::{self, TrainingSummary};
-use super::{
-    CommandError, Common, Format, SharedProgress, agent_table, warnings, written,
-};
-use super::{load_scenario, make_folder, print_json, print_text};
+use super::{CommandError, Common, Format, SharedProgress, agent_table, warnings, written};
+use super::{load_scenario, print_outcome, print_text};
 use crate::analysis::{Checks, DesignChecks};
 use crate::engine::{RunOptions, RunResult, run};
 use crate::figures::{
@@ -23,6 +22,7 @@ use crate::packages::PackageBytes;
 use crate::progress::ProgressBars;
 use crate::report::checks::{self, ChecksReport};
 use crate::scenario::Scenario;
+use crate::terminal::{self, one_line};
 use crate::warning::Warning;
 
 /// Arguments of `run`.
@@ -42,7 +42,8 @@ pub(super) struct Arguments {
     /// network as it starts [default: all where there is learning or a package, none elsewhere]
     #[arg(long, value_enum)]
     baselines: Option<Choice>,
-    /// Folder for figures and tables [default: out/NAME, with the scenario's name]
+    /// Folder for figures and tables [default: out/NAME, with the scenario's name, or
+    /// out/NAME-without-learning]
     #[arg(long)]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -93,27 +94,36 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
     let out = match &arguments.out {
         Some(out) => out.clone(),
+        None if arguments.without_learning => {
+            Path::new("out").join(format!("{}-without-learning", scenario.name))
+        }
         None => Path::new("out").join(&scenario.name),
     };
-    make_folder(&out)?;
+    let mut planned = written::planned(&scenario, "", true);
+    planned.push("agents.csv".to_owned());
+    planned.extend(written::pictures(["errors", "states", "events"]));
+    let folder = RunFolder::claim(&out, &planned)?;
     let design = DesignChecks::new(&scenario);
     let mut warnings = warnings::before(&scenario, &design);
     warnings::print(&warnings);
     let plan = Plan::new(&scenario, arguments.baselines);
     let (result, baselines) = simulate(&scenario, arguments.common.seed, plan)?;
     for warning in baselines.warnings() {
-        eprintln!("warning: {warning}");
+        terminal::warning(warning);
     }
     let checks = Checks::of(design, &scenario, &result);
     let found = warnings::after(&scenario, &result, &checks);
     let agents = agent_reports(&scenario, &result, &baselines);
     let trainings = trainings::summaries(&result.trainings);
-    let files = write_files(&out, &scenario, &result, &baselines, &agents)?;
+    write_files(folder.stage(), &scenario, &result, &baselines, &agents)
+        .map_err(|error| folder.placed(error))?;
+    let (files, others) = folder.publish(&scenario, arguments.common.seed)?;
+    let outcome = warnings::outcome(&checks);
     let elapsed_s = start.elapsed().as_secs_f64();
     match arguments.common.format {
         Format::Json => {
             warnings.extend(found);
-            print_json(&Report {
+            let report = Report {
                 scenario: &scenario.name,
                 seed: arguments.common.seed,
                 elapsed_s,
@@ -122,7 +132,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 trainings,
                 checks: ChecksReport::new(&checks),
                 warnings: &warnings,
-            })?;
+            };
+            print_outcome(&report, outcome)
         }
         Format::Text => {
             let mut text = packages_in_use(&scenario);
@@ -132,17 +143,16 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             text += &checks::text(&checks);
             text += &warnings::lines(&found);
             text += &format!(
-                "Written to {}: {}\n{}\nScenario {}, seed {}, {elapsed_s:.2} s\n",
+                "Written to {}: {}\n{others}\nScenario {}, seed {}, {elapsed_s:.2} s\n",
                 out.display(),
                 files.join(", "),
-                older_files(&out, &files),
                 scenario.name,
                 arguments.common.seed,
             );
-            print_text(&text)?;
+            let printed = print_text(&text);
+            outcome.and(printed)
         }
     }
-    warnings::unstable_run(&checks).map_or(Ok(()), |text| Err(CommandError::Unstable(text)))
 }
 
 /// Hands each package to its agent.
@@ -173,7 +183,7 @@ fn packages_in_use(scenario: &Scenario) -> String {
     let lines = agents.filter_map(|(index, agent)| {
         let bytes = agent.package.as_ref()?;
         let package = bytes.package();
-        let (version, recipe) = (package.version, package.provenance.recipe);
+        let (version, recipe) = (package.version, one_line(package.provenance.recipe));
         Some(format!("Agent {} starts with its package, version {version} ({recipe})\n", index + 1))
     });
     lines.collect()
@@ -211,20 +221,6 @@ fn simulate(
     Ok((result?, baselines))
 }
 
-/// A line that tells which files in `out` are not of this run, if there are any: nothing is
-/// deleted, but nothing is to be mistaken either.
-fn older_files(out: &Path, files: &[String]) -> String {
-    let Ok(entries) = std::fs::read_dir(out) else { return String::new() };
-    let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
-    let mut older: Vec<String> = names.filter(|name| !files.contains(name)).collect();
-    older.sort();
-    match older.len() {
-        0 => String::new(),
-        1..=12 => format!("Not of this run: {}\n", older.join(", ")),
-        count => format!("Not of this run: {count} other files there\n"),
-    }
-}
-
 fn agent_reports(
     scenario: &Scenario,
     result: &RunResult,
@@ -254,24 +250,22 @@ fn agent_reports(
         .collect()
 }
 
-/// Writes everything; returns the names of the files.
+/// Writes everything.
 fn write_files(
     out: &Path,
     scenario: &Scenario,
     result: &RunResult,
     baselines: &Baselines,
     agents: &[AgentReport],
-) -> Result<Vec<String>, CommandError> {
+) -> Result<(), CommandError> {
     agent_table::write_csv(&out.join("agents.csv"), agents)?;
     let (tables, figures) = rayon::join(
         || written::tables(out, "", scenario, result),
         || write_figures(out, scenario, result, baselines),
     );
-    let mut files = vec!["agents.csv".to_owned()];
-    files.extend(tables?);
-    files.extend(figures?);
-    files.extend(written::packages(out, result)?);
-    Ok(files)
+    tables?;
+    figures?;
+    written::packages(out, result)
 }
 
 fn write_figures(
@@ -279,7 +273,7 @@ fn write_figures(
     scenario: &Scenario,
     result: &RunResult,
     baselines: &Baselines,
-) -> Result<Vec<String>, CommandError> {
+) -> Result<(), CommandError> {
     let markers = written::markers(scenario);
     let event_ticks = written::events_of(result);
     let window = written::event_window(scenario);
@@ -320,6 +314,5 @@ fn write_figures(
         figures.push(("events", events(&figure)));
     }
     write_all(out, &figures)?;
-    let names = figures.iter().flat_map(|(stem, _)| [format!("{stem}.svg"), format!("{stem}.png")]);
-    Ok(names.collect())
+    Ok(())
 }

@@ -1,10 +1,10 @@
 //! `scenario`: prints a built-in scenario.
 
-use std::io::Write;
+use std::fmt::Write;
 
 use clap::Args;
 
-use super::CommandError;
+use super::{CommandError, print_text};
 use crate::scenario::BUILT_IN;
 
 /// Arguments of `scenario`.
@@ -15,15 +15,17 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
-    let mut output = std::io::stdout().lock();
     match &arguments.name {
         None => {
+            let mut list = String::new();
             for (name, text) in BUILT_IN {
                 // Every file says in its first line what it is.
                 let first = text.lines().next().unwrap_or_default().trim_start_matches("# ");
                 let more = if first.ends_with('.') { "" } else { " ..." };
-                writeln!(output, "{name:12} {first}{more}")?;
+                // Writing into a string cannot fail.
+                let _ = writeln!(list, "{name:12} {first}{more}");
             }
+            print_text(&list)
         }
         Some(wanted) => {
             let Some((_, text)) = BUILT_IN.iter().find(|(name, _)| name == wanted) else {
@@ -33,8 +35,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                     names.join(", ")
                 )));
             };
-            output.write_all(text.as_bytes())?;
+            print_text(text)
         }
     }
-    Ok(())
 }

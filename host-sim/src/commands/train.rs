@@ -15,14 +15,16 @@ use super::{
 };
 use crate::analysis::TriggerConstants;
 use crate::interruption::{self, Again};
+use crate::output_file::OutputFile;
 use crate::packages::trained::{INITIAL_VERSION, Prepared, Trained, TrainedError, TrainingTask};
 use crate::packages::{NodeContent, PackageBytes, Recording};
 use crate::progress::ProgressBars;
 use crate::scenario::{Recipe, Scenario};
 use crate::shell::shell_word;
 use crate::signing::OperatorKey;
+use crate::terminal;
 use crate::training::{EpochReport, StopReason};
-use crate::warning::Warning;
+use crate::warning::{Warning, WarningCode};
 
 /// Arguments of `train`.
 #[derive(Debug, Args)]
@@ -71,6 +73,8 @@ struct Report<'a> {
     samples: usize,
     epochs: usize,
     stopped_by: &'static str,
+    /// What asked for the end before training came to its own; `null` if nothing did.
+    stopped: Option<&'static str>,
     smoothing_window_s: f64,
     decimation: usize,
     training_error: f64,
@@ -108,6 +112,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         recording.outer_weights = Some(base.package().outer_weights.to_vec());
     }
     let version = version(arguments, base.as_ref())?;
+    // Before the work: what cannot be written need not be trained.
+    let output = OutputFile::prepare(&arguments.out, PackageBytes::KIND)?;
     let task = TrainingTask {
         scenario: &scenario,
         network,
@@ -125,7 +131,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let prepared = task.prepare(&recording).map_err(of_these)?;
     let told = prepared.warnings.len();
     prepared.warnings.iter().for_each(warn);
-    let trained = train(&task, prepared).map_err(of_these)?;
+    let mut trained = train(&task, prepared).map_err(of_these)?;
+    if trained.report.stop == StopReason::Callback {
+        // Whoever ends it gets the best so far, whatever that is; the other warnings say what.
+        trained.warnings.retain(|warning| warning.code != WarningCode::NotSwitchedIn);
+        trained.accepted = true;
+    }
     trained.warnings[told..].iter().for_each(warn);
     // Who interrupts it wants what there is.
     let interrupted = trained.report.stop == StopReason::Callback;
@@ -137,7 +148,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Some(key) => trained.package.signed(key),
         None => trained.package.clone(),
     };
-    package.save(&arguments.out)?;
+    output.write(|file| file.write_all(package.as_bytes()))?;
     let elapsed_s = start.elapsed().as_secs_f64();
     let report = report(arguments, &task, &recording, &trained, &package, elapsed_s);
     match arguments.common.format {
@@ -177,12 +188,9 @@ fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, Co
     if let Some(version) = arguments.package_version {
         return Ok(version);
     }
-    let replaced = if arguments.out.exists() {
-        // A file that is no package must not be replaced by mistake.
-        Some(PackageBytes::load(&arguments.out)?)
-    } else {
-        None
-    };
+    // Nothing else than a regular file is read; whether it may be replaced is found out later.
+    let replaced =
+        if arguments.out.is_file() { PackageBytes::load(&arguments.out).ok() } else { None };
     let before = base.into_iter().chain(&replaced).map(|package| package.package().version).max();
     Ok(before.unwrap_or(INITIAL_VERSION).saturating_add(1))
 }
@@ -196,13 +204,13 @@ fn train(task: &TrainingTask<'_>, prepared: Prepared<'_, '_>) -> Result<Trained,
         bars.epoch(task.agent + 1, task.cycle + 1, epoch.epoch, epoch.train);
         if interruption::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
-    let trained = prepared.carry_out(&mut report_epoch);
+    let trained = prepared.carry_out_until(&mut report_epoch, Some(interruption::flag()));
     bars.finish();
     trained
 }
 
 fn warn(warning: &Warning) {
-    eprintln!("warning: {warning}");
+    terminal::warning(warning);
 }
 
 fn report<'a>(
@@ -229,6 +237,10 @@ fn report<'a>(
         stopped_by: match trained.report.stop {
             StopReason::Callback => "interruption",
             stop => summary::reason(stop),
+        },
+        stopped: match trained.report.stop {
+            StopReason::Callback => interruption::signal().map(interruption::Signal::as_str),
+            _ => None,
         },
         smoothing_window_s: trained.smoothing_window,
         decimation: trained.decimation,
@@ -276,7 +288,7 @@ fn text(arguments: &Arguments, report: &Report<'_>) -> String {
         report.version,
         report.bytes,
         if report.signed { "signed" } else { "not signed" },
-        report.recipe,
+        terminal::one_line(report.recipe),
         report.seed,
         report.elapsed_s,
         shell_word(&arguments.out),

@@ -1,9 +1,11 @@
 //! What a person should know before a run takes its time, and after it.
 
+use super::CommandError;
 use crate::analysis::{Checks, DesignChecks, GainVerdict};
 use crate::engine::RunResult;
 use crate::report::number::significant;
 use crate::scenario::{Agent, Scenario};
+use crate::terminal;
 use crate::warning::{Warning, WarningCode};
 
 /// An agent that broadcasts in more than this share of the steps saves little.
@@ -12,7 +14,7 @@ const FREQUENT: f64 = 0.25;
 /// Prints warnings, a line each, on standard error.
 pub(super) fn print(warnings: &[Warning]) {
     for warning in warnings {
-        eprintln!("warning: {warning}");
+        terminal::warning(warning);
     }
 }
 
@@ -145,6 +147,11 @@ pub(super) fn unstable_run(checks: &Checks) -> Option<String> {
         significant(growth.last, 3),
         significant(growth.plant, 3),
     ))
+}
+
+/// How a command ends after a run with these checks.
+pub(super) fn outcome(checks: &Checks) -> Result<(), CommandError> {
+    unstable_run(checks).map_or(Ok(()), |text| Err(CommandError::Unstable(text)))
 }
 
 #[cfg(test)]

@@ -14,56 +14,68 @@ use crate::scenario::{LearningCycle, Scenario, Window};
 /// Length of the window that an event figure shows, in steps: as many as the paper's.
 const EVENT_WINDOW: f64 = 500.0;
 
+/// Names of all files that [`tables`], with this suffix, and [`packages`] may write.
+pub(super) fn planned(scenario: &Scenario, suffix: &str, learning: bool) -> Vec<String> {
+    let mut names: Vec<_> =
+        ["traces", "events", "training"].map(|stem| format!("{stem}{suffix}.csv")).into();
+    let cycles = scenario.learning.iter().zip(1..).filter(|_| learning);
+    for (agent, cycle) in
+        cycles.flat_map(|(cycle, number)| cycle.agents.iter().map(move |agent| (agent + 1, number)))
+    {
+        let stem = format!("agent{agent}_cycle{cycle}");
+        names.extend([format!("{stem}.weights"), format!("{stem}_samples.csv")]);
+    }
+    names
+}
+
+/// Names of the files of figures with these stems.
+pub(super) fn pictures<'s>(stems: impl IntoIterator<Item = &'s str>) -> Vec<String> {
+    stems.into_iter().flat_map(|stem| [format!("{stem}.svg"), format!("{stem}.png")]).collect()
+}
+
 /// Writes traces, broadcast times and training of a run as `NAMEsuffix.csv` in `folder`, as far
-/// as they were recorded; returns the names of the files.
+/// as they were recorded.
 pub(super) fn tables(
     folder: &Path,
     suffix: &str,
     scenario: &Scenario,
     run: &RunResult,
-) -> Result<Vec<String>, CommandError> {
+) -> Result<(), CommandError> {
     let name = |stem: &str| format!("{stem}{suffix}.csv");
-    let traces = || -> Result<_, OutputError> {
+    let traces = || -> Result<(), OutputError> {
         if run.traces.rows() == 0 {
-            return Ok(None);
+            return Ok(());
         }
         let names = scenario.plant.state_names();
-        write_traces(&folder.join(name("traces")), &run.traces, &names)?;
-        Ok(Some(name("traces")))
+        write_traces(&folder.join(name("traces")), &run.traces, &names)
     };
-    let events = || -> Result<_, OutputError> {
+    let events = || -> Result<(), OutputError> {
         if !scenario.record.events {
-            return Ok(None);
+            return Ok(());
         }
         let step_size = scenario.time.step_size;
-        write_events(&folder.join(name("events")), &events_of(run), step_size)?;
-        Ok(Some(name("events")))
+        write_events(&folder.join(name("events")), &events_of(run), step_size)
     };
     let (traces, events) = rayon::join(traces, events);
-    let mut names: Vec<String> = [traces?, events?].into_iter().flatten().collect();
+    traces?;
+    events?;
     if !run.trainings.is_empty() {
         write_epochs(&folder.join(name("training")), &epochs(run))?;
-        names.push(name("training"));
     }
-    Ok(names)
+    Ok(())
 }
 
 /// Writes the package of every training and, where they were recorded, the samples that it was
-/// trained on; returns the names of the files.
-pub(super) fn packages(folder: &Path, run: &RunResult) -> Result<Vec<String>, CommandError> {
-    let mut names = Vec::new();
+/// trained on.
+pub(super) fn packages(folder: &Path, run: &RunResult) -> Result<(), CommandError> {
     for training in &run.trainings {
         let stem = format!("agent{}_cycle{}", training.agent, training.cycle);
-        let package = format!("{stem}.weights");
-        training.package.save(&folder.join(&package))?;
-        names.push(package);
+        training.package.save(&folder.join(format!("{stem}.weights")))?;
         if let Some(recording) = &training.recording {
-            let samples = format!("{stem}_samples.csv");
-            recording.save(&folder.join(&samples))?;
-            names.push(samples);
+            recording.save(&folder.join(format!("{stem}_samples.csv")))?;
         }
     }
-    Ok(names)
+    Ok(())
 }
 
 /// Ticks of all broadcasts, an entry for each agent.

@@ -28,7 +28,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use crate::output_file::{OutputError, write_whole};
+use crate::output_file::{FileKind, OutputError, write_result};
 
 pub use error_norms::{ErrorFigure, error_axis_limit, error_norms};
 pub use events::{EventFigure, events};
@@ -63,10 +63,10 @@ impl Figure {
     /// A file that cannot be written.
     pub fn write(&self, folder: &Path, stem: &str) -> Result<[PathBuf; 2], FigureError> {
         let paths = ["svg", "png"].map(|extension| folder.join(format!("{stem}.{extension}")));
-        write_whole(&paths[0], |file| file.write_all(self.svg.as_bytes()))?;
+        write_result(&paths[0], FileKind::SVG, |file| file.write_all(self.svg.as_bytes()))?;
         let png =
             self.png().map_err(|error| FigureError::Render { path: paths[1].clone(), error })?;
-        write_whole(&paths[1], |file| file.write_all(&png))?;
+        write_result(&paths[1], FileKind::PNG, |file| file.write_all(&png))?;
         Ok(paths)
     }
 }

@@ -22,6 +22,7 @@
 
 mod encode;
 mod error;
+mod kind;
 mod tools;
 mod uf2;
 

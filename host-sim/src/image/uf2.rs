@@ -24,7 +24,7 @@ use super::{ERASED, Image, ImageError, Segment, check};
 pub(super) const PAYLOAD: usize = 256;
 
 /// Length of a block [bytes].
-const BLOCK: usize = 512;
+pub(super) const BLOCK: usize = 512;
 
 /// The first two words of a block and the last one.
 const MAGIC: [u32; 3] = [0x0A32_4655, 0x9E5D_5157, 0x0AB1_6F30];

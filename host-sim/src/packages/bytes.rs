@@ -7,7 +7,7 @@ use std::sync::Arc;
 use agent_core::network::{Architecture, InnerNetwork};
 use agent_core::package::{Envelope, NetworkPlace, Package, PackageError, signature_block};
 
-use crate::output_file::{OutputError, write_whole};
+use crate::output_file::{FileKind, OutputError, write_whole};
 use crate::signing::OperatorKey;
 
 /// Longest file that is read as a package: beyond the largest network of all. \[bytes\]
@@ -42,18 +42,6 @@ pub enum PackageFileError {
         /// The file.
         path: PathBuf,
     },
-    /// There is something else where a package is to be written.
-    #[error(
-        "{}: is there and is no weight package, so it is not replaced; name another file",
-        path.display()
-    )]
-    Other {
-        /// The file.
-        path: PathBuf,
-    },
-    /// The file cannot be written.
-    #[error(transparent)]
-    Write(#[from] OutputError),
     /// It is no package.
     #[error("{}: {error}; copy or make it anew", path.display())]
     Package {
@@ -65,6 +53,10 @@ pub enum PackageFileError {
 }
 
 impl PackageBytes {
+    /// The kind of its files.
+    pub const KIND: FileKind =
+        FileKind { name: "a weight package", recognises: |bytes| Self::new(bytes).is_ok() };
+
     /// Takes a copy of `bytes` if they decode as a package.
     ///
     /// # Errors
@@ -99,12 +91,9 @@ impl PackageBytes {
     /// is not.
     ///
     /// # Errors
-    /// [`PackageFileError::Other`] or [`PackageFileError::Write`].
-    pub fn save(&self, path: &Path) -> Result<(), PackageFileError> {
-        if path.exists() && Self::load(path).is_err() {
-            return Err(PackageFileError::Other { path: path.to_owned() });
-        }
-        Ok(write_whole(path, |file| file.write_all(self.as_bytes()))?)
+    /// See [`OutputError`].
+    pub fn save(&self, path: &Path) -> Result<(), OutputError> {
+        write_whole(path, Self::KIND, |file| file.write_all(self.as_bytes()))
     }
 
     /// The bytes.

@@ -2,6 +2,7 @@
 //! for a file of samples from anywhere.
 
 use std::ops::ControlFlow;
+use std::sync::atomic::AtomicBool;
 
 use agent_core::package::{OnSwitch, TrainingErrors};
 
@@ -158,18 +159,31 @@ impl Prepared<'_, '_> {
     /// # Errors
     /// See [`TrainedError`].
     pub fn carry_out(
+        self,
+        progress: &mut dyn FnMut(&EpochReport) -> ControlFlow<()>,
+    ) -> Result<Trained, TrainedError> {
+        self.carry_out_until(progress, None)
+    }
+
+    /// As [`Self::carry_out`]; once `stop` is true, training ends in the middle of an epoch.
+    ///
+    /// # Errors
+    /// See [`TrainedError`].
+    pub fn carry_out_until(
         mut self,
         progress: &mut dyn FnMut(&EpochReport) -> ControlFlow<()>,
+        stop: Option<&'static AtomicBool>,
     ) -> Result<Trained, TrainedError> {
         let task = self.task;
         let outer: Vec<f64> = self.outer_weights.iter().map(|&w| f64::from(w)).collect();
-        let (parameters, report) = training::train_inner_network(
+        let (parameters, report) = training::train_inner_network_until(
             &task.network.architecture,
             &outer,
             &self.cleaned.data,
             &task.recipe.settings(),
             task.task_seed(),
             progress,
+            stop,
         )?;
         let (low, high) = limits(&self.recording.samples);
         let trigger = TriggerConstants::new(task.scenario);

@@ -8,7 +8,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use crate::engine::traces::Traces;
-use crate::output_file::{OutputError, write_whole};
+use crate::output_file::{FileKind, OutputError, write_result};
 
 /// One line of a CSV file that is being written.
 pub struct Row<'a> {
@@ -72,7 +72,7 @@ pub fn write_table<T>(
     items: impl Iterator<Item = T>,
     mut write: impl FnMut(&mut Row<'_>, T) -> io::Result<()>,
 ) -> Result<(), OutputError> {
-    write_whole(path, |file| {
+    write_result(path, FileKind::TABLE, |file| {
         let writer = csv::WriterBuilder::new().buffer_capacity(1 << 16).from_writer(file);
         let mut row = Row { writer, float: ryu::Buffer::new() };
         row.writer.write_record(header)?;

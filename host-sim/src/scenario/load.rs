@@ -1,14 +1,20 @@
 //! From file to [`Scenario`]: the order in which its tables are read.
 
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::Path;
 
 use toml::de::DeTable;
 
-use super::error::ScenarioError;
+use super::error::{ScenarioError, closest};
 use super::reader::{Source, Table};
 use super::sections::{agents, gains, health, learning, network, plant, run};
 use super::{BUILT_IN, Scenario};
 use crate::fnv::Fnv;
+
+/// Longest file that is read as a scenario: room for thousands of agents with matrices of their own.
+/// \[byte\]
+const BYTES_MAX: u64 = 16 << 20;
 
 impl Scenario {
     /// Reads and checks a file.
@@ -18,15 +24,26 @@ impl Scenario {
     pub fn load(path: &Path) -> Result<Self, ScenarioError> {
         let file = path.display().to_string();
         let unread = Source { file: &file, text: "" };
-        let bytes = std::fs::read(path).map_err(|error| {
-            let names: Vec<_> = BUILT_IN.iter().map(|(name, _)| *name).collect();
+        let read = || {
+            let mut bytes = Vec::new();
+            File::open(path)?.take(BYTES_MAX + 1).read_to_end(&mut bytes)?;
+            Ok(bytes)
+        };
+        let bytes = read().map_err(|error: io::Error| {
+            let names = BUILT_IN.map(|(name, _)| name);
+            let meant = closest(&file, names).map_or(String::new(), |name| format!("{name}, "));
             let mend = format!(
-                "give the path of a scenario file, or write one of the built-in scenarios ({}) \
-                 to a file first",
-                names.join(", ")
+                "give {meant}the path of a scenario file, or the name of a built-in one ({}); \
+                 `host-sim scenario {} > mine.toml` writes a file to start from",
+                names.join(", "),
+                closest(&file, names).unwrap_or(names[0]),
             );
             unread.error(None, None, format_args!("cannot be read: {error}"), mend)
         })?;
+        if bytes.len() as u64 > BYTES_MAX {
+            let problem = format!("has more than {} MiB, which no scenario has", BYTES_MAX >> 20);
+            return Err(unread.error(None, None, problem, "give the path of a scenario file"));
+        }
         let text = String::from_utf8(bytes).map_err(|error| {
             let valid = &error.as_bytes()[..error.utf8_error().valid_up_to()];
             let line = valid.iter().filter(|&&byte| byte == b'\n').count() + 1;

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use agent_core::network::{INNER_LAYERS_MAX, NetworkError};
 
 use super::{FILE_BYTES_MAX, FileKind, activations};
+use crate::output_file::OutputError;
 
 /// Why a network cannot be read from or written to a file: file, array, problem and mend, in
 /// one line of text.
@@ -39,6 +40,9 @@ pub enum TensorProblem {
     /// The system cannot write the file.
     #[error("{0}; make sure that the folder can be written to and the disk is not full")]
     Write(#[source] io::Error),
+    /// Something else is there.
+    #[error("is not replaced: {0}")]
+    Refused(#[source] OutputError),
     /// The file is larger than any network.
     #[error(
         "is larger than {FILE_BYTES_MAX} bytes, more than any network takes; save only the inner layers and the outer weights"

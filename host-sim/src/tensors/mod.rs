@@ -36,7 +36,7 @@ pub use activations::{Activations, ActivationsSource};
 pub use array::Rounding;
 pub use error::{Extent, TensorError, TensorProblem};
 
-use crate::output_file::write_whole;
+use crate::output_file::{FileKind as OutputKind, OutputError, write_whole};
 
 /// Largest file that is read, in bytes. The largest network (8 layers of 64 nodes) takes
 /// 0.28 MB in float64; the rest is room for headers and comments.
@@ -100,6 +100,23 @@ impl FileKind {
         }
     }
 
+    /// Files that a network may take the place of: other networks.
+    #[must_use]
+    pub fn output_kind(self) -> OutputKind {
+        match self {
+            Self::Npz => OutputKind {
+                name: "a network (.npz)",
+                recognises: |bytes| from_bytes(Self::Npz, bytes, Activations::FromFile).is_ok(),
+            },
+            Self::Safetensors => OutputKind {
+                name: "a network (.safetensors)",
+                recognises: |bytes| {
+                    from_bytes(Self::Safetensors, bytes, Activations::FromFile).is_ok()
+                },
+            },
+        }
+    }
+
     /// The Python function that writes such files.
     fn writer(self) -> &'static str {
         match self {
@@ -137,8 +154,13 @@ pub fn read(
 pub fn write(path: &Path, arrays: &NetworkArrays) -> Result<(), TensorError> {
     let kind = FileKind::of(path)?;
     let bytes = to_bytes(kind, arrays).map_err(|problem| problem.of(path))?;
-    write_whole(path, |file| file.write_all(&bytes))
-        .map_err(|failed| TensorProblem::Write(failed.error).of(path))
+    write_whole(path, kind.output_kind(), |file| file.write_all(&bytes)).map_err(|failed| {
+        match failed {
+            OutputError::Write { error, .. } => TensorProblem::Write(error),
+            refused => TensorProblem::Refused(refused),
+        }
+        .of(path)
+    })
 }
 
 /// What a file holds, whatever its format.

@@ -45,12 +45,19 @@ impl Cholesky {
     /// Solves `(A + damping I) x = b` in place of `b`. `matrix` is A, row-major, shape
     /// `[order][order]`, of which the upper triangle is read.
     ///
-    /// Returns whether the matrix was positive definite; if not, `b` holds nothing of use.
+    /// Returns whether the matrix was positive definite; if not, `b` holds nothing of use. So it is
+    /// if `stopped` says so on the way; it is asked after every few million multiplications.
     ///
     /// # Panics
     /// If `matrix` or `b` is too short for the order.
-    pub(crate) fn solve(&mut self, matrix: &[f64], damping: f64, b: &mut [f64]) -> bool {
-        let positive = self.factor(matrix, damping);
+    pub(crate) fn solve(
+        &mut self,
+        matrix: &[f64],
+        damping: f64,
+        b: &mut [f64],
+        stopped: &dyn Fn() -> bool,
+    ) -> bool {
+        let positive = self.factor(matrix, damping, stopped);
         if positive {
             self.forward(b);
             self.backward(b);
@@ -59,18 +66,23 @@ impl Cholesky {
     }
 
     /// Factors `A + damping I`, with `matrix` as in [`Self::solve`]; returns whether it was
-    /// positive definite.
+    /// positive definite and `stopped` never said so.
     ///
     /// # Panics
     /// If `matrix` is too short for the order.
-    pub(crate) fn factor(&mut self, matrix: &[f64], damping: f64) -> bool {
+    pub(crate) fn factor(
+        &mut self,
+        matrix: &[f64],
+        damping: f64,
+        stopped: &dyn Fn() -> bool,
+    ) -> bool {
         for row in 0..self.order {
             let source = &matrix[row * self.order..][row..self.order];
             let target = &mut self.factor[row * self.stride..][row..self.order];
             target.copy_from_slice(source);
             target[0] += damping;
         }
-        self.factorise()
+        self.factorise(stopped)
     }
 
     /// Row `k` of U, from its diagonal on.
@@ -78,7 +90,7 @@ impl Cholesky {
         &self.factor[k * self.stride..][k..self.order]
     }
 
-    fn factorise(&mut self) -> bool {
+    fn factorise(&mut self, stopped: &dyn Fn() -> bool) -> bool {
         let (order, stride) = (self.order, self.stride);
         for first in (0..order).step_by(BLOCK) {
             let rows = BLOCK.min(order - first);
@@ -94,6 +106,9 @@ impl Cholesky {
                 }
             }
             for start in (next..order).step_by(BLOCK) {
+                if stopped() {
+                    return false;
+                }
                 let column = start / LANES * LANES;
                 self.arch.dispatch(PanelProduct {
                     left: &self.columns[start..order.min(start + BLOCK)],
@@ -222,7 +237,7 @@ mod tests {
             let mut results = Vec::new();
             for arch in instruction_sets() {
                 let mut x = b.clone();
-                assert!(Cholesky::new(order, arch).solve(&matrix, 0.5, &mut x));
+                assert!(Cholesky::new(order, arch).solve(&matrix, 0.5, &mut x, &|| false));
                 results.push(x);
             }
             assert!(results.iter().all(|x| *x == results[0]), "bits");
@@ -239,11 +254,15 @@ mod tests {
         let order = 40;
         let mut matrix = positive_definite(order);
         let mut cholesky = Cholesky::new(order, Arch::new());
-        assert!(cholesky.solve(&matrix, 0.0, &mut vec![1.0; order]));
+        assert!(cholesky.solve(&matrix, 0.0, &mut vec![1.0; order], &|| false));
+        assert!(!cholesky.solve(&matrix, 0.0, &mut vec![1.0; order], &|| true), "stopped");
         matrix[35 * order + 35] = -1.0;
-        assert!(!cholesky.solve(&matrix, 0.0, &mut vec![1.0; order]));
-        assert!(cholesky.solve(&matrix, 10.0, &mut vec![1.0; order]), "enough damping mends it");
+        assert!(!cholesky.solve(&matrix, 0.0, &mut vec![1.0; order], &|| false));
+        assert!(
+            cholesky.solve(&matrix, 10.0, &mut vec![1.0; order], &|| false),
+            "enough damping mends it"
+        );
         matrix[3] = f64::NAN;
-        assert!(!cholesky.solve(&matrix, 10.0, &mut vec![1.0; order]));
+        assert!(!cholesky.solve(&matrix, 10.0, &mut vec![1.0; order], &|| false));
     }
 }

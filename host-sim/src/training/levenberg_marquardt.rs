@@ -52,6 +52,12 @@ pub trait LeastSquares {
         None
     }
 
+    /// Whether training is to end at once. What the other methods return from then on is of no
+    /// use, and no step is taken on it.
+    fn stopped(&self) -> bool {
+        false
+    }
+
     /// Mean squared error on a test set, if there is one. Reported, never used.
     fn test_cost(&mut self, _parameters: &[f64]) -> Option<f64> {
         None
@@ -158,7 +164,7 @@ pub enum StopReason {
     DampingMax,
     /// The validation error was above its least for too many epochs in a row.
     Validation,
-    /// The progress callback asked for it.
+    /// The progress callback or [`LeastSquares::stopped`] asked for it.
     Callback,
     /// The error at the start is infinite or not a number.
     NotFinite,
@@ -188,7 +194,7 @@ pub struct EpochReport {
 pub struct TrainingReport {
     /// Why training ended.
     pub stop: StopReason,
-    /// All epochs, the start first.
+    /// All epochs, the start first; none if training was stopped before the start was evaluated.
     pub epochs: Vec<EpochReport>,
     /// The epoch whose parameters were returned.
     pub best_epoch: usize,
@@ -238,6 +244,14 @@ pub fn minimize<P: LeastSquares + ?Sized>(
         let epoch = epochs.len();
         let train = problem.normal_equations(&parameters, &mut step.hessian, &mut step.gradient);
         let validation = problem.validation_cost(&parameters);
+        let test = problem.test_cost(&parameters);
+        if problem.stopped() {
+            if epoch > 0 {
+                // Back to the epoch that has been reported last.
+                core::mem::swap(&mut parameters, &mut step.candidate);
+            }
+            break StopReason::Callback;
+        }
         if let Some(cost) = validation {
             match &best {
                 Some(best) if cost == best.cost => {}
@@ -253,7 +267,7 @@ pub fn minimize<P: LeastSquares + ?Sized>(
             epoch,
             train: problem.error_of_cost(&parameters, train),
             validation,
-            test: problem.test_cost(&parameters),
+            test,
             damping,
             gradient_norm: step.gradient_norm(),
             validation_failures: failures,
@@ -277,12 +291,18 @@ pub fn minimize<P: LeastSquares + ?Sized>(
             if damping > settings.damping_max {
                 break false;
             }
-            if step.attempt(&parameters, damping) && problem.cost(&step.candidate) < train {
+            let solved = step.attempt_unless(&parameters, damping, &|| problem.stopped());
+            if solved && problem.cost(&step.candidate) < train && !problem.stopped() {
                 break true;
+            }
+            if problem.stopped() {
+                break false;
             }
             damping *= settings.damping_increase;
         };
-        if !taken {
+        if !taken && problem.stopped() {
+            break StopReason::Callback;
+        } else if !taken {
             break StopReason::DampingMax;
         }
         core::mem::swap(&mut parameters, &mut step.candidate);
@@ -290,7 +310,7 @@ pub fn minimize<P: LeastSquares + ?Sized>(
         let damping_min = settings.damping_min.max(f64::MIN_POSITIVE);
         damping = (damping * settings.damping_decrease).max(damping_min);
     };
-    let last = epochs.len() - 1;
+    let last = epochs.len().saturating_sub(1);
     let (parameters, best_epoch) = match best {
         Some(best) => (best.parameters, best.epoch),
         None => (parameters, last),
@@ -328,8 +348,18 @@ impl Step {
     /// # Panics
     /// If `parameters` has another length than n.
     pub fn attempt(&mut self, parameters: &[f64], damping: f64) -> bool {
+        self.attempt_unless(parameters, damping, &|| false)
+    }
+
+    /// As [`Self::attempt`], also `false` soon after `stopped` says so.
+    fn attempt_unless(
+        &mut self,
+        parameters: &[f64],
+        damping: f64,
+        stopped: &dyn Fn() -> bool,
+    ) -> bool {
         self.candidate.copy_from_slice(&self.gradient);
-        let solved = self.cholesky.solve(&self.hessian, damping, &mut self.candidate);
+        let solved = self.cholesky.solve(&self.hessian, damping, &mut self.candidate, stopped);
         for (candidate, &parameter) in self.candidate.iter_mut().zip(parameters) {
             *candidate = parameter - *candidate;
         }

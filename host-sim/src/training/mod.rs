@@ -63,6 +63,7 @@ pub use weight_decay::WeightDecay;
 
 use agent_core::network::Architecture;
 use std::ops::ControlFlow;
+use std::sync::atomic::AtomicBool;
 
 /// How an inner network is trained.
 #[derive(Clone, Debug, PartialEq)]
@@ -128,6 +129,23 @@ pub fn train_inner_network(
     seed: u64,
     progress: &mut dyn FnMut(&EpochReport) -> ControlFlow<()>,
 ) -> Result<(Vec<f64>, TrainingReport), TrainingError> {
+    train_inner_network_until(architecture, outer_weights, dataset, settings, seed, progress, None)
+}
+
+/// As [`train_inner_network`]; once `stop` is true, training ends with the best of the epochs so
+/// far, in the middle of one, within tens of milliseconds.
+///
+/// # Errors
+/// As [`train_inner_network`].
+pub fn train_inner_network_until(
+    architecture: &Architecture,
+    outer_weights: &[f64],
+    dataset: &Dataset,
+    settings: &TrainingSettings,
+    seed: u64,
+    progress: &mut dyn FnMut(&EpochReport) -> ControlFlow<()>,
+    stop: Option<&'static AtomicBool>,
+) -> Result<(Vec<f64>, TrainingReport), TrainingError> {
     let mut division = dataset.divide(settings.split, seed)?;
     let scaling = settings.normalise.then(|| Scaling::of(&division.train));
     let mut outer_weights = outer_weights.to_vec();
@@ -138,6 +156,7 @@ pub fn train_inner_network(
     let Division { train, validation, test } = &division;
     let (validation, test) = (validation.as_ref(), test.as_ref());
     let problem = NetworkProblem::new(architecture, &outer_weights, train, validation, test)?;
+    let problem = problem.until(stop);
     let is_bias = weight_decay::biases(architecture);
     let mut problem = WeightDecay { problem, weight_decay: settings.weight_decay, is_bias };
     let mut start = settings.initial.draw(architecture, train, seed ^ START_STREAM)?;

@@ -19,6 +19,7 @@ use super::normal_matrix::NormalMatrix;
 use super::propagation::{BATCH, Propagation, layer_shapes};
 use agent_core::network::Architecture;
 use pulp::{Arch, Simd, WithSimd};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Most parameters that can be trained; JᵀJ then takes half a gigabyte.
 pub const PARAMETERS_MAX: usize = 8192;
@@ -70,6 +71,7 @@ pub struct NetworkProblem {
     propagation: Propagation,
     normal: NormalMatrix,
     residuals: Vec<f64>,
+    stop: Option<&'static AtomicBool>,
 }
 
 impl NetworkProblem {
@@ -123,7 +125,14 @@ impl NetworkProblem {
             propagation: Propagation::new(architecture, outer_weights, arch),
             normal: NormalMatrix::new(&layer_shapes(architecture), expected, arch),
             residuals: vec![0.0; expected * BATCH],
+            stop: None,
         })
+    }
+
+    /// The same problem, whose evaluations end early once `stop` is true.
+    #[must_use]
+    pub fn until(self, stop: Option<&'static AtomicBool>) -> Self {
+        Self { stop, ..self }
     }
 }
 
@@ -134,7 +143,8 @@ impl LeastSquares for NetworkProblem {
 
     fn cost(&mut self, parameters: &[f64]) -> f64 {
         self.propagation.set_parameters(parameters);
-        mean_squared_error(self.arch, &self.train, &mut self.propagation, &mut self.residuals)
+        let (propagation, residuals) = (&mut self.propagation, &mut self.residuals);
+        mean_squared_error(self.arch, &self.train, propagation, residuals, self.stop)
     }
 
     fn normal_equations(
@@ -147,6 +157,9 @@ impl LeastSquares for NetworkProblem {
         self.normal.clear();
         let mut sums = SquareSums::new();
         for batch in self.train.batches() {
+            if is_set(self.stop) {
+                return f64::NAN;
+            }
             let estimates = self.propagation.forward(batch.inputs);
             sums.add(self.arch, estimates, &batch, &mut self.residuals);
             self.propagation.backward();
@@ -156,28 +169,43 @@ impl LeastSquares for NetworkProblem {
         sums.total() / self.train.residual_count()
     }
 
+    fn stopped(&self) -> bool {
+        is_set(self.stop)
+    }
+
     fn validation_cost(&mut self, parameters: &[f64]) -> Option<f64> {
         self.propagation.set_parameters(parameters);
         let samples = self.validation.as_ref()?;
-        Some(mean_squared_error(self.arch, samples, &mut self.propagation, &mut self.residuals))
+        let (propagation, residuals) = (&mut self.propagation, &mut self.residuals);
+        Some(mean_squared_error(self.arch, samples, propagation, residuals, self.stop))
     }
 
     fn test_cost(&mut self, parameters: &[f64]) -> Option<f64> {
         self.propagation.set_parameters(parameters);
         let samples = self.test.as_ref()?;
-        Some(mean_squared_error(self.arch, samples, &mut self.propagation, &mut self.residuals))
+        let (propagation, residuals) = (&mut self.propagation, &mut self.residuals);
+        Some(mean_squared_error(self.arch, samples, propagation, residuals, self.stop))
     }
 }
 
-/// E over `samples`, for the parameters that `propagation` holds.
+/// Whether training is to end at once.
+fn is_set(stop: Option<&AtomicBool>) -> bool {
+    stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
+}
+
+/// E over `samples`, for the parameters that `propagation` holds; of no use once `stop` is true.
 fn mean_squared_error(
     arch: Arch,
     samples: &Samples,
     propagation: &mut Propagation,
     residuals: &mut [f64],
+    stop: Option<&AtomicBool>,
 ) -> f64 {
     let mut sums = SquareSums::new();
     for batch in samples.batches() {
+        if is_set(stop) {
+            break;
+        }
         sums.add(arch, propagation.forward(batch.inputs), &batch, residuals);
     }
     sums.total() / samples.residual_count()

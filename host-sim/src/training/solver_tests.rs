@@ -307,3 +307,62 @@ fn a_constant_start_keeps_the_nodes_of_a_layer_identical() {
         assert_close(&row[1..], &[row[0]; 2], 1e-9, 1e-12);
     }
 }
+
+/// A line whose evaluations are counted, and that is stopped during one of them.
+struct Stopped {
+    line: Line,
+    evaluations: std::cell::Cell<usize>,
+    at: usize,
+}
+
+impl LeastSquares for Stopped {
+    fn parameter_count(&self) -> usize {
+        self.line.parameter_count()
+    }
+
+    fn cost(&mut self, parameters: &[f64]) -> f64 {
+        self.evaluations.set(self.evaluations.get() + 1);
+        // What comes from an evaluation that was stopped would be taken for the best of all.
+        if self.stopped() { 0.0 } else { self.line.cost(parameters) }
+    }
+
+    fn normal_equations(&mut self, p: &[f64], hessian: &mut [f64], gradient: &mut [f64]) -> f64 {
+        self.evaluations.set(self.evaluations.get() + 1);
+        let cost = self.line.normal_equations(p, hessian, gradient);
+        if self.stopped() { 0.0 } else { cost }
+    }
+
+    fn stopped(&self) -> bool {
+        self.evaluations.get() > self.at
+    }
+}
+
+#[test]
+fn a_stop_in_the_middle_of_an_epoch_keeps_the_epochs_before() {
+    // Slow steps, so that there are many; each has two evaluations.
+    let settings = slow();
+    let start = vec![0.0; LINE.parameter_count()];
+    let mut all = Vec::new();
+    let keep = |problem: &mut dyn LeastSquares| {
+        minimize(problem, start.clone(), &settings, &mut |_| GO).unwrap()
+    };
+    for epochs_max in 0..4 {
+        let settings = LevenbergMarquardtSettings { epochs_max, ..slow() };
+        all.push(minimize(&mut { LINE }, start.clone(), &settings, &mut |_| GO).unwrap());
+    }
+    for at in 0..8 {
+        let mut problem = Stopped { line: LINE, evaluations: 0.into(), at };
+        let (parameters, report) = keep(&mut problem);
+        assert_eq!(report.stop, StopReason::Callback);
+        // One evaluation of the start, two for each further epoch.
+        assert_eq!(report.epochs.len(), at.div_ceil(2), "stopped after {at}");
+        match report.epochs.len() {
+            0 => assert_eq!((parameters, report.best()), (start.clone(), None)),
+            count => {
+                let (expected, full) = &all[count - 1];
+                assert_eq!((&parameters, &report.epochs), (expected, &full.epochs));
+                assert_eq!(report.best_epoch, count - 1);
+            }
+        }
+    }
+}

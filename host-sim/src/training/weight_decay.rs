@@ -78,6 +78,10 @@ impl<P: LeastSquares> LeastSquares for WeightDecay<P> {
         self.problem.validation_cost(parameters)
     }
 
+    fn stopped(&self) -> bool {
+        self.problem.stopped()
+    }
+
     fn test_cost(&mut self, parameters: &[f64]) -> Option<f64> {
         self.problem.test_cost(parameters)
     }

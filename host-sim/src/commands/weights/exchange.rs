@@ -90,10 +90,6 @@ pub(super) fn export(arguments: &Export) -> Result<(), CommandError> {
         inner: package.network.parameters().to_vec(),
         outer: package.outer_weights.to_vec(),
     };
-    if arguments.out.exists() && tensors::read(&arguments.out, Activations::FromFile).is_err() {
-        let problem = format!("{}: is there and holds no network", arguments.out.display());
-        return Err(CommandError::Usage(problem + ", so it is not replaced; name another file"));
-    }
     tensors::write(&arguments.out, &arrays)?;
     let report = Report {
         package: arguments.package.display().to_string(),

@@ -8,6 +8,7 @@ use agent_core::symmetric::SymmetricMatrix;
 use serde::Serialize;
 
 use crate::packages::PackageBytes;
+use crate::terminal;
 
 /// A package, told.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -224,7 +225,7 @@ impl Facts {
             "training",
             format!(
                 "recipe {}, seed {}, {} samples, mean squared error {} (held out: {})",
-                self.recipe,
+                terminal::one_line(&self.recipe),
                 self.seed,
                 self.samples,
                 error(self.training_error),

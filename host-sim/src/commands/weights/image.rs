@@ -10,11 +10,13 @@ use super::renamed;
 use crate::commands::{CommandError, Format, print_json, print_text};
 use crate::flash::{FlashTarget, ProbeRs};
 use crate::image::{self, Image, ToolUse, Uf2Family, commands_for};
+use crate::interruption::{self, Again};
 use crate::memory_map::MemoryMap;
 use crate::output_file::write_whole;
 use crate::packages::PackageBytes;
 use crate::packages::check::check;
 use crate::signing::read_public_key;
+use crate::terminal;
 
 /// Where in which memory.
 #[derive(Debug, Args)]
@@ -129,13 +131,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
     let (format, printed) = formats(arguments)?;
     let image = image(&arguments.package, &arguments.place)?;
-    let bytes = image.encode(format.with_family(arguments.family)?)?;
+    let encoding = format.with_family(arguments.family)?;
+    let bytes = image.encode(encoding)?;
     let ending = match image.slot() {
         Slot::A => format!(".slot-a.{format}"),
         Slot::B => format!(".slot-b.{format}"),
     };
     let out = arguments.out.clone().unwrap_or_else(|| renamed(&arguments.package, &ending));
-    write_whole(&out, |file| file.write_all(&bytes))?;
+    write_whole(&out, encoding.file_kind(), |file| file.write_all(&bytes))?;
     let commands = commands_for(&image, &out, format);
     if printed == Format::Json {
         return print_json(&Report {
@@ -216,12 +219,13 @@ pub(in crate::commands) fn flash(arguments: &FlashArguments) -> Result<(), Comma
         bytes: usize,
         verified: bool,
     }
+    interruption::listen(Again::Exit);
     let image = image(&arguments.package, &arguments.place)?;
     let program = ProbeRs::find(arguments.probe_rs.as_deref())?;
     let target = FlashTarget { chip: arguments.chip.clone(), probe: arguments.probe.clone() };
     program.flash(&target, &image, &mut |step| {
         if arguments.format == Format::Text {
-            eprintln!("{step}");
+            terminal::note(step);
         }
     })?;
     let report = Report {

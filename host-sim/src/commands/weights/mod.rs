@@ -12,6 +12,7 @@ use clap::{Args, Subcommand};
 use serde::Serialize;
 
 use super::{CommandError, Format, print_json, print_text};
+use crate::output_file::{FileKind, OutputFile};
 use crate::packages::check::check;
 use crate::packages::{Draft, PackageBytes};
 use crate::signing::{OperatorKey, fingerprint};
@@ -150,13 +151,19 @@ fn keygen(arguments: &Keygen) -> Result<(), CommandError> {
         PathBuf::from(name)
     };
     let (private, public) = (with_ending(".key"), with_ending(".pub"));
-    if public.exists() {
+    if public.symlink_metadata().is_ok() {
         let problem = format!("{}: exists already", public.display());
         return Err(CommandError::Usage(problem + "; choose another name, or move it away"));
     }
+    // The pair is there as a whole, or not at all.
+    drop(OutputFile::prepare(&public, FileKind::NEW)?);
     let key = OperatorKey::generate()?;
     key.write_new(&private)?;
-    key.write_public(&public)?;
+    if let Err(error) = key.write_public(&public) {
+        // Best effort: the error that is reported is the first one.
+        let _ = std::fs::remove_file(&private);
+        return Err(error.into());
+    }
     let report = Report {
         private_key: private.display().to_string(),
         public_key: public.display().to_string(),

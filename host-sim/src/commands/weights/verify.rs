@@ -7,7 +7,7 @@ use agent_core::signature::PublicKey;
 use clap::Args;
 use serde::Serialize;
 
-use crate::commands::{CommandError, Format, print_json, print_text};
+use crate::commands::{CommandError, Format, print_json, print_outcome, print_text};
 use crate::memory_map::MemoryMap;
 use crate::packages::check::check;
 use crate::packages::{PackageBytes, PackageFileError};
@@ -78,7 +78,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         | Err(error @ CommandError::Package(PackageFileError::Package { .. }))
             if arguments.format == Format::Json =>
         {
-            print_json(&Report {
+            let report = Report {
                 package: arguments.package.display().to_string(),
                 accepted: false,
                 refusal: Some(error.to_string()),
@@ -87,8 +87,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 signed: None,
                 key_fingerprint: None,
                 test_vectors: None,
-            })?;
-            return Err(error);
+            };
+            return print_outcome(&report, Err(error));
         }
         Err(error) => return Err(error),
     };

@@ -1,0 +1,120 @@
+//! `run.json`: what a folder of results holds, and how it came about.
+
+use std::collections::BTreeSet;
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::output_file::FileKind;
+use crate::packages::PackageBytes;
+use crate::scenario::Scenario;
+
+/// The manifest's name.
+pub(super) const NAME: &str = "run.json";
+
+/// Longest file that is read as one: names of the files of tens of thousands of agents. \[byte\]
+const BYTES_MAX: u64 = FileKind::BYTES_MAX;
+
+/// What a run leaves besides its results.
+#[derive(Debug, Deserialize, PartialEq, Serialize)]
+pub(super) struct Manifest {
+    /// Version of this program.
+    host_sim: String,
+    /// Name of the scenario.
+    scenario: String,
+    /// Hash of its text, hexadecimal, as packages hold it.
+    scenario_hash: String,
+    /// Seed of all that is random.
+    seed: u64,
+    /// The command line.
+    command: Vec<String>,
+    /// Whether all files are those of this run; if not, it was ended while they were put there.
+    pub(super) complete: bool,
+    /// Names of the files in the folder, sorted; this one is not among them.
+    pub(super) files: BTreeSet<String>,
+}
+
+impl Manifest {
+    pub(super) fn new(scenario: &Scenario, seed: u64) -> Self {
+        let words = std::env::args_os().map(|word| word.to_string_lossy().into_owned());
+        Self {
+            host_sim: env!("CARGO_PKG_VERSION").to_owned(),
+            scenario: scenario.name.clone(),
+            scenario_hash: format!("{:#018x}", scenario.hash),
+            seed,
+            command: words.collect(),
+            complete: false,
+            files: BTreeSet::new(),
+        }
+    }
+
+    /// The kind of its files.
+    pub(super) const KIND: FileKind =
+        FileKind { name: "a run's manifest", recognises: |bytes| Self::parse(bytes).is_some() };
+
+    fn parse(bytes: &[u8]) -> Option<Self> {
+        let mut manifest: Self = serde_json::from_slice(bytes).ok()?;
+        // What is not a plain name of a file in this very folder is never touched.
+        manifest.files.retain(|name| is_plain(name));
+        Some(manifest)
+    }
+
+    /// The manifest in `folder`, if there is one.
+    pub(super) fn read(folder: &Path) -> Option<Self> {
+        let mut bytes = Vec::new();
+        let path = folder.join(NAME);
+        let is_file = fs::symlink_metadata(&path).is_ok_and(|found| found.is_file());
+        let file = File::open(path).ok().filter(|_| is_file)?;
+        file.take(BYTES_MAX).read_to_end(&mut bytes).ok()?;
+        Self::parse(&bytes)
+    }
+
+    pub(super) fn write(&self, path: &Path) -> io::Result<()> {
+        let mut text = serde_json::to_string_pretty(self)?;
+        text.push('\n');
+        fs::write(path, text)
+    }
+}
+
+/// Whether `name` is that of a result in the folder itself.
+fn is_plain(name: &str) -> bool {
+    let letter = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
+    !name.starts_with('.') && name.chars().all(letter) && kind_of(name).is_some()
+}
+
+/// The kind of a result, by its name.
+pub(super) fn kind_of(name: &str) -> Option<FileKind> {
+    match Path::new(name).extension()?.to_str()? {
+        "csv" => Some(FileKind::TABLE),
+        "svg" => Some(FileKind::SVG),
+        "png" => Some(FileKind::PNG),
+        "weights" => Some(PackageBytes::KIND),
+        "json" => Some(Manifest::KIND).filter(|_| name == NAME),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_names_of_results_in_the_folder_are_taken_from_a_manifest() {
+        let mut manifest =
+            Manifest::new(&Scenario::parse("paper", crate::scenario::PAPER).unwrap(), 7);
+        manifest.files = ["traces.csv", "errors.svg", "agent1_cycle1.weights"]
+            .iter()
+            .map(|&name| name.to_owned())
+            .collect();
+        let sound = manifest.files.clone();
+        let hostile = ["../x.csv", "/etc/x.csv", "a/b.csv", "..", ".hidden.csv", "notes.txt", ""];
+        let hostile = hostile.iter().chain(&["a\\b.csv", "C:x.csv", "x.csv\u{0}", "other.json"]);
+        manifest.files.extend(hostile.map(|&name| name.to_owned()));
+        let text = serde_json::to_vec(&manifest).unwrap();
+        assert_eq!(Manifest::parse(&text).unwrap().files, sound);
+        assert!(Manifest::parse(&text[..text.len() - 1]).is_none());
+        assert!(Manifest::parse(b"{\"files\": [\"traces.csv\"]}").is_none());
+    }
+}

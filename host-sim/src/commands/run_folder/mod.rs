@@ -1,0 +1,216 @@
+//! The folder that a run's results go to: all of one run, or all of the run before.
+//!
+//! The results are written into a hidden folder inside and put in their places together, at the end.
+//! The manifest, [`manifest::NAME`], names them: the next run into this folder replaces exactly these
+//! files and removes those of them that it does not write itself. Other files are left alone; one
+//! that has the name of a result and is something else is refused before the run. Meanwhile the
+//! folder is locked for other runs; the lock ends with the process, however that ends.
+
+mod manifest;
+
+use std::collections::BTreeSet;
+use std::fs::{self, File, TryLockError};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use manifest::{Manifest, kind_of};
+
+use super::CommandError;
+use crate::figures::FigureError;
+use crate::output_file::temporary::{Temporary, is_temporary, uninterrupted};
+use crate::output_file::{OutputError, destination, make_folder, resemble};
+use crate::scenario::Scenario;
+use crate::terminal;
+
+/// A folder that is locked for one run.
+#[derive(Debug)]
+pub(super) struct RunFolder {
+    path: PathBuf,
+    /// Where the results are written.
+    stage: Temporary,
+    /// Names of the files of the run before.
+    before: BTreeSet<String>,
+    /// Held, not used.
+    _lock: Option<File>,
+}
+
+impl RunFolder {
+    /// Makes and locks the folder for a run that will write files of these names.
+    pub(super) fn claim(path: &Path, planned: &[String]) -> Result<Self, CommandError> {
+        make_folder(path)?;
+        let lock = lock(path)?;
+        remove_stages(path);
+        let before = Manifest::read(path).map(|manifest| manifest.files).unwrap_or_default();
+        for name in planned.iter().map(String::as_str).chain([manifest::NAME]) {
+            check(path, name, &before)?;
+        }
+        let stage = Temporary::folder(path)
+            .map_err(|error| OutputError::Write { path: path.to_owned(), error })?;
+        Ok(Self { path: path.to_owned(), stage, before, _lock: lock })
+    }
+
+    /// Where the results of this run are to be written, until [`Self::publish`].
+    pub(super) fn stage(&self) -> &Path {
+        self.stage.path()
+    }
+
+    /// An error about a staged file, with the place where the file was to go.
+    pub(super) fn placed(&self, error: CommandError) -> CommandError {
+        match error {
+            CommandError::File(OutputError::Write { path, error })
+            | CommandError::Figure(FigureError::Write(OutputError::Write { path, error })) => {
+                let name = path.strip_prefix(self.stage());
+                let path = name.map(|name| self.path.join(name)).unwrap_or(path.clone());
+                OutputError::Write { path, error }.into()
+            }
+            other => other,
+        }
+    }
+
+    /// Puts all that has been written in its place, and removes what is left of the run before.
+    /// Returns the names, and a line about what else is in the folder, if anything is.
+    pub(super) fn publish(
+        self,
+        scenario: &Scenario,
+        seed: u64,
+    ) -> Result<(Vec<String>, String), CommandError> {
+        let files = names_in(self.stage())
+            .map_err(|error| OutputError::Write { path: self.stage().to_owned(), error })?;
+        for name in &files {
+            check(&self.path, name, &self.before)?;
+        }
+        let mut manifest = Manifest::new(scenario, seed);
+        uninterrupted(|| self.put_in_place(&mut manifest, &files))?;
+        let others = others(&self.path, &files);
+        Ok((files.into_iter().collect(), others))
+    }
+
+    fn put_in_place(
+        &self,
+        manifest: &mut Manifest,
+        files: &BTreeSet<String>,
+    ) -> Result<(), OutputError> {
+        let place = |name: &str| self.path.join(name);
+        let named = |name: &str, error| OutputError::Write { path: self.path.join(name), error };
+        let staged = self.stage().join(manifest::NAME);
+        let write = |manifest: &Manifest| {
+            let written = manifest.write(&staged);
+            written
+                .and_then(|()| fs::rename(&staged, place(manifest::NAME)))
+                .map_err(|error| named(manifest::NAME, error))
+        };
+        // Both runs' files first: if the power fails from here on, the next run knows them all.
+        manifest.files = files.union(&self.before).cloned().collect();
+        write(manifest)?;
+        for name in files {
+            install(&self.stage().join(name), &place(name))?;
+        }
+        for name in self.before.difference(files) {
+            remove_result(&place(name)).map_err(|error| named(name, error))?;
+        }
+        manifest.files.clone_from(files);
+        manifest.complete = true;
+        write(manifest)
+    }
+}
+
+/// Locks the folder itself, so that there is no lock to be left behind.
+fn lock(path: &Path) -> Result<Option<File>, CommandError> {
+    let locked = File::open(path).map_err(TryLockError::Error).and_then(|folder| {
+        folder.try_lock()?;
+        Ok(folder)
+    });
+    match locked {
+        Ok(folder) => Ok(Some(folder)),
+        Err(TryLockError::WouldBlock) => Err(CommandError::FolderInUse { path: path.to_owned() }),
+        Err(TryLockError::Error(error)) => {
+            terminal::warning(format_args!(
+                "{}: cannot be locked ({error}); see that no other run writes into it",
+                path.display()
+            ));
+            Ok(None)
+        }
+    }
+}
+
+/// Refuses a name where something is that is not a result, nor one of the run `before`.
+fn check(folder: &Path, name: &str, before: &BTreeSet<String>) -> Result<(), OutputError> {
+    let path = folder.join(name);
+    let Some(kind) = kind_of(name) else { return Ok(()) };
+    let target = match fs::symlink_metadata(&path) {
+        Ok(found) if found.is_file() => Some(path.clone()),
+        Ok(found) if found.is_symlink() => destination(&path)?,
+        Ok(_) => None,
+        Err(_) => return Ok(()),
+    };
+    match target {
+        None => Err(OutputError::NotAFile { path, what: "a folder or a device" }),
+        Some(target) if target.exists() && !before.contains(name) && !kind.replaces(&target) => {
+            Err(OutputError::OtherKind { path, kind: kind.name })
+        }
+        Some(_) => Ok(()),
+    }
+}
+
+/// Moves a staged file to its place; a link that is there is written through.
+fn install(staged: &Path, place: &Path) -> Result<(), OutputError> {
+    let failed = |error| OutputError::Write { path: place.to_owned(), error };
+    let target = match fs::symlink_metadata(place) {
+        Ok(found) if found.is_symlink() => destination(place)?.unwrap_or_else(|| place.to_owned()),
+        _ => place.to_owned(),
+    };
+    if let Ok(before) = fs::metadata(&target) {
+        // A result that cannot be given back to its owner is still a result.
+        let _ = resemble(staged, &before);
+    }
+    match fs::rename(staged, &target) {
+        // A link into another file system.
+        Err(error) if error.kind() == io::ErrorKind::CrossesDevices => {
+            fs::copy(staged, &target).map(drop).map_err(failed)
+        }
+        moved => moved.map_err(failed),
+    }
+}
+
+/// Removes a file of the run before, if it still is one.
+fn remove_result(path: &Path) -> io::Result<()> {
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    let is_file = fs::symlink_metadata(path).is_ok_and(|found| found.is_file());
+    match kind_of(name) {
+        Some(kind) if is_file && kind.replaces(path) => fs::remove_file(path),
+        _ => Ok(()),
+    }
+}
+
+/// Removes what runs that were killed have left in a folder that is locked: nobody uses it.
+fn remove_stages(folder: &Path) {
+    for name in names_in(folder).unwrap_or_default().iter().filter(|name| is_temporary(name)) {
+        let path = folder.join(name);
+        // Best effort: it is hidden, and in nobody's way.
+        let is_folder = fs::symlink_metadata(&path).is_ok_and(|found| found.is_dir());
+        let _ = if is_folder { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+    }
+}
+
+fn names_in(folder: &Path) -> io::Result<BTreeSet<String>> {
+    let names = fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name()));
+    names.map(|name| name.map(|name| name.to_string_lossy().into_owned())).collect()
+}
+
+/// A line that tells which files in the folder are not of this run, if there are any: they are left
+/// alone, but nothing is to be mistaken either.
+fn others(folder: &Path, files: &BTreeSet<String>) -> String {
+    let mut others = names_in(folder).unwrap_or_default();
+    others.retain(|name| !files.contains(name) && name != manifest::NAME && !is_temporary(name));
+    match others.len() {
+        0 => String::new(),
+        1..=12 => {
+            let names: Vec<_> = others.iter().map(|name| terminal::one_line(name)).collect();
+            format!("Not of this run: {}\n", names.join(", "))
+        }
+        count => format!("Not of this run: {count} other files there\n"),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,160 @@
+//! The one place that prints, and that escapes what must not reach a terminal.
+//!
+//! Standard output carries results, standard error everything else. A standard error that is full
+//! or closed loses messages and nothing more. What standard output says is returned, and the caller
+//! decides: results that are already in files stay there whatever happens here.
+//!
+//! Names in files and messages come from others: a recipe's name could hold a sequence that clears
+//! the screen, or letters that turn the direction of a line. No control character reaches the
+//! output but the line ends and tabs of the text itself; each of the others is written as Rust
+//! escapes it, `\u{1b}`. Lines of a message after its first are indented, so that no name
+//! with a line end in it can pretend to be a message of its own.
+
+use std::borrow::Cow;
+use std::fmt::Display;
+use std::io::{self, Write};
+
+use serde::Serialize;
+
+/// Whether a terminal would act on this character, or show the text around it in another order.
+fn is_hidden(c: char) -> bool {
+    c.is_control()
+        || matches!(
+            c,
+            // Marks, embeddings, overrides and isolates of Unicode's bidirectional algorithm.
+            '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{206f}'
+            // Line and paragraph separators, interlinear annotations, tags.
+            | '\u{2028}' | '\u{2029}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}'
+        )
+}
+
+fn escaped(text: &str, stays: impl Fn(char) -> bool) -> Cow<'_, str> {
+    let escape = |c: char| is_hidden(c) && !stays(c);
+    if !text.chars().any(escape) {
+        return Cow::Borrowed(text);
+    }
+    let mut visible = String::with_capacity(text.len() + 16);
+    for c in text.chars() {
+        if escape(c) { visible.extend(c.escape_default()) } else { visible.push(c) }
+    }
+    Cow::Owned(visible)
+}
+
+/// `text` with every character escaped that a terminal would act on, but for line ends and tabs.
+#[must_use]
+pub fn visible(text: &str) -> Cow<'_, str> {
+    escaped(text, |c| matches!(c, '\n' | '\t'))
+}
+
+/// A name from a file, on one line whatever is in it.
+#[must_use]
+pub fn one_line(name: &str) -> Cow<'_, str> {
+    escaped(name, |_| false)
+}
+
+/// Prints a result.
+///
+/// # Errors
+/// What standard output says.
+pub fn print(text: &str) -> io::Result<()> {
+    write_output(visible(text).as_bytes())
+}
+
+/// Prints a result as one line of JSON.
+///
+/// # Errors
+/// What standard output says.
+pub fn print_json(value: &impl Serialize) -> io::Result<()> {
+    let mut line = json_text(value)?;
+    line.push('\n');
+    write_output(line.as_bytes())
+}
+
+/// `value` as JSON; what JSON itself does not escape and a terminal would act on is escaped, too.
+fn json_text(value: &impl Serialize) -> io::Result<String> {
+    use std::fmt::Write as _;
+    let json = serde_json::to_string(value).map_err(io::Error::from)?;
+    if !json.chars().any(is_hidden) {
+        return Ok(json);
+    }
+    let mut text = String::with_capacity(json.len() + 16);
+    for c in json.chars() {
+        if is_hidden(c) {
+            // Outside of strings, JSON has none of them.
+            for unit in c.encode_utf16(&mut [0; 2]) {
+                // Writing into a string cannot fail.
+                let _ = write!(text, "\\u{unit:04x}");
+            }
+        } else {
+            text.push(c);
+        }
+    }
+    Ok(text)
+}
+
+#[expect(clippy::disallowed_methods, reason = "the place that prints")]
+fn write_output(bytes: &[u8]) -> io::Result<()> {
+    let mut output = io::stdout().lock();
+    output.write_all(bytes)?;
+    output.flush()
+}
+
+/// Says `message` on standard error, as it is.
+pub fn note(message: impl Display) {
+    write_error(&visible(&format!("{message}\n")));
+}
+
+/// Warns on standard error.
+pub fn warning(message: impl Display) {
+    write_error(&labelled("warning", &message.to_string()));
+}
+
+/// Says on standard error why a command failed.
+pub fn error(message: impl Display) {
+    write_error(&labelled("error", &message.to_string()));
+}
+
+fn labelled(label: &str, message: &str) -> String {
+    format!("{label}: {}\n", visible(message).trim_end().replace('\n', "\n  "))
+}
+
+#[expect(clippy::disallowed_methods, reason = "the place that prints")]
+fn write_error(text: &str) {
+    // Standard error may be full or closed: then a message is lost, and nothing else.
+    let _ = io::stderr().lock().write_all(text.as_bytes());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn control_characters_become_visible_and_other_text_stays() {
+        for (text, shown) in [
+            ("Größe α → 3 µm\n\tnext", "Größe α → 3 µm\n\tnext"),
+            ("\u{1b}[2J", "\\u{1b}[2J"),
+            ("over\rwritten\u{8}", "over\\rwritten\\u{8}"),
+            ("\u{9b}31m\u{7f}", "\\u{9b}31m\\u{7f}"),
+            ("left\u{202e}right\u{2066}", "left\\u{202e}right\\u{2066}"),
+        ] {
+            assert_eq!(visible(text), shown);
+        }
+        assert_eq!(one_line("a\nb\tc"), "a\\nb\\tc");
+    }
+
+    #[test]
+    fn a_name_cannot_pretend_to_be_a_message() {
+        let message = labelled("error", "no such file: x\nerror: all is lost\r\n");
+        assert_eq!(message, "error: no such file: x\n  error: all is lost\\r\n");
+    }
+
+    #[test]
+    fn json_stays_json_and_reads_back_the_same() {
+        let names = ["\u{1b}[2J", "\u{9b}31m", "\u{202e}", "\u{e0041}", "Größe"];
+        let text = json_text(&names).unwrap();
+        assert!(!text.chars().any(is_hidden), "{text}");
+        assert!(text.contains("Größe") && text.contains("\\u009b") && text.contains("\\u202e"));
+        let read: Vec<String> = serde_json::from_str(&text).unwrap();
+        assert_eq!(read, names);
+    }
+}
