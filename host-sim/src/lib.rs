@@ -14,7 +14,7 @@
 //! | [`cosim`] | runs together with nodes that are really there, compared bit for bit |
 //! | [`analysis`] | the theorems' constants and bounds, held against a run |
 //! | [`figures`], [`report`] | pictures; tables and CSV files |
-//! | [`progress`], [`output_file`], [`fnv`] | progress bars; files that are whole or not there; a hash |
+//! | [`progress`], [`output_file`], [`input_file`], [`fnv`] | progress bars; files that are whole or not there; files read up to a limit; a hash |
 //! | [`shell`], [`interruption`] | command lines for people to copy; Ctrl-C |
 //! | [`signing`] | the operator's keys, for packages of weights |
 //! | [`tensors`] | networks from and for PyTorch, JAX and NumPy |
@@ -32,6 +32,7 @@ pub mod flash;
 pub mod fnv;
 pub mod graph;
 pub mod image;
+pub mod input_file;
 pub mod interruption;
 pub mod memory_map;
 pub mod output_file;
