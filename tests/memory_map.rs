@@ -126,14 +126,8 @@ fn what_is_no_value_is_named() {
             "map.x:2: result: found `;`; expected a number, a symbol, ORIGIN(region), LENGTH(region) or `(`",
         ),
         ("(1", "map.x:2: result: found `;`; expected `)` behind what it encloses"),
-        (
-            "1 << 64",
-            "map.x:2: result: 0x1 << 0x40 needs more than 64 bits; use smaller numbers",
-        ),
-        (
-            "4KB",
-            "map.x:2: result: `4KB` is not a number; write it as 12, 0x1F, 64K or 3M",
-        ),
+        ("1 << 64", "map.x:2: result: 0x1 << 0x40 needs more than 64 bits; use smaller numbers"),
+        ("4KB", "map.x:2: result: `4KB` is not a number; write it as 12, 0x1F, 64K or 3M"),
         (
             &deep,
             "map.x:2: result: more than 64 parentheses within each other; give parts of the expression names of their own",
@@ -281,7 +275,9 @@ fn what_places_nothing_in_the_weights_is_passed_over() {
         "PROVIDE(_weights_slot_a_origin = 3);\nPROVIDE_HIDDEN(a = b);\nHIDDEN(c = 4);",
     ];
     for (number, text) in standard.into_iter().enumerate() {
-        for map in [format!("{MEMORY_X}\n{text}\n"), format!("{MEMORY_X}\n{text}").replace('\n', "\r\n")] {
+        for map in
+            [format!("{MEMORY_X}\n{text}\n"), format!("{MEMORY_X}\n{text}").replace('\n', "\r\n")]
+        {
             let found = parse(&map).map_err(|error| error.to_string());
             let found = found.and_then(|map| map.weights().map_err(|error| error.to_string()));
             assert_eq!(found, Ok(WEIGHTS), "{number}: {text}");

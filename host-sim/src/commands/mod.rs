@@ -7,17 +7,20 @@
 #[cfg(unix)]
 mod cosim;
 mod health;
+mod key;
 #[cfg(unix)]
 mod monitor;
 #[cfg(unix)]
 mod node;
 #[cfg(unix)]
 mod push;
+mod refusal;
 mod reproduce;
 mod run;
 mod scenario;
 mod summary;
 mod train;
+mod versions;
 mod warnings;
 mod weights;
 mod written;
@@ -119,8 +122,8 @@ enum CommandError {
     Scenario(#[from] ScenarioError),
     #[error("{0}")]
     Usage(String),
-    #[error("{}: a node would refuse it: {refusal}; train, sign or number it anew", path.display())]
-    Refused { path: PathBuf, refusal: String },
+    #[error("{}: a node would refuse it: {refusal}; {hint}", path.display())]
+    Refused { path: PathBuf, refusal: String, hint: &'static str },
     #[error(transparent)]
     Draft(#[from] DraftError),
     #[error(transparent)]

@@ -111,7 +111,11 @@ impl Reader<'_> {
             Token::Word(word) => {
                 let word = word.clone();
                 self.next += 1;
-                if self.take_if("(") { self.function(&word, line) } else { self.symbol(&word, line) }
+                if self.take_if("(") {
+                    self.function(&word, line)
+                } else {
+                    self.symbol(&word, line)
+                }
             }
             _ => Err(self.unexpected("a number, a symbol, ORIGIN(region), LENGTH(region) or `(`")),
         }

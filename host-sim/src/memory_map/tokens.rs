@@ -193,8 +193,19 @@ mod tests {
         let found = tokens("# a comment\n*(.text [a-z]) 010 << 2").unwrap();
         let kinds: Vec<_> = found.iter().map(|(token, _)| token.to_string()).collect();
         let expected = [
-            "`*`", "`(`", "`.text`", "'['", "`a`", "`-`", "`z`", "']'", "`)`", "`010`", "`<<`",
-            "the number 2", "the end of the file",
+            "`*`",
+            "`(`",
+            "`.text`",
+            "'['",
+            "`a`",
+            "`-`",
+            "`z`",
+            "']'",
+            "`)`",
+            "`010`",
+            "`<<`",
+            "the number 2",
+            "the end of the file",
         ];
         assert_eq!(kinds, expected);
         assert!(found.iter().all(|&(_, line)| line == 2));

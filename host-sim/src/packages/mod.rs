@@ -26,7 +26,7 @@ pub mod trained;
 pub use bytes::{PackageBytes, PackageFileError, PackageParameters};
 pub use draft::{Draft, DraftError};
 pub use node::NodeContent;
-pub use recording::{Recording, RecordingError};
+pub use recording::{Recording, RecordingError, Timing};
 
 /// Calls `$function::<N>($arguments)` for the state dimension `$n`, 1 to 12.
 macro_rules! with_dimension {

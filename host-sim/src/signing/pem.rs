@@ -31,7 +31,8 @@ pub(super) fn private_key(
     text: &str,
     passphrase: &mut AskPassphrase<'_>,
 ) -> Result<SigningKey, KeyFileError> {
-    let wrong = |found: String, hint| KeyFileError::NotPrivate { path: path.to_owned(), found, hint };
+    let wrong =
+        |found: String, hint| KeyFileError::NotPrivate { path: path.to_owned(), found, hint };
     let block = Block::find(text, &[PRIVATE, ENCRYPTED]).map_err(|found| {
         let hint = match found {
             Missing::Label(PUBLIC) | Missing::Ssh => GIVE_PRIVATE,
@@ -66,7 +67,8 @@ pub(super) fn private_key(
 
 /// The bytes of the public key in `text`.
 pub(super) fn public_key(path: &Path, text: &str) -> Result<[u8; PUBLIC_KEY_LENGTH], KeyFileError> {
-    let wrong = |found: String, hint| KeyFileError::NotPublic { path: path.to_owned(), found, hint };
+    let wrong =
+        |found: String, hint| KeyFileError::NotPublic { path: path.to_owned(), found, hint };
     let block = Block::find(text, &[PUBLIC]).map_err(|found| {
         let hint = if matches!(found, Missing::Unclosed) { COPY } else { GIVE_PUBLIC };
         wrong(found.named(), hint)
