@@ -1,6 +1,7 @@
 //! Every test that needs more than one module or crate, in one binary; a module for each subject.
 
 mod bits;
+mod borders;
 mod command_line;
 mod core_against_oracle;
 mod core_properties;

@@ -164,6 +164,11 @@ fn every_mistake_is_named_with_its_line_and_its_mend() {
     }
     let error = MemoryMap::read(Path::new("no/such/memory.x")).unwrap_err().to_string();
     assert!(error.starts_with("no/such/memory.x: cannot be read: "), "{error}");
+    #[cfg(unix)]
+    {
+        let error = MemoryMap::read(Path::new("/dev/zero")).unwrap_err().to_string();
+        assert!(error.contains("it has more than 1048576 bytes"), "{error}");
+    }
 }
 
 /// The repository's map with one change, and without its assertions: what they guard has to be

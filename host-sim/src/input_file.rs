@@ -4,9 +4,6 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
-/// Longest text that a person writes: scenarios, memory maps. \[byte\]
-pub const TEXT_MAX: u64 = 16 << 20;
-
 /// The content of the file at `path`.
 ///
 /// # Errors

@@ -118,6 +118,15 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     if let (None, Some(base)) = (&recording.outer_weights, &base) {
         recording.outer_weights = Some(base.package().outer_weights.to_vec());
     }
+    let step = scenario.time.step_size;
+    if recording.interval < 0.5 * step {
+        eprintln!(
+            "warning: {}: samples are {:e} s apart, and a step of the scenario takes {step:e} s; check \
+             the unit of time in the header",
+            arguments.data.display(),
+            recording.interval
+        );
+    }
     let version = version(arguments, base.as_ref())?;
     let task = TrainingTask {
         scenario: &scenario,
@@ -267,7 +276,8 @@ fn report<'a>(
 fn text(arguments: &Arguments, report: &Report<'_>) -> String {
     let error = |error: Option<f64>| error.map_or("none".to_owned(), |e| format!("{e:.3e}"));
     let kept = if report.stopped_by == "interruption" { " (the best network so far)" } else { "" };
-    let seconds = report.recorded_samples as f64 * report.interval_s;
+    let intervals = report.recorded_samples as f64 + report.missing_samples as f64;
+    let seconds = intervals * report.interval_s;
     let mut text = format!(
         "Read {} samples, one every {:.6} s, {seconds:.3} s in all, {}\n{}\
          Trained on {} of them after averaging over {} s and keeping every {}., {} epochs, \

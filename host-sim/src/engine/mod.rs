@@ -25,6 +25,7 @@ use agent_core::agent::StepError;
 use agent_core::package::Refusal;
 use agent_core::parameter::ParameterError;
 
+use crate::packages::parameter::InScenario;
 use crate::packages::quality::Quality;
 use crate::packages::trained::TrainedError;
 use crate::packages::{DraftError, PackageBytes, Recording};
@@ -125,7 +126,7 @@ fn step_mend(plant_norm: f64, stiffness: f64) -> String {
 #[non_exhaustive]
 pub enum RunError {
     /// A parameter that the core refuses.
-    #[error("agent {agent}: {error}; mend this parameter in the scenario")]
+    #[error("agent {agent}: {}; change this key in the scenario", InScenario(*.error))]
     Parameter {
         /// The agent, from 1.
         agent: usize,
@@ -133,7 +134,7 @@ pub enum RunError {
         error: ParameterError,
     },
     /// The scenario's network does not become a package.
-    #[error("agent {agent}: {error}; change [network] or [outer_law] in the scenario")]
+    #[error("agent {agent}: {error}; change this in the scenario")]
     Package {
         /// The agent, from 1.
         agent: usize,

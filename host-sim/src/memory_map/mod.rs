@@ -37,7 +37,10 @@ use std::path::Path;
 pub use error::MemoryMapError;
 pub use weights::WeightsRegion;
 
-use crate::input_file::{TEXT_MAX, read_limited};
+use crate::input_file::read_limited;
+
+/// Longest file that is read; a linker script has some kilobytes. \[byte\]
+const FILE_MAX: u64 = 1 << 20;
 
 /// How many addresses there are: 2^32.
 pub(crate) const ADDRESSES: u64 = 1 << 32;
@@ -88,7 +91,7 @@ impl MemoryMap {
     /// A file that cannot be read, and those of [`MemoryMap::parse`].
     pub fn read(path: &Path) -> Result<Self, MemoryMapError> {
         let file = path.display().to_string();
-        match read_limited(path, TEXT_MAX) {
+        match read_limited(path, FILE_MAX) {
             Ok(bytes) => Self::parse(&String::from_utf8_lossy(&bytes), &file),
             Err(error) => Err(MemoryMapError {
                 file,

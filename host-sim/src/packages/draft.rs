@@ -80,8 +80,14 @@ pub enum DraftError {
     #[error("the package cannot be used: {0}")]
     Package(PackageError),
     /// A node would refuse the package.
-    #[error("no node would accept the package: {0}")]
+    #[error("no node would accept the package: {}", super::parameter::refusal(.0))]
     Refused(Refusal),
+    /// A number of the node is too large for single precision.
+    #[error("{what} is not a finite number in single precision")]
+    NodeNotFinite {
+        /// Which, by the scenario's keys.
+        what: &'static str,
+    },
 }
 
 impl Draft {
@@ -122,6 +128,9 @@ impl Draft {
             if let Some(index) = numbers.iter().position(|number| !number.is_finite()) {
                 return Err(DraftError::NotFinite { what, index });
             }
+        }
+        if let Some(what) = self.node.not_finite() {
+            return Err(DraftError::NodeNotFinite { what });
         }
         let network = InnerNetwork::new(self.architecture.clone(), &self.inner[..])
             .map_err(DraftError::Network)?;

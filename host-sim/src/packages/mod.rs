@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | [`bytes`] | a package's bytes, aligned and shared, in memory and in files |
 //! | [`node`] | what makes a node an agent, from a scenario |
+//! | [`parameter`] | what the core refuses, in the words of a scenario |
 //! | [`draft`] | everything that goes into a package, and the making of it |
 //! | [`check`] | the node's own acceptance, for any state dimension |
 //! | [`recording`] | recorded samples, in memory and in files |
@@ -19,6 +20,7 @@ pub mod cleaning;
 pub mod draft;
 pub mod judgement;
 pub mod node;
+pub mod parameter;
 pub mod quality;
 pub mod recording;
 pub mod trained;
