@@ -310,10 +310,8 @@ impl Reader<'_> {
         loop {
             match self.peek() {
                 Token::Sign(sign @ ("(" | "{")) => open.push(if *sign == "(" { ")" } else { "}" }),
-                Token::Sign(sign @ (")" | "}")) => {
-                    if open.pop() != Some(*sign) {
-                        return Err(self.unexpected("the other kind of parenthesis"));
-                    }
+                Token::Sign(sign @ (")" | "}")) if open.pop() != Some(*sign) => {
+                    return Err(self.unexpected("the other kind of parenthesis"));
                 }
                 Token::Sign(">") => self.refuse_weights()?,
                 Token::End => {
