@@ -107,11 +107,23 @@ fn an_image_is_what_its_ending_says() {
         ("--out y.hex --format uf2 --family 17", "ends as a hex file does, and --format says uf2"),
         ("--out y.elf", "y.elf: its ending does not say what file to write; give --format"),
         ("--out y", "its ending does not say"),
-        ("--out y.uf2 --family rp2040", "the flash of rp2040 at 0x10000000 to 0x11000000"),
-        ("--out y.uf2 --family stm32f4", "the flash of stm32f4 at 0x8000000"),
     ] {
         let error = folder.fail(&format!("{image} {arguments}"), 2);
         assert!(error.contains(part), "{arguments}: {error}");
+    }
+    // A family whose chips have no flash there: told, in both forms.
+    for (family, flash) in
+        [("rp2040", "0x10000000 to 0x11000000"), ("stm32f4", "0x8000000 to 0x8200000")]
+    {
+        let told = format!(
+            "WARNING: slot A lies at 0x21000000 to 0x21007000, and the flash of {family} at {flash}"
+        );
+        let text = folder.succeed(&format!("{image} --out z.uf2 --family {family}"));
+        assert!(text.contains(&told), "{text}");
+        let notes = object(
+            &folder.succeed(&format!("{image} --format uf2,json --out z.uf2 --family {family}")),
+        );
+        assert!(notes["notes"][0].as_str().unwrap().contains(&told), "{notes}");
     }
     let left = fs::read_dir(folder.path(".")).unwrap().flatten();
     assert!(!left.into_iter().any(|file| file.file_name().to_string_lossy().starts_with('y')));

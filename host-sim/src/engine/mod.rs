@@ -142,7 +142,9 @@ pub enum RunError {
         error: DraftError,
     },
     /// The agent refuses a package as a node would.
-    #[error("agent {agent} refuses its package: {refusal}; train or sign it anew")]
+    #[error(
+        "agent {agent} refuses its package: {refusal}; give it the package of this scenario and agent, or train again"
+    )]
     Refused {
         /// The agent, from 1.
         agent: usize,

@@ -56,7 +56,7 @@ pub enum PackageFileError {
     #[error(transparent)]
     Write(#[from] OutputError),
     /// It is no package.
-    #[error("{}: {error}; copy or make it anew", path.display())]
+    #[error("{}: {error}; copy it again, or train again", path.display())]
     Package {
         /// The file.
         path: PathBuf,

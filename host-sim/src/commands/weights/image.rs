@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::renamed;
 use crate::commands::{CommandError, Format, print_json, print_text};
 use crate::flash::{FlashTarget, ProbeRs};
-use crate::image::{self, Image, ImageFormat, Part, ToolUse, Uf2Family, commands_for};
+use crate::image::{self, Image, ImageError, ImageFormat, Part, ToolUse, Uf2Family, commands_for};
 use crate::memory_map::MemoryMap;
 use crate::output_file::write_whole;
 use crate::packages::PackageBytes;
@@ -133,11 +133,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let (format, printed) = formats(arguments)?;
     let image_format = format.with_family(arguments.family)?;
     let image = image(&arguments.package, &arguments.place)?;
-    if let ImageFormat::Uf2(family) = image_format
-        && let Some(part) = Part::of_family(family)
-    {
-        image.check_part(&part, true)?;
-    }
+    let contradiction = match image_format {
+        ImageFormat::Uf2(family) => contradiction(&image, family)?,
+        _ => None,
+    };
     if let Some(part) = arguments.chip.as_deref().and_then(Part::of_chip) {
         image.check_part(&part, false)?;
     }
@@ -149,7 +148,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let out = arguments.out.clone().unwrap_or_else(|| renamed(&arguments.package, &ending));
     write_whole(&out, |file| file.write_all(&bytes))?;
     let commands = commands_for(&image, &out, format);
-    let notes = notes(&image, format);
+    let mut notes = notes(&image, format);
+    notes.splice(0..0, contradiction);
     if printed == Format::Json {
         return print_json(&Report {
             image: out.display().to_string(),
@@ -197,6 +197,18 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         text += &format!("  {command}\n");
     }
     print_text(&text)
+}
+
+/// What a boot loader of this family makes of the image if it has no flash there.
+fn contradiction(image: &Image, family: Uf2Family) -> Result<Option<String>, CommandError> {
+    let Some(part) = Part::of_family(family) else { return Ok(None) };
+    match image.check_part(&part, true) {
+        Ok(()) => Ok(None),
+        Err(error @ ImageError::NotFlash { .. }) => {
+            Ok(Some(format!("WARNING: {error}. Its boot loader would not write this file.")))
+        }
+        Err(error) => Err(error.into()),
+    }
 }
 
 /// What a tool may erase besides the image.

@@ -202,7 +202,9 @@ impl Recording {
         let mut ticks: Vec<u64> = (0..self.samples.len() as u64).collect();
         let ends = self.gaps.iter().skip(1).copied().chain([ticks.len()]);
         let mut missing = 0u64;
-        for ((&gap, end), &lost) in self.gaps.iter().zip(ends).zip(&self.timing.missing) {
+        for (index, (&gap, end)) in self.gaps.iter().zip(ends).enumerate() {
+            // At least one sample is missing in a gap.
+            let lost = self.timing.missing.get(index).copied().unwrap_or(1);
             missing = missing.saturating_add(lost);
             for tick in &mut ticks[gap..end] {
                 *tick = tick.saturating_add(missing);
