@@ -336,7 +336,7 @@ mod tests {
             ("\u{3c0}*x", "write pi"),
             ("x \u{2212} 1", "write - for a difference"),
             ("x = y", "write the right-hand side only"),
-            ("siin(x)", "write sin"),
+            ("tannh(x)", "write tanh"),
             ("sqtr(x)", "write sqrt"),
             ("nu*x", "write mu"),
             ("muy", "write mu*y for the product"),
