@@ -2,6 +2,7 @@
 
 mod baselines;
 mod bits;
+mod borders;
 mod command_line;
 mod core_against_oracle;
 mod core_properties;

@@ -229,7 +229,7 @@ fn an_older_package_is_taken_only_if_a_signed_one_says_so() {
 fn a_draft_that_no_node_would_take_is_not_sealed() {
     let draft = Draft::copy(&package().package());
     let far = Draft { outer_weights: vec![1e6; draft.outer_weights.len()], ..draft.clone() };
-    assert!(far.seal().unwrap_err().to_string().contains("outer_weights"));
+    assert!(far.seal().unwrap_err().to_string().contains("network.outer"));
     let short = Draft { outer_weights: vec![0.0], ..draft.clone() };
     assert!(short.seal().is_err());
     let infinite = Draft { inner: vec![f32::NAN; draft.inner.len()], ..draft.clone() };

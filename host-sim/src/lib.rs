@@ -14,7 +14,7 @@
 //! | [`cosim`] | runs together with nodes that are really there, compared bit for bit |
 //! | [`analysis`] | the theorems' constants and bounds, held against a run |
 //! | [`figures`], [`report`] | pictures; tables and CSV files |
-//! | [`progress`], [`output_file`], [`fnv`] | progress bars; files that are whole or not there; a hash |
+//! | [`progress`], [`output_file`], [`input_file`], [`fnv`] | progress bars; files that are whole or not there; files read up to a limit; a hash |
 //! | [`terminal`] | the one place that prints |
 //! | [`shell`], [`interruption`] | command lines for people to copy; Ctrl-C and other signals |
 //! | [`signing`] | the operator's keys, for packages of weights |
@@ -34,6 +34,7 @@ pub mod flash;
 pub mod fnv;
 pub mod graph;
 pub mod image;
+pub mod input_file;
 pub mod interruption;
 pub mod memory_map;
 pub mod output_file;

@@ -38,7 +38,7 @@ pub(super) struct Arguments {
     #[arg(long, value_delimiter = ',', default_value = "qemu")]
     boards: Vec<Endpoint>,
     /// How many steps to take [default: all of the scenario; with --serve, no end]
-    #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..=ENDLESS))]
     steps: Option<u64>,
     /// Recipe of the scenario for all its learning cycles [default: what each cycle names]
     #[arg(long)]
@@ -57,23 +57,33 @@ pub(super) struct Arguments {
     #[arg(long, default_value = PROGRAM)]
     qemu: PathBuf,
     /// How long a node may take for an answer [s]
-    #[arg(long, default_value_t = 10.0, value_parser = above_zero)]
+    #[arg(long, default_value_t = 10.0, value_parser = timeout)]
     timeout: f64,
     /// Goes on in real time and offers every node at FOLDER/agent-N.sock, to `monitor`, `push` and
     /// `node`
     #[arg(long, value_name = "FOLDER")]
     serve: Option<PathBuf>,
     /// With --serve: how much faster than real time
-    #[arg(long, default_value_t = 1.0, requires = "serve", value_parser = above_zero)]
+    #[arg(long, default_value_t = 1.0, requires = "serve", value_parser = speed)]
     speed: f64,
     #[command(flatten)]
     pub(super) common: Common,
 }
 
-/// A number above 0, and one that counts seconds.
-pub(super) fn above_zero(text: &str) -> Result<f64, String> {
-    let number = text.parse().ok().filter(|number| *number > 0.0 && *number < 1e9);
-    number.ok_or_else(|| "write a number above 0".to_owned())
+/// A time that a person can wait, and a node can keep. \[s\]
+fn timeout(text: &str) -> Result<f64, String> {
+    number_in(text, 1e-3, 1e6)
+}
+
+/// From a step in some minutes to faster than any emulator is.
+fn speed(text: &str) -> Result<f64, String> {
+    number_in(text, 1e-3, 1e6)
+}
+
+/// A number from `low` to `high`.
+fn number_in(text: &str, low: f64, high: f64) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number| (low..=high).contains(number));
+    number.ok_or_else(|| format!("write a number from {low} to {high}"))
 }
 
 /// Steps of a run that is to have no end: so many days that nobody sees it.

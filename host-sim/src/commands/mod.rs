@@ -15,12 +15,14 @@ mod error;
 #[cfg(unix)]
 mod firmware;
 mod health;
+mod key;
 #[cfg(unix)]
 mod monitor;
 #[cfg(unix)]
 mod node;
 #[cfg(unix)]
 mod push;
+mod refusal;
 mod reproduce;
 mod run;
 mod run_folder;
@@ -29,6 +31,7 @@ mod seeds;
 mod summary;
 mod train;
 mod trainings;
+mod versions;
 mod warnings;
 mod weights;
 mod written;
@@ -137,8 +140,8 @@ enum CommandError {
     Scenario(#[from] ScenarioError),
     #[error("{0}")]
     Usage(String),
-    #[error("{}: a node would refuse it: {refusal}; train, sign or number it anew", path.display())]
-    Refused { path: PathBuf, refusal: String },
+    #[error("{}: a node would refuse it: {refusal}; {hint}", path.display())]
+    Refused { path: PathBuf, refusal: String, hint: &'static str },
     #[error(transparent)]
     Draft(#[from] DraftError),
     #[error(transparent)]

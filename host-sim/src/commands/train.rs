@@ -8,10 +8,11 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
+use super::key::Passphrase;
 use super::summary::ExplainedVariance;
 use super::{
     CommandError, Common, Format, agent_index, load_scenario, network_of, print_json, print_text,
-    summary,
+    summary, versions,
 };
 use crate::analysis::TriggerConstants;
 use crate::interruption::{self, Again};
@@ -21,7 +22,6 @@ use crate::packages::{NodeContent, PackageBytes, Recording};
 use crate::progress::ProgressBars;
 use crate::scenario::{Recipe, Scenario};
 use crate::shell::shell_word;
-use crate::signing::OperatorKey;
 use crate::terminal;
 use crate::training::{EpochReport, StopReason};
 use crate::warning::{Warning, WarningCode};
@@ -56,6 +56,8 @@ pub(super) struct Arguments {
     #[arg(long)]
     sign: Option<PathBuf>,
     #[command(flatten)]
+    passphrase: Passphrase,
+    #[command(flatten)]
     pub(super) common: Common,
 }
 
@@ -70,6 +72,14 @@ struct Report<'a> {
     recorded_samples: usize,
     interval_s: f64,
     gaps: usize,
+    missing_samples: u64,
+    repeated_samples: usize,
+    uneven_intervals: usize,
+    largest_jitter_s: f64,
+    pieces: usize,
+    pieces_left_out: usize,
+    samples_left_out: usize,
+    windows_left_out: usize,
     samples: usize,
     epochs: usize,
     stopped_by: &'static str,
@@ -87,13 +97,14 @@ struct Report<'a> {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
+    // While the terminal is asked for a passphrase, Ctrl-C ends the program.
+    let key = arguments.sign.as_deref().map(|path| arguments.passphrase.key(path)).transpose()?;
     let start = Instant::now();
     // Whoever presses Ctrl-C twice does not want to wait for the epoch to end.
     interruption::listen(Again::Exit);
     let scenario = load_scenario(&arguments.scenario)?;
     let index = agent_index(&scenario, arguments.agent)?;
     let network = network_of(&scenario)?;
-    let key = arguments.sign.as_deref().map(OperatorKey::read).transpose()?;
     let (recipe, cycle) = recipe(arguments, &scenario, index)?;
     let features = network.architecture.features();
     let base = arguments.base.as_deref().map(PackageBytes::load).transpose()?;
@@ -110,6 +121,15 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let mut recording = Recording::load(&arguments.data, scenario.dimension(), features)?;
     if let (None, Some(base)) = (&recording.outer_weights, &base) {
         recording.outer_weights = Some(base.package().outer_weights.to_vec());
+    }
+    let step = scenario.time.step_size;
+    if recording.interval < 0.5 * step {
+        terminal::warning(format_args!(
+            "{}: samples are {:e} s apart, and a step of the scenario takes {step:e} s; check the \
+             unit of time in the header",
+            arguments.data.display(),
+            recording.interval
+        ));
     }
     let version = version(arguments, base.as_ref())?;
     // Before the work: what cannot be written need not be trained.
@@ -144,11 +164,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         let problem = "not packed, because the network explains nothing of the end of the samples";
         return Err(CommandError::NotPacked(format!("{}: {problem}", arguments.out.display())));
     }
-    let package = match &key {
-        Some(key) => trained.package.signed(key),
-        None => trained.package.clone(),
-    };
-    output.write(|file| file.write_all(package.as_bytes()))?;
+    let (package, chosen) = (trained.package.clone(), arguments.package_version);
+    let package = versions::save(package, chosen, key.as_ref(), &arguments.out, output)?;
     let elapsed_s = start.elapsed().as_secs_f64();
     let report = report(arguments, &task, &recording, &trained, &package, elapsed_s);
     match arguments.common.format {
@@ -191,8 +208,16 @@ fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, Co
     // Nothing else than a regular file is read; whether it may be replaced is found out later.
     let replaced =
         if arguments.out.is_file() { PackageBytes::load(&arguments.out).ok() } else { None };
-    let before = base.into_iter().chain(&replaced).map(|package| package.package().version).max();
-    Ok(before.unwrap_or(INITIAL_VERSION).saturating_add(1))
+    let before = base
+        .zip(arguments.base.as_deref())
+        .into_iter()
+        .chain(replaced.as_ref().map(|replaced| (replaced, arguments.out.as_path())))
+        .map(|(package, path)| (package.package().version, path))
+        .max();
+    match before {
+        Some((version, path)) => versions::after(version, path),
+        None => Ok(INITIAL_VERSION + 1),
+    }
 }
 
 /// Trains until it is done or interrupted, which ends with the best so far.
@@ -226,12 +251,20 @@ fn report<'a>(
         package: arguments.out.display().to_string(),
         bytes: package.as_bytes().len(),
         agent: arguments.agent,
-        version: task.version,
+        version: package.package().version,
         recipe: &task.recipe.name,
         seed: task.seed,
         recorded_samples: recording.samples.len(),
         interval_s: recording.interval,
         gaps: recording.gaps.len(),
+        missing_samples: recording.timing.missing_samples(),
+        repeated_samples: recording.timing.repeated,
+        uneven_intervals: recording.timing.uneven,
+        largest_jitter_s: recording.timing.jitter,
+        pieces: trained.cleaning.pieces,
+        pieces_left_out: trained.cleaning.pieces_left_out,
+        samples_left_out: trained.cleaning.samples_left_out,
+        windows_left_out: trained.cleaning.windows_left_out,
         samples: trained.samples,
         epochs: trained.report.epochs.len().saturating_sub(1),
         stopped_by: match trained.report.stop {
@@ -257,16 +290,18 @@ fn report<'a>(
 fn text(arguments: &Arguments, report: &Report<'_>) -> String {
     let error = |error: Option<f64>| error.map_or("none".to_owned(), |e| format!("{e:.3e}"));
     let kept = if report.stopped_by == "interruption" { " (the best network so far)" } else { "" };
-    let seconds = report.recorded_samples as f64 * report.interval_s;
+    let intervals = report.recorded_samples as f64 + report.missing_samples as f64;
+    let seconds = intervals * report.interval_s;
     let mut text = format!(
-        "Read {} samples, one every {:.6} s, {seconds:.3} s in all, {} gaps\n\
+        "Read {} samples, one every {:.6} s, {seconds:.3} s in all, {}\n{}\
          Trained on {} of them after averaging over {} s and keeping every {}., {} epochs, \
          stopped by {}{kept}\n\
          Mean squared error: training {}, validation {}, test {}\n\
          Variance explained: {}\n",
         report.recorded_samples,
         report.interval_s,
-        report.gaps,
+        gaps(report),
+        regularity(report),
         report.samples,
         report.smoothing_window_s,
         report.decimation,
@@ -293,5 +328,45 @@ fn text(arguments: &Arguments, report: &Report<'_>) -> String {
         report.elapsed_s,
         shell_word(&arguments.out),
     );
+    text
+}
+
+fn gaps(report: &Report<'_>) -> String {
+    match (report.gaps, report.missing_samples) {
+        (0, _) => "no gaps".to_owned(),
+        (1, missing) => format!("1 gap ({missing} missing)"),
+        (gaps, missing) => format!("{gaps} gaps ({missing} missing)"),
+    }
+}
+
+/// What was left out, and how even the rest is: a line for each that there is.
+fn regularity(report: &Report<'_>) -> String {
+    let mut text = String::new();
+    // Writing into a string cannot fail.
+    if report.repeated_samples > 0 {
+        let _ = writeln!(text, "Left out {} lines that repeat a sample", report.repeated_samples);
+    }
+    if report.uneven_intervals > 0 {
+        let _ = writeln!(
+            text,
+            "Sampling is uneven: {} intervals differ by more than a quarter, by up to {:.3e} s; they \
+             are taken for equal",
+            report.uneven_intervals, report.largest_jitter_s
+        );
+    }
+    if report.samples_left_out > 0 {
+        let _ = writeln!(
+            text,
+            "Left out {} samples: {} of {} pieces between gaps are shorter than the smoothing window",
+            report.samples_left_out, report.pieces_left_out, report.pieces
+        );
+    }
+    if report.windows_left_out > 0 {
+        let _ = writeln!(
+            text,
+            "Left out {} smoothing windows that miss more than half of their samples",
+            report.windows_left_out
+        );
+    }
     text
 }

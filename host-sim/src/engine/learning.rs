@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use super::companion::Switch;
 use super::{Progress, RunError, TrainingRecord};
 use crate::packages::trained::{INITIAL_VERSION, TrainedError, TrainingTask};
-use crate::packages::{PackageBytes, Recording};
+use crate::packages::{PackageBytes, Recording, Timing};
 use crate::scenario::{LearningCycle, Scenario};
 use crate::training::{Dataset, EpochReport};
 use crate::warning::Warning;
@@ -140,6 +140,7 @@ fn train(
         gaps: Vec::new(),
         start: scenario.time.at(first),
         interval: scenario.time.step_size * f64::from(description.stride.get()),
+        timing: Timing::default(),
         outer_weights: job.outer_weights.clone(),
     };
     let before = scenario.agents[agent].package.as_ref();

@@ -29,6 +29,7 @@ use agent_core::package::Refusal;
 use agent_core::parameter::ParameterError;
 
 use crate::analysis::StepCheck;
+use crate::packages::parameter::InScenario;
 use crate::packages::quality::Quality;
 use crate::packages::trained::TrainedError;
 use crate::packages::{DraftError, PackageBytes, Recording};
@@ -118,7 +119,7 @@ pub struct TrainingRecord {
 #[non_exhaustive]
 pub enum RunError {
     /// A parameter that the core refuses.
-    #[error("agent {agent}: {error}; mend this parameter in the scenario")]
+    #[error("agent {agent}: {}; change this key in the scenario", InScenario(*.error))]
     Parameter {
         /// The agent, from 1.
         agent: usize,
@@ -126,7 +127,7 @@ pub enum RunError {
         error: ParameterError,
     },
     /// The scenario's network does not become a package.
-    #[error("agent {agent}: {error}; change [network] or [outer_law] in the scenario")]
+    #[error("agent {agent}: {error}; change this in the scenario")]
     Package {
         /// The agent, from 1.
         agent: usize,
@@ -134,7 +135,9 @@ pub enum RunError {
         error: DraftError,
     },
     /// The agent refuses a package as a node would.
-    #[error("agent {agent} refuses its package: {refusal}; train or sign it anew")]
+    #[error(
+        "agent {agent} refuses its package: {refusal}; give it the package of this scenario and agent, or train again"
+    )]
     Refused {
         /// The agent, from 1.
         agent: usize,

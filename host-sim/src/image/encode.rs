@@ -5,7 +5,7 @@ use std::path::Path;
 use ihex::Record;
 
 use super::uf2::{self, Uf2Family};
-use super::{ERASED, Image, ImageError};
+use super::{ERASED, Image, ImageError, Segment};
 
 /// The name of a format, as on a command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -31,7 +31,7 @@ impl Format {
         }
     }
 
-    /// The format with all that it needs; only UF2 needs a family, the others pay no heed to it.
+    /// The format with all that it needs; only UF2 needs a family, the others ignore it.
     ///
     /// # Errors
     /// UF2 without a family.
@@ -58,6 +58,9 @@ pub enum ImageFormat {
 /// Data bytes in a record of Intel HEX: what most tools write.
 const RECORD: usize = 16;
 
+/// Longest image, blanks included: more than any node's flash for weights. \[byte\]
+const LENGTH_MAX: u64 = 256 << 20;
+
 /// Addresses that records reach without a new upper half.
 const HALF: u64 = 1 << 16;
 
@@ -65,8 +68,21 @@ impl Image {
     /// The image as the content of a file.
     ///
     /// # Errors
-    /// UF2 on a memory map whose parts are not made of its blocks.
+    /// UF2 on a memory map whose parts are not made of its blocks; a file that would be blank for
+    /// the most part, and very long.
     pub fn encode(&self, format: ImageFormat) -> Result<Vec<u8>, ImageError> {
+        let unit = match format {
+            ImageFormat::Uf2(_) => u64::from(self.region().erase_size),
+            ImageFormat::Bin | ImageFormat::Hex => 1,
+        };
+        let spans = self.segments.iter().map(Segment::span);
+        let length = match format {
+            ImageFormat::Bin => self.segments[1].span().end - self.segments[0].span().start,
+            _ => spans.map(|span| (span.end - span.start).next_multiple_of(unit)).sum(),
+        };
+        if length > LENGTH_MAX {
+            return Err(ImageError::TooLong { length });
+        }
         match format {
             ImageFormat::Bin => Ok(self.bin()),
             ImageFormat::Hex => self.hex(),

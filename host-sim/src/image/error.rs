@@ -64,8 +64,56 @@ pub enum ImageError {
         families()
     )]
     FamilyMissing,
+    /// The chip's flash is somewhere else.
+    #[error(
+        "{name} lies at {start:#x} to {end:#x}, and the flash of {chip} at {flash_start:#x} to \
+         {flash_end:#x}; give the memory map of that chip, or the chip of the memory map"
+    )]
+    NotFlash {
+        /// Which part of the store.
+        name: &'static str,
+        /// Its first address.
+        start: u64,
+        /// The first address behind it.
+        end: u64,
+        /// The chip or series.
+        chip: &'static str,
+        /// First address of its flash.
+        flash_start: u64,
+        /// First address behind its flash.
+        flash_end: u64,
+    },
+    /// The chip cannot erase a part of the store alone.
+    #[error(
+        "{name} lies at {start:#x} to {end:#x}, and {chip} erases {sector:#x} to {sector_end:#x} only \
+         as a whole, with what else is there; let every part in memory.x begin and end with the \
+         chip's sectors, and _weights_erase_size be their length"
+    )]
+    Sector {
+        /// Which part of the store.
+        name: &'static str,
+        /// Its first address.
+        start: u64,
+        /// The first address behind it.
+        end: u64,
+        /// The chip or series.
+        chip: &'static str,
+        /// First address of the sector that it cuts.
+        sector: u64,
+        /// First address behind that sector.
+        sector_end: u64,
+    },
+    /// The file would be far longer than what is to be written.
+    #[error(
+        "a file of this format would have {length} bytes, most of them blank; choose the format hex, \
+         or place slots and commit area closer together in memory.x"
+    )]
+    TooLong {
+        /// Bytes of the image.
+        length: u64,
+    },
     /// There is no such family.
-    #[error("{found:?} is no family of chips for UF2; choose {}", families())]
+    #[error("{found:?} is not a family of chips for UF2; choose {}", families())]
     Family {
         /// What was given.
         found: String,

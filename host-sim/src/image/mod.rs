@@ -23,6 +23,7 @@
 mod encode;
 mod error;
 mod kind;
+mod part;
 mod tools;
 mod uf2;
 
@@ -30,6 +31,7 @@ use std::ops::Range;
 
 pub use encode::{Format, ImageFormat};
 pub use error::ImageError;
+pub use part::Part;
 pub use tools::{ToolCommand, ToolUse, commands_for};
 pub use uf2::{UF2_FAMILIES, Uf2Family};
 

@@ -2,7 +2,7 @@
 
 /// Why a memory map cannot be used: file, line, name, problem and mend, in one line of text.
 ///
-/// `memory.x:25: WEIGHTS: ORIGIN is 0x100000000, which is no 32-bit address; choose one below
+/// `memory.x:25: WEIGHTS: ORIGIN is 0x100000000, which is not a 32-bit address; choose one below
 /// 0x100000000`
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]

@@ -6,25 +6,28 @@
 //!
 //! ```text
 //! statement = "MEMORY" "{" { region } "}"
-//!           | symbol "=" value ";"
+//!           | symbol "=" value ";"  |  symbol "+=" value ";" and the like
+//!           | "PROVIDE" "(" symbol "=" value ")" ";"
+//!           | "REGION_ALIAS" "(" name "," region ")" ";"
 //!           | "ASSERT" "(" value "," "\"message\"" ")" [ ";" ]
-//!           | ";"
+//!           | any other with its parentheses or braces       passed over
 //! region    = name [ "(" attributes ")" ] ":" ORIGIN "=" value [ "," ] LENGTH "=" value
-//! value     = compared { ("==" | "!=") compared }
-//! compared  = sum { ("<" | "<=" | ">" | ">=") sum }
-//! sum       = product { ("+" | "-") product }
-//! product   = operand { ("*" | "/" | "%") operand }
-//! operand   = number | symbol | "ORIGIN(" name ")" | "LENGTH(" name ")" | "(" value ")"
+//! value     = C's operators over  number | symbol | "(" value ")" | ORIGIN(name) | LENGTH(name)
+//!           | MAX(value, value) | MIN(value, value) | ALIGN(value, value) | ABSOLUTE(value)
 //! number    = ( digits | "0x" hexadecimal ) [ "K" | "M" ]
 //! ```
 //!
 //! `ORIGIN` may be spelt `org` or `o`, `LENGTH` `len` or `l`, the suffixes in lower case. Comments
-//! are `/* ... */`. Statements are evaluated in their order, as unsigned 64-bit numbers without
-//! wrapping; an assertion that does not hold is an error with its message. All else is an error.
+//! are `/* ... */` and, as LLD has them, `# ...`. Statements are evaluated in their order, as
+//! unsigned 64-bit numbers without wrapping; an assertion that does not hold is an error with its
+//! message. `SECTIONS`, `EXTERN`, `ENTRY` and whatever else places nothing in the region of the
+//! weights is the linker's business and passed over. A symbol whose value only the linker knows
+//! (`ADDR`, `SIZEOF`, `.`) has none here; that is an error only where a value is needed.
 //!
 //! Invariant: every region lies within the 32-bit addresses.
 
 mod error;
+mod expression;
 mod reader;
 mod tokens;
 mod weights;
@@ -33,6 +36,11 @@ use std::path::Path;
 
 pub use error::MemoryMapError;
 pub use weights::WeightsRegion;
+
+use crate::input_file::read_limited;
+
+/// Longest file that is read; a linker script has some kilobytes. \[byte\]
+const FILE_MAX: u64 = 1 << 20;
 
 /// How many addresses there are: 2^32.
 pub(crate) const ADDRESSES: u64 = 1 << 32;
@@ -46,6 +54,10 @@ pub struct MemoryMap {
     pub regions: Vec<Region>,
     /// What the assignments define.
     pub symbols: Vec<Symbol>,
+    /// Why each symbol that is assigned, but has no value here, has none.
+    pub unresolved: Vec<MemoryMapError>,
+    /// Files that it includes. They are not read.
+    pub included: Vec<String>,
 }
 
 /// A part of the address space.
@@ -79,8 +91,8 @@ impl MemoryMap {
     /// A file that cannot be read, and those of [`MemoryMap::parse`].
     pub fn read(path: &Path) -> Result<Self, MemoryMapError> {
         let file = path.display().to_string();
-        match std::fs::read_to_string(path) {
-            Ok(text) => Self::parse(&text, &file),
+        match read_limited(path, FILE_MAX) {
+            Ok(bytes) => Self::parse(&String::from_utf8_lossy(&bytes), &file),
             Err(error) => Err(MemoryMapError {
                 file,
                 line: None,
@@ -94,11 +106,13 @@ impl MemoryMap {
     /// Reads `text`, which errors call `file`.
     ///
     /// # Errors
-    /// What the module's description does not have, arithmetic that leaves the 64 bits, regions
-    /// outside the 32-bit addresses, assertions that do not hold.
+    /// What is not a linker script, regions without a value or outside the 32-bit addresses,
+    /// sections in the region of the weights, assertions that do not hold.
     pub fn parse(text: &str, file: &str) -> Result<Self, MemoryMapError> {
-        let mut map = reader::read(text).map_err(|fault| fault.within(file))?;
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let (mut map, unresolved) = reader::read(text).map_err(|fault| fault.within(file))?;
         file.clone_into(&mut map.file);
+        map.unresolved = unresolved.into_iter().map(|fault| fault.within(file)).collect();
         Ok(map)
     }
 

@@ -1,43 +1,63 @@
 //! Reads the statements of a memory map and evaluates them in their order.
+//!
+//! Most of a linker script is the linker's business: what places nothing in the region of the
+//! weights is passed over, and a symbol without a value here is an error only where a value is
+//! needed.
 
 use super::error::Fault;
+use super::expression::apply;
 use super::tokens::{Token, tokens};
+use super::weights::REGION as WEIGHTS;
 use super::{ADDRESSES, MemoryMap, Region, Symbol};
 
-/// Parentheses within parentheses; more are a mistake, and each costs stack.
-const DEEPEST: usize = 64;
+const STATEMENTS: &str = "MEMORY { ... }, ASSERT(condition, \"message\"); or symbol = value;";
 
-/// Reads `text`; the map does not know yet from which file it is.
-pub(super) fn read(text: &str) -> Result<MemoryMap, Fault> {
+/// Reads `text`; the map does not know yet from which file it is. Besides it, why each symbol that
+/// has no value has none.
+pub(super) fn read(text: &str) -> Result<(MemoryMap, Vec<Fault>), Fault> {
+    let tokens = tokens(text)?;
     let mut reader = Reader {
-        tokens: tokens(text)?,
+        tokens: &tokens,
         next: 0,
         depth: 0,
-        map: MemoryMap { file: String::new(), regions: Vec::new(), symbols: Vec::new() },
+        map: MemoryMap {
+            file: String::new(),
+            regions: Vec::new(),
+            symbols: Vec::new(),
+            unresolved: Vec::new(),
+            included: Vec::new(),
+        },
+        aliases: Vec::new(),
+        unresolved: Vec::new(),
     };
     while *reader.peek() != Token::End {
         reader.statement()?;
     }
-    Ok(reader.map)
+    Ok((reader.map, reader.unresolved))
 }
 
-struct Reader {
-    tokens: Vec<(Token, usize)>,
-    next: usize,
-    depth: usize,
-    map: MemoryMap,
+/// The state of reading.
+pub(super) struct Reader<'t> {
+    tokens: &'t [(Token, usize)],
+    pub(super) next: usize,
+    pub(super) depth: usize,
+    pub(super) map: MemoryMap,
+    /// Other names of regions.
+    pub(super) aliases: Vec<(String, String)>,
+    /// Assignments whose values are not known here, by the names of their symbols.
+    pub(super) unresolved: Vec<Fault>,
 }
 
-impl Reader {
-    fn peek(&self) -> &Token {
+impl Reader<'_> {
+    pub(super) fn peek(&self) -> &Token {
         &self.tokens[self.next].0
     }
 
-    fn line(&self) -> usize {
+    pub(super) fn line(&self) -> usize {
         self.tokens[self.next].1
     }
 
-    fn take_if(&mut self, sign: &str) -> bool {
+    pub(super) fn take_if(&mut self, sign: &str) -> bool {
         let there = matches!(self.peek(), Token::Sign(found) if *found == sign);
         if there {
             self.next += 1;
@@ -45,24 +65,31 @@ impl Reader {
         there
     }
 
-    fn expect(&mut self, sign: &str, place: &str) -> Result<(), Fault> {
+    pub(super) fn expect(&mut self, sign: &str, place: &str) -> Result<(), Fault> {
         if self.take_if(sign) { Ok(()) } else { Err(self.unexpected(&format!("`{sign}` {place}"))) }
     }
 
-    fn unexpected(&self, expected: &str) -> Fault {
-        Fault::new(self.line(), format!("found {}", self.peek()), format!("expected {expected}"))
+    pub(super) fn unexpected(&self, expected: &str) -> Fault {
+        let expected = format!("expected {expected}");
+        match self.peek() {
+            Token::BadNumber(word, problem, mend) => {
+                Fault::new(self.line(), format!("`{word}` {problem}"), *mend)
+            }
+            found => Fault::new(self.line(), format!("found {found}"), expected),
+        }
     }
 
-    fn word(&mut self, expected: &str) -> Result<String, Fault> {
-        let Token::Word(word) = self.peek() else { return Err(self.unexpected(expected)) };
+    pub(super) fn word(&mut self, expected: &str) -> Result<String, Fault> {
+        // A name may be quoted.
+        let (Token::Word(word) | Token::Text(word)) = self.peek() else {
+            return Err(self.unexpected(expected));
+        };
         let word = word.clone();
         self.next += 1;
         Ok(word)
     }
 
     fn statement(&mut self) -> Result<(), Fault> {
-        const STATEMENTS: &str =
-            "MEMORY { ... }, ASSERT(condition, \"message\"); or symbol = value;";
         if self.take_if(";") {
             return Ok(());
         }
@@ -71,14 +98,24 @@ impl Reader {
         match (word.as_str(), self.peek()) {
             ("MEMORY", _) => self.memory(),
             ("ASSERT", _) => self.assertion(line).map_err(|fault| fault.about("ASSERT")),
-            (".", _) => Err(Fault::new(
-                line,
-                "found `.`, the place where the linker stands",
-                "expected a symbol with a name; a memory map places nothing",
-            )),
+            ("REGION_ALIAS", _) => self.alias().map_err(|fault| fault.about("REGION_ALIAS")),
+            ("PROVIDE" | "PROVIDE_HIDDEN" | "HIDDEN", Token::Sign("(")) => {
+                self.provided(&word).map_err(|fault| fault.about(&word))
+            }
+            ("INCLUDE", _) => self.include(),
+            ("INSERT", _) => {
+                self.word("AFTER or BEFORE")?;
+                self.word("the name of a section")?;
+                Ok(())
+            }
+            (".", _) => self.skip_statement(),
+            (_, Token::Sign("(" | "{")) => self.skip_block().map_err(|fault| fault.about(&word)),
             (name, Token::Sign("=")) => {
                 self.next += 1;
                 self.assignment(name, line).map_err(|fault| fault.about(name))
+            }
+            (name, Token::Sign("+=" | "-=" | "*=" | "/=" | "<<=" | ">>=" | "&=" | "|=" | "^=")) => {
+                self.change(name, line).map_err(|fault| fault.about(name))
             }
             (_, found) => Err(Fault::new(
                 line,
@@ -88,6 +125,7 @@ impl Reader {
         }
     }
 
+    /// `symbol = value;`, of which the linker may know more than is known here.
     fn assignment(&mut self, name: &str, line: usize) -> Result<(), Fault> {
         if let Some(first) = self.map.symbols.iter().find(|symbol| symbol.name == name) {
             return Err(Fault::new(
@@ -96,15 +134,139 @@ impl Reader {
                 "give every symbol one value",
             ));
         }
-        let value = self.value()?;
-        self.expect(";", "behind the value")?;
-        self.map.symbols.push(Symbol { name: name.to_owned(), value, line });
+        let start = self.next;
+        let value = self.value().and_then(|value| {
+            self.expect(";", "behind the value")?;
+            Ok(value)
+        });
+        match value {
+            Ok(value) => {
+                self.map.symbols.push(Symbol { name: name.to_owned(), value, line });
+                Ok(())
+            }
+            Err(fault) => self.pass_over(fault, name, start),
+        }
+    }
+
+    /// `symbol += value;` and the like.
+    fn change(&mut self, name: &str, line: usize) -> Result<(), Fault> {
+        let Token::Sign(sign) = self.peek() else { return Err(self.unexpected(STATEMENTS)) };
+        let operator = &sign[..sign.len() - 1];
+        self.next += 1;
+        let start = self.next;
+        let value = self.value().and_then(|right| {
+            self.expect(";", "behind the value")?;
+            let symbol = self.map.symbols.iter_mut().find(|symbol| symbol.name == name);
+            let symbol = symbol.ok_or_else(|| {
+                let problem = format!("the symbol `{name}` has no value up to here");
+                Fault::new(line, problem, "give it one further up")
+            })?;
+            symbol.value = apply(operator, symbol.value, right).ok_or_else(|| {
+                let problem = format!("{:#x} {operator} {right:#x} is out of range", symbol.value);
+                Fault::new(line, problem, "use other numbers")
+            })?;
+            Ok(())
+        });
+        match value {
+            Ok(()) => Ok(()),
+            Err(fault) => {
+                self.map.symbols.retain(|symbol| symbol.name != name);
+                self.pass_over(fault, name, start)
+            }
+        }
+    }
+
+    /// Goes on behind an assignment that begins at `start` and cannot be evaluated here.
+    fn pass_over(&mut self, fault: Fault, name: &str, start: usize) -> Result<(), Fault> {
+        (self.next, self.depth) = (start, 0);
+        if self.skip_statement().is_err() {
+            return Err(fault);
+        }
+        self.unresolved.push(Fault { name: Some(name.to_owned()), ..fault });
+        Ok(())
+    }
+
+    /// `PROVIDE(symbol = value);`: the value counts where nothing else gives one.
+    fn provided(&mut self, how: &str) -> Result<(), Fault> {
+        self.expect("(", "behind it")?;
+        let line = self.line();
+        let start = self.next;
+        let name = self.word("the name of a symbol")?;
+        self.expect("=", "behind the name")?;
+        let value = self.value().and_then(|value| {
+            self.expect(")", "behind the value")?;
+            Ok(value)
+        });
+        match value {
+            Ok(value) => {
+                let known = self.map.symbols.iter().any(|symbol| symbol.name == name);
+                if known && how == "HIDDEN" {
+                    let problem = format!("`{name}` already has a value");
+                    return Err(Fault::new(line, problem, "give every symbol one value"));
+                }
+                if !known {
+                    self.map.symbols.push(Symbol { name, value, line });
+                }
+            }
+            Err(fault) => {
+                // Back to what follows the opening parenthesis.
+                (self.next, self.depth) = (start - 1, 0);
+                self.skip_block().map_err(|_| fault.clone())?;
+                self.unresolved.push(Fault { name: Some(name), ..fault });
+            }
+        }
+        self.take_if(";");
+        Ok(())
+    }
+
+    /// `REGION_ALIAS("NAME", REGION);`
+    fn alias(&mut self) -> Result<(), Fault> {
+        self.expect("(", "behind REGION_ALIAS")?;
+        let alias = self.word("the new name")?;
+        self.expect(",", "behind the new name")?;
+        let region = self.word("the name of a region")?;
+        self.expect(")", "behind the name of a region")?;
+        self.take_if(";");
+        let of_alias = self.aliases.iter().find(|(known, _)| *known == region);
+        let region = of_alias.map_or(region, |(_, real)| real.clone());
+        self.aliases.push((alias, region));
+        Ok(())
+    }
+
+    /// `INCLUDE file`, which is not followed; a symbol that is then missing may stand there.
+    fn include(&mut self) -> Result<(), Fault> {
+        let line = self.line();
+        let mut file = String::new();
+        // A file's name is whatever stands on the line.
+        while self.line() == line && !matches!(self.peek(), Token::End | Token::Sign(";" | "}")) {
+            match self.peek() {
+                Token::Word(text) | Token::Text(text) | Token::BadNumber(text, ..) => file += text,
+                Token::Number(number) => file += &number.to_string(),
+                Token::Sign(sign) => file += sign,
+                Token::Other(character) => file.push(*character),
+                Token::End => {}
+            }
+            self.next += 1;
+        }
+        self.take_if(";");
+        if file.is_empty() {
+            return Err(self.unexpected("the name of a file behind INCLUDE"));
+        }
+        self.map.included.push(file);
         Ok(())
     }
 
     fn assertion(&mut self, line: usize) -> Result<(), Fault> {
+        let start = self.next;
         self.expect("(", "behind ASSERT")?;
-        let holds = self.value()? != 0;
+        let holds = match self.value() {
+            Ok(value) => value != 0,
+            // Sizes of sections and the like: the linker checks them.
+            Err(fault) => {
+                (self.next, self.depth) = (start, 0);
+                return self.skip_block().map_err(|_| fault);
+            }
+        };
         self.expect(",", "behind the condition")?;
         let Token::Text(message) = self.peek() else {
             return Err(self.unexpected("the message, in quotes"));
@@ -123,11 +285,73 @@ impl Reader {
         ))
     }
 
+    /// Passes over everything up to the next `;` of this statement.
+    fn skip_statement(&mut self) -> Result<(), Fault> {
+        loop {
+            match self.peek() {
+                Token::Sign(";") => {
+                    self.next += 1;
+                    return Ok(());
+                }
+                Token::Sign("(") => self.skip_block()?,
+                Token::Sign("{" | "}" | ")") | Token::End => {
+                    return Err(self.unexpected("`;` behind the value"));
+                }
+                _ => self.next += 1,
+            }
+        }
+    }
+
+    /// Passes over `( ... )` or `{ ... }`. Nothing in it may place something in the region of the
+    /// weights.
+    fn skip_block(&mut self) -> Result<(), Fault> {
+        let start = self.line();
+        let mut open = Vec::new();
+        loop {
+            match self.peek() {
+                Token::Sign(sign @ ("(" | "{")) => open.push(if *sign == "(" { ")" } else { "}" }),
+                Token::Sign(sign @ (")" | "}")) if open.pop() != Some(*sign) => {
+                    return Err(self.unexpected("the other kind of parenthesis"));
+                }
+                Token::Sign(">") => self.refuse_weights()?,
+                Token::End => {
+                    let problem = "has a parenthesis or brace that is never closed";
+                    return Err(Fault::new(start, problem, "close it"));
+                }
+                _ => {}
+            }
+            self.next += 1;
+            if open.is_empty() {
+                return Ok(());
+            }
+        }
+    }
+
+    /// `> WEIGHTS` behind a section.
+    fn refuse_weights(&self) -> Result<(), Fault> {
+        let (Token::Word(name) | Token::Text(name)) = &self.tokens[self.next + 1].0 else {
+            return Ok(());
+        };
+        let is_alias = |(alias, region): &(String, String)| alias == name && region == WEIGHTS;
+        if name != WEIGHTS && !self.aliases.iter().any(is_alias) {
+            return Ok(());
+        }
+        Err(Fault::new(
+            self.line(),
+            format!("places a section in {WEIGHTS}, where new weights erase it"),
+            "place it in another region",
+        ))
+    }
+
     fn memory(&mut self) -> Result<(), Fault> {
         self.expect("{", "behind MEMORY")?;
         while !self.take_if("}") {
             let line = self.line();
             let name = self.word("the name of a region or `}`")?;
+            if name == "INCLUDE" {
+                self.include()?;
+                continue;
+            }
             self.region(&name, line).map_err(|fault| fault.about(&name))?;
         }
         Ok(())
@@ -157,7 +381,7 @@ impl Reader {
         let Some(origin) = u32::try_from(origin).ok() else {
             return Err(Fault::new(
                 line,
-                format!("ORIGIN is {origin:#x}, which is no 32-bit address"),
+                format!("ORIGIN is {origin:#x}, which is not a 32-bit address"),
                 "choose one below 0x100000000",
             ));
         };
@@ -181,124 +405,5 @@ impl Reader {
         }
         self.expect("=", &format!("behind {long}"))?;
         self.value()
-    }
-
-    /// `equality`, the loosest binding.
-    fn value(&mut self) -> Result<u64, Fault> {
-        self.depth += 1;
-        if self.depth > DEEPEST {
-            return Err(Fault::new(
-                self.line(),
-                format!("more than {DEEPEST} parentheses within each other"),
-                "give parts of the expression names of their own",
-            ));
-        }
-        let value = self.chain(&["==", "!="], |reader| {
-            reader.chain(&["<=", ">=", "<", ">"], |reader| {
-                reader.chain(&["+", "-"], |reader| reader.chain(&["*", "/", "%"], Self::operand))
-            })
-        });
-        self.depth -= 1;
-        value
-    }
-
-    /// Operands of one strength, joined from the left.
-    fn chain(
-        &mut self,
-        signs: &[&'static str],
-        operand: impl Fn(&mut Self) -> Result<u64, Fault>,
-    ) -> Result<u64, Fault> {
-        let mut value = operand(self)?;
-        loop {
-            let line = self.line();
-            let sign = match self.peek() {
-                Token::Sign(sign) if signs.contains(sign) => *sign,
-                _ => return Ok(value),
-            };
-            self.next += 1;
-            let right = operand(self)?;
-            value = apply(sign, value, right).ok_or_else(|| {
-                let (problem, mend) = match sign {
-                    "/" | "%" => ("divides by 0", "divide by something else"),
-                    "-" => ("is negative", "subtract less: addresses and sizes count from 0"),
-                    _ => ("needs more than 64 bits", "use smaller numbers"),
-                };
-                Fault::new(line, format!("{value:#x} {sign} {right:#x} {problem}"), mend)
-            })?;
-        }
-    }
-
-    /// A number, an earlier symbol, `ORIGIN(X)`, `LENGTH(X)` or something in parentheses.
-    fn operand(&mut self) -> Result<u64, Fault> {
-        let line = self.line();
-        match self.peek() {
-            Token::Number(number) => {
-                let number = *number;
-                self.next += 1;
-                Ok(number)
-            }
-            Token::Sign("(") => {
-                self.next += 1;
-                let value = self.value()?;
-                self.expect(")", "behind what it encloses")?;
-                Ok(value)
-            }
-            Token::Word(word) => {
-                let word = word.clone();
-                self.next += 1;
-                match (word.as_str(), self.take_if("(")) {
-                    ("ORIGIN" | "LENGTH", true) => self.of_region(&word),
-                    (function, true) => Err(Fault::new(
-                        line,
-                        format!("found the function `{function}`"),
-                        "expected ORIGIN(region) or LENGTH(region)",
-                    )),
-                    (name, false) => {
-                        let symbol = self.map.symbols.iter().find(|symbol| symbol.name == name);
-                        symbol.map(|symbol| symbol.value).ok_or_else(|| {
-                            Fault::new(
-                                line,
-                                format!("the symbol `{name}` has no value up to here"),
-                                "give it one further up",
-                            )
-                        })
-                    }
-                }
-            }
-            _ => Err(self.unexpected("a number, a symbol, ORIGIN(region), LENGTH(region) or `(`")),
-        }
-    }
-
-    /// What stands behind `ORIGIN(`.
-    fn of_region(&mut self, what: &str) -> Result<u64, Fault> {
-        let line = self.line();
-        let name = self.word("the name of a region")?;
-        self.expect(")", "behind the name of a region")?;
-        let Some(region) = self.map.regions.iter().find(|region| region.name == name) else {
-            return Err(Fault::new(
-                line,
-                format!("there is no region `{name}` up to here"),
-                "describe it further up, in MEMORY",
-            ));
-        };
-        Ok(if what == "ORIGIN" { region.origin.into() } else { region.length })
-    }
-}
-
-/// Comparisons give 0 or 1; `None` if the result is no number from 0 to 2^64 - 1.
-fn apply(sign: &str, left: u64, right: u64) -> Option<u64> {
-    match sign {
-        "+" => left.checked_add(right),
-        "-" => left.checked_sub(right),
-        "*" => left.checked_mul(right),
-        "/" => left.checked_div(right),
-        "%" => left.checked_rem(right),
-        "<" => Some((left < right).into()),
-        "<=" => Some((left <= right).into()),
-        ">" => Some((left > right).into()),
-        ">=" => Some((left >= right).into()),
-        "==" => Some((left == right).into()),
-        "!=" => Some((left != right).into()),
-        _ => None,
     }
 }

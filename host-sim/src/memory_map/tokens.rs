@@ -15,15 +15,20 @@ pub(super) enum Token {
     Text(String),
     /// One of [`SIGNS`].
     Sign(&'static str),
+    /// A number that linkers do not read: its text, what is wrong, and the hint.
+    BadNumber(String, &'static str, &'static str),
+    /// A character that only stands in what is skipped, such as the pattern of a section's name.
+    Other(char),
     /// Nothing follows.
     End,
 }
 
 /// Signs of the scripts that are read here; where one is the start of another, the longer one
 /// comes first.
-const SIGNS: [&str; 20] = [
-    "<=", ">=", "==", "!=", "<", ">", "=", "!", "+", "-", "*", "/", "%", "(", ")", "{", "}", ",",
-    ":", ";",
+const SIGNS: [&str; 38] = [
+    "<<=", ">>=", "<<", ">>", "<=", ">=", "==", "!=", "&&", "||", "+=", "-=", "*=", "/=", "&=",
+    "|=", "^=", "<", ">", "=", "!", "+", "-", "*", "/", "%", "&", "|", "^", "~", "?", "(", ")",
+    "{", "}", ",", ":", ";",
 ];
 
 impl fmt::Display for Token {
@@ -32,6 +37,8 @@ impl fmt::Display for Token {
             Self::Word(word) => write!(f, "`{word}`"),
             Self::Number(number) => write!(f, "the number {number}"),
             Self::Text(text) => write!(f, "the text \"{text}\""),
+            Self::BadNumber(word, ..) => write!(f, "`{word}`"),
+            Self::Other(character) => write!(f, "{character:?}"),
             Self::Sign(sign) => write!(f, "`{sign}`"),
             Self::End => f.write_str("the end of the file"),
         }
@@ -41,7 +48,7 @@ impl fmt::Display for Token {
 /// The tokens of `text` with their lines from 1; the last one is [`Token::End`].
 ///
 /// # Errors
-/// A character, a number, a comment or a text that linker scripts do not have.
+/// A comment or a text without an end, or a comment of another language.
 pub(super) fn tokens(text: &str) -> Result<Vec<(Token, usize)>, Fault> {
     let mut found = Vec::new();
     let mut line = 1;
@@ -57,10 +64,13 @@ pub(super) fn tokens(text: &str) -> Result<Vec<(Token, usize)>, Fault> {
             };
             line += inside.matches('\n').count();
             rest = behind;
-        } else if rest.starts_with("//") || first == '#' {
+        } else if first == '#' {
+            // A comment to LLD, which links Rust by default.
+            rest = &rest[rest.find('\n').unwrap_or(rest.len())..];
+        } else if rest.starts_with("//") {
             return Err(Fault::new(
                 started,
-                format!("`{}` starts no comment here", if first == '#' { "#" } else { "//" }),
+                "`//` does not start a comment in a linker script",
                 "write comments as /* ... */",
             ));
         } else if let Some(quoted) = rest.strip_prefix('"') {
@@ -78,9 +88,10 @@ pub(super) fn tokens(text: &str) -> Result<Vec<(Token, usize)>, Fault> {
             let end = rest.find(|c| !is_in_word(c)).unwrap_or(rest.len());
             let (word, behind) = rest.split_at(end);
             let token = if first.is_ascii_digit() {
-                Token::Number(number(word).map_err(|(problem, mend)| {
-                    Fault::new(started, format!("`{word}` {problem}"), mend)
-                })?)
+                number(word).map_or_else(
+                    |(problem, mend)| Token::BadNumber(word.to_owned(), problem, mend),
+                    Token::Number,
+                )
             } else {
                 Token::Word(word.to_owned())
             };
@@ -90,11 +101,8 @@ pub(super) fn tokens(text: &str) -> Result<Vec<(Token, usize)>, Fault> {
             found.push((Token::Sign(sign), started));
             rest = &rest[sign.len()..];
         } else {
-            return Err(Fault::new(
-                started,
-                format!("found {first:?}, which stands in no memory map"),
-                "expected a name, a number, or one of + - * / % ( ) { } < > = , : ;",
-            ));
+            found.push((Token::Other(first), started));
+            rest = &rest[first.len_utf8()..];
         }
     }
     found.push((Token::End, line));
@@ -118,7 +126,7 @@ fn number(word: &str) -> Result<u64, (&'static str, &'static str)> {
         None => (digits, 10),
     };
     if digits.is_empty() || !digits.chars().all(|digit| digit.is_digit(radix)) {
-        return Err(("is no number", FORMS));
+        return Err(("is not a number", FORMS));
     }
     if radix == 10 && digits.len() > 1 && digits.starts_with('0') {
         return Err(("begins with 0, which linkers read as octal", FORMS));
@@ -167,19 +175,39 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_token_is_named_with_its_line() {
+    fn what_never_ends_is_named_with_its_line() {
         for (text, line, part) in [
-            ("a = 1;\nb = ?;", 2, "'?'"),
             ("/* never", 1, "*/"),
             ("\n\"open\n\"", 2, "closing quote"),
             ("\n\n// comment", 3, "/* ... */"),
-            ("# comment", 1, "/* ... */"),
-            ("a = 010;", 1, "octal"),
         ] {
             let fault = tokens(text).unwrap_err();
             assert_eq!(fault.line, line, "{text}");
             let said = format!("{}; {}", fault.problem, fault.mend);
             assert!(said.contains(part), "{said}");
         }
+    }
+
+    #[test]
+    fn patterns_and_comments_of_lld_are_tokens() {
+        let found = tokens("# a comment\n*(.text [a-z]) 010 << 2").unwrap();
+        let kinds: Vec<_> = found.iter().map(|(token, _)| token.to_string()).collect();
+        let expected = [
+            "`*`",
+            "`(`",
+            "`.text`",
+            "'['",
+            "`a`",
+            "`-`",
+            "`z`",
+            "']'",
+            "`)`",
+            "`010`",
+            "`<<`",
+            "the number 2",
+            "the end of the file",
+        ];
+        assert_eq!(kinds, expected);
+        assert!(found.iter().all(|&(_, line)| line == 2));
     }
 }

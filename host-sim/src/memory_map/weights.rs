@@ -31,7 +31,11 @@ pub struct WeightsRegion {
 }
 
 /// Name of the region.
-const REGION: &str = "WEIGHTS";
+pub(super) const REGION: &str = "WEIGHTS";
+
+/// Longest part of it: many times the largest package, and little enough to be written whole into
+/// an image. \[byte\]
+const PART_MAX: u64 = 64 << 20;
 
 /// A piece of the region: its name, the symbols of its origin and its length.
 type Part = (&'static str, &'static str, &'static str);
@@ -161,6 +165,14 @@ fn check_inside(map: &MemoryMap, region: &Region, part: Part) -> Result<(), Memo
     if length == 0 {
         return Err(wrong(map, length_symbol, "is 0", "give it whole erase units"));
     }
+    if length > PART_MAX && origin >= region.origin.into() && length <= region.length {
+        return Err(wrong(
+            map,
+            length_symbol,
+            &format!("{name} has {length:#x} bytes"),
+            &format!("shorten it to {PART_MAX:#x} at most; a package needs some kilobytes"),
+        ));
+    }
     if origin < region.origin.into() {
         return Err(wrong(
             map,
@@ -192,7 +204,7 @@ fn check_units(map: &MemoryMap, part: Part, erase_size: u64) -> Result<(), Memor
             return Err(wrong(
                 map,
                 symbol,
-                &format!("the {what} of {name}, {found:#x}, is no multiple of {erase_size:#x}"),
+                &format!("the {what} of {name}, {found:#x}, is not a multiple of {erase_size:#x}"),
                 &format!("choose a multiple of {ERASE_SIZE}, so that erasing it touches no other"),
             ));
         }
@@ -224,7 +236,10 @@ fn check_apart(map: &MemoryMap, first: Part, second: Part) -> Result<(), MemoryM
 fn value(map: &MemoryMap, name: &str) -> Result<u64, MemoryMapError> {
     match map.symbol(name) {
         Some(symbol) => Ok(symbol.value),
-        None => Err(missing(map, name, "a symbol", "an assignment")),
+        None => {
+            let told = map.unresolved.iter().find(|error| error.name.as_deref() == Some(name));
+            Err(told.cloned().unwrap_or_else(|| missing(map, name, "a symbol", "an assignment")))
+        }
     }
 }
 
@@ -234,12 +249,16 @@ fn address(map: &MemoryMap, name: &str) -> Result<u32, MemoryMapError> {
 }
 
 fn missing(map: &MemoryMap, name: &str, what: &str, by: &str) -> MemoryMapError {
+    let included = match map.included.as_slice() {
+        [] => String::new(),
+        files => format!(" (INCLUDE is not followed: {})", files.join(", ")),
+    };
     error(
         map,
         None,
         name,
-        format!("there is no such name, and {what} is needed"),
-        &format!("define it by {by}, as the project's own memory.x does"),
+        format!("there is no such name, and {what} is needed{included}"),
+        &format!("define it by {by} in this file, as the project's own memory.x does"),
     )
 }
 

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use agent_core::network::{Architecture, InnerNetwork};
 use agent_core::package::{Envelope, NetworkPlace, Package, PackageError, signature_block};
+use agent_core::signature::{PublicKey, verify};
 
 use crate::output_file::{FileKind, OutputError, write_whole};
 use crate::signing::OperatorKey;
@@ -43,7 +44,7 @@ pub enum PackageFileError {
         path: PathBuf,
     },
     /// It is no package.
-    #[error("{}: {error}; copy or make it anew", path.display())]
+    #[error("{}: {error}; copy it again, or train again", path.display())]
     Package {
         /// The file.
         path: PathBuf,
@@ -131,6 +132,30 @@ impl PackageBytes {
         let signature = key.sign(envelope.signed_part);
         let bytes = [envelope.signed_part, &signature_block(&signature)].concat();
         Self::new(&bytes).expect("a package with a signature of the right length")
+    }
+
+    /// The same package under another version, without signature and without leave to replace newer
+    /// ones, both of which are for one version only.
+    ///
+    /// # Panics
+    /// Never: every version is as long as every other.
+    #[must_use]
+    pub fn renumbered(&self, version: u32) -> Self {
+        let package = Package { version, replaces: None, ..self.package() };
+        // Without a signature it is not longer; a number may take a few bytes more.
+        let mut buffer = vec![0; self.length + 64];
+        let length = package.encode(&mut buffer).expect("a package that was encoded before");
+        Self::new(&buffer[..length]).expect("a package that decoded under another version")
+    }
+
+    /// Whether there is a signature by the private half of `key`.
+    #[must_use]
+    pub fn is_signed_by(&self, key: &PublicKey) -> bool {
+        Envelope::open(self.as_bytes()).is_ok_and(|envelope| {
+            envelope
+                .signature
+                .is_some_and(|signature| verify(key, envelope.signed_part, signature).is_ok())
+        })
     }
 
     /// Whether there is a signature, by whomever.

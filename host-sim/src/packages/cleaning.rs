@@ -3,7 +3,7 @@
 
 use super::Recording;
 use crate::scenario::Recipe;
-use crate::training::{Averaging, Dataset, Smoothing, SmoothingError};
+use crate::training::{Averaging, Dataset, Smoothed, Smoothing, SmoothingError};
 
 /// Cleaned samples of a recording.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,30 +21,63 @@ pub struct Cleaned {
     pub stride: usize,
     /// Period of the signal, if it rises above its chatter. \[s\]
     pub period: Option<f64>,
+    /// What gaps cost.
+    pub cleaning: Cleaning,
 }
+
+/// What was left out of a recording with gaps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Cleaning {
+    /// Pieces between gaps that are too long for a smoothing window to bridge.
+    pub pieces: usize,
+    /// Pieces that are too short for a window.
+    pub pieces_left_out: usize,
+    /// Recorded samples in those.
+    pub samples_left_out: usize,
+    /// Windows in which too many samples are missing.
+    pub windows_left_out: usize,
+}
+
+impl Cleaning {
+    fn of(smoothed: &Smoothed) -> Self {
+        Self {
+            pieces: smoothed.pieces,
+            pieces_left_out: smoothed.pieces_left_out,
+            samples_left_out: smoothed.samples_left_out,
+            windows_left_out: smoothed.windows_left_out,
+        }
+    }
+}
+
+/// Longest gap that is filled to find out how long to average. \[samples\]
+const FILLED_MAX: u64 = 8;
 
 impl Cleaned {
     /// Averages and thins `recording` as `recipe` says, or else as the samples' own spectrum does.
-    /// What is shorter than the window between two gaps is left out.
+    /// A window bridges short gaps; what is shorter than the window between two long ones is left
+    /// out.
     ///
     /// # Errors
     /// If no window fits between any two gaps.
     pub fn new(recording: &Recording, recipe: &Recipe) -> Result<Self, SmoothingError> {
         let pieces: Vec<Dataset> = recording.pieces().collect();
         let interval = recording.interval;
-        let averaging = Averaging::of(&pieces, interval);
+        let averaging = Averaging::of(&filled(recording), interval);
         let window = recipe.smoothing_window.unwrap_or(averaging.window);
         let stride = match recipe.decimation {
             Some(decimation) => decimation.get() as usize,
             None => Averaging::stride(window, interval),
         };
         let smoothing = Smoothing { window, stride };
-        let data = smooth_all(&pieces, |piece| smoothing.apply(piece, interval))?;
+        let smoothed =
+            smoothing.apply_with_gaps(&recording.samples, &recording.ticks(), interval)?;
+        let cleaning = Cleaning::of(&smoothed);
+        let data = smoothed.data;
         let raw = window == 0.0 && averaging.window > 0.0;
         let judged =
             if raw { judge_raw(&pieces, averaging.window, interval, stride) } else { None };
         let (judged, rows) = judged.unwrap_or_else(|| (data.clone(), (0..data.len()).collect()));
-        Ok(Self { data, judged, rows, window, stride, period: averaging.period })
+        Ok(Self { data, judged, rows, window, stride, period: averaging.period, cleaning })
     }
 
     /// The judged samples that belong to the rows of `data` for which `chosen` is true.
@@ -55,28 +88,35 @@ impl Cleaned {
     }
 }
 
-/// All that `smooth` makes of the pieces, or its last refusal if that is nothing.
-fn smooth_all(
-    pieces: &[Dataset],
-    smooth: impl Fn(&Dataset) -> Result<Dataset, SmoothingError>,
-) -> Result<Dataset, SmoothingError> {
-    let (mut inputs, mut targets, mut refused) = (Vec::new(), Vec::new(), None);
-    for piece in pieces {
-        match smooth(piece) {
-            Ok(data) => {
-                inputs.extend_from_slice(data.inputs());
-                targets.extend_from_slice(data.targets());
+/// The pieces between long gaps; short ones are filled on a straight line. For the choice of a
+/// window only: single lost samples would leave pieces that show no slow signal.
+fn filled(recording: &Recording) -> Vec<Dataset> {
+    let n = recording.samples.dimension();
+    let (inputs, targets) = (recording.samples.inputs(), recording.samples.targets());
+    let ticks = recording.ticks();
+    let mut pieces = Vec::new();
+    let (mut filled_inputs, mut filled_targets) = (Vec::new(), Vec::new());
+    for (index, &tick) in ticks.iter().enumerate() {
+        let missing = index.checked_sub(1).map_or(0, |before| tick - ticks[before] - 1);
+        if missing > FILLED_MAX {
+            pieces.extend(Dataset::new(n, filled_inputs, filled_targets));
+            (filled_inputs, filled_targets) = (Vec::new(), Vec::new());
+        } else {
+            for step in 1..=missing {
+                let share = step as f64 / (missing + 1) as f64;
+                let between = |values: &[f64], i: usize| {
+                    let (a, b) = (values[(index - 1) * n + i], values[index * n + i]);
+                    a + share * (b - a)
+                };
+                filled_inputs.extend((0..n).map(|i| between(inputs, i)));
+                filled_targets.extend((0..n).map(|i| between(targets, i)));
             }
-            Err(error) => refused = Some(error),
         }
+        filled_inputs.extend_from_slice(&inputs[index * n..(index + 1) * n]);
+        filled_targets.extend_from_slice(&targets[index * n..(index + 1) * n]);
     }
-    match refused {
-        Some(error) if inputs.is_empty() => Err(error),
-        _ => {
-            let dimension = pieces.first().map_or(0, Dataset::dimension);
-            Ok(Dataset::new(dimension, inputs, targets)?)
-        }
-    }
+    pieces.extend(Dataset::new(n, filled_inputs, filled_targets));
+    pieces
 }
 
 /// Smoothed pairs for raw samples of which every `stride`-th is trained on, and the row of each
@@ -113,6 +153,7 @@ mod tests {
     use std::num::NonZeroU32;
 
     use super::*;
+    use crate::packages::Timing;
     use crate::scenario::{PAPER, Scenario};
 
     /// A slow wave whose derivative carries chatter, up to half as large.
@@ -126,6 +167,7 @@ mod tests {
             gaps: gaps.to_vec(),
             start: 0.0,
             interval: 0.01,
+            timing: Timing { missing: vec![1; gaps.len()], ..Timing::default() },
             outer_weights: None,
         }
     }
@@ -168,5 +210,25 @@ mod tests {
             let part = cleaned.judged_in(&chosen).unwrap();
             assert_eq!(part.len(), cleaned.rows.iter().filter(|&&row| row < 500).count());
         }
+    }
+
+    #[test]
+    fn lost_samples_change_the_window_little() {
+        let whole = recording(&[]);
+        let window = Cleaned::new(&whole, &recipe(None, None)).unwrap().window;
+        let kept: Vec<usize> = (0..3000).filter(|s| s % 7 != 3 && s % 31 != 5).collect();
+        let gap = |pair: &[usize]| (pair[1] - pair[0] - 1) as u64;
+        let after = (1..kept.len()).filter(|&i| gap(&kept[i - 1..=i]) > 0);
+        let gaps: Vec<usize> = after.collect();
+        let missing = gaps.iter().map(|&i| gap(&kept[i - 1..=i])).collect();
+        let lossy = Recording {
+            samples: whole.samples.select(&kept).unwrap(),
+            gaps,
+            timing: Timing { missing, ..Timing::default() },
+            ..whole
+        };
+        let cleaned = Cleaned::new(&lossy, &recipe(None, None)).unwrap();
+        assert!(cleaned.window > 0.5 * window && cleaned.window < 2.0 * window, "{cleaned:?}");
+        assert_eq!((cleaned.cleaning.pieces, cleaned.cleaning.samples_left_out), (1, 0));
     }
 }

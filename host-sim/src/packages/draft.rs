@@ -59,6 +59,17 @@ pub enum DraftError {
     /// The network cannot be.
     #[error("the network cannot go into a package: {0}")]
     Network(NetworkError),
+    /// A number of the network is infinite or not a number.
+    #[error(
+        "{what} {} is not a finite number in single precision; train with less noise, a shorter \
+         training or another seed, or repair the network", index + 1
+    )]
+    NotFinite {
+        /// Which of its numbers.
+        what: &'static str,
+        /// The place, from 0, in the core's order.
+        index: usize,
+    },
     /// An input for a test vector, or what comes out for it, is not finite.
     #[error("the network's output overflows for inputs inside the box that it was trained on")]
     TestVector,
@@ -69,8 +80,14 @@ pub enum DraftError {
     #[error("the package cannot be used: {0}")]
     Package(PackageError),
     /// A node would refuse the package.
-    #[error("no node would accept the package: {0}")]
+    #[error("no node would accept the package: {}", super::parameter::refusal(.0))]
     Refused(Refusal),
+    /// A number of the node is too large for single precision.
+    #[error("{what} is not a finite number in single precision")]
+    NodeNotFinite {
+        /// Which, by the scenario's keys.
+        what: &'static str,
+    },
 }
 
 impl Draft {
@@ -102,6 +119,19 @@ impl Draft {
     /// # Errors
     /// See [`DraftError`].
     pub fn seal(&self) -> Result<PackageBytes, DraftError> {
+        for (what, numbers) in [
+            ("inner parameter", &self.inner),
+            ("outer weight", &self.outer_weights),
+            ("the smallest value of input", &self.low),
+            ("the largest value of input", &self.high),
+        ] {
+            if let Some(index) = numbers.iter().position(|number| !number.is_finite()) {
+                return Err(DraftError::NotFinite { what, index });
+            }
+        }
+        if let Some(what) = self.node.not_finite() {
+            return Err(DraftError::NodeNotFinite { what });
+        }
         let network = InnerNetwork::new(self.architecture.clone(), &self.inner[..])
             .map_err(DraftError::Network)?;
         let mut package = Package {

@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | [`bytes`] | a package's bytes, aligned and shared, in memory and in files |
 //! | [`node`] | what makes a node an agent, from a scenario |
+//! | [`parameter`] | what the core refuses, in the words of a scenario |
 //! | [`draft`] | everything that goes into a package, and the making of it |
 //! | [`check`] | the node's own acceptance, for any state dimension |
 //! | [`recording`] | recorded samples, in memory and in files |
@@ -19,6 +20,7 @@ pub mod cleaning;
 pub mod draft;
 pub mod judgement;
 pub mod node;
+pub mod parameter;
 pub mod quality;
 pub mod recording;
 pub mod trained;
@@ -26,7 +28,7 @@ pub mod trained;
 pub use bytes::{PackageBytes, PackageFileError, PackageParameters};
 pub use draft::{Draft, DraftError};
 pub use node::NodeContent;
-pub use recording::{Recording, RecordingError};
+pub use recording::{Recording, RecordingError, Timing};
 
 /// Calls `$function::<N>($arguments)` for the state dimension `$n`, 1 to 12.
 macro_rules! with_dimension {

@@ -99,6 +99,31 @@ impl NodeContent {
         }
     }
 
+    /// The first number, if any, that is not finite in single precision, by the scenario's keys.
+    #[must_use]
+    pub fn not_finite(&self) -> Option<&'static str> {
+        let finite = |numbers: &[f32]| numbers.iter().all(|number| number.is_finite());
+        let trigger = &self.trigger;
+        let (projection, gain) = (&self.projection, self.outer_gain.borrow());
+        let checked = [
+            ("agents.output_matrix", finite(&self.output_matrix)),
+            ("design.gain", finite(self.gain.borrow().entries())),
+            ("a weight of an edge in [graph]", finite(&self.edge_weights)),
+            ("outer_law.gain", finite(gain.entries())),
+            ("outer_law.bound", projection.radius.is_finite()),
+            ("outer_law.boundary_layer", projection.boundary_layer.is_finite()),
+            ("outer_law.smoothing", projection.smoothing.is_finite()),
+            (
+                "phi_1, which grows with the square of design.gain,",
+                trigger.hold_error_weight.is_finite(),
+            ),
+            ("phi_2, which grows with design.gain,", trigger.consensus_weight.is_finite()),
+            ("design.epsilon by the number of agents", trigger.threshold.is_finite()),
+            ("time.step", self.step_size.is_finite()),
+        ];
+        checked.iter().find(|(_, finite)| !finite).map(|(what, _)| *what)
+    }
+
     /// Takes a copy of what `node` borrows.
     #[must_use]
     pub fn copy(node: &Node<'_>) -> Self {

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use agent_core::package::{OnSwitch, TrainingErrors};
 
-use super::cleaning::Cleaned;
+use super::cleaning::{Cleaned, Cleaning};
 use super::judgement::{Samples, judgement};
 use super::quality::{Fit, LAST_SHARE, Quality, estimates, explained, mean_squared_error};
 use super::{Draft, DraftError, NodeContent, PackageBytes, Recording};
@@ -62,6 +62,8 @@ pub struct Trained {
     pub smoothing_window: f64,
     /// Every how many averages one was used.
     pub decimation: usize,
+    /// What cleaning left out.
+    pub cleaning: Cleaning,
     /// How training went.
     pub report: TrainingReport,
     /// What the network in the package says of the samples.
@@ -220,6 +222,7 @@ impl Prepared<'_, '_> {
             samples: self.cleaned.data.len(),
             smoothing_window: self.cleaned.window,
             decimation: self.cleaned.stride,
+            cleaning: self.cleaned.cleaning,
             report,
             quality,
             accepted,

@@ -35,49 +35,31 @@ impl core::fmt::Display for ScenarioError {
 
 impl core::error::Error for ScenarioError {}
 
-/// The candidate nearest to `word` by insertions, deletions and replacements of letters, if one
-/// is near enough to be what was meant.
+/// The candidate that `word` is a slip of the keyboard away from (a letter more, less, other or
+/// swapped with its neighbour), if there is one that is nearer than all others. Case counts for
+/// nothing.
 pub(super) fn closest<'c>(
     word: &str,
     candidates: impl IntoIterator<Item = &'c str>,
 ) -> Option<&'c str> {
-    let near_enough = 1 + word.chars().count() / 4;
-    candidates
+    let lower = word.to_lowercase();
+    let near_enough = 1 + word.chars().count() / 5;
+    let mut near: Vec<(usize, &str)> = candidates
         .into_iter()
-        .map(|candidate| (edit_distance(word, candidate), candidate))
+        .map(|candidate| (strsim::osa_distance(&lower, &candidate.to_lowercase()), candidate))
         .filter(|&(distance, _)| distance <= near_enough)
-        .min_by_key(|&(distance, _)| distance)
-        .map(|(_, candidate)| candidate)
-}
-
-fn edit_distance(from: &str, to: &str) -> usize {
-    let to: Vec<char> = to.chars().collect();
-    let mut row: Vec<usize> = (0..=to.len()).collect();
-    for (i, from) in from.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, &to) in to.iter().enumerate() {
-            let replaced = diagonal + usize::from(from != to);
-            diagonal = row[j + 1];
-            row[j + 1] = replaced.min(row[j] + 1).min(row[j + 1] + 1);
-        }
+        .collect();
+    near.sort_by_key(|&(distance, _)| distance);
+    match near[..] {
+        [(_, only)] => Some(only),
+        [(first, nearest), (second, _), ..] if first < second => Some(nearest),
+        _ => None,
     }
-    row[to.len()]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn distances() {
-        for (from, to, distance) in
-            [("", "", 0), ("", "ab", 2), ("kitten", "sitting", 3), ("gain", "gian", 2)]
-        {
-            assert_eq!(edit_distance(from, to), distance, "{from} {to}");
-            assert_eq!(edit_distance(to, from), distance, "{to} {from}");
-        }
-    }
 
     #[test]
     fn only_what_is_near_is_proposed() {
@@ -86,5 +68,9 @@ mod tests {
         assert_eq!(closest("stepp", keys), Some("step"));
         assert_eq!(closest("integrator", keys), None);
         assert_eq!(closest("x", keys), None);
+        assert_eq!(closest("Step", keys), Some("step"));
+        assert_eq!(closest("setp", keys), Some("step"));
+        assert_eq!(closest("rand", ["tan", "cat"]), None);
+        assert_eq!(closest("k3", ["k1", "k2"]), None, "one is as near as the other");
     }
 }

@@ -58,7 +58,7 @@ pub use levenberg_marquardt::{
 };
 pub use network_problem::{NetworkProblem, ProblemError};
 pub use scaling::Scaling;
-pub use smoothing::{Smoothing, SmoothingError};
+pub use smoothing::{Smoothed, Smoothing, SmoothingError};
 pub use weight_decay::WeightDecay;
 
 use agent_core::network::Architecture;

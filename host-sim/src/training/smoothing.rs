@@ -10,9 +10,14 @@
 //!
 //! Cost: `2h + 1` additions for every value kept.
 //!
-//! Invariants: only full windows are averaged: h samples are lost at either end, and none is
-//! invented. A window shorter than two steps and a stride of 1 change nothing. Samples must be
-//! equidistant, in the order of time.
+//! Where samples are missing, [`Smoothing::apply_with_gaps`] averages over those that are there. The
+//! means of inputs and targets are over the same samples, so that a missing one moves both alike
+//! and the pair stays on the graph of f to the same order; what is lost is a part of the averaging:
+//! with half of the samples, chatter comes through √2 times as strong.
+//!
+//! Invariants: only windows inside the samples are averaged: h samples are lost at either end, and
+//! none is invented. A window shorter than two steps and a stride of 1 change nothing. Samples must
+//! be equidistant, in the order of time. Without a gap both ways give the same bits.
 
 use super::data::{DataError, Dataset};
 
@@ -47,6 +52,38 @@ pub enum SmoothingError {
     /// No full window fits into the samples.
     #[error(transparent)]
     Data(#[from] DataError),
+    /// No window has enough samples between the gaps.
+    #[error(
+        "{samples} samples in {pieces} pieces between gaps, none with a window of {needed} of which \
+         half are there (the longest piece has {longest})"
+    )]
+    Gaps {
+        /// Samples there are.
+        samples: usize,
+        /// Pieces between gaps that no window bridges.
+        pieces: usize,
+        /// Samples of a window.
+        needed: usize,
+        /// Samples of the longest piece.
+        longest: usize,
+    },
+}
+
+/// Smoothed samples, and what became of the others.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Smoothed {
+    /// The means.
+    pub data: Dataset,
+    /// Pieces between gaps that no window bridges.
+    pub pieces: usize,
+    /// Pieces of which nothing is left.
+    pub pieces_left_out: usize,
+    /// Samples in those.
+    pub samples_left_out: usize,
+    /// Windows of the other pieces in which too many samples are missing.
+    pub windows_left_out: usize,
+    /// Samples of a full window.
+    pub window: usize,
 }
 
 impl Smoothing {
@@ -79,6 +116,109 @@ impl Smoothing {
             means
         };
         Ok(Dataset::new(n, average(data.inputs()), average(data.targets()))?)
+    }
+
+    /// Smooths samples of which some are missing. `ticks`, ascending, tell when each was taken, in
+    /// intervals of `step` `[s]`; shape `[samples]`.
+    ///
+    /// A window counts if at least half of its samples are there. A gap of more than a quarter of a
+    /// window is not bridged: what lies behind it is smoothed by itself.
+    ///
+    /// # Errors
+    /// If a field or `step` is out of range, or no window has enough samples.
+    ///
+    /// # Panics
+    /// If there are fewer ticks than samples.
+    pub fn apply_with_gaps(
+        &self,
+        data: &Dataset,
+        ticks: &[u64],
+        step: f64,
+    ) -> Result<Smoothed, SmoothingError> {
+        let window = self.half_width(step)?.saturating_mul(2).saturating_add(1);
+        if self.stride == 0 {
+            return Err(SmoothingError::Stride);
+        }
+        let bridged = (window / 4) as u64;
+        let cuts = (1..data.len()).filter(|&i| ticks[i] - ticks[i - 1] > bridged + 1);
+        let ends: Vec<usize> = cuts.chain([data.len()]).collect();
+        let (mut inputs, mut targets) = (Vec::new(), Vec::new());
+        let (mut start, mut longest) = (0, 0);
+        let (mut pieces_left_out, mut samples_left_out, mut windows_left_out) = (0, 0, 0);
+        for &end in &ends {
+            let rows = start..end;
+            longest = longest.max(rows.len());
+            let before = inputs.len();
+            if ticks[end - 1] - ticks[start] == (rows.len() - 1) as u64 {
+                let piece = data.select(&rows.collect::<Vec<_>>());
+                if let Some(smooth) = piece.and_then(|piece| self.apply(&piece, step).ok()) {
+                    inputs.extend_from_slice(smooth.inputs());
+                    targets.extend_from_slice(smooth.targets());
+                }
+            } else {
+                windows_left_out +=
+                    self.piece_with_gaps(data, ticks, rows, window, &mut inputs, &mut targets);
+            }
+            if inputs.len() == before {
+                pieces_left_out += 1;
+                samples_left_out += end - start;
+            }
+            start = end;
+        }
+        let (samples, pieces) = (data.len(), ends.len());
+        if inputs.is_empty() && pieces == 1 && ticks[samples - 1] - ticks[0] < samples as u64 {
+            return Err(DataError::TooFewSamples { found: samples, needed: window }.into());
+        }
+        if inputs.is_empty() {
+            return Err(SmoothingError::Gaps { samples, pieces, needed: window, longest });
+        }
+        let data = Dataset::new(data.dimension(), inputs, targets)?;
+        Ok(Smoothed { data, pieces, pieces_left_out, samples_left_out, windows_left_out, window })
+    }
+
+    /// The means over the windows of one piece, the samples `rows`; returns how many windows have too
+    /// few samples.
+    fn piece_with_gaps(
+        &self,
+        data: &Dataset,
+        ticks: &[u64],
+        rows: std::ops::Range<usize>,
+        window: usize,
+        inputs: &mut Vec<f64>,
+        targets: &mut Vec<f64>,
+    ) -> usize {
+        let n = data.dimension();
+        let mut mean = |first: usize, end: usize| {
+            for (values, means) in [(data.inputs(), &mut *inputs), (data.targets(), &mut *targets)]
+            {
+                let values = &values[first * n..end * n];
+                for i in 0..n {
+                    let sum = values.iter().skip(i).step_by(n).fold(0.0, |sum, x| sum + x);
+                    means.push(sum / (end - first) as f64);
+                }
+            }
+        };
+        let (start_tick, last_tick) = (ticks[rows.start], ticks[rows.end - 1]);
+        let (mut first, mut end, mut left_out) = (rows.start, rows.start, 0);
+        let mut tick = start_tick;
+        while last_tick - tick >= (window - 1) as u64 {
+            while ticks[first] < tick {
+                first += 1;
+            }
+            while end < rows.end && ticks[end] - tick < window as u64 {
+                end += 1;
+            }
+            if 2 * (end - first) >= window {
+                mean(first, end);
+            } else {
+                left_out += 1;
+            }
+            match tick.checked_add(self.stride as u64).filter(|&next| next <= last_tick) {
+                Some(next) => tick = next,
+                None => break,
+            }
+        }
+        left_out
     }
 
     /// h, samples to either side of a window's centre.
@@ -140,5 +280,73 @@ mod tests {
         assert_eq!(apply(0.02, 1, STEP), Err(SmoothingError::Data(error)));
         assert!(apply(0.018, 1, STEP).is_ok_and(|smooth| smooth.len() == 2));
         assert!(apply(1e300, 1, STEP).is_err());
+    }
+
+    /// Every sample of `data` but those at `lost`, and their ticks.
+    fn without(data: &Dataset, lost: impl Fn(usize) -> bool) -> (Dataset, Vec<u64>) {
+        let kept: Vec<usize> = (0..data.len()).filter(|&index| !lost(index)).collect();
+        let ticks = kept.iter().map(|&index| index as u64).collect();
+        (data.select(&kept).expect("some are kept"), ticks)
+    }
+
+    #[test]
+    fn without_a_gap_both_ways_give_the_same_bits() {
+        let data = ramp(100);
+        for (window, stride) in [(0.0, 1), (0.0, 7), (0.02, 1), (0.02, 3), (0.098, 2)] {
+            let smoothing = Smoothing { window, stride };
+            let (all, ticks) = without(&data, |_| false);
+            let smoothed = smoothing.apply_with_gaps(&all, &ticks, STEP).expect("fits");
+            assert_eq!(Ok(smoothed.data), smoothing.apply(&data, STEP));
+            assert_eq!((smoothed.pieces, smoothed.samples_left_out), (1, 0));
+        }
+        let (all, ticks) = without(&data, |_| false);
+        let long = Smoothing { window: 0.2, stride: 1 }.apply_with_gaps(&all, &ticks, STEP);
+        assert_eq!(long, Err(DataError::TooFewSamples { found: 100, needed: 201 }.into()));
+    }
+
+    #[test]
+    fn a_missing_sample_does_not_cut_a_window_in_two() {
+        let smoothing = Smoothing { window: 0.02, stride: 3 };
+        let (data, ticks) = without(&ramp(100), |index| index == 30 || index == 31 || index == 70);
+        let smoothed = smoothing.apply_with_gaps(&data, &ticks, STEP).expect("fits");
+        // As many windows as with every sample, each on the line x_2 = 100 - 2 x_1.
+        assert_eq!((smoothed.data.len(), smoothed.pieces, smoothed.window), (27, 1, 21));
+        assert_eq!((smoothed.samples_left_out, smoothed.windows_left_out), (0, 0));
+        for row in smoothed.data.inputs().chunks_exact(2) {
+            assert_close(&[row[1]], &[100.0 - 2.0 * row[0]], 1e-13, 1e-12);
+        }
+        // The first windows, 0 to 20 and so on, miss nothing: they are the same bits.
+        let whole = smoothing.apply(&ramp(100), STEP).expect("fits");
+        assert_eq!(smoothed.data.inputs()[..4 * 2], whole.inputs()[..4 * 2]);
+        // The window from 12 to 32 misses the last but one and the one before it.
+        let mean = ((12..=32).sum::<i32>() - 30 - 31) as f64 / 19.0;
+        assert_close(&[smoothed.data.inputs()[4 * 2]], &[mean], 1e-14, 0.0);
+    }
+
+    #[test]
+    fn a_long_gap_cuts_and_what_is_left_out_is_counted() {
+        let smoothing = Smoothing { window: 0.02, stride: 1 };
+        // 40 samples, 10 of a piece that is too short, 38.
+        let (data, ticks) =
+            without(&ramp(100), |index| (40..46).contains(&index) || (56..62).contains(&index));
+        let smoothed = smoothing.apply_with_gaps(&data, &ticks, STEP).expect("fits");
+        assert_eq!(
+            (smoothed.pieces, smoothed.pieces_left_out, smoothed.samples_left_out),
+            (3, 1, 10)
+        );
+        assert_eq!(smoothed.data.len(), (40 - 20) + (38 - 20));
+        // Each second sample: 11 or 10 of 21. Those that begin with a missing one have 10.
+        let (data, ticks) = without(&ramp(100), |index| index % 2 == 1);
+        let half = smoothing.apply_with_gaps(&data, &ticks, STEP).expect("fits");
+        assert_eq!((half.data.len(), half.windows_left_out), (40, 39));
+    }
+
+    #[test]
+    fn nothing_but_short_pieces_is_an_error_with_counts() {
+        let smoothing = Smoothing { window: 0.02, stride: 1 };
+        let (data, ticks) = without(&ramp(100), |index| index % 20 >= 14);
+        let error = smoothing.apply_with_gaps(&data, &ticks, STEP).unwrap_err();
+        let expected = SmoothingError::Gaps { samples: 70, pieces: 5, needed: 21, longest: 14 };
+        assert_eq!(error, expected);
     }
 }

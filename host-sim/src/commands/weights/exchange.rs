@@ -9,13 +9,14 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::analysis::TriggerConstants;
+use crate::commands::key::Passphrase;
 use crate::commands::{
-    CommandError, Format, agent_index, load_scenario, network_of, print_json, print_text,
+    CommandError, Format, agent_index, load_scenario, network_of, print_json, print_text, versions,
 };
+use crate::output_file::OutputFile;
 use crate::packages::trained::INITIAL_VERSION;
 use crate::packages::{Draft, NodeContent, PackageBytes};
 use crate::shell::shell_word;
-use crate::signing::OperatorKey;
 use crate::tensors::{self, Activations, ActivationsSource, NetworkArrays};
 
 /// Arguments of `weights export`.
@@ -62,6 +63,8 @@ pub(in crate::commands) struct Import {
     /// Private key to sign the package with
     #[arg(long)]
     sign: Option<PathBuf>,
+    #[command(flatten)]
+    passphrase: Passphrase,
     /// How the result is printed on standard output
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -122,7 +125,7 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
         activations_from: &'static str,
         largest_rounding: Option<f64>,
     }
-    let key = arguments.sign.as_deref().map(OperatorKey::read).transpose()?;
+    let key = arguments.sign.as_deref().map(|path| arguments.passphrase.key(path)).transpose()?;
     let mut draft = draft(arguments)?;
     let activations = match arguments.activations[..] {
         [] => Activations::FromFile,
@@ -137,17 +140,16 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
     draft.architecture = arrays.architecture;
     draft.inner = arrays.inner;
     draft.outer_weights = arrays.outer;
-    let mut package =
+    let package =
         draft.seal().map_err(|error| no_package(&arguments.arrays, &error.to_string()))?;
-    if let Some(key) = &key {
-        package = package.signed(key);
-    }
-    package.save(&arguments.out)?;
+    let output = OutputFile::prepare(&arguments.out, PackageBytes::KIND)?;
+    let chosen = arguments.package_version;
+    let package = versions::save(package, chosen, key.as_ref(), &arguments.out, output)?;
     let report = Report {
         package: arguments.out.display().to_string(),
         bytes: package.as_bytes().len(),
         agent: package.package().node.agent,
-        version: draft.version,
+        version: package.package().version,
         signed: package.is_signed(),
         activations_from: match import.activations {
             ActivationsSource::File => "file",
@@ -236,7 +238,11 @@ fn draft(arguments: &Import) -> Result<Draft, CommandError> {
             return Err(CommandError::Usage(problem + "; give --base, or --scenario and --agent"));
         }
     };
-    draft.version = arguments.package_version.unwrap_or(draft.version.saturating_add(1));
+    draft.version = match (arguments.package_version, &arguments.base) {
+        (Some(version), _) => version,
+        (None, Some(base)) => versions::after(draft.version, base)?,
+        (None, None) => draft.version + 1,
+    };
     draft.replaces = None;
     draft.on_switch = if arguments.keep_outer_weights { OnSwitch::Keep } else { OnSwitch::Replace };
     draft.recipe = "import".to_owned();

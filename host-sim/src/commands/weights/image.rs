@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::renamed;
 use crate::commands::{CommandError, Format, print_json, print_text};
 use crate::flash::{FlashTarget, ProbeRs};
-use crate::image::{self, Image, ToolUse, Uf2Family, commands_for};
+use crate::image::{self, Image, ImageError, ImageFormat, Part, ToolUse, Uf2Family, commands_for};
 use crate::interruption::{self, Again};
 use crate::memory_map::MemoryMap;
 use crate::output_file::write_whole;
@@ -39,12 +39,16 @@ pub(in crate::commands) struct Arguments {
     package: PathBuf,
     #[command(flatten)]
     place: Place,
-    /// Format of the image; with `json` besides, the result is printed as JSON
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "hex")]
+    /// Format of the image; with `json` besides, the result is printed as JSON [default: what
+    /// --out ends in, else hex]
+    #[arg(long, value_enum, value_delimiter = ',')]
     format: Vec<OutputFormat>,
-    /// Family of the chip, for uf2: rp2040, rp2350-arm-s, nrf52840, stm32f4 or a number
+    /// Family of the chip, for uf2: rp2040, rp2350-arm-s, rp2350-riscv, nrf52840, stm32f4 or a number
     #[arg(long)]
     family: Option<Uf2Family>,
+    /// The chip, as probe-rs calls it: the memory map is held against its flash, if that is known
+    #[arg(long)]
+    chip: Option<String>,
     /// The file to write [default: the package's name with .slot-a.bin or so]
     #[arg(long)]
     out: Option<PathBuf>,
@@ -100,10 +104,7 @@ fn image(path: &Path, place: &Place) -> Result<Image, CommandError> {
     let key = place.key.as_deref().map(read_public_key).transpose()?;
     let package = PackageBytes::load(path)?;
     let requirements = super::verify::requirements(key.as_ref(), None);
-    check(&package, &requirements).map_err(|refusal| CommandError::Refused {
-        path: path.to_owned(),
-        refusal: refusal.to_string(),
-    })?;
+    check(&package, &requirements).map_err(|refusal| CommandError::refused(path, &refusal))?;
     Ok(Image::of_package(&region, place.slot, &package)?)
 }
 
@@ -115,6 +116,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         slot: String,
         segments: Vec<Segment>,
         commands: Vec<Command>,
+        /// What a tool may do besides.
+        notes: Vec<String>,
     }
     #[derive(Serialize)]
     struct Segment {
@@ -130,16 +133,25 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         needs: Vec<String>,
     }
     let (format, printed) = formats(arguments)?;
+    let image_format = format.with_family(arguments.family)?;
     let image = image(&arguments.package, &arguments.place)?;
-    let encoding = format.with_family(arguments.family)?;
-    let bytes = image.encode(encoding)?;
+    let contradiction = match image_format {
+        ImageFormat::Uf2(family) => contradiction(&image, family)?,
+        _ => None,
+    };
+    if let Some(part) = arguments.chip.as_deref().and_then(Part::of_chip) {
+        image.check_part(&part, false)?;
+    }
+    let bytes = image.encode(image_format)?;
     let ending = match image.slot() {
         Slot::A => format!(".slot-a.{format}"),
         Slot::B => format!(".slot-b.{format}"),
     };
     let out = arguments.out.clone().unwrap_or_else(|| renamed(&arguments.package, &ending));
-    write_whole(&out, encoding.file_kind(), |file| file.write_all(&bytes))?;
+    write_whole(&out, image_format.file_kind(), |file| file.write_all(&bytes))?;
     let commands = commands_for(&image, &out, format);
+    let mut notes = notes(&image, format);
+    notes.splice(0..0, contradiction);
     if printed == Format::Json {
         return print_json(&Report {
             image: out.display().to_string(),
@@ -166,6 +178,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                     },
                 })
                 .collect(),
+            notes,
         });
     }
     let mut text =
@@ -178,18 +191,53 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             segment.name
         );
     }
-    if format == image::Format::Bin && image.gap_holds_other_slot() {
-        text += "  A bin file has no holes: this one blanks the other slot; hex and uf2 have a hole there.\n";
+    for note in &notes {
+        text += &format!("  {note}\n");
     }
-    if format == image::Format::Hex && image.gap_holds_other_slot() {
-        text += "  OpenOCD and st-flash fill the hole of a hex file: with them, the other slot is blanked.\n";
-    }
-    text += "Erase units larger than memory.x says would lose what else they hold.\n";
     text += "To write it into the chip, one of\n";
     for command in &commands {
         text += &format!("  {command}\n");
     }
     print_text(&text)
+}
+
+/// What a boot loader of this family makes of the image if it has no flash there.
+fn contradiction(image: &Image, family: Uf2Family) -> Result<Option<String>, CommandError> {
+    let Some(part) = Part::of_family(family) else { return Ok(None) };
+    match image.check_part(&part, true) {
+        Ok(()) => Ok(None),
+        Err(error @ ImageError::NotFlash { .. }) => {
+            Ok(Some(format!("WARNING: {error}. Its boot loader would not write this file.")))
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// What a tool may erase besides the image.
+fn notes(image: &Image, format: image::Format) -> Vec<String> {
+    let mut notes = Vec::new();
+    if image.gap_holds_other_slot() {
+        match format {
+            image::Format::Bin => notes.push(
+                "A bin file has no holes: this one blanks the other slot; hex and uf2 have a hole \
+                 there."
+                    .to_owned(),
+            ),
+            image::Format::Hex => notes.push(
+                "OpenOCD and st-flash fill the hole of a hex file: with them, the other slot is \
+                 blanked."
+                    .to_owned(),
+            ),
+            image::Format::Uf2 => {}
+        }
+    }
+    notes.push(format!(
+        "OpenOCD, st-flash, dfu-util, picotool and boot loaders erase whole sectors of the chip. \
+         Where those are larger than the {} bytes of _weights_erase_size, what else lies in them is \
+         lost; probe-rs puts it back. --chip holds the map against the chip.",
+        image.region().erase_size
+    ));
+    notes
 }
 
 /// The image's format and how the result is printed.
@@ -208,7 +256,27 @@ fn formats(arguments: &Arguments) -> Result<(image::Format, Format), CommandErro
             return Err(CommandError::Usage(problem.to_owned()));
         }
     }
-    Ok((image.unwrap_or(image::Format::Hex), printed.unwrap_or_default()))
+    let of_name = arguments.out.as_deref().map(|out| (out, image::Format::of_file(out)));
+    let format = match (image, of_name) {
+        (Some(asked), Some((out, Some(named)))) if asked != named => {
+            return Err(CommandError::Usage(format!(
+                "{}: ends as a {named} file does, and --format says {asked}; give one of both, or \
+                 another name",
+                out.display()
+            )));
+        }
+        (Some(asked), _) => asked,
+        (None, Some((_, Some(named)))) => named,
+        (None, Some((out, None))) => {
+            return Err(CommandError::Usage(format!(
+                "{}: its ending does not say what file to write; give --format bin, hex or uf2, or \
+                 a name with .bin, .hex or .uf2",
+                out.display()
+            )));
+        }
+        (None, None) => image::Format::Hex,
+    };
+    Ok((format, printed.unwrap_or_default()))
 }
 
 pub(in crate::commands) fn flash(arguments: &FlashArguments) -> Result<(), CommandError> {
@@ -221,6 +289,9 @@ pub(in crate::commands) fn flash(arguments: &FlashArguments) -> Result<(), Comma
     }
     interruption::listen(Again::Exit);
     let image = image(&arguments.package, &arguments.place)?;
+    if let Some(part) = arguments.chip.as_deref().and_then(Part::of_chip) {
+        image.check_part(&part, false)?;
+    }
     let program = ProbeRs::find(arguments.probe_rs.as_deref())?;
     let target = FlashTarget { chip: arguments.chip.clone(), probe: arguments.probe.clone() };
     program.flash(&target, &image, &mut |step| {

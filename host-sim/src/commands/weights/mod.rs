@@ -1,9 +1,11 @@
 //! `weights`: looking at packages, checking, signing, converting and placing them.
 
 mod diff;
+mod evaluate;
 mod exchange;
 mod facts;
 mod image;
+mod renumber;
 mod verify;
 
 use std::path::{Path, PathBuf};
@@ -11,6 +13,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 use serde::Serialize;
 
+use super::key::Passphrase;
 use super::{CommandError, Format, print_json, print_text};
 use crate::output_file::{FileKind, OutputFile};
 use crate::packages::check::check;
@@ -28,6 +31,10 @@ pub(super) enum Command {
     Verify(verify::Arguments),
     /// Says in what two packages differ
     Diff(diff::Arguments),
+    /// Says what a package would have done on a recording, before it is pushed
+    Evaluate(evaluate::Arguments),
+    /// Gives a package a new version
+    Renumber(renumber::Arguments),
     /// Signs a package
     Sign(Sign),
     /// Makes a pair of keys for signing
@@ -58,6 +65,11 @@ pub(super) struct Sign {
     /// The private key, as `weights keygen` or OpenSSL writes it
     #[arg(long)]
     key: PathBuf,
+    #[command(flatten)]
+    passphrase: Passphrase,
+    /// Replaces the signature by another key, if there is one
+    #[arg(long)]
+    replace_signature: bool,
     /// Lets the package take the place of any version up to this one although it is older: how
     /// to go back to a network that worked
     #[arg(long, value_name = "VERSION")]
@@ -86,6 +98,8 @@ pub(super) fn execute(command: &Command) -> Result<(), CommandError> {
         Command::Inspect(arguments) => inspect(arguments),
         Command::Verify(arguments) => verify::execute(arguments),
         Command::Diff(arguments) => diff::execute(arguments),
+        Command::Evaluate(arguments) => evaluate::execute(arguments),
+        Command::Renumber(arguments) => renumber::execute(arguments),
         Command::Sign(arguments) => sign(arguments),
         Command::Keygen(arguments) => keygen(arguments),
         Command::Import(arguments) => exchange::import(arguments),
@@ -109,17 +123,26 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
         package: String,
         bytes: usize,
         key_fingerprint: String,
+        /// There was a signature by another key.
+        replaced_signature: bool,
     }
     let mut bytes = PackageBytes::load(&arguments.package)?;
-    let key = OperatorKey::read(&arguments.key)?;
+    let key = arguments.passphrase.key(&arguments.key)?;
+    let replaced_signature = bytes.is_signed() && !bytes.is_signed_by(key.public_key());
+    if replaced_signature && !arguments.replace_signature {
+        return Err(CommandError::Usage(format!(
+            "{}: is signed with another key than {}; give --replace-signature if that is to be \
+             replaced",
+            arguments.package.display(),
+            fingerprint(key.public_key())
+        )));
+    }
     if arguments.replaces.is_some() {
         bytes = Draft { replaces: arguments.replaces, ..Draft::copy(&bytes.package()) }.seal()?;
     }
     // Nothing is signed that the operator's own nodes would refuse.
-    check(&bytes, &verify::requirements(None, None)).map_err(|refusal| CommandError::Refused {
-        path: arguments.package.clone(),
-        refusal: refusal.to_string(),
-    })?;
+    check(&bytes, &verify::requirements(None, None))
+        .map_err(|refusal| CommandError::refused(&arguments.package, &refusal))?;
     let signed = bytes.signed(&key);
     let out = arguments.out.as_ref().unwrap_or(&arguments.package);
     signed.save(out)?;
@@ -127,12 +150,16 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
         package: out.display().to_string(),
         bytes: signed.as_bytes().len(),
         key_fingerprint: fingerprint(key.public_key()),
+        replaced_signature,
     };
     match arguments.format {
         Format::Json => print_json(&report),
         Format::Text => print_text(&format!(
-            "Signed with key {}: {}, {} bytes\n",
-            report.key_fingerprint, report.package, report.bytes
+            "Signed with key {}{}: {}, {} bytes\n",
+            report.key_fingerprint,
+            if replaced_signature { " in place of another" } else { "" },
+            report.package,
+            report.bytes
         )),
     }
 }
@@ -173,7 +200,7 @@ fn keygen(arguments: &Keygen) -> Result<(), CommandError> {
     match arguments.format {
         Format::Json => print_json(&report),
         Format::Text => print_text(&format!(
-            "Private key: {} (for you alone: keep a safe copy, give it to nobody)\n\
+            "Private key: {} (for you alone: keep a safe copy, give it to no one)\n\
              Public key:  {} (for nodes and for `weights verify --key`)\n\
              Fingerprint: {}\n\
              For firmware (cargo xtask firmware --public-key): {}\n",

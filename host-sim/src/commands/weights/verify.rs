@@ -67,6 +67,8 @@ struct Report {
     agent: Option<u16>,
     version: Option<u32>,
     signed: Option<bool>,
+    /// The signature was held against a key; without `--key` it is not.
+    signature_checked: bool,
     key_fingerprint: Option<String>,
     test_vectors: Option<usize>,
 }
@@ -85,6 +87,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 agent: None,
                 version: None,
                 signed: None,
+                signature_checked: arguments.key.is_some(),
                 key_fingerprint: None,
                 test_vectors: None,
             };
@@ -125,12 +128,15 @@ fn examine(arguments: &Arguments) -> Result<Report, CommandError> {
         capacity: arguments.capacity.capacity(),
         ..requirements(key.as_ref(), in_use.as_ref())
     };
-    let refused =
-        |refusal: String| CommandError::Refused { path: arguments.package.clone(), refusal };
-    let package = check(&bytes, &requirements).map_err(|refusal| refused(refusal.to_string()))?;
+    let package = check(&bytes, &requirements)
+        .map_err(|refusal| CommandError::refused(&arguments.package, &refusal))?;
     let length = bytes.as_bytes().len();
     if let Some(slot) = slot_length.filter(|&slot| length as u64 > u64::from(slot)) {
-        return Err(refused(format!("the package has {length} bytes, a slot {slot}")));
+        return Err(CommandError::Refused {
+            path: arguments.package.clone(),
+            refusal: format!("the package has {length} bytes, a slot {slot}"),
+            hint: "train a smaller network, or give the node larger slots in memory.x",
+        });
     }
     Ok(Report {
         package: arguments.package.display().to_string(),
@@ -139,13 +145,23 @@ fn examine(arguments: &Arguments) -> Result<Report, CommandError> {
         agent: Some(package.node.agent),
         version: Some(package.version),
         signed: Some(bytes.is_signed()),
+        signature_checked: key.is_some(),
         key_fingerprint: key.as_ref().map(fingerprint),
         test_vectors: Some(package.test_vectors().count()),
     })
 }
 
 fn text(arguments: &Arguments, report: &Report) -> String {
-    let mut text = format!("{}: a node would accept it\n", report.package);
+    let mut text = match (report.signature_checked, report.signed) {
+        (false, Some(true)) => format!(
+            "{}: a node would accept it if the signature is right, which was NOT checked\n",
+            report.package
+        ),
+        (false, _) => {
+            format!("{}: a node without a public key would accept it\n", report.package)
+        }
+        (true, _) => format!("{}: a node with this key would accept it\n", report.package),
+    };
     let mut passed = |what: &str| text += &format!("  ok   {what}\n");
     passed("header, length and checksum");
     if let Some(fingerprint) = &report.key_fingerprint {
@@ -164,8 +180,8 @@ fn text(arguments: &Arguments, report: &Report) -> String {
     }
     if report.key_fingerprint.is_none() {
         text += match report.signed {
-            Some(true) => "  --   signed, but no --key to verify the signature with\n",
-            _ => "  --   not signed: only nodes without a public key take it\n",
+            Some(true) => "  --   signature not checked: give the node's public key with --key\n",
+            _ => "  --   not signed: nodes with a public key refuse it\n",
         };
     }
     text

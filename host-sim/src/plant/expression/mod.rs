@@ -27,10 +27,12 @@
 //! whose exponent is a whole number is a product in a fixed order.
 
 mod function;
+mod hint;
 mod parser;
 mod program;
 
 pub use function::FUNCTIONS;
+pub use hint::hint;
 pub use parser::ExpressionError;
 pub use program::{STACK_DEPTH_MAX, integer_power};
 

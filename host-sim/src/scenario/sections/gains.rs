@@ -9,6 +9,10 @@ use crate::scenario::{Design, OuterGain, OuterLaw};
 /// Highest smoothness of the projection that the agents offer.
 const SMOOTHNESS_MAX: u32 = 7;
 
+const DELTA: &str = "write a number above 0; it may be small, and the bound on the error gets tighter \
+                     with it";
+const EPSILON: &str = "write a number above 0; the smaller it is, the more often agents broadcast";
+
 /// `n` is the dimension of the state.
 pub(in crate::scenario) fn design(root: &Table<'_>, n: usize) -> Result<Design, ScenarioError> {
     let table = root.require_table("design")?;
@@ -36,8 +40,8 @@ pub(in crate::scenario) fn design(root: &Table<'_>, n: usize) -> Result<Design, 
         k2,
         kappa,
         rho: table.require("rho", "1.0")?.positive()?,
-        delta: table.require("delta", "0.5")?.positive()?,
-        epsilon: table.require("epsilon", "1000.0")?.positive()?,
+        delta: table.require("delta", "0.5")?.with_mend(DELTA).positive()?,
+        epsilon: table.require("epsilon", "1000.0")?.with_mend(EPSILON).positive()?,
     })
 }
 

@@ -1,8 +1,8 @@
 //! `[plant]` and `[disturbance]`.
 
-use crate::plant::expression::{ExpressionError, name_problem};
+use crate::plant::expression::{ExpressionError, hint, name_problem};
 use crate::plant::{DIMENSION_MAX, Disturbance, ExpressionSystem, Harmonic, Plant, Wave};
-use crate::scenario::error::{ScenarioError, closest};
+use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::{Table, Value, has};
 
 const EXPRESSION: &str = "\"0.5*x - sin(t)^2\"";
@@ -143,17 +143,17 @@ fn system(
     let texts = list.iter().map(Value::text).collect::<Result<Vec<_>, _>>()?;
     ExpressionSystem::parse(&texts, states, parameters).map_err(|refused| {
         let problem = format!("in `{}`: {}", texts[refused.index], refused.error);
-        list[refused.index].error(problem, expression_mend(&refused.error))
+        list[refused.index].error(problem, expression_mend(&refused.error, texts[refused.index]))
     })
 }
 
-fn expression_mend(error: &ExpressionError) -> String {
+fn expression_mend(error: &ExpressionError, text: &str) -> String {
+    if let Some(hint) = hint(error, text) {
+        return hint;
+    }
     match error {
-        ExpressionError::UnknownName { name, known, .. } => {
-            match closest(name, known.iter().map(String::as_str)) {
-                Some(closest) => format!("write {closest}"),
-                None => format!("the names that can stand here are {}", known.join(", ")),
-            }
+        ExpressionError::UnknownName { known, .. } => {
+            format!("the names that can stand here are {}", known.join(", "))
         }
         ExpressionError::ArgumentCount { expected, .. } => {
             format!("give it {expected}, separated by commas")

@@ -1,0 +1,57 @@
+//! Private keys on the command line, and where their passphrases come from.
+
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use zeroize::Zeroizing;
+
+use super::CommandError;
+use crate::input_file::read_limited;
+use crate::signing::{KeyFileError, OperatorKey};
+
+/// The passphrase's variable.
+const VARIABLE: &str = "HOST_SIM_PASSPHRASE";
+
+/// Longest file with a passphrase. \[byte\]
+const FILE_MAX: u64 = 64 << 10;
+
+/// Where the passphrase of an encrypted private key comes from.
+#[derive(Debug, Args)]
+pub(super) struct Passphrase {
+    /// File whose first line is the passphrase of an encrypted private key [default: the variable
+    /// HOST_SIM_PASSPHRASE, else the terminal is asked]
+    #[arg(long, value_name = "FILE")]
+    passphrase_file: Option<PathBuf>,
+}
+
+impl Passphrase {
+    /// The private key in the file `path`.
+    pub(super) fn key(&self, path: &Path) -> Result<OperatorKey, CommandError> {
+        Ok(OperatorKey::read_encrypted(path, &mut |path| self.passphrase(path))?)
+    }
+
+    fn passphrase(&self, key: &Path) -> Result<Zeroizing<String>, KeyFileError> {
+        if let Some(file) = &self.passphrase_file {
+            return first_line(file)
+                .map_err(|error| KeyFileError::PassphraseUnread { path: file.clone(), error });
+        }
+        if let Ok(passphrase) = std::env::var(VARIABLE) {
+            return Ok(Zeroizing::new(passphrase));
+        }
+        if !std::io::stdin().is_terminal() && !std::io::stderr().is_terminal() {
+            return Err(KeyFileError::PassphraseNeeded { path: key.to_owned() });
+        }
+        rpassword::prompt_password(format!("Passphrase of {}: ", key.display()))
+            .map(Zeroizing::new)
+            .map_err(|_| KeyFileError::PassphraseNeeded { path: key.to_owned() })
+    }
+}
+
+fn first_line(path: &Path) -> std::io::Result<Zeroizing<String>> {
+    let bytes = Zeroizing::new(read_limited(path, FILE_MAX)?);
+    let line = bytes.split(|&byte| byte == b'\n').next().unwrap_or_default();
+    let line = line.strip_suffix(b"\r").unwrap_or(line);
+    let text = std::str::from_utf8(line).map_err(|_| std::io::Error::other("it is not UTF-8"))?;
+    Ok(Zeroizing::new(text.to_owned()))
+}

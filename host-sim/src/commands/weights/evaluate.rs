@@ -1,0 +1,225 @@
+//! `weights evaluate`: what a package would have done on a recording, before it is pushed.
+//!
+//! For every sample the network's output `f_hat = W_hat^T sigma(Phi_hat(x_hat))`, by the node's own
+//! code in single precision, is held against the recorded derivative of the estimate, beside what
+//! no network (zero) and a constant (the mean) would have left.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use agent_core::StateVector;
+use agent_core::network::Scratch;
+use agent_core::package::{OnSwitch, Package};
+use clap::Args;
+use serde::Serialize;
+
+use crate::commands::{CommandError, Format, print_json, print_text};
+use crate::packages::{PackageBytes, Recording, with_dimension};
+use crate::training::{Dataset, Smoothing};
+
+/// Arguments of `weights evaluate`.
+#[derive(Debug, Args)]
+pub(in crate::commands) struct Arguments {
+    /// The package
+    package: PathBuf,
+    /// Recorded samples of its agent, as `train` takes them
+    samples: PathBuf,
+    /// Averages inputs and derivatives over so long a window first, as a recipe's smoothing_window
+    /// does: a derivative with the chatter of the consensus in it is explained by no network [s]
+    #[arg(long, default_value_t = 0.0, value_parser = window)]
+    smoothing_window: f64,
+    /// Uses the package's own outer weights, even if the node would keep those of the recording
+    #[arg(long)]
+    own_outer_weights: bool,
+    /// How the result is printed on standard output
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+fn window(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number| (0.0..1e9).contains(number));
+    number.ok_or_else(|| "write a number of seconds, 0 or above and below 1e9".to_owned())
+}
+
+#[derive(Serialize)]
+struct Report {
+    package: String,
+    recording: String,
+    agent: u16,
+    version: u32,
+    /// `package` or `recording`.
+    outer_weights: &'static str,
+    samples: usize,
+    gaps: usize,
+    smoothing_window_s: f64,
+    outside_box: usize,
+    outside_box_share: f64,
+    /// Samples for which the network's output is not finite; they are in no other figure.
+    not_finite: usize,
+    components: Vec<Component>,
+    total: Component,
+}
+
+/// Mean squares of what is left of the recorded derivative.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+struct Component {
+    /// With the package's network. [(state unit/s)²]
+    mse: f64,
+    /// Its root. [state unit/s]
+    rms: f64,
+    /// Without any network.
+    mse_without: f64,
+    /// With the best constant.
+    mse_constant: f64,
+    /// `1 - mse / mse_constant`; `null` if the derivative is constant.
+    explained: Option<f64>,
+}
+
+impl Component {
+    fn new(mse: f64, mse_without: f64, mse_constant: f64) -> Self {
+        let explained = (mse_constant > 0.0).then(|| 1.0 - mse / mse_constant);
+        Self { mse, rms: mse.sqrt(), mse_without, mse_constant, explained }
+    }
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
+    let bytes = PackageBytes::load(&arguments.package)?;
+    let mut package = bytes.package();
+    let recording = Recording::load(&arguments.samples, package.dimension(), package.features())?;
+    let kept = recording.outer_weights.as_deref().filter(|_| {
+        package.outer_weights_on_switch == OnSwitch::Keep && !arguments.own_outer_weights
+    });
+    if let Some(kept) = kept {
+        package.outer_weights = kept;
+    }
+    let smoothing = Smoothing { window: arguments.smoothing_window, stride: 1 };
+    let smoothed = smoothing
+        .apply_with_gaps(&recording.samples, &recording.ticks(), recording.interval)
+        .map_err(|error| {
+            let file = arguments.samples.display();
+            CommandError::Usage(format!("{file}: {error}; give a shorter --smoothing-window"))
+        })?;
+    let outputs = outputs(&package, &smoothed.data);
+    let n = package.dimension();
+    let finite = |row: &[f32]| row.iter().all(|value| value.is_finite());
+    let not_finite = outputs.chunks_exact(n).filter(|row| !finite(row)).count();
+    let components = components(&smoothed.data, &outputs);
+    let raw = recording.samples.inputs().chunks_exact(n);
+    let outside_box = raw
+        .filter(|row| {
+            let row: Vec<f32> = row.iter().map(|&value| value as f32).collect();
+            !package.trained_box.contains(&row)
+        })
+        .count();
+    let sum = |part: fn(&Component) -> f64| components.iter().map(part).fold(0.0, |a, b| a + b);
+    let report = Report {
+        package: arguments.package.display().to_string(),
+        recording: arguments.samples.display().to_string(),
+        agent: package.node.agent,
+        version: package.version,
+        outer_weights: if kept.is_some() { "recording" } else { "package" },
+        samples: smoothed.data.len(),
+        gaps: recording.gaps.len(),
+        smoothing_window_s: arguments.smoothing_window,
+        outside_box,
+        outside_box_share: outside_box as f64 / recording.samples.len() as f64,
+        not_finite,
+        total: Component::new(sum(|c| c.mse), sum(|c| c.mse_without), sum(|c| c.mse_constant)),
+        components,
+    };
+    match arguments.format {
+        Format::Json => print_json(&report),
+        Format::Text => print_text(&text(&report)),
+    }
+}
+
+/// The network's output for every sample, row by row, shape `[samples, n]`.
+fn outputs(package: &Package<'_>, data: &Dataset) -> Vec<f32> {
+    let mut scratch = Scratch::NEW;
+    let mut outputs = Vec::with_capacity(data.inputs().len());
+    for input in data.inputs().chunks_exact(data.dimension()) {
+        let input: Vec<f32> = input.iter().map(|&value| value as f32).collect();
+        let output =
+            with_dimension!(package.dimension(), output(package, &input, &mut scratch), else None);
+        outputs.extend(output.unwrap_or_else(|| vec![f32::NAN; data.dimension()]));
+    }
+    outputs
+}
+
+fn output<const N: usize>(
+    package: &Package<'_>,
+    input: &[f32],
+    scratch: &mut Scratch,
+) -> Option<Vec<f32>> {
+    let input = StateVector::<N>::from_column_slice(input);
+    package.evaluate(&input, scratch).map(|(_, output)| output.as_slice().to_vec())
+}
+
+/// The errors of each component, over the samples whose outputs are finite.
+fn components(data: &Dataset, outputs: &[f32]) -> Vec<Component> {
+    let n = data.dimension();
+    let rows = || {
+        data.targets()
+            .chunks_exact(n)
+            .zip(outputs.chunks_exact(n))
+            .filter(|(_, output)| output.iter().all(|value| value.is_finite()))
+    };
+    let count = rows().count() as f64;
+    let mean = |of: &dyn Fn(f64, f64) -> f64, i: usize| {
+        rows().fold(0.0, |sum, (target, output)| sum + of(target[i], output[i].into())) / count
+    };
+    (0..n)
+        .map(|i| {
+            let average = mean(&|target, _| target, i);
+            Component::new(
+                mean(&|target, output| (target - output) * (target - output), i),
+                mean(&|target, _| target * target, i),
+                mean(&|target, _| (target - average) * (target - average), i),
+            )
+        })
+        .collect()
+}
+
+fn text(report: &Report) -> String {
+    let mut text = format!(
+        "{}: agent {}, version {}, on {} samples of {}\n\
+         {} samples ({:.1} %) lie outside the box that it was trained on\n\
+         Outer weights: those of the {}\n\n\
+         Mean squared error of the derivative [(state unit/s)^2]\n\
+         component   this package   no network   a constant   explained\n",
+        report.package,
+        report.agent,
+        report.version,
+        report.samples,
+        report.recording,
+        report.outside_box,
+        100.0 * report.outside_box_share,
+        report.outer_weights,
+    );
+    // Writing into a string cannot fail.
+    let mut line = |name: &str, c: &Component| {
+        let explained = c.explained.map_or("-".to_owned(), |e| format!("{:.1} %", 100.0 * e));
+        let _ = writeln!(
+            text,
+            "{name:9}   {:12.4e}   {:10.3e}   {:10.3e}   {explained:>9}",
+            c.mse, c.mse_without, c.mse_constant
+        );
+    };
+    for (index, component) in report.components.iter().enumerate() {
+        line(&(index + 1).to_string(), component);
+    }
+    line("all", &report.total);
+    if report.not_finite > 0 {
+        let _ = writeln!(
+            text,
+            "The output is not finite for {} samples, which are not in the table",
+            report.not_finite
+        );
+    }
+    if report.total.mse >= report.total.mse_without {
+        text += "No network would have done better: do not push this package\n";
+    } else if report.total.mse >= report.total.mse_constant {
+        text += "A constant would have done better: train on a longer or richer recording\n";
+    }
+    text
+}

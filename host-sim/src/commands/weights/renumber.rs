@@ -1,0 +1,69 @@
+//! `weights renumber`: an old package under a new version.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use crate::commands::{CommandError, Format, print_json, print_text};
+use crate::packages::PackageBytes;
+use crate::shell::shell_word;
+
+/// Arguments of `weights renumber`.
+#[derive(Debug, Args)]
+pub(in crate::commands) struct Arguments {
+    /// The package
+    package: PathBuf,
+    /// Its new version: one above that of the package in use, for nodes to take it
+    #[arg(long, visible_alias = "package-version")]
+    version: u32,
+    /// Where the renumbered package goes [default: in place of the package]
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// How the result is printed on standard output
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+#[derive(Serialize)]
+struct Report {
+    package: String,
+    bytes: usize,
+    agent: u16,
+    version: u32,
+    version_before: u32,
+    /// It had a signature, which is of the old version.
+    signature_dropped: bool,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
+    let before = PackageBytes::load(&arguments.package)?;
+    let package = before.renumbered(arguments.version);
+    let out = arguments.out.as_ref().unwrap_or(&arguments.package);
+    package.save(out)?;
+    let report = Report {
+        package: out.display().to_string(),
+        bytes: package.as_bytes().len(),
+        agent: package.package().node.agent,
+        version: arguments.version,
+        version_before: before.package().version,
+        signature_dropped: before.is_signed(),
+    };
+    match arguments.format {
+        Format::Json => print_json(&report),
+        Format::Text => {
+            let mut text = format!(
+                "Written to {}: agent {}, version {} (it was {}), {} bytes, not signed\n",
+                report.package, report.agent, report.version, report.version_before, report.bytes
+            );
+            if report.signature_dropped {
+                text += &format!(
+                    "Its signature was for version {}. Sign it again: host-sim weights sign {} --key KEY\n",
+                    report.version_before,
+                    shell_word(out)
+                );
+            }
+            print_text(&text)
+        }
+    }
+}

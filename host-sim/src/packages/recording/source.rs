@@ -1,0 +1,126 @@
+//! A file of samples before it is read as a table: what kind of file it is, and how its columns are
+//! separated.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
+use std::path::Path;
+
+/// Longest file that is read. \[byte\]
+pub(super) const FILE_MAX: u64 = 4 << 30;
+
+/// Bytes that the header's line must end in.
+const HEAD: usize = 64 << 10;
+
+/// A problem and a hint.
+pub(super) type Refusal = (String, String);
+
+/// The beginning of the file at `path`, and a reader of all of it.
+pub(super) fn open(path: &Path) -> io::Result<(Vec<u8>, impl Read)> {
+    let mut file = File::open(path)?;
+    let mut head = Vec::new();
+    file.by_ref().take(HEAD as u64).read_to_end(&mut head)?;
+    // One byte more than is allowed tells a file that is too long.
+    let rest = file.take(FILE_MAX + 1 - head.len() as u64);
+    Ok((head.clone(), io::Cursor::new(head).chain(rest)))
+}
+
+/// Refuses what is not text, by the first bytes of the file.
+pub(super) fn check_text(head: &[u8]) -> Result<(), Refusal> {
+    let refused = |problem: &str, hint: &str| Err((problem.to_owned(), hint.to_owned()));
+    const EXPORT: &str = "export the table as CSV";
+    let known: [(&[u8], &str, &str); 10] = [
+        (&[0x1F, 0x8B], "is compressed (gzip)", "`gunzip FILE` unpacks it"),
+        (&[0x28, 0xB5, 0x2F, 0xFD], "is compressed (zstd)", "`unzstd FILE` unpacks it"),
+        (b"BZh", "is compressed (bzip2)", "`bunzip2 FILE` unpacks it"),
+        (b"\xFD7zXZ", "is compressed (xz)", "`unxz FILE` unpacks it"),
+        (b"PK\x03\x04", "is a zip archive, as .xlsx, .ods and .npz files are", EXPORT),
+        (b"\xD0\xCF\x11\xE0", "is an old Excel file", EXPORT),
+        (b"PAR1", "is a Parquet file", EXPORT),
+        (b"\x89HDF", "is an HDF5 file", EXPORT),
+        (b"MATLAB 5.0", "is a MATLAB file", "write it with writetable in MATLAB"),
+        (b"SQLite format", "is a database", EXPORT),
+    ];
+    for (magic, problem, hint) in known {
+        if head.starts_with(magic) {
+            return refused(problem, hint);
+        }
+    }
+    if head.is_empty() {
+        return refused("is empty", "give a file with a header and samples");
+    }
+    let zeros = |odd: usize| head.iter().skip(odd).step_by(2).filter(|&&byte| byte == 0).count();
+    let (even, odd, pairs) = (zeros(0), zeros(1), head.len() / 2);
+    let utf16 = head.starts_with(&[0xFF, 0xFE]) || head.starts_with(&[0xFE, 0xFF]);
+    if utf16 || (even == 0 && odd * 2 > pairs) || (odd == 0 && even * 2 > pairs) {
+        return refused("is UTF-16", "save it as UTF-8");
+    }
+    if head.contains(&0) {
+        return refused("is binary data, not text", "give a CSV file");
+    }
+    let text = head.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(head).trim_ascii_start();
+    match text.first() {
+        Some(b'<') => refused("is an HTML or XML page", "download the CSV file itself"),
+        Some(b'{' | b'[') => refused("is JSON", "write the samples as CSV"),
+        _ if head.len() == HEAD && !head.iter().any(|byte| matches!(byte, b'\n' | b'\r')) => {
+            refused("has no line end in its first 64 KiB", "write one line for each sample")
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The first line that is not blank.
+pub(super) fn first_line(head: &[u8]) -> String {
+    let text = head.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(head).trim_ascii_start();
+    let end = text.iter().position(|byte| matches!(byte, b'\n' | b'\r')).unwrap_or(text.len());
+    String::from_utf8_lossy(&text[..end]).into_owned()
+}
+
+/// What separates the columns of a header that must hold at least three.
+///
+/// # Errors
+/// Separators that are not read, and none at all.
+pub(super) fn delimiter(header: &str) -> Result<u8, Refusal> {
+    let columns = |delimiter: u8| {
+        let mut reader = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .delimiter(delimiter)
+            .from_reader(header.as_bytes());
+        reader.records().next().and_then(Result::ok).map_or(0, |record| record.len())
+    };
+    // A comma may stand in a unit or a note; a column more counts, not that there is one.
+    let best = [b',', b';', b'\t', b'|'].into_iter().max_by_key(|&d| (columns(d), d == b','));
+    match best.filter(|&delimiter| columns(delimiter) >= 3) {
+        Some(delimiter) => Ok(delimiter),
+        None if header.split_whitespace().count() >= 3 => Err((
+            "has columns separated by blanks".to_owned(),
+            "separate columns by commas, semicolons or tabs".to_owned(),
+        )),
+        // What is missing is said by name.
+        None => Ok(b','),
+    }
+}
+
+/// The line, from 1, of the record that a reader begins to look for at `byte`, on `line`: blank
+/// lines are passed over. A file that cannot be read a second time gives `line`.
+pub(super) fn line_of(path: &Path, byte: u64, line: u64) -> u64 {
+    let blanks = || -> io::Result<u64> {
+        let mut file = File::open(path)?;
+        if !file.metadata()?.is_file() {
+            return Ok(0);
+        }
+        file.seek(SeekFrom::Start(byte))?;
+        let mut reader = BufReader::new(file);
+        let (mut blanks, mut after_return) = (0, false);
+        loop {
+            let Some(&next) = reader.fill_buf()?.first() else { return Ok(blanks) };
+            match next {
+                b'\r' => blanks += 1,
+                b'\n' => blanks += u64::from(!after_return),
+                _ => return Ok(blanks),
+            }
+            after_return = next == b'\r';
+            reader.consume(1);
+        }
+    };
+    line + blanks().unwrap_or(0)
+}

@@ -1,0 +1,467 @@
+//! The operator's keys: who may give weights to the nodes.
+//!
+//! The private key stays in a file of the operator, PKCS#8 in PEM as OpenSSL writes and reads
+//! it, encrypted with a passphrase or not; the nodes hold the public key. Signing is deterministic (RFC 8032): the same key and
+//! message give the same bytes everywhere, so that a signed package can be reproduced.
+//! Verification is the nodes' own, [`agent_core::signature::verify`].
+//!
+//! Keys of OpenSSL will do: `openssl genpkey -algorithm ed25519 -out operator.pem`.
+//!
+//! A file with a private key that others may read is refused, as OpenSSH does.
+
+mod error;
+mod pem;
+
+use std::fs::{self, OpenOptions};
+use std::io::{self, Write};
+use std::path::Path;
+
+use agent_core::signature::{PUBLIC_KEY_LENGTH, PublicKey, SIGNATURE_LENGTH};
+use ed25519_dalek::pkcs8::spki::der::pem::LineEnding;
+use ed25519_dalek::pkcs8::{EncodePrivateKey, EncodePublicKey, KeypairBytes, PublicKeyBytes};
+use ed25519_dalek::{SECRET_KEY_LENGTH, Signer, SigningKey};
+use sha2::{Digest, Sha256};
+use zeroize::Zeroizing;
+
+pub use error::KeyFileError;
+
+use crate::input_file::read_limited;
+use crate::output_file::{FileKind, write_whole};
+
+/// Longest file that is read as a key. \[byte\]
+const FILE_MAX: u64 = 64 << 10;
+
+/// Asks for the passphrase of the key in a file.
+pub type AskPassphrase<'a> = dyn FnMut(&Path) -> Result<Zeroizing<String>, KeyFileError> + 'a;
+
+/// The private key of an operator, wiped from memory when dropped.
+pub struct OperatorKey {
+    signer: SigningKey,
+    public: PublicKey,
+}
+
+impl OperatorKey {
+    /// A new key, from the operating system's randomness.
+    ///
+    /// # Errors
+    /// [`KeyFileError::Random`].
+    pub fn generate() -> Result<Self, KeyFileError> {
+        let mut secret = Zeroizing::new([0; SECRET_KEY_LENGTH]);
+        getrandom::fill(secret.as_mut()).map_err(KeyFileError::Random)?;
+        Ok(Self::from_signer(SigningKey::from_bytes(&secret)))
+    }
+
+    /// The private key in the file `path`, which is not encrypted.
+    ///
+    /// # Errors
+    /// As [`Self::read_encrypted`]; [`KeyFileError::PassphraseNeeded`] for an encrypted one.
+    pub fn read(path: &Path) -> Result<Self, KeyFileError> {
+        let none = |path: &Path| Err(KeyFileError::PassphraseNeeded { path: path.to_owned() });
+        Self::read_encrypted(path, &mut { none })
+    }
+
+    /// The private key in the file `path`; `passphrase` is asked if it is encrypted.
+    ///
+    /// # Errors
+    /// A file that cannot be read, that others may read, or that holds something else; a
+    /// passphrase that there is none of or that does not fit.
+    pub fn read_encrypted(
+        path: &Path,
+        passphrase: &mut AskPassphrase<'_>,
+    ) -> Result<Self, KeyFileError> {
+        refuse_open(path)?;
+        let text = read_text(path)?;
+        pem::private_key(path, &text, passphrase).map(Self::from_signer)
+    }
+
+    fn from_signer(signer: SigningKey) -> Self {
+        let public = PublicKey::from_bytes(signer.verifying_key().as_bytes())
+            // The private scalar is a multiple of 8 from 2^254 up to 2^255, and no multiple of
+            // 8 times the group's order (above 2^252) is: the point is never of small order.
+            .expect("a private key gives a valid public key");
+        Self { signer, public }
+    }
+
+    /// Writes the private key into a new file that only its owner may read (mode 0600, on
+    /// systems that have modes). Folders that do not exist yet are made.
+    ///
+    /// # Errors
+    /// [`KeyFileError::Exists`] or [`KeyFileError::Write`]; no file is left behind.
+    pub fn write_new(&self, path: &Path) -> Result<(), KeyFileError> {
+        let failed = |error| KeyFileError::Write { path: path.to_owned(), error };
+        // Without the public key in it: OpenSSL 3.0 refuses the newer form that has it.
+        let pem = KeypairBytes { secret_key: self.signer.to_bytes(), public_key: None }
+            .to_pkcs8_pem(LineEnding::LF)
+            .map_err(|error| failed(io::Error::other(error.to_string())))?;
+        if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+            fs::create_dir_all(folder).map_err(failed)?;
+        }
+        let mut options = OpenOptions::new();
+        options.write(true).create_new(true);
+        #[cfg(unix)]
+        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+        let mut file = options.open(path).map_err(|error| match error.kind() {
+            io::ErrorKind::AlreadyExists => KeyFileError::Exists { path: path.to_owned() },
+            _ => failed(error),
+        })?;
+        file.write_all(pem.as_bytes()).and_then(|()| file.sync_all()).map_err(|error| {
+            // Best effort: the error that is reported is the first one.
+            let _ = fs::remove_file(path);
+            failed(error)
+        })
+    }
+
+    /// Writes the public key, for the nodes and whoever else verifies.
+    ///
+    /// # Errors
+    /// [`KeyFileError::WritePublic`]; the file is then as it was before.
+    pub fn write_public(&self, path: &Path) -> Result<(), KeyFileError> {
+        write_whole(path, FileKind::NEW, |file| {
+            let pem = PublicKeyBytes(self.public_key_bytes())
+                .to_public_key_pem(LineEnding::LF)
+                .map_err(|error| io::Error::other(error.to_string()))?;
+            file.write_all(pem.as_bytes())
+        })?;
+        Ok(())
+    }
+
+    /// The public half.
+    #[must_use]
+    pub fn public_key(&self) -> &PublicKey {
+        &self.public
+    }
+
+    /// The public half as the nodes store it.
+    #[must_use]
+    pub fn public_key_bytes(&self) -> [u8; PUBLIC_KEY_LENGTH] {
+        *self.public.as_bytes()
+    }
+
+    /// The signature of `message`; always the same one.
+    #[must_use]
+    pub fn sign(&self, message: &[u8]) -> [u8; SIGNATURE_LENGTH] {
+        self.signer.sign(message).to_bytes()
+    }
+}
+
+/// The private half is not for logs.
+impl std::fmt::Debug for OperatorKey {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "OperatorKey({})", fingerprint(&self.public))
+    }
+}
+
+/// The public key in the file `path`.
+///
+/// # Errors
+/// [`KeyFileError::Read`], [`KeyFileError::NotPublic`] or [`KeyFileError::Refused`].
+pub fn read_public_key(path: &Path) -> Result<PublicKey, KeyFileError> {
+    let bytes = pem::public_key(path, &read_text(path)?)?;
+    PublicKey::from_bytes(&bytes)
+        .map_err(|error| KeyFileError::Refused { path: path.to_owned(), error })
+}
+
+/// A short name of a key for people to compare: the first 8 bytes of the SHA-256 of its 32
+/// bytes, hexadecimal. Not for machines, which compare keys.
+#[must_use]
+pub fn fingerprint(key: &PublicKey) -> String {
+    Sha256::digest(key.as_bytes()).iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The file as text, wiped when dropped; bytes that are not text become something that no key has.
+fn read_text(path: &Path) -> Result<Zeroizing<String>, KeyFileError> {
+    let bytes = read_limited(path, FILE_MAX)
+        .map(Zeroizing::new)
+        .map_err(|error| KeyFileError::Read { path: path.to_owned(), error })?;
+    // Windows' editors write UTF-16.
+    let unit: fn([u8; 2]) -> u16 = match bytes.as_slice() {
+        [0xFF, 0xFE, ..] => u16::from_le_bytes,
+        [0xFE, 0xFF, ..] => u16::from_be_bytes,
+        _ => return Ok(Zeroizing::new(String::from_utf8_lossy(&bytes).into_owned())),
+    };
+    let units: Zeroizing<Vec<u16>> =
+        Zeroizing::new(bytes.as_chunks().0.iter().map(|&pair| unit(pair)).collect());
+    Ok(Zeroizing::new(String::from_utf16_lossy(&units)))
+}
+
+/// Refuses a private key that others may read: who reads it can sign for the nodes.
+#[cfg(unix)]
+fn refuse_open(path: &Path) -> Result<(), KeyFileError> {
+    use std::os::unix::fs::MetadataExt;
+    let Ok(file) = fs::metadata(path) else { return Ok(()) };
+    let mode = file.mode() & 0o777;
+    // A key that belongs to another user may be meant for this one's group.
+    let own = file.uid() == nix::unistd::Uid::effective().as_raw();
+    let open = mode & 0o007 != 0 || own && mode & 0o070 != 0;
+    if file.is_file() && open {
+        return Err(KeyFileError::Open { path: path.to_owned(), mode });
+    }
+    Ok(())
+}
+
+/// Other systems have no such modes.
+#[cfg(not(unix))]
+fn refuse_open(_: &Path) -> Result<(), KeyFileError> {
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use agent_core::signature::verify;
+
+    use super::*;
+
+    /// The first private and public key of RFC 8032, section 7.1, as OpenSSL writes them.
+    const PRIVATE: &str = "-----BEGIN PRIVATE KEY-----\n\
+        MC4CAQAwBQYDK2VwBCIEIJ1hsZ3v/VpguoRK9JLsLMREScVpezJpGXA7rAMcrn9g\n\
+        -----END PRIVATE KEY-----\n";
+    const PUBLIC: &str = "-----BEGIN PUBLIC KEY-----\n\
+        MCowBQYDK2VwAyEA11qYAYKxCrfVS/7TyWQHOg7hcvPapiMlrwIaaPcHURo=\n\
+        -----END PUBLIC KEY-----\n";
+
+    /// A folder of its own for a test, removed at its end.
+    struct Folder(PathBuf);
+
+    impl Folder {
+        fn new(name: &str) -> Self {
+            let folder =
+                std::env::temp_dir().join(format!("signing-{name}-{}", std::process::id()));
+            fs::create_dir_all(&folder).unwrap();
+            Self(folder)
+        }
+
+        fn file(&self, name: &str, text: &str) -> PathBuf {
+            self.bytes(name, text.as_bytes())
+        }
+
+        /// A file that only its owner may read.
+        fn bytes(&self, name: &str, bytes: &[u8]) -> PathBuf {
+            let path = self.0.join(name);
+            let mut options = OpenOptions::new();
+            options.write(true).create(true).truncate(true);
+            #[cfg(unix)]
+            std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+            options.open(&path).unwrap().write_all(bytes).unwrap();
+            path
+        }
+    }
+
+    impl Drop for Folder {
+        fn drop(&mut self) {
+            let _ = fs::remove_dir_all(&self.0);
+        }
+    }
+
+    #[test]
+    fn a_new_key_signs_for_the_nodes_before_and_after_its_files() {
+        let folder = Folder::new("round-trip");
+        let (private, public) = (folder.0.join("made/key.pem"), folder.0.join("key.pub.pem"));
+        let key = OperatorKey::generate().unwrap();
+        key.write_new(&private).unwrap();
+        key.write_public(&public).unwrap();
+        let signature = key.sign(b"weights");
+        let known = read_public_key(&public).unwrap();
+        assert_eq!(verify(&known, b"weights", &signature), Ok(()));
+        let read = OperatorKey::read(&private).unwrap();
+        assert_eq!(read.public_key(), &known);
+        assert_eq!(read.sign(b"weights"), signature);
+        let other = OperatorKey::generate().unwrap();
+        assert_ne!(other.public_key_bytes(), key.public_key_bytes());
+        assert!(verify(&known, b"weights", &other.sign(b"weights")).is_err());
+    }
+
+    #[test]
+    fn files_are_those_of_openssl() {
+        let folder = Folder::new("openssl");
+        let key = OperatorKey::read(&folder.file("key.pem", PRIVATE)).unwrap();
+        let (private, public) = (folder.0.join("again.pem"), folder.0.join("again.pub.pem"));
+        key.write_new(&private).unwrap();
+        key.write_public(&public).unwrap();
+        assert_eq!(fs::read_to_string(private).unwrap(), PRIVATE);
+        assert_eq!(fs::read_to_string(public).unwrap(), PUBLIC);
+        // RFC 8032, section 7.1, signature of the empty message.
+        assert_eq!(key.sign(b"")[..4], [0xe5, 0x56, 0x43, 0x00]);
+        assert_eq!(fingerprint(key.public_key()), "21fe31dfa154a261");
+        assert_eq!(format!("{key:?}"), "OperatorKey(21fe31dfa154a261)");
+    }
+
+    #[test]
+    fn a_private_key_is_never_overwritten() {
+        let folder = Folder::new("overwrite");
+        let path = folder.file("key.pem", PRIVATE);
+        let error = OperatorKey::generate().unwrap().write_new(&path).unwrap_err();
+        assert!(matches!(error, KeyFileError::Exists { .. }), "{error}");
+        assert!(error.to_string().contains("key.pem"), "{error}");
+        assert_eq!(fs::read_to_string(path).unwrap(), PRIVATE);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn only_the_owner_may_read_a_private_key() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = Folder::new("mode");
+        let path = folder.0.join("key.pem");
+        OperatorKey::generate().unwrap().write_new(&path).unwrap();
+        assert_eq!(fs::metadata(path).unwrap().permissions().mode() & 0o777, 0o600);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_private_key_that_others_may_read_is_refused() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = Folder::new("open");
+        let path = folder.file("key.pem", PRIVATE);
+        for (mode, accepted) in
+            [(0o600, true), (0o400, true), (0o644, false), (0o640, false), (0o604, false)]
+        {
+            fs::set_permissions(&path, fs::Permissions::from_mode(mode)).unwrap();
+            match OperatorKey::read(&path) {
+                Ok(_) => assert!(accepted, "{mode:o}"),
+                Err(error) => {
+                    let message = error.to_string();
+                    let said = format!("mode {mode:04o}");
+                    assert!(!accepted && message.contains(&said), "{message}");
+                    assert!(message.contains("chmod 600"), "{message}");
+                }
+            }
+        }
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o644)).unwrap();
+        let public = folder.file("key.pub.pem", PUBLIC);
+        fs::set_permissions(&public, fs::Permissions::from_mode(0o644)).unwrap();
+        assert!(read_public_key(&public).is_ok(), "a public key is for everyone");
+    }
+
+    #[test]
+    fn a_file_that_never_ends_is_not_a_key() {
+        #[cfg(unix)]
+        for error in [
+            OperatorKey::read(Path::new("/dev/zero")).unwrap_err(),
+            read_public_key(Path::new("/dev/zero")).unwrap_err(),
+        ] {
+            assert!(error.to_string().contains("more than 65536 bytes"), "{error}");
+        }
+    }
+
+    #[test]
+    fn white_space_and_marks_do_not_matter() {
+        let folder = Folder::new("space");
+        let utf16 = |text: &str, unit: fn(u16) -> [u8; 2]| -> Vec<u8> {
+            format!("\u{feff}{text}").encode_utf16().flat_map(unit).collect()
+        };
+        let wrapped = PRIVATE.replace("BAgIwBQ", "").replacen("MC4C", "MC\n4C\n", 1);
+        for (name, private, public) in [
+            ("newline", format!("{PRIVATE}\n\n"), format!("\n{PUBLIC}\n")),
+            ("mark", format!("\u{feff}{PRIVATE}"), format!("\u{feff}{PUBLIC}")),
+            ("crlf", PRIVATE.replace('\n', "\r\n"), PUBLIC.replace('\n', "\r\n")),
+            ("cr", PRIVATE.replace('\n', "\r"), PUBLIC.replace('\n', "\r")),
+            ("line", PRIVATE.replace('\n', ""), PUBLIC.replace('\n', "")),
+            ("spaces", PRIVATE.replace('\n', "  \n\t"), PUBLIC.replace('\n', " ")),
+            ("wrapped", wrapped, PUBLIC.replace("MCow", "MCo\nw")),
+            ("comment", format!("my key\n{PRIVATE}"), format!("# mine\n{PUBLIC}the end\n")),
+            ("both", format!("{PUBLIC}{PRIVATE}"), format!("{PRIVATE}{PUBLIC}")),
+        ] {
+            for (text, end) in [
+                (private.clone().into_bytes(), ".pem"),
+                (utf16(&private, u16::to_le_bytes), ".16le.pem"),
+                (utf16(&private, u16::to_be_bytes), ".16be.pem"),
+            ] {
+                let path = folder.bytes(&format!("{name}{end}"), &text);
+                let key = OperatorKey::read(&path).unwrap_or_else(|error| panic!("{error}"));
+                assert_eq!(fingerprint(key.public_key()), "21fe31dfa154a261", "{name}");
+            }
+            let path = folder.file(&format!("{name}.pub"), &public);
+            let key = read_public_key(&path).unwrap_or_else(|error| panic!("{error}"));
+            assert_eq!(fingerprint(&key), "21fe31dfa154a261", "{name}");
+        }
+    }
+
+    /// The same key, by `openssl pkey -aes256 -passout pass:correct` of OpenSSL 3.0.
+    const ENCRYPTED: &str = "-----BEGIN ENCRYPTED PRIVATE KEY-----\n\
+        MIGbMFcGCSqGSIb3DQEFDTBKMCkGCSqGSIb3DQEFDDAcBAhtHESS55FyrwICCAAw\n\
+        DAYIKoZIhvcNAgkFADAdBglghkgBZQMEASoEEPizFlrTFJdYcw3Glu8kJJMEQIbE\n\
+        vR+wQh+87IpYq51BWwb4ZZRwkFxQJMs0I0YxGW8u4UNoUVt1WcmAxWt7P2tAsLpv\n\
+        GQ9Q2lQY9BS5qknS+9I=\n\
+        -----END ENCRYPTED PRIVATE KEY-----\n";
+
+    #[test]
+    fn an_encrypted_key_is_read_with_its_passphrase() {
+        let folder = Folder::new("encrypted");
+        let path = folder.file("key.pem", ENCRYPTED);
+        let with = |passphrase: &'static str| {
+            let mut asked = 0;
+            let read = OperatorKey::read_encrypted(&path, &mut |_| {
+                asked += 1;
+                Ok(Zeroizing::new(passphrase.to_owned()))
+            });
+            assert_eq!(asked, 1);
+            read
+        };
+        assert_eq!(fingerprint(with("correct").unwrap().public_key()), "21fe31dfa154a261");
+        let error = with("wrong").unwrap_err();
+        assert!(matches!(error, KeyFileError::Passphrase { .. }), "{error}");
+        assert!(error.to_string().contains("key.pem"), "{error}");
+        let error = OperatorKey::read(&path).unwrap_err();
+        assert!(matches!(error, KeyFileError::PassphraseNeeded { .. }), "{error}");
+        // Nothing is asked for a key that is not encrypted.
+        let plain = folder.file("plain.pem", PRIVATE);
+        let unasked = OperatorKey::read_encrypted(&plain, &mut |_| panic!("asked"));
+        assert!(unasked.is_ok());
+    }
+
+    #[test]
+    fn messages_name_the_file_what_it_holds_and_the_hint() {
+        let folder = Folder::new("messages");
+        // The identifier of Ed25519 is 1.3.101.112; of X25519, 1.3.101.110.
+        let x25519 = PRIVATE.replace("K2Vw", "K2Vu");
+        // Of `openssl genpkey -algorithm EC -pkeyopt ec_paramgen_curve:P-256`.
+        let elliptic = "-----BEGIN PRIVATE KEY-----\n\
+            MIGHAgEAMBMGByqGSM49AgEGCCqGSM49AwEHBG0wawIBAQQgBq/kHdP4bMkWdXYK\n\
+            12NYKbXZ37MtWnRLwyV4OGssRmGhRANCAASWl2SZzCBeGBAHcSqDwdAPEWNE7NlY\n\
+            eiPOin5o64wq1GPxgYNYnfHXc2lZAe4TOMKA+CEPA9RZNJ19n2xcWOrL\n\
+            -----END PRIVATE KEY-----\n";
+        let openssh = PRIVATE.replace("PRIVATE", "OPENSSH PRIVATE");
+        for (name, text, found, hint) in [
+            ("public.pem", PUBLIC, "a public key", "the file with the private key"),
+            ("short.pem", &PRIVATE[..60], "a PEM text without its END line", "copy the whole file"),
+            ("letters.pem", &PRIVATE.replace("MC4C", "MC4*"), "badly formatted", "copy the whole"),
+            ("cut.pem", &PRIVATE.replace("7rAMcrn9g", ""), "badly formatted", "copy the whole"),
+            ("x25519.pem", &x25519, "an X25519 private key", "weights keygen"),
+            ("p256.pem", elliptic, "an elliptic-curve (ECDSA) private key", "weights keygen"),
+            ("ssh.pem", &openssh, "an OpenSSH private key", "weights keygen"),
+            ("rsa.pem", &PRIVATE.replace("PRIVATE", "RSA PRIVATE"), "an RSA private key", "keygen"),
+            ("ssh.pub", "ssh-ed25519 AAAAC3 me@here", "an OpenSSH public key", "the private key"),
+            ("none.pem", "", "an empty file", "weights keygen"),
+            ("text.pem", "hello", "no PEM text", "weights keygen"),
+            ("key.der", "0.\u{2}\u{1}\0", "binary data", "openssl pkey -inform DER"),
+        ] {
+            let message = OperatorKey::read(&folder.file(name, text)).unwrap_err().to_string();
+            for part in [name, found, hint] {
+                assert!(message.contains(part), "{name}, {part}: {message}");
+            }
+            assert!(!message.contains("MC4C"), "a key in a message: {message}");
+        }
+        for (name, text, expected) in [
+            ("private.pem", PRIVATE, "a private key, which stays secret"),
+            ("encrypted.pem", ENCRYPTED, "an encrypted private key"),
+            ("x25519.pub.pem", &PUBLIC.replace("K2Vw", "K2Vu"), "an X25519 public key"),
+            ("ssh2.pub", "ssh-ed25519 AAAAC3 me@here", "an OpenSSH public key"),
+            ("cut.pub.pem", &PUBLIC.replace("URo=", ""), "badly formatted"),
+            // The neutral element, for which everybody can sign.
+            (
+                "weak.pem",
+                &PUBLIC.replace(
+                    "11qYAYKxCrfVS/7TyWQHOg7hcvPapiMlrwIaaPcHURo",
+                    "AQAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA",
+                ),
+                "anyone could sign",
+            ),
+        ] {
+            let message = read_public_key(&folder.file(name, text)).unwrap_err().to_string();
+            assert!(message.contains(name) && message.contains(expected), "{message}");
+        }
+        let missing = OperatorKey::read(&folder.0.join("missing.pem")).unwrap_err().to_string();
+        assert!(missing.contains("missing.pem") && missing.contains("is there"), "{missing}");
+    }
+}
