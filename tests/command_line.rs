@@ -85,6 +85,8 @@ pub(crate) fn short() -> Described {
     described.duration = 0.8;
     described.network = network(&[(4, "tanh")], "2.0");
     described.learning = cycle(&[1, 2], 0.1, 0.5, 0.6) + SHORT_RECIPE;
+    // From the switch on, so that there is nothing to warn of.
+    described.learning += "\n[evaluation]\nfrom = 0.6\nto = 0.8\n";
     described
 }
 
@@ -195,7 +197,10 @@ fn reproduce_in_json_is_one_object_and_the_same_again() {
     let folder = Folder::new("reproduce-json");
     let first = object(&folder.succeed("reproduce --format json --out a --threads 1"));
     let second = object(&folder.succeed("reproduce --format json --out b --threads 2 --seed 0"));
-    assert_keys(&first, &["seed", "recipe", "elapsed_s", "agents", "trainings", "seeds"]);
+    let keys =
+        ["seed", "recipe", "elapsed_s", "agents", "trainings", "seeds", "checks", "warnings"];
+    assert_keys(&first, &keys);
+    assert_eq!((&first["checks"], &first["warnings"]), (&second["checks"], &second["warnings"]));
     assert_eq!((&first["seed"], &first["recipe"]), (&Value::from(0), &Value::from("better")));
     assert!(first["elapsed_s"].as_f64().unwrap() > 0.0);
     assert_eq!(agents(&first).len(), 3);
@@ -238,7 +243,8 @@ fn run_in_json_is_one_object() {
     let folder = Folder::new("run-json");
     folder.write("mine.toml", &short().text());
     let result = object(&folder.succeed("run mine.toml --format json --seed 7"));
-    let keys = ["scenario", "seed", "elapsed_s", "baselines", "agents", "trainings"];
+    let keys =
+        ["scenario", "seed", "elapsed_s", "baselines", "agents", "trainings", "checks", "warnings"];
     assert_keys(&result, &keys);
     assert_eq!((&result["scenario"], &result["seed"]), (&"described".into(), &7.into()));
     let keys = [

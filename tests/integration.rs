@@ -42,6 +42,8 @@ mod store_packages;
 mod store_power_cuts;
 mod store_reading;
 mod tensors;
+mod units;
+mod verdicts;
 mod watched_ring;
 mod watched_runs;
 mod weights_commands;

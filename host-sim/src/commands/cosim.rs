@@ -10,7 +10,9 @@ use std::time::Duration;
 
 use clap::Args;
 
+use super::warnings;
 use super::{CommandError, Common, Format, SharedProgress, load_scenario, print_json, print_text};
+use crate::analysis::StepCheck;
 use crate::cosim::endpoint::{Endpoint, for_agents};
 use crate::cosim::fault::{Fault, NodeError};
 use crate::cosim::qemu::{Channel, MACHINE, PROGRAM, Qemu};
@@ -21,6 +23,7 @@ use crate::packages::PackageBytes;
 use crate::progress::ProgressBars;
 use crate::scenario::Scenario;
 use crate::shell::shell_word;
+use crate::warning::{Warning, WarningCode};
 
 /// Arguments of `cosim`.
 #[derive(Debug, Args)]
@@ -78,6 +81,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let scenario = scenario(arguments)?;
     let endpoints =
         for_agents(&arguments.boards, scenario.agents.len()).map_err(CommandError::Usage)?;
+    let step = StepCheck::new(&scenario);
+    if !step.is_stable() {
+        warnings::print(&[Warning::new(WarningCode::UnstableStep, step.describe())]);
+    }
     // What can be refused is refused before anything is built.
     crate::cosim::prepared(&scenario)?;
     let timeout = Duration::from_secs_f64(arguments.timeout);

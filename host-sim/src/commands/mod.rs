@@ -6,6 +6,7 @@
 
 mod agent_table;
 mod baselines;
+mod check;
 #[cfg(unix)]
 mod cosim;
 mod health;
@@ -69,6 +70,11 @@ enum Command {
     Reproduce(reproduce::Arguments),
     /// Runs a scenario file
     Run(run::Arguments),
+    /// Tells what there is to know of a scenario without running it: gain, step, trigger, bounds
+    ///
+    /// Ends with 0, also with warnings; with 1 where a run would be meaningless, as with a step that
+    /// is too long for the observer; with 2 on bad input.
+    Check(check::Arguments),
     /// Runs a scenario together with emulated or real nodes and compares every bit
     #[cfg(unix)]
     Cosim(cosim::Arguments),
@@ -155,6 +161,8 @@ enum CommandError {
     Figure(#[from] FigureError),
     #[error("cannot write to standard output: {0}")]
     Output(#[from] std::io::Error),
+    #[error("{0}")]
+    Unstable(String),
     #[error("cannot start {0} threads; choose fewer with --threads")]
     Threads(u16),
     #[cfg(unix)]
@@ -210,6 +218,7 @@ impl CommandError {
             | Self::File(_)
             | Self::Figure(_)
             | Self::Output(_)
+            | Self::Unstable(_)
             | Self::Threads(_) => ExitCode::from(1),
             #[cfg(unix)]
             Self::Cosim(CosimError::NoNetwork { .. } | CosimError::Health { .. }) => {
@@ -241,6 +250,7 @@ pub fn main() -> ExitCode {
         Command::Run(arguments) => {
             with_threads(arguments.common.threads, || run::execute(&arguments))
         }
+        Command::Check(arguments) => check::execute(&arguments),
         #[cfg(unix)]
         Command::Cosim(arguments) => {
             with_threads(arguments.common.threads, || cosim::execute(&arguments))

@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::baselines::Baseline;
 use super::seeds::{self, SeedRun};
 use super::trainings::{self, TrainingSummary};
-use super::{CommandError, Common, Format, SharedProgress, summary, written};
+use super::{CommandError, Common, Format, SharedProgress, warnings, written};
 use super::{make_folder, print_json, print_text};
 use crate::analysis::Checks;
 use crate::engine::statistics::AgentStatistics;
@@ -19,9 +19,11 @@ use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_axis_limit, error_norms, events, states, write_all,
 };
 use crate::progress::ProgressBars;
+use crate::report::checks::{self, ChecksReport};
 use crate::report::paper::PUBLISHED;
 use crate::report::tables::{AgentResult, ComparisonTable, change_percent};
 use crate::scenario::{PAPER, Scenario, Time};
+use crate::warning::Warning;
 
 /// Arguments of `reproduce`.
 #[derive(Debug, Args)]
@@ -49,6 +51,8 @@ struct Report<'a> {
     trainings: Vec<TrainingSummary>,
     /// With several seeds.
     seeds: Option<seeds::Report>,
+    checks: ChecksReport,
+    warnings: &'a [Warning],
 }
 
 #[derive(Serialize)]
@@ -103,6 +107,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         let first = SeedRun::new(seed, &with.agents, &scenario.time);
         [vec![first], others].concat()
     });
+    let checks = Checks::new(&scenario, with);
+    let mut warnings = warnings::before(&scenario, &checks.design);
+    warnings.extend(warnings::after(&scenario, with, &checks));
     let out = &arguments.out;
     let (files, figures) = rayon::join(
         || write_tables(out, &scenario, &table, &runs, seeds.as_deref()),
@@ -121,12 +128,15 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             agents: agent_reports(&scenario.time, &runs),
             trainings,
             seeds,
-        }),
+            checks: ChecksReport::new(&checks),
+            warnings: &warnings,
+        })?,
         Format::Text => {
             let mut text = format!("\n{}\n", table.to_text());
             text += &seeds.map_or_else(String::new, |seeds| seeds.text());
             text += &trainings::text(&trainings);
-            text += &summary::checks(&Checks::new(&scenario, with));
+            text += &checks::text(&checks);
+            text += &warnings::lines(&warnings);
             text += "Figures, as SVG and PNG\n";
             for (name, what) in figures {
                 text += &format!("  {}: {what}\n", out.join(name).display());
@@ -138,9 +148,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 if arguments.seeds > 1 { "seeds.csv, " } else { "" },
                 arguments.recipe,
             );
-            print_text(&text)
+            print_text(&text)?;
         }
     }
+    warnings::unstable_run(&checks).map_or(Ok(()), |text| Err(CommandError::Unstable(text)))
 }
 
 /// The runs of the first seed, and the learned ones of the others, all in parallel.

@@ -10,18 +10,18 @@ use serde::Serialize;
 use super::baselines::{Baseline, Baselines, Choice, Comparison, Plan, States, has_packages};
 use super::health::{self, HealthReport};
 use super::trainings::{self, TrainingSummary};
-use super::{
-    CommandError, Common, Format, SharedProgress, agent_table, summary, warnings, written,
-};
+use super::{CommandError, Common, Format, SharedProgress, agent_table, warnings, written};
 use super::{load_scenario, make_folder, print_json, print_text};
-use crate::analysis::Checks;
+use crate::analysis::{Checks, DesignChecks};
 use crate::engine::{RunOptions, RunResult, run};
 use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_norms, events, states, write_all,
 };
 use crate::packages::PackageBytes;
 use crate::progress::ProgressBars;
+use crate::report::checks::{self, ChecksReport};
 use crate::scenario::Scenario;
+use crate::warning::Warning;
 
 /// Arguments of `run`.
 #[derive(Debug, Args)]
@@ -55,6 +55,8 @@ struct Report<'a> {
     baselines: States,
     agents: Vec<AgentReport>,
     trainings: Vec<TrainingSummary>,
+    checks: ChecksReport,
+    warnings: &'a [Warning],
 }
 
 /// An agent, as JSON has it.
@@ -92,31 +94,39 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         None => Path::new("out").join(&scenario.name),
     };
     make_folder(&out)?;
-    warnings::print(&scenario);
+    let design = DesignChecks::new(&scenario);
+    let mut warnings = warnings::before(&scenario, &design);
+    warnings::print(&warnings);
     let plan = Plan::new(&scenario, arguments.baselines);
     let (result, baselines) = simulate(&scenario, arguments.common.seed, plan)?;
-    for warning in baselines.warnings() {
-        eprintln!("warning: {warning}");
-    }
+    let checks = Checks::of(design, &scenario, &result);
+    let mut found = warnings::after(&scenario, &result, &checks);
+    found.extend(baselines.warnings());
     let agents = agent_reports(&scenario, &result, &baselines);
     let trainings = trainings::summaries(&result.trainings);
     let files = write_files(&out, &scenario, &result, &baselines, &agents)?;
     let elapsed_s = start.elapsed().as_secs_f64();
     match arguments.common.format {
-        Format::Json => print_json(&Report {
-            scenario: &scenario.name,
-            seed: arguments.common.seed,
-            elapsed_s,
-            baselines: baselines.states(),
-            agents,
-            trainings,
-        }),
+        Format::Json => {
+            warnings.extend(found);
+            print_json(&Report {
+                scenario: &scenario.name,
+                seed: arguments.common.seed,
+                elapsed_s,
+                baselines: baselines.states(),
+                agents,
+                trainings,
+                checks: ChecksReport::new(&checks),
+                warnings: &warnings,
+            })?;
+        }
         Format::Text => {
             let mut text = packages_in_use(&scenario);
             text += &agent_table::text(&scenario, &agents, &baselines, name_of(&scenario));
             text += &trainings::text(&trainings);
             text += &health::table(&result.agents);
-            text += &summary::checks(&Checks::new(&scenario, &result));
+            text += &checks::text(&checks);
+            text += &warnings::lines(&found);
             text += &format!(
                 "Written to {}: {}\n{}\nScenario {}, seed {}, {elapsed_s:.2} s\n",
                 out.display(),
@@ -125,9 +135,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 scenario.name,
                 arguments.common.seed,
             );
-            print_text(&text)
+            print_text(&text)?;
         }
     }
+    warnings::unstable_run(&checks).map_or(Ok(()), |text| Err(CommandError::Unstable(text)))
 }
 
 /// Hands each package to its agent.

@@ -127,7 +127,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     prepared.warnings.iter().for_each(warn);
     let trained = train(&task, prepared).map_err(of_these)?;
     trained.warnings[told..].iter().for_each(warn);
-    if !trained.accepted {
+    // Who interrupts it wants what there is.
+    let interrupted = trained.report.stop == StopReason::Callback;
+    if !trained.accepted && !interrupted {
         let problem = "not packed, because the network explains nothing of the end of the samples";
         return Err(CommandError::NotPacked(format!("{}: {problem}", arguments.out.display())));
     }

@@ -19,7 +19,7 @@ const BLOCK: usize = 32;
 
 /// Factor, and room to compute it.
 #[derive(Clone, Debug)]
-pub(super) struct Cholesky {
+pub(crate) struct Cholesky {
     arch: Arch,
     order: usize,
     stride: usize,
@@ -31,7 +31,7 @@ pub(super) struct Cholesky {
 
 impl Cholesky {
     /// Room for matrices of the given order.
-    pub(super) fn new(order: usize, arch: Arch) -> Self {
+    pub(crate) fn new(order: usize, arch: Arch) -> Self {
         let stride = row_stride(order);
         Self {
             arch,
@@ -49,18 +49,33 @@ impl Cholesky {
     ///
     /// # Panics
     /// If `matrix` or `b` is too short for the order.
-    pub(super) fn solve(&mut self, matrix: &[f64], damping: f64, b: &mut [f64]) -> bool {
+    pub(crate) fn solve(&mut self, matrix: &[f64], damping: f64, b: &mut [f64]) -> bool {
+        let positive = self.factor(matrix, damping);
+        if positive {
+            self.forward(b);
+            self.backward(b);
+        }
+        positive
+    }
+
+    /// Factors `A + damping I`, with `matrix` as in [`Self::solve`]; returns whether it was
+    /// positive definite.
+    ///
+    /// # Panics
+    /// If `matrix` is too short for the order.
+    pub(crate) fn factor(&mut self, matrix: &[f64], damping: f64) -> bool {
         for row in 0..self.order {
             let source = &matrix[row * self.order..][row..self.order];
             let target = &mut self.factor[row * self.stride..][row..self.order];
             target.copy_from_slice(source);
             target[0] += damping;
         }
-        let positive = self.factorise();
-        if positive {
-            self.substitute(b);
-        }
-        positive
+        self.factorise()
+    }
+
+    /// Row `k` of U, from its diagonal on.
+    pub(crate) fn row(&self, k: usize) -> &[f64] {
+        &self.factor[k * self.stride..][k..self.order]
     }
 
     fn factorise(&mut self) -> bool {
@@ -95,18 +110,30 @@ impl Cholesky {
         true
     }
 
-    fn substitute(&self, b: &mut [f64]) {
+    /// Solves `Uᵀ y = b` in place.
+    ///
+    /// # Panics
+    /// If `b` is too short for the order.
+    pub(crate) fn forward(&self, b: &mut [f64]) {
         let b = &mut b[..self.order];
         for k in 0..self.order {
-            let row = &self.factor[k * self.stride..][k..self.order];
+            let row = self.row(k);
             let (head, tail) = b[k..].split_at_mut(1);
             head[0] /= row[0];
             for (b, u) in tail.iter_mut().zip(&row[1..]) {
                 *b -= u * head[0];
             }
         }
+    }
+
+    /// Solves `U x = y` in place.
+    ///
+    /// # Panics
+    /// If `b` is too short for the order.
+    pub(crate) fn backward(&self, b: &mut [f64]) {
+        let b = &mut b[..self.order];
         for k in (0..self.order).rev() {
-            let row = &self.factor[k * self.stride..][k..self.order];
+            let row = self.row(k);
             let (head, tail) = b[k..].split_at_mut(1);
             head[0] = (head[0] - dot(&row[1..], tail)) / row[0];
         }
