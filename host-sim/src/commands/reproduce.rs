@@ -49,11 +49,11 @@ struct Report<'a> {
     recipe: &'a str,
     elapsed_s: f64,
     agents: Vec<AgentReport>,
-    checks: ChecksReport,
-    warnings: &'a [Warning],
     trainings: Vec<TrainingSummary>,
     /// With several seeds.
     seeds: Option<seeds::Report>,
+    checks: ChecksReport,
+    warnings: &'a [Warning],
 }
 
 #[derive(Serialize)]
@@ -109,13 +109,13 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         published: &PUBLISHED,
         window: (scenario.evaluation.from, scenario.evaluation.to),
     };
-    let checks = Checks::new(&scenario, with);
-    let mut warnings = warnings::before(&scenario, &checks.design);
-    warnings.extend(warnings::after(&scenario, with, &checks));
     let seeds = (arguments.seeds > 1).then(|| {
         let first = SeedRun::new(seed, &with.agents, &scenario.time);
         [vec![first], others].concat()
     });
+    let checks = Checks::new(&scenario, with);
+    let mut warnings = warnings::before(&scenario, &checks.design);
+    warnings.extend(warnings::after(&scenario, with, &checks));
     let (out, stage) = (&arguments.out, folder.stage());
     let (files, figures) = rayon::join(
         || write_tables(stage, &scenario, &table, &runs, seeds.as_deref()),

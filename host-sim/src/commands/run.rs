@@ -22,7 +22,7 @@ use crate::packages::PackageBytes;
 use crate::progress::ProgressBars;
 use crate::report::checks::{self, ChecksReport};
 use crate::scenario::Scenario;
-use crate::terminal::{self, one_line};
+use crate::terminal::one_line;
 use crate::warning::Warning;
 
 /// Arguments of `run`.
@@ -108,11 +108,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     warnings::print(&warnings);
     let plan = Plan::new(&scenario, arguments.baselines);
     let (result, baselines) = simulate(&scenario, arguments.common.seed, plan)?;
-    for warning in baselines.warnings() {
-        terminal::warning(warning);
-    }
     let checks = Checks::of(design, &scenario, &result);
-    let found = warnings::after(&scenario, &result, &checks);
+    let mut found = warnings::after(&scenario, &result, &checks);
+    found.extend(baselines.warnings());
     let agents = agent_reports(&scenario, &result, &baselines);
     let trainings = trainings::summaries(&result.trainings);
     write_files(folder.stage(), &scenario, &result, &baselines, &agents)
