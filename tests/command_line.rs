@@ -93,6 +93,8 @@ pub(crate) fn short() -> Described {
     described.duration = 0.8;
     described.network = network(&[(4, "tanh")], "2.0");
     described.learning = cycle(&[1, 2], 0.1, 0.5, 0.6) + SHORT_RECIPE;
+    // From the switch on, so that there is nothing to warn of.
+    described.learning += "\n[evaluation]\nfrom = 0.6\nto = 0.8\n";
     described
 }
 
@@ -142,7 +144,15 @@ fn assert_tables(files: &BTreeMap<String, Vec<u8>>, names: &[&str]) {
         let mut lines = text.lines();
         let header: Vec<_> = lines.next().unwrap().split(',').collect();
         assert_eq!(header.iter().collect::<BTreeSet<_>>().len(), header.len(), "{header:?}");
-        let counts = ["agent", "cycle", "epoch", "sequence", "broadcasts"];
+        let counts = [
+            "agent",
+            "cycle",
+            "epoch",
+            "sequence",
+            "broadcasts",
+            "broadcasts_no_network",
+            "broadcasts_untrained",
+        ];
         let bare = ["damping", "gradient_norm"];
         for column in &header {
             assert!(column.starts_with(|c: char| c.is_ascii_alphabetic()), "{name}: {column}");
@@ -196,28 +206,37 @@ fn reproduce_in_json_is_one_object_and_the_same_again() {
     let folder = Folder::new("reproduce-json");
     let first = object(&folder.succeed("reproduce --format json --out a --threads 1"));
     let second = object(&folder.succeed("reproduce --format json --out b --threads 2 --seed 0"));
-    assert_keys(&first, &["seed", "recipe", "elapsed_s", "agents"]);
+    let keys =
+        ["seed", "recipe", "elapsed_s", "agents", "trainings", "seeds", "checks", "warnings"];
+    assert_keys(&first, &keys);
+    assert_eq!((&first["checks"], &first["warnings"]), (&second["checks"], &second["warnings"]));
     assert_eq!((&first["seed"], &first["recipe"]), (&Value::from(0), &Value::from("better")));
     assert!(first["elapsed_s"].as_f64().unwrap() > 0.0);
     assert_eq!(agents(&first).len(), 3);
     for (number, agent) in (1..).zip(agents(&first)) {
         let keys = [
             "agent",
+            "rmse_no_network",
             "rmse_without",
             "rmse_with",
+            "change_percent_no_network",
             "change_percent",
+            "mean_interval_no_network",
             "mean_interval_without",
             "mean_interval_with",
+            "broadcasts_no_network",
             "broadcasts_without",
             "broadcasts_with",
         ];
-        assert_keys(agent, &keys);
+        assert_keys(agent, &[&keys[..], &["explained_variance"]].concat());
         assert_eq!(agent["agent"], number);
         assert!(keys.iter().all(|key| agent[key].is_number()), "{agent}");
         assert!(agent["broadcasts_with"].is_u64() && agent["broadcasts_without"].is_u64());
         let number = |key: &str| agent[key].as_f64().unwrap();
         let change = 100.0 * (number("rmse_with") / number("rmse_without") - 1.0);
         assert!(integration_tests::close(number("change_percent"), change, 1e-12, 0.0));
+        let change = 100.0 * (number("rmse_with") / number("rmse_no_network") - 1.0);
+        assert!(integration_tests::close(number("change_percent_no_network"), change, 1e-12, 0.0));
     }
     assert_eq!(agents(&first), agents(&second));
     // Tables and pictures, too, are the same bytes on one thread and on two.
@@ -233,12 +252,39 @@ fn run_in_json_is_one_object() {
     let folder = Folder::new("run-json");
     folder.write("mine.toml", &short().text());
     let result = object(&folder.succeed("run mine.toml --format json --seed 7"));
-    assert_keys(&result, &["scenario", "seed", "elapsed_s", "agents"]);
+    let keys =
+        ["scenario", "seed", "elapsed_s", "baselines", "agents", "trainings", "checks", "warnings"];
+    assert_keys(&result, &keys);
     assert_eq!((&result["scenario"], &result["seed"]), (&"described".into(), &7.into()));
-    let keys = ["agent", "rmse", "max_error", "broadcasts", "mean_interval", "min_interval"];
+    let keys = [
+        "agent",
+        "rmse",
+        "rmse_no_network",
+        "rmse_untrained",
+        "change_percent_no_network",
+        "change_percent",
+        "explained_variance",
+        "max_error",
+        "broadcasts",
+        "broadcasts_no_network",
+        "broadcasts_untrained",
+        "mean_interval",
+        "min_interval",
+    ];
     let options = RunOptions { seed: 7, learning: true, bounds: false };
     let scenario = short().scenario();
-    let expected = run(&scenario, options, &Silent).unwrap().agents;
+    let expected = run(&scenario, options, &Silent).unwrap();
+    for (training, record) in
+        result["trainings"].as_array().unwrap().iter().zip(&expected.trainings)
+    {
+        let quality = &record.quality;
+        assert_eq!((&training["agent"], &training["cycle"]), (&record.agent.into(), &1.into()));
+        assert_eq!(training["samples"], record.samples);
+        assert_eq!(training["training_error"], number(Some(quality.training.error)));
+        assert_eq!(training["validation_error"], number(quality.validation.map(|fit| fit.error)));
+    }
+    assert_eq!(result["trainings"].as_array().unwrap().len(), 2);
+    let expected = expected.agents;
     assert_eq!(agents(&result).len(), 2);
     for (index, agent) in agents(&result).iter().enumerate() {
         assert_keys(agent, &keys);

@@ -1,5 +1,6 @@
 //! Simulator and nodes in lockstep, the nodes being the firmware's own loop in threads.
 
+use std::num::NonZeroU32;
 use std::time::Duration;
 
 use host_sim::analysis::TriggerConstants;
@@ -8,7 +9,7 @@ use host_sim::cosim::fault::{Fault, NodeError};
 use host_sim::cosim::{CosimError, CosimReport, Setup, Start, cosimulate};
 use host_sim::engine::Silent;
 use host_sim::packages::{Draft, NodeContent, PackageBytes};
-use host_sim::scenario::{PAPER, Scenario, Window};
+use host_sim::scenario::{PAPER, Scenario, SwitchIn, Window};
 use host_sim::service::Line;
 
 use crate::loop_node::{self, Quirks};
@@ -22,8 +23,9 @@ pub(crate) fn short_paper() -> Scenario {
     scenario.learning[0].apply_at = 1.0;
     for recipe in &mut scenario.recipes {
         recipe.solver.epochs_max = 4;
-        recipe.smoothing_window = 0.02;
-        recipe.decimation = 2.try_into().unwrap();
+        recipe.smoothing_window = Some(0.02);
+        recipe.decimation = NonZeroU32::new(2);
+        recipe.switch_in = SwitchIn::Always;
     }
     scenario
 }

@@ -130,6 +130,6 @@ pub(crate) fn cycle(agents: &[usize], from: f64, to: f64, apply_at: f64) -> Stri
     )
 }
 
-/// A recipe of a few epochs.
-pub(crate) const SHORT_RECIPE: &str =
-    "\n[recipes.short]\nsmoothing_window = 0.1\ndecimation = 5\nepochs = 10\n";
+/// A recipe of a few epochs, whose network is used however little it explains.
+pub(crate) const SHORT_RECIPE: &str = "\n[recipes.short]\nsmoothing_window = 0.1\n\
+                                      decimation = 5\nepochs = 10\nswitch_in = \"always\"\n";

@@ -15,7 +15,7 @@ use crate::reproduce::paper;
 /// changelog that results differ in their last digits.
 const DIGEST_WITHOUT_LEARNING: u64 = 0x15d8_ff27_1d2b_e5e7;
 /// Digest of the paper's run with learning, recipe `better`, seed 0.
-const DIGEST_WITH_LEARNING: u64 = 0xdbee_0b11_954b_5228;
+const DIGEST_WITH_LEARNING: u64 = 0x15e5_5a93_add3_9bb0;
 
 fn simulate(scenario: &Scenario, seed: u64, learning: bool, bounds: bool) -> RunResult {
     run(scenario, RunOptions { seed, learning, bounds }, &Silent).unwrap()
@@ -29,7 +29,8 @@ struct RunBits {
     statistics: Vec<[Option<u64>; 6]>,
     broadcasts: Vec<(u64, u64, Vec<u64>)>,
     traces: Vec<u64>,
-    stacked_errors: Vec<u64>,
+    /// As text, which has every digit.
+    bounds: Option<String>,
     /// Training, validation and test error and damping of each epoch.
     epochs: Vec<(usize, usize, usize, [Option<u64>; 4])>,
 }
@@ -65,7 +66,7 @@ fn run_bits(scenario: &Scenario, result: &RunResult) -> RunBits {
             .map(|agent| (agent.broadcasts(), agent.frames_refused, agent.events.clone()))
             .collect(),
         traces: (0..traces.rows()).flat_map(row).collect(),
-        stacked_errors: result.stacked_error_squared.iter().map(|e| e.to_bits()).collect(),
+        bounds: result.bounds.as_ref().map(|bounds| format!("{bounds:?}")),
         epochs: epochs.collect(),
     }
 }
@@ -102,7 +103,7 @@ fn a_run_repeats_itself() {
     assert_eq!(first, again);
     // There is something to be equal in.
     assert_eq!(first.statistics.len(), 5);
-    assert_eq!(first.stacked_errors.len(), 801);
+    assert!(first.bounds.is_some());
     assert_eq!(first.traces.len(), 81 * (1 + 2 + 5 * 2));
     assert!(first.broadcasts.iter().all(|(count, refused, _)| *count > 5 && *refused == 0));
     let mut trained: Vec<_> = first.epochs.iter().map(|epoch| (epoch.1, epoch.0)).collect();
@@ -161,7 +162,7 @@ fn what_is_recorded_changes_no_bit() {
     silent.record =
         host_sim::scenario::Record { trace_stride: None, events: false, samples: false };
     let bare = simulate(&silent, 0, true, false);
-    assert!(bare.traces.rows() == 0 && bare.stacked_error_squared.is_empty());
+    assert!(bare.traces.rows() == 0 && bare.bounds.is_none());
     assert!(bare.agents.iter().all(|agent| agent.events.is_empty()));
     let mut strided = scenario.clone();
     strided.record.trace_stride = std::num::NonZeroU32::new(7);

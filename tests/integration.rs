@@ -1,5 +1,6 @@
 //! Every test that needs more than one module or crate, in one binary; a module for each subject.
 
+mod baselines;
 mod bits;
 mod command_line;
 mod core_against_oracle;
@@ -21,6 +22,7 @@ mod files;
 mod flash;
 mod health;
 mod image;
+mod json_documented;
 mod levenberg_marquardt;
 mod links;
 #[cfg(unix)]
@@ -42,6 +44,8 @@ mod store_packages;
 mod store_power_cuts;
 mod store_reading;
 mod tensors;
+mod units;
+mod verdicts;
 mod watched_ring;
 mod watched_runs;
 mod weights_commands;

@@ -29,7 +29,9 @@ fn worst_remainder(scenario: &Scenario, result: &RunResult) -> f64 {
         worst = worst.max(rmse / initial.sqrt());
     }
     assert_eq!(result.agents.len(), scenario.agents.len());
-    assert!(result.stacked_error_squared.iter().all(|squared| squared.is_finite()));
+    let bounds = result.bounds.as_ref().expect("they were asked for");
+    assert!(!bounds.growth.without_bound(true), "{:?}", bounds.growth);
+    assert_eq!(bounds.states, scenario.steps() + 1);
     worst
 }
 

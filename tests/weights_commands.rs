@@ -184,7 +184,9 @@ fn ctrl_c_ends_training_with_the_best_so_far() {
     let output = child.wait_with_output().unwrap();
     assert!(start.elapsed() < Duration::from_secs(60), "it went on for {:?}", start.elapsed());
     let (standard, error) = texts(&output);
-    assert_eq!((output.status.code(), error.as_str()), (Some(0), ""), "{standard}");
+    assert_eq!(output.status.code(), Some(0), "{standard}{error}");
+    // Noise is not to be learned, and that is told; what was asked for is written all the same.
+    assert!(error.lines().all(|line| line.starts_with("warning: ")), "{error}");
     let report = object(&standard);
     assert_eq!(report["stopped_by"], "interruption", "{report}");
     folder.succeed("weights verify best.weights");

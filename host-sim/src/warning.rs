@@ -43,11 +43,13 @@ pub enum WarningCode {
     FewSamples,
     /// The trained network was not switched in.
     NotSwitchedIn,
+    /// A run that errors are compared with failed.
+    BaselineFailed,
 }
 
 impl WarningCode {
     /// Every code.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 17] = [
         Self::StateNotCovered,
         Self::GainNotASolution,
         Self::RhoTooSmall,
@@ -64,6 +66,7 @@ impl WarningCode {
         Self::LongSmoothing,
         Self::FewSamples,
         Self::NotSwitchedIn,
+        Self::BaselineFailed,
     ];
 
     /// The code as JSON has it.
@@ -86,6 +89,7 @@ impl WarningCode {
             Self::LongSmoothing => "long-smoothing",
             Self::FewSamples => "few-samples",
             Self::NotSwitchedIn => "not-switched-in",
+            Self::BaselineFailed => "baseline-failed",
         }
     }
 }

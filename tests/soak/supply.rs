@@ -5,13 +5,14 @@
 //! node's own has a say in it.
 
 use std::collections::BTreeMap;
+use std::num::NonZeroU32;
 
 use agent_core::checksum::crc32;
 use host_sim::analysis::TriggerConstants;
 use host_sim::engine::{RunOptions, Silent, run};
 use host_sim::packages::trained::initial;
 use host_sim::packages::{Draft, PackageBytes};
-use host_sim::scenario::{PAPER, Scenario, Window};
+use host_sim::scenario::{PAPER, Scenario, SwitchIn, Window};
 use rand::{Rng, RngExt};
 
 use crate::described::{Described, network, picks};
@@ -93,8 +94,9 @@ pub(super) fn scenario() -> Scenario {
     scenario.learning[0].apply_at = 7.0;
     for recipe in &mut scenario.recipes {
         recipe.solver.epochs_max = 8;
-        recipe.smoothing_window = 0.02;
-        recipe.decimation = 20.try_into().unwrap();
+        recipe.smoothing_window = Some(0.02);
+        recipe.decimation = NonZeroU32::new(20);
+        recipe.switch_in = SwitchIn::Always;
     }
     scenario
 }

@@ -127,6 +127,11 @@ fn ends(diagonal: &[f64], off_diagonal: &[f64], beyond: f64) -> Spectrum {
     Spectrum { min, min_residual, max: bisect(size) }
 }
 
+/// The largest eigenvalue of a symmetric tridiagonal matrix.
+pub(super) fn tridiagonal_max(diagonal: &[f64], off_diagonal: &[f64]) -> f64 {
+    ends(diagonal, off_diagonal, 0.0).max
+}
+
 /// How many eigenvalues lie below `x`: the negative pivots of the matrix less `x` (Sturm).
 fn eigenvalues_below(diagonal: &[f64], off_diagonal: &[f64], x: f64) -> usize {
     let mut count = 0;

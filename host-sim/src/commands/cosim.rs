@@ -9,9 +9,11 @@ use std::time::Duration;
 use clap::Args;
 
 use super::firmware::{self, Firmware};
+use super::warnings;
 use super::{
     CommandError, Common, Format, SharedProgress, load_scenario, print_outcome, print_text,
 };
+use crate::analysis::StepCheck;
 use crate::cosim::endpoint::{Endpoint, for_agents};
 use crate::cosim::fault::{Fault, NodeError};
 use crate::cosim::qemu::{Channel, PROGRAM, Qemu};
@@ -23,6 +25,7 @@ use crate::progress::ProgressBars;
 use crate::scenario::Scenario;
 use crate::shell::shell_word;
 use crate::terminal;
+use crate::warning::{Warning, WarningCode};
 
 /// Arguments of `cosim`.
 #[derive(Debug, Args)]
@@ -81,6 +84,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let scenario = scenario(arguments)?;
     let endpoints =
         for_agents(&arguments.boards, scenario.agents.len()).map_err(CommandError::Usage)?;
+    let step = StepCheck::new(&scenario);
+    if !step.is_stable() {
+        warnings::print(&[Warning::new(WarningCode::UnstableStep, step.describe())]);
+    }
     // What can be refused is refused before anything is built.
     crate::cosim::prepared(&scenario)?;
     let timeout = Duration::from_secs_f64(arguments.timeout);

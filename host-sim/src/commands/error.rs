@@ -90,6 +90,8 @@ error_codes! {
     Diverged = "plant-diverged", 1;
     /// A network cannot be trained.
     Training = "training-failed", 1;
+    /// The error of the run grew without bound.
+    Unstable = "unstable-run", 1;
     /// A network explains nothing, and was not packed.
     NotPacked = "not-packed", 1;
     /// A figure cannot be drawn.
@@ -146,6 +148,8 @@ impl CommandError {
                 _ => ErrorCode::Training,
             },
             Self::NotPacked(_) => ErrorCode::NotPacked,
+            Self::Unstable(_) => ErrorCode::Unstable,
+            Self::Seed { .. } => ErrorCode::Run,
             Self::Run(error) => run(error),
             Self::File(error) | Self::Figure(FigureError::Write(error)) => output(error),
             Self::Figure(_) => ErrorCode::Figure,

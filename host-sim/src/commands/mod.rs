@@ -6,6 +6,9 @@
 //! number of the signal that ended it. Whoever stops reading the output (`head`) changes no
 //! exit code, and whatever happens to the messages changes nothing else.
 
+mod agent_table;
+mod baselines;
+mod check;
 #[cfg(unix)]
 mod cosim;
 mod error;
@@ -22,8 +25,10 @@ mod reproduce;
 mod run;
 mod run_folder;
 mod scenario;
+mod seeds;
 mod summary;
 mod train;
+mod trainings;
 mod warnings;
 mod weights;
 mod written;
@@ -73,6 +78,11 @@ enum Command {
     Reproduce(reproduce::Arguments),
     /// Runs a scenario file
     Run(run::Arguments),
+    /// Tells what there is to know of a scenario without running it: gain, step, trigger, bounds
+    ///
+    /// Ends with 0, also with warnings; with 1 where a run would be meaningless, as with a step that
+    /// is too long for the observer; with 2 on bad input.
+    Check(check::Arguments),
     /// Runs a scenario together with emulated or real nodes and compares every bit
     #[cfg(unix)]
     Cosim(cosim::Arguments),
@@ -151,6 +161,8 @@ enum CommandError {
     NotPacked(String),
     #[error(transparent)]
     Run(#[from] RunError),
+    #[error("seed {seed}: {error}")]
+    Seed { seed: u64, error: RunError },
     #[error(transparent)]
     File(#[from] OutputError),
     #[error(transparent)]
@@ -163,6 +175,8 @@ enum CommandError {
     FolderInUse { path: PathBuf },
     #[error("cannot write to standard output: {0}")]
     Output(#[from] std::io::Error),
+    #[error("{0}")]
+    Unstable(String),
     #[error("cannot start {0} threads; choose fewer with --threads")]
     Threads(u16),
     #[cfg(unix)]
@@ -210,6 +224,7 @@ pub fn main() -> ExitCode {
         Command::Run(arguments) => {
             with_threads(arguments.common.threads, || run::execute(&arguments))
         }
+        Command::Check(arguments) => check::execute(&arguments),
         #[cfg(unix)]
         Command::Cosim(arguments) => {
             with_threads(arguments.common.threads, || cosim::execute(&arguments))

@@ -7,8 +7,11 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
+use super::baselines::Baseline;
 use super::run_folder::RunFolder;
-use super::{CommandError, Common, Format, SharedProgress, summary, written};
+use super::seeds::{self, SeedRun};
+use super::trainings::{self, TrainingSummary};
+use super::{CommandError, Common, Format, SharedProgress, warnings, written};
 use super::{print_json, print_text};
 use crate::analysis::Checks;
 use crate::engine::statistics::AgentStatistics;
@@ -17,9 +20,11 @@ use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_axis_limit, error_norms, events, states, write_all,
 };
 use crate::progress::ProgressBars;
+use crate::report::checks::{self, ChecksReport};
 use crate::report::paper::PUBLISHED;
 use crate::report::tables::{AgentResult, ComparisonTable, change_percent};
 use crate::scenario::{PAPER, Scenario, Time};
+use crate::warning::Warning;
 
 /// Arguments of `reproduce`.
 #[derive(Debug, Args)]
@@ -27,6 +32,10 @@ pub(super) struct Arguments {
     /// How the inner networks are trained
     #[arg(long, default_value = "better", value_parser = ["paper", "better"])]
     recipe: String,
+    /// How many seeds to learn with, from --seed on: more than one gives median and range of each
+    /// agent's errors and broadcasts
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    seeds: u64,
     /// Folder for figures and tables
     #[arg(long, default_value = "out")]
     out: PathBuf,
@@ -40,18 +49,36 @@ struct Report<'a> {
     recipe: &'a str,
     elapsed_s: f64,
     agents: Vec<AgentReport>,
+    checks: ChecksReport,
+    warnings: &'a [Warning],
+    trainings: Vec<TrainingSummary>,
+    /// With several seeds.
+    seeds: Option<seeds::Report>,
 }
 
 #[derive(Serialize)]
 struct AgentReport {
     agent: usize,
+    rmse_no_network: Option<f64>,
     rmse_without: Option<f64>,
     rmse_with: Option<f64>,
+    change_percent_no_network: Option<f64>,
+    /// Against the untrained network.
     change_percent: Option<f64>,
+    explained_variance: Option<f64>,
+    mean_interval_no_network: Option<f64>,
     mean_interval_without: Option<f64>,
     mean_interval_with: Option<f64>,
+    broadcasts_no_network: u64,
     broadcasts_without: u64,
     broadcasts_with: u64,
+}
+
+/// The paper's two simulations, and the one without a network.
+struct Runs {
+    no_network: RunResult,
+    without: RunResult,
+    with: RunResult,
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
@@ -62,63 +89,98 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
     let mut planned = written::planned(&scenario, "_without", false);
     planned.extend(written::planned(&scenario, "_with", false));
-    planned.push("table1.csv".to_owned());
+    planned.extend(["table1.csv", "seeds.csv"].map(str::to_owned));
     planned.extend(written::pictures(FIGURES.map(|(stem, _)| stem)));
     let folder = RunFolder::claim(&arguments.out, &planned)?;
-    let (without, with) = both_runs(&scenario, arguments.common.seed)?;
-    let results = [&without, &with].map(|run| agent_results(run, &scenario.time));
+    let seed = arguments.common.seed;
+    let end = seed.checked_add(arguments.seeds).ok_or_else(|| {
+        let problem =
+            format!("--seed {seed}: there are not {} seeds from there on", arguments.seeds);
+        CommandError::Usage(problem + "; write a smaller one")
+    })?;
+    let (runs, others) = simulate(&scenario, seed..end)?;
+    let Runs { no_network, without, with } = &runs;
+    let results = [no_network, without, with].map(|run| agent_results(run, &scenario.time));
     let table = ComparisonTable {
-        without: &results[0],
-        with: &results[1],
+        no_network: &results[0],
+        without: &results[1],
+        with: &results[2],
         published: &PUBLISHED,
         window: (scenario.evaluation.from, scenario.evaluation.to),
     };
+    let checks = Checks::new(&scenario, with);
+    let mut warnings = warnings::before(&scenario, &checks.design);
+    warnings.extend(warnings::after(&scenario, with, &checks));
+    let seeds = (arguments.seeds > 1).then(|| {
+        let first = SeedRun::new(seed, &with.agents, &scenario.time);
+        [vec![first], others].concat()
+    });
     let (out, stage) = (&arguments.out, folder.stage());
     let (files, figures) = rayon::join(
-        || write_tables(stage, &scenario, &table, &without, &with),
-        || write_figures(stage, &scenario, &without, &with),
+        || write_tables(stage, &scenario, &table, &runs, seeds.as_deref()),
+        || write_figures(stage, &scenario, &runs),
     );
     files.and(figures).map_err(|error| folder.placed(error))?;
-    let (_, others) = folder.publish(&scenario, arguments.common.seed)?;
+    let (_, foreign) = folder.publish(&scenario, seed)?;
+    let seeds = seeds.map(|seeds| seeds::Report::new(&seeds, &no_network.agents, &without.agents));
+    let trainings = trainings::summaries(&with.trainings);
     let elapsed_s = start.elapsed().as_secs_f64();
     match arguments.common.format {
         Format::Json => print_json(&Report {
-            seed: arguments.common.seed,
+            seed,
             recipe: &arguments.recipe,
             elapsed_s,
-            agents: agent_reports(&scenario.time, &without, &with),
-        }),
+            agents: agent_reports(&scenario.time, &runs),
+            trainings,
+            seeds,
+            checks: ChecksReport::new(&checks),
+            warnings: &warnings,
+        })?,
         Format::Text => {
             let mut text = format!("\n{}\n", table.to_text());
-            text += &summary::trainings(&with.trainings);
-            text += &summary::checks(&Checks::new(&scenario, &with));
+            text += &seeds.map_or_else(String::new, |seeds| seeds.text());
+            text += &trainings::text(&trainings);
+            text += &checks::text(&checks);
+            text += &warnings::lines(&warnings);
             text += "Figures, as SVG and PNG\n";
             for (name, what) in FIGURES {
                 text += &format!("  {}: {what}\n", out.join(name).display());
             }
             text += &format!(
-                "Tables in {}: table1.csv, traces, broadcast times and training as CSV\n{others}\n\
-                 Recipe {}, seed {}, {elapsed_s:.2} s\n",
+                "Tables in {}: table1.csv, {}traces, broadcast times and training as CSV\n{foreign}\n\
+                 Recipe {}, seed {seed}, {elapsed_s:.2} s\n",
                 out.display(),
+                if arguments.seeds > 1 { "seeds.csv, " } else { "" },
                 arguments.recipe,
-                arguments.common.seed,
             );
-            print_text(&text)
+            print_text(&text)?;
         }
     }
+    warnings::unstable_run(&checks).map_or(Ok(()), |text| Err(CommandError::Unstable(text)))
 }
 
-/// The simulation with inner networks held constant, and the one that trains them.
-fn both_runs(scenario: &Scenario, seed: u64) -> Result<(RunResult, RunResult), CommandError> {
+/// The runs of the first seed, and the learned ones of the others, all in parallel.
+fn simulate(
+    scenario: &Scenario,
+    seeds: std::ops::Range<u64>,
+) -> Result<(Runs, Vec<SeedRun>), CommandError> {
     let bars = ProgressBars::new("simulating");
-    let (done, total) = (AtomicU64::new(0), 2 * scenario.steps());
-    let simulate = |learning| {
-        let progress = SharedProgress::new(&bars, &done, total);
-        run(scenario, RunOptions { seed, learning, bounds: learning }, &progress)
-    };
-    let (without, with) = rayon::join(|| simulate(false), || simulate(true));
+    let (done, seed) = (AtomicU64::new(0), seeds.start);
+    let total = scenario.steps() * (2 + seeds.end - seeds.start);
+    let progress = || SharedProgress::new(&bars, &done, total);
+    let simulate =
+        |learning| run(scenario, RunOptions { seed, learning, bounds: learning }, &progress());
+    let ((without, with), (no_network, others)) = rayon::join(
+        || rayon::join(|| simulate(false), || simulate(true)),
+        || {
+            rayon::join(
+                || Baseline::NoNetwork.run(scenario, seed, &progress()),
+                || seeds::run_all(scenario, seed + 1..seeds.end, progress),
+            )
+        },
+    );
     bars.finish();
-    Ok((without?, with?))
+    Ok((Runs { no_network: no_network?, without: without?, with: with? }, others?))
 }
 
 fn agent_results(run: &RunResult, time: &Time) -> Vec<AgentResult> {
@@ -129,34 +191,44 @@ fn agent_results(run: &RunResult, time: &Time) -> Vec<AgentResult> {
     run.agents.iter().map(result).collect()
 }
 
-fn agent_reports(time: &Time, without: &RunResult, with: &RunResult) -> Vec<AgentReport> {
-    let agents = without.agents.iter().zip(&with.agents).enumerate();
-    let report = |(index, (without, with)): (usize, (&AgentStatistics, &AgentStatistics))| {
-        let (rmse_without, rmse_with) = (without.rmse(), with.rmse());
+fn agent_reports(time: &Time, runs: &Runs) -> Vec<AgentReport> {
+    let report = |index: usize| {
+        let agents = [&runs.no_network, &runs.without, &runs.with].map(|run| &run.agents[index]);
+        let [rmse_no_network, rmse_without, rmse_with] = agents.map(AgentStatistics::rmse);
+        let intervals = agents.map(|agent| agent.mean_interval(time));
+        let broadcasts = agents.map(AgentStatistics::broadcasts);
         AgentReport {
             agent: index + 1,
+            rmse_no_network,
             rmse_without,
             rmse_with,
+            change_percent_no_network: change_percent(rmse_no_network, rmse_with),
             change_percent: change_percent(rmse_without, rmse_with),
-            mean_interval_without: without.mean_interval(time),
-            mean_interval_with: with.mean_interval(time),
-            broadcasts_without: without.broadcasts(),
-            broadcasts_with: with.broadcasts(),
+            explained_variance: trainings::explained(&runs.with.trainings, index + 1),
+            mean_interval_no_network: intervals[0],
+            mean_interval_without: intervals[1],
+            mean_interval_with: intervals[2],
+            broadcasts_no_network: broadcasts[0],
+            broadcasts_without: broadcasts[1],
+            broadcasts_with: broadcasts[2],
         }
     };
-    agents.map(report).collect()
+    (0..runs.with.agents.len()).map(report).collect()
 }
 
 fn write_tables(
     out: &Path,
     scenario: &Scenario,
     table: &ComparisonTable<'_>,
-    without: &RunResult,
-    with: &RunResult,
+    runs: &Runs,
+    seeds: Option<&[SeedRun]>,
 ) -> Result<(), CommandError> {
     table.write_csv(&out.join("table1.csv"))?;
-    written::tables(out, "_without", scenario, without)?;
-    written::tables(out, "_with", scenario, with)?;
+    if let Some(seeds) = seeds {
+        seeds::write_csv(&out.join("seeds.csv"), seeds)?;
+    }
+    written::tables(out, "_without", scenario, &runs.without)?;
+    written::tables(out, "_with", scenario, &runs.with)?;
     Ok(())
 }
 
@@ -169,27 +241,29 @@ const FIGURES: [(&str, &str); 4] = [
 ];
 
 /// Writes the figures.
-fn write_figures(
-    out: &Path,
-    scenario: &Scenario,
-    without: &RunResult,
-    with: &RunResult,
-) -> Result<(), CommandError> {
-    let error_limit = Some(error_axis_limit(&[&without.traces, &with.traces]));
+fn write_figures(out: &Path, scenario: &Scenario, runs: &Runs) -> Result<(), CommandError> {
+    let Runs { no_network, without, with } = runs;
+    let no_network = Some(no_network.agents.as_slice());
+    let references = [None, Some(without.agents.as_slice())]
+        .map(|untrained| written::references(scenario, [no_network, untrained]));
+    let shown_runs = [&without.traces, &with.traces];
+    let error_limit = Some(error_axis_limit(&shown_runs, &references[1]));
     let window = written::event_window(scenario);
     let event_ticks = written::events_of(with);
     let markers = written::markers(scenario);
     let draw = |index: usize| match index {
         0 => error_norms(&ErrorFigure {
-            title: "Figure 1: without learning",
+            title: "Figure 1: untrained networks",
             traces: &without.traces,
             markers: &[],
+            references: &references[0],
             error_limit,
         }),
         1 => error_norms(&ErrorFigure {
             title: "Figure 2: with learning",
             traces: &with.traces,
             markers: &markers,
+            references: &references[1],
             error_limit,
         }),
         2 => events(&EventFigure {
@@ -199,7 +273,11 @@ fn write_figures(
             from: window.from,
             to: window.to,
         }),
-        _ => states(&StateFigure { title: "Figure 4: with learning", traces: &with.traces }),
+        _ => states(&StateFigure {
+            title: "Figure 4: with learning",
+            traces: &with.traces,
+            names: &scenario.plant.state_names(),
+        }),
     };
     let figures: Vec<_> =
         FIGURES.iter().enumerate().map(|(index, (stem, _))| (*stem, draw(index))).collect();

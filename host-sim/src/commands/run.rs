@@ -1,6 +1,5 @@
 //! `run`: any scenario.
 
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicU64;
 use std::time::Instant;
@@ -8,24 +7,23 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
+use super::baselines::{Baseline, Baselines, Choice, Comparison, Plan, States, has_packages};
 use super::health::{self, HealthReport};
 use super::run_folder::RunFolder;
-use super::{CommandError, Common, Format, SharedProgress, summary, warnings, written};
+use super::trainings::{self, TrainingSummary};
+use super::{CommandError, Common, Format, SharedProgress, agent_table, warnings, written};
 use super::{load_scenario, print_json, print_text};
-use crate::analysis::Checks;
-use crate::engine::statistics::AgentStatistics;
+use crate::analysis::{Checks, DesignChecks};
 use crate::engine::{RunOptions, RunResult, run};
 use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_norms, events, states, write_all,
 };
 use crate::packages::PackageBytes;
 use crate::progress::ProgressBars;
-use crate::report::csv::{Row, write_table};
-use crate::scenario::{Record, Scenario};
-use crate::terminal::one_line;
-
-/// Up to this many agents have a line each in the terminal.
-const LINES: usize = 20;
+use crate::report::checks::{self, ChecksReport};
+use crate::scenario::Scenario;
+use crate::terminal::{self, one_line};
+use crate::warning::Warning;
 
 /// Arguments of `run`.
 #[derive(Debug, Args)]
@@ -40,6 +38,10 @@ pub(super) struct Arguments {
     /// Leaves the scenario's learning cycles out
     #[arg(long)]
     without_learning: bool,
+    /// What the errors are compared with: all is the observer without a network, and with the
+    /// network as it starts [default: all where there is learning or a package, none elsewhere]
+    #[arg(long, value_enum)]
+    baselines: Option<Choice>,
     /// Folder for figures and tables [default: out/NAME, with the scenario's name, or
     /// out/NAME-without-learning]
     #[arg(long)]
@@ -53,17 +55,31 @@ struct Report<'a> {
     scenario: &'a str,
     seed: u64,
     elapsed_s: f64,
+    baselines: States,
     agents: Vec<AgentReport>,
+    trainings: Vec<TrainingSummary>,
+    checks: ChecksReport,
+    warnings: &'a [Warning],
 }
 
-#[derive(Serialize)]
-struct AgentReport {
-    agent: usize,
-    rmse: Option<f64>,
-    max_error: Option<f64>,
-    broadcasts: u64,
-    mean_interval: Option<f64>,
-    min_interval: Option<f64>,
+/// An agent, as JSON has it.
+#[derive(Debug, Serialize)]
+pub(super) struct AgentReport {
+    pub(super) agent: usize,
+    pub(super) rmse: Option<f64>,
+    pub(super) rmse_no_network: Option<f64>,
+    pub(super) rmse_untrained: Option<f64>,
+    pub(super) change_percent_no_network: Option<f64>,
+    /// Against the untrained network.
+    pub(super) change_percent: Option<f64>,
+    /// Share of the smoothed targets' variance that the agent's last training explains.
+    pub(super) explained_variance: Option<f64>,
+    pub(super) max_error: Option<f64>,
+    pub(super) broadcasts: u64,
+    pub(super) broadcasts_no_network: Option<u64>,
+    pub(super) broadcasts_untrained: Option<u64>,
+    pub(super) mean_interval: Option<f64>,
+    pub(super) min_interval: Option<f64>,
     /// Of an agent that was watched.
     #[serde(skip_serializing_if = "Option::is_none")]
     health: Option<HealthReport>,
@@ -87,29 +103,43 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     planned.push("agents.csv".to_owned());
     planned.extend(written::pictures(["errors", "states", "events"]));
     let folder = RunFolder::claim(&out, &planned)?;
-    warnings::print(&scenario);
-    let compare = arguments.common.format == Format::Text;
-    let (result, baseline) = simulate(&scenario, arguments.common.seed, compare)?;
-    let agents = agent_reports(&scenario, &result);
-    let before: Vec<_> =
-        baseline.iter().flat_map(|run| &run.agents).map(AgentStatistics::rmse).collect();
-    write_files(folder.stage(), &scenario, &result, &agents)
+    let design = DesignChecks::new(&scenario);
+    let mut warnings = warnings::before(&scenario, &design);
+    warnings::print(&warnings);
+    let plan = Plan::new(&scenario, arguments.baselines);
+    let (result, baselines) = simulate(&scenario, arguments.common.seed, plan)?;
+    for warning in baselines.warnings() {
+        terminal::warning(warning);
+    }
+    let checks = Checks::of(design, &scenario, &result);
+    let found = warnings::after(&scenario, &result, &checks);
+    let agents = agent_reports(&scenario, &result, &baselines);
+    let trainings = trainings::summaries(&result.trainings);
+    write_files(folder.stage(), &scenario, &result, &baselines, &agents)
         .map_err(|error| folder.placed(error))?;
     let (files, others) = folder.publish(&scenario, arguments.common.seed)?;
     let elapsed_s = start.elapsed().as_secs_f64();
     match arguments.common.format {
-        Format::Json => print_json(&Report {
-            scenario: &scenario.name,
-            seed: arguments.common.seed,
-            elapsed_s,
-            agents,
-        }),
+        Format::Json => {
+            warnings.extend(found);
+            print_json(&Report {
+                scenario: &scenario.name,
+                seed: arguments.common.seed,
+                elapsed_s,
+                baselines: baselines.states(),
+                agents,
+                trainings,
+                checks: ChecksReport::new(&checks),
+                warnings: &warnings,
+            })?;
+        }
         Format::Text => {
             let mut text = packages_in_use(&scenario);
-            text += &agent_table(&scenario, &agents, &before);
-            text += &summary::trainings(&result.trainings);
+            text += &agent_table::text(&scenario, &agents, &baselines, name_of(&scenario));
+            text += &trainings::text(&trainings);
             text += &health::table(&result.agents);
-            text += &summary::checks(&Checks::new(&scenario, &result));
+            text += &checks::text(&checks);
+            text += &warnings::lines(&found);
             text += &format!(
                 "Written to {}: {}\n{others}\nScenario {}, seed {}, {elapsed_s:.2} s\n",
                 out.display(),
@@ -117,9 +147,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 scenario.name,
                 arguments.common.seed,
             );
-            print_text(&text)
+            print_text(&text)?;
         }
     }
+    warnings::unstable_run(&checks).map_or(Ok(()), |text| Err(CommandError::Unstable(text)))
 }
 
 /// Hands each package to its agent.
@@ -156,84 +187,65 @@ fn packages_in_use(scenario: &Scenario) -> String {
     lines.collect()
 }
 
-/// The run, and beside it the same run without learning if there is any learning and `compare`
-/// asks for it. That one is for comparison only: if it fails, there is none.
+/// What a run of this scenario is called beside its baselines.
+fn name_of(scenario: &Scenario) -> &'static str {
+    if !scenario.learning.is_empty() {
+        "learned"
+    } else if has_packages(scenario) {
+        "packages"
+    } else if scenario.network.is_some() {
+        Baseline::Untrained.name()
+    } else {
+        Baseline::NoNetwork.name()
+    }
+}
+
+/// The run, and beside it what it is compared with.
 fn simulate(
     scenario: &Scenario,
     seed: u64,
-    compare: bool,
-) -> Result<(RunResult, Option<RunResult>), CommandError> {
+    plan: Plan,
+) -> Result<(RunResult, Baselines), CommandError> {
     let bars = ProgressBars::new("simulating");
     let done = AtomicU64::new(0);
-    let compare = compare && !scenario.learning.is_empty();
-    let total = scenario.steps() * if compare { 2 } else { 1 };
-    let learning = || {
-        let progress = SharedProgress::new(&bars, &done, total);
-        run(scenario, RunOptions { seed, learning: true, bounds: true }, &progress)
-    };
-    let baseline = || {
-        let mut scenario = scenario.clone();
-        scenario.record = Record { trace_stride: None, events: false, samples: false };
-        let progress = SharedProgress::new(&bars, &done, total);
-        let options = RunOptions { seed, learning: false, bounds: false };
-        compare.then(|| run(&scenario, options, &progress).ok()).flatten()
-    };
-    let (result, baseline) = rayon::join(learning, baseline);
-    Ok((result?, baseline))
+    let total = scenario.steps() * (1 + plan.count());
+    let progress = || SharedProgress::new(&bars, &done, total);
+    let options = RunOptions { seed, learning: true, bounds: true };
+    let (result, baselines) = rayon::join(
+        || run(scenario, options, &progress()),
+        || plan.carry_out(scenario, seed, progress),
+    );
+    bars.finish();
+    Ok((result?, baselines))
 }
 
-fn agent_reports(scenario: &Scenario, result: &RunResult) -> Vec<AgentReport> {
+fn agent_reports(
+    scenario: &Scenario,
+    result: &RunResult,
+    baselines: &Baselines,
+) -> Vec<AgentReport> {
     let agents = result.agents.iter().enumerate();
     agents
-        .map(|(index, agent)| AgentReport {
-            agent: index + 1,
-            rmse: agent.rmse(),
-            max_error: agent.max_error(),
-            broadcasts: agent.broadcasts(),
-            mean_interval: agent.mean_interval(&scenario.time),
-            min_interval: agent.min_interval(&scenario.time),
-            health: agent.health.map(HealthReport),
+        .map(|(index, agent)| {
+            let comparison = Comparison::new(baselines, &result.agents, index);
+            AgentReport {
+                agent: index + 1,
+                rmse: agent.rmse(),
+                rmse_no_network: comparison.rmse_no_network,
+                rmse_untrained: comparison.rmse_untrained,
+                change_percent_no_network: comparison.change_no_network,
+                change_percent: comparison.change_untrained,
+                explained_variance: trainings::explained(&result.trainings, index + 1),
+                max_error: agent.max_error(),
+                broadcasts: agent.broadcasts(),
+                broadcasts_no_network: comparison.broadcasts_no_network,
+                broadcasts_untrained: comparison.broadcasts_untrained,
+                mean_interval: agent.mean_interval(&scenario.time),
+                min_interval: agent.min_interval(&scenario.time),
+                health: agent.health.map(HealthReport),
+            }
         })
         .collect()
-}
-
-/// `before` holds the errors of the run without learning, or nothing.
-fn agent_table(scenario: &Scenario, agents: &[AgentReport], before: &[Option<f64>]) -> String {
-    let window = &scenario.evaluation;
-    let mut text = format!(
-        "\n|e_1i(t)| for t in [{}, {}] s, and times between broadcasts over the whole run\n\n\
-         agent        RMSE{}     maximum  broadcasts  mean interval  shortest\n",
-        window.from,
-        window.to,
-        if before.is_empty() { "" } else { "  without learning" },
-    );
-    let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.4}"));
-    for agent in agents.iter().take(LINES) {
-        // Writing into a string cannot fail.
-        let _ = writeln!(
-            text,
-            "{:5}  {:>10}{}  {:>10}  {:10}  {:>11} s  {:>6} s",
-            agent.agent,
-            number(agent.rmse),
-            before.get(agent.agent - 1).map_or(String::new(), |&e| format!("{:>18}", number(e))),
-            number(agent.max_error),
-            agent.broadcasts,
-            number(agent.mean_interval),
-            number(agent.min_interval),
-        );
-    }
-    if agents.len() > LINES {
-        let mut errors: Vec<f64> = agents.iter().filter_map(|agent| agent.rmse).collect();
-        errors.sort_by(f64::total_cmp);
-        let _ = writeln!(text, "and {} more agents, in agents.csv", agents.len() - LINES);
-        if let (Some(best), Some(worst)) = (errors.first(), errors.last()) {
-            let median = errors[errors.len() / 2];
-            let _ =
-                writeln!(text, "RMSE of all: best {best:.4}, median {median:.4}, worst {worst:.4}");
-        }
-    }
-    text.push('\n');
-    text
 }
 
 /// Writes everything.
@@ -241,35 +253,25 @@ fn write_files(
     out: &Path,
     scenario: &Scenario,
     result: &RunResult,
+    baselines: &Baselines,
     agents: &[AgentReport],
 ) -> Result<(), CommandError> {
-    let header = [
-        "agent",
-        "rmse [state unit]",
-        "max_error [state unit]",
-        "broadcasts",
-        "mean_interval [s]",
-        "min_interval [s]",
-    ];
-    let columns = |row: &mut Row<'_>, agent: &AgentReport| {
-        row.integer(agent.agent as u64)?;
-        row.optional(agent.rmse)?;
-        row.optional(agent.max_error)?;
-        row.integer(agent.broadcasts)?;
-        row.optional(agent.mean_interval)?;
-        row.optional(agent.min_interval)
-    };
-    write_table(&out.join("agents.csv"), &header, agents.iter(), columns)?;
+    agent_table::write_csv(&out.join("agents.csv"), agents)?;
     let (tables, figures) = rayon::join(
         || written::tables(out, "", scenario, result),
-        || write_figures(out, scenario, result),
+        || write_figures(out, scenario, result, baselines),
     );
     tables?;
     figures?;
     written::packages(out, result)
 }
 
-fn write_figures(out: &Path, scenario: &Scenario, result: &RunResult) -> Result<(), CommandError> {
+fn write_figures(
+    out: &Path,
+    scenario: &Scenario,
+    result: &RunResult,
+    baselines: &Baselines,
+) -> Result<(), CommandError> {
     let markers = written::markers(scenario);
     let event_ticks = written::events_of(result);
     let window = written::event_window(scenario);
@@ -277,10 +279,26 @@ fn write_figures(out: &Path, scenario: &Scenario, result: &RunResult) -> Result<
     let mut figures = Vec::new();
     if traces.rows() > 0 {
         let title = format!("{name}: estimation errors");
-        let figure = ErrorFigure { title: &title, traces, markers: &markers, error_limit: None };
+        let errors = Baseline::ALL.map(|baseline| {
+            baselines
+                .is_shown(baseline)
+                .then(|| baselines.agents(baseline, &result.agents))
+                .flatten()
+        });
+        let references = written::references(scenario, errors);
+        let figure = ErrorFigure {
+            title: &title,
+            traces,
+            markers: &markers,
+            references: &references,
+            error_limit: None,
+        };
         figures.push(("errors", error_norms(&figure)));
         let title = format!("{name}: true state and estimates");
-        figures.push(("states", states(&StateFigure { title: &title, traces })));
+        figures.push((
+            "states",
+            states(&StateFigure { title: &title, traces, names: &scenario.plant.state_names() }),
+        ));
     }
     if scenario.record.events {
         let title = format!("{name}: broadcasts");

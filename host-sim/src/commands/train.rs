@@ -138,7 +138,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         trained.accepted = true;
     }
     trained.warnings[told..].iter().for_each(warn);
-    if !trained.accepted {
+    // Who interrupts it wants what there is.
+    let interrupted = trained.report.stop == StopReason::Callback;
+    if !trained.accepted && !interrupted {
         let problem = "not packed, because the network explains nothing of the end of the samples";
         return Err(CommandError::NotPacked(format!("{}: {problem}", arguments.out.display())));
     }

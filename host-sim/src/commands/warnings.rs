@@ -1,38 +1,61 @@
-//! What a person should know before a run takes its time.
+//! What a person should know before a run takes its time, and after it.
 
-use crate::analysis::{GainCertificate, outputs_determine_state};
+use crate::analysis::{Checks, DesignChecks, GainVerdict};
+use crate::engine::RunResult;
+use crate::report::number::significant;
 use crate::scenario::{Agent, Scenario};
 use crate::terminal;
+use crate::warning::{Warning, WarningCode};
 
-/// Prints what speaks against `scenario`, a line each, on standard error.
-pub(super) fn print(scenario: &Scenario) {
-    for warning in warnings(scenario) {
+/// An agent that broadcasts in more than this share of the steps saves little.
+const FREQUENT: f64 = 0.25;
+
+/// Prints warnings, a line each, on standard error.
+pub(super) fn print(warnings: &[Warning]) {
+    for warning in warnings {
         terminal::warning(warning);
     }
 }
 
-fn warnings(scenario: &Scenario) -> Vec<String> {
+/// Warnings as lines of a report.
+pub(super) fn lines(warnings: &[Warning]) -> String {
+    let lines: String = warnings.iter().map(|warning| format!("warning: {warning}\n")).collect();
+    if lines.is_empty() { lines } else { lines + "\n" }
+}
+
+/// What speaks against `scenario`.
+pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning> {
     let mut warnings = Vec::new();
-    let gain = GainCertificate::new(scenario);
-    if !outputs_determine_state(scenario) {
-        warnings.push(
-            "together the agents do not measure the whole state, and no design.gain makes up for \
-             it; let some agent measure what is missing"
-                .to_owned(),
+    let mut warn = |code, text: String| warnings.push(Warning::new(code, text));
+    if design.gain.verdict == GainVerdict::StateNotCovered {
+        let text = format!("design.gain in the matrix inequality: {}", design.gain_in_words());
+        warn(WarningCode::StateNotCovered, text);
+    } else if !design.gain.holds() {
+        let text = format!(
+            "design.gain in the matrix inequality, which the theorems presuppose: {}",
+            design.gain_in_words()
         );
-    } else if !gain.holds() {
-        warnings.push(format!(
-            "design.gain is no solution of the paper's matrix inequality, so its theorems do not \
-             hold: lambda_min = {:.4} 1/s, k1 = k2 + rho^2/delta = {:.4} 1/s; raise design.gain, \
-             add edges to the graph, or lower k2 and rho",
-            gain.eigenvalue_min, gain.k1,
-        ));
+        warn(WarningCode::GainNotASolution, text);
+    }
+    if !design.step.is_stable() {
+        warn(WarningCode::UnstableStep, design.step.describe());
+    }
+    if let Some(last) = last_switch(scenario)
+        && scenario.time.tick(scenario.evaluation.from) < scenario.time.tick(last)
+    {
+        let text = format!(
+            "the evaluation window begins at {} s, before the last network is switched in at {last} \
+             s, so errors with and without it are mixed; write evaluation.from = {last}",
+            scenario.evaluation.from,
+        );
+        warn(WarningCode::WindowBeforeSwitch, text);
     }
     if let Some(network) = scenario.network.as_ref().filter(|_| !scenario.learning.is_empty()) {
         let mut rows = network.outer.chunks_exact(scenario.dimension());
         let first = rows.next();
         if network.architecture.features() > 1 && rows.all(|row| Some(row) == first) {
-            warnings.push(
+            warn(
+                WarningCode::OuterWeights,
                 "all rows of network.outer are equal, so training can hardly tell the \
                  components of the state apart; write network.outer = { random = 5.0 }, about \
                  the size of the state's rate"
@@ -45,7 +68,8 @@ fn warnings(scenario: &Scenario) -> Vec<String> {
         && scenario.learning.is_empty()
         && !scenario.agents.iter().any(trained)
     {
-        warnings.push(
+        warn(
+            WarningCode::HealthUntrained,
             "no agent's network is trained, so [health] knows no box of trained inputs and counts \
              no step outside; add [[learning]], or give packages with --weights"
                 .to_owned(),
@@ -54,20 +78,108 @@ fn warnings(scenario: &Scenario) -> Vec<String> {
     warnings
 }
 
+/// When the last network is switched in; `None` if none is. \[s\]
+fn last_switch(scenario: &Scenario) -> Option<f64> {
+    let within = |time: &f64| scenario.time.tick(*time) < scenario.steps();
+    scenario.learning.iter().map(|cycle| cycle.apply_at).filter(within).reduce(f64::max)
+}
+
+/// What speaks against what a run of `scenario` found.
+pub(super) fn after(scenario: &Scenario, run: &RunResult, checks: &Checks) -> Vec<Warning> {
+    let of_trainings = run.trainings.iter().flat_map(|training| &training.warnings);
+    let mut warnings: Vec<Warning> = of_trainings.cloned().collect();
+    let mut warn = |code, text: String| warnings.push(Warning::new(code, text));
+    if let Some(text) = unstable_run(checks) {
+        warn(WarningCode::UnstableRun, text);
+    }
+    let steps = scenario.steps().max(1) as f64;
+    // The announcement at t = 0 is not the trigger's.
+    let shares = run.agents.iter().map(|agent| (agent.broadcasts().max(1) - 1) as f64 / steps);
+    let frequent: Vec<(usize, f64)> =
+        (1..).zip(shares).filter(|(_, share)| *share > FREQUENT).collect();
+    if let Some(worst) = frequent.iter().copied().reduce(|a, b| if b.1 > a.1 { b } else { a }) {
+        let others = match frequent.len() {
+            1 => String::new(),
+            count => format!(" ({count} agents broadcast in more than a quarter)"),
+        };
+        let text = format!(
+            "agent {} broadcast in {:.0} % of the steps{others}, so the event trigger saves little; \
+             raise design.epsilon, lower design.gain, or shorten time.step",
+            worst.0,
+            100.0 * worst.1,
+        );
+        warn(WarningCode::FrequentBroadcasts, text);
+    }
+    if let Some(lumped) = checks.theorem1.lumped.filter(|l| checks.theorem1.rho < l.estimate) {
+        let rho = checks.theorem1.rho;
+        let alone = if lumped.disturbance > rho {
+            format!(
+                " (the disturbance alone, all agents stacked, reaches {})",
+                significant(lumped.disturbance, 4)
+            )
+        } else {
+            String::new()
+        };
+        let text = format!(
+            "design.rho = {rho} is below chi_bar_max, which this run puts at about {}{alone}, so \
+             Theorem 1 promises nothing here; write a larger design.rho and the gain that `host-sim \
+             check` then asks for, or do without the bound",
+            significant(lumped.estimate, 3),
+        );
+        warn(WarningCode::RhoTooSmall, text);
+    }
+    warnings
+}
+
+/// How a run was unstable; `None` if it was not.
+pub(super) fn unstable_run(checks: &Checks) -> Option<String> {
+    let growth = checks.growth.filter(|_| checks.unbounded())?;
+    let hint = if checks.design.step.is_stable() {
+        "lower design.gain, [outer_law] gain or time.step, or look at the plant".to_owned()
+    } else {
+        checks.design.step.describe()
+    };
+    Some(format!(
+        "the error grew without bound: |e_1| of all agents was {} at t = 0 and {} over the last \
+         tenth of the run, the state no larger than {}; {hint}",
+        significant(growth.initial, 3),
+        significant(growth.last, 3),
+        significant(growth.plant, 3),
+    ))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::{RunOptions, Silent, run};
     use crate::scenario::{BUILT_IN, PAPER};
 
-    fn changed(from: &str, to: &str) -> Vec<String> {
+    fn codes(warnings: &[Warning]) -> Vec<WarningCode> {
+        warnings.iter().map(|warning| warning.code).collect()
+    }
+
+    fn before_run(scenario: &Scenario) -> Vec<Warning> {
+        before(scenario, &DesignChecks::new(scenario))
+    }
+
+    fn changed(from: &str, to: &str) -> Vec<Warning> {
         assert!(PAPER.contains(from), "{from}");
-        warnings(&Scenario::parse("paper.toml", &PAPER.replacen(from, to, 1)).unwrap())
+        before_run(&Scenario::parse("paper.toml", &PAPER.replacen(from, to, 1)).unwrap())
+    }
+
+    fn after_run(scenario: &Scenario) -> Vec<Warning> {
+        let options = RunOptions { seed: 0, learning: true, bounds: true };
+        let result = run(scenario, options, &Silent).unwrap();
+        after(scenario, &result, &Checks::new(scenario, &result))
     }
 
     #[test]
-    fn the_built_in_scenarios_need_no_warning() {
+    fn the_built_in_scenarios_warn_of_rho_only() {
         for (name, text) in BUILT_IN {
-            assert_eq!(warnings(&Scenario::parse(name, text).unwrap()), [""; 0], "{name}");
+            let scenario = Scenario::parse(name, text).unwrap();
+            assert_eq!(before_run(&scenario), [], "{name}");
+            let found = after_run(&scenario);
+            assert!(codes(&found).iter().all(|&c| c == WarningCode::RhoTooSmall), "{found:?}");
         }
     }
 
@@ -75,26 +187,51 @@ mod tests {
     fn each_weakness_has_its_warning() {
         let blind =
             changed("output_matrix = [[0.0, 1.0, 0.0]]", "output_matrix = [[1.0, 0.0, 0.0]]");
-        assert!(blind[0].contains("do not measure the whole state"), "{blind:?}");
+        assert_eq!(codes(&blind), [WarningCode::StateNotCovered]);
+        assert!(blind[0].text.contains("no gain helps"), "{blind:?}");
         let weak = changed("k2 = 10.0", "k2 = 100.0");
-        assert!(weak[0].contains("no solution"), "{weak:?}");
+        assert_eq!(codes(&weak), [WarningCode::GainNotASolution]);
+        // 113.333 / 36.1356, and then the step is too long.
+        assert!(weak[0].text.contains("NOT a solution; multiply design.gain by 3.14"), "{weak:?}");
+        assert!(weak[0].text.ends_with("write time.step below 0.00074 s"), "{weak:?}");
+        let long = changed("step = 0.001", "step = 0.004");
+        assert_eq!(codes(&long), [WarningCode::UnstableStep]);
+        assert!(long[0].text.contains("write time.step below 0.00233 s"), "{long:?}");
+        let early = changed("from = 20.0", "from = 19.0");
+        assert_eq!(codes(&early), [WarningCode::WindowBeforeSwitch]);
+        assert!(early[0].text.ends_with("write evaluation.from = 20"), "{early:?}");
+    }
+
+    #[test]
+    fn a_step_that_is_too_long_makes_an_unstable_run() {
+        let text = PAPER.replacen("step = 0.001", "step = 0.004", 1);
+        let mut scenario = Scenario::parse("paper.toml", &text).unwrap();
+        scenario.learning.clear();
+        scenario.network = None;
+        scenario.time.duration = 0.2;
+        let found = after_run(&scenario);
+        let expected =
+            [WarningCode::UnstableRun, WarningCode::FrequentBroadcasts, WarningCode::RhoTooSmall];
+        assert_eq!(codes(&found), expected, "{found:?}");
+        assert!(found[0].text.contains("grew without bound"), "{found:?}");
+        assert!(found[2].text.contains("the disturbance alone"), "{found:?}");
     }
 
     #[test]
     fn a_watch_without_anything_trained_sees_little() {
         let text = format!("{PAPER}\n[health]\n");
         let mut scenario = Scenario::parse("paper.toml", &text).unwrap();
-        assert_eq!(warnings(&scenario), [""; 0]);
+        assert_eq!(before_run(&scenario), []);
         scenario.learning.clear();
-        assert!(warnings(&scenario)[0].contains("no agent's network is trained"));
+        assert_eq!(codes(&before_run(&scenario)), [WarningCode::HealthUntrained]);
     }
 
     #[test]
     fn equal_outer_rows_are_no_good_to_learn_with() {
         let mut scenario = Scenario::parse("paper.toml", PAPER).unwrap();
         scenario.network.as_mut().unwrap().outer.fill(0.0);
-        assert!(warnings(&scenario)[0].contains("all rows of network.outer are equal"));
+        assert_eq!(codes(&before_run(&scenario)), [WarningCode::OuterWeights]);
         scenario.learning.clear();
-        assert!(warnings(&scenario).is_empty());
+        assert_eq!(before_run(&scenario), []);
     }
 }

@@ -3,8 +3,10 @@
 use std::path::Path;
 
 use super::CommandError;
+use super::baselines::Baseline;
 use crate::engine::RunResult;
-use crate::figures::Marker;
+use crate::engine::statistics::AgentStatistics;
+use crate::figures::{Marker, Reference};
 use crate::output_file::OutputError;
 use crate::report::csv::{EpochRow, write_epochs, write_events, write_traces};
 use crate::scenario::{LearningCycle, Scenario, Window};
@@ -44,7 +46,8 @@ pub(super) fn tables(
         if run.traces.rows() == 0 {
             return Ok(());
         }
-        write_traces(&folder.join(name("traces")), &run.traces)
+        let names = scenario.plant.state_names();
+        write_traces(&folder.join(name("traces")), &run.traces, &names)
     };
     let events = || -> Result<(), OutputError> {
         if !scenario.record.events {
@@ -113,6 +116,20 @@ pub(super) fn markers(scenario: &Scenario) -> Vec<Marker<'static>> {
     }
     times.sort_by(|(a, _), (b, _)| a.total_cmp(b));
     times.into_iter().map(|(_, marker)| marker).collect()
+}
+
+/// Errors of baselines, in the order of [`Baseline::ALL`], as an error figure shows them: over the
+/// evaluation window.
+pub(super) fn references(
+    scenario: &Scenario,
+    baselines: [Option<&[AgentStatistics]>; 2],
+) -> Vec<Reference<'static>> {
+    let window = scenario.evaluation;
+    let references = Baseline::ALL.into_iter().zip(baselines).filter_map(|(baseline, agents)| {
+        let errors = agents?.iter().map(AgentStatistics::rmse).collect();
+        Some(Reference { label: baseline.name(), from: window.from, to: window.to, errors })
+    });
+    references.collect()
 }
 
 /// The window that the event figure shows: around the first switch, or where the evaluation

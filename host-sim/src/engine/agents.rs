@@ -199,6 +199,22 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         statistics.outer_weights_norm_max = statistics.outer_weights_norm_max.max(weights);
     }
 
+    /// Hands on `sigma_i` at the estimate, shape `[L]`, and `W_hat_i` row by row, shape `[L, N]`;
+    /// `None` where the agent runs on its feedback alone.
+    pub(super) fn with_features(&mut self, hear: impl FnOnce(Option<(&[f32], &[f32])>)) {
+        let network_in_use = self.watch.as_ref().is_none_or(Watch::network_in_use);
+        let network = self.network.as_ref().filter(|_| network_in_use);
+        let (Some(network), Some((_, scratch))) = (network, &mut self.norms) else {
+            return hear(None);
+        };
+        let weights: Vec<f32> =
+            self.state.outer_weights().rows().iter().flat_map(|row| row.iter().copied()).collect();
+        match network.features(self.state.estimate().as_slice(), scratch) {
+            Some(features) => hear(Some((features, &weights))),
+            None => hear(None),
+        }
+    }
+
     /// `x_hat` at the tick after the last step.
     #[inline]
     pub(super) fn estimate(&self) -> &[f32] {

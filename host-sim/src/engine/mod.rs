@@ -13,9 +13,12 @@
 //! the same whatever the number of threads.
 
 mod agents;
+pub mod bounds;
 pub mod companion;
+mod failure;
 mod learning;
 pub mod link;
+mod lumped;
 mod run;
 pub mod statistics;
 pub mod traces;
@@ -25,15 +28,20 @@ use agent_core::agent::StepError;
 use agent_core::package::Refusal;
 use agent_core::parameter::ParameterError;
 
+use crate::analysis::StepCheck;
 use crate::packages::quality::Quality;
 use crate::packages::trained::TrainedError;
 use crate::packages::{DraftError, PackageBytes, Recording};
+use crate::plant::RateFault;
 use crate::training::{EpochReport, TrainingError, TrainingReport};
 use crate::warning::Warning;
+use bounds::Bounds;
+use failure::step_hint;
 use statistics::AgentStatistics;
 use traces::Traces;
 
 pub use companion::{Companion, CompanionError};
+pub use lumped::LumpedSamples;
 pub use run::{run, run_accompanied, run_over};
 
 /// Hears how a run goes on; every method does nothing by default.
@@ -62,7 +70,7 @@ pub struct RunOptions {
     pub seed: u64,
     /// Whether learning cycles are carried out.
     pub learning: bool,
-    /// Whether the quantities that the theorems bound are measured at every step.
+    /// Whether the quantities that the theorems bound are measured.
     pub bounds: bool,
 }
 
@@ -75,8 +83,8 @@ pub struct RunResult {
     pub trainings: Vec<TrainingRecord>,
     /// Rows of `x_0` and all `x_hat_i`; empty if the scenario records none.
     pub traces: Traces,
-    /// `|e_1|^2`, all agents stacked, at every step; empty if bounds were not asked for.
-    pub stacked_error_squared: Vec<f64>,
+    /// What the theorems bound; `None` if it was not asked for.
+    pub bounds: Option<Bounds>,
     /// A hash of every broadcast and of the final state of every agent: two runs did the same
     /// if and only if (but for chance) these agree.
     pub digest: u64,
@@ -103,21 +111,6 @@ pub struct TrainingRecord {
     pub package: PackageBytes,
     /// What it was trained on, if the scenario records samples.
     pub recording: Option<Recording>,
-}
-
-/// From this size of the plant's state on, an agent that diverges is not to blame.
-const RUNAWAY: f64 = 1e6;
-
-fn step_mend(plant_norm: f64, stiffness: f64) -> String {
-    if plant_norm >= RUNAWAY {
-        return "the plant runs away: change plant, disturbance or initial state".to_owned();
-    }
-    let judged =
-        if stiffness < 2.0 { "below 2, as it should be" } else { "and can be too much from 2 on" };
-    format!(
-        "time.step times design.gain times (lambda_max of the graph + 1) is {stiffness:.3}, \
-         {judged}; lower time.step, design.gain or the weights of the graph"
-    )
 }
 
 /// Why a run ended early.
@@ -179,7 +172,7 @@ pub enum RunError {
     /// An agent that is not watched, or could not go on if it were, did not take its step.
     #[error(
         "agent {agent} at t = {time}: {error}, |x_0| is {plant_norm:.3e} by then; {}",
-        step_mend(*plant_norm, *stiffness)
+        step_hint(*plant_norm, step)
     )]
     Step {
         /// The agent, from 1.
@@ -188,12 +181,14 @@ pub enum RunError {
         time: f64,
         /// `|x_0|` at that time. \[state unit\]
         plant_norm: f64,
-        /// `dt |K_1| (lambda_max(L) + 1)`; below 2, Euler's method keeps an observer with outputs
-        /// of unit size stable.
-        stiffness: f64,
+        /// Whether the step is short enough for the observer itself.
+        step: StepCheck,
         /// What the core says.
         error: StepError,
     },
+    /// An expression of plant or disturbance has no finite value.
+    #[error(transparent)]
+    Expression(Box<RateFault>),
     /// The plant's state is not finite any more in single precision, in which agents measure it.
     #[error("the plant diverged at t = {time}; lower time.step or change the plant's parameters")]
     PlantDiverged {

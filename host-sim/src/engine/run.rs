@@ -6,12 +6,14 @@ use agent_core::Tick;
 use rayon::prelude::*;
 
 use super::agents::{GainNorms, Places, SimulatedAgent};
+use super::bounds::BoundsMeter;
 use super::companion::{AgentStart, Companion, Switch};
+use super::failure::plant_error;
 use super::learning::Learning;
 use super::link::{Link, Lossless};
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
-use crate::analysis::{TriggerConstants, spectral_norm, stiffness};
+use crate::analysis::{StepCheck, TriggerConstants, spectral_norm};
 use crate::fnv::Fnv;
 use crate::packages::{NodeContent, PackageBytes, trained, with_dimension};
 use crate::plant::Stepper;
@@ -113,7 +115,7 @@ fn run_fixed<const N: usize>(
         agents,
         truth: std::array::from_fn(|component| scenario.initial_state[component]),
         traces: empty_traces(scenario),
-        stacked_error_squared: Vec::new(),
+        bounds: options.bounds.then(|| BoundsMeter::new(scenario)),
         digest: Fnv::default(),
     };
     simulation.begin(&packages)?;
@@ -229,7 +231,7 @@ struct Simulation<'s, 'c, const N: usize, L> {
     agents: Vec<SimulatedAgent<'s, N>>,
     truth: [f64; N],
     traces: Traces,
-    stacked_error_squared: Vec<f64>,
+    bounds: Option<BoundsMeter<'s>>,
     digest: Fnv,
 }
 
@@ -300,6 +302,7 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
                 companion.after_step(tick, &steps).map_err(RunError::Companion)?;
             }
             self.send_broadcasts(tick + 1);
+            let before = self.truth;
             plant.step(
                 &scenario.plant,
                 &scenario.disturbance,
@@ -309,7 +312,7 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
             );
             // Beyond single precision no agent can measure it.
             if !self.truth.iter().all(|&x| (x as f32).is_finite()) {
-                return Err(RunError::PlantDiverged { time: time.at(tick + 1) });
+                return Err(plant_error(scenario, &mut plant, tick, &before));
             }
             if tick.is_multiple_of(PROGRESS_STRIDE) {
                 progress.stepped(tick, steps);
@@ -324,7 +327,7 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
     #[inline]
     fn note(&mut self, tick: Tick, evaluated: bool) {
         let truth = &self.truth;
-        if evaluated || self.options.bounds {
+        if evaluated || self.bounds.is_some() {
             let mut stacked = 0.0;
             for agent in &mut self.agents {
                 let squared = squared_error(agent.estimate(), truth);
@@ -333,15 +336,34 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
                     agent.statistics.error(squared);
                 }
             }
-            if self.options.bounds {
-                self.stacked_error_squared.push(stacked);
+            if let Some(bounds) = &mut self.bounds {
+                bounds.note(tick, stacked, truth);
+                if bounds.samples_lumped(tick) {
+                    self.sample_lumped(tick);
+                }
             }
         }
         if let Some(stride) = self.scenario.record.trace_stride
             && tick.is_multiple_of(u64::from(stride.get()))
         {
             let estimates = self.agents.iter().map(SimulatedAgent::estimate);
-            self.traces.push(self.scenario.time.at(tick), truth, estimates);
+            self.traces.push(self.scenario.time.at(tick), &self.truth, estimates);
+        }
+    }
+
+    /// Samples what Theorem 1's premise on `rho` is judged by.
+    #[inline(never)]
+    fn sample_lumped(&mut self, tick: Tick) {
+        let Some(bounds) = &mut self.bounds else { return };
+        let time = self.scenario.time.at(tick);
+        let (mut rate, mut disturbance) = ([0.0; N], [0.0; N]);
+        self.scenario.plant.derivative(time, &self.truth, &mut rate);
+        self.scenario.disturbance.evaluate(time, &self.truth, &mut disturbance);
+        rate.iter_mut().zip(&disturbance).for_each(|(rate, d)| *rate += d);
+        let samples = bounds.lumped();
+        samples.disturbance(&disturbance);
+        for (index, agent) in self.agents.iter_mut().enumerate() {
+            agent.with_features(|network| samples.agent(index, &rate, network));
         }
     }
 
@@ -365,7 +387,7 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
                 agent: index + 1,
                 time: self.scenario.time.at(tick),
                 plant_norm: truth.iter().fold(0.0, |sum, x| sum + x * x).sqrt(),
-                stiffness: stiffness(self.scenario),
+                step: StepCheck::new(self.scenario),
                 error,
             }),
             None => Ok(()),
@@ -397,7 +419,7 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
             agents: self.agents.into_iter().map(SimulatedAgent::finish).collect(),
             trainings,
             traces: self.traces,
-            stacked_error_squared: self.stacked_error_squared,
+            bounds: self.bounds.map(BoundsMeter::finish),
             digest: self.digest.finish(),
         }
     }

@@ -1,4 +1,8 @@
 //! Linear axes: round ticks, and labels with just as many decimals as they need.
+//!
+//! Very large and very small values are written as multiples of a power of ten, and values that
+//! differ little, as distances from a round number; both stand once beside the axis, as its
+//! [`Axis::note`].
 
 use super::font;
 
@@ -13,6 +17,8 @@ pub(super) struct Axis {
     step: f64,
     /// Into how many parts the minor grid divides a step.
     parts: u32,
+    /// Whether values are exponents of ten.
+    powers: bool,
 }
 
 impl Axis {
@@ -21,7 +27,18 @@ impl Axis {
     pub(super) fn exact(from: f64, to: f64, count: f64) -> Self {
         let (from, to) = drawable(from, to);
         let (step, parts) = round_step((to - from) / count.max(1.0));
-        Self { from, to, step, parts }
+        Self { from, to, step, parts, powers: false }
+    }
+
+    /// An axis of the decimal logarithms of values, from the power of ten at or below `from` to the
+    /// one at or above `to`, both above 0.
+    pub(super) fn powers(from: f64, to: f64) -> Self {
+        let exponent =
+            |value: f64| if value > 0.0 { value.log10().clamp(-300.0, 300.0) } else { 0.0 };
+        let from = exponent(from).floor();
+        let to = exponent(to).ceil().max(from + 1.0);
+        let step = ((to - from) / 4.0).ceil();
+        Self { from, to, step, parts: 1, powers: true }
     }
 
     /// A horizontal axis over exactly this range, `width` long, with as many labels of font size
@@ -68,19 +85,47 @@ impl Axis {
         (0..count).map(|index| (first + index as f64) * step).collect()
     }
 
-    /// How a tick is written.
+    /// How a tick is written: less the offset, as a multiple of the power of ten.
     pub(super) fn label(&self, tick: f64) -> String {
-        let largest = self.from.abs().max(self.to.abs());
-        if !(1e-3..1e6).contains(&largest) {
-            return format!("{:.1e}", tick + 0.0).replace('-', "−");
+        if self.powers {
+            return format!("10{}", raised(tick as i32));
         }
-        let decimals = (-(self.step.log10() + 1e-9).floor()).clamp(0.0, 9.0) as usize;
-        let text = format!("{tick:.decimals$}");
-        // Rounding can leave "-0.0"; a minus sign is longer than a hyphen.
-        let negative =
-            text.starts_with('-') && text.bytes().any(|byte| (b'1'..=b'9').contains(&byte));
-        let digits = text.trim_start_matches('-');
-        if negative { format!("−{digits}") } else { digits.to_owned() }
+        let scale = 10.0_f64.powi(self.exponent());
+        decimal((tick - self.offset()) / scale, self.step / scale)
+    }
+
+    /// What has to be done to all labels to have the ticks, such as "×10⁻⁵ + 293"; empty for
+    /// most axes.
+    pub(super) fn note(&self) -> String {
+        let (offset, exponent) = (self.offset(), self.exponent());
+        let scale = if exponent == 0 { String::new() } else { format!("×10{}", raised(exponent)) };
+        // The offset is a multiple of ten steps: as many decimals are enough.
+        let offset = match offset {
+            0.0 => String::new(),
+            _ if offset < 0.0 => format!("− {}", shortest(decimal(-offset, 10.0 * self.step))),
+            _ => format!("+ {}", shortest(decimal(offset, 10.0 * self.step))),
+        };
+        if scale.is_empty() || offset.is_empty() { scale + &offset } else { scale + " " + &offset }
+    }
+
+    /// What labels count from: a multiple of ten steps, or 0 if that makes none of them shorter.
+    fn offset(&self) -> f64 {
+        let largest = self.from.abs().max(self.to.abs());
+        if self.powers || self.to - self.from >= LITTLE * largest || self.from * self.to <= 0.0 {
+            return 0.0;
+        }
+        let unit = 10.0 * self.step;
+        (self.from / unit + 1e-6).floor() * unit
+    }
+
+    /// The power of ten that labels are multiples of.
+    fn exponent(&self) -> i32 {
+        let offset = self.offset();
+        let largest = (self.from - offset).abs().max((self.to - offset).abs());
+        if self.powers || (PLAIN_FROM..PLAIN_TO).contains(&largest) || largest == 0.0 {
+            return 0;
+        }
+        (largest.log10() + 1e-9).floor() as i32
     }
 
     /// `value` as a part of the way from `from` to `to`.
@@ -90,9 +135,43 @@ impl Axis {
     }
 }
 
+/// Labels from here on \[-\] ...
+const PLAIN_FROM: f64 = 1e-2;
+/// ... to below here are written in full.
+const PLAIN_TO: f64 = 1e5;
+
+/// An axis that is shorter than this part of its values has an offset.
+const LITTLE: f64 = 1e-3;
+
+/// A number with the decimals that multiples of `step` need.
+fn decimal(value: f64, step: f64) -> String {
+    let decimals = (-(step.log10() + 1e-9).floor()).clamp(0.0, 12.0) as usize;
+    let text = format!("{value:.decimals$}");
+    // Rounding can leave "-0.0"; a minus sign is longer than a hyphen.
+    let negative = text.starts_with('-') && text.bytes().any(|byte| (b'1'..=b'9').contains(&byte));
+    let digits = text.trim_start_matches('-');
+    if negative { format!("−{digits}") } else { digits.to_owned() }
+}
+
+/// A number without zeros at the end of its decimals.
+fn shortest(number: String) -> String {
+    if !number.contains('.') {
+        return number;
+    }
+    number.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// A number in superscript.
+fn raised(number: i32) -> String {
+    const DIGITS: [char; 10] = ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'];
+    let raise = |digit: char| digit.to_digit(10).map_or('⁻', |digit| DIGITS[digit as usize]);
+    number.to_string().chars().map(raise).collect()
+}
+
 fn drawable(from: f64, to: f64) -> (f64, f64) {
     let from = if from.is_finite() { from } else { 0.0 };
-    let least = from.abs().max(1e-9) * 1e-6;
+    // Below this ticks could not be told apart in double precision.
+    let least = from.abs().max(f64::MIN_POSITIVE * 1e30) * 1e-12;
     if to.is_finite() && to - from > least {
         (from, to)
     } else {
@@ -142,7 +221,34 @@ mod tests {
             ["19.8", "19.9", "20.0", "20.1", "20.2"]
         );
         assert_eq!(labels(&Axis::exact(-1.0, 1.0, 4.0)), ["−1.0", "−0.5", "0.0", "0.5", "1.0"]);
-        assert_eq!(labels(&Axis::exact(0.0, 2e-5, 2.0)), ["0.0e0", "1.0e−5", "2.0e−5"]);
+    }
+
+    #[test]
+    fn what_labels_have_in_common_is_noted_once() {
+        let of = |from, to, count| {
+            let axis = Axis::exact(from, to, count);
+            (labels(&axis), axis.note())
+        };
+        let expect = |labels: &[&str], note: &str| {
+            (labels.iter().map(|&label| label.to_owned()).collect::<Vec<_>>(), note.to_owned())
+        };
+        assert_eq!(of(0.0, 2e-5, 2.0), expect(&["0", "1", "2"], "×10⁻⁵"));
+        assert_eq!(of(-1e-4, 1e-4, 4.0), expect(&["−1.0", "−0.5", "0.0", "0.5", "1.0"], "×10⁻⁴"));
+        assert_eq!(of(0.0, 3e7, 3.0), expect(&["0", "1", "2", "3"], "×10⁷"));
+        assert_eq!(of(0.0, 5.0, 5.0).1, "");
+        assert_eq!(of(299.5, 300.5, 2.0), expect(&["299.5", "300.0", "300.5"], ""));
+        assert_eq!(of(293.1, 293.3, 2.0), expect(&["0.1", "0.2", "0.3"], "+ 293"));
+        assert_eq!(of(-1e5, -99_998.0, 2.0), expect(&["0", "1", "2"], "− 100000"));
+        assert_eq!(of(300.0, 300.000_2, 2.0), expect(&["0", "1", "2"], "×10⁻⁴ + 300"));
+        assert_eq!(of(86_400.0, 86_400.5, 5.0).1, "+ 86400");
+    }
+
+    #[test]
+    fn an_axis_of_powers_ends_on_them() {
+        assert_eq!(labels(&Axis::powers(0.03, 12.0)), ["10⁻²", "10⁻¹", "10⁰", "10¹", "10²"]);
+        assert_eq!(labels(&Axis::powers(1.0, 1.0)), ["10⁰", "10¹"]);
+        assert_eq!(labels(&Axis::powers(1e-9, 1e3)), ["10⁻⁹", "10⁻⁶", "10⁻³", "10⁰", "10³"]);
+        assert_eq!(Axis::powers(1e-9, 1e-7).note(), "");
     }
 
     #[test]
@@ -156,7 +262,7 @@ mod tests {
     #[test]
     fn ranges_that_cannot_be_drawn_are_widened() {
         for (from, to) in
-            [(1.0, 1.0), (0.0, f64::NAN), (f64::INFINITY, 2.0), (3.0, 2.0), (1e9, 1e9)]
+            [(1.0, 1.0), (0.0, f64::NAN), (f64::INFINITY, 2.0), (3.0, 2.0), (1e9, 1e9), (0.0, 0.0)]
         {
             let axis = Axis::exact(from, to, 5.0);
             assert!(axis.to > axis.from && axis.to.is_finite(), "{from} to {to}: {axis:?}");

@@ -86,12 +86,11 @@ pub(super) struct TextAt {
     pub room: f64,
     /// Whether it reads upwards.
     pub upwards: bool,
-    pub color: &'static str,
 }
 
 impl TextAt {
     pub(super) const fn new(x: f64, y: f64, size: f64, anchor: Anchor) -> Self {
-        Self { x, y, size, anchor, room: f64::INFINITY, upwards: false, color: INK }
+        Self { x, y, size, anchor, room: f64::INFINITY, upwards: false }
     }
 
     pub(super) const fn within(self, room: f64) -> Self {
@@ -100,10 +99,6 @@ impl TextAt {
 
     pub(super) const fn upwards(self) -> Self {
         Self { upwards: true, ..self }
-    }
-
-    pub(super) const fn colored(self, color: &'static str) -> Self {
-        Self { color, ..self }
     }
 }
 
@@ -239,8 +234,9 @@ impl Canvas {
         self.add(frame.set("stroke-width", number(stroke.width)));
     }
 
-    /// Writes a text.
+    /// Writes a text; control characters, which no document may hold, are shown as such.
     pub(super) fn text(&mut self, text: &str, at: TextAt) {
+        let text = &text.replace(|c: char| c.is_control() || !in_xml(c), "\u{fffd}");
         let anchor = match at.anchor {
             Anchor::Start => "start",
             Anchor::Middle => "middle",
@@ -253,7 +249,7 @@ impl Canvas {
             .set("y", number(at.y))
             .set("font-size", number(size))
             .set("text-anchor", anchor)
-            .set("fill", at.color);
+            .set("fill", INK);
         if at.upwards {
             node = node.set("transform", format!("rotate(-90 {} {})", number(at.x), number(at.y)));
         }
@@ -286,6 +282,11 @@ fn rectangle(area: Rect) -> Rectangle {
         .set("height", number(area.height))
 }
 
+/// Whether a character that is not a control character may stand in XML.
+fn in_xml(character: char) -> bool {
+    !matches!(character, '\u{fffe}' | '\u{ffff}')
+}
+
 /// At most two decimals.
 fn number(value: f64) -> Value {
     Value::from((value * 100.0).round() / 100.0)
@@ -312,7 +313,8 @@ mod tests {
     fn texts_are_escaped_and_documents_the_same_every_time() {
         let draw = || {
             let mut canvas = Canvas::new();
-            canvas.text("a < b & c", TextAt::new(1.0, 2.0, 11.0, Anchor::Middle).upwards());
+            let at = TextAt::new(1.0, 2.0, 11.0, Anchor::Middle).upwards();
+            canvas.text("a < b & c\u{1b}[31m]]>\n\"", at);
             canvas.frame(
                 Rect { left: 0.0, top: 1.0, width: 2.0, height: 3.0 },
                 Stroke::solid(INK, 0.8),
@@ -321,6 +323,7 @@ mod tests {
         };
         let (one, two) = (draw(), draw());
         assert_eq!(one, two);
-        assert!(one.contains("a &lt; b &amp; c"), "{one}");
+        assert!(one.contains("a &lt; b &amp; c\u{fffd}[31m]]&gt;\u{fffd}"), "{one}");
+        assert!(resvg::usvg::roxmltree::Document::parse(&one).is_ok(), "{one}");
     }
 }

@@ -1,9 +1,9 @@
 //! Norms of the estimation errors over time (Figures 1 and 2 of the paper).
 //!
 //! `|e_1i(t)|` starts at the norm of the initial error and then chatters at a small fraction of
-//! it. The main axes show that steady state on a linear scale and an inset the transient, so
-//! that neither hides the other. Over the chattering lines goes their running root mean square,
-//! the quantity of the paper's table.
+//! it. The upper axes show that steady state on a linear scale and the lower ones the transient on a
+//! logarithmic one, so that neither hides the other. Over the chattering lines goes their running root mean square,
+//! the quantity of the paper's table, and beside it the same of the runs to compare with.
 
 use std::ops::Range;
 
@@ -11,10 +11,13 @@ use super::Figure;
 use super::axis::{Axis, round_up};
 use super::canvas::{Anchor, Canvas, PathData, Rect, Stroke, TextAt, WIDTH};
 use super::clip::ClippedLine;
-use super::palette::{self, LINES, SIGNAL};
+use super::marks::{
+    Marker, Reference, draw_markers, draw_references, marker_entries, reference_entries,
+};
+use super::palette::{self, LINES};
 use super::panel::{
-    BOTTOM_MARGIN, Entry, LEGEND_ROW, LEGEND_TOP, Labels, Panel, RIGHT_MARGIN, Sample, TICK_SIZE,
-    TIME_LABEL, draw_legend, draw_title, legend_rows,
+    BOTTOM_MARGIN, Entry, LABEL_BASELINE, LABEL_SPACE, LEGEND_ROW, LEGEND_TOP, Labels, NOTE, Panel,
+    RIGHT_MARGIN, Sample, TICK_SIZE, TIME_LABEL, draw_legend, draw_title, legend_rows,
 };
 use super::series::{self, BANDS, MEDIAN, Spread};
 use crate::engine::traces::Traces;
@@ -24,39 +27,14 @@ const AXIS_LABEL: &str = "estimation error ‖e₁ᵢ(t)‖ [state unit]";
 /// Width of the window of the running root mean square, as a part of the run.
 const RMS_PART: f64 = 0.025;
 
-/// Space above the steady state, for the inset and the labels of markers, as a multiple.
-const HEADROOM: f64 = 2.2;
+/// Space above the largest error, as a multiple of it.
+const HEADROOM: f64 = 1.06;
 
-/// An instant that is marked in a figure.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Marker<'a> {
-    /// When. \[s\]
-    time: f64,
-    label: &'a str,
-    stroke: Stroke,
-    /// Whether the error may jump here, so that no mean is taken across it.
-    jump: bool,
-}
+/// Which part of a run its transient is taken to be over by, for the axis.
+const TRANSIENT_PART: usize = 4;
 
-impl<'a> Marker<'a> {
-    /// Agents begin to collect data, at `time` \[s\]: black, dashed.
-    #[must_use]
-    pub const fn collection_start(time: f64, label: &'a str) -> Self {
-        Self { time, label, stroke: Stroke::solid("#000000", 1.1).dashed(5.0, 3.0), jump: false }
-    }
-
-    /// Agents stop collecting and train, at `time` \[s\]: black, solid.
-    #[must_use]
-    pub const fn collection_end(time: f64, label: &'a str) -> Self {
-        Self { time, label, stroke: Stroke::solid("#000000", 1.1), jump: false }
-    }
-
-    /// Trained networks are switched in, at `time` \[s\]: red, dashed.
-    #[must_use]
-    pub const fn apply(time: f64, label: &'a str) -> Self {
-        Self { time, label, stroke: Stroke::solid(SIGNAL, 1.3).dashed(5.0, 3.0), jump: true }
-    }
-}
+/// Height of the panel of the transient. \[user unit\]
+const TRANSIENT_HEIGHT: f64 = 62.0;
 
 /// What [`error_norms`] draws.
 #[derive(Clone, Copy, Debug)]
@@ -67,19 +45,22 @@ pub struct ErrorFigure<'a> {
     pub traces: &'a Traces,
     /// Instants to mark, in ascending order.
     pub markers: &'a [Marker<'a>],
+    /// Runs to compare with.
+    pub references: &'a [Reference<'a>],
     /// Upper end of the error axis; [`error_axis_limit`] of this run if there is none. Give
     /// figures that are to be compared the same. \[state unit\]
     pub error_limit: Option<f64>,
 }
 
-/// An upper end of the error axis that shows the steady state of all these runs well: their
-/// largest error in the second half, with headroom, rounded. \[state unit\]
+/// An upper end of the error axis that shows all these runs well: their largest error after the
+/// first quarter, or what they are compared with, with headroom, rounded. \[state unit\]
 #[must_use]
-pub fn error_axis_limit(runs: &[&Traces]) -> f64 {
+pub fn error_axis_limit(runs: &[&Traces], references: &[Reference<'_>]) -> f64 {
     let largest = runs.iter().map(|traces| {
-        let steady = traces.rows() / 2..traces.rows();
+        let steady = traces.rows() / TRANSIENT_PART..traces.rows();
         largest_error(traces, steady).unwrap_or(0.0)
     });
+    let largest = largest.chain(references.iter().map(Reference::largest));
     round_up(HEADROOM * largest.fold(0.0, f64::max))
 }
 
@@ -92,21 +73,27 @@ fn largest_error(traces: &Traces, rows: Range<usize>) -> Option<f64> {
 /// Draws `|e_1i(t)|` of all agents.
 #[must_use]
 pub fn error_norms(figure: &ErrorFigure<'_>) -> Figure {
-    let traces = figure.traces;
-    let limit = figure.error_limit.unwrap_or_else(|| error_axis_limit(&[traces]));
-    let entries = legend(traces);
-    let left = 50.0;
+    let (traces, references) = (figure.traces, figure.references);
+    let limit = figure.error_limit.unwrap_or_else(|| error_axis_limit(&[traces], references));
+    let transient = transient(traces, limit);
+    let y = Axis::exact(0.0, limit, 5.0);
+    let widest = [Some(&y), transient.as_ref().map(|(_, y)| y)]
+        .into_iter()
+        .flatten()
+        .map(|y| Panel::y_labels_width(y, TICK_SIZE))
+        .fold(0.0, f64::max);
+    let left = LABEL_SPACE + widest;
     let width = WIDTH - left - RIGHT_MARGIN;
+    let mut entries = legend(traces);
+    entries.extend(reference_entries(references));
+    entries.extend(marker_entries(figure.markers));
     let rows = legend_rows(&entries, width);
-    let top = LEGEND_TOP + rows.len() as f64 * LEGEND_ROW + 5.0;
+    let note = if y.note().is_empty() { 0.0 } else { NOTE };
+    let top = LEGEND_TOP + rows.len() as f64 * LEGEND_ROW + 5.0 + note;
     let area = Rect { left, top, width, height: 195.0 };
     let end = traces.time().last().copied().unwrap_or(1.0);
     let start = traces.time().first().copied().unwrap_or(0.0);
-    let panel = Panel::new(
-        area,
-        Axis::horizontal(start, end, width, TICK_SIZE),
-        Axis::exact(0.0, limit, 5.0),
-    );
+    let panel = Panel::new(area, Axis::horizontal(start, end, width, TICK_SIZE), y);
 
     let mut canvas = Canvas::new();
     draw_title(&mut canvas, figure.title, left);
@@ -115,20 +102,26 @@ pub fn error_norms(figure: &ErrorFigure<'_>) -> Figure {
     panel.draw_grid(&mut canvas, labels);
     // The more lines lie over each other, the fainter.
     let opacity = (1.5 / traces.agents().max(1) as f64).clamp(0.25, 0.5);
-    draw_errors(&mut canvas, &panel, traces, |agent| {
-        Stroke::solid(palette::agent(agent), 0.45).faint(opacity)
-    });
+    let line = |agent| Stroke::solid(palette::agent(agent), 0.45).faint(opacity);
+    draw_errors(&mut canvas, &panel, traces, line, |error| error);
+    draw_references(&mut canvas, &panel, references);
     if traces.agents() <= LINES {
         draw_running_rms(&mut canvas, &panel, traces, limit, figure.markers);
     }
     draw_markers(&mut canvas, &panel, figure.markers);
-    if let Some(transient) = transient(traces, limit) {
-        draw_transient(&mut canvas, &panel, traces, transient);
-    }
     panel.draw_frame(&mut canvas, labels);
     panel.label_x(&mut canvas, TIME_LABEL);
-    panel.label_y(&mut canvas, AXIS_LABEL, 14.0);
-    Figure { svg: canvas.finish(area.bottom() + BOTTOM_MARGIN) }
+    panel.label_y(&mut canvas, AXIS_LABEL, LABEL_BASELINE);
+    let mut bottom = area.bottom();
+    if let Some((until, y)) = transient {
+        // The name of the lower panel stands between the two.
+        let top = bottom + BOTTOM_MARGIN + TICK_SIZE + 8.0;
+        let area = Rect { left, top, width, height: TRANSIENT_HEIGHT };
+        let x = Axis::horizontal(start, until, width, TICK_SIZE);
+        draw_transient(&mut canvas, &Panel::new(area, x, y), traces);
+        bottom = area.bottom();
+    }
+    Figure { svg: canvas.finish(bottom + BOTTOM_MARGIN) }
 }
 
 fn legend(traces: &Traces) -> Vec<Entry> {
@@ -158,24 +151,26 @@ const fn rms_line(agent: usize) -> Stroke {
     Stroke::solid(palette::agent(agent), 1.4)
 }
 
-/// Draws the errors into the panel, with lines as given, or their spread if there are many.
+/// Draws the errors into the panel, with lines as given, or their spread if there are many; `scale`
+/// is that of the panel's axis.
 fn draw_errors(
     canvas: &mut Canvas,
     panel: &Panel,
     traces: &Traces,
     line_of: impl Fn(usize) -> Stroke,
+    scale: impl Fn(f64) -> f64 + Sync,
 ) {
     let time = traces.time();
     if traces.agents() > LINES {
         let columns = series::columns(time, &panel.x, series::column_count(panel.area.width, 6));
-        let spreads: Vec<Spread> =
-            series::spreads(time, &columns, traces.agents(), |row, agent| traces.error(row, agent));
+        let error = |row, agent| scale(traces.error(row, agent));
+        let spreads: Vec<Spread> = series::spreads(time, &columns, traces.agents(), error);
         series::draw_spreads(canvas, panel, &spreads);
         return;
     }
     let columns = columns(panel, traces);
     for agent in 0..traces.agents() {
-        let line = series::line(panel, time, &columns, |row| traces.error(row, agent));
+        let line = series::line(panel, time, &columns, |row| scale(traces.error(row, agent)));
         canvas.line(line, line_of(agent));
     }
 }
@@ -197,8 +192,7 @@ fn draw_running_rms(
     let time = traces.time();
     let columns = columns(panel, traces);
     let window = rms_window(traces);
-    // Without an end of the transient there is nothing steady.
-    let mut breaks = vec![settling_row(traces, limit).unwrap_or(traces.rows())];
+    let mut breaks = vec![settling_row(traces, limit)];
     let jumps = markers.iter().filter(|marker| marker.jump);
     breaks.extend(jumps.map(|marker| time.partition_point(|&t| t < marker.time)));
     breaks.push(traces.rows());
@@ -246,71 +240,36 @@ fn running_rms(
     line.finish()
 }
 
-fn draw_markers(canvas: &mut Canvas, panel: &Panel, markers: &[Marker<'_>]) {
-    let mut labelled_to = f64::NEG_INFINITY;
-    let shown = |marker: &&Marker<'_>| (panel.x.from..=panel.x.to).contains(&marker.time);
-    for marker in markers.iter().filter(shown) {
-        let x = panel.at_x(marker.time);
-        canvas.segment((x, panel.area.bottom()), (x, panel.area.top), marker.stroke);
-        // A label stands left of its line; of lines that are close together the first has one.
-        if x - labelled_to > 1.3 * TICK_SIZE {
-            let at = TextAt::new(x - 3.0, panel.area.top + 5.0, TICK_SIZE - 0.5, Anchor::End);
-            canvas.text(marker.label, at.upwards().colored(marker.stroke.color));
-            labelled_to = x;
-        }
-    }
+/// The first row from which on all errors of the first quarter are within `limit`.
+fn settling_row(traces: &Traces, limit: f64) -> usize {
+    let beyond =
+        |row: &usize| largest_error(traces, *row..row + 1).is_some_and(|error| error > limit);
+    (0..traces.rows() / TRANSIENT_PART).rfind(beyond).map_or(0, |row| row + 1)
 }
 
-/// The first row at which all errors are within `limit`.
-fn settling_row(traces: &Traces, limit: f64) -> Option<usize> {
-    let within =
-        |row: &usize| largest_error(traces, *row..row + 1).is_none_or(|error| error <= limit);
-    (0..traces.rows()).find(within)
-}
-
-/// Until when the inset shows the transient that the main axes cut off \[s\]; `None` if there
-/// is none.
-fn transient(traces: &Traces, limit: f64) -> Option<f64> {
+/// Until when the transient goes that the upper axes cut off \[s\], and an axis for it; `None` if
+/// there is none.
+fn transient(traces: &Traces, limit: f64) -> Option<(f64, Axis)> {
     let time = traces.time();
     let (start, end) = (*time.first()?, *time.last()?);
-    let settled = settling_row(traces, limit).filter(|&row| row > 0)?;
-    let length = round_up(1.5 * (time[settled] - start));
-    (length < 0.25 * (end - start)).then_some(start + length)
+    let settled = Some(settling_row(traces, limit)).filter(|&row| row > 0)?;
+    let until = (start + round_up(1.5 * (time[settled] - start))).min(end);
+    let last = time.partition_point(|&time| time <= until);
+    let largest = largest_error(traces, 0..last).unwrap_or(1.0);
+    // As far down as the upper axes' first ticks: below that there is only chatter.
+    Some((until, Axis::powers(0.2 * limit, largest)))
 }
 
-/// Draws the transient in full into the upper right corner.
-fn draw_transient(canvas: &mut Canvas, panel: &Panel, traces: &Traces, until: f64) {
-    let main = panel.area;
-    let width = 0.40 * main.width;
-    let area = Rect {
-        left: main.right() - width - 9.0,
-        top: main.top + 9.0,
-        width,
-        height: 0.34 * main.height,
-    };
-    let start = panel.x.from;
-    let last = traces.time().partition_point(|&time| time <= until);
-    let largest = largest_error(traces, 0..last).unwrap_or(1.0);
-    let inset = Panel {
-        tick_size: TICK_SIZE - 1.0,
-        ..Panel::new(
-            area,
-            Axis::horizontal(start, until, width, TICK_SIZE - 1.0),
-            Axis::rounded(0.0, largest, 3.0),
-        )
-    };
-    let behind = Rect {
-        left: area.left - 22.0,
-        top: main.top,
-        width: main.right() - area.left + 22.0,
-        height: area.height + 27.0,
-    };
-    canvas.fill(behind, "#ffffff");
+/// Draws the transient.
+fn draw_transient(canvas: &mut Canvas, panel: &Panel, traces: &Traces) {
+    let area = panel.area;
     let labels = Labels { x_ticks: true, y_ticks: true, minor_grid: false };
-    inset.draw_grid(canvas, labels);
-    draw_errors(canvas, &inset, traces, |agent| Stroke::solid(palette::agent(agent), 0.9));
-    inset.draw_frame(canvas, labels);
-    let at = TextAt::new(area.right() - 5.0, area.top + 12.0, TICK_SIZE - 1.0, Anchor::End);
+    panel.draw_grid(canvas, labels);
+    let line = |agent| Stroke::solid(palette::agent(agent), 0.9);
+    draw_errors(canvas, panel, traces, line, libm::log10);
+    panel.draw_frame(canvas, labels);
+    panel.label_x(canvas, TIME_LABEL);
+    let at = TextAt::new(area.left, area.top - 4.0, TICK_SIZE, Anchor::Start);
     canvas.text("transient in full", at);
 }
 

@@ -13,6 +13,9 @@ mod error_norms;
 mod event_map;
 mod events;
 mod font;
+#[cfg(test)]
+mod label_tests;
+mod marks;
 mod palette;
 mod panel;
 mod raster;
@@ -27,8 +30,9 @@ use rayon::prelude::*;
 
 use crate::output_file::{FileKind, OutputError, write_result};
 
-pub use error_norms::{ErrorFigure, Marker, error_axis_limit, error_norms};
+pub use error_norms::{ErrorFigure, error_axis_limit, error_norms};
 pub use events::{EventFigure, events};
+pub use marks::{Marker, Reference};
 pub use raster::{PNG_WIDTH, RenderError};
 pub use states::{StateFigure, states};
 

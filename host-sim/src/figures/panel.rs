@@ -7,6 +7,13 @@ use super::font;
 /// Font size of axis labels and titles. \[user unit\]
 pub(super) const LABEL_SIZE: f64 = 11.5;
 
+/// Height of a note above a panel. \[user unit\]
+pub(super) const NOTE: f64 = 11.0;
+
+/// Where the label of the y axis stands, and the space left of tick labels. \[user unit\]
+pub(super) const LABEL_BASELINE: f64 = 14.0;
+pub(super) const LABEL_SPACE: f64 = 23.0;
+
 /// Font size of tick labels and legends. \[user unit\]
 pub(super) const TICK_SIZE: f64 = 10.5;
 
@@ -93,7 +100,14 @@ impl Panel {
         grid
     }
 
-    /// Draws frame, ticks and their labels, which go over the data.
+    /// Width of the tick labels of the y axis, tick included. \[user unit\]
+    pub(super) fn y_labels_width(y: &Axis, tick_size: f64) -> f64 {
+        let widths = y.ticks().into_iter().map(|tick| font::width(&y.label(tick), tick_size));
+        TICK + 2.0 + widths.fold(0.0, f64::max)
+    }
+
+    /// Draws frame, ticks and their labels, which go over the data, and the note of the y axis
+    /// above its right end.
     pub(super) fn draw_frame(&self, canvas: &mut Canvas, labels: Labels) {
         let mut ticks = PathData::default();
         let (left, bottom) = (self.area.left, self.area.bottom());
@@ -102,13 +116,12 @@ impl Panel {
             ticks.move_to(x, bottom);
             ticks.line_to(x, bottom + TICK);
             if labels.x_ticks {
-                let at = TextAt::new(
-                    x,
-                    bottom + TICK + 1.0 + self.tick_size,
-                    self.tick_size,
-                    Anchor::Middle,
-                );
-                canvas.text(&self.x.label(tick), at);
+                let label = self.x.label(tick);
+                // The last label must not leave the figure.
+                let half = 0.5 * font::width(&label, self.tick_size);
+                let x = x.min(WIDTH - 1.0 - half);
+                let y = bottom + TICK + 1.0 + self.tick_size;
+                canvas.text(&label, TextAt::new(x, y, self.tick_size, Anchor::Middle));
             }
         }
         for tick in self.y.ticks() {
@@ -128,19 +141,35 @@ impl Panel {
         }
         canvas.line(ticks, FRAME);
         canvas.frame(self.area, FRAME);
+        let note = self.y.note();
+        if labels.y_ticks && !note.is_empty() {
+            let at = TextAt::new(
+                self.area.right(),
+                self.area.top - 3.0,
+                self.tick_size - 1.0,
+                Anchor::End,
+            );
+            canvas.text(&note, at);
+        }
     }
 
-    /// Writes the label of the x axis under its tick labels.
+    /// Writes the label of the x axis, and its note, under its tick labels.
     pub(super) fn label_x(&self, canvas: &mut Canvas, label: &str) {
+        let label = match self.x.note() {
+            note if note.is_empty() => label.to_owned(),
+            note => format!("{label}  ({note})"),
+        };
         let x = self.area.left + 0.5 * self.area.width;
         let y = self.area.bottom() + TICK + self.tick_size + LABEL_SIZE + 4.5;
-        canvas.text(label, TextAt::new(x, y, LABEL_SIZE, Anchor::Middle));
+        canvas.text(&label, TextAt::new(x, y, LABEL_SIZE, Anchor::Middle));
     }
 
-    /// Writes the label of the y axis, reading upwards, its baseline at `x`.
+    /// Writes the label of the y axis, reading upwards, its baseline at `x`, not much longer than
+    /// the axis.
     pub(super) fn label_y(&self, canvas: &mut Canvas, label: &str, x: f64) {
         let y = self.area.top + 0.5 * self.area.height;
-        canvas.text(label, TextAt::new(x, y, LABEL_SIZE, Anchor::Middle).upwards());
+        let at = TextAt::new(x, y, LABEL_SIZE, Anchor::Middle).upwards();
+        canvas.text(label, at.within(self.area.height + 6.0));
     }
 }
 
@@ -155,6 +184,8 @@ pub(super) struct Entry {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Sample {
     Line(Stroke),
+    /// A line that stands upright in the figure.
+    Upright(Stroke),
     /// A filled patch of a colour and an opacity.
     Patch(&'static str, f64),
     None,
@@ -184,8 +215,16 @@ pub(super) fn legend_rows(entries: &[Entry], width: f64) -> Vec<Vec<&Entry>> {
 }
 
 fn entry_width(entry: &Entry) -> f64 {
-    let sample = if entry.sample == Sample::None { 0.0 } else { SAMPLE_WIDTH + SAMPLE_GAP };
-    sample + font::width(&entry.text, TICK_SIZE)
+    sample_width(entry.sample) + font::width(&entry.text, TICK_SIZE)
+}
+
+/// Width of a sample and the gap behind it.
+fn sample_width(sample: Sample) -> f64 {
+    match sample {
+        Sample::None => 0.0,
+        Sample::Upright(_) => 4.0 + SAMPLE_GAP,
+        Sample::Line(_) | Sample::Patch(..) => SAMPLE_WIDTH + SAMPLE_GAP,
+    }
 }
 
 /// Draws a legend from (`left`, `top`) downwards.
@@ -194,10 +233,14 @@ pub(super) fn draw_legend(canvas: &mut Canvas, rows: &[Vec<&Entry>], left: f64, 
         let middle = top + (row as f64 + 0.5) * LEGEND_ROW;
         let mut x = left;
         for entry in entries {
-            let mut text_at = x + SAMPLE_WIDTH + SAMPLE_GAP;
+            let text_at = x + sample_width(entry.sample);
             match entry.sample {
                 Sample::Line(stroke) => {
                     canvas.segment((x, middle), (x + SAMPLE_WIDTH, middle), stroke);
+                }
+                Sample::Upright(stroke) => {
+                    let half = 0.46 * LEGEND_ROW;
+                    canvas.segment((x + 2.0, middle + half), (x + 2.0, middle - half), stroke);
                 }
                 Sample::Patch(color, opacity) => {
                     let mut patch = PathData::default();
@@ -208,7 +251,7 @@ pub(super) fn draw_legend(canvas: &mut Canvas, rows: &[Vec<&Entry>], left: f64, 
                     }
                     canvas.area(patch, color, opacity);
                 }
-                Sample::None => text_at = x,
+                Sample::None => {}
             }
             let at = TextAt::new(text_at, middle + 0.36 * TICK_SIZE, TICK_SIZE, Anchor::Start);
             canvas.text(&entry.text, at);

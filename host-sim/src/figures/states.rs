@@ -8,8 +8,8 @@ use super::axis::{Axis, round_up};
 use super::canvas::{Anchor, Canvas, Rect, Stroke, TextAt, WIDTH};
 use super::palette::{self, LINES};
 use super::panel::{
-    BOTTOM_MARGIN, Entry, LEGEND_ROW, LEGEND_TOP, Labels, Panel, RIGHT_MARGIN, Sample, TICK_SIZE,
-    TIME_LABEL, draw_legend, draw_title, legend_rows,
+    BOTTOM_MARGIN, Entry, LABEL_BASELINE, LABEL_SPACE, LEGEND_ROW, LEGEND_TOP, Labels, NOTE, Panel,
+    RIGHT_MARGIN, Sample, TICK_SIZE, TIME_LABEL, draw_legend, draw_title, legend_rows,
 };
 use super::series::{self, BANDS, MEDIAN};
 use crate::engine::traces::Traces;
@@ -23,9 +23,6 @@ const STACKED: usize = 4;
 /// About how many rows an axis takes the extent of the estimates from.
 const AXIS_SAMPLES: usize = 2000;
 
-/// Left end of the panels. \[user unit\]
-const LEFT: f64 = 40.0;
-
 /// What [`states`] draws.
 #[derive(Clone, Copy, Debug)]
 pub struct StateFigure<'a> {
@@ -33,6 +30,8 @@ pub struct StateFigure<'a> {
     pub title: &'a str,
     /// The run.
     pub traces: &'a Traces,
+    /// What the components are called, shape `[n]`.
+    pub names: &'a [String],
 }
 
 /// Draws `x_0(t)` and every agent's `x_hat_i(t)`.
@@ -40,16 +39,29 @@ pub struct StateFigure<'a> {
 pub fn states(figure: &StateFigure<'_>) -> Figure {
     let traces = figure.traces;
     let mut canvas = Canvas::new();
-    draw_title(&mut canvas, figure.title, LEFT);
+    let layout = if traces.dimension() <= STACKED { stack(figure) } else { grid(figure) };
+    draw_title(&mut canvas, figure.title, layout.left);
     let entries = legend(traces);
-    let rows = legend_rows(&entries, WIDTH - LEFT - RIGHT_MARGIN);
-    draw_legend(&mut canvas, &rows, LEFT, LEGEND_TOP);
+    let rows = legend_rows(&entries, WIDTH - layout.left - RIGHT_MARGIN);
+    draw_legend(&mut canvas, &rows, layout.left, LEGEND_TOP);
     let top = LEGEND_TOP + rows.len() as f64 * LEGEND_ROW + 5.0;
-    let bottom = if traces.dimension() <= STACKED {
-        draw_stack(&mut canvas, traces, top)
-    } else {
-        draw_grid(&mut canvas, traces, top)
-    };
+    let mut bottom = top;
+    for one in &layout.components {
+        let area = Rect { top: top + one.area.top, ..one.area };
+        let panel = one.panel(area);
+        one.draw(&mut canvas, &panel, traces, layout.components.len());
+        match one.name {
+            Name::Beside(name) => panel.label_y(&mut canvas, name, LABEL_BASELINE),
+            Name::Above(name) => {
+                let at = TextAt::new(area.left, area.top - 4.0, TICK_SIZE, Anchor::Start);
+                // The note of the axis stands at the other end.
+                let note = super::font::width(&one.y.note(), TICK_SIZE);
+                canvas.text(name, at.within(area.width - note - 4.0));
+            }
+            Name::None => {}
+        }
+        bottom = bottom.max(area.bottom());
+    }
     Figure { svg: canvas.finish(bottom + BOTTOM_MARGIN) }
 }
 
@@ -74,88 +86,127 @@ const fn estimate_line(agent: usize) -> Stroke {
     Stroke::solid(palette::agent(agent), 1.1)
 }
 
-/// Draws the components above each other; returns where the lowest panel ends.
-fn draw_stack(canvas: &mut Canvas, traces: &Traces, top: f64) -> f64 {
+/// Where the panels are; they begin at the height 0.
+struct Layout<'a> {
+    /// Left end of the first column of panels.
+    left: f64,
+    components: Vec<Component<'a>>,
+}
+
+/// The components above each other, with the transient, if there is one, beside each.
+fn stack<'a>(figure: &StateFigure<'a>) -> Layout<'a> {
+    let traces = figure.traces;
     let (start, end) = ends(traces);
-    let transient = transient(traces);
-    let (gap, between, height) = (8.0, 28.0, 88.0);
-    let whole = WIDTH - LEFT - RIGHT_MARGIN;
-    let right = if transient.is_some() { 0.3 * whole } else { 0.0 };
-    let wide = if transient.is_some() { whole - right - between } else { whole };
-    let panels = traces.dimension() * (1 + usize::from(transient.is_some()));
-    for component in 0..traces.dimension() {
-        let top = top + component as f64 * (height + gap);
-        let last = component + 1 == traces.dimension();
-        let labels = Labels { x_ticks: last, y_ticks: true, minor_grid: true };
-        let one = Component { traces, index: component, panels, labels };
-        let area = Rect { left: LEFT, top, width: wide, height };
-        let panel = one.panel(area, (start, end), TICK_SIZE);
-        one.draw(canvas, &panel);
-        panel.label_y(canvas, &one.name(), 12.0);
-        if let Some(until) = transient {
-            let area = Rect { left: LEFT + wide + between, top, width: right, height };
-            one.draw(canvas, &one.panel(area, (start, until), TICK_SIZE));
+    let whole = (start, end);
+    let transient = transient(traces).map(|until| (start, until));
+    let axes = |window| (0..traces.dimension()).map(move |index| value_axis(traces, index, window));
+    let (wholes, transients): (Vec<_>, Vec<_>) =
+        (axes(whole).collect(), transient.into_iter().flat_map(axes).collect());
+    let left = LABEL_SPACE + labels_width(&wholes, TICK_SIZE);
+    let room = WIDTH - left - RIGHT_MARGIN;
+    // The labels of the right column stand between the two, and half of the last of the left.
+    let between = labels_width(&transients, TICK_SIZE) + 12.0;
+    let right = if transient.is_some() { 0.3 * room } else { 0.0 };
+    let wide = if transient.is_some() { room - right - between } else { room };
+    let noted = wholes.iter().chain(&transients).any(|axis| !axis.note().is_empty());
+    let (gap, height) = (if noted { NOTE + 4.0 } else { 8.0 }, 88.0);
+    let first = if noted { NOTE } else { 0.0 };
+    let columns = [(Some(whole), wholes), (transient, transients)];
+    let mut components = Vec::new();
+    for (column, (window, axes)) in columns.into_iter().enumerate() {
+        let Some(window) = window else { continue };
+        for (index, y) in axes.into_iter().enumerate() {
+            let x_ticks = index + 1 == traces.dimension();
+            let top = first + index as f64 * (height + gap);
+            let (left, width) =
+                if column == 0 { (left, wide) } else { (left + wide + between, right) };
+            let name = figure.names.get(index).filter(|_| column == 0);
+            components.push(Component {
+                index,
+                name: name.map_or(Name::None, |name| Name::Beside(name)),
+                window,
+                y,
+                area: Rect { left, top, width, height },
+                tick_size: TICK_SIZE,
+                labels: Labels { x_ticks, y_ticks: true, minor_grid: true },
+            });
         }
     }
-    top + traces.dimension() as f64 * (height + gap) - gap
+    Layout { left, components }
 }
 
-/// Draws the components in a grid; returns where the lowest panel ends.
-fn draw_grid(canvas: &mut Canvas, traces: &Traces, top: f64) -> f64 {
+/// The components in a grid, their names above them.
+fn grid<'a>(figure: &StateFigure<'a>) -> Layout<'a> {
+    let traces = figure.traces;
+    let tick_size = TICK_SIZE - 1.0;
     let columns = if traces.dimension() <= 8 { 2 } else { 3 };
-    let rows = traces.dimension().div_ceil(columns);
-    // The names of the components stand above their panels.
-    let (between, name_height) = (30.0, 19.0);
-    let width = (WIDTH - LEFT - RIGHT_MARGIN - between * (columns - 1) as f64) / columns as f64;
+    let name_height = 19.0;
+    let axes: Vec<Axis> =
+        (0..traces.dimension()).map(|index| value_axis(traces, index, ends(traces))).collect();
+    let widest = labels_width(&axes, tick_size);
+    let (left, between) = (6.0 + widest, widest + 12.0);
+    let width = (WIDTH - left - RIGHT_MARGIN - between * (columns - 1) as f64) / columns as f64;
     let height = if columns == 2 { 82.0 } else { 74.0 };
-    for component in 0..traces.dimension() {
-        let (row, column) = (component / columns, component % columns);
-        let area = Rect {
-            left: LEFT + column as f64 * (width + between),
-            top: top + 10.0 + row as f64 * (height + name_height),
-            width,
-            height,
-        };
+    let component = |(index, y): (usize, Axis)| {
+        let (row, column) = (index / columns, index % columns);
         // The lowest panel of a column carries the time axis.
-        let lowest = component + columns >= traces.dimension();
-        let labels = Labels { x_ticks: lowest, y_ticks: true, minor_grid: false };
-        let one = Component { traces, index: component, panels: traces.dimension(), labels };
-        let panel = one.panel(area, ends(traces), TICK_SIZE - 1.0);
-        one.draw(canvas, &panel);
-        let at = TextAt::new(area.left, area.top - 4.0, TICK_SIZE, Anchor::Start);
-        canvas.text(&one.name(), at);
-    }
-    top + 10.0 + rows as f64 * (height + name_height) - name_height
+        let x_ticks = index + columns >= traces.dimension();
+        Component {
+            index,
+            name: figure.names.get(index).map_or(Name::None, |name| Name::Above(name)),
+            window: ends(traces),
+            y,
+            area: Rect {
+                left: left + column as f64 * (width + between),
+                top: 10.0 + row as f64 * (height + name_height),
+                width,
+                height,
+            },
+            tick_size,
+            labels: Labels { x_ticks, y_ticks: true, minor_grid: false },
+        }
+    };
+    Layout { left, components: axes.into_iter().enumerate().map(component).collect() }
 }
 
-/// A component of the state, and what its panels share.
+fn labels_width(axes: &[Axis], tick_size: f64) -> f64 {
+    axes.iter().map(|y| Panel::y_labels_width(y, tick_size)).fold(0.0, f64::max)
+}
+
+/// Where the name of a component stands.
+#[derive(Clone, Copy, Debug)]
+enum Name<'a> {
+    Beside(&'a str),
+    Above(&'a str),
+    None,
+}
+
+/// A panel with a component of the state over a stretch of time \[s\].
 struct Component<'a> {
-    traces: &'a Traces,
     /// From 0.
     index: usize,
-    /// How many panels the figure has.
-    panels: usize,
+    name: Name<'a>,
+    window: (f64, f64),
+    y: Axis,
+    area: Rect,
+    tick_size: f64,
     labels: Labels,
 }
 
 impl Component<'_> {
-    fn name(&self) -> String {
-        format!("x{}", subscript(self.index + 1))
+    fn panel(&self, area: Rect) -> Panel {
+        let (from, to) = self.window;
+        let x = Axis::horizontal(from, to, area.width, self.tick_size);
+        Panel { tick_size: self.tick_size, ..Panel::new(area, x, self.y.clone()) }
     }
 
-    /// A panel of a stretch of time \[s\].
-    fn panel(&self, area: Rect, (from, to): (f64, f64), tick_size: f64) -> Panel {
-        let x = Axis::horizontal(from, to, area.width, tick_size);
-        Panel { tick_size, ..Panel::new(area, x, value_axis(self.traces, self.index, (from, to))) }
-    }
-
-    /// Draws a panel with its axes, the estimates, and over them the true state.
-    fn draw(&self, canvas: &mut Canvas, panel: &Panel) {
+    /// Draws a panel, one of `panels`, with its axes, the estimates, and over them the true state.
+    fn draw(&self, canvas: &mut Canvas, panel: &Panel, traces: &Traces, panels: usize) {
         panel.draw_grid(canvas, self.labels);
-        let (traces, time) = (self.traces, self.traces.time());
+        let time = traces.time();
         let many = traces.agents() > LINES;
         let lines = if many { 5 } else { 1 + traces.agents() };
-        let columns = series::column_count(panel.area.width, self.panels * lines);
+        let columns = series::column_count(panel.area.width, panels * lines);
         let columns = series::columns(time, &panel.x, columns);
         let truth = series::line(panel, time, &columns, |row| traces.truth(row)[self.index]);
         let estimate = |row, agent| f64::from(traces.estimate(row, agent)[self.index]);
@@ -198,7 +249,10 @@ fn value_axis(traces: &Traces, component: usize, (from, to): (f64, f64)) -> Axis
     let (least, greatest) =
         extent(rows.step_by(sampled).flat_map(estimates)).unwrap_or((low, high));
     let (low, high) = (least.clamp(low - room, low), greatest.clamp(high, high + room));
-    let margin = 0.06 * (high - low).max(1e-9);
+    let largest = low.abs().max(high.abs());
+    // A constant lies in the middle.
+    let length = if high - low > 1e-12 * largest { high - low } else { largest };
+    let margin = 0.06 * if length > 0.0 { length } else { 1.0 };
     Axis::exact(low - margin, high + margin, 3.0)
 }
 
@@ -219,19 +273,4 @@ fn transient(traces: &Traces) -> Option<f64> {
     let settled = (0..traces.rows()).find(|&row| error(row) < 0.05 * initial)?;
     let length = round_up(2.0 * (traces.time()[settled] - start));
     (length > 0.0 && length < 0.25 * (end - start)).then_some(start + length)
-}
-
-fn subscript(number: usize) -> String {
-    let digits = number.to_string();
-    digits.chars().filter_map(|digit| char::from_u32('₀' as u32 + digit.to_digit(10)?)).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn components_are_numbered_with_subscripts() {
-        assert_eq!(subscript(12), "₁₂");
-    }
 }

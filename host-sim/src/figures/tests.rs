@@ -82,31 +82,42 @@ fn error_norms_show_data_markers_and_transient() {
         title: "Errors",
         traces: &traces,
         markers: &markers,
+        references: &[no_network(vec![Some(0.09), Some(0.08), Some(0.07)])],
         error_limit: None,
     });
     assert!(figure.svg().len() < 400_000, "{} bytes", figure.svg().len());
     let document = Document::parse(figure.svg()).unwrap();
     let texts = texts(&document);
-    for text in
-        ["Errors", "agent 3", "starts", "ends", "applied", "transient in full", "time t [s]"]
-    {
+    for text in [
+        "Errors",
+        "agent 3",
+        "starts",
+        "ends",
+        "applied",
+        "no network, RMS",
+        "transient in full",
+        "time t [s]",
+    ] {
         assert!(texts.iter().any(|shown| shown == text), "{text:?} is not among {texts:?}");
     }
     assert!(longest_path(&document) > 4_000);
     let (width, height, colors) = picture(&figure.png().unwrap());
     assert_eq!(width, PNG_WIDTH);
-    assert!((800..1400).contains(&height), "{height}");
+    assert!((1000..1500).contains(&height), "{height}");
     assert!(colors > 200, "{colors}");
 }
 
 #[test]
 fn the_error_axis_fits_the_steady_state_of_all_runs() {
     let quiet = traces(3, 3, 4_001);
-    let limit = error_axis_limit(&[&quiet]);
-    assert!((0.1..0.3).contains(&limit), "{limit}");
+    let limit = error_axis_limit(&[&quiet], &[]);
+    assert!((0.05..0.15).contains(&limit), "{limit}");
     let worse = traces(12, 3, 4_001);
-    assert!(error_axis_limit(&[&quiet, &worse]) > limit);
-    assert!((error_axis_limit(&[]) - 1.0).abs() < f64::EPSILON);
+    assert!(error_axis_limit(&[&quiet, &worse], &[]) > limit);
+    // What a run is compared with is seen, too.
+    let reference = no_network(vec![Some(1.0), None, Some(0.5)]);
+    assert!((1.0..1.3).contains(&error_axis_limit(&[&quiet], &[reference])));
+    assert!((error_axis_limit(&[], &[]) - 1.0).abs() < f64::EPSILON);
 }
 
 #[test]
@@ -120,6 +131,20 @@ fn few_broadcasts_are_ticks_and_counted() {
     assert!(texts.iter().any(|text| text == summary), "{texts:?}");
     let ticks = document.descendants().filter_map(|node| node.attribute("d"));
     assert!(ticks.map(|data| data.matches('M').count()).any(|count| count == 51));
+}
+
+fn no_network(errors: Vec<Option<f64>>) -> Reference<'static> {
+    Reference { label: "no network", from: 20.0, to: 40.0, errors }
+}
+
+fn errors_of(title: &str, traces: &Traces) -> Figure {
+    let (markers, references) = (&[], &[]);
+    error_norms(&ErrorFigure { title, traces, markers, references, error_limit: None })
+}
+
+fn states_of(title: &str, traces: &Traces) -> Figure {
+    let names: Vec<String> = (1..=traces.dimension()).map(|i| format!("x{i}")).collect();
+    states(&StateFigure { title, traces, names: &names })
 }
 
 fn events_of(events: &[Vec<u64>], from: f64, to: f64) -> Figure {
@@ -137,9 +162,9 @@ fn large_networks_and_states_stay_small_and_parse() {
     let (large, wide) = (traces(2, 1000, 201), traces(12, 8, 4_001));
     let many = broadcasts(1000, 7);
     let figures = [
-        error_norms(&ErrorFigure { title: "", traces: &large, markers: &[], error_limit: None }),
-        states(&StateFigure { title: "", traces: &large }),
-        states(&StateFigure { title: "", traces: &wide }),
+        errors_of("", &large),
+        states_of("", &large),
+        states_of("", &wide),
         events_of(&many, 19.75, 20.25),
         events_of(&many, 0.0, 40.0),
         events_of(&many[..50], 0.0, 40.0),
@@ -160,8 +185,8 @@ fn nothing_recorded_gives_empty_axes() {
     let no_agents = Traces::with_capacity(0, 0, 0);
     for traces in [&empty, &no_agents] {
         let figures = [
-            error_norms(&ErrorFigure { title: "Empty", traces, markers: &[], error_limit: None }),
-            states(&StateFigure { title: "Empty", traces }),
+            errors_of("Empty", traces),
+            states_of("Empty", traces),
             events_of(&vec![Vec::new(); traces.agents()], 0.0, 1.0),
         ];
         for figure in figures {
@@ -182,10 +207,7 @@ fn what_diverged_is_still_drawn() {
             [[value; 2]; 2].iter().map(|x| &x[..]),
         );
     }
-    let error =
-        error_norms(&ErrorFigure { title: "", traces: &traces, markers: &[], error_limit: None });
-    let state = states(&StateFigure { title: "", traces: &traces });
-    for figure in [error, state] {
+    for figure in [errors_of("", &traces), states_of("", &traces)] {
         for wrong in ["NaN", "inf"] {
             let at = figure.svg().find(wrong);
             assert_eq!(
@@ -202,7 +224,7 @@ fn what_diverged_is_still_drawn() {
 #[test]
 fn the_same_data_give_the_same_bytes_and_whole_files() {
     let traces = traces(3, 9, 2_001);
-    let draw = || states(&StateFigure { title: "Again", traces: &traces });
+    let draw = || states_of("Again", &traces);
     let (one, two) = (draw(), draw());
     assert_eq!(one, two);
     let folder = std::env::temp_dir().join(format!("figures-{}", std::process::id()));
@@ -219,8 +241,7 @@ fn a_file_in_the_way_is_named() {
     let folder = std::env::temp_dir().join(format!("in-the-way-{}", std::process::id()));
     std::fs::write(&folder, "a file").unwrap();
     let traces = traces(1, 1, 11);
-    let error =
-        states(&StateFigure { title: "", traces: &traces }).write(&folder, "figure").unwrap_err();
+    let error = states_of("", &traces).write(&folder, "figure").unwrap_err();
     assert!(error.to_string().contains("figure.svg"), "{error}");
     std::fs::remove_file(&folder).unwrap();
 }

@@ -3,7 +3,7 @@
 //! Euler: `x(t + h) = x(t) + h F(t, x)` with `F = f + d`. Runge–Kutta of order 4: the classical
 //! four stages. Error of one step `O(h^2)` and `O(h^5)`; one and four evaluations of `F`.
 
-use super::{DIMENSION_MAX, Disturbance, Plant};
+use super::{DIMENSION_MAX, Disturbance, Plant, RateFault};
 
 /// How the plant is integrated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,6 +46,43 @@ impl Stepper {
         step_size: f64,
         x: &mut [f64],
     ) {
+        self.advance(plant, disturbance, time, step_size, x, |_, _| {});
+    }
+
+    /// Why a step from the finite state `x` does not lead to a finite one: the first expression
+    /// that it meets without a finite value; `None` if there is none, and the state only grows.
+    ///
+    /// # Panics
+    /// As [`Self::step`].
+    #[must_use]
+    pub fn fault(
+        &mut self,
+        plant: &Plant,
+        disturbance: &Disturbance,
+        time: f64,
+        step_size: f64,
+        x: &[f64],
+    ) -> Option<RateFault> {
+        let (mut x, mut found) = (x.to_vec(), None);
+        self.advance(plant, disturbance, time, step_size, &mut x, |time, x| {
+            if found.is_none() {
+                found = RateFault::find(plant, disturbance, time, x);
+            }
+        });
+        found
+    }
+
+    /// The step; `meets` hears of every time and state at which the rate is taken.
+    #[inline]
+    fn advance(
+        &mut self,
+        plant: &Plant,
+        disturbance: &Disturbance,
+        time: f64,
+        step_size: f64,
+        x: &mut [f64],
+        mut meets: impl FnMut(f64, &[f64]),
+    ) {
         assert_eq!(x.len(), plant.dimension(), "the state has the plant's dimension");
         let n = x.len();
         let Self { integrator, rates: [first, second, third, fourth], stage, disturbance: d } =
@@ -53,6 +90,7 @@ impl Stepper {
         let [first, second, third, fourth, stage, d] =
             [first, second, third, fourth, stage, d].map(|part| &mut part[..n]);
         let mut rate = |time: f64, x: &[f64], result: &mut [f64]| {
+            meets(time, x);
             plant.derivative(time, x, result);
             disturbance.evaluate(time, x, d);
             for (result, d) in result.iter_mut().zip(&*d) {

@@ -15,7 +15,7 @@ pub mod expression;
 mod integrator;
 
 pub use disturbance::{Disturbance, Harmonic, Wave};
-pub use expression::ExpressionSystem;
+pub use expression::{ExpressionFault, ExpressionSystem};
 pub use integrator::{Integrator, Stepper};
 
 use nalgebra::DMatrix;
@@ -94,7 +94,7 @@ impl Plant {
     }
 
     /// `f` at `time` \[s\] and state `x`, shape `[n]`, into `dx`, shape `[n]`. Only expressions
-    /// may depend on time.
+    /// may depend on time; where one is not defined, `dx` is not finite.
     ///
     /// # Panics
     /// If `x` or `dx` is shorter than the dimension.
@@ -129,6 +129,41 @@ impl Plant {
                 }
             }
             Self::Expressions(system) => system.evaluate(time, x, dx),
+        }
+    }
+}
+
+/// What of drift or disturbance has no finite value, and why.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum RateFault {
+    /// An expression of the drift.
+    #[error("plant.derivative, {0}")]
+    Drift(ExpressionFault),
+    /// An expression of the disturbance.
+    #[error("disturbance.components, {0}")]
+    Disturbance(ExpressionFault),
+}
+
+impl RateFault {
+    /// What is wrong with `plant` or `disturbance` at `time` \[s\] and the finite state `x`, shape
+    /// `[n]`; `None` where both are defined.
+    #[must_use]
+    pub fn find(plant: &Plant, disturbance: &Disturbance, time: f64, x: &[f64]) -> Option<Self> {
+        let drift = match plant {
+            Plant::Expressions(system) => system.fault(time, x).map(Self::Drift),
+            _ => None,
+        };
+        drift.or_else(|| match disturbance {
+            Disturbance::Expressions(system) => system.fault(time, x).map(Self::Disturbance),
+            _ => None,
+        })
+    }
+
+    /// The expression.
+    #[must_use]
+    pub fn expression(&self) -> &ExpressionFault {
+        match self {
+            Self::Drift(fault) | Self::Disturbance(fault) => fault,
         }
     }
 }

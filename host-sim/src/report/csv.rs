@@ -87,15 +87,18 @@ pub fn write_table<T>(
 /// Writes traces: a line a row, with the true state and each agent's estimate and error norm, in
 /// the units of the state.
 ///
+/// `names` are those of the state's components, shape `[n]`. The columns are `time`, `NAME` (true
+/// state), `agentI.NAMEhat` (estimate of agent I) and `agentI.error`. Names of states have neither
+/// dots nor blanks, so no two headers can be the same: a state called `time` is told from the time
+/// by its unit.
+///
 /// # Errors
-/// A file that cannot be written.
-pub fn write_traces(path: &Path, traces: &Traces) -> Result<(), OutputError> {
-    let components = 1..=traces.dimension();
+/// A file that cannot be written; also if there are not as many names as components.
+pub fn write_traces(path: &Path, traces: &Traces, names: &[String]) -> Result<(), OutputError> {
     let mut header = vec!["time [s]".to_owned()];
-    header.extend(components.clone().map(|component| format!("x{component} [state unit]")));
+    header.extend(names.iter().map(|name| format!("{name} [state unit]")));
     for agent in 1..=traces.agents() {
-        let estimate = |component| format!("agent{agent}.xhat{component} [state unit]");
-        header.extend(components.clone().map(estimate));
+        header.extend(names.iter().map(|name| format!("agent{agent}.{name}hat [state unit]")));
         header.push(format!("agent{agent}.error [state unit]"));
     }
     write_table(path, &header, 0..traces.rows(), |line, row| {
@@ -212,16 +215,18 @@ mod tests {
             traces.push(time, &[0.1 + 0.2, -1e-300], estimates.iter().map(|x| &x[..]));
         }
         let path = file("traces.csv");
-        write_traces(&path, &traces).unwrap();
+        // A comma, a quote and a line end do not end a field.
+        let names = ["angle".to_owned(), "a \"b\",\nc".to_owned()];
+        write_traces(&path, &traces, &names).unwrap();
         let (header, lines) = read(&path);
         let names = [
-            "x1",
-            "x2",
-            "agent1.xhat1",
-            "agent1.xhat2",
+            "angle",
+            "a \"b\",\nc",
+            "agent1.anglehat",
+            "agent1.a \"b\",\nchat",
             "agent1.error",
-            "agent2.xhat1",
-            "agent2.xhat2",
+            "agent2.anglehat",
+            "agent2.a \"b\",\nchat",
             "agent2.error",
         ];
         assert_eq!(header[0], "time [s]");

@@ -1,5 +1,8 @@
 //! Results as tables and CSV files.
 
+pub mod checks;
+pub mod columns;
 pub mod csv;
+pub mod number;
 pub mod paper;
 pub mod tables;

@@ -1,11 +1,15 @@
-//! Table 1: errors without and with learning, beside the paper's.
+//! Table 1: errors without a network, with the untrained one and with learning, beside the paper's.
 
-use std::fmt::Write;
 use std::path::Path;
 
+use super::columns::aligned;
 use super::csv::{Row, write_table};
+use super::number::significant;
 use super::paper::Published;
 use crate::output_file::OutputError;
+
+/// Significant digits of errors and times in tables.
+pub(crate) const DIGITS: usize = 4;
 
 /// What a run measured of one agent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -16,10 +20,12 @@ pub struct AgentResult {
     pub mean_interval: Option<f64>,
 }
 
-/// The table. The three slices are parallel; agents that a slice does not have are left blank.
+/// The table. The slices are parallel; agents that a slice does not have are left blank.
 #[derive(Clone, Copy, Debug)]
 pub struct ComparisonTable<'a> {
-    /// Of the run without learning.
+    /// Of the observer on its feedback alone.
+    pub no_network: &'a [AgentResult],
+    /// Of the run whose network is not trained; the paper's "without learning".
     pub without: &'a [AgentResult],
     /// Of the run with learning.
     pub with: &'a [AgentResult],
@@ -29,25 +35,28 @@ pub struct ComparisonTable<'a> {
     pub window: (f64, f64),
 }
 
-/// One agent's numbers, in the order of the columns.
+/// One agent's numbers: without a network, untrained, learned.
 struct Line {
     agent: usize,
-    rmse: [Option<f64>; 2],
-    change: Option<f64>,
-    intervals: [Option<f64>; 2],
+    rmse: [Option<f64>; 3],
+    /// Against no network, and against the untrained one.
+    changes: [Option<f64>; 2],
+    intervals: [Option<f64>; 3],
     published: Option<Published>,
 }
 
 impl ComparisonTable<'_> {
     fn lines(&self) -> impl Iterator<Item = Line> + '_ {
-        (0..self.without.len().max(self.with.len())).map(|index| {
-            let without = self.without.get(index).copied().unwrap_or_default();
-            let with = self.with.get(index).copied().unwrap_or_default();
+        let runs = [self.no_network, self.without, self.with];
+        let agents = runs.iter().map(|run| run.len()).max().unwrap_or(0);
+        (0..agents).map(move |index| {
+            let results = runs.map(|run| run.get(index).copied().unwrap_or_default());
+            let rmse = results.map(|result| result.rmse);
             Line {
                 agent: index + 1,
-                rmse: [without.rmse, with.rmse],
-                change: change_percent(without.rmse, with.rmse),
-                intervals: [without.mean_interval, with.mean_interval],
+                rmse,
+                changes: [change_percent(rmse[0], rmse[2]), change_percent(rmse[1], rmse[2])],
+                intervals: results.map(|result| result.mean_interval),
                 published: self.published.get(index).copied(),
             }
         })
@@ -56,28 +65,77 @@ impl ComparisonTable<'_> {
     /// The table as aligned text for a terminal.
     #[must_use]
     pub fn to_text(&self) -> String {
-        let compared = !self.published.is_empty();
-        let mut text = format!(
-            "Table 1: RMSE of |e_1i(t)| for t in [{}, {}] s [state unit], and mean time between broadcasts [s]\n\n",
-            self.window.0, self.window.1
-        );
-        let (groups, names, rule) = heading(compared);
-        // Writing into a string cannot fail.
-        let _ = writeln!(text, "{groups}\n{names}\n{rule}");
-        for line in self.lines() {
-            let here =
-                [line.rmse[0], line.rmse[1], line.change, line.intervals[0], line.intervals[1]];
-            let paper = line.published.map(|published| {
-                [
-                    published.rmse_without,
-                    published.rmse_with,
-                    published.change_percent,
-                    published.mean_interval,
-                ]
-            });
-            let _ = writeln!(text, "{}", text_row(line.agent, here, compared, paper));
-        }
-        text
+        format!(
+            "Table 1: RMSE of |e_1i(t)| for t in [{}, {}] s [state unit]\n\n{}\n\
+             Mean time between broadcasts [s]\n\n{}",
+            self.window.0,
+            self.window.1,
+            self.errors(),
+            self.intervals(),
+        )
+    }
+
+    fn errors(&self) -> String {
+        let untrained = "change against untrained [%]";
+        let columns = [
+            (["", "agent"], true),
+            (["", "no network"], true),
+            (["untrained", "here"], true),
+            (["untrained", "paper"], false),
+            (["learned", "here"], true),
+            (["learned", "paper"], false),
+            (["change against", "no network [%]"], true),
+            ([untrained, "here"], true),
+            ([untrained, "paper"], false),
+        ];
+        self.table(&columns, |line| {
+            let paper = line.published;
+            vec![
+                line.agent.to_string(),
+                number(line.rmse[0]),
+                number(line.rmse[1]),
+                printed(paper.map(|paper| paper.rmse_without)),
+                number(line.rmse[2]),
+                printed(paper.map(|paper| paper.rmse_with)),
+                percent(line.changes[0]),
+                percent(line.changes[1]),
+                percent(paper.map(|paper| paper.change_percent)),
+            ]
+        })
+    }
+
+    fn intervals(&self) -> String {
+        let columns = [
+            (["", "agent"], true),
+            (["", "no network"], true),
+            (["", "untrained"], true),
+            (["", "learned"], true),
+            (["", "paper"], false),
+        ];
+        self.table(&columns, |line| {
+            let [no_network, untrained, learned] = line.intervals.map(number);
+            let paper = printed(line.published.map(|paper| paper.mean_interval));
+            vec![line.agent.to_string(), no_network, untrained, learned, paper]
+        })
+    }
+
+    /// A table of these columns, those that are not marked only where there is something published.
+    fn table(
+        &self,
+        columns: &[([&str; 2], bool)],
+        entries: impl Fn(&Line) -> Vec<String>,
+    ) -> String {
+        let shown = |always: bool| always || !self.published.is_empty();
+        let headings: Vec<_> =
+            columns.iter().filter(|(_, always)| shown(*always)).map(|(names, _)| *names).collect();
+        let rows: Vec<Vec<String>> = self
+            .lines()
+            .map(|line| {
+                let entries = entries(&line).into_iter().zip(columns);
+                entries.filter(|(_, (_, always))| shown(*always)).map(|(entry, _)| entry).collect()
+            })
+            .collect();
+        aligned(&headings, &rows)
     }
 
     /// Writes the table as CSV; a number that there is not is an empty field.
@@ -87,12 +145,15 @@ impl ComparisonTable<'_> {
     pub fn write_csv(&self, path: &Path) -> Result<(), OutputError> {
         let header = [
             "agent",
+            "rmse_no_network [state unit]",
             "rmse_without [state unit]",
             "rmse_with [state unit]",
+            "change_no_network [%]",
             "change [%]",
             "paper_rmse_without [state unit]",
             "paper_rmse_with [state unit]",
             "paper_change [%]",
+            "mean_interval_no_network [s]",
             "mean_interval_without [s]",
             "mean_interval_with [s]",
             "paper_mean_interval [s]",
@@ -100,14 +161,11 @@ impl ComparisonTable<'_> {
         write_table(path, &header, self.lines(), |row: &mut Row<'_>, line| {
             let paper = line.published;
             row.integer(line.agent as u64)?;
-            row.optional(line.rmse[0])?;
-            row.optional(line.rmse[1])?;
-            row.optional(line.change)?;
+            line.rmse.into_iter().chain(line.changes).try_for_each(|value| row.optional(value))?;
             row.optional(paper.map(|paper| paper.rmse_without))?;
             row.optional(paper.map(|paper| paper.rmse_with))?;
             row.optional(paper.map(|paper| paper.change_percent))?;
-            row.optional(line.intervals[0])?;
-            row.optional(line.intervals[1])?;
+            line.intervals.into_iter().try_for_each(|value| row.optional(value))?;
             row.optional(paper.map(|paper| paper.mean_interval))
         })
     }
@@ -119,58 +177,20 @@ pub(crate) fn change_percent(without: Option<f64>, with: Option<f64>) -> Option<
     Some(100.0 * (with - without) / without)
 }
 
-/// Two lines of headings and a rule.
-fn heading(compared: bool) -> (String, String, String) {
-    let (groups, names) = if compared {
-        (
-            "        without learning     with learning        change [%]       mean time between broadcasts [s]",
-            "agent      here    paper      here    paper      here    paper      without       with      paper",
-        )
-    } else {
-        (
-            "         RMSE      RMSE                  mean time between broadcasts [s]",
-            "agent  without      with   change [%]      without       with",
-        )
-    };
-    (groups.to_owned(), names.to_owned(), "-".repeat(groups.len().max(names.len())))
+/// A number as tables show it.
+pub(crate) fn number(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| significant(value, DIGITS))
 }
 
-fn text_row(
-    agent: usize,
-    here: [Option<f64>; 5],
-    compared: bool,
-    paper: Option<[f64; 4]>,
-) -> String {
-    let number = |value: Option<f64>, width: usize, decimals: usize| match value {
-        Some(value) => format!("{value:>width$.decimals$}"),
-        None => format!("{:>width$}", "-"),
-    };
-    let [without, with, change, interval_without, interval_with] = here;
-    if !compared {
-        return [
-            format!("{agent:>5}"),
-            number(without, 9, 4),
-            number(with, 10, 4),
-            number(change, 13, 2),
-            number(interval_without, 13, 5),
-            number(interval_with, 11, 5),
-        ]
-        .concat();
-    }
-    let paper = |index: usize| paper.map(|paper| paper[index]);
-    [
-        format!("{agent:>5}"),
-        number(without, 10, 4),
-        number(paper(0), 9, 4),
-        number(with, 10, 4),
-        number(paper(1), 9, 4),
-        number(change, 10, 2),
-        number(paper(2), 9, 2),
-        number(interval_without, 13, 5),
-        number(interval_with, 11, 5),
-        number(paper(3), 11, 4),
-    ]
-    .concat()
+/// A change in percent as tables show it.
+pub(crate) fn percent(value: Option<f64>) -> String {
+    let text = value.map_or_else(|| "-".to_owned(), |value| format!("{value:+.1}"));
+    if text == "-0.0" || text == "+0.0" { "0.0".to_owned() } else { text }
+}
+
+/// A number with the decimals that the paper printed.
+fn printed(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.4}"))
 }
 
 #[cfg(test)]
@@ -182,6 +202,8 @@ mod tests {
         AgentResult { rmse: Some(rmse), mean_interval: Some(mean_interval) }
     }
 
+    const NO_NETWORK: [AgentResult; 3] =
+        [result(0.1211, 0.0048), result(0.08, 0.009), result(1e-5, 0.0096)];
     const WITHOUT: [AgentResult; 3] =
         [result(0.14012, 0.0048), result(0.1173, 0.008_99), result(0.158, 0.009_57)];
     const WITH: [AgentResult; 3] = [
@@ -193,20 +215,29 @@ mod tests {
     #[test]
     fn beside_the_paper() {
         let table = ComparisonTable {
+            no_network: &NO_NETWORK,
             without: &WITHOUT,
             with: &WITH,
             published: &PUBLISHED,
             window: (20.0, 40.0),
         };
         let expected = "\
-Table 1: RMSE of |e_1i(t)| for t in [20, 40] s [state unit], and mean time between broadcasts [s]
+Table 1: RMSE of |e_1i(t)| for t in [20, 40] s [state unit]
 
-        without learning     with learning        change [%]       mean time between broadcasts [s]
-agent      here    paper      here    paper      here    paper      without       with      paper
----------------------------------------------------------------------------------------------------
-    1    0.1401   0.1827    0.0323   0.0777    -76.95   -57.47      0.00480    0.00470     0.0047
-    2    0.1173   0.1775    0.0287   0.0634    -75.53   -64.28      0.00899    0.00900     0.0089
-    3    0.1580   0.2070    0.0227   0.0876    -85.63   -57.68      0.00957          -     0.0095
+                      untrained        learned      change against  change against untrained [%]
+agent  no network    here   paper     here   paper  no network [%]           here          paper
+------------------------------------------------------------------------------------------------
+    1      0.1211  0.1401  0.1827  0.03230  0.0777           -73.3          -76.9          -57.5
+    2     0.08000  0.1173  0.1775  0.02870  0.0634           -64.1          -75.5          -64.3
+    3    1.000e-5  0.1580  0.2070  0.02270  0.0876       +226900.0          -85.6          -57.7
+
+Mean time between broadcasts [s]
+
+agent  no network  untrained   learned   paper
+----------------------------------------------
+    1    0.004800   0.004800  0.004700  0.0047
+    2    0.009000   0.008990  0.009000  0.0089
+    3    0.009600   0.009570         -  0.0095
 ";
         assert_eq!(table.to_text(), expected);
     }
@@ -214,19 +245,16 @@ agent      here    paper      here    paper      here    paper      without     
     #[test]
     fn of_a_scenario_of_ones_own() {
         let table = ComparisonTable {
+            no_network: &[],
             without: &WITHOUT[..1],
             with: &[],
             published: &[],
             window: (0.5, 2.0),
         };
-        let expected = "\
-Table 1: RMSE of |e_1i(t)| for t in [0.5, 2] s [state unit], and mean time between broadcasts [s]
-
-         RMSE      RMSE                  mean time between broadcasts [s]
-agent  without      with   change [%]      without       with
--------------------------------------------------------------------------
-    1   0.1401         -            -      0.00480          -
-";
-        assert_eq!(table.to_text(), expected);
+        let text = table.to_text();
+        assert!(!text.contains("paper"), "{text}");
+        let row = text.lines().find(|line| line.starts_with("    1")).unwrap();
+        let entries: Vec<_> = row.split_whitespace().collect();
+        assert_eq!(entries, ["1", "-", "0.1401", "-", "-", "-"]);
     }
 }

@@ -19,7 +19,7 @@ const BLOCK: usize = 32;
 
 /// Factor, and room to compute it.
 #[derive(Clone, Debug)]
-pub(super) struct Cholesky {
+pub(crate) struct Cholesky {
     arch: Arch,
     order: usize,
     stride: usize,
@@ -31,7 +31,7 @@ pub(super) struct Cholesky {
 
 impl Cholesky {
     /// Room for matrices of the given order.
-    pub(super) fn new(order: usize, arch: Arch) -> Self {
+    pub(crate) fn new(order: usize, arch: Arch) -> Self {
         let stride = row_stride(order);
         Self {
             arch,
@@ -45,29 +45,52 @@ impl Cholesky {
     /// Solves `(A + damping I) x = b` in place of `b`. `matrix` is A, row-major, shape
     /// `[order][order]`, of which the upper triangle is read.
     ///
-    /// Returns whether the matrix was positive definite; if not, `b` holds nothing of use. So it is
-    /// if `stopped` says so on the way; it is asked after every few million multiplications.
+    /// Returns whether the matrix was positive definite; if not, `b` holds nothing of use.
     ///
     /// # Panics
     /// If `matrix` or `b` is too short for the order.
-    pub(super) fn solve(
+    pub(crate) fn solve(&mut self, matrix: &[f64], damping: f64, b: &mut [f64]) -> bool {
+        self.solve_unless(matrix, damping, b, &|| false)
+    }
+
+    /// As [`Self::solve`], also `false` soon after `stopped` says so.
+    pub(super) fn solve_unless(
         &mut self,
         matrix: &[f64],
         damping: f64,
         b: &mut [f64],
         stopped: &dyn Fn() -> bool,
     ) -> bool {
+        let positive = self.factor_unless(matrix, damping, stopped);
+        if positive {
+            self.forward(b);
+            self.backward(b);
+        }
+        positive
+    }
+
+    /// Factors `A + damping I`, with `matrix` as in [`Self::solve`]; returns whether it was
+    /// positive definite.
+    ///
+    /// # Panics
+    /// If `matrix` is too short for the order.
+    pub(crate) fn factor(&mut self, matrix: &[f64], damping: f64) -> bool {
+        self.factor_unless(matrix, damping, &|| false)
+    }
+
+    fn factor_unless(&mut self, matrix: &[f64], damping: f64, stopped: &dyn Fn() -> bool) -> bool {
         for row in 0..self.order {
             let source = &matrix[row * self.order..][row..self.order];
             let target = &mut self.factor[row * self.stride..][row..self.order];
             target.copy_from_slice(source);
             target[0] += damping;
         }
-        let positive = self.factorise(stopped);
-        if positive {
-            self.substitute(b);
-        }
-        positive
+        self.factorise(stopped)
+    }
+
+    /// Row `k` of U, from its diagonal on.
+    pub(crate) fn row(&self, k: usize) -> &[f64] {
+        &self.factor[k * self.stride..][k..self.order]
     }
 
     fn factorise(&mut self, stopped: &dyn Fn() -> bool) -> bool {
@@ -105,18 +128,30 @@ impl Cholesky {
         true
     }
 
-    fn substitute(&self, b: &mut [f64]) {
+    /// Solves `Uᵀ y = b` in place.
+    ///
+    /// # Panics
+    /// If `b` is too short for the order.
+    pub(crate) fn forward(&self, b: &mut [f64]) {
         let b = &mut b[..self.order];
         for k in 0..self.order {
-            let row = &self.factor[k * self.stride..][k..self.order];
+            let row = self.row(k);
             let (head, tail) = b[k..].split_at_mut(1);
             head[0] /= row[0];
             for (b, u) in tail.iter_mut().zip(&row[1..]) {
                 *b -= u * head[0];
             }
         }
+    }
+
+    /// Solves `U x = y` in place.
+    ///
+    /// # Panics
+    /// If `b` is too short for the order.
+    pub(crate) fn backward(&self, b: &mut [f64]) {
+        let b = &mut b[..self.order];
         for k in (0..self.order).rev() {
-            let row = &self.factor[k * self.stride..][k..self.order];
+            let row = self.row(k);
             let (head, tail) = b[k..].split_at_mut(1);
             head[0] = (head[0] - dot(&row[1..], tail)) / row[0];
         }
@@ -205,7 +240,7 @@ mod tests {
             let mut results = Vec::new();
             for arch in instruction_sets() {
                 let mut x = b.clone();
-                assert!(Cholesky::new(order, arch).solve(&matrix, 0.5, &mut x, &|| false));
+                assert!(Cholesky::new(order, arch).solve(&matrix, 0.5, &mut x));
                 results.push(x);
             }
             assert!(results.iter().all(|x| *x == results[0]), "bits");
@@ -222,15 +257,12 @@ mod tests {
         let order = 40;
         let mut matrix = positive_definite(order);
         let mut cholesky = Cholesky::new(order, Arch::new());
-        assert!(cholesky.solve(&matrix, 0.0, &mut vec![1.0; order], &|| false));
-        assert!(!cholesky.solve(&matrix, 0.0, &mut vec![1.0; order], &|| true), "stopped");
+        assert!(cholesky.solve(&matrix, 0.0, &mut vec![1.0; order]));
+        assert!(!cholesky.solve_unless(&matrix, 0.0, &mut vec![1.0; order], &|| true), "stopped");
         matrix[35 * order + 35] = -1.0;
-        assert!(!cholesky.solve(&matrix, 0.0, &mut vec![1.0; order], &|| false));
-        assert!(
-            cholesky.solve(&matrix, 10.0, &mut vec![1.0; order], &|| false),
-            "enough damping mends it"
-        );
+        assert!(!cholesky.solve(&matrix, 0.0, &mut vec![1.0; order]));
+        assert!(cholesky.solve(&matrix, 10.0, &mut vec![1.0; order]), "enough damping mends it");
         matrix[3] = f64::NAN;
-        assert!(!cholesky.solve(&matrix, 10.0, &mut vec![1.0; order], &|| false));
+        assert!(!cholesky.solve(&matrix, 10.0, &mut vec![1.0; order]));
     }
 }

@@ -359,7 +359,8 @@ impl Step {
         stopped: &dyn Fn() -> bool,
     ) -> bool {
         self.candidate.copy_from_slice(&self.gradient);
-        let solved = self.cholesky.solve(&self.hessian, damping, &mut self.candidate, stopped);
+        let solved =
+            self.cholesky.solve_unless(&self.hessian, damping, &mut self.candidate, stopped);
         for (candidate, &parameter) in self.candidate.iter_mut().zip(parameters) {
             *candidate = parameter - *candidate;
         }

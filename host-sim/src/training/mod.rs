@@ -30,7 +30,7 @@
 //! function of the platform's libm is called.
 
 pub mod averaging;
-mod cholesky;
+pub(crate) mod cholesky;
 pub mod data;
 mod elementary;
 pub mod initial;

@@ -40,29 +40,76 @@ pub(super) enum Function {
     Binary(Binary),
 }
 
+impl Unary {
+    /// Every one, in the order of [`FUNCTIONS`].
+    const ALL: [Self; 14] = [
+        Self::Abs,
+        Self::Acos,
+        Self::Asin,
+        Self::Atan,
+        Self::Cos,
+        Self::Cosh,
+        Self::Exp,
+        Self::Ln,
+        Self::Sign,
+        Self::Sin,
+        Self::Sinh,
+        Self::Sqrt,
+        Self::Tan,
+        Self::Tanh,
+    ];
+
+    /// What it is called.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Abs => "abs",
+            Self::Acos => "acos",
+            Self::Asin => "asin",
+            Self::Atan => "atan",
+            Self::Cos => "cos",
+            Self::Cosh => "cosh",
+            Self::Exp => "exp",
+            Self::Ln => "ln",
+            Self::Sign => "sign",
+            Self::Sin => "sin",
+            Self::Sinh => "sinh",
+            Self::Sqrt => "sqrt",
+            Self::Tan => "tan",
+            Self::Tanh => "tanh",
+        }
+    }
+
+    /// Whether it makes a finite number of an infinite one.
+    pub(super) fn absorbs(self) -> bool {
+        matches!(self, Self::Atan | Self::Exp | Self::Sign | Self::Tanh)
+    }
+
+    /// Whether a finite argument can be too large for it; elsewhere an infinite result is a pole.
+    pub(super) fn overflows(self) -> bool {
+        matches!(self, Self::Cosh | Self::Exp | Self::Sinh)
+    }
+}
+
+impl Binary {
+    const ALL: [Self; 3] = [Self::Atan2, Self::Max, Self::Min];
+
+    /// What it is called.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Atan2 => "atan2",
+            Self::Max => "max",
+            Self::Min => "min",
+        }
+    }
+}
+
 impl Function {
     /// The function of that name; `log` is the natural logarithm, as `ln` is.
     pub(super) fn named(name: &str) -> Option<Self> {
-        Some(match name {
-            "abs" => Self::Unary(Unary::Abs),
-            "acos" => Self::Unary(Unary::Acos),
-            "asin" => Self::Unary(Unary::Asin),
-            "atan" => Self::Unary(Unary::Atan),
-            "atan2" => Self::Binary(Binary::Atan2),
-            "cos" => Self::Unary(Unary::Cos),
-            "cosh" => Self::Unary(Unary::Cosh),
-            "exp" => Self::Unary(Unary::Exp),
-            "ln" | "log" => Self::Unary(Unary::Ln),
-            "max" => Self::Binary(Binary::Max),
-            "min" => Self::Binary(Binary::Min),
-            "sign" => Self::Unary(Unary::Sign),
-            "sin" => Self::Unary(Unary::Sin),
-            "sinh" => Self::Unary(Unary::Sinh),
-            "sqrt" => Self::Unary(Unary::Sqrt),
-            "tan" => Self::Unary(Unary::Tan),
-            "tanh" => Self::Unary(Unary::Tanh),
-            _ => return None,
-        })
+        let name = if name == "log" { "ln" } else { name };
+        let unary = Unary::ALL.into_iter().find(|function| function.name() == name);
+        let binary = Binary::ALL.into_iter().find(|function| function.name() == name);
+        unary.map(Self::Unary).or(binary.map(Self::Binary))
     }
 
     /// How many arguments it takes.

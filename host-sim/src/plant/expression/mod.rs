@@ -16,8 +16,12 @@
 //!
 //! An expression is compiled once, to a program for a machine with a stack: parameters become
 //! constants, and what is constant is computed. Cost of an evaluation: about 1 ns for every
-//! operation and the functions' own. No allocation, no error: every name is resolved and the
-//! depth of the stack is known when the text is read.
+//! operation and the functions' own. No allocation: every name is resolved and the depth of the
+//! stack is known when the text is read.
+//!
+//! No result on the way may be infinite or not a number, whatever comes of it: `max(sqrt(x - 10), 0)`
+//! and `1/(1 + exp(1000*x))` are not defined, or too large, where their parts are. Then the value is
+//! not finite, and [`ExpressionSystem::fault`] tells which operation it was.
 //!
 //! Invariants: the same bits everywhere. Functions are those of the `libm` crate; a power
 //! whose exponent is a whole number is a product in a fixed order.
@@ -39,7 +43,61 @@ const RESERVED: [&str; 3] = ["t", "pi", "e"];
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExpressionSystem {
     names: Vec<String>,
+    texts: Vec<String>,
     programs: Vec<Program>,
+}
+
+/// An expression without a finite value: which one, where, and why.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "expression {} for {component}, `{text}`: {operation} is {}, at t = {time:?}{}; {}",
+    .index + 1,
+    result_in_words(*.result, *.overflow),
+    values_in_words(.values),
+    fault_hint(*.overflow)
+)]
+pub struct ExpressionFault {
+    /// Index of the expression, from 0.
+    pub index: usize,
+    /// The component of the state whose rate it is.
+    pub component: String,
+    /// The expression.
+    pub text: String,
+    /// The first operation whose result is not finite, with its operands.
+    pub operation: String,
+    /// That result.
+    pub result: f64,
+    /// Whether it is too large for a double, rather than not defined.
+    pub overflow: bool,
+    /// When. \[s\]
+    pub time: f64,
+    /// The states that the expression names, with their values.
+    pub values: Vec<(String, f64)>,
+}
+
+fn result_in_words(result: f64, overflow: bool) -> &'static str {
+    match (result.is_nan(), overflow) {
+        (true, _) => "not a number",
+        (false, true) => "too large a number",
+        (false, false) => "infinite",
+    }
+}
+
+fn values_in_words(values: &[(String, f64)]) -> String {
+    let mut words = String::new();
+    for (name, value) in values {
+        let before = if words.is_empty() { " with " } else { ", " };
+        words += &format!("{before}{name} = {value:?}");
+    }
+    words
+}
+
+fn fault_hint(overflow: bool) -> &'static str {
+    if overflow {
+        "write it so that no part overflows, or keep its variables smaller"
+    } else {
+        "change the expression, or keep its variables where it is defined"
+    }
 }
 
 /// Which expression of a system is wrong, and why.
@@ -71,7 +129,8 @@ impl ExpressionSystem {
                 .map_err(|error| SystemError { index, error })
         };
         let programs = expressions.iter().enumerate().map(read).collect::<Result<_, _>>()?;
-        Ok(Self { names: states.to_vec(), programs })
+        let texts = expressions.iter().map(|text| text.as_ref().to_owned()).collect();
+        Ok(Self { names: states.to_vec(), texts, programs })
     }
 
     /// How many expressions there are.
@@ -86,7 +145,31 @@ impl ExpressionSystem {
         &self.names
     }
 
-    /// All expressions at `time` \[s\] and state `x`, into `result`, shape `[dimension]`.
+    /// The first expression that has no finite value at `time` \[s\] and state `x`, shape `[n]`;
+    /// `None` if all have one, or `x` itself is not finite.
+    #[must_use]
+    pub fn fault(&self, time: f64, x: &[f64]) -> Option<ExpressionFault> {
+        if !x.iter().all(|x| x.is_finite()) {
+            return None;
+        }
+        let failures = self.programs.iter().map(|program| program.failure(time, x));
+        let (index, failure) =
+            failures.enumerate().find_map(|(index, failure)| Some((index, failure?)))?;
+        let states = self.programs[index].states();
+        Some(ExpressionFault {
+            index,
+            component: self.names.get(index).cloned().unwrap_or_default(),
+            text: self.texts[index].clone(),
+            operation: failure.operation,
+            result: failure.result,
+            overflow: failure.overflow,
+            time,
+            values: states.into_iter().map(|state| (self.names[state].clone(), x[state])).collect(),
+        })
+    }
+
+    /// All expressions at `time` \[s\] and state `x`, into `result`, shape `[dimension]`; one that is
+    /// not defined there gives what is not finite.
     ///
     /// # Panics
     /// If `x` has fewer components than there are states.

@@ -26,10 +26,25 @@ pub(super) enum Operation {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Program {
     operations: Vec<Operation>,
+    /// Whether an operation may make a finite number of one that is not, as `1/x` and `max` do:
+    /// then every result has to be looked at, not only the last.
+    absorbs: bool,
+}
+
+/// The first operation of a program whose result is not finite.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Failure {
+    /// The operation with the numbers that it was given, as `sqrt(-8.0)`.
+    pub(super) operation: String,
+    /// What came out: infinite, or not a number.
+    pub(super) result: f64,
+    /// Whether the result is too large for a double, rather than not defined.
+    pub(super) overflow: bool,
 }
 
 impl Program {
-    /// Appends an operation; if its operands are constants, appends its result instead.
+    /// Appends an operation; if its operands are constants, appends its result instead, unless that
+    /// is not finite.
     pub(super) fn push(&mut self, operation: Operation) {
         use Operation::{Add, Constant, Divide, IntegerPower, Multiply, Negate, Power, Subtract};
         let folded = match (operation, self.operations.as_slice()) {
@@ -45,7 +60,7 @@ impl Program {
             (Operation::Unary(function), [.., Constant(x)]) => Some((1, function.apply(*x))),
             _ => None,
         };
-        if let Some((operands, value)) = folded {
+        if let Some((operands, value)) = folded.filter(|(_, value)| value.is_finite()) {
             self.operations.truncate(self.operations.len() - operands);
             self.operations.push(Constant(value));
             return;
@@ -54,10 +69,30 @@ impl Program {
             && let Some(exponent) = whole(exponent)
         {
             self.operations.pop();
+            self.absorbs |= exponent <= 0;
             self.operations.push(IntegerPower(exponent));
             return;
         }
+        let constant_before = matches!(self.operations.last(), Some(Constant(_)));
+        self.absorbs |= match operation {
+            Divide => !constant_before,
+            Power | Operation::Binary(_) => true,
+            Operation::Unary(function) => function.absorbs(),
+            _ => false,
+        };
         self.operations.push(operation);
+    }
+
+    /// Which components of the state it reads, ascending.
+    pub(super) fn states(&self) -> Vec<usize> {
+        let indices = self.operations.iter().filter_map(|operation| match operation {
+            Operation::State(index) => Some(usize::from(*index)),
+            _ => None,
+        });
+        let mut states: Vec<usize> = indices.collect();
+        states.sort_unstable();
+        states.dedup();
+        states
     }
 
     /// Whether the machine's stack is deep enough.
@@ -73,14 +108,47 @@ impl Program {
         })
     }
 
-    /// The value at `time` and state `x`.
+    /// The value at `time` and state `x`; not finite if any result on the way was not.
     #[inline]
     pub(super) fn evaluate(&self, time: f64, x: &[f64]) -> f64 {
+        if !self.absorbs {
+            return self.carry_out(time, x, |_, _, _, _| {});
+        }
+        let mut finite = true;
+        let value = self.carry_out(time, x, |_, _, _, result| finite &= result.is_finite());
+        if finite { value } else { f64::NAN }
+    }
+
+    /// The first operation whose result is not finite; `None` if all are.
+    pub(super) fn failure(&self, time: f64, x: &[f64]) -> Option<Failure> {
+        let mut found = None;
+        self.carry_out(time, x, |operation, left, right, result| {
+            if found.is_none() && !result.is_finite() {
+                found = Some(Failure {
+                    operation: operation.written(left, right),
+                    result,
+                    overflow: operation.overflows(left, right, result),
+                });
+            }
+        });
+        found
+    }
+
+    /// Carries the operations out; `after` hears of each that is not a constant, the time or a
+    /// state: the operands (of one operand, the second) and the result.
+    #[inline(always)]
+    fn carry_out(
+        &self,
+        time: f64,
+        x: &[f64],
+        mut after: impl FnMut(&Operation, f64, f64, f64),
+    ) -> f64 {
         // A stack whose top is apart: most operations then touch one place of the array.
         let mut below = [0.0; STACK_DEPTH_MAX + 1];
         let mut depth = 0;
         let mut top = 0.0;
         for operation in &self.operations {
+            let (mut left, right) = (0.0, top);
             match *operation {
                 Operation::Constant(_) | Operation::Time | Operation::State(_) => {
                     below[depth] = top;
@@ -97,7 +165,7 @@ impl Program {
                 Operation::Unary(function) => top = function.apply(top),
                 _ => {
                     depth -= 1;
-                    let left = below[depth];
+                    left = below[depth];
                     top = match *operation {
                         Operation::Add => left + top,
                         Operation::Subtract => left - top,
@@ -108,8 +176,43 @@ impl Program {
                     };
                 }
             }
+            after(operation, left, right, top);
         }
         top
+    }
+}
+
+impl Operation {
+    /// The operation with its operands, as one would write it.
+    fn written(&self, left: f64, right: f64) -> String {
+        let infix = |sign: &str| format!("({left:?}) {sign} ({right:?})");
+        match self {
+            Self::Add => infix("+"),
+            Self::Subtract => infix("-"),
+            Self::Multiply => infix("*"),
+            Self::Divide => infix("/"),
+            Self::Power => infix("^"),
+            Self::IntegerPower(exponent) => format!("({right:?})^({exponent})"),
+            Self::Unary(function) => format!("{}({right:?})", function.name()),
+            Self::Binary(function) => format!("{}({left:?}, {right:?})", function.name()),
+            Self::Negate => format!("-({right:?})"),
+            Self::Constant(value) => format!("{value:?}"),
+            Self::Time | Self::State(_) => format!("{right:?}"),
+        }
+    }
+
+    /// Whether an infinite result is one that is too large, not one at a pole.
+    fn overflows(&self, left: f64, right: f64, result: f64) -> bool {
+        if !result.is_infinite() {
+            return false;
+        }
+        match self {
+            Self::Divide => right != 0.0,
+            Self::Power => left != 0.0,
+            Self::IntegerPower(_) => right != 0.0,
+            Self::Unary(function) => function.overflows(),
+            _ => true,
+        }
     }
 }
 

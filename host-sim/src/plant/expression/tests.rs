@@ -145,6 +145,77 @@ fn integer_powers_are_products() {
     assert_eq!(integer_power(2.0, i32::MIN), 0.0);
 }
 
+/// The fault of one expression at t = 0.5, x = 3, y = -2.
+fn fault(text: &str) -> Option<String> {
+    let states = ["x".to_owned(), "y".to_owned()];
+    let system = ExpressionSystem::parse(&["0", text], &states, &[]).unwrap();
+    let mut values = [0.0; 2];
+    system.evaluate(0.5, &[3.0, -2.0], &mut values);
+    let fault = system.fault(0.5, &[3.0, -2.0]);
+    // What has a fault shows it in its value, however the value could hide it.
+    assert_eq!(values[1].is_finite(), fault.is_none(), "{text}: {}", values[1]);
+    fault.map(|fault| fault.to_string())
+}
+
+#[test]
+fn what_is_not_defined_is_never_swallowed() {
+    let not_a_number = [
+        ("sqrt(x-10)", "sqrt(-7.0)"),
+        ("max(sqrt(x-10), 0)", "sqrt(-7.0)"),
+        ("min(1, ln(y))", "ln(-2.0)"),
+        ("sqrt(x-10)^0", "sqrt(-7.0)"),
+        ("1^sqrt(y)", "sqrt(-2.0)"),
+        ("asin(x)", "asin(3.0)"),
+        ("max(0, acos(y))", "acos(-2.0)"),
+        ("(-8)^(1/3)", "(-8.0) ^ (0.3333333333333333)"),
+        ("max(0/(x-3), 1)", "(0.0) / (0.0)"),
+    ];
+    let infinite = [
+        ("1/0", "(1.0) / (0.0)"),
+        ("1/(x-3)", "(1.0) / (0.0)"),
+        ("1/(1/(x-3))", "(1.0) / (0.0)"),
+        ("atan(1/(y+2))", "(1.0) / (0.0)"),
+        ("exp(-1/(x-3))", "(-1.0) / (0.0)"),
+        ("tanh(ln(x-3))", "ln(0.0)"),
+        ("exp(ln(0))", "ln(0.0)"),
+        ("sign((x-3)^-1)", "(0.0)^(-1)"),
+        ("min(0^y, 1)", "(0.0) ^ (-2.0)"),
+        ("(1/0)^0", "(1.0) / (0.0)"),
+    ];
+    let too_large = [
+        ("exp(300*x)", "exp(900.0)"),
+        ("1/(1 + exp(300*x))", "exp(900.0)"),
+        ("tanh(1e200*x*1e200)", "(3e200) * (1e200)"),
+        ("1/sinh(300*x)", "sinh(900.0)"),
+        ("atan(x^1000)", "(3.0)^(1000)"),
+    ];
+    for (cases, words) in [
+        (&not_a_number[..], "not a number"),
+        (&infinite[..], "infinite"),
+        (&too_large[..], "too large a number"),
+    ] {
+        for (text, operation) in cases {
+            let message = fault(text).unwrap_or_else(|| panic!("{text}: no fault"));
+            let expected =
+                format!("expression 2 for y, `{text}`: {operation} is {words}, at t = 0.5");
+            assert!(message.starts_with(&expected), "{message}\n{expected}");
+        }
+    }
+}
+
+#[test]
+fn a_fault_names_the_values_of_its_states_only() {
+    let found = fault("sqrt(y) + t").unwrap();
+    assert!(found.contains("at t = 0.5 with y = -2.0; change the expression"), "{found}");
+    assert!(fault("sqrt(x*y)").unwrap().contains("with x = 3.0, y = -2.0;"));
+    for text in ["x/y", "exp(-1e9*x)", "max(x, y)", "x^-2", "1/(1 + exp(x))", "ln(x)^0.5"] {
+        assert_eq!(fault(text), None);
+    }
+    // Where the state itself is not finite, the expression is not to blame.
+    let system = ExpressionSystem::parse(&["ln(x)"], &["x".to_owned()], &[]).unwrap();
+    assert_eq!(system.fault(0.0, &[f64::INFINITY]), None);
+}
+
 proptest! {
     #[test]
     fn reads_or_refuses_but_never_panics(text in "[-+*/^(),.0-9a-z_ ]{0,60}|.{0,20}") {

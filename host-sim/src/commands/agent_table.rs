@@ -1,0 +1,125 @@
+//! What a run measured of each agent, beside its baselines: a table for the terminal and a CSV file.
+
+use std::path::Path;
+
+use super::baselines::{Baseline, Baselines};
+use super::run::AgentReport;
+use crate::output_file::OutputError;
+use crate::report::columns::aligned;
+use crate::report::csv::{Row, write_table};
+use crate::report::tables::{number, percent};
+use crate::scenario::Scenario;
+
+/// Up to this many agents have a line each in the terminal.
+const LINES: usize = 20;
+
+/// A column of errors: its heading and the error of an agent.
+type Errors<'a> = (&'a str, fn(&AgentReport) -> Option<f64>);
+
+/// The table. `name` is what the run itself is called.
+pub(super) fn text(
+    scenario: &Scenario,
+    agents: &[AgentReport],
+    baselines: &Baselines,
+    name: &str,
+) -> String {
+    let columns: [(Baseline, Errors<'_>); 2] = [
+        (Baseline::NoNetwork, ("no network", |agent| agent.rmse_no_network)),
+        (Baseline::Untrained, ("untrained", |agent| agent.rmse_untrained)),
+    ];
+    let compared = columns.iter().filter(|(baseline, _)| baselines.is_shown(*baseline));
+    let errors: Vec<Errors<'_>> = compared
+        .map(|(_, errors)| *errors)
+        .chain([(name, rmse as fn(&AgentReport) -> _)])
+        .collect();
+    let against_none = baselines.is_shown(Baseline::NoNetwork);
+
+    let mut headings = vec![["", "agent"]];
+    headings.extend(errors.iter().map(|(name, _)| ["RMSE", *name]));
+    if against_none {
+        headings.push(["change against", "no network [%]"]);
+    }
+    headings.extend([["", "maximum"], ["", "broadcasts"]]);
+    headings.extend([["interval [s]", "mean"], ["interval [s]", "shortest"]]);
+    let row = |agent: &AgentReport| {
+        let mut row = vec![agent.agent.to_string()];
+        row.extend(errors.iter().map(|(_, error)| number(error(agent))));
+        if against_none {
+            row.push(percent(agent.change_percent_no_network));
+        }
+        row.extend([number(agent.max_error), agent.broadcasts.to_string()]);
+        row.extend([number(agent.mean_interval), number(agent.min_interval)]);
+        row
+    };
+    let rows: Vec<_> = agents.iter().take(LINES).map(row).collect();
+    let window = &scenario.evaluation;
+    let mut text = format!(
+        "\n|e_1i(t)| for t in [{}, {}] s [state unit], and broadcasts over the whole run\n\n{}",
+        window.from,
+        window.to,
+        aligned(&headings, &rows),
+    );
+    if agents.len() > LINES {
+        text += &format!("and {} more agents, in agents.csv\n\n", agents.len() - LINES);
+        text += &spread(agents, &errors);
+    }
+    text.push('\n');
+    text
+}
+
+fn rmse(agent: &AgentReport) -> Option<f64> {
+    agent.rmse
+}
+
+/// Best, median and worst error of all agents, in each run.
+fn spread(agents: &[AgentReport], errors: &[Errors<'_>]) -> String {
+    let headings = [["", "RMSE of all"], ["", "best"], ["", "median"], ["", "worst"]];
+    let row = |(name, error): &Errors<'_>| {
+        let mut values: Vec<f64> = agents.iter().filter_map(error).collect();
+        values.sort_by(f64::total_cmp);
+        let middle = values.get(values.len() / 2);
+        let levels = [values.first(), middle, values.last()].map(|value| number(value.copied()));
+        [vec![(*name).to_owned()], levels.to_vec()].concat()
+    };
+    let rows: Vec<_> = errors.iter().map(row).collect();
+    aligned(&headings, &rows)
+}
+
+/// Writes all that JSON has of the agents, but for their health.
+pub(super) fn write_csv(path: &Path, agents: &[AgentReport]) -> Result<(), OutputError> {
+    let header = [
+        "agent",
+        "rmse [state unit]",
+        "rmse_no_network [state unit]",
+        "rmse_untrained [state unit]",
+        "change_no_network [%]",
+        "change [%]",
+        "explained_variance [-]",
+        "max_error [state unit]",
+        "broadcasts",
+        "broadcasts_no_network",
+        "broadcasts_untrained",
+        "mean_interval [s]",
+        "min_interval [s]",
+    ];
+    let columns = |row: &mut Row<'_>, agent: &AgentReport| {
+        let count = |row: &mut Row<'_>, count: Option<u64>| match count {
+            Some(count) => row.integer(count),
+            None => row.text(""),
+        };
+        row.integer(agent.agent as u64)?;
+        row.optional(agent.rmse)?;
+        row.optional(agent.rmse_no_network)?;
+        row.optional(agent.rmse_untrained)?;
+        row.optional(agent.change_percent_no_network)?;
+        row.optional(agent.change_percent)?;
+        row.optional(agent.explained_variance)?;
+        row.optional(agent.max_error)?;
+        row.integer(agent.broadcasts)?;
+        count(row, agent.broadcasts_no_network)?;
+        count(row, agent.broadcasts_untrained)?;
+        row.optional(agent.mean_interval)?;
+        row.optional(agent.min_interval)
+    };
+    write_table(path, &header, agents.iter(), columns)
+}

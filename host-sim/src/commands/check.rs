@@ -1,0 +1,86 @@
+//! `check`: what can be told of a scenario without running it.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::{CommandError, Format, load_scenario, print_json, print_text, warnings};
+use crate::analysis::DesignChecks;
+use crate::engine::RunError;
+use crate::plant::RateFault;
+use crate::report::checks::{DesignReport, design_text};
+use crate::report::number::significant;
+use crate::scenario::Scenario;
+use crate::warning::Warning;
+
+/// Arguments of `check`.
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// The scenario, a TOML file, or the name of a built-in one
+    scenario: PathBuf,
+    /// How results are printed on standard output
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    scenario: &'a str,
+    agents: usize,
+    dimension: usize,
+    steps: u64,
+    checks: DesignReport,
+    warnings: &'a [Warning],
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
+    let scenario = load_scenario(&arguments.scenario)?;
+    let design = DesignChecks::new(&scenario);
+    let warnings = warnings::before(&scenario, &design);
+    match arguments.format {
+        Format::Json => print_json(&Report {
+            scenario: &scenario.name,
+            agents: scenario.agents.len(),
+            dimension: scenario.dimension(),
+            steps: scenario.steps(),
+            checks: DesignReport::new(&design),
+            warnings: &warnings,
+        })?,
+        Format::Text => print_text(&text(&scenario, &design, &warnings))?,
+    }
+    let state = &scenario.initial_state;
+    if let Some(fault) = RateFault::find(&scenario.plant, &scenario.disturbance, 0.0, state) {
+        return Err(RunError::Expression(Box::new(fault)).into());
+    }
+    if design.step.is_stable() {
+        return Ok(());
+    }
+    let name = &scenario.name;
+    Err(CommandError::Unstable(format!(
+        "a run of scenario {name} would be unstable, as told above"
+    )))
+}
+
+fn text(scenario: &Scenario, design: &DesignChecks, warnings: &[Warning]) -> String {
+    let mut text = format!(
+        "Scenario {}: {} agents, a state of {} components, {} steps\n",
+        scenario.name,
+        scenario.agents.len(),
+        scenario.dimension(),
+        scenario.steps(),
+    );
+    text += &design_text(design);
+    text += match design.covered {
+        true => "  together the agents measure the whole state\n",
+        false => "  together the agents do NOT measure the whole state\n",
+    };
+    if let Some(bound) = design.ultimate_bound {
+        text += &format!(
+            "  Theorem 1, where rho is no smaller than chi_bar_max (a run estimates it): ultimately \
+             |e_1| <= {}\n",
+            significant(bound.ultimate().sqrt(), 4)
+        );
+    }
+    text + &warnings::lines(warnings)
+}

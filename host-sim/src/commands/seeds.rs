@@ -1,0 +1,228 @@
+//! The same run with several seeds: median and range of what each agent does.
+//!
+//! A single run says little about broadcasts: which step a trigger fires in depends on the last
+//! bit of everything before, so a count differs by some percent between runs that differ in
+//! nothing that matters. Medians and ranges over seeds tell that from an effect.
+
+use std::path::Path;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::CommandError;
+use super::baselines::NOTHING;
+use crate::engine::statistics::AgentStatistics;
+use crate::engine::{Progress, RunOptions, run};
+use crate::output_file::OutputError;
+use crate::report::columns::aligned;
+use crate::report::csv::write_table;
+use crate::report::tables::{change_percent, number, percent};
+use crate::scenario::{Scenario, Time};
+
+/// What one agent did with one seed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Measured {
+    rmse: Option<f64>,
+    broadcasts: u64,
+    mean_interval: Option<f64>,
+}
+
+/// What all agents did with one seed.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct SeedRun {
+    seed: u64,
+    agents: Vec<Measured>,
+}
+
+impl SeedRun {
+    pub(super) fn new(seed: u64, agents: &[AgentStatistics], time: &Time) -> Self {
+        let measured = |agent: &AgentStatistics| Measured {
+            rmse: agent.rmse(),
+            broadcasts: agent.broadcasts(),
+            mean_interval: agent.mean_interval(time),
+        };
+        Self { seed, agents: agents.iter().map(measured).collect() }
+    }
+}
+
+/// Runs `scenario`, learning included, with each of these seeds, in parallel; nothing is recorded.
+/// `progress` makes one for each run. The result does not depend on the number of threads.
+///
+/// # Errors
+/// That of the first seed whose run fails.
+pub(super) fn run_all<P: Progress>(
+    scenario: &Scenario,
+    seeds: std::ops::Range<u64>,
+    progress: impl Fn() -> P + Sync,
+) -> Result<Vec<SeedRun>, CommandError> {
+    let scenario = Scenario { record: NOTHING, ..scenario.clone() };
+    let one = |seed| {
+        let options = RunOptions { seed, learning: true, bounds: false };
+        let result = run(&scenario, options, &progress());
+        let result = result.map_err(|error| CommandError::Seed { seed, error })?;
+        Ok(SeedRun::new(seed, &result.agents, &scenario.time))
+    };
+    let runs: Vec<_> = seeds.into_par_iter().map(one).collect();
+    runs.into_iter().collect()
+}
+
+/// Median, smallest and largest of some values.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(super) struct Spread {
+    median: f64,
+    min: f64,
+    max: f64,
+}
+
+impl Spread {
+    /// `None` without values. The median of an even number is the mean of the two in the middle.
+    fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
+        let mut values: Vec<f64> = values.collect();
+        values.sort_by(f64::total_cmp);
+        let (&min, &max) = (values.first()?, values.last()?);
+        let (low, high) = ((values.len() - 1) / 2, values.len() / 2);
+        Some(Self { median: 0.5 * (values[low] + values[high]), min, max })
+    }
+}
+
+/// The learned runs of all seeds.
+#[derive(Debug, Serialize)]
+pub(super) struct Report {
+    first: u64,
+    count: usize,
+    agents: Vec<AgentSpreads>,
+}
+
+#[derive(Debug, Serialize)]
+struct AgentSpreads {
+    agent: usize,
+    rmse: Option<Spread>,
+    change_percent_no_network: Option<Spread>,
+    /// Against the untrained network.
+    change_percent: Option<Spread>,
+    broadcasts: Option<Spread>,
+    mean_interval: Option<Spread>,
+}
+
+impl Report {
+    /// Of runs in the order of their seeds; `no_network` and `untrained` are what errors are
+    /// compared with, the same for every seed.
+    pub(super) fn new(
+        runs: &[SeedRun],
+        no_network: &[AgentStatistics],
+        untrained: &[AgentStatistics],
+    ) -> Self {
+        let agents = runs.first().map_or(0, |run| run.agents.len());
+        let spreads = |index: usize| {
+            let measured = || runs.iter().map(move |run| run.agents[index]);
+            let changes = |against: &[AgentStatistics]| {
+                let before = against.get(index).and_then(AgentStatistics::rmse);
+                Spread::of(measured().filter_map(|agent| change_percent(before, agent.rmse)))
+            };
+            AgentSpreads {
+                agent: index + 1,
+                rmse: Spread::of(measured().filter_map(|agent| agent.rmse)),
+                change_percent_no_network: changes(no_network),
+                change_percent: changes(untrained),
+                broadcasts: Spread::of(measured().map(|agent| agent.broadcasts as f64)),
+                mean_interval: Spread::of(measured().filter_map(|agent| agent.mean_interval)),
+            }
+        };
+        Self {
+            first: runs.first().map_or(0, |run| run.seed),
+            count: runs.len(),
+            agents: (0..agents).map(spreads).collect(),
+        }
+    }
+
+    /// Two tables for the terminal.
+    pub(super) fn text(&self) -> String {
+        let last = self.first + (self.count as u64).saturating_sub(1);
+        let levels = |group: &'static str| ["median", "min", "max"].map(|level| [group, level]);
+        let change = "change against no network [%]";
+        let errors = self.table(&[levels("RMSE, learned"), levels(change)].concat(), |agent| {
+            [entries(agent.rmse, number), entries(agent.change_percent_no_network, percent)]
+                .concat()
+        });
+        let groups = [levels("broadcasts, learned"), levels("mean interval, learned [s]")];
+        let broadcasts = self.table(&groups.concat(), |agent| {
+            [entries(agent.broadcasts, whole), entries(agent.mean_interval, number)].concat()
+        });
+        format!(
+            "Seeds {} to {last}, {} runs; those without learning are the same for each\n\n\
+             {errors}\n{broadcasts}\n",
+            self.first, self.count,
+        )
+    }
+
+    fn table(&self, headings: &[[&str; 2]], row: impl Fn(&AgentSpreads) -> Vec<String>) -> String {
+        let headings = [&[["", "agent"]], headings].concat();
+        let row = |agent: &AgentSpreads| [vec![agent.agent.to_string()], row(agent)].concat();
+        aligned(&headings, &self.agents.iter().map(row).collect::<Vec<_>>())
+    }
+}
+
+fn entries(spread: Option<Spread>, entry: impl Fn(Option<f64>) -> String) -> Vec<String> {
+    let levels = spread.map(|spread| [spread.median, spread.min, spread.max]);
+    (0..3).map(|index| entry(levels.map(|levels| levels[index]))).collect()
+}
+
+/// A count, or half of one.
+fn whole(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| value.to_string())
+}
+
+/// Writes what each agent did with each seed.
+pub(super) fn write_csv(path: &Path, runs: &[SeedRun]) -> Result<(), OutputError> {
+    let header = ["seed", "agent", "rmse [state unit]", "broadcasts", "mean_interval [s]"];
+    let rows = runs.iter().flat_map(|run| {
+        run.agents.iter().enumerate().map(move |(index, agent)| (run.seed, index + 1, agent))
+    });
+    write_table(path, &header, rows, |row, (seed, agent, measured)| {
+        row.integer(seed)?;
+        row.integer(agent as u64)?;
+        row.optional(measured.rmse)?;
+        row.integer(measured.broadcasts)?;
+        row.optional(measured.mean_interval)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_spread_is_median_and_ends() {
+        let of = |values: &[f64]| Spread::of(values.iter().copied());
+        assert_eq!(of(&[]), None);
+        assert_eq!(of(&[3.0, 1.0, 2.0]), Some(Spread { median: 2.0, min: 1.0, max: 3.0 }));
+        assert_eq!(of(&[4.0, 1.0, 2.0, 9.0]), Some(Spread { median: 3.0, min: 1.0, max: 9.0 }));
+    }
+
+    #[test]
+    fn the_tables_have_a_line_for_each_agent() {
+        let run = |seed, rmse, broadcasts| SeedRun {
+            seed,
+            agents: vec![Measured { rmse: Some(rmse), broadcasts, mean_interval: Some(0.005) }],
+        };
+        let mut before = AgentStatistics::default();
+        before.error(0.04);
+        let runs = [run(3, 0.1, 100), run(4, 0.3, 105)];
+        let text = Report::new(&runs, &[before], &[]).text();
+        let expected = "\
+Seeds 3 to 4, 2 runs; those without learning are the same for each
+
+            RMSE, learned      change against no network [%]
+agent  median     min     max     median       min       max
+------------------------------------------------------------
+    1  0.2000  0.1000  0.3000        0.0     -50.0     +50.0
+
+       broadcasts, learned   mean interval, learned [s]
+agent   median   min   max    median       min       max
+--------------------------------------------------------
+    1    102.5   100   105  0.005000  0.005000  0.005000
+
+";
+        assert_eq!(text, expected);
+    }
+}
