@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
-use super::{CommandError, Format, load_scenario, print_json, print_text, warnings};
+use super::{CommandError, Format, load_scenario, print_outcome, print_text, warnings};
 use crate::analysis::DesignChecks;
 use crate::engine::RunError;
 use crate::plant::RateFault;
@@ -38,17 +38,28 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let scenario = load_scenario(&arguments.scenario)?;
     let design = DesignChecks::new(&scenario);
     let warnings = warnings::before(&scenario, &design);
+    let outcome = verdict(&scenario, &design);
     match arguments.format {
-        Format::Json => print_json(&Report {
-            scenario: &scenario.name,
-            agents: scenario.agents.len(),
-            dimension: scenario.dimension(),
-            steps: scenario.steps(),
-            checks: DesignReport::new(&design),
-            warnings: &warnings,
-        })?,
-        Format::Text => print_text(&text(&scenario, &design, &warnings))?,
+        Format::Json => print_outcome(
+            &Report {
+                scenario: &scenario.name,
+                agents: scenario.agents.len(),
+                dimension: scenario.dimension(),
+                steps: scenario.steps(),
+                checks: DesignReport::new(&design),
+                warnings: &warnings,
+            },
+            outcome,
+        ),
+        Format::Text => {
+            let printed = print_text(&text(&scenario, &design, &warnings));
+            outcome.and(printed)
+        }
     }
+}
+
+/// What speaks against a run, if anything does.
+fn verdict(scenario: &Scenario, design: &DesignChecks) -> Result<(), CommandError> {
     let state = &scenario.initial_state;
     if let Some(fault) = RateFault::find(&scenario.plant, &scenario.disturbance, 0.0, state) {
         return Err(RunError::Expression(Box::new(fault)).into());

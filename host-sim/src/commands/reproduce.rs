@@ -12,7 +12,7 @@ use super::run_folder::RunFolder;
 use super::seeds::{self, SeedRun};
 use super::trainings::{self, TrainingSummary};
 use super::{CommandError, Common, Format, SharedProgress, warnings, written};
-use super::{print_json, print_text};
+use super::{print_outcome, print_text};
 use crate::analysis::Checks;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunOptions, RunResult, run};
@@ -125,17 +125,22 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let seeds = seeds.map(|seeds| seeds::Report::new(&seeds, &no_network.agents, &without.agents));
     let trainings = trainings::summaries(&with.trainings);
     let elapsed_s = start.elapsed().as_secs_f64();
+    let outcome =
+        warnings::unstable_run(&checks).map_or(Ok(()), |text| Err(CommandError::Unstable(text)));
     match arguments.common.format {
-        Format::Json => print_json(&Report {
-            seed,
-            recipe: &arguments.recipe,
-            elapsed_s,
-            agents: agent_reports(&scenario.time, &runs),
-            trainings,
-            seeds,
-            checks: ChecksReport::new(&checks),
-            warnings: &warnings,
-        })?,
+        Format::Json => print_outcome(
+            &Report {
+                seed,
+                recipe: &arguments.recipe,
+                elapsed_s,
+                agents: agent_reports(&scenario.time, &runs),
+                trainings,
+                seeds,
+                checks: ChecksReport::new(&checks),
+                warnings: &warnings,
+            },
+            outcome,
+        ),
         Format::Text => {
             let mut text = format!("\n{}\n", table.to_text());
             text += &seeds.map_or_else(String::new, |seeds| seeds.text());
@@ -153,10 +158,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 if arguments.seeds > 1 { "seeds.csv, " } else { "" },
                 arguments.recipe,
             );
-            print_text(&text)?;
+            let printed = print_text(&text);
+            // What the run is counts, whether anyone reads of it or not.
+            outcome.and(printed)
         }
     }
-    warnings::unstable_run(&checks).map_or(Ok(()), |text| Err(CommandError::Unstable(text)))
 }
 
 /// The runs of the first seed, and the learned ones of the others, all in parallel.

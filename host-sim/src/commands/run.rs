@@ -12,7 +12,7 @@ use super::health::{self, HealthReport};
 use super::run_folder::RunFolder;
 use super::trainings::{self, TrainingSummary};
 use super::{CommandError, Common, Format, SharedProgress, agent_table, warnings, written};
-use super::{load_scenario, print_json, print_text};
+use super::{load_scenario, print_outcome, print_text};
 use crate::analysis::{Checks, DesignChecks};
 use crate::engine::{RunOptions, RunResult, run};
 use crate::figures::{
@@ -119,19 +119,24 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         .map_err(|error| folder.placed(error))?;
     let (files, others) = folder.publish(&scenario, arguments.common.seed)?;
     let elapsed_s = start.elapsed().as_secs_f64();
+    let outcome =
+        warnings::unstable_run(&checks).map_or(Ok(()), |text| Err(CommandError::Unstable(text)));
     match arguments.common.format {
         Format::Json => {
             warnings.extend(found);
-            print_json(&Report {
-                scenario: &scenario.name,
-                seed: arguments.common.seed,
-                elapsed_s,
-                baselines: baselines.states(),
-                agents,
-                trainings,
-                checks: ChecksReport::new(&checks),
-                warnings: &warnings,
-            })?;
+            print_outcome(
+                &Report {
+                    scenario: &scenario.name,
+                    seed: arguments.common.seed,
+                    elapsed_s,
+                    baselines: baselines.states(),
+                    agents,
+                    trainings,
+                    checks: ChecksReport::new(&checks),
+                    warnings: &warnings,
+                },
+                outcome,
+            )
         }
         Format::Text => {
             let mut text = packages_in_use(&scenario);
@@ -147,10 +152,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 scenario.name,
                 arguments.common.seed,
             );
-            print_text(&text)?;
+            let printed = print_text(&text);
+            // What the run is counts, whether anyone reads of it or not.
+            outcome.and(printed)
         }
     }
-    warnings::unstable_run(&checks).map_or(Ok(()), |text| Err(CommandError::Unstable(text)))
 }
 
 /// Hands each package to its agent.
