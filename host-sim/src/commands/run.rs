@@ -10,9 +10,7 @@ use serde::Serialize;
 use super::baselines::{Baseline, Baselines, Choice, Comparison, Plan, States, has_packages};
 use super::health::{self, HealthReport};
 use super::trainings::{self, TrainingSummary};
-use super::{
-    CommandError, Common, Format, SharedProgress, agent_table, warnings, written,
-};
+use super::{CommandError, Common, Format, SharedProgress, agent_table, warnings, written};
 use super::{load_scenario, make_folder, print_json, print_text};
 use crate::analysis::{Checks, DesignChecks};
 use crate::engine::{RunOptions, RunResult, run};

@@ -3,7 +3,7 @@
 
 use super::Recording;
 use crate::scenario::Recipe;
-use crate::training::{Averaging, DataError, Dataset, Smoothing, SmoothingError};
+use crate::training::{Averaging, Dataset, Smoothing, SmoothingError};
 
 /// Cleaned samples of a recording.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,7 +74,7 @@ fn smooth_all(
         Some(error) if inputs.is_empty() => Err(error),
         _ => {
             let dimension = pieces.first().map_or(0, Dataset::dimension);
-            Ok(Dataset::new(dimension, inputs, targets).map_err(DataError::from)?)
+            Ok(Dataset::new(dimension, inputs, targets)?)
         }
     }
 }
