@@ -178,7 +178,7 @@ enum CommandError {
     #[error(transparent)]
     Address(#[from] AddressError),
     #[cfg(unix)]
-    #[error("{0}; see that the board is on and that nobody else talks to it, and try again")]
+    #[error(transparent)]
     Service(#[from] ServiceError),
     #[cfg(unix)]
     #[error(transparent)]
@@ -224,6 +224,9 @@ impl CommandError {
             Self::Cosim(CosimError::NoNetwork { .. } | CosimError::Health { .. }) => {
                 ExitCode::from(2)
             }
+            #[cfg(unix)]
+            Self::Service(ServiceError::Refused(_))
+            | Self::Push(PushError::Service(ServiceError::Refused(_))) => ExitCode::from(2),
             #[cfg(unix)]
             Self::Cosim(_)
             | Self::Mismatches(_)

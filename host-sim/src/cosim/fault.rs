@@ -37,7 +37,7 @@ pub enum Fault {
         /// How long. \[s\]
         seconds: f64,
         /// Messages that came and could not be read.
-        damaged: u32,
+        damaged: u64,
     },
     /// Its process has ended.
     #[error("its process has ended ({status}){}", quoted(.said))]

@@ -1,6 +1,7 @@
 //! Where a node is found.
 
 use std::fmt;
+use std::os::unix::fs::FileTypeExt;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -29,7 +30,7 @@ pub struct AddressError {
     #[source]
     pub error: std::io::Error,
     /// What to do about it.
-    mend: &'static str,
+    mend: String,
 }
 
 impl Address {
@@ -38,18 +39,41 @@ impl Address {
     /// # Errors
     /// What the system says.
     pub fn connect(&self) -> Result<Line, AddressError> {
-        let (line, mend) = match self {
-            Self::Socket(path) => (
-                UnixStream::connect(path).and_then(Line::over_socket),
-                "start `host-sim cosim --serve FOLDER`, or name a socket in its folder",
-            ),
-            Self::Serial(path, baud) => (
-                Line::over_serial(path, *baud),
-                "connect the board, make sure that nobody else has the line open and that you may \
-                 use it (on Linux, the group dialout)",
-            ),
+        let line = match self {
+            Self::Socket(path) => UnixStream::connect(path).and_then(Line::over_socket),
+            Self::Serial(path, baud) => Line::over_serial(path, *baud),
         };
-        line.map_err(|error| AddressError { address: self.clone(), error, mend })
+        line.map_err(|error| AddressError {
+            mend: self.hint(&error),
+            address: self.clone(),
+            error,
+        })
+    }
+
+    fn hint(&self, error: &std::io::Error) -> String {
+        match self {
+            Self::Socket(path) => {
+                let kind = std::fs::metadata(path).map(|metadata| metadata.file_type());
+                let serve = "start `host-sim cosim --serve FOLDER`, or name a socket in its folder";
+                match kind {
+                    Ok(kind) if kind.is_char_device() => {
+                        format!("this is a device: write serial:{}[@BAUD]", path.display())
+                    }
+                    Ok(kind) if kind.is_dir() => {
+                        format!("this is a folder: write {}", path.join("agent-1.sock").display())
+                    }
+                    Ok(kind) if !kind.is_socket() => format!("this is not a socket: {serve}"),
+                    Ok(_) => format!("nothing listens at this socket any more: {serve}"),
+                    Err(_) => serve.to_owned(),
+                }
+            }
+            Self::Serial(_, _) if error.kind() == std::io::ErrorKind::ResourceBusy => {
+                "end the other program, or wait until it has ended".to_owned()
+            }
+            Self::Serial(_, _) => "connect the board, make sure that nobody else has the line open \
+                                   and that you may use it (on Linux, the group dialout)"
+                .to_owned(),
+        }
     }
 }
 

@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | [`mod@line`] | bytes to and from a node, with a deadline for everything |
 //! | [`address`] | where a node is found: a socket or a serial line |
+//! | [`hint`] | what to do about refusals and garbage |
 //! | [`conversation`] | messages on a line: requests, their answers, and what comes unasked |
 //! | [`push`] | a weight package into a node |
 //! | [`record`] | a node's samples, for training |
@@ -12,6 +13,7 @@
 
 pub mod address;
 pub mod conversation;
+pub mod hint;
 pub mod line;
 pub mod push;
 pub mod record;
