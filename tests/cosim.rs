@@ -44,7 +44,7 @@ pub(crate) fn board(package: Option<&PackageBytes>, quirks: &Quirks, lives_on: b
 }
 
 fn cosimulated(scenario: &Scenario, start: &mut Start<'_>) -> Result<CosimReport, CosimError> {
-    let setup = Setup { start, timeout: Duration::from_secs(5) };
+    let setup = Setup::new(start, Duration::from_secs(5));
     cosimulate(scenario, 0, setup, None, &Silent)
 }
 

@@ -31,7 +31,7 @@ fn served(folder: &Folder, visit: impl FnOnce()) -> CosimReport {
                 let socket = loop_node::spawn(Some(package), &quirks);
                 Ok(Board::new(Line::over_socket(socket).unwrap(), "thread", false))
             };
-            let setup = Setup { start, timeout: Duration::from_secs(10) };
+            let setup = Setup::new(start, Duration::from_secs(10));
             cosimulate(&scenario, 0, setup, Some(&service), &Silent).unwrap()
         });
         while !folder.path("nodes/agent-3.sock").exists() {

@@ -114,7 +114,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let bars = ProgressBars::new("co-simulating");
     let done = AtomicU64::new(0);
     let progress = SharedProgress::new(&bars, &done, scenario.steps());
-    let setup = Setup { start, timeout };
+    let setup = Setup::new(start, timeout);
     let report = cosimulate(&scenario, arguments.common.seed, setup, service.as_ref(), &progress)?;
     bars.finish();
     match arguments.common.format {

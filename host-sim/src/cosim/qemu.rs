@@ -143,7 +143,7 @@ impl Qemu {
     }
 
     fn spawn(&self, command: &mut Command, folder: &TempDir) -> Result<Process, Fault> {
-        Process::start(command, &folder.path().join("console")).map_err(|error| {
+        Process::start(command, &folder.path().join("console"), folder.path()).map_err(|error| {
             let program = self.program.display();
             Fault::Start(if error.kind() == ErrorKind::NotFound {
                 format!(

@@ -1,18 +1,26 @@
 //! Nodes of a running co-simulation, offered to others: a socket for each, at which anybody can talk
 //! to the node as if it were on a desk.
 //!
-//! Between two steps the relay hands the requests of its clients to the node, one at a time, and
-//! its answers back. Two things it keeps to itself: the node goes on to tell everything to the
-//! co-simulation, whatever its clients subscribe to, and time and frames come from the simulator only.
+//! Between two steps the relay hands the requests of its clients to the node, and its answers back:
+//! one request of each client, and more only while there is time left until the next step. So a
+//! client that asks without end slows nobody down, and one that does not read loses what it does not
+//! read, and then its connection. Two things the relay keeps to itself: the node goes on to tell
+//! everything to the co-simulation, whatever its clients subscribe to, and time and frames come from
+//! the simulator only.
+//!
+//! A node that dies or hangs takes no more steps; the others go on, with the simulated agent in its
+//! place. A request to reset it starts it again.
+//!
+//! Cost: for each client, 1 KiB of requests and 64 KiB of what waits for it, at most.
 //!
 //! A package that a client has activated is switched in for the simulated agent, too, before the next
 //! step: the comparison goes on. A node that a client resets, or lets begin elsewhere, is not
 //! compared any more, nor is one that hears frames of such a node which its simulated neighbour
 //! did not send.
 
+use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
-use std::os::unix::net::{UnixListener, UnixStream};
-use std::path::PathBuf;
+use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -21,13 +29,14 @@ use agent_core::Tick;
 use agent_core::capture::is_due;
 use agent_core::serial::{Decoder, Encoder};
 use agent_core::service::{
-    Problem, REQUEST_LENGTH_MAX, Request, Response, State, Subscription, receive, send,
+    Problem, REQUEST_LENGTH_MAX, Request, Response, State, Status, Subscription, receive, send,
 };
 use serde::Serialize;
 
 use super::board::Turn;
 use super::fault::Fault;
 use super::lockstep::LoopNode;
+use super::socket::Socket;
 use super::{CosimError, Service};
 use crate::engine::companion::Switch;
 use crate::interruption;
@@ -44,6 +53,15 @@ const LAG_MAX: Duration = Duration::from_secs(1);
 /// Longest rest between two looks at the clients.
 const REST: Duration = Duration::from_millis(5);
 
+/// Most clients of a node at a time; others are sent away.
+const CLIENTS_MAX: usize = 16;
+
+/// How long a client may leave what waits for it unread while more is lost.
+const UNREAD_MAX: Duration = Duration::from_secs(5);
+
+/// Between two notices that the run is late.
+const LATE_NOTICE: Duration = Duration::from_secs(10);
+
 type RequestDecoder = Decoder<{ REQUEST_LENGTH_MAX + agent_core::checksum::CHECKSUM_LENGTH }>;
 
 /// The sockets and the pace.
@@ -51,14 +69,42 @@ pub(super) struct Relay {
     doors: Vec<Door>,
     /// One step in real time.
     step: Duration,
-    next_step: Option<Instant>,
+    pace: Pace,
     stop: Arc<AtomicBool>,
+}
+
+/// How well real time is kept.
+#[derive(Default)]
+struct Pace {
+    next_step: Option<Instant>,
+    begun: Option<Instant>,
+    steps: u64,
+    /// Time that the run has given up to catch up with.
+    lost: Duration,
+    noticed: Option<Instant>,
+}
+
+/// What happened between two steps.
+#[derive(Default)]
+pub(super) struct Between {
+    /// Nodes, from 0, that cannot go on.
+    pub(super) faults: Vec<(usize, Fault)>,
+    /// Nodes that are to be started again.
+    pub(super) restarts: Vec<Restart>,
+    /// How much of the speed is kept, if that is to be told.
+    pub(super) late: Option<f64>,
+}
+
+/// A client wants a node to be started again.
+pub(super) struct Restart {
+    /// The node, from 0.
+    pub(super) node: usize,
+    client: usize,
 }
 
 /// One node's socket, and what is known of its packages.
 struct Door {
-    path: PathBuf,
-    listener: UnixListener,
+    socket: Socket,
     clients: Vec<Client>,
     uploaded: Vec<u8>,
     in_use: Option<PackageBytes>,
@@ -69,7 +115,11 @@ struct Door {
 struct Client {
     socket: UnixStream,
     decoder: RequestDecoder,
+    /// Requests that have arrived and wait for their turn.
+    requests: VecDeque<Vec<u8>>,
     unsent: Vec<u8>,
+    /// Since when messages are lost because it does not read.
+    losing_since: Option<Instant>,
     subscription: Subscription,
     gone: bool,
 }
@@ -84,29 +134,25 @@ enum Effect {
 impl Relay {
     /// Opens the sockets.
     pub(super) fn new(service: &Service, scenario: &Scenario) -> Result<Self, CosimError> {
-        let named = |path: &PathBuf, error| CosimError::Serve { path: path.clone(), error };
-        std::fs::create_dir_all(&service.folder).map_err(|e| named(&service.folder, e))?;
-        let mut doors = Vec::new();
-        for agent in 1..=scenario.agents.len() {
-            let path = service.folder.join(format!("agent-{agent}.sock"));
-            // What a run that was killed has left behind; one that goes on still listens.
-            if UnixStream::connect(&path).is_err_and(|e| e.kind() == ErrorKind::ConnectionRefused) {
-                std::fs::remove_file(&path).map_err(|e| named(&path, e))?;
-            }
-            let listener = UnixListener::bind(&path).map_err(|e| named(&path, e))?;
-            let door = Door {
-                path,
-                listener,
+        let folder = &service.folder;
+        std::fs::create_dir_all(folder)
+            .map_err(|error| CosimError::Serve { path: folder.clone(), error })?;
+        let path = |agent| folder.join(format!("agent-{agent}.sock"));
+        let agents = 1..=scenario.agents.len();
+        // Nothing is touched before all places are known to be free.
+        agents.clone().try_for_each(|agent| Socket::check(&path(agent)).map(|_| ()))?;
+        let doors = agents.map(|agent| {
+            Ok(Door {
+                socket: Socket::bind(path(agent))?,
                 clients: Vec::new(),
                 uploaded: Vec::new(),
                 in_use: None,
                 before: None,
-            };
-            door.listener.set_nonblocking(true).map_err(|e| named(&door.path, e))?;
-            doors.push(door);
-        }
+            })
+        });
+        let doors = doors.collect::<Result<_, CosimError>>()?;
         let step = Duration::from_secs_f64(scenario.time.step_size / service.speed);
-        Ok(Self { doors, step, next_step: None, stop: service.stop.clone() })
+        Ok(Self { doors, step, pace: Pace::default(), stop: service.stop.clone() })
     }
 
     /// Whether somebody wants the run to end.
@@ -115,10 +161,34 @@ impl Relay {
     }
 
     /// The nodes have begun with these packages.
-    pub(super) fn begin(&mut self, packages: Vec<PackageBytes>) {
+    pub(super) fn begin<'p>(&mut self, packages: impl Iterator<Item = &'p PackageBytes>) {
         for (door, package) in self.doors.iter_mut().zip(packages) {
-            door.in_use = Some(package);
+            door.in_use = Some(package.clone());
         }
+    }
+
+    /// A node takes no more steps: its clients hear no more of it.
+    pub(super) fn end_node(&mut self, index: usize, tick: Tick, node: &mut LoopNode, fault: &Fault) {
+        node.end(tick, fault);
+        self.doors[index].clients.clear();
+    }
+
+    /// A node has been started again: the one who wanted it gets an answer, and all a greeting.
+    pub(super) fn started_again(&mut self, restart: &Restart, status: Status) {
+        let door = &mut self.doors[restart.node];
+        (door.in_use, door.before) = (None, None);
+        if let Some(client) = door.clients.get_mut(restart.client) {
+            client.say(&Reply::Done);
+        }
+        for client in &mut door.clients {
+            client.say(&Reply::Hello(status));
+            client.write_out();
+        }
+    }
+
+    /// How much of the speed that was asked for has been kept, at most 1.
+    pub(super) fn real_time_kept(&self) -> f64 {
+        self.pace.kept(self.step)
     }
 
     /// A learning cycle has switched packages in.
@@ -128,34 +198,43 @@ impl Relay {
         }
     }
 
-    /// Waits until it is time for the step at `tick`, and serves clients meanwhile. An error comes
-    /// with the agent, from 0, whose node it is about.
+    /// Waits until it is time for the step at `tick`, and serves clients meanwhile.
     pub(super) fn between_steps(
         &mut self,
         tick: Tick,
         nodes: &mut [LoopNode],
         switches: &mut Vec<Switch>,
-    ) -> Result<(), (usize, Fault)> {
-        let due = *self.next_step.get_or_insert_with(Instant::now);
+    ) -> Between {
+        let mut between = Between::default();
+        let due = *self.pace.next_step.get_or_insert_with(Instant::now);
         loop {
             for (index, (door, node)) in self.doors.iter_mut().zip(&mut *nodes).enumerate() {
-                let serve = door.serve(tick, node).map_err(|fault| (index, fault))?;
-                let serve = serve.into_iter();
-                switches.extend(serve.map(|(package, back)| Switch {
-                    agent: index,
-                    package,
-                    back,
-                }));
+                if between.faults.iter().any(|(ended, _)| *ended == index) {
+                    continue;
+                }
+                if node.has_ended() {
+                    if between.restarts.is_empty()
+                        && let Some(client) = door.wants_restart()
+                    {
+                        between.restarts.push(Restart { node: index, client });
+                    }
+                    continue;
+                }
+                match door.serve(tick, node) {
+                    Ok(served) => switches.extend(
+                        served.map(|(package, back)| Switch { agent: index, package, back }),
+                    ),
+                    Err(fault) => between.faults.push((index, fault)),
+                }
             }
             let left = due.saturating_duration_since(Instant::now());
-            if left.is_zero() || self.is_over() {
+            if left.is_zero() || self.is_over() || !between.restarts.is_empty() {
                 break;
             }
             std::thread::sleep(left.min(REST));
         }
-        let behind = Instant::now().saturating_duration_since(due);
-        self.next_step = Some(if behind > LAG_MAX { Instant::now() } else { due } + self.step);
-        Ok(())
+        between.late = self.pace.advance(due, self.step, Instant::now());
+        between
     }
 
     /// Tells the clients of a node what it did in its turn.
@@ -173,31 +252,54 @@ impl Relay {
     }
 }
 
-impl Drop for Relay {
-    fn drop(&mut self) {
-        for door in &self.doors {
-            // Best effort: the run is over.
-            let _ = std::fs::remove_file(&door.path);
+impl Pace {
+    /// A step that was due at `due` begins `now`. Returns how much of the speed is kept, if it is time
+    /// to tell.
+    fn advance(&mut self, due: Instant, step: Duration, now: Instant) -> Option<f64> {
+        self.begun.get_or_insert(now);
+        self.steps += 1;
+        let behind = now.saturating_duration_since(due);
+        let gives_up = behind > LAG_MAX;
+        self.next_step = Some(if gives_up { now } else { due } + step);
+        if !gives_up {
+            return None;
         }
+        self.lost += behind;
+        let quiet = self.noticed.is_some_and(|last| now - last < LATE_NOTICE);
+        (!quiet).then(|| {
+            self.noticed = Some(now);
+            self.kept(step)
+        })
+    }
+
+    /// The share of the speed that has been kept, at most 1: real time that was given up counts.
+    fn kept(&self, step: Duration) -> f64 {
+        let wanted = step.as_secs_f64() * self.steps as f64;
+        if self.lost.is_zero() { 1.0 } else { wanted / (wanted + self.lost.as_secs_f64()) }
     }
 }
 
 impl Door {
-    /// Serves everybody at this socket once. Returns the packages that the agent is to use one after
-    /// the other, and whether it goes back to them.
+    /// Lets those in who wait at the socket.
+    fn let_in(&mut self) {
+        while let Some(socket) = self.socket.accept() {
+            if self.clients.len() < CLIENTS_MAX && socket.set_nonblocking(true).is_ok() {
+                self.clients.push(Client::new(socket));
+            }
+        }
+    }
+
+    /// Serves everybody at this socket once, one request each. Returns the package that the agent is
+    /// to use, one after the other, and whether it goes back to it.
     fn serve(
         &mut self,
         tick: Tick,
         node: &mut LoopNode,
-    ) -> Result<Vec<(PackageBytes, bool)>, Fault> {
-        while let Ok((socket, _)) = self.listener.accept() {
-            if socket.set_nonblocking(true).is_ok() {
-                self.clients.push(Client::new(socket));
-            }
-        }
+    ) -> Result<impl Iterator<Item = (PackageBytes, bool)> + use<>, Fault> {
+        self.let_in();
         let mut switches = Vec::new();
         for index in 0..self.clients.len() {
-            for request in self.clients[index].requests() {
+            if let Some(request) = self.clients[index].request() {
                 let effect = self.carry_out(index, &request, node)?;
                 match effect {
                     Effect::None => {}
@@ -217,7 +319,25 @@ impl Door {
             self.clients[index].write_out();
         }
         self.clients.retain(|client| !client.gone);
-        Ok(switches)
+        Ok(switches.into_iter())
+    }
+
+    /// The client, if there is one, that wants the node started again. It is the only thing that can
+    /// be asked of a node that has ended: whoever asks something else is sent away.
+    fn wants_restart(&mut self) -> Option<usize> {
+        self.let_in();
+        let mut wanted = None;
+        for (index, client) in self.clients.iter_mut().enumerate() {
+            match client.request().map(|bytes| is_reset(&bytes)) {
+                None => {}
+                Some(true) if wanted.is_none() => wanted = Some(index),
+                Some(_) => client.gone = true,
+            }
+        }
+        if wanted.is_none() {
+            self.clients.retain(|client| !client.gone);
+        }
+        wanted
     }
 
     /// Whether a package is for the agent with the parameters that it has been simulated with.
@@ -307,6 +427,10 @@ impl Door {
     }
 }
 
+fn is_reset(request: &[u8]) -> bool {
+    matches!(receive::<Request<'_>>(request), Some(Request::Reset))
+}
+
 /// What the relay itself says.
 type Reply<'a> = Response<'a, Vec<f32>>;
 
@@ -315,29 +439,33 @@ impl Client {
         Self {
             socket,
             decoder: RequestDecoder::new(),
+            requests: VecDeque::new(),
             unsent: Vec::new(),
+            losing_since: None,
             subscription: Subscription::default(),
             gone: false,
         }
     }
 
-    /// The requests that have arrived. Damaged ones are left out, as they are on a node.
-    fn requests(&mut self) -> Vec<Vec<u8>> {
-        let mut requests = Vec::new();
-        let mut buffer = [0; 1024];
-        match self.socket.read(&mut buffer) {
-            Ok(0) => self.gone = true,
-            Ok(length) => {
-                for &byte in &buffer[..length] {
-                    if let Some(Ok(request)) = self.decoder.push(byte) {
-                        requests.push(request.to_vec());
+    /// The next request. Damaged ones are left out, as they are on a node. More is read only when
+    /// nothing waits, so that a client that asks faster than it is answered has to wait itself.
+    fn request(&mut self) -> Option<Vec<u8>> {
+        if self.requests.is_empty() {
+            let mut buffer = [0; 1024];
+            match self.socket.read(&mut buffer) {
+                Ok(0) => self.gone = true,
+                Ok(length) => {
+                    for &byte in &buffer[..length] {
+                        if let Some(Ok(request)) = self.decoder.push(byte) {
+                            self.requests.push_back(request.to_vec());
+                        }
                     }
                 }
+                Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+                Err(_) => self.gone = true,
             }
-            Err(error) if error.kind() == ErrorKind::WouldBlock => {}
-            Err(_) => self.gone = true,
         }
-        requests
+        self.requests.pop_front()
     }
 
     fn say(&mut self, message: &impl Serialize) {
@@ -370,12 +498,21 @@ impl Client {
     fn queue(&mut self, framed: &[u8]) {
         if self.unsent.len() + framed.len() <= UNSENT_MAX {
             self.unsent.extend_from_slice(framed);
+        } else {
+            let since = *self.losing_since.get_or_insert_with(Instant::now);
+            self.gone |= since.elapsed() > UNREAD_MAX;
         }
     }
 
     fn write_out(&mut self) {
+        if self.unsent.is_empty() {
+            return;
+        }
         match self.socket.write(&self.unsent) {
-            Ok(length) => drop(self.unsent.drain(..length)),
+            Ok(length) => {
+                self.unsent.drain(..length);
+                self.losing_since = None;
+            }
             Err(error) if error.kind() == ErrorKind::WouldBlock => {}
             Err(_) => self.gone = true,
         }
