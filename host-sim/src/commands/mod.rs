@@ -221,7 +221,7 @@ impl CommandError {
             | Self::Unstable(_)
             | Self::Threads(_) => ExitCode::from(1),
             #[cfg(unix)]
-            Self::Cosim(CosimError::NoNetwork { .. } | CosimError::Health { .. }) => {
+            Self::Cosim(CosimError::NoNetwork { .. } | CosimError::Health { .. } | CosimError::Occupied { .. }) => {
                 ExitCode::from(2)
             }
             #[cfg(unix)]

@@ -15,6 +15,7 @@ use super::{
 };
 use crate::analysis::TriggerConstants;
 use crate::interruption::{self, Again};
+use crate::packages::recording_source::{RecordingSource, SourceScenario};
 use crate::packages::trained::{INITIAL_VERSION, Prepared, Trained, TrainedError, TrainingTask};
 use crate::packages::{NodeContent, PackageBytes, Recording};
 use crate::progress::ProgressBars;
@@ -104,6 +105,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         }
     }
     let mut recording = Recording::load(&arguments.data, scenario.dimension(), features)?;
+    if let Some(warning) = check_source(arguments, &scenario)? {
+        eprintln!("warning: {warning}");
+    }
     if let (None, Some(base)) = (&recording.outer_weights, &base) {
         recording.outer_weights = Some(base.package().outer_weights.to_vec());
     }
@@ -144,6 +148,18 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Format::Json => print_json(&report),
         Format::Text => print_text(&text(arguments, &report)),
     }
+}
+
+/// Whether the file says that its samples are of another agent or scenario.
+fn check_source(
+    arguments: &Arguments,
+    scenario: &Scenario,
+) -> Result<Option<Warning>, CommandError> {
+    // What cannot be read has been told before.
+    let source = RecordingSource::read(&arguments.data).unwrap_or_default();
+    let (name, hash, step) = (scenario.name.as_str(), scenario.hash, scenario.time.step_size);
+    let scenario = SourceScenario { name, hash, step };
+    Ok(source.check(&arguments.data, arguments.agent, &scenario)?)
 }
 
 /// The recipe, and the learning cycle (from 0) that it belongs to.

@@ -107,11 +107,16 @@ impl<'s> Lockstep<'s> {
     /// end of the run.
     fn fault(&mut self, index: usize, tick: Tick, fault: Fault) -> Result<(), NodeError> {
         let Some(relay) = &mut self.relay else { return Err(self.named(index, fault)) };
-        relay.end_node(index, tick, &mut self.nodes[index], &fault);
-        if !matches!(fault, Fault::Interrupted) {
-            let error = self.named(index, fault);
-            self.setup.tell(&Notice::Ended(&error));
+        let node = &mut self.nodes[index];
+        if matches!(fault, Fault::Interrupted) {
+            // The run ends in front of the next step.
+            node.part(tick, "the run was ended in the middle of its step");
+            return Ok(());
         }
+        node.end(tick, &fault);
+        relay.end_node(index);
+        let error = self.named(index, fault);
+        self.setup.tell(&Notice::Ended(&error));
         Ok(())
     }
 

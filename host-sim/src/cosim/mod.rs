@@ -45,6 +45,7 @@ use agent_core::health::HealthSettings;
 use serde::Serialize;
 
 use crate::engine::{Progress, RunError, RunOptions, run_accompanied};
+use crate::output_file::OutputError;
 use crate::packages::PackageBytes;
 use crate::scenario::{Record, Scenario};
 use crate::signing::OperatorKey;
@@ -237,6 +238,9 @@ pub enum CosimError {
         /// What is there.
         what: &'static str,
     },
+    /// A file cannot be written.
+    #[error(transparent)]
+    Output(#[from] OutputError),
     /// Nodes cannot be offered to others.
     #[error("{}: {error}; name another folder with --serve, with a short path", path.display())]
     Serve {
@@ -283,7 +287,7 @@ pub fn cosimulate(
     progress: &dyn Progress,
 ) -> Result<CosimReport, CosimError> {
     let scenario = prepared(scenario)?;
-    let relay = service.map(|service| Relay::new(service, &scenario)).transpose()?;
+    let relay = service.map(|service| Relay::new(service, &scenario, seed)).transpose()?;
     let mut lockstep = Lockstep::new(setup, relay);
     let options = RunOptions { seed, learning: true, bounds: false };
     let result =

@@ -1,10 +1,10 @@
 //! Nodes of a running co-simulation, offered to others: a socket for each, at which anybody can talk
 //! to the node as if it were on a desk.
 //!
-//! Between two steps the relay hands the requests of its clients to the node, and its answers back:
-//! one request of each client, and more only while there is time left until the next step. So a
-//! client that asks without end slows nobody down, and one that does not read loses what it does not
-//! read, and then its connection. Two things the relay keeps to itself: the node goes on to tell
+//! Between two steps the relay hands requests of clients to the nodes, and their answers back: one
+//! request a node, of its clients in turn, and more only while there is time left until the next
+//! step. So a client that asks without end slows nobody down, and one that does not read loses what
+//! it does not read, and then its connection. Two things the relay keeps to itself: the node goes on to tell
 //! everything to the co-simulation, whatever its clients subscribe to, and time and frames come from
 //! the simulator only.
 //!
@@ -21,6 +21,7 @@
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -42,6 +43,7 @@ use crate::engine::companion::Switch;
 use crate::interruption;
 use crate::packages::PackageBytes;
 use crate::scenario::Scenario;
+use crate::service::nodes_file::{self, NodesFile};
 use crate::service::Message;
 
 /// Bytes that wait for a client; of more, the newest messages are lost, as on a slow line.
@@ -67,6 +69,8 @@ type RequestDecoder = Decoder<{ REQUEST_LENGTH_MAX + agent_core::checksum::CHECK
 /// The sockets and the pace.
 pub(super) struct Relay {
     doors: Vec<Door>,
+    /// The file that says what they are part of.
+    told: PathBuf,
     /// One step in real time.
     step: Duration,
     pace: Pace,
@@ -106,9 +110,20 @@ pub(super) struct Restart {
 struct Door {
     socket: Socket,
     clients: Vec<Client>,
+    /// Whose turn it is.
+    next: usize,
     uploaded: Vec<u8>,
     in_use: Option<PackageBytes>,
     before: Option<PackageBytes>,
+}
+
+/// What one pass over the clients of a node has done.
+#[derive(Default)]
+struct Served {
+    /// Whether there was a request.
+    request: bool,
+    /// The package that the agent is to use, and whether it goes back to it.
+    switch: Option<(PackageBytes, bool)>,
 }
 
 /// Somebody at a socket.
@@ -133,7 +148,11 @@ enum Effect {
 
 impl Relay {
     /// Opens the sockets.
-    pub(super) fn new(service: &Service, scenario: &Scenario) -> Result<Self, CosimError> {
+    pub(super) fn new(
+        service: &Service,
+        scenario: &Scenario,
+        seed: u64,
+    ) -> Result<Self, CosimError> {
         let folder = &service.folder;
         std::fs::create_dir_all(folder)
             .map_err(|error| CosimError::Serve { path: folder.clone(), error })?;
@@ -141,18 +160,24 @@ impl Relay {
         let agents = 1..=scenario.agents.len();
         // Nothing is touched before all places are known to be free.
         agents.clone().try_for_each(|agent| Socket::check(&path(agent)).map(|_| ()))?;
+        if NodesFile::is_occupied(folder) {
+            let what = "there is something here that is not about nodes";
+            return Err(CosimError::Occupied { path: folder.join(nodes_file::NAME), what });
+        }
         let doors = agents.map(|agent| {
             Ok(Door {
                 socket: Socket::bind(path(agent))?,
                 clients: Vec::new(),
+                next: 0,
                 uploaded: Vec::new(),
                 in_use: None,
                 before: None,
             })
         });
         let doors = doors.collect::<Result<_, CosimError>>()?;
+        let told = NodesFile::new(&scenario.name, scenario.hash, seed).write(folder)?;
         let step = Duration::from_secs_f64(scenario.time.step_size / service.speed);
-        Ok(Self { doors, step, pace: Pace::default(), stop: service.stop.clone() })
+        Ok(Self { doors, told, step, pace: Pace::default(), stop: service.stop.clone() })
     }
 
     /// Whether somebody wants the run to end.
@@ -168,8 +193,7 @@ impl Relay {
     }
 
     /// A node takes no more steps: its clients hear no more of it.
-    pub(super) fn end_node(&mut self, index: usize, tick: Tick, node: &mut LoopNode, fault: &Fault) {
-        node.end(tick, fault);
+    pub(super) fn end_node(&mut self, index: usize) {
         self.doors[index].clients.clear();
     }
 
@@ -208,6 +232,7 @@ impl Relay {
         let mut between = Between::default();
         let due = *self.pace.next_step.get_or_insert_with(Instant::now);
         loop {
+            let mut busy = false;
             for (index, (door, node)) in self.doors.iter_mut().zip(&mut *nodes).enumerate() {
                 if between.faults.iter().any(|(ended, _)| *ended == index) {
                     continue;
@@ -221,9 +246,14 @@ impl Relay {
                     continue;
                 }
                 match door.serve(tick, node) {
-                    Ok(served) => switches.extend(
-                        served.map(|(package, back)| Switch { agent: index, package, back }),
-                    ),
+                    Ok(served) => {
+                        busy |= served.request;
+                        switches.extend(served.switch.map(|(package, back)| Switch {
+                            agent: index,
+                            package,
+                            back,
+                        }));
+                    }
                     Err(fault) => between.faults.push((index, fault)),
                 }
             }
@@ -231,7 +261,10 @@ impl Relay {
             if left.is_zero() || self.is_over() || !between.restarts.is_empty() {
                 break;
             }
-            std::thread::sleep(left.min(REST));
+            // Where there is time left, the next request is not kept waiting.
+            if !busy {
+                std::thread::sleep(left.min(REST));
+            }
         }
         between.late = self.pace.advance(due, self.step, Instant::now());
         between
@@ -249,6 +282,13 @@ impl Relay {
             }
             client.write_out();
         }
+    }
+}
+
+impl Drop for Relay {
+    fn drop(&mut self) {
+        // Best effort: the run is over.
+        let _ = std::fs::remove_file(&self.told);
     }
 }
 
@@ -289,37 +329,35 @@ impl Door {
         }
     }
 
-    /// Serves everybody at this socket once, one request each. Returns the package that the agent is
-    /// to use, one after the other, and whether it goes back to it.
-    fn serve(
-        &mut self,
-        tick: Tick,
-        node: &mut LoopNode,
-    ) -> Result<impl Iterator<Item = (PackageBytes, bool)> + use<>, Fault> {
+    /// Hands one request of the next client that has one to the node, and writes out what waits for
+    /// any of them.
+    fn serve(&mut self, tick: Tick, node: &mut LoopNode) -> Result<Served, Fault> {
         self.let_in();
-        let mut switches = Vec::new();
-        for index in 0..self.clients.len() {
-            if let Some(request) = self.clients[index].request() {
-                let effect = self.carry_out(index, &request, node)?;
-                match effect {
-                    Effect::None => {}
-                    Effect::Parted(reason) => node.part(tick, reason),
-                    Effect::Switched { back } => match &self.in_use {
-                        Some(package) if self.is_of_agent(package) => {
-                            node.report.switches += 1;
-                            if node.report.parted.is_none() {
-                                switches.push((package.clone(), back));
-                            }
+        let clients = self.clients.len();
+        let mut served = Served::default();
+        for index in (0..clients).map(|offset| (self.next + offset) % clients) {
+            let Some(request) = self.clients[index].request() else { continue };
+            self.next = index + 1;
+            served.request = true;
+            match self.carry_out(index, &request, node)? {
+                Effect::None => {}
+                Effect::Parted(reason) => node.part(tick, reason),
+                Effect::Switched { back } => match &self.in_use {
+                    Some(package) if self.is_of_agent(package) => {
+                        node.report.switches += 1;
+                        if node.report.parted.is_none() {
+                            served.switch = Some((package.clone(), back));
                         }
-                        Some(_) => node.part(tick, "its package has other parameters"),
-                        None => node.part(tick, "it uses a package that nobody here knows"),
-                    },
-                }
+                    }
+                    Some(_) => node.part(tick, "its package has other parameters"),
+                    None => node.part(tick, "it uses a package that nobody here knows"),
+                },
             }
-            self.clients[index].write_out();
+            break;
         }
+        self.clients.iter_mut().for_each(Client::write_out);
         self.clients.retain(|client| !client.gone);
-        Ok(switches.into_iter())
+        Ok(served)
     }
 
     /// The client, if there is one, that wants the node started again. It is the only thing that can

@@ -8,7 +8,8 @@
 //! | `dxhat1` .. | its derivative |
 //! | `w1_1` .. (may be left out) | `W_hat`, row (feature) and column (component); where rows leave them empty, the last that does not counts |
 //!
-//! Only the first word of a column's name matters, the rest is for its unit; columns can come in
+//! Lines that begin with `#` are comments; at the head of a file they say where it comes from
+//! ([`super::recording_source`]). Only the first word of a column's name matters, the rest is for its unit; columns can come in
 //! any order, and others are ignored.
 
 use std::fmt::Display;
@@ -88,9 +89,9 @@ impl Recording {
             mend: mend.to_owned(),
         };
         let mut reader =
-            csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).map_err(|e| {
-                wrong(None, format!("cannot be read: {e}"), "give the path of a CSV file")
-            })?;
+            csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_path(path).map_err(
+                |e| wrong(None, format!("cannot be read: {e}"), "give the path of a CSV file"),
+            )?;
         let mut line = 1;
         let headers = reader.headers().map_err(|e| unreadable(path, line, &e))?.clone();
         let columns = Columns::find(&headers, dimension, features)
