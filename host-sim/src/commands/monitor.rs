@@ -338,14 +338,22 @@ impl Monitor<'_> {
 
     /// Writes what is left of a recording, and says what is in it.
     fn finish(&mut self) -> Result<(), CommandError> {
+        let json = self.arguments.format == Format::Json;
         let (Some(path), Some(recorder)) = (&self.arguments.record, self.recorder.take()) else {
-            return Ok(());
+            return match self.unreadable {
+                unreadable if json || unreadable == 0 => Ok(()),
+                unreadable => print_text(&format!("{unreadable} messages could not be read\n")),
+            };
         };
         let counts = recorder.finish()?;
-        let json = self.arguments.format == Format::Json;
-        if counts.samples == 0 && counts == RecordCounts::default() {
+        if counts.samples == 0 {
+            let left_out = match counts.bad {
+                0 => String::new(),
+                bad => format!(" ({bad} were not finite or of another length)"),
+            };
             return Err(CommandError::Node(format!(
-                "{}: not written, since no sample came; see that the node steps, and record longer",
+                "{}: not written, since no sample came{left_out}; see that the node steps, and record \
+                 longer",
                 path.display()
             )));
         }

@@ -14,6 +14,7 @@
 //! | [`endpoint`] | what nodes run on, as a command line names it |
 //! | [`board`] | one node: the messages that are exchanged with it |
 //! | [`qemu`], [`process`] | emulated nodes, and processes that end with their holder |
+//! | `flash_copy` | what a node that is switched off has in its flash |
 //! | [`compare`] | what a node did against what the simulated agent did |
 //! | `lockstep` | the companion of the run that does all this |
 //! | `relay`, `socket` | nodes of a running co-simulation, offered to others |
@@ -30,6 +31,7 @@ pub mod board;
 pub mod compare;
 pub mod endpoint;
 pub mod fault;
+mod flash_copy;
 mod lockstep;
 pub mod process;
 pub mod qemu;

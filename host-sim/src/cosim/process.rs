@@ -34,16 +34,17 @@ pub struct Process {
 
 impl Process {
     /// Starts `command`; what it writes to its outputs goes to the file `console`. If this process is
-    /// killed, `folder` is removed.
+    /// killed, `folders` are removed.
     ///
     /// # Errors
     /// What the system says.
-    pub fn start(command: &mut Command, console: &Path, folder: &Path) -> io::Result<Self> {
+    pub fn start(command: &mut Command, console: &Path, folders: &[&Path]) -> io::Result<Self> {
         let output = File::create(console)?;
+        let absolute = folders.iter().map(std::path::absolute).collect::<io::Result<Vec<_>>>()?;
         // The guard is there first, so that there is no time without it.
         let mut guard = Command::new("/bin/sh")
             .args(["-c", GUARD, "sh"])
-            .arg(std::path::absolute(folder)?)
+            .args(absolute)
             .current_dir("/")
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
@@ -158,7 +159,7 @@ mod tests {
     use super::*;
 
     fn start(folder: &Path, script: &str) -> Process {
-        Process::start(Command::new("sh").args(["-c", script]), &folder.join("console"), folder).unwrap()
+        Process::start(Command::new("sh").args(["-c", script]), &folder.join("console"), &[]).unwrap()
     }
 
     fn is_there(id: u32) -> bool {
@@ -205,7 +206,7 @@ mod tests {
         let mut process = Process::start(
             Command::new("sh").args(["-c", script]),
             &guarded.join("console"),
-            &guarded,
+            &[&guarded],
         )
         .unwrap();
         // What the system does for a holder that is killed: its end of the pipe is closed.
