@@ -14,9 +14,13 @@ mod cosim_faults;
 mod cosim_qemu;
 #[cfg(unix)]
 mod cosim_service;
+#[cfg(unix)]
+mod cosim_serving;
 mod described;
 mod determinism;
 mod drawn_network;
+#[cfg(unix)]
+mod fake_node;
 mod flash;
 mod health;
 mod image;
@@ -26,6 +30,8 @@ mod links;
 #[cfg(unix)]
 mod loop_node;
 mod memory_map;
+#[cfg(unix)]
+mod node_commands;
 mod nor_flash;
 mod oracle;
 mod packages;

@@ -4,7 +4,7 @@
 use std::cell::Cell;
 use std::io::{Read as _, Write as _};
 use std::num::NonZeroU32;
-use std::os::unix::net::UnixStream;
+use std::os::unix::net::{UnixListener, UnixStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -49,6 +49,17 @@ pub(crate) fn spawn(package: Option<&PackageBytes>, quirks: &Quirks) -> UnixStre
     let (flash, quirks) = (Flash::new(package, quirks.uses.as_ref()), quirks.clone());
     std::thread::spawn(move || run(flash, &quirks, there));
     here
+}
+
+/// Runs nodes without a package, one for each connection to this socket, as a board on a desk is.
+pub(crate) fn serve(path: &std::path::Path) {
+    let listener = UnixListener::bind(path).unwrap();
+    std::thread::spawn(move || {
+        while let Ok((socket, _)) = listener.accept() {
+            let flash = Flash::new(None, None);
+            std::thread::spawn(move || run(flash, &Quirks::default(), socket));
+        }
+    });
 }
 
 fn run(mut flash: Flash, quirks: &Quirks, socket: UnixStream) {

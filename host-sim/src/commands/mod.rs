@@ -9,6 +9,8 @@ mod baselines;
 mod check;
 #[cfg(unix)]
 mod cosim;
+#[cfg(unix)]
+mod emulated;
 mod health;
 #[cfg(unix)]
 mod monitor;
@@ -221,9 +223,11 @@ impl CommandError {
             | Self::Unstable(_)
             | Self::Threads(_) => ExitCode::from(1),
             #[cfg(unix)]
-            Self::Cosim(CosimError::NoNetwork { .. } | CosimError::Health { .. } | CosimError::Occupied { .. }) => {
-                ExitCode::from(2)
-            }
+            Self::Cosim(
+                CosimError::NoNetwork { .. }
+                | CosimError::Health { .. }
+                | CosimError::Occupied { .. },
+            ) => ExitCode::from(2),
             #[cfg(unix)]
             Self::Service(ServiceError::Refused(_))
             | Self::Push(PushError::Service(ServiceError::Refused(_))) => ExitCode::from(2),

@@ -357,11 +357,8 @@ impl Monitor<'_> {
                 path.display()
             )));
         }
-        let report = RecordReport {
-            file: path.display().to_string(),
-            unreadable: self.unreadable,
-            counts,
-        };
+        let report =
+            RecordReport { file: path.display().to_string(), unreadable: self.unreadable, counts };
         let printed = match self.lost_output.take() {
             Some(error) => Err(CommandError::Output(error)),
             None if json => print_json(&report),

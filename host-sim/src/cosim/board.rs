@@ -2,9 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use agent_core::service::{
-    Numbers, PROTOCOL_VERSION, Problem, Request, Status, Subscription,
-};
+use agent_core::service::{Numbers, PROTOCOL_VERSION, Problem, Request, Status, Subscription};
 use tempfile::TempDir;
 
 use super::fault::Fault;

@@ -94,8 +94,8 @@ pub(super) fn package_in_use(
     let requirements =
         Requirements { public_key: key, in_use: None, capacity: Capacity::UNLIMITED };
     let accepted = |bytes: &[u8]| -> Result<PackageBytes, Refusal> {
-        let package = PackageBytes::new(bytes)
-            .map_err(|error: PackageError| Refusal::Package(error))?;
+        let package =
+            PackageBytes::new(bytes).map_err(|error: PackageError| Refusal::Package(error))?;
         check(&package, &requirements)?;
         Ok(package)
     };

@@ -159,7 +159,8 @@ mod tests {
     use super::*;
 
     fn start(folder: &Path, script: &str) -> Process {
-        Process::start(Command::new("sh").args(["-c", script]), &folder.join("console"), &[]).unwrap()
+        Process::start(Command::new("sh").args(["-c", script]), &folder.join("console"), &[])
+            .unwrap()
     }
 
     fn is_there(id: u32) -> bool {

@@ -43,8 +43,8 @@ use crate::engine::companion::Switch;
 use crate::interruption;
 use crate::packages::PackageBytes;
 use crate::scenario::Scenario;
-use crate::service::nodes_file::{self, NodesFile};
 use crate::service::Message;
+use crate::service::nodes_file::{self, NodesFile};
 
 /// Bytes that wait for a client; of more, the newest messages are lost, as on a slow line.
 const UNSENT_MAX: usize = 1 << 16;

@@ -88,10 +88,13 @@ impl Recording {
             problem,
             mend: mend.to_owned(),
         };
-        let mut reader =
-            csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_path(path).map_err(
-                |e| wrong(None, format!("cannot be read: {e}"), "give the path of a CSV file"),
-            )?;
+        let mut reader = csv::ReaderBuilder::new()
+            .trim(csv::Trim::All)
+            .comment(Some(b'#'))
+            .from_path(path)
+            .map_err(|e| {
+                wrong(None, format!("cannot be read: {e}"), "give the path of a CSV file")
+            })?;
         let mut line = 1;
         let headers = reader.headers().map_err(|e| unreadable(path, line, &e))?.clone();
         let columns = Columns::find(&headers, dimension, features)

@@ -80,7 +80,9 @@ impl RecordingSource {
         for line in head.split(b'\n') {
             let line = line?;
             let line = String::from_utf8_lossy(&line);
-            let Some(comment) = line.trim_start_matches('\u{feff}').strip_prefix('#') else { break };
+            let Some(comment) = line.trim_start_matches('\u{feff}').strip_prefix('#') else {
+                break;
+            };
             if let Some((key, value)) = comment.split_once(':') {
                 source.take(key.trim(), value.trim());
             }
@@ -138,7 +140,10 @@ impl RecordingSource {
         let step = scenario.step as f32;
         if let Some(own) = self.step.filter(|&own| own as f32 != step) {
             return wrong(
-                format!("recorded with a step of {own} s, and scenario {} has {step} s", scenario.name),
+                format!(
+                    "recorded with a step of {own} s, and scenario {} has {step} s",
+                    scenario.name
+                ),
                 "give the scenario of the node, or record again".to_owned(),
             );
         }
@@ -209,7 +214,10 @@ mod tests {
     fn a_name_with_control_characters_stays_on_its_line() {
         let source = RecordingSource { recipe: Some("a\n# agent: 3\u{1b}[2J".into()), ..source() };
         let head = source.head();
-        assert!(!head.contains('\u{1b}') && head.contains("# recipe: a # agent: 3 [2J\n"), "{head}");
+        assert!(
+            !head.contains('\u{1b}') && head.contains("# recipe: a # agent: 3 [2J\n"),
+            "{head}"
+        );
     }
 
     #[test]

@@ -43,11 +43,7 @@ impl Address {
             Self::Socket(path) => UnixStream::connect(path).and_then(Line::over_socket),
             Self::Serial(path, baud) => Line::over_serial(path, *baud),
         };
-        line.map_err(|error| AddressError {
-            mend: self.hint(&error),
-            address: self.clone(),
-            error,
-        })
+        line.map_err(|error| AddressError { mend: self.hint(&error), address: self.clone(), error })
     }
 
     fn hint(&self, error: &std::io::Error) -> String {
@@ -70,9 +66,11 @@ impl Address {
             Self::Serial(_, _) if error.kind() == std::io::ErrorKind::ResourceBusy => {
                 "end the other program, or wait until it has ended".to_owned()
             }
-            Self::Serial(_, _) => "connect the board, make sure that nobody else has the line open \
+            Self::Serial(_, _) => {
+                "connect the board, make sure that nobody else has the line open \
                                    and that you may use it (on Linux, the group dialout)"
-                .to_owned(),
+                    .to_owned()
+            }
         }
     }
 }

@@ -69,8 +69,7 @@ fn of_package(kind: RefusalKind) -> &'static str {
 }
 
 /// Usual rates of serial lines. \[bit/s\]
-const RATES: [u32; 9] =
-    [9600, 19_200, 38_400, 57_600, BAUD, 230_400, 460_800, 921_600, 1_000_000];
+const RATES: [u32; 9] = [9600, 19_200, 38_400, 57_600, BAUD, 230_400, 460_800, 921_600, 1_000_000];
 
 /// What to do about bytes without a message in them, on a serial line of `baud` bits a second or on
 /// something else. `changes` is how often, on average, two neighbouring bits of a byte differ: half
@@ -120,7 +119,11 @@ mod tests {
     #[test]
     fn the_likely_baud_rate_is_named() {
         // A line that is read too fast shows every bit several times, one read too slowly is noise.
-        assert!(of_garbage(Some(230_400), 1.1).contains("slower one"), "{}", of_garbage(Some(230_400), 1.1));
+        assert!(
+            of_garbage(Some(230_400), 1.1).contains("slower one"),
+            "{}",
+            of_garbage(Some(230_400), 1.1)
+        );
         let told = of_garbage(Some(230_400), 1.1);
         assert!(told.ends_with("@115200, @57600, @38400"), "{told}");
         let told = of_garbage(Some(9600), 3.5);

@@ -167,7 +167,8 @@ impl Recorder {
         self.file.push(time, estimate, derivative, &self.outer_weights)?;
         self.counts.samples += 1;
         self.last_place = Some(place);
-        let piece = self.piece.get_or_insert(Piece { first: tick, place, last: tick, explained: 0 });
+        let piece =
+            self.piece.get_or_insert(Piece { first: tick, place, last: tick, explained: 0 });
         let missing = ((tick - piece.last) / self.stride).saturating_sub(1);
         let lost = missing.saturating_sub(piece.explained);
         self.counts.lost = self.counts.lost.saturating_add(lost);
@@ -252,10 +253,12 @@ mod tests {
         Recorder::new(file, step_size(1e-3), 1)
     }
 
-    fn times(path: &Path) -> Vec<f64> {
+    /// When the samples in the file were taken, in steps.
+    fn times(path: &Path) -> Vec<u64> {
         let text = std::fs::read_to_string(path).unwrap();
         let rows = text.lines().filter(|line| line.starts_with(|c: char| c.is_ascii_digit()));
-        rows.map(|row| row.split(',').next().unwrap().parse().unwrap()).collect()
+        let time = |row: &str| row.split(',').next().unwrap().parse::<f64>().unwrap();
+        rows.map(|row| (time(row) / 1e-3).round() as u64).collect()
     }
 
     #[test]
@@ -268,7 +271,7 @@ mod tests {
         }
         let counts = recorder.finish().unwrap();
         // The estimate is that of the state before, the derivative that of the state.
-        assert_eq!(times(&path), [0.011, 0.012, 0.013, 0.017, 0.018, 0.019]);
+        assert_eq!(times(&path), [11, 12, 13, 17, 18, 19]);
         // 14 and 15 are lost, and 16 has no state before it.
         assert_eq!(counts, RecordCounts { samples: 6, lost: 3, ..RecordCounts::default() });
         let read = Recording::load(&path, 2, 2).unwrap();
@@ -298,7 +301,6 @@ mod tests {
         let counts = recorder.finish().unwrap();
         // 9 begins at the infinite estimate of 8.
         let expected = [1, 2, 3, 4, 6, 7, 8, 10, 12, 13, 15, 16, 17, 18, 19];
-        let expected: Vec<_> = expected.iter().map(|&tick| f64::from(tick) * 1e-3).collect();
         assert_eq!(times(&path), expected);
         let counted = RecordCounts { samples: 15, bad: 3, not_stepped: 1, ..counts };
         assert_eq!((counts, counts.lost), (counted, 0));
@@ -314,16 +316,15 @@ mod tests {
         let mut take = |ticks: std::ops::Range<Tick>| {
             ticks.for_each(|tick| recorder.state(&state(tick)).unwrap());
         };
-        take(500..503);
+        take(500..506);
         // The greeting after this reset has been lost.
-        take(0..3);
+        take(0..5);
         recorder.reset();
-        recorder.state(&state(0)).unwrap();
-        recorder.state(&state(1)).unwrap();
+        (0..3).for_each(|tick| recorder.state(&state(tick)).unwrap());
         let counts = recorder.finish().unwrap();
-        assert_eq!((counts.samples, counts.resets, counts.lost), (5, 2, 0));
-        assert_eq!(times(&path), [0.501, 0.502, 1.502, 1.503, 2.503]);
-        assert_eq!(Recording::load(&path, 2, 2).unwrap().gaps, [2, 4]);
+        assert_eq!((counts.samples, counts.resets, counts.lost), (11, 2, 0));
+        assert_eq!(times(&path), [501, 502, 503, 504, 505, 1505, 1506, 1507, 1508, 2508, 2509]);
+        assert_eq!(Recording::load(&path, 2, 2).unwrap().gaps, [5, 9]);
     }
 
     #[test]
@@ -343,7 +344,7 @@ mod tests {
         text += "0.004,1.0,0.";
         std::fs::write(&path, text).unwrap();
         record(true, 7..10);
-        assert_eq!(times(&path), [0.001, 0.002, 0.003, 1.003, 1.004]);
+        assert_eq!(times(&path), [1, 2, 3, 1003, 1004]);
         let read = Recording::load(&path, 2, 2).unwrap();
         assert_eq!((read.gaps, read.outer_weights), (vec![3], Some(vec![9.0; 4])));
         let other = RecordingSource { agent: Some(2), ..source() };
