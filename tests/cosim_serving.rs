@@ -1,6 +1,6 @@
 //! Co-simulations that are served: what clients, files and dying nodes can do to them.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::Shutdown;
 use std::os::unix::fs::PermissionsExt as _;
@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
 use agent_core::serial::Decoder;
-use agent_core::service::{Request, Subscription, receive, send};
+use agent_core::service::{Request, receive, send};
 use host_sim::cosim::board::Board;
 use host_sim::cosim::{CosimReport, Notice, Service, Setup, cosimulate};
 use host_sim::engine::Silent;
@@ -28,21 +28,19 @@ use crate::node_commands::{LONG, ended, signal, wait_until};
 fn served(
     folder: &Folder,
     speed: f64,
-    visit: impl FnOnce(&Mutex<Vec<UnixStream>>),
+    visit: impl FnOnce(&Mutex<BTreeMap<usize, UnixStream>>),
 ) -> (CosimReport, Vec<String>) {
     let mut scenario = Scenario::parse("paper", PAPER).unwrap();
     scenario.learning.clear();
     scenario.time.duration = 1e6;
     let stop = Arc::new(AtomicBool::new(false));
     let service = Service { folder: folder.path("nodes"), speed, stop: stop.clone() };
-    let (lines, notices) = (Mutex::new(Vec::new()), Mutex::new(Vec::new()));
+    let (lines, notices) = (Mutex::new(BTreeMap::new()), Mutex::new(Vec::new()));
     let report = std::thread::scope(|scope| {
         let run = scope.spawn(|| {
             let start = &mut |index: usize, package: &PackageBytes| {
                 let socket = loop_node::spawn(Some(package), &Quirks::default());
-                let mut lines = lines.lock().unwrap();
-                lines.truncate(2.max(index));
-                lines.push(socket.try_clone().unwrap());
+                lines.lock().unwrap().insert(index, socket.try_clone().unwrap());
                 Ok(Board::new(Line::over_socket(socket).unwrap(), "thread", false))
             };
             let notice = &mut |notice: &Notice<'_>| {
@@ -78,7 +76,7 @@ fn the_death_of_a_node_ends_its_line_only() {
     let folder = Folder::new("serve-death");
     let (report, notices) = served(&folder, 1.0, |lines| {
         folder.succeed("monitor nodes/agent-2.sock --every 1 --count 20");
-        lines.lock().unwrap()[1].shutdown(Shutdown::Both).unwrap();
+        lines.lock().unwrap()[&1].shutdown(Shutdown::Both).unwrap();
         // The others go on, and still hear what the simulated agent broadcasts in its place.
         folder.succeed("monitor nodes/agent-1.sock --every 1 --count 200");
         folder.succeed("monitor nodes/agent-3.sock --every 1 --count 200");
@@ -93,15 +91,15 @@ fn the_death_of_a_node_ends_its_line_only() {
     let dead = &report.boards[1];
     assert!(dead.ended.as_ref().unwrap().contains("the connection is closed"), "{dead:?}");
     assert!(dead.compared >= 20 && dead.compared < report.steps, "{dead:?}");
-    assert_eq!(notices.len(), 2, "{notices:?}");
-    assert!(notices[1].starts_with("agent 2 (thread): the connection is closed"), "{notices:?}");
+    let death = "agent 2 (thread): the connection is closed";
+    assert_eq!(notices.iter().filter(|notice| notice.starts_with(death)).count(), 1, "{notices:?}");
 }
 
 #[test]
 fn a_node_that_has_ended_is_started_again_by_a_reset() {
     let folder = Folder::new("serve-restart");
     let (report, notices) = served(&folder, 1.0, |lines| {
-        lines.lock().unwrap()[2].shutdown(Shutdown::Both).unwrap();
+        lines.lock().unwrap()[&2].shutdown(Shutdown::Both).unwrap();
         wait_until("the node has ended", || {
             folder.run("node nodes/agent-3.sock").status.code() == Some(1)
         });
@@ -111,7 +109,7 @@ fn a_node_that_has_ended_is_started_again_by_a_reset() {
     });
     let board = &report.boards[2];
     assert_eq!((board.restarts, &board.ended, report.mismatches), (1, &None, 0));
-    assert!(notices.last().unwrap().contains("StartedAgain { agent: 3 }"), "{notices:?}");
+    assert!(notices.iter().any(|notice| notice == "StartedAgain { agent: 3 }"), "{notices:?}");
 }
 
 /// What the node says, message by message.
@@ -144,28 +142,22 @@ fn a_client_that_asks_without_end_gets_one_answer_a_step() {
     let (report, _) = served(&folder, 1e6, |_| {
         let mut socket = UnixStream::connect(folder.path("nodes/agent-1.sock")).unwrap();
         let mut requests = Vec::new();
-        let state_every = Some(core::num::NonZeroU32::MIN);
-        let subscription = Subscription { state_every, outer_weights: false };
-        send(&Request::Subscribe(subscription), |piece| requests.extend_from_slice(piece));
         for _ in 0..300 {
             send(&Request::Query, |piece| requests.extend_from_slice(piece));
         }
         socket.write_all(&requests).unwrap();
         let mut listener =
             Listener { socket, decoder: Box::new(Decoder::new()), bytes: VecDeque::new() };
-        let (mut answers, mut since, mut most) = (0, 0, 0);
-        while answers < 300 {
+        let mut ticks = Vec::new();
+        while ticks.len() < 300 {
             listener.next(|message| match message {
-                Message::Status(_) => (answers, since) = (answers + 1, since + 1),
-                Message::State(_) => since = 0,
-                _ => {}
+                Message::Status(status) => ticks.push(status.tick),
+                other => panic!("{other:?}"),
             });
-            most = most.max(since);
         }
-        assert_eq!(most, 1);
+        assert!(ticks.is_sorted_by(|before, after| before < after), "{ticks:?}");
     });
-    assert!(report.steps > 300 && report.mismatches == 0, "{report:?}");
-    assert!(report.real_time_kept.is_some_and(|share| share < 1.0), "{report:?}");
+    assert!(report.steps >= 300 && report.mismatches == 0, "{report:?}");
 }
 
 #[test]
@@ -218,12 +210,12 @@ fn ctrl_c_ends_a_served_run_with_its_report() {
 #[test]
 fn ctrl_c_ends_a_run_that_is_not_served_with_what_is_known() {
     let folder = Folder::new("cosim-interrupted");
-    for agent in 1..=3 {
-        loop_node::serve(&folder.path(&format!("board-{agent}")));
-    }
+    let reads: Vec<_> =
+        (1..=3).map(|agent| loop_node::serve(&folder.path(&format!("board-{agent}")))).collect();
     let boards = "--boards unix:board-1,unix:board-2,unix:board-3";
     let run = folder.start(&format!("cosim --without-learning --steps 100000000 {boards}"));
-    std::thread::sleep(std::time::Duration::from_secs(2));
+    // A step is a read or two; all that comes before is far less.
+    wait_until("steps are taken", || reads[2].load(Ordering::Relaxed) > 1000);
     signal(&run, Signal::SIGINT);
     let output = ended(run);
     let (standard, error) = texts(&output);

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 use std::process::{Child, Output};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use agent_core::service::{Problem, Request, Response, Upload, receive};
@@ -75,7 +77,7 @@ fn monitor_ends_when_told_to_however_much_a_node_sends() {
     for end in [Signal::SIGINT, Signal::SIGTERM] {
         let name = format!("{end}.csv");
         let monitor = folder.start(&format!("monitor node --record {name}"));
-        wait_until("samples are in the file", || folder.path(&name).exists());
+        wait_until("samples are in the file", || recorded(&folder.path(&name)) > 0);
         signal(&monitor, end);
         let output = ended(monitor);
         let (standard, error) = texts(&output);
@@ -248,17 +250,18 @@ fn a_push_that_is_interrupted_says_so_and_no_more() {
     let folder = Folder::new("push-interrupted");
     package(&folder);
     // It answers the first question, and then no more.
-    listen(&folder.path("node"), |peer| {
+    let silent = Arc::new(AtomicBool::new(false));
+    let is_silent = silent.clone();
+    listen(&folder.path("node"), move |peer| {
         while let Some(request) = peer.request() {
-            if matches!(receive(&request), Some(Request::Query)) {
-                peer.say(&Response::Status(status()));
-            } else {
-                std::fs::write("/dev/null", "").unwrap();
+            match receive(&request) {
+                Some(Request::Query) => assert!(peer.say(&Response::Status(status()))),
+                _ => silent.store(true, Ordering::Relaxed),
             }
         }
     });
     let push = folder.start("push node node.weights");
-    std::thread::sleep(Duration::from_millis(300));
+    wait_until("it pushes", || is_silent.load(Ordering::Relaxed));
     signal(&push, Signal::SIGINT);
     let output = ended(push);
     let (_, error) = texts(&output);

@@ -556,3 +556,67 @@ impl Client {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STEP: Duration = Duration::from_millis(10);
+
+    #[test]
+    fn real_time_that_is_caught_up_with_is_kept_and_what_is_given_up_is_told() {
+        let (mut pace, start) = (Pace::default(), Instant::now());
+        let mut now = start;
+        let mut advance = |pace: &mut Pace, late: Duration| {
+            let due = pace.next_step.unwrap_or(now);
+            now = due + late;
+            pace.advance(due, STEP, now)
+        };
+        assert_eq!(advance(&mut pace, Duration::ZERO), None);
+        assert_eq!(advance(&mut pace, LAG_MAX), None);
+        assert_eq!((pace.kept(STEP), pace.next_step), (1.0, Some(start + 2 * STEP)));
+        // Ten seconds for the work of one step: three steps in ten seconds.
+        let share = advance(&mut pace, Duration::from_secs(10)).unwrap();
+        assert!((0.0029..0.0031).contains(&share), "{share}");
+        // That is told once in a while only.
+        assert_eq!(advance(&mut pace, Duration::from_secs(2)), None);
+        assert!(pace.kept(STEP) < share + 0.0005);
+    }
+
+    #[test]
+    fn a_client_that_does_not_read_costs_little_and_is_sent_away() {
+        let (here, there) = UnixStream::pair().unwrap();
+        here.set_nonblocking(true).unwrap();
+        let mut client = Client::new(here);
+        for _ in 0..100_000 {
+            client.forward(&[1; 100]);
+            client.write_out();
+        }
+        assert!(client.unsent.len() <= UNSENT_MAX && !client.gone);
+        // It has lost messages for too long.
+        client.losing_since = Instant::now().checked_sub(2 * UNREAD_MAX);
+        client.forward(&[1; 100]);
+        assert!(client.gone);
+        drop(there);
+    }
+
+    #[test]
+    fn requests_wait_with_the_client_that_sends_too_many() {
+        let (here, mut there) = UnixStream::pair().unwrap();
+        here.set_nonblocking(true).unwrap();
+        let mut requests = Vec::new();
+        for _ in 0..2000 {
+            send(&Request::Query, |bytes| requests.extend_from_slice(bytes));
+        }
+        there.write_all(&requests).unwrap();
+        let mut client = Client::new(here);
+        let mut count = 0;
+        while let Some(request) = client.request() {
+            assert!(matches!(receive(&request), Some(Request::Query)));
+            // What is read at a time: 1 KiB of messages of 7 bytes.
+            assert!(client.requests.len() < 150, "{}", client.requests.len());
+            count += 1;
+        }
+        assert_eq!(count, 2000);
+    }
+}
