@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use agent_core::health::HealthSettings;
 use agent_core::service::{Request, Subscription, send};
+use agent_core::signature::PublicKey;
 use agent_core::store::{Layout, MappedFlash, Slot};
 use embedded_io::ErrorKind;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
@@ -40,6 +41,8 @@ pub(crate) struct Quirks {
     pub(crate) uses: Option<PackageBytes>,
     /// Good steps until a package on trial is confirmed.
     pub(crate) good_steps: Option<u32>,
+    /// If there is one, it takes only packages that are signed with its private half.
+    pub(crate) public_key: Option<PublicKey>,
 }
 
 /// Runs a node with `package` in its flash, until the other end of the socket that is returned is
@@ -74,7 +77,7 @@ fn run(mut flash: Flash, quirks: &Quirks, socket: UnixStream, reads: Arc<AtomicU
         flash.changed.set(false);
         let settings = Settings {
             layout: layout(),
-            public_key: None,
+            public_key: quirks.public_key,
             health: HealthSettings::RECOMMENDED,
             good_steps: NonZeroU32::new(quirks.good_steps.unwrap_or(1000)).unwrap(),
             sample_stride: NonZeroU32::new(20).unwrap(),

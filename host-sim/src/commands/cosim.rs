@@ -359,6 +359,9 @@ fn text(scenario: &Scenario, arguments: &Arguments, report: &CosimReport) -> Str
          {} steps in {:.2} s, {:.0} a second ({:.0} round trips)\n\
          Scenario {}, seed {}, digest {}",
         match report.mismatches {
+            0 if report.boards.iter().all(|board| board.compared == 0) => {
+                "no step was compared".to_owned()
+            }
             0 => "all equal".to_owned(),
             count => format!("{count} steps differ"),
         },

@@ -104,10 +104,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             )));
         }
     }
+    let elsewhere = check_source(arguments, &scenario)?;
     let mut recording = Recording::load(&arguments.data, scenario.dimension(), features)?;
-    if let Some(warning) = check_source(arguments, &scenario)? {
-        eprintln!("warning: {warning}");
-    }
     if let (None, Some(base)) = (&recording.outer_weights, &base) {
         recording.outer_weights = Some(base.package().outer_weights.to_vec());
     }
@@ -126,7 +124,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         TrainedError::NotFinite { .. } | TrainedError::Draft(_) => CommandError::Training(error),
         _ => CommandError::Usage(format!("{}: {error}", arguments.data.display())),
     };
-    let prepared = task.prepare(&recording).map_err(of_these)?;
+    let mut prepared = task.prepare(&recording).map_err(of_these)?;
+    prepared.warnings.extend(elsewhere);
     let told = prepared.warnings.len();
     prepared.warnings.iter().for_each(warn);
     let trained = train(&task, prepared).map_err(of_these)?;
@@ -155,7 +154,7 @@ fn check_source(
     arguments: &Arguments,
     scenario: &Scenario,
 ) -> Result<Option<Warning>, CommandError> {
-    // What cannot be read has been told before.
+    // What cannot be read is told when the samples are.
     let source = RecordingSource::read(&arguments.data).unwrap_or_default();
     let (name, hash, step) = (scenario.name.as_str(), scenario.hash, scenario.time.step_size);
     let scenario = SourceScenario { name, hash, step };

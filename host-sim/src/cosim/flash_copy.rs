@@ -108,3 +108,48 @@ pub(super) fn package_in_use(
         })
         .map(|(_, package)| package))
 }
+
+#[cfg(test)]
+mod tests {
+    use agent_core::store::Slot;
+
+    use super::*;
+    use crate::analysis::TriggerConstants;
+    use crate::image::{ERASED, Image};
+    use crate::memory_map::MemoryMap;
+    use crate::packages::trained;
+    use crate::scenario::{PAPER, Scenario};
+    use crate::signing::OperatorKey;
+
+    fn start_package() -> PackageBytes {
+        let scenario = Scenario::parse("paper", PAPER).unwrap();
+        let trigger = TriggerConstants::new(&scenario);
+        let network = scenario.network.as_ref().unwrap();
+        let inner = vec![0.1; network.architecture.parameter_count()];
+        trained::initial(&scenario, &trigger, network, &inner, 0, 0).unwrap()
+    }
+
+    #[test]
+    fn the_package_of_a_node_that_is_switched_off_is_found() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../memory.x");
+        let region = MemoryMap::read(path.as_ref()).unwrap().weights().unwrap();
+        let mut bytes = vec![ERASED; region.length as usize];
+        let found = |bytes: &[u8], key: Option<&PublicKey>| {
+            package_in_use(FlashCopy::new(bytes), &region, key).unwrap()
+        };
+        assert_eq!(found(&bytes, None), None);
+        let key = OperatorKey::generate().unwrap();
+        let package = start_package();
+        for (package, accepted) in [(package.clone(), false), (package.signed(&key), true)] {
+            let image = Image::of_package(&region, Slot::B, &package).unwrap();
+            for segment in image.segments() {
+                let start = (segment.address - region.origin) as usize;
+                bytes[start..start + segment.bytes.len()].copy_from_slice(&segment.bytes);
+            }
+            assert_eq!(found(&bytes, None), Some(package.clone()));
+            // Firmware with a key takes only what is signed.
+            let signed_only = found(&bytes, Some(key.public_key()));
+            assert_eq!(signed_only, accepted.then_some(package));
+        }
+    }
+}

@@ -96,9 +96,12 @@ pub enum ServiceError {
 fn line_hint(error: &LineError) -> &'static str {
     match error {
         LineError::Interrupted => "",
-        LineError::Silent | LineError::Closed => {
-            "; see that the board is on, or its co-simulation still runs, that nobody else talks to \
-             it, and try again"
+        LineError::Silent => {
+            "; see that the board is on and that nobody else talks to it, and try again"
+        }
+        LineError::Closed => {
+            "; see that the board is on, or that its co-simulation still runs: if that has reported \
+             the end of the node, `host-sim node ENDPOINT reset` starts it again"
         }
         LineError::System(_) => "; connect the board again, and try again",
     }
