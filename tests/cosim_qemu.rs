@@ -37,6 +37,7 @@ fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
         ("smoothing_window = 0.4", "smoothing_window = 0.02"),
         ("decimation = 20", "decimation = 2\nswitch_in = \"always\""),
         ("epochs = 60", "epochs = 4"),
+        ("[recipes.better]", "[recipes.better]\nswitch_in = \"always\""),
     ] {
         assert!(text.contains(from), "{from}");
         text = text.replace(from, to);
