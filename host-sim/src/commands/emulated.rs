@@ -19,7 +19,7 @@ pub(super) enum Signing {
     /// Nothing.
     None,
     /// Signatures, which co-simulation makes itself.
-    Private(OperatorKey),
+    Private(Box<OperatorKey>),
     /// Signatures, which only somebody else can make: nodes wait for their first package.
     Public(PublicKey),
 }
@@ -31,7 +31,7 @@ impl Signing {
         Ok(match read_public_key(path) {
             Ok(key) => Self::Public(key),
             // What is wrong with it is told as for a private key.
-            Err(_) => Self::Private(OperatorKey::read(path)?),
+            Err(_) => Self::Private(Box::new(OperatorKey::read(path)?)),
         })
     }
 

@@ -237,8 +237,7 @@ impl<'s> Lockstep<'s> {
 impl Companion for Lockstep<'_> {
     fn begin(&mut self, agents: &[AgentStart<'_>]) -> Result<(), CompanionError> {
         self.start(agents)?;
-        for index in 0..self.nodes.len() {
-            let agent = &agents[index];
+        for (index, agent) in agents.iter().enumerate().take(self.nodes.len()) {
             let (node, package) = (&mut self.nodes[index], &self.packages[index]);
             if self.setup.erased {
                 let waits = node.board.rejoin();

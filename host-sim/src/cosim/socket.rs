@@ -5,8 +5,10 @@ use std::io::ErrorKind;
 use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use super::CosimError;
+use crate::service::address::connect;
 
 /// A socket that others can connect to. Dropping it removes it, unless something else has taken its
 /// place.
@@ -35,7 +37,7 @@ impl Socket {
         if !metadata.file_type().is_socket() {
             return Err(occupied("there is something here that is not a socket"));
         }
-        match UnixStream::connect(path) {
+        match connect(path, Duration::ZERO) {
             // What a run that was killed has left behind.
             Err(error) if error.kind() == ErrorKind::ConnectionRefused => Ok(true),
             _ => Err(occupied("another program serves this socket")),

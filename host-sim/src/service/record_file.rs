@@ -150,6 +150,9 @@ impl RecordFile {
             line.clear();
             let read = (&mut reader).take(LINE_MAX).read_until(b'\n', &mut line).map_err(failed)?;
             if line.last() != Some(&b'\n') {
+                if read as u64 == LINE_MAX {
+                    return Err(other("has a line that is too long".to_owned()));
+                }
                 break;
             }
             length += read as u64;
