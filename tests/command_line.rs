@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output, Stdio};
 
 use host_sim::engine::{RunOptions, Silent, run};
 use host_sim::scenario::PAPER;
@@ -37,6 +37,18 @@ impl Folder {
             .args(arguments.split_whitespace())
             .current_dir(&self.0)
             .output()
+            .unwrap()
+    }
+
+    /// Starts the program in this folder, with pipes to what it says.
+    pub(crate) fn start(&self, arguments: &str) -> Child {
+        Command::new(env!("CARGO_BIN_EXE_simulator-under-test"))
+            .args(arguments.split_whitespace())
+            .current_dir(&self.0)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
             .unwrap()
     }
 

@@ -11,6 +11,7 @@ use host_sim::engine::Silent;
 use host_sim::packages::{Draft, NodeContent, PackageBytes};
 use host_sim::scenario::{PAPER, Scenario, SwitchIn, Window};
 use host_sim::service::Line;
+use host_sim::signing::OperatorKey;
 
 use crate::loop_node::{self, Quirks};
 
@@ -44,7 +45,7 @@ pub(crate) fn board(package: Option<&PackageBytes>, quirks: &Quirks, lives_on: b
 }
 
 fn cosimulated(scenario: &Scenario, start: &mut Start<'_>) -> Result<CosimReport, CosimError> {
-    let setup = Setup { start, timeout: Duration::from_secs(5) };
+    let setup = Setup::new(start, Duration::from_secs(5));
     cosimulate(scenario, 0, setup, None, &Silent)
 }
 
@@ -136,4 +137,19 @@ fn cosim_says_which_node_has_the_wrong_package() {
         matches!(error, CosimError::Node(NodeError { agent: 2, fault: Fault::Package { .. }, .. })),
         "{error}"
     );
+}
+
+#[test]
+fn cosim_with_a_key_signs_all_that_it_puts_into_nodes() {
+    let (scenario, key) = (short_paper(), OperatorKey::generate().unwrap());
+    let start = &mut |_, package: &PackageBytes| {
+        assert!(package.is_signed());
+        let public_key = Some(*key.public_key());
+        Ok(board(Some(package), &Quirks { public_key, ..Quirks::default() }, false))
+    };
+    let mut setup = Setup::new(start, Duration::from_secs(5));
+    setup.signer = Some(&key);
+    let report = cosimulate(&scenario, 0, setup, None, &Silent).unwrap();
+    assert_eq!((report.first_mismatch, report.mismatches, report.steps), (None, 0, 2000));
+    assert!(report.boards.iter().all(|board| board.switches == 1), "{:?}", report.boards);
 }

@@ -27,7 +27,7 @@ use crate::loop_node::{self, Quirks};
 const TIMEOUT: Duration = Duration::from_millis(600);
 
 fn failure(scenario: &Scenario, start: &mut Start<'_>) -> String {
-    let setup = Setup { start, timeout: TIMEOUT };
+    let setup = Setup::new(start, TIMEOUT);
     cosimulate(scenario, 0, setup, None, &Silent).unwrap_err().to_string()
 }
 

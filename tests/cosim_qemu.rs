@@ -37,6 +37,7 @@ fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
         ("smoothing_window = 0.4", "smoothing_window = 0.02"),
         ("decimation = 20", "decimation = 2\nswitch_in = \"always\""),
         ("epochs = 60", "epochs = 4"),
+        ("[recipes.better]", "[recipes.better]\nswitch_in = \"always\""),
     ] {
         assert!(text.contains(from), "{from}");
         text = text.replace(from, to);
@@ -53,4 +54,25 @@ fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
     }
     let after: Vec<_> = children().difference(&before).cloned().collect();
     assert_eq!(after, Vec::<String>::new(), "processes are left");
+}
+
+#[test]
+#[ignore = "needs the firmware and QEMU; cargo xtask test runs it"]
+fn cosim_in_qemu_goes_on_with_the_flash_that_was_kept() {
+    let folder = Folder::new("cosim-qemu-keep");
+    let learns = "paper --keep flash --steps 300 --without-learning";
+    let first = cosim(&folder, learns);
+    assert_eq!((&first["mismatches"], &first["steps"]), (&0.into(), &300.into()));
+    let agents: Vec<_> = folder.files("flash").into_keys().collect();
+    assert_eq!(agents, ["agent-1.flash", "agent-2.flash", "agent-3.flash"]);
+    let second = cosim(&folder, learns);
+    assert_eq!((&second["mismatches"], &second["digest"]), (&0.into(), &first["digest"]));
+    // Another scenario's nodes are not these.
+    let text = host_sim::scenario::PAPER.replace("epsilon = 3000.0", "epsilon = 2000.0");
+    assert_ne!(text, host_sim::scenario::PAPER);
+    folder.write("other.toml", &text);
+    let firmware = std::env::var(FIRMWARE).unwrap();
+    let refused = format!("cosim other.toml --firmware {firmware} --keep flash --steps 9");
+    let error = folder.fail(&refused, 2);
+    assert!(error.contains("flash/agent-1.flash: the package in it has another "), "{error}");
 }

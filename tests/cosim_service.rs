@@ -31,7 +31,7 @@ fn served(folder: &Folder, visit: impl FnOnce()) -> CosimReport {
                 let socket = loop_node::spawn(Some(package), &quirks);
                 Ok(Board::new(Line::over_socket(socket).unwrap(), "thread", false))
             };
-            let setup = Setup { start, timeout: Duration::from_secs(10) };
+            let setup = Setup::new(start, Duration::from_secs(10));
             cosimulate(&scenario, 0, setup, Some(&service), &Silent).unwrap()
         });
         while !folder.path("nodes/agent-3.sock").exists() {
@@ -69,21 +69,36 @@ fn cosim_nodes_are_recorded_trained_for_and_pushed_to_while_every_bit_agrees() {
     let folder = Folder::new("cosim-cycle");
     let report = served(&folder, || {
         let told = folder.succeed("monitor nodes/agent-1.sock --record samples.csv --count 500");
+        let head = std::fs::read_to_string(folder.path("samples.csv")).unwrap();
+        let hash = Scenario::parse("paper", PAPER).unwrap().hash;
+        assert!(head.contains("# agent: 1\n# package: version 1, checksum 0x"), "{head}");
+        assert!(head.contains(&format!("# scenario: paper, hash {hash:#018x}\n")), "{head}");
+        let refused =
+            folder.fail("train samples.csv --scenario paper --agent 2 --out 2.weights", 2);
+        assert!(refused.contains("samples of agent 1, not of agent 2"), "{refused}");
+        let refused = folder.fail("monitor nodes/agent-1.sock --record samples.csv", 2);
+        assert!(refused.contains("exists and is not empty"), "{refused}");
         assert!(told.contains("agent 1, package version 1"), "{told}");
         assert!(told.contains("x_hat") && told.contains("samples.csv: 499 samples"), "{told}");
-        let train = folder
-            .run("train samples.csv --scenario paper --agent 1 --recipe better --out node.weights");
-        assert!(train.status.success(), "{}", texts(&train).1);
+        // Half a second explains nothing, and is to do here.
+        let always = "[recipes.better]\nswitch_in = \"always\"";
+        folder.write("always.toml", &PAPER.replace("[recipes.better]", always));
+        let train = "train samples.csv --scenario always.toml --agent 1 --recipe better";
+        let train = folder.run(&format!("{train} --out node.weights"));
+        let warning = texts(&train).1;
+        assert!(train.status.success(), "{warning}");
+        let hash = format!("samples.csv: recorded with scenario paper (hash {hash:#018x})");
+        assert!(warning.contains(&hash), "{warning}");
         let bytes = std::fs::read(folder.path("node.weights")).unwrap();
 
-        // A tampered package is refused, and nothing changes.
+        // What is known to be damaged is not sent at all.
         let mut tampered = bytes.clone();
         tampered[bytes.len() / 2] ^= 4;
         std::fs::write(folder.path("tampered.weights"), &tampered).unwrap();
         let refused = folder.run("push unix:nodes/agent-1.sock tampered.weights");
         let (standard, error) = texts(&refused);
         assert_eq!((refused.status.code(), standard.as_str()), (Some(2), ""));
-        assert!(error.contains("checksum does not match; what was in use stays"), "{error}");
+        assert!(error.contains("tampered.weights: ") && error.contains("checksum"), "{error}");
 
         // Somebody's transfer breaks off; another goes on with it.
         let mut broken = conversation(&folder, 1);
@@ -104,6 +119,10 @@ fn cosim_nodes_are_recorded_trained_for_and_pushed_to_while_every_bit_agrees() {
         let again = folder.succeed("push nodes/agent-1.sock node.weights --format json");
         let again: serde_json::Value = serde_json::from_str(&again).unwrap();
         assert_eq!((&again["version"], again["resumed_from"].is_null()), (&2.into(), true));
+        // It is not on trial again for having been pushed again.
+        assert_eq!(again["confirmed"], true);
+        let again = folder.succeed("push nodes/agent-1.sock node.weights");
+        assert!(again.contains("was there already; in use and confirmed"), "{again}");
         // Some steps with it.
         folder.succeed("monitor nodes/agent-1.sock --every 1 --count 50");
     });
@@ -129,7 +148,8 @@ fn cosim_nodes_that_go_their_own_way_are_not_compared_any_more() {
         // Time is not theirs to make, and what is no package is none.
         let mut client = conversation(&folder, 2);
         ask(&mut client, &Request::Tick { periods: 1, measurement: None });
-        folder.fail("node nodes/agent-3.sock revert", 1);
+        let refused = folder.fail("node nodes/agent-3.sock revert", 2);
+        assert!(refused.contains("no package is on trial; only a package on trial"), "{refused}");
         folder.succeed("node nodes/agent-3.sock reset");
         folder.succeed("monitor nodes/agent-3.sock --every 1 --count 50");
     });

@@ -15,10 +15,13 @@ mod cosim_faults;
 mod cosim_qemu;
 #[cfg(unix)]
 mod cosim_service;
+#[cfg(unix)]
+mod cosim_serving;
 mod described;
 mod determinism;
 mod drawn_network;
 #[cfg(unix)]
+mod fake_node;
 mod files;
 mod flash;
 mod health;
@@ -29,6 +32,8 @@ mod links;
 #[cfg(unix)]
 mod loop_node;
 mod memory_map;
+#[cfg(unix)]
+mod node_commands;
 mod nor_flash;
 mod oracle;
 mod packages;

@@ -4,12 +4,13 @@
 use std::cell::Cell;
 use std::io::{Read as _, Write as _};
 use std::num::NonZeroU32;
-use std::os::unix::net::UnixStream;
+use std::os::unix::net::{UnixListener, UnixStream};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use agent_core::health::HealthSettings;
 use agent_core::service::{Request, Subscription, send};
+use agent_core::signature::PublicKey;
 use agent_core::store::{Layout, MappedFlash, Slot};
 use embedded_io::ErrorKind;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
@@ -40,6 +41,8 @@ pub(crate) struct Quirks {
     pub(crate) uses: Option<PackageBytes>,
     /// Good steps until a package on trial is confirmed.
     pub(crate) good_steps: Option<u32>,
+    /// If there is one, it takes only packages that are signed with its private half.
+    pub(crate) public_key: Option<PublicKey>,
 }
 
 /// Runs a node with `package` in its flash, until the other end of the socket that is returned is
@@ -47,19 +50,34 @@ pub(crate) struct Quirks {
 pub(crate) fn spawn(package: Option<&PackageBytes>, quirks: &Quirks) -> UnixStream {
     let (here, there) = UnixStream::pair().unwrap();
     let (flash, quirks) = (Flash::new(package, quirks.uses.as_ref()), quirks.clone());
-    std::thread::spawn(move || run(flash, &quirks, there));
+    std::thread::spawn(move || run(flash, &quirks, there, Arc::default()));
     here
 }
 
-fn run(mut flash: Flash, quirks: &Quirks, socket: UnixStream) {
+/// Runs nodes without a package, one for each connection to this socket, as a board on a desk is.
+/// Returns how often they have read something.
+pub(crate) fn serve(path: &std::path::Path) -> Arc<AtomicU64> {
+    let listener = UnixListener::bind(path).unwrap();
+    let reads = Arc::new(AtomicU64::new(0));
+    let all = reads.clone();
+    std::thread::spawn(move || {
+        while let Ok((socket, _)) = listener.accept() {
+            let (flash, reads) = (Flash::new(None, None), all.clone());
+            std::thread::spawn(move || run(flash, &Quirks::default(), socket, reads));
+        }
+    });
+    reads
+}
+
+fn run(mut flash: Flash, quirks: &Quirks, socket: UnixStream, reads: Arc<AtomicU64>) {
     let over = Arc::new(AtomicBool::new(false));
-    let port = Port { socket, over: over.clone() };
+    let port = Port { socket, over: over.clone(), reads };
     let mut board = InTheLoop::<_, 8>::new(port);
     while !over.load(Ordering::Relaxed) {
         flash.changed.set(false);
         let settings = Settings {
             layout: layout(),
-            public_key: None,
+            public_key: quirks.public_key,
             health: HealthSettings::RECOMMENDED,
             good_steps: NonZeroU32::new(quirks.good_steps.unwrap_or(1000)).unwrap(),
             sample_stride: NonZeroU32::new(20).unwrap(),
@@ -80,6 +98,7 @@ fn run(mut flash: Flash, quirks: &Quirks, socket: UnixStream) {
 struct Port {
     socket: UnixStream,
     over: Arc<AtomicBool>,
+    reads: Arc<AtomicU64>,
 }
 
 impl embedded_io::ErrorType for Port {
@@ -90,6 +109,7 @@ impl embedded_io::Read for Port {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, ErrorKind> {
         let length = self.socket.read(buffer).unwrap_or(0);
         if length > 0 {
+            self.reads.fetch_add(1, Ordering::Relaxed);
             return Ok(length);
         }
         // Nobody is there any more: the last thing that the node is asked is to let go of itself.

@@ -5,8 +5,9 @@
 //! before it stays, and the exit code is 128 and the signal's number, 130 for Ctrl-C and 143 for a
 //! request to terminate. Under `nohup`, the terminal's end is no reason to end.
 
-use std::sync::Once;
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, Ordering};
+use std::sync::{Once, OnceLock};
+use std::time::{Duration, Instant};
 
 use crate::output_file::temporary;
 use crate::terminal;
@@ -26,6 +27,9 @@ const WAIT: u8 = 2;
 const HANG_UP: i32 = 1;
 const INTERRUPT: i32 = 2;
 const TERMINATE: i32 = 15;
+
+/// When the first request came.
+static SINCE: OnceLock<Instant> = OnceLock::new();
 
 /// What a second wish does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -108,6 +112,7 @@ fn received(signal: i32) {
         }
     }
     if !again {
+        SINCE.get_or_init(Instant::now);
         SIGNAL.store(signal, Ordering::Relaxed);
         REQUESTED.store(true, Ordering::Release);
     }
@@ -143,4 +148,11 @@ pub fn signal() -> Option<Signal> {
 #[must_use]
 pub fn flag() -> &'static AtomicBool {
     &REQUESTED
+}
+
+/// Whether somebody asked for the end at least `time` ago: what is under way may have that long to
+/// finish in good order.
+#[must_use]
+pub fn requested_for(time: Duration) -> bool {
+    requested() && SINCE.get().is_none_or(|since| since.elapsed() >= time)
 }

@@ -12,14 +12,18 @@ const DRAWS: u8 = 10;
 
 const STEPS: &str =
     "{prefix:12} [{bar:32}] {percent:>3} %  {human_pos} of {human_len} steps  {eta} left";
+const ENDLESS: &str = "{prefix:12} {human_pos} steps  {elapsed} since the start";
 const BYTES: &str = "{prefix:12} [{bar:32}] {percent:>3} %  {bytes} of {total_bytes}";
 const EPOCHS: &str = "{prefix:12} {msg}  ({human_pos} epochs in all)";
 
 /// The two bars.
 #[derive(Debug)]
 pub struct ProgressBars {
+    bars: MultiProgress,
     steps: ProgressBar,
     epochs: ProgressBar,
+    /// There is no last step.
+    endless: bool,
 }
 
 impl ProgressBars {
@@ -27,6 +31,20 @@ impl ProgressBars {
     #[must_use]
     pub fn new(name: &str) -> Self {
         Self::drawn_on(name, ProgressDrawTarget::stderr_with_hz(DRAWS))
+    }
+
+    /// Bars of a run that goes on until somebody ends it.
+    #[must_use]
+    pub fn endless(name: &str) -> Self {
+        let mut bars = Self::new(name);
+        bars.steps.set_style(style(ENDLESS));
+        bars.endless = true;
+        bars
+    }
+
+    /// Does something that writes to the terminal, with the bars out of the way.
+    pub fn suspended(&self, print: impl FnOnce()) {
+        self.bars.suspend(print);
     }
 
     /// Bars that are never drawn.
@@ -41,12 +59,13 @@ impl ProgressBars {
             let bar = bars.add(ProgressBar::new(0)).with_style(style(template));
             bar.with_prefix(prefix.to_owned())
         };
-        Self { steps: bar(STEPS, name), epochs: bar(EPOCHS, "training") }
+        let (steps, epochs) = (bar(STEPS, name), bar(EPOCHS, "training"));
+        Self { bars, steps, epochs, endless: false }
     }
 
     /// The run has come to `tick` of `steps`.
     pub fn stepped(&self, tick: u64, steps: u64) {
-        if self.steps.length() != Some(steps) {
+        if !self.endless && self.steps.length() != Some(steps) {
             self.steps.set_length(steps);
         }
         self.steps.set_position(tick);
@@ -97,7 +116,7 @@ mod tests {
 
     #[test]
     fn templates_are_valid() {
-        for template in [STEPS, BYTES, EPOCHS] {
+        for template in [STEPS, ENDLESS, BYTES, EPOCHS] {
             assert!(ProgressStyle::with_template(template).is_ok(), "{template}");
         }
     }
@@ -114,5 +133,13 @@ mod tests {
         });
         assert_eq!(bars.epochs.position(), 100);
         assert_eq!((bars.steps.position(), bars.steps.length()), (512, Some(40_000)));
+    }
+
+    #[test]
+    fn a_run_without_an_end_has_no_length() {
+        let mut bars = ProgressBars::hidden();
+        bars.endless = true;
+        bars.stepped(512, 1 << 40);
+        assert_eq!((bars.steps.position(), bars.steps.length()), (512, Some(0)));
     }
 }

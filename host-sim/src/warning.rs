@@ -45,11 +45,13 @@ pub enum WarningCode {
     NotSwitchedIn,
     /// A run that errors are compared with failed.
     BaselineFailed,
+    /// The samples were recorded with another scenario.
+    OtherScenario,
 }
 
 impl WarningCode {
     /// Every code.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::StateNotCovered,
         Self::GainNotASolution,
         Self::RhoTooSmall,
@@ -67,6 +69,7 @@ impl WarningCode {
         Self::FewSamples,
         Self::NotSwitchedIn,
         Self::BaselineFailed,
+        Self::OtherScenario,
     ];
 
     /// The code as JSON has it.
@@ -90,6 +93,7 @@ impl WarningCode {
             Self::FewSamples => "few-samples",
             Self::NotSwitchedIn => "not-switched-in",
             Self::BaselineFailed => "baseline-failed",
+            Self::OtherScenario => "other-scenario",
         }
     }
 }

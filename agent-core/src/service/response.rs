@@ -153,7 +153,8 @@ pub struct Status {
     pub firmware: Firmware,
     /// The tick of the next step, if none is skipped.
     pub tick: Tick,
-    /// The package in use; `None` says that the node observes nothing.
+    /// The package in use; without one a node observes nothing, or is the agent that is built into
+    /// its firmware.
     pub package: Option<PackageStatus>,
     /// Whether a package waits for its activation.
     pub staged: bool,

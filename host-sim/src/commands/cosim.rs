@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use clap::Args;
 
+use super::emulated::{FlashFolder, Signing};
 use super::firmware::{self, Firmware};
 use super::warnings;
 use super::{
@@ -17,7 +18,7 @@ use crate::analysis::StepCheck;
 use crate::cosim::endpoint::{Endpoint, for_agents};
 use crate::cosim::fault::{Fault, NodeError};
 use crate::cosim::qemu::{Channel, PROGRAM, Qemu};
-use crate::cosim::{CosimReport, Service, Setup, board::Board, cosimulate};
+use crate::cosim::{CosimReport, Notice, Service, Setup, board::Board, cosimulate};
 use crate::interruption::{self, Again};
 use crate::memory_map::MemoryMap;
 use crate::packages::PackageBytes;
@@ -66,6 +67,14 @@ pub(super) struct Arguments {
     /// With --serve: how much faster than real time
     #[arg(long, default_value_t = 1.0, requires = "serve", value_parser = speed)]
     speed: f64,
+    /// Keeps the flash of emulated nodes in this folder: the next run goes on with what it holds
+    /// [default: erased, with the scenario's packages]
+    #[arg(long, value_name = "FOLDER")]
+    keep: Option<PathBuf>,
+    /// Firmware that takes signed packages only: with the operator's private key all packages are
+    /// signed with it; with the public key nodes wait until somebody pushes them signed ones
+    #[arg(long, value_name = "KEY.pem")]
+    key: Option<PathBuf>,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -91,7 +100,7 @@ const ENDLESS: u64 = 1 << 40;
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     interruption::listen(Again::Wait);
-    let scenario = scenario(arguments)?;
+    let mut scenario = scenario(arguments)?;
     let endpoints =
         for_agents(&arguments.boards, scenario.agents.len()).map_err(CommandError::Usage)?;
     let step = StepCheck::new(&scenario);
@@ -101,12 +110,27 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     // What can be refused is refused before anything is built.
     crate::cosim::prepared(&scenario)?;
     let timeout = Duration::from_secs_f64(arguments.timeout);
-    let emulated = endpoints.iter().any(|endpoint| !matches!(endpoint, Endpoint::At(_)));
-    let qemu = emulated.then(|| emulator(arguments, timeout)).transpose()?;
+    let signing = Signing::read(arguments.key.as_deref())?;
+    let is_emulated = |index: usize| !matches!(endpoints[index], Endpoint::At(_));
+    let emulated = (0..endpoints.len()).any(is_emulated);
+    let qemu = emulated.then(|| emulator(arguments, &signing, timeout)).transpose()?;
+    let emulators = match (qemu, &arguments.keep) {
+        (None, _) => None,
+        (Some(qemu), None) => Some((qemu, FlashFolder::temporary()?)),
+        (Some(qemu), Some(folder)) => {
+            let flash = FlashFolder::kept(folder)?;
+            flash.take_over(&mut scenario, &qemu, signing.public_key(), is_emulated)?;
+            Some((qemu, flash))
+        }
+    };
     let start = &mut |index: usize, package: &PackageBytes| {
-        let board = match (&endpoints[index], &qemu) {
-            (Endpoint::Qemu, Some(qemu)) => qemu.start(Channel::Pipes, package),
-            (Endpoint::QemuUart, Some(qemu)) => qemu.start(Channel::Uart, package),
+        let package = (!signing.is_public_only()).then_some(package);
+        let emulated = |(qemu, flash): &(Qemu, FlashFolder), channel| {
+            qemu.start_on(channel, package, &flash.file(index), flash.removed())
+        };
+        let board = match (&endpoints[index], &emulators) {
+            (Endpoint::Qemu, Some(emulators)) => emulated(emulators, Channel::Pipes),
+            (Endpoint::QemuUart, Some(emulators)) => emulated(emulators, Channel::Uart),
             (Endpoint::At(address), _) => address
                 .connect()
                 .map(|line| Board::new(line, &address.to_string(), true))
@@ -121,22 +145,32 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         speed: arguments.speed,
         stop: Arc::default(),
     });
-    if arguments.serve.is_some() && arguments.common.format == Format::Text {
-        terminal::note(served(arguments, endpoints.len()));
-    }
-    let bars = ProgressBars::new("co-simulating");
+    let endless = arguments.serve.is_some() && arguments.steps.is_none();
+    let bars = match endless {
+        true => ProgressBars::endless("co-simulating"),
+        false => ProgressBars::new("co-simulating"),
+    };
     let done = AtomicU64::new(0);
     let progress = SharedProgress::new(&bars, &done, scenario.steps());
-    let setup = Setup { start, timeout };
+    let quiet = arguments.common.format == Format::Json;
+    let notice = &mut |notice: &Notice<'_>| {
+        if !(quiet && matches!(notice, Notice::Reachable)) {
+            let told = told(arguments, endpoints.len(), notice);
+            let is_warning = matches!(notice, Notice::Ended(_) | Notice::Late { .. });
+            bars.suspended(|| {
+                if is_warning { terminal::warning(&told) } else { terminal::note(&told) }
+            });
+        }
+    };
+    let mut setup = Setup::new(start, timeout);
+    setup.signer = signing.signer();
+    setup.erased = signing.is_public_only();
+    if arguments.serve.is_some() {
+        setup.notice = Some(notice);
+    }
     let report = cosimulate(&scenario, arguments.common.seed, setup, service.as_ref(), &progress)?;
     bars.finish();
-    let outcome = match &report.first_mismatch {
-        None => Ok(()),
-        Some(first) => Err(CommandError::Mismatches(format!(
-            "{} steps of nodes differ from the simulated ones, first {first}",
-            report.mismatches
-        ))),
-    };
+    let outcome = outcome(&report, scenario.steps());
     match arguments.common.format {
         Format::Json => print_outcome(&report, outcome),
         Format::Text => {
@@ -144,6 +178,56 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             // Mismatches count, whether anyone reads of them or not.
             outcome.and(printed)
         }
+    }
+}
+
+/// Whether it went well: equal bits, and every node to the end.
+fn outcome(report: &CosimReport, wanted: u64) -> Result<(), CommandError> {
+    if let Some(first) = &report.first_mismatch {
+        return Err(CommandError::Mismatches(format!(
+            "{} steps of nodes differ from the simulated ones, first {first}",
+            report.mismatches
+        )));
+    }
+    let ended = report.boards.iter().filter(|board| board.ended.is_some());
+    let ended: Vec<_> = ended.map(|board| board.agent.to_string()).collect();
+    if !ended.is_empty() {
+        return Err(CommandError::Node(format!(
+            "these agents' nodes have ended and were not started again: {}; see above why",
+            ended.join(", ")
+        )));
+    }
+    if report.interrupted {
+        return Err(CommandError::Node(format!(
+            "interrupted after {} of {wanted} steps, all equal until then",
+            report.steps
+        )));
+    }
+    Ok(())
+}
+
+/// What a notice says to people.
+fn told(arguments: &Arguments, agents: usize, notice: &Notice<'_>) -> String {
+    match notice {
+        Notice::Reachable => served(arguments, agents),
+        Notice::Ended(error) => {
+            let again = arguments.serve.as_ref().map_or(String::new(), |folder| {
+                let socket = folder.join(format!("agent-{}.sock", error.agent));
+                format!(
+                    "\nThe others go on; `host-sim node {} reset` starts it again",
+                    shell_word(&socket)
+                )
+            });
+            format!("{error}{again}")
+        }
+        Notice::StartedAgain { agent } => {
+            format!("Agent {agent} has been started again, with what its flash holds")
+        }
+        Notice::Late { share } => format!(
+            "real time is not kept, only {:.0} % of the speed that was asked for; choose a lower \
+             --speed, or fewer nodes",
+            share * 100.0
+        ),
     }
 }
 
@@ -181,9 +265,13 @@ fn scenario(arguments: &Arguments) -> Result<Scenario, CommandError> {
     Ok(scenario)
 }
 
-fn emulator(arguments: &Arguments, timeout: Duration) -> Result<Qemu, CommandError> {
-    let Firmware { program, memory } =
-        firmware::find(arguments.firmware.as_deref(), arguments.memory.as_deref())?;
+fn emulator(
+    arguments: &Arguments,
+    signing: &Signing,
+    timeout: Duration,
+) -> Result<Qemu, CommandError> {
+    let (program, memory) = (arguments.firmware.as_deref(), arguments.memory.as_deref());
+    let Firmware { program, memory } = firmware::find(program, memory, signing.public_key())?;
     let region = MemoryMap::read(&memory)?.weights()?;
     Ok(Qemu { program: arguments.qemu.clone(), firmware: program, region, timeout })
 }
@@ -205,9 +293,20 @@ fn text(scenario: &Scenario, arguments: &Arguments, report: &CosimReport) -> Str
         );
     }
     for board in &report.boards {
+        let agent = board.agent;
         if let Some(parted) = &board.parted {
-            let _ = writeln!(text, "Agent {} is not compared {parted}", board.agent);
+            let _ = writeln!(text, "Agent {agent} is not compared {parted}");
         }
+        if let Some(ended) = &board.ended {
+            let _ = writeln!(text, "Agent {agent} has ended {ended}");
+        }
+        if board.restarts > 0 {
+            let _ = writeln!(text, "Agent {agent} was started again: {}", board.restarts);
+        }
+    }
+    if let Some(share) = report.real_time_kept.filter(|share| *share < 1.0) {
+        let share = share * 100.0;
+        let _ = writeln!(text, "Real time was not kept: {share:.1} % of the speed asked for");
     }
     let _ = writeln!(
         text,
@@ -216,6 +315,9 @@ fn text(scenario: &Scenario, arguments: &Arguments, report: &CosimReport) -> Str
          {} steps in {:.2} s, {:.0} a second ({:.0} round trips)\n\
          Scenario {}, seed {}, digest {}",
         match report.mismatches {
+            0 if report.boards.iter().all(|board| board.compared == 0) => {
+                "no step was compared".to_owned()
+            }
             0 => "all equal".to_owned(),
             count => format!("{count} steps differ"),
         },

@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use agent_core::signature::PublicKey;
 use nix::sys::signal::{Signal, killpg};
 use nix::unistd::Pid;
 
@@ -36,10 +37,12 @@ enum Source {
     Share(PathBuf),
 }
 
-/// Finds both; builds the firmware if it is the project's.
+/// Finds both; builds the firmware if it is the project's. With a `key` it is to take packages
+/// only that are signed with it.
 pub(super) fn find(
     program: Option<&Path>,
     memory: Option<&Path>,
+    key: Option<&PublicKey>,
 ) -> Result<Firmware, CommandError> {
     if let Some(program) = program.filter(|program| !program.is_file()) {
         let problem = format!("{}: there is no such file", program.display());
@@ -58,7 +61,14 @@ pub(super) fn find(
     let memory = memory.map_or(from_source, Path::to_owned);
     let program = match (program, &source) {
         (Some(program), _) => program.to_owned(),
-        (None, Source::Project(project)) => build(project)?,
+        (None, Source::Project(project)) => build(project, key)?,
+        (None, Source::Share(_)) if key.is_some() => {
+            return Err(CommandError::Usage(
+                "the installed firmware takes any package; give one that was built with the key as \
+                 --firmware, or change into the project"
+                    .to_owned(),
+            ));
+        }
         (None, Source::Share(share)) => share.join(installed_name()),
     };
     Ok(Firmware { program, memory })
@@ -104,8 +114,12 @@ fn share_beside(program: &Path) -> Option<PathBuf> {
 }
 
 /// Builds the project's firmware; what the build says goes to standard error.
-fn build(project: &Path) -> Result<PathBuf, CommandError> {
-    let line = format!("cargo xtask firmware --board qemu-{MACHINE}");
+fn build(project: &Path, key: Option<&PublicKey>) -> Result<PathBuf, CommandError> {
+    let mut line = format!("cargo xtask firmware --board qemu-{MACHINE}");
+    if let Some(key) = key {
+        line += " --public-key ";
+        line.extend(key.as_bytes().iter().map(|byte| format!("{byte:02x}")));
+    }
     let failed = |what: String| {
         CommandError::Firmware(format!("`{line}` {what}; mend that, or give --firmware ELF"))
     };
@@ -197,10 +211,10 @@ mod tests {
     fn named_files_need_neither() {
         let folder = tempfile::tempdir().unwrap();
         let (program, memory) = (folder.path().join("node.elf"), folder.path().join("memory.x"));
-        let error = find(Some(&program), Some(&memory)).unwrap_err().to_string();
+        let error = find(Some(&program), Some(&memory), None).unwrap_err().to_string();
         assert!(error.contains("node.elf: there is no such file"), "{error}");
         touch(&program);
-        let found = find(Some(&program), Some(&memory)).unwrap();
+        let found = find(Some(&program), Some(&memory), None).unwrap();
         assert_eq!(found, Firmware { program, memory });
     }
 }

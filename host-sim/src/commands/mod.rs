@@ -11,6 +11,8 @@ mod baselines;
 mod check;
 #[cfg(unix)]
 mod cosim;
+#[cfg(unix)]
+mod emulated;
 mod error;
 #[cfg(unix)]
 mod firmware;
@@ -195,7 +197,7 @@ enum CommandError {
     #[error(transparent)]
     Address(#[from] AddressError),
     #[cfg(unix)]
-    #[error("{0}; see that the board is on and that nobody else talks to it, and try again")]
+    #[error(transparent)]
     Service(#[from] ServiceError),
     #[cfg(unix)]
     #[error(transparent)]

@@ -85,7 +85,16 @@ pub(super) fn text(address: &Address, status: &Status) -> String {
         if firmware.signed_only { ", signed packages only" } else { "" },
     );
     match &status.package {
-        None => text += "  no package in use: it observes nothing\n",
+        None => {
+            // Samples come of steps, and without a package only a built-in agent takes any.
+            text += if status.samples > 0 {
+                "  no package in use: it runs the agent built into its firmware, without a network\n"
+            } else {
+                "  no package in use: it observes nothing, unless an agent is built into its \
+                 firmware\n"
+            };
+            text += &format!("  next step: tick {}\n", status.tick);
+        }
         Some(package) => {
             let trial = package.trial.map_or("confirmed".to_owned(), |(good, needed)| {
                 format!("on trial, {good} of {needed} good steps in a row")

@@ -4,6 +4,7 @@ use std::io::Read;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use agent_core::package::PackageError;
 use clap::Args;
 use serde::Serialize;
 
@@ -13,7 +14,7 @@ use crate::interruption::{self, Again};
 use crate::packages::{PackageBytes, PackageFileError};
 use crate::progress::ProgressBars;
 use crate::service::push::{Progress, PushError};
-use crate::service::{Address, Conversation, LineError, ServiceError, push};
+use crate::service::{Address, Conversation, LineError, ServiceError, hint, push};
 use crate::terminal;
 
 /// Longest file that is sent: more than any slot holds. \[byte\]
@@ -62,14 +63,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     interruption::listen(Again::Exit);
     let start = Instant::now();
     let package = read(arguments)?;
-    let refused = |error: PushError| match error {
-        error if error.is_refusal() => CommandError::Refusal {
-            path: arguments.package.clone(),
-            refusal: error.to_string(),
-            mend: mend(&error),
-        },
-        error => error.into(),
-    };
+    let refused = |error| failure(arguments, error);
     let mut node = connect(&arguments.endpoint)?;
     let before = push::status(&mut node, PATIENCE)?;
     let mut report = Report {
@@ -82,7 +76,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         elapsed_s: 0.0,
     };
     match push::in_use(&before, &package) {
-        Some(used) => report.version = used.version,
+        Some(used) => (report.version, report.confirmed) = (used.version, used.trial.is_none()),
         None => {
             (node, report.version) =
                 transfer(arguments, node, &package, &mut report.resumed_from).map_err(refused)?;
@@ -106,7 +100,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-/// The file as it is: whether it is a package, the node says. What is known here is only a warning.
+/// The file, unless it is known to be damaged: whether it is a package for this node, the node says.
 fn read(arguments: &Arguments) -> Result<Vec<u8>, CommandError> {
     let path = &arguments.package;
     let mut bytes = Vec::new();
@@ -116,10 +110,32 @@ fn read(arguments: &Arguments) -> Result<Vec<u8>, CommandError> {
     if bytes.len() as u64 > LENGTH_MAX {
         return Err(PackageFileError::TooLong { path: path.clone() }.into());
     }
-    if let Err(error) = PackageBytes::new(&bytes) {
-        terminal::warning(format_args!("{}: {error}; a node will refuse it", path.display()));
+    match PackageBytes::new(&bytes) {
+        Ok(_) => Ok(bytes),
+        // A node may know more formats than this program.
+        Err(error @ PackageError::FormatVersion { .. }) => {
+            terminal::warning(format_args!("{}: {error}; sent as it is", path.display()));
+            Ok(bytes)
+        }
+        Err(error) => Err(PackageFileError::Package { path: path.clone(), error }.into()),
     }
-    Ok(bytes)
+}
+
+/// What a person is told about a push that has failed.
+fn failure(arguments: &Arguments, error: PushError) -> CommandError {
+    match error {
+        PushError::Service(ServiceError::Refused(problem)) => CommandError::Refusal {
+            path: arguments.package.clone(),
+            refusal: format!("the node refuses: {problem}"),
+            mend: hint::of_refusal(problem),
+        },
+        PushError::Service(ServiceError::Line(LineError::Interrupted)) => CommandError::Node(
+            "interrupted; what was in use stays in use, and the same push goes on where this one \
+             ended"
+                .to_owned(),
+        ),
+        error => error.into(),
+    }
 }
 
 fn transfer(
@@ -154,23 +170,11 @@ fn wait(node: &mut Conversation, package: &[u8]) -> Result<(), CommandError> {
         let Some((good, needed)) = used.trial else { return Ok(()) };
         bars.stepped(good.into(), needed.into());
         if interruption::requested() {
-            return Err(ServiceError::from(LineError::Interrupted).into());
+            return Err(CommandError::Node(
+                "interrupted; the package is in use and still on trial".to_owned(),
+            ));
         }
         std::thread::sleep(LOOK);
-    }
-}
-
-fn mend(error: &PushError) -> &'static str {
-    use agent_core::service::Problem;
-    use agent_core::store::StoreError;
-    match error {
-        PushError::Service(ServiceError::Refused(Problem::Store(StoreError::OnTrial))) => {
-            "decide about the package on trial with `host-sim node ENDPOINT confirm` or `revert`"
-        }
-        PushError::Service(ServiceError::Refused(Problem::Store(StoreError::Length {
-            ..
-        }))) => "train a smaller network, or give the node larger slots in memory.x",
-        _ => "train, sign or number it anew",
     }
 }
 

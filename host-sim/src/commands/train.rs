@@ -17,6 +17,7 @@ use super::{
 use crate::analysis::TriggerConstants;
 use crate::interruption::{self, Again};
 use crate::output_file::OutputFile;
+use crate::packages::recording_source::{RecordingSource, SourceScenario};
 use crate::packages::trained::{INITIAL_VERSION, Prepared, Trained, TrainedError, TrainingTask};
 use crate::packages::{NodeContent, PackageBytes, Recording};
 use crate::progress::ProgressBars;
@@ -118,6 +119,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             )));
         }
     }
+    let elsewhere = check_source(arguments, &scenario)?;
     let mut recording = Recording::load(&arguments.data, scenario.dimension(), features)?;
     if let (None, Some(base)) = (&recording.outer_weights, &base) {
         recording.outer_weights = Some(base.package().outer_weights.to_vec());
@@ -148,7 +150,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         TrainedError::NotFinite { .. } | TrainedError::Draft(_) => CommandError::Training(error),
         _ => CommandError::Usage(format!("{}: {error}", arguments.data.display())),
     };
-    let prepared = task.prepare(&recording).map_err(of_these)?;
+    let mut prepared = task.prepare(&recording).map_err(of_these)?;
+    prepared.warnings.extend(elsewhere);
     let told = prepared.warnings.len();
     prepared.warnings.iter().for_each(warn);
     let mut trained = train(&task, prepared).map_err(of_these)?;
@@ -172,6 +175,18 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Format::Json => print_json(&report),
         Format::Text => print_text(&text(arguments, &report)),
     }
+}
+
+/// Whether the file says that its samples are of another agent or scenario.
+fn check_source(
+    arguments: &Arguments,
+    scenario: &Scenario,
+) -> Result<Option<Warning>, CommandError> {
+    // What cannot be read is told when the samples are.
+    let source = RecordingSource::read(&arguments.data).unwrap_or_default();
+    let (name, hash, step) = (scenario.name.as_str(), scenario.hash, scenario.time.step_size);
+    let scenario = SourceScenario { name, hash, step };
+    Ok(source.check(&arguments.data, arguments.agent, &scenario)?)
 }
 
 /// The recipe, and the learning cycle (from 0) that it belongs to.

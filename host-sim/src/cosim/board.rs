@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use agent_core::service::{Numbers, PROTOCOL_VERSION, Request, Status, Subscription};
+use agent_core::service::{Numbers, PROTOCOL_VERSION, Problem, Request, Status, Subscription};
 use tempfile::TempDir;
 
 use super::fault::Fault;
@@ -86,9 +86,34 @@ impl Board {
         &self.label
     }
 
+    /// Lets what is under way go on for so long after somebody has asked for the end.
+    pub fn set_grace(&mut self, grace: Duration) {
+        self.conversation.set_grace(grace);
+    }
+
     /// Gives it this long for an answer.
     pub fn set_timeout(&mut self, timeout: Duration) {
         self.timeout = timeout;
+    }
+
+    /// Ends its process at once, if it has one.
+    pub fn kill(&mut self) {
+        if let Some(process) = &mut self.process {
+            process.kill();
+        }
+    }
+
+    /// Lets it go on with what its flash holds, and tell everything of every step. Returns how it is.
+    ///
+    /// # Errors
+    /// See [`Fault`].
+    pub fn rejoin(&mut self) -> Result<Status, Fault> {
+        let status = if self.lives_on { self.greet()? } else { self.hello()? };
+        if status.protocol != PROTOCOL_VERSION {
+            return Err(Fault::Protocol { found: status.protocol });
+        }
+        self.subscribe()?;
+        Ok(status)
     }
 
     /// Tells its process to end, without waiting, if it has one.
@@ -174,8 +199,11 @@ impl Board {
     pub fn turn(&mut self) -> Result<Turn, Fault> {
         const EXPECTED: &str = "a state after its step";
         let mut turn = Turn::default();
+        let deadline = Instant::now() + self.timeout;
+        let mut said = 0;
         loop {
-            let bytes = self.message("state after its step")?;
+            let bytes = self.message(deadline, "state after its step")?;
+            said = counted(said)?;
             match heard(&bytes)? {
                 Message::State(state) => {
                     turn.state = Some(state);
@@ -222,6 +250,13 @@ impl Board {
                 Fault::Unexpected { found, expected }
             }
             PushError::Service(ServiceError::Nonsense(bytes)) => Fault::Nonsense(bytes),
+            PushError::Service(ServiceError::Protocol { found }) => Fault::Protocol { found },
+            PushError::Service(ServiceError::Garbage { .. }) => {
+                self.line_fault(LineError::Silent, "answer")
+            }
+            PushError::Another(problem) | PushError::Flash(problem) => {
+                Fault::Refused { request, problem: Problem::Store(problem) }
+            }
             error => Fault::Start(error.to_string()),
         }
     }
@@ -264,8 +299,11 @@ impl Board {
         let sent = self.conversation.flush(self.timeout);
         sent.map_err(|error| self.line_fault(error, "readiness to receive"))?;
         let mut exchange = Exchange::default();
+        let deadline = Instant::now() + self.timeout;
+        let mut said = 0;
         loop {
-            let bytes = self.message("answer")?;
+            let bytes = self.message(deadline, "answer")?;
+            said = counted(said)?;
             match heard(&bytes)? {
                 Message::Broadcast { bytes } => exchange.frames.push(bytes.to_vec()),
                 message @ Message::Hello(_) => {
@@ -312,11 +350,12 @@ impl Board {
         let deadline = Instant::now() + self.timeout;
         loop {
             // Until it has begun, what comes may be anything.
-            let left = deadline.saturating_duration_since(Instant::now());
-            if let Ok(bytes) = self.raw(left, "greeting")?
-                && let Some(status) = greeting(&bytes)
-            {
-                return Ok(status);
+            if let Ok(bytes) = self.raw(deadline, "greeting")? {
+                match understood(&bytes) {
+                    Ok(Message::Hello(status) | Message::Status(status)) => return Ok(status),
+                    Err(ServiceError::Protocol { found }) => return Err(Fault::Protocol { found }),
+                    _ => {}
+                }
             }
         }
     }
@@ -332,22 +371,25 @@ impl Board {
     }
 
     /// The next message that arrived as it was sent.
-    fn message(&mut self, expected: &'static str) -> Result<Vec<u8>, Fault> {
-        let message = self.raw(self.timeout, expected)?;
+    fn message(&mut self, deadline: Instant, expected: &'static str) -> Result<Vec<u8>, Fault> {
+        let message = self.raw(deadline, expected)?;
         message.map_err(|error| Fault::Nonsense(error.to_string()))
     }
 
+    /// The next message, or what is wrong with it; whatever else comes, not after the deadline.
     fn raw(
         &mut self,
-        timeout: Duration,
+        deadline: Instant,
         expected: &'static str,
     ) -> Result<Result<Vec<u8>, agent_core::serial::SerialError>, Fault> {
-        let deadline = Instant::now() + timeout;
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(self.line_fault(LineError::Silent, expected));
+            }
             match self.conversation.next(left.min(SLICE)) {
                 Ok(message) => return Ok(message),
-                Err(LineError::Silent) if !left.is_zero() => {
+                Err(LineError::Silent) => {
                     if let Some(fault) = self.end_of_process(Duration::ZERO) {
                         return Err(fault);
                     }
@@ -389,15 +431,17 @@ fn is_done(message: &Message<'_>) -> bool {
 fn heard(bytes: &[u8]) -> Result<Message<'_>, Fault> {
     understood(bytes).map_err(|error| match error {
         ServiceError::Nonsense(bytes) => Fault::Nonsense(bytes),
+        ServiceError::Protocol { found } => Fault::Protocol { found },
         other => Fault::Nonsense(other.to_string()),
     })
 }
 
-fn greeting(bytes: &[u8]) -> Option<Status> {
-    match understood(bytes) {
-        Ok(Message::Hello(status) | Message::Status(status)) => Some(status),
-        _ => None,
-    }
+/// Most messages that a node has to say between two of the simulator's. \[1\]
+const MESSAGES_MAX: usize = 1024;
+
+/// One more message of so many.
+fn counted(said: usize) -> Result<usize, Fault> {
+    if said < MESSAGES_MAX { Ok(said + 1) } else { Err(Fault::Flood { messages: said }) }
 }
 
 fn check_firmware(status: &Status, package: &PackageBytes) -> Result<(), Fault> {

@@ -37,7 +37,7 @@ pub enum Fault {
         /// How long. \[s\]
         seconds: f64,
         /// Messages that came and could not be read.
-        damaged: u32,
+        damaged: u64,
     },
     /// Its process has ended.
     #[error("its process has ended ({status}){}", quoted(.said))]
@@ -50,6 +50,15 @@ pub enum Fault {
     /// The line to it is closed.
     #[error("the connection is closed at the other end; see what has become of the board")]
     Closed,
+    /// It says more than any node has to say.
+    #[error(
+        "it has sent {messages} messages in place of an answer; see that its firmware is for this board, \
+         and reset it"
+    )]
+    Flood {
+        /// How many messages.
+        messages: usize,
+    },
     /// What it sends is no message.
     #[error(
         "it sends what is no message: {0}; see that firmware and host-sim are of the same version"

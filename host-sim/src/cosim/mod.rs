@@ -14,9 +14,10 @@
 //! | [`endpoint`] | what nodes run on, as a command line names it |
 //! | [`board`] | one node: the messages that are exchanged with it |
 //! | [`qemu`], [`process`] | emulated nodes, and processes that end with their holder |
+//! | `flash_copy` | what a node that is switched off has in its flash |
 //! | [`compare`] | what a node did against what the simulated agent did |
 //! | `lockstep` | the companion of the run that does all this |
-//! | `relay` | nodes of a running co-simulation, offered to others |
+//! | `relay`, `socket` | nodes of a running co-simulation, offered to others |
 //! | [`fault`] | what can go wrong with a node |
 //!
 //! A node in the loop has no sensor and no clock: it gets measurements and time by message, and
@@ -30,10 +31,12 @@ pub mod board;
 pub mod compare;
 pub mod endpoint;
 pub mod fault;
+mod flash_copy;
 mod lockstep;
 pub mod process;
 pub mod qemu;
 mod relay;
+mod socket;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -44,8 +47,10 @@ use agent_core::health::HealthSettings;
 use serde::Serialize;
 
 use crate::engine::{Progress, RunError, RunOptions, run_accompanied};
+use crate::output_file::OutputError;
 use crate::packages::PackageBytes;
 use crate::scenario::{Record, Scenario};
+use crate::signing::OperatorKey;
 use board::Board;
 use compare::Mismatch;
 use fault::{Fault, NodeError};
@@ -57,10 +62,63 @@ pub type Start<'s> = dyn FnMut(usize, &PackageBytes) -> Result<Board, NodeError>
 
 /// What a co-simulation needs beyond its scenario.
 pub struct Setup<'s> {
-    /// How nodes are started.
+    /// How nodes are started, and started again.
     pub start: &'s mut Start<'s>,
     /// How long a node may take for an answer.
     pub timeout: Duration,
+    /// Signs every package that goes into a node, for firmware that asks for it.
+    pub signer: Option<&'s OperatorKey>,
+    /// Whether nodes start with erased flash and wait for packages.
+    pub erased: bool,
+    /// Hears what happens meanwhile.
+    pub notice: Option<&'s mut dyn FnMut(&Notice<'_>)>,
+}
+
+impl<'s> Setup<'s> {
+    /// Nodes that need no signatures, and nobody who wants to hear of them.
+    pub fn new(start: &'s mut Start<'s>, timeout: Duration) -> Self {
+        Self { start, timeout, signer: None, erased: false, notice: None }
+    }
+
+    fn board(&mut self, index: usize, package: &PackageBytes) -> Result<Board, NodeError> {
+        let mut board = (self.start)(index, package)?;
+        board.set_timeout(self.timeout);
+        board.set_grace(GRACE);
+        Ok(board)
+    }
+
+    fn signed(&self, package: &PackageBytes) -> PackageBytes {
+        self.signer.map_or_else(|| package.clone(), |key| package.signed(key))
+    }
+
+    fn tell(&mut self, notice: &Notice<'_>) {
+        if let Some(listener) = &mut self.notice {
+            listener(notice);
+        }
+    }
+}
+
+/// How long a step that is under way may go on after somebody has asked for the end.
+const GRACE: Duration = Duration::from_millis(400);
+
+/// Something that happens while others can talk to the nodes.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum Notice<'n> {
+    /// All nodes have begun: they can be talked to.
+    Reachable,
+    /// A node takes no more steps; the others go on.
+    Ended(&'n NodeError),
+    /// A node that had ended has been started again.
+    StartedAgain {
+        /// The agent, from 1.
+        agent: usize,
+    },
+    /// The run is slower than it was asked to be.
+    Late {
+        /// How much of the speed that was asked for is kept, below 1.
+        share: f64,
+    },
 }
 
 /// A co-simulation in real time, whose nodes others can talk to.
@@ -89,6 +147,11 @@ pub struct CosimReport {
     pub elapsed_s: f64,
     /// Steps per second; each of them is a round trip to every node. \[1/s\]
     pub steps_per_s: f64,
+    /// Whether somebody asked for the end before the last step; not so for a run that is served,
+    /// which ends like that.
+    pub interrupted: bool,
+    /// For a run that is served: how much of the speed that was asked for was kept, at most 1.
+    pub real_time_kept: Option<f64>,
     /// The digest of the simulated run, in hexadecimal.
     pub digest: String,
     /// Of each node.
@@ -112,6 +175,10 @@ pub struct BoardReport {
     pub switches: u64,
     /// Since when it is not compared any more and why, if so.
     pub parted: Option<String>,
+    /// When and why it took no more steps, if so and if it was not started again.
+    pub ended: Option<String>,
+    /// How often it was started again.
+    pub restarts: u64,
     /// What it never used of its stack, if it can tell. \[byte\]
     pub stack_unused: Option<u32>,
 }
@@ -127,6 +194,8 @@ impl BoardReport {
             broadcasts: 0,
             switches: 0,
             parted: None,
+            ended: None,
+            restarts: 0,
             stack_unused: None,
         }
     }
@@ -163,6 +232,17 @@ pub enum CosimError {
         /// Its name.
         scenario: String,
     },
+    /// There is something else where a node's socket would be.
+    #[error("{}: {what}; it is left as it is: name another folder with --serve", path.display())]
+    Occupied {
+        /// The socket.
+        path: PathBuf,
+        /// What is there.
+        what: &'static str,
+    },
+    /// A file cannot be written.
+    #[error(transparent)]
+    Output(#[from] OutputError),
     /// Nodes cannot be offered to others.
     #[error("{}: {error}; name another folder with --serve, with a short path", path.display())]
     Serve {
@@ -209,7 +289,7 @@ pub fn cosimulate(
     progress: &dyn Progress,
 ) -> Result<CosimReport, CosimError> {
     let scenario = prepared(scenario)?;
-    let relay = service.map(|service| Relay::new(service, &scenario)).transpose()?;
+    let relay = service.map(|service| Relay::new(service, &scenario, seed)).transpose()?;
     let mut lockstep = Lockstep::new(setup, relay);
     let options = RunOptions { seed, learning: true, bounds: false };
     let result =
@@ -237,6 +317,8 @@ pub fn cosimulate(
         mismatches: boards.iter().map(|board| board.mismatches).sum(),
         first_mismatch: lockstep.first_mismatch.take(),
         elapsed_s,
+        interrupted: lockstep.interrupted,
+        real_time_kept: lockstep.relay.as_ref().map(Relay::real_time_kept),
         steps_per_s: if elapsed_s > 0.0 { steps as f64 / elapsed_s } else { 0.0 },
         digest: format!("{:#018x}", result.digest),
         boards,

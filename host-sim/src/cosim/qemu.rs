@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use agent_core::signature::PublicKey;
 use agent_core::store::Slot;
 use nix::sys::stat::Mode;
 use nix::unistd::mkfifo;
@@ -22,6 +23,7 @@ use tempfile::TempDir;
 
 use super::board::Board;
 use super::fault::Fault;
+use super::flash_copy::{FlashCopy, package_in_use};
 use super::process::Process;
 use crate::image::{ERASED, Image};
 use crate::interruption;
@@ -64,35 +66,79 @@ pub struct Qemu {
 }
 
 impl Qemu {
-    /// Starts a node with `package` in its flash.
+    /// Starts a node with `package` in its flash, which is gone with it.
     ///
     /// # Errors
     /// See [`Fault`]; nothing is left behind then.
     pub fn start(&self, channel: Channel, package: &PackageBytes) -> Result<Board, Fault> {
+        let folder = Self::folder()?;
+        let flash = folder.path().join("flash");
+        self.write_flash(&flash, Some(package))?;
+        self.start_in(channel, folder, &flash, false, None)
+    }
+
+    /// Starts a node with the flash in this file. One that is not there is made, with `package` in
+    /// it; a node on one that is there goes on with what it finds. If this process is killed, the
+    /// folder `temporary` is removed.
+    ///
+    /// # Errors
+    /// See [`Fault`]; nothing is left behind then but the flash.
+    pub fn start_on(
+        &self,
+        channel: Channel,
+        package: Option<&PackageBytes>,
+        flash: &Path,
+        temporary: Option<&Path>,
+    ) -> Result<Board, Fault> {
+        let folder = Self::folder()?;
+        let lives_on = flash.exists();
+        if !lives_on {
+            self.write_flash(flash, package)?;
+        }
+        self.start_in(channel, folder, flash, lives_on, temporary)
+    }
+
+    fn folder() -> Result<TempDir, Fault> {
         let folder = tempfile::Builder::new().prefix("host-sim-node-").tempdir();
-        let folder = folder.map_err(|error| {
+        folder.map_err(|error| {
             let place = std::env::temp_dir();
             let mend = "free the disk, or set TMPDIR to a folder that can be written to";
             Fault::Start(format!("{}: {error}; {mend}", place.display()))
-        })?;
-        let flash = folder.path().join("flash");
-        self.write_flash(&flash, package)?;
+        })
+    }
+
+    fn start_in(
+        &self,
+        channel: Channel,
+        folder: TempDir,
+        flash: &Path,
+        lives_on: bool,
+        temporary: Option<&Path>,
+    ) -> Result<Board, Fault> {
         let mut command = Command::new(&self.program);
         command
             .args(["-M", &format!("{MACHINE},memory-backend=flash"), "-object"])
             .arg(format!(
                 "memory-backend-file,id=flash,size={FLASH_LENGTH},mem-path={},share=on",
-                option(&flash)
+                option(flash)
             ))
             .args(["-nographic", "-monitor", "none", "-kernel"])
             .arg(&self.firmware);
+        let removed: Vec<_> = [Some(folder.path()), temporary].into_iter().flatten().collect();
         match channel {
-            Channel::Pipes => self.start_with_pipes(command, folder),
-            Channel::Uart => self.start_with_uart(command, folder),
+            Channel::Pipes => self.start_with_pipes(command, &folder, &removed, lives_on),
+            Channel::Uart => self.start_with_uart(command, &folder, &removed, lives_on),
         }
+        .map(|(board, process)| board.with_process(process, folder))
     }
 
-    fn start_with_pipes(&self, mut command: Command, folder: TempDir) -> Result<Board, Fault> {
+    fn start_with_pipes(
+        &self,
+        mut command: Command,
+        folder: &TempDir,
+        removed: &[&Path],
+        lives_on: bool,
+    ) -> Result<(Board, Process), Fault> {
         let (input, output) = (folder.path().join("in"), folder.path().join("out"));
         for pipe in [&input, &output] {
             mkfifo(pipe, Mode::S_IRUSR | Mode::S_IWUSR).map_err(|e| Fault::System(e.into()))?;
@@ -102,10 +148,10 @@ impl Qemu {
             option(&input),
             option(&output)
         ));
-        let mut process = self.spawn(&mut command, &folder)?;
+        let mut process = self.spawn(&mut command, folder, removed)?;
         let alive = || process.ended().is_none();
         match Line::over_pipes(&input, &output, self.timeout, alive) {
-            Ok(line) => Ok(Board::new(line, "qemu", false).with_process(process, folder)),
+            Ok(line) => Ok((Board::new(line, "qemu", lives_on), process)),
             Err(LineError::Silent) => Err(self.not_begun(&mut process)),
             Err(LineError::Interrupted) => Err(Fault::Interrupted),
             Err(LineError::System(error)) => Err(Fault::System(error)),
@@ -113,21 +159,26 @@ impl Qemu {
         }
     }
 
-    fn start_with_uart(&self, mut command: Command, folder: TempDir) -> Result<Board, Fault> {
+    fn start_with_uart(
+        &self,
+        mut command: Command,
+        folder: &TempDir,
+        removed: &[&Path],
+        lives_on: bool,
+    ) -> Result<(Board, Process), Fault> {
         // The emulator connects to us, so that no byte is lost before we do.
         let path = folder.path().join("uart");
         let listener = UnixListener::bind(&path).map_err(Fault::System)?;
         listener.set_nonblocking(true).map_err(Fault::System)?;
         command.arg("-serial").arg(format!("unix:{}", option(&path)));
         command.args(["-semihosting-config", "enable=on,target=native,arg=node,arg=uart"]);
-        let mut process = self.spawn(&mut command, &folder)?;
+        let mut process = self.spawn(&mut command, folder, removed)?;
         let deadline = Instant::now() + self.timeout;
         loop {
             match listener.accept() {
                 Ok((socket, _)) => {
                     let line = Line::over_socket(socket).map_err(Fault::System)?;
-                    let board = Board::new(line, "qemu-uart", false);
-                    return Ok(board.with_process(process, folder));
+                    return Ok((Board::new(line, "qemu-uart", lives_on), process));
                 }
                 Err(error) if error.kind() == ErrorKind::WouldBlock => {}
                 Err(error) => return Err(Fault::System(error)),
@@ -142,8 +193,13 @@ impl Qemu {
         }
     }
 
-    fn spawn(&self, command: &mut Command, folder: &TempDir) -> Result<Process, Fault> {
-        Process::start(command, &folder.path().join("console")).map_err(|error| {
+    fn spawn(
+        &self,
+        command: &mut Command,
+        folder: &TempDir,
+        removed: &[&Path],
+    ) -> Result<Process, Fault> {
+        Process::start(command, &folder.path().join("console"), removed).map_err(|error| {
             let program = self.program.display();
             Fault::Start(if error.kind() == ErrorKind::NotFound {
                 format!(
@@ -168,8 +224,33 @@ impl Qemu {
         }
     }
 
-    /// The memory as a factory would write it.
-    fn write_flash(&self, path: &Path, package: &PackageBytes) -> Result<(), Fault> {
+    /// The package that a node with the flash in this file would use after a reset, if there is one;
+    /// with `key`, only one that is signed with its private half.
+    ///
+    /// # Errors
+    /// What the system says, or that the file is not the flash of this board.
+    pub fn package_in(
+        &self,
+        flash: &Path,
+        key: Option<&PublicKey>,
+    ) -> io::Result<Option<PackageBytes>> {
+        let file = File::open(flash)?;
+        let wrong = |what: &str| io::Error::new(ErrorKind::InvalidData, what.to_owned());
+        if file.metadata()?.len() != FLASH_LENGTH {
+            return Err(wrong("this is not the flash of a node that was kept"));
+        }
+        let origin = u64::from(self.region.origin).checked_sub(FLASH_ORIGIN.into());
+        let origin = origin.filter(|_| self.region.end() <= u64::from(FLASH_ORIGIN) + FLASH_LENGTH);
+        let origin = origin.ok_or_else(|| wrong("the memory map has its weights elsewhere"))?;
+        let mut bytes = vec![0; self.region.length as usize];
+        file.read_exact_at(&mut bytes, origin)?;
+        let found = package_in_use(FlashCopy::new(&bytes), &self.region, key);
+        found.map_err(|error| wrong(&error.to_string()))
+    }
+
+    /// The memory as a factory would write it, with or without a package. It is made whole or not at
+    /// all.
+    fn write_flash(&self, path: &Path, package: Option<&PackageBytes>) -> Result<(), Fault> {
         let offset = |address: u64| address.checked_sub(FLASH_ORIGIN.into());
         let origin = offset(self.region.origin.into());
         let end = offset(self.region.end()).filter(|&end| end <= FLASH_LENGTH);
@@ -181,17 +262,18 @@ impl Qemu {
                 u64::from(FLASH_ORIGIN) + FLASH_LENGTH
             )));
         };
-        let image = Image::of_package(&self.region, Slot::A, package)
-            .map_err(|error| Fault::Start(error.to_string()))?;
+        let image = package.map(|package| Image::of_package(&self.region, Slot::A, package));
+        let image = image.transpose().map_err(|error| Fault::Start(error.to_string()))?;
+        let made = path.with_extension("new");
         let write = || -> io::Result<()> {
-            let file = File::create(path)?;
+            let file = File::create(&made)?;
             file.set_len(FLASH_LENGTH)?;
             file.write_all_at(&vec![ERASED; self.region.length as usize], origin)?;
-            for segment in image.segments() {
+            for segment in image.iter().flat_map(Image::segments) {
                 let place = offset(segment.address.into()).unwrap_or(origin);
                 file.write_all_at(&segment.bytes, place)?;
             }
-            Ok(())
+            std::fs::rename(&made, path)
         };
         write().map_err(|error| {
             Fault::Start(format!(

@@ -82,11 +82,11 @@ pub fn outer_weights<T: Copy + Default + PartialEq>(
     n: usize,
 ) -> Option<Warning> {
     let zero = |w: &T| *w == T::default();
-    let mend = "write network.outer = { random = 5.0 }, about the size of the state's rate";
+    let hint = "write network.outer = { random = 5.0 }, about the size of the state's rate";
     let warn = |problem: String| Some(Warning::new(WarningCode::OuterWeights, problem));
     if outer_weights.iter().all(zero) {
         return warn(format!(
-            "all outer weights are 0, so no inner network can say or learn anything; {mend}"
+            "all outer weights are 0, so no inner network can say or learn anything; {hint}"
         ));
     }
     let mut rows = outer_weights.chunks_exact(n);
@@ -94,13 +94,13 @@ pub fn outer_weights<T: Copy + Default + PartialEq>(
     if outer_weights.len() > n && rows.all(|row| Some(row) == first) {
         return warn(format!(
             "all rows of the outer weights are equal, so training cannot tell the components of \
-             the state apart; {mend}"
+             the state apart; {hint}"
         ));
     }
     let blind = (0..n).find(|&c| outer_weights.iter().skip(c).step_by(n).all(zero))?;
     warn(format!(
         "the outer weights of component {} are all 0, so the network can say nothing of its \
-         derivative; {mend}",
+         derivative; {hint}",
         blind + 1
     ))
 }

@@ -10,6 +10,7 @@
 //! | [`recording`] | recorded samples, in memory and in files |
 //! | [`cleaning`] | recorded samples as training takes them |
 //! | [`quality`] | how well a trained network says what the samples say |
+//! | [`recording_source`] | where a recording comes from, as its file tells |
 //! | [`trained`] | from recorded samples to a package |
 //!
 //! The simulated agents load these very bytes. The format is agent-core's; see `docs/format.md`.
@@ -23,12 +24,14 @@ pub mod node;
 pub mod parameter;
 pub mod quality;
 pub mod recording;
+pub mod recording_source;
 pub mod trained;
 
 pub use bytes::{PackageBytes, PackageFileError, PackageParameters};
 pub use draft::{Draft, DraftError};
 pub use node::NodeContent;
 pub use recording::{Recording, RecordingError, Timing};
+pub use recording_source::RecordingSource;
 
 /// Calls `$function::<N>($arguments)` for the state dimension `$n`, 1 to 12.
 macro_rules! with_dimension {

@@ -1,14 +1,49 @@
 //! Where a node is found.
 
 use std::fmt;
+use std::io;
+use std::os::unix::fs::FileTypeExt;
 use std::os::unix::net::UnixStream;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::time::{Duration, Instant};
+
+use rustix::io::{Errno, FdFlags};
+use rustix::net::{AddressFamily, SocketAddrUnix, SocketType};
 
 use super::Line;
+use crate::interruption;
 
 /// Bits per second of a serial line, if nobody says otherwise.
 pub const BAUD: u32 = 115_200;
+
+/// How long somebody may take to let us in. \[s\]
+const ADMISSION: Duration = Duration::from_secs(3);
+
+/// Connects to a socket. If so many others wait there that there is no room, this waits so long, unless
+/// somebody asks for the end.
+///
+/// # Errors
+/// What the system says; [`io::ErrorKind::WouldBlock`] if there is still no room then.
+pub fn connect(path: &Path, wait: Duration) -> io::Result<UnixStream> {
+    let address = SocketAddrUnix::new(path)?;
+    let deadline = Instant::now() + wait;
+    loop {
+        let socket = rustix::net::socket(AddressFamily::UNIX, SocketType::STREAM, None)?;
+        rustix::io::fcntl_setfd(&socket, FdFlags::CLOEXEC)?;
+        // A connection that waits in the system cannot be interrupted.
+        rustix::io::ioctl_fionbio(&socket, true)?;
+        match rustix::net::connect(&socket, &address) {
+            Ok(()) => return Ok(UnixStream::from(socket)),
+            Err(Errno::AGAIN | Errno::INTR)
+                if Instant::now() < deadline && !interruption::requested() =>
+            {
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            Err(error) => return Err(error.into()),
+        }
+    }
+}
 
 /// Where a node is found.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -27,9 +62,9 @@ pub struct AddressError {
     pub address: Address,
     /// What the system says.
     #[source]
-    pub error: std::io::Error,
+    pub error: io::Error,
     /// What to do about it.
-    mend: &'static str,
+    mend: String,
 }
 
 impl Address {
@@ -38,18 +73,43 @@ impl Address {
     /// # Errors
     /// What the system says.
     pub fn connect(&self) -> Result<Line, AddressError> {
-        let (line, mend) = match self {
-            Self::Socket(path) => (
-                UnixStream::connect(path).and_then(Line::over_socket),
-                "start `host-sim cosim --serve FOLDER`, or name a socket in its folder",
-            ),
-            Self::Serial(path, baud) => (
-                Line::over_serial(path, *baud),
-                "connect the board, make sure that nobody else has the line open and that you may \
-                 use it (on Linux, the group dialout)",
-            ),
+        let line = match self {
+            Self::Socket(path) => connect(path, ADMISSION).and_then(Line::over_socket),
+            Self::Serial(path, baud) => Line::over_serial(path, *baud),
         };
-        line.map_err(|error| AddressError { address: self.clone(), error, mend })
+        line.map_err(|error| AddressError { mend: self.hint(&error), address: self.clone(), error })
+    }
+
+    fn hint(&self, error: &io::Error) -> String {
+        match self {
+            Self::Socket(path) => {
+                let kind = std::fs::metadata(path).map(|metadata| metadata.file_type());
+                let serve = "start `host-sim cosim --serve FOLDER`, or name a socket in its folder";
+                match kind {
+                    Ok(kind) if kind.is_char_device() => {
+                        format!("this is a device: write serial:{}[@BAUD]", path.display())
+                    }
+                    Ok(kind) if kind.is_dir() => {
+                        format!("this is a folder: write {}", path.join("agent-1.sock").display())
+                    }
+                    Ok(kind) if !kind.is_socket() => format!("this is not a socket: {serve}"),
+                    Ok(_) if error.kind() == io::ErrorKind::WouldBlock => {
+                        "too many others wait to be let in; see that its process still runs"
+                            .to_owned()
+                    }
+                    Ok(_) => format!("nothing listens at this socket any more: {serve}"),
+                    Err(_) => serve.to_owned(),
+                }
+            }
+            Self::Serial(_, _) if error.kind() == io::ErrorKind::ResourceBusy => {
+                "end the other program, or wait until it has ended".to_owned()
+            }
+            Self::Serial(_, _) => {
+                "connect the board, make sure that nobody else has the line open \
+                                   and that you may use it (on Linux, the group dialout)"
+                    .to_owned()
+            }
+        }
     }
 }
 
@@ -111,6 +171,25 @@ mod tests {
     fn a_node_that_is_not_there_is_reported_with_a_mend() {
         let error = socket_error("no/such.sock");
         assert!(error.starts_with("unix:no/such.sock: ") && error.contains("--serve"), "{error}");
+    }
+
+    #[test]
+    fn a_socket_that_lets_nobody_in_does_not_hold_us() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("full.sock");
+        let listener = rustix::net::socket(AddressFamily::UNIX, SocketType::STREAM, None).unwrap();
+        rustix::net::bind(&listener, &SocketAddrUnix::new(&path).unwrap()).unwrap();
+        rustix::net::listen(&listener, 1).unwrap();
+        // As many as there is room for, whatever the system makes of the 1.
+        let mut held = Vec::new();
+        let error = loop {
+            match connect(&path, Duration::ZERO) {
+                Ok(socket) => held.push(socket),
+                Err(error) => break error,
+            }
+            assert!(held.len() < 100);
+        };
+        assert_eq!(error.kind(), io::ErrorKind::WouldBlock, "{error}");
     }
 
     fn socket_error(path: &str) -> String {

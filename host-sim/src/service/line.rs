@@ -1,10 +1,13 @@
 //! Bytes to and from a node, over pipes, a socket or a serial line.
 //!
-//! Nothing here waits longer than it is told to, and every wait ends when somebody asks for the end
-//! ([`crate::interruption`]).
+//! Nothing here waits longer than it is told to, however much the other end sends, and every wait
+//! ends when somebody asks for the end ([`crate::interruption`]). What has been received and not
+//! been asked for is bounded.
+//!
+//! A serial line is opened exclusively: it is locked against other programs that lock it (as our own
+//! commands do), and closed to those that do not, as far as the system allows it.
 
-use std::collections::VecDeque;
-use std::fs::{File, OpenOptions};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::fs::OpenOptionsExt;
@@ -12,7 +15,7 @@ use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use nix::libc::O_NONBLOCK;
+use nix::libc::{O_NOCTTY, O_NONBLOCK};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 use crate::interruption;
@@ -23,12 +26,19 @@ const SLICE: u16 = 100;
 /// Most bytes that are read at once.
 const CHUNK: usize = 4096;
 
+/// Most bytes that are kept while the other end does not read. \[byte\]
+const RECEIVED_MAX: usize = 1 << 16;
+
 /// Two descriptors that never block.
 #[derive(Debug)]
 pub struct Line {
     input: File,
     output: File,
-    received: VecDeque<u8>,
+    received: Vec<u8>,
+    /// How long a wait goes on after somebody has asked for the end.
+    grace: Duration,
+    /// Where it is a serial line: what keeps others out, and bits per second.
+    lock: Option<(File, u32)>,
     /// Whether this is a pair of pipes, which a node closes and opens again when it resets.
     pipes: bool,
     /// The other end of a pipe may not have opened it yet: then an end of file means nothing.
@@ -40,7 +50,7 @@ pub struct Line {
 #[non_exhaustive]
 pub enum LineError {
     /// Nothing happened in time.
-    #[error("nothing happens")]
+    #[error("no answer")]
     Silent,
     /// The other end has gone.
     #[error("the connection has been closed at the other end")]
@@ -64,14 +74,31 @@ impl Line {
         Ok(Self::new(File::from(OwnedFd::from(socket)), output, false))
     }
 
-    /// The serial line `path` with `baud` bits per second, eight data bits, no parity.
+    /// The serial line `path` with `baud` bits per second, eight data bits, no parity. Nobody else can
+    /// use it meanwhile.
     ///
     /// # Errors
-    /// What the system says.
+    /// What the system says; [`io::ErrorKind::ResourceBusy`] if another program has the line.
     pub fn over_serial(path: &Path, baud: u32) -> io::Result<Self> {
+        // Locked before anything is set, which would disturb the one who uses it.
+        let lock = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .custom_flags(O_NONBLOCK | O_NOCTTY)
+            .open(path)?;
+        lock.try_lock().map_err(|error| match error {
+            TryLockError::WouldBlock => {
+                io::Error::new(io::ErrorKind::ResourceBusy, "another program is using this line")
+            }
+            TryLockError::Error(error) => error,
+        })?;
         let port = serial2::SerialPort::open(path, baud)?;
         port.discard_buffers()?;
-        Self::over_port(port)
+        let mut line = Self::over_port(port)?;
+        // Best effort: where a terminal does not know this, the lock holds among our own commands.
+        let _ = rustix::termios::ioctl_tiocexcl(&lock);
+        line.lock = Some((lock, baud));
+        Ok(line)
     }
 
     /// The line over an open serial port.
@@ -103,7 +130,9 @@ impl Line {
                 Ok(output) => break output,
                 // Nobody has it open for reading.
                 Err(error) if error.raw_os_error() == Some(nix::libc::ENXIO) => {
-                    check_interruption()?;
+                    if interruption::requested() {
+                        return Err(LineError::Interrupted);
+                    }
                     if Instant::now() >= deadline || !alive() {
                         return Err(LineError::Silent);
                     }
@@ -116,7 +145,32 @@ impl Line {
     }
 
     fn new(input: File, output: File, pipes: bool) -> Self {
-        Self { input, output, received: VecDeque::new(), pipes, opened: !pipes }
+        Self {
+            input,
+            output,
+            received: Vec::new(),
+            grace: Duration::ZERO,
+            lock: None,
+            pipes,
+            opened: !pipes,
+        }
+    }
+
+    /// Lets waits go on for so long after somebody has asked for the end.
+    pub fn set_grace(&mut self, grace: Duration) {
+        self.grace = grace;
+    }
+
+    /// Bits per second, if it is a serial line.
+    #[must_use]
+    pub fn baud(&self) -> Option<u32> {
+        self.lock.as_ref().map(|(_, baud)| *baud)
+    }
+
+    /// # Errors
+    /// [`LineError::Interrupted`] if somebody has asked for the end, and the time of grace is over.
+    pub(super) fn check_interruption(&self) -> Result<(), LineError> {
+        if interruption::requested_for(self.grace) { Err(LineError::Interrupted) } else { Ok(()) }
     }
 
     /// The node has said that it resets: that it closes its pipes now is not its end.
@@ -132,11 +186,19 @@ impl Line {
         let deadline = Instant::now() + timeout;
         while !bytes.is_empty() {
             match self.output.write(bytes) {
-                Ok(length) => bytes = &bytes[length..],
+                Ok(length) => {
+                    bytes = &bytes[length..];
+                    // A slow reader is not an excuse for going on for ever.
+                    if !bytes.is_empty() && Instant::now() >= deadline {
+                        return Err(LineError::Silent);
+                    }
+                }
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                     self.wait(PollFlags::POLLOUT, deadline)?;
                     // A node that waits for us to read would never read.
-                    self.read_available()?;
+                    if self.received.len() < RECEIVED_MAX {
+                        self.read_available()?;
+                    }
                 }
                 Err(error) => self.broken(error)?,
             }
@@ -153,7 +215,7 @@ impl Line {
         loop {
             self.read_available()?;
             if !self.received.is_empty() {
-                return Ok(std::mem::take(&mut self.received).into());
+                return Ok(std::mem::take(&mut self.received));
             }
             self.wait(PollFlags::POLLIN, deadline)?;
         }
@@ -168,7 +230,7 @@ impl Line {
             Ok(0) if self.received.is_empty() => return Err(LineError::Closed),
             Ok(length) => {
                 self.opened |= length > 0;
-                self.received.extend(&buffer[..length]);
+                self.received.extend_from_slice(&buffer[..length]);
             }
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
             Err(error) => self.broken(error)?,
@@ -189,13 +251,17 @@ impl Line {
 
     fn wait(&self, what: PollFlags, deadline: Instant) -> Result<(), LineError> {
         loop {
-            check_interruption()?;
+            self.check_interruption()?;
             let left = deadline.saturating_duration_since(Instant::now());
             if left.is_zero() {
                 return Err(LineError::Silent);
             }
             let milliseconds = u16::try_from(left.as_millis()).unwrap_or(SLICE).clamp(1, SLICE);
-            let mut descriptors = vec![PollFd::new(self.input.as_fd(), PollFlags::POLLIN)];
+            let mut descriptors = Vec::with_capacity(2);
+            // What there is no room for is left where it is.
+            if self.received.len() < RECEIVED_MAX {
+                descriptors.push(PollFd::new(self.input.as_fd(), PollFlags::POLLIN));
+            }
             if what.contains(PollFlags::POLLOUT) {
                 descriptors.push(PollFd::new(self.output.as_fd(), what));
             }
@@ -208,8 +274,13 @@ impl Line {
     }
 }
 
-fn check_interruption() -> Result<(), LineError> {
-    if interruption::requested() { Err(LineError::Interrupted) } else { Ok(()) }
+impl Drop for Line {
+    fn drop(&mut self) {
+        if let Some((lock, _)) = &self.lock {
+            // Best effort: the terminal may be gone, and is free again then anyway.
+            let _ = rustix::termios::ioctl_tiocnxcl(lock);
+        }
+    }
 }
 
 #[cfg(test)]
@@ -236,6 +307,38 @@ mod tests {
         let mut line = Line::over_socket(here).unwrap();
         let much = vec![7; 1 << 22];
         assert!(matches!(line.send(&much, SHORT), Err(LineError::Silent)));
+    }
+
+    #[test]
+    fn what_a_flooding_peer_sends_is_bounded() {
+        let (here, mut there) = UnixStream::pair().unwrap();
+        let mut line = Line::over_socket(here).unwrap();
+        let flood = std::thread::spawn(move || {
+            let mut sent = 0;
+            while sent < 8 * RECEIVED_MAX && there.write_all(&[7; CHUNK]).is_ok() {
+                sent += CHUNK;
+            }
+        });
+        // It never reads, so this does not get away, and what it sends meanwhile is kept.
+        assert!(matches!(line.send(&vec![7; 1 << 22], SHORT), Err(LineError::Silent)));
+        assert!(line.received.len() < RECEIVED_MAX + CHUNK, "{}", line.received.len());
+        drop(line);
+        flood.join().unwrap();
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn a_serial_line_belongs_to_one_program_at_a_time() {
+        use std::os::fd::AsRawFd;
+        let (_master, terminal) = serial2::SerialPort::pair().unwrap();
+        // The name of the terminal, which is what commands are given.
+        let path = format!("/proc/self/fd/{}", terminal.as_raw_fd());
+        let path = std::fs::read_link(path).unwrap();
+        let first = Line::over_serial(&path, 115_200).unwrap();
+        let second = Line::over_serial(&path, 115_200).unwrap_err();
+        assert_eq!(second.kind(), io::ErrorKind::ResourceBusy, "{second}");
+        drop(first);
+        drop(Line::over_serial(&path, 115_200).unwrap());
     }
 
     #[test]

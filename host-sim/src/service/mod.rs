@@ -4,17 +4,22 @@
 //! | --- | --- |
 //! | [`mod@line`] | bytes to and from a node, with a deadline for everything |
 //! | [`address`] | where a node is found: a socket or a serial line |
+//! | [`hint`] | what to do about refusals and garbage |
 //! | [`conversation`] | messages on a line: requests, their answers, and what comes unasked |
+//! | [`nodes_file`] | what the nodes in a folder of sockets are part of |
 //! | [`push`] | a weight package into a node |
-//! | [`record`] | a node's samples, for training |
+//! | [`record`], [`record_file`] | a node's samples, for training, and the file that they are written into |
 //!
 //! The messages are agent-core's: [`agent_core::service`].
 
 pub mod address;
 pub mod conversation;
+pub mod hint;
 pub mod line;
+pub mod nodes_file;
 pub mod push;
 pub mod record;
+pub mod record_file;
 
 pub use address::Address;
 pub use conversation::{Conversation, Patience, ServiceError};

@@ -12,6 +12,7 @@ use agent_core::service::{CHUNK_LENGTH_MAX, PackageStatus, Problem, Request, Sta
 use agent_core::store::StoreError;
 
 use super::address::AddressError;
+use super::hint::of_refusal;
 use super::{Conversation, LineError, Message, Patience, ServiceError};
 use crate::interruption;
 use crate::packages::PackageBytes;
@@ -22,10 +23,18 @@ use crate::packages::PackageBytes;
 pub enum PushError {
     /// The node cannot be talked to, or does not do what it is asked.
     #[error(transparent)]
-    Service(#[from] ServiceError),
+    Service(ServiceError),
     /// The node cannot be reached.
     #[error(transparent)]
     Address(#[from] AddressError),
+    /// Somebody else brings a package into the node at the same time.
+    #[error(
+        "another push to this node is under way ({0}); wait until it has ended, and push again"
+    )]
+    Another(StoreError),
+    /// The node's flash does not do what it should.
+    #[error("the node's flash fails: {problem}; {hint}", problem = .0, hint = of_refusal(Problem::Store(*.0)))]
+    Flash(StoreError),
     /// No node takes a file of this length.
     #[error("{found} bytes are no weight package; give the path of one")]
     Length {
@@ -34,14 +43,30 @@ pub enum PushError {
     },
 }
 
-impl PushError {
-    /// Whether the node has looked at the package and does not want it.
-    #[must_use]
-    pub fn is_refusal(&self) -> bool {
-        matches!(self, Self::Service(ServiceError::Refused(_)) | Self::Length { .. })
+impl From<ServiceError> for PushError {
+    fn from(error: ServiceError) -> Self {
+        let ServiceError::Refused(Problem::Store(problem)) = error else {
+            return Self::Service(error);
+        };
+        match problem {
+            // A transfer of ours is sent from its first byte to its last, without a gap.
+            StoreError::NoUpload
+            | StoreError::Gap { .. }
+            | StoreError::PastEnd { .. }
+            | StoreError::Conflict { .. }
+            | StoreError::Incomplete { .. }
+            | StoreError::NothingStaged => Self::Another(problem),
+            StoreError::Flash(_)
+            | StoreError::Verify { .. }
+            | StoreError::Unreadable { .. }
+            | StoreError::Damaged => Self::Flash(problem),
+            _ => Self::Service(error),
+        }
     }
+}
 
-    /// Whether it makes sense to connect anew and go on.
+impl PushError {
+    /// Whether it makes sense to connect again and go on.
     #[must_use]
     pub fn is_broken_line(&self) -> bool {
         matches!(self, Self::Service(ServiceError::Line(LineError::Closed | LineError::Silent)))
@@ -89,10 +114,13 @@ pub fn transfer_over(
         };
         conversation = loop {
             left -= 1;
+            if interruption::requested() {
+                return Err(ServiceError::from(LineError::Interrupted).into());
+            }
             std::thread::sleep(RECONNECTION_PAUSE);
             match connect() {
                 Ok(conversation) => break conversation,
-                Err(_) if left == 0 || interruption::requested() => return Err(broken),
+                Err(_) if left == 0 => return Err(broken),
                 Err(_) => {}
             }
         };
@@ -128,12 +156,18 @@ pub fn transfer(
     if (1..=package.len()).contains(&received) {
         match send_and_stage(conversation, package, received, patience, progress) {
             // It was another package, or none that could be gone on with.
-            Err(ServiceError::Refused(_)) => {}
+            Err(ServiceError::Refused(problem)) if !is_flash(problem) => {}
             done => return Ok(done?),
         }
     }
     conversation.insist(&Request::Begin { length }, patience, &mut |_| {}, UPLOAD, uploaded)?;
     Ok(send_and_stage(conversation, package, 0, patience, progress)?)
+}
+
+/// Whether sending everything again would not help, but wear the flash.
+fn is_flash(problem: Problem) -> bool {
+    let Problem::Store(error) = problem else { return false };
+    matches!(PushError::from(ServiceError::Refused(Problem::Store(error))), PushError::Flash(_))
 }
 
 const UPLOAD: &str = "how much it has received";

@@ -8,7 +8,8 @@
 //! | `dxhat1` .. | its derivative |
 //! | `w1_1` .. (may be left out) | `W_hat`, row (feature) and column (component); where rows leave them empty, the last that does not counts |
 //!
-//! Units stand behind the names, as in `time (ms)`, `time_ms`, `xhat1 [V]`; only that of time is
+//! Lines that begin with `#` are comments; at the head of a file they say where it comes from
+//! ([`super::recording_source`]). Units stand behind the names, as in `time (ms)`, `time_ms`, `xhat1 [V]`; only that of time is
 //! converted, and one that is not known is refused. Columns can come in any order, separated by
 //! commas, semicolons, tabs or bars, and others are ignored.
 
@@ -104,6 +105,7 @@ impl Recording {
         let mut reader = csv::ReaderBuilder::new()
             .delimiter(delimiter)
             .trim(csv::Trim::All)
+            .comment(Some(b'#'))
             .from_reader(content);
         let unreadable = |at: &csv::Position, error: &csv::Error| {
             let line = Some(source::line_of(path, at.byte(), at.line()));

@@ -68,11 +68,12 @@ pub(super) fn check_text(head: &[u8]) -> Result<(), Refusal> {
     }
 }
 
-/// The first line that is not blank.
+/// The first line that is neither blank nor a comment.
 pub(super) fn first_line(head: &[u8]) -> String {
-    let text = head.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(head).trim_ascii_start();
-    let end = text.iter().position(|byte| matches!(byte, b'\n' | b'\r')).unwrap_or(text.len());
-    String::from_utf8_lossy(&text[..end]).into_owned()
+    let text = head.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(head);
+    let lines = text.split(|byte| matches!(byte, b'\n' | b'\r')).map(<[u8]>::trim_ascii);
+    let first = lines.into_iter().find(|line| !line.is_empty() && !line.starts_with(b"#"));
+    String::from_utf8_lossy(first.unwrap_or_default()).into_owned()
 }
 
 /// What separates the columns of a header that must hold at least three.
@@ -101,7 +102,7 @@ pub(super) fn delimiter(header: &str) -> Result<u8, Refusal> {
 }
 
 /// The line, from 1, of the record that a reader begins to look for at `byte`, on `line`: blank
-/// lines are passed over. A file that cannot be read a second time gives `line`.
+/// lines and comments are passed over. A file that cannot be read a second time gives `line`.
 pub(super) fn line_of(path: &Path, byte: u64, line: u64) -> u64 {
     let blanks = || -> io::Result<u64> {
         let mut file = File::open(path)?;
@@ -110,14 +111,17 @@ pub(super) fn line_of(path: &Path, byte: u64, line: u64) -> u64 {
         }
         file.seek(SeekFrom::Start(byte))?;
         let mut reader = BufReader::new(file);
-        let (mut blanks, mut after_return) = (0, false);
+        let (mut blanks, mut after_return, mut in_comment) = (0, false, false);
         loop {
             let Some(&next) = reader.fill_buf()?.first() else { return Ok(blanks) };
             match next {
                 b'\r' => blanks += 1,
                 b'\n' => blanks += u64::from(!after_return),
+                b'#' => in_comment = true,
+                _ if in_comment => {}
                 _ => return Ok(blanks),
             }
+            in_comment &= !matches!(next, b'\r' | b'\n');
             after_return = next == b'\r';
             reader.consume(1);
         }

@@ -1,0 +1,155 @@
+//! The flash of a node that is switched off, looked at by the node's own code.
+
+use agent_core::package::{Capacity, Envelope, PackageError, Refusal, Requirements};
+use agent_core::signature::PublicKey;
+use agent_core::store::{LayoutError, MappedFlash, Store};
+use embedded_storage::nor_flash::{
+    ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
+};
+
+use crate::memory_map::WeightsRegion;
+use crate::packages::PackageBytes;
+use crate::packages::check::check;
+
+/// A copy of a flash. What the store writes into it, the end of a trial say, goes no further.
+#[derive(Debug)]
+pub(super) struct FlashCopy {
+    words: Vec<u32>,
+    length: usize,
+}
+
+/// An access beyond its end.
+#[derive(Debug)]
+pub(super) struct Outside;
+
+impl NorFlashError for Outside {
+    fn kind(&self) -> NorFlashErrorKind {
+        NorFlashErrorKind::OutOfBounds
+    }
+}
+
+impl FlashCopy {
+    pub(super) fn new(bytes: &[u8]) -> Self {
+        let mut words = vec![0u32; bytes.len().div_ceil(4)];
+        bytemuck::cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
+        Self { words, length: bytes.len() }
+    }
+
+    fn part(&mut self, offset: u32, length: usize) -> Result<&mut [u8], Outside> {
+        let all = &mut bytemuck::cast_slice_mut(&mut self.words)[..self.length];
+        let start = offset as usize;
+        start.checked_add(length).and_then(|end| all.get_mut(start..end)).ok_or(Outside)
+    }
+}
+
+impl ErrorType for FlashCopy {
+    type Error = Outside;
+}
+
+impl ReadNorFlash for FlashCopy {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Outside> {
+        bytes.copy_from_slice(self.part(offset, bytes.len())?);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        self.length
+    }
+}
+
+// As the emulated board has it.
+impl NorFlash for FlashCopy {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = 4096;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), Outside> {
+        self.part(from, to.saturating_sub(from) as usize)?.fill(crate::image::ERASED);
+        Ok(())
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Outside> {
+        self.part(offset, bytes.len())?.copy_from_slice(bytes);
+        Ok(())
+    }
+}
+
+impl MappedFlash for FlashCopy {
+    fn mapped(&self) -> &[u8] {
+        &bytemuck::cast_slice(&self.words)[..self.length]
+    }
+}
+
+/// The package that a node with this flash uses after a reset, if there is one.
+///
+/// # Errors
+/// A memory map that does not fit the flash.
+pub(super) fn package_in_use(
+    flash: FlashCopy,
+    region: &WeightsRegion,
+    key: Option<&PublicKey>,
+) -> Result<Option<PackageBytes>, LayoutError> {
+    let mut store = Store::open(flash, region.layout())?;
+    let requirements =
+        Requirements { public_key: key, in_use: None, capacity: Capacity::UNLIMITED };
+    let accepted = |bytes: &[u8]| -> Result<PackageBytes, Refusal> {
+        let package =
+            PackageBytes::new(bytes).map_err(|error: PackageError| Refusal::Package(error))?;
+        check(&package, &requirements)?;
+        Ok(package)
+    };
+    let loaded = store.load(accepted).in_use;
+    Ok(loaded
+        .or_else(|| {
+            let length = |slot: &[u8]| u32::try_from(Envelope::length_in(slot)?).ok();
+            let version = |package: &PackageBytes| package.package().version;
+            store.salvage(length, accepted, |new, old| version(new) > version(old))
+        })
+        .map(|(_, package)| package))
+}
+
+#[cfg(test)]
+mod tests {
+    use agent_core::store::Slot;
+
+    use super::*;
+    use crate::analysis::TriggerConstants;
+    use crate::image::{ERASED, Image};
+    use crate::memory_map::MemoryMap;
+    use crate::packages::trained;
+    use crate::scenario::{PAPER, Scenario};
+    use crate::signing::OperatorKey;
+
+    fn start_package() -> PackageBytes {
+        let scenario = Scenario::parse("paper", PAPER).unwrap();
+        let trigger = TriggerConstants::new(&scenario);
+        let network = scenario.network.as_ref().unwrap();
+        let inner = vec![0.1; network.architecture.parameter_count()];
+        trained::initial(&scenario, &trigger, network, &inner, 0, 0).unwrap()
+    }
+
+    #[test]
+    fn the_package_of_a_node_that_is_switched_off_is_found() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../memory.x");
+        let region = MemoryMap::read(path.as_ref()).unwrap().weights().unwrap();
+        let mut bytes = vec![ERASED; region.length as usize];
+        let found = |bytes: &[u8], key: Option<&PublicKey>| {
+            package_in_use(FlashCopy::new(bytes), &region, key).unwrap()
+        };
+        assert_eq!(found(&bytes, None), None);
+        let key = OperatorKey::generate().unwrap();
+        let package = start_package();
+        for (package, accepted) in [(package.clone(), false), (package.signed(&key), true)] {
+            let image = Image::of_package(&region, Slot::B, &package).unwrap();
+            for segment in image.segments() {
+                let start = (segment.address - region.origin) as usize;
+                bytes[start..start + segment.bytes.len()].copy_from_slice(&segment.bytes);
+            }
+            assert_eq!(found(&bytes, None), Some(package.clone()));
+            // Firmware with a key takes only what is signed.
+            let signed_only = found(&bytes, Some(key.public_key()));
+            assert_eq!(signed_only, accepted.then_some(package));
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! A node's socket in a folder: made where nothing else is, and removed by the one who made it.
+
+use std::fs::Metadata;
+use std::io::ErrorKind;
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use super::CosimError;
+use crate::service::address::connect;
+
+/// A socket that others can connect to. Dropping it removes it, unless something else has taken its
+/// place.
+#[derive(Debug)]
+pub(super) struct Socket {
+    path: PathBuf,
+    listener: UnixListener,
+    /// Device and number of the file, by which it is recognised.
+    identity: Option<(u64, u64)>,
+}
+
+impl Socket {
+    /// Whether a socket can be made here. Returns whether one that nobody listens at has to be removed
+    /// before.
+    ///
+    /// # Errors
+    /// [`CosimError::Occupied`] if there is anything else.
+    pub(super) fn check(path: &Path) -> Result<bool, CosimError> {
+        let occupied = |what| CosimError::Occupied { path: path.to_owned(), what };
+        // A link is not followed: what it points to is not ours.
+        let metadata = match std::fs::symlink_metadata(path) {
+            Ok(metadata) => metadata,
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
+            Err(error) => return Err(CosimError::Serve { path: path.to_owned(), error }),
+        };
+        if !metadata.file_type().is_socket() {
+            return Err(occupied("there is something here that is not a socket"));
+        }
+        match connect(path, Duration::ZERO) {
+            // What a run that was killed has left behind.
+            Err(error) if error.kind() == ErrorKind::ConnectionRefused => Ok(true),
+            _ => Err(occupied("another program serves this socket")),
+        }
+    }
+
+    /// Makes a socket.
+    ///
+    /// # Errors
+    /// As [`Socket::check`], and what the system says.
+    pub(super) fn bind(path: PathBuf) -> Result<Self, CosimError> {
+        let stale = Self::check(&path)?;
+        let bound = || {
+            if stale {
+                std::fs::remove_file(&path)?;
+            }
+            let listener = UnixListener::bind(&path)?;
+            listener.set_nonblocking(true)?;
+            Ok(listener)
+        };
+        match bound() {
+            Ok(listener) => {
+                let identity = std::fs::symlink_metadata(&path).ok().map(|m| identity(&m));
+                Ok(Self { path, listener, identity })
+            }
+            Err(error) => Err(CosimError::Serve { path, error }),
+        }
+    }
+
+    /// Somebody who waits to be let in.
+    pub(super) fn accept(&self) -> Option<UnixStream> {
+        self.listener.accept().ok().map(|(socket, _)| socket)
+    }
+}
+
+fn identity(metadata: &Metadata) -> (u64, u64) {
+    (metadata.dev(), metadata.ino())
+}
+
+impl Drop for Socket {
+    fn drop(&mut self) {
+        let there = std::fs::symlink_metadata(&self.path).ok().map(|m| identity(&m));
+        if there.is_some() && there == self.identity {
+            // Best effort: the run is over.
+            let _ = std::fs::remove_file(&self.path);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_socket_that_nobody_listens_at_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        std::fs::write(path("file"), "precious").unwrap();
+        std::os::unix::fs::symlink(path("file"), path("link")).unwrap();
+        std::fs::create_dir(path("folder")).unwrap();
+        for name in ["file", "link", "folder"] {
+            let error = Socket::bind(path(name)).unwrap_err().to_string();
+            assert!(error.contains("not a socket; it is left as it is"), "{error}");
+        }
+        assert_eq!(std::fs::read(path("link")).unwrap(), b"precious");
+
+        let live = UnixListener::bind(path("live")).unwrap();
+        let error = Socket::bind(path("live")).unwrap_err().to_string();
+        assert!(error.contains("another program serves this socket"), "{error}");
+        drop(live);
+        // Now nobody listens any more, as after a run that was killed.
+        let ours = Socket::bind(path("live")).unwrap();
+        assert!(UnixStream::connect(path("live")).is_ok() && ours.accept().is_some());
+        drop(ours);
+        assert!(!path("live").exists());
+    }
+
+    #[test]
+    fn what_has_taken_the_place_of_a_socket_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("agent-1.sock");
+        let ours = Socket::bind(path.clone()).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        std::fs::write(&path, "precious").unwrap();
+        drop(ours);
+        assert_eq!(std::fs::read(&path).unwrap(), b"precious");
+    }
+}

@@ -1,0 +1,100 @@
+//! What the nodes in a folder of sockets are part of: `nodes.json` beside the sockets, for those who
+//! talk to a node and want to know which scenario it is.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::output_file::{FileKind, OutputError, write_whole};
+
+/// Name of the file.
+pub const NAME: &str = "nodes.json";
+
+/// Longest file that is read. \[byte\]
+const LENGTH_MAX: u64 = 1 << 14;
+
+/// What the nodes in a folder are part of.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NodesFile {
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Hash of its text, in hexadecimal.
+    pub scenario_hash: String,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Number of the process that serves the nodes.
+    pub process: u32,
+}
+
+impl NodesFile {
+    /// The kind of this file.
+    pub const KIND: FileKind = FileKind {
+        name: "a list of served nodes",
+        recognises: |bytes| serde_json::from_slice::<Self>(bytes).is_ok(),
+    };
+
+    /// Of a run of this process.
+    #[must_use]
+    pub fn new(scenario: &str, hash: u64, seed: u64) -> Self {
+        Self {
+            scenario: scenario.to_owned(),
+            scenario_hash: format!("{hash:#018x}"),
+            seed,
+            process: std::process::id(),
+        }
+    }
+
+    /// The one in this folder, if there is one that can be read.
+    #[must_use]
+    pub fn read(folder: &Path) -> Option<Self> {
+        let mut text = String::new();
+        File::open(folder.join(NAME)).ok()?.take(LENGTH_MAX).read_to_string(&mut text).ok()?;
+        serde_json::from_str(&text).ok()
+    }
+
+    /// Whether there is something in this folder that is not such a file and would be overwritten.
+    #[must_use]
+    pub fn is_occupied(folder: &Path) -> bool {
+        let there = std::fs::symlink_metadata(folder.join(NAME));
+        there.is_ok_and(|there| !there.is_file() || Self::read(folder).is_none())
+    }
+
+    /// Writes it into this folder.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn write(&self, folder: &Path) -> Result<PathBuf, OutputError> {
+        let path = folder.join(NAME);
+        write_whole(&path, Self::KIND, |file| {
+            serde_json::to_writer(&mut *file, self)?;
+            file.write_all(b"\n")
+        })?;
+        Ok(path)
+    }
+
+    /// The hash of the scenario's text.
+    #[must_use]
+    pub fn hash(&self) -> Option<u64> {
+        u64::from_str_radix(self.scenario_hash.strip_prefix("0x")?, 16).ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_reads_back_and_replaces_only_its_own_kind() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(!NodesFile::is_occupied(folder.path()));
+        let file = NodesFile::new("paper", 0x12, 3);
+        let path = file.write(folder.path()).unwrap();
+        assert_eq!(NodesFile::read(folder.path()), Some(file.clone()));
+        assert_eq!(file.hash(), Some(0x12));
+        assert!(!NodesFile::is_occupied(folder.path()));
+        std::fs::write(&path, "{\"precious\": 1}").unwrap();
+        assert!(NodesFile::is_occupied(folder.path()) && NodesFile::read(folder.path()).is_none());
+    }
+}
