@@ -244,7 +244,8 @@ fn a_host_that_is_killed_leaves_no_emulator_and_no_file() {
     let trace = std::fs::read_to_string(folder.path("trace")).unwrap();
     let (id, pipes) = trace.trim().split_once(' ').unwrap();
     let state = || std::fs::read_to_string(format!("/proc/{id}/stat")).unwrap_or_default();
-    assert!(state().contains("(sleep)") && Path::new(pipes).exists(), "{trace}");
+    wait_until("it is itself", || state().contains("(sleep)"));
+    assert!(Path::new(pipes).exists(), "{trace}");
     run.kill().unwrap();
     run.wait().unwrap();
     // Who waits for an orphan is not our business: a zombie has ended.
