@@ -110,6 +110,8 @@ error_codes! {
     Node = "node-failed", 1;
     /// A node does not do what it is asked.
     NodeRefused = "node-refused", 2;
+    /// Another push to the node is under way.
+    AnotherPush = "another-push", 1;
     /// A node cannot be reached or does not answer.
     Unreachable = "node-unreachable", 1;
     /// Somebody asked for the end.
@@ -173,6 +175,8 @@ impl CommandError {
                     Fault::Interrupted => ErrorCode::Interrupted,
                     _ => ErrorCode::Node,
                 },
+                CosimError::Occupied { .. } => ErrorCode::OutputRefused,
+                CosimError::Output(error) => output(error),
                 _ => ErrorCode::OutputFailed,
             },
             #[cfg(unix)]
@@ -187,6 +191,10 @@ impl CommandError {
                 ServiceError::Line(LineError::Interrupted) => ErrorCode::Interrupted,
                 _ => ErrorCode::Unreachable,
             },
+            #[cfg(unix)]
+            Self::Push(PushError::Another(_)) => ErrorCode::AnotherPush,
+            #[cfg(unix)]
+            Self::Push(PushError::Flash(_)) => ErrorCode::Node,
             #[cfg(unix)]
             Self::Push(_) => ErrorCode::Package,
             #[cfg(unix)]
