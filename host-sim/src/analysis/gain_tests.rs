@@ -203,10 +203,9 @@ fn k1_itself_is_too_near_to_tell_and_above_it_is_not() {
     assert!(matches!(found.verdict, GainVerdict::Open { factor } if factor > 1.0), "{found:?}");
 }
 
-/// Dense by nature, and no network that has structure: not minutes. `cargo test --release -p
-/// host-sim --lib large_dense -- --ignored --nocapture` prints the time.
+/// Dense by nature: a second or two, not minutes. `cargo test -p host-sim --lib large_dense --
+/// --nocapture` prints the time.
 #[test]
-#[ignore = "a measurement"]
 fn large_dense_graphs() {
     use rand::{RngExt, SeedableRng};
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);

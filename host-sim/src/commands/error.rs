@@ -220,18 +220,9 @@ impl CommandError {
                 | PackageFileError::TooLong { path }
                 | PackageFileError::Package { path, .. },
             ) => shown(path),
-            Self::Key(
-                KeyFileError::Exists { path }
-                | KeyFileError::Write { path, .. }
-                | KeyFileError::Read { path, .. }
-                | KeyFileError::NotPrivate { path, .. }
-                | KeyFileError::NotPublic { path, .. }
-                | KeyFileError::Refused { path, .. },
-            )
-            | Self::Figure(FigureError::Render { path, .. }) => shown(path),
-            Self::Key(KeyFileError::WritePublic(error))
-            | Self::File(error)
-            | Self::Figure(FigureError::Write(error)) => shown(error.path()),
+            Self::Key(error) => error.path().and_then(shown),
+            Self::Figure(FigureError::Render { path, .. }) => shown(path),
+            Self::File(error) | Self::Figure(FigureError::Write(error)) => shown(error.path()),
             Self::Printed(error) => error.file(),
             _ => None,
         }

@@ -1,7 +1,7 @@
 //! Why a key cannot be used.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use agent_core::signature::PublicKeyError;
 
@@ -115,4 +115,25 @@ pub enum KeyFileError {
         #[source]
         error: PublicKeyError,
     },
+}
+
+impl KeyFileError {
+    /// The file that it is about.
+    #[must_use]
+    pub fn path(&self) -> Option<&Path> {
+        match self {
+            Self::Random(_) => None,
+            Self::WritePublic(error) => Some(error.path()),
+            Self::Exists { path }
+            | Self::Write { path, .. }
+            | Self::Read { path, .. }
+            | Self::Open { path, .. }
+            | Self::NotPrivate { path, .. }
+            | Self::PassphraseNeeded { path }
+            | Self::PassphraseUnread { path, .. }
+            | Self::Passphrase { path, .. }
+            | Self::NotPublic { path, .. }
+            | Self::Refused { path, .. } => Some(path),
+        }
+    }
 }

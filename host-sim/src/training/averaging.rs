@@ -16,15 +16,17 @@
 //! window is twice the averaging time of the least V**. Where V rises from the first sample on,
 //! there is no chatter and the window is 0.
 //!
-//! Cost: six operations a sample, component and averaging time, of which there are about four an
+//! Which of its sides is the signal's, the inputs tell: chatter is small in the estimate itself. The
+//! averaging time at which V of an input is largest belongs to the component's own motion, and only
+//! shorter ones are looked at, because an average over a whole period is small, too.
+//!
+//! Cost: twelve operations a sample, component and averaging time, of which there are about four an
 //! octave.
 //!
 //! Invariants: every sum has a fixed order; units of state and targets do not matter.
 
 use super::data::Dataset;
-
-/// V has left its least value behind when it exceeds it so many times.
-const RISE: f64 = 4.0;
+use super::scaling::Spread;
 
 /// A sine of period P has its largest V at an averaging time of 0.37 P.
 const PEAK: f64 = 0.37;
@@ -34,32 +36,28 @@ const PEAK: f64 = 0.37;
 pub struct Averaging {
     /// Window of the centred moving average that balances chatter and signal; 0 for none. \[s\]
     pub window: f64,
-    /// The shortest of the components' periods, that of a component the one with most power;
-    /// `None` if no component rises above its chatter. \[s\]
+    /// The shortest of the components' periods; `None` if no component moves. \[s\]
     pub period: Option<f64>,
 }
 
 impl Averaging {
-    /// Examines the targets of `pieces`, each of equidistant samples that are `interval` \[s\]
-    /// apart.
+    /// Examines `pieces`, each of equidistant samples that are `interval` \[s\] apart.
     #[must_use]
     pub fn of(pieces: &[Dataset], interval: f64) -> Self {
         let n = pieces.first().map_or(0, Dataset::dimension);
         let longest = pieces.iter().map(Dataset::len).max().unwrap_or(0);
         let lengths = averaging_lengths(longest / 3);
         let components: Vec<Component> =
-            (0..n).map(|c| Component::of(pieces, c, &lengths)).collect();
-        let power = |index: usize| {
-            let parts = components.iter().filter(|component| component.signal > 0.0);
-            parts.fold(0.0, |sum, part| sum + part.variances[index] / part.signal)
-        };
-        let together: Vec<f64> = (0..lengths.len()).map(power).collect();
-        let window = match first_least(&together) {
-            Some(least) if lengths[least] > 1 => 2.0 * lengths[least] as f64 * interval,
+            (0..n).filter_map(|c| Component::of(pieces, c, &lengths)).collect();
+        let power = |index| components.iter().fold(0.0, |sum, part| sum + part.power(index));
+        let least = (0..lengths.len())
+            .map(|index| (power(index), index))
+            .reduce(|least, now| if now.0 < least.0 { now } else { least });
+        let window = match least.filter(|_| !components.is_empty()) {
+            Some((_, least)) if lengths[least] > 1 => 2.0 * lengths[least] as f64 * interval,
             _ => 0.0,
         };
-        let peaks = components.iter().filter_map(|component| component.peak);
-        let shortest = peaks.map(|index| lengths[index]).min();
+        let shortest = components.iter().map(|component| lengths[component.peak]).min();
         Self { window, period: shortest.map(|length| length as f64 * interval / PEAK) }
     }
 
@@ -71,28 +69,35 @@ impl Averaging {
     }
 }
 
-/// One component of the targets.
+/// One component of the samples.
 struct Component {
-    /// V for each averaging length.
+    /// V of the targets for each averaging length.
     variances: Vec<f64>,
-    /// Variance of the averages over the length of the least V.
-    signal: f64,
-    /// Index of the largest V beyond the least one, if it rises out of the chatter.
-    peak: Option<usize>,
+    /// Index of the length with the largest V of the inputs: that of the component's motion.
+    peak: usize,
 }
 
 impl Component {
-    fn of(pieces: &[Dataset], index: usize, lengths: &[usize]) -> Self {
-        let sums: Vec<Vec<f64>> = pieces.iter().map(|piece| running_sums(piece, index)).collect();
-        let variances: Vec<f64> = lengths.iter().map(|&m| hadamard(&sums, m)).collect();
-        let least = first_least(&variances);
-        let signal = least.map_or(0.0, |least| variance_of_averages(&sums, lengths[least]));
-        let peak = least.and_then(|least| {
-            let beyond = (least..lengths.len()).map(|i| (variances[i], i));
-            let (largest, at) = beyond.fold((0.0, least), |a, b| if b.0 > a.0 { b } else { a });
-            (largest > RISE * variances[least]).then_some(at)
-        });
-        Self { variances, signal, peak }
+    /// `None` if the input does not vary by more than rounding, or there are too few samples.
+    fn of(pieces: &[Dataset], index: usize, lengths: &[usize]) -> Option<Self> {
+        let inputs: Vec<f64> = pieces.iter().flat_map(|piece| piece.inputs()).copied().collect();
+        let n = pieces.first()?.dimension();
+        Spread::of(&inputs, n, index).varies.then_some(())?;
+        let variances = |values: fn(&Dataset) -> &[f64]| -> Vec<f64> {
+            let sums: Vec<Vec<f64>> =
+                pieces.iter().map(|piece| running_sums(values(piece), n, index)).collect();
+            lengths.iter().map(|&m| hadamard(&sums, m)).collect()
+        };
+        let of_inputs = variances(Dataset::inputs);
+        let peaks = of_inputs.iter().enumerate().map(|(index, &variance)| (variance, index));
+        let (largest, peak) = peaks.reduce(|best, now| if now.0 > best.0 { now } else { best })?;
+        (largest > 0.0).then(|| Self { variances: variances(Dataset::targets), peak })
+    }
+
+    /// V of the targets at a length, in units of that of the motion; beyond that, no less.
+    fn power(&self, index: usize) -> f64 {
+        let motion = self.variances[self.peak];
+        if motion > 0.0 { self.variances[index.min(self.peak)] / motion } else { 0.0 }
     }
 }
 
@@ -107,25 +112,12 @@ fn averaging_lengths(longest: usize) -> Vec<usize> {
     lengths
 }
 
-/// The first index with the least value, where what comes after a rise by [`RISE`] does not count:
-/// an average over a whole period of the signal is small, too.
-fn first_least(values: &[f64]) -> Option<usize> {
-    let mut least = (f64::INFINITY, None);
-    for (index, &value) in values.iter().enumerate() {
-        if value < least.0 {
-            least = (value, Some(index));
-        } else if value > RISE * least.0 {
-            break;
-        }
-    }
-    least.1
-}
-
-/// Sums of the first 0, 1, 2 .. targets of a component.
-fn running_sums(piece: &Dataset, index: usize) -> Vec<f64> {
-    let targets = piece.targets().iter().skip(index).step_by(piece.dimension());
+/// Sums of the first 0, 1, 2 .. values of a component, less its first value.
+fn running_sums(values: &[f64], dimension: usize, index: usize) -> Vec<f64> {
+    let first = values.get(index).copied().unwrap_or(0.0);
+    let values = values.iter().skip(index).step_by(dimension).map(|value| value - first);
     let mut sums = vec![0.0];
-    sums.extend(targets.scan(0.0, |sum, y| {
+    sums.extend(values.scan(0.0, |sum, y| {
         *sum += y;
         Some(*sum)
     }));
@@ -146,17 +138,6 @@ fn hadamard(pieces: &[Vec<f64>], m: usize) -> f64 {
     sum / (6.0 * count * (m * m) as f64)
 }
 
-fn variance_of_averages(pieces: &[Vec<f64>], m: usize) -> f64 {
-    let averages = || {
-        pieces.iter().flat_map(|sums| {
-            (0..sums.len().saturating_sub(m)).map(|s| (sums[s + m] - sums[s]) / m as f64)
-        })
-    };
-    let count = averages().count() as f64;
-    let mean = averages().fold(0.0, |sum, y| sum + y) / count;
-    averages().fold(0.0, |sum, y| sum + (y - mean) * (y - mean)) / count
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -170,17 +151,19 @@ mod tests {
         let angle = |s: usize| 2.0 * std::f64::consts::PI * s as f64 * STEP / period;
         let targets: Vec<f64> =
             (0..samples).map(|s| unit * (libm::sin(angle(s)) + noise * random[s])).collect();
-        Dataset::new(1, vec![0.0; samples], targets).expect("valid")
+        let inputs = (0..samples).map(|s| -unit * period * libm::cos(angle(s))).collect();
+        Dataset::new(1, inputs, targets).expect("valid")
     }
 
     /// Mean squared error of the centred average over `window` against the sine.
     fn error(data: &Dataset, period: f64, window: f64) -> f64 {
         let half = (0.5 * window / STEP).round() as usize;
-        let sums = running_sums(data, 0);
+        let first = data.targets()[0];
+        let sums = running_sums(data.targets(), 1, 0);
         let range = half..data.len() - half;
         let count = range.len() as f64;
         let squares = range.map(|s| {
-            let average = (sums[s + half + 1] - sums[s - half]) / (2 * half + 1) as f64;
+            let average = first + (sums[s + half + 1] - sums[s - half]) / (2 * half + 1) as f64;
             let truth = libm::sin(2.0 * std::f64::consts::PI * s as f64 * STEP / period);
             (average - truth) * (average - truth)
         });
@@ -212,8 +195,25 @@ mod tests {
             let found = Averaging::of(&[data], STEP).period.expect("a signal");
             assert!(found > 0.8 * period && found < 1.25 * period, "{period}: {found}");
         }
-        let noise = noisy_sine(20_000, 1e9, 1.0, 1.0);
-        assert_eq!(Averaging::of(&[noise], STEP).period, None);
+        let still = Dataset::new(1, vec![0.1; 900], random_values(900, 1)).expect("valid");
+        assert_eq!(Averaging::of(&[still], STEP), Averaging { window: 0.0, period: None });
+    }
+
+    /// Between two broadcasts an estimate ramps, so its derivative is smooth there and jumps where
+    /// they are.
+    #[test]
+    fn ramps_between_broadcasts_are_chatter() {
+        for interval in [5usize, 20, 60] {
+            let angle = |s: usize| s as f64 * STEP;
+            let ramp = |s: usize| 20.0 * ((s % interval) as f64 / interval as f64 - 0.5);
+            let inputs = (0..9_000).map(|s| libm::sin(angle(s))).collect();
+            let targets = (0..9_000).map(|s| libm::cos(angle(s)) + ramp(s)).collect();
+            let data = Dataset::new(1, inputs, targets).expect("valid");
+            let found = Averaging::of(&[data], STEP);
+            assert!(found.window >= 1.5 * STEP * interval as f64, "{interval}: {found:?}");
+            assert!(found.window <= 1.5, "{interval}: {found:?}");
+            assert!(found.period.is_some_and(|period| period > 4.0), "{interval}: {found:?}");
+        }
     }
 
     #[test]
