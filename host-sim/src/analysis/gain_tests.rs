@@ -1,3 +1,5 @@
+#![allow(clippy::print_stdout, reason = "figures, for whom they are measured again")]
+
 use super::*;
 use std::fmt::Write;
 

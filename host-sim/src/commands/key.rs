@@ -9,6 +9,7 @@ use zeroize::Zeroizing;
 use super::CommandError;
 use crate::input_file::read_limited;
 use crate::signing::{KeyFileError, OperatorKey};
+use crate::terminal::one_line;
 
 /// The passphrase's variable.
 const VARIABLE: &str = "HOST_SIM_PASSPHRASE";
@@ -39,12 +40,15 @@ impl Passphrase {
         if let Ok(passphrase) = std::env::var(VARIABLE) {
             return Ok(Zeroizing::new(passphrase));
         }
-        if !std::io::stdin().is_terminal() && !std::io::stderr().is_terminal() {
+        if !std::io::stdin().is_terminal() {
             return Err(KeyFileError::PassphraseNeeded { path: key.to_owned() });
         }
-        rpassword::prompt_password(format!("Passphrase of {}: ", key.display()))
-            .map(Zeroizing::new)
-            .map_err(|_| KeyFileError::PassphraseNeeded { path: key.to_owned() })
+        rpassword::prompt_password(format!(
+            "Passphrase of {}: ",
+            one_line(&key.display().to_string())
+        ))
+        .map(Zeroizing::new)
+        .map_err(|_| KeyFileError::PassphraseNeeded { path: key.to_owned() })
     }
 }
 

@@ -51,10 +51,11 @@ pub(super) fn summaries(records: &[TrainingRecord]) -> Vec<TrainingSummary> {
     records.iter().map(TrainingSummary::new).collect()
 }
 
-/// Share of the variance that the last training of `agent`, from 1, explains in the last part of its
-/// samples' time.
+/// Share of the variance that the last training of `agent`, from 1, explains on its validation
+/// samples; without any, on those that it was trained on.
 pub(super) fn explained(records: &[TrainingRecord], agent: usize) -> Option<f64> {
-    records.iter().rfind(|record| record.agent == agent).and_then(|record| record.quality.last)
+    let quality = &records.iter().rfind(|record| record.agent == agent)?.quality;
+    quality.validation.unwrap_or(quality.training).explained
 }
 
 /// How each training went, a line each.
