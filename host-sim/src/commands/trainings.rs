@@ -1,4 +1,4 @@
-//! How trainings went, for people and for programs.
+//! How trainings went, as text and JSON.
 
 use std::fmt::Write;
 
@@ -9,7 +9,7 @@ use crate::engine::TrainingRecord;
 use crate::report::number::significant;
 use crate::report::tables::DIGITS;
 
-/// Up to this many trainings have a line each.
+/// Up to this many trainings get a line each.
 const LINES: usize = 12;
 
 /// One training, as JSON has it. Errors are mean squared errors of the packaged network. \[squared state unit/s^2\]
@@ -51,7 +51,7 @@ pub(super) fn summaries(records: &[TrainingRecord]) -> Vec<TrainingSummary> {
     records.iter().map(TrainingSummary::new).collect()
 }
 
-/// Share of the variance that the last training of `agent`, from 1, explains in the last part of its
+/// Share of the variance that the last training of `agent` (from 1) explains in the last 15 % of its
 /// samples' time.
 pub(super) fn explained(records: &[TrainingRecord], agent: usize) -> Option<f64> {
     records.iter().rfind(|record| record.agent == agent).and_then(|record| record.quality.last)
