@@ -272,7 +272,7 @@ fn write_figures(
     result: &RunResult,
     baselines: &Baselines,
 ) -> Result<(), CommandError> {
-    let markers = written::markers(scenario);
+    let markers = written::markers(scenario, &result.trainings);
     let event_ticks = written::events_of(result);
     let window = written::event_window(scenario);
     let (traces, name) = (&result.traces, scenario.name.as_str());
