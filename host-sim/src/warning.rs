@@ -27,7 +27,8 @@ pub enum WarningCode {
     WindowBeforeSwitch,
     /// `[health]` without any trained network.
     HealthUntrained,
-    /// The outer weights limit what the network can say: all zero, or all rows equal.
+    /// The outer weights limit what the network can learn: all zero (for one component or for all),
+    /// or all rows equal.
     OuterWeights,
     /// An input does not vary by more than rounding, so it gets no weight.
     ConstantInput,

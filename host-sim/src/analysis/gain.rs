@@ -1,4 +1,4 @@
-//! Is `K_1` a solution of `BMI`, which the theorems presuppose?
+//! Is `K_1` a solution of `BMI`, as the theorems require?
 //!
 //! ```text
 //! M = (1/2) (I (x) K_1) C^T C + (1/2) C^T C (I (x) K_1) + L (x) K_1 >= k_1 I,
@@ -19,7 +19,7 @@ use super::smallest::Smallest;
 use crate::report::number::significant;
 use crate::scenario::{Design, Scenario};
 
-/// Whether `K_1` solves `BMI`, which the theorems presuppose.
+/// Whether `K_1` solves `BMI`, as the theorems require.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GainCertificate {
     /// Smallest eigenvalue of the left side of `BMI`. \[1/s\]
@@ -103,13 +103,13 @@ impl GainCertificate {
         self.verdict == GainVerdict::Solution
     }
 
-    /// What is wrong and what to do, in a few words; `None` for a solution.
+    /// What is wrong and what to do; `None` for a solution.
     #[must_use]
     pub fn advice(&self) -> Option<String> {
         Some(match self.verdict {
             GainVerdict::Solution => return None,
             GainVerdict::Open { factor } => format!(
-                "too near to k1 to tell, within rounding; multiply design.gain by {}",
+                "too close to k1 to be certain; multiply design.gain by {}",
                 significant(factor, 3)
             ),
             GainVerdict::Multiply { factor } => {

@@ -1,4 +1,4 @@
-//! `chi_bar_max`, which `rho` must not be below: how large the lumped uncertainty was along a run.
+//! `chi_bar_max`, which `rho` has to reach: how large the lumped uncertainty was along a run.
 //!
 //! With the samples of [`LumpedSamples`],
 //!
@@ -7,13 +7,13 @@
 //! r_i(t) = C_i^T C_i W_0^T sigma_i(t) + g_i(t),   stacked over the agents
 //! ```
 //!
-//! is a convex problem. It is solved as Lawson does: least squares with weights on the samples,
-//! which then grow where the residual is large. Every `W_0` on the way gives an upper bound of the
-//! smallest maximum, every set of weights a lower one (a weighted mean of squares is no larger than
-//! their maximum), so how far the search has come is known. The ball is that in which the
-//! projection's inequality holds, `omega_bar - beta`.
+//! is a convex problem. Lawson's algorithm solves it: least squares with weights on the samples,
+//! which then grow where the residual is large. Every `W_0` on the way gives an upper bound on the
+//! smallest maximum, and every set of weights a lower one (a weighted mean of squares is at most
+//! their maximum), so the remaining gap is known. The ball is the one in which the projection's
+//! inequality holds, of radius `omega_bar - beta`.
 //!
-//! It is an estimate all the same: of the steps that were sampled, of this run.
+//! The result is still an estimate: it covers the sampled steps of this run only.
 //!
 //! Cost: `S N L (L + n)` operations an iteration for `S` samples, and `(L n)^3 / 6` for a solution.
 
@@ -25,9 +25,9 @@ use crate::scenario::Scenario;
 use crate::training::cholesky::Cholesky;
 
 const ITERATIONS_MAX: u64 = 80;
-/// Operations after which the search ends whatever it has found.
+/// Operations after which the search ends with what it has found.
 const OPERATIONS_MAX: u64 = 400_000_000;
-/// The bounds need not be nearer to each other than this, relatively.
+/// Relative distance between the bounds that is close enough.
 const TOLERANCE: f64 = 0.01;
 
 /// How large the lumped uncertainty was.

@@ -1,15 +1,15 @@
-//! The theorems' promises beside what a run measured.
+//! The theorems' bounds against what a run measured.
 //!
-//! A theorem says something only where its premises hold; where one does not, that one is named
-//! and the theorem is not applicable, whatever the run did.
+//! A theorem applies only if its premises hold. If one fails, the check names it and the theorem is
+//! "not applicable", however the run went.
 //!
-//! * Theorem 1: `k_2 > 1/kappa`; `K_1` solves `BMI`; `rho >= chi_bar_max`, of which the run gives an
-//!   estimate ([`LumpedUncertainty`]).
-//! * Theorem 2: a bound on the rate of the hold error. It is measured along the run, so nothing else
-//!   is presupposed; but an interval that it allows can only be told from a shorter one if it is at
-//!   least a step long, as broadcasts happen between steps only.
+//! * Theorem 1: `k_2 > 1/kappa`; `K_1` solves `BMI`; `rho >= chi_bar_max`, which the run estimates
+//!   ([`LumpedUncertainty`]).
+//! * Theorem 2: a bound on the rate of the hold error. It is measured along the run, so it needs no
+//!   other premise; but the interval that it allows can only be tested if it is at least one step
+//!   long, because broadcasts happen between steps.
 //!
-//! An agent that began anew left the dynamics of both.
+//! An agent that restarted left the dynamics of both.
 
 use super::{
     GainCertificate, LumpedUncertainty, StepCheck, TriggerConstants, UltimateBound,
@@ -21,7 +21,7 @@ use crate::engine::statistics::AgentStatistics;
 use crate::report::number::significant;
 use crate::scenario::Scenario;
 
-/// Everything that can be told without a run.
+/// Every check that needs no run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DesignChecks {
     /// Is `K_1` a solution of `BMI`?
@@ -49,8 +49,8 @@ impl DesignChecks {
         }
     }
 
-    /// `K_1` against the matrix inequality, in one sentence without a full stop, the same wherever
-    /// it is told.
+    /// `K_1` against the matrix inequality, in one sentence without a full stop, the same in every
+    /// report.
     #[must_use]
     pub fn gain_in_words(&self) -> String {
         let gain = &self.gain;
@@ -78,7 +78,7 @@ impl DesignChecks {
 /// Every check of one run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checks {
-    /// What was known before.
+    /// The checks that need no run.
     pub design: DesignChecks,
     /// Theorem 1.
     pub theorem1: UltimateBoundCheck,
@@ -88,14 +88,14 @@ pub struct Checks {
     pub growth: Option<Growth>,
 }
 
-/// What has become of a theorem.
+/// The verdict on a theorem.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Status {
     /// The run kept within its bound.
     Kept,
     /// The run did not.
     Broken,
-    /// It says nothing about the run, because this premise does not hold.
+    /// It does not apply to the run, because this premise fails.
     NotApplicable(String),
 }
 
@@ -110,7 +110,7 @@ impl Status {
         }
     }
 
-    /// The premise that does not hold.
+    /// The premise that fails.
     #[must_use]
     pub fn premise(&self) -> Option<&str> {
         match self {
@@ -127,11 +127,11 @@ impl Status {
 /// Theorem 1 against a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UltimateBoundCheck {
-    /// What has become of it.
+    /// The verdict.
     pub status: Status,
     /// `rho`. \[state unit/s\]
     pub rho: f64,
-    /// What `rho` must not be below; `None` if it was not measured.
+    /// What `rho` has to reach; `None` if it was not measured.
     pub lumped: Option<LumpedUncertainty>,
     /// The error against the bound; `None` where there is no bound, or it was not measured.
     pub share: Option<BoundShare>,
@@ -140,7 +140,7 @@ pub struct UltimateBoundCheck {
 /// Theorem 2 against a run, for one agent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AgentCheck {
-    /// What has become of it.
+    /// The verdict.
     pub status: Status,
     /// Largest rate `e_2i_max` of the hold error that occurred. \[state unit/s\]
     pub hold_error_rate: f64,
@@ -158,7 +158,7 @@ impl Checks {
         Self::of(DesignChecks::new(scenario), scenario, run)
     }
 
-    /// The same, where the scenario has been examined.
+    /// The same, with the checks that need no run already done.
     #[must_use]
     pub fn of(design: DesignChecks, scenario: &Scenario, run: &RunResult) -> Self {
         let bounds = run.bounds.as_ref();
@@ -169,9 +169,7 @@ impl Checks {
             let shortest = agent.min_interval(&scenario.time);
             let status = match bound {
                 _ if bounds.is_none() => not_measured(),
-                _ if restarts(agent) > 0 => {
-                    Status::NotApplicable("the agent began anew".to_owned())
-                }
+                _ if restarts(agent) > 0 => Status::NotApplicable("the agent restarted".to_owned()),
                 None => Status::NotApplicable("the hold error did not move".to_owned()),
                 Some(bound) if bound < step_size => Status::NotApplicable(format!(
                     "not testable at this step: its bound, {} s, is below one step",
@@ -189,19 +187,19 @@ impl Checks {
         let theorem2 = agents.collect();
         let lumped = bounds.map(|bounds| LumpedUncertainty::new(scenario, &bounds.lumped));
         let share = bounds.and_then(|bounds| bounds.ultimate);
-        let began_anew = run.agents.iter().filter(|agent| restarts(agent) > 0).count();
-        let status = match began_anew {
+        let restarted = run.agents.iter().filter(|agent| restarts(agent) > 0).count();
+        let status = match restarted {
             0 => ultimate_status(&design, scenario, lumped, share),
-            1 => Status::NotApplicable("an agent began anew".to_owned()),
-            count => Status::NotApplicable(format!("{count} agents began anew")),
+            1 => Status::NotApplicable("an agent restarted".to_owned()),
+            count => Status::NotApplicable(format!("{count} agents restarted")),
         };
         let rho = scenario.design.rho;
         let theorem1 = UltimateBoundCheck { status, rho, lumped, share };
         Self { design, theorem1, theorem2, growth: bounds.map(|bounds| bounds.growth) }
     }
 
-    /// What has become of Theorem 2 for all agents: broken if it is for one, kept if it is for
-    /// one and broken for none.
+    /// The verdict on Theorem 2 for all agents: broken if it is broken for one; otherwise kept if it
+    /// is kept for one.
     #[must_use]
     pub fn theorem2_status(&self) -> Status {
         let statuses = || self.theorem2.iter().map(|agent| &agent.status);

@@ -18,7 +18,7 @@ use super::jacobi::Eigen;
 const STEPS: usize = 24;
 /// More rounds than are ever needed: each brings the bounds nearer by a factor.
 const ROUNDS_MAX: usize = 40;
-/// The bounds need not be nearer to each other than this, relatively.
+/// Relative distance between the bounds that is close enough.
 const TOLERANCE: f64 = 1e-12;
 
 /// What is known of `lambda_min(M)`.

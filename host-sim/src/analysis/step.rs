@@ -17,7 +17,7 @@
 //! have one.
 //!
 //! `lambda_max` comes from Lanczos' method without reorthogonalisation, which the largest
-//! eigenvalue does not need; it is found from below, to far more digits than are told.
+//! eigenvalue does not need; it is approached from below, to far more digits than are printed.
 
 use nalgebra::DMatrix;
 
@@ -85,7 +85,7 @@ impl StepCheck {
         (self.step_size * self.eigenvalue_max - 1.0).abs()
     }
 
-    /// The step beside the largest stable one, in a few words.
+    /// The step against the largest stable one, in words.
     #[must_use]
     pub fn describe(&self) -> String {
         let step = self.step_size;
@@ -108,7 +108,7 @@ impl StepCheck {
     }
 }
 
-/// Three digits, downwards: what is told as stable is.
+/// Rounds down to three digits, so that the step printed as stable is stable.
 fn round_down(x: f64) -> String {
     let nearest = significant(x, 3);
     match nearest.parse::<f64>() {

@@ -1,16 +1,17 @@
-//! What a run measured of each agent, beside its baselines: a table for the terminal and a CSV file.
+//! What a run measured for each agent, next to its baselines: a table for the terminal, and a CSV file.
 
 use std::path::Path;
 
 use super::baselines::{Baseline, Baselines};
 use super::run::AgentReport;
+use super::seeds::Spread;
 use crate::output_file::OutputError;
 use crate::report::columns::aligned;
 use crate::report::csv::{Row, write_table};
 use crate::report::tables::{number, percent};
 use crate::scenario::Scenario;
 
-/// Up to this many agents have a line each in the terminal.
+/// Up to this many agents get a line each on the terminal.
 const LINES: usize = 20;
 
 /// A column of errors: its heading and the error of an agent.
@@ -75,17 +76,16 @@ fn rmse(agent: &AgentReport) -> Option<f64> {
 fn spread(agents: &[AgentReport], errors: &[Errors<'_>]) -> String {
     let headings = [["", "RMSE of all"], ["", "best"], ["", "median"], ["", "worst"]];
     let row = |(name, error): &Errors<'_>| {
-        let mut values: Vec<f64> = agents.iter().filter_map(error).collect();
-        values.sort_by(f64::total_cmp);
-        let middle = values.get(values.len() / 2);
-        let levels = [values.first(), middle, values.last()].map(|value| number(value.copied()));
-        [vec![(*name).to_owned()], levels.to_vec()].concat()
+        let spread = Spread::of(agents.iter().filter_map(error));
+        let levels = spread.map(|spread| [spread.min, spread.median, spread.max]);
+        let levels = (0..3).map(|index| number(levels.map(|levels| levels[index])));
+        [(*name).to_owned()].into_iter().chain(levels).collect()
     };
     let rows: Vec<_> = errors.iter().map(row).collect();
     aligned(&headings, &rows)
 }
 
-/// Writes all that JSON has of the agents, but for their health.
+/// Writes what JSON has on each agent, except its health.
 pub(super) fn write_csv(path: &Path, agents: &[AgentReport]) -> Result<(), OutputError> {
     let header = [
         "agent",
@@ -122,4 +122,22 @@ pub(super) fn write_csv(path: &Path, agents: &[AgentReport]) -> Result<(), Outpu
         row.optional(agent.min_interval)
     };
     write_table(path, &header, agents.iter(), columns)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_median_of_an_even_number_is_between_the_middle_two() {
+        let agent = |rmse| AgentReport { rmse: Some(rmse), ..AgentReport::default() };
+        let text = spread(&[9.0, 1.0, 4.0, 2.0].map(agent), &[("learned", rmse)]);
+        let expected = [
+            "RMSE of all   best  median  worst",
+            "---------------------------------",
+            "    learned  1.000   3.000  9.000",
+            "",
+        ];
+        assert_eq!(text, expected.join("\n"));
+    }
 }

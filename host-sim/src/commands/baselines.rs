@@ -7,8 +7,8 @@
 //! | *untrained* | the scenario's own, as it starts | yes | no |
 //! | the run itself | the scenario's own, or given packages | yes | as the scenario says |
 //!
-//! Baselines record nothing and run beside the run itself, whose bits they cannot change. One that
-//! fails is told, with the reason; the run itself counts all the same.
+//! Baselines record nothing and run in parallel with the run itself, whose bits they cannot change.
+//! One that fails is reported with the reason, and the run itself goes on.
 
 use clap::ValueEnum;
 use serde::Serialize;
@@ -78,7 +78,7 @@ impl Baseline {
 /// Of a run that is for comparison only.
 pub(super) const NOTHING: Record = Record { trace_stride: None, events: false, samples: false };
 
-/// What became of a baseline.
+/// How a baseline ended.
 #[derive(Debug)]
 pub(super) enum Outcome {
     /// It was not asked for, or there is nothing to compare.
@@ -104,7 +104,7 @@ pub(super) struct Baselines {
     outcomes: [Outcome; 2],
 }
 
-/// Which of the baselines say something about a run of `scenario` (after `--without-learning` and
+/// Which baselines are worth comparing with a run of `scenario` (after `--without-learning` and
 /// `--weights`), and which of them it is itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Plan {
@@ -177,7 +177,7 @@ impl Baselines {
             Outcome::Failed(error) => Some(Warning::new(
                 WarningCode::BaselineFailed,
                 format!(
-                    "the run to compare with, {}, failed, so its errors are missing: {error}",
+                    "the baseline run ({}) failed, so its errors are missing: {error}",
                     baseline.name()
                 ),
             )),
@@ -186,7 +186,7 @@ impl Baselines {
         Baseline::ALL.into_iter().filter_map(failed).collect()
     }
 
-    /// What became of each, for programs.
+    /// How each ended, for JSON.
     pub(super) fn states(&self) -> States {
         let [no_network, untrained] = self.outcomes.each_ref().map(|outcome| match outcome {
             Outcome::NotRun => State { status: "not_run", reason: None },
@@ -198,7 +198,7 @@ impl Baselines {
     }
 }
 
-/// What became of the baselines.
+/// How the baselines ended, as JSON has it.
 #[derive(Debug, Serialize)]
 pub(super) struct States {
     no_network: State,
@@ -211,7 +211,7 @@ struct State {
     reason: Option<String>,
 }
 
-/// An agent's errors beside those of the baselines.
+/// An agent's errors against those of the baselines.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Comparison {
     pub(super) rmse_no_network: Option<f64>,
@@ -295,9 +295,9 @@ mod tests {
     }
 
     #[test]
-    fn a_baseline_that_fails_is_told_with_its_reason() {
+    fn a_baseline_that_fails_is_reported_with_its_reason() {
         let mut scenario = paper(0.1);
-        // Nothing holds the estimate any more, and the network is what the outer law may not be.
+        // The outer law refuses this bound; without a network there is no outer law.
         scenario.network.as_mut().unwrap().outer_law.bound = -1.0;
         let plan = Plan::new(&scenario, None);
         let baselines = plan.carry_out(&scenario, 0, || Silent);

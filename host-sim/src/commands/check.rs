@@ -1,4 +1,4 @@
-//! `check`: what can be told of a scenario without running it.
+//! `check`: what a scenario shows without a run.
 
 use std::path::PathBuf;
 
@@ -46,7 +46,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Ok(())
     } else {
         let name = &scenario.name;
-        let problem = format!("a run of scenario {name} would be unstable, as told above");
+        let problem = format!("a run of scenario {name} would be unstable; see the step above");
         Err(CommandError::Unstable(problem))
     };
     match arguments.format {
@@ -83,7 +83,7 @@ fn text(scenario: &Scenario, design: &DesignChecks, warnings: &[Warning]) -> Str
     };
     if let Some(bound) = design.ultimate_bound {
         text += &format!(
-            "  Theorem 1, where rho is no smaller than chi_bar_max (a run estimates it): ultimately \
+            "  Theorem 1, if rho is at least chi_bar_max (a run estimates it): ultimately \
              |e_1| <= {}\n",
             significant(bound.ultimate().sqrt(), 4)
         );

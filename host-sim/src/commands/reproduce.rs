@@ -255,7 +255,7 @@ fn write_figures(out: &Path, scenario: &Scenario, runs: &Runs) -> Result<(), Com
     let error_limit = Some(error_axis_limit(&shown_runs, &references[1]));
     let window = written::event_window(scenario);
     let event_ticks = written::events_of(with);
-    let markers = written::markers(scenario);
+    let markers = written::markers(scenario, &with.trainings);
     let draw = |index: usize| match index {
         0 => error_norms(&ErrorFigure {
             title: "Figure 1: untrained networks",

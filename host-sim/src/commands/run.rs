@@ -63,7 +63,7 @@ struct Report<'a> {
 }
 
 /// An agent, as JSON has it.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 pub(super) struct AgentReport {
     pub(super) agent: usize,
     pub(super) rmse: Option<f64>,
@@ -82,7 +82,7 @@ pub(super) struct AgentReport {
     pub(super) min_interval: Option<f64>,
     /// Of an agent that was watched.
     #[serde(skip_serializing_if = "Option::is_none")]
-    health: Option<HealthReport>,
+    pub(super) health: Option<HealthReport>,
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
@@ -187,7 +187,7 @@ fn packages_in_use(scenario: &Scenario) -> String {
     lines.collect()
 }
 
-/// What a run of this scenario is called beside its baselines.
+/// What a run of this scenario is called next to its baselines.
 fn name_of(scenario: &Scenario) -> &'static str {
     if !scenario.learning.is_empty() {
         "learned"
@@ -200,7 +200,7 @@ fn name_of(scenario: &Scenario) -> &'static str {
     }
 }
 
-/// The run, and beside it what it is compared with.
+/// The run and its baselines, in parallel.
 fn simulate(
     scenario: &Scenario,
     seed: u64,
@@ -272,7 +272,7 @@ fn write_figures(
     result: &RunResult,
     baselines: &Baselines,
 ) -> Result<(), CommandError> {
-    let markers = written::markers(scenario);
+    let markers = written::markers(scenario, &result.trainings);
     let event_ticks = written::events_of(result);
     let window = written::event_window(scenario);
     let (traces, name) = (&result.traces, scenario.name.as_str());

@@ -1,8 +1,8 @@
-//! The same run with several seeds: median and range of what each agent does.
+//! The same run with several seeds: median and range for each agent.
 //!
-//! A single run says little about broadcasts: which step a trigger fires in depends on the last
-//! bit of everything before, so a count differs by some percent between runs that differ in
-//! nothing that matters. Medians and ranges over seeds tell that from an effect.
+//! A single run says little about broadcasts: the step in which a trigger fires depends on the last
+//! bit of everything before it, so counts vary by a few percent between equivalent runs. Medians and
+//! ranges over seeds separate that from an effect.
 
 use std::path::Path;
 
@@ -69,14 +69,14 @@ pub(super) fn run_all<P: Progress>(
 /// Median, smallest and largest of some values.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct Spread {
-    median: f64,
-    min: f64,
-    max: f64,
+    pub(super) median: f64,
+    pub(super) min: f64,
+    pub(super) max: f64,
 }
 
 impl Spread {
     /// `None` without values. The median of an even number is the mean of the two in the middle.
-    fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
+    pub(super) fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
         let mut values: Vec<f64> = values.collect();
         values.sort_by(f64::total_cmp);
         let (&min, &max) = (values.first()?, values.last()?);

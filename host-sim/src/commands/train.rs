@@ -84,7 +84,7 @@ struct Report<'a> {
     samples: usize,
     epochs: usize,
     stopped_by: &'static str,
-    /// What asked for the end before training came to its own; `null` if nothing did.
+    /// The signal that ended the training early; `null` if none did.
     stopped: Option<&'static str>,
     smoothing_window_s: f64,
     decimation: usize,
@@ -101,7 +101,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     // While the terminal is asked for a passphrase, Ctrl-C ends the program.
     let key = arguments.sign.as_deref().map(|path| arguments.passphrase.key(path)).transpose()?;
     let start = Instant::now();
-    // Whoever presses Ctrl-C twice does not want to wait for the epoch to end.
+    // A second Ctrl-C does not wait for the epoch to end.
     interruption::listen(Again::Exit);
     let scenario = load_scenario(&arguments.scenario)?;
     let index = agent_index(&scenario, arguments.agent)?;
@@ -146,7 +146,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         version,
     };
     let of_these = |error: TrainedError| match error {
-        // Not the samples, but what came of them.
+        // Not the samples are wrong, but the result.
         TrainedError::NotFinite { .. } | TrainedError::Draft(_) => CommandError::Training(error),
         _ => CommandError::Usage(format!("{}: {error}", arguments.data.display())),
     };
@@ -155,16 +155,16 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let told = prepared.warnings.len();
     prepared.warnings.iter().for_each(warn);
     let mut trained = train(&task, prepared).map_err(of_these)?;
-    if trained.report.stop == StopReason::Callback {
-        // Whoever ends it gets the best so far, whatever that is; the other warnings say what.
+    // An interrupted training packs the best network so far, whatever it explains; the other
+    // warnings say what.
+    let interrupted = trained.report.stop == StopReason::Callback;
+    if interrupted {
         trained.warnings.retain(|warning| warning.code != WarningCode::NotSwitchedIn);
-        trained.accepted = true;
     }
     trained.warnings[told..].iter().for_each(warn);
-    // Who interrupts it wants what there is.
-    let interrupted = trained.report.stop == StopReason::Callback;
     if !trained.accepted && !interrupted {
-        let problem = "not packed, because the network explains nothing of the end of the samples";
+        let problem = "not packed, because the network explains no more than a constant does; see \
+                       the warnings above";
         return Err(CommandError::NotPacked(format!("{}: {problem}", arguments.out.display())));
     }
     let (package, chosen) = (trained.package.clone(), arguments.package_version);
@@ -182,7 +182,7 @@ fn check_source(
     arguments: &Arguments,
     scenario: &Scenario,
 ) -> Result<Option<Warning>, CommandError> {
-    // What cannot be read is told when the samples are.
+    // Reading the samples reports what cannot be read.
     let source = RecordingSource::read(&arguments.data).unwrap_or_default();
     let (name, hash, step) = (scenario.name.as_str(), scenario.hash, scenario.time.step_size);
     let scenario = SourceScenario { name, hash, step };
@@ -220,7 +220,7 @@ fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, Co
     if let Some(version) = arguments.package_version {
         return Ok(version);
     }
-    // Nothing else than a regular file is read; whether it may be replaced is found out later.
+    // Only a regular file is read; whether it may be replaced is checked later.
     let replaced =
         if arguments.out.is_file() { PackageBytes::load(&arguments.out).ok() } else { None };
     let before = base
@@ -235,7 +235,7 @@ fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, Co
     }
 }
 
-/// Trains until it is done or interrupted, which ends with the best so far.
+/// Trains until it is done or interrupted, which keeps the best network so far.
 fn train(task: &TrainingTask<'_>, prepared: Prepared<'_, '_>) -> Result<Trained, TrainedError> {
     let bars = ProgressBars::new("training");
     let total = task.recipe.solver.epochs_max as u64;

@@ -1,4 +1,4 @@
-//! How trainings went, for people and for programs.
+//! How trainings went, as text and JSON.
 
 use std::fmt::Write;
 
@@ -9,7 +9,7 @@ use crate::engine::TrainingRecord;
 use crate::report::number::significant;
 use crate::report::tables::DIGITS;
 
-/// Up to this many trainings have a line each.
+/// Up to this many trainings get a line each.
 const LINES: usize = 12;
 
 /// One training, as JSON has it. Errors are mean squared errors of the packaged network. \[squared state unit/s^2\]

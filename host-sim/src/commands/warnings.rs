@@ -3,8 +3,9 @@
 use super::CommandError;
 use crate::analysis::{Checks, DesignChecks, GainVerdict};
 use crate::engine::RunResult;
+use crate::packages::judgement::outer_weights;
 use crate::report::number::significant;
-use crate::scenario::{Agent, Scenario};
+use crate::scenario::{Agent, Scenario, Window};
 use crate::terminal;
 use crate::warning::{Warning, WarningCode};
 
@@ -24,7 +25,7 @@ pub(super) fn lines(warnings: &[Warning]) -> String {
     if lines.is_empty() { lines } else { lines + "\n" }
 }
 
-/// What speaks against `scenario`.
+/// Warnings about `scenario` that need no run.
 pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let mut warn = |code, text: String| warnings.push(Warning::new(code, text));
@@ -33,7 +34,7 @@ pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning>
         warn(WarningCode::StateNotCovered, text);
     } else if !design.gain.holds() {
         let text = format!(
-            "design.gain in the matrix inequality, which the theorems presuppose: {}",
+            "design.gain in the matrix inequality, which the theorems require: {}",
             design.gain_in_words()
         );
         warn(WarningCode::GainNotASolution, text);
@@ -44,37 +45,33 @@ pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning>
     if let Some(last) = last_switch(scenario)
         && scenario.time.tick(scenario.evaluation.from) < scenario.time.tick(last)
     {
-        let text = format!(
-            "the evaluation window begins at {} s, before the last network is switched in at {last} \
-             s, so errors with and without it are mixed; write evaluation.from = {last}",
-            scenario.evaluation.from,
-        );
+        let Window { from, to } = scenario.evaluation;
+        let text = if scenario.time.tick(to) > scenario.time.tick(last) {
+            format!(
+                "the evaluation window begins at {from} s, before the last network is switched in \
+                 at {last} s, so errors with and without it are mixed; write evaluation.from = {last}"
+            )
+        } else {
+            format!(
+                "the evaluation window ends at {to} s, before the last network is switched in at \
+                 {last} s, so errors say nothing about it; write evaluation.from = {last} and \
+                 evaluation.to = {}",
+                scenario.time.duration
+            )
+        };
         warn(WarningCode::WindowBeforeSwitch, text);
     }
-    if let Some(network) = scenario.network.as_ref().filter(|_| !scenario.learning.is_empty()) {
-        let mut rows = network.outer.chunks_exact(scenario.dimension());
-        let first = rows.next();
-        if network.architecture.features() > 1 && rows.all(|row| Some(row) == first) {
-            warn(
-                WarningCode::OuterWeights,
-                "all rows of network.outer are equal, so training can hardly tell the \
-                 components of the state apart; write network.outer = { random = 5.0 }, about \
-                 the size of the state's rate"
-                    .to_owned(),
-            );
-        }
-    }
+    let to_train = scenario.network.as_ref().filter(|_| !scenario.learning.is_empty());
+    let outer = to_train.and_then(|n| outer_weights(&n.outer, scenario.dimension()));
+    warnings.extend(outer);
     let trained = |agent: &Agent| agent.package.is_some();
     if scenario.health.is_some()
         && scenario.learning.is_empty()
         && !scenario.agents.iter().any(trained)
     {
-        warn(
-            WarningCode::HealthUntrained,
-            "no agent's network is trained, so [health] knows no box of trained inputs and counts \
-             no step outside; add [[learning]], or give packages with --weights"
-                .to_owned(),
-        );
+        let text = "no agent's network is trained, so [health] has no box of trained inputs and \
+                    counts no step outside it; add [[learning]], or give packages with --weights";
+        warnings.push(Warning::new(WarningCode::HealthUntrained, text));
     }
     warnings
 }
@@ -85,7 +82,7 @@ fn last_switch(scenario: &Scenario) -> Option<f64> {
     scenario.learning.iter().map(|cycle| cycle.apply_at).filter(within).reduce(f64::max)
 }
 
-/// What speaks against what a run of `scenario` found.
+/// Warnings about a run of `scenario`.
 pub(super) fn after(scenario: &Scenario, run: &RunResult, checks: &Checks) -> Vec<Warning> {
     let of_trainings = run.trainings.iter().flat_map(|training| &training.warnings);
     let mut warnings: Vec<Warning> = of_trainings.cloned().collect();
@@ -123,8 +120,8 @@ pub(super) fn after(scenario: &Scenario, run: &RunResult, checks: &Checks) -> Ve
         };
         let text = format!(
             "design.rho = {rho} is below chi_bar_max, which this run puts at about {}{alone}, so \
-             Theorem 1 promises nothing here; write a larger design.rho and the gain that `host-sim \
-             check` then asks for, or do without the bound",
+             Theorem 1 does not apply; raise design.rho, and design.gain as `host-sim check` then \
+             says, or do without the bound",
             significant(lumped.estimate, 3),
         );
         warn(WarningCode::RhoTooSmall, text);
@@ -206,6 +203,10 @@ mod tests {
         let early = changed("from = 20.0", "from = 19.0");
         assert_eq!(codes(&early), [WarningCode::WindowBeforeSwitch]);
         assert!(early[0].text.ends_with("write evaluation.from = 20"), "{early:?}");
+        let over = changed("from = 20.0\n# [s]\nto = 40.0", "from = 5.0\nto = 20.0");
+        assert_eq!(codes(&over), [WarningCode::WindowBeforeSwitch]);
+        let hint = "write evaluation.from = 20 and evaluation.to = 40";
+        assert!(over[0].text.ends_with(hint), "{over:?}");
     }
 
     #[test]
@@ -233,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_outer_rows_are_no_good_to_learn_with() {
+    fn useless_outer_weights_are_reported_before_the_run() {
         let mut scenario = Scenario::parse("paper.toml", PAPER).unwrap();
         scenario.network.as_mut().unwrap().outer.fill(0.0);
         assert_eq!(codes(&before_run(&scenario)), [WarningCode::OuterWeights]);

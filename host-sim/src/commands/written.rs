@@ -4,8 +4,8 @@ use std::path::Path;
 
 use super::CommandError;
 use super::baselines::Baseline;
-use crate::engine::RunResult;
 use crate::engine::statistics::AgentStatistics;
+use crate::engine::{RunResult, TrainingRecord};
 use crate::figures::{Marker, Reference};
 use crate::output_file::OutputError;
 use crate::report::csv::{EpochRow, write_epochs, write_events, write_traces};
@@ -99,16 +99,26 @@ fn epochs(run: &RunResult) -> Vec<EpochRow> {
     rows.collect()
 }
 
-/// Marks beginning and end of collection and the switch of every cycle, in ascending order;
-/// agents that learn at the same times share their marks.
-pub(super) fn markers(scenario: &Scenario) -> Vec<Marker<'static>> {
+/// Marks start and end of collection of every cycle, and the switch of those in which a network was
+/// switched in, in ascending order; agents that learn at the same times share their marks.
+pub(super) fn markers(scenario: &Scenario, trainings: &[TrainingRecord]) -> Vec<Marker<'static>> {
+    let switched =
+        |cycle| trainings.iter().any(|training| training.cycle == cycle && training.switched_in);
+    markers_of(scenario, switched)
+}
+
+/// The marks; `switched` tells whether a cycle, from 1, switched a network in.
+fn markers_of(scenario: &Scenario, switched: impl Fn(usize) -> bool) -> Vec<Marker<'static>> {
     let mut times: Vec<(f64, Marker<'static>)> = Vec::new();
-    for LearningCycle { collect, apply_at, .. } in &scenario.learning {
+    for (cycle, LearningCycle { collect, apply_at, .. }) in (1..).zip(&scenario.learning) {
+        let switch = (*apply_at, Marker::apply(*apply_at, "apply"));
         for (time, marker) in [
             (collect.from, Marker::collection_start(collect.from, "collect")),
             (collect.to, Marker::collection_end(collect.to, "train")),
-            (*apply_at, Marker::apply(*apply_at, "apply")),
-        ] {
+        ]
+        .into_iter()
+        .chain(switched(cycle).then_some(switch))
+        {
             if !times.iter().any(|(_, known)| *known == marker) {
                 times.push((time, marker));
             }
@@ -139,4 +149,26 @@ pub(super) fn event_window(scenario: &Scenario) -> Window {
     let length = (EVENT_WINDOW * scenario.time.step_size).min(scenario.time.duration);
     let from = (centre - 0.5 * length).clamp(0.0, scenario.time.duration - length);
     Window { from, to: from + length }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::PAPER;
+
+    #[test]
+    fn only_a_switch_that_took_place_is_marked() {
+        let scenario = Scenario::parse("paper.toml", PAPER).unwrap();
+        let cycle = &scenario.learning[0];
+        let collection = [
+            Marker::collection_start(cycle.collect.from, "collect"),
+            Marker::collection_end(cycle.collect.to, "train"),
+        ];
+        assert_eq!(markers_of(&scenario, |_| false), collection);
+        let switch = Marker::apply(cycle.apply_at, "apply");
+        assert_eq!(
+            markers_of(&scenario, |cycle| cycle == 1),
+            [&collection[..], &[switch]].concat()
+        );
+    }
 }

@@ -199,8 +199,8 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         statistics.outer_weights_norm_max = statistics.outer_weights_norm_max.max(weights);
     }
 
-    /// Hands on `sigma_i` at the estimate, shape `[L]`, and `W_hat_i` row by row, shape `[L, N]`;
-    /// `None` where the agent runs on its feedback alone.
+    /// Calls `hear` with `sigma_i` at the estimate, shape `[L]`, and `W_hat_i` row by row, shape
+    /// `[L, N]`; `None` if the agent runs on its feedback alone.
     pub(super) fn with_features(&mut self, hear: impl FnOnce(Option<(&[f32], &[f32])>)) {
         let network_in_use = self.watch.as_ref().is_none_or(Watch::network_in_use);
         let network = self.network.as_ref().filter(|_| network_in_use);

@@ -7,8 +7,8 @@ use crate::scenario::Scenario;
 /// What was measured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bounds {
-    /// How many states of plant and agents were looked at: those at the begin of every step, and
-    /// the last one.
+    /// How many states of plant and agents were examined: at the beginning of every step, and the
+    /// last one.
     pub states: u64,
     /// The error against Theorem 1's bound; `None` where the theorem says nothing
     /// (`k_2 <= 1/kappa`).
@@ -38,10 +38,10 @@ pub struct BoundShare {
 /// Whether the error, all agents stacked, stayed in proportion to what there is to estimate.
 ///
 /// An observer that does nothing has an error no larger than the state. So an error is out of
-/// proportion where it is more than [`Growth::FAR`] times the larger of the initial error and the
-/// largest state; and it grows without bound if besides it is larger in the last tenth of the run
-/// than around the middle, or the step is known to be too long. The root mean square over a tenth
-/// smooths what oscillates.
+/// proportion if it is more than [`Growth::FAR`] times the larger of the initial error and the
+/// largest state. It counts as growing without bound if, in addition, it is more than twice as large
+/// in the last tenth of the run as around the middle, or the step is known to be too long. The root
+/// mean square over a tenth smooths oscillations.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Growth {
     /// `|e_1(0)|`. \[state unit\]
@@ -58,8 +58,8 @@ impl Growth {
     /// How many times the size of what is estimated an error must be to be out of proportion.
     pub const FAR: f64 = 10.0;
 
-    /// Whether the error grew without bound. `stable_step` tells that the step is short enough for
-    /// the observer itself.
+    /// Whether the error grew without bound. `stable_step`: whether the step is short enough for the
+    /// observer itself.
     #[must_use]
     pub fn without_bound(&self, stable_step: bool) -> bool {
         if !self.last.is_finite() {
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_that_stay_in_proportion_are_no_growth() {
+    fn errors_that_stay_in_proportion_do_not_count_as_growth() {
         // The state has norm 5, the three agents' errors together start at 8.
         for error in [
             &(|_: f64| 8.0) as &dyn Fn(f64) -> f64,
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_that_grow_are_found_out() {
+    fn errors_that_grow_are_found() {
         for error in
             [&(|t: f64| libm::exp(12.0 * t)) as &dyn Fn(f64) -> f64, &|t| 1e3 * t, &|_| f64::NAN]
         {

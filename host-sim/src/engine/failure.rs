@@ -1,4 +1,4 @@
-//! Why a run cannot go on: who is to blame, and what to do.
+//! Why a run cannot go on: the cause, and what to do.
 
 use agent_core::Tick;
 
@@ -7,7 +7,7 @@ use crate::analysis::StepCheck;
 use crate::plant::{ExpressionFault, Stepper};
 use crate::scenario::Scenario;
 
-/// From this size of the plant's state on, an agent that diverges is not to blame.
+/// If the plant's state is this large, a diverging agent is not the cause.
 const RUNAWAY: f64 = 1e6;
 
 /// What to do about an agent that diverged while the state had this norm.

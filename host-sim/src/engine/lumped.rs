@@ -16,8 +16,8 @@
 //!           = C_i^T C_i W_0^T sigma_i + g_i
 //! ```
 //!
-//! with nothing unknown but the constant `W_0`: the theorem holds for whichever there is, so the
-//! best one counts ([`crate::analysis::LumpedUncertainty`] looks for it). Without a network, or while
+//! where only the constant `W_0` is unknown. The theorem holds for any `W_0`, so the best one counts
+//! ([`crate::analysis::LumpedUncertainty`] searches for it). Without a network, or while
 //! an agent leaves its network out, `chi_bar_i = -f(x_0) - d`.
 //!
 //! Kept are `sigma_i` and `g_i` of some steps: all of the first ones, where the estimates still

@@ -102,11 +102,11 @@ pub struct TrainingRecord {
     pub samples: usize,
     /// How it went.
     pub report: TrainingReport,
-    /// What the trained network says of its samples.
+    /// How well the trained network fits its samples.
     pub quality: Quality,
-    /// Whether it was switched in; one that explains nothing of the end of its samples is not.
+    /// Whether it was switched in; see [`Quality::explains`].
     pub switched_in: bool,
-    /// What a person should know of this training.
+    /// Warnings about this training.
     pub warnings: Vec<Warning>,
     /// The trained network.
     pub package: PackageBytes,

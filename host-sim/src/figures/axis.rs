@@ -1,8 +1,8 @@
 //! Linear axes: round ticks, and labels with just as many decimals as they need.
 //!
 //! Very large and very small values are written as multiples of a power of ten, and values that
-//! differ little, as distances from a round number; both stand once beside the axis, as its
-//! [`Axis::note`].
+//! differ little as distances from a round number. Power and number are written once next to the
+//! axis, as its [`Axis::note`].
 
 use super::font;
 
@@ -94,8 +94,7 @@ impl Axis {
         decimal((tick - self.offset()) / scale, self.step / scale)
     }
 
-    /// What has to be done to all labels to have the ticks, such as "×10⁻⁵ + 293"; empty for
-    /// most axes.
+    /// How to get the values from the labels, such as "×10⁻⁵ + 293"; empty for most axes.
     pub(super) fn note(&self) -> String {
         let (offset, exponent) = (self.offset(), self.exponent());
         let scale = if exponent == 0 { String::new() } else { format!("×10{}", raised(exponent)) };

@@ -2,8 +2,8 @@
 //!
 //! `|e_1i(t)|` starts at the norm of the initial error and then chatters at a small fraction of
 //! it. The upper axes show that steady state on a linear scale and the lower ones the transient on a
-//! logarithmic one, so that neither hides the other. Over the chattering lines goes their running root mean square,
-//! the quantity of the paper's table, and beside it the same of the runs to compare with.
+//! logarithmic one, so that neither hides the other. The running root mean square, the quantity of the
+//! paper's table, is drawn over the chattering lines, together with that of the baselines.
 
 use std::ops::Range;
 
@@ -30,7 +30,7 @@ const RMS_PART: f64 = 0.025;
 /// Space above the largest error, as a multiple of it.
 const HEADROOM: f64 = 1.06;
 
-/// Which part of a run its transient is taken to be over by, for the axis.
+/// The part of a run after which, for the axis, its transient is over.
 const TRANSIENT_PART: usize = 4;
 
 /// Height of the panel of the transient. \[user unit\]
@@ -247,8 +247,8 @@ fn settling_row(traces: &Traces, limit: f64) -> usize {
     (0..traces.rows() / TRANSIENT_PART).rfind(beyond).map_or(0, |row| row + 1)
 }
 
-/// Until when the transient goes that the upper axes cut off \[s\], and an axis for it; `None` if
-/// there is none.
+/// When the transient that the upper axes cut off ends \[s\], and an axis for it; `None` if there is
+/// none.
 fn transient(traces: &Traces, limit: f64) -> Option<(f64, Axis)> {
     let time = traces.time();
     let (start, end) = (*time.first()?, *time.last()?);

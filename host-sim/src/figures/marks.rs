@@ -1,4 +1,4 @@
-//! What an error figure shows beside the run: instants, and errors of other runs.
+//! What an error figure shows besides the run: marked instants, and errors of other runs.
 
 use super::canvas::{Canvas, INK, Stroke};
 use super::palette::{self, LINES, SIGNAL};
@@ -39,7 +39,7 @@ impl<'a> Marker<'a> {
     }
 }
 
-/// Draws vertical lines; what they mean stands in the legend.
+/// Draws vertical lines, which the legend explains.
 pub(super) fn draw_markers(canvas: &mut Canvas, panel: &Panel, markers: &[Marker<'_>]) {
     for marker in markers.iter().filter(|marker| marker.is_shown(panel)) {
         let x = panel.at_x(marker.time);
@@ -69,7 +69,7 @@ pub(super) fn marker_entries(markers: &[Marker<'_>]) -> Vec<Entry> {
 pub struct Reference<'a> {
     /// What the run is called.
     pub label: &'a str,
-    /// Begin of the time that the errors are taken over. \[s\]
+    /// Start of the time that the errors are taken over. \[s\]
     pub from: f64,
     /// End of the time that the errors are taken over. \[s\]
     pub to: f64,
@@ -106,8 +106,8 @@ const fn stroke(index: usize, color: &'static str) -> Stroke {
     }
 }
 
-/// Draws references, whose lines lie on a white ground, so that curves do not hide them. The last
-/// one is drawn first: dots are seen on dashes, but not dashes on dots.
+/// Draws references on a white background, so that curves do not hide them. The last one is drawn
+/// first: dots show on dashes, but dashes do not show on dots.
 pub(super) fn draw_references(canvas: &mut Canvas, panel: &Panel, references: &[Reference<'_>]) {
     for (index, reference) in references.iter().enumerate().rev() {
         let (left, right) = (panel.at_x(reference.from), panel.at_x(reference.to));

@@ -93,7 +93,7 @@ struct Layout<'a> {
     components: Vec<Component<'a>>,
 }
 
-/// The components above each other, with the transient, if there is one, beside each.
+/// The components above each other, each next to its transient if there is one.
 fn stack<'a>(figure: &StateFigure<'a>) -> Layout<'a> {
     let traces = figure.traces;
     let (start, end) = ends(traces);

@@ -134,11 +134,11 @@ impl PackageBytes {
         Self::new(&bytes).expect("a package with a signature of the right length")
     }
 
-    /// The same package under another version, without signature and without leave to replace newer
-    /// ones, both of which are for one version only.
+    /// The same package under another version, without its signature and its permission to replace
+    /// newer ones, both of which hold for one version only.
     ///
     /// # Panics
-    /// Never: every version is as long as every other.
+    /// Never: every version has the same length.
     #[must_use]
     pub fn renumbered(&self, version: u32) -> Self {
         let package = Package { version, replaces: None, ..self.package() };

@@ -1,5 +1,5 @@
-//! Recorded samples as training takes them: averaged, thinned, and beside them the smoothed pairs
-//! that a network is judged by.
+//! Recorded samples prepared for training: averaged and thinned, with the smoothed pairs that a
+//! network is judged by.
 
 use super::Recording;
 use crate::scenario::Recipe;
@@ -10,8 +10,8 @@ use crate::training::{Averaging, Dataset, Smoothed, Smoothing, SmoothingError};
 pub struct Cleaned {
     /// What a network is trained on, in the order of time.
     pub data: Dataset,
-    /// Smoothed pairs, in the order of time. The same as `data`, unless the recipe asks for raw
-    /// samples that carry chatter: no network is to be judged by that.
+    /// Smoothed pairs, in the order of time: the same as `data`, unless the recipe asks for raw
+    /// samples that carry chatter, by which no network should be judged.
     pub judged: Dataset,
     /// Of each row of `judged`, the row of `data` that it belongs to.
     rows: Vec<usize>,
@@ -21,7 +21,7 @@ pub struct Cleaned {
     pub stride: usize,
     /// Period of the signal, if it rises above its chatter. \[s\]
     pub period: Option<f64>,
-    /// What gaps cost.
+    /// What was left out because of gaps.
     pub cleaning: Cleaning,
 }
 
@@ -53,9 +53,9 @@ impl Cleaning {
 const FILLED_MAX: u64 = 8;
 
 impl Cleaned {
-    /// Averages and thins `recording` as `recipe` says, or else as the samples' own spectrum does.
-    /// A window bridges short gaps; what is shorter than the window between two long ones is left
-    /// out.
+    /// Averages and thins `recording` as `recipe` says or, where it says nothing, as the samples' own
+    /// spectrum suggests. A window bridges short gaps; a piece between two long gaps that is shorter
+    /// than the window is left out.
     ///
     /// # Errors
     /// If no window fits between any two gaps.
@@ -73,7 +73,8 @@ impl Cleaned {
             smoothing.apply_with_gaps(&recording.samples, &recording.ticks(), interval)?;
         let cleaning = Cleaning::of(&smoothed);
         let data = smoothed.data;
-        let raw = window == 0.0 && averaging.window > 0.0;
+        // A window of less than a step averages nothing.
+        let raw = smoothing.half_width(interval)? == 0 && averaging.window > 0.0;
         let judged =
             if raw { judge_raw(&pieces, averaging.window, interval, stride) } else { None };
         let (judged, rows) = judged.unwrap_or_else(|| (data.clone(), (0..data.len()).collect()));
@@ -88,8 +89,8 @@ impl Cleaned {
     }
 }
 
-/// The pieces between long gaps; short ones are filled on a straight line. For the choice of a
-/// window only: single lost samples would leave pieces that show no slow signal.
+/// The pieces between long gaps; short gaps are filled by linear interpolation. Only for choosing a
+/// window: single lost samples would leave pieces too short to show a slow signal.
 fn filled(recording: &Recording) -> Vec<Dataset> {
     let n = recording.samples.dimension();
     let (inputs, targets) = (recording.samples.inputs(), recording.samples.targets());
@@ -193,9 +194,12 @@ mod tests {
 
     #[test]
     fn raw_samples_are_judged_without_their_chatter() {
-        for (gaps, stride) in [(&[][..], 1), (&[1001, 1010], 3)] {
+        // Half a step is no window either.
+        for (gaps, stride, window) in
+            [(&[][..], 1, 0.0), (&[1001, 1010], 3, 0.0), (&[], 1, 0.005 - 1e-9)]
+        {
             let recording = recording(gaps);
-            let cleaned = Cleaned::new(&recording, &recipe(Some(0.0), Some(stride))).unwrap();
+            let cleaned = Cleaned::new(&recording, &recipe(Some(window), Some(stride))).unwrap();
             let pieces: Vec<_> = recording.pieces().collect();
             let kept = pieces.iter().map(|p| p.len().div_ceil(stride as usize)).sum::<usize>();
             assert_eq!(cleaned.data.len(), kept);
@@ -210,6 +214,14 @@ mod tests {
             let part = cleaned.judged_in(&chosen).unwrap();
             assert_eq!(part.len(), cleaned.rows.iter().filter(|&&row| row < 500).count());
         }
+    }
+
+    #[test]
+    fn gaps_beyond_counting_are_gaps() {
+        let mut recording = recording(&[1000, 2000]);
+        recording.timing.missing = vec![u64::MAX; 2];
+        let cleaned = Cleaned::new(&recording, &recipe(Some(0.0), Some(1))).unwrap();
+        assert_eq!(cleaned.data.len(), 3000);
     }
 
     #[test]

@@ -67,7 +67,7 @@ pub enum DraftError {
     NotFinite {
         /// Which of its numbers.
         what: &'static str,
-        /// The place, from 0, in the core's order.
+        /// Its index, from 0, in the core's order.
         index: usize,
     },
     /// An input for a test vector, or what comes out for it, is not finite.

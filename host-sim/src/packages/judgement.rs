@@ -1,17 +1,17 @@
-//! What speaks against samples and the networks that were trained on them.
+//! Warnings about samples and about the networks trained on them.
 
 use super::quality::{LAST_SHARE, Quality};
 use crate::training::{Dataset, Scaling};
 use crate::warning::{Warning, WarningCode};
 
-/// From this many standard deviations between an input's centre and 0 on, the rounding of single
-/// precision is above about 1/4000 of the deviation and can be seen in the estimate.
+/// An input whose centre lies this many standard deviations from 0 is rounded by about 1/4000 of
+/// its deviation in single precision, which shows in the estimate.
 const OFFSET_MAX: f64 = 4000.0;
 
-/// What explains less than this share of the targets' variance explains nothing.
+/// A network that explains less than this share of the targets' variance explains nothing.
 const EXPLAINED_MIN: f64 = 0.05;
 
-/// What is known before the training.
+/// What is known before training.
 pub(super) struct Samples<'a> {
     /// The samples to train on.
     pub(super) train: &'a Dataset,
@@ -28,14 +28,14 @@ pub(super) struct Samples<'a> {
 }
 
 impl Samples<'_> {
-    /// What speaks against training on them.
+    /// Warnings about training on them.
     pub(super) fn warnings(&self) -> Vec<Warning> {
         let mut warnings: Vec<Warning> =
             outer_weights(self.outer_weights, self.train.dimension()).into_iter().collect();
         for input in self.scaling.constant_inputs() {
             let text = format!(
                 "xhat{0} does not vary in the samples, so the network gives it no weight and \
-                 says nothing of what depends on it; record while component {0} moves",
+                 cannot learn what depends on it; record while component {0} moves",
                 input + 1
             );
             warnings.push(Warning::new(WarningCode::ConstantInput, text));
@@ -75,18 +75,19 @@ impl Samples<'_> {
     }
 }
 
-/// Outer weights below which no inner network can say anything.
+/// Warns of outer weights, row by row, shape `[L, n]`, that leave the inner network nothing to
+/// learn.
 #[must_use]
 pub fn outer_weights<T: Copy + Default + PartialEq>(
     outer_weights: &[T],
     n: usize,
 ) -> Option<Warning> {
     let zero = |w: &T| *w == T::default();
-    let hint = "write network.outer = { random = 5.0 }, about the size of the state's rate";
+    let hint = "write network.outer = { random = 5.0 }, about the size of the state's derivative";
     let warn = |problem: String| Some(Warning::new(WarningCode::OuterWeights, problem));
     if outer_weights.iter().all(zero) {
         return warn(format!(
-            "all outer weights are 0, so no inner network can say or learn anything; {hint}"
+            "all outer weights are 0, so the network's output is 0 and it cannot learn; {hint}"
         ));
     }
     let mut rows = outer_weights.chunks_exact(n);
@@ -99,19 +100,18 @@ pub fn outer_weights<T: Copy + Default + PartialEq>(
     }
     let blind = (0..n).find(|&c| outer_weights.iter().skip(c).step_by(n).all(zero))?;
     warn(format!(
-        "the outer weights of component {} are all 0, so the network can say nothing of its \
-         derivative; {hint}",
+        "the outer weights of component {} are all 0, so the network's output for it is 0; {hint}",
         blind + 1
     ))
 }
 
-/// What speaks against a trained network; `accepted` if it is used.
+/// Warnings about a trained network; `accepted` if it is used.
 pub(super) fn judgement(quality: &Quality, accepted: bool, recipe: &str) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let training = quality.training.explained;
     if !training.is_some_and(|share| share >= EXPLAINED_MIN) {
         let text = format!(
-            "the trained network explains {} of the smoothed targets' variance, next to nothing; \
+            "the trained network explains next to nothing of the smoothed targets' variance ({}); \
              record longer while the plant moves, or change network.outer, network.layers or \
              the recipe",
             percent(training)
@@ -129,13 +129,14 @@ pub(super) fn judgement(quality: &Quality, accepted: bool, recipe: &str) -> Vec<
     }
     let last = percent(quality.last);
     if !accepted {
+        let validation = validation.map_or_else(String::new, |share| {
+            format!(" and {} on the validation samples", percent(share))
+        });
         let text = format!(
             "the trained network is not used, because a constant does as well: it explains {last} \
-             of the smoothed targets' variance in the last {} % of the samples' time and {} on the \
-             validation samples; record longer, or write switch_in = \"always\" in \
-             [recipes.{recipe}] to use it nevertheless",
+             of the smoothed targets' variance in the last {} % of the samples' time{validation}; \
+             record longer, or write switch_in = \"always\" in [recipes.{recipe}] to use it anyway",
             100.0 * LAST_SHARE,
-            percent(validation.flatten()),
         );
         warnings.push(Warning::new(WarningCode::NotSwitchedIn, text));
     }
@@ -143,7 +144,8 @@ pub(super) fn judgement(quality: &Quality, accepted: bool, recipe: &str) -> Vec<
 }
 
 fn percent(share: Option<f64>) -> String {
-    share.map_or("an unknown share".to_owned(), |share| format!("{:.1} %", 100.0 * share))
+    // Targets that do not vary leave nothing to explain.
+    share.map_or("nothing".to_owned(), |share| format!("{:.1} %", 100.0 * share))
 }
 
 #[cfg(test)]
@@ -156,13 +158,13 @@ mod tests {
     }
 
     #[test]
-    fn outer_weights_that_can_say_nothing_are_told() {
+    fn outer_weights_that_leave_nothing_to_learn_are_reported() {
         let told = |weights: &[f32], n| outer_weights(weights, n).map(|warning| warning.text);
         assert!(told(&[0.0; 6], 2).unwrap().contains("all outer weights are 0"));
         assert!(told(&[1.0, 2.0, 1.0, 2.0], 2).unwrap().contains("rows of the outer weights"));
         assert!(told(&[1.0, 0.0, 3.0, 0.0], 2).unwrap().contains("component 2 are all 0"));
         assert_eq!(told(&[1.0, 2.0, 2.0, 1.0], 2), None);
-        // One feature is one row, which is equal to itself and nothing to warn of.
+        // One feature is one row.
         assert_eq!(told(&[1.0, 2.0], 2), None);
     }
 
@@ -192,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_network_that_explains_nothing_is_told_and_left_out() {
+    fn a_network_that_explains_nothing_is_reported_and_left_out() {
         let quality = |training, validation, last| Quality {
             training: Fit { error: 1.0, explained: Some(training) },
             validation: Some(Fit { error: 1.0, explained: Some(validation) }),
@@ -208,5 +210,10 @@ mod tests {
         );
         let text = judgement(&quality(0.9, 0.8, Some(-1.25)), false, "better")[0].text.clone();
         assert!(text.contains("-125.0 %") && text.contains("[recipes.better]"), "{text}");
+        assert!(text.contains(" and 80.0 % on the validation samples"), "{text}");
+        let alone = Quality { validation: None, ..quality(0.9, 0.8, None) };
+        let text = judgement(&alone, false, "better")[0].text.clone();
+        assert!(text.contains("it explains nothing of the smoothed targets'"), "{text}");
+        assert!(!text.contains("validation"), "{text}");
     }
 }

@@ -8,9 +8,9 @@
 //! | [`draft`] | everything that goes into a package, and the making of it |
 //! | [`check`] | the node's own acceptance, for any state dimension |
 //! | [`recording`] | recorded samples, in memory and in files |
-//! | [`cleaning`] | recorded samples as training takes them |
-//! | [`quality`] | how well a trained network says what the samples say |
-//! | [`recording_source`] | where a recording comes from, as its file tells |
+//! | [`cleaning`] | recorded samples prepared for training |
+//! | [`quality`] | how well a trained network fits the samples |
+//! | [`recording_source`] | where a recording comes from, according to its file |
 //! | [`trained`] | from recorded samples to a package |
 //!
 //! The simulated agents load these very bytes. The format is agent-core's; see `docs/format.md`.

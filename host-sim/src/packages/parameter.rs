@@ -35,7 +35,7 @@ impl fmt::Display for InScenario {
 /// The core's name of a norm that it computes.
 const NORM: &str = "norm of outer_weights";
 
-/// The scenario's key for a parameter of the core, or from what it comes.
+/// The scenario's key for a parameter of the core, or the keys that it is computed from.
 fn key(parameter: &'static str) -> &'static str {
     match parameter {
         "observer.gain" => "design.gain",

@@ -1,14 +1,14 @@
-//! How well a trained network says what the samples say: the network as it is in the package, in
-//! single precision, by the core's own code.
+//! How well a trained network fits the samples: the network in the package, in single precision,
+//! evaluated by the core's own code.
 //!
 //! ```text
 //! error = (1/(S n)) Σ_s ‖f̂(x_s) − y_s‖²
 //! explained = 1 − Σ_c Σ_s (f̂_c(x_s) − y_c,s)²/τ_c² / Σ_c Σ_s (y_c,s − ȳ_c)²/τ_c²
 //! ```
 //!
-//! τ_c is the standard deviation of component c over the training samples, so that the share that
-//! is explained does not depend on the units of the components. A component that is constant there
-//! is judged by its size, with 0 in place of ȳ_c.
+//! τ_c is the standard deviation of component c over the training samples, so that the explained
+//! share does not depend on the units of the components. A component that is constant there is
+//! judged by its size, with 0 in place of ȳ_c.
 //!
 //! Cost: one forward pass a sample.
 
@@ -23,8 +23,8 @@ use crate::training::{Dataset, Scaling};
 pub struct Fit {
     /// Mean squared error. \[squared state unit/s^2\]
     pub error: f64,
-    /// Share of the smoothed targets' variance that is explained, at most 1; 0 is what a constant
-    /// explains. `None` if the targets do not vary, or there are none.
+    /// Explained share of the smoothed targets' variance, at most 1; a constant explains 0. `None` if
+    /// the targets do not vary, or there are none.
     pub explained: Option<f64>,
 }
 
@@ -37,18 +37,17 @@ pub struct Quality {
     pub validation: Option<Fit>,
     /// Those held back.
     pub test: Option<Fit>,
-    /// Share explained in the last [`LAST_SHARE`] of all samples' time, whatever part of them was
-    /// trained on.
+    /// Share explained in the last [`LAST_SHARE`] of all samples' time, training samples included.
     pub last: Option<f64>,
 }
 
 impl Quality {
-    /// Whether the network says more than a constant at the end of the samples and, if there are
-    /// any, on the validation samples. What does not is not switched in.
+    /// Whether the network explains more than a constant at the end of the samples and, if there
+    /// are any, on the validation samples. Otherwise it is not switched in.
     ///
-    /// The mean that it is held against is that of the end alone. There a network is used next, and
-    /// one that was trained on a moment or on chatter is found out; one whose plant is driven by a
-    /// disturbance as large as its drift may be refused although it helps.
+    /// The constant is the mean over the end alone, because that is where the network is used next.
+    /// This catches networks trained on a moment or on chatter; it may refuse one that helps, if the
+    /// disturbance of its plant is as large as the drift.
     #[must_use]
     pub fn explains(&self) -> bool {
         let validation = self.validation.and_then(|fit| fit.explained);
@@ -145,7 +144,7 @@ mod tests {
     fn targets_that_do_not_vary_leave_nothing_to_explain() {
         let still = Dataset::new(1, vec![1.0; 9], vec![0.0; 9]).unwrap();
         assert_eq!(explained(&still, &[0.0; 9], &Scaling::of(&still)), None);
-        // A constant other than 0 is what no network would miss.
+        // A constant other than 0 has to be learned.
         let drift = Dataset::new(1, vec![1.0; 9], vec![4.0; 9]).unwrap();
         assert_eq!(explained(&drift, &[4.0; 9], &Scaling::of(&drift)), Some(1.0));
         assert_eq!(explained(&drift, &[0.0; 9], &Scaling::of(&drift)), Some(0.0));

@@ -47,7 +47,7 @@ pub struct Prepared<'t, 's> {
     outer_weights: Vec<f32>,
     /// The scaling that the samples to train on ask for.
     scaling: Scaling,
-    /// What speaks against these samples, before any work is done.
+    /// Warnings about these samples, known before training.
     pub warnings: Vec<Warning>,
 }
 
@@ -66,12 +66,12 @@ pub struct Trained {
     pub cleaning: Cleaning,
     /// How training went.
     pub report: TrainingReport,
-    /// What the network in the package says of the samples.
+    /// How well the network in the package fits the samples.
     pub quality: Quality,
-    /// Whether it is fit for use: it explains something ([`Quality::explains`]), or the recipe asks
-    /// for it in any case.
+    /// Whether it is to be used: it explains something ([`Quality::explains`]), or the recipe says
+    /// `switch_in = "always"`.
     pub accepted: bool,
-    /// What a person should know.
+    /// Warnings about samples and network.
     pub warnings: Vec<Warning>,
 }
 
@@ -106,8 +106,8 @@ impl From<DataError> for TrainedError {
 }
 
 impl<'s> TrainingTask<'s> {
-    /// Cleans the samples and looks at them; outer weights that the recording does not tell are
-    /// the scenario's.
+    /// Cleans and examines the samples; outer weights that the recording does not have are the
+    /// scenario's.
     ///
     /// # Errors
     /// Samples that cannot be cleaned or divided.
@@ -206,7 +206,7 @@ impl Prepared<'_, '_> {
             samples: u32::try_from(self.cleaned.data.len()).unwrap_or(u32::MAX),
             errors: None,
         };
-        // What is told of the network is what the package computes, in single precision.
+        // The quality reported is that of the package, in single precision.
         let quality = self.quality(&draft.seal()?)?;
         let held_out = quality.test.or(quality.validation);
         draft.errors = held_out.and_then(|held_out| {
@@ -230,7 +230,7 @@ impl Prepared<'_, '_> {
         })
     }
 
-    /// The network in `package` against the samples that trained it.
+    /// The quality of the network in `package` on the samples that it was trained on.
     fn quality(&self, package: &PackageBytes) -> Result<Quality, TrainedError> {
         let (data, judged) = (&self.cleaned.data, &self.cleaned.judged);
         let parts = divide_at_random(data.len(), self.task.recipe.split, self.task.task_seed())?;

@@ -7,10 +7,10 @@ use serde::Serialize;
 use super::number::significant;
 use crate::analysis::{AgentCheck, Checks, DesignChecks, Status};
 
-/// Up to this many agents have a line each.
+/// Up to this many agents get a line each.
 const LINES: usize = 12;
 
-/// What can be told without a run, as lines.
+/// The checks that need no run, as lines.
 #[must_use]
 pub fn design_text(design: &DesignChecks) -> String {
     let trigger = &design.trigger;
@@ -99,8 +99,8 @@ fn theorem1(checks: &Checks) -> String {
     if let Some(lumped) = &theorem.lumped {
         let _ = writeln!(
             text,
-            "    rho = {}, must reach chi_bar_max; that is about {} for the best W_0 found, at least \
-             {} for any ({} steps of this run); the disturbance alone, all agents stacked: {}",
+            "    rho = {}, must reach chi_bar_max: about {} for the best W_0 found, at least {} for any \
+             ({} steps of this run); the disturbance alone, stacked over the agents: {}",
             theorem.rho,
             significant(lumped.estimate, 4),
             significant(lumped.at_least, 4),
@@ -111,7 +111,7 @@ fn theorem1(checks: &Checks) -> String {
     text
 }
 
-/// What can be told without a run, for JSON.
+/// The checks that need no run, for JSON.
 #[derive(Clone, Debug, Serialize)]
 pub struct DesignReport {
     eigenvalue_min: f64,

@@ -1,7 +1,7 @@
 //! Text tables: columns as wide as their widest entry, aligned at the right.
 
-/// A heading of two lines over each column, a rule, and the rows; what a row lacks is blank. Columns
-/// next to each other whose first lines are the same share it.
+/// A heading of two lines over each column, a rule, and the rows; missing entries are blank.
+/// Neighbouring columns with the same first line share it.
 ///
 /// Entries are counted in characters, one column of the terminal each.
 #[must_use]
@@ -14,7 +14,7 @@ pub fn aligned(headings: &[[&str; 2]], rows: &[Vec<String>]) -> String {
     }
     let groups = groups(headings);
     for group in &groups {
-        // What a long heading needs beyond its columns is shared among them.
+        // The extra width of a long heading is shared among its columns.
         let inside = &mut widths[group.columns.clone()];
         let missing = count(group.name).saturating_sub(span(inside));
         let columns = inside.len();

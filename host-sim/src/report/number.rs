@@ -1,4 +1,4 @@
-//! Numbers for people: so many significant digits, whatever their size.
+//! Numbers for people: a fixed number of significant digits at any size.
 
 /// `value` with `digits` significant digits: plain from 1e-4 to below 1e6, scientific elsewhere.
 ///

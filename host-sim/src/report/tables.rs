@@ -1,4 +1,4 @@
-//! Table 1: errors without a network, with the untrained one and with learning, beside the paper's.
+//! Table 1: errors without a network, with the untrained one and with learning, next to the paper's.
 
 use std::path::Path;
 

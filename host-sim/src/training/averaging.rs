@@ -1,27 +1,27 @@
 //! How long to average recorded samples, from the samples themselves.
 //!
-//! The targets carry chatter, which is fast, on top of the signal, which is slow. How much of both
-//! there is at an averaging time T tells Hadamard's variance, the mean square of second
-//! differences between neighbouring averages over T:
+//! The targets carry fast chatter on top of a slow signal. The Hadamard variance, the mean square of
+//! second differences between neighbouring averages over a time T, shows how much of both is left at
+//! T:
 //!
 //! ```text
 //! V(T) = (1/6) mean_t (ȳ_T(t + 2T) − 2 ȳ_T(t + T) + ȳ_T(t))²
 //! ```
 //!
-//! It is a spectral measure: V(T) is the power in about an octave around the frequency 0.37/T.
-//! Chatter lets it fall with T, the signal's curvature lets it rise with T⁴. Its least value lies
-//! where both are equal. There the error that averaging puts into the signal, ÿT²/24, is still
-//! √96 times smaller than what V sees of it, so the window with the least error is about
-//! 96^(1/6) = 2.1 times as long, since the chatter of a bounded estimate falls with T²: **the
-//! window is twice the averaging time of the least V**. Where V rises from the first sample on,
-//! there is no chatter and the window is 0.
+//! V is a spectral measure: V(T) is the power in about an octave around the frequency 0.37/T.
+//! Chatter makes it fall with T, and the signal's curvature makes it rise with T⁴; it is smallest
+//! where both are equal. There the error that averaging puts into the signal, ÿT²/24, is still √96
+//! times smaller than the part of V that it causes, so the window with the least error is about
+//! 96^(1/6) = 2.1 times as long, since the chatter of a bounded estimate falls with T²: **the window
+//! is twice the averaging time with the smallest V**. If V rises from the first sample on, there is
+//! no chatter, and the window is 0.
 //!
-//! Which of its sides is the signal's, the inputs tell: chatter is small in the estimate itself. The
-//! averaging time at which V of an input is largest belongs to the component's own motion, and only
-//! shorter ones are looked at, because an average over a whole period is small, too.
+//! Which of V's falls is the signal's, the inputs tell, because chatter is small in the estimate itself:
+//! the averaging time at which V of an input is largest belongs to the component's own motion. Only
+//! shorter times are considered, since averages over a whole period are small, too.
 //!
-//! Cost: twelve operations a sample, component and averaging time, of which there are about four an
-//! octave.
+//! Cost: twelve operations per sample, component and averaging time, with about four averaging times
+//! per octave.
 //!
 //! Invariants: every sum has a fixed order; units of state and targets do not matter.
 
@@ -61,7 +61,7 @@ impl Averaging {
         Self { window, period: shortest.map(|length| length as f64 * interval / PEAK) }
     }
 
-    /// Every how many averages one is worth keeping: about twenty a window, all without one.
+    /// The stride at which averages are worth keeping: about twenty per window, or all without one.
     #[must_use]
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "small, positive")]
     pub fn stride(window: f64, interval: f64) -> usize {

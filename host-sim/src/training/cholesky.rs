@@ -45,8 +45,9 @@ impl Cholesky {
     /// Solves `(A + damping I) x = b` in place of `b`. `matrix` is A, row-major, shape
     /// `[order][order]`, of which the upper triangle is read.
     ///
-    /// Returns whether the matrix was positive definite; if not, `b` holds nothing of use. So it is
-    /// if `stopped` says so on the way; it is asked after every few million multiplications.
+    /// Returns whether the matrix was positive definite; if not, the content of `b` is meaningless.
+    /// Also returns `false` once `stopped` is true, which is checked every few million
+    /// multiplications.
     ///
     /// # Panics
     /// If `matrix` or `b` is too short for the order.
@@ -66,7 +67,7 @@ impl Cholesky {
     }
 
     /// Factors `A + damping I`, with `matrix` as in [`Self::solve`]; returns whether it was
-    /// positive definite and `stopped` never said so.
+    /// positive definite and `stopped` stayed false.
     ///
     /// # Panics
     /// If `matrix` is too short for the order.
@@ -260,7 +261,7 @@ mod tests {
         assert!(!cholesky.solve(&matrix, 0.0, &mut vec![1.0; order], &|| false));
         assert!(
             cholesky.solve(&matrix, 10.0, &mut vec![1.0; order], &|| false),
-            "enough damping mends it"
+            "positive definite with enough damping"
         );
         matrix[3] = f64::NAN;
         assert!(!cholesky.solve(&matrix, 10.0, &mut vec![1.0; order], &|| false));

@@ -121,7 +121,7 @@ impl Dataset {
         &self.targets
     }
 
-    /// As many samples with other values, which have to be as many and finite.
+    /// The same number of samples with other values, which have to be finite.
     pub(super) fn with_values(&self, inputs: Vec<f64>, targets: Vec<f64>) -> Self {
         debug_assert_eq!((inputs.len(), targets.len()), (self.inputs.len(), self.targets.len()));
         Self { dimension: self.dimension, inputs, targets }
@@ -173,7 +173,7 @@ pub struct Division {
 }
 
 impl Division {
-    /// The division with `change` done to each part.
+    /// The division with `change` applied to each part.
     #[must_use]
     pub fn map(&self, change: impl Fn(&Dataset) -> Dataset) -> Self {
         Self {

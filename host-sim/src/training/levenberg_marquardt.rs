@@ -52,8 +52,8 @@ pub trait LeastSquares {
         None
     }
 
-    /// Whether training is to end at once. What the other methods return from then on is of no
-    /// use, and no step is taken on it.
+    /// Whether training is to end at once. From then on what the other methods return is
+    /// meaningless, and no step is based on it.
     fn stopped(&self) -> bool {
         false
     }
@@ -351,7 +351,7 @@ impl Step {
         self.attempt_unless(parameters, damping, &|| false)
     }
 
-    /// As [`Self::attempt`], also `false` soon after `stopped` says so.
+    /// As [`Self::attempt`], but also `false` soon after `stopped` becomes true.
     fn attempt_unless(
         &mut self,
         parameters: &[f64],

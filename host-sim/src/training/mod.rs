@@ -11,10 +11,10 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | [`data`] | samples, their division |
-//! | [`averaging`] | how long to average samples, from the samples themselves |
+//! | [`averaging`] | chooses how long to average samples |
 //! | [`smoothing`] | takes the chatter out of recorded samples |
 //! | [`initial`] | parameters to start from |
-//! | [`scaling`] | samples in units of their own, so that the user's do not matter |
+//! | [`scaling`] | units of the data, so that the user's do not matter |
 //! | [`network_problem`] | network and data as a least-squares problem |
 //! | [`weight_decay`] | a preference for small parameters |
 //! | [`levenberg_marquardt`] | the solver, for any least-squares problem |
@@ -132,8 +132,8 @@ pub fn train_inner_network(
     train_inner_network_until(architecture, outer_weights, dataset, settings, seed, progress, None)
 }
 
-/// As [`train_inner_network`]; once `stop` is true, training ends with the best of the epochs so
-/// far, in the middle of one, within tens of milliseconds.
+/// As [`train_inner_network`]; once `stop` is true, training ends within tens of milliseconds, even
+/// in the middle of an epoch, with the best epoch so far.
 ///
 /// # Errors
 /// As [`train_inner_network`].

@@ -5,8 +5,8 @@
 //! ```
 //!
 //! c and h are the mean and the standard deviation of each input over the training samples, τ the
-//! standard deviation of each target. A network trained on (u, y') below W' gives the same
-//! residuals, each in units of its target's deviation, as one on (x, y) below W whose first layer
+//! standard deviation of each target. A network trained on (u, y') with W' gives the same
+//! residuals, each in units of its target's deviation, as one on (x, y) with W whose first layer
 //! is folded:
 //!
 //! ```text
@@ -76,7 +76,7 @@ fn power_of_two(size: f64) -> f64 {
 }
 
 impl Scaling {
-    /// The scaling that the training samples ask for.
+    /// The scaling of these training samples.
     #[must_use]
     pub fn of(train: &Dataset) -> Self {
         let n = train.dimension();
@@ -118,7 +118,7 @@ impl Scaling {
         outer.iter().enumerate().map(|(index, w)| w / self.target[index % n]).collect()
     }
 
-    /// Turns parameters of a network on u into those of the same network on x, in place.
+    /// Converts the parameters of a network on u into those of the same network on x, in place.
     ///
     /// Weights of the first layer are rounded to single precision before the biases are computed
     /// from them, so that rounding them does not move the network along a large centre.
@@ -156,8 +156,8 @@ impl Scaling {
         self.width.iter().enumerate().filter_map(|(i, width)| width.is_none().then_some(i))
     }
 
-    /// Of each input, how many of its standard deviations its centre lies from 0; `None` for one
-    /// that is constant.
+    /// For each input, the distance of its centre from 0 in standard deviations; `None` if it is
+    /// constant.
     pub fn offsets(&self) -> impl Iterator<Item = Option<f64>> + '_ {
         self.centre.iter().zip(&self.width).map(|(c, width)| width.map(|h| c.abs() / h))
     }
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_width_below_rounding_is_no_width() {
+    fn an_input_that_varies_by_rounding_only_is_constant() {
         let scaling = Scaling::of(&data(1.0, 0.0));
         assert_eq!(scaling.constant_inputs().collect::<Vec<_>>(), [1]);
         // Averages of 0.1 that differ in their last bits.

@@ -10,10 +10,10 @@
 //!
 //! Cost: `2h + 1` additions for every value kept.
 //!
-//! Where samples are missing, [`Smoothing::apply_with_gaps`] averages over those that are there. The
-//! means of inputs and targets are over the same samples, so that a missing one moves both alike
-//! and the pair stays on the graph of f to the same order; what is lost is a part of the averaging:
-//! with half of the samples, chatter comes through √2 times as strong.
+//! Where samples are missing, [`Smoothing::apply_with_gaps`] averages over the others. The means of
+//! inputs and targets are over the same samples, so a missing one moves both alike and the pair
+//! stays on the graph of f to the same order. Only some averaging is lost: with half of the samples,
+//! chatter comes through √2 times as strong.
 //!
 //! Invariants: only windows inside the samples are averaged: h samples are lost at either end, and
 //! none is invented. A window shorter than two steps and a stride of 1 change nothing. Samples must
@@ -54,8 +54,8 @@ pub enum SmoothingError {
     Data(#[from] DataError),
     /// No window has enough samples between the gaps.
     #[error(
-        "{samples} samples in {pieces} pieces between gaps, none with a window of {needed} of which \
-         half are there (the longest piece has {longest})"
+        "{samples} samples in {pieces} pieces between gaps, none with at least half the samples of a \
+         window of {needed} (the longest piece has {longest})"
     )]
     Gaps {
         /// Samples there are.
@@ -69,14 +69,14 @@ pub enum SmoothingError {
     },
 }
 
-/// Smoothed samples, and what became of the others.
+/// Smoothed samples, and counts of what was left out.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Smoothed {
     /// The means.
     pub data: Dataset,
     /// Pieces between gaps that no window bridges.
     pub pieces: usize,
-    /// Pieces of which nothing is left.
+    /// Pieces that were left out as a whole.
     pub pieces_left_out: usize,
     /// Samples in those.
     pub samples_left_out: usize,
@@ -148,7 +148,7 @@ impl Smoothing {
         for &end in &ends {
             let rows = start..end;
             longest = longest.max(rows.len());
-            let before = inputs.len();
+            let (before, mut sparse) = (inputs.len(), 0);
             if ticks[end - 1] - ticks[start] == (rows.len() - 1) as u64 {
                 let piece = data.select(&rows.collect::<Vec<_>>());
                 if let Some(smooth) = piece.and_then(|piece| self.apply(&piece, step).ok()) {
@@ -156,12 +156,13 @@ impl Smoothing {
                     targets.extend_from_slice(smooth.targets());
                 }
             } else {
-                windows_left_out +=
-                    self.piece_with_gaps(data, ticks, rows, window, &mut inputs, &mut targets);
+                sparse = self.piece_with_gaps(data, ticks, rows, window, &mut inputs, &mut targets);
             }
             if inputs.len() == before {
                 pieces_left_out += 1;
                 samples_left_out += end - start;
+            } else {
+                windows_left_out += sparse;
             }
             start = end;
         }
@@ -205,6 +206,8 @@ impl Smoothing {
             while ticks[first] < tick {
                 first += 1;
             }
+            // A stride longer than the window leaves samples out between two windows.
+            end = end.max(first);
             while end < rows.end && ticks[end] - tick < window as u64 {
                 end += 1;
             }
@@ -321,6 +324,28 @@ mod tests {
         // The window from 12 to 32 misses the last but one and the one before it.
         let mean = ((12..=32).sum::<i32>() - 30 - 31) as f64 / 19.0;
         assert_close(&[smoothed.data.inputs()[4 * 2]], &[mean], 1e-14, 0.0);
+    }
+
+    #[test]
+    fn a_stride_longer_than_the_window_passes_over_gaps() {
+        let smoothing = Smoothing { window: 0.02, stride: 50 };
+        let (data, ticks) = without(&ramp(100), |index| index == 10 || index == 40);
+        let smoothed = smoothing.apply_with_gaps(&data, &ticks, STEP).expect("fits");
+        // The windows are 0 to 20 without 10, whose mean is 10 all the same, and 50 to 70.
+        assert_close(smoothed.data.inputs(), &[10.0, 80.0, 60.0, -20.0], 1e-14, 0.0);
+        assert_eq!((smoothed.pieces, smoothed.windows_left_out), (1, 0));
+    }
+
+    #[test]
+    fn windows_of_a_piece_that_is_left_out_are_not_counted() {
+        let smoothing = Smoothing { window: 0.02, stride: 1 };
+        // 40 samples, and of the 40 after a gap of 10 every third: no window has half of its own.
+        let lost = |index| (40..50).contains(&index) || index >= 50 && index % 3 != 2;
+        let (data, ticks) = without(&ramp(90), lost);
+        let smoothed = smoothing.apply_with_gaps(&data, &ticks, STEP).expect("fits");
+        assert_eq!((smoothed.data.len(), smoothed.pieces), (20, 2));
+        assert_eq!((smoothed.pieces_left_out, smoothed.samples_left_out), (1, 14));
+        assert_eq!(smoothed.windows_left_out, 0);
     }
 
     #[test]

@@ -23,7 +23,7 @@ pub struct WeightDecay<P> {
     pub problem: P,
     /// λ, 0 or above.
     pub weight_decay: f64,
-    /// Which parameters are biases and pay nothing, one entry for each.
+    /// Which parameters are biases, which are not penalised; one entry for each.
     pub is_bias: Vec<bool>,
 }
 

@@ -40,7 +40,7 @@ pub struct Recording {
     /// What is missing in the gaps, and how regular the rest is.
     pub timing: Timing,
     /// `W_hat` that the network is to be trained for, row by row, shape `[L, n]`; `None` if the
-    /// recording does not tell.
+    /// recording does not have it.
     pub outer_weights: Option<Vec<f32>>,
 }
 
@@ -60,6 +60,10 @@ pub struct RecordingError {
 
 /// From here on, a time without a unit is the Unix time of another unit than the second. \[s\]
 const UNIX_SECONDS_MAX: f64 = 1e11;
+
+/// A longer gap counts as one of so many samples: more than any window has, and few enough that
+/// the ticks of a million such gaps are still counts.
+const MISSING_MAX: u64 = 1 << 40;
 
 impl Recording {
     /// The samples between gaps, one data set for each piece.
@@ -207,7 +211,7 @@ impl Recording {
         for (index, (&gap, end)) in self.gaps.iter().zip(ends).enumerate() {
             // At least one sample is missing in a gap.
             let lost = self.timing.missing.get(index).copied().unwrap_or(1);
-            missing = missing.saturating_add(lost);
+            missing = missing.saturating_add(lost.min(MISSING_MAX));
             for tick in &mut ticks[gap..end] {
                 *tick = tick.saturating_add(missing);
             }

@@ -79,7 +79,7 @@ pub(super) fn first_line(head: &[u8]) -> String {
 /// What separates the columns of a header that must hold at least three.
 ///
 /// # Errors
-/// Separators that are not read, and none at all.
+/// A separator that is not supported, or none at all.
 pub(super) fn delimiter(header: &str) -> Result<u8, Refusal> {
     let columns = |delimiter: u8| {
         let mut reader = csv::ReaderBuilder::new()

@@ -4,7 +4,7 @@
 /// is less is jitter of the clock that wrote the times.
 const GAP: f64 = 1.5;
 
-/// Jitter, as a share of the interval, that is not worth a word.
+/// Jitter, as a share of the interval, that is not reported.
 const EVEN: f64 = 0.25;
 
 /// How regular the samples of a recording are.
@@ -44,7 +44,7 @@ pub(super) fn timing(times: &[f64]) -> (f64, Vec<usize>, Timing) {
     let interval = sum / regular.len() as f64;
     let missing = gaps.iter().map(|&gap| {
         let intervals = (steps[gap - 1] / interval).round();
-        // Saturates: as good as endless.
+        // Saturates.
         (intervals as u64).saturating_sub(1).max(1)
     });
     let off = |step: &f64| (step - interval).abs();
