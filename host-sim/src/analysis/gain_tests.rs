@@ -1,3 +1,5 @@
+#![expect(clippy::print_stdout, reason = "shown with --nocapture")]
+
 use super::*;
 use std::fmt::Write;
 
