@@ -1,5 +1,3 @@
-#![expect(clippy::print_stdout, reason = "shown with --nocapture")]
-
 use super::*;
 use std::fmt::Write;
 

@@ -39,9 +39,7 @@ impl Passphrase {
         if let Ok(passphrase) = std::env::var(VARIABLE) {
             return Ok(Zeroizing::new(passphrase));
         }
-        #[expect(clippy::disallowed_methods, reason = "nothing is printed")]
-        let prompts = std::io::stdin().is_terminal() || std::io::stderr().is_terminal();
-        if !prompts {
+        if !std::io::stdin().is_terminal() && !std::io::stderr().is_terminal() {
             return Err(KeyFileError::PassphraseNeeded { path: key.to_owned() });
         }
         rpassword::prompt_password(format!("Passphrase of {}: ", key.display()))
