@@ -70,12 +70,16 @@ impl RecordingSource {
         text
     }
 
-    /// What the lines at the head of a file say; of lines that are not understood, nothing.
+    /// What the lines at the head of a file say. Lines that are not understood are ignored, and a
+    /// pipe, whose content can be read only once, says nothing.
     ///
     /// # Errors
     /// A file that cannot be read.
     pub fn read(path: &Path) -> std::io::Result<Self> {
         let mut source = Self::default();
+        if !std::fs::metadata(path)?.is_file() {
+            return Ok(source);
+        }
         let head = BufReader::new(File::open(path)?.take(HEAD_MAX));
         for line in head.split(b'\n') {
             let line = line?;
@@ -208,6 +212,24 @@ mod tests {
             std::fs::write(&path, text).unwrap();
             assert_eq!(RecordingSource::read(&path).unwrap(), source);
         }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_pipe_is_left_to_the_reader_of_the_samples() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pipe");
+        let made = std::process::Command::new("mkfifo").arg(&path).status().unwrap();
+        assert!(made.success());
+        let text = source().head() + "time [s],xhat1,dxhat1\n0,1,2\n0.5,3,4\n1.0,5,6\n";
+        let writer = {
+            let path = path.clone();
+            std::thread::spawn(move || std::fs::write(path, text))
+        };
+        assert_eq!(RecordingSource::read(&path).unwrap(), RecordingSource::default());
+        let recording = crate::packages::Recording::load(&path, 1, 1).unwrap();
+        assert_eq!(recording.samples.inputs(), [1.0, 3.0, 5.0]);
+        writer.join().unwrap().unwrap();
     }
 
     #[test]

@@ -105,10 +105,11 @@ pub(super) fn delimiter(header: &str) -> Result<u8, Refusal> {
 /// lines and comments are passed over. A file that cannot be read a second time gives `line`.
 pub(super) fn line_of(path: &Path, byte: u64, line: u64) -> u64 {
     let blanks = || -> io::Result<u64> {
-        let mut file = File::open(path)?;
-        if !file.metadata()?.is_file() {
+        // Opening a named pipe a second time would wait for another writer.
+        if !std::fs::metadata(path)?.is_file() {
             return Ok(0);
         }
+        let mut file = File::open(path)?;
         file.seek(SeekFrom::Start(byte))?;
         let mut reader = BufReader::new(file);
         let (mut blanks, mut after_return, mut in_comment) = (0, false, false);
