@@ -35,7 +35,7 @@ fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
         ("collect_to = 16.0", "collect_to = 0.8"),
         ("apply_at = 20.0", "apply_at = 1.0"),
         ("smoothing_window = 0.4", "smoothing_window = 0.02"),
-        ("decimation = 20", "decimation = 2\nswitch_in = \"always\""),
+        ("decimation = 20", "decimation = 2"),
         ("epochs = 60", "epochs = 4"),
         ("[recipes.better]", "[recipes.better]\nswitch_in = \"always\""),
     ] {

@@ -54,6 +54,8 @@ pub enum GainVerdict {
     },
     /// The agents together do not measure the whole state, so no gain is a solution.
     StateNotCovered,
+    /// They measure all of it, but some of it so weakly that rounding hides whether any gain is.
+    Hidden,
 }
 
 impl GainCertificate {
@@ -86,11 +88,10 @@ impl GainCertificate {
             let n = scenario.dimension();
             let matrix = left_side(scenario, &DMatrix::identity(n, n));
             let lower = Smallest::new(&matrix, &BlockCholesky::new(&matrix)).lower;
-            // Covered, but so weakly that rounding hides it: nothing certain can be said.
             if lower > 0.0 {
                 GainVerdict::Identity { gain: round_up(k1 / lower) }
             } else {
-                GainVerdict::StateNotCovered
+                GainVerdict::Hidden
             }
         };
         let uncertainty = (found.upper - found.estimate).max(found.estimate - found.lower);
@@ -123,6 +124,10 @@ impl GainCertificate {
             GainVerdict::StateNotCovered => "NOT a solution, and no gain helps: together the \
                                              agents do not measure the whole state; let some \
                                              agent measure what is missing"
+                .to_owned(),
+            GainVerdict::Hidden => "not certain to be a solution, and no multiple is: together the \
+                                    agents measure some combination of the state so weakly that \
+                                    rounding hides it; let some agent measure it more strongly"
                 .to_owned(),
         })
     }
