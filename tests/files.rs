@@ -348,7 +348,7 @@ fn a_lost_stream_loses_no_work() {
         assert_eq!(shell(&folder, &line).1, Some(code), "{line}");
         assert!(folder.path(made).exists(), "{line}");
     }
-    // A refusal stays one, although nobody reads of it.
+    // A refusal is still exit code 2 with its reader gone.
     let line =
         "{ $HS weights verify few.csv --format json; echo $? >code; } | true; exit $(cat code)";
     assert_eq!(shell(&folder, line).1, Some(2));

@@ -59,7 +59,7 @@ fn a_recording_survives_that_its_monitor_is_killed() {
 }
 
 #[test]
-fn a_recording_goes_on_when_nobody_reads_what_is_printed() {
+fn a_recording_goes_on_without_a_reader_of_its_output() {
     let folder = Folder::new("record-pipe");
     let pause = Duration::from_millis(1);
     listen(&folder.path("node"), move |peer| tell_states(peer, status(), u64::MAX, pause));
@@ -207,10 +207,10 @@ fn push_stops_at_a_damaged_file_before_it_looks_for_the_node() {
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     std::fs::write(folder.path("damaged.weights"), bytes).unwrap();
-    let error = folder.fail("push nobody.sock damaged.weights", 2);
-    assert!(error.contains("damaged.weights: ") && !error.contains("nobody.sock"), "{error}");
-    let error = folder.fail("push nobody.sock node.weights", 1);
-    assert!(error.contains("nobody.sock"), "{error}");
+    let error = folder.fail("push absent.sock damaged.weights", 2);
+    assert!(error.contains("damaged.weights: ") && !error.contains("absent.sock"), "{error}");
+    let error = folder.fail("push absent.sock node.weights", 1);
+    assert!(error.contains("absent.sock"), "{error}");
 }
 
 #[test]

@@ -73,7 +73,7 @@ const REFUSED: [(&str, &str); 12] = [
     ),
     (
         "refused_unexpected.npz",
-        "array `optimizer.step` is no part of a network, expected `layer1.weight`, `layer1.bias` and so on up to `outer.weight`; rename it or leave it out",
+        "array `optimizer.step` is not part of a network, expected `layer1.weight`, `layer1.bias` and so on up to `outer.weight`; rename it or leave it out",
     ),
     (
         "refused_activation.npz",
@@ -199,8 +199,8 @@ fn files_that_are_not_what_their_name_says_are_refused() {
     let folder = folder("misnamed");
     let text = "no arrays at all";
     for (name, message) in [
-        ("net.npz", "is no readable .npz file: "),
-        ("net.safetensors", "is no readable .safetensors file: "),
+        ("net.npz", "is not a readable .npz file: "),
+        ("net.safetensors", "is not a readable .safetensors file: "),
         ("net.mat", "ends in neither .npz nor .safetensors; "),
         ("npz", "ends in neither .npz nor .safetensors; "),
     ] {

@@ -5,9 +5,9 @@
 //!    whose erase unit is smaller than the chip's costs no firmware.
 //! 2. `probe-rs read` reads every segment back, and each byte is compared. The commit area comes
 //!    first, since it is what a firmware that runs meanwhile may change.
-//! 3. `probe-rs reset` starts the firmware anew: the download used its RAM.
+//! 3. `probe-rs reset` restarts the firmware: the download used its RAM.
 //!
-//! Any error leaves the chip as it is at that moment; flashing again mends it.
+//! Any error leaves the chip as it is at that moment; flashing again repairs it.
 //!
 //! The options are those of probe-rs 0.24 and later. Other settings (the protocol, the speed, a
 //! description of the chip) reach it through its own environment variables.
@@ -58,7 +58,7 @@ pub enum FlashStep {
         /// Its length \[bytes\].
         bytes: usize,
     },
-    /// The firmware is started anew.
+    /// The firmware is restarted.
     Reset,
 }
 
@@ -106,7 +106,7 @@ pub enum FlashError {
         #[source]
         error: io::Error,
     },
-    /// Somebody asked for the end.
+    /// A signal asked for the end.
     #[error("interrupted at {step}; the chip is as it was left, flash it again")]
     Interrupted {
         /// What was not done, or not to its end.
@@ -269,7 +269,7 @@ impl ProbeRs {
     }
 }
 
-/// Runs `command` to its end and returns what it printed. Whoever asks for the end has to wait for
+/// Runs `command` to its end and returns what it printed. A signal has to wait for
 /// that: a program that writes flash is not to be stopped in the middle.
 fn run(step: FlashStep, command: &mut Command) -> Result<String, FlashError> {
     if interruption::requested() {

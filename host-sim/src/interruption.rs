@@ -1,9 +1,9 @@
-//! Being told to end, by Ctrl-C or by a signal: a wish that commands look for at points where they
-//! can stop in good order.
+//! Requests to end, by Ctrl-C or by a signal: commands look for them at points where they can stop
+//! in good order.
 //!
 //! A command that does not [`listen`] ends at once: its temporary files are removed, what was there
 //! before it stays, and the exit code is 128 and the signal's number, 130 for Ctrl-C and 143 for a
-//! request to terminate. Under `nohup`, the terminal's end is no reason to end.
+//! request to terminate. Under `nohup`, closing the terminal does not end it.
 
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, Ordering};
 use std::sync::{Once, OnceLock};
@@ -18,7 +18,7 @@ static SIGNAL: AtomicI32 = AtomicI32::new(0);
 /// An [`Again`], or [`END`].
 static RESPONSE: AtomicU8 = AtomicU8::new(END);
 
-/// Nobody listens: the first signal ends the process.
+/// No command listens: the first signal ends the process.
 const END: u8 = 0;
 const EXIT: u8 = 1;
 const WAIT: u8 = 2;
@@ -31,7 +31,7 @@ const TERMINATE: i32 = 15;
 /// When the first request came.
 static SINCE: OnceLock<Instant> = OnceLock::new();
 
-/// What a second wish does.
+/// What a second request does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Again {
     /// Ends the process at once.
@@ -118,7 +118,7 @@ fn received(signal: i32) {
     }
 }
 
-/// From here on, the wish is noted in place of the process's end.
+/// From here on, a signal sets a flag and does not end the process.
 pub fn listen(again: Again) {
     let response = match again {
         Again::Exit => EXIT,
@@ -128,7 +128,7 @@ pub fn listen(again: Again) {
     install();
 }
 
-/// Whether somebody has asked for the end.
+/// Whether a signal has asked for the end.
 #[must_use]
 pub fn requested() -> bool {
     REQUESTED.load(Ordering::Acquire)
@@ -144,13 +144,13 @@ pub fn signal() -> Option<Signal> {
     })
 }
 
-/// The flag that becomes true when somebody asks for the end.
+/// The flag that becomes true when a signal asks for the end.
 #[must_use]
 pub fn flag() -> &'static AtomicBool {
     &REQUESTED
 }
 
-/// Whether somebody asked for the end at least `time` ago: what is under way may have that long to
+/// Whether a signal asked for the end at least `time` ago: what is under way may have that long to
 /// finish in good order.
 #[must_use]
 pub fn requested_for(time: Duration) -> bool {

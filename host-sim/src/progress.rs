@@ -33,7 +33,7 @@ impl ProgressBars {
         Self::drawn_on(name, ProgressDrawTarget::stderr_with_hz(DRAWS))
     }
 
-    /// Bars of a run that goes on until somebody ends it.
+    /// Bars of a run that goes on until it is ended by a signal.
     #[must_use]
     pub fn endless(name: &str) -> Self {
         let mut bars = Self::new(name);

@@ -23,7 +23,7 @@ pub(crate) struct Options {
 }
 
 impl Options {
-    /// Reads the arguments after the task; `None` if they are none.
+    /// Reads the arguments after the task; `None` if they are wrong.
     pub(crate) fn read(arguments: &[&str]) -> Option<Self> {
         match *arguments {
             [] => Some(Self { prefix: None }),
@@ -44,7 +44,7 @@ pub(crate) fn install(options: &Options, debian: bool) -> Result<(), Failure> {
         Some(prefix) => prefix.clone(),
         None => env::home_dir()
             .map(|home| home.join(".local"))
-            .ok_or_else(|| Failure::new("there is no home folder", "name one with --prefix"))?,
+            .ok_or_else(|| Failure::new("cannot find the home folder", "name one with --prefix"))?,
     };
     let board = BOARDS.iter().find(|board| board.name == EMULATED);
     let board =
@@ -72,8 +72,8 @@ fn check_paths(program: &Path) -> Result<(), Failure> {
     let path = workspace().as_os_str().as_encoded_bytes();
     if bytes.windows(path.len()).any(|bytes| bytes == path) {
         let what = format!("{} holds the path {}", program.display(), workspace().display());
-        let mend = "take env!(\"CARGO_MANIFEST_DIR\") and the like out of its sources";
-        return Err(Failure::new(what, mend));
+        let hint = "remove env!(\"CARGO_MANIFEST_DIR\") and the like from its sources";
+        return Err(Failure::new(what, hint));
     }
     Ok(())
 }
@@ -94,5 +94,8 @@ fn put(from: &Path, to: &Path) -> Result<(), Failure> {
 }
 
 fn failed(path: &Path, error: &io::Error) -> Failure {
-    Failure::new(format!("{}: {error}", path.display()), "see that it can be read and written")
+    Failure::new(
+        format!("{}: {error}", path.display()),
+        "make sure that it can be read and written",
+    )
 }

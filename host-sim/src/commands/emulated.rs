@@ -20,7 +20,7 @@ pub(super) enum Signing {
     None,
     /// Signatures, which co-simulation makes itself.
     Private(Box<OperatorKey>),
-    /// Signatures, which only somebody else can make: nodes wait for their first package.
+    /// Signatures that only the holder of the private key can make: nodes wait for their first package.
     Public(PublicKey),
 }
 

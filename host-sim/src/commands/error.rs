@@ -54,7 +54,7 @@ macro_rules! error_codes {
 }
 
 error_codes! {
-    /// The command line asks for what there is not.
+    /// The command line is wrong.
     Usage = "usage", 2;
     /// A scenario cannot be read.
     Scenario = "invalid-scenario", 2;
@@ -114,7 +114,7 @@ error_codes! {
     AnotherPush = "another-push", 1;
     /// A node cannot be reached or does not answer.
     Unreachable = "node-unreachable", 1;
-    /// Somebody asked for the end.
+    /// A signal asked for the end.
     Interrupted = "interrupted", 1;
 }
 
@@ -283,12 +283,12 @@ impl ErrorReport {
     }
 }
 
-/// Says what went wrong, with `json` also on standard output, and how the process is to end.
+/// Prints an error, with `json` also on standard output, and returns the exit code.
 pub(super) fn report(error: &CommandError, json: bool) -> ExitCode {
     if let CommandError::Output(error) = error
         && error.kind() == std::io::ErrorKind::BrokenPipe
     {
-        // Whoever read our output has gone, as `head` does: nothing is wrong.
+        // The reader has closed the pipe, as `head` does: nothing is wrong.
         return ExitCode::SUCCESS;
     }
     if json && !matches!(error, CommandError::Printed(_) | CommandError::Output(_)) {

@@ -37,15 +37,15 @@ enum Source {
     Share(PathBuf),
 }
 
-/// Finds both; builds the firmware if it is the project's. With a `key` it is to take packages
-/// only that are signed with it.
+/// Finds both; builds the firmware if it is the project's. With a `key` it takes only
+/// packages that are signed with it.
 pub(super) fn find(
     program: Option<&Path>,
     memory: Option<&Path>,
     key: Option<&PublicKey>,
 ) -> Result<Firmware, CommandError> {
     if let Some(program) = program.filter(|program| !program.is_file()) {
-        let problem = format!("{}: there is no such file", program.display());
+        let problem = format!("{}: no such file", program.display());
         return Err(CommandError::Usage(format!(
             "{problem}; name the firmware's ELF file, or leave --firmware out to have it built"
         )));
@@ -121,7 +121,7 @@ fn build(project: &Path, key: Option<&PublicKey>) -> Result<PathBuf, CommandErro
         line.extend(key.as_bytes().iter().map(|byte| format!("{byte:02x}")));
     }
     let failed = |what: String| {
-        CommandError::Firmware(format!("`{line}` {what}; mend that, or give --firmware ELF"))
+        CommandError::Firmware(format!("`{line}` {what}; fix that, or give --firmware ELF"))
     };
     terminal::note(format_args!("building the firmware in {}: {line}", project.display()));
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
@@ -155,7 +155,7 @@ fn build(project: &Path, key: Option<&PublicKey>) -> Result<PathBuf, CommandErro
     firmware.ok_or_else(|| failed("does not say where the firmware is".to_owned()))
 }
 
-/// Waits for the build's end, or ends it when somebody asks for the end.
+/// Waits for the build's end, or ends it when a signal asks for it.
 fn wait(build: &mut Child) -> Result<std::process::ExitStatus, CommandError> {
     loop {
         if let Some(status) = build.try_wait()? {
@@ -212,7 +212,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (program, memory) = (folder.path().join("node.elf"), folder.path().join("memory.x"));
         let error = find(Some(&program), Some(&memory), None).unwrap_err().to_string();
-        assert!(error.contains("node.elf: there is no such file"), "{error}");
+        assert!(error.contains("node.elf: no such file"), "{error}");
         touch(&program);
         let found = find(Some(&program), Some(&memory), None).unwrap();
         assert_eq!(found, Firmware { program, memory });

@@ -3,8 +3,8 @@
 //! Standard output carries results: text for people, or one JSON object with
 //! `--format json`, also for errors. Messages go to standard error; so does progress, and only to a
 //! terminal. Exit codes: 0 done; 2 bad usage, bad input, or refused; 1 anything else; 128 and the
-//! number of the signal that ended it. Whoever stops reading the output (`head`) changes no
-//! exit code, and whatever happens to the messages changes nothing else.
+//! number of the signal that ended it. A reader that closes the output (`head`) does not
+//! change the exit code; messages that cannot be written are lost, and nothing else is.
 
 mod agent_table;
 mod baselines;
@@ -203,8 +203,8 @@ enum CommandError {
     #[error(transparent)]
     Push(#[from] PushError),
     #[cfg(unix)]
-    #[error("{}: {refusal}; what was in use stays in use; {mend}", path.display())]
-    Refusal { path: PathBuf, refusal: String, mend: &'static str },
+    #[error("{}: {refusal}; what was in use stays in use; {hint}", path.display())]
+    Refusal { path: PathBuf, refusal: String, hint: &'static str },
     #[cfg(unix)]
     #[error("{0}")]
     Node(String),
@@ -274,8 +274,8 @@ fn print_text(text: &str) -> Result<(), CommandError> {
     Ok(terminal::print(text)?)
 }
 
-/// Prints a result that says what `outcome` is: it then counts as told, and what became of the
-/// printing changes it only from a success.
+/// Prints a result that says what `outcome` is: the error is then not printed again, and a
+/// failure to print matters only after a success.
 fn print_outcome(
     result: &impl Serialize,
     outcome: Result<(), CommandError>,

@@ -21,7 +21,7 @@ use crate::service::record::{RecordCounts, Recorder, step_size};
 use crate::service::record_file::{RecordError, RecordFile};
 use crate::service::{Address, Conversation, LineError, Message, Patience, ServiceError};
 
-/// Between two states, if nobody says otherwise. \[steps\]
+/// Between two states, by default. \[steps\]
 const EVERY: NonZeroU32 = NonZeroU32::new(500).unwrap();
 
 /// Between two lines while every step is recorded.
@@ -180,7 +180,7 @@ struct Monitor<'a> {
     all_steps: bool,
     recorder: Option<Recorder>,
     states: u64,
-    /// Messages that arrived damaged, or that nobody here knows.
+    /// Messages that arrived damaged, or that this program does not know.
     unreadable: u64,
     last_line: Option<Instant>,
     /// From which tick on the node is asked for samples.
@@ -365,7 +365,7 @@ impl Monitor<'_> {
             None => print_text(&report.text()),
         };
         match printed {
-            // The recording is there; that nobody reads on is not an error, as for other commands.
+            // The recording is there; a closed pipe is not an error, as for other commands.
             Err(CommandError::Output(error)) if error.kind() == std::io::ErrorKind::BrokenPipe => {
                 Ok(())
             }
@@ -416,7 +416,7 @@ impl From<RecordError> for CommandError {
 fn outcome_text(outcome: Outcome) -> &'static str {
     match outcome {
         Outcome::Stepped => "a step",
-        Outcome::Restarted => "was lost and has begun anew",
+        Outcome::Restarted => "was lost and has restarted",
         Outcome::NoPackage => "no package",
         Outcome::NoMeasurement => "no measurement",
         Outcome::MeasurementLength => "a measurement of another length",

@@ -127,7 +127,7 @@ fn failure(arguments: &Arguments, error: PushError) -> CommandError {
         PushError::Service(ServiceError::Refused(problem)) => CommandError::Refusal {
             path: arguments.package.clone(),
             refusal: format!("the node refuses: {problem}"),
-            mend: hint::of_refusal(problem),
+            hint: hint::of_refusal(problem),
         },
         PushError::Service(ServiceError::Line(LineError::Interrupted)) => CommandError::Node(
             "interrupted; what was in use stays in use, and the same push goes on where this one \

@@ -86,7 +86,7 @@ impl Board {
         &self.label
     }
 
-    /// Lets what is under way go on for so long after somebody has asked for the end.
+    /// Lets what is under way go on for so long after a signal has asked for the end.
     pub fn set_grace(&mut self, grace: Duration) {
         self.conversation.set_grace(grace);
     }

@@ -61,7 +61,7 @@ pub enum Fault {
     },
     /// What it sends is no message.
     #[error(
-        "it sends what is no message: {0}; see that firmware and host-sim are of the same version"
+        "it sends an unrecognised message: {0}; build firmware and host-sim from the same source"
     )]
     Nonsense(String),
     /// What it sends does not belong here.
@@ -128,7 +128,7 @@ pub enum Fault {
     #[error("interrupted")]
     Interrupted,
     /// The system reports an error.
-    #[error("{0}; connect the board anew and start again")]
+    #[error("{0}; reconnect the board and start again")]
     System(std::io::Error),
 }
 
@@ -136,7 +136,7 @@ fn quoted(text: &str) -> String {
     if text.is_empty() {
         "; see what has ended it, and start again".to_owned()
     } else {
-        format!(" and says:\n{text}\n; mend that, or give a firmware that runs on this board")
+        format!(" and says:\n{text}\n; fix that, or give a firmware that runs on this board")
     }
 }
 

@@ -78,7 +78,7 @@ pub(super) struct Lockstep<'s> {
     pub(super) relay: Option<Relay>,
     pub(super) first_mismatch: Option<Mismatch>,
     pub(super) steps: u64,
-    /// Whether somebody asked for the end of a run that nobody else can talk to.
+    /// Whether a signal asked for the end of a run that is not served.
     pub(super) interrupted: bool,
     /// When all nodes had begun.
     pub(super) begun: Option<Instant>,

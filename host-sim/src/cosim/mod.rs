@@ -70,12 +70,12 @@ pub struct Setup<'s> {
     pub signer: Option<&'s OperatorKey>,
     /// Whether nodes start with erased flash and wait for packages.
     pub erased: bool,
-    /// Hears what happens meanwhile.
+    /// Called with what happens meanwhile.
     pub notice: Option<&'s mut dyn FnMut(&Notice<'_>)>,
 }
 
 impl<'s> Setup<'s> {
-    /// Nodes that need no signatures, and nobody who wants to hear of them.
+    /// Nodes that need no signatures, without notices.
     pub fn new(start: &'s mut Start<'s>, timeout: Duration) -> Self {
         Self { start, timeout, signer: None, erased: false, notice: None }
     }
@@ -98,7 +98,7 @@ impl<'s> Setup<'s> {
     }
 }
 
-/// How long a step that is under way may go on after somebody has asked for the end.
+/// How long a step that is under way may go on after a signal has asked for the end.
 const GRACE: Duration = Duration::from_millis(400);
 
 /// Something that happens while others can talk to the nodes.
@@ -147,7 +147,7 @@ pub struct CosimReport {
     pub elapsed_s: f64,
     /// Steps per second; each of them is a round trip to every node. \[1/s\]
     pub steps_per_s: f64,
-    /// Whether somebody asked for the end before the last step; not so for a run that is served,
+    /// Whether a signal asked for the end before the last step; not so for a run that is served,
     /// which ends like that.
     pub interrupted: bool,
     /// For a run that is served: how much of the speed that was asked for was kept, at most 1.

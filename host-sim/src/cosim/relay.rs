@@ -3,7 +3,7 @@
 //!
 //! Between two steps the relay hands requests of clients to the nodes, and their answers back: one
 //! request a node, of its clients in turn, and more only while there is time left until the next
-//! step. So a client that asks without end slows nobody down, and one that does not read loses what
+//! step. So a client that asks without end does not slow the others down, and one that does not read loses what
 //! it does not read, and then its connection. Two things the relay keeps to itself: the node goes on to tell
 //! everything to the co-simulation, whatever its clients subscribe to, and time and frames come from
 //! the simulator only.
@@ -350,7 +350,7 @@ impl Door {
                         }
                     }
                     Some(_) => node.part(tick, "its package has other parameters"),
-                    None => node.part(tick, "it uses a package that nobody here knows"),
+                    None => node.part(tick, "it uses an unknown package"),
                 },
             }
             break;
@@ -361,7 +361,7 @@ impl Door {
     }
 
     /// The client, if there is one, that wants the node started again. It is the only thing that can
-    /// be asked of a node that has ended: whoever asks something else is sent away.
+    /// be asked of a node that has ended: a client that asks for anything else is disconnected.
     fn wants_restart(&mut self) -> Option<usize> {
         self.let_in();
         let mut wanted = None;

@@ -21,7 +21,7 @@ pub(super) struct Socket {
 }
 
 impl Socket {
-    /// Whether a socket can be made here. Returns whether one that nobody listens at has to be removed
+    /// Whether a socket can be made here. Returns whether one that no process listens at has to be removed
     /// before.
     ///
     /// # Errors
@@ -67,7 +67,7 @@ impl Socket {
         }
     }
 
-    /// Somebody who waits to be let in.
+    /// The next client that waits to be accepted.
     pub(super) fn accept(&self) -> Option<UnixStream> {
         self.listener.accept().ok().map(|(socket, _)| socket)
     }
@@ -92,7 +92,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_socket_that_nobody_listens_at_is_replaced() {
+    fn only_a_stale_socket_is_replaced() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         std::fs::write(path("file"), "precious").unwrap();
@@ -108,7 +108,7 @@ mod tests {
         let error = Socket::bind(path("live")).unwrap_err().to_string();
         assert!(error.contains("another program serves this socket"), "{error}");
         drop(live);
-        // Now nobody listens any more, as after a run that was killed.
+        // Now no process listens any more, as after a run that was killed.
         let ours = Socket::bind(path("live")).unwrap();
         assert!(UnixStream::connect(path("live")).is_ok() && ours.accept().is_some());
         drop(ours);

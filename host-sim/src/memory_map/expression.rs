@@ -61,12 +61,12 @@ impl Reader<'_> {
             self.next += 1;
             let right = self.chain(level + 1)?;
             value = apply(sign, value, right).ok_or_else(|| {
-                let (problem, mend) = match sign {
+                let (problem, hint) = match sign {
                     "/" | "%" => ("divides by 0", "divide by something else"),
                     "-" => ("is negative", "subtract less: addresses and sizes count from 0"),
                     _ => ("needs more than 64 bits", "use smaller numbers"),
                 };
-                Fault::new(line, format!("{value:#x} {sign} {right:#x} {problem}"), mend)
+                Fault::new(line, format!("{value:#x} {sign} {right:#x} {problem}"), hint)
             })?;
         }
     }
@@ -99,8 +99,8 @@ impl Reader<'_> {
                 self.next += 1;
                 Ok(number)
             }
-            Token::BadNumber(word, problem, mend) => {
-                Err(Fault::new(line, format!("`{word}` {problem}"), *mend))
+            Token::BadNumber(word, problem, hint) => {
+                Err(Fault::new(line, format!("`{word}` {problem}"), *hint))
             }
             Token::Sign("(") => {
                 self.next += 1;

@@ -72,8 +72,8 @@ impl Reader<'_> {
     pub(super) fn unexpected(&self, expected: &str) -> Fault {
         let expected = format!("expected {expected}");
         match self.peek() {
-            Token::BadNumber(word, problem, mend) => {
-                Fault::new(self.line(), format!("`{word}` {problem}"), *mend)
+            Token::BadNumber(word, problem, hint) => {
+                Fault::new(self.line(), format!("`{word}` {problem}"), *hint)
             }
             found => Fault::new(self.line(), format!("found {found}"), expected),
         }

@@ -89,7 +89,7 @@ pub(super) fn tokens(text: &str) -> Result<Vec<(Token, usize)>, Fault> {
             let (word, behind) = rest.split_at(end);
             let token = if first.is_ascii_digit() {
                 number(word).map_or_else(
-                    |(problem, mend)| Token::BadNumber(word.to_owned(), problem, mend),
+                    |(problem, hint)| Token::BadNumber(word.to_owned(), problem, hint),
                     Token::Number,
                 )
             } else {

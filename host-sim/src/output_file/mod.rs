@@ -30,7 +30,7 @@ use temporary::Temporary;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OutputError {
-    /// The system says no.
+    /// The system reports an error.
     #[error(
         "{}: {error}; make sure that the folder can be written to and the disk is not full",
         path.display()
@@ -152,7 +152,7 @@ impl OutputFile {
     /// Writes the file: `fill` gives its content.
     ///
     /// # Errors
-    /// What `fill` or the system says, or a file of another kind has come meanwhile; what was there
+    /// What `fill` or the system says, or a file of another kind has appeared meanwhile; what was there
     /// is then there as before.
     pub fn write(
         self,

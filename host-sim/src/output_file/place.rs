@@ -41,7 +41,7 @@ pub(super) fn find(path: &Path) -> Result<Place, OutputError> {
     Err(failed(io::Error::other("too many links, one to the other")))
 }
 
-/// The standard stream that `path` names: opened by its path, it would begin anew at byte 0.
+/// The standard stream that `path` names: opened by its path, it would begin again at byte 0.
 #[cfg(unix)]
 fn standard_stream(path: &Path) -> io::Result<Option<File>> {
     use std::os::fd::AsFd;

@@ -1,7 +1,7 @@
 //! Files and folders that only exist while something is written: known to the whole process, so that
 //! a signal can remove them.
 //!
-//! Whoever makes one or puts it in its place holds the list meanwhile. So a signal that removes them
+//! Making one, and renaming it, holds the lock of the list. So a signal that removes them
 //! comes before or after that, never in between, and nothing new is made behind it.
 
 use std::fs::{self, File, OpenOptions};
@@ -17,7 +17,7 @@ const BEGINNING: &str = ".host-sim-";
 const ENDING: &str = ".partial";
 
 fn list() -> MutexGuard<'static, Vec<PathBuf>> {
-    // A list is whole at any moment, also where somebody panicked who held it.
+    // A list is whole at any moment, also after a panic while it was locked.
     LIST.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -128,7 +128,7 @@ pub(crate) fn uninterrupted<T>(work: impl FnOnce() -> T) -> T {
     done
 }
 
-/// Removes all of them, since the process ends; nobody can make another one afterwards.
+/// Removes all of them, since the process ends; none can be made afterwards.
 pub(crate) fn remove_all() {
     let list = list();
     list.iter().for_each(|path| remove(path));

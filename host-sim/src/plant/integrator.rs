@@ -72,7 +72,7 @@ impl Stepper {
         found
     }
 
-    /// The step; `meets` hears of every time and state at which the rate is taken.
+    /// The step; `meets` is called with every time and state at which the rate is taken.
     #[inline]
     fn advance(
         &mut self,

@@ -12,7 +12,7 @@ pub struct ScenarioError {
     /// Line of the key or the value, from 1; of the table's head if a key is missing; `None`
     /// if the file cannot be opened.
     pub line: Option<usize>,
-    /// Dotted path of the key; entries of lists count from 1. `None` if the text is no TOML.
+    /// Dotted path of the key; entries of lists count from 1. `None` if the text is not TOML.
     pub key: Option<String>,
     /// What is wrong.
     pub problem: String,

@@ -71,7 +71,7 @@ impl Scenario {
         let source = Source { file, text };
         let document = DeTable::parse(text).map_err(|error| {
             let line = error.span().map(|span| source.line(span.start));
-            let problem = format!("is no TOML: {}", error.message().replace('\n', ", "));
+            let problem = format!("invalid TOML: {}", error.message().replace('\n', ", "));
             let mend = "write keys as `key = value` and tables as `[name]`, each name once";
             source.error(line.or(Some(1)), None, problem, mend)
         })?;

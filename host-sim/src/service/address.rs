@@ -14,14 +14,14 @@ use rustix::net::{AddressFamily, SocketAddrUnix, SocketType};
 use super::Line;
 use crate::interruption;
 
-/// Bits per second of a serial line, if nobody says otherwise.
+/// Bits per second of a serial line, by default.
 pub const BAUD: u32 = 115_200;
 
-/// How long somebody may take to let us in. \[s\]
+/// How long a server may take to accept us. \[s\]
 const ADMISSION: Duration = Duration::from_secs(3);
 
 /// Connects to a socket. If so many others wait there that there is no room, this waits so long, unless
-/// somebody asks for the end.
+/// a signal asks for the end.
 ///
 /// # Errors
 /// What the system says; [`io::ErrorKind::WouldBlock`] if there is still no room then.
@@ -56,7 +56,7 @@ pub enum Address {
 
 /// A node cannot be reached.
 #[derive(Debug, thiserror::Error)]
-#[error("{address}: {error}; {mend}")]
+#[error("{address}: {error}; {hint}")]
 pub struct AddressError {
     /// Where it should be.
     pub address: Address,
@@ -64,7 +64,7 @@ pub struct AddressError {
     #[source]
     pub error: io::Error,
     /// What to do about it.
-    mend: String,
+    hint: String,
 }
 
 impl Address {
@@ -77,7 +77,7 @@ impl Address {
             Self::Socket(path) => connect(path, ADMISSION).and_then(Line::over_socket),
             Self::Serial(path, baud) => Line::over_serial(path, *baud),
         };
-        line.map_err(|error| AddressError { mend: self.hint(&error), address: self.clone(), error })
+        line.map_err(|error| AddressError { hint: self.hint(&error), address: self.clone(), error })
     }
 
     fn hint(&self, error: &io::Error) -> String {
@@ -94,7 +94,7 @@ impl Address {
                     }
                     Ok(kind) if !kind.is_socket() => format!("this is not a socket: {serve}"),
                     Ok(_) if error.kind() == io::ErrorKind::WouldBlock => {
-                        "too many others wait to be let in; see that its process still runs"
+                        "too many clients wait there; check that its process is still running"
                             .to_owned()
                     }
                     Ok(_) => format!("nothing listens at this socket any more: {serve}"),
@@ -105,8 +105,8 @@ impl Address {
                 "end the other program, or wait until it has ended".to_owned()
             }
             Self::Serial(_, _) => {
-                "connect the board, make sure that nobody else has the line open \
-                                   and that you may use it (on Linux, the group dialout)"
+                "connect the board, and make sure that no other program has the line open and that \
+                 you may use it (on Linux, the group dialout)"
                     .to_owned()
             }
         }

@@ -28,7 +28,7 @@ pub struct Conversation {
     damaged: u64,
     /// How often two neighbouring bits in a received byte differ, in all.
     changes: u64,
-    /// Requests that nobody answered in time: their answers may still come.
+    /// Requests that were not answered in time: their answers may still come.
     overdue: u32,
 }
 
@@ -82,8 +82,7 @@ pub enum ServiceError {
     Nonsense(String),
     /// A message that does not belong here.
     #[error(
-        "the node sends {found}, where {expected} is expected; see that nobody else talks to it, and \
-         try again"
+        "the node sends {found}, where {expected} is expected; make sure that no other program talks to it, and try again"
     )]
     Unexpected {
         /// What came.
@@ -97,10 +96,10 @@ fn line_hint(error: &LineError) -> &'static str {
     match error {
         LineError::Interrupted => "",
         LineError::Silent => {
-            "; see that the board is on and that nobody else talks to it, and try again"
+            "; check that the board is on and that no other program talks to it, and try again"
         }
         LineError::Closed => {
-            "; see that the board is on, or that its co-simulation still runs: if that has reported \
+            "; check that the board is on, or that its co-simulation still runs: if that has reported \
              the end of the node, `host-sim node ENDPOINT reset` starts it again"
         }
         LineError::System(_) => "; connect the board again, and try again",
@@ -381,7 +380,7 @@ mod tests {
 
     #[test]
     fn whole_messages_without_end_do_not_hold_up_a_request() {
-        // What nobody asked for: postcard's `Health` with 15 counters.
+        // Unsolicited: postcard's `Health` with 15 counters.
         let mut health = vec![10, 0];
         health.extend([0; 15]);
         assert!(understood(&health).is_ok_and(|message| !message.is_answer()));

@@ -78,7 +78,7 @@ const RATES: [u32; 9] = [9600, 19_200, 38_400, 57_600, BAUD, 230_400, 460_800, 9
 pub fn of_garbage(baud: Option<u32>, changes: f64) -> String {
     let Some(baud) = baud else {
         return format!(
-            "see that a node is at the other end and, if there is a serial line in between, that its \
+            "check that a node is at the other end and, if there is a serial line in between, that its \
              baud rate is that of the node ({BAUD} with the firmware of this project)"
         );
     };
@@ -94,7 +94,7 @@ pub fn of_garbage(baud: Option<u32>, changes: f64) -> String {
     let direction = if slower { "slower" } else { "faster" };
     format!(
         "the line is read at {baud} baud, and what arrives looks like a {direction} one: write another \
-         baud rate behind the line's name, {}",
+         baud rate after the line's name, {}",
         if rates.is_empty() { format!("@{BAUD}") } else { rates.join(", ") }
     )
 }

@@ -1,7 +1,7 @@
 //! Bytes to and from a node, over pipes, a socket or a serial line.
 //!
 //! Nothing here waits longer than it is told to, however much the other end sends, and every wait
-//! ends when somebody asks for the end ([`crate::interruption`]). What has been received and not
+//! ends when a signal asks for it ([`crate::interruption`]). What has been received and not
 //! been asked for is bounded.
 //!
 //! A serial line is opened exclusively: it is locked against other programs that lock it (as our own
@@ -20,7 +20,7 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 use crate::interruption;
 
-/// Longest wait between two looks at whether somebody asked for the end. \[ms\]
+/// Longest wait between two looks at whether a signal asked for the end. \[ms\]
 const SLICE: u16 = 100;
 
 /// Most bytes that are read at once.
@@ -35,7 +35,7 @@ pub struct Line {
     input: File,
     output: File,
     received: Vec<u8>,
-    /// How long a wait goes on after somebody has asked for the end.
+    /// How long a wait goes on after a signal has asked for the end.
     grace: Duration,
     /// Where it is a serial line: what keeps others out, and bits per second.
     lock: Option<(File, u32)>,
@@ -55,7 +55,7 @@ pub enum LineError {
     /// The other end has gone.
     #[error("the connection has been closed at the other end")]
     Closed,
-    /// Somebody asked for the end.
+    /// A signal asked for the end.
     #[error("interrupted")]
     Interrupted,
     /// The system reports an error.
@@ -74,7 +74,7 @@ impl Line {
         Ok(Self::new(File::from(OwnedFd::from(socket)), output, false))
     }
 
-    /// The serial line `path` with `baud` bits per second, eight data bits, no parity. Nobody else can
+    /// The serial line `path` with `baud` bits per second, eight data bits, no parity. No other program can
     /// use it meanwhile.
     ///
     /// # Errors
@@ -128,7 +128,7 @@ impl Line {
         let output = loop {
             match OpenOptions::new().write(true).custom_flags(O_NONBLOCK).open(to_node) {
                 Ok(output) => break output,
-                // Nobody has it open for reading.
+                // It is not open for reading.
                 Err(error) if error.raw_os_error() == Some(nix::libc::ENXIO) => {
                     if interruption::requested() {
                         return Err(LineError::Interrupted);
@@ -156,7 +156,7 @@ impl Line {
         }
     }
 
-    /// Lets waits go on for so long after somebody has asked for the end.
+    /// Lets waits go on for so long after a signal has asked for the end.
     pub fn set_grace(&mut self, grace: Duration) {
         self.grace = grace;
     }
@@ -168,7 +168,7 @@ impl Line {
     }
 
     /// # Errors
-    /// [`LineError::Interrupted`] if somebody has asked for the end, and the time of grace is over.
+    /// [`LineError::Interrupted`] if a signal has asked for the end, and the time of grace is over.
     pub(super) fn check_interruption(&self) -> Result<(), LineError> {
         if interruption::requested_for(self.grace) { Err(LineError::Interrupted) } else { Ok(()) }
     }

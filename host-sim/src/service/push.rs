@@ -3,7 +3,7 @@
 //! The bytes are sent as they are; whether they are a package is the node's to say. Whatever is lost
 //! on the way is asked for again, and a transfer that was broken off goes on where the node says
 //! that it is. Before it does, the last piece that the node has is sent once more: the node
-//! notices if it had begun with another package, and then all begins anew.
+//! notices if it had begun with another package, and then the transfer starts over.
 
 use std::time::Duration;
 
@@ -27,7 +27,7 @@ pub enum PushError {
     /// The node cannot be reached.
     #[error(transparent)]
     Address(#[from] AddressError),
-    /// Somebody else brings a package into the node at the same time.
+    /// Another push to the node is under way.
     #[error(
         "another push to this node is under way ({0}); wait until it has ended, and push again"
     )]
@@ -36,7 +36,7 @@ pub enum PushError {
     #[error("the node's flash fails: {problem}; {hint}", problem = .0, hint = of_refusal(Problem::Store(*.0)))]
     Flash(StoreError),
     /// No node takes a file of this length.
-    #[error("{found} bytes are no weight package; give the path of one")]
+    #[error("not a weight package: {found} bytes; give the path of one")]
     Length {
         /// Its length.
         found: usize,
@@ -90,7 +90,7 @@ pub fn checksum(package: &[u8]) -> u32 {
     crc32(&[package])
 }
 
-/// How often a broken connection is made anew, and how long is waited before.
+/// How often a broken connection is made again, and how long is waited before.
 const RECONNECTIONS: u32 = 10;
 const RECONNECTION_PAUSE: Duration = Duration::from_millis(500);
 

@@ -11,7 +11,7 @@ use crate::output_file::OutputError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum KeyFileError {
-    /// There is no randomness to make a key of.
+    /// The system has no random numbers to make a key from.
     #[error("no random numbers from the operating system: {0}; make the key on another machine")]
     Random(#[source] getrandom::Error),
     /// There is a file where the private key should go.

@@ -111,7 +111,7 @@ impl OperatorKey {
         })
     }
 
-    /// Writes the public key, for the nodes and whoever else verifies.
+    /// Writes the public key, for the nodes and for anyone who verifies.
     ///
     /// # Errors
     /// [`KeyFileError::WritePublic`]; the file is then as it was before.

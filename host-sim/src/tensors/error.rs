@@ -49,7 +49,7 @@ pub enum TensorProblem {
     )]
     FileSize,
     /// The file as a whole does not have its format.
-    #[error("is no readable {kind} file: {reason}; write it with {}", kind.writer())]
+    #[error("is not a readable {kind} file: {reason}; write it with {}", kind.writer())]
     Format {
         /// The format that the name promises.
         kind: FileKind,
@@ -78,9 +78,9 @@ pub enum TensorProblem {
         /// The array of shape `[inputs, outputs]`.
         kernel: String,
     },
-    /// An array is no part of a network.
+    /// An array is not part of a network.
     #[error(
-        "array `{array}` is no part of a network, expected `{prefix}layer1.weight`, `{prefix}layer1.bias` and so on up to `{prefix}outer.weight`; rename it or leave it out"
+        "array `{array}` is not part of a network, expected `{prefix}layer1.weight`, `{prefix}layer1.bias` and so on up to `{prefix}outer.weight`; rename it or leave it out"
     )]
     Unexpected {
         /// Its name.

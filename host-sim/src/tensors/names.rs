@@ -276,7 +276,7 @@ mod tests {
         let mut mixed = small("net.");
         mixed.push(array("layer2.bias", &[3], 1));
         let message = refused(mixed);
-        assert!(message.contains("`layer2.bias` is no part") && message.contains("net.layer1"));
+        assert!(message.contains("`layer2.bias` is not part") && message.contains("net.layer1"));
         assert!(
             refused(small("net_")).contains("has no array `layer1.weight`, it has `net_layer1")
         );
@@ -287,13 +287,13 @@ mod tests {
         for (extra, message) in [
             ("layer1.kernel", "holds both `layer1.weight` and `layer1.kernel`"),
             ("layer1.bias", "holds array `layer1.bias` twice"),
-            ("layer1.scale", "`layer1.scale` is no part of a network"),
+            ("layer1.scale", "`layer1.scale` is not part of a network"),
             ("layer3.bias", "has no array `layer2.weight`"),
             ("layer9.weight", "`layer9.weight` belongs to no layer from 1 to 8"),
             ("layer0.weight", "`layer0.weight` belongs to no layer from 1 to 8"),
             ("layer99999999999999999999.weight", "belongs to no layer from 1 to 8"),
-            ("layer01.weight", "`layer01.weight` is no part of a network"),
-            ("layer.weight", "`layer.weight` is no part of a network"),
+            ("layer01.weight", "`layer01.weight` is not part of a network"),
+            ("layer.weight", "`layer.weight` is not part of a network"),
         ] {
             let mut arrays = small("");
             arrays.push(array(extra, &[3, 2], 0));

@@ -37,7 +37,9 @@ impl Head {
         let mut start = [0; 8];
         source.read_exact(&mut start).map_err(ended)?;
         let length = match start {
-            [magic @ .., _, _] if magic != *MAGIC => return Err("it is no .npy array".to_owned()),
+            [magic @ .., _, _] if magic != *MAGIC => {
+                return Err("it is not a .npy array".to_owned());
+            }
             [.., 1, _] => {
                 let mut length = [0; 2];
                 source.read_exact(&mut length).map_err(ended)?;
@@ -220,7 +222,7 @@ mod tests {
         for (bytes, expected) in [
             (&b"\x93NUMPY\x01\x00\x40"[..], "it ends within its head"),
             (b"\x93NUMPY\x01\x00\x40\x00{", "it ends within its head"),
-            (b"\x93NUMPX\x01\x00\x40\x00", "it is no .npy array"),
+            (b"\x93NUMPX\x01\x00\x40\x00", "it is not a .npy array"),
             (b"\x93NUMPY\x07\x01\x40\x00", "unknown .npy version 7.1"),
         ] {
             assert_eq!(Head::read(&mut &bytes[..]).unwrap_err(), expected);

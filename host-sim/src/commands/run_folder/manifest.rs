@@ -1,4 +1,4 @@
-//! `run.json`: what a folder of results holds, and how it came about.
+//! `run.json`: what a folder of results holds, and how it was made.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};

@@ -114,7 +114,7 @@ impl RunFolder {
     }
 }
 
-/// Locks the folder itself, so that there is no lock to be left behind.
+/// Locks the folder itself, so that no lock file can be left behind.
 fn lock(path: &Path) -> Result<Option<File>, CommandError> {
     let locked = File::open(path).map_err(TryLockError::Error).and_then(|folder| {
         folder.try_lock()?;
@@ -125,7 +125,7 @@ fn lock(path: &Path) -> Result<Option<File>, CommandError> {
         Err(TryLockError::WouldBlock) => Err(CommandError::FolderInUse { path: path.to_owned() }),
         Err(TryLockError::Error(error)) => {
             terminal::warning(format_args!(
-                "{}: cannot be locked ({error}); see that no other run writes into it",
+                "{}: cannot be locked ({error}); make sure that no other run writes into it",
                 path.display()
             ));
             Ok(None)
@@ -182,11 +182,11 @@ fn remove_result(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Removes what runs that were killed have left in a folder that is locked: nobody uses it.
+/// Removes what runs that were killed have left in a folder that is locked: no other run uses it.
 fn remove_stages(folder: &Path) {
     for name in names_in(folder).unwrap_or_default().iter().filter(|name| is_temporary(name)) {
         let path = folder.join(name);
-        // Best effort: it is hidden, and in nobody's way.
+        // Best effort: it is hidden, and harmless.
         let is_folder = fs::symlink_metadata(&path).is_ok_and(|found| found.is_dir());
         let _ = if is_folder { fs::remove_dir_all(path) } else { fs::remove_file(path) };
     }
@@ -198,7 +198,7 @@ fn names_in(folder: &Path) -> io::Result<BTreeSet<String>> {
 }
 
 /// A line that tells which files in the folder are not of this run, if there are any: they are left
-/// alone, but nothing is to be mistaken either.
+/// alone, but must not be mistaken for results of it.
 fn others(folder: &Path, files: &BTreeSet<String>) -> String {
     let mut others = names_in(folder).unwrap_or_default();
     others.retain(|name| !files.contains(name) && name != manifest::NAME && !is_temporary(name));

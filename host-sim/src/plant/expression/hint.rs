@@ -82,14 +82,14 @@ const NOT_HERE: [(&[&str], &str); 5] = [
     ),
     (
         &["diff", "der", "deriv", "derivative", "integral", "int_", "cumsum", "laplacian"],
-        "expressions neither differentiate nor integrate; make a state of it",
+        "expressions neither differentiate nor integrate; make it a state",
     ),
     (
         &[
             "delay", "delayed", "lag", "sum", "prod", "mean", "dot", "erf", "gamma", "sinc",
             "conj", "real", "imag",
         ],
-        "there is no such function; write it by those there are",
+        "there is no such function; write it in terms of the others",
     ),
 ];
 
@@ -237,7 +237,7 @@ fn unexpected(column: usize, text: &str) -> Option<String> {
         (_, '<' | '>' | '?' | '&' | '|') => CONDITIONS,
         (_, '=' | '!') if next == Some('=') || matches!(before, Some('<' | '>')) => CONDITIONS,
         (_, '=') => "write the right-hand side only",
-        (Some(_), '\'') => "write the expression that the derivative has, or make a state of it",
+        (Some(_), '\'') => "write the derivative's expression, or make it a state",
         (Some(c), ',') if c.is_ascii_digit() && is_digit(next) => {
             "write decimal points in place of decimal commas"
         }

@@ -189,7 +189,7 @@ pub fn name_problem(name: &str) -> Option<&'static str> {
     let mut letters = name.chars();
     let starts_well = letters.next().is_some_and(|c| c.is_ascii_alphabetic() || c == '_');
     if !starts_well || !letters.all(|c| c.is_ascii_alphanumeric() || c == '_') {
-        return Some("is no name");
+        return Some("is not a name");
     }
     match name {
         "t" => Some("is the time"),

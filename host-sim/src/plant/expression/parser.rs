@@ -44,7 +44,7 @@ pub enum ExpressionError {
         found: usize,
     },
     /// A number that does not fit into an f64, or is none.
-    #[error("`{text}` at column {column} is no finite number")]
+    #[error("`{text}` at column {column} is not a finite number")]
     Number {
         /// The number's text.
         text: String,

@@ -134,7 +134,7 @@ impl Program {
         found
     }
 
-    /// Carries the operations out; `after` hears of each that is not a constant, the time or a
+    /// Carries the operations out; `after` is called for each that is not a constant, the time or a
     /// state: the operands (of one operand, the second) and the result.
     #[inline(always)]
     fn carry_out(

@@ -103,8 +103,8 @@ fn says_what_is_wrong_and_where() {
         ("0.5*w", "unknown name `w` at column 5"),
         ("x ** 2", "expected a number, a name or `(` at column 4, found `*`"),
         ("µ*x", "expected a number, a name or `(` at column 1, found `µ`"),
-        ("1e999", "`1e999` at column 1 is no finite number"),
-        (".", "`.` at column 1 is no finite number"),
+        ("1e999", "`1e999` at column 1 is not a finite number"),
+        (".", "`.` at column 1 is not a finite number"),
         ("1.5.2", "expected an operator or the end at column 4, found `.`"),
     ];
     for (text, expected) in cases {
@@ -131,7 +131,7 @@ fn names_that_mean_something_else_are_refused() {
     assert_eq!(name_problem("e"), Some("is a constant"));
     assert_eq!(name_problem("sin"), Some("is a function"));
     for name in ["", "1x", "x-y", "ä", "x y"] {
-        assert_eq!(name_problem(name), Some("is no name"), "{name}");
+        assert_eq!(name_problem(name), Some("is not a name"), "{name}");
     }
 }
 

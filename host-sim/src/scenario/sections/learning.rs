@@ -214,7 +214,8 @@ fn split(table: &Table<'_>) -> Result<[f64; 3], ScenarioError> {
     let parts = value.numbers_of(3, "the parts are training, validation and test, that is")?;
     let sum = parts.iter().fold(0.0, |sum, part| sum + part);
     if parts[0] <= 0.0 || parts.iter().any(|&part| part < 0.0) || (sum - 1.0).abs() > 1e-9 {
-        let problem = format!("is {}, which is no division of the whole", value.written());
+        let problem =
+            format!("is {}, which does not add up to 1, or has a negative part", value.written());
         let mend = "write three numbers, 0 or above and the first above 0, that add up to 1";
         return Err(value.error(problem, mend));
     }

@@ -42,7 +42,7 @@ pub(in crate::scenario) fn time(root: &Table<'_>) -> Result<Time, ScenarioError>
     let whole = steps.round();
     if whole < 1.0 || (steps - whole).abs() > 1e-9 * whole {
         let (duration, step) = (duration_value.written(), step_value.written());
-        let problem = format!("is {duration}, which is no whole number of steps of {step}");
+        let problem = format!("is {duration}, not a whole number of steps of {step}");
         let nearest = (whole.max(1.0) * step_size * 1e9).round() / 1e9;
         let mend = format!("write a multiple of the step, such as {nearest}");
         return Err(duration_value.error(problem, mend));
