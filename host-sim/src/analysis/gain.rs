@@ -125,10 +125,12 @@ impl GainCertificate {
                                              agents do not measure the whole state; let some \
                                              agent measure what is missing"
                 .to_owned(),
-            GainVerdict::Hidden => "not certain to be a solution, and no multiple is: together the \
+            GainVerdict::Hidden => {
+                "not certain to be a solution, and no multiple is: together the \
                                     agents measure some combination of the state so weakly that \
                                     rounding hides it; let some agent measure it more strongly"
-                .to_owned(),
+                    .to_owned()
+            }
         })
     }
 
