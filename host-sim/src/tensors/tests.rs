@@ -53,7 +53,7 @@ fn shapes_that_no_memory_could_hold_are_refused() {
         let mut bytes = (head.len() as u64).to_le_bytes().to_vec();
         bytes.extend(head.bytes());
         bytes.extend([0; 64]);
-        assert!(refused(FileKind::Safetensors, &bytes).contains("is no readable .safetensors"));
+        assert!(refused(FileKind::Safetensors, &bytes).contains("is not a readable .safetensors"));
         bytes[..8].copy_from_slice(&u64::MAX.to_le_bytes());
         assert!(refused(FileKind::Safetensors, &bytes).contains("header too large"));
     }
