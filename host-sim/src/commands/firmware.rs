@@ -80,7 +80,9 @@ fn installed_name() -> String {
 }
 
 fn source() -> Result<Source, CommandError> {
-    let current = std::env::current_dir()?;
+    let current = std::env::current_dir().map_err(|error| {
+        CommandError::Usage(format!("the current folder cannot be found: {error}; change into one"))
+    })?;
     if let Some(project) = project_around(&current) {
         return Ok(Source::Project(project));
     }
@@ -158,7 +160,10 @@ fn build(project: &Path, key: Option<&PublicKey>) -> Result<PathBuf, CommandErro
 /// Waits for the build's end, or ends it when a signal asks for it.
 fn wait(build: &mut Child) -> Result<std::process::ExitStatus, CommandError> {
     loop {
-        if let Some(status) = build.try_wait()? {
+        let ended = build.try_wait().map_err(|error| {
+            CommandError::Firmware(format!("the build of the firmware is lost: {error}"))
+        })?;
+        if let Some(status) = ended {
             return Ok(status);
         }
         if interruption::requested() {
@@ -166,7 +171,7 @@ fn wait(build: &mut Child) -> Result<std::process::ExitStatus, CommandError> {
                 // It may end by itself at this very moment.
                 let _ = killpg(Pid::from_raw(group), Signal::SIGTERM);
             }
-            build.wait()?;
+            let _ = build.wait();
             return Err(CosimError::Interrupted.into());
         }
         std::thread::sleep(Duration::from_millis(20));

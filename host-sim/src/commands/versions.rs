@@ -1,12 +1,16 @@
 //! Versions of packages: which one is next, and that no two commands give the same one away.
 
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use super::CommandError;
 use crate::output_file::OutputFile;
 use crate::packages::PackageBytes;
 use crate::signing::OperatorKey;
+
+/// How long another training may take to write its package; a run holds its folder to its end.
+const LOCK_WAIT: Duration = Duration::from_secs(2);
 
 /// The version after `version`.
 ///
@@ -34,7 +38,7 @@ pub(super) fn save(
     out: &Path,
     output: OutputFile,
 ) -> Result<PackageBytes, CommandError> {
-    let _lock = lock(out);
+    let _lock = lock(out)?;
     // An empty file, as `mktemp` makes one, has no version.
     let filled = std::fs::metadata(out).is_ok_and(|there| there.is_file() && there.len() > 0);
     if chosen.is_none() && filled {
@@ -51,11 +55,40 @@ pub(super) fn save(
     Ok(package)
 }
 
-/// Keeps other commands from writing into the folder of `path` while the value lives. Where folders
+/// Keeps other trainings from writing into the folder of `path` while the value lives. Where folders
 /// cannot be locked, nothing is.
-fn lock(path: &Path) -> Option<File> {
+///
+/// # Errors
+/// [`CommandError::FolderInUse`] if another command does not let go of it in [`LOCK_WAIT`].
+fn lock(path: &Path) -> Result<Option<File>, CommandError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let folder = File::open(folder.unwrap_or(Path::new("."))).ok()?;
-    folder.lock().ok()?;
-    Some(folder)
+    let folder = folder.unwrap_or(Path::new("."));
+    let Ok(file) = File::open(folder) else { return Ok(None) };
+    let deadline = Instant::now() + LOCK_WAIT;
+    loop {
+        match file.try_lock() {
+            Ok(()) => return Ok(Some(file)),
+            Err(TryLockError::Error(_)) => return Ok(None),
+            Err(TryLockError::WouldBlock) if Instant::now() >= deadline => {
+                return Err(CommandError::FolderInUse { path: folder.to_owned() });
+            }
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(10)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_that_another_run_holds_is_told_and_not_waited_for_without_end() {
+        let folder = tempfile::tempdir().unwrap();
+        let held = File::open(folder.path()).unwrap();
+        held.try_lock().unwrap();
+        let refused = lock(&folder.path().join("node.weights"));
+        assert!(matches!(refused, Err(CommandError::FolderInUse { .. })));
+        drop(held);
+        assert!(lock(&folder.path().join("node.weights")).unwrap().is_some());
+    }
 }
