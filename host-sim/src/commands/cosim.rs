@@ -198,7 +198,7 @@ fn outcome(report: &CosimReport, wanted: u64) -> Result<(), CommandError> {
         )));
     }
     if report.interrupted {
-        return Err(CommandError::Node(format!(
+        return Err(CommandError::Interrupted(format!(
             "interrupted after {} of {wanted} steps, all equal until then",
             report.steps
         )));

@@ -201,6 +201,10 @@ impl CommandError {
             Self::Refusal { .. } => ErrorCode::PackageRefused,
             #[cfg(unix)]
             Self::Node(_) => ErrorCode::Node,
+            #[cfg(unix)]
+            Self::Interrupted(_) => ErrorCode::Interrupted,
+            #[cfg(unix)]
+            Self::RecordRefused { .. } => ErrorCode::OutputRefused,
         }
     }
 
@@ -214,7 +218,7 @@ impl CommandError {
             Self::Tensors(error) => shown(&error.path),
             Self::Refused { path, .. } | Self::FolderInUse { path } => shown(path),
             #[cfg(unix)]
-            Self::Refusal { path, .. } => shown(path),
+            Self::Refusal { path, .. } | Self::RecordRefused { path, .. } => shown(path),
             Self::Package(
                 PackageFileError::Read { path, .. }
                 | PackageFileError::TooLong { path }

@@ -208,6 +208,12 @@ enum CommandError {
     #[cfg(unix)]
     #[error("{0}")]
     Node(String),
+    #[cfg(unix)]
+    #[error("{0}")]
+    Interrupted(String),
+    #[cfg(unix)]
+    #[error("{problem}")]
+    RecordRefused { path: PathBuf, problem: String },
     /// A result that has been printed says it, too.
     #[error(transparent)]
     Printed(Box<Self>),

@@ -406,9 +406,12 @@ impl RecordReport {
 
 impl From<RecordError> for CommandError {
     fn from(error: RecordError) -> Self {
+        let problem = error.to_string();
         match error {
             RecordError::Output(error) => Self::File(error),
-            error => Self::Usage(error.to_string()),
+            RecordError::Exists { path } | RecordError::Other { path, .. } => {
+                Self::RecordRefused { path, problem }
+            }
         }
     }
 }

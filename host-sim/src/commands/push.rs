@@ -129,7 +129,7 @@ fn failure(arguments: &Arguments, error: PushError) -> CommandError {
             refusal: format!("the node refuses: {problem}"),
             hint: hint::of_refusal(problem),
         },
-        PushError::Service(ServiceError::Line(LineError::Interrupted)) => CommandError::Node(
+        PushError::Service(ServiceError::Line(LineError::Interrupted)) => CommandError::Interrupted(
             "interrupted; what was in use stays in use, and the same push goes on where this one \
              ended"
                 .to_owned(),
@@ -170,7 +170,7 @@ fn wait(node: &mut Conversation, package: &[u8]) -> Result<(), CommandError> {
         let Some((good, needed)) = used.trial else { return Ok(()) };
         bars.stepped(good.into(), needed.into());
         if interruption::requested() {
-            return Err(CommandError::Node(
+            return Err(CommandError::Interrupted(
                 "interrupted; the package is in use and still on trial".to_owned(),
             ));
         }
