@@ -1,11 +1,11 @@
 //! Everything that an agent lets be seen, as bit patterns: equal values that differ in the
 //! sign of a zero are not the same here.
 
+use agent_core::agent::hold::Hold;
 use agent_core::agent::{AgentParams, AgentState, StepOutput};
-use agent_core::frame::Frame;
-use agent_core::hold::Hold;
+use agent_core::wire::frame::Frame;
 
-use crate::drawn_network::Member;
+use crate::random_network::Member;
 
 /// Bit patterns of single-precision numbers.
 pub(crate) fn bits<'f>(values: impl IntoIterator<Item = &'f f32>) -> Vec<u32> {

@@ -9,8 +9,8 @@ use host_sim::engine::{RunOptions, Silent, run};
 use host_sim::scenario::PAPER;
 use serde_json::Value;
 
-use crate::described::{Described, SHORT_RECIPE, cycle, network, picks};
 use crate::reproduce::paper;
+use crate::scenario_builder::{Described, SHORT_RECIPE, cycle, network, picks};
 
 /// A folder of its own for one test, removed at the end.
 pub(crate) struct Folder(PathBuf);
@@ -103,13 +103,14 @@ pub(crate) fn texts(output: &Output) -> (String, String) {
 
 /// A scenario of a fraction of a second that uses everything.
 pub(crate) fn short() -> Described {
-    let mut described = Described::linear(2, "path", [(picks(2, [0]), 1), (picks(2, [1]), 1)]);
-    described.duration = 0.8;
-    described.network = network(&[(4, "tanh")], "2.0");
-    described.learning = cycle(&[1, 2], 0.1, 0.5, 0.6) + SHORT_RECIPE;
+    let mut scenario_builder =
+        Described::linear(2, "path", [(picks(2, [0]), 1), (picks(2, [1]), 1)]);
+    scenario_builder.duration = 0.8;
+    scenario_builder.network = network(&[(4, "tanh")], "2.0");
+    scenario_builder.learning = cycle(&[1, 2], 0.1, 0.5, 0.6) + SHORT_RECIPE;
     // From the switch on, so that there is nothing to warn of.
-    described.learning += "\n[evaluation]\nfrom = 0.6\nto = 0.8\n";
-    described
+    scenario_builder.learning += "\n[evaluation]\nfrom = 0.6\nto = 0.8\n";
+    scenario_builder
 }
 
 /// The one JSON object that `text` is.
@@ -269,7 +270,7 @@ fn run_in_json_is_one_object() {
     let keys =
         ["scenario", "seed", "elapsed_s", "baselines", "agents", "trainings", "checks", "warnings"];
     assert_keys(&result, &keys);
-    assert_eq!((&result["scenario"], &result["seed"]), (&"described".into(), &7.into()));
+    assert_eq!((&result["scenario"], &result["seed"]), (&"scenario_builder".into(), &7.into()));
     let keys = [
         "agent",
         "rmse",
@@ -310,7 +311,7 @@ fn run_in_json_is_one_object() {
         assert_eq!(agent["mean_interval"], number(statistics.mean_interval(&scenario.time)));
         assert_eq!(agent["min_interval"], number(statistics.min_interval(&scenario.time)));
     }
-    let files = folder.results("out/described");
+    let files = folder.results("out/scenario_builder");
     assert_pictures(&files, &["errors", "events", "states"]);
     assert_tables(&files, &["agents", "events", "traces", "training"]);
     // The same seed draws the same pictures; another one, others.
@@ -369,7 +370,7 @@ fn a_run_that_records_nothing_draws_nothing() {
     (bare.trace_stride, bare.events, bare.learning) = (0, false, String::new());
     folder.write("bare.toml", &bare.text());
     folder.succeed("run bare.toml");
-    assert!(folder.files("out/described").keys().eq(["agents.csv", "run.json"]));
+    assert!(folder.files("out/scenario_builder").keys().eq(["agents.csv", "run.json"]));
 }
 
 #[test]
@@ -440,12 +441,12 @@ fn a_mistake_in_a_scenario_changes_no_file() {
 #[test]
 fn a_plant_that_diverges_ends_with_1_and_leaves_results_alone() {
     let folder = Folder::new("diverges");
-    let mut described = Described::linear(1, "ring", [(picks(1, [0]), 1)]);
-    described.graph.clear();
-    described.plant = "[plant]\nmodel = \"expressions\"\nstates = [\"x\"]\n\
+    let mut scenario_builder = Described::linear(1, "ring", [(picks(1, [0]), 1)]);
+    scenario_builder.graph.clear();
+    scenario_builder.plant = "[plant]\nmodel = \"expressions\"\nstates = [\"x\"]\n\
                        derivative = [\"x^3\"]\ninitial_state = [10.0]\n"
         .to_owned();
-    folder.write("cubic.toml", &described.text());
+    folder.write("cubic.toml", &scenario_builder.text());
     fs::create_dir(folder.path("results")).unwrap();
     folder.write("results/traces.csv", "time [s],x1 [state unit]\n");
     let before = folder.files("results");

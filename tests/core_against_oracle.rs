@@ -6,17 +6,17 @@
 //! outer weights have moved; before each step the oracle is given the core's state, which is
 //! exact in double precision.
 
-use agent_core::activation::Activation;
 use agent_core::agent::StepOutput;
-use agent_core::network::Layer;
+use agent_core::math::activation::Activation;
+use agent_core::observer::network::Layer;
 use integration_tests::close;
 use nalgebra::{DMatrix, DVector};
 
-use crate::drawn_network::{Draw, DrawnAgent, DrawnNetwork, Gain, Member, step_all};
 use crate::oracle::inner_network::{self, InnerNetwork};
 use crate::oracle::projection::Projection;
 use crate::oracle::rounding::{Bounds, trigger_band};
 use crate::oracle::{Agent, Network, Rates, State, vectorised};
+use crate::random_network::{Draw, DrawnAgent, DrawnNetwork, Gain, Member, step_all};
 
 /// Steps of each network, all of which are compared.
 const STEPS: u64 = 6;

@@ -2,17 +2,17 @@
 //! what must not change a result, and when it broadcasts.
 
 use agent_core::StateVector;
+use agent_core::agent::hold::Hold;
+use agent_core::agent::inbox::Inbox;
 use agent_core::agent::{AgentParams, AgentState};
-use agent_core::frame::Frame;
-use agent_core::hold::Hold;
-use agent_core::inbox::Inbox;
-use agent_core::network::{Architecture, InnerNetwork, LAYER_WIDTH_MAX, Layer, Scratch};
+use agent_core::observer::network::{Architecture, InnerNetwork, LAYER_WIDTH_MAX, Layer, Scratch};
 use agent_core::package::NetworkPlace;
+use agent_core::wire::frame::Frame;
 use integration_tests::close;
 use proptest::prelude::*;
 
 use crate::bits::{bits, member_bits, output_bits, state_bits};
-use crate::drawn_network::{Draw, DrawnAgent, DrawnNetwork, Gain, step_all};
+use crate::random_network::{Draw, DrawnAgent, DrawnNetwork, Gain, step_all};
 
 /// Steps of each run.
 const STEPS: u64 = 8;
@@ -375,11 +375,11 @@ proptest! {
 #[test]
 fn an_agent_of_the_papers_size_fits_into_two_kibibytes() {
     // Three states, five features, two neighbours; the network stays in flash.
-    type Places = [Option<Hold<3>>; 2];
+    type ParamBuffers = [Option<Hold<3>>; 2];
     let sizes = [
         size_of::<AgentParams<'_, 3>>(),
-        size_of::<AgentState<3, 5, Places>>(),
-        size_of::<Inbox<3, Places>>(),
+        size_of::<AgentState<3, 5, ParamBuffers>>(),
+        size_of::<Inbox<3, ParamBuffers>>(),
         size_of::<NetworkPlace>(),
     ];
     println!("parameters, state, inbox, place: {sizes:?} bytes");

@@ -1,14 +1,14 @@
 //! Whatever is refused changes nothing: after every error of a step and of an inbox, state
 //! and inbox are what they were to the bit, and go on like a copy that never saw the error.
 
+use agent_core::agent::inbox::Inbox;
 use agent_core::agent::{AgentParams, StepError};
-use agent_core::frame::{Frame, FrameError};
-use agent_core::inbox::Inbox;
-use agent_core::network::{Architecture, InnerNetwork, Layer};
+use agent_core::observer::network::{Architecture, InnerNetwork, Layer};
+use agent_core::wire::frame::{Frame, FrameError};
 use proptest::prelude::*;
 
 use crate::bits::{member_bits, output_bits};
-use crate::drawn_network::{Draw, DrawnNetwork, Member, deliver, step_all};
+use crate::random_network::{Draw, DrawnNetwork, Member, deliver, step_all};
 
 /// Steps before and after the errors.
 const STEPS: u64 = 4;

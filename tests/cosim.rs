@@ -8,7 +8,7 @@ use host_sim::cosim::board::Board;
 use host_sim::cosim::fault::{Fault, NodeError};
 use host_sim::cosim::{CosimError, CosimReport, Setup, Start, cosimulate};
 use host_sim::engine::Silent;
-use host_sim::packages::{Draft, NodeContent, PackageBytes};
+use host_sim::packages::{Draft, OwnedAgentConfig, PackageBytes};
 use host_sim::scenario::{PAPER, Scenario, SwitchIn, Window};
 use host_sim::service::Line;
 use host_sim::signing::OperatorKey;
@@ -95,7 +95,7 @@ fn cosim_finds_a_trigger_that_differs() {
     let start = &mut |index, package: &PackageBytes| {
         let mut other = short_paper();
         other.design.epsilon *= 1.5;
-        let node = NodeContent::new(&other, &TriggerConstants::new(&other), index);
+        let node = OwnedAgentConfig::new(&other, &TriggerConstants::new(&other), index);
         let uses = (index == 2).then(|| changed(package, |draft| draft.node = node));
         Ok(board(Some(package), &Quirks { uses, ..Quirks::default() }, false))
     };

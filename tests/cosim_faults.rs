@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use agent_core::health::HealthCounters;
-use agent_core::serial::DELIMITER;
 use agent_core::service::{Firmware, PROTOCOL_VERSION, PackageStatus, Response, Status, send};
 use agent_core::store::Slot;
+use agent_core::wire::cobs::DELIMITER;
 use host_sim::cosim::board::Board;
 use host_sim::cosim::fault::NodeError;
 use host_sim::cosim::qemu::{Channel, Qemu};

@@ -10,7 +10,7 @@ use host_sim::cosim::{CosimReport, Service, Setup, cosimulate};
 use host_sim::engine::Silent;
 use host_sim::packages::PackageBytes;
 use host_sim::scenario::{PAPER, Scenario};
-use host_sim::service::{Address, Conversation, Line, Message};
+use host_sim::service::{Address, Client, Line, Message};
 
 use crate::command_line::{Folder, texts};
 use crate::loop_node::{self, Quirks};
@@ -54,14 +54,14 @@ impl Drop for End {
 }
 
 /// Says one thing to a node and waits for the answer, without a word about what it is.
-fn ask(conversation: &mut Conversation, request: &Request<'_>) {
+fn ask(client: &mut Client, request: &Request<'_>) {
     let any = |message: &Message<'_>| message.is_answer().then_some(());
-    conversation.ask(request, Duration::from_secs(10), &mut |_| {}, "an answer", any).unwrap();
+    client.ask(request, Duration::from_secs(10), &mut |_| {}, "an answer", any).unwrap();
 }
 
-fn conversation(folder: &Folder, agent: usize) -> Conversation {
+fn client(folder: &Folder, agent: usize) -> Client {
     let address = Address::Socket(folder.path(&format!("nodes/agent-{agent}.sock")));
-    Conversation::new(address.connect().unwrap())
+    Client::new(address.connect().unwrap())
 }
 
 #[test]
@@ -101,7 +101,7 @@ fn cosim_nodes_are_recorded_trained_for_and_pushed_to_while_every_bit_agrees() {
         assert!(error.contains("tampered.weights: ") && error.contains("checksum"), "{error}");
 
         // Somebody's transfer breaks off; another goes on with it.
-        let mut broken = conversation(&folder, 1);
+        let mut broken = client(&folder, 1);
         ask(&mut broken, &Request::Begin { length: bytes.len() as u32 });
         for (index, chunk) in bytes.chunks(CHUNK_LENGTH_MAX).take(5).enumerate() {
             let offset = (index * CHUNK_LENGTH_MAX) as u32;
@@ -146,7 +146,7 @@ fn cosim_nodes_that_go_their_own_way_are_not_compared_any_more() {
         assert_eq!(lines[1]["State"]["tick"].as_u64().unwrap() % 10, 0);
         assert_eq!(lines[1]["State"]["outer_weights"].as_array().unwrap().len(), 0);
         // Time is not theirs to make, and what is no package is none.
-        let mut client = conversation(&folder, 2);
+        let mut client = client(&folder, 2);
         ask(&mut client, &Request::Tick { periods: 1, measurement: None });
         let refused = folder.fail("node nodes/agent-3.sock revert", 2);
         assert!(refused.contains("no package is on trial; only a package on trial"), "{refused}");

@@ -9,8 +9,8 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
-use agent_core::serial::Decoder;
 use agent_core::service::{Request, receive, send};
+use agent_core::wire::cobs::Decoder;
 use host_sim::cosim::board::Board;
 use host_sim::cosim::{CosimReport, Notice, Service, Setup, cosimulate};
 use host_sim::engine::Silent;

@@ -4,8 +4,8 @@
 use host_sim::engine::{RunOptions, RunResult, Silent, run};
 use host_sim::scenario::Scenario;
 
-use crate::described::{Described, SHORT_RECIPE, cycle, network, picks};
 use crate::reproduce::paper;
+use crate::scenario_builder::{Described, SHORT_RECIPE, cycle, network, picks};
 
 /// Digest of the paper's run without learning.
 ///
@@ -80,20 +80,20 @@ fn on_threads(threads: usize, scenario: &Scenario, seed: u64) -> RunBits {
 /// Agents with random networks on a ring, some of which learn at different times; `agents` of
 /// them, half of which see one component and half the other.
 fn learning_ring(agents: usize) -> Scenario {
-    let mut described = Described::linear(
+    let mut scenario_builder = Described::linear(
         2,
         "ring",
         [(picks(2, [0]), agents / 2), (picks(2, [1]), agents - agents / 2)],
     );
-    described.duration = 0.8;
-    described.network = network(&[(6, "tanh"), (4, "logistic")], "2.0");
-    described.trace_stride = 10;
+    scenario_builder.duration = 0.8;
+    scenario_builder.network = network(&[(6, "tanh"), (4, "logistic")], "2.0");
+    scenario_builder.trace_stride = 10;
     let last = agents.min(70);
-    described.learning = cycle(&[1, 2, last], 0.1, 0.4, 0.5)
+    scenario_builder.learning = cycle(&[1, 2, last], 0.1, 0.4, 0.5)
         + &cycle(&[3], 0.2, 0.45, 0.5)
         + &cycle(&[2], 0.5, 0.65, 0.7)
         + SHORT_RECIPE;
-    described.scenario()
+    scenario_builder.scenario()
 }
 
 #[test]

@@ -6,12 +6,12 @@ use std::path::Path;
 use std::time::Duration;
 
 use agent_core::health::HealthCounters;
-use agent_core::serial::Decoder;
 use agent_core::service::{
     Firmware, Outcome, PROTOCOL_VERSION, PackageStatus, Request, Response, State, Status, receive,
     send,
 };
 use agent_core::store::Slot;
+use agent_core::wire::cobs::Decoder;
 
 /// What a node says, with its numbers in vectors.
 pub(crate) type Message = Response<'static, Vec<f32>>;

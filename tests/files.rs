@@ -260,7 +260,7 @@ fn a_folder_has_one_run_and_all_of_it() {
     folder.write("mine.toml", &short().text());
     folder.succeed("run mine.toml --out out --seed 1");
     let manifest: Value = serde_json::from_slice(&folder.files("out")["run.json"]).unwrap();
-    assert_eq!((&manifest["scenario"], &manifest["seed"]), (&"described".into(), &1.into()));
+    assert_eq!((&manifest["scenario"], &manifest["seed"]), (&"scenario_builder".into(), &1.into()));
     let listed: Vec<_> = manifest["files"]
         .as_array()
         .unwrap()
@@ -287,10 +287,12 @@ fn a_folder_has_one_run_and_all_of_it() {
     assert!(!names(&folder, "out").iter().any(|name| name.ends_with(".weights")));
     // It has another folder of its own accord.
     folder.succeed("run mine.toml");
-    let learned = folder.files("out/described");
+    let learned = folder.files("out/scenario_builder");
     folder.succeed("run mine.toml --without-learning");
-    assert!(folder.files("out/described") == learned);
-    assert!(names(&folder, "out/described-without-learning").contains(&"agents.csv".to_owned()));
+    assert!(folder.files("out/scenario_builder") == learned);
+    assert!(
+        names(&folder, "out/scenario_builder-without-learning").contains(&"agents.csv".to_owned())
+    );
 }
 
 #[test]
@@ -440,7 +442,7 @@ fn nothing_from_a_file_reaches_the_terminal_as_it_is() {
     let evil = "no\u{1b}[2J\u{7f}\u{202e}.toml";
     for arguments in [
         vec!["run", "evil.toml"],
-        vec!["weights", "inspect", "out/described/agent1_cycle1.weights"],
+        vec!["weights", "inspect", "out/scenario_builder/agent1_cycle1.weights"],
         vec!["run", evil],
         vec!["run", evil, "--format", "json"],
         vec!["weights", "inspect", evil],
@@ -476,7 +478,7 @@ fn a_built_in_name_is_not_hidden_by_what_lies_around() {
     assert_eq!(report["scenario"], "paper");
     assert!(said.contains("write ./paper for the file"), "{said}");
     let (report, said) = listed(folder.run("run ./paper --format json --out other"));
-    assert_eq!((&report["scenario"], said.as_str()), (&"described".into(), ""));
+    assert_eq!((&report["scenario"], said.as_str()), (&"scenario_builder".into(), ""));
     let error = folder.fail("run papper", 2);
     assert!(
         error.contains("give paper, ") && error.contains("host-sim scenario paper > mine.toml"),

@@ -3,13 +3,13 @@
 
 use std::num::NonZeroU32;
 
-use agent_core::frame::Frame;
 use agent_core::health::{FallBack, HealthCounters, HealthSettings};
+use agent_core::wire::frame::Frame;
 use agent_core::{StateVector, Tick};
 use integration_tests::close;
 use proptest::prelude::*;
 
-use crate::drawn_network::Draw;
+use crate::random_network::Draw;
 use crate::watched_ring::{BOX, Ring};
 
 pub(crate) const SETTINGS: HealthSettings = HealthSettings {

@@ -17,9 +17,7 @@ mod cosim_qemu;
 mod cosim_service;
 #[cfg(unix)]
 mod cosim_serving;
-mod described;
 mod determinism;
-mod drawn_network;
 #[cfg(unix)]
 mod fake_node;
 mod files;
@@ -38,8 +36,10 @@ mod nor_flash;
 mod oracle;
 mod packages;
 mod paper_run;
+mod random_network;
 mod reproduce;
 mod scales;
+mod scenario_builder;
 mod scenario_errors;
 #[cfg(unix)]
 mod soak;

@@ -4,12 +4,12 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use agent_core::Tick;
-use agent_core::frame::{FRAME_LENGTH_MAX, FrameBytes};
+use agent_core::wire::frame::{FRAME_LENGTH_MAX, FrameBytes};
 use host_sim::engine::link::Link;
 use host_sim::engine::{RunOptions, RunResult, Silent, run, run_over};
 use host_sim::scenario::Scenario;
 
-use crate::described::{Described, network, picks};
+use crate::scenario_builder::{Described, network, picks};
 
 const OPTIONS: RunOptions = RunOptions { seed: 0, learning: false, bounds: false };
 
@@ -101,9 +101,9 @@ fn mixed(receiver: usize, tick: Tick, sender: usize) -> usize {
 /// Three agents on a ring with a network, each seeing one component of three.
 fn ring() -> Scenario {
     let agents = (0..3).map(|component| (picks(3, [component]), 1));
-    let mut described = Described::linear(3, "ring", agents);
-    described.network = network(&[(5, "tanh"), (4, "tanh")], "2.0");
-    described.scenario()
+    let mut scenario_builder = Described::linear(3, "ring", agents);
+    scenario_builder.network = network(&[(5, "tanh"), (4, "tanh")], "2.0");
+    scenario_builder.scenario()
 }
 
 fn estimates(result: &RunResult, agent: usize) -> Vec<u32> {
@@ -211,9 +211,10 @@ fn a_partition_heals() {
 
 #[test]
 fn losses_are_the_same_bits_on_any_number_of_threads() {
-    let mut described = Described::linear(2, "ring", [(picks(2, [0]), 40), (picks(2, 0..2), 40)]);
-    described.duration = 0.5;
-    let scenario = described.scenario();
+    let mut scenario_builder =
+        Described::linear(2, "ring", [(picks(2, [0]), 40), (picks(2, 0..2), 40)]);
+    scenario_builder.duration = 0.5;
+    let scenario = scenario_builder.scenario();
     let lossy = |receiver, tick, sender| match mixed(receiver, tick, sender) {
         number if number.is_multiple_of(4) => Fate::Lost,
         number if number % 4 == 1 => Fate::Changed(number / 4),

@@ -363,7 +363,7 @@ fn sound(text: &str) -> Result<(), TestCaseError> {
         Err(error) => {
             let lines = text.split('\n').count();
             prop_assert!(error.line.is_some_and(|line| (1..=lines).contains(&line)), "{}", error);
-            prop_assert!(!error.problem.is_empty() && !error.mend.is_empty());
+            prop_assert!(!error.problem.is_empty() && !error.hint.is_empty());
         }
     }
     Ok(())

@@ -13,8 +13,8 @@ use host_sim::packages::{Draft, PackageBytes};
 use host_sim::scenario::Scenario;
 use host_sim::signing::OperatorKey;
 
-use crate::described::{Described, SHORT_RECIPE, cycle, network, picks};
 use crate::reproduce::paper;
+use crate::scenario_builder::{Described, SHORT_RECIPE, cycle, network, picks};
 
 /// The package whose overhead is limited is that of the paper's network. \[bytes\]
 const OVERHEAD_MAX: usize = 160;
@@ -28,11 +28,12 @@ fn learned(scenario: &Scenario) -> RunResult {
 
 /// A scenario of a fraction of a second in which both agents learn.
 fn short() -> Scenario {
-    let mut described = Described::linear(2, "path", [(picks(2, [0]), 1), (picks(2, [1]), 1)]);
-    described.duration = 0.8;
-    described.network = network(&[(4, "tanh"), (3, "logistic")], "2.0");
-    described.learning = cycle(&[1, 2], 0.1, 0.5, 0.6) + SHORT_RECIPE;
-    let mut scenario = described.scenario();
+    let mut scenario_builder =
+        Described::linear(2, "path", [(picks(2, [0]), 1), (picks(2, [1]), 1)]);
+    scenario_builder.duration = 0.8;
+    scenario_builder.network = network(&[(4, "tanh"), (3, "logistic")], "2.0");
+    scenario_builder.learning = cycle(&[1, 2], 0.1, 0.5, 0.6) + SHORT_RECIPE;
+    let mut scenario = scenario_builder.scenario();
     scenario.record.samples = true;
     scenario
 }

@@ -5,15 +5,15 @@
 //! step earlier changes everything behind it; what the paper reports, root-mean-square errors
 //! and mean intervals between broadcasts, must agree.
 
-use agent_core::activation::Activation;
+use agent_core::agent::inbox::Inbox;
 use agent_core::agent::{AgentParams, AgentState};
-use agent_core::inbox::Inbox;
-use agent_core::network::{Architecture, InnerNetwork, Layer};
-use agent_core::observer::{Neighbour, ObserverParams, OutputMatrix};
-use agent_core::outer_law::OuterLawParams;
-use agent_core::projection::ProjectionParams;
-use agent_core::symmetric::SymmetricMatrix;
-use agent_core::trigger::TriggerParams;
+use agent_core::math::activation::Activation;
+use agent_core::math::symmetric::SymmetricMatrix;
+use agent_core::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
+use agent_core::observer::network::{Architecture, InnerNetwork, Layer};
+use agent_core::observer::outer_law::OuterLawParams;
+use agent_core::observer::projection::ProjectionParams;
+use agent_core::observer::trigger::TriggerParams;
 use agent_core::{StateVector, Tick};
 use integration_tests::close;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};

@@ -4,7 +4,7 @@
 use host_sim::engine::{RunOptions, RunResult, Silent, run};
 use host_sim::scenario::Scenario;
 
-use crate::described::{Described, SHORT_RECIPE, cycle, network, picks};
+use crate::scenario_builder::{Described, SHORT_RECIPE, cycle, network, picks};
 
 fn simulate(scenario: &Scenario) -> RunResult {
     simulate_with(scenario, true)
@@ -35,9 +35,9 @@ fn worst_remainder(scenario: &Scenario, result: &RunResult) -> f64 {
     worst
 }
 
-/// Runs what is described; every agent's error must fall below this share of its first.
-fn check(what: &str, described: &Described, largest_remainder: f64) -> RunResult {
-    let scenario = described.scenario();
+/// Runs what is scenario_builder; every agent's error must fall below this share of its first.
+fn check(what: &str, scenario_builder: &Described, largest_remainder: f64) -> RunResult {
+    let scenario = scenario_builder.scenario();
     let result = simulate(&scenario);
     let worst = worst_remainder(&scenario, &result);
     let broadcasts: u64 = result.agents.iter().map(|agent| agent.broadcasts()).sum();
@@ -56,8 +56,8 @@ fn every_state_dimension_and_number_of_outputs() {
             let agents = n.div_ceil(m) + 1;
             let agents =
                 (0..agents).map(|agent| (picks(n, (0..m).map(|k| (agent * m + k) % n)), 1));
-            let described = Described::linear(n, "complete", agents);
-            check(&format!("n = {n}, m = {m}"), &described, 0.15);
+            let scenario_builder = Described::linear(n, "complete", agents);
+            check(&format!("n = {n}, m = {m}"), &scenario_builder, 0.15);
         }
     }
 }
@@ -65,12 +65,12 @@ fn every_state_dimension_and_number_of_outputs() {
 #[test]
 fn one_agent_with_and_without_a_network() {
     for inner in [String::new(), network(&[(5, "tanh")], "2.0")] {
-        let mut described = Described::linear(3, "ring", [(picks(3, 0..3), 1)]);
-        described.graph.clear();
+        let mut scenario_builder = Described::linear(3, "ring", [(picks(3, 0..3), 1)]);
+        scenario_builder.graph.clear();
         // Without neighbours phi_1 is small, and so the threshold has to be.
-        described.epsilon = 1e-3;
-        described.network = inner;
-        let result = check("one agent", &described, 0.05);
+        scenario_builder.epsilon = 1e-3;
+        scenario_builder.network = inner;
+        let result = check("one agent", &scenario_builder, 0.05);
         // Nobody listens, but it keeps to its trigger.
         assert!(result.agents[0].broadcasts() < 3_000);
     }
@@ -99,34 +99,34 @@ fn a_hundred_agents_on_every_topology() {
         [("ring", 60.0, 0.1), ("star", 8.0, 0.5), ("complete", 8.0, 0.3)]
     {
         let agents = [(picks(2, [0]), 1), (picks(2, [1]), 1)].into_iter().cycle().take(100);
-        let mut described = Described::linear(2, topology, agents);
-        described.gain = gain;
-        described.trace_stride = 0;
-        check(&format!("100 agents, {topology}"), &described, largest_remainder);
+        let mut scenario_builder = Described::linear(2, topology, agents);
+        scenario_builder.gain = gain;
+        scenario_builder.trace_stride = 0;
+        check(&format!("100 agents, {topology}"), &scenario_builder, largest_remainder);
     }
 }
 
 #[test]
 fn a_thousand_agents_on_a_ring() {
     let agents = [(picks(2, [0]), 1), (picks(2, [1]), 1)].into_iter().cycle().take(1_000);
-    let mut described = Described::linear(2, "ring", agents);
-    described.duration = 0.6;
-    described.network = network(&[(4, "tanh"), (3, "tanh")], "2.0");
-    described.trace_stride = 100;
-    described.epsilon = 5_000.0;
-    let result = check("1,000 agents", &described, 0.1);
+    let mut scenario_builder = Described::linear(2, "ring", agents);
+    scenario_builder.duration = 0.6;
+    scenario_builder.network = network(&[(4, "tanh"), (3, "tanh")], "2.0");
+    scenario_builder.trace_stride = 100;
+    scenario_builder.epsilon = 5_000.0;
+    let result = check("1,000 agents", &scenario_builder, 0.1);
     assert_eq!((result.traces.rows(), result.traces.agents()), (7, 1_000));
 }
 
 #[test]
 fn the_deepest_and_widest_network() {
-    let mut described = Described::linear(12, "path", [(picks(12, 0..12), 2)]);
-    described.duration = 1.0;
-    described.network = network(&[(64, "tanh"); 8], "1.0");
-    let scenario = described.scenario();
+    let mut scenario_builder = Described::linear(12, "path", [(picks(12, 0..12), 2)]);
+    scenario_builder.duration = 1.0;
+    scenario_builder.network = network(&[(64, "tanh"); 8], "1.0");
+    let scenario = scenario_builder.scenario();
     let parameters = scenario.network.as_ref().unwrap().architecture.parameter_count();
     assert_eq!(parameters, 12 * 64 + 7 * 64 * 64 + 8 * 64);
-    let result = check("8 layers of 64 nodes", &described, 0.05);
+    let result = check("8 layers of 64 nodes", &scenario_builder, 0.05);
     // The outer weights moved, within their bound.
     assert!(result.agents.iter().all(|agent| {
         agent.outer_weights_norm_max > 1e-3 && agent.outer_weights_norm_max <= 20.0
@@ -139,10 +139,10 @@ fn every_activation_and_kind_of_outer_gain() {
     let mut digests = Vec::new();
     for activation in ["tanh", "logistic", "gaussian"] {
         for gain in ["2.0", "[2.0, 3.0, 1.0]", full, "[2.0, 2.0, 2.0]"] {
-            let mut described =
+            let mut scenario_builder =
                 Described::linear(3, "ring", [(picks(3, [0, 1]), 2), (picks(3, [1, 2]), 2)]);
-            described.network = network(&[(7, "tanh"), (3, activation)], gain);
-            let result = check(&format!("{activation}, gain {gain}"), &described, 0.05);
+            scenario_builder.network = network(&[(7, "tanh"), (3, activation)], gain);
+            let result = check(&format!("{activation}, gain {gain}"), &scenario_builder, 0.05);
             digests.push(result.digest);
         }
         // A diagonal of equal numbers is that number; the others are something else.
@@ -164,16 +164,17 @@ fn agents_of_very_different_sight() {
         vec![vec![0.5, -1.0, 0.0, 0.0], vec![0.0, 0.0, 2.0, -0.25]],
         picks(4, [3]),
     ];
-    let described = Described::linear(4, "path", rows.map(|rows| (rows, 1)));
-    check("different outputs", &described, 0.05);
+    let scenario_builder = Described::linear(4, "path", rows.map(|rows| (rows, 1)));
+    check("different outputs", &scenario_builder, 0.05);
 }
 
 #[test]
 fn runge_kutta_moves_the_plant_and_only_the_plant() {
-    let mut described = Described::linear(2, "path", [(picks(2, [0]), 1), (picks(2, [1]), 1)]);
-    let euler = check("Euler", &described, 0.05);
-    described.integrator = "rk4";
-    let runge_kutta = check("RK4", &described, 0.05);
+    let mut scenario_builder =
+        Described::linear(2, "path", [(picks(2, [0]), 1), (picks(2, [1]), 1)]);
+    let euler = check("Euler", &scenario_builder, 0.05);
+    scenario_builder.integrator = "rk4";
+    let runge_kutta = check("RK4", &scenario_builder, 0.05);
     let last = euler.traces.rows() - 1;
     assert_eq!(last, 3_000);
     // x' = A x from (1, 1) turns by 0.3 rad/s and decays at 0.02/s.
@@ -195,20 +196,20 @@ fn runge_kutta_moves_the_plant_and_only_the_plant() {
 
 #[test]
 fn learning_cycles_that_follow_and_overlap_each_other() {
-    let mut described =
+    let mut scenario_builder =
         Described::linear(2, "path", [(picks(2, [0]), 1), (picks(2, 0..2), 1), (picks(2, [1]), 1)]);
-    described.duration = 4.0;
+    scenario_builder.duration = 4.0;
     // Fast enough for the network to have something to explain.
-    described.plant = described.plant.replace("0.3", "2.0");
-    described.network = network(&[(6, "tanh"), (5, "tanh")], "20.0");
-    described.learning = cycle(&[3, 1], 0.5, 1.2, 1.5)
+    scenario_builder.plant = scenario_builder.plant.replace("0.3", "2.0");
+    scenario_builder.network = network(&[(6, "tanh"), (5, "tanh")], "20.0");
+    scenario_builder.learning = cycle(&[3, 1], 0.5, 1.2, 1.5)
         + &cycle(&[2], 0.8, 1.0, 1.0)
         + &cycle(&[2], 1.0, 1.4, 1.5)
         + &cycle(&[1], 1.5, 2.5, 2.6)
         + &cycle(&[2], 2.0, 3.0, 3.9)
         + SHORT_RECIPE;
-    let scenario = described.scenario();
-    let result = check("five cycles", &described, 0.2);
+    let scenario = scenario_builder.scenario();
+    let result = check("five cycles", &scenario_builder, 0.2);
     let trained: Vec<_> = result.trainings.iter().map(|t| (t.cycle, t.agent, t.samples)).collect();
     println!("(cycle, agent, samples): {trained:?}");
     let order: Vec<_> = trained.iter().map(|&(cycle, agent, _)| (cycle, agent)).collect();

@@ -40,7 +40,7 @@ fn check(cases: &str) {
         let Case { text, line, message } = case(block);
         let error = Scenario::parse("case.toml", &text).expect_err(block);
         assert_eq!(error.to_string(), format!("case.toml:{line}: {message}"), "\n{block}");
-        assert!(!error.mend.is_empty(), "{block}");
+        assert!(!error.hint.is_empty(), "{block}");
     }
 }
 
@@ -137,13 +137,13 @@ fn a_file_that_is_not_there() {
     // What the system says differs from system to system.
     assert!(error.problem.starts_with("cannot be read: "), "{error}");
     assert!(error.to_string().starts_with("no/such.toml: cannot be read: "), "{error}");
-    let mend = "give the path of a scenario file, or the name of a built-in one (paper, lorenz, \
+    let hint = "give the path of a scenario file, or the name of a built-in one (paper, lorenz, \
                 pendulum, duffing, expressions); `host-sim scenario paper > mine.toml` writes a \
                 file to start from";
-    assert_eq!((error.line, error.key, error.mend.as_str()), (None, None, mend));
+    assert_eq!((error.line, error.key, error.hint.as_str()), (None, None, hint));
     let error = Scenario::load("lorentz".as_ref()).unwrap_err();
-    assert!(error.mend.starts_with("give lorenz, the path"), "{error}");
-    assert!(error.mend.contains("`host-sim scenario lorenz >"), "{error}");
+    assert!(error.hint.starts_with("give lorenz, the path"), "{error}");
+    assert!(error.hint.contains("`host-sim scenario lorenz >"), "{error}");
 }
 
 #[cfg(target_os = "linux")]
@@ -165,7 +165,7 @@ fn is_complete(text: &str) -> Result<(), TestCaseError> {
     if let Err(error) = Scenario::parse("any.toml", text) {
         let lines = text.lines().count().max(1) + 1;
         prop_assert!(error.line.is_some_and(|line| (1..=lines).contains(&line)), "{}", error);
-        prop_assert!(!error.problem.is_empty() && !error.mend.is_empty(), "{}", error);
+        prop_assert!(!error.problem.is_empty() && !error.hint.is_empty(), "{}", error);
     }
     Ok(())
 }

@@ -252,7 +252,7 @@ fn numbers_of_records_wrap() {
     let bytes = package(1, 61);
     let mut record = factory_record(Slot::A, &bytes);
     record[..4].copy_from_slice(&(u32::MAX - 2).to_le_bytes());
-    let checksum = agent_core::checksum::crc32(&[&record[..28]]);
+    let checksum = agent_core::wire::crc::crc32(&[&record[..28]]);
     record[28..].copy_from_slice(&checksum.to_le_bytes());
     let mut flash = new_flash();
     flash.overwrite(0, &bytes);

@@ -6,8 +6,8 @@
 
 use std::ops::AddAssign;
 
-use agent_core::checksum::crc32;
 use agent_core::store::{CheckedError, MappedFlash, Store, StoreError};
+use agent_core::wire::crc::crc32;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;

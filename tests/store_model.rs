@@ -1,7 +1,7 @@
 //! What a weight store must do, in a few lines, and packages for it.
 
-use agent_core::checksum::crc32;
 use agent_core::store::{CheckedError, Layout, MappedFlash, Store, StoreError};
+use agent_core::wire::crc::crc32;
 
 use crate::nor_flash::{SimulatedFlash, Tear};
 

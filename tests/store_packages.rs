@@ -3,15 +3,15 @@
 
 use agent_core::StateVector;
 use agent_core::agent::AgentState;
-use agent_core::inbox::Inbox;
-use agent_core::network::{InnerNetwork, Scratch};
+use agent_core::agent::inbox::Inbox;
+use agent_core::observer::network::{InnerNetwork, Scratch};
 use agent_core::package::{Capacity, InUse, NetworkPlace, Package, Refusal, Requirements, accept};
 use agent_core::store::{CheckedError, Layout, Slot, Store};
 use host_sim::analysis::TriggerConstants;
 use host_sim::packages::{Draft, PackageBytes, trained};
 
-use crate::described::{Described, network, picks};
 use crate::nor_flash::{SimulatedFlash, Tear};
+use crate::scenario_builder::{Described, network, picks};
 
 /// State dimension.
 const N: usize = 2;
@@ -31,9 +31,10 @@ fn new_flash() -> Flash {
 
 /// A package of this version for the first of two agents; other versions have other weights.
 fn package(version: u32) -> PackageBytes {
-    let mut described = Described::linear(N, "path", [(picks(N, [0]), 1), (picks(N, [1]), 1)]);
-    described.network = network(&[(5, "tanh"), (3, "logistic")], "2.0");
-    let scenario = described.scenario();
+    let mut scenario_builder =
+        Described::linear(N, "path", [(picks(N, [0]), 1), (picks(N, [1]), 1)]);
+    scenario_builder.network = network(&[(5, "tanh"), (3, "logistic")], "2.0");
+    let scenario = scenario_builder.scenario();
     let network = scenario.network.as_ref().unwrap();
     let count = network.architecture.parameter_count();
     let inner: Vec<_> = (0..count).map(|i| ((i as f32 + version as f32) * 0.7).sin()).collect();

@@ -6,8 +6,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use agent_core::activation::Activation;
-use agent_core::network::{Architecture, InnerNetwork, Layer, Scratch};
+use agent_core::math::activation::Activation;
+use agent_core::observer::network::{Architecture, InnerNetwork, Layer, Scratch};
 use host_sim::tensors::{
     self, Activations, ActivationsSource, FileKind, ImportReport, NetworkArrays, TensorProblem,
 };

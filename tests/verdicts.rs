@@ -8,7 +8,7 @@ use nalgebra::DMatrix;
 use serde_json::Value;
 
 use crate::command_line::Folder;
-use crate::described::{Described, picks};
+use crate::scenario_builder::{Described, picks};
 
 const OPTIONS: RunOptions = RunOptions { seed: 0, learning: true, bounds: true };
 
@@ -56,11 +56,11 @@ fn check_tells_of_a_scenario_without_running_it() {
 #[test]
 fn a_step_that_is_too_long_is_told_before_and_after_the_run() {
     let folder = Folder::new("unstable");
-    let mut described = pair();
+    let mut scenario_builder = pair();
     // The largest eigenvalue of 60 (C^T C + L) on this path is 60 (3 + sqrt(5))/2.
     let limit = 2.0 / (30.0 * (3.0 + 5f64.sqrt()));
-    described.trace_stride = 1;
-    let text = described.text().replace("step = 0.001", "step = 0.02");
+    scenario_builder.trace_stride = 1;
+    let text = scenario_builder.text().replace("step = 0.001", "step = 0.02");
     folder.write("long.toml", &text.replace("duration = 3.0", "duration = 1.0"));
     let (value, code) = object(&folder, "check long.toml --format json");
     assert_eq!((code, codes(&value)), (Some(1), vec!["unstable-step"]));
@@ -90,12 +90,12 @@ fn the_largest_stable_step_is_where_errors_begin_to_grow() {
     let full =
         DMatrix::from_row_slice(3, 3, &[60.0, 25.0, 0.0, 25.0, 40.0, -10.0, 0.0, -10.0, 80.0]);
     for (topology, agents) in [("path", 3), ("ring", 6), ("star", 5), ("complete", 4)] {
-        let described = Described::linear(
+        let scenario_builder = Described::linear(
             3,
             topology,
             (0..agents).map(|agent| (picks(3, [agent % 3, (agent + 1) % 3]), 1)),
         );
-        let mut scenario = described.scenario();
+        let mut scenario = scenario_builder.scenario();
         scenario.design.gain.copy_from(&full);
         scenario.design.epsilon = 1e-3;
         // Different everywhere, so that every mode of the error is there.

@@ -1,22 +1,22 @@
 //! Three watched agents on a ring that observe a moving point, and what can be done to them.
 
-use agent_core::activation::Activation;
+use agent_core::agent::inbox::Inbox;
+use agent_core::agent::region::StateBox;
 use agent_core::agent::{AgentParams, AgentState, StepError};
-use agent_core::frame::{Frame, FrameBytes};
 use agent_core::health::{Advice, Health, HealthParams, HealthSettings};
-use agent_core::inbox::Inbox;
-use agent_core::network::{Architecture, InnerNetwork, Layer};
-use agent_core::observer::{Neighbour, ObserverParams, OutputMatrix};
-use agent_core::outer_law::OuterLawParams;
-use agent_core::package::StateBox;
-use agent_core::projection::ProjectionParams;
-use agent_core::symmetric::SymmetricMatrix;
-use agent_core::trigger::TriggerParams;
+use agent_core::math::activation::Activation;
+use agent_core::math::symmetric::SymmetricMatrix;
+use agent_core::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
+use agent_core::observer::network::{Architecture, InnerNetwork, Layer};
+use agent_core::observer::outer_law::OuterLawParams;
+use agent_core::observer::projection::ProjectionParams;
+use agent_core::observer::trigger::TriggerParams;
+use agent_core::wire::frame::{Frame, FrameBytes};
 use agent_core::{StateVector, Tick};
 use nalgebra::SMatrix;
 
 use crate::bits::{StateBits, state_bits};
-use crate::drawn_network::{Draw, Places};
+use crate::random_network::{Draw, ParamBuffers};
 
 /// Features.
 const FEATURES: usize = 5;
@@ -38,8 +38,8 @@ const NEIGHBOURS: [[Neighbour; 2]; 3] = [
 pub(crate) struct Watched {
     pub(crate) params: AgentParams<'static, 3>,
     pub(crate) health_params: HealthParams<3>,
-    pub(crate) state: AgentState<3, FEATURES, Places<3>>,
-    pub(crate) inbox: Inbox<3, Places<3>>,
+    pub(crate) state: AgentState<3, FEATURES, ParamBuffers<3>>,
+    pub(crate) inbox: Inbox<3, ParamBuffers<3>>,
     pub(crate) health: Health,
     /// Why the last step was refused, if it was.
     pub(crate) refusal: Option<StepError>,

@@ -3,9 +3,9 @@
 
 use agent_core::Tick;
 use agent_core::agent::StepError;
-use agent_core::frame::{Frame, FrameBytes};
+use agent_core::agent::region::StateBox;
 use agent_core::health::{HealthCounters, HealthSettings};
-use agent_core::package::StateBox;
+use agent_core::wire::frame::{Frame, FrameBytes};
 use host_sim::engine::link::{Link, Lossless};
 use host_sim::engine::{RunError, RunOptions, RunResult, Silent, run, run_over};
 use host_sim::packages::Draft;
@@ -13,9 +13,9 @@ use host_sim::scenario::{Scenario, Window};
 use integration_tests::close;
 use std::num::NonZeroU32;
 
-use crate::described::{Described, SHORT_RECIPE, cycle, network};
 use crate::health::{Ledger, SETTINGS};
 use crate::reproduce::paper;
+use crate::scenario_builder::{Described, SHORT_RECIPE, cycle, network};
 
 /// What counts and does nothing else.
 const COUNTING: HealthSettings =
@@ -34,14 +34,14 @@ fn simulate(scenario: &Scenario, learning: bool) -> Result<RunResult, RunError> 
 fn striking(disturbance: &str, count: usize) -> Described {
     let rows = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]];
     let agents = rows.map(|row| (vec![row.to_vec()], count));
-    let mut described = Described::linear(3, "ring", agents);
-    described.plant = format!(
+    let mut scenario_builder = Described::linear(3, "ring", agents);
+    scenario_builder.plant = format!(
         "[plant]\nmodel = \"expressions\"\nstates = [\"x\", \"v\", \"s\"]\n\
          derivative = [\"v\", \"-x\", \"0\"]\ninitial_state = [1.0, 1.0, 0.0]\n\n\
          [disturbance]\nmodel = \"expressions\"\ncomponents = [\"0\", \"0\", \"{disturbance}\"]\n"
     );
-    described.network = network(&[(6, "tanh"), (4, "tanh")], "2.0");
-    described
+    scenario_builder.network = network(&[(6, "tanh"), (4, "tanh")], "2.0");
+    scenario_builder
 }
 
 /// For one step `s` is so much and then 0 again: what is added is subtracted to the bit.
@@ -51,9 +51,9 @@ fn spike(size: &str) -> String {
 
 /// Three agents, with packages whose trained box is so large if there is one.
 fn three(disturbance: &str, limit: Option<f32>) -> Scenario {
-    let mut described = striking(disturbance, 1);
-    described.learning = cycle(&[1, 2, 3], 0.1, 0.4, 0.5) + SHORT_RECIPE;
-    let mut scenario = described.scenario();
+    let mut scenario_builder = striking(disturbance, 1);
+    scenario_builder.learning = cycle(&[1, 2, 3], 0.1, 0.4, 0.5) + SHORT_RECIPE;
+    let mut scenario = scenario_builder.scenario();
     scenario.evaluation = Window { from: 2.0, to: 3.0 };
     if let Some(limit) = limit {
         let mut early = scenario.clone();
@@ -255,10 +255,10 @@ fn a_link_that_makes_estimates_up_ends_only_the_unwatched_run() {
 #[test]
 fn a_watch_has_the_same_bits_on_any_number_of_threads() {
     // More than 64 agents are shared among threads.
-    let mut described = striking(&spike("1e30"), 27);
-    (described.duration, described.trace_stride) = (1.2, 20);
+    let mut scenario_builder = striking(&spike("1e30"), 27);
+    (scenario_builder.duration, scenario_builder.trace_stride) = (1.2, 20);
     let settings = HealthSettings { restart_after: NonZeroU32::new(1), ..SETTINGS };
-    let scenario = watched(&described.scenario(), settings);
+    let scenario = watched(&scenario_builder.scenario(), settings);
     let on_threads = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| simulate(&scenario, false).unwrap())

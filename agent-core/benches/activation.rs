@@ -2,7 +2,7 @@
 //!
 //! `cargo bench -p agent-core --bench activation`
 
-use agent_core::activation::Activation;
+use agent_core::math::activation::Activation;
 use divan::{Bencher, black_box};
 use micromath::F32Ext;
 

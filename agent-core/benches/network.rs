@@ -1,8 +1,8 @@
 //! The inner network of the paper's size: one evaluation, 425 parameters, and the same with
 //! other activations.
 
-use agent_core::activation::Activation;
-use agent_core::network::{Architecture, InnerNetwork, Layer, Scratch};
+use agent_core::math::activation::Activation;
+use agent_core::observer::network::{Architecture, InnerNetwork, Layer, Scratch};
 use divan::Bencher;
 
 fn main() {

@@ -66,7 +66,7 @@ fn micromath_gaussian(x: f32) -> f32 {
 const SUBJECTS: [Subject; 3] = [
     Subject {
         name: "tanh",
-        function: agent_core::activation::tanh,
+        function: agent_core::math::activation::tanh,
         reference: libm::tanh,
         symmetry: Symmetry::Odd,
         falls: false,
@@ -74,7 +74,7 @@ const SUBJECTS: [Subject; 3] = [
     },
     Subject {
         name: "logistic",
-        function: agent_core::activation::logistic,
+        function: agent_core::math::activation::logistic,
         reference: logistic_reference,
         symmetry: Symmetry::None,
         falls: false,
@@ -82,7 +82,7 @@ const SUBJECTS: [Subject; 3] = [
     },
     Subject {
         name: "Gaussian",
-        function: agent_core::activation::gaussian,
+        function: agent_core::math::activation::gaussian,
         reference: gaussian_reference,
         symmetry: Symmetry::Even,
         falls: true,

@@ -7,24 +7,19 @@
 //! comparisons in single precision, in an order that the source fixes, never fused, never a
 //! platform's mathematical library.
 //!
-//! # The parts, in the order in which a step uses them
-//! | module | what it is | equation in the paper |
+//! # Modules, bottom up
+//! Each one knows only those above it in this table.
+//!
+//! | module | holds | equations in the paper |
 //! | --- | --- | --- |
-//! | [`frame`] | what an agent broadcasts, as bytes | |
-//! | [`inbox`] | received frames, checked, waiting for the next step | |
-//! | [`hold`] | the sampled estimates of the agent and its neighbours | `x_i_tilde` |
-//! | [`activation`], [`network`] | the inner deep network | `Phi func` |
-//! | [`observer`] | output error, consensus term, state derivative | `Observer i` |
-//! | [`outer_law`], [`projection`] | the adaptation of the outer weights | `What_i Dot` |
-//! | [`trigger`] | when to broadcast | `Trigger` |
-//! | [`agent`] | parameters, state, and the step that joins all these | |
-//! | [`health`] | what goes wrong at run time: counted, and what to do about it | `Zeno Bound` |
-//! | [`capture`] | samples for offline training | |
-//! | [`serial`], [`service`] | messages on a stream; what a node and a laptop say to each other | |
-//! | [`package`] | all of the above parameters as bytes that prove themselves | |
-//! | [`checksum`], [`signature`] | against damage; against strangers | |
-//! | [`store`] | weight packages in flash, safe against loss of power at any instant | |
-//! | [`symmetric`], [`numeric`], [`parameter`], [`region`] | gains; ordered sums; ranges; boxes | |
+//! | [`math`] | ordered sums, activations, symmetric matrices, parameter ranges | |
+//! | [`wire`] | frames, COBS framing, CRC-32 | |
+//! | [`observer`] | network, feedback, outer law, projection, trigger | `Phi func`, `Observer i`, `What_i Dot`, `Trigger` |
+//! | [`agent`] | parameters, state, the step; held samples, inbox, capture | `x_i_tilde` |
+//! | [`package`] | parameters as bytes: encode, decode, accept, sign, switch in | `Phi_hat` at `T_p` |
+//! | [`store`] | packages in flash, safe against loss of power at any instant | |
+//! | [`health`] | run-time faults: counters, fall-back, restart | `Zeno Bound` |
+//! | [`service`] | requests and responses between a node and a laptop | |
 //!
 //! Parameters ([`agent::AgentParams`]) never change and can live in flash; the state
 //! ([`agent::AgentState`]) is all that does. Time, measurements and frames are arguments, the
@@ -33,30 +28,33 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
-pub mod activation;
 pub mod agent;
-pub mod capture;
-pub mod checksum;
-mod codec;
-pub mod frame;
 pub mod health;
-pub mod hold;
-pub mod inbox;
-pub mod network;
-pub mod numeric;
+pub mod math;
 pub mod observer;
-pub mod outer_law;
 pub mod package;
-pub mod parameter;
-pub mod projection;
-pub mod region;
-mod sequence;
-pub mod serial;
 pub mod service;
-pub mod signature;
 pub mod store;
-pub mod symmetric;
-pub mod trigger;
+pub mod wire;
+
+/// Most inputs that a network can have; the largest state dimension.
+pub const INPUTS_MAX: usize = 12;
+
+pub use agent::hold::Hold;
+pub use agent::inbox::Inbox;
+pub use agent::region::{Region, StateBox};
+pub use agent::{AgentParams, AgentState, StepError, StepOutput};
+pub use health::{Health, HealthCounters, HealthParams, HealthSettings};
+pub use math::activation::Activation;
+pub use math::symmetric::SymmetricMatrix;
+pub use observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
+pub use observer::network::{Architecture, InnerNetwork, Layer};
+pub use observer::outer_law::OuterLawParams;
+pub use observer::projection::ProjectionParams;
+pub use observer::trigger::TriggerParams;
+pub use package::Package;
+pub use store::Store;
+pub use wire::frame::Frame;
 
 /// A vector of the state space, shape `[N]`.
 pub type StateVector<const N: usize> = nalgebra::SVector<f32, N>;

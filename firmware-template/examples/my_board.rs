@@ -14,16 +14,16 @@ use std::convert::Infallible;
 use std::num::NonZeroU32;
 use std::rc::Rc;
 
-use agent_core::frame::Frame;
 use agent_core::health::HealthSettings;
-use agent_core::outer_law::OuterLawParams;
-use agent_core::package::{NeighbourIds, Node as NodeContent};
-use agent_core::projection::ProjectionParams;
-use agent_core::serial::Decoder;
+use agent_core::math::symmetric::SymmetricMatrix;
+use agent_core::observer::outer_law::OuterLawParams;
+use agent_core::observer::projection::ProjectionParams;
+use agent_core::observer::trigger::TriggerParams;
+use agent_core::package::{AgentConfig, NeighbourIds};
 use agent_core::service::{Numbers, Request, Response, Subscription, receive, send};
 use agent_core::store::{Layout, MappedFlash};
-use agent_core::symmetric::SymmetricMatrix;
-use agent_core::trigger::TriggerParams;
+use agent_core::wire::cobs::Decoder;
+use agent_core::wire::frame::Frame;
 use embedded_io::{Read, ReadReady, Write};
 use embedded_storage::nor_flash::{NorFlash, NorFlashErrorKind, ReadNorFlash};
 use firmware_template::{Clock, Hardware, Link, Lost, Memory, Node, Sensor, Settings};
@@ -201,8 +201,8 @@ impl MappedFlash for Ram {
 }
 
 /// What the node is until it gets a package.
-fn fallback() -> Option<NodeContent<'static>> {
-    Some(NodeContent {
+fn fallback() -> Option<AgentConfig<'static>> {
+    Some(AgentConfig {
         agent: 1,
         output_matrix: &[1.0, 0.0],
         gain: SymmetricMatrix::Scalar(100.0),

@@ -13,8 +13,8 @@
 
 use core::fmt::Debug;
 
-use agent_core::serial::{Decoder, SerialError};
 use agent_core::service::REQUEST_LENGTH_MAX;
+use agent_core::wire::cobs::{Decoder, SerialError};
 use embedded_io::{Read, ReadReady, Write};
 
 /// Reads the agent's own part of the output, `y_i`.
@@ -118,7 +118,7 @@ pub struct Lost;
 pub type RequestBuffer = [u8; REQUEST_LENGTH_MAX];
 
 /// Decodes the service port's requests.
-pub type RequestDecoder = Decoder<{ REQUEST_LENGTH_MAX + agent_core::checksum::CHECKSUM_LENGTH }>;
+pub type RequestDecoder = Decoder<{ REQUEST_LENGTH_MAX + agent_core::wire::crc::CHECKSUM_LENGTH }>;
 
 /// A board made of a sensor, a link, a clock and a service port.
 #[derive(Debug)]

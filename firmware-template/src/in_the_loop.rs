@@ -6,9 +6,9 @@
 //!
 //! Memory: the port, one request, `FRAMES` frames, and 512 bytes of input and output.
 
-use agent_core::frame::FRAME_LENGTH_MAX;
-use agent_core::serial::SerialError;
 use agent_core::service::{Numbers, Request, Response, Rows, receive, send};
+use agent_core::wire::cobs::SerialError;
+use agent_core::wire::frame::FRAME_LENGTH_MAX;
 use embedded_io::{Read, Write};
 
 use crate::board::{Board, Lost, RequestBuffer, RequestDecoder, copied, write_whole};
@@ -55,7 +55,7 @@ impl<P: Read + Write, const FRAMES: usize> InTheLoop<P, FRAMES> {
         // What the decoder returns borrows it, so the end of a message is found first.
         loop {
             let byte = *self.input.get(self.unread.next()?)?;
-            if byte == agent_core::serial::DELIMITER {
+            if byte == agent_core::wire::cobs::DELIMITER {
                 return self.decoder.push(byte);
             }
             let _ = self.decoder.push(byte);

@@ -1,6 +1,6 @@
 //! Public keys as they are handed to a build.
 
-use agent_core::signature::PUBLIC_KEY_LENGTH;
+use agent_core::package::signature::PUBLIC_KEY_LENGTH;
 
 /// The key in 64 hexadecimal digits, at compile time.
 ///

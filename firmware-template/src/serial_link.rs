@@ -1,15 +1,15 @@
 //! A link over a shared serial line: RS-485, a UART between two nodes, or a radio module that
 //! passes bytes through.
 //!
-//! Frames travel as [`agent_core::serial`] encodes messages, so that whoever joins late finds the
+//! Frames travel as [`agent_core::wire::cobs`] encodes messages, so that whoever joins late finds the
 //! next one. Who may talk when is the matter of the line; frames that collide fail their checksum
 //! and are lost, as the observer expects of a link.
 //!
 //! Memory: the port, and 90 bytes.
 
-use agent_core::checksum::CHECKSUM_LENGTH;
-use agent_core::frame::FRAME_LENGTH_MAX;
-use agent_core::serial::{Decoder, Encoder, SerialError};
+use agent_core::wire::cobs::{Decoder, Encoder, SerialError};
+use agent_core::wire::crc::CHECKSUM_LENGTH;
+use agent_core::wire::frame::FRAME_LENGTH_MAX;
 use embedded_io::{Read, ReadReady, Write};
 
 use crate::board::{copied, write_whole};

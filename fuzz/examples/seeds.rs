@@ -8,8 +8,8 @@
 
 use std::{fs, io, path::Path};
 
-use agent_core::activation::Activation::{Gaussian, Logistic, Tanh};
-use agent_core::frame::Frame;
+use agent_core::math::activation::Activation::{Gaussian, Logistic, Tanh};
+use agent_core::wire::frame::Frame;
 use agent_core::package::signature_block;
 use fuzz::{Event, Form, SamplePackage};
 

@@ -7,15 +7,15 @@
 use std::collections::BTreeMap;
 
 use agent_core::agent::{AgentParams, AgentState, StepError};
-use agent_core::frame::{FRAME_LENGTH_MAX, Frame, FrameError};
-use agent_core::inbox::Inbox;
-use agent_core::network::InnerNetwork;
-use agent_core::numeric::all_finite;
-use agent_core::observer::{Neighbour, ObserverParams, OutputMatrix};
-use agent_core::outer_law::OuterLawParams;
-use agent_core::projection::ProjectionParams;
-use agent_core::symmetric::SymmetricMatrix;
-use agent_core::trigger::TriggerParams;
+use agent_core::wire::frame::{FRAME_LENGTH_MAX, Frame, FrameError};
+use agent_core::agent::inbox::Inbox;
+use agent_core::observer::network::InnerNetwork;
+use agent_core::math::numeric::all_finite;
+use agent_core::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
+use agent_core::observer::outer_law::OuterLawParams;
+use agent_core::observer::projection::ProjectionParams;
+use agent_core::math::symmetric::SymmetricMatrix;
+use agent_core::observer::trigger::TriggerParams;
 use agent_core::{AgentId, StateVector, Tick};
 use fuzz::Event;
 use libfuzzer_sys::fuzz_target;
@@ -31,18 +31,18 @@ const NEIGHBOURS: [Neighbour; 3] = [
     Neighbour { id: 300, weight: 2.0 },
 ];
 
-type Places = [Option<agent_core::hold::Hold<N>>; NEIGHBOURS.len()];
+type ParamBuffers = [Option<agent_core::agent::hold::Hold<N>>; NEIGHBOURS.len()];
 
 fuzz_target!(|data: &[u8]| {
     let params = params();
-    let mut state = AgentState::<N, 1, Places>::new(
+    let mut state = AgentState::<N, 1, ParamBuffers>::new(
         &params,
         StateVector::zeros(),
         &[0.0; N],
         [None; NEIGHBOURS.len()],
     )
     .expect("the parameters are valid");
-    let mut inbox = Inbox::<N, Places>::new([None; NEIGHBOURS.len()]);
+    let mut inbox = Inbox::<N, ParamBuffers>::new([None; NEIGHBOURS.len()]);
     let mut model = Model::default();
     let mut tick = 0;
     for event in Event::read(data) {
@@ -152,9 +152,9 @@ fn is_newer(frame: &Frame<N>, older: &Frame<N>) -> bool {
 /// A step takes all frames or none, and leaves nothing behind that is not finite.
 fn check_step(
     params: &AgentParams<'_, N>,
-    state: &mut AgentState<N, 1, Places>,
+    state: &mut AgentState<N, 1, ParamBuffers>,
     tick: u64,
-    inbox: &mut Inbox<N, Places>,
+    inbox: &mut Inbox<N, ParamBuffers>,
     model: &mut Model,
 ) {
     let (estimate, holds) = (*state.estimate(), state.neighbour_holds().to_vec());

@@ -3,7 +3,7 @@
 //! The input is a public key, a signature and a message.
 #![no_main]
 
-use agent_core::signature::{
+use agent_core::package::signature::{
     PUBLIC_KEY_LENGTH, PublicKey, SIGNATURE_LENGTH, SignatureMismatch, verify,
 };
 use libfuzzer_sys::fuzz_target;

@@ -16,7 +16,7 @@ mod nor_flash;
 #[path = "../../tests/store_model.rs"]
 mod store_model;
 
-use agent_core::checksum::crc32;
+use agent_core::wire::crc::crc32;
 use agent_core::store::{
     CheckedError, Layout, MappedFlash, RECORD_LENGTH, Slot, Store, StoreError,
 };

@@ -2,15 +2,16 @@
 
 use agent_core::AgentId;
 use agent_core::StateVector;
-use agent_core::activation::Activation;
-use agent_core::network::{Architecture, InnerNetwork, Layer, Scratch};
-use agent_core::outer_law::OuterLawParams;
+use agent_core::math::activation::Activation;
+use agent_core::observer::network::{Architecture, InnerNetwork, Layer, Scratch};
+use agent_core::observer::outer_law::OuterLawParams;
 use agent_core::package::{
-    NeighbourIds, Node, OnSwitch, Package, Provenance, StateBox, TrainingErrors,
+    NeighbourIds, AgentConfig, OnSwitch, Package, Provenance, TrainingErrors,
 };
-use agent_core::projection::ProjectionParams;
-use agent_core::symmetric::SymmetricMatrix;
-use agent_core::trigger::TriggerParams;
+use agent_core::agent::region::StateBox;
+use agent_core::observer::projection::ProjectionParams;
+use agent_core::math::symmetric::SymmetricMatrix;
+use agent_core::observer::trigger::TriggerParams;
 
 /// In which form a symmetric matrix is given.
 #[derive(Clone, Copy, Debug)]
@@ -99,7 +100,7 @@ impl SamplePackage {
         let gain = self.gain.entries(N);
         let outer_gain = self.outer_gain.entries(architecture.features());
         let neighbours: Vec<u8> = self.neighbours.iter().flat_map(|id| id.to_le_bytes()).collect();
-        let node = Node {
+        let node = AgentConfig {
             agent: self.agent,
             output_matrix: &output_matrix,
             gain: self.gain.matrix(&gain),

@@ -7,8 +7,8 @@
 //! cannot avoid: J of 12,600 × 425 (4,200 samples, 3 outputs) times its transpose, without
 //! computing J.
 
-use agent_core::activation::Activation;
-use agent_core::network::{Architecture, Layer};
+use agent_core::math::activation::Activation;
+use agent_core::observer::network::{Architecture, Layer};
 use divan::Bencher;
 use faer::linalg::matmul::{matmul, triangular};
 use faer::{Accum, Mat, Par};

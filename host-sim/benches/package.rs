@@ -1,7 +1,7 @@
 //! Everything that a node checks of a paper-sized package (2,096 bytes, 425 + 15 parameters,
 //! four test vectors), on the host: `cargo bench -p host-sim --bench package`.
 
-use agent_core::network::Scratch;
+use agent_core::observer::network::Scratch;
 use agent_core::package::{Capacity, Package, Requirements, accept};
 use divan::{Bencher, black_box};
 use host_sim::engine::{RunOptions, Silent, run};

@@ -7,13 +7,13 @@
 use std::collections::VecDeque;
 
 use agent_core::Tick;
-use agent_core::frame::Frame;
 use agent_core::service::{
     Event, Outcome, PROTOCOL_VERSION, Problem, RefusalReport, Request, State, Status, Subscription,
     receive,
 };
+use agent_core::wire::frame::Frame;
 use host_sim::service::Message;
-use host_sim::service::conversation::name;
+use host_sim::service::client::name;
 
 use super::line;
 use super::report::Tally;
@@ -112,7 +112,7 @@ impl Judge {
             }
             Request::Query => {
                 return match said.pop_front() {
-                    Some(Message::Status(status)) => self.described(&status),
+                    Some(Message::Status(status)) => self.scenario_builder(&status),
                     other => Err(instead("its status", other)),
                 };
             }
@@ -264,13 +264,13 @@ impl Judge {
             ..self.clone()
         };
         match receive::<Message<'_>>(greeting) {
-            Some(Message::Hello(status)) => self.described(&status),
+            Some(Message::Hello(status)) => self.scenario_builder(&status),
             other => Err(instead("its greeting", other)),
         }
     }
 
     /// Whether this is the node that all that happened has made.
-    fn described(&mut self, status: &Status) -> Result<(), String> {
+    fn scenario_builder(&mut self, status: &Status) -> Result<(), String> {
         let Some(package) = &status.package else { return Err("it has no package".to_owned()) };
         let store = &self.store;
         let found = (

@@ -1,7 +1,7 @@
 //! What becomes of frames on their way to one node, and frames that nobody has sent.
 
 use agent_core::StateVector;
-use agent_core::frame::Frame;
+use agent_core::wire::frame::Frame;
 use rand::seq::IndexedRandom;
 use rand::{Rng, RngExt};
 

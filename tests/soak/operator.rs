@@ -5,8 +5,8 @@
 
 use std::num::NonZeroU32;
 
-use agent_core::serial::Encoder;
 use agent_core::service::{CHUNK_LENGTH_MAX, Numbers, Request, Subscription};
+use agent_core::wire::cobs::Encoder;
 use rand::{Rng, RngExt};
 
 use super::judge::Judge;

@@ -4,8 +4,8 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use agent_core::serial::Decoder;
 use agent_core::service::receive;
+use agent_core::wire::cobs::Decoder;
 use host_sim::packages::PackageBytes;
 use host_sim::service::{Line, Message};
 

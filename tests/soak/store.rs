@@ -1,8 +1,8 @@
 //! What a node's store holds, as far as its answers tell, in a few lines of its own.
 
-use agent_core::checksum::crc32;
 use agent_core::service::{Problem, Upload};
 use agent_core::store::{Slot, StoreError};
+use agent_core::wire::crc::crc32;
 use host_sim::service::Message;
 
 use super::supply::Supply;

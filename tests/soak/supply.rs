@@ -7,7 +7,7 @@
 use std::collections::BTreeMap;
 use std::num::NonZeroU32;
 
-use agent_core::checksum::crc32;
+use agent_core::wire::crc::crc32;
 use host_sim::analysis::TriggerConstants;
 use host_sim::engine::{RunOptions, Silent, run};
 use host_sim::packages::trained::initial;
@@ -15,7 +15,7 @@ use host_sim::packages::{Draft, PackageBytes};
 use host_sim::scenario::{PAPER, Scenario, SwitchIn, Window};
 use rand::{Rng, RngExt};
 
-use crate::described::{Described, network, picks};
+use crate::scenario_builder::{Described, network, picks};
 
 /// Bytes of a package before its body.
 const HEADER: usize = 12;
@@ -222,9 +222,9 @@ impl Supply {
 
 /// A package of another network than the nodes have.
 fn untrained(dimension: usize, layers: &[(u8, &str)]) -> Vec<u8> {
-    let mut described = Described::linear(dimension, "path", [(picks(dimension, [0]), 2)]);
-    described.network = network(layers, "2.0");
-    let scenario = described.scenario();
+    let mut scenario_builder = Described::linear(dimension, "path", [(picks(dimension, [0]), 2)]);
+    scenario_builder.network = network(layers, "2.0");
+    let scenario = scenario_builder.scenario();
     let network = scenario.network.as_ref().unwrap();
     let inner = vec![0.1; network.architecture.parameter_count()];
     let trigger = TriggerConstants::new(&scenario);

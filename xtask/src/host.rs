@@ -80,7 +80,7 @@ pub(crate) fn lint() -> Result<(), Failure> {
     run(
         "documentation",
         cargo("doc").args(["--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"),
-        "mend the links and code blocks named above",
+        "hint the links and code blocks named above",
     )
 }
 

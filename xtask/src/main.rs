@@ -112,9 +112,9 @@ fn main() -> ExitCode {
             println!("xtask {}: ok, {seconds:.1} s", names[0]);
             ExitCode::SUCCESS
         }
-        Err(Failure { what, mend }) => {
+        Err(Failure { what, hint }) => {
             eprintln!("xtask {}: FAILED after {seconds:.1} s: {what}", names[0]);
-            eprintln!("  mend: {mend}");
+            eprintln!("  hint: {hint}");
             ExitCode::FAILURE
         }
     }

@@ -32,13 +32,13 @@ pub(crate) fn install(packages: &[&str]) -> Result<(), Failure> {
             ),
         ));
     }
-    let mend = "see what apt-get says; the packages are in Debian 12 with its security updates";
+    let hint = "see what apt-get says; the packages are in Debian 12 with its security updates";
     // An old list may offer a compiler that is too old, so it is always renewed.
-    run("package list", apt_get().args(["update"]), mend)?;
+    run("package list", apt_get().args(["update"]), hint)?;
     run(
         "packages",
         apt_get().args(["install", "--yes", "--no-install-recommends"]).args(packages),
-        mend,
+        hint,
     )
 }
 

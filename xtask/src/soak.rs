@@ -54,10 +54,10 @@ pub(crate) fn soak(options: &Options, debian: bool) -> Result<(), Failure> {
         .env("SOAK_FIRMWARE", &program)
         .env("SOAK_STEPS", options.steps.to_string())
         .env("SOAK_SEED", options.seed.to_string());
-    let mend = "the line with the seed says in which step which node went wrong; the same seed and \
+    let hint = "the line with the seed says in which step which node went wrong; the same seed and \
                 firmware go wrong there again";
     let mut passed = false;
-    run_reading("soak", &mut command, mend, |line| {
+    run_reading("soak", &mut command, hint, |line| {
         passed |= line.starts_with("test result: ok. 1 passed");
     })?;
     if passed { Ok(()) } else { Err(Failure::new("soak: it did not run", "see tests/soak.rs")) }

@@ -15,12 +15,12 @@ pub(crate) struct Failure {
     /// What failed.
     pub(crate) what: String,
     /// What mends it.
-    pub(crate) mend: String,
+    pub(crate) hint: String,
 }
 
 impl Failure {
-    pub(crate) fn new(what: impl Into<String>, mend: impl Into<String>) -> Self {
-        Self { what: what.into(), mend: mend.into() }
+    pub(crate) fn new(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { what: what.into(), hint: hint.into() }
     }
 }
 
@@ -52,10 +52,10 @@ pub(crate) fn cargo(task: &str) -> Command {
 /// Runs one step and lets its output through.
 ///
 /// # Errors
-/// The command cannot be started, or it ends with another status than 0; `mend` says what to
+/// The command cannot be started, or it ends with another status than 0; `hint` says what to
 /// do about that.
-pub(crate) fn run(name: &str, command: &mut Command, mend: &str) -> Result<(), Failure> {
-    run_reading(name, command, mend, |_| ())
+pub(crate) fn run(name: &str, command: &mut Command, hint: &str) -> Result<(), Failure> {
+    run_reading(name, command, hint, |_| ())
 }
 
 /// As [`run`], and shows every line of the standard output to `read`.
@@ -65,10 +65,10 @@ pub(crate) fn run(name: &str, command: &mut Command, mend: &str) -> Result<(), F
 pub(crate) fn run_reading(
     name: &str,
     command: &mut Command,
-    mend: &str,
+    hint: &str,
     mut read: impl FnMut(&str),
 ) -> Result<(), Failure> {
-    supervise(name, command, mend, Stream::Output, |line| {
+    supervise(name, command, hint, Stream::Output, |line| {
         read(line);
         true
     })
@@ -81,10 +81,10 @@ pub(crate) fn run_reading(
 pub(crate) fn run_filtering(
     name: &str,
     command: &mut Command,
-    mend: &str,
+    hint: &str,
     keep: impl FnMut(&str) -> bool,
 ) -> Result<(), Failure> {
-    supervise(name, command, mend, Stream::Errors, keep)
+    supervise(name, command, hint, Stream::Errors, keep)
 }
 
 /// Which of a command's outputs is read.
@@ -97,14 +97,14 @@ enum Stream {
 fn supervise(
     name: &str,
     command: &mut Command,
-    mend: &str,
+    hint: &str,
     stream: Stream,
     mut keep: impl FnMut(&str) -> bool,
 ) -> Result<(), Failure> {
     let shown = show(command);
     println!("==> {name}: {shown}");
     let start = Instant::now();
-    let failed = |reason: String| Failure::new(format!("{name}: `{shown}`: {reason}"), mend);
+    let failed = |reason: String| Failure::new(format!("{name}: `{shown}`: {reason}"), hint);
     match stream {
         Stream::Output => command.stdout(Stdio::piped()),
         Stream::Errors => command.stderr(Stdio::piped()),

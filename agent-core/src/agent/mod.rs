@@ -27,22 +27,25 @@
 //! Invariants: every number in the state is finite; an error leaves state and inbox as they
 //! were before the call.
 
+pub mod capture;
 mod error;
+pub mod hold;
+pub mod inbox;
 mod params;
+pub mod region;
 mod restart;
-mod switch;
 
 pub use error::StepError;
 pub use params::AgentParams;
 
-use crate::capture::Sample;
-use crate::frame::Frame;
-use crate::hold::Hold;
-use crate::inbox::Inbox;
-use crate::network::{InnerNetwork, Scratch};
-use crate::numeric::{add_scaled, all_finite, components, difference, product, zeros};
-use crate::outer_law::OuterWeights;
-use crate::parameter::{ParameterError, finite};
+use crate::agent::capture::Sample;
+use crate::agent::hold::Hold;
+use crate::agent::inbox::Inbox;
+use crate::math::numeric::{add_scaled, all_finite, components, difference, product, zeros};
+use crate::math::parameter::{ParameterError, finite};
+use crate::observer::network::{InnerNetwork, Scratch};
+use crate::observer::outer_law::OuterWeights;
+use crate::wire::frame::Frame;
 use crate::{StateVector, Tick};
 
 /// What a step returns.
@@ -335,6 +338,17 @@ where
         outer_weights: &[f32],
     ) -> Result<(), ParameterError> {
         self.outer_weights.replace(outer_weights, &params.outer_law)
+    }
+
+    /// Drops the held samples of neighbours that do not stay in their place.
+    pub(crate) fn keep_neighbours(&mut self, stays: impl Fn(usize) -> bool) {
+        for (place, hold) in self.neighbour_holds.as_mut().iter_mut().enumerate() {
+            if !stays(place) {
+                *hold = None;
+            }
+        }
+        // The weights of the edges may differ, too.
+        self.consensus_is_current = false;
     }
 
     /// `x_hat_i`, at the tick after the last step.

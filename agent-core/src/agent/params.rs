@@ -2,12 +2,12 @@
 
 use nalgebra::SMatrix;
 
-use crate::hold::RESTART_SILENCE;
-use crate::observer::{Neighbour, ObserverParams};
-use crate::outer_law::OuterLawParams;
-use crate::parameter::{ParameterError, positive};
-use crate::projection::ProjectionParams;
-use crate::trigger::TriggerParams;
+use crate::agent::hold::RESTART_SILENCE;
+use crate::math::parameter::{ParameterError, positive};
+use crate::observer::feedback::{Neighbour, ObserverParams};
+use crate::observer::outer_law::OuterLawParams;
+use crate::observer::projection::ProjectionParams;
+use crate::observer::trigger::TriggerParams;
 use crate::{AgentId, Tick};
 
 /// Everything about an agent that does not change, checked as a whole.

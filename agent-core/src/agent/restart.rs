@@ -2,11 +2,11 @@
 
 use super::AgentParams;
 use super::AgentState;
-use crate::frame::Frame;
-use crate::hold::Hold;
-use crate::numeric::{components, zeros};
-use crate::parameter::{ParameterError, finite};
-use crate::region::Region;
+use crate::agent::hold::Hold;
+use crate::agent::region::Region;
+use crate::math::numeric::{components, zeros};
+use crate::math::parameter::{ParameterError, finite};
+use crate::wire::frame::Frame;
 use crate::{StateVector, Tick};
 
 impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S>

@@ -49,7 +49,7 @@
 //! estimate and up to `4 N` for another. With `N = 3` a healthy step without a broadcast takes
 //! about 95 instructions of a Cortex-M4F, counted by hand in the machine code.
 //!
-//! [`StateBox`]: crate::package::StateBox
+//! [`StateBox`]: crate::agent::region::StateBox
 
 mod counters;
 mod params;
@@ -60,11 +60,11 @@ pub use params::{FallBack, HealthParams, HealthSettings};
 pub use probation::Probation;
 
 use crate::Tick;
+use crate::agent::hold::Hold;
+use crate::agent::inbox::Inbox;
 use crate::agent::{AgentParams, AgentState, StepError, StepOutput};
-use crate::frame::{Frame, FrameError};
-use crate::hold::Hold;
-use crate::inbox::Inbox;
-use crate::parameter::ParameterError;
+use crate::math::parameter::ParameterError;
+use crate::wire::frame::{Frame, FrameError};
 
 /// What to do after a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

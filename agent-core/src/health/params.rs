@@ -4,9 +4,9 @@ use core::num::NonZeroU32;
 
 use crate::StateVector;
 use crate::agent::AgentParams;
-use crate::package::StateBox;
-use crate::parameter::{ParameterError, not_negative, positive};
-use crate::region::Region;
+use crate::agent::region::Region;
+use crate::agent::region::StateBox;
+use crate::math::parameter::{ParameterError, not_negative, positive};
 
 /// When the inner network is left out, and when it is used again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -112,7 +112,7 @@ impl<const N: usize> HealthParams<N> {
         })
     }
 
-    /// Where estimates are believed: for [`Inbox::accept_within`](crate::inbox::Inbox::accept_within).
+    /// Where estimates are believed: for [`Inbox::accept_within`](crate::agent::inbox::Inbox::accept_within).
     #[must_use]
     pub fn plausible_region(&self) -> &Region<N> {
         &self.plausible

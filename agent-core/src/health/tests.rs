@@ -3,15 +3,15 @@
 use core::num::NonZeroU32;
 
 use super::*;
-use crate::activation::Activation;
-use crate::network::{Architecture, InnerNetwork, Layer};
-use crate::observer::{Neighbour, ObserverParams, OutputMatrix};
-use crate::outer_law::OuterLawParams;
-use crate::package::StateBox;
-use crate::projection::ProjectionParams;
-use crate::region::Region;
-use crate::symmetric::SymmetricMatrix;
-use crate::trigger::TriggerParams;
+use crate::agent::region::Region;
+use crate::agent::region::StateBox;
+use crate::math::activation::Activation;
+use crate::math::symmetric::SymmetricMatrix;
+use crate::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
+use crate::observer::network::{Architecture, InnerNetwork, Layer};
+use crate::observer::outer_law::OuterLawParams;
+use crate::observer::projection::ProjectionParams;
+use crate::observer::trigger::TriggerParams;
 use nalgebra::SMatrix;
 
 const NEIGHBOURS: [Neighbour; 1] = [Neighbour { id: 9, weight: 1.0 }];

@@ -8,10 +8,10 @@
 use super::{Envelope, Package, PackageError};
 use crate::AgentId;
 use crate::StateVector;
-use crate::network::Scratch;
-use crate::numeric::{components_mut, zeros};
-use crate::parameter::{ParameterError, finite, not_negative, positive};
-use crate::signature::{PublicKey, verify};
+use crate::math::numeric::{components_mut, zeros};
+use crate::math::parameter::{ParameterError, finite, not_negative, positive};
+use crate::observer::network::Scratch;
+use crate::package::signature::{PublicKey, verify};
 
 /// What a node demands of a package.
 #[derive(Clone, Copy, Debug)]
@@ -256,7 +256,7 @@ fn check_test_vectors<const N: usize>(
     Ok(())
 }
 
-/// `W_hat^T sigma` as [`crate::outer_law::OuterWeights::combine`] computes it, from weights in
+/// `W_hat^T sigma` as [`crate::observer::outer_law::OuterWeights::combine`] computes it, from weights in
 /// place.
 fn combine<const N: usize>(outer_weights: &[f32], features: &[f32]) -> StateVector<N> {
     let mut output = zeros();

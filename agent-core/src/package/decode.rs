@@ -2,13 +2,14 @@
 
 use super::wire::{CONSTANTS, Counts, Metadata};
 use super::{
-    Envelope, HEADER_LENGTH, NeighbourIds, Node, Package, PackageError, StateBox, TEST_VECTORS_MAX,
+    AgentConfig, Envelope, HEADER_LENGTH, NeighbourIds, Package, PackageError, TEST_VECTORS_MAX,
 };
-use crate::codec::Reader;
-use crate::network::{Architecture, InnerNetwork};
-use crate::outer_law::OuterLawParams;
-use crate::projection::ProjectionParams;
-use crate::trigger::TriggerParams;
+use crate::agent::region::StateBox;
+use crate::observer::network::{Architecture, InnerNetwork};
+use crate::observer::outer_law::OuterLawParams;
+use crate::observer::projection::ProjectionParams;
+use crate::observer::trigger::TriggerParams;
+use crate::wire::codec::Reader;
 
 /// Numbers are words of this many bytes, at addresses that are multiples of it.
 pub(super) const WORD: usize = size_of::<f32>();
@@ -114,7 +115,7 @@ fn assemble<'a>(
         outer_weights_on_switch: metadata.outer_weights_on_switch,
         network,
         outer_weights,
-        node: Node {
+        node: AgentConfig {
             agent: metadata.agent,
             output_matrix,
             gain,

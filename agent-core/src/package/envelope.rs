@@ -15,8 +15,8 @@
 //! Invariant: of two byte strings that differ in one bit at most one is an envelope.
 
 use super::PackageError;
-use crate::checksum::{CHECKSUM_LENGTH, crc32};
-use crate::signature::SIGNATURE_LENGTH;
+use crate::package::signature::SIGNATURE_LENGTH;
+use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 
 /// What every package starts with: observer weight package.
 pub const MAGIC: [u8; 3] = *b"OWP";

@@ -1,7 +1,7 @@
 //! Why bytes are no package.
 
 use super::{FORMAT_VERSION, TEST_VECTORS_MAX};
-use crate::network::NetworkError;
+use crate::observer::network::NetworkError;
 
 /// Why bytes are no package.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -26,6 +26,8 @@ mod encode;
 mod envelope;
 mod error;
 mod place;
+pub mod signature;
+mod switch;
 mod wire;
 
 pub use accept::{Capacity, InUse, Refusal, Requirements, accept};
@@ -41,12 +43,13 @@ use serde::Serialize;
 use crate::AgentId;
 use crate::StateVector;
 use crate::agent::AgentParams;
-use crate::network::InnerNetwork;
-use crate::observer::{Neighbour, ObserverParams, OutputMatrix};
-use crate::outer_law::OuterLawParams;
-use crate::parameter::ParameterError;
-use crate::symmetric::SymmetricMatrix;
-use crate::trigger::TriggerParams;
+use crate::agent::region::StateBox;
+use crate::math::parameter::ParameterError;
+use crate::math::symmetric::SymmetricMatrix;
+use crate::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
+use crate::observer::network::InnerNetwork;
+use crate::observer::outer_law::OuterLawParams;
+use crate::observer::trigger::TriggerParams;
 
 /// Most test vectors that a package can carry: enough to light up every node of a layer, few
 /// enough that a node checks them between two steps.
@@ -67,7 +70,7 @@ pub struct Package<'a> {
     /// `W_hat` to start from, row by row, shape `[L, n]`.
     pub outer_weights: &'a [f32],
     /// What makes the node this agent.
-    pub node: Node<'a>,
+    pub node: AgentConfig<'a>,
     /// Time between broadcasts that Theorem 2 guarantees on the trajectories that the network
     /// was trained on; 0 where none is known. \[s\]
     pub broadcast_interval_min: f32,
@@ -83,7 +86,7 @@ pub struct Package<'a> {
 /// Everything about an agent but its network: what a node needs to run the observer on its
 /// feedback alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Node<'a> {
+pub struct AgentConfig<'a> {
     /// The agent's number.
     pub agent: AgentId,
     /// `C_i`, row by row, shape `[m, n]`.
@@ -109,25 +112,6 @@ pub enum OnSwitch {
     Keep,
     /// They are replaced by the package's, because inner and outer layers were trained together.
     Replace,
-}
-
-/// A box in state space.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StateBox<'a> {
-    /// Least value of each component, shape `[n]`.
-    pub low: &'a [f32],
-    /// Largest value of each component, shape `[n]`.
-    pub high: &'a [f32],
-}
-
-impl StateBox<'_> {
-    /// Whether every component of `x` lies within its limits.
-    #[inline]
-    #[must_use]
-    pub fn contains(&self, x: &[f32]) -> bool {
-        let limits = self.low.iter().zip(self.high);
-        limits.zip(x).all(|((low, high), x)| low <= x && x <= high)
-    }
 }
 
 /// Agent numbers in place, two little-endian bytes each.
@@ -236,7 +220,7 @@ impl<'a> Package<'a> {
     }
 }
 
-impl Node<'_> {
+impl AgentConfig<'_> {
     /// `m`, how many outputs the agent of a state with `dimension` components measures.
     #[must_use]
     pub fn outputs(&self, dimension: usize) -> usize {

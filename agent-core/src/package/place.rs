@@ -7,7 +7,7 @@
 
 use super::Package;
 use super::decode::WORD;
-use crate::network::{Architecture, InnerNetwork};
+use crate::observer::network::{Architecture, InnerNetwork};
 
 /// The inner network of a package that has been decoded, as a place in its bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -6,11 +6,11 @@ use std::vec;
 use std::vec::Vec;
 
 use super::*;
-use crate::activation::Activation;
 use crate::agent::AgentState;
-use crate::frame::Frame;
-use crate::inbox::Inbox;
-use crate::network::{Architecture, Layer, NetworkError, Scratch};
+use crate::agent::inbox::Inbox;
+use crate::math::activation::Activation;
+use crate::observer::network::{Architecture, Layer, NetworkError, Scratch};
+use crate::wire::frame::Frame;
 use proptest::prelude::*;
 
 /// A package's bytes, beginning on a multiple of four.
@@ -76,7 +76,7 @@ impl Content {
             outer_weights_on_switch: OnSwitch::Keep,
             network: InnerNetwork::new(architecture, &self.inner[..]).unwrap(),
             outer_weights: &self.outer_weights,
-            node: Node {
+            node: AgentConfig {
                 agent: 7,
                 output_matrix: &[1.0, 0.0],
                 gain: SymmetricMatrix::Full(&self.gain),
@@ -84,7 +84,7 @@ impl Content {
                 edge_weights: &self.edge_weights,
                 outer_law: OuterLawParams {
                     gain: SymmetricMatrix::Scalar(3.0),
-                    projection: crate::projection::ProjectionParams {
+                    projection: crate::observer::projection::ProjectionParams {
                         radius: 9.0,
                         boundary_layer: 1.0,
                         smoothing: 0.1,

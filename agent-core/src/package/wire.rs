@@ -1,15 +1,15 @@
 //! The metadata of a package as postcard writes them, and how many numbers follow from them.
 //!
-//! Writing is serde's. Reading is by hand, since a node does it: see [`crate::codec`].
+//! Writing is serde's. Reading is by hand, since a node does it: see [`crate::wire::codec`].
 
 use serde::Serialize;
 
 use super::{OnSwitch, Provenance, TrainingErrors, test_vector_length};
 use crate::AgentId;
-use crate::activation::Activation;
-use crate::codec::Reader;
-use crate::network::{Architecture, INNER_LAYERS_MAX, Layer};
-use crate::symmetric::SymmetricMatrix;
+use crate::math::activation::Activation;
+use crate::math::symmetric::SymmetricMatrix;
+use crate::observer::network::{Architecture, INNER_LAYERS_MAX, Layer};
+use crate::wire::codec::Reader;
 
 /// Everything in a body that is not one of its numbers.
 #[derive(Serialize)]

@@ -21,7 +21,7 @@
 //! Repeating a chunk does no harm. docs/decisions/0007-weight-store.md says what a loss of power does.
 //!
 //! # On the wire
-//! Each message is encoded by postcard and framed by [`crate::serial`]. Both enumerations only grow
+//! Each message is encoded by postcard and framed by [`crate::wire::cobs`]. Both enumerations only grow
 //! at their ends; [`PROTOCOL_VERSION`] changes when that is not enough.
 //!
 //! Invariant: any bytes are a request or none; no request makes a node panic.
@@ -81,7 +81,7 @@ impl<'a, V: Deserialize<'a>> Message<'a> for Response<'a, V> {
 
 /// The message that `bytes` hold, and nothing but it; `None` if they hold none.
 ///
-/// `bytes` are what [`crate::serial::Decoder`] returned.
+/// `bytes` are what [`crate::wire::cobs::Decoder`] returned.
 #[must_use]
 pub fn receive<'a, M: Message<'a>>(bytes: &'a [u8]) -> Option<M> {
     M::decode(bytes)

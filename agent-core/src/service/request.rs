@@ -5,9 +5,9 @@ use core::num::NonZeroU32;
 use serde::Serialize;
 
 use super::Message;
+use crate::INPUTS_MAX;
 use crate::Tick;
-use crate::codec::Reader;
-use crate::network::INPUTS_MAX;
+use crate::wire::codec::Reader;
 
 /// Components of a state or of a measurement.
 pub type Numbers = heapless::Vec<f32, INPUTS_MAX>;
@@ -69,7 +69,7 @@ pub enum Request<'a> {
     },
 }
 
-// By hand, since a node does it: see `crate::codec`. Writing is serde's.
+// By hand, since a node does it: see `crate::wire::codec`. Writing is serde's.
 impl<'a> Message<'a> for Request<'a> {
     #[inline(never)]
     fn decode(bytes: &'a [u8]) -> Option<Self> {

@@ -7,13 +7,13 @@ use embedded_storage::nor_flash::NorFlashErrorKind;
 use proptest::prelude::*;
 
 use super::*;
+use crate::INPUTS_MAX;
 use crate::StateVector;
-use crate::frame::FRAME_LENGTH_MAX;
 use crate::health::HealthCounters;
-use crate::network::INPUTS_MAX;
 use crate::package::Refusal;
-use crate::serial::Decoder;
 use crate::store::{Slot, StoreError};
+use crate::wire::cobs::Decoder;
+use crate::wire::frame::FRAME_LENGTH_MAX;
 
 /// The bytes between framing, as a receiver finds them.
 fn sent(message: &impl serde::Serialize) -> Vec<u8> {

@@ -10,14 +10,14 @@ use serde::ser::{
     Serializer,
 };
 
-use crate::serial::Encoder;
+use crate::wire::cobs::Encoder;
 
 /// Writes one message into the stream.
 pub(super) struct Writer<S>(Encoder<S>);
 
 /// Something that no message consists of: a map, or a sequence that does not know its length.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct NoMessage;
+pub(super) struct Unsupported;
 
 impl<S: FnMut(&[u8])> Writer<S> {
     pub(super) fn new(sink: S) -> Self {
@@ -64,25 +64,25 @@ impl<S: FnMut(&[u8])> Writer<S> {
     }
 }
 
-impl serde::ser::Error for NoMessage {
+impl serde::ser::Error for Unsupported {
     fn custom<T: core::fmt::Display>(_: T) -> Self {
         Self
     }
 }
 
-impl core::fmt::Display for NoMessage {
+impl core::fmt::Display for Unsupported {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str("no message consists of this")
     }
 }
 
-impl core::error::Error for NoMessage {}
+impl core::error::Error for Unsupported {}
 
 /// What is written as something else is.
 macro_rules! written_as {
     ($($method:ident($type:ty) as $other:ident,)*) => {$(
         #[inline(always)]
-        fn $method(self, value: $type) -> Result<(), NoMessage> {
+        fn $method(self, value: $type) -> Result<(), Unsupported> {
             self.$other(value.into());
             Ok(())
         }
@@ -92,20 +92,20 @@ macro_rules! written_as {
 /// What no message consists of.
 macro_rules! not_written {
     ($($method:ident($($type:ty),*) -> $output:ty,)*) => {$(
-        fn $method(self, $(_: $type),*) -> Result<$output, NoMessage> {
-            Err(NoMessage)
+        fn $method(self, $(_: $type),*) -> Result<$output, Unsupported> {
+            Err(Unsupported)
         }
     )*};
 }
 
 impl<S: FnMut(&[u8])> Serializer for &mut Writer<S> {
     type Ok = ();
-    type Error = NoMessage;
+    type Error = Unsupported;
     type SerializeSeq = Self;
     type SerializeTuple = Self;
-    type SerializeTupleStruct = Impossible<(), NoMessage>;
-    type SerializeTupleVariant = Impossible<(), NoMessage>;
-    type SerializeMap = Impossible<(), NoMessage>;
+    type SerializeTupleStruct = Impossible<(), Unsupported>;
+    type SerializeTupleVariant = Impossible<(), Unsupported>;
+    type SerializeMap = Impossible<(), Unsupported>;
     type SerializeStruct = Self;
     type SerializeStructVariant = Self;
 
@@ -128,24 +128,24 @@ impl<S: FnMut(&[u8])> Serializer for &mut Writer<S> {
         serialize_str(&str) -> (),
         serialize_unit() -> (),
         serialize_unit_struct(&'static str) -> (),
-        serialize_map(Option<usize>) -> Impossible<(), NoMessage>,
-        serialize_tuple_struct(&'static str, usize) -> Impossible<(), NoMessage>,
-        serialize_tuple_variant(&'static str, u32, &'static str, usize) -> Impossible<(), NoMessage>,
+        serialize_map(Option<usize>) -> Impossible<(), Unsupported>,
+        serialize_tuple_struct(&'static str, usize) -> Impossible<(), Unsupported>,
+        serialize_tuple_variant(&'static str, u32, &'static str, usize) -> Impossible<(), Unsupported>,
     }
 
     #[inline(always)]
-    fn serialize_bytes(self, bytes: &[u8]) -> Result<(), NoMessage> {
+    fn serialize_bytes(self, bytes: &[u8]) -> Result<(), Unsupported> {
         self.bytes(bytes);
         Ok(())
     }
 
     #[inline(always)]
-    fn serialize_none(self) -> Result<(), NoMessage> {
+    fn serialize_none(self) -> Result<(), Unsupported> {
         self.serialize_bool(false)
     }
 
     #[inline(always)]
-    fn serialize_some<T: Serialize + ?Sized>(self, value: &T) -> Result<(), NoMessage> {
+    fn serialize_some<T: Serialize + ?Sized>(self, value: &T) -> Result<(), Unsupported> {
         self.byte(1);
         value.serialize(self)
     }
@@ -155,7 +155,7 @@ impl<S: FnMut(&[u8])> Serializer for &mut Writer<S> {
         self,
         _: &'static str,
         value: &T,
-    ) -> Result<(), NoMessage> {
+    ) -> Result<(), Unsupported> {
         value.serialize(self)
     }
 
@@ -165,7 +165,7 @@ impl<S: FnMut(&[u8])> Serializer for &mut Writer<S> {
         _: &'static str,
         index: u32,
         _: &'static str,
-    ) -> Result<(), NoMessage> {
+    ) -> Result<(), Unsupported> {
         self.serialize_u32(index)
     }
 
@@ -176,7 +176,7 @@ impl<S: FnMut(&[u8])> Serializer for &mut Writer<S> {
         index: u32,
         _: &'static str,
         value: &T,
-    ) -> Result<(), NoMessage> {
+    ) -> Result<(), Unsupported> {
         self.integer(index);
         value.serialize(self)
     }
@@ -188,29 +188,29 @@ impl<S: FnMut(&[u8])> Serializer for &mut Writer<S> {
         index: u32,
         _: &'static str,
         _: usize,
-    ) -> Result<Self, NoMessage> {
+    ) -> Result<Self, Unsupported> {
         self.integer(index);
         Ok(self)
     }
 
     #[inline(always)]
-    fn serialize_struct(self, _: &'static str, _: usize) -> Result<Self, NoMessage> {
+    fn serialize_struct(self, _: &'static str, _: usize) -> Result<Self, Unsupported> {
         Ok(self)
     }
 
     #[inline(always)]
-    fn serialize_seq(self, length: Option<usize>) -> Result<Self, NoMessage> {
-        self.integer(length.ok_or(NoMessage)? as u32);
+    fn serialize_seq(self, length: Option<usize>) -> Result<Self, Unsupported> {
+        self.integer(length.ok_or(Unsupported)? as u32);
         Ok(self)
     }
 
     #[inline(always)]
-    fn serialize_tuple(self, _: usize) -> Result<Self, NoMessage> {
+    fn serialize_tuple(self, _: usize) -> Result<Self, Unsupported> {
         Ok(self)
     }
 
-    fn collect_str<T: core::fmt::Display + ?Sized>(self, _: &T) -> Result<(), NoMessage> {
-        Err(NoMessage)
+    fn collect_str<T: core::fmt::Display + ?Sized>(self, _: &T) -> Result<(), Unsupported> {
+        Err(Unsupported)
     }
 
     fn is_human_readable(&self) -> bool {
@@ -223,19 +223,19 @@ macro_rules! written_one_by_one {
     ($($trait:ident::$method:ident($($key:ty)?),)*) => {$(
         impl<S: FnMut(&[u8])> $trait for &mut Writer<S> {
             type Ok = ();
-            type Error = NoMessage;
+            type Error = Unsupported;
 
             #[inline(always)]
             fn $method<T: Serialize + ?Sized>(
                 &mut self,
                 $(_: $key,)?
                 value: &T,
-            ) -> Result<(), NoMessage> {
+            ) -> Result<(), Unsupported> {
                 value.serialize(&mut **self)
             }
 
             #[inline(always)]
-            fn end(self) -> Result<(), NoMessage> {
+            fn end(self) -> Result<(), Unsupported> {
                 Ok(())
             }
         }

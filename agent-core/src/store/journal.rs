@@ -30,7 +30,7 @@
 use super::flash::{MappedFlash, driver_error, erase_unit};
 use super::record::{Contents, RECORD_LENGTH};
 use super::{Layout, Slot, StoreError};
-use crate::sequence::is_newer;
+use crate::wire::sequence::is_newer;
 
 /// A half of the commit area.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

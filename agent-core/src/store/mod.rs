@@ -54,7 +54,7 @@ pub use flash::MappedFlash;
 pub use layout::{Layout, LayoutError, Part};
 pub use record::{FORMAT, RECORD_LENGTH, factory_record};
 
-use crate::checksum::crc32;
+use crate::wire::crc::crc32;
 use flash::{assert_units, bytes_at};
 use journal::Journal;
 use record::{Contents, Extent, Phase};

@@ -16,7 +16,7 @@
 //! is a multiple of every supported word, so that no two records share one. Bytes of erased and
 //! of zeroed flash are no records.
 
-use crate::checksum::{CHECKSUM_LENGTH, crc32};
+use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 
 use super::Slot;
 

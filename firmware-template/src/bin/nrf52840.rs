@@ -35,11 +35,11 @@ use core::num::NonZeroU32;
 use core::panic::PanicInfo;
 use core::ptr::NonNull;
 
-use agent_core::frame::FRAME_LENGTH_MAX;
 use agent_core::health::HealthSettings;
+use agent_core::package::signature::PublicKey;
 use agent_core::service::Subscription;
-use agent_core::signature::PublicKey;
 use agent_core::store::MappedFlash;
+use agent_core::wire::frame::FRAME_LENGTH_MAX;
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_rt::{ExceptionFrame, entry, exception};
 use critical_section::Mutex;
@@ -92,7 +92,7 @@ const HEARTBEAT: u32 = 1_600_000;
 /// 8 s, far above the 0.6 s that the pages of a slot take to erase. \[1/32768 s\]
 const WATCHDOG_PERIOD: u32 = 8 * 32_768;
 /// How long what is queued for the service port may take to leave, before a reset. \[cycle\]
-const LAST_WORDS: u32 = 64_000_000 / 10;
+const FLUSH_DELAY_CYCLES: u32 = 64_000_000 / 10;
 
 /// The radio needs the crystal, nothing here a clock that runs on while the chip sleeps.
 type ClocksForRadio = Clocks<ExternalOscillator, Internal, LfOscStopped>;
@@ -134,7 +134,7 @@ fn main() -> ! {
 
     // Two bytes of the number that the factory gave this chip.
     let address = chip.FICR.deviceid[0].read().bits() as u16;
-    let link = Air::new(Radio::init(chip.RADIO, clocks), buffer, address);
+    let link = RadioLink::new(Radio::init(chip.RADIO, clocks), buffer, address);
     let clock = Timer::new(chip.TIMER1, watchdog);
     for interrupt in [Interrupt::TIMER1, Interrupt::UARTE0_UART0, Interrupt::RADIO] {
         // SAFETY: what the handlers use is in place, and nobody relies on their being masked.
@@ -162,7 +162,7 @@ fn main() -> ! {
     if let Ok(node) = &mut node {
         node.run(&mut board);
     }
-    cortex_m::asm::delay(LAST_WORDS);
+    cortex_m::asm::delay(FLUSH_DELAY_CYCLES);
     SCB::sys_reset()
 }
 
@@ -357,7 +357,7 @@ fn RADIO() {
 }
 
 /// The link through the radio: the HAL sets it up and sends, the interrupt receives.
-struct Air {
+struct RadioLink {
     radio: Radio<'static>,
     packet: Packet,
     address: u16,
@@ -366,7 +366,7 @@ struct Air {
     random: u32,
 }
 
-impl Air {
+impl RadioLink {
     fn new(
         mut radio: Radio<'static>,
         buffer: &'static mut [u8; Receiver::BUFFER],
@@ -393,7 +393,7 @@ impl Air {
     }
 }
 
-impl Link for Air {
+impl Link for RadioLink {
     type Error = Lost;
 
     fn send(&mut self, frame: &[u8]) -> Result<(), Lost> {

@@ -22,8 +22,8 @@ use core::convert::Infallible;
 use core::num::NonZeroU32;
 
 use agent_core::health::HealthSettings;
+use agent_core::package::signature::PublicKey;
 use agent_core::service::Subscription;
-use agent_core::signature::PublicKey;
 use agent_core::store::MappedFlash;
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_semihosting::{nr, syscall};

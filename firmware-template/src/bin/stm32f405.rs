@@ -33,14 +33,14 @@ use core::num::NonZeroU32;
 use core::panic::PanicInfo;
 
 use agent_core::health::HealthSettings;
-use agent_core::outer_law::OuterLawParams;
-use agent_core::package::{NeighbourIds, Node as NodeContent};
-use agent_core::projection::ProjectionParams;
+use agent_core::math::symmetric::SymmetricMatrix;
+use agent_core::observer::outer_law::OuterLawParams;
+use agent_core::observer::projection::ProjectionParams;
+use agent_core::observer::trigger::TriggerParams;
+use agent_core::package::signature::PublicKey;
+use agent_core::package::{AgentConfig, NeighbourIds};
 use agent_core::service::Subscription;
-use agent_core::signature::PublicKey;
 use agent_core::store::MappedFlash;
-use agent_core::symmetric::SymmetricMatrix;
-use agent_core::trigger::TriggerParams;
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_rt::{ExceptionFrame, entry, exception};
 use critical_section::Mutex;
@@ -89,7 +89,7 @@ const WATCHDOG_PERIOD: u32 = 8_000;
 const SERVICE_BAUD: u32 = 115_200;
 const LINK_BAUD: u32 = 1_000_000;
 /// How long what is queued for the service port may take to leave, before a reset. \[cycle\]
-const LAST_WORDS: u32 = 168_000_000 / 10;
+const FLUSH_DELAY_CYCLES: u32 = 168_000_000 / 10;
 
 type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>;
 
@@ -160,14 +160,14 @@ fn main() -> ! {
     if let Ok(node) = &mut node {
         node.run(&mut board);
     }
-    cortex_m::asm::delay(LAST_WORDS);
+    cortex_m::asm::delay(FLUSH_DELAY_CYCLES);
     SCB::sys_reset()
 }
 
 /// Agent 1 of the paper, which measures the first state component and hears agents 2 and 3: what
 /// the node is until it gets a package. The numbers are those of host-sim's scenario `paper`.
-fn fallback() -> Option<NodeContent<'static>> {
-    Some(NodeContent {
+fn fallback() -> Option<AgentConfig<'static>> {
+    Some(AgentConfig {
         agent: 1,
         output_matrix: &[1.0, 0.0, 0.0],
         gain: SymmetricMatrix::Diagonal(&[134.86, 263.23, 263.23]),

@@ -2,18 +2,18 @@
 
 use agent_core::StateVector;
 use agent_core::agent::AgentParams;
-use agent_core::checksum::crc32;
+use agent_core::agent::region::StateBox;
 use agent_core::health::HealthParams;
-use agent_core::network::Scratch;
-use agent_core::observer::Neighbour;
+use agent_core::observer::feedback::Neighbour;
+use agent_core::observer::network::Scratch;
 use agent_core::package::{
-    Capacity, Envelope, InUse, NetworkPlace, Package, PackageError, Refusal, Requirements,
-    StateBox, accept,
+    Capacity, Envelope, InUse, NetworkPlace, Package, PackageError, Refusal, Requirements, accept,
 };
 use agent_core::service::RefusalReport;
 use agent_core::store::{self, MappedFlash, Store};
+use agent_core::wire::crc::crc32;
 
-use super::{Agent, InUsePackage, Node, Places, Session};
+use super::{Agent, InUsePackage, Node, ParamBuffers, Session};
 
 impl<
     F: MappedFlash,
@@ -66,10 +66,10 @@ impl<
     #[inline(never)]
     pub(super) fn begin_session<'a>(
         &mut self,
-        places: &'a mut Places<NEIGHBOURS, GAINS>,
+        places: &'a mut ParamBuffers<NEIGHBOURS, GAINS>,
         old: &[Neighbour],
     ) -> Option<Session<'a, N>> {
-        let Places { neighbours, gain } = places;
+        let ParamBuffers { neighbours, gain } = places;
         let slot = self.in_use.map(|package| package.slot);
         let bytes = slot.and_then(|slot| self.store.bytes(slot));
         let package = bytes.and_then(|bytes| Package::decode(bytes).ok());

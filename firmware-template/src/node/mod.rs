@@ -29,19 +29,19 @@ mod turn;
 use core::num::NonZeroU32;
 
 use agent_core::Tick;
+use agent_core::agent::capture::CaptureRing;
+use agent_core::agent::hold::Hold;
+use agent_core::agent::inbox::Inbox;
 use agent_core::agent::{AgentParams, AgentState};
-use agent_core::capture::CaptureRing;
 use agent_core::health::{Health, HealthParams, HealthSettings, Probation};
-use agent_core::hold::Hold;
-use agent_core::inbox::Inbox;
-use agent_core::network::Scratch;
-use agent_core::observer::Neighbour;
-use agent_core::package::{NetworkPlace, Node as NodeContent};
+use agent_core::observer::feedback::Neighbour;
+use agent_core::observer::network::Scratch;
+use agent_core::package::signature::PublicKey;
+use agent_core::package::{AgentConfig, NetworkPlace};
 use agent_core::service::{
     Event, Firmware, PROTOCOL_VERSION, PackageStatus, RefusalReport, Request, Response, Rows,
     Status, Subscription, send,
 };
-use agent_core::signature::PublicKey;
 use agent_core::store::{Layout, LayoutError, MappedFlash, Slot, Store};
 
 use crate::board::{Board, RequestBuffer};
@@ -62,7 +62,7 @@ pub struct Settings {
     /// What the node says without being asked, until somebody asks for something else.
     pub subscription: Subscription,
     /// The agent that the node is while it has no package; `None` if its package is to say.
-    pub fallback: Option<NodeContent<'static>>,
+    pub fallback: Option<AgentConfig<'static>>,
     /// Tells how many bytes of the stack have never been used, if the board can.
     pub stack_unused: Option<fn() -> u32>,
     /// Version of the firmware: major, minor, patch.
@@ -165,7 +165,7 @@ struct Counts {
 
 /// What the parameters of a session are made of.
 #[derive(Clone, Copy, Debug)]
-struct Places<const NEIGHBOURS: usize, const GAINS: usize> {
+struct ParamBuffers<const NEIGHBOURS: usize, const GAINS: usize> {
     neighbours: [Neighbour; NEIGHBOURS],
     gain: [f32; GAINS],
 }
@@ -232,7 +232,7 @@ impl<
         self.hello(board);
         let mut old = heapless::Vec::<Neighbour, NEIGHBOURS>::new();
         loop {
-            let mut places = Places {
+            let mut places = ParamBuffers {
                 neighbours: [Neighbour { id: 0, weight: 0.0 }; NEIGHBOURS],
                 gain: [0.0; GAINS],
             };
@@ -278,7 +278,7 @@ impl<
 
     fn hello<B: Board>(&self, board: &mut B) {
         // Ends whatever a receiver may still hold of the time before the reset.
-        board.respond(&[agent_core::serial::DELIMITER]);
+        board.respond(&[agent_core::wire::cobs::DELIMITER]);
         respond::<B, N>(board, &Response::Hello(self.status()));
         board.flush();
     }

@@ -2,11 +2,11 @@
 
 use agent_core::Tick;
 use agent_core::agent::StepOutput;
-use agent_core::capture::Sample;
-use agent_core::frame::{FRAME_LENGTH_MAX, FrameError};
+use agent_core::agent::capture::Sample;
 use agent_core::health::Advice;
 use agent_core::service::{Outcome, State};
 use agent_core::store::MappedFlash;
+use agent_core::wire::frame::{FRAME_LENGTH_MAX, FrameError};
 
 use super::{Node, Response, Rows, Session, count, respond};
 use crate::board::Board;
@@ -150,7 +150,7 @@ impl<
             respond::<B, N>(board, &Response::Health { tick, counters });
         }
         let Some(every) = self.subscription.state_every else { return };
-        if !agent_core::capture::is_due(tick, every) {
+        if !agent_core::agent::capture::is_due(tick, every) {
             return;
         }
         let agent = session.map(|_| &self.memory.agent);

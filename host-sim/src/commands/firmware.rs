@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use agent_core::signature::PublicKey;
+use agent_core::package::signature::PublicKey;
 use nix::sys::signal::{Signal, killpg};
 use nix::unistd::Pid;
 

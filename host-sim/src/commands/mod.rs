@@ -22,6 +22,7 @@ mod key;
 mod monitor;
 #[cfg(unix)]
 mod node;
+mod output;
 #[cfg(unix)]
 mod push;
 mod refusal;
@@ -36,7 +37,6 @@ mod trainings;
 mod versions;
 mod warnings;
 mod weights;
-mod written;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

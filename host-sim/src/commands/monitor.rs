@@ -10,16 +10,16 @@ use agent_core::{AgentId, Tick};
 use clap::Args;
 use serde::Serialize;
 
-use super::node::{PATIENCE, connect, text};
+use super::node::{RETRY_POLICY, connect, text};
 use super::{CommandError, Format, health, load_scenario, print_json, print_text};
 use crate::interruption::{self, Again};
 use crate::packages::{PackageBytes, RecordingSource};
-use crate::service::conversation::understood;
+use crate::service::client::understood;
 use crate::service::nodes_file::NodesFile;
 use crate::service::push::{done, in_use, status};
 use crate::service::record::{RecordCounts, Recorder, step_size};
 use crate::service::record_file::{RecordError, RecordFile};
-use crate::service::{Address, Conversation, LineError, Message, Patience, ServiceError};
+use crate::service::{Address, Client, LineError, Message, RetryPolicy, ServiceError};
 
 /// Between two states, by default. \[steps\]
 const EVERY: NonZeroU32 = NonZeroU32::new(500).unwrap();
@@ -61,12 +61,12 @@ pub(super) struct Arguments {
 }
 
 /// How long saying good-bye may take, also after Ctrl-C.
-const GOOD_BYE: Patience = Patience { timeout: Duration::from_millis(400), tries: 1 };
+const GOOD_BYE: RetryPolicy = RetryPolicy { timeout: Duration::from_millis(400), tries: 1 };
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     interruption::listen(Again::Exit);
     let mut node = connect(&arguments.endpoint)?;
-    let before = status(&mut node, PATIENCE)?;
+    let before = status(&mut node, RETRY_POLICY)?;
     let default = if arguments.record.is_some() { NonZeroU32::MIN } else { EVERY };
     let every = arguments.every.unwrap_or(default);
     let all_steps = every == NonZeroU32::MIN;
@@ -94,7 +94,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Format::Json => monitor.print(|| print_json(&Message::Status(before)))?,
         Format::Text => monitor.print(|| print_text(&text(&arguments.endpoint, &before)))?,
     }
-    subscribe(&mut node, monitor.subscription, PATIENCE)?;
+    subscribe(&mut node, monitor.subscription, RETRY_POLICY)?;
     let listened = monitor.listen(&mut node);
     // What has been recorded is worth something, however it ended.
     let saved = monitor.finish();
@@ -106,12 +106,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
 }
 
 fn subscribe(
-    node: &mut Conversation,
+    node: &mut Client,
     subscription: Subscription,
-    patience: Patience,
+    retry_policy: RetryPolicy,
 ) -> Result<(), ServiceError> {
     let request = Request::Subscribe(subscription);
-    node.insist(&request, patience, &mut |_| {}, "that it is done", done)
+    node.request(&request, retry_policy, &mut |_| {}, "that it is done", done)
 }
 
 /// The recording of a node that is as `before`.
@@ -191,7 +191,7 @@ struct Monitor<'a> {
 
 impl Monitor<'_> {
     /// Until the end is asked for, or the wanted states have come.
-    fn listen(&mut self, node: &mut Conversation) -> Result<(), CommandError> {
+    fn listen(&mut self, node: &mut Client) -> Result<(), CommandError> {
         let mut last_samples = Instant::now();
         while !interruption::requested() && self.arguments.count.is_none_or(|n| self.states < n) {
             match node.next(SAMPLES) {
@@ -209,13 +209,13 @@ impl Monitor<'_> {
             if wanted && last_samples.elapsed() >= SAMPLES {
                 last_samples = Instant::now();
                 node.prepare(&Request::Samples { from: self.next_sample, most: u8::MAX });
-                node.flush(PATIENCE.timeout).map_err(ServiceError::from)?;
+                node.flush(RETRY_POLICY.timeout).map_err(ServiceError::from)?;
             }
         }
         Ok(())
     }
 
-    fn hear(&mut self, node: &mut Conversation, bytes: &[u8]) -> Result<(), CommandError> {
+    fn hear(&mut self, node: &mut Client, bytes: &[u8]) -> Result<(), CommandError> {
         let message = match understood(bytes) {
             Ok(message) => message,
             // A newer node may know more messages.
@@ -254,11 +254,7 @@ impl Monitor<'_> {
     }
 
     /// The node has been reset: what it was told is forgotten, and its ticks begin again.
-    fn began_again(
-        &mut self,
-        node: &mut Conversation,
-        status: &Status,
-    ) -> Result<(), CommandError> {
+    fn began_again(&mut self, node: &mut Client, status: &Status) -> Result<(), CommandError> {
         let package = status.package;
         if let Some(recorder) = &mut self.recorder {
             if package.map(|package| package.agent) != self.agent {
@@ -273,7 +269,7 @@ impl Monitor<'_> {
         }
         self.step = package.map(|package| step_size(package.step_size)).or(self.step);
         node.prepare(&Request::Subscribe(self.subscription));
-        Ok(node.flush(PATIENCE.timeout).map_err(ServiceError::from)?)
+        Ok(node.flush(RETRY_POLICY.timeout).map_err(ServiceError::from)?)
     }
 
     fn state(

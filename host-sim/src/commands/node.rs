@@ -10,10 +10,11 @@ use super::{CommandError, Format, print_json, print_text};
 use crate::interruption::{self, Again};
 use crate::service::address::AddressError;
 use crate::service::push::{self, done};
-use crate::service::{Address, Conversation, Message, Patience};
+use crate::service::{Address, Client, Message, RetryPolicy};
 
 /// How long a node may take for an answer, and how often it is asked: erasing flash takes a while.
-pub(super) const PATIENCE: Patience = Patience { timeout: Duration::from_secs(3), tries: 3 };
+pub(super) const RETRY_POLICY: RetryPolicy =
+    RetryPolicy { timeout: Duration::from_secs(3), tries: 3 };
 
 /// Arguments of `node`.
 #[derive(Debug, Args)]
@@ -41,31 +42,31 @@ enum Action {
     Reset,
 }
 
-/// A conversation with the node at `address`, in step.
-pub(super) fn connect(address: &Address) -> Result<Conversation, AddressError> {
-    let mut conversation = Conversation::new(address.connect()?);
-    conversation.prepare_delimiter();
-    Ok(conversation)
+/// A client with the node at `address`, in step.
+pub(super) fn connect(address: &Address) -> Result<Client, AddressError> {
+    let mut client = Client::new(address.connect()?);
+    client.prepare_delimiter();
+    Ok(client)
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     interruption::listen(Again::Exit);
-    let mut conversation = connect(&arguments.endpoint)?;
-    let node = &mut conversation;
+    let mut client = connect(&arguments.endpoint)?;
+    let node = &mut client;
     match arguments.action {
         Action::Status => {}
         Action::Confirm => {
-            node.insist(&Request::Confirm, PATIENCE, &mut |_| {}, "that it is done", done)?;
+            node.request(&Request::Confirm, RETRY_POLICY, &mut |_| {}, "that it is done", done)?;
         }
         Action::Revert => {
             let in_use = |m: &Message<'_>| matches!(m, Message::InUse { .. }).then_some(());
-            node.insist(&Request::Revert, PATIENCE, &mut |_| {}, "what is in use", in_use)?;
+            node.request(&Request::Revert, RETRY_POLICY, &mut |_| {}, "what is in use", in_use)?;
         }
         Action::Reset => {
-            node.insist(&Request::Reset, PATIENCE, &mut |_| {}, "that it is done", done)?;
+            node.request(&Request::Reset, RETRY_POLICY, &mut |_| {}, "that it is done", done)?;
         }
     }
-    let status = push::status(node, PATIENCE)?;
+    let status = push::status(node, RETRY_POLICY)?;
     match arguments.format {
         Format::Json => print_json(&status),
         Format::Text => print_text(&text(&arguments.endpoint, &status)),

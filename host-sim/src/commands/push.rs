@@ -8,13 +8,13 @@ use agent_core::package::PackageError;
 use clap::Args;
 use serde::Serialize;
 
-use super::node::{PATIENCE, connect};
+use super::node::{RETRY_POLICY, connect};
 use super::{CommandError, Format, print_json, print_text};
 use crate::interruption::{self, Again};
 use crate::packages::{PackageBytes, PackageFileError};
 use crate::progress::ProgressBars;
 use crate::service::push::{Progress, PushError};
-use crate::service::{Address, Conversation, LineError, ServiceError, hint, push};
+use crate::service::{Address, Client, LineError, ServiceError, hint, push};
 use crate::terminal;
 
 /// Longest file that is sent: more than any slot holds. \[byte\]
@@ -65,7 +65,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let package = read(arguments)?;
     let refused = |error| failure(arguments, error);
     let mut node = connect(&arguments.endpoint)?;
-    let before = push::status(&mut node, PATIENCE)?;
+    let before = push::status(&mut node, RETRY_POLICY)?;
     let mut report = Report {
         package: arguments.package.display().to_string(),
         bytes: package.len(),
@@ -82,12 +82,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 transfer(arguments, node, &package, &mut report.resumed_from).map_err(refused)?;
             report.activated = !arguments.no_activate;
             if report.activated {
-                push::activate(&mut node, &package, PATIENCE).map_err(refused)?;
+                push::activate(&mut node, &package, RETRY_POLICY).map_err(refused)?;
             }
         }
     }
     if arguments.confirm {
-        push::confirm(&mut node, PATIENCE)?;
+        push::confirm(&mut node, RETRY_POLICY)?;
         report.confirmed = true;
     } else if arguments.wait_confirmed {
         wait(&mut node, &package)?;
@@ -140,15 +140,15 @@ fn failure(arguments: &Arguments, error: PushError) -> CommandError {
 
 fn transfer(
     arguments: &Arguments,
-    first: Conversation,
+    first: Client,
     package: &[u8],
     resumed_from: &mut Option<usize>,
-) -> Result<(Conversation, u32), PushError> {
+) -> Result<(Client, u32), PushError> {
     let bars = ProgressBars::new("pushing");
     let mut first = Some(first);
     let mut again = || first.take().map_or_else(|| connect(&arguments.endpoint), Ok);
     let total = package.len() as u64;
-    push::transfer_over(&mut again, package, PATIENCE, &mut |progress| match progress {
+    push::transfer_over(&mut again, package, RETRY_POLICY, &mut |progress| match progress {
         Progress::From(byte) => *resumed_from = Some(byte),
         Progress::Received(bytes) => bars.pushed(bytes as u64, total),
         Progress::Verifying => bars.finish(),
@@ -156,10 +156,10 @@ fn transfer(
 }
 
 /// Waits for the end of the trial.
-fn wait(node: &mut Conversation, package: &[u8]) -> Result<(), CommandError> {
+fn wait(node: &mut Client, package: &[u8]) -> Result<(), CommandError> {
     let bars = ProgressBars::new("on trial");
     loop {
-        let status = push::status(node, PATIENCE)?;
+        let status = push::status(node, RETRY_POLICY)?;
         let Some(used) = push::in_use(&status, package) else {
             return Err(CommandError::Node(
                 "the node has gone back to another package before the trial's end; see its health \

@@ -12,7 +12,7 @@ use super::run_folder::RunFolder;
 use super::seeds::{self, SeedRun};
 use super::trainings::{self, TrainingSummary};
 use super::{CommandError, Common, Format, SharedProgress, print_outcome, print_text};
-use super::{warnings, written};
+use super::{output, warnings};
 use crate::analysis::Checks;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunOptions, RunResult, run};
@@ -93,11 +93,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             format!("--seed {seed}: there are not {} seeds from there on", arguments.seeds);
         CommandError::Usage(problem + "; write a smaller one")
     })?;
-    let mut planned = written::planned(&scenario, "_without", false);
-    planned.extend(written::planned(&scenario, "_with", false));
+    let mut planned = output::planned(&scenario, "_without", false);
+    planned.extend(output::planned(&scenario, "_with", false));
     planned.push("table1.csv".to_owned());
     planned.extend((arguments.seeds > 1).then(|| "seeds.csv".to_owned()));
-    planned.extend(written::pictures(FIGURES.map(|(stem, _)| stem)));
+    planned.extend(output::pictures(FIGURES.map(|(stem, _)| stem)));
     let folder = RunFolder::claim(&arguments.out, &planned)?;
     let (runs, others) = simulate(&scenario, seed..end)?;
     let Runs { no_network, without, with } = &runs;
@@ -232,8 +232,8 @@ fn write_tables(
     if let Some(seeds) = seeds {
         seeds::write_csv(&out.join("seeds.csv"), seeds)?;
     }
-    written::tables(out, "_without", scenario, &runs.without)?;
-    written::tables(out, "_with", scenario, &runs.with)?;
+    output::tables(out, "_without", scenario, &runs.without)?;
+    output::tables(out, "_with", scenario, &runs.with)?;
     Ok(())
 }
 
@@ -250,12 +250,12 @@ fn write_figures(out: &Path, scenario: &Scenario, runs: &Runs) -> Result<(), Com
     let Runs { no_network, without, with } = runs;
     let no_network = Some(no_network.agents.as_slice());
     let references = [None, Some(without.agents.as_slice())]
-        .map(|untrained| written::references(scenario, [no_network, untrained]));
+        .map(|untrained| output::references(scenario, [no_network, untrained]));
     let shown_runs = [&without.traces, &with.traces];
     let error_limit = Some(error_axis_limit(&shown_runs, &references[1]));
-    let window = written::event_window(scenario);
-    let event_ticks = written::events_of(with);
-    let markers = written::markers(scenario, &with.trainings);
+    let window = output::event_window(scenario);
+    let event_ticks = output::events_of(with);
+    let markers = output::markers(scenario, &with.trainings);
     let draw = |index: usize| match index {
         0 => error_norms(&ErrorFigure {
             title: "Figure 1: untrained networks",

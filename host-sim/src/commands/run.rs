@@ -11,7 +11,7 @@ use super::baselines::{Baseline, Baselines, Choice, Comparison, Plan, States, ha
 use super::health::{self, HealthReport};
 use super::run_folder::RunFolder;
 use super::trainings::{self, TrainingSummary};
-use super::{CommandError, Common, Format, SharedProgress, agent_table, warnings, written};
+use super::{CommandError, Common, Format, SharedProgress, agent_table, output, warnings};
 use super::{load_scenario, print_outcome, print_text};
 use crate::analysis::{Checks, DesignChecks};
 use crate::engine::{RunOptions, RunResult, run};
@@ -99,9 +99,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         }
         None => Path::new("out").join(&scenario.name),
     };
-    let mut planned = written::planned(&scenario, "", true);
+    let mut planned = output::planned(&scenario, "", true);
     planned.push("agents.csv".to_owned());
-    planned.extend(written::pictures(["errors", "states", "events"]));
+    planned.extend(output::pictures(["errors", "states", "events"]));
     let folder = RunFolder::claim(&out, &planned)?;
     let design = DesignChecks::new(&scenario);
     let mut warnings = warnings::before(&scenario, &design);
@@ -258,12 +258,12 @@ fn write_files(
 ) -> Result<(), CommandError> {
     agent_table::write_csv(&out.join("agents.csv"), agents)?;
     let (tables, figures) = rayon::join(
-        || written::tables(out, "", scenario, result),
+        || output::tables(out, "", scenario, result),
         || write_figures(out, scenario, result, baselines),
     );
     tables?;
     figures?;
-    written::packages(out, result)
+    output::packages(out, result)
 }
 
 fn write_figures(
@@ -272,9 +272,9 @@ fn write_figures(
     result: &RunResult,
     baselines: &Baselines,
 ) -> Result<(), CommandError> {
-    let markers = written::markers(scenario, &result.trainings);
-    let event_ticks = written::events_of(result);
-    let window = written::event_window(scenario);
+    let markers = output::markers(scenario, &result.trainings);
+    let event_ticks = output::events_of(result);
+    let window = output::event_window(scenario);
     let (traces, name) = (&result.traces, scenario.name.as_str());
     let mut figures = Vec::new();
     if traces.rows() > 0 {
@@ -285,7 +285,7 @@ fn write_figures(
                 .then(|| baselines.agents(baseline, &result.agents))
                 .flatten()
         });
-        let references = written::references(scenario, errors);
+        let references = output::references(scenario, errors);
         let figure = ErrorFigure {
             title: &title,
             traces,

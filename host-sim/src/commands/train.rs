@@ -19,7 +19,7 @@ use crate::interruption::{self, Again};
 use crate::output_file::OutputFile;
 use crate::packages::recording_source::{RecordingSource, SourceScenario};
 use crate::packages::trained::{INITIAL_VERSION, Prepared, Trained, TrainedError, TrainingTask};
-use crate::packages::{NodeContent, PackageBytes, Recording};
+use crate::packages::{OwnedAgentConfig, PackageBytes, Recording};
 use crate::progress::ProgressBars;
 use crate::scenario::{Recipe, Scenario};
 use crate::shell::shell_word;
@@ -110,7 +110,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let features = network.architecture.features();
     let base = arguments.base.as_deref().map(PackageBytes::load).transpose()?;
     if let (Some(base), Some(path)) = (&base, &arguments.base) {
-        let node = NodeContent::new(&scenario, &TriggerConstants::new(&scenario), index);
+        let node = OwnedAgentConfig::new(&scenario, &TriggerConstants::new(&scenario), index);
         if let Some(parameter) = node.first_difference(&base.package().node) {
             let problem = format!("{}: has another {parameter} than agent", path.display());
             let number = arguments.agent;

@@ -8,9 +8,9 @@ use tempfile::TempDir;
 use super::fault::Fault;
 use super::process::Process;
 use crate::packages::PackageBytes;
-use crate::service::conversation::{name, understood};
+use crate::service::client::{name, understood};
 use crate::service::push::{self, PushError};
-use crate::service::{Conversation, Line, LineError, Message, Patience, ServiceError};
+use crate::service::{Client, Line, LineError, Message, RetryPolicy, ServiceError};
 
 /// How long a node has for everything that is not said otherwise.
 pub const TIMEOUT: Duration = Duration::from_secs(10);
@@ -24,7 +24,7 @@ const END: Duration = Duration::from_secs(1);
 /// A node and the line to it.
 #[derive(Debug)]
 pub struct Board {
-    conversation: Conversation,
+    client: Client,
     /// What it is, for people.
     label: String,
     /// Where it is an emulator: its process.
@@ -64,7 +64,7 @@ impl Board {
     #[must_use]
     pub fn new(line: Line, label: &str, lives_on: bool) -> Self {
         Self {
-            conversation: Conversation::new(line),
+            client: Client::new(line),
             label: label.to_owned(),
             process: None,
             lives_on,
@@ -88,7 +88,7 @@ impl Board {
 
     /// Lets what is under way go on for so long after a signal has asked for the end.
     pub fn set_grace(&mut self, grace: Duration) {
-        self.conversation.set_grace(grace);
+        self.client.set_grace(grace);
     }
 
     /// Gives it this long for an answer.
@@ -184,11 +184,11 @@ impl Board {
         measurement: &[f32],
     ) -> Result<(), Fault> {
         for bytes in frames {
-            self.conversation.prepare(&Request::Frame { bytes });
+            self.client.prepare(&Request::Frame { bytes });
         }
         let measurement = Some(numbers(measurement));
-        self.conversation.prepare(&Request::Tick { periods: 1, measurement });
-        let sent = self.conversation.flush(self.timeout);
+        self.client.prepare(&Request::Tick { periods: 1, measurement });
+        let sent = self.client.flush(self.timeout);
         sent.map_err(|error| self.line_fault(error, "readiness to receive"))
     }
 
@@ -226,17 +226,17 @@ impl Board {
     /// # Errors
     /// See [`Fault`].
     pub fn push(&mut self, package: &[u8]) -> Result<(), Fault> {
-        let patience = Patience { timeout: self.timeout, tries: 1 };
-        let conversation = &mut self.conversation;
+        let retry_policy = RetryPolicy { timeout: self.timeout, tries: 1 };
+        let client = &mut self.client;
         // The next package would be refused while one is on trial; the simulated agent has none.
-        let pushed = push::status(conversation, patience)
+        let pushed = push::status(client, retry_policy)
             .and_then(|status| match status.package.and_then(|used| used.trial) {
-                Some(_) => push::confirm(conversation, patience),
+                Some(_) => push::confirm(client, retry_policy),
                 None => Ok(()),
             })
             .map_err(PushError::from)
-            .and_then(|()| push::transfer(conversation, package, patience, &mut |_| {}))
-            .and_then(|_| push::activate(conversation, package, patience));
+            .and_then(|()| push::transfer(client, package, retry_policy, &mut |_| {}))
+            .and_then(|_| push::activate(client, package, retry_policy));
         pushed.map(|_| ()).map_err(|error| self.push_fault("take a package", error))
     }
 
@@ -295,8 +295,8 @@ impl Board {
     /// # Errors
     /// See [`Fault`].
     pub fn exchange(&mut self, request: &Request<'_>) -> Result<Exchange, Fault> {
-        self.conversation.prepare(request);
-        let sent = self.conversation.flush(self.timeout);
+        self.client.prepare(request);
+        let sent = self.client.flush(self.timeout);
         sent.map_err(|error| self.line_fault(error, "readiness to receive"))?;
         let mut exchange = Exchange::default();
         let deadline = Instant::now() + self.timeout;
@@ -338,7 +338,7 @@ impl Board {
     /// See [`Fault`].
     pub fn reset(&mut self) -> Result<Status, Fault> {
         self.ask(&Request::Reset, "reset", is_done)?;
-        self.conversation.expect_reset();
+        self.client.expect_reset();
         self.hello()
     }
 
@@ -364,9 +364,9 @@ impl Board {
     fn greet(&mut self) -> Result<Status, Fault> {
         let second = Duration::from_secs(1);
         let tries = u32::try_from(self.timeout.as_secs()).unwrap_or(u32::MAX).max(1);
-        let patience = Patience { timeout: self.timeout.min(second), tries };
-        self.conversation.prepare_delimiter();
-        push::status(&mut self.conversation, patience)
+        let retry_policy = RetryPolicy { timeout: self.timeout.min(second), tries };
+        self.client.prepare_delimiter();
+        push::status(&mut self.client, retry_policy)
             .map_err(|error| self.push_fault("tell its status", error.into()))
     }
 
@@ -381,13 +381,13 @@ impl Board {
         &mut self,
         deadline: Instant,
         expected: &'static str,
-    ) -> Result<Result<Vec<u8>, agent_core::serial::SerialError>, Fault> {
+    ) -> Result<Result<Vec<u8>, agent_core::wire::cobs::SerialError>, Fault> {
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
             if left.is_zero() {
                 return Err(self.line_fault(LineError::Silent, expected));
             }
-            match self.conversation.next(left.min(SLICE)) {
+            match self.client.next(left.min(SLICE)) {
                 Ok(message) => return Ok(message),
                 Err(LineError::Silent) => {
                     if let Some(fault) = self.end_of_process(Duration::ZERO) {
@@ -408,7 +408,7 @@ impl Board {
         process_ended.unwrap_or_else(|| match error {
             LineError::Closed => Fault::Closed,
             LineError::Silent => {
-                let (_, damaged) = self.conversation.received();
+                let (_, damaged) = self.client.received();
                 Fault::Silent { expected, seconds: self.timeout.as_secs_f64(), damaged }
             }
             LineError::Interrupted => Fault::Interrupted,

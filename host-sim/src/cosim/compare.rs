@@ -7,7 +7,7 @@ use agent_core::service::State;
 use serde::Serialize;
 
 use super::board::Turn;
-use crate::engine::companion::AgentStep;
+use crate::engine::run_observer::AgentStep;
 
 /// Where node and simulator differ.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -122,8 +122,8 @@ fn of_frames(node: &[Vec<u8>], simulator: Option<&[u8]>) -> Option<Difference> {
 
 #[cfg(test)]
 mod tests {
-    use agent_core::frame::FrameBytes;
     use agent_core::service::Outcome;
+    use agent_core::wire::frame::FrameBytes;
 
     use super::*;
 

@@ -76,7 +76,7 @@ pub enum Fault {
         expected: &'static str,
     },
     /// It does not do what it is asked.
-    #[error("it refuses to {request}: {problem}; {}", mend(*problem))]
+    #[error("it refuses to {request}: {problem}; {}", hint(*problem))]
     Refused {
         /// What it was asked.
         request: &'static str,
@@ -140,7 +140,7 @@ fn quoted(text: &str) -> String {
     }
 }
 
-fn mend(problem: Problem) -> &'static str {
+fn hint(problem: Problem) -> &'static str {
     match problem {
         Problem::NotInTheLoop => {
             "use firmware that is built for the loop, as `cargo xtask firmware` does for the \

@@ -1,7 +1,7 @@
 //! The flash of a node that is switched off, looked at by the node's own code.
 
+use agent_core::package::signature::PublicKey;
 use agent_core::package::{Capacity, Envelope, PackageError, Refusal, Requirements};
-use agent_core::signature::PublicKey;
 use agent_core::store::{LayoutError, MappedFlash, Store};
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,

@@ -1,4 +1,4 @@
-//! The companion of a run that takes nodes along, step by step.
+//! The run_observer of a run that takes nodes along, step by step.
 //!
 //! All nodes are fed before the first is listened to, so that they work at the same time. A node
 //! gets the frames that its neighbours' nodes have broadcast, not those of the simulated agents:
@@ -15,7 +15,7 @@ use super::compare::{Mismatch, announcement_mismatch, first_mismatch};
 use super::fault::{Fault, NodeError};
 use super::relay::Relay;
 use super::{BoardReport, Notice, Setup};
-use crate::engine::companion::{AgentStart, AgentStep, Companion, CompanionError, Switch};
+use crate::engine::run_observer::{AgentStart, AgentStep, RunObserver, RunObserverError, Switch};
 use crate::interruption;
 use crate::packages::PackageBytes;
 
@@ -33,7 +33,7 @@ pub(super) struct LoopNode {
 
 impl LoopNode {
     /// From here on it is not compared.
-    pub(super) fn part(&mut self, tick: Tick, reason: &str) {
+    pub(super) fn stop_comparing(&mut self, tick: Tick, reason: &str) {
         if self.report.parted.is_none() {
             self.report.parted = Some(format!("from tick {tick} on, because {reason}"));
         }
@@ -46,7 +46,7 @@ impl LoopNode {
 
     /// It takes no more steps. To its neighbours, the simulated agent stands in for it.
     pub(super) fn end(&mut self, tick: Tick, fault: &Fault) {
-        self.part(tick, "it has ended");
+        self.stop_comparing(tick, "it has ended");
         self.report.ended = Some(format!("at tick {tick}: {fault}"));
         self.board.kill();
     }
@@ -110,7 +110,7 @@ impl<'s> Lockstep<'s> {
         let node = &mut self.nodes[index];
         if matches!(fault, Fault::Interrupted) {
             // The run ends in front of the next step.
-            node.part(tick, "the run was ended in the middle of its step");
+            node.stop_comparing(tick, "the run was ended in the middle of its step");
             return Ok(());
         }
         node.end(tick, &fault);
@@ -228,21 +228,21 @@ impl<'s> Lockstep<'s> {
             });
             if let Some(neighbour) = strange {
                 let reason = format!("its neighbour {} goes its own way", neighbour + 1);
-                self.nodes[index].part(tick, &reason);
+                self.nodes[index].stop_comparing(tick, &reason);
             }
         }
     }
 }
 
-impl Companion for Lockstep<'_> {
-    fn begin(&mut self, agents: &[AgentStart<'_>]) -> Result<(), CompanionError> {
+impl RunObserver for Lockstep<'_> {
+    fn begin(&mut self, agents: &[AgentStart<'_>]) -> Result<(), RunObserverError> {
         self.start(agents)?;
         for (index, agent) in agents.iter().enumerate().take(self.nodes.len()) {
             let (node, package) = (&mut self.nodes[index], &self.packages[index]);
             if self.setup.erased {
                 let waits = node.board.rejoin();
                 waits.map_err(|fault| self.named(index, fault))?;
-                self.nodes[index].part(0, "it waits for a package");
+                self.nodes[index].stop_comparing(0, "it waits for a package");
                 continue;
             }
             let begun = node.board.begin(package, agent.estimate);
@@ -265,7 +265,7 @@ impl Companion for Lockstep<'_> {
         &mut self,
         tick: Tick,
         switches: &mut Vec<Switch>,
-    ) -> Result<ControlFlow<()>, CompanionError> {
+    ) -> Result<ControlFlow<()>, RunObserverError> {
         match &self.relay {
             // For a run that is served it is the end that was meant.
             Some(relay) if relay.is_over() => return Ok(ControlFlow::Break(())),
@@ -309,7 +309,7 @@ impl Companion for Lockstep<'_> {
         Ok(ControlFlow::Continue(()))
     }
 
-    fn after_step(&mut self, tick: Tick, agents: &[AgentStep<'_>]) -> Result<(), CompanionError> {
+    fn after_step(&mut self, tick: Tick, agents: &[AgentStep<'_>]) -> Result<(), RunObserverError> {
         self.part_with_neighbours(tick);
         self.feed(tick, agents)?;
         for (index, agent) in agents.iter().enumerate() {

@@ -16,7 +16,7 @@
 //! | [`qemu`], [`process`] | emulated nodes, and processes that end with their holder |
 //! | `flash_copy` | what a node that is switched off has in its flash |
 //! | [`compare`] | what a node did against what the simulated agent did |
-//! | `lockstep` | the companion of the run that does all this |
+//! | `lockstep` | the run_observer of the run that does all this |
 //! | `relay`, `socket` | nodes of a running co-simulation, offered to others |
 //! | [`fault`] | what can go wrong with a node |
 //!
@@ -295,14 +295,14 @@ pub fn cosimulate(
     let result =
         run_accompanied(&scenario, &mut lockstep, options, progress).map_err(
             |error| match error {
-                RunError::Companion(error) => match error.downcast::<NodeError>() {
+                RunError::RunObserver(error) => match error.downcast::<NodeError>() {
                     Ok(error) if matches!(error.fault, Fault::Interrupted) => {
                         CosimError::Interrupted
                     }
                     Ok(error) => CosimError::Node(*error),
                     Err(error) => error
                         .downcast::<CosimError>()
-                        .map_or_else(|error| CosimError::Run(RunError::Companion(error)), |e| *e),
+                        .map_or_else(|error| CosimError::Run(RunError::RunObserver(error)), |e| *e),
                 },
                 error => CosimError::Run(error),
             },

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use agent_core::signature::PublicKey;
+use agent_core::package::signature::PublicKey;
 use agent_core::store::Slot;
 use nix::sys::stat::Mode;
 use nix::unistd::mkfifo;
@@ -102,8 +102,8 @@ impl Qemu {
         let folder = tempfile::Builder::new().prefix("host-sim-node-").tempdir();
         folder.map_err(|error| {
             let place = std::env::temp_dir();
-            let mend = "free the disk, or set TMPDIR to a folder that can be written to";
-            Fault::Start(format!("{}: {error}; {mend}", place.display()))
+            let hint = "free the disk, or set TMPDIR to a folder that can be written to";
+            Fault::Start(format!("{}: {error}; {hint}", place.display()))
         })
     }
 

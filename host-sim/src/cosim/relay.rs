@@ -27,11 +27,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use agent_core::Tick;
-use agent_core::capture::is_due;
-use agent_core::serial::{Decoder, Encoder};
+use agent_core::agent::capture::is_due;
 use agent_core::service::{
     Problem, REQUEST_LENGTH_MAX, Request, Response, State, Status, Subscription, receive, send,
 };
+use agent_core::wire::cobs::{Decoder, Encoder};
 use serde::Serialize;
 
 use super::board::Turn;
@@ -39,7 +39,7 @@ use super::fault::Fault;
 use super::lockstep::LoopNode;
 use super::socket::Socket;
 use super::{CosimError, Service};
-use crate::engine::companion::Switch;
+use crate::engine::run_observer::Switch;
 use crate::interruption;
 use crate::packages::PackageBytes;
 use crate::scenario::Scenario;
@@ -64,11 +64,11 @@ const UNREAD_MAX: Duration = Duration::from_secs(5);
 /// Between two notices that the run is late.
 const LATE_NOTICE: Duration = Duration::from_secs(10);
 
-type RequestDecoder = Decoder<{ REQUEST_LENGTH_MAX + agent_core::checksum::CHECKSUM_LENGTH }>;
+type RequestDecoder = Decoder<{ REQUEST_LENGTH_MAX + agent_core::wire::crc::CHECKSUM_LENGTH }>;
 
 /// The sockets and the pace.
 pub(super) struct Relay {
-    doors: Vec<Door>,
+    sockets: Vec<NodeSocket>,
     /// The file that says what they are part of.
     told: PathBuf,
     /// One step in real time.
@@ -107,7 +107,7 @@ pub(super) struct Restart {
 }
 
 /// One node's socket, and what is known of its packages.
-struct Door {
+struct NodeSocket {
     socket: Socket,
     clients: Vec<Client>,
     /// Whose turn it is.
@@ -164,8 +164,8 @@ impl Relay {
             let what = "there is something here that is not about nodes";
             return Err(CosimError::Occupied { path: folder.join(nodes_file::NAME), what });
         }
-        let doors = agents.map(|agent| {
-            Ok(Door {
+        let sockets = agents.map(|agent| {
+            Ok(NodeSocket {
                 socket: Socket::bind(path(agent))?,
                 clients: Vec::new(),
                 next: 0,
@@ -174,10 +174,10 @@ impl Relay {
                 before: None,
             })
         });
-        let doors = doors.collect::<Result<_, CosimError>>()?;
+        let sockets = sockets.collect::<Result<_, CosimError>>()?;
         let told = NodesFile::new(&scenario.name, scenario.hash, seed).write(folder)?;
         let step = Duration::from_secs_f64(scenario.time.step_size / service.speed);
-        Ok(Self { doors, told, step, pace: Pace::default(), stop: service.stop.clone() })
+        Ok(Self { sockets, told, step, pace: Pace::default(), stop: service.stop.clone() })
     }
 
     /// Whether somebody wants the run to end.
@@ -187,19 +187,19 @@ impl Relay {
 
     /// The nodes have begun with these packages.
     pub(super) fn begin<'p>(&mut self, packages: impl Iterator<Item = &'p PackageBytes>) {
-        for (door, package) in self.doors.iter_mut().zip(packages) {
+        for (door, package) in self.sockets.iter_mut().zip(packages) {
             door.in_use = Some(package.clone());
         }
     }
 
     /// A node takes no more steps: its clients hear no more of it.
     pub(super) fn end_node(&mut self, index: usize) {
-        self.doors[index].clients.clear();
+        self.sockets[index].clients.clear();
     }
 
     /// A node has been started again: the one who wanted it gets an answer, and all a greeting.
     pub(super) fn started_again(&mut self, restart: &Restart, status: Status) {
-        let door = &mut self.doors[restart.node];
+        let door = &mut self.sockets[restart.node];
         (door.in_use, door.before) = (None, None);
         if let Some(client) = door.clients.get_mut(restart.client) {
             client.say(&Reply::Done);
@@ -218,7 +218,7 @@ impl Relay {
     /// A learning cycle has switched packages in.
     pub(super) fn learned(&mut self, switches: &[Switch]) {
         for switch in switches {
-            self.doors[switch.agent].switched(Some(switch.package.clone()));
+            self.sockets[switch.agent].switched(Some(switch.package.clone()));
         }
     }
 
@@ -233,7 +233,7 @@ impl Relay {
         let due = *self.pace.next_step.get_or_insert_with(Instant::now);
         loop {
             let mut busy = false;
-            for (index, (door, node)) in self.doors.iter_mut().zip(&mut *nodes).enumerate() {
+            for (index, (door, node)) in self.sockets.iter_mut().zip(&mut *nodes).enumerate() {
                 if between.faults.iter().any(|(ended, _)| *ended == index) {
                     continue;
                 }
@@ -272,7 +272,7 @@ impl Relay {
 
     /// Tells the clients of a node what it did in its turn.
     pub(super) fn pass_on(&mut self, index: usize, turn: &Turn) {
-        let door = &mut self.doors[index];
+        let door = &mut self.sockets[index];
         for client in &mut door.clients {
             for bytes in &turn.unasked {
                 client.forward(bytes);
@@ -319,7 +319,7 @@ impl Pace {
     }
 }
 
-impl Door {
+impl NodeSocket {
     /// Lets those in who wait at the socket.
     fn let_in(&mut self) {
         while let Some(socket) = self.socket.accept() {
@@ -341,7 +341,7 @@ impl Door {
             served.request = true;
             match self.carry_out(index, &request, node)? {
                 Effect::None => {}
-                Effect::Parted(reason) => node.part(tick, reason),
+                Effect::Parted(reason) => node.stop_comparing(tick, reason),
                 Effect::Switched { back } => match &self.in_use {
                     Some(package) if self.is_of_agent(package) => {
                         node.report.switches += 1;
@@ -349,8 +349,8 @@ impl Door {
                             served.switch = Some((package.clone(), back));
                         }
                     }
-                    Some(_) => node.part(tick, "its package has other parameters"),
-                    None => node.part(tick, "it uses an unknown package"),
+                    Some(_) => node.stop_comparing(tick, "its package has other parameters"),
+                    None => node.stop_comparing(tick, "it uses an unknown package"),
                 },
             }
             break;

@@ -1,23 +1,23 @@
 //! One agent of the network as the engine steps it: the core's parameters and state, its
 //! inbox, and what is measured of it.
 
+use agent_core::agent::capture::Sample;
+use agent_core::agent::hold::Hold;
+use agent_core::agent::inbox::Inbox;
 use agent_core::agent::{AgentParams, AgentState, StepError, StepOutput};
-use agent_core::capture::Sample;
-use agent_core::frame::FrameBytes;
 use agent_core::health::HealthSettings;
-use agent_core::hold::Hold;
-use agent_core::inbox::Inbox;
-use agent_core::network::{InnerNetwork, LAYER_WIDTH_MAX, Scratch};
-use agent_core::observer::Neighbour;
-use agent_core::package::{Capacity, InUse, Node, Refusal, Requirements, accept};
-use agent_core::parameter::ParameterError;
+use agent_core::math::parameter::ParameterError;
+use agent_core::observer::feedback::Neighbour;
+use agent_core::observer::network::{InnerNetwork, LAYER_WIDTH_MAX, Scratch};
+use agent_core::package::{AgentConfig, Capacity, InUse, Refusal, Requirements, accept};
 use agent_core::service::Outcome;
+use agent_core::wire::frame::FrameBytes;
 use agent_core::{StateVector, Tick};
 
-use super::companion::AgentStep;
 use super::link::Link;
+use super::run_observer::AgentStep;
 use super::statistics::AgentStatistics;
-use super::watch::{Watch, is_trouble};
+use super::watch::{Watch, is_recoverable};
 use crate::packages::{PackageBytes, PackageParameters};
 use crate::scenario;
 
@@ -30,13 +30,13 @@ pub(super) type SimulatedState<const N: usize> = AgentState<N, LAYER_WIDTH_MAX, 
 pub(super) type SimulatedInbox<const N: usize> = Inbox<N, HeldPlaces<N>>;
 
 /// What the core's parameters borrow: on a node it would be static buffers.
-pub(super) struct Places {
+pub(super) struct ParamBuffers {
     neighbours: Vec<Neighbour>,
     outer_gain: Vec<f32>,
 }
 
-impl Places {
-    pub(super) fn new(node: &Node<'_>) -> Self {
+impl ParamBuffers {
+    pub(super) fn new(node: &AgentConfig<'_>) -> Self {
         Self {
             neighbours: vec![Neighbour { id: 0, weight: 0.0 }; node.neighbours.len()],
             outer_gain: vec![0.0; node.outer_law.gain.entries().len()],
@@ -46,7 +46,7 @@ impl Places {
     /// The core's parameters of this node.
     pub(super) fn params<const N: usize>(
         &mut self,
-        node: &Node<'_>,
+        node: &AgentConfig<'_>,
     ) -> Result<AgentParams<'_, N>, ParameterError> {
         node.params(&mut self.neighbours, &mut self.outer_gain)
     }
@@ -160,7 +160,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             return;
         };
         let (params, state, inbox) = (&self.params, &mut self.state, &mut self.inbox);
-        let anew = watch.look_after(params, state, inbox, tick, &outcome);
+        let anew = watch.observe(params, state, inbox, tick, &outcome);
         match (anew, outcome) {
             // What led there is nothing to learn from.
             (Some(frame), _) => {
@@ -171,7 +171,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             (None, Ok(output)) => self.take_output(output),
             (None, Err(failure)) => {
                 self.last_sample = None;
-                self.failure = Some(failure).filter(|&failure| !is_trouble(failure));
+                self.failure = Some(failure).filter(|&failure| !is_recoverable(failure));
             }
         }
     }

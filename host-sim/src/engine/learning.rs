@@ -8,10 +8,10 @@
 use std::ops::ControlFlow;
 
 use agent_core::Tick;
-use agent_core::capture::{Sample, is_due};
+use agent_core::agent::capture::{Sample, is_due};
 use rayon::prelude::*;
 
-use super::companion::Switch;
+use super::run_observer::Switch;
 use super::{Progress, RunError, TrainingRecord};
 use crate::packages::trained::{INITIAL_VERSION, TrainedError, TrainingTask};
 use crate::packages::{PackageBytes, Recording, Timing};

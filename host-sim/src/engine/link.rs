@@ -5,7 +5,7 @@
 //! the same trait.
 
 use agent_core::Tick;
-use agent_core::frame::FrameBytes;
+use agent_core::wire::frame::FrameBytes;
 
 use crate::graph::Graph;
 

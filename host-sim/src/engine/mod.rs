@@ -14,19 +14,19 @@
 
 mod agents;
 pub mod bounds;
-pub mod companion;
 mod failure;
 mod learning;
 pub mod link;
 mod lumped;
 mod run;
+pub mod run_observer;
 pub mod statistics;
 pub mod traces;
 mod watch;
 
 use agent_core::agent::StepError;
+use agent_core::math::parameter::ParameterError;
 use agent_core::package::Refusal;
-use agent_core::parameter::ParameterError;
 
 use crate::analysis::StepCheck;
 use crate::packages::parameter::InScenario;
@@ -41,9 +41,9 @@ use failure::step_hint;
 use statistics::AgentStatistics;
 use traces::Traces;
 
-pub use companion::{Companion, CompanionError};
 pub use lumped::LumpedSamples;
 pub use run::{run, run_accompanied, run_over};
+pub use run_observer::{RunObserver, RunObserverError};
 
 /// Hears how a run goes on; every method does nothing by default.
 pub trait Progress: Sync {
@@ -223,7 +223,7 @@ pub enum RunError {
     },
     /// Who went along with the run ended it.
     #[error(transparent)]
-    Companion(CompanionError),
+    RunObserver(RunObserverError),
     /// A learning cycle without a network.
     #[error("learning cycle {cycle} has no network to train; add [network] to the scenario")]
     NoNetwork {

@@ -5,17 +5,17 @@ use std::ops::ControlFlow;
 use agent_core::Tick;
 use rayon::prelude::*;
 
-use super::agents::{GainNorms, Places, SimulatedAgent};
+use super::agents::{GainNorms, ParamBuffers, SimulatedAgent};
 use super::bounds::BoundsMeter;
-use super::companion::{AgentStart, Companion, Switch};
 use super::failure::plant_error;
 use super::learning::Learning;
 use super::link::{Link, Lossless};
+use super::run_observer::{AgentStart, RunObserver, Switch};
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
 use crate::analysis::{StepCheck, TriggerConstants, spectral_norm};
 use crate::fnv::Fnv;
-use crate::packages::{NodeContent, PackageBytes, trained, with_dimension};
+use crate::packages::{OwnedAgentConfig, PackageBytes, trained, with_dimension};
 use crate::plant::Stepper;
 use crate::scenario::{Network, Scenario};
 use crate::training::{Dataset, TrainingError};
@@ -40,21 +40,21 @@ pub fn run(
     run_over(scenario, Lossless::new(&scenario.graph), options, progress)
 }
 
-/// Runs `scenario` over the paper's lossless links, and lets `companion` go along.
+/// Runs `scenario` over the paper's lossless links, and lets `run_observer` go along.
 ///
 /// # Errors
-/// As [`run`], and those of the companion.
+/// As [`run`], and those of the run_observer.
 ///
 /// # Panics
 /// As [`run_over`].
 pub fn run_accompanied(
     scenario: &Scenario,
-    companion: &mut dyn Companion,
+    run_observer: &mut dyn RunObserver,
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
     let link = Lossless::new(&scenario.graph);
-    run_any(scenario, link, Some(companion), options, progress)
+    run_any(scenario, link, Some(run_observer), options, progress)
 }
 
 /// Runs `scenario` over `link`.
@@ -76,14 +76,14 @@ pub fn run_over(
 fn run_any(
     scenario: &Scenario,
     link: impl Link,
-    companion: Option<&mut dyn Companion>,
+    run_observer: Option<&mut dyn RunObserver>,
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
     let n = scenario.dimension();
     with_dimension!(
         n,
-        run_fixed(scenario, link, companion, options, progress),
+        run_fixed(scenario, link, run_observer, options, progress),
         else panic!("a state of {n} components, expected 1 to 12")
     )
 }
@@ -91,16 +91,17 @@ fn run_any(
 fn run_fixed<const N: usize>(
     scenario: &Scenario,
     link: impl Link,
-    companion: Option<&mut dyn Companion>,
+    run_observer: Option<&mut dyn RunObserver>,
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
     let trigger = TriggerConstants::new(scenario);
     let contents: Vec<_> = (0..scenario.agents.len())
-        .map(|index| NodeContent::new(scenario, &trigger, index))
+        .map(|index| OwnedAgentConfig::new(scenario, &trigger, index))
         .collect();
     let packages = start_packages(scenario, &trigger, &contents, options)?;
-    let mut places: Vec<_> = contents.iter().map(|content| Places::new(&content.node())).collect();
+    let mut places: Vec<_> =
+        contents.iter().map(|content| ParamBuffers::new(&content.node())).collect();
     let mut agents = build_agents::<N>(scenario, &contents, &packages, &mut places, options)?;
     for (index, package) in packages.iter().enumerate() {
         agents[index]
@@ -111,7 +112,7 @@ fn run_fixed<const N: usize>(
         scenario,
         options,
         link,
-        companion,
+        run_observer,
         agents,
         truth: std::array::from_fn(|component| scenario.initial_state[component]),
         traces: empty_traces(scenario),
@@ -125,9 +126,9 @@ fn run_fixed<const N: usize>(
 
 fn build_agents<'s, const N: usize>(
     scenario: &Scenario,
-    contents: &[NodeContent],
+    contents: &[OwnedAgentConfig],
     packages: &[PackageBytes],
-    places: &'s mut [Places],
+    places: &'s mut [ParamBuffers],
     options: RunOptions,
 ) -> Result<Vec<SimulatedAgent<'s, N>>, RunError> {
     let gain = spectral_norm(&scenario.design.gain);
@@ -157,7 +158,7 @@ fn build_agents<'s, const N: usize>(
 fn start_packages(
     scenario: &Scenario,
     trigger: &TriggerConstants,
-    contents: &[NodeContent],
+    contents: &[OwnedAgentConfig],
     options: RunOptions,
 ) -> Result<Vec<PackageBytes>, RunError> {
     let Some(network) = &scenario.network else {
@@ -183,7 +184,7 @@ fn start_packages(
 fn check_start(
     scenario: &Scenario,
     network: &Network,
-    content: &NodeContent,
+    content: &OwnedAgentConfig,
     package: &PackageBytes,
     index: usize,
     options: RunOptions,
@@ -227,7 +228,7 @@ struct Simulation<'s, 'c, const N: usize, L> {
     scenario: &'s Scenario,
     options: RunOptions,
     link: L,
-    companion: Option<&'c mut dyn Companion>,
+    run_observer: Option<&'c mut dyn RunObserver>,
     agents: Vec<SimulatedAgent<'s, N>>,
     truth: [f64; N],
     traces: Traces,
@@ -237,7 +238,7 @@ struct Simulation<'s, 'c, const N: usize, L> {
 
 impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
     fn begin(&mut self, packages: &[PackageBytes]) -> Result<(), RunError> {
-        let Some(companion) = &mut self.companion else { return Ok(()) };
+        let Some(run_observer) = &mut self.run_observer else { return Ok(()) };
         let graph = &self.scenario.graph;
         let agents = self.agents.iter().enumerate().map(|(index, agent)| AgentStart {
             package: packages.get(index),
@@ -245,18 +246,18 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
             announcement: agent.outgoing.as_ref(),
             neighbours: graph.neighbours(index).iter().map(|n| n.agent).collect(),
         });
-        companion.begin(&agents.collect::<Vec<_>>()).map_err(RunError::Companion)
+        run_observer.begin(&agents.collect::<Vec<_>>()).map_err(RunError::RunObserver)
     }
 
-    /// Switches in what the learning cycles and the companion want to have in use from `tick` on.
+    /// Switches in what the learning cycles and the run_observer want to have in use from `tick` on.
     fn switch(
         &mut self,
         tick: Tick,
         mut switches: Vec<Switch>,
     ) -> Result<ControlFlow<()>, RunError> {
-        if let Some(companion) = &mut self.companion
+        if let Some(run_observer) = &mut self.run_observer
             && let ControlFlow::Break(()) =
-                companion.before_step(tick, &mut switches).map_err(RunError::Companion)?
+                run_observer.before_step(tick, &mut switches).map_err(RunError::RunObserver)?
         {
             return Ok(ControlFlow::Break(()));
         }
@@ -297,9 +298,9 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
                     |agent| agents[agent].outer_weights(),
                 );
             }
-            if let Some(companion) = &mut self.companion {
+            if let Some(run_observer) = &mut self.run_observer {
                 let steps: Vec<_> = self.agents.iter().map(SimulatedAgent::last_step).collect();
-                companion.after_step(tick, &steps).map_err(RunError::Companion)?;
+                run_observer.after_step(tick, &steps).map_err(RunError::RunObserver)?;
             }
             self.send_broadcasts(tick + 1);
             let before = self.truth;

@@ -2,10 +2,10 @@
 
 use agent_core::Tick;
 use agent_core::agent::{AgentParams, StepError, StepOutput};
-use agent_core::frame::{Frame, FrameError};
 use agent_core::health::{Advice, Health, HealthCounters, HealthParams, HealthSettings};
+use agent_core::math::parameter::ParameterError;
 use agent_core::package::Package;
-use agent_core::parameter::ParameterError;
+use agent_core::wire::frame::{Frame, FrameError};
 
 use super::agents::{SimulatedInbox, SimulatedState};
 
@@ -56,7 +56,7 @@ impl<const N: usize> Watch<N> {
     ///
     /// # Panics
     /// Never: outer weights of an accepted package fit the agent.
-    pub(super) fn look_after(
+    pub(super) fn observe(
         &mut self,
         agent: &AgentParams<'_, N>,
         state: &mut SimulatedState<N>,
@@ -81,6 +81,6 @@ impl<const N: usize> Watch<N> {
 
 /// Whether a watched agent goes on after a step that was refused for this reason: it is in the
 /// numbers, not in how the agent was set up.
-pub(super) fn is_trouble(error: StepError) -> bool {
+pub(super) fn is_recoverable(error: StepError) -> bool {
     matches!(error, StepError::MeasurementNotFinite { .. } | StepError::Diverged)
 }

@@ -1,6 +1,6 @@
-//! What is wrong with a memory map, where, and how to mend it.
+//! What is wrong with a memory map, where, and how to hint it.
 
-/// Why a memory map cannot be used: file, line, name, problem and mend, in one line of text.
+/// Why a memory map cannot be used: file, line, name, problem and hint, in one line of text.
 ///
 /// `memory.x:25: WEIGHTS: ORIGIN is 0x100000000, which is not a 32-bit address; choose one below
 /// 0x100000000`
@@ -16,7 +16,7 @@ pub struct MemoryMapError {
     /// What is wrong: what was found.
     pub problem: String,
     /// What to write instead: what is expected.
-    pub mend: String,
+    pub hint: String,
 }
 
 impl core::fmt::Display for MemoryMapError {
@@ -28,7 +28,7 @@ impl core::fmt::Display for MemoryMapError {
         if let Some(name) = &self.name {
             write!(f, ": {name}")?;
         }
-        write!(f, ": {}; {}", self.problem, self.mend)
+        write!(f, ": {}; {}", self.problem, self.hint)
     }
 }
 
@@ -40,12 +40,12 @@ pub(super) struct Fault {
     pub(super) line: usize,
     pub(super) name: Option<String>,
     pub(super) problem: String,
-    pub(super) mend: String,
+    pub(super) hint: String,
 }
 
 impl Fault {
-    pub(super) fn new(line: usize, problem: impl Into<String>, mend: impl Into<String>) -> Self {
-        Self { line, name: None, problem: problem.into(), mend: mend.into() }
+    pub(super) fn new(line: usize, problem: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { line, name: None, problem: problem.into(), hint: hint.into() }
     }
 
     /// The same error, said of `name`; whoever was nearer to the error has named it better.
@@ -60,7 +60,7 @@ impl Fault {
             line: Some(self.line),
             name: self.name,
             problem: self.problem,
-            mend: self.mend,
+            hint: self.hint,
         }
     }
 }

@@ -98,7 +98,7 @@ impl MemoryMap {
                 line: None,
                 name: None,
                 problem: format!("cannot be read: {error}"),
-                mend: "name the memory.x with which the firmware is linked".to_owned(),
+                hint: "name the memory.x with which the firmware is linked".to_owned(),
             }),
         }
     }

@@ -113,7 +113,7 @@ fn is_in_word(c: char) -> bool {
     c.is_ascii_alphanumeric() || matches!(c, '_' | '.' | '$')
 }
 
-/// The value of `0x1F`, `31`, `4K` or `0x2m`, or problem and mend.
+/// The value of `0x1F`, `31`, `4K` or `0x2m`, or problem and hint.
 fn number(word: &str) -> Result<u64, (&'static str, &'static str)> {
     const FORMS: &str = "write it as 12, 0x1F, 64K or 3M";
     let (digits, unit) = match word.as_bytes().last() {
@@ -183,7 +183,7 @@ mod tests {
         ] {
             let fault = tokens(text).unwrap_err();
             assert_eq!(fault.line, line, "{text}");
-            let said = format!("{}; {}", fault.problem, fault.mend);
+            let said = format!("{}; {}", fault.problem, fault.hint);
             assert!(said.contains(part), "{said}");
         }
     }

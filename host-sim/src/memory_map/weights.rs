@@ -262,9 +262,9 @@ fn missing(map: &MemoryMap, name: &str, what: &str, by: &str) -> MemoryMapError 
     )
 }
 
-fn wrong(map: &MemoryMap, symbol: &str, problem: &str, mend: &str) -> MemoryMapError {
+fn wrong(map: &MemoryMap, symbol: &str, problem: &str, hint: &str) -> MemoryMapError {
     let line = map.symbol(symbol).map(|symbol| symbol.line);
-    error(map, line, symbol, problem.to_owned(), mend)
+    error(map, line, symbol, problem.to_owned(), hint)
 }
 
 fn error(
@@ -272,13 +272,13 @@ fn error(
     line: Option<usize>,
     name: &str,
     problem: String,
-    mend: &str,
+    hint: &str,
 ) -> MemoryMapError {
     MemoryMapError {
         file: map.file.clone(),
         line,
         name: Some(name.to_owned()),
         problem,
-        mend: mend.to_owned(),
+        hint: hint.to_owned(),
     }
 }

@@ -4,9 +4,9 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use agent_core::network::{Architecture, InnerNetwork};
+use agent_core::observer::network::{Architecture, InnerNetwork};
+use agent_core::package::signature::{PublicKey, verify};
 use agent_core::package::{Envelope, NetworkPlace, Package, PackageError, signature_block};
-use agent_core::signature::{PublicKey, verify};
 
 use crate::output_file::{FileKind, OutputError, write_whole};
 use crate::signing::OperatorKey;

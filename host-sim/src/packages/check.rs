@@ -1,6 +1,6 @@
 //! What a node would say to a package: the core's own acceptance, for any state dimension.
 
-use agent_core::network::Scratch;
+use agent_core::observer::network::Scratch;
 use agent_core::package::{Package, PackageError, Refusal, Requirements, accept};
 
 use super::{PackageBytes, with_dimension};

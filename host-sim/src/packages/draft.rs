@@ -5,14 +5,15 @@
 //! activation is saturated more than in use.
 
 use agent_core::StateVector;
-use agent_core::network::{Architecture, InnerNetwork, NetworkError, Scratch};
+use agent_core::agent::region::StateBox;
+use agent_core::observer::network::{Architecture, InnerNetwork, NetworkError, Scratch};
 use agent_core::package::{
     Capacity, EncodeError, OnSwitch, Package, PackageError, Provenance, Refusal, Requirements,
-    StateBox, TrainingErrors,
+    TrainingErrors,
 };
 
 use super::check::check;
-use super::{NodeContent, PackageBytes, with_dimension};
+use super::{OwnedAgentConfig, PackageBytes, with_dimension};
 
 /// Test vectors in a package that is made here: as many as the patterns of [`test_inputs`].
 const TEST_VECTORS: usize = 4;
@@ -33,7 +34,7 @@ pub struct Draft {
     /// `W_hat` to start from, row by row, shape `[L, n]`.
     pub outer_weights: Vec<f32>,
     /// What makes the node this agent.
-    pub node: NodeContent,
+    pub node: OwnedAgentConfig,
     /// See [`Package::broadcast_interval_min`]. \[s\]
     pub broadcast_interval_min: f32,
     /// Least value of each input that the network was trained on.
@@ -102,7 +103,7 @@ impl Draft {
             architecture: package.network.architecture().clone(),
             inner: package.network.parameters().to_vec(),
             outer_weights: package.outer_weights.to_vec(),
-            node: NodeContent::copy(&package.node),
+            node: OwnedAgentConfig::copy(&package.node),
             broadcast_interval_min: package.broadcast_interval_min,
             low: package.trained_box.low.to_vec(),
             high: package.trained_box.high.to_vec(),

@@ -29,7 +29,7 @@ pub mod trained;
 
 pub use bytes::{PackageBytes, PackageFileError, PackageParameters};
 pub use draft::{Draft, DraftError};
-pub use node::NodeContent;
+pub use node::OwnedAgentConfig;
 pub use recording::{Recording, RecordingError, Timing};
 pub use recording_source::RecordingSource;
 

@@ -1,11 +1,11 @@
 //! What makes a node an agent, taken from a scenario and rounded to the core's precision.
 
 use agent_core::AgentId;
-use agent_core::outer_law::OuterLawParams;
-use agent_core::package::{NeighbourIds, Node};
-use agent_core::projection::ProjectionParams;
-use agent_core::symmetric::SymmetricMatrix;
-use agent_core::trigger::TriggerParams;
+use agent_core::math::symmetric::SymmetricMatrix;
+use agent_core::observer::outer_law::OuterLawParams;
+use agent_core::observer::projection::ProjectionParams;
+use agent_core::observer::trigger::TriggerParams;
+use agent_core::package::{AgentConfig, NeighbourIds};
 use nalgebra::DMatrix;
 
 use crate::analysis::TriggerConstants;
@@ -15,9 +15,9 @@ use crate::scenario::{self, Scenario};
 const RESTING_PROJECTION: ProjectionParams =
     ProjectionParams { radius: 1.0, boundary_layer: 1.0, smoothing: 1.0, smoothness: 0 };
 
-/// The numbers of a [`Node`], owned.
+/// The numbers of a [`AgentConfig`], owned.
 #[derive(Clone, Debug, PartialEq)]
-pub struct NodeContent {
+pub struct OwnedAgentConfig {
     agent: AgentId,
     output_matrix: Vec<f32>,
     gain: OwnedSymmetric,
@@ -70,7 +70,7 @@ impl OwnedSymmetric {
     }
 }
 
-impl NodeContent {
+impl OwnedAgentConfig {
     /// Agent `index` (from 0) of a scenario, whose trigger has these constants.
     #[must_use]
     pub fn new(scenario: &Scenario, trigger: &TriggerConstants, index: usize) -> Self {
@@ -126,7 +126,7 @@ impl NodeContent {
 
     /// Takes a copy of what `node` borrows.
     #[must_use]
-    pub fn copy(node: &Node<'_>) -> Self {
+    pub fn copy(node: &AgentConfig<'_>) -> Self {
         let owned = |matrix: SymmetricMatrix<'_>| match matrix {
             SymmetricMatrix::Scalar(entry) => OwnedSymmetric::Scalar(entry),
             SymmetricMatrix::Diagonal(entries) => OwnedSymmetric::Diagonal(entries.to_vec()),
@@ -147,7 +147,7 @@ impl NodeContent {
 
     /// The first parameter, if any, in which a node differs from this one.
     #[must_use]
-    pub fn first_difference(&self, node: &Node<'_>) -> Option<&'static str> {
+    pub fn first_difference(&self, node: &AgentConfig<'_>) -> Option<&'static str> {
         let other = Self::copy(node);
         let same = [
             ("agent number", self.agent == other.agent),
@@ -168,8 +168,8 @@ impl NodeContent {
     /// # Panics
     /// Never: every neighbour has two bytes.
     #[must_use]
-    pub fn node(&self) -> Node<'_> {
-        Node {
+    pub fn node(&self) -> AgentConfig<'_> {
+        AgentConfig {
             agent: self.agent,
             output_matrix: &self.output_matrix,
             gain: self.gain.borrow(),

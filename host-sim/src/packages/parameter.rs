@@ -2,8 +2,8 @@
 
 use core::fmt;
 
+use agent_core::math::parameter::ParameterError;
 use agent_core::package::Refusal;
-use agent_core::parameter::ParameterError;
 
 /// Displays what the core refuses with the scenario's keys in place of the core's names.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -13,7 +13,7 @@
 //! Cost: one forward pass a sample.
 
 use agent_core::StateVector;
-use agent_core::network::Scratch;
+use agent_core::observer::network::Scratch;
 
 use super::{PackageBytes, with_dimension};
 use crate::training::{Dataset, Scaling};

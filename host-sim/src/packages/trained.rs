@@ -9,7 +9,7 @@ use agent_core::package::{OnSwitch, TrainingErrors};
 use super::cleaning::{Cleaned, Cleaning};
 use super::judgement::{Samples, judgement};
 use super::quality::{Fit, LAST_SHARE, Quality, estimates, explained, mean_squared_error};
-use super::{Draft, DraftError, NodeContent, PackageBytes, Recording};
+use super::{Draft, DraftError, OwnedAgentConfig, PackageBytes, Recording};
 use crate::analysis::TriggerConstants;
 use crate::scenario::{Network, Recipe, Scenario, SwitchIn};
 use crate::training::data::divide_at_random;
@@ -196,7 +196,7 @@ impl Prepared<'_, '_> {
             architecture: task.network.architecture.clone(),
             inner: parameters.iter().map(|&p| p as f32).collect(),
             outer_weights: std::mem::take(&mut self.outer_weights),
-            node: NodeContent::new(task.scenario, &trigger, task.agent),
+            node: OwnedAgentConfig::new(task.scenario, &trigger, task.agent),
             broadcast_interval_min: interval_bound(task.scenario, &trigger, self.recording),
             low,
             high,
@@ -284,7 +284,7 @@ pub fn initial(
         architecture: network.architecture.clone(),
         inner: inner.to_vec(),
         outer_weights: network.outer.iter().map(|&w| w as f32).collect(),
-        node: NodeContent::new(scenario, trigger, index),
+        node: OwnedAgentConfig::new(scenario, trigger, index),
         broadcast_interval_min: 0.0,
         low: vec![f32::MIN; n],
         high: vec![f32::MAX; n],

@@ -21,7 +21,7 @@ pub use integrator::{Integrator, Stepper};
 use nalgebra::DMatrix;
 
 /// Largest state dimension; what the agents' networks can take as inputs.
-pub const DIMENSION_MAX: usize = agent_core::network::INPUTS_MAX;
+pub const DIMENSION_MAX: usize = agent_core::INPUTS_MAX;
 
 /// `f`, the drift.
 #[derive(Clone, Debug, PartialEq)]

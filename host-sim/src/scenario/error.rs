@@ -1,6 +1,6 @@
-//! What is wrong with a scenario file, where, and how to mend it.
+//! What is wrong with a scenario file, where, and how to hint it.
 
-/// Why a scenario cannot be read: file, line, key, problem and mend, in one line of text.
+/// Why a scenario cannot be read: file, line, key, problem and hint, in one line of text.
 ///
 /// `paper.toml:17: agents[2].output_matrix: row 1 has 2 entries, the state has 3; give every
 /// row 3 entries`
@@ -17,7 +17,7 @@ pub struct ScenarioError {
     /// What is wrong.
     pub problem: String,
     /// What to write instead.
-    pub mend: String,
+    pub hint: String,
 }
 
 impl core::fmt::Display for ScenarioError {
@@ -29,7 +29,7 @@ impl core::fmt::Display for ScenarioError {
         if let Some(key) = &self.key {
             write!(f, ": {key}")?;
         }
-        write!(f, ": {}; {}", self.problem, self.mend)
+        write!(f, ": {}; {}", self.problem, self.hint)
     }
 }
 

@@ -20,7 +20,7 @@ impl Scenario {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// The first thing that is wrong, with file, line, key and mend.
+    /// The first thing that is wrong, with file, line, key and hint.
     pub fn load(path: &Path) -> Result<Self, ScenarioError> {
         let file = path.display().to_string();
         let unread = Source { file: &file, text: "" };
@@ -32,13 +32,13 @@ impl Scenario {
         let bytes = read().map_err(|error: io::Error| {
             let names = BUILT_IN.map(|(name, _)| name);
             let meant = closest(&file, names).map_or(String::new(), |name| format!("{name}, "));
-            let mend = format!(
+            let hint = format!(
                 "give {meant}the path of a scenario file, or the name of a built-in one ({}); \
                  `host-sim scenario {} > mine.toml` writes a file to start from",
                 names.join(", "),
                 closest(&file, names).unwrap_or(names[0]),
             );
-            unread.error(None, None, format_args!("cannot be read: {error}"), mend)
+            unread.error(None, None, format_args!("cannot be read: {error}"), hint)
         })?;
         if bytes.len() as u64 > BYTES_MAX {
             let problem = format!("has more than {} MiB, which no scenario has", BYTES_MAX >> 20);
@@ -66,14 +66,14 @@ impl Scenario {
     /// ```
     ///
     /// # Errors
-    /// The first thing that is wrong, with file, line, key and mend.
+    /// The first thing that is wrong, with file, line, key and hint.
     pub fn parse(file: &str, text: &str) -> Result<Self, ScenarioError> {
         let source = Source { file, text };
         let document = DeTable::parse(text).map_err(|error| {
             let line = error.span().map(|span| source.line(span.start));
             let problem = format!("invalid TOML: {}", error.message().replace('\n', ", "));
-            let mend = "write keys as `key = value` and tables as `[name]`, each name once";
-            source.error(line.or(Some(1)), None, problem, mend)
+            let hint = "write keys as `key = value` and tables as `[name]`, each name once";
+            source.error(line.or(Some(1)), None, problem, hint)
         })?;
         let scenario = read(&Table::root(&source, document.get_ref()))?;
         Ok(Scenario { hash: text_hash(text), ..scenario })

@@ -17,7 +17,7 @@ pub use error::ScenarioError;
 use std::num::NonZeroU32;
 
 use agent_core::health::HealthSettings;
-use agent_core::network::Architecture;
+use agent_core::observer::network::Architecture;
 use nalgebra::DMatrix;
 
 use crate::graph::Graph;

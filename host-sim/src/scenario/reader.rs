@@ -30,10 +30,10 @@ impl Source<'_> {
         line: Option<usize>,
         key: Option<String>,
         problem: impl Display,
-        mend: impl Display,
+        hint: impl Display,
     ) -> ScenarioError {
-        let (problem, mend) = (problem.to_string(), mend.to_string());
-        ScenarioError { file: self.file.to_owned(), line, key, problem, mend }
+        let (problem, hint) = (problem.to_string(), hint.to_string());
+        ScenarioError { file: self.file.to_owned(), line, key, problem, hint }
     }
 }
 
@@ -54,7 +54,7 @@ pub(super) struct Value<'a> {
     source: &'a Source<'a>,
     path: String,
     /// `write key = example`.
-    mend: String,
+    hint: String,
     value: &'a Spanned<DeValue<'a>>,
 }
 
@@ -64,9 +64,9 @@ impl<'a> Table<'a> {
     }
 
     /// An error about this table as a whole.
-    pub(super) fn error(&self, problem: impl Display, mend: impl Display) -> ScenarioError {
+    pub(super) fn error(&self, problem: impl Display, hint: impl Display) -> ScenarioError {
         let key = (!self.path.is_empty()).then(|| self.path.clone());
-        self.source.error(Some(self.source.line(self.offset)), key, problem, mend)
+        self.source.error(Some(self.source.line(self.offset)), key, problem, hint)
     }
 
     /// Refuses every key that is not one of `known`.
@@ -74,12 +74,12 @@ impl<'a> Table<'a> {
         let stranger = |key: &&Spanned<_>| !known.contains(&name(key));
         let first = self.entries.keys().filter(stranger).min_by_key(|key| key.span().start);
         let Some(key) = first else { return Ok(()) };
-        let mend = match closest(name(key), known.iter().copied()) {
+        let hint = match closest(name(key), known.iter().copied()) {
             Some(closest) => format!("write {closest}"),
             None => format!("the keys that can stand here are {}", known.join(", ")),
         };
         let line = self.source.line(key.span().start);
-        Err(self.source.error(Some(line), Some(self.path_of(name(key))), "unknown key", mend))
+        Err(self.source.error(Some(line), Some(self.path_of(name(key))), "unknown key", hint))
     }
 
     /// The value of `key`, if there is one. `example` is what could stand after `key =`.
@@ -94,8 +94,8 @@ impl<'a> Table<'a> {
 
     /// The table `[key]`, if there is one.
     pub(super) fn get_table(&self, key: &str) -> Result<Option<Table<'a>>, ScenarioError> {
-        let mend = format!("write a table [{}]", self.path_of(key));
-        self.get_with_mend(key, mend).map(|value| value.table()).transpose()
+        let hint = format!("write a table [{}]", self.path_of(key));
+        self.get_with_mend(key, hint).map(|value| value.table()).transpose()
     }
 
     /// The table `[key]`.
@@ -106,9 +106,9 @@ impl<'a> Table<'a> {
 
     /// The tables `[[key]]`; empty if there are none.
     pub(super) fn get_tables(&self, key: &str) -> Result<Vec<Table<'a>>, ScenarioError> {
-        let mend = format!("write tables [[{}]]", self.path_of(key));
-        let Some(list) = self.get_with_mend(key, mend) else { return Ok(Vec::new()) };
-        list.list(&list.mend)?.iter().map(Value::table).collect()
+        let hint = format!("write tables [[{}]]", self.path_of(key));
+        let Some(list) = self.get_with_mend(key, hint) else { return Ok(Vec::new()) };
+        list.list(&list.hint)?.iter().map(Value::table).collect()
     }
 
     /// All keys with their values, in the order of the file.
@@ -119,14 +119,14 @@ impl<'a> Table<'a> {
         entries.into_iter().filter_map(|(key, _)| value(key)).collect()
     }
 
-    pub(super) fn missing(&self, key: &str, mend: impl Display) -> ScenarioError {
+    pub(super) fn missing(&self, key: &str, hint: impl Display) -> ScenarioError {
         let line = self.source.line(self.offset);
-        self.source.error(Some(line), Some(self.path_of(key)), "missing", mend)
+        self.source.error(Some(line), Some(self.path_of(key)), "missing", hint)
     }
 
-    fn get_with_mend(&self, key: &str, mend: String) -> Option<Value<'a>> {
+    fn get_with_mend(&self, key: &str, hint: String) -> Option<Value<'a>> {
         let value = self.entries.get(key)?;
-        Some(Value { source: self.source, path: self.path_of(key), mend, value })
+        Some(Value { source: self.source, path: self.path_of(key), hint, value })
     }
 
     fn path_of(&self, key: &str) -> String {
@@ -140,9 +140,9 @@ fn name<S: AsRef<str>>(key: &Spanned<S>) -> &str {
 }
 
 impl<'a> Value<'a> {
-    pub(super) fn error(&self, problem: impl Display, mend: impl Display) -> ScenarioError {
+    pub(super) fn error(&self, problem: impl Display, hint: impl Display) -> ScenarioError {
         let line = self.source.line(self.value.span().start);
-        self.source.error(Some(line), Some(self.path.clone()), problem, mend)
+        self.source.error(Some(line), Some(self.path.clone()), problem, hint)
     }
 
     /// An error of `whole`, of which this is the part where the problem lies.
@@ -150,19 +150,19 @@ impl<'a> Value<'a> {
         &self,
         whole: &Self,
         problem: impl Display,
-        mend: impl Display,
+        hint: impl Display,
     ) -> ScenarioError {
-        Value { path: whole.path.clone(), ..self.clone() }.error(problem, mend)
+        Value { path: whole.path.clone(), ..self.clone() }.error(problem, hint)
     }
 
-    /// `problem`, with the key's example as mend.
+    /// `problem`, with the key's example as hint.
     pub(super) fn wrong(&self, problem: impl Display) -> ScenarioError {
-        self.error(problem, &self.mend)
+        self.error(problem, &self.hint)
     }
 
-    /// The same value with another mend.
-    pub(super) fn with_mend(&self, mend: &str) -> Self {
-        Self { mend: mend.to_owned(), ..self.clone() }
+    /// The same value with another hint.
+    pub(super) fn with_mend(&self, hint: &str) -> Self {
+        Self { hint: hint.to_owned(), ..self.clone() }
     }
 
     fn wrong_type(&self, expected: &str) -> ScenarioError {
@@ -244,11 +244,11 @@ impl<'a> Value<'a> {
             return Ok(*meaning);
         }
         let names: Vec<_> = choices.iter().map(|(name, _)| *name).collect();
-        let mend = match closest(text, names.iter().copied()) {
+        let hint = match closest(text, names.iter().copied()) {
             Some(closest) => format!("write \"{closest}\""),
             None => format!("write one of {}", names.join(", ")),
         };
-        Err(self.error(format_args!("`{text}` is unknown here"), mend))
+        Err(self.error(format_args!("`{text}` is unknown here"), hint))
     }
 
     pub(super) fn table(&self) -> Result<Table<'a>, ScenarioError> {
@@ -271,16 +271,16 @@ impl<'a> Value<'a> {
         self.value.get_ref().as_array().ok_or_else(|| self.wrong_type("a list"))
     }
 
-    /// The entries of a list; `mend` is what to do about one that is wrong.
-    pub(super) fn list(&self, mend: &str) -> Result<Vec<Value<'a>>, ScenarioError> {
-        let entry = |(index, value)| self.entry(index, value, mend);
+    /// The entries of a list; `hint` is what to do about one that is wrong.
+    pub(super) fn list(&self, hint: &str) -> Result<Vec<Value<'a>>, ScenarioError> {
+        let entry = |(index, value)| self.entry(index, value, hint);
         Ok(self.array()?.iter().enumerate().map(entry).collect())
     }
 
     /// Entry `index`, from 0; counted from 1 in its path.
-    fn entry(&self, index: usize, value: &'a Spanned<DeValue<'a>>, mend: &str) -> Value<'a> {
+    fn entry(&self, index: usize, value: &'a Spanned<DeValue<'a>>, hint: &str) -> Value<'a> {
         let path = format!("{}[{}]", self.path, index + 1);
-        Value { source: self.source, path, mend: mend.to_owned(), value }
+        Value { source: self.source, path, hint: hint.to_owned(), value }
     }
 
     /// A list of numbers.
@@ -319,8 +319,8 @@ impl<'a> Value<'a> {
             if found != columns {
                 let found = has(found, "entry", "entries");
                 let problem = format!("row {} {found}, {owner} {columns}", index + 1);
-                let mend = format_args!("give every row {}", counted(columns, "entry", "entries"));
-                return Err(row.error_of(self, problem, mend));
+                let hint = format_args!("give every row {}", counted(columns, "entry", "entries"));
+                return Err(row.error_of(self, problem, hint));
             }
             entries.extend(row.numbers()?);
         }

@@ -1,7 +1,7 @@
 use super::*;
 use crate::plant::{Harmonic, Wave};
-use agent_core::activation::Activation;
 use agent_core::health::FallBack;
+use agent_core::math::activation::Activation;
 use nalgebra::{DVector, dmatrix};
 
 fn paper() -> Scenario {

@@ -5,7 +5,7 @@
 //! | [`mod@line`] | bytes to and from a node, with a deadline for everything |
 //! | [`address`] | where a node is found: a socket or a serial line |
 //! | [`hint`] | what to do about refusals and garbage |
-//! | [`conversation`] | messages on a line: requests, their answers, and what comes unasked |
+//! | [`client`] | messages on a line: requests, their answers, and what comes unasked |
 //! | [`nodes_file`] | what the nodes in a folder of sockets are part of |
 //! | [`push`] | a weight package into a node |
 //! | [`record`], [`record_file`] | a node's samples, for training, and the file that they are written into |
@@ -13,7 +13,7 @@
 //! The messages are agent-core's: [`agent_core::service`].
 
 pub mod address;
-pub mod conversation;
+pub mod client;
 pub mod hint;
 pub mod line;
 pub mod nodes_file;
@@ -22,7 +22,7 @@ pub mod record;
 pub mod record_file;
 
 pub use address::Address;
-pub use conversation::{Conversation, Patience, ServiceError};
+pub use client::{Client, RetryPolicy, ServiceError};
 pub use line::{Line, LineError};
 
 use agent_core::service::Response;

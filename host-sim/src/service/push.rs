@@ -7,13 +7,13 @@
 
 use std::time::Duration;
 
-use agent_core::checksum::crc32;
 use agent_core::service::{CHUNK_LENGTH_MAX, PackageStatus, Problem, Request, Status};
 use agent_core::store::StoreError;
+use agent_core::wire::crc::crc32;
 
 use super::address::AddressError;
 use super::hint::of_refusal;
-use super::{Conversation, LineError, Message, Patience, ServiceError};
+use super::{Client, LineError, Message, RetryPolicy, ServiceError};
 use crate::interruption;
 use crate::packages::PackageBytes;
 
@@ -100,26 +100,26 @@ const RECONNECTION_PAUSE: Duration = Duration::from_millis(500);
 /// # Errors
 /// See [`PushError`].
 pub fn transfer_over(
-    connect: &mut dyn FnMut() -> Result<Conversation, AddressError>,
+    connect: &mut dyn FnMut() -> Result<Client, AddressError>,
     package: &[u8],
-    patience: Patience,
+    retry_policy: RetryPolicy,
     progress: &mut dyn FnMut(Progress),
-) -> Result<(Conversation, u32), PushError> {
-    let mut conversation = connect()?;
+) -> Result<(Client, u32), PushError> {
+    let mut client = connect()?;
     let mut left = RECONNECTIONS;
     loop {
-        let broken = match transfer(&mut conversation, package, patience, progress) {
+        let broken = match transfer(&mut client, package, retry_policy, progress) {
             Err(error) if error.is_broken_line() && left > 0 => error,
-            done => return done.map(|version| (conversation, version)),
+            done => return done.map(|version| (client, version)),
         };
-        conversation = loop {
+        client = loop {
             left -= 1;
             if interruption::requested() {
                 return Err(ServiceError::from(LineError::Interrupted).into());
             }
             std::thread::sleep(RECONNECTION_PAUSE);
             match connect() {
-                Ok(conversation) => break conversation,
+                Ok(client) => break client,
                 Err(_) if left == 0 => return Err(broken),
                 Err(_) => {}
             }
@@ -131,8 +131,8 @@ pub fn transfer_over(
 ///
 /// # Errors
 /// See [`ServiceError`].
-pub fn status(conversation: &mut Conversation, patience: Patience) -> Result<Status, ServiceError> {
-    conversation.insist(&Request::Query, patience, &mut |_| {}, "its status", |m| match m {
+pub fn status(client: &mut Client, retry_policy: RetryPolicy) -> Result<Status, ServiceError> {
+    client.request(&Request::Query, retry_policy, &mut |_| {}, "its status", |m| match m {
         Message::Status(status) => Some(*status),
         _ => None,
     })
@@ -144,24 +144,24 @@ pub fn status(conversation: &mut Conversation, patience: Patience) -> Result<Sta
 /// # Errors
 /// See [`PushError`].
 pub fn transfer(
-    conversation: &mut Conversation,
+    client: &mut Client,
     package: &[u8],
-    patience: Patience,
+    retry_policy: RetryPolicy,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<u32, PushError> {
     let length = u32::try_from(package.len()).ok().filter(|&length| length > 0);
     let length = length.ok_or(PushError::Length { found: package.len() })?;
-    let before = status(conversation, patience)?;
+    let before = status(client, retry_policy)?;
     let received = before.upload.map_or(0, |upload| upload.received as usize);
     if (1..=package.len()).contains(&received) {
-        match send_and_stage(conversation, package, received, patience, progress) {
+        match send_and_stage(client, package, received, retry_policy, progress) {
             // It was another package, or none that could be gone on with.
             Err(ServiceError::Refused(problem)) if !is_flash(problem) => {}
             done => return Ok(done?),
         }
     }
-    conversation.insist(&Request::Begin { length }, patience, &mut |_| {}, UPLOAD, uploaded)?;
-    Ok(send_and_stage(conversation, package, 0, patience, progress)?)
+    client.request(&Request::Begin { length }, retry_policy, &mut |_| {}, UPLOAD, uploaded)?;
+    Ok(send_and_stage(client, package, 0, retry_policy, progress)?)
 }
 
 /// Whether sending everything again would not help, but wear the flash.
@@ -181,10 +181,10 @@ fn uploaded(message: &Message<'_>) -> Option<u32> {
 
 /// Sends what is missing when `received` bytes have been, and has it verified.
 fn send_and_stage(
-    conversation: &mut Conversation,
+    client: &mut Client,
     package: &[u8],
     received: usize,
-    patience: Patience,
+    retry_policy: RetryPolicy,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<u32, ServiceError> {
     progress(Progress::From(received));
@@ -194,7 +194,7 @@ fn send_and_stage(
         let chunk = Request::Chunk { offset: offset as u32, bytes: &package[offset..end] };
         // What an earlier chunk brought is no answer to this one.
         let arrived = |m: &Message<'_>| uploaded(m).filter(|&received| received as usize >= end);
-        conversation.insist(&chunk, patience, &mut |_| {}, UPLOAD, arrived)?;
+        client.request(&chunk, retry_policy, &mut |_| {}, UPLOAD, arrived)?;
         offset = end;
         progress(Progress::Received(end));
     }
@@ -204,11 +204,11 @@ fn send_and_stage(
         _ => None,
     };
     let expected = "whether it has verified the package";
-    match conversation.insist(&Request::Stage, patience, &mut |_| {}, expected, staged) {
+    match client.request(&Request::Stage, retry_policy, &mut |_| {}, expected, staged) {
         // The answer to the first try may have been lost: then it has been staged, and which version
         // that is, is in the bytes that the node has verified.
         Err(ServiceError::Refused(Problem::Store(StoreError::NoUpload)))
-            if status(conversation, patience)?.staged =>
+            if status(client, retry_policy)?.staged =>
         {
             Ok(PackageBytes::new(package).map_or(0, |package| package.package().version))
         }
@@ -221,19 +221,19 @@ fn send_and_stage(
 /// # Errors
 /// See [`PushError`].
 pub fn activate(
-    conversation: &mut Conversation,
+    client: &mut Client,
     package: &[u8],
-    patience: Patience,
+    retry_policy: RetryPolicy,
 ) -> Result<u32, PushError> {
     let in_use = |m: &Message<'_>| match m {
         Message::InUse { version } => *version,
         _ => None,
     };
     let expected = "which package is in use";
-    match conversation.insist(&Request::Activate, patience, &mut |_| {}, expected, in_use) {
+    match client.request(&Request::Activate, retry_policy, &mut |_| {}, expected, in_use) {
         // The answer to the first try may have been lost.
         Err(error @ ServiceError::Refused(Problem::Store(StoreError::NothingStaged))) => {
-            match status(conversation, patience)?.package {
+            match status(client, retry_policy)?.package {
                 Some(used) if used.checksum == checksum(package) => Ok(used.version),
                 _ => Err(error.into()),
             }
@@ -246,8 +246,8 @@ pub fn activate(
 ///
 /// # Errors
 /// See [`ServiceError`].
-pub fn confirm(conversation: &mut Conversation, patience: Patience) -> Result<(), ServiceError> {
-    match conversation.insist(&Request::Confirm, patience, &mut |_| {}, "that it is done", done) {
+pub fn confirm(client: &mut Client, retry_policy: RetryPolicy) -> Result<(), ServiceError> {
+    match client.request(&Request::Confirm, retry_policy, &mut |_| {}, "that it is done", done) {
         // It has confirmed it itself, or the answer to the first try was lost.
         Err(ServiceError::Refused(Problem::Store(StoreError::NotOnTrial))) => Ok(()),
         done => done,

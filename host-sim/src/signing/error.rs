@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use agent_core::signature::PublicKeyError;
+use agent_core::package::signature::PublicKeyError;
 
 use crate::output_file::OutputError;
 

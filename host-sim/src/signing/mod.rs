@@ -3,7 +3,7 @@
 //! The private key stays in a file of the operator, PKCS#8 in PEM as OpenSSL writes and reads
 //! it, encrypted with a passphrase or not; the nodes hold the public key. Signing is deterministic (RFC 8032): the same key and
 //! message give the same bytes everywhere, so that a signed package can be reproduced.
-//! Verification is the nodes' own, [`agent_core::signature::verify`].
+//! Verification is the nodes' own, [`agent_core::package::signature::verify`].
 //!
 //! Keys of OpenSSL will do: `openssl genpkey -algorithm ed25519 -out operator.pem`.
 //!
@@ -16,7 +16,7 @@ use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::path::Path;
 
-use agent_core::signature::{PUBLIC_KEY_LENGTH, PublicKey, SIGNATURE_LENGTH};
+use agent_core::package::signature::{PUBLIC_KEY_LENGTH, PublicKey, SIGNATURE_LENGTH};
 use ed25519_dalek::pkcs8::spki::der::pem::LineEnding;
 use ed25519_dalek::pkcs8::{EncodePrivateKey, EncodePublicKey, KeypairBytes, PublicKeyBytes};
 use ed25519_dalek::{SECRET_KEY_LENGTH, Signer, SigningKey};
@@ -209,7 +209,7 @@ fn refuse_open(_: &Path) -> Result<(), KeyFileError> {
 mod tests {
     use std::path::PathBuf;
 
-    use agent_core::signature::verify;
+    use agent_core::package::signature::verify;
 
     use super::*;
 

@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use agent_core::signature::PUBLIC_KEY_LENGTH;
+use agent_core::package::signature::PUBLIC_KEY_LENGTH;
 use ed25519_dalek::SigningKey;
 use ed25519_dalek::pkcs8::{DecodePrivateKey, DecodePublicKey, PublicKeyBytes};
 use pkcs8::der::asn1::ObjectIdentifier;

@@ -1,7 +1,7 @@
 //! Which functions the layers apply: their names, and whose word counts.
 
-use agent_core::activation::Activation;
-use agent_core::network::Architecture;
+use agent_core::math::activation::Activation;
+use agent_core::observer::network::Architecture;
 
 use super::TensorProblem;
 

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::mem;
 
-use agent_core::network::LAYER_WIDTH_MAX;
+use agent_core::observer::network::LAYER_WIDTH_MAX;
 
 use super::TensorProblem;
 use super::error::{Extent, fits};

@@ -1,15 +1,15 @@
-//! What is wrong with a file of arrays, and how to mend it.
+//! What is wrong with a file of arrays, and how to hint it.
 
 use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use agent_core::network::{INNER_LAYERS_MAX, NetworkError};
+use agent_core::observer::network::{INNER_LAYERS_MAX, NetworkError};
 
 use super::{FILE_BYTES_MAX, FileKind, activations};
 use crate::output_file::OutputError;
 
-/// Why a network cannot be read from or written to a file: file, array, problem and mend, in
+/// Why a network cannot be read from or written to a file: file, array, problem and hint, in
 /// one line of text.
 ///
 /// ``net.npz: array `layer2.weight` has shape [4, 2], expected [width 1 to 64, inputs 4];

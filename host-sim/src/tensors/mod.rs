@@ -30,7 +30,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
-use agent_core::network::{Architecture, InnerNetwork};
+use agent_core::observer::network::{Architecture, InnerNetwork};
 
 pub use activations::{Activations, ActivationsSource};
 pub use array::Rounding;
@@ -47,7 +47,7 @@ pub const FILE_BYTES_MAX: u64 = 4 << 20;
 pub struct NetworkArrays {
     /// Inputs, widths and activations.
     pub architecture: Architecture,
-    /// The inner parameters in the core's order ([`agent_core::network`]), shape
+    /// The inner parameters in the core's order ([`agent_core::observer::network`]), shape
     /// `[parameter_count]`.
     pub inner: Vec<f32>,
     /// `W_hat` row by row, shape `[features][inputs]`: the state has as many components as the
@@ -136,7 +136,7 @@ impl fmt::Display for FileKind {
 /// file.
 ///
 /// # Errors
-/// A [`TensorError`] that names the file, the array, what is wrong with it and the mend.
+/// A [`TensorError`] that names the file, the array, what is wrong with it and the hint.
 pub fn read(
     path: &Path,
     activations: Activations,
@@ -186,7 +186,7 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>, TensorProblem> {
 /// Reads a network from the bytes of a file.
 ///
 /// # Errors
-/// A [`TensorProblem`] that names the array, what is wrong with it and the mend.
+/// A [`TensorProblem`] that names the array, what is wrong with it and the hint.
 pub fn from_bytes(
     kind: FileKind,
     bytes: &[u8],

@@ -6,8 +6,9 @@
 
 use std::collections::BTreeMap;
 
-use agent_core::activation::Activation;
-use agent_core::network::{Architecture, INNER_LAYERS_MAX, INPUTS_MAX, LAYER_WIDTH_MAX, Layer};
+use agent_core::INPUTS_MAX;
+use agent_core::math::activation::Activation;
+use agent_core::observer::network::{Architecture, INNER_LAYERS_MAX, LAYER_WIDTH_MAX, Layer};
 
 use super::array::{Rounding, StoredArray};
 use super::{Extent, NetworkArrays, TensorProblem};

@@ -6,7 +6,7 @@
 
 use std::io::{Read, Write};
 
-use agent_core::network::INNER_LAYERS_MAX;
+use agent_core::observer::network::INNER_LAYERS_MAX;
 use flate2::bufread::DeflateDecoder;
 use rawzip::{CompressionMethod, ZipArchive, ZipArchiveWriter};
 

@@ -19,8 +19,8 @@
 //! Invariants: the same seed gives the same bits on every machine.
 
 use super::data::Dataset;
-use agent_core::activation::Activation;
-use agent_core::network::Architecture;
+use agent_core::math::activation::Activation;
+use agent_core::observer::network::Architecture;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

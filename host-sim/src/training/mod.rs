@@ -61,7 +61,7 @@ pub use scaling::Scaling;
 pub use smoothing::{Smoothed, Smoothing, SmoothingError};
 pub use weight_decay::WeightDecay;
 
-use agent_core::network::Architecture;
+use agent_core::observer::network::Architecture;
 use std::ops::ControlFlow;
 use std::sync::atomic::AtomicBool;
 

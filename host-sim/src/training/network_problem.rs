@@ -17,7 +17,7 @@ use super::data::Dataset;
 use super::levenberg_marquardt::LeastSquares;
 use super::normal_matrix::NormalMatrix;
 use super::propagation::{BATCH, Propagation, layer_shapes};
-use agent_core::network::Architecture;
+use agent_core::observer::network::Architecture;
 use pulp::{Arch, Simd, WithSimd};
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -4,8 +4,8 @@ use super::data::Dataset;
 use super::levenberg_marquardt::LeastSquares;
 use super::network_problem::{NetworkProblem, ProblemError};
 use super::testing::{architecture, assert_close, instruction_sets, random_data, random_values};
-use agent_core::activation::Activation::{Gaussian, Logistic, Tanh};
-use agent_core::network::Architecture;
+use agent_core::math::activation::Activation::{Gaussian, Logistic, Tanh};
+use agent_core::observer::network::Architecture;
 use proptest::prelude::*;
 
 /// f̂(x) as the equations have it, with libm's functions.

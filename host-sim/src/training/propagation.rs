@@ -16,8 +16,8 @@
 
 use super::elementary::{exp_of_negative, tanh};
 use super::panel_product::{PanelProduct, Store, round_up};
-use agent_core::activation::Activation;
-use agent_core::network::{Architecture, LAYER_WIDTH_MAX};
+use agent_core::math::activation::Activation;
+use agent_core::observer::network::{Architecture, LAYER_WIDTH_MAX};
 use pulp::{Arch, Simd, WithSimd};
 
 /// Samples that are propagated together. Sums over samples are taken batch by batch, so this
@@ -44,7 +44,7 @@ pub(super) struct LayerShape {
 /// Layers of an architecture with their places in the flat parameter sequence.
 pub(super) fn layer_shapes(architecture: &Architecture) -> Vec<LayerShape> {
     let mut offset = 0;
-    let shape = |(inputs, layer): (usize, agent_core::network::Layer)| {
+    let shape = |(inputs, layer): (usize, agent_core::observer::network::Layer)| {
         let width = usize::from(layer.width);
         let shape = LayerShape { inputs, width, offset, activation: layer.activation };
         offset += (inputs + 1) * width;

@@ -22,7 +22,7 @@
 //! precision. It is passed on as 0 and gets the weight 0. Scaling all inputs or targets by a power
 //! of two changes no bit of the training.
 
-use agent_core::network::Architecture;
+use agent_core::observer::network::Architecture;
 
 use super::data::Dataset;
 
@@ -186,7 +186,7 @@ fn first_width(architecture: &Architecture) -> usize {
 mod tests {
     use super::*;
     use crate::training::testing::{architecture, assert_close};
-    use agent_core::activation::Activation::Tanh;
+    use agent_core::math::activation::Activation::Tanh;
 
     fn data(scale: f64, offset: f64) -> Dataset {
         let wave = |s: usize| libm::sin(0.3 * s as f64);

@@ -3,7 +3,7 @@
 use super::testing::{architecture, assert_close, random_data, random_values};
 use super::*;
 use crate::fnv::Fnv;
-use agent_core::activation::Activation::Tanh;
+use agent_core::math::activation::Activation::Tanh;
 
 const GO: ControlFlow<()> = ControlFlow::Continue(());
 

@@ -1,8 +1,8 @@
 //! What the unit tests of training share.
 
 use super::data::Dataset;
-use agent_core::activation::Activation;
-use agent_core::network::{Architecture, Layer};
+use agent_core::math::activation::Activation;
+use agent_core::observer::network::{Architecture, Layer};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -14,7 +14,7 @@
 //! Reported errors are the plain mean squared ones; goal and progress are judged by E_λ.
 
 use super::levenberg_marquardt::LeastSquares;
-use agent_core::network::Architecture;
+use agent_core::observer::network::Architecture;
 
 /// `problem` with the penalty λ‖θ‖².
 #[derive(Clone, Debug)]
@@ -30,7 +30,7 @@ pub struct WeightDecay<P> {
 /// Which of the flat inner parameters are biases, one entry for each.
 #[must_use]
 pub fn biases(architecture: &Architecture) -> Vec<bool> {
-    let layer = |(inputs, layer): (usize, agent_core::network::Layer)| {
+    let layer = |(inputs, layer): (usize, agent_core::observer::network::Layer)| {
         let width = usize::from(layer.width);
         let part = |is_bias: bool, count| std::iter::repeat_n(is_bias, count);
         part(true, width).chain(part(false, inputs * width))

@@ -3,7 +3,7 @@
 //! NaN is left out: the core refuses it before it gets here, and its payload differs between
 //! processors.
 
-use agent_core::activation::{Activation, gaussian, logistic, tanh};
+use agent_core::math::activation::{Activation, gaussian, logistic, tanh};
 
 use crate::digest::Digest;
 

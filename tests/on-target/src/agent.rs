@@ -1,14 +1,14 @@
 //! An agent as a node runs it, through everything that can happen to it.
 
-use agent_core::frame::{Frame, FrameBytes};
 use agent_core::health::HealthCounters;
-use agent_core::network::Scratch;
+use agent_core::observer::network::Scratch;
+use agent_core::wire::frame::{Frame, FrameBytes};
 
 use crate::Unusable;
 use crate::digest::Digest;
 use crate::draw::{scaled, triangle};
 use crate::meter::{Figure, Figures, Meter};
-use crate::node::{Node, Outcome, Places};
+use crate::node::{Node, Outcome, ParamBuffers};
 use crate::package;
 
 /// Steps of the run.
@@ -77,7 +77,7 @@ fn frame(id: u16, tick: u32) -> Option<FrameBytes> {
 #[inline(never)]
 pub(crate) fn digest(meter: &mut impl Meter, figures: &mut Figures) -> Result<u64, Unusable> {
     let mut digest = Digest::NEW;
-    let mut places = Places::EMPTY;
+    let mut places = ParamBuffers::EMPTY;
     let mut node = Node::new(&mut places, &mut Scratch::NEW.clone())?;
     let mut broadcast = FrameBytes::new();
     digest.bytes(&node.state.announcement(&node.params).encode());

@@ -1,9 +1,9 @@
 //! The inner network and the outer weights.
 
 use agent_core::StateVector;
-use agent_core::activation::Activation;
-use agent_core::network::{Architecture, InnerNetwork, Layer, Scratch};
-use agent_core::outer_law::OuterWeights;
+use agent_core::math::activation::Activation;
+use agent_core::observer::network::{Architecture, InnerNetwork, Layer, Scratch};
+use agent_core::observer::outer_law::OuterWeights;
 
 use crate::Unusable;
 use crate::digest::Digest;

@@ -3,14 +3,14 @@
 use core::num::NonZeroU32;
 
 use agent_core::StateVector;
+use agent_core::agent::hold::Hold;
+use agent_core::agent::inbox::Inbox;
 use agent_core::agent::{AgentParams, AgentState, StepError, StepOutput};
-use agent_core::frame::{FrameBytes, FrameError};
 use agent_core::health::{Advice, FallBack, Health, HealthParams, HealthSettings};
-use agent_core::hold::Hold;
-use agent_core::inbox::Inbox;
-use agent_core::network::Scratch;
-use agent_core::observer::Neighbour;
+use agent_core::observer::feedback::Neighbour;
+use agent_core::observer::network::Scratch;
 use agent_core::package::NetworkPlace;
+use agent_core::wire::frame::{FrameBytes, FrameError};
 
 use crate::Unusable;
 use crate::package;
@@ -35,12 +35,12 @@ const SETTINGS: HealthSettings = HealthSettings {
 
 /// Where the parameters live that a package's bytes only describe.
 #[derive(Debug)]
-pub(crate) struct Places {
+pub(crate) struct ParamBuffers {
     neighbours: [Neighbour; NEIGHBOURS],
     gain: [f32; 1],
 }
 
-impl Places {
+impl ParamBuffers {
     pub(crate) const EMPTY: Self =
         Self { neighbours: [Neighbour { id: 0, weight: 0.0 }; NEIGHBOURS], gain: [0.0] };
 }
@@ -69,7 +69,10 @@ pub(crate) enum Outcome {
 }
 
 impl<'a> Node<'a> {
-    pub(crate) fn new(places: &'a mut Places, scratch: &mut Scratch) -> Result<Self, Unusable> {
+    pub(crate) fn new(
+        places: &'a mut ParamBuffers,
+        scratch: &mut Scratch,
+    ) -> Result<Self, Unusable> {
         let package = package::package(scratch)?;
         let params = package
             .node

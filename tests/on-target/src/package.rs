@@ -1,8 +1,8 @@
 //! Weight packages: the embedded one, damaged and changed ones, and checksums.
 
-use agent_core::checksum::crc32;
-use agent_core::network::Scratch;
+use agent_core::observer::network::Scratch;
 use agent_core::package::{Capacity, HEADER_LENGTH, Package, Refusal, Requirements, accept};
+use agent_core::wire::crc::crc32;
 
 use crate::Unusable;
 use crate::digest::Digest;

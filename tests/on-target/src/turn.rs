@@ -3,11 +3,11 @@
 
 use core::num::NonZeroU32;
 
-use agent_core::frame::{FRAME_LENGTH_MAX, Frame, FrameBytes};
 use agent_core::health::HealthSettings;
-use agent_core::serial::SerialError;
 use agent_core::service::{Request, Subscription, send};
 use agent_core::store::{Layout, MappedFlash};
+use agent_core::wire::cobs::SerialError;
+use agent_core::wire::frame::{FRAME_LENGTH_MAX, Frame, FrameBytes};
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use firmware_template::board::{Board, Lost, RequestBuffer, RequestDecoder};
 use firmware_template::{Memory, Node, Settings};

@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::facts::Facts;
+use super::inspect::Facts;
 use crate::commands::{CommandError, Format, print_json, print_text};
 use crate::packages::PackageBytes;
 

@@ -8,7 +8,7 @@ use std::fmt::Write;
 use std::path::PathBuf;
 
 use agent_core::StateVector;
-use agent_core::network::Scratch;
+use agent_core::observer::network::Scratch;
 use agent_core::package::{OnSwitch, Package};
 use clap::Args;
 use serde::Serialize;

@@ -1,10 +1,10 @@
 //! `weights`: looking at packages, checking, signing, converting and placing them.
 
+mod convert;
 mod diff;
 mod evaluate;
-mod exchange;
-mod facts;
 mod image;
+mod inspect;
 mod renumber;
 mod verify;
 
@@ -40,9 +40,9 @@ pub(super) enum Command {
     /// Makes a pair of keys for signing
     Keygen(Keygen),
     /// Makes a package of a network trained elsewhere (.npz or .safetensors)
-    Import(exchange::Import),
+    Import(convert::Import),
     /// Writes a package's network for other tools (.npz or .safetensors)
-    Export(exchange::Export),
+    Export(convert::Export),
     /// Makes a flash image of a package, for any flasher
     Image(image::Arguments),
 }
@@ -102,15 +102,15 @@ pub(super) fn execute(command: &Command) -> Result<(), CommandError> {
         Command::Renumber(arguments) => renumber::execute(arguments),
         Command::Sign(arguments) => sign(arguments),
         Command::Keygen(arguments) => keygen(arguments),
-        Command::Import(arguments) => exchange::import(arguments),
-        Command::Export(arguments) => exchange::export(arguments),
+        Command::Import(arguments) => convert::import(arguments),
+        Command::Export(arguments) => convert::export(arguments),
         Command::Image(arguments) => image::execute(arguments),
     }
 }
 
 fn inspect(arguments: &Inspect) -> Result<(), CommandError> {
     let bytes = PackageBytes::load(&arguments.package)?;
-    let facts = facts::Facts::new(&bytes);
+    let facts = inspect::Facts::new(&bytes);
     match arguments.format {
         Format::Json => print_json(&facts),
         Format::Text => print_text(&facts.text(&arguments.package)),

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
+use agent_core::package::signature::PublicKey;
 use agent_core::package::{Capacity, InUse, Requirements};
-use agent_core::signature::PublicKey;
 use clap::Args;
 use serde::Serialize;
 

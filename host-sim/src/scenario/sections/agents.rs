@@ -54,8 +54,8 @@ pub(in crate::scenario) fn graph(root: &Table<'_>, agents: usize) -> Result<Grap
     let edges = table.get("edges", "[[1, 2]]");
     let topology = table.get("topology", "\"ring\"");
     if let Some(weight) = table.get("weight", "1.0").filter(|_| topology.is_none()) {
-        let mend = "write weights into adjacency or edges, or write topology = \"ring\"";
-        return Err(weight.error("stands without a topology", mend));
+        let hint = "write weights into adjacency or edges, or write topology = \"ring\"";
+        return Err(weight.error("stands without a topology", hint));
     }
     match (adjacency, edges, topology) {
         (Some(adjacency), None, None) => from_adjacency(&adjacency, agents),
@@ -83,10 +83,10 @@ fn from_adjacency(value: &Value<'_>, agents: usize) -> Result<Graph, ScenarioErr
             GraphError::Weight { second, .. } => Some(second),
             _ => None,
         };
-        let mend = graph_mend(&error);
+        let hint = graph_mend(&error);
         match row {
-            Some(row) => rows[row].error_of(value, error, mend),
-            None => value.error(error, mend),
+            Some(row) => rows[row].error_of(value, error, hint),
+            None => value.error(error, hint),
         }
     })
 }

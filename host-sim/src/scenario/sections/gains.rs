@@ -32,8 +32,8 @@ pub(in crate::scenario) fn design(root: &Table<'_>, n: usize) -> Result<Design, 
     let (k2, kappa) = (k2_value.positive()?, table.require("kappa", "0.5")?.positive()?);
     if k2 * kappa <= 1.0 {
         let problem = format!("is {}, the analysis needs it above 1/kappa", k2_value.written());
-        let mend = format!("write a number above {}, or a larger kappa", 1.0 / kappa);
-        return Err(k2_value.error(problem, mend));
+        let hint = format!("write a number above {}, or a larger kappa", 1.0 / kappa);
+        return Err(k2_value.error(problem, hint));
     }
     Ok(Design {
         gain,

@@ -31,8 +31,8 @@ pub(in crate::scenario) fn health(
 ) -> Result<Option<HealthSettings>, ScenarioError> {
     let Some(table) = root.get_table("health")? else { return Ok(None) };
     if !has_network {
-        let mend = "write a table [network], or remove this one";
-        return Err(table.error("there is no network to watch", mend));
+        let hint = "write a table [network], or remove this one";
+        return Err(table.error("there is no network to watch", hint));
     }
     table.only(&[
         "fall_back_after",
@@ -95,8 +95,8 @@ fn margin(value: &Value<'_>) -> Result<f32, ScenarioError> {
 fn signs(value: &Value<'_>) -> Result<Vec<Sign>, ScenarioError> {
     let list = value.list("write \"outside-box\"")?;
     if list.is_empty() {
-        let mend = "name at least one, or write fall_back_after = 0";
-        return Err(value.error("names no sign of trouble", mend));
+        let hint = "name at least one, or write fall_back_after = 0";
+        return Err(value.error("names no sign of trouble", hint));
     }
     let mut signs = Vec::with_capacity(list.len());
     for entry in &list {

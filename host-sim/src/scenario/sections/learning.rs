@@ -29,8 +29,8 @@ pub(in crate::scenario) fn cycles(
     let mut cycles: Vec<LearningCycle> = Vec::with_capacity(tables.len());
     for table in &tables {
         if !has_network {
-            let mend = "write a table [network], or remove this one";
-            return Err(table.error("there is no network that could learn", mend));
+            let hint = "write a table [network], or remove this one";
+            return Err(table.error("there is no network that could learn", hint));
         }
         let cycle = cycle(table, time, agents, recipes)?;
         check_order(table, &cycle, &cycles)?;
@@ -66,8 +66,8 @@ fn cycle(
     let apply_at = apply_value.positive()?;
     if time.tick(apply_at) >= time.tick(time.duration) {
         let problem = format!("is {}, when the run is over", apply_value.written());
-        let mend = format!("write a time below time.duration, {}", time.duration);
-        return Err(apply_value.error(problem, mend));
+        let hint = format!("write a time below time.duration, {}", time.duration);
+        return Err(apply_value.error(problem, hint));
     }
     if apply_at < to {
         let problem = format!("is {}, before collecting has ended", apply_value.written());
@@ -76,14 +76,14 @@ fn cycle(
     let recipe_value = table.require("recipe", "\"plain\"")?;
     let recipe = recipe_value.text()?;
     if !recipes.iter().any(|known| known.name == recipe) {
-        let mend = match closest(recipe, recipes.iter().map(|known| known.name.as_str())) {
+        let hint = match closest(recipe, recipes.iter().map(|known| known.name.as_str())) {
             Some(closest) => format!("write \"{closest}\""),
             None => {
                 let known = recipes.iter().map(|known| format!("\"{}\" or ", known.name));
                 format!("write {}a table [recipes.{recipe}]", known.collect::<String>())
             }
         };
-        return Err(recipe_value.error(format_args!("there is no recipe `{recipe}`"), mend));
+        return Err(recipe_value.error(format_args!("there is no recipe `{recipe}`"), hint));
     }
     Ok(LearningCycle { agents: learners, collect, stride, apply_at, recipe: recipe.to_owned() })
 }
@@ -136,8 +136,8 @@ fn check_order(
                 learner + 1,
                 before.apply_at
             );
-            let mend = "write the cycles of an agent in the order of time, none inside another";
-            return Err(value.error(problem, mend));
+            let hint = "write the cycles of an agent in the order of time, none inside another";
+            return Err(value.error(problem, hint));
         }
     }
     Ok(())
@@ -216,8 +216,8 @@ fn split(table: &Table<'_>) -> Result<[f64; 3], ScenarioError> {
     if parts[0] <= 0.0 || parts.iter().any(|&part| part < 0.0) || (sum - 1.0).abs() > 1e-9 {
         let problem =
             format!("is {}, which does not add up to 1, or has a negative part", value.written());
-        let mend = "write three numbers, 0 or above and the first above 0, that add up to 1";
-        return Err(value.error(problem, mend));
+        let hint = "write three numbers, 0 or above and the first above 0, that add up to 1";
+        return Err(value.error(problem, hint));
     }
     Ok([parts[0], parts[1], parts[2]])
 }

@@ -1,7 +1,7 @@
 //! `[network]`.
 
-use agent_core::activation::Activation;
-use agent_core::network::{Architecture, INNER_LAYERS_MAX, LAYER_WIDTH_MAX, Layer};
+use agent_core::math::activation::Activation;
+use agent_core::observer::network::{Architecture, INNER_LAYERS_MAX, LAYER_WIDTH_MAX, Layer};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -44,8 +44,8 @@ pub(in crate::scenario) fn network(
     let norm = outer.iter().fold(0.0, |sum, weight| sum + weight * weight).sqrt();
     if norm > outer_law.bound {
         let problem = format!("has the Frobenius norm {norm:.3}, above outer_law.bound");
-        let mend = format!("write a bound above {norm:.3}, or smaller weights");
-        return Err(outer_value.error(problem, mend));
+        let hint = format!("write a bound above {norm:.3}, or smaller weights");
+        return Err(outer_value.error(problem, hint));
     }
     Ok(Some(Network { architecture, inner, outer, outer_law }))
 }

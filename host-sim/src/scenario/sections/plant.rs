@@ -91,8 +91,8 @@ fn check_dimension(
     if (1..=DIMENSION_MAX).contains(&found) {
         return Ok(());
     }
-    let mend = format!("give it 1 to {DIMENSION_MAX}, the dimension of the state");
-    Err(value.error(has(found, one, many), mend))
+    let hint = format!("give it 1 to {DIMENSION_MAX}, the dimension of the state");
+    Err(value.error(has(found, one, many), hint))
 }
 
 fn expressions(table: &Table<'_>) -> Result<ExpressionSystem, ScenarioError> {

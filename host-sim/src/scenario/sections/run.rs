@@ -17,8 +17,8 @@ pub(in crate::scenario) fn name(root: &Table<'_>) -> Result<String, ScenarioErro
     let name = value.text()?;
     let letters = name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_');
     if name.is_empty() || name.len() > NAME_LENGTH_MAX || !letters {
-        let mend = format!("write 1 to {NAME_LENGTH_MAX} ASCII letters, digits, - or _");
-        return Err(value.error(format_args!("`{name}` cannot name files"), mend));
+        let hint = format!("write 1 to {NAME_LENGTH_MAX} ASCII letters, digits, - or _");
+        return Err(value.error(format_args!("`{name}` cannot name files"), hint));
     }
     Ok(name.to_owned())
 }
@@ -44,8 +44,8 @@ pub(in crate::scenario) fn time(root: &Table<'_>) -> Result<Time, ScenarioError>
         let (duration, step) = (duration_value.written(), step_value.written());
         let problem = format!("is {duration}, not a whole number of steps of {step}");
         let nearest = (whole.max(1.0) * step_size * 1e9).round() / 1e9;
-        let mend = format!("write a multiple of the step, such as {nearest}");
-        return Err(duration_value.error(problem, mend));
+        let hint = format!("write a multiple of the step, such as {nearest}");
+        return Err(duration_value.error(problem, hint));
     }
     Ok(Time { duration, step_size, integrator })
 }
@@ -99,10 +99,10 @@ pub(in crate::scenario) fn record(
         let gigabytes = bytes(stride) as f64 / 1e9;
         let enough = bytes(1).div_ceil(TRACE_BYTES_MAX);
         let problem = format!("would keep {gigabytes:.1} GB of traces in memory");
-        let mend = format!("write record.trace_stride = {enough}, or 0 for no traces");
+        let hint = format!("write record.trace_stride = {enough}, or 0 for no traces");
         return Err(match root.get_table("record")? {
-            Some(table) => table.error(problem, mend),
-            None => root.error(problem, mend),
+            Some(table) => table.error(problem, hint),
+            None => root.error(problem, hint),
         });
     }
     Ok(record)

@@ -18,15 +18,14 @@
 
 use serde::Serialize;
 
-use crate::activation::Activation;
-use crate::numeric::{for_each, unrolled};
+use crate::INPUTS_MAX;
+use crate::math::activation::Activation;
+use crate::math::numeric::{for_each, unrolled};
 
 /// Most inner layers that a network can have.
 pub const INNER_LAYERS_MAX: usize = 8;
 /// Most nodes that an inner layer can have.
 pub const LAYER_WIDTH_MAX: usize = 64;
-/// Most inputs that a network can have; the largest state dimension.
-pub const INPUTS_MAX: usize = 12;
 
 /// One inner layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

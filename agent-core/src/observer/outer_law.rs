@@ -17,12 +17,12 @@
 //! weights by finite numbers or changes none.
 
 use crate::StateVector;
-use crate::numeric::{
+use crate::math::numeric::{
     add_scaled, components, components_mut, dot, for_each, square_root, unrolled, zeros,
 };
-use crate::parameter::{ParameterError, finite};
-use crate::projection::ProjectionParams;
-use crate::symmetric::SymmetricMatrix;
+use crate::math::parameter::{ParameterError, finite};
+use crate::math::symmetric::SymmetricMatrix;
+use crate::observer::projection::ProjectionParams;
 
 /// Constants of the law.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use agent_core::activation::Activation;
-use agent_core::network::Architecture;
+use agent_core::math::activation::Activation;
+use agent_core::observer::network::Architecture;
 use agent_core::package::OnSwitch;
 use clap::Args;
 use serde::Serialize;
@@ -15,7 +15,7 @@ use crate::commands::{
 };
 use crate::output_file::OutputFile;
 use crate::packages::trained::INITIAL_VERSION;
-use crate::packages::{Draft, NodeContent, PackageBytes};
+use crate::packages::{Draft, OwnedAgentConfig, PackageBytes};
 use crate::shell::shell_word;
 use crate::tensors::{self, Activations, ActivationsSource, NetworkArrays};
 
@@ -267,7 +267,7 @@ fn of_scenario(path: &Path, agent: usize) -> Result<Draft, CommandError> {
         architecture: network.architecture.clone(),
         inner: Vec::new(),
         outer_weights: Vec::new(),
-        node: NodeContent::new(&scenario, &trigger, index),
+        node: OwnedAgentConfig::new(&scenario, &trigger, index),
         broadcast_interval_min: 0.0,
         low: vec![f32::MIN; n],
         high: vec![f32::MAX; n],

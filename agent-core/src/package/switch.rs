@@ -1,12 +1,12 @@
 //! Going on with another package, between two steps: the paper's `T_p`, at which the piecewise
 //! continuous `Phi_hat` jumps while the estimate goes on.
 
-use super::{AgentParams, AgentState};
-use crate::hold::Hold;
-use crate::inbox::Inbox;
-use crate::observer::Neighbour;
-use crate::package::{OnSwitch, Package};
-use crate::parameter::ParameterError;
+use super::{OnSwitch, Package};
+use crate::agent::hold::Hold;
+use crate::agent::inbox::Inbox;
+use crate::agent::{AgentParams, AgentState};
+use crate::math::parameter::ParameterError;
+use crate::observer::feedback::Neighbour;
 
 impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S>
 where
@@ -30,27 +30,21 @@ where
     where
         I: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
     {
-        let (expected, found) = (self.neighbour_holds.as_ref().len(), new.neighbours().len());
+        let (expected, found) = (self.neighbour_holds().len(), new.neighbours().len());
         if expected != found {
             let parameter = "observer.neighbours";
             return Err(ParameterError::Length { parameter, expected, found });
         }
-        let same_features = self.outer_weights.rows().len() == package.features();
+        let same_features = self.outer_weights().rows().len() == package.features();
         if !same_features || package.outer_weights_on_switch == OnSwitch::Replace {
-            self.outer_weights.replace(package.outer_weights, &new.outer_law)?;
+            self.replace_outer_weights(new, package.outer_weights)?;
         }
         let stays = |place: usize| {
             let (old, new) = (old.get(place), new.neighbours().get(place));
             old.zip(new).is_some_and(|(old, new)| old.id == new.id)
         };
-        for (place, hold) in self.neighbour_holds.as_mut().iter_mut().enumerate() {
-            if !stays(place) {
-                *hold = None;
-            }
-        }
+        self.keep_neighbours(stays);
         inbox.keep_places(stays);
-        // Weights of edges may have changed, too.
-        self.consensus_is_current = false;
         Ok(())
     }
 }

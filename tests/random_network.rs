@@ -1,17 +1,17 @@
 //! Random networks of agents, drawn from a seed, and a loop that steps them with lossless,
 //! simultaneous frames.
 
-use agent_core::activation::Activation;
+use agent_core::agent::hold::Hold;
+use agent_core::agent::inbox::Inbox;
 use agent_core::agent::{AgentParams, AgentState, StepOutput};
-use agent_core::frame::FrameBytes;
-use agent_core::hold::Hold;
-use agent_core::inbox::Inbox;
-use agent_core::network::{Architecture, InnerNetwork, Layer};
-use agent_core::observer::{Neighbour, ObserverParams, OutputMatrix};
-use agent_core::outer_law::OuterLawParams;
-use agent_core::projection::ProjectionParams;
-use agent_core::symmetric::SymmetricMatrix;
-use agent_core::trigger::TriggerParams;
+use agent_core::math::activation::Activation;
+use agent_core::math::symmetric::SymmetricMatrix;
+use agent_core::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
+use agent_core::observer::network::{Architecture, InnerNetwork, Layer};
+use agent_core::observer::outer_law::OuterLawParams;
+use agent_core::observer::projection::ProjectionParams;
+use agent_core::observer::trigger::TriggerParams;
+use agent_core::wire::frame::FrameBytes;
 use agent_core::{AgentId, StateVector, Tick};
 use nalgebra::{DMatrix, SMatrix};
 use rand::{RngExt, SeedableRng};
@@ -301,15 +301,15 @@ impl<const N: usize> DrawnAgent<N> {
 }
 
 /// The places of an agent's neighbours on a heap.
-pub(crate) type Places<const N: usize> = Vec<Option<Hold<N>>>;
+pub(crate) type ParamBuffers<const N: usize> = Vec<Option<Hold<N>>>;
 
 /// One running agent.
 #[derive(Clone, Debug)]
 pub(crate) struct Member<'a, const N: usize> {
     pub(crate) params: AgentParams<'a, N>,
     pub(crate) inner_network: InnerNetwork<Vec<f32>>,
-    pub(crate) state: AgentState<N, FEATURES, Places<N>>,
-    pub(crate) inbox: Inbox<N, Places<N>>,
+    pub(crate) state: AgentState<N, FEATURES, ParamBuffers<N>>,
+    pub(crate) inbox: Inbox<N, ParamBuffers<N>>,
 }
 
 impl<const N: usize> DrawnNetwork<N> {

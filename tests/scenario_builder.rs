@@ -53,7 +53,7 @@ impl Described {
     /// The file.
     pub(crate) fn text(&self) -> String {
         let mut text = format!(
-            "name = \"described\"\n{}\n[time]\nduration = {:?}\nstep = 0.001\n\
+            "name = \"scenario_builder\"\n{}\n[time]\nduration = {:?}\nstep = 0.001\n\
              plant_integrator = \"{}\"\n\n[design]\ngain = {:?}\nk2 = 5.0\nkappa = 1.0\n\
              rho = 1.0\ndelta = 0.5\nepsilon = {:?}\n\n{}\n{}\n[record]\ntrace_stride = {}\n\
              events = {}\n",
@@ -77,7 +77,8 @@ impl Described {
     /// The scenario that the file describes.
     pub(crate) fn scenario(&self) -> Scenario {
         let text = self.text();
-        Scenario::parse("described.toml", &text).unwrap_or_else(|error| panic!("{error}\n{text}"))
+        Scenario::parse("scenario_builder.toml", &text)
+            .unwrap_or_else(|error| panic!("{error}\n{text}"))
     }
 }
 

@@ -1,29 +1,29 @@
 //! What goes along with a run: somebody who hears what every agent takes and gives, step by step,
 //! and who can have packages switched in.
 //!
-//! A run without a companion pays one comparison a step for the possibility.
+//! A run without a run_observer pays one comparison a step for the possibility.
 
 use std::error::Error;
 use std::ops::ControlFlow;
 
 use agent_core::Tick;
-use agent_core::frame::FrameBytes;
 use agent_core::service::Outcome;
+use agent_core::wire::frame::FrameBytes;
 
 use crate::packages::PackageBytes;
 
-/// Why a companion ends a run: an error of its own.
-pub type CompanionError = Box<dyn Error + Send + Sync>;
+/// Why a run_observer ends a run: an error of its own.
+pub type RunObserverError = Box<dyn Error + Send + Sync>;
 
 /// Goes along with a run. Agents are counted from 0.
-pub trait Companion {
+pub trait RunObserver {
     /// The run begins: an entry for each agent.
     ///
     /// # Errors
     /// Any error ends the run.
-    fn begin(&mut self, agents: &[AgentStart<'_>]) -> Result<(), CompanionError>;
+    fn begin(&mut self, agents: &[AgentStart<'_>]) -> Result<(), RunObserverError>;
 
-    /// The step at `tick` comes next, after `switches`, to which the companion may add its own.
+    /// The step at `tick` comes next, after `switches`, to which the run_observer may add its own.
     /// A `Break` ends the run in front of it.
     ///
     /// # Errors
@@ -32,13 +32,13 @@ pub trait Companion {
         &mut self,
         tick: Tick,
         switches: &mut Vec<Switch>,
-    ) -> Result<ControlFlow<()>, CompanionError>;
+    ) -> Result<ControlFlow<()>, RunObserverError>;
 
     /// All agents have done the step at `tick`: an entry for each.
     ///
     /// # Errors
     /// Any error ends the run.
-    fn after_step(&mut self, tick: Tick, agents: &[AgentStep<'_>]) -> Result<(), CompanionError>;
+    fn after_step(&mut self, tick: Tick, agents: &[AgentStep<'_>]) -> Result<(), RunObserverError>;
 }
 
 /// An agent at the beginning of a run.

@@ -3,8 +3,8 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::package::{FORMAT_VERSION, OnSwitch, SIGNATURE_BLOCK_LENGTH};
-use agent_core::symmetric::SymmetricMatrix;
 use serde::Serialize;
 
 use crate::packages::PackageBytes;

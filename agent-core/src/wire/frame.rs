@@ -19,10 +19,10 @@
 //! Cost: linear in the length. Invariant: decoding either gives a frame with a finite
 //! estimate of the right dimension, or an error; it never panics, whatever the bytes.
 
-use crate::checksum::{CHECKSUM_LENGTH, crc32};
-use crate::codec::{Reader, push_integer};
-use crate::network::INPUTS_MAX;
-use crate::numeric::zeros;
+use crate::INPUTS_MAX;
+use crate::math::numeric::zeros;
+use crate::wire::codec::{Reader, push_integer};
+use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 use crate::{AgentId, StateVector, Tick};
 
 /// Version of the format that this crate writes and reads.
@@ -207,7 +207,7 @@ fn decode(bytes: &[u8], estimate: &mut [f32]) -> Result<Header, FrameError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::numeric::all_finite;
+    use crate::math::numeric::all_finite;
     use proptest::prelude::*;
 
     fn frame() -> Frame<3> {

@@ -1,7 +1,7 @@
 //! Activation functions in software, the same bits on every target.
 //!
 //! `tanh(x)`, the logistic `1 / (1 + exp(-x))` and the Gaussian `exp(-x^2)`: the functions
-//! phi of equation `Phi func`, which [`crate::network`] applies to every node. They are
+//! phi of equation `Phi func`, which [`crate::observer::network`] applies to every node. They are
 //! built from nothing but IEEE 754 binary32 addition, subtraction, multiplication, division,
 //! comparison and bit casts, in one fixed order and without fused multiply-add, so a
 //! desktop's vector unit, an M4F and a soft-float M0 agree to the last bit.
@@ -45,7 +45,7 @@
 //! - Gaussian is even to the bit, never increases with `|x|`, and stays in [0, 1].
 //! - Infinities give the limits (1, -1, 0). NaN gives NaN, but *which* NaN differs between
 //!   processors: callers refuse input that is not finite, as
-//!   [`InnerNetwork::new`](crate::network::InnerNetwork::new) does with parameters.
+//!   [`InnerNetwork::new`](crate::observer::network::InnerNetwork::new) does with parameters.
 //!
 //! Why `tanh` never decreases: from 0.55 on every operation is a rounded, monotone function
 //! of one that is monotone (the coefficients of Q are all positive), and so is their
@@ -74,7 +74,7 @@ use core::f32::consts::LOG2_E;
 
 use serde::Serialize;
 
-use crate::numeric::for_each;
+use crate::math::numeric::for_each;
 
 /// Where `tanh` changes its form: just above atanh(1/2) = 0.5493, so that `1 - 2 / (m + 2)`
 /// never has to answer in the finer binade below 1/2. Chosen, not fitted.

@@ -16,8 +16,8 @@
 //! The correction is always a multiple of `theta`, so only that factor is computed here.
 //! Cost: one comparison inside the ball; about 40 operations in the boundary layer.
 
-use crate::numeric::square_root;
-use crate::parameter::ParameterError;
+use crate::math::numeric::square_root;
+use crate::math::parameter::ParameterError;
 
 /// Constants of the operator.
 #[derive(Clone, Copy, Debug, PartialEq)]

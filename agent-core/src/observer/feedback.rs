@@ -15,9 +15,9 @@
 
 use nalgebra::SMatrix;
 
-use crate::numeric::{add_scaled, components, components_mut, difference, dot, zeros};
-use crate::parameter::{ParameterError, finite, positive};
-use crate::symmetric::SymmetricMatrix;
+use crate::math::numeric::{add_scaled, components, components_mut, difference, dot, zeros};
+use crate::math::parameter::{ParameterError, finite, positive};
+use crate::math::symmetric::SymmetricMatrix;
 use crate::{AgentId, StateVector};
 
 /// `C_i`, the output matrix: which combinations of the state the agent measures.

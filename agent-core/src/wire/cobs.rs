@@ -13,7 +13,7 @@
 //! Cost: about 25 operations a byte, the checksum's included. Memory: 264 bytes while a message
 //! is encoded; `CAPACITY + 12` bytes of decoder.
 
-use crate::checksum::{CHECKSUM_LENGTH, Checksum, crc32};
+use crate::wire::crc::{CHECKSUM_LENGTH, Checksum, crc32};
 
 /// Ends every message, and is nowhere else.
 pub const DELIMITER: u8 = 0;

@@ -11,16 +11,16 @@
 //! cannot be true; without it a single frame can make the receiver's step diverge.
 //!
 //! Whether a frame is newer than the sample that its receiver already holds is decided when the
-//! step takes it over, which is when the receiver's time is known: see [`crate::hold`].
+//! step takes it over, which is when the receiver's time is known: see [`crate::agent::hold`].
 //!
 //! Invariant: whatever arrives, an inbox holds at most one valid frame of each neighbour, and
 //! a refused one changes nothing.
 
 use crate::Tick;
-use crate::frame::{Frame, FrameError};
-use crate::hold::Hold;
-use crate::observer::Neighbour;
-use crate::region::Region;
+use crate::agent::hold::Hold;
+use crate::agent::region::Region;
+use crate::observer::feedback::Neighbour;
+use crate::wire::frame::{Frame, FrameError};
 
 /// Places for the next frame of each neighbour, in `S`: an array on the node, a vector on
 /// the host, one entry for each neighbour in the order of the agent's parameters.

@@ -8,8 +8,8 @@
 //! Cost: `4 N + 2` operations. No memory.
 
 use crate::StateVector;
-use crate::numeric::dot;
-use crate::parameter::{ParameterError, not_negative, positive};
+use crate::math::numeric::dot;
+use crate::math::parameter::{ParameterError, not_negative, positive};
 
 /// Constants of the trigger.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -20,7 +20,7 @@
 //!
 //! Memory: `4 N + 20` bytes. Cost: a few comparisons for each sample that arrives.
 
-use crate::sequence::is_newer;
+use crate::wire::sequence::is_newer;
 use crate::{StateVector, Tick};
 
 /// One agent's last broadcast sample.

@@ -8,7 +8,7 @@
 
 use nalgebra::SMatrix;
 
-use crate::parameter::{ParameterError, finite, positive};
+use crate::math::parameter::{ParameterError, finite, positive};
 
 /// A symmetric matrix, shape `[size, size]`; which size, its user knows.
 #[derive(Clone, Copy, Debug, PartialEq)]

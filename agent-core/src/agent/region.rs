@@ -4,10 +4,28 @@
 //! finite, and no lower limit is above its upper one.
 
 use crate::StateVector;
-use crate::hold::Hold;
-use crate::numeric::{components, components_mut};
-use crate::package::StateBox;
-use crate::parameter::{ParameterError, finite, not_negative};
+use crate::agent::hold::Hold;
+use crate::math::numeric::{components, components_mut};
+use crate::math::parameter::{ParameterError, finite, not_negative};
+
+/// A box in state space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StateBox<'a> {
+    /// Least value of each component, shape `[n]`.
+    pub low: &'a [f32],
+    /// Largest value of each component, shape `[n]`.
+    pub high: &'a [f32],
+}
+
+impl StateBox<'_> {
+    /// Whether every component of `x` lies within its limits.
+    #[inline]
+    #[must_use]
+    pub fn contains(&self, x: &[f32]) -> bool {
+        let limits = self.low.iter().zip(self.high);
+        limits.zip(x).all(|((low, high), x)| low <= x && x <= high)
+    }
+}
 
 /// All `x` with `low <= x <= high`, component by component.
 #[derive(Clone, Copy, Debug, PartialEq)]

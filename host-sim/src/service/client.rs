@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use agent_core::serial::{Decoder, SerialError};
 use agent_core::service::{PROTOCOL_VERSION, Problem, Request, receive, send};
+use agent_core::wire::cobs::{Decoder, SerialError};
 
 use super::hint::{of_garbage, of_refusal};
 use super::{Line, LineError, Message};
@@ -14,7 +14,7 @@ const MESSAGE_MAX: usize = 4096;
 
 /// Messages to and from one node.
 #[derive(Debug)]
-pub struct Conversation {
+pub struct Client {
     line: Line,
     decoder: Box<Decoder<MESSAGE_MAX>>,
     /// What has been received and not been asked for: messages, or damage.
@@ -34,7 +34,7 @@ pub struct Conversation {
 
 /// How long an answer is waited for, and how often it is asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Patience {
+pub struct RetryPolicy {
     /// The time for one answer.
     pub timeout: Duration,
     /// How often the request is sent, at least once.
@@ -106,8 +106,8 @@ fn line_hint(error: &LineError) -> &'static str {
     }
 }
 
-impl Conversation {
-    /// A conversation at the beginning.
+impl Client {
+    /// A client at the beginning.
     #[must_use]
     pub fn new(line: Line) -> Self {
         Self {
@@ -146,7 +146,7 @@ impl Conversation {
 
     /// Ends whatever the receiver may hold of an earlier message.
     pub fn prepare_delimiter(&mut self) {
-        self.unsent.push(agent_core::serial::DELIMITER);
+        self.unsent.push(agent_core::wire::cobs::DELIMITER);
     }
 
     /// Sends what has been prepared.
@@ -247,18 +247,18 @@ impl Conversation {
     ///
     /// # Errors
     /// See [`ServiceError`].
-    pub fn insist<T>(
+    pub fn request<T>(
         &mut self,
         request: &Request<'_>,
-        patience: Patience,
+        retry_policy: RetryPolicy,
         unasked: &mut dyn FnMut(&Message<'_>),
         expected: &'static str,
         answer: impl Fn(&Message<'_>) -> Option<T>,
     ) -> Result<T, ServiceError> {
-        let mut tries_left = patience.tries;
+        let mut tries_left = retry_policy.tries;
         loop {
             tries_left = tries_left.saturating_sub(1);
-            match self.ask(request, patience.timeout, unasked, expected, &answer) {
+            match self.ask(request, retry_policy.timeout, unasked, expected, &answer) {
                 Err(ServiceError::Line(LineError::Silent)) if tries_left > 0 => {
                     self.prepare_delimiter();
                 }
@@ -314,12 +314,12 @@ mod tests {
     use std::io::{Read as _, Write as _};
     use std::os::unix::net::UnixStream;
 
-    use agent_core::serial::Encoder;
+    use agent_core::wire::cobs::Encoder;
 
     use super::*;
     use crate::service::push::status;
 
-    const PATIENCE: Patience = Patience { timeout: Duration::from_millis(100), tries: 2 };
+    const RETRY_POLICY: RetryPolicy = RetryPolicy { timeout: Duration::from_millis(100), tries: 2 };
 
     fn framed(message: &[u8]) -> Vec<u8> {
         let mut framed = Vec::new();
@@ -344,9 +344,9 @@ mod tests {
                 }
             }
         });
-        let mut conversation = Conversation::new(Line::over_socket(here).unwrap());
-        let error = status(&mut conversation, PATIENCE).unwrap_err();
-        drop(conversation);
+        let mut client = Client::new(Line::over_socket(here).unwrap());
+        let error = status(&mut client, RETRY_POLICY).unwrap_err();
+        drop(client);
         peer.join().unwrap();
         error
     }

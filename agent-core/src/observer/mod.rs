@@ -1,0 +1,10 @@
+//! The equations of the observer, one file each: network (`Phi func`), feedback (`Observer i`),
+//! adaptation (`What_i Dot`) with its projection, and trigger (`Trigger`).
+//!
+//! Knows [`math`](crate::math) only. Every function is pure or changes the state it is given.
+
+pub mod feedback;
+pub mod network;
+pub mod outer_law;
+pub mod projection;
+pub mod trigger;

@@ -1,0 +1,9 @@
+//! Bytes on a radio or a serial line: frames, framing, checksums.
+//!
+//! Knows [`math`](crate::math) only.
+
+pub mod cobs;
+pub(crate) mod codec;
+pub mod crc;
+pub mod frame;
+pub(crate) mod sequence;
