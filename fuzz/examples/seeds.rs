@@ -9,8 +9,8 @@
 use std::{fs, io, path::Path};
 
 use agent_core::math::activation::Activation::{Gaussian, Logistic, Tanh};
-use agent_core::wire::frame::Frame;
 use agent_core::package::signature_block;
+use agent_core::wire::frame::Frame;
 use fuzz::{Event, Form, SamplePackage};
 
 fn main() -> io::Result<()> {

@@ -6,16 +6,16 @@
 
 use std::collections::BTreeMap;
 
-use agent_core::agent::{AgentParams, AgentState, StepError};
-use agent_core::wire::frame::{FRAME_LENGTH_MAX, Frame, FrameError};
 use agent_core::agent::inbox::Inbox;
-use agent_core::observer::network::InnerNetwork;
+use agent_core::agent::{AgentParams, AgentState, StepError};
 use agent_core::math::numeric::all_finite;
+use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
+use agent_core::observer::network::InnerNetwork;
 use agent_core::observer::outer_law::OuterLawParams;
 use agent_core::observer::projection::ProjectionParams;
-use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::observer::trigger::TriggerParams;
+use agent_core::wire::frame::{FRAME_LENGTH_MAX, Frame, FrameError};
 use agent_core::{AgentId, StateVector, Tick};
 use fuzz::Event;
 use libfuzzer_sys::fuzz_target;

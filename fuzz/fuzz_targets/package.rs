@@ -5,11 +5,11 @@
 #![no_main]
 
 use agent_core::StateVector;
-use agent_core::agent::{AgentState, StepError};
 use agent_core::agent::inbox::Inbox;
-use agent_core::observer::network::{LAYER_WIDTH_MAX, Scratch};
+use agent_core::agent::{AgentState, StepError};
 use agent_core::math::numeric::all_finite;
 use agent_core::observer::feedback::Neighbour;
+use agent_core::observer::network::{LAYER_WIDTH_MAX, Scratch};
 use agent_core::package::{
     Capacity, InUse, NetworkPlace, Package, PackageError, Refusal, Requirements,
     SIGNATURE_BLOCK_LENGTH, accept, signature_block,

@@ -8,22 +8,14 @@
 //! - in the end, on flash that works, a good package can be installed.
 #![no_main]
 
-// The tests' own; not all of it is of use here.
-#[allow(dead_code)]
-#[path = "../../tests/nor_flash.rs"]
-mod nor_flash;
-#[allow(dead_code, clippy::needless_pass_by_value)]
-#[path = "../../tests/store_model.rs"]
-mod store_model;
-
-use agent_core::wire::crc::crc32;
 use agent_core::store::{
     CheckedError, Layout, MappedFlash, RECORD_LENGTH, Slot, Store, StoreError,
 };
+use agent_core::wire::crc::crc32;
 use libfuzzer_sys::arbitrary::{self, Arbitrary};
 use libfuzzer_sys::fuzz_target;
-use nor_flash::{Fault, SimulatedFlash, Tear};
-use store_model::{check, erased_flash, layout, length, package};
+use test_support::nor_flash::{Fault, SimulatedFlash, Tear};
+use test_support::store_model::{check, erased_flash, layout, length, package};
 
 /// A package with this number or a higher one is whole, and yet no check accepts it.
 const UNWANTED: u16 = 200;

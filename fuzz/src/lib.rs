@@ -12,8 +12,8 @@ pub use aligned::Aligned;
 pub use frames::Event;
 pub use sample::{Form, SamplePackage};
 
-use agent_core::wire::crc::crc32;
 use agent_core::package::{FORMAT_VERSION, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH};
+use agent_core::wire::crc::crc32;
 
 const CHECKSUM_LENGTH: usize = 4;
 

@@ -2,16 +2,16 @@
 
 use agent_core::AgentId;
 use agent_core::StateVector;
+use agent_core::agent::region::StateBox;
 use agent_core::math::activation::Activation;
+use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::observer::network::{Architecture, InnerNetwork, Layer, Scratch};
 use agent_core::observer::outer_law::OuterLawParams;
-use agent_core::package::{
-    NeighbourIds, AgentConfig, OnSwitch, Package, Provenance, TrainingErrors,
-};
-use agent_core::agent::region::StateBox;
 use agent_core::observer::projection::ProjectionParams;
-use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::observer::trigger::TriggerParams;
+use agent_core::package::{
+    AgentConfig, NeighbourIds, OnSwitch, Package, Provenance, TrainingErrors,
+};
 
 /// In which form a symmetric matrix is given.
 #[derive(Clone, Copy, Debug)]

@@ -15,7 +15,7 @@ use nix::unistd::mkfifo;
 use tempfile::TempDir;
 
 use super::peer::DEADLINE;
-use crate::loop_node::region;
+use crate::cosim::loop_node::region;
 
 /// A running emulator.
 pub(super) struct Emulator {

@@ -6,7 +6,7 @@ use agent_core::wire::crc::crc32;
 use host_sim::service::Message;
 
 use super::supply::Supply;
-use crate::loop_node::region;
+use crate::cosim::loop_node::region;
 
 /// A package that a node has accepted.
 #[derive(Clone, Debug, PartialEq, Eq)]

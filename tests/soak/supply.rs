@@ -15,7 +15,7 @@ use host_sim::packages::{Draft, PackageBytes};
 use host_sim::scenario::{PAPER, Scenario, SwitchIn, Window};
 use rand::{Rng, RngExt};
 
-use crate::scenario_builder::{Described, network, picks};
+use crate::sim::scenario_builder::{Described, network, picks};
 
 /// Bytes of a package before its body.
 const HEADER: usize = 12;

@@ -16,8 +16,8 @@ use host_sim::image::{ERASED, Image};
 use host_sim::packages::PackageBytes;
 use host_sim::service::Line;
 
-use crate::loop_node::region;
-use crate::nor_flash::{SimulatedFlash, Tear};
+use crate::cosim::loop_node::region;
+use test_support::nor_flash::{SimulatedFlash, Tear};
 
 /// As strict as real flash, in the units of the emulated board.
 type Flash = SimulatedFlash<4, 4096>;

@@ -1,4 +1,4 @@
-//! The firmware under everything that can go wrong, for a long time, in emulators: `tests/soak.rs`.
+//! The firmware under everything that can go wrong, for a long time, in emulators: `tests/soak/`.
 
 use crate::{
     emulate, firmware,
@@ -60,7 +60,7 @@ pub(crate) fn soak(options: &Options, debian: bool) -> Result<(), Failure> {
     run_reading("soak", &mut command, hint, |line| {
         passed |= line.starts_with("test result: ok. 1 passed");
     })?;
-    if passed { Ok(()) } else { Err(Failure::new("soak: it did not run", "see tests/soak.rs")) }
+    if passed { Ok(()) } else { Err(Failure::new("soak: it did not run", "see tests/soak")) }
 }
 
 #[cfg(test)]

@@ -1,0 +1,446 @@
+//! What comes in from other tools and people: recordings, keys, images, numbers on the command line.
+//! It is understood or refused, never guessed, and what is refused is named.
+
+use std::fs;
+use std::process::{Command, Stdio};
+
+use host_sim::memory_map::MemoryMap;
+use serde_json::Value;
+
+use crate::cli::command_line::{Folder, object, short, texts};
+
+const MEMORY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../memory.x");
+const SAMPLES: &str = "out/agent1_cycle1_samples.csv";
+const TRAIN: &str = "--scenario mine.toml --agent 1 --out node1.weights";
+
+/// A folder with a scenario and the samples of a run.
+fn folder(name: &str) -> Folder {
+    let folder = Folder::new(name);
+    let scenario = short().text().replace("\nevents = ", "\nsamples = true\nevents = ");
+    folder.write("mine.toml", &scenario);
+    folder.succeed("run mine.toml --out out");
+    folder
+}
+
+/// The same with a package.
+fn with_package(name: &str) -> Folder {
+    let folder = folder(name);
+    folder.succeed(&format!("train {SAMPLES} {TRAIN}"));
+    folder
+}
+
+fn json(folder: &Folder, arguments: &str) -> Value {
+    object(&folder.succeed(&format!("{arguments} --format json")))
+}
+
+fn samples(folder: &Folder) -> Vec<String> {
+    let text = fs::read_to_string(folder.path(SAMPLES)).unwrap();
+    text.lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn the_same_recording_in_other_units_and_separators_trains_the_same_package() {
+    let folder = with_package("units");
+    let package = fs::read(folder.path("node1.weights")).unwrap();
+    let lines = samples(&folder);
+    let milliseconds = |line: &String| -> String {
+        let (time, rest) = line.split_once(',').unwrap();
+        // By digits, as a person would write it.
+        let time: f64 = time.parse().unwrap();
+        format!("{},{rest}", (time * 1e6).round() / 1e3)
+    };
+    let mut in_ms = vec![lines[0].replace("time [s]", "Time (ms)")];
+    in_ms.extend(lines[1..].iter().map(milliseconds));
+    for (text, what) in [
+        (in_ms.join("\n"), "ms"),
+        (lines.join("\r\n").replace(',', ";"), "semicolons"),
+        (format!("\u{feff}{}", lines.join("\n").replace(',', "\t")), "tabs"),
+    ] {
+        folder.write("other.csv", &text);
+        folder.succeed(&format!("train other.csv {TRAIN} --package-version 2"));
+        assert_eq!(fs::read(folder.path("node1.weights")).unwrap(), package, "{what}");
+    }
+    folder.write("other.csv", &lines.join("\n").replace("time [s]", "time (ticks)"));
+    let error = folder.fail(&format!("train other.csv {TRAIN}"), 2);
+    assert!(
+        error.contains("other.csv:1: the unit of time in \"time (ticks)\" is not known"),
+        "{error}"
+    );
+}
+
+#[test]
+fn lost_samples_are_told_and_do_not_cost_the_rest() {
+    let folder = folder("lost");
+    let lines = samples(&folder);
+    let whole = json(&folder, &format!("train {SAMPLES} {TRAIN}"));
+    assert_eq!((&whole["gaps"], &whole["pieces"]), (&0.into(), &1.into()));
+    // Every 37th sample is lost.
+    let kept: Vec<&str> = lines
+        .iter()
+        .enumerate()
+        .filter(|(i, _)| *i == 0 || i % 37 != 0)
+        .map(|(_, l)| l.as_str())
+        .collect();
+    let lost = lines.len() - kept.len();
+    folder.write("lost.csv", &kept.join("\n"));
+    let report = json(&folder, &format!("train lost.csv {TRAIN} --package-version 9"));
+    assert_eq!(report["missing_samples"], lost as u64);
+    assert_eq!(report["gaps"], lost as u64);
+    let (all, used) = (whole["samples"].as_u64().unwrap(), report["samples"].as_u64().unwrap());
+    assert!(used * 10 >= all * 9, "{used} of {all}");
+    let text = folder.succeed(&format!("train lost.csv {TRAIN} --package-version 9"));
+    assert!(text.contains(&format!("{lost} gaps ({lost} missing)")), "{text}");
+}
+
+#[test]
+fn an_image_is_what_its_ending_says() {
+    let folder = with_package("ending");
+    let image = format!("weights image node1.weights --slot a --memory {MEMORY}");
+    folder.succeed(&format!("{image} --out x.bin"));
+    assert_eq!(fs::read(folder.path("x.bin")).unwrap().len(), 0x1_0000);
+    folder.succeed(&format!("{image} --out x.HEX"));
+    assert!(fs::read(folder.path("x.HEX")).unwrap().starts_with(b":02000004"));
+    folder.succeed(&format!("{image} --out x.img --format bin"));
+    for (arguments, part) in [
+        ("--out y.uf2", "needs the family of the chip"),
+        ("--out y.bin --format hex", "y.bin: ends as a bin file does, and --format says hex"),
+        ("--out y.hex --format uf2 --family 17", "ends as a hex file does, and --format says uf2"),
+        ("--out y.elf", "y.elf: its ending does not say what file to write; give --format"),
+        ("--out y", "its ending does not say"),
+    ] {
+        let error = folder.fail(&format!("{image} {arguments}"), 2);
+        assert!(error.contains(part), "{arguments}: {error}");
+    }
+    // A family whose chips have no flash there: told, in both forms.
+    for (family, flash) in
+        [("rp2040", "0x10000000 to 0x11000000"), ("stm32f4", "0x8000000 to 0x8200000")]
+    {
+        let told = format!(
+            "WARNING: slot A lies at 0x21000000 to 0x21007000, and the flash of {family} at {flash}"
+        );
+        let text = folder.succeed(&format!("{image} --out z.uf2 --family {family}"));
+        assert!(text.contains(&told), "{text}");
+        let notes = object(
+            &folder.succeed(&format!("{image} --format uf2,json --out z.uf2 --family {family}")),
+        );
+        assert!(notes["notes"][0].as_str().unwrap().contains(&told), "{notes}");
+    }
+    let left = fs::read_dir(folder.path(".")).unwrap().flatten();
+    assert!(!left.into_iter().any(|file| file.file_name().to_string_lossy().starts_with('y')));
+}
+
+#[test]
+fn parts_that_a_chip_cannot_erase_alone_are_refused() {
+    let folder = with_package("sectors");
+    let map = fs::read_to_string(MEMORY).unwrap();
+    let at = |origin: &str, flash: &str| {
+        map.replace("0x21000000, LENGTH = 64K", &format!("{origin}, LENGTH = 64K"))
+            .replace("ORIGIN = 0x00000000, LENGTH = 4M", &format!("ORIGIN = {flash}, LENGTH = 16K"))
+            .replace("ASSERT(ORIGIN(RAM) + LENGTH(RAM) <= ORIGIN(WEIGHTS)", "ASSERT(1")
+    };
+    folder.write("stm32.x", &at("0x08020000", "0x08000000"));
+    folder.write("nrf.x", &at("0x000F0000", "0x00000000"));
+    let image = |map: &str, rest: &str| {
+        format!("weights image node1.weights --slot a --memory {map} --out i.hex {rest}")
+    };
+    let error = folder.fail(&image("stm32.x", "--chip STM32F405RGTx"), 2);
+    let part =
+        "slot A lies at 0x8020000 to 0x8027000, and stm32f4 erases 0x8020000 to 0x8040000 only";
+    assert!(error.contains(part), "{error}");
+    let flash =
+        "flash node1.weights --slot a --memory stm32.x --chip STM32F405RGTx --probe-rs none";
+    assert!(folder.fail(flash, 2).contains(part));
+    // A chip that nothing is known of, and one with sectors of 4 KiB.
+    folder.succeed(&image("stm32.x", "--chip ESP32C3"));
+    folder.succeed(&image("nrf.x", "--chip nRF52840_xxAA"));
+    let uf2 = "weights image node1.weights --slot b --memory nrf.x --out i.uf2 --family nrf52840";
+    folder.succeed(uf2);
+    let notes = &json(&folder, &image("nrf.x", "").replace("i.hex", "j.hex --format hex"))["notes"];
+    assert!(notes.to_string().contains("boot loaders erase whole sectors"), "{notes}");
+}
+
+#[test]
+fn a_map_that_would_make_a_file_of_gigabytes_is_refused() {
+    let folder = with_package("gigabytes");
+    let text = "MEMORY { WEIGHTS : ORIGIN = 0, LENGTH = 2048M } _weights_erase_size = 4K;\n\
+        _weights_slot_a_origin = 0; _weights_slot_a_length = 8K;\n\
+        _weights_slot_b_origin = 8K; _weights_slot_b_length = 8K;\n\
+        _weights_commit_origin = 1024M; _weights_commit_length = 8K;";
+    MemoryMap::parse(text, "wide.x").unwrap().weights().expect("a valid map");
+    folder.write("wide.x", text);
+    let image = "weights image node1.weights --slot a --memory wide.x";
+    let error = folder.fail(&format!("{image} --out i.bin"), 2);
+    assert!(error.contains("would have 1073750016 bytes, most of them blank"), "{error}");
+    folder.succeed(&format!("{image} --out i.hex"));
+}
+
+#[test]
+fn a_signature_is_checked_or_said_not_to_be_and_never_replaced_silently() {
+    let folder = with_package("signatures");
+    for name in ["one", "two"] {
+        folder.succeed(&format!("weights keygen --out {name}"));
+    }
+    let verified = json(&folder, "weights verify node1.weights");
+    assert_eq!(
+        (&verified["signed"], &verified["signature_checked"]),
+        (&false.into(), &false.into())
+    );
+    let sign = |key: &str| format!("weights sign node1.weights --key {key}.key");
+    assert_eq!(json(&folder, &sign("one"))["replaced_signature"], false);
+    // The same key again changes nothing.
+    let signed = fs::read(folder.path("node1.weights")).unwrap();
+    folder.succeed(&sign("one"));
+    assert_eq!(fs::read(folder.path("node1.weights")).unwrap(), signed);
+    let text = folder.succeed("weights verify node1.weights");
+    assert!(text.contains("NOT checked") && text.contains("--key"), "{text}");
+    let text = folder.succeed("weights verify node1.weights --key one.pub");
+    assert!(!text.contains("not checked") && text.contains("ok   signature"), "{text}");
+    assert_eq!(json(&folder, "weights verify node1.weights")["signature_checked"], false);
+    let checked = json(&folder, "weights verify node1.weights --key one.pub");
+    assert_eq!(checked["signature_checked"], true);
+    let error = folder.fail("weights verify node1.weights --key two.pub", 2);
+    assert!(error.contains("the private half of the node's key"), "{error}");
+    let error = folder.fail(&sign("two"), 2);
+    assert!(
+        error.contains("signed with another key") && error.contains("--replace-signature"),
+        "{error}"
+    );
+    assert_eq!(fs::read(folder.path("node1.weights")).unwrap(), signed);
+    let replaced = json(&folder, &format!("{} --replace-signature", sign("two")));
+    assert_eq!(replaced["replaced_signature"], true);
+    folder.succeed("weights verify node1.weights --key two.pub");
+}
+
+#[test]
+fn a_passphrase_comes_from_a_file_or_a_variable() {
+    // Of `openssl genpkey -algorithm ed25519 -aes256 -pass pass:correct`.
+    const KEY: &str = "-----BEGIN ENCRYPTED PRIVATE KEY-----\n\
+        MIGbMFcGCSqGSIb3DQEFDTBKMCkGCSqGSIb3DQEFDDAcBAhtHESS55FyrwICCAAw\n\
+        DAYIKoZIhvcNAgkFADAdBglghkgBZQMEASoEEPizFlrTFJdYcw3Glu8kJJMEQIbE\n\
+        vR+wQh+87IpYq51BWwb4ZZRwkFxQJMs0I0YxGW8u4UNoUVt1WcmAxWt7P2tAsLpv\n\
+        GQ9Q2lQY9BS5qknS+9I=\n\
+        -----END ENCRYPTED PRIVATE KEY-----\n";
+    let folder = with_package("passphrase");
+    folder.write("operator.key", KEY);
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        let private = fs::Permissions::from_mode(0o600);
+        fs::set_permissions(folder.path("operator.key"), private).unwrap();
+    }
+    folder.write("right", "correct\r\nanother line\n");
+    folder.write("wrong", "wrong\n");
+    let sign = "weights sign node1.weights --key operator.key --out signed.weights";
+    folder.succeed(&format!("{sign} --passphrase-file right"));
+    let error = folder.fail(&format!("{sign} --passphrase-file wrong"), 2);
+    assert!(error.contains("operator.key: cannot be decrypted"), "{error}");
+    let error = folder.fail(&format!("{sign} --passphrase-file nowhere"), 2);
+    assert!(error.contains("nowhere: the passphrase cannot be read"), "{error}");
+    let error = folder
+        .fail(&format!("train {SAMPLES} {TRAIN} --sign operator.key --passphrase-file wrong"), 2);
+    assert!(error.contains("cannot be decrypted"), "{error}");
+    let with = |variable: Option<&str>| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_simulator-under-test"));
+        command.args(sign.split(' ')).current_dir(folder.path(".")).stdin(Stdio::null());
+        command.env_remove("HOST_SIM_PASSPHRASE");
+        if let Some(variable) = variable {
+            command.env("HOST_SIM_PASSPHRASE", variable);
+        }
+        command.output().unwrap()
+    };
+    assert_eq!(with(Some("correct")).status.code(), Some(0));
+    // Nobody to ask.
+    let output = with(None);
+    let error = texts(&output).1;
+    assert_eq!(output.status.code(), Some(2), "{error}");
+    assert!(error.contains("--passphrase-file FILE, or set HOST_SIM_PASSPHRASE"), "{error}");
+}
+
+#[test]
+fn a_package_is_renumbered_with_its_provenance_and_without_its_signature() {
+    let folder = with_package("renumber");
+    folder.succeed("weights keygen --out one");
+    folder.succeed("weights sign node1.weights --key one.key");
+    let before = json(&folder, "weights inspect node1.weights");
+    let text = folder.succeed("weights renumber node1.weights --version 7 --out seven.weights");
+    assert!(text.contains("version 7 (it was 2)") && text.contains("Sign it again"), "{text}");
+    let after = json(&folder, "weights inspect seven.weights");
+    assert_eq!((&after["version"], &after["signed"]), (&7.into(), &false.into()));
+    for (fact, value) in before.as_object().unwrap() {
+        if !["version", "signed", "bytes", "overhead_bytes"].contains(&fact.as_str()) {
+            assert_eq!(&after[fact], value, "{fact}");
+        }
+    }
+    folder.succeed("weights verify seven.weights --in-use node1.weights");
+    let report = json(&folder, "weights renumber seven.weights --version 8");
+    assert_eq!(
+        (&report["version_before"], &report["signature_dropped"]),
+        (&7.into(), &false.into())
+    );
+    assert_eq!(json(&folder, "weights inspect seven.weights")["version"], 8);
+}
+
+#[test]
+fn nothing_comes_after_the_largest_version() {
+    let folder = with_package("largest");
+    folder.succeed("weights renumber node1.weights --version 4294967295 --out last.weights");
+    folder.succeed("weights export node1.weights --out net.npz");
+    for command in [
+        format!(
+            "train {SAMPLES} --scenario mine.toml --agent 1 --out new.weights --base last.weights"
+        ),
+        format!("train {SAMPLES} --scenario mine.toml --agent 1 --out last.weights"),
+        "weights import net.npz --base last.weights --out new.weights".to_owned(),
+    ] {
+        let error = folder.fail(&command, 2);
+        assert!(error.contains("last.weights: has version 4294967295, the largest"), "{error}");
+    }
+    assert!(!folder.path("new.weights").exists());
+}
+
+#[test]
+fn trainings_into_one_file_do_not_share_a_version() {
+    let folder = with_package("shared");
+    let children: Vec<_> = (1..=3)
+        .map(|seed| {
+            Command::new(env!("CARGO_BIN_EXE_simulator-under-test"))
+                .args(format!("train {SAMPLES} {TRAIN} --format json --seed {seed}").split(' '))
+                .current_dir(folder.path("."))
+                .stdout(Stdio::piped())
+                .spawn()
+                .unwrap()
+        })
+        .collect();
+    let mut versions: Vec<u64> = children
+        .into_iter()
+        .map(|child| {
+            let output = child.wait_with_output().unwrap();
+            assert_eq!(output.status.code(), Some(0));
+            object(&texts(&output).0)["version"].as_u64().unwrap()
+        })
+        .collect();
+    versions.sort_unstable();
+    assert_eq!(versions, [3, 4, 5]);
+}
+
+#[test]
+fn a_package_is_evaluated_on_a_recording_by_the_nodes_own_code() {
+    let folder = with_package("evaluate");
+    // A recording that the network explains to the bit has no error.
+    let report = json(&folder, &format!("weights evaluate node1.weights {SAMPLES}"));
+    assert_eq!((&report["agent"], &report["version"]), (&1.into(), &2.into()));
+    assert_eq!(report["outside_box"], 0, "it was trained on these samples");
+    assert_eq!(report["not_finite"], 0);
+    let number = |value: &Value| value.as_f64().unwrap();
+    let components = report["components"].as_array().unwrap();
+    // The means against sums made here.
+    let lines = samples(&folder);
+    let n = components.len();
+    let names: Vec<&str> = lines[0].split(',').collect();
+    for (index, component) in components.iter().enumerate() {
+        let name = format!("dxhat{} [", index + 1);
+        let column = names.iter().position(|found| found.starts_with(&name)).unwrap();
+        let values: Vec<f64> =
+            lines[1..].iter().map(|l| l.split(',').nth(column).unwrap().parse().unwrap()).collect();
+        let count = values.len() as f64;
+        let square = values.iter().map(|x| x * x).sum::<f64>() / count;
+        let mean = values.iter().sum::<f64>() / count;
+        let variance = values.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / count;
+        let near = |found: &Value, expected| tests_close(number(found), expected);
+        assert!(near(&component["mse_without"], square), "{component} {square}");
+        assert!(near(&component["mse_constant"], variance), "{component} {variance}");
+        let explained = 1.0 - number(&component["mse"]) / number(&component["mse_constant"]);
+        assert!(near(&component["explained"], explained));
+        assert!(number(&component["mse"]) > 0.0);
+        assert!(near(&component["rms"], number(&component["mse"]).sqrt()));
+    }
+    let total: f64 = components.iter().map(|c| number(&c["mse"])).sum();
+    assert!(tests_close(number(&report["total"]["mse"]), total));
+    let text = folder
+        .succeed(&format!("weights evaluate node1.weights {SAMPLES} --smoothing-window 0.02"));
+    assert!(text.contains("0 samples (0.0 %) lie outside the box"), "{text}");
+    assert!(text.lines().filter(|line| line.contains(" %")).count() > n, "{text}");
+
+    // Shifted by more than the box is wide, all samples lie outside of it.
+    let shifted = lines[1..].iter().map(|line| {
+        let fields: Vec<&str> = line.split(',').collect();
+        let first: f64 = fields[1].parse().unwrap();
+        format!("{},{},{}", fields[0], first + 1e4, fields[2..].join(","))
+    });
+    let shifted: Vec<String> = [lines[0].clone()].into_iter().chain(shifted).collect();
+    folder.write("shifted.csv", &shifted.join("\n"));
+    let report = json(&folder, "weights evaluate node1.weights shifted.csv");
+    assert_eq!(report["outside_box_share"], 1.0);
+    let error = folder.fail("weights evaluate node1.weights mine.toml", 2);
+    assert!(error.contains("mine.toml"), "{error}");
+}
+
+fn tests_close(found: f64, expected: f64) -> bool {
+    test_support::close(found, expected, 1e-9, 0.0)
+}
+
+#[test]
+fn absurd_numbers_are_refused_with_the_range() {
+    let folder = with_package("numbers");
+    let absurd = ["-1", "NaN", "inf", "1e-300", "1e300", "x", ""];
+    for option in ["cosim --serve s --speed", "cosim --timeout"] {
+        for number in absurd.into_iter().chain(["1e-30", "0"]) {
+            let error = refused(&folder, &format!("{option}={number}"));
+            assert!(error.contains("from 0.001 to 1000000"), "{option} {number}: {error}");
+        }
+    }
+    let whole = ["-1", "NaN", "1.5", "99999999999999999999999", ""];
+    for (option, others) in [
+        ("cosim --steps", &["0", "18446744073709551615"][..]),
+        ("cosim --threads", &["70000"]),
+        ("run mine.toml --seed", &[]),
+        ("run mine.toml --threads", &["1025"]),
+        ("monitor unix:none --every", &["0", "4294967296"]),
+        ("monitor unix:none --count", &["0"]),
+        ("train a.csv --scenario mine.toml --out o.weights --agent", &["0", "99"]),
+        (
+            "train a.csv --scenario mine.toml --out o.weights --agent 1 --package-version",
+            &["4294967296"],
+        ),
+        ("weights renumber node1.weights --version", &["4294967296"]),
+        ("weights sign node1.weights --key k --replaces", &["4294967296"]),
+        ("weights verify node1.weights --features", &[]),
+        ("weights import net.npz --out o.weights --scenario mine.toml --agent", &["0", "99"]),
+    ] {
+        for number in whole.iter().chain(others) {
+            refused(&folder, &format!("{option}={number}"));
+        }
+    }
+    for number in absurd.into_iter().filter(|number| *number != "1e-300") {
+        let option =
+            format!("weights evaluate node1.weights {SAMPLES} --smoothing-window={number}");
+        let error = refused(&folder, &option);
+        assert!(error.contains("0 or above and below 1e9"), "{error}");
+    }
+}
+
+/// Ends with 2, and says so without a panic.
+fn refused(folder: &Folder, arguments: &str) -> String {
+    let output = folder.run(arguments);
+    let (standard, error) = texts(&output);
+    assert_eq!((output.status.code(), standard.as_str()), (Some(2), ""), "{arguments}: {error}");
+    assert!(error.starts_with("error: ") && !error.contains("panicked"), "{arguments}: {error}");
+    error
+}
+
+#[test]
+fn what_is_too_large_for_a_node_is_named_by_the_scenarios_keys() {
+    let folder = folder("keys");
+    let text = fs::read_to_string(folder.path("mine.toml")).unwrap();
+    let bound = text.lines().find(|line| line.starts_with("bound = ")).expect("a bound").to_owned();
+    for (lines, part) in [
+        ("bound = 1e38".to_owned(), "outer_law.bound without outer_law.boundary_layer is 9.5e37"),
+        (format!("{bound}\nsmoothing = 1e-39"), "outer_law.smoothing is 1e-39"),
+    ] {
+        folder.write("large.toml", &text.replacen(&bound, &lines, 1));
+        let output = folder.run("run large.toml --out large");
+        let error = texts(&output).1;
+        assert_ne!(output.status.code(), Some(0));
+        assert!(error.contains(part), "{error}");
+    }
+}

@@ -1,0 +1,13 @@
+//! The command line: what it reads, writes, prints and refuses.
+
+mod baselines;
+mod borders;
+pub(crate) mod command_line;
+mod files;
+mod flash;
+pub(crate) mod image;
+mod json_documented;
+pub(crate) mod memory_map;
+#[cfg(unix)]
+pub(crate) mod node_commands;
+mod weights_commands;

@@ -1,0 +1,281 @@
+//! `monitor`, `push` and `node` against peers that die, flood, talk nonsense or refuse.
+
+use std::path::Path;
+use std::process::{Child, Output};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use agent_core::service::{Problem, Request, Response, Upload, receive};
+use agent_core::store::StoreError;
+use embedded_storage::nor_flash::NorFlashErrorKind;
+use host_sim::packages::Recording;
+use host_sim::scenario::{PAPER, Scenario};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+
+use crate::cli::command_line::{Folder, texts};
+use crate::cosim::fake_node::{listen, state, status, tell_states};
+
+/// Longer than anything here takes, so that a hang ends.
+pub(crate) const LONG: Duration = Duration::from_secs(60);
+
+/// Waits until it is so.
+pub(crate) fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
+    let deadline = Instant::now() + LONG;
+    while !is_so() {
+        assert!(Instant::now() < deadline, "{what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+pub(crate) fn signal(child: &Child, signal: Signal) {
+    kill(Pid::from_raw(i32::try_from(child.id()).unwrap()), signal).unwrap();
+}
+
+/// What it says, once it has ended by itself.
+pub(crate) fn ended(mut child: Child) -> Output {
+    wait_until("the command ends", || child.try_wait().unwrap().is_some());
+    child.wait_with_output().unwrap()
+}
+
+fn recorded(path: &Path) -> usize {
+    Recording::load(path, 3, 5).map_or(0, |recording| recording.samples.len())
+}
+
+#[test]
+fn a_recording_survives_that_its_monitor_is_killed() {
+    let folder = Folder::new("record-killed");
+    let pause = Duration::from_millis(1);
+    listen(&folder.path("node"), move |peer| tell_states(peer, status(), u64::MAX, pause));
+    let mut monitor = folder.start("monitor node --record samples.csv");
+    // What comes soon reaches the file soon.
+    wait_until("samples are in the file", || recorded(&folder.path("samples.csv")) > 10);
+    monitor.kill().unwrap();
+    monitor.wait().unwrap();
+    let recording = Recording::load(&folder.path("samples.csv"), 3, 5).unwrap();
+    assert!(recording.gaps.is_empty());
+    assert_eq!(recording.outer_weights, Some(vec![0.25; 15]));
+}
+
+#[test]
+fn a_recording_goes_on_without_a_reader_of_its_output() {
+    let folder = Folder::new("record-pipe");
+    let pause = Duration::from_millis(1);
+    listen(&folder.path("node"), move |peer| tell_states(peer, status(), u64::MAX, pause));
+    let mut monitor = folder.start("monitor node --record samples.csv --count 1500");
+    drop(monitor.stdout.take());
+    let output = ended(monitor);
+    assert_eq!((output.status.code(), texts(&output).1.as_str()), (Some(0), ""));
+    assert_eq!(recorded(&folder.path("samples.csv")), 1499);
+}
+
+#[test]
+fn monitor_ends_when_told_to_however_much_a_node_sends() {
+    let folder = Folder::new("monitor-flood");
+    listen(&folder.path("node"), |peer| tell_states(peer, status(), u64::MAX, Duration::ZERO));
+    for end in [Signal::SIGINT, Signal::SIGTERM] {
+        let name = format!("{end}.csv");
+        let monitor = folder.start(&format!("monitor node --record {name}"));
+        wait_until("samples are in the file", || recorded(&folder.path(&name)) > 0);
+        signal(&monitor, end);
+        let output = ended(monitor);
+        let (standard, error) = texts(&output);
+        assert_eq!((output.status.code(), error.as_str()), (Some(0), ""));
+        assert!(standard.contains(&format!("Written to {name}: ")), "{standard}");
+        assert!(recorded(&folder.path(&name)) > 0);
+    }
+}
+
+#[test]
+fn what_a_node_told_before_it_went_is_kept() {
+    let folder = Folder::new("record-gone");
+    listen(&folder.path("node"), |peer| tell_states(peer, status(), 50, Duration::ZERO));
+    let output = folder.run("monitor node --record samples.csv");
+    let (standard, error) = texts(&output);
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert!(standard.contains("samples.csv: 49 samples"), "{standard}");
+    assert!(error.contains("closed at the other end"), "{error}");
+    assert_eq!(recorded(&folder.path("samples.csv")), 49);
+}
+
+#[test]
+fn a_recording_on_a_full_disk_ends_and_says_so() {
+    if !Path::new("/dev/full").exists() {
+        return;
+    }
+    let folder = Folder::new("record-full");
+    listen(&folder.path("node"), |peer| tell_states(peer, status(), u64::MAX, Duration::ZERO));
+    let output = ended(folder.start("monitor node --record /dev/full"));
+    assert_eq!(output.status.code(), Some(1));
+    assert!(texts(&output).1.starts_with("error: /dev/full: "), "{output:?}");
+}
+
+#[test]
+fn samples_are_skipped_counted_and_continued_after_a_reset() {
+    let folder = Folder::new("record-bad");
+    listen(&folder.path("node"), |peer| {
+        while let Some(request) = peer.request() {
+            match receive::<Request<'_>>(&request) {
+                Some(Request::Query) => assert!(peer.say(&Response::Status(status()))),
+                Some(Request::Subscribe(subscription)) => {
+                    peer.say(&Response::Done);
+                    if subscription.state_every.is_none() {
+                        return;
+                    }
+                    break;
+                }
+                _ => {}
+            }
+        }
+        for tick in 100..110 {
+            let mut state = state(tick);
+            if let (105, Response::State(state)) = (tick, &mut state) {
+                state.derivative[1] = f32::NAN;
+            }
+            peer.say(&state);
+        }
+        // A damaged message, a message of the future, a lost one, and a reset.
+        peer.write(&[9, 9, 9, 0]);
+        peer.say(&state(111));
+        peer.say(&Response::Hello(status()));
+        (0..5).for_each(|tick| assert!(peer.say(&state(tick))));
+        while peer.request().is_some() {
+            peer.say(&Response::Done);
+        }
+    });
+    let told = folder.succeed("monitor node --record samples.csv --count 16 --format json");
+    let report: serde_json::Value = serde_json::from_str(told.lines().last().unwrap()).unwrap();
+    let expected = [
+        ("samples", 8 + 4),
+        ("bad", 1),
+        ("resets", 1),
+        ("unreadable", 1),
+        ("lost", 0),
+        ("not_stepped", 0),
+    ];
+    for (name, count) in expected {
+        assert_eq!(report[name], count, "{name} of {report}");
+    }
+    let recording = Recording::load(&folder.path("samples.csv"), 3, 5).unwrap();
+    // Between 104 and 106, and at the reset.
+    assert_eq!((recording.samples.len(), recording.gaps), (12, vec![4, 8]));
+}
+
+#[test]
+fn a_node_of_another_version_and_garbage_are_told_apart() {
+    let folder = Folder::new("node-other");
+    listen(&folder.path("other"), |peer| {
+        while peer.request().is_some() {
+            let mut other = status();
+            other.protocol = 2;
+            peer.say(&Response::Status(other));
+        }
+    });
+    let error = folder.fail("node other", 1);
+    assert!(error.contains("version 2 of the protocol, this program version 1"), "{error}");
+    listen(&folder.path("garbage"), |peer| {
+        let bytes: Vec<u8> = (0..997u32).map(|i| (i * i % 251) as u8).collect();
+        while peer.write(&bytes) {}
+    });
+    let error = folder.fail("node garbage", 1);
+    assert!(error.contains("damaged messages") && error.contains("baud rate"), "{error}");
+    let error = folder.fail("node /dev/null", 1);
+    assert!(error.contains("write serial:/dev/null"), "{error}");
+}
+
+/// A package file of the paper's agent 1, in this folder.
+fn package(folder: &Folder) -> Vec<u8> {
+    let mut scenario = Scenario::parse("paper", PAPER).unwrap();
+    scenario.learning.clear();
+    let mut packages = Vec::new();
+    let start = &mut |_, package: &host_sim::packages::PackageBytes| {
+        packages.push(package.clone());
+        let fault = host_sim::cosim::fault::Fault::Interrupted;
+        Err(host_sim::cosim::fault::NodeError { agent: 1, board: String::new(), fault })
+    };
+    let setup = host_sim::cosim::Setup::new(start, LONG);
+    host_sim::cosim::cosimulate(&scenario, 0, setup, None, &host_sim::engine::Silent).unwrap_err();
+    packages[0].save(&folder.path("node.weights")).unwrap();
+    packages[0].as_bytes().to_vec()
+}
+
+#[test]
+fn push_stops_at_a_damaged_file_before_it_looks_for_the_node() {
+    let folder = Folder::new("push-damaged");
+    let mut bytes = package(&folder);
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(folder.path("damaged.weights"), bytes).unwrap();
+    let error = folder.fail("push absent.sock damaged.weights", 2);
+    assert!(error.contains("damaged.weights: ") && !error.contains("absent.sock"), "{error}");
+    let error = folder.fail("push absent.sock node.weights", 1);
+    assert!(error.contains("absent.sock"), "{error}");
+}
+
+#[test]
+fn push_says_what_to_do_about_each_refusal() {
+    let folder = Folder::new("push-refused");
+    package(&folder);
+    let cases = [
+        (
+            "other",
+            StoreError::Conflict { offset: 128 },
+            1,
+            "another push to this node is under way",
+        ),
+        ("flash", StoreError::Flash(NorFlashErrorKind::Other), 1, "the node's flash fails"),
+        ("trial", StoreError::OnTrial, 2, "decide about the package on trial"),
+    ];
+    for (name, problem, code, expected) in cases {
+        listen(&folder.path(name), move |peer| {
+            while let Some(request) = peer.request() {
+                let answer = match receive::<Request<'_>>(&request) {
+                    Some(Request::Query) => Response::Status(status()),
+                    Some(Request::Begin { .. }) if problem != StoreError::OnTrial => {
+                        Response::Upload(Upload { received: 0 })
+                    }
+                    _ => Response::Refused(Problem::Store(problem)),
+                };
+                peer.say(&answer);
+            }
+        });
+        let error = folder.fail(&format!("push {name} node.weights"), code);
+        assert!(error.contains(expected) && !error.contains("train"), "{error}");
+    }
+}
+
+#[test]
+fn a_push_that_is_interrupted_says_so_and_no_more() {
+    let folder = Folder::new("push-interrupted");
+    package(&folder);
+    // It answers the first question, and then no more.
+    let silent = Arc::new(AtomicBool::new(false));
+    let is_silent = silent.clone();
+    listen(&folder.path("node"), move |peer| {
+        while let Some(request) = peer.request() {
+            match receive(&request) {
+                Some(Request::Query) => assert!(peer.say(&Response::Status(status()))),
+                _ => silent.store(true, Ordering::Relaxed),
+            }
+        }
+    });
+    let push = folder.start("push node node.weights");
+    wait_until("it pushes", || is_silent.load(Ordering::Relaxed));
+    signal(&push, Signal::SIGINT);
+    let output = ended(push);
+    let (_, error) = texts(&output);
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert!(error.contains("interrupted") && !error.contains("board is on"), "{error}");
+}
+
+#[test]
+fn a_node_without_a_package_counts_in_ticks() {
+    let folder = Folder::new("monitor-fallback");
+    let mut without = status();
+    (without.package, without.samples, without.tick) = (None, 4, 1000);
+    listen(&folder.path("node"), move |peer| tell_states(peer, without, 9, Duration::ZERO));
+    let told = folder.succeed("monitor node --count 4 --every 1");
+    assert!(told.contains("runs the agent built into its firmware"), "{told}");
+    assert!(told.contains("tick         3  x_hat") && !told.contains("t = "), "{told}");
+}

@@ -1,0 +1,78 @@
+//! The real firmware in the real emulator. `cargo xtask test` builds the one, installs the other
+//! where it may, and then runs these.
+
+use std::collections::BTreeSet;
+
+use crate::cli::command_line::Folder;
+
+/// The environment variable that names the firmware's ELF file.
+const FIRMWARE: &str = "QEMU_MPS2_AN386_FIRMWARE";
+
+fn cosim(folder: &Folder, arguments: &str) -> serde_json::Value {
+    let firmware = std::env::var(FIRMWARE).unwrap_or_else(|_| {
+        panic!("{FIRMWARE} names the firmware: `cargo xtask firmware` builds it")
+    });
+    let told = folder.succeed(&format!("cosim --firmware {firmware} --format json {arguments}"));
+    serde_json::from_str(&told).unwrap()
+}
+
+fn children() -> BTreeSet<String> {
+    let processes = std::fs::read_dir("/proc").unwrap().filter_map(Result::ok);
+    let name = |entry: &std::fs::DirEntry| std::fs::read_to_string(entry.path().join("comm")).ok();
+    let qemu = processes.filter(|entry| name(entry).is_some_and(|name| name.contains("qemu")));
+    qemu.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
+}
+
+#[test]
+#[ignore = "needs the firmware and QEMU; cargo xtask test runs it"]
+fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
+    let folder = Folder::new("cosim-qemu");
+    let before = children();
+    // The paper's scenario with its learning cycle moved to the front.
+    let mut text = host_sim::scenario::PAPER.to_owned();
+    for (from, to) in [
+        ("collect_from = 10.0", "collect_from = 0.2"),
+        ("collect_to = 16.0", "collect_to = 0.8"),
+        ("apply_at = 20.0", "apply_at = 1.0"),
+        ("smoothing_window = 0.4", "smoothing_window = 0.02"),
+        ("decimation = 20", "decimation = 2"),
+        ("epochs = 60", "epochs = 4"),
+        ("[recipes.better]", "[recipes.better]\nswitch_in = \"always\""),
+    ] {
+        assert!(text.contains(from), "{from}");
+        text = text.replace(from, to);
+    }
+    folder.write("early.toml", &text);
+    let pipes = cosim(&folder, "early.toml --steps 4000");
+    let uart = cosim(&folder, "early.toml --steps 1500 --boards qemu-uart,qemu,qemu-uart");
+    for (report, steps) in [(pipes, 4000), (uart, 1500)] {
+        assert_eq!((&report["mismatches"], &report["steps"]), (&0.into(), &steps.into()));
+        assert!(report["first_mismatch"].is_null());
+        for board in report["boards"].as_array().unwrap() {
+            assert_eq!((&board["switches"], &board["compared"]), (&1.into(), &steps.into()));
+        }
+    }
+    let after: Vec<_> = children().difference(&before).cloned().collect();
+    assert_eq!(after, Vec::<String>::new(), "processes are left");
+}
+
+#[test]
+#[ignore = "needs the firmware and QEMU; cargo xtask test runs it"]
+fn cosim_in_qemu_goes_on_with_the_flash_that_was_kept() {
+    let folder = Folder::new("cosim-qemu-keep");
+    let learns = "paper --keep flash --steps 300 --without-learning";
+    let first = cosim(&folder, learns);
+    assert_eq!((&first["mismatches"], &first["steps"]), (&0.into(), &300.into()));
+    let agents: Vec<_> = folder.files("flash").into_keys().collect();
+    assert_eq!(agents, ["agent-1.flash", "agent-2.flash", "agent-3.flash"]);
+    let second = cosim(&folder, learns);
+    assert_eq!((&second["mismatches"], &second["digest"]), (&0.into(), &first["digest"]));
+    // Another scenario's nodes are not these.
+    let text = host_sim::scenario::PAPER.replace("epsilon = 3000.0", "epsilon = 2000.0");
+    assert_ne!(text, host_sim::scenario::PAPER);
+    folder.write("other.toml", &text);
+    let firmware = std::env::var(FIRMWARE).unwrap();
+    let refused = format!("cosim other.toml --firmware {firmware} --keep flash --steps 9");
+    let error = folder.fail(&refused, 2);
+    assert!(error.contains("flash/agent-1.flash: the package in it has another "), "{error}");
+}

@@ -1,0 +1,15 @@
+//! The simulator, its scenarios, its training, and its verdicts.
+
+mod determinism;
+mod levenberg_marquardt;
+mod links;
+mod packages;
+mod paper_run;
+pub(crate) mod reproduce;
+mod scales;
+pub(crate) mod scenario_builder;
+mod scenario_errors;
+mod tensors;
+mod units;
+mod verdicts;
+mod watched_runs;

@@ -1,0 +1,401 @@
+//! Random lives of a weight store: uploads in chunks of any size, lost, repeated and wrong ones,
+//! packages that are refused, trials that end well or not, writes that fail with and without a
+//! word, power cuts, reboots. What returned `Ok` survives; what is refused changes nothing.
+//!
+//! `STORE_HISTORIES` says how many lives (default [`HISTORIES`]); the seed of a life is its number.
+
+use std::ops::AddAssign;
+
+use agent_core::store::{CheckedError, MappedFlash, Store, StoreError};
+use agent_core::wire::crc::crc32;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use test_support::nor_flash::{Fault, SimulatedFlash, Tear};
+use test_support::store_model::{
+    Change, Ledger, Model, check, erased_flash, is_flash_error, layout, package, plain,
+};
+
+const HISTORIES: u64 = 50_000;
+/// Calls of one life.
+const CALLS: usize = 60;
+/// Erase units of a slot.
+const UNITS: usize = 3;
+
+/// How often what happened.
+#[derive(Clone, Copy, Debug, Default)]
+struct Tally {
+    calls: u64,
+    boots: u64,
+    cuts: u64,
+    faults: u64,
+    staged: u64,
+    confirmed: u64,
+    reverted: u64,
+    refused: u64,
+    unread: u64,
+    blocked: u64,
+    overruled: u64,
+}
+
+impl AddAssign for Tally {
+    fn add_assign(&mut self, other: Self) {
+        self.calls += other.calls;
+        self.boots += other.boots;
+        self.cuts += other.cuts;
+        self.faults += other.faults;
+        self.staged += other.staged;
+        self.confirmed += other.confirmed;
+        self.reverted += other.reverted;
+        self.refused += other.refused;
+        self.unread += other.unread;
+        self.blocked += other.blocked;
+        self.overruled += other.overruled;
+    }
+}
+
+/// An upload as its sender sees it.
+#[derive(Clone, Debug)]
+struct Sent {
+    number: u16,
+    bytes: Vec<u8>,
+    received: usize,
+}
+
+/// One store between two reboots, and what it must be.
+struct Session<'a, F> {
+    store: Store<F>,
+    ledger: &'a mut Ledger,
+    number: &'a mut u16,
+    draw: &'a mut ChaCha8Rng,
+    tally: &'a mut Tally,
+    sent: Option<Sent>,
+    slot_length: usize,
+}
+
+impl<F: MappedFlash> Session<'_, F> {
+    /// Books a change that the model allows, or a refusal that it demands.
+    fn expect(
+        &mut self,
+        change: Change,
+        refusal: Option<StoreError>,
+        outcome: Result<(), StoreError>,
+    ) {
+        match refusal {
+            Some(_) => {
+                assert_eq!(outcome.err(), refusal, "{change:?} in {:?}", self.ledger.now);
+                self.tally.refused += 1;
+            }
+            None => self.ledger.book(change, outcome),
+        }
+    }
+
+    /// One call, more often than not one that makes sense.
+    fn call(&mut self) {
+        self.tally.calls += 1;
+        let now = self.ledger.now;
+        let sensible = match &self.sent {
+            _ if now.way_back.is_some() => self.draw.random_range(3..=4),
+            Some(sent) if sent.received < sent.bytes.len() => 1,
+            Some(_) => 2,
+            None if now.staged.is_some() => 5,
+            None => 0,
+        };
+        let any = self.draw.random_range(0..=5);
+        match if self.draw.random_bool(0.9) { sensible } else { any } {
+            0 => self.begin(),
+            1 => self.write(),
+            2 => self.stage(),
+            3 => {
+                let outcome = self.store.confirm();
+                let refusal = now.way_back.is_none().then_some(StoreError::NotOnTrial);
+                self.tally.confirmed += u64::from(outcome.is_ok());
+                self.expect(Change::Confirm, refusal, outcome);
+            }
+            4 => {
+                let outcome = self.store.revert().map(|_| ());
+                let refusal = now.way_back.is_none().then_some(StoreError::NotOnTrial);
+                self.tally.reverted += u64::from(outcome.is_ok());
+                self.expect(Change::Revert, refusal, outcome);
+            }
+            _ => self.activate(),
+        }
+    }
+
+    fn begin(&mut self) {
+        let length = self.draw.random_range(8..=self.slot_length);
+        let announced = match self.draw.random_range(0..40) {
+            0 => 0,
+            1 => self.slot_length + 1,
+            _ => length,
+        };
+        let maximum = self.slot_length as u32;
+        let refusal = if self.ledger.now.way_back.is_some() {
+            Some(StoreError::OnTrial)
+        } else if announced != length {
+            Some(StoreError::Length { found: announced as u32, maximum })
+        } else {
+            None
+        };
+        let outcome = self.store.begin(announced as u32);
+        self.expect(Change::Begin, refusal, outcome);
+        if outcome.is_ok() {
+            *self.number += 1;
+            let (number, bytes) = (*self.number, package(*self.number, length));
+            self.sent = Some(Sent { number, bytes, received: 0 });
+        }
+    }
+
+    fn write(&mut self) {
+        let Some(sent) = &mut self.sent else {
+            assert_eq!(self.store.write(0, &[1]), Err(StoreError::NoUpload));
+            self.tally.refused += 1;
+            return;
+        };
+        let (length, received) = (sent.bytes.len(), sent.received);
+        let any = self.draw.random_range(0..=length);
+        // Mostly what comes next, at times something that has come, at times too far ahead.
+        let from = if self.draw.random_bool(0.8) { received } else { any };
+        let size = self.draw.random_range(0..=(length - from).min(40));
+        let mut chunk = sent.bytes[from..from + size].to_vec();
+        let mut refusal =
+            (from > received).then_some(StoreError::Gap { received: received as u32 });
+        match self.draw.random_range(0..20) {
+            0 if from < received && size > 0 => {
+                chunk[0] ^= 0x10;
+                refusal = Some(StoreError::Conflict { offset: from as u32 });
+            }
+            1 => {
+                chunk = [&sent.bytes[from..], &[0]].concat();
+                refusal = refusal.or(Some(StoreError::PastEnd { length: length as u32 }));
+            }
+            _ => {}
+        }
+        let outcome = self.store.write(from as u32, &chunk);
+        match (outcome, refusal) {
+            (Ok(now), None) => {
+                sent.received = received.max(from + size);
+                assert_eq!(now as usize, sent.received);
+            }
+            (Err(error), None) if is_flash_error(error) => self.sent = None,
+            (outcome, refusal) => {
+                assert_eq!(outcome.err(), refusal);
+                self.tally.refused += 1;
+            }
+        }
+    }
+
+    fn stage(&mut self) {
+        let complete = self.sent.as_ref().is_some_and(|sent| sent.received == sent.bytes.len());
+        if complete && self.draw.random_bool(0.1) {
+            match self.store.stage(|_| Err::<(), _>("not today")) {
+                Err(CheckedError::Refused("not today")) => self.tally.refused += 1,
+                Err(CheckedError::Store(error)) if is_flash_error(error) => {}
+                other => panic!("{other:?}"),
+            }
+        } else {
+            let refusal = match &self.sent {
+                None => Some(StoreError::NoUpload),
+                Some(sent) if !complete => Some(StoreError::Incomplete {
+                    received: sent.received as u32,
+                    length: sent.bytes.len() as u32,
+                }),
+                Some(_) => None,
+            };
+            let number = self.sent.as_ref().map_or(0, |sent| sent.number);
+            let outcome = plain(self.store.stage(check));
+            self.tally.staged += u64::from(outcome.is_ok());
+            self.expect(Change::Stage(number), refusal, outcome);
+        }
+        // Staged, or dropped because its last word could not be written.
+        if self.store.received().is_none() {
+            self.sent = None;
+        }
+    }
+
+    fn activate(&mut self) {
+        let refusal = self.ledger.now.staged.is_none().then_some(StoreError::NothingStaged);
+        if refusal.is_none() && self.draw.random_bool(0.1) {
+            let outcome = self.store.activate(|_| Err::<(), _>("not today"));
+            assert_eq!(outcome, Err(CheckedError::Refused("not today")));
+            self.tally.refused += 1;
+        } else {
+            let outcome = plain(self.store.activate(check));
+            self.expect(Change::Activate, refusal, outcome);
+        }
+    }
+}
+
+/// How reading goes wrong in a life.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Reading {
+    Fine,
+    /// Some reads fail, and the next boot may read the same places.
+    Transient,
+    /// Places of the journal that hold no record cannot be read until they are erased.
+    Spoiled,
+}
+
+/// A boot at which reading fails, for a while: it may come to other results, but changes nothing
+/// that the next boot finds, unless the store takes a new package after it.
+fn boot_in_doubt<const WRITE: usize, const ERASE: usize>(
+    flash: &mut SimulatedFlash<WRITE, ERASE>,
+    ledger: &mut Ledger,
+    number: &mut u16,
+    draw: &mut ChaCha8Rng,
+    tally: &mut Tally,
+) {
+    let places = 2 * ERASE / 32;
+    flash.power_on(None);
+    flash.arm(usize::MAX, 1, Fault::Nothing);
+    flash.arm_reads(draw.random_range(0..2 * places), draw.random_range(1..=2 * places));
+    let before = flash.mapped().to_vec();
+    let mut store = Store::open(&mut *flash, layout(ERASE, UNITS)).unwrap();
+    store.flash().arm_reads(0, 0);
+    let loaded = store.load(check).in_use.map(|(_, number)| number);
+    assert_eq!(loaded, store.in_use().map(|slot| check(store.bytes(slot).unwrap()).unwrap()));
+    if store.opening().unreadable_places == 0 {
+        // A second look has helped.
+        ledger.reboot(Model::of(&store));
+        return;
+    }
+    tally.unread += 1;
+    assert!(store.flash().mapped() == before, "something was written in doubt");
+    if draw.random_bool(0.5) {
+        return;
+    }
+    *number += 1;
+    let bytes = package(*number, 20);
+    match store.begin(20) {
+        Err(StoreError::Unreadable { .. }) => {
+            tally.blocked += 1;
+            assert!(store.flash().mapped() == before, "something was written after a refusal");
+        }
+        Ok(()) => {
+            tally.overruled += 1;
+            store.write(0, &bytes).unwrap();
+            store.stage(check).unwrap();
+            store.activate(check).unwrap();
+            store.confirm().unwrap();
+            ledger.installed(*number, loaded);
+            assert_eq!(Model::of(&store), ledger.now);
+        }
+        // A word that looks erased and is not, twice in a row.
+        Err(error) => panic!("{error}"),
+    }
+}
+
+/// Lets a place of the journal that holds no record refuse to be read.
+fn spoil_a_place<const WRITE: usize, const ERASE: usize>(
+    flash: &mut SimulatedFlash<WRITE, ERASE>,
+    draw: &mut ChaCha8Rng,
+) {
+    let places = draw.random_range(0..2 * ERASE / 32);
+    let offset = 2 * UNITS * ERASE + 32 * places;
+    let place = &flash.mapped()[offset..offset + 32];
+    if crc32(&[&place[..28]]).to_le_bytes() != place[28..] {
+        flash.spoil(offset, 32);
+    }
+}
+
+fn live<const WRITE: usize, const ERASE: usize>(seed: u64) -> Tally {
+    let mut draw = ChaCha8Rng::seed_from_u64(seed);
+    let tear = Tear::ALL[draw.random_range(0..3)];
+    let mut flash: SimulatedFlash<WRITE, ERASE> = erased_flash(UNITS, tear, seed);
+    let (mut ledger, mut number, mut tally) = (Ledger::default(), 0, Tally::default());
+    // Half of all lives know no faults, so that those of the others hide nothing.
+    let faulty = draw.random_bool(0.5);
+    // An erasure that fails without a word is the only thing that a life can hide from the store.
+    let mut silent = false;
+    let reading = match draw.random_range(0..4) {
+        0 => Reading::Transient,
+        1 => Reading::Spoiled,
+        _ => Reading::Fine,
+    };
+    let mut calls = 0;
+    while calls < CALLS {
+        match reading {
+            Reading::Transient if draw.random_bool(0.5) => {
+                boot_in_doubt(&mut flash, &mut ledger, &mut number, &mut draw, &mut tally);
+            }
+            Reading::Spoiled if draw.random_bool(0.1) => spoil_a_place(&mut flash, &mut draw),
+            _ => {}
+        }
+        flash.arm_reads(0, 0);
+        let energy = draw.random_bool(0.1).then(|| draw.random_range(0..ERASE + 32));
+        flash.power_on(energy);
+        let mut store = Store::open(&mut flash, layout(ERASE, UNITS)).unwrap();
+        store.load(check);
+        tally.boots += 1;
+        if !store.flash().power_lost {
+            ledger.reboot(Model::of(&store));
+            if reading == Reading::Spoiled && draw.random_bool(0.5) {
+                store.forget_unreadable();
+            }
+            let mut session = Session {
+                store,
+                ledger: &mut ledger,
+                number: &mut number,
+                draw: &mut draw,
+                tally: &mut tally,
+                sent: None,
+                slot_length: ERASE * UNITS,
+            };
+            while calls < CALLS && !session.draw.random_bool(0.03) {
+                calls += 1;
+                if session.draw.random_bool(0.04) {
+                    session.store.flash().drain(session.draw.random_range(0..2 * ERASE));
+                } else if faulty && session.draw.random_bool(0.1) {
+                    let faults = [Fault::Nothing, Fault::Everything, Fault::Torn, Fault::Silent];
+                    let fault = faults[session.draw.random_range(0..4)];
+                    silent |= fault == Fault::Silent;
+                    let others = session.draw.random_range(0..4);
+                    session.store.flash().arm(others, session.draw.random_range(1..=3), fault);
+                    session.tally.faults += 1;
+                }
+                if reading == Reading::Transient && session.draw.random_bool(0.05) {
+                    let others = session.draw.random_range(0..4);
+                    session.store.flash().arm_reads(others, session.draw.random_range(1..=3));
+                }
+                session.call();
+                if session.store.flash().power_lost {
+                    break;
+                }
+                assert_eq!(Model::of(&session.store), session.ledger.now);
+                let received = session.sent.as_ref().map(|sent| sent.received as u32);
+                assert_eq!(session.store.received(), received);
+            }
+        }
+        tally.cuts += u64::from(flash.power_lost);
+    }
+    assert_eq!(flash.misuses, 0);
+    assert!(silent || tear == Tear::Unseen || flash.rewrites == 0, "a word was written twice");
+    tally
+}
+
+#[test]
+fn what_returned_ok_survives_whatever_happens() {
+    let histories =
+        std::env::var("STORE_HISTORIES").map_or(HISTORIES, |text| text.parse().unwrap());
+    let total = (0..histories)
+        .into_par_iter()
+        .map(|seed| {
+            let life = || match seed % 5 {
+                0 => live::<1, 32>(seed),
+                1 => live::<4, 32>(seed),
+                2 => live::<4, 64>(seed),
+                3 => live::<8, 128>(seed),
+                _ => live::<32, 96>(seed),
+            };
+            std::panic::catch_unwind(life).unwrap_or_else(|_| panic!("in the life of seed {seed}"))
+        })
+        .reduce(Tally::default, |mut sum, tally| {
+            sum += tally;
+            sum
+        });
+    println!("{histories} lives, seeds 0 to {}: {total:?}", histories.saturating_sub(1));
+    let enough = histories / 4;
+    assert!(total.unread >= enough / 4 && total.blocked > 0 && total.overruled >= enough / 16);
+    assert!(total.cuts >= enough && total.confirmed >= enough && total.reverted >= enough);
+}

@@ -1,0 +1,363 @@
+//! NOR flash in memory, as strict as the strictest part: access is aligned, a word is written once
+//! between two erasures, and the power can fail at any byte.
+
+use std::cell::Cell;
+
+use agent_core::store::MappedFlash;
+use embedded_storage::nor_flash::{
+    ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash, check_erase, check_read,
+    check_write,
+};
+
+/// What a word or an erase unit is left as when the power fails while it is written or erased.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tear {
+    /// Done up to the byte at which the power failed.
+    Prefix,
+    /// The word, or the whole unit, holds garbage.
+    Garbage,
+    /// The word, or the whole unit, reads as erased but is not: it takes no write.
+    Unseen,
+}
+
+impl Tear {
+    /// Every kind of damage, to test them in a loop.
+    pub const ALL: [Self; 3] = [Self::Prefix, Self::Garbage, Self::Unseen];
+}
+
+/// What a write or an erasure does instead of its work, without any loss of power.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// It reports an error and has done nothing.
+    Nothing,
+    /// It reports an error and has done everything.
+    Everything,
+    /// It reports an error and has torn its first word or its first unit.
+    Torn,
+    /// It reports none and has torn its first word or its first unit.
+    Silent,
+}
+
+/// Why an operation was refused or failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SimulatedError {
+    /// Not aligned, or out of bounds.
+    Arguments(NorFlashErrorKind),
+    /// The bytes cannot be read, now or until they are erased.
+    Unreadable,
+    /// A word was to be written again without an erasure in between.
+    Rewritten,
+    /// The power failed, now or before.
+    PowerLost,
+    /// The armed [`Fault`] was due.
+    Fault,
+}
+
+impl NorFlashError for SimulatedError {
+    fn kind(&self) -> NorFlashErrorKind {
+        match self {
+            Self::Arguments(kind) => *kind,
+            _ => NorFlashErrorKind::Other,
+        }
+    }
+}
+
+/// Flash with words of `WRITE` bytes and erase units of `ERASE` bytes.
+#[derive(Clone, Debug)]
+pub struct SimulatedFlash<const WRITE: usize, const ERASE: usize> {
+    bytes: Vec<u8>,
+    /// Whether each word has been written, wholly or not, since it was erased.
+    written: Vec<bool>,
+    /// Whether each word refuses to be read until it is erased.
+    unreadable: Vec<bool>,
+    tear: Tear,
+    /// How many more bytes can be written and erased before the power fails.
+    energy: Cell<Option<usize>>,
+    /// What befalls so many writes and erasures after so many others.
+    fault: Cell<Option<(usize, usize, Fault)>>,
+    /// How many more reads succeed before how many fail.
+    read_fault: Cell<(usize, usize)>,
+    noise: u64,
+    /// Whether the power has failed; every call fails until [`Self::power_on`].
+    pub power_lost: bool,
+    /// How many bytes have been written and erased.
+    pub spent: usize,
+    /// How many calls of `erase` there were.
+    pub erasures: usize,
+    /// How many writes of a word that is not erased were refused.
+    pub rewrites: usize,
+    /// How many calls broke the rules of units and bounds.
+    pub misuses: usize,
+}
+
+impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
+    /// Creates erased flash of `capacity` bytes; `seed` decides what [`Tear::Garbage`] looks like.
+    #[must_use]
+    pub fn new(capacity: usize, tear: Tear, seed: u64) -> Self {
+        Self {
+            bytes: vec![0xff; capacity],
+            written: vec![false; capacity / WRITE],
+            unreadable: vec![false; capacity / WRITE],
+            tear,
+            energy: Cell::new(None),
+            fault: Cell::new(None),
+            read_fault: Cell::new((0, 0)),
+            noise: seed,
+            power_lost: false,
+            spent: 0,
+            erasures: 0,
+            rewrites: 0,
+            misuses: 0,
+        }
+    }
+
+    /// Switches the power on, to fail after so many bytes, or not.
+    pub fn power_on(&mut self, energy: Option<usize>) {
+        self.power_lost = false;
+        self.energy.set(energy);
+    }
+
+    /// Lets the power fail after so many bytes.
+    pub fn drain(&self, energy: usize) {
+        self.energy.set(Some(energy));
+    }
+
+    /// Lets `count` writes and erasures go wrong after `others`.
+    pub fn arm(&self, others: usize, count: usize, fault: Fault) {
+        self.fault.set(Some((others, count, fault)));
+    }
+
+    /// Lets `count` reads fail after `others`.
+    pub fn arm_reads(&self, others: usize, count: usize) {
+        self.read_fault.set((others, count));
+    }
+
+    /// Lets `length` bytes refuse to be read until they are erased, as error correction does with
+    /// words that it cannot correct.
+    pub fn spoil(&mut self, offset: usize, length: usize) {
+        let words = offset / WRITE..(offset + length).div_ceil(WRITE);
+        self.unreadable[words.clone()].fill(true);
+        self.written[words].fill(true);
+    }
+
+    /// Puts bytes there as a debugger does, or as cells that forget.
+    pub fn overwrite(&mut self, offset: usize, bytes: &[u8]) {
+        self.bytes[offset..offset + bytes.len()].copy_from_slice(bytes);
+        let words = offset / WRITE..(offset + bytes.len()).div_ceil(WRITE);
+        self.written[words].fill(true);
+    }
+
+    fn checked(&mut self, arguments: Result<(), NorFlashErrorKind>) -> Result<(), SimulatedError> {
+        if self.power_lost {
+            return Err(SimulatedError::PowerLost);
+        }
+        arguments.map_err(|kind| {
+            self.misuses += 1;
+            SimulatedError::Arguments(kind)
+        })
+    }
+
+    /// The splitmix64 generator: any will do.
+    fn noise(&mut self) -> u8 {
+        self.noise = self.noise.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mixed = (self.noise ^ (self.noise >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        ((mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb) >> 56) as u8
+    }
+
+    /// How many of `length` bytes the energy lasts for, and what goes wrong apart from that.
+    fn effort(&mut self, length: usize) -> (usize, Option<Fault>) {
+        let done = self.energy.get().map_or(length, |energy| energy.min(length));
+        self.energy.set(self.energy.get().map(|energy| energy - done));
+        self.power_lost = done < length;
+        self.spent += done;
+        let fault = match self.fault.take() {
+            Some((0, count, fault)) => {
+                self.fault.set((count > 1).then_some((0, count - 1, fault)));
+                Some(fault)
+            }
+            Some((others, count, fault)) => {
+                self.fault.set(Some((others - 1, count, fault)));
+                None
+            }
+            None => None,
+        };
+        (done, fault.filter(|_| !self.power_lost))
+    }
+
+    /// Writes the first `done` bytes; `torn` says whether the word behind them is torn.
+    fn write_some(&mut self, offset: usize, bytes: &[u8], done: usize, torn: bool) {
+        let whole = if torn && self.tear != Tear::Prefix { done - done % WRITE } else { done };
+        for (place, byte) in self.bytes[offset..].iter_mut().zip(&bytes[..whole]) {
+            *place &= byte;
+        }
+        self.written[offset / WRITE..(offset + whole).div_ceil(WRITE)].fill(true);
+        if torn && self.tear != Tear::Prefix {
+            let start = offset + whole;
+            self.written[start / WRITE] = true;
+            if self.tear == Tear::Garbage {
+                for place in start..start + WRITE {
+                    self.bytes[place] = self.noise();
+                }
+            }
+        }
+    }
+
+    /// Erases the first `done` bytes from `start` on; `torn` likewise of the unit behind them.
+    fn erase_some(&mut self, start: usize, done: usize, torn: bool) {
+        let whole = if torn && self.tear != Tear::Prefix { done - done % ERASE } else { done };
+        self.bytes[start..start + whole].fill(0xff);
+        self.written[start / WRITE..(start + whole) / WRITE].fill(false);
+        self.unreadable[start / WRITE..(start + whole) / WRITE].fill(false);
+        if torn && self.tear != Tear::Prefix {
+            for place in start + whole..start + whole + ERASE {
+                self.bytes[place] = if self.tear == Tear::Garbage { self.noise() } else { 0xff };
+            }
+            self.written[(start + whole) / WRITE..(start + whole + ERASE) / WRITE].fill(true);
+        }
+    }
+
+    /// How far an operation of `length` bytes gets, whether it is torn there, what it reports.
+    fn course(&mut self, length: usize) -> (usize, bool, Result<(), SimulatedError>) {
+        match self.effort(length) {
+            (done, _) if done < length => (done, true, Err(SimulatedError::PowerLost)),
+            (_, Some(Fault::Nothing)) => (0, false, Err(SimulatedError::Fault)),
+            (_, Some(Fault::Everything)) => (length, false, Err(SimulatedError::Fault)),
+            (_, Some(Fault::Torn)) => (0, true, Err(SimulatedError::Fault)),
+            (_, Some(Fault::Silent)) => (0, true, Ok(())),
+            (_, None) => (length, false, Ok(())),
+        }
+    }
+}
+
+impl<const WRITE: usize, const ERASE: usize> ErrorType for SimulatedFlash<WRITE, ERASE> {
+    type Error = SimulatedError;
+}
+
+impl<const WRITE: usize, const ERASE: usize> ReadNorFlash for SimulatedFlash<WRITE, ERASE> {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), SimulatedError> {
+        let arguments = check_read(self, offset, bytes.len());
+        self.checked(arguments)?;
+        let (others, count) = self.read_fault.get();
+        self.read_fault.set((
+            others.saturating_sub(1),
+            if others == 0 { count.saturating_sub(1) } else { count },
+        ));
+        let words = offset as usize / WRITE..(offset as usize + bytes.len()).div_ceil(WRITE);
+        if (others == 0 && count > 0) || self.unreadable[words].contains(&true) {
+            return Err(SimulatedError::Unreadable);
+        }
+        bytes.copy_from_slice(&self.bytes[offset as usize..][..bytes.len()]);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        self.bytes.len()
+    }
+}
+
+impl<const WRITE: usize, const ERASE: usize> NorFlash for SimulatedFlash<WRITE, ERASE> {
+    const WRITE_SIZE: usize = WRITE;
+    const ERASE_SIZE: usize = ERASE;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), SimulatedError> {
+        let arguments = check_erase(self, from, to);
+        self.checked(arguments)?;
+        self.erasures += 1;
+        let (start, length) = (from as usize, (to - from) as usize);
+        let (done, torn, outcome) = self.course(length);
+        self.erase_some(start, done, torn && done < length);
+        outcome
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), SimulatedError> {
+        let arguments = check_write(self, offset, bytes.len());
+        self.checked(arguments)?;
+        let start = offset as usize;
+        if self.written[start / WRITE..(start + bytes.len()) / WRITE].contains(&true) {
+            self.rewrites += 1;
+            return Err(SimulatedError::Rewritten);
+        }
+        let (done, torn, outcome) = self.course(bytes.len());
+        self.write_some(start, bytes, done, torn && done < bytes.len());
+        outcome
+    }
+}
+
+impl<const WRITE: usize, const ERASE: usize> MappedFlash for SimulatedFlash<WRITE, ERASE> {
+    fn mapped(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_simulated_flash_is_as_strict_as_it_says() {
+        let mut flash = SimulatedFlash::<4, 16>::new(64, Tear::Prefix, 0);
+        let unaligned = Err(SimulatedError::Arguments(NorFlashErrorKind::NotAligned));
+        let outside = Err(SimulatedError::Arguments(NorFlashErrorKind::OutOfBounds));
+        assert_eq!(flash.write(2, &[0; 4]), unaligned);
+        assert_eq!(flash.write(0, &[0; 3]), unaligned);
+        assert_eq!(flash.erase(0, 24), unaligned);
+        assert_eq!(flash.erase(48, 80), outside);
+        assert_eq!(flash.misuses, 4);
+        assert_eq!(flash.write(4, &[1, 2, 3, 4]), Ok(()));
+        assert_eq!(flash.write(0, &[0; 8]), Err(SimulatedError::Rewritten));
+        assert_eq!(flash.mapped()[..9], [0xff, 0xff, 0xff, 0xff, 1, 2, 3, 4, 0xff]);
+        assert_eq!(flash.erase(0, 16), Ok(()));
+        assert_eq!(flash.write(4, &[9; 8]), Ok(()));
+        assert_eq!(flash.spent, 4 + 16 + 8);
+    }
+
+    #[test]
+    fn simulated_reads_fail_when_they_are_told_to() {
+        let mut flash = SimulatedFlash::<4, 16>::new(64, Tear::Prefix, 0);
+        flash.arm_reads(1, 2);
+        let outcomes = [0; 4].map(|_| flash.read(0, &mut [0]).is_ok());
+        assert_eq!(outcomes, [true, false, false, true]);
+        flash.spoil(20, 4);
+        assert_eq!(flash.read(16, &mut [0; 4]), Ok(()));
+        assert_eq!(flash.read(16, &mut [0; 5]), Err(SimulatedError::Unreadable));
+        assert_eq!(flash.write(20, &[0; 4]), Err(SimulatedError::Rewritten));
+        flash.erase(16, 32).unwrap();
+        assert_eq!(flash.read(16, &mut [0; 16]), Ok(()));
+    }
+
+    #[test]
+    fn the_simulated_power_fails_at_its_byte_and_stays_off() {
+        for tear in Tear::ALL {
+            let mut flash = SimulatedFlash::<4, 16>::new(64, tear, 0);
+            flash.power_on(Some(6));
+            assert_eq!(flash.write(0, &[0; 12]), Err(SimulatedError::PowerLost));
+            assert_eq!(flash.write(16, &[0; 4]), Err(SimulatedError::PowerLost));
+            assert_eq!(flash.read(0, &mut [0]), Err(SimulatedError::PowerLost));
+            flash.power_on(None);
+            assert_eq!(flash.mapped()[..4], [0; 4]);
+            assert_eq!(flash.mapped()[8..], [0xff; 56]);
+            let word = &flash.mapped()[4..8];
+            match tear {
+                Tear::Prefix => assert_eq!(word, [0, 0, 0xff, 0xff]),
+                Tear::Garbage => assert_ne!(word, [0xff; 4]),
+                Tear::Unseen => assert_eq!(word, [0xff; 4]),
+            }
+            assert_eq!(flash.write(4, &[0; 4]), Err(SimulatedError::Rewritten));
+            assert_eq!(flash.write(8, &[7; 4]), Ok(()));
+            flash.power_on(Some(10));
+            assert_eq!(flash.erase(0, 16), Err(SimulatedError::PowerLost));
+            flash.power_on(None);
+            let unit = flash.mapped()[..16].to_vec();
+            match tear {
+                Tear::Prefix => assert_eq!(unit[8..], [0xff, 0xff, 7, 7, 0xff, 0xff, 0xff, 0xff]),
+                Tear::Garbage => assert!(unit[..4] != [0xff; 4] && unit[12..] != [0xff; 4]),
+                Tear::Unseen => assert_eq!(unit, [0xff; 16]),
+            }
+            // Only in the first case have whole words been erased.
+            assert_eq!(flash.write(0, &[1; 4]).is_ok(), tear == Tear::Prefix);
+            assert_eq!(flash.write(8, &[1; 4]), Err(SimulatedError::Rewritten));
+        }
+    }
+}
