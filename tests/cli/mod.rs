@@ -3,6 +3,7 @@
 mod baselines;
 mod borders;
 pub(crate) mod command_line;
+mod documentation;
 mod files;
 mod flash;
 pub(crate) mod image;
