@@ -5,9 +5,9 @@ use std::path::Path;
 use super::baselines::{Baseline, Baselines};
 use super::run::AgentReport;
 use super::seeds::Spread;
-use crate::output_file::OutputError;
+use crate::files::output::OutputError;
+use crate::files::table::{Row, write_table};
 use crate::report::columns::aligned;
-use crate::report::csv::{Row, write_table};
 use crate::report::tables::{number, percent};
 use crate::scenario::Scenario;
 

@@ -6,11 +6,11 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{CommandError, Format, load_scenario, print_outcome, print_text, warnings};
-use crate::analysis::DesignChecks;
 use crate::engine::RunError;
+use crate::number::significant;
 use crate::plant::RateFault;
 use crate::report::checks::{DesignReport, design_text};
-use crate::report::number::significant;
+use crate::report::theorems::DesignChecks;
 use crate::scenario::Scenario;
 use crate::warning::Warning;
 

@@ -9,16 +9,16 @@ use serde::{Serialize, Serializer};
 use super::CommandError;
 use crate::engine::RunError;
 use crate::figures::FigureError;
+use crate::files::output::OutputError;
 use crate::flash::FlashError;
-use crate::output_file::OutputError;
+use crate::learning::trained::TrainedError;
 use crate::packages::PackageFileError;
-use crate::packages::trained::TrainedError;
 use crate::signing::KeyFileError;
 use crate::tensors::TensorProblem;
 use crate::terminal;
 #[cfg(unix)]
 use crate::{
-    cosim::{CosimError, fault::Fault},
+    cosim::{CosimError, fault::Fault, firmware::FirmwareError},
     service::{LineError, ServiceError, push::PushError},
 };
 
@@ -182,7 +182,11 @@ impl CommandError {
             #[cfg(unix)]
             Self::Mismatches(_) => ErrorCode::Mismatches,
             #[cfg(unix)]
-            Self::Firmware(_) => ErrorCode::Firmware,
+            Self::Firmware(error) => match error {
+                FirmwareError::NotFound(_) => ErrorCode::Usage,
+                FirmwareError::Interrupted => ErrorCode::Interrupted,
+                _ => ErrorCode::Firmware,
+            },
             #[cfg(unix)]
             Self::Address(_) | Self::Push(PushError::Address(_)) => ErrorCode::Unreachable,
             #[cfg(unix)]

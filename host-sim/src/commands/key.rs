@@ -7,7 +7,7 @@ use clap::Args;
 use zeroize::Zeroizing;
 
 use super::CommandError;
-use crate::input_file::read_limited;
+use crate::files::input::read_limited;
 use crate::signing::{KeyFileError, OperatorKey};
 use crate::terminal::one_line;
 

@@ -11,11 +11,7 @@ mod baselines;
 mod check;
 #[cfg(unix)]
 mod cosim;
-#[cfg(unix)]
-mod emulated;
 mod error;
-#[cfg(unix)]
-mod firmware;
 mod health;
 mod key;
 #[cfg(unix)]
@@ -23,6 +19,7 @@ mod monitor;
 #[cfg(unix)]
 mod node;
 mod output;
+mod progress;
 #[cfg(unix)]
 mod push;
 mod refusal;
@@ -46,17 +43,16 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use serde::Serialize;
 
 #[cfg(unix)]
-use crate::cosim::CosimError;
+use crate::cosim::{CosimError, firmware::FirmwareError};
 use crate::engine::{Progress, RunError};
 use crate::figures::FigureError;
+use crate::files::output::OutputError;
 use crate::flash::FlashError;
 use crate::image::ImageError;
 use crate::interruption;
+use crate::learning::trained::TrainedError;
 use crate::memory_map::MemoryMapError;
-use crate::output_file::OutputError;
-use crate::packages::trained::TrainedError;
 use crate::packages::{DraftError, PackageFileError, RecordingError};
-use crate::progress::ProgressBars;
 use crate::scenario::{Network, Scenario, ScenarioError, built_in};
 #[cfg(unix)]
 use crate::service::{ServiceError, address::AddressError, push::PushError};
@@ -64,6 +60,7 @@ use crate::signing::KeyFileError;
 use crate::tensors::TensorError;
 use crate::terminal;
 use crate::training::EpochReport;
+use progress::ProgressBars;
 
 /// Simulates distributed, event-triggered state estimation with deep networks.
 ///
@@ -191,8 +188,8 @@ enum CommandError {
     #[error("{0}")]
     Mismatches(String),
     #[cfg(unix)]
-    #[error("{0}")]
-    Firmware(String),
+    #[error(transparent)]
+    Firmware(#[from] FirmwareError),
     #[cfg(unix)]
     #[error(transparent)]
     Address(#[from] AddressError),

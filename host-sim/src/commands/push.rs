@@ -10,9 +10,9 @@ use serde::Serialize;
 
 use super::node::{RETRY_POLICY, connect};
 use super::{CommandError, Format, print_json, print_text};
+use crate::commands::progress::ProgressBars;
 use crate::interruption::{self, Again};
 use crate::packages::{PackageBytes, PackageFileError};
-use crate::progress::ProgressBars;
 use crate::service::push::{Progress, PushError};
 use crate::service::{Address, Client, LineError, ServiceError, hint, push};
 use crate::terminal;
@@ -148,11 +148,12 @@ fn transfer(
     let mut first = Some(first);
     let mut again = || first.take().map_or_else(|| connect(&arguments.endpoint), Ok);
     let total = package.len() as u64;
-    push::transfer_over(&mut again, package, RETRY_POLICY, &mut |progress| match progress {
+    let progress = &mut |progress| match progress {
         Progress::From(byte) => *resumed_from = Some(byte),
         Progress::Received(bytes) => bars.pushed(bytes as u64, total),
         Progress::Verifying => bars.finish(),
-    })
+    };
+    push::transfer_over(&mut again, package, RETRY_POLICY, progress, interruption::stop())
 }
 
 /// Waits for the end of the trial.

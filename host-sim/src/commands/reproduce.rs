@@ -13,16 +13,16 @@ use super::seeds::{self, SeedRun};
 use super::trainings::{self, TrainingSummary};
 use super::{CommandError, Common, Format, SharedProgress, print_outcome, print_text};
 use super::{output, warnings};
-use crate::analysis::Checks;
+use crate::commands::progress::ProgressBars;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunOptions, RunResult, run};
 use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_axis_limit, error_norms, events, states, write_all,
 };
-use crate::progress::ProgressBars;
 use crate::report::checks::{self, ChecksReport};
 use crate::report::paper::PUBLISHED;
 use crate::report::tables::{AgentResult, ComparisonTable, change_percent};
+use crate::report::theorems::Checks;
 use crate::scenario::{PAPER, Scenario, Time};
 use crate::warning::Warning;
 

@@ -13,14 +13,14 @@ use super::run_folder::RunFolder;
 use super::trainings::{self, TrainingSummary};
 use super::{CommandError, Common, Format, SharedProgress, agent_table, output, warnings};
 use super::{load_scenario, print_outcome, print_text};
-use crate::analysis::{Checks, DesignChecks};
+use crate::commands::progress::ProgressBars;
 use crate::engine::{RunOptions, RunResult, run};
 use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_norms, events, states, write_all,
 };
 use crate::packages::PackageBytes;
-use crate::progress::ProgressBars;
 use crate::report::checks::{self, ChecksReport};
+use crate::report::theorems::{Checks, DesignChecks};
 use crate::scenario::Scenario;
 use crate::terminal::one_line;
 use crate::warning::Warning;

@@ -13,9 +13,9 @@ use super::CommandError;
 use super::baselines::NOTHING;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{Progress, RunOptions, run};
-use crate::output_file::OutputError;
+use crate::files::output::OutputError;
+use crate::files::table::write_table;
 use crate::report::columns::aligned;
-use crate::report::csv::write_table;
 use crate::report::tables::{change_percent, number, percent};
 use crate::scenario::{Scenario, Time};
 

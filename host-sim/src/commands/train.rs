@@ -15,12 +15,13 @@ use super::{
     summary, versions,
 };
 use crate::analysis::TriggerConstants;
+use crate::commands::progress::ProgressBars;
+use crate::files::output::OutputFile;
 use crate::interruption::{self, Again};
-use crate::output_file::OutputFile;
+use crate::learning::agent_config;
+use crate::learning::trained::{INITIAL_VERSION, Prepared, Trained, TrainedError, TrainingTask};
 use crate::packages::recording_source::{RecordingSource, SourceScenario};
-use crate::packages::trained::{INITIAL_VERSION, Prepared, Trained, TrainedError, TrainingTask};
-use crate::packages::{OwnedAgentConfig, PackageBytes, Recording};
-use crate::progress::ProgressBars;
+use crate::packages::{PackageBytes, Recording};
 use crate::scenario::{Recipe, Scenario};
 use crate::shell::shell_word;
 use crate::terminal;
@@ -110,7 +111,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let features = network.architecture.features();
     let base = arguments.base.as_deref().map(PackageBytes::load).transpose()?;
     if let (Some(base), Some(path)) = (&base, &arguments.base) {
-        let node = OwnedAgentConfig::new(&scenario, &TriggerConstants::new(&scenario), index);
+        let node = agent_config(&scenario, &TriggerConstants::new(&scenario), index);
         if let Some(parameter) = node.first_difference(&base.package().node) {
             let problem = format!("{}: has another {parameter} than agent", path.display());
             let number = arguments.agent;
@@ -244,7 +245,7 @@ fn train(task: &TrainingTask<'_>, prepared: Prepared<'_, '_>) -> Result<Trained,
         bars.epoch(task.agent + 1, task.cycle + 1, epoch.epoch, epoch.train);
         if interruption::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
-    let trained = prepared.carry_out_until(&mut report_epoch, Some(interruption::flag()));
+    let trained = prepared.carry_out_until(&mut report_epoch, Some(interruption::stop().flag()));
     bars.finish();
     trained
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use super::CommandError;
-use crate::output_file::OutputFile;
+use crate::files::output::OutputFile;
 use crate::packages::PackageBytes;
 use crate::signing::OperatorKey;
 

@@ -1,10 +1,11 @@
 //! What a person should know before a run takes its time, and after it.
 
 use super::CommandError;
-use crate::analysis::{Checks, DesignChecks, GainVerdict};
+use crate::analysis::GainVerdict;
 use crate::engine::RunResult;
-use crate::packages::judgement::outer_weights;
-use crate::report::number::significant;
+use crate::learning::judgement::outer_weights;
+use crate::number::significant;
+use crate::report::theorems::{Checks, DesignChecks};
 use crate::scenario::{Agent, Scenario, Window};
 use crate::terminal;
 use crate::warning::{Warning, WarningCode};

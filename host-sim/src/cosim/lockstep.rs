@@ -16,7 +16,6 @@ use super::fault::{Fault, NodeError};
 use super::relay::Relay;
 use super::{BoardReport, Notice, Setup};
 use crate::engine::run_observer::{AgentStart, AgentStep, RunObserver, RunObserverError, Switch};
-use crate::interruption;
 use crate::packages::PackageBytes;
 
 /// A node and what is known of it.
@@ -268,8 +267,8 @@ impl RunObserver for Lockstep<'_> {
     ) -> Result<ControlFlow<()>, RunObserverError> {
         match &self.relay {
             // For a run that is served it is the end that was meant.
-            Some(relay) if relay.is_over() => return Ok(ControlFlow::Break(())),
-            None if interruption::requested() => {
+            Some(relay) if relay.is_over(&self.setup.stop) => return Ok(ControlFlow::Break(())),
+            None if self.setup.stop.is_requested() => {
                 self.interrupted = true;
                 return Ok(ControlFlow::Break(()));
             }
@@ -288,7 +287,7 @@ impl RunObserver for Lockstep<'_> {
         }
         let Some(relay) = &mut self.relay else { return Ok(ControlFlow::Continue(())) };
         relay.learned(switches);
-        let between = relay.between_steps(tick, &mut self.nodes, switches);
+        let between = relay.between_steps(tick, &mut self.nodes, switches, &self.setup.stop);
         for (index, fault) in between.faults {
             self.fault(index, tick, fault)?;
         }

@@ -40,11 +40,11 @@ use super::lockstep::LoopNode;
 use super::socket::Socket;
 use super::{CosimError, Service};
 use crate::engine::run_observer::Switch;
-use crate::interruption;
 use crate::packages::PackageBytes;
 use crate::scenario::Scenario;
 use crate::service::Message;
 use crate::service::nodes_file::{self, NodesFile};
+use crate::stop::Stop;
 
 /// Bytes that wait for a client; of more, the newest messages are lost, as on a slow line.
 const UNSENT_MAX: usize = 1 << 16;
@@ -181,8 +181,8 @@ impl Relay {
     }
 
     /// Whether somebody wants the run to end.
-    pub(super) fn is_over(&self) -> bool {
-        interruption::requested() || self.stop.load(Ordering::Relaxed)
+    pub(super) fn is_over(&self, stop: &Stop) -> bool {
+        stop.is_requested() || self.stop.load(Ordering::Relaxed)
     }
 
     /// The nodes have begun with these packages.
@@ -228,6 +228,7 @@ impl Relay {
         tick: Tick,
         nodes: &mut [LoopNode],
         switches: &mut Vec<Switch>,
+        stop: &Stop,
     ) -> Between {
         let mut between = Between::default();
         let due = *self.pace.next_step.get_or_insert_with(Instant::now);
@@ -258,7 +259,7 @@ impl Relay {
                 }
             }
             let left = due.saturating_duration_since(Instant::now());
-            if left.is_zero() || self.is_over() || !between.restarts.is_empty() {
+            if left.is_zero() || self.is_over(stop) || !between.restarts.is_empty() {
                 break;
             }
             // Where there is time left, the next request is not kept waiting.

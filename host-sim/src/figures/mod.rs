@@ -28,7 +28,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use crate::output_file::{FileKind, OutputError, write_result};
+use crate::files::output::{FileKind, OutputError, write_result};
 
 pub use error_norms::{ErrorFigure, error_axis_limit, error_norms};
 pub use events::{EventFigure, events};

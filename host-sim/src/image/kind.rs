@@ -5,7 +5,7 @@ use ihex::{Reader, Record};
 
 use super::uf2::{BLOCK, PAYLOAD};
 use super::{ERASED, ImageFormat, PACKAGE_ALIGNMENT};
-use crate::output_file::FileKind;
+use crate::files::output::FileKind;
 
 /// What is written beside the package, the commit record, is shorter. \[byte\]
 const RECORD_MAX: usize = 256;

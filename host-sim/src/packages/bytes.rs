@@ -8,7 +8,7 @@ use agent_core::observer::network::{Architecture, InnerNetwork};
 use agent_core::package::signature::{PublicKey, verify};
 use agent_core::package::{Envelope, NetworkPlace, Package, PackageError, signature_block};
 
-use crate::output_file::{FileKind, OutputError, write_whole};
+use crate::files::output::{FileKind, OutputError, write_whole};
 use crate::signing::OperatorKey;
 
 /// Longest file that is read as a package: beyond the largest network of all. \[bytes\]

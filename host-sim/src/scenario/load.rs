@@ -10,7 +10,7 @@ use super::error::{ScenarioError, closest};
 use super::reader::{Source, Table};
 use super::sections::{agents, gains, health, learning, network, plant, run};
 use super::{BUILT_IN, Scenario};
-use crate::fnv::Fnv;
+use crate::files::fnv::Fnv;
 
 /// Longest file that is read as a scenario: room for thousands of agents with matrices of their own.
 /// \[byte\]

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::output_file::{FileKind, OutputError, write_whole};
+use crate::files::output::{FileKind, OutputError, write_whole};
 
 /// Name of the file.
 pub const NAME: &str = "nodes.json";

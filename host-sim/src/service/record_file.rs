@@ -10,7 +10,7 @@ use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crate::output_file::OutputError;
+use crate::files::output::OutputError;
 use crate::packages::RecordingSource;
 
 /// How long a sample may wait until it is written.

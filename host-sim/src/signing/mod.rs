@@ -25,8 +25,8 @@ use zeroize::Zeroizing;
 
 pub use error::KeyFileError;
 
-use crate::input_file::read_limited;
-use crate::output_file::{FileKind, write_whole};
+use crate::files::input::read_limited;
+use crate::files::output::{FileKind, write_whole};
 
 /// Longest file that is read as a key. \[byte\]
 const FILE_MAX: u64 = 64 << 10;

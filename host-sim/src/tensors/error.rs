@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use agent_core::observer::network::{INNER_LAYERS_MAX, NetworkError};
 
 use super::{FILE_BYTES_MAX, FileKind, activations};
-use crate::output_file::OutputError;
+use crate::files::output::OutputError;
 
 /// Why a network cannot be read from or written to a file: file, array, problem and hint, in
 /// one line of text.

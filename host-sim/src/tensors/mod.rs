@@ -36,7 +36,7 @@ pub use activations::{Activations, ActivationsSource};
 pub use array::Rounding;
 pub use error::{Extent, TensorError, TensorProblem};
 
-use crate::output_file::{FileKind as OutputKind, OutputError, write_whole};
+use crate::files::output::{FileKind as OutputKind, OutputError, write_whole};
 
 /// Largest file that is read, in bytes. The largest network (8 layers of 64 nodes) takes
 /// 0.28 MB in float64; the rest is room for headers and comments.

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::output_file::FileKind;
+use crate::files::output::FileKind;
 use crate::packages::PackageBytes;
 use crate::scenario::Scenario;
 

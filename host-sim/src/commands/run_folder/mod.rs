@@ -17,8 +17,8 @@ use manifest::{Manifest, kind_of};
 
 use super::CommandError;
 use crate::figures::FigureError;
-use crate::output_file::temporary::{Temporary, is_temporary, uninterrupted};
-use crate::output_file::{OutputError, destination, make_folder, resemble};
+use crate::files::output::temporary::{Temporary, is_temporary, uninterrupted};
+use crate::files::output::{OutputError, destination, make_folder, resemble};
 use crate::scenario::Scenario;
 use crate::terminal;
 

@@ -13,9 +13,10 @@ use crate::commands::key::Passphrase;
 use crate::commands::{
     CommandError, Format, agent_index, load_scenario, network_of, print_json, print_text, versions,
 };
-use crate::output_file::OutputFile;
-use crate::packages::trained::INITIAL_VERSION;
-use crate::packages::{Draft, OwnedAgentConfig, PackageBytes};
+use crate::files::output::OutputFile;
+use crate::learning::agent_config;
+use crate::learning::trained::INITIAL_VERSION;
+use crate::packages::{Draft, PackageBytes};
 use crate::shell::shell_word;
 use crate::tensors::{self, Activations, ActivationsSource, NetworkArrays};
 
@@ -267,7 +268,7 @@ fn of_scenario(path: &Path, agent: usize) -> Result<Draft, CommandError> {
         architecture: network.architecture.clone(),
         inner: Vec::new(),
         outer_weights: Vec::new(),
-        node: OwnedAgentConfig::new(&scenario, &trigger, index),
+        node: agent_config(&scenario, &trigger, index),
         broadcast_interval_min: 0.0,
         low: vec![f32::MIN; n],
         high: vec![f32::MAX; n],

@@ -8,11 +8,11 @@ use serde::Serialize;
 
 use super::renamed;
 use crate::commands::{CommandError, Format, print_json, print_text};
+use crate::files::output::write_whole;
 use crate::flash::{FlashTarget, ProbeRs};
 use crate::image::{self, Image, ImageError, ImageFormat, Part, ToolUse, Uf2Family, commands_for};
 use crate::interruption::{self, Again};
 use crate::memory_map::MemoryMap;
-use crate::output_file::write_whole;
 use crate::packages::PackageBytes;
 use crate::packages::check::check;
 use crate::signing::read_public_key;

@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use super::key::Passphrase;
 use super::{CommandError, Format, print_json, print_text};
-use crate::output_file::{FileKind, OutputFile};
+use crate::files::output::{FileKind, OutputFile};
 use crate::packages::check::check;
 use crate::packages::{Draft, PackageBytes};
 use crate::signing::{OperatorKey, fingerprint};

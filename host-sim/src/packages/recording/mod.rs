@@ -19,8 +19,8 @@ mod timing;
 
 use std::path::{Path, PathBuf};
 
-use crate::output_file::OutputError;
-use crate::report::csv::write_table;
+use crate::files::output::OutputError;
+use crate::files::table::write_table;
 use crate::training::{DataError, Dataset};
 use columns::Columns;
 pub use timing::Timing;

@@ -1,7 +1,7 @@
 //! Recorded samples prepared for training: averaged and thinned, with the smoothed pairs that a
 //! network is judged by.
 
-use super::Recording;
+use crate::packages::Recording;
 use crate::scenario::Recipe;
 use crate::training::{Averaging, Dataset, Smoothed, Smoothing, SmoothingError};
 

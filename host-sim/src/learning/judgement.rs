@@ -151,7 +151,7 @@ fn percent(share: Option<f64>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::packages::quality::Fit;
+    use crate::learning::quality::Fit;
 
     fn codes(warnings: &[Warning]) -> Vec<WarningCode> {
         warnings.iter().map(|warning| warning.code).collect()

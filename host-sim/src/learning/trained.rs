@@ -6,11 +6,12 @@ use std::sync::atomic::AtomicBool;
 
 use agent_core::package::{OnSwitch, TrainingErrors};
 
+use super::agent_config::agent_config;
 use super::cleaning::{Cleaned, Cleaning};
 use super::judgement::{Samples, judgement};
 use super::quality::{Fit, LAST_SHARE, Quality, estimates, explained, mean_squared_error};
-use super::{Draft, DraftError, OwnedAgentConfig, PackageBytes, Recording};
 use crate::analysis::TriggerConstants;
+use crate::packages::{Draft, DraftError, PackageBytes, Recording};
 use crate::scenario::{Network, Recipe, Scenario, SwitchIn};
 use crate::training::data::divide_at_random;
 use crate::training::{
@@ -196,7 +197,7 @@ impl Prepared<'_, '_> {
             architecture: task.network.architecture.clone(),
             inner: parameters.iter().map(|&p| p as f32).collect(),
             outer_weights: std::mem::take(&mut self.outer_weights),
-            node: OwnedAgentConfig::new(task.scenario, &trigger, task.agent),
+            node: agent_config(task.scenario, &trigger, task.agent),
             broadcast_interval_min: interval_bound(task.scenario, &trigger, self.recording),
             low,
             high,
@@ -284,7 +285,7 @@ pub fn initial(
         architecture: network.architecture.clone(),
         inner: inner.to_vec(),
         outer_weights: network.outer.iter().map(|&w| w as f32).collect(),
-        node: OwnedAgentConfig::new(scenario, trigger, index),
+        node: agent_config(scenario, trigger, index),
         broadcast_interval_min: 0.0,
         low: vec![f32::MIN; n],
         high: vec![f32::MAX; n],

@@ -1,5 +1,7 @@
 //! `cosim`: a scenario together with nodes that are really there.
 
+mod emulated;
+
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -7,22 +9,22 @@ use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
 use clap::Args;
+use emulated::{FlashFolder, Signing};
 
-use super::emulated::{FlashFolder, Signing};
-use super::firmware::{self, Firmware};
 use super::warnings;
 use super::{
     CommandError, Common, Format, SharedProgress, load_scenario, print_outcome, print_text,
 };
 use crate::analysis::StepCheck;
+use crate::commands::progress::ProgressBars;
 use crate::cosim::endpoint::{Endpoint, for_agents};
 use crate::cosim::fault::{Fault, NodeError};
+use crate::cosim::firmware::{self, Firmware};
 use crate::cosim::qemu::{Channel, PROGRAM, Qemu};
 use crate::cosim::{CosimReport, Notice, Service, Setup, board::Board, cosimulate};
 use crate::interruption::{self, Again};
 use crate::memory_map::MemoryMap;
 use crate::packages::PackageBytes;
-use crate::progress::ProgressBars;
 use crate::scenario::Scenario;
 use crate::shell::shell_word;
 use crate::terminal;
@@ -132,7 +134,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             (Endpoint::Qemu, Some(emulators)) => emulated(emulators, Channel::Pipes),
             (Endpoint::QemuUart, Some(emulators)) => emulated(emulators, Channel::Uart),
             (Endpoint::At(address), _) => address
-                .connect()
+                .connect(interruption::stop())
                 .map(|line| Board::new(line, &address.to_string(), true))
                 .map_err(|error| Fault::Start(error.to_string())),
             (_, None) => Err(Fault::Start("there is no emulator".to_owned())),
@@ -162,7 +164,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             });
         }
     };
-    let mut setup = Setup::new(start, timeout);
+    let mut setup = Setup::new(start, timeout, interruption::stop());
     setup.signer = signing.signer();
     setup.erased = signing.is_public_only();
     if arguments.serve.is_some() {
@@ -271,9 +273,12 @@ fn emulator(
     timeout: Duration,
 ) -> Result<Qemu, CommandError> {
     let (program, memory) = (arguments.firmware.as_deref(), arguments.memory.as_deref());
-    let Firmware { program, memory } = firmware::find(program, memory, signing.public_key())?;
+    let say = |line: &str| terminal::note(line);
+    let Firmware { program, memory } =
+        firmware::find(program, memory, signing.public_key(), say, interruption::stop())?;
     let region = MemoryMap::read(&memory)?.weights()?;
-    Ok(Qemu { program: arguments.qemu.clone(), firmware: program, region, timeout })
+    let stop = interruption::stop().clone();
+    Ok(Qemu { program: arguments.qemu.clone(), firmware: program, region, timeout, stop })
 }
 
 fn text(scenario: &Scenario, arguments: &Arguments, report: &CosimReport) -> String {

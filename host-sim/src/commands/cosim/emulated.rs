@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use agent_core::package::signature::PublicKey;
 use tempfile::TempDir;
 
-use super::CommandError;
 use crate::analysis::TriggerConstants;
+use crate::commands::CommandError;
 use crate::cosim::qemu::Qemu;
-use crate::output_file::OutputError;
-use crate::packages::OwnedAgentConfig;
+use crate::files::output::OutputError;
+use crate::learning::agent_config;
 use crate::scenario::Scenario;
 use crate::signing::{OperatorKey, read_public_key};
 
@@ -118,7 +118,7 @@ impl FlashFolder {
                 usage(format!("{error}; name another folder with --keep, or remove this file"))
             })?;
             let Some(package) = found else { continue };
-            let node = OwnedAgentConfig::new(scenario, &TriggerConstants::new(scenario), index);
+            let node = agent_config(scenario, &TriggerConstants::new(scenario), index);
             if let Some(parameter) = node.first_difference(&package.package().node) {
                 return Err(usage(format!(
                     "the package in it has another {parameter} than agent {} of scenario {}; run the \

@@ -15,7 +15,7 @@
 use agent_core::StateVector;
 use agent_core::observer::network::Scratch;
 
-use super::{PackageBytes, with_dimension};
+use crate::packages::{PackageBytes, with_dimension};
 use crate::training::{Dataset, Scaling};
 
 /// A network against a set of samples.

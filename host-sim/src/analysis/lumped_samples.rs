@@ -23,7 +23,7 @@
 //! Kept are `sigma_i` and `g_i` of some steps: all of the first ones, where the estimates still
 //! move fast, and from there on evenly spaced ones, [`POINTS`] at most and fewer in large networks.
 
-use crate::analysis::gram;
+use super::gram;
 use crate::scenario::Scenario;
 use nalgebra::DMatrix;
 
@@ -56,7 +56,7 @@ pub struct LumpedSamples {
 }
 
 impl LumpedSamples {
-    pub(super) fn new(scenario: &Scenario) -> Self {
+    pub(crate) fn new(scenario: &Scenario) -> Self {
         let (mut measured, mut kind) = (Vec::<DMatrix<f64>>::new(), Vec::new());
         for agent in &scenario.agents {
             let block = gram(&agent.output_matrix);
@@ -88,12 +88,12 @@ impl LumpedSamples {
 
     /// Whether there is to be a sample of `tick`.
     #[inline]
-    pub(super) fn is_due(&self, tick: u64) -> bool {
+    pub(crate) fn is_due(&self, tick: u64) -> bool {
         tick < self.first || tick.is_multiple_of(self.stride)
     }
 
     /// Takes `d`, shape `[n]`, at one sample.
-    pub(super) fn disturbance(&mut self, d: &[f64]) {
+    pub(crate) fn disturbance(&mut self, d: &[f64]) {
         let agents = self.kind.len() as f64;
         let size = d.iter().fold(0.0, |sum, d| sum + d * d);
         self.disturbance_max = self.disturbance_max.max((agents * size).sqrt());
@@ -102,7 +102,7 @@ impl LumpedSamples {
     /// Takes one agent's part of a sample; agents in ascending order. `rate` is `f + d`, shape
     /// `[n]`; `network` holds `sigma_i`, shape `[L]`, and `W_hat_i`, shape `[L, n]` row by row,
     /// of an agent that uses its network.
-    pub(super) fn agent(&mut self, index: usize, rate: &[f64], network: Option<(&[f32], &[f32])>) {
+    pub(crate) fn agent(&mut self, index: usize, rate: &[f64], network: Option<(&[f32], &[f32])>) {
         let n = self.dimension;
         let start = self.rest.len();
         self.rest.extend(rate.iter().map(|rate| -rate));

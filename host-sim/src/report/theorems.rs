@@ -11,14 +11,14 @@
 //!
 //! An agent that restarted left the dynamics of both.
 
-use super::{
+use crate::analysis::{
     GainCertificate, LumpedUncertainty, StepCheck, TriggerConstants, UltimateBound,
     minimum_interval, outputs_determine_state,
 };
 use crate::engine::RunResult;
 use crate::engine::bounds::{BoundShare, Growth};
 use crate::engine::statistics::AgentStatistics;
-use crate::report::number::significant;
+use crate::number::significant;
 use crate::scenario::Scenario;
 
 /// Every check that needs no run.

@@ -16,37 +16,55 @@ use agent_core::package::signature::PublicKey;
 use nix::sys::signal::{Signal, killpg};
 use nix::unistd::Pid;
 
-use super::CommandError;
-use crate::cosim::CosimError;
-use crate::cosim::qemu::MACHINE;
-use crate::interruption;
-use crate::terminal;
+use super::qemu::MACHINE;
+use crate::stop::Stop;
 
 /// Firmware and map of an emulated board.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Firmware {
+pub struct Firmware {
     /// The program, an ELF file.
-    pub(super) program: PathBuf,
+    pub program: PathBuf,
     /// The memory map that it was linked with.
-    pub(super) memory: PathBuf,
+    pub memory: PathBuf,
 }
 
-/// What there is to take them from.
+/// Why there is no firmware.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FirmwareError {
+    /// What was asked for is not there.
+    #[error("{0}")]
+    NotFound(String),
+    /// The project's firmware cannot be built.
+    #[error("{0}")]
+    Build(String),
+    /// The build was stopped.
+    #[error("interrupted; nothing is left running")]
+    Interrupted,
+}
+
+/// Where firmware and map come from.
 enum Source {
     Project(PathBuf),
     Share(PathBuf),
 }
 
 /// Finds both; builds the firmware if it is the project's. With a `key` it takes only
-/// packages that are signed with it.
-pub(super) fn find(
+/// packages that are signed with it. `say` is called with each line that the build prints, and
+/// `stop` ends the build.
+///
+/// # Errors
+/// See [`FirmwareError`].
+pub fn find(
     program: Option<&Path>,
     memory: Option<&Path>,
     key: Option<&PublicKey>,
-) -> Result<Firmware, CommandError> {
+    say: fn(&str),
+    stop: &Stop,
+) -> Result<Firmware, FirmwareError> {
     if let Some(program) = program.filter(|program| !program.is_file()) {
         let problem = format!("{}: no such file", program.display());
-        return Err(CommandError::Usage(format!(
+        return Err(FirmwareError::NotFound(format!(
             "{problem}; name the firmware's ELF file, or leave --firmware out to have it built"
         )));
     }
@@ -61,9 +79,9 @@ pub(super) fn find(
     let memory = memory.map_or(from_source, Path::to_owned);
     let program = match (program, &source) {
         (Some(program), _) => program.to_owned(),
-        (None, Source::Project(project)) => build(project, key)?,
+        (None, Source::Project(project)) => build(project, key, say, stop)?,
         (None, Source::Share(_)) if key.is_some() => {
-            return Err(CommandError::Usage(
+            return Err(FirmwareError::NotFound(
                 "the installed firmware takes any package; give one that was built with the key as \
                  --firmware, or change into the project"
                     .to_owned(),
@@ -79,9 +97,11 @@ fn installed_name() -> String {
     format!("qemu-{MACHINE}.elf")
 }
 
-fn source() -> Result<Source, CommandError> {
+fn source() -> Result<Source, FirmwareError> {
     let current = std::env::current_dir().map_err(|error| {
-        CommandError::Usage(format!("the current folder cannot be found: {error}; change into one"))
+        FirmwareError::NotFound(format!(
+            "the current folder cannot be found: {error}; change into one"
+        ))
     })?;
     if let Some(project) = project_around(&current) {
         return Ok(Source::Project(project));
@@ -90,7 +110,7 @@ fn source() -> Result<Source, CommandError> {
     let program = std::env::current_exe().and_then(std::fs::canonicalize);
     let share = program.ok().and_then(|program| share_beside(&program));
     share.map(Source::Share).ok_or_else(|| {
-        CommandError::Usage(
+        FirmwareError::NotFound(
             "no firmware for emulated nodes: this folder is not in the project, and no firmware is \
              installed beside this program; give --firmware ELF and --memory MEMORY.X, change into \
              the project, or run `cargo xtask install` there"
@@ -115,17 +135,22 @@ fn share_beside(program: &Path) -> Option<PathBuf> {
     is_whole.then_some(share)
 }
 
-/// Builds the project's firmware; what the build says goes to standard error.
-fn build(project: &Path, key: Option<&PublicKey>) -> Result<PathBuf, CommandError> {
+/// Builds the project's firmware.
+fn build(
+    project: &Path,
+    key: Option<&PublicKey>,
+    say: fn(&str),
+    stop: &Stop,
+) -> Result<PathBuf, FirmwareError> {
     let mut line = format!("cargo xtask firmware --board qemu-{MACHINE}");
     if let Some(key) = key {
         line += " --public-key ";
         line.extend(key.as_bytes().iter().map(|byte| format!("{byte:02x}")));
     }
     let failed = |what: String| {
-        CommandError::Firmware(format!("`{line}` {what}; fix that, or give --firmware ELF"))
+        FirmwareError::Build(format!("`{line}` {what}; fix that, or give --firmware ELF"))
     };
-    terminal::note(format_args!("building the firmware in {}: {line}", project.display()));
+    say(&format!("building the firmware in {}: {line}", project.display()));
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut build = Command::new(cargo)
         .args(line.split(' ').skip(1))
@@ -143,12 +168,12 @@ fn build(project: &Path, key: Option<&PublicKey>) -> Result<PathBuf, CommandErro
             let Ok(line) = line else { break };
             match line.strip_prefix("firmware: ") {
                 Some(path) => firmware = Some(PathBuf::from(path)),
-                None => terminal::note(line),
+                None => say(&line),
             }
         }
         firmware
     });
-    let status = wait(&mut build)?;
+    let status = wait(&mut build, stop)?;
     let firmware = reader.join().ok().flatten();
     if !status.success() {
         return Err(failed(format!("fails ({status})")));
@@ -158,21 +183,21 @@ fn build(project: &Path, key: Option<&PublicKey>) -> Result<PathBuf, CommandErro
 }
 
 /// Waits for the build's end, or ends it when a signal asks for it.
-fn wait(build: &mut Child) -> Result<std::process::ExitStatus, CommandError> {
+fn wait(build: &mut Child, stop: &Stop) -> Result<std::process::ExitStatus, FirmwareError> {
     loop {
         let ended = build.try_wait().map_err(|error| {
-            CommandError::Firmware(format!("the build of the firmware is lost: {error}"))
+            FirmwareError::Build(format!("the build of the firmware is lost: {error}"))
         })?;
         if let Some(status) = ended {
             return Ok(status);
         }
-        if interruption::requested() {
+        if stop.is_requested() {
             if let Ok(group) = i32::try_from(build.id()) {
                 // It may end by itself at this very moment.
                 let _ = killpg(Pid::from_raw(group), Signal::SIGTERM);
             }
             let _ = build.wait();
-            return Err(CosimError::Interrupted.into());
+            return Err(FirmwareError::Interrupted);
         }
         std::thread::sleep(Duration::from_millis(20));
     }
@@ -216,10 +241,12 @@ mod tests {
     fn named_files_need_neither() {
         let folder = tempfile::tempdir().unwrap();
         let (program, memory) = (folder.path().join("node.elf"), folder.path().join("memory.x"));
-        let error = find(Some(&program), Some(&memory), None).unwrap_err().to_string();
+        let error = find(Some(&program), Some(&memory), None, |_| {}, &Stop::default())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("node.elf: no such file"), "{error}");
         touch(&program);
-        let found = find(Some(&program), Some(&memory), None).unwrap();
+        let found = find(Some(&program), Some(&memory), None, |_| {}, &Stop::default()).unwrap();
         assert_eq!(found, Firmware { program, memory });
     }
 }

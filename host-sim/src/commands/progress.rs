@@ -18,7 +18,7 @@ const EPOCHS: &str = "{prefix:12} {msg}  ({human_pos} epochs in all)";
 
 /// The two bars.
 #[derive(Debug)]
-pub struct ProgressBars {
+pub(super) struct ProgressBars {
     bars: MultiProgress,
     steps: ProgressBar,
     epochs: ProgressBar,
@@ -29,13 +29,13 @@ pub struct ProgressBars {
 impl ProgressBars {
     /// Bars of a run called `name`, on the error output.
     #[must_use]
-    pub fn new(name: &str) -> Self {
+    pub(super) fn new(name: &str) -> Self {
         Self::drawn_on(name, ProgressDrawTarget::stderr_with_hz(DRAWS))
     }
 
     /// Bars of a run that goes on until it is ended by a signal.
     #[must_use]
-    pub fn endless(name: &str) -> Self {
+    pub(super) fn endless(name: &str) -> Self {
         let mut bars = Self::new(name);
         bars.steps.set_style(style(ENDLESS));
         bars.endless = true;
@@ -43,13 +43,14 @@ impl ProgressBars {
     }
 
     /// Does something that writes to the terminal, with the bars out of the way.
-    pub fn suspended(&self, print: impl FnOnce()) {
+    pub(super) fn suspended(&self, print: impl FnOnce()) {
         self.bars.suspend(print);
     }
 
     /// Bars that are never drawn.
     #[must_use]
-    pub fn hidden() -> Self {
+    #[cfg(test)]
+    fn hidden() -> Self {
         Self::drawn_on("", ProgressDrawTarget::hidden())
     }
 
@@ -64,7 +65,7 @@ impl ProgressBars {
     }
 
     /// The run has come to `tick` of `steps`.
-    pub fn stepped(&self, tick: u64, steps: u64) {
+    pub(super) fn stepped(&self, tick: u64, steps: u64) {
         if !self.endless && self.steps.length() != Some(steps) {
             self.steps.set_length(steps);
         }
@@ -72,7 +73,7 @@ impl ProgressBars {
     }
 
     /// So many of `total` bytes have been sent.
-    pub fn pushed(&self, bytes: u64, total: u64) {
+    pub(super) fn pushed(&self, bytes: u64, total: u64) {
         if self.steps.length() != Some(total) {
             self.steps.set_style(style(BYTES));
             self.steps.set_length(total);
@@ -82,7 +83,7 @@ impl ProgressBars {
 
     /// Training of `agent` in `cycle` (both from 1) has finished epoch `number`, which left a
     /// mean squared error of `train_mse` \[squared state unit/s\].
-    pub fn epoch(&self, agent: usize, cycle: usize, number: usize, train_mse: f64) {
+    pub(super) fn epoch(&self, agent: usize, cycle: usize, number: usize, train_mse: f64) {
         self.epochs.inc(1);
         if !self.epochs.is_hidden() {
             let message =
@@ -92,7 +93,7 @@ impl ProgressBars {
     }
 
     /// Takes the bars off the terminal, so that what is printed next stands on a clean line.
-    pub fn finish(&self) {
+    pub(super) fn finish(&self) {
         self.steps.finish_and_clear();
         self.epochs.finish_and_clear();
     }
