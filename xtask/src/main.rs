@@ -4,6 +4,7 @@
 //! fails and says what to do about it; none is left out silently.
 #![forbid(unsafe_code)]
 
+mod circles;
 mod compiler;
 mod cosim;
 mod cross;
@@ -53,7 +54,7 @@ Tasks:
           steps (20000), with packages pushed, messages and frames damaged, sensors failing,
           resets and losses of power, all drawn from the seed S (1): every byte must be the
           same, and right. `--steps 1000000` is the long form
-  lint    formatting, clippy and documentation, warnings are errors
+  lint    circles among modules, formatting, clippy and documentation; warnings are errors
   fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (10)
           from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
           long form. What a run adds to a corpus stays in target/fuzz/corpus, for the next.
@@ -79,7 +80,9 @@ fn main() -> ExitCode {
         ["cross"] => cross::cross(debian),
         ["size"] => size::size(debian),
         ["emulate"] => emulate::emulate(debian),
-        ["lint"] => host::lint().and_then(|()| fuzz::lint(debian)),
+        ["lint"] => circles::check(step::workspace())
+            .and_then(|()| host::lint())
+            .and_then(|()| fuzz::lint(debian)),
         ["firmware", ref rest @ ..] => match firmware::Options::read(rest) {
             Some(options) => firmware::firmware(&options, debian),
             None => return usage(),
