@@ -33,7 +33,7 @@ mod wire;
 pub use accept::{Capacity, InUse, Refusal, Requirements, accept};
 pub use encode::EncodeError;
 pub use envelope::{
-    Envelope, FORMAT_VERSION, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH, signature_block,
+    Envelope, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH, signature_block,
 };
 pub use error::PackageError;
 pub use place::NetworkPlace;
@@ -50,6 +50,9 @@ use crate::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
 use crate::observer::network::InnerNetwork;
 use crate::observer::outer_law::OuterLawParams;
 use crate::observer::trigger::TriggerParams;
+
+/// Version of the format that this crate writes and reads.
+pub const FORMAT_VERSION: u8 = 1;
 
 /// Most test vectors that a package can carry: enough to light up every node of a layer, few
 /// enough that a node checks them between two steps.

@@ -7,6 +7,7 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
+use super::agent_table::AgentReport;
 use super::baselines::{Baseline, Baselines, Choice, Comparison, Plan, States, has_packages};
 use super::health::{self, HealthReport};
 use super::run_folder::RunFolder;
@@ -60,29 +61,6 @@ struct Report<'a> {
     trainings: Vec<TrainingSummary>,
     checks: ChecksReport,
     warnings: &'a [Warning],
-}
-
-/// An agent, as JSON has it.
-#[derive(Debug, Default, Serialize)]
-pub(super) struct AgentReport {
-    pub(super) agent: usize,
-    pub(super) rmse: Option<f64>,
-    pub(super) rmse_no_network: Option<f64>,
-    pub(super) rmse_untrained: Option<f64>,
-    pub(super) change_percent_no_network: Option<f64>,
-    /// Against the untrained network.
-    pub(super) change_percent: Option<f64>,
-    /// Share of the smoothed targets' variance that the agent's last training explains.
-    pub(super) explained_variance: Option<f64>,
-    pub(super) max_error: Option<f64>,
-    pub(super) broadcasts: u64,
-    pub(super) broadcasts_no_network: Option<u64>,
-    pub(super) broadcasts_untrained: Option<u64>,
-    pub(super) mean_interval: Option<f64>,
-    pub(super) min_interval: Option<f64>,
-    /// Of an agent that was watched.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) health: Option<HealthReport>,
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {

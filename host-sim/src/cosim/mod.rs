@@ -14,9 +14,11 @@
 //! | [`endpoint`] | what nodes run on, as a command line names it |
 //! | [`board`] | one node: the messages that are exchanged with it |
 //! | [`qemu`], [`process`] | emulated nodes, and processes that end with their holder |
+//! | [`firmware`] | where the firmware of emulated nodes comes from |
 //! | `flash_copy` | what a node that is switched off has in its flash |
 //! | [`compare`] | what a node did against what the simulated agent did |
-//! | `lockstep` | the run_observer of the run that does all this |
+//! | `loop_node` | a node of a run, and what is known of it |
+//! | `lockstep` | the run observer that does all this |
 //! | `relay`, `socket` | nodes of a running co-simulation, offered to others |
 //! | [`fault`] | what can go wrong with a node |
 //!
@@ -34,6 +36,7 @@ pub mod fault;
 pub mod firmware;
 mod flash_copy;
 mod lockstep;
+mod loop_node;
 pub mod process;
 pub mod qemu;
 mod relay;

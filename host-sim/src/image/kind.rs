@@ -3,7 +3,7 @@
 use agent_core::package::Envelope;
 use ihex::{Reader, Record};
 
-use super::uf2::{BLOCK, PAYLOAD};
+use super::uf2_format::{BLOCK, PAYLOAD};
 use super::{ERASED, ImageFormat, PACKAGE_ALIGNMENT};
 use crate::files::output::FileKind;
 

@@ -28,6 +28,7 @@
 
 mod error;
 mod expression;
+mod operators;
 mod reader;
 mod tokens;
 mod weights;
