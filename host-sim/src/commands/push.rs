@@ -1,6 +1,5 @@
 //! `push`: a weight package into a running node.
 
-use std::io::Read;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -12,13 +11,10 @@ use super::node::{RETRY_POLICY, connect};
 use super::{CommandError, Format, print_json, print_text};
 use crate::commands::progress::ProgressBars;
 use crate::interruption::{self, Again};
-use crate::packages::{PackageBytes, PackageFileError};
+use crate::packages::{PackageBytes, PackageFileError, bytes};
 use crate::service::push::{Progress, PushError};
 use crate::service::{Address, Client, LineError, ServiceError, hint, push};
 use crate::terminal;
-
-/// Longest file that is sent: more than any slot holds. \[byte\]
-const LENGTH_MAX: u64 = 1 << 20;
 
 /// Between two looks at how a trial goes on.
 const LOOK: Duration = Duration::from_millis(200);
@@ -103,13 +99,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
 /// The file, unless it is known to be damaged: whether it is a package for this node, the node says.
 fn read(arguments: &Arguments) -> Result<Vec<u8>, CommandError> {
     let path = &arguments.package;
-    let mut bytes = Vec::new();
-    std::fs::File::open(path)
-        .and_then(|file| file.take(LENGTH_MAX + 1).read_to_end(&mut bytes))
-        .map_err(|error| PackageFileError::Read { path: path.clone(), error })?;
-    if bytes.len() as u64 > LENGTH_MAX {
-        return Err(PackageFileError::TooLong { path: path.clone() }.into());
-    }
+    let bytes = bytes::read_file(path)?;
     match PackageBytes::new(&bytes) {
         Ok(_) => Ok(bytes),
         // A node may know more formats than this program.

@@ -8,11 +8,12 @@ use tempfile::TempDir;
 
 use crate::analysis::TriggerConstants;
 use crate::commands::CommandError;
+use crate::commands::key::Passphrase;
 use crate::cosim::qemu::Qemu;
 use crate::files::output::OutputError;
 use crate::learning::agent_config;
 use crate::scenario::Scenario;
-use crate::signing::{OperatorKey, read_public_key};
+use crate::signing::{EitherKey, OperatorKey};
 
 /// What the nodes' firmware asks of packages.
 pub(super) enum Signing {
@@ -26,12 +27,11 @@ pub(super) enum Signing {
 
 impl Signing {
     /// With the key in this file, if there is one: a private or a public one.
-    pub(super) fn read(path: Option<&Path>) -> Result<Self, CommandError> {
+    pub(super) fn read(path: Option<&Path>, passphrase: &Passphrase) -> Result<Self, CommandError> {
         let Some(path) = path else { return Ok(Self::None) };
-        Ok(match read_public_key(path) {
-            Ok(key) => Self::Public(key),
-            // What is wrong with it is told as for a private key.
-            Err(_) => Self::Private(Box::new(OperatorKey::read(path)?)),
+        Ok(match passphrase.either_key(path)? {
+            EitherKey::Public(key) => Self::Public(key),
+            EitherKey::Private(key) => Self::Private(key),
         })
     }
 

@@ -11,6 +11,7 @@ use std::time::Duration;
 use clap::Args;
 use emulated::{FlashFolder, Signing};
 
+use super::key::Passphrase;
 use super::warnings;
 use super::{
     CommandError, Common, Format, SharedProgress, load_scenario, print_outcome, print_text,
@@ -74,9 +75,11 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FOLDER")]
     keep: Option<PathBuf>,
     /// Firmware that takes signed packages only: with the operator's private key all packages are
-    /// signed with it; with the public key nodes wait until somebody pushes them signed ones
+    /// signed with it; with the public key nodes wait until signed ones are pushed
     #[arg(long, value_name = "KEY.pem")]
     key: Option<PathBuf>,
+    #[command(flatten)]
+    passphrase: Passphrase,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -112,7 +115,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     // What can be refused is refused before anything is built.
     crate::cosim::prepared(&scenario)?;
     let timeout = Duration::from_secs_f64(arguments.timeout);
-    let signing = Signing::read(arguments.key.as_deref())?;
+    let signing = Signing::read(arguments.key.as_deref(), &arguments.passphrase)?;
     let is_emulated = |index: usize| !matches!(endpoints[index], Endpoint::At(_));
     let emulated = (0..endpoints.len()).any(is_emulated);
     let qemu = emulated.then(|| emulator(arguments, &signing, timeout)).transpose()?;
