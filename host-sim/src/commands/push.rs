@@ -8,7 +8,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::node::{RETRY_POLICY, connect};
-use super::{CommandError, Format, print_json, print_text};
+use super::{CommandError, ErrorCode, Format, print_json, print_text};
 use crate::commands::progress::ProgressBars;
 use crate::interruption::{self, Again};
 use crate::packages::{PackageBytes, PackageFileError, bytes};
@@ -114,12 +114,16 @@ fn read(arguments: &Arguments) -> Result<Vec<u8>, CommandError> {
 /// What a person is told about a push that has failed.
 fn failure(arguments: &Arguments, error: PushError) -> CommandError {
     match error {
-        PushError::Service(ServiceError::Refused(problem)) => CommandError::Refusal {
-            path: arguments.package.clone(),
-            refusal: format!("the node refuses: {problem}"),
-            hint: hint::of_refusal(problem),
-        },
-        PushError::Service(ServiceError::Line(LineError::Interrupted)) => CommandError::Interrupted(
+        PushError::Service(ServiceError::Refused(problem)) => {
+            let (path, hint) = (&arguments.package, hint::of_refusal(problem));
+            let text = format!(
+                "{}: the node refuses: {problem}; what was in use stays in use; {hint}",
+                path.display()
+            );
+            CommandError::new(ErrorCode::PackageRefused, text).about(path)
+        }
+        PushError::Service(ServiceError::Line(LineError::Interrupted)) => CommandError::new(
+            ErrorCode::Interrupted,
             "interrupted; what was in use stays in use, and the same push goes on where this one \
              ended"
                 .to_owned(),
@@ -152,7 +156,8 @@ fn wait(node: &mut Client, package: &[u8]) -> Result<(), CommandError> {
     loop {
         let status = push::status(node, RETRY_POLICY)?;
         let Some(used) = push::in_use(&status, package) else {
-            return Err(CommandError::Node(
+            return Err(CommandError::new(
+                ErrorCode::Node,
                 "the node has gone back to another package before the trial's end; see its health \
                  with `host-sim node ENDPOINT`"
                     .to_owned(),
@@ -161,7 +166,8 @@ fn wait(node: &mut Client, package: &[u8]) -> Result<(), CommandError> {
         let Some((good, needed)) = used.trial else { return Ok(()) };
         bars.stepped(good.into(), needed.into());
         if interruption::requested() {
-            return Err(CommandError::Interrupted(
+            return Err(CommandError::new(
+                ErrorCode::Interrupted,
                 "interrupted; the package is in use and still on trial".to_owned(),
             ));
         }

@@ -91,7 +91,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let end = seed.checked_add(arguments.seeds).ok_or_else(|| {
         let problem =
             format!("--seed {seed}: there are not {} seeds from there on", arguments.seeds);
-        CommandError::Usage(problem + "; write a smaller one")
+        CommandError::usage(problem + "; write a smaller one")
     })?;
     let mut planned = output::planned(&scenario, "_without", false);
     planned.extend(output::planned(&scenario, "_with", false));
@@ -115,7 +115,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     });
     let checks = Checks::new(&scenario, with);
     let mut warnings = warnings::before(&scenario, &checks.design);
-    warnings.extend(warnings::after(&scenario, with, &checks));
+    let found = warnings::after(&scenario, with, &checks, &warnings);
+    warnings.extend(found);
     let (out, stage) = (&arguments.out, folder.stage());
     let (files, figures) = rayon::join(
         || write_tables(stage, &scenario, &table, &runs, seeds.as_deref()),

@@ -87,7 +87,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let plan = Plan::new(&scenario, arguments.baselines);
     let (result, baselines) = simulate(&scenario, arguments.common.seed, plan)?;
     let checks = Checks::of(design, &scenario, &result);
-    let mut found = warnings::after(&scenario, &result, &checks);
+    let mut found = warnings::after(&scenario, &result, &checks, &warnings);
     found.extend(baselines.warnings());
     let agents = agent_reports(&scenario, &result, &baselines);
     let trainings = trainings::summaries(&result.trainings);
@@ -139,15 +139,16 @@ fn give_packages(scenario: &mut Scenario, files: &[PathBuf]) -> Result<(), Comma
         let agents = scenario.agents.len();
         let place = agent.checked_sub(1).and_then(|index| scenario.agents.get_mut(index));
         let place = place.ok_or_else(|| {
-            CommandError::Usage(format!(
+            CommandError::usage(format!(
                 "{}: is for agent {agent}, scenario {} has agents 1 to {agents}",
                 file.display(),
                 scenario.name
             ))
+            .about(file)
         })?;
         if place.package.replace(package).is_some() {
             let problem = format!("{}: a second package for agent {agent}", file.display());
-            return Err(CommandError::Usage(problem + "; give one for each"));
+            return Err(CommandError::usage(problem + "; give one for each").about(file));
         }
     }
     Ok(())

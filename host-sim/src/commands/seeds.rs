@@ -59,7 +59,8 @@ pub(super) fn run_all<P: Progress>(
     let one = |seed| {
         let options = RunOptions { seed, learning: true, bounds: false };
         let result = run(&scenario, options, &progress());
-        let result = result.map_err(|error| CommandError::Seed { seed, error })?;
+        let result =
+            result.map_err(|error| CommandError::from(error).within(&format!("seed {seed}")))?;
         Ok(SeedRun::new(seed, &result.agents, &scenario.time))
     };
     let runs: Vec<_> = seeds.into_par_iter().map(one).collect();

@@ -89,15 +89,40 @@ pub enum TrainedError {
     /// The trained network does not become a package.
     #[error("{0}")]
     Draft(#[from] DraftError),
-    /// The error of the trained network overflows.
+    /// The trained network does not become a package, because of the size of the samples.
+    #[error("{error}; the samples' largest value is {largest:.0e}: {}", unit(*largest))]
+    Size {
+        /// What the network lacks.
+        error: DraftError,
+        /// The largest magnitude in the samples.
+        largest: f64,
+    },
+    /// The error of the trained network is not a number.
     #[error(
-        "the mean squared error of the trained network is {error}, so there is nothing to pack; \
-         check the samples for values that are far too large"
+        "the mean squared error of the trained network is {error}, so there is nothing to pack; the \
+         samples' largest value is {largest:.0e}: {}",
+        unit(*largest)
     )]
     NotFinite {
         /// The error.
         error: f64,
+        /// The largest magnitude in the samples.
+        largest: f64,
     },
+}
+
+/// Magnitudes that single precision handles, squares included.
+const SIZES: std::ops::RangeInclusive<f64> = 1e-15..=1e15;
+
+/// What to do about samples whose largest magnitude is this.
+fn unit(largest: f64) -> &'static str {
+    if largest < *SIZES.start() {
+        "write the samples in a smaller unit, in which values are about 1"
+    } else if largest > *SIZES.end() {
+        "write the samples in a larger unit, in which values are about 1"
+    } else {
+        "train with less noise, for fewer epochs or with another seed"
+    }
 }
 
 impl From<DataError> for TrainedError {
@@ -208,7 +233,7 @@ impl Prepared<'_, '_> {
             errors: None,
         };
         // The quality reported is that of the package, in single precision.
-        let quality = self.quality(&draft.seal()?)?;
+        let quality = self.quality(&draft.seal().map_err(|error| self.unpacked(error))?)?;
         let held_out = quality.test.or(quality.validation);
         draft.errors = held_out.and_then(|held_out| {
             let (training, held_out) = (quality.training.error as f32, held_out.error as f32);
@@ -231,6 +256,15 @@ impl Prepared<'_, '_> {
         })
     }
 
+    /// Why a draft of the trained network does not become a package.
+    fn unpacked(&self, error: DraftError) -> TrainedError {
+        let largest = largest(&self.recording.samples);
+        match error {
+            _ if SIZES.contains(&largest) => TrainedError::Draft(error),
+            error => TrainedError::Size { error, largest },
+        }
+    }
+
     /// The quality of the network in `package` on the samples that it was trained on.
     fn quality(&self, package: &PackageBytes) -> Result<Quality, TrainedError> {
         let (data, judged) = (&self.cleaned.data, &self.cleaned.judged);
@@ -248,7 +282,8 @@ impl Prepared<'_, '_> {
         let [training, validation, test] = parts.each_ref().map(fit);
         let training = training.ok_or(DataError::TooFewSamples { found: 0, needed: 1 })?;
         if !training.error.is_finite() {
-            return Err(TrainedError::NotFinite { error: training.error });
+            let largest = largest(&self.recording.samples);
+            return Err(TrainedError::NotFinite { error: training.error, largest });
         }
         let last = judged.select(&last_rows(judged.len()));
         let last = last
@@ -301,6 +336,12 @@ pub fn initial(
 /// Version of a package that was not trained.
 pub const INITIAL_VERSION: u32 = 1;
 
+/// The largest magnitude of all inputs and targets.
+fn largest(samples: &Dataset) -> f64 {
+    let values = samples.inputs().iter().chain(samples.targets());
+    values.fold(0.0, |largest: f64, value| largest.max(value.abs()))
+}
+
 /// Least and largest value of each input.
 fn limits(samples: &Dataset) -> (Vec<f32>, Vec<f32>) {
     let n = samples.dimension();
@@ -322,4 +363,48 @@ fn interval_bound(scenario: &Scenario, trigger: &TriggerConstants, recording: &R
         .fold(0.0, |largest: f64, rate| largest.max(rate));
     let bound = (trigger.radius() / rate_squared.sqrt()) as f32;
     if every_step && bound.is_finite() { bound } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::packages::Timing;
+    use crate::scenario::PAPER;
+
+    #[test]
+    fn samples_of_the_wrong_size_are_called_so() {
+        let scenario = Scenario::parse("paper.toml", PAPER).unwrap();
+        let network = scenario.network.as_ref().unwrap();
+        let mut recipe = scenario.recipe("better").unwrap().clone();
+        recipe.solver.epochs_max = 2;
+        let task = TrainingTask {
+            scenario: &scenario,
+            network,
+            recipe: &recipe,
+            agent: 0,
+            cycle: 0,
+            seed: 0,
+            version: 2,
+        };
+        let values = |shift: f64| -> Vec<f64> {
+            (0..3000).map(|s| 1e-42 * libm::sin(0.01 * f64::from(s) + shift)).collect()
+        };
+        let recording = Recording {
+            samples: Dataset::new(3, values(0.0), values(1.0)).unwrap(),
+            gaps: Vec::new(),
+            start: 0.0,
+            interval: 1e-3,
+            timing: Timing::default(),
+            outer_weights: None,
+        };
+        let error = task.carry_out(&recording, &mut |_| ControlFlow::Continue(())).unwrap_err();
+        let message = error.to_string();
+        assert!(
+            message.ends_with(
+                "1e-42: write the samples in a smaller unit, in which values are about 1"
+            ),
+            "{message}"
+        );
+        assert!(unit(1e37).contains("a larger unit") && unit(1.0).contains("less noise"));
+    }
 }

@@ -8,6 +8,7 @@
 //! | [`draft`] | everything that goes into a package, and the making of it |
 //! | [`check`] | the node's own acceptance, for any state dimension |
 //! | [`recording`] | recorded samples, in memory and in files |
+//! | [`refusal`] | what to do about a package that is refused |
 //! | [`recording_source`] | where a recording comes from, according to its file |
 //!
 //! The simulated agents load these very bytes. The format is agent-core's; see `docs/format.md`.
@@ -19,6 +20,7 @@ pub mod node;
 pub mod parameter;
 pub mod recording;
 pub mod recording_source;
+pub mod refusal;
 
 pub use bytes::{PackageBytes, PackageFileError, PackageParameters};
 pub use draft::{Draft, DraftError};

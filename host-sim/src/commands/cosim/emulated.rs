@@ -80,11 +80,12 @@ impl FlashFolder {
         std::fs::create_dir_all(folder).map_err(failed)?;
         let lock = File::open(folder).map_err(failed)?;
         if lock.try_lock().is_err() {
-            return Err(CommandError::Usage(format!(
+            return Err(CommandError::usage(format!(
                 "{}: another run uses the flash in this folder; wait for its end, or name another \
                  folder with --keep",
                 folder.display()
-            )));
+            ))
+            .about(folder));
         }
         Ok(Self { folder: folder.to_owned(), temporary: None, _lock: Some(lock) })
     }
@@ -112,8 +113,9 @@ impl FlashFolder {
             if !file.exists() {
                 continue;
             }
-            let usage =
-                |problem: String| CommandError::Usage(format!("{}: {problem}", file.display()));
+            let usage = |problem: String| {
+                CommandError::usage(format!("{}: {problem}", file.display())).about(&file)
+            };
             let found = qemu.package_in(&file, key).map_err(|error| {
                 usage(format!("{error}; name another folder with --keep, or remove this file"))
             })?;

@@ -14,7 +14,8 @@ use emulated::{FlashFolder, Signing};
 use super::key::Passphrase;
 use super::warnings;
 use super::{
-    CommandError, Common, Format, SharedProgress, load_scenario, print_outcome, print_text,
+    CommandError, Common, ErrorCode, Format, SharedProgress, load_scenario, print_outcome,
+    print_text,
 };
 use crate::analysis::StepCheck;
 use crate::commands::progress::ProgressBars;
@@ -107,7 +108,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     interruption::listen(Again::Wait);
     let mut scenario = scenario(arguments)?;
     let endpoints =
-        for_agents(&arguments.boards, scenario.agents.len()).map_err(CommandError::Usage)?;
+        for_agents(&arguments.boards, scenario.agents.len()).map_err(CommandError::usage)?;
     let step = StepCheck::new(&scenario);
     if !step.is_stable() {
         warnings::print(&[Warning::new(WarningCode::UnstableStep, step.describe())]);
@@ -189,24 +190,30 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
 /// Whether it went well: equal bits, and every node to the end.
 fn outcome(report: &CosimReport, wanted: u64) -> Result<(), CommandError> {
     if let Some(first) = &report.first_mismatch {
-        return Err(CommandError::Mismatches(format!(
-            "{} steps of nodes differ from the simulated ones, first {first}",
-            report.mismatches
-        )));
+        return Err(CommandError::new(
+            ErrorCode::Mismatches,
+            format!(
+                "{} steps of nodes differ from the simulated ones, first {first}",
+                report.mismatches
+            ),
+        ));
     }
     let ended = report.boards.iter().filter(|board| board.ended.is_some());
     let ended: Vec<_> = ended.map(|board| board.agent.to_string()).collect();
     if !ended.is_empty() {
-        return Err(CommandError::Node(format!(
-            "these agents' nodes have ended and were not started again: {}; see above why",
-            ended.join(", ")
-        )));
+        return Err(CommandError::new(
+            ErrorCode::Node,
+            format!(
+                "these agents' nodes have ended and were not started again: {}; see above why",
+                ended.join(", ")
+            ),
+        ));
     }
     if report.interrupted {
-        return Err(CommandError::Interrupted(format!(
-            "interrupted after {} of {wanted} steps, all equal until then",
-            report.steps
-        )));
+        return Err(CommandError::new(
+            ErrorCode::Interrupted,
+            format!("interrupted after {} of {wanted} steps, all equal until then", report.steps),
+        ));
     }
     Ok(())
 }
@@ -252,7 +259,7 @@ fn scenario(arguments: &Arguments) -> Result<Scenario, CommandError> {
     if let Some(recipe) = &arguments.recipe {
         if scenario.recipe(recipe).is_none() {
             let names: Vec<_> = scenario.recipes.iter().map(|r| r.name.as_str()).collect();
-            return Err(CommandError::Usage(format!(
+            return Err(CommandError::usage(format!(
                 "--recipe {recipe}: scenario {} has the recipes {}",
                 scenario.name,
                 names.join(", ")

@@ -204,7 +204,8 @@ fn take_activations(arrays: &mut NetworkArrays, replaced: &Architecture) {
 
 fn no_package(arrays: &Path, problem: &str) -> CommandError {
     let file = arrays.display();
-    CommandError::Usage(format!("{file}: {problem}; change the arrays, or the node to import for"))
+    CommandError::usage(format!("{file}: {problem}; change the arrays, or the node to import for"))
+        .about(arrays)
 }
 
 /// The network has to fit the node's state and gains.
@@ -236,7 +237,7 @@ fn draft(arguments: &Import) -> Result<Draft, CommandError> {
         (None, Some(scenario), Some(agent)) => of_scenario(scenario, agent)?,
         _ => {
             let problem = "no node to import for".to_owned();
-            return Err(CommandError::Usage(problem + "; give --base, or --scenario and --agent"));
+            return Err(CommandError::usage(problem + "; give --base, or --scenario and --agent"));
         }
     };
     draft.version = match (arguments.package_version, &arguments.base) {
