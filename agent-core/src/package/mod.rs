@@ -292,4 +292,4 @@ const fn test_vector_length(dimension: usize, features: usize) -> usize {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
