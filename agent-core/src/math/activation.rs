@@ -72,7 +72,7 @@ mod tests;
 
 use core::f32::consts::LOG2_E;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::math::numeric::for_each;
 
@@ -133,7 +133,7 @@ const SIGN: u32 = 1 << 31;
 const UPPER_HALF: u32 = 0xffff_f000;
 
 /// Which function the nodes of a layer apply; packages number them in this order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Activation {
     /// Hyperbolic tangent, the paper's tangent-sigmoid.
     Tanh,

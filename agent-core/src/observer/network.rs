@@ -16,7 +16,7 @@
 //! the weights row by row, one row of `width` weights for each input of the layer
 //! (`W_q` of the paper in row-major order).
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::INPUTS_MAX;
 use crate::math::activation::Activation;
@@ -28,7 +28,7 @@ pub const INNER_LAYERS_MAX: usize = 8;
 pub const LAYER_WIDTH_MAX: usize = 64;
 
 /// One inner layer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Layer {
     /// Nodes, 1 to [`LAYER_WIDTH_MAX`].
     pub width: u8,
