@@ -74,8 +74,6 @@ use core::f32::consts::LOG2_E;
 
 use serde::{Deserialize, Serialize};
 
-use crate::math::numeric::for_each;
-
 /// Where `tanh` changes its form: just above atanh(1/2) = 0.5493, so that `1 - 2 / (m + 2)`
 /// never has to answer in the finer binade below 1/2. Chosen, not fitted.
 const TANH_SMALL_BELOW: f32 = 0.55;
@@ -179,17 +177,23 @@ impl Activation {
 #[inline(never)]
 fn tanh_in_place(values: &mut [f32]) {
     let bits: &mut [u32] = bytemuck::cast_slice_mut(values);
-    for_each(bits, |bits| *bits = tanh_bits(*bits));
+    for bits in bits {
+        *bits = tanh_bits(*bits);
+    }
 }
 
 #[inline(never)]
 fn logistic_in_place(values: &mut [f32]) {
-    for_each(values, |value| *value = logistic(*value));
+    for value in values {
+        *value = logistic(*value);
+    }
 }
 
 #[inline(never)]
 fn gaussian_in_place(values: &mut [f32]) {
-    for_each(values, |value| *value = gaussian(*value));
+    for value in values {
+        *value = gaussian(*value);
+    }
 }
 
 /// Hyperbolic tangent: odd, never decreasing, in [-1, 1].

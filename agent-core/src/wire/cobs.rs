@@ -49,6 +49,7 @@ impl<S: FnMut(&[u8])> Encoder<S> {
     }
 
     /// Takes the message's next bytes.
+    #[inline(never)]
     pub fn extend(&mut self, bytes: &[u8]) {
         self.checksum.update(bytes);
         self.stuff(bytes);
@@ -62,7 +63,6 @@ impl<S: FnMut(&[u8])> Encoder<S> {
         (self.sink)(&[DELIMITER]);
     }
 
-    #[inline(never)]
     fn stuff(&mut self, bytes: &[u8]) {
         let mut length = self.length;
         for &byte in bytes {
@@ -99,6 +99,7 @@ impl<S: FnMut(&[u8])> Encoder<S> {
 impl<S: FnMut(&[u8])> Flavor for &mut Encoder<S> {
     type Output = ();
 
+    #[inline]
     fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
         self.extend(&[byte]);
         Ok(())

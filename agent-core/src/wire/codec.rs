@@ -12,6 +12,8 @@ use serde::{Deserialize, Serialize};
 
 /// The value at the beginning of `bytes`, and the bytes behind it; `None` if they hold none, or
 /// not as it is written.
+// One copy of each, whatever the optimiser thinks of its callers.
+#[inline(never)]
 pub(crate) fn take<'a, T>(bytes: &'a [u8]) -> Option<(T, &'a [u8])>
 where
     T: Serialize + Deserialize<'a>,
@@ -36,6 +38,7 @@ impl<'a> Flavor for Expected<'a> {
         self.try_extend(&[byte])
     }
 
+    #[inline(never)]
     fn try_extend(&mut self, bytes: &[u8]) -> postcard::Result<()> {
         let rest = self.0.strip_prefix(bytes);
         self.0 = rest.ok_or(postcard::Error::DeserializeBadEncoding)?;

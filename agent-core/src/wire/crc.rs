@@ -22,6 +22,7 @@ pub(crate) fn checksum() -> Checksum {
 
 /// The checksum of all `parts`, one after another.
 #[must_use]
+#[inline(never)]
 pub fn crc32(parts: &[&[u8]]) -> u32 {
     let mut checksum = checksum();
     parts.iter().for_each(|part| checksum.update(part));

@@ -145,9 +145,8 @@ impl<const N: usize> Frame<N> {
         let Body { sender, sequence, tick, payload } = decode(bytes)?;
         let Payload::Estimate(components) = payload;
         let found = components.len();
-        let components: [f32; N] = components
-            .into_array()
-            .map_err(|_| FrameError::Dimension { expected: N, found })?;
+        let components: [f32; N] =
+            components.into_array().map_err(|_| FrameError::Dimension { expected: N, found })?;
         let estimate = StateVector::from(components);
         if !all_finite(&estimate) {
             return Err(FrameError::NotFinite { sender });
