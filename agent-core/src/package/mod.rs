@@ -38,7 +38,7 @@ pub use envelope::{
 pub use error::PackageError;
 pub use place::NetworkPlace;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::AgentId;
 use crate::StateVector;
@@ -109,7 +109,7 @@ pub struct AgentConfig<'a> {
 }
 
 /// What becomes of the outer weights that an agent has adapted when another package takes over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum OnSwitch {
     /// They go on, as in the paper; the package's own are for a node that starts with it.
     Keep,
@@ -154,7 +154,7 @@ impl<'a> NeighbourIds<'a> {
 }
 
 /// Where a network comes from. Nothing depends on it but people.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Provenance<'a> {
     /// Hash of the scenario that it was trained for; see the host's documentation.
     pub scenario_hash: [u8; 8],
@@ -171,7 +171,7 @@ pub struct Provenance<'a> {
 }
 
 /// Mean squared errors after training. \[squared state unit/s^2\]
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainingErrors {
     /// Over the samples that the network was trained on.
     pub training: f32,
@@ -295,4 +295,4 @@ const fn test_vector_length(dimension: usize, features: usize) -> usize {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
