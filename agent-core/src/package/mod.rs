@@ -32,9 +32,7 @@ mod wire;
 
 pub use accept::{Capacity, InUse, Refusal, Requirements, accept};
 pub use encode::EncodeError;
-pub use envelope::{
-    Envelope, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH, signature_block,
-};
+pub use envelope::{Envelope, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH, signature_block};
 pub use error::PackageError;
 pub use place::NetworkPlace;
 
