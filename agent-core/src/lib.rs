@@ -37,6 +37,9 @@ pub mod service;
 pub mod store;
 pub mod wire;
 
+#[cfg(test)]
+mod golden_bytes;
+
 /// Most inputs that a network can have; the largest state dimension.
 pub const INPUTS_MAX: usize = 12;
 

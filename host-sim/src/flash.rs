@@ -18,9 +18,9 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use crate::files::output::temporary::Temporary;
 use crate::image::{Image, ImageError, ImageFormat, Segment};
 use crate::interruption;
-use crate::output_file::temporary::Temporary;
 
 /// The program's name.
 const PROGRAM: &str = "probe-rs";

@@ -5,14 +5,15 @@
 //! before it stays, and the exit code is 128 and the signal's number, 130 for Ctrl-C and 143 for a
 //! request to terminate. Under `nohup`, closing the terminal does not end it.
 
-use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, Ordering};
-use std::sync::{Once, OnceLock};
-use std::time::{Duration, Instant};
+use std::sync::atomic::{AtomicI32, AtomicU8, Ordering};
+use std::sync::{Arc, LazyLock, Once};
 
-use crate::output_file::temporary;
+use crate::files::output::temporary;
+use crate::stop::Stop;
 use crate::terminal;
 
-static REQUESTED: AtomicBool = AtomicBool::new(false);
+/// Requested by the first signal.
+static STOP: LazyLock<Arc<Stop>> = LazyLock::new(Arc::default);
 /// Number of the first signal.
 static SIGNAL: AtomicI32 = AtomicI32::new(0);
 /// An [`Again`], or [`END`].
@@ -27,9 +28,6 @@ const WAIT: u8 = 2;
 const HANG_UP: i32 = 1;
 const INTERRUPT: i32 = 2;
 const TERMINATE: i32 = 15;
-
-/// When the first request came.
-static SINCE: OnceLock<Instant> = OnceLock::new();
 
 /// What a second request does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,7 +100,7 @@ fn handle_signals() -> Result<(), ctrlc::Error> {
 }
 
 fn received(signal: i32) {
-    let again = REQUESTED.load(Ordering::Relaxed);
+    let again = STOP.is_requested();
     match RESPONSE.load(Ordering::Relaxed) {
         WAIT => {}
         EXIT if !again => {}
@@ -112,9 +110,8 @@ fn received(signal: i32) {
         }
     }
     if !again {
-        SINCE.get_or_init(Instant::now);
         SIGNAL.store(signal, Ordering::Relaxed);
-        REQUESTED.store(true, Ordering::Release);
+        STOP.request();
     }
 }
 
@@ -131,7 +128,7 @@ pub fn listen(again: Again) {
 /// Whether a signal has asked for the end.
 #[must_use]
 pub fn requested() -> bool {
-    REQUESTED.load(Ordering::Acquire)
+    STOP.is_requested()
 }
 
 /// What asked for the end, if anything did.
@@ -144,15 +141,8 @@ pub fn signal() -> Option<Signal> {
     })
 }
 
-/// The flag that becomes true when a signal asks for the end.
+/// What signals ask to stop.
 #[must_use]
-pub fn flag() -> &'static AtomicBool {
-    &REQUESTED
-}
-
-/// Whether a signal asked for the end at least `time` ago: what is under way may have that long to
-/// finish in good order.
-#[must_use]
-pub fn requested_for(time: Duration) -> bool {
-    requested() && SINCE.get().is_none_or(|since| since.elapsed() >= time)
+pub fn stop() -> &'static Arc<Stop> {
+    &STOP
 }

@@ -8,15 +8,16 @@
 //! | [`engine`] | the run: agents, links, learning cycles, statistics, traces |
 //! | [`training`] | offline training of the inner layers |
 //! | [`packages`] | weight packages: made, checked, in files |
+//! | [`learning`] | from scenarios and recorded samples to packages |
 //! | [`memory_map`] | where things lie in a board's memory, read from its `memory.x` |
 //! | [`image`], [`flash`] | weight packages as flash images; writing them into a board |
 //! | [`service`] | talking to a running node: packages, samples |
 //! | [`cosim`] | runs together with nodes that are really there, compared bit for bit |
 //! | [`analysis`] | the theorems' constants and bounds, held against a run |
 //! | [`figures`], [`report`] | pictures; tables and CSV files |
-//! | [`progress`], [`output_file`], [`input_file`], [`fnv`] | progress bars; files that are whole or not there; files read up to a limit; a hash |
+//! | [`files`], [`number`] | files read and written, tables, hashes; numbers for people |
 //! | [`terminal`] | the one place that prints |
-//! | [`shell`], [`interruption`] | command lines for people to copy; Ctrl-C and other signals |
+//! | [`shell`], [`interruption`], [`stop`] | command lines for people to copy; Ctrl-C and other signals; a request to stop |
 //! | [`signing`] | the operator's keys, for packages of weights |
 //! | [`tensors`] | networks from and for PyTorch, JAX and NumPy |
 //! | [`warning`] | what a person should know about a scenario, a training or a run |
@@ -30,23 +31,23 @@ pub mod commands;
 pub mod cosim;
 pub mod engine;
 pub mod figures;
+pub mod files;
 pub mod flash;
-pub mod fnv;
 pub mod graph;
 pub mod image;
-pub mod input_file;
 pub mod interruption;
+pub mod learning;
 pub mod memory_map;
-pub mod output_file;
+pub mod number;
 pub mod packages;
 pub mod plant;
-pub mod progress;
 pub mod report;
 pub mod scenario;
 #[cfg(unix)]
 pub mod service;
 pub mod shell;
 pub mod signing;
+pub mod stop;
 pub mod tensors;
 pub mod terminal;
 pub mod training;

@@ -48,11 +48,13 @@ pub enum WarningCode {
     BaselineFailed,
     /// The samples were recorded with another scenario.
     OtherScenario,
+    /// Samples are closer together than steps of the scenario.
+    DenseSamples,
 }
 
 impl WarningCode {
     /// Every code.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 19] = [
         Self::StateNotCovered,
         Self::GainNotASolution,
         Self::RhoTooSmall,
@@ -71,6 +73,7 @@ impl WarningCode {
         Self::NotSwitchedIn,
         Self::BaselineFailed,
         Self::OtherScenario,
+        Self::DenseSamples,
     ];
 
     /// The code as JSON has it.
@@ -95,6 +98,7 @@ impl WarningCode {
             Self::NotSwitchedIn => "not-switched-in",
             Self::BaselineFailed => "baseline-failed",
             Self::OtherScenario => "other-scenario",
+            Self::DenseSamples => "dense-samples",
         }
     }
 }

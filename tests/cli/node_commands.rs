@@ -194,7 +194,7 @@ fn package(folder: &Folder) -> Vec<u8> {
         let fault = host_sim::cosim::fault::Fault::Interrupted;
         Err(host_sim::cosim::fault::NodeError { agent: 1, board: String::new(), fault })
     };
-    let setup = host_sim::cosim::Setup::new(start, LONG);
+    let setup = host_sim::cosim::Setup::new(start, LONG, &std::sync::Arc::default());
     host_sim::cosim::cosimulate(&scenario, 0, setup, None, &host_sim::engine::Silent).unwrap_err();
     packages[0].save(&folder.path("node.weights")).unwrap();
     packages[0].as_bytes().to_vec()

@@ -5,6 +5,7 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use agent_core::health::HealthCounters;
@@ -27,7 +28,7 @@ use crate::cosim::loop_node::{self, Quirks};
 const TIMEOUT: Duration = Duration::from_millis(600);
 
 fn failure(scenario: &Scenario, start: &mut Start<'_>) -> String {
-    let setup = Setup::new(start, TIMEOUT);
+    let setup = Setup::new(start, TIMEOUT, &Arc::default());
     cosimulate(scenario, 0, setup, None, &Silent).unwrap_err().to_string()
 }
 
@@ -56,6 +57,7 @@ impl FakeQemu {
             firmware: PathBuf::from("firmware.elf"),
             region: loop_node::region(),
             timeout: TIMEOUT,
+            stop: Arc::default(),
         }
     }
 
@@ -192,7 +194,7 @@ fn scripted(change: impl Fn(&mut Status), rest: &[u8]) -> String {
             there.shutdown(std::net::Shutdown::Write).unwrap();
         }
         held.push(there);
-        Ok(Board::new(Line::over_socket(here).unwrap(), "script", false))
+        Ok(Board::new(Line::over_socket(here, &Arc::default()).unwrap(), "script", false))
     };
     failure(&without_learning(), start)
 }

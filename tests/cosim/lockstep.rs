@@ -1,6 +1,7 @@
 //! Simulator and nodes in lockstep, the nodes being the firmware's own loop in threads.
 
 use std::num::NonZeroU32;
+use std::sync::Arc;
 use std::time::Duration;
 
 use host_sim::analysis::TriggerConstants;
@@ -8,7 +9,8 @@ use host_sim::cosim::board::Board;
 use host_sim::cosim::fault::{Fault, NodeError};
 use host_sim::cosim::{CosimError, CosimReport, Setup, Start, cosimulate};
 use host_sim::engine::Silent;
-use host_sim::packages::{Draft, OwnedAgentConfig, PackageBytes};
+use host_sim::learning::agent_config;
+use host_sim::packages::{Draft, PackageBytes};
 use host_sim::scenario::{PAPER, Scenario, SwitchIn, Window};
 use host_sim::service::Line;
 use host_sim::signing::OperatorKey;
@@ -40,12 +42,12 @@ pub(crate) fn without_learning() -> Scenario {
 }
 
 pub(crate) fn board(package: Option<&PackageBytes>, quirks: &Quirks, lives_on: bool) -> Board {
-    let line = Line::over_socket(loop_node::spawn(package, quirks)).unwrap();
+    let line = Line::over_socket(loop_node::spawn(package, quirks), &Arc::default()).unwrap();
     Board::new(line, "thread", lives_on)
 }
 
 fn cosimulated(scenario: &Scenario, start: &mut Start<'_>) -> Result<CosimReport, CosimError> {
-    let setup = Setup::new(start, Duration::from_secs(5));
+    let setup = Setup::new(start, Duration::from_secs(5), &Arc::default());
     cosimulate(scenario, 0, setup, None, &Silent)
 }
 
@@ -95,7 +97,7 @@ fn cosim_finds_a_trigger_that_differs() {
     let start = &mut |index, package: &PackageBytes| {
         let mut other = short_paper();
         other.design.epsilon *= 1.5;
-        let node = OwnedAgentConfig::new(&other, &TriggerConstants::new(&other), index);
+        let node = agent_config(&other, &TriggerConstants::new(&other), index);
         let uses = (index == 2).then(|| changed(package, |draft| draft.node = node));
         Ok(board(Some(package), &Quirks { uses, ..Quirks::default() }, false))
     };
@@ -147,7 +149,7 @@ fn cosim_with_a_key_signs_all_that_it_puts_into_nodes() {
         let public_key = Some(*key.public_key());
         Ok(board(Some(package), &Quirks { public_key, ..Quirks::default() }, false))
     };
-    let mut setup = Setup::new(start, Duration::from_secs(5));
+    let mut setup = Setup::new(start, Duration::from_secs(5), &Arc::default());
     setup.signer = Some(&key);
     let report = cosimulate(&scenario, 0, setup, None, &Silent).unwrap();
     assert_eq!((report.first_mismatch, report.mismatches, report.steps), (None, 0, 2000));

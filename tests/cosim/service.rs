@@ -29,9 +29,9 @@ fn served(folder: &Folder, visit: impl FnOnce()) -> CosimReport {
             let start = &mut |_, package: &PackageBytes| {
                 let quirks = Quirks { good_steps: Some(50), ..Quirks::default() };
                 let socket = loop_node::spawn(Some(package), &quirks);
-                Ok(Board::new(Line::over_socket(socket).unwrap(), "thread", false))
+                Ok(Board::new(Line::over_socket(socket, &Arc::default()).unwrap(), "thread", false))
             };
-            let setup = Setup::new(start, Duration::from_secs(10));
+            let setup = Setup::new(start, Duration::from_secs(10), &Arc::default());
             cosimulate(&scenario, 0, setup, Some(&service), &Silent).unwrap()
         });
         while !folder.path("nodes/agent-3.sock").exists() {
@@ -61,7 +61,7 @@ fn ask(client: &mut Client, request: &Request<'_>) {
 
 fn client(folder: &Folder, agent: usize) -> Client {
     let address = Address::Socket(folder.path(&format!("nodes/agent-{agent}.sock")));
-    Client::new(address.connect().unwrap())
+    Client::new(address.connect(&Arc::default()).unwrap())
 }
 
 #[test]

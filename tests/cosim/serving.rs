@@ -41,7 +41,7 @@ fn served(
             let start = &mut |index: usize, package: &PackageBytes| {
                 let socket = loop_node::spawn(Some(package), &Quirks::default());
                 lines.lock().unwrap().insert(index, socket.try_clone().unwrap());
-                Ok(Board::new(Line::over_socket(socket).unwrap(), "thread", false))
+                Ok(Board::new(Line::over_socket(socket, &Arc::default()).unwrap(), "thread", false))
             };
             let notice = &mut |notice: &Notice<'_>| {
                 notices.lock().unwrap().push(match notice {
@@ -49,7 +49,7 @@ fn served(
                     other => format!("{other:?}"),
                 });
             };
-            let mut setup = Setup::new(start, LONG);
+            let mut setup = Setup::new(start, LONG, &Arc::default());
             setup.notice = Some(notice);
             cosimulate(&scenario, 0, setup, Some(&service), &Silent).unwrap()
         });

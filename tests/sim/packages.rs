@@ -7,8 +7,8 @@ use agent_core::package::{
     Capacity, Envelope, InUse, PackageError, Refusal, Requirements, SIGNATURE_BLOCK_LENGTH,
 };
 use host_sim::engine::{RunOptions, RunResult, Silent, run};
+use host_sim::learning::trained::TrainingTask;
 use host_sim::packages::check::check;
-use host_sim::packages::trained::TrainingTask;
 use host_sim::packages::{Draft, PackageBytes};
 use host_sim::scenario::Scenario;
 use host_sim::signing::OperatorKey;
@@ -140,7 +140,7 @@ fn a_run_that_starts_with_packages_is_the_run_that_they_came_from() {
     let mut with = scenario.clone();
     for (index, agent) in with.agents.iter_mut().enumerate() {
         let package =
-            host_sim::packages::trained::initial(&scenario, &trigger, network, &inner, index, 0);
+            host_sim::learning::trained::initial(&scenario, &trigger, network, &inner, index, 0);
         agent.package = Some(package.unwrap());
     }
     let mut filled = scenario.clone();

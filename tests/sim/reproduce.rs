@@ -2,8 +2,8 @@
 //!
 //! `cargo test -p integration-tests reproduce -- --nocapture` prints them.
 
-use host_sim::analysis::Checks;
 use host_sim::engine::{RunOptions, RunResult, Silent, run};
+use host_sim::report::theorems::Checks;
 use host_sim::scenario::{PAPER, Scenario};
 use rayon::prelude::*;
 use test_support::close;

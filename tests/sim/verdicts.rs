@@ -1,7 +1,8 @@
 //! What the tool says of a scenario and of a run: verdicts, warnings, and how it ends.
 
-use host_sim::analysis::{Checks, DesignChecks, Status, StepCheck};
+use host_sim::analysis::StepCheck;
 use host_sim::engine::{RunError, RunOptions, Silent, run};
+use host_sim::report::theorems::{Checks, DesignChecks, Status};
 use host_sim::scenario::{PAPER, Scenario};
 use nalgebra::DMatrix;
 use serde_json::Value;

@@ -98,7 +98,14 @@ fn started(firmware: &Path, folder: &Path) -> Result<Child, String> {
 
 fn connected(process: &mut Child, folder: &Path) -> Result<Line, String> {
     let alive = || matches!(process.try_wait(), Ok(None));
-    Line::over_pipes(&folder.join("in"), &folder.join("out"), DEADLINE, alive).map_err(|error| {
+    Line::over_pipes(
+        &folder.join("in"),
+        &folder.join("out"),
+        DEADLINE,
+        alive,
+        &std::sync::Arc::default(),
+    )
+    .map_err(|error| {
         // Whatever holds this process is not made.
         let _ = process.kill();
         let _ = process.wait();

@@ -10,7 +10,7 @@ use std::num::NonZeroU32;
 use agent_core::wire::crc::crc32;
 use host_sim::analysis::TriggerConstants;
 use host_sim::engine::{RunOptions, Silent, run};
-use host_sim::packages::trained::initial;
+use host_sim::learning::trained::initial;
 use host_sim::packages::{Draft, PackageBytes};
 use host_sim::scenario::{PAPER, Scenario, SwitchIn, Window};
 use rand::{Rng, RngExt};

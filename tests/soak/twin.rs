@@ -5,6 +5,7 @@ use std::io::{Read as _, Write as _};
 use std::net::Shutdown;
 use std::num::NonZeroU32;
 use std::os::unix::net::UnixStream;
+use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use agent_core::health::HealthSettings;
@@ -81,7 +82,7 @@ impl Drop for Twin {
 
 fn started(flash: Flash) -> (JoinHandle<Flash>, UnixStream, Line) {
     let (here, there) = UnixStream::pair().unwrap();
-    let line = Line::over_socket(here.try_clone().unwrap()).unwrap();
+    let line = Line::over_socket(here.try_clone().unwrap(), &Arc::default()).unwrap();
     (std::thread::spawn(move || live(flash, &there)), here, line)
 }
 

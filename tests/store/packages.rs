@@ -8,7 +8,8 @@ use agent_core::observer::network::{InnerNetwork, Scratch};
 use agent_core::package::{Capacity, InUse, NetworkPlace, Package, Refusal, Requirements, accept};
 use agent_core::store::{CheckedError, Layout, Slot, Store};
 use host_sim::analysis::TriggerConstants;
-use host_sim::packages::{Draft, PackageBytes, trained};
+use host_sim::learning::trained;
+use host_sim::packages::{Draft, PackageBytes};
 
 use crate::sim::scenario_builder::{Described, network, picks};
 use test_support::nor_flash::{SimulatedFlash, Tear};

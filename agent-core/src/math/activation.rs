@@ -72,9 +72,7 @@ mod tests;
 
 use core::f32::consts::LOG2_E;
 
-use serde::Serialize;
-
-use crate::math::numeric::for_each;
+use serde::{Deserialize, Serialize};
 
 /// Where `tanh` changes its form: just above atanh(1/2) = 0.5493, so that `1 - 2 / (m + 2)`
 /// never has to answer in the finer binade below 1/2. Chosen, not fitted.
@@ -133,7 +131,7 @@ const SIGN: u32 = 1 << 31;
 const UPPER_HALF: u32 = 0xffff_f000;
 
 /// Which function the nodes of a layer apply; packages number them in this order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Activation {
     /// Hyperbolic tangent, the paper's tangent-sigmoid.
     Tanh,
@@ -179,17 +177,23 @@ impl Activation {
 #[inline(never)]
 fn tanh_in_place(values: &mut [f32]) {
     let bits: &mut [u32] = bytemuck::cast_slice_mut(values);
-    for_each(bits, |bits| *bits = tanh_bits(*bits));
+    for bits in bits {
+        *bits = tanh_bits(*bits);
+    }
 }
 
 #[inline(never)]
 fn logistic_in_place(values: &mut [f32]) {
-    for_each(values, |value| *value = logistic(*value));
+    for value in values {
+        *value = logistic(*value);
+    }
 }
 
 #[inline(never)]
 fn gaussian_in_place(values: &mut [f32]) {
-    for_each(values, |value| *value = gaussian(*value));
+    for value in values {
+        *value = gaussian(*value);
+    }
 }
 
 /// Hyperbolic tangent: odd, never decreasing, in [-1, 1].

@@ -16,11 +16,10 @@
 //! the weights row by row, one row of `width` weights for each input of the layer
 //! (`W_q` of the paper in row-major order).
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::INPUTS_MAX;
 use crate::math::activation::Activation;
-use crate::math::numeric::{for_each, unrolled};
 
 /// Most inner layers that a network can have.
 pub const INNER_LAYERS_MAX: usize = 8;
@@ -28,7 +27,7 @@ pub const INNER_LAYERS_MAX: usize = 8;
 pub const LAYER_WIDTH_MAX: usize = 64;
 
 /// One inner layer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Layer {
     /// Nodes, 1 to [`LAYER_WIDTH_MAX`].
     pub width: u8,
@@ -220,7 +219,9 @@ impl<S: AsRef<[f32]>> InnerNetwork<S> {
         let (mut source, mut target) = (&mut scratch.first, &mut scratch.second);
         let mut parameters = self.parameters.as_ref();
         let mut inputs = x.len();
-        for_each(source.iter_mut().zip(x), |(place, component)| *place = *component);
+        for (place, component) in source.iter_mut().zip(x) {
+            *place = *component;
+        }
         for layer in self.architecture.layers() {
             let width = usize::from(layer.width);
             let (own, rest) = parameters.split_at_checked(width * (inputs + 1))?;
@@ -274,7 +275,9 @@ fn narrow<const WIDTH: usize>(parameters: &[f32], inputs: &[f32], outputs: &mut 
     let Some((biases, rows)) = parameters.split_first_chunk::<WIDTH>() else { return };
     let mut sums = *biases;
     let (rows, _) = rows.as_chunks::<WIDTH>();
-    for_each(rows.iter().zip(inputs), |(row, &input)| add_row(&mut sums, row, input));
+    for (row, &input) in rows.iter().zip(inputs) {
+        add_row(&mut sums, row, input);
+    }
     *outputs = sums;
 }
 
@@ -315,5 +318,7 @@ fn block<const LANES: usize>(
 /// `sums + row * input`.
 #[inline(always)]
 fn add_row<const LANES: usize>(sums: &mut [f32; LANES], row: &[f32; LANES], input: f32) {
-    unrolled!(lane < LANES, { sums[lane] += row[lane] * input });
+    for lane in 0..LANES {
+        sums[lane] += row[lane] * input;
+    }
 }

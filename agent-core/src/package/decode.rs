@@ -9,7 +9,7 @@ use crate::observer::network::{Architecture, InnerNetwork};
 use crate::observer::outer_law::OuterLawParams;
 use crate::observer::projection::ProjectionParams;
 use crate::observer::trigger::TriggerParams;
-use crate::wire::codec::Reader;
+use crate::wire::codec;
 
 /// Numbers are words of this many bytes, at addresses that are multiples of it.
 pub(super) const WORD: usize = size_of::<f32>();
@@ -33,9 +33,8 @@ impl<'a> Package<'a> {
     // Apart from its callers, so that what only decoding needs is off the stack in what follows.
     #[inline(never)]
     pub fn from_envelope(envelope: &Envelope<'a>) -> Result<Self, PackageError> {
-        let mut reader = Reader::new(envelope.body);
-        let metadata = Metadata::read(&mut reader).ok_or(PackageError::Malformed)?;
-        let rest = reader.finish().ok_or(PackageError::Malformed)?;
+        let (metadata, rest) =
+            codec::take::<Metadata<'_>>(envelope.body).ok_or(PackageError::Malformed)?;
         let numbers = numbers(envelope.body, rest)?;
         let architecture = Architecture::new(metadata.inputs.into(), &metadata.layers)
             .map_err(PackageError::Network)?;

@@ -14,14 +14,12 @@
 //!
 //! Invariant: of two byte strings that differ in one bit at most one is an envelope.
 
-use super::PackageError;
+use super::{FORMAT_VERSION, PackageError};
 use crate::package::signature::SIGNATURE_LENGTH;
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 
 /// What every package starts with: observer weight package.
 pub const MAGIC: [u8; 3] = *b"OWP";
-/// Version of the format that this crate writes and reads.
-pub const FORMAT_VERSION: u8 = 1;
 /// Bytes before the body. \[bytes\]
 pub const HEADER_LENGTH: usize = 12;
 /// Signature and its checksum. \[bytes\]

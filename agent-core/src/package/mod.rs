@@ -32,13 +32,11 @@ mod wire;
 
 pub use accept::{Capacity, InUse, Refusal, Requirements, accept};
 pub use encode::EncodeError;
-pub use envelope::{
-    Envelope, FORMAT_VERSION, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH, signature_block,
-};
+pub use envelope::{Envelope, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH, signature_block};
 pub use error::PackageError;
 pub use place::NetworkPlace;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::AgentId;
 use crate::StateVector;
@@ -50,6 +48,9 @@ use crate::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
 use crate::observer::network::InnerNetwork;
 use crate::observer::outer_law::OuterLawParams;
 use crate::observer::trigger::TriggerParams;
+
+/// Version of the format that this crate writes and reads.
+pub const FORMAT_VERSION: u8 = 1;
 
 /// Most test vectors that a package can carry: enough to light up every node of a layer, few
 /// enough that a node checks them between two steps.
@@ -106,7 +107,7 @@ pub struct AgentConfig<'a> {
 }
 
 /// What becomes of the outer weights that an agent has adapted when another package takes over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum OnSwitch {
     /// They go on, as in the paper; the package's own are for a node that starts with it.
     Keep,
@@ -151,7 +152,7 @@ impl<'a> NeighbourIds<'a> {
 }
 
 /// Where a network comes from. Nothing depends on it but people.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Provenance<'a> {
     /// Hash of the scenario that it was trained for; see the host's documentation.
     pub scenario_hash: [u8; 8],
@@ -168,7 +169,7 @@ pub struct Provenance<'a> {
 }
 
 /// Mean squared errors after training. \[squared state unit/s^2\]
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainingErrors {
     /// Over the samples that the network was trained on.
     pub training: f32,
@@ -292,4 +293,4 @@ const fn test_vector_length(dimension: usize, features: usize) -> usize {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

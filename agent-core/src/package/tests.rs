@@ -14,38 +14,38 @@ use crate::wire::frame::Frame;
 use proptest::prelude::*;
 
 /// A package's bytes, beginning on a multiple of four.
-struct Aligned {
+pub(crate) struct Aligned {
     words: Vec<u32>,
     length: usize,
 }
 
 impl Aligned {
-    fn new(bytes: &[u8]) -> Self {
+    pub(crate) fn new(bytes: &[u8]) -> Self {
         let mut words = vec![0u32; bytes.len().div_ceil(4)];
         bytemuck::cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
         Self { words, length: bytes.len() }
     }
 
-    fn bytes(&self) -> &[u8] {
+    pub(crate) fn bytes(&self) -> &[u8] {
         &bytemuck::cast_slice(&self.words)[..self.length]
     }
 }
 
 /// What a package borrows: agent 7 of a plant with two states, with two neighbours.
 #[derive(Clone)]
-struct Content {
-    inner: [f32; 9],
-    outer_weights: [f32; 6],
+pub(crate) struct Content {
+    pub(crate) inner: [f32; 9],
+    pub(crate) outer_weights: [f32; 6],
     neighbours: [u8; 4],
     edge_weights: [f32; 2],
-    gain: [f32; 4],
+    pub(crate) gain: [f32; 4],
     low: [f32; 2],
     high: [f32; 2],
     test_vectors: [f32; 14],
 }
 
 impl Content {
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let mut content = Self {
             inner: [0.1, -0.2, 0.3, 0.5, 0.4, -0.6, -0.1, 0.7, 0.2],
             outer_weights: [1.0, -2.0, 0.5, 0.25, -1.5, 3.0],
@@ -67,7 +67,7 @@ impl Content {
         content
     }
 
-    fn package(&self) -> Package<'_> {
+    pub(crate) fn package(&self) -> Package<'_> {
         let layers = [Layer { width: 3, activation: Activation::Tanh }];
         let architecture = Architecture::new(2, &layers).unwrap();
         Package {
@@ -113,7 +113,7 @@ impl Content {
     }
 }
 
-fn encoded(package: &Package<'_>) -> Aligned {
+pub(crate) fn encoded(package: &Package<'_>) -> Aligned {
     let mut buffer = [0xaa; 600];
     let length = package.encode(&mut buffer).unwrap();
     Aligned::new(&buffer[..length])
@@ -190,6 +190,11 @@ fn the_place_of_the_numbers_is_a_multiple_of_four() {
         let shifted = Aligned::new(&[&[0], bytes.bytes()].concat());
         assert_eq!(Package::decode(&shifted.bytes()[1..]), Err(PackageError::Alignment));
     }
+}
+
+/// The header that makes a package of `body`.
+pub(crate) fn header_of(body: &[u8]) -> [u8; HEADER_LENGTH] {
+    envelope::header(body).unwrap()
 }
 
 /// `package` with its body changed, under a checksum that matches again.

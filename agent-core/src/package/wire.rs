@@ -1,18 +1,14 @@
 //! The metadata of a package as postcard writes them, and how many numbers follow from them.
-//!
-//! Writing is serde's. Reading is by hand, since a node does it: see [`crate::wire::codec`].
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use super::{OnSwitch, Provenance, TrainingErrors, test_vector_length};
+use super::{OnSwitch, Provenance, test_vector_length};
 use crate::AgentId;
-use crate::math::activation::Activation;
 use crate::math::symmetric::SymmetricMatrix;
 use crate::observer::network::{Architecture, INNER_LAYERS_MAX, Layer};
-use crate::wire::codec::Reader;
 
 /// Everything in a body that is not one of its numbers.
-#[derive(Serialize)]
+#[derive(Serialize, Deserialize)]
 pub(super) struct Metadata<'a> {
     pub(super) version: u32,
     pub(super) replaces: Option<u32>,
@@ -26,56 +22,12 @@ pub(super) struct Metadata<'a> {
     pub(super) outer_gain: Form,
     pub(super) smoothness: u8,
     pub(super) test_vectors: u8,
+    #[serde(borrow)]
     pub(super) provenance: Provenance<'a>,
 }
 
-impl<'a> Metadata<'a> {
-    /// The metadata, field by field in their order; `None` if there are none. What the bytes hold
-    /// is theirs only if the reader finishes.
-    #[inline(never)]
-    pub(super) fn read(reader: &mut Reader<'a>) -> Option<Self> {
-        const FORMS: [Form; 3] = [Form::Scalar, Form::Diagonal, Form::Full];
-        Some(Self {
-            version: reader.u32(),
-            replaces: reader.flag().then(|| reader.u32()),
-            agent: reader.u16(),
-            outer_weights_on_switch: reader.one_of(&[OnSwitch::Keep, OnSwitch::Replace])?,
-            inputs: reader.byte(),
-            layers: read_layers(reader)?,
-            outputs: reader.byte(),
-            neighbours: reader.sequence(),
-            gain: reader.one_of(&FORMS)?,
-            outer_gain: reader.one_of(&FORMS)?,
-            smoothness: reader.byte(),
-            test_vectors: reader.byte(),
-            provenance: Provenance {
-                scenario_hash: reader.array(),
-                recipe: reader.text(),
-                seed: reader.u64(),
-                samples: reader.u32(),
-                errors: reader
-                    .flag()
-                    .then(|| TrainingErrors { training: reader.f32(), held_out: reader.f32() }),
-                tool_version: reader.array(),
-            },
-        })
-    }
-}
-
-/// Their number, then one after another.
-fn read_layers(reader: &mut Reader<'_>) -> Option<heapless::Vec<Layer, INNER_LAYERS_MAX>> {
-    const ACTIVATIONS: [Activation; 3] =
-        [Activation::Tanh, Activation::Logistic, Activation::Gaussian];
-    let mut layers = heapless::Vec::new();
-    for _ in 0..reader.byte() {
-        let (width, activation) = (reader.byte(), reader.one_of(&ACTIVATIONS)?);
-        layers.push(Layer { width, activation }).ok()?;
-    }
-    Some(layers)
-}
-
 /// Which form of a symmetric matrix the numbers are.
-#[derive(Clone, Copy, Serialize)]
+#[derive(Clone, Copy, Serialize, Deserialize)]
 pub(super) enum Form {
     Scalar,
     Diagonal,

@@ -29,15 +29,17 @@
 mod problem;
 mod request;
 mod response;
-mod writer;
 
 pub use problem::{Problem, RefusalKind, RefusalReport};
 pub use request::{Numbers, Request, Subscription};
-pub use response::{Event, Firmware, Outcome, PackageStatus, Response, Rows, State, Status};
+pub use response::{
+    BoardFault, Event, Firmware, Outcome, PackageStatus, Response, Rows, State, Status,
+};
 
 use serde::{Deserialize, Serialize};
 
-use writer::Writer;
+use crate::wire::cobs::Encoder;
+use crate::wire::codec;
 
 /// Version of the messages that this crate writes and reads.
 pub const PROTOCOL_VERSION: u8 = 1;
@@ -58,33 +60,19 @@ pub struct Upload {
 
 /// Frames and sends `message`: `sink` gets the bytes for the stream, piece by piece.
 pub fn send(message: &impl Serialize, sink: impl FnMut(&[u8])) {
-    let mut writer = Writer::new(sink);
-    // No message fails: see the writer.
-    let _ = message.serialize(&mut writer);
-    writer.finish();
+    let mut encoder = Encoder::new(sink);
+    // Nothing that a message consists of fails: its sequences know their lengths.
+    let _ = postcard::serialize_with_flavor(message, &mut encoder);
+    encoder.finish();
 }
 
-/// What can be received.
-pub trait Message<'a>: Sized {
-    /// The message that `bytes` hold, and nothing but it; `None` if they hold none.
-    fn decode(bytes: &'a [u8]) -> Option<Self>;
-}
-
-impl<'a, V: Deserialize<'a>> Message<'a> for Response<'a, V> {
-    fn decode(bytes: &'a [u8]) -> Option<Self> {
-        match postcard::take_from_bytes(bytes) {
-            Ok((message, [])) => Some(message),
-            _ => None,
-        }
-    }
-}
-
-/// The message that `bytes` hold, and nothing but it; `None` if they hold none.
+/// The message that `bytes` hold, and nothing but it, a [`Request`] or a [`Response`]; `None` if
+/// they hold none, or not in its one encoding.
 ///
 /// `bytes` are what [`crate::wire::cobs::Decoder`] returned.
 #[must_use]
-pub fn receive<'a, M: Message<'a>>(bytes: &'a [u8]) -> Option<M> {
-    M::decode(bytes)
+pub fn receive<'a, M: Serialize + Deserialize<'a>>(bytes: &'a [u8]) -> Option<M> {
+    codec::whole(bytes)
 }
 
 #[cfg(test)]

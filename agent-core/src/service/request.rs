@@ -2,18 +2,13 @@
 
 use core::num::NonZeroU32;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use super::Message;
-use crate::INPUTS_MAX;
 use crate::Tick;
-use crate::wire::codec::Reader;
-
-/// Components of a state or of a measurement.
-pub type Numbers = heapless::Vec<f32, INPUTS_MAX>;
+pub use crate::wire::frame::Numbers;
 
 /// What a node is asked or told.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Request<'a> {
     /// Who are you, and how are you?
     Query,
@@ -69,54 +64,8 @@ pub enum Request<'a> {
     },
 }
 
-// By hand, since a node does it: see `crate::wire::codec`. Writing is serde's.
-impl<'a> Message<'a> for Request<'a> {
-    #[inline(never)]
-    fn decode(bytes: &'a [u8]) -> Option<Self> {
-        let mut reader = Reader::new(bytes);
-        let request = match reader.byte() {
-            0 => Self::Query,
-            1 => Self::Begin { length: reader.u32() },
-            2 => Self::Chunk { offset: reader.u32(), bytes: reader.sequence() },
-            3 => Self::Stage,
-            4 => Self::Activate,
-            5 => Self::Confirm,
-            6 => Self::Revert,
-            7 => Self::Reset,
-            8 => Self::Subscribe(Subscription {
-                state_every: match reader.flag() {
-                    true => Some(NonZeroU32::new(reader.u32())?),
-                    false => None,
-                },
-                outer_weights: reader.flag(),
-            }),
-            9 => Self::Samples { from: reader.u64(), most: reader.byte() },
-            10 => Self::StartAt { estimate: read_numbers(&mut reader)? },
-            11 => Self::Frame { bytes: reader.sequence() },
-            12 => Self::Tick {
-                periods: reader.u32(),
-                measurement: match reader.flag() {
-                    true => Some(read_numbers(&mut reader)?),
-                    false => None,
-                },
-            },
-            _ => return None,
-        };
-        reader.finish()?.is_empty().then_some(request)
-    }
-}
-
-/// How many there are, then one after another.
-fn read_numbers(reader: &mut Reader<'_>) -> Option<Numbers> {
-    let mut numbers = Numbers::new();
-    for _ in 0..reader.byte() {
-        numbers.push(reader.f32()).ok()?;
-    }
-    Some(numbers)
-}
-
 /// What a node tells without being asked, beside events.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Subscription {
     /// A state with every so many ticks; `None` for none.
     pub state_every: Option<NonZeroU32>,

@@ -13,7 +13,9 @@
 //! Cost: about 25 operations a byte, the checksum's included. Memory: 264 bytes while a message
 //! is encoded; `CAPACITY + 12` bytes of decoder.
 
-use crate::wire::crc::{CHECKSUM_LENGTH, Checksum, crc32};
+use postcard::ser_flavors::Flavor;
+
+use crate::wire::crc::{CHECKSUM_LENGTH, Checksum, checksum, crc32};
 
 /// Ends every message, and is nowhere else.
 pub const DELIMITER: u8 = 0;
@@ -30,7 +32,6 @@ pub const fn encoded_length_max(length: usize) -> usize {
 }
 
 /// Encodes one message piece by piece into `sink`, which gets one block at a time.
-#[derive(Debug)]
 pub struct Encoder<S> {
     sink: S,
     checksum: Checksum,
@@ -44,10 +45,11 @@ impl<S: FnMut(&[u8])> Encoder<S> {
     /// Begins a message.
     pub fn new(sink: S) -> Self {
         let block = [0; BLOCK_LENGTH_MAX as usize + 1];
-        Self { sink, checksum: Checksum::new(), block, length: 0 }
+        Self { sink, checksum: checksum(), block, length: 0 }
     }
 
     /// Takes the message's next bytes.
+    #[inline(never)]
     pub fn extend(&mut self, bytes: &[u8]) {
         self.checksum.update(bytes);
         self.stuff(bytes);
@@ -55,13 +57,12 @@ impl<S: FnMut(&[u8])> Encoder<S> {
 
     /// Ends the message.
     pub fn finish(mut self) {
-        let checksum = self.checksum.clone().finish().to_le_bytes();
+        let checksum = self.checksum.clone().finalize().to_le_bytes();
         self.stuff(&checksum);
         self.end_block();
         (self.sink)(&[DELIMITER]);
     }
 
-    #[inline(never)]
     fn stuff(&mut self, bytes: &[u8]) {
         let mut length = self.length;
         for &byte in bytes {
@@ -91,6 +92,26 @@ impl<S: FnMut(&[u8])> Encoder<S> {
             (self.sink)(block);
         }
         self.length = 0;
+    }
+}
+
+/// What postcard writes goes into the message.
+impl<S: FnMut(&[u8])> Flavor for &mut Encoder<S> {
+    type Output = ();
+
+    #[inline]
+    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
+        self.extend(&[byte]);
+        Ok(())
+    }
+
+    fn try_extend(&mut self, bytes: &[u8]) -> postcard::Result<()> {
+        self.extend(bytes);
+        Ok(())
+    }
+
+    fn finalize(self) -> postcard::Result<()> {
+        Ok(())
     }
 }
 

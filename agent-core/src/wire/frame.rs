@@ -19,9 +19,11 @@
 //! Cost: linear in the length. Invariant: decoding either gives a frame with a finite
 //! estimate of the right dimension, or an error; it never panics, whatever the bytes.
 
+use serde::{Deserialize, Serialize};
+
 use crate::INPUTS_MAX;
-use crate::math::numeric::zeros;
-use crate::wire::codec::{Reader, push_integer};
+use crate::math::numeric::all_finite;
+use crate::wire::codec;
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 use crate::{AgentId, StateVector, Tick};
 
@@ -31,6 +33,9 @@ pub const VERSION: u8 = 1;
 /// The longest encoded frame, in bytes: version, the longest variable-length integers of the
 /// header, payload kind and length, the longest estimate, checksum.
 pub const FRAME_LENGTH_MAX: usize = 1 + 3 + 5 + 10 + 1 + 1 + 4 * INPUTS_MAX + CHECKSUM_LENGTH;
+
+/// Components of a state or of a measurement.
+pub type Numbers = heapless::Vec<f32, INPUTS_MAX>;
 
 /// An encoded frame.
 pub type FrameBytes = heapless::Vec<u8, FRAME_LENGTH_MAX>;
@@ -123,9 +128,6 @@ impl core::fmt::Display for FrameError {
 
 impl core::error::Error for FrameError {}
 
-/// The kind of payload that is an estimate.
-const ESTIMATE: u8 = 0;
-
 impl<const N: usize> Frame<N> {
     /// The bytes to broadcast.
     #[must_use]
@@ -140,39 +142,49 @@ impl<const N: usize> Frame<N> {
     /// [`FrameError::Length`], [`FrameError::Checksum`], [`FrameError::Malformed`],
     /// [`FrameError::Version`], [`FrameError::Dimension`] or [`FrameError::NotFinite`].
     pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
-        let mut estimate = zeros::<N>();
-        let Header { sender, sequence, tick } = decode(bytes, estimate.as_mut_slice())?;
+        let Body { sender, sequence, tick, payload } = decode(bytes)?;
+        let Payload::Estimate(components) = payload;
+        let found = components.len();
+        let components: [f32; N] =
+            components.into_array().map_err(|_| FrameError::Dimension { expected: N, found })?;
+        let estimate = StateVector::from(components);
+        if !all_finite(&estimate) {
+            return Err(FrameError::NotFinite { sender });
+        }
         Ok(Self { sender, sequence, tick, estimate })
     }
 }
 
-/// What a frame says beside the estimate.
-struct Header {
+/// What follows the version; `V` holds numbers.
+#[derive(Serialize, Deserialize)]
+struct Body<V> {
     sender: AgentId,
     sequence: u32,
     tick: Tick,
+    payload: Payload<V>,
+}
+
+/// What a frame is there for.
+#[derive(Serialize, Deserialize)]
+enum Payload<V> {
+    Estimate(V),
 }
 
 // One function for every dimension.
 fn encode(sender: AgentId, sequence: u32, tick: Tick, estimate: &[f32]) -> FrameBytes {
-    let mut bytes = FrameBytes::new();
+    let body = Body { sender, sequence, tick, payload: Payload::Estimate(estimate) };
+    let mut buffer = [0; FRAME_LENGTH_MAX];
     // Everything fits: FRAME_LENGTH_MAX is the sum of every field's largest size.
-    let _ = bytes.push(VERSION);
-    for integer in [sender.into(), sequence.into(), tick] {
-        push_integer(&mut bytes, integer);
-    }
-    let _ = bytes.extend_from_slice(&[ESTIMATE, estimate.len() as u8]);
-    for component in estimate {
-        let _ = bytes.extend_from_slice(&component.to_le_bytes());
-    }
+    let length = postcard::to_slice(&(VERSION, body), &mut buffer).map_or(0, |body| body.len());
+    let mut bytes = FrameBytes::new();
+    let _ = bytes.extend_from_slice(buffer.get(..length).unwrap_or_default());
     let checksum = crc32(&[&bytes]).to_le_bytes();
     let _ = bytes.extend_from_slice(&checksum);
     bytes
 }
 
-/// Takes `bytes` apart; the estimate goes into `estimate`, whose content means nothing after an
-/// error.
-fn decode(bytes: &[u8], estimate: &mut [f32]) -> Result<Header, FrameError> {
+/// Takes `bytes` apart; the components may be anything.
+fn decode(bytes: &[u8]) -> Result<Body<Numbers>, FrameError> {
     let length = FrameError::Length { found: bytes.len() };
     if bytes.len() > FRAME_LENGTH_MAX {
         return Err(length);
@@ -185,29 +197,12 @@ fn decode(bytes: &[u8], estimate: &mut [f32]) -> Result<Header, FrameError> {
     if version != VERSION {
         return Err(FrameError::Version { found: version });
     }
-    let mut reader = Reader::new(rest);
-    let header = Header { sender: reader.u16(), sequence: reader.u32(), tick: reader.u64() };
-    let (kind, found) = (reader.byte(), usize::from(reader.byte()));
-    let (words, rest) = reader.finish().ok_or(FrameError::Malformed)?.as_chunks();
-    if kind != ESTIMATE || words.len() != found || found > INPUTS_MAX || !rest.is_empty() {
-        return Err(FrameError::Malformed);
-    }
-    if found != estimate.len() {
-        return Err(FrameError::Dimension { expected: estimate.len(), found });
-    }
-    for (component, &word) in estimate.iter_mut().zip(words) {
-        *component = f32::from_le_bytes(word);
-        if !component.is_finite() {
-            return Err(FrameError::NotFinite { sender: header.sender });
-        }
-    }
-    Ok(header)
+    codec::whole(rest).ok_or(FrameError::Malformed)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::numeric::all_finite;
     use proptest::prelude::*;
 
     fn frame() -> Frame<3> {

@@ -16,7 +16,7 @@ use super::block_cholesky::BlockCholesky;
 use super::block_matrix::{BlockMatrix, UNIT_ROUNDOFF};
 use super::jacobi::Eigen;
 use super::smallest::Smallest;
-use crate::report::number::significant;
+use crate::number::significant;
 use crate::scenario::{Design, Scenario};
 
 /// Whether `K_1` solves `BMI`, as the theorems require.

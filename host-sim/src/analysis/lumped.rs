@@ -20,7 +20,7 @@
 use pulp::Arch;
 
 use super::block_matrix::dot;
-use crate::engine::LumpedSamples;
+use super::lumped_samples::LumpedSamples;
 use crate::scenario::Scenario;
 use crate::training::cholesky::Cholesky;
 

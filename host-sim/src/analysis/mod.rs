@@ -16,7 +16,7 @@ mod gain;
 mod jacobi;
 mod lanczos;
 mod lumped;
-mod report;
+pub(crate) mod lumped_samples;
 mod smallest;
 mod step;
 
@@ -28,7 +28,7 @@ pub(crate) use gain::gram;
 pub use gain::{GainCertificate, GainVerdict, outputs_determine_state};
 use lanczos::spectrum;
 pub use lumped::LumpedUncertainty;
-pub use report::{AgentCheck, Checks, DesignChecks, Status, UltimateBoundCheck};
+pub use lumped_samples::LumpedSamples;
 pub use step::StepCheck;
 
 /// `|A|`, the largest singular value.

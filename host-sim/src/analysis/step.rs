@@ -25,7 +25,7 @@ use super::block_matrix::{BlockMatrix, dot, normalise, random_direction};
 use super::gain::gram;
 use super::jacobi::Eigen;
 use super::lanczos::tridiagonal_max;
-use crate::report::number::significant;
+use crate::number::significant;
 use crate::scenario::Scenario;
 
 const ITERATIONS_MAX: usize = 600;

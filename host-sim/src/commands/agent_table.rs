@@ -2,14 +2,39 @@
 
 use std::path::Path;
 
+use serde::Serialize;
+
 use super::baselines::{Baseline, Baselines};
-use super::run::AgentReport;
+use super::health::HealthReport;
 use super::seeds::Spread;
-use crate::output_file::OutputError;
+use crate::files::output::OutputError;
+use crate::files::table::{Row, write_table};
 use crate::report::columns::aligned;
-use crate::report::csv::{Row, write_table};
 use crate::report::tables::{number, percent};
 use crate::scenario::Scenario;
+
+/// An agent, as JSON has it.
+#[derive(Debug, Default, Serialize)]
+pub(super) struct AgentReport {
+    pub(super) agent: usize,
+    pub(super) rmse: Option<f64>,
+    pub(super) rmse_no_network: Option<f64>,
+    pub(super) rmse_untrained: Option<f64>,
+    pub(super) change_percent_no_network: Option<f64>,
+    /// Against the untrained network.
+    pub(super) change_percent: Option<f64>,
+    /// Share of the smoothed targets' variance that the agent's last training explains.
+    pub(super) explained_variance: Option<f64>,
+    pub(super) max_error: Option<f64>,
+    pub(super) broadcasts: u64,
+    pub(super) broadcasts_no_network: Option<u64>,
+    pub(super) broadcasts_untrained: Option<u64>,
+    pub(super) mean_interval: Option<f64>,
+    pub(super) min_interval: Option<f64>,
+    /// Of an agent that was watched.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) health: Option<HealthReport>,
+}
 
 /// Up to this many agents get a line each on the terminal.
 const LINES: usize = 20;

@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
-use super::{CommandError, Format, load_scenario, print_outcome, print_text, warnings};
-use crate::analysis::DesignChecks;
+use super::{CommandError, ErrorCode, Format, load_scenario, print_outcome, print_text, warnings};
 use crate::engine::RunError;
+use crate::number::significant;
 use crate::plant::RateFault;
 use crate::report::checks::{DesignReport, design_text};
-use crate::report::number::significant;
+use crate::report::theorems::DesignChecks;
 use crate::scenario::Scenario;
 use crate::warning::Warning;
 
@@ -47,7 +47,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     } else {
         let name = &scenario.name;
         let problem = format!("a run of scenario {name} would be unstable; see the step above");
-        Err(CommandError::Unstable(problem))
+        Err(CommandError::new(ErrorCode::Unstable, problem))
     };
     match arguments.format {
         Format::Json => {

@@ -7,7 +7,9 @@ use clap::Args;
 use zeroize::Zeroizing;
 
 use super::CommandError;
-use crate::input_file::read_limited;
+use crate::files::input::read_limited;
+#[cfg(unix)]
+use crate::signing::EitherKey;
 use crate::signing::{KeyFileError, OperatorKey};
 use crate::terminal::one_line;
 
@@ -30,6 +32,12 @@ impl Passphrase {
     /// The private key in the file `path`.
     pub(super) fn key(&self, path: &Path) -> Result<OperatorKey, CommandError> {
         Ok(OperatorKey::read_encrypted(path, &mut |path| self.passphrase(path))?)
+    }
+
+    /// The private or public key in the file `path`.
+    #[cfg(unix)]
+    pub(super) fn either_key(&self, path: &Path) -> Result<EitherKey, CommandError> {
+        Ok(EitherKey::read(path, &mut |path| self.passphrase(path))?)
     }
 
     fn passphrase(&self, key: &Path) -> Result<Zeroizing<String>, KeyFileError> {

@@ -11,11 +11,7 @@ mod baselines;
 mod check;
 #[cfg(unix)]
 mod cosim;
-#[cfg(unix)]
-mod emulated;
 mod error;
-#[cfg(unix)]
-mod firmware;
 mod health;
 mod key;
 #[cfg(unix)]
@@ -23,9 +19,9 @@ mod monitor;
 #[cfg(unix)]
 mod node;
 mod output;
+mod progress;
 #[cfg(unix)]
 mod push;
-mod refusal;
 mod reproduce;
 mod run;
 mod run_folder;
@@ -38,32 +34,20 @@ mod versions;
 mod warnings;
 mod weights;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use serde::Serialize;
 
-#[cfg(unix)]
-use crate::cosim::CosimError;
-use crate::engine::{Progress, RunError};
-use crate::figures::FigureError;
-use crate::flash::FlashError;
-use crate::image::ImageError;
+use crate::engine::Progress;
 use crate::interruption;
-use crate::memory_map::MemoryMapError;
-use crate::output_file::OutputError;
-use crate::packages::trained::TrainedError;
-use crate::packages::{DraftError, PackageFileError, RecordingError};
-use crate::progress::ProgressBars;
-use crate::scenario::{Network, Scenario, ScenarioError, built_in};
-#[cfg(unix)]
-use crate::service::{ServiceError, address::AddressError, push::PushError};
-use crate::signing::KeyFileError;
-use crate::tensors::TensorError;
+use crate::scenario::{Network, Scenario, built_in};
 use crate::terminal;
 use crate::training::EpochReport;
+use error::{CommandError, ErrorCode};
+use progress::ProgressBars;
 
 /// Simulates distributed, event-triggered state estimation with deep networks.
 ///
@@ -135,90 +119,6 @@ struct Common {
     threads: u16,
 }
 
-/// Why a command failed.
-#[derive(Debug, thiserror::Error)]
-enum CommandError {
-    #[error(transparent)]
-    Scenario(#[from] ScenarioError),
-    #[error("{0}")]
-    Usage(String),
-    #[error("{}: a node would refuse it: {refusal}; {hint}", path.display())]
-    Refused { path: PathBuf, refusal: String, hint: &'static str },
-    #[error(transparent)]
-    Draft(#[from] DraftError),
-    #[error(transparent)]
-    Key(#[from] KeyFileError),
-    #[error(transparent)]
-    Tensors(#[from] TensorError),
-    #[error(transparent)]
-    MemoryMap(#[from] MemoryMapError),
-    #[error(transparent)]
-    Image(#[from] ImageError),
-    #[error(transparent)]
-    Flash(#[from] FlashError),
-    #[error(transparent)]
-    Package(#[from] PackageFileError),
-    #[error(transparent)]
-    Recording(#[from] RecordingError),
-    #[error(transparent)]
-    Training(#[from] TrainedError),
-    #[error("{0}")]
-    NotPacked(String),
-    #[error(transparent)]
-    Run(#[from] RunError),
-    #[error("seed {seed}: {error}")]
-    Seed { seed: u64, error: RunError },
-    #[error(transparent)]
-    File(#[from] OutputError),
-    #[error(transparent)]
-    Figure(#[from] FigureError),
-    #[error(
-        "{}: another command is writing its results into this folder; wait for its end, or name \
-         another folder with --out",
-        path.display()
-    )]
-    FolderInUse { path: PathBuf },
-    #[error("cannot write to standard output: {0}")]
-    Output(#[from] std::io::Error),
-    #[error("{0}")]
-    Unstable(String),
-    #[error("cannot start {0} threads; choose fewer with --threads")]
-    Threads(u16),
-    #[cfg(unix)]
-    #[error(transparent)]
-    Cosim(#[from] CosimError),
-    #[cfg(unix)]
-    #[error("{0}")]
-    Mismatches(String),
-    #[cfg(unix)]
-    #[error("{0}")]
-    Firmware(String),
-    #[cfg(unix)]
-    #[error(transparent)]
-    Address(#[from] AddressError),
-    #[cfg(unix)]
-    #[error(transparent)]
-    Service(#[from] ServiceError),
-    #[cfg(unix)]
-    #[error(transparent)]
-    Push(#[from] PushError),
-    #[cfg(unix)]
-    #[error("{}: {refusal}; what was in use stays in use; {hint}", path.display())]
-    Refusal { path: PathBuf, refusal: String, hint: &'static str },
-    #[cfg(unix)]
-    #[error("{0}")]
-    Node(String),
-    #[cfg(unix)]
-    #[error("{0}")]
-    Interrupted(String),
-    #[cfg(unix)]
-    #[error("{problem}")]
-    RecordRefused { path: PathBuf, problem: String },
-    /// A result that has been printed says it, too.
-    #[error(transparent)]
-    Printed(Box<Self>),
-}
-
 /// Parses the arguments of the process and does what they ask.
 #[must_use]
 pub fn main() -> ExitCode {
@@ -263,21 +163,22 @@ fn with_threads(
     threads: u16,
     command: impl FnOnce() -> Result<(), CommandError> + Send,
 ) -> Result<(), CommandError> {
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.into())
-        .build()
-        .map_err(|_| CommandError::Threads(threads))?;
+    let pool =
+        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build().map_err(|_| {
+            let text = format!("cannot start {threads} threads; choose fewer with --threads");
+            CommandError::new(ErrorCode::Threads, text)
+        })?;
     pool.install(command)
 }
 
 /// Prints `value` as one JSON object on a line of its own.
 fn print_json(value: &impl Serialize) -> Result<(), CommandError> {
-    Ok(terminal::print_json(value)?)
+    terminal::print_json(value).map_err(CommandError::Output)
 }
 
 /// Prints `text`.
 fn print_text(text: &str) -> Result<(), CommandError> {
-    Ok(terminal::print(text)?)
+    terminal::print(text).map_err(CommandError::Output)
 }
 
 /// Prints a result that says what `outcome` is: the error is then not printed again, and a
@@ -293,11 +194,11 @@ fn print_outcome(
         #[serde(skip_serializing_if = "Option::is_none")]
         error: Option<error::ErrorReport>,
     }
-    let error = outcome.as_ref().err().map(error::ErrorReport::new);
+    let error = outcome.as_ref().err().map(CommandError::report);
     let printed = print_json(&WithError { result, error });
     match outcome {
         Ok(()) => printed,
-        Err(error) => Err(CommandError::Printed(Box::new(error))),
+        Err(error) => Err(error.printed()),
     }
 }
 
@@ -320,7 +221,7 @@ fn agent_index(scenario: &Scenario, number: usize) -> Result<usize, CommandError
     let agents = scenario.agents.len();
     number.checked_sub(1).filter(|&index| index < agents).ok_or_else(|| {
         let name = &scenario.name;
-        CommandError::Usage(format!("--agent {number}: scenario {name} has agents 1 to {agents}"))
+        CommandError::usage(format!("--agent {number}: scenario {name} has agents 1 to {agents}"))
     })
 }
 
@@ -329,7 +230,7 @@ fn network_of(scenario: &Scenario) -> Result<&Network, CommandError> {
     scenario.network.as_ref().ok_or_else(|| {
         let name = &scenario.name;
         let problem = format!("scenario {name} has no network; add [network] and [outer_law]");
-        CommandError::Usage(problem)
+        CommandError::usage(problem)
     })
 }
 

@@ -5,20 +5,20 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use agent_core::health::HealthCounters;
-use agent_core::service::{Event, Outcome, Request, State, Status, Subscription};
+use agent_core::service::{BoardFault, Event, Outcome, Request, State, Status, Subscription};
 use agent_core::{AgentId, Tick};
 use clap::Args;
 use serde::Serialize;
 
 use super::node::{RETRY_POLICY, connect, text};
-use super::{CommandError, Format, health, load_scenario, print_json, print_text};
+use super::{CommandError, ErrorCode, Format, health, load_scenario, print_json, print_text};
 use crate::interruption::{self, Again};
 use crate::packages::{PackageBytes, RecordingSource};
 use crate::service::client::understood;
 use crate::service::nodes_file::NodesFile;
 use crate::service::push::{done, in_use, status};
 use crate::service::record::{RecordCounts, Recorder, step_size};
-use crate::service::record_file::{RecordError, RecordFile};
+use crate::service::record_file::RecordFile;
 use crate::service::{Address, Client, LineError, Message, RetryPolicy, ServiceError};
 
 /// Between two states, by default. \[steps\]
@@ -122,7 +122,8 @@ fn recorder(
     all_steps: bool,
 ) -> Result<Recorder, CommandError> {
     let Some(package) = before.package else {
-        return Err(CommandError::Node(
+        return Err(CommandError::new(
+            ErrorCode::Node,
             "the node has no package, and so nothing to record; push one first".to_owned(),
         ));
     };
@@ -147,10 +148,11 @@ fn source(
     if let Some(path) = &arguments.package {
         let package = PackageBytes::load(path)?;
         if in_use(before, package.as_bytes()).is_none() {
-            return Err(CommandError::Usage(format!(
+            return Err(CommandError::usage(format!(
                 "{}: is not the package that the node uses; give that one as --package, or none",
                 path.display()
-            )));
+            ))
+            .about(path));
         }
         let provenance = package.package().provenance;
         source.recipe = Some(provenance.recipe.to_owned());
@@ -244,6 +246,9 @@ impl Monitor<'_> {
             Message::Event(Event::Confirmed { tick, version }) => {
                 format!("{}  version {version} has proved itself\n", time(tick))
             }
+            Message::Event(Event::BoardFault(fault)) => {
+                format!("board fault: {}\n", fault_text(*fault))
+            }
             Message::Health { tick, counters } if *counters != HealthCounters::default() => {
                 format!("{}  health: {}\n", time(tick), health::line(counters))
             }
@@ -258,7 +263,7 @@ impl Monitor<'_> {
         let package = status.package;
         if let Some(recorder) = &mut self.recorder {
             if package.map(|package| package.agent) != self.agent {
-                return Err(CommandError::Node(
+                return Err(CommandError::new(ErrorCode::Node,
                     "the node is another agent since it was reset, so the recording ends; record it \
                      into another file"
                         .to_owned(),
@@ -347,11 +352,14 @@ impl Monitor<'_> {
                 0 => String::new(),
                 bad => format!(" ({bad} were not finite or of another length)"),
             };
-            return Err(CommandError::Node(format!(
-                "{}: not written, since no sample came{left_out}; see that the node steps, and record \
+            return Err(CommandError::new(
+                ErrorCode::Node,
+                format!(
+                    "{}: not written, since no sample came{left_out}; see that the node steps, and record \
                  longer",
-                path.display()
-            )));
+                    path.display()
+                ),
+            ).about(path));
         }
         let report =
             RecordReport { file: path.display().to_string(), unreadable: self.unreadable, counts };
@@ -400,14 +408,11 @@ impl RecordReport {
     }
 }
 
-impl From<RecordError> for CommandError {
-    fn from(error: RecordError) -> Self {
-        let problem = error.to_string();
-        match error {
-            RecordError::Output(error) => Self::File(error),
-            RecordError::Exists { path } | RecordError::Other { path, .. } => {
-                Self::RecordRefused { path, problem }
-            }
+fn fault_text(fault: BoardFault) -> &'static str {
+    match fault {
+        BoardFault::Clock => {
+            "the crystal or the PLL did not start; the chip runs from its internal oscillator, and \
+             sampling periods are only as accurate as that"
         }
     }
 }

@@ -44,7 +44,7 @@ enum Action {
 
 /// A client with the node at `address`, in step.
 pub(super) fn connect(address: &Address) -> Result<Client, AddressError> {
-    let mut client = Client::new(address.connect()?);
+    let mut client = Client::new(address.connect(interruption::stop())?);
     client.prepare_delimiter();
     Ok(client)
 }

@@ -7,7 +7,7 @@ use super::baselines::Baseline;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunResult, TrainingRecord};
 use crate::figures::{Marker, Reference};
-use crate::output_file::OutputError;
+use crate::files::output::OutputError;
 use crate::report::csv::{EpochRow, write_epochs, write_events, write_traces};
 use crate::scenario::{LearningCycle, Scenario, Window};
 

@@ -1,6 +1,5 @@
 //! `push`: a weight package into a running node.
 
-use std::io::Read;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -9,16 +8,13 @@ use clap::Args;
 use serde::Serialize;
 
 use super::node::{RETRY_POLICY, connect};
-use super::{CommandError, Format, print_json, print_text};
+use super::{CommandError, ErrorCode, Format, print_json, print_text};
+use crate::commands::progress::ProgressBars;
 use crate::interruption::{self, Again};
-use crate::packages::{PackageBytes, PackageFileError};
-use crate::progress::ProgressBars;
+use crate::packages::{PackageBytes, PackageFileError, bytes};
 use crate::service::push::{Progress, PushError};
 use crate::service::{Address, Client, LineError, ServiceError, hint, push};
 use crate::terminal;
-
-/// Longest file that is sent: more than any slot holds. \[byte\]
-const LENGTH_MAX: u64 = 1 << 20;
 
 /// Between two looks at how a trial goes on.
 const LOOK: Duration = Duration::from_millis(200);
@@ -103,13 +99,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
 /// The file, unless it is known to be damaged: whether it is a package for this node, the node says.
 fn read(arguments: &Arguments) -> Result<Vec<u8>, CommandError> {
     let path = &arguments.package;
-    let mut bytes = Vec::new();
-    std::fs::File::open(path)
-        .and_then(|file| file.take(LENGTH_MAX + 1).read_to_end(&mut bytes))
-        .map_err(|error| PackageFileError::Read { path: path.clone(), error })?;
-    if bytes.len() as u64 > LENGTH_MAX {
-        return Err(PackageFileError::TooLong { path: path.clone() }.into());
-    }
+    let bytes = bytes::read_file(path)?;
     match PackageBytes::new(&bytes) {
         Ok(_) => Ok(bytes),
         // A node may know more formats than this program.
@@ -124,12 +114,16 @@ fn read(arguments: &Arguments) -> Result<Vec<u8>, CommandError> {
 /// What a person is told about a push that has failed.
 fn failure(arguments: &Arguments, error: PushError) -> CommandError {
     match error {
-        PushError::Service(ServiceError::Refused(problem)) => CommandError::Refusal {
-            path: arguments.package.clone(),
-            refusal: format!("the node refuses: {problem}"),
-            hint: hint::of_refusal(problem),
-        },
-        PushError::Service(ServiceError::Line(LineError::Interrupted)) => CommandError::Interrupted(
+        PushError::Service(ServiceError::Refused(problem)) => {
+            let (path, hint) = (&arguments.package, hint::of_refusal(problem));
+            let text = format!(
+                "{}: the node refuses: {problem}; what was in use stays in use; {hint}",
+                path.display()
+            );
+            CommandError::new(ErrorCode::PackageRefused, text).about(path)
+        }
+        PushError::Service(ServiceError::Line(LineError::Interrupted)) => CommandError::new(
+            ErrorCode::Interrupted,
             "interrupted; what was in use stays in use, and the same push goes on where this one \
              ended"
                 .to_owned(),
@@ -148,11 +142,12 @@ fn transfer(
     let mut first = Some(first);
     let mut again = || first.take().map_or_else(|| connect(&arguments.endpoint), Ok);
     let total = package.len() as u64;
-    push::transfer_over(&mut again, package, RETRY_POLICY, &mut |progress| match progress {
+    let progress = &mut |progress| match progress {
         Progress::From(byte) => *resumed_from = Some(byte),
         Progress::Received(bytes) => bars.pushed(bytes as u64, total),
         Progress::Verifying => bars.finish(),
-    })
+    };
+    push::transfer_over(&mut again, package, RETRY_POLICY, progress, interruption::stop())
 }
 
 /// Waits for the end of the trial.
@@ -161,7 +156,8 @@ fn wait(node: &mut Client, package: &[u8]) -> Result<(), CommandError> {
     loop {
         let status = push::status(node, RETRY_POLICY)?;
         let Some(used) = push::in_use(&status, package) else {
-            return Err(CommandError::Node(
+            return Err(CommandError::new(
+                ErrorCode::Node,
                 "the node has gone back to another package before the trial's end; see its health \
                  with `host-sim node ENDPOINT`"
                     .to_owned(),
@@ -170,7 +166,8 @@ fn wait(node: &mut Client, package: &[u8]) -> Result<(), CommandError> {
         let Some((good, needed)) = used.trial else { return Ok(()) };
         bars.stepped(good.into(), needed.into());
         if interruption::requested() {
-            return Err(CommandError::Interrupted(
+            return Err(CommandError::new(
+                ErrorCode::Interrupted,
                 "interrupted; the package is in use and still on trial".to_owned(),
             ));
         }

@@ -13,16 +13,16 @@ use super::seeds::{self, SeedRun};
 use super::trainings::{self, TrainingSummary};
 use super::{CommandError, Common, Format, SharedProgress, print_outcome, print_text};
 use super::{output, warnings};
-use crate::analysis::Checks;
+use crate::commands::progress::ProgressBars;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunOptions, RunResult, run};
 use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_axis_limit, error_norms, events, states, write_all,
 };
-use crate::progress::ProgressBars;
 use crate::report::checks::{self, ChecksReport};
 use crate::report::paper::PUBLISHED;
 use crate::report::tables::{AgentResult, ComparisonTable, change_percent};
+use crate::report::theorems::Checks;
 use crate::scenario::{PAPER, Scenario, Time};
 use crate::warning::Warning;
 
@@ -91,7 +91,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let end = seed.checked_add(arguments.seeds).ok_or_else(|| {
         let problem =
             format!("--seed {seed}: there are not {} seeds from there on", arguments.seeds);
-        CommandError::Usage(problem + "; write a smaller one")
+        CommandError::usage(problem + "; write a smaller one")
     })?;
     let mut planned = output::planned(&scenario, "_without", false);
     planned.extend(output::planned(&scenario, "_with", false));
@@ -115,7 +115,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     });
     let checks = Checks::new(&scenario, with);
     let mut warnings = warnings::before(&scenario, &checks.design);
-    warnings.extend(warnings::after(&scenario, with, &checks));
+    let found = warnings::after(&scenario, with, &checks, &warnings);
+    warnings.extend(found);
     let (out, stage) = (&arguments.out, folder.stage());
     let (files, figures) = rayon::join(
         || write_tables(stage, &scenario, &table, &runs, seeds.as_deref()),

@@ -7,20 +7,21 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
+use super::agent_table::AgentReport;
 use super::baselines::{Baseline, Baselines, Choice, Comparison, Plan, States, has_packages};
 use super::health::{self, HealthReport};
 use super::run_folder::RunFolder;
 use super::trainings::{self, TrainingSummary};
 use super::{CommandError, Common, Format, SharedProgress, agent_table, output, warnings};
 use super::{load_scenario, print_outcome, print_text};
-use crate::analysis::{Checks, DesignChecks};
+use crate::commands::progress::ProgressBars;
 use crate::engine::{RunOptions, RunResult, run};
 use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_norms, events, states, write_all,
 };
 use crate::packages::PackageBytes;
-use crate::progress::ProgressBars;
 use crate::report::checks::{self, ChecksReport};
+use crate::report::theorems::{Checks, DesignChecks};
 use crate::scenario::Scenario;
 use crate::terminal::one_line;
 use crate::warning::Warning;
@@ -62,29 +63,6 @@ struct Report<'a> {
     warnings: &'a [Warning],
 }
 
-/// An agent, as JSON has it.
-#[derive(Debug, Default, Serialize)]
-pub(super) struct AgentReport {
-    pub(super) agent: usize,
-    pub(super) rmse: Option<f64>,
-    pub(super) rmse_no_network: Option<f64>,
-    pub(super) rmse_untrained: Option<f64>,
-    pub(super) change_percent_no_network: Option<f64>,
-    /// Against the untrained network.
-    pub(super) change_percent: Option<f64>,
-    /// Share of the smoothed targets' variance that the agent's last training explains.
-    pub(super) explained_variance: Option<f64>,
-    pub(super) max_error: Option<f64>,
-    pub(super) broadcasts: u64,
-    pub(super) broadcasts_no_network: Option<u64>,
-    pub(super) broadcasts_untrained: Option<u64>,
-    pub(super) mean_interval: Option<f64>,
-    pub(super) min_interval: Option<f64>,
-    /// Of an agent that was watched.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) health: Option<HealthReport>,
-}
-
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let start = Instant::now();
     let mut scenario = load_scenario(&arguments.scenario)?;
@@ -109,7 +87,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let plan = Plan::new(&scenario, arguments.baselines);
     let (result, baselines) = simulate(&scenario, arguments.common.seed, plan)?;
     let checks = Checks::of(design, &scenario, &result);
-    let mut found = warnings::after(&scenario, &result, &checks);
+    let mut found = warnings::after(&scenario, &result, &checks, &warnings);
     found.extend(baselines.warnings());
     let agents = agent_reports(&scenario, &result, &baselines);
     let trainings = trainings::summaries(&result.trainings);
@@ -161,15 +139,16 @@ fn give_packages(scenario: &mut Scenario, files: &[PathBuf]) -> Result<(), Comma
         let agents = scenario.agents.len();
         let place = agent.checked_sub(1).and_then(|index| scenario.agents.get_mut(index));
         let place = place.ok_or_else(|| {
-            CommandError::Usage(format!(
+            CommandError::usage(format!(
                 "{}: is for agent {agent}, scenario {} has agents 1 to {agents}",
                 file.display(),
                 scenario.name
             ))
+            .about(file)
         })?;
         if place.package.replace(package).is_some() {
             let problem = format!("{}: a second package for agent {agent}", file.display());
-            return Err(CommandError::Usage(problem + "; give one for each"));
+            return Err(CommandError::usage(problem + "; give one for each").about(file));
         }
     }
     Ok(())

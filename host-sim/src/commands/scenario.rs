@@ -30,7 +30,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Some(wanted) => {
             let Some((_, text)) = BUILT_IN.iter().find(|(name, _)| name == wanted) else {
                 let names: Vec<_> = BUILT_IN.iter().map(|(name, _)| *name).collect();
-                return Err(CommandError::Usage(format!(
+                return Err(CommandError::usage(format!(
                     "there is no built-in scenario {wanted:?}; choose one of {}",
                     names.join(", ")
                 )));

@@ -13,9 +13,9 @@ use super::CommandError;
 use super::baselines::NOTHING;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{Progress, RunOptions, run};
-use crate::output_file::OutputError;
+use crate::files::output::OutputError;
+use crate::files::table::write_table;
 use crate::report::columns::aligned;
-use crate::report::csv::write_table;
 use crate::report::tables::{change_percent, number, percent};
 use crate::scenario::{Scenario, Time};
 
@@ -59,7 +59,8 @@ pub(super) fn run_all<P: Progress>(
     let one = |seed| {
         let options = RunOptions { seed, learning: true, bounds: false };
         let result = run(&scenario, options, &progress());
-        let result = result.map_err(|error| CommandError::Seed { seed, error })?;
+        let result =
+            result.map_err(|error| CommandError::from(error).within(&format!("seed {seed}")))?;
         Ok(SeedRun::new(seed, &result.agents, &scenario.time))
     };
     let runs: Vec<_> = seeds.into_par_iter().map(one).collect();

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use crate::packages::quality::Quality;
+use crate::learning::quality::Quality;
 use crate::training::StopReason;
 
 /// Share of the smoothed targets' variance that a network explains, in text and JSON.

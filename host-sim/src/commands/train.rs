@@ -11,16 +11,17 @@ use serde::Serialize;
 use super::key::Passphrase;
 use super::summary::ExplainedVariance;
 use super::{
-    CommandError, Common, Format, agent_index, load_scenario, network_of, print_json, print_text,
-    summary, versions,
+    CommandError, Common, ErrorCode, Format, agent_index, load_scenario, network_of, print_json,
+    print_text, summary, versions,
 };
 use crate::analysis::TriggerConstants;
+use crate::commands::progress::ProgressBars;
+use crate::files::output::OutputFile;
 use crate::interruption::{self, Again};
-use crate::output_file::OutputFile;
+use crate::learning::agent_config;
+use crate::learning::trained::{INITIAL_VERSION, Prepared, Trained, TrainedError, TrainingTask};
 use crate::packages::recording_source::{RecordingSource, SourceScenario};
-use crate::packages::trained::{INITIAL_VERSION, Prepared, Trained, TrainedError, TrainingTask};
-use crate::packages::{OwnedAgentConfig, PackageBytes, Recording};
-use crate::progress::ProgressBars;
+use crate::packages::{PackageBytes, Recording};
 use crate::scenario::{Recipe, Scenario};
 use crate::shell::shell_word;
 use crate::terminal;
@@ -110,28 +111,20 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let features = network.architecture.features();
     let base = arguments.base.as_deref().map(PackageBytes::load).transpose()?;
     if let (Some(base), Some(path)) = (&base, &arguments.base) {
-        let node = OwnedAgentConfig::new(&scenario, &TriggerConstants::new(&scenario), index);
+        let node = agent_config(&scenario, &TriggerConstants::new(&scenario), index);
         if let Some(parameter) = node.first_difference(&base.package().node) {
             let problem = format!("{}: has another {parameter} than agent", path.display());
             let number = arguments.agent;
-            return Err(CommandError::Usage(format!(
+            return Err(CommandError::usage(format!(
                 "{problem} {number} of the scenario; give the package of this agent as --base"
-            )));
+            ))
+            .about(path));
         }
     }
     let elsewhere = check_source(arguments, &scenario)?;
     let mut recording = Recording::load(&arguments.data, scenario.dimension(), features)?;
     if let (None, Some(base)) = (&recording.outer_weights, &base) {
         recording.outer_weights = Some(base.package().outer_weights.to_vec());
-    }
-    let step = scenario.time.step_size;
-    if recording.interval < 0.5 * step {
-        terminal::warning(format_args!(
-            "{}: samples are {:e} s apart, and a step of the scenario takes {step:e} s; check the \
-             unit of time in the header",
-            arguments.data.display(),
-            recording.interval
-        ));
     }
     let version = version(arguments, base.as_ref())?;
     // Before the work: what cannot be written need not be trained.
@@ -147,11 +140,16 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     };
     let of_these = |error: TrainedError| match error {
         // Not the samples are wrong, but the result.
-        TrainedError::NotFinite { .. } | TrainedError::Draft(_) => CommandError::Training(error),
-        _ => CommandError::Usage(format!("{}: {error}", arguments.data.display())),
+        TrainedError::NotFinite { .. } | TrainedError::Size { .. } | TrainedError::Draft(_) => {
+            CommandError::from(error)
+        }
+        _ => {
+            let path = &arguments.data;
+            CommandError::usage(format!("{}: {error}", path.display())).about(path)
+        }
     };
     let mut prepared = task.prepare(&recording).map_err(of_these)?;
-    prepared.warnings.extend(elsewhere);
+    prepared.warnings.extend(elsewhere.into_iter().chain(dense(arguments, &scenario, &recording)));
     let told = prepared.warnings.len();
     prepared.warnings.iter().for_each(warn);
     let mut trained = train(&task, prepared).map_err(of_these)?;
@@ -165,7 +163,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     if !trained.accepted && !interrupted {
         let problem = "not packed, because the network explains no more than a constant does; see \
                        the warnings above";
-        return Err(CommandError::NotPacked(format!("{}: {problem}", arguments.out.display())));
+        let text = format!("{}: {problem}", arguments.out.display());
+        return Err(CommandError::new(ErrorCode::NotPacked, text).about(&arguments.out));
     }
     let (package, chosen) = (trained.package.clone(), arguments.package_version);
     let package = versions::save(package, chosen, key.as_ref(), &arguments.out, output)?;
@@ -175,6 +174,19 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Format::Json => print_json(&report),
         Format::Text => print_text(&text(arguments, &report)),
     }
+}
+
+/// Whether samples are closer together than a node can take them.
+fn dense(arguments: &Arguments, scenario: &Scenario, recording: &Recording) -> Option<Warning> {
+    let (interval, step) = (recording.interval, scenario.time.step_size);
+    (interval < 0.5 * step).then(|| {
+        let text = format!(
+            "{}: samples are {interval:e} s apart, and a step of the scenario takes {step:e} s; check \
+             the unit of time in the header",
+            arguments.data.display(),
+        );
+        Warning::new(WarningCode::DenseSamples, text)
+    })
 }
 
 /// Whether the file says that its samples are of another agent or scenario.
@@ -208,7 +220,7 @@ fn recipe<'s>(
     let found = name.and_then(|name| scenario.recipe(name));
     let recipe = found.ok_or_else(|| {
         let names: Vec<_> = scenario.recipes.iter().map(|recipe| recipe.name.as_str()).collect();
-        CommandError::Usage(match names[..] {
+        CommandError::usage(match names[..] {
             [] => format!("scenario {} has no recipe; add [recipes.NAME]", scenario.name),
             _ => format!("choose one of the recipes with --recipe: {}", names.join(", ")),
         })
@@ -244,7 +256,7 @@ fn train(task: &TrainingTask<'_>, prepared: Prepared<'_, '_>) -> Result<Trained,
         bars.epoch(task.agent + 1, task.cycle + 1, epoch.epoch, epoch.train);
         if interruption::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
-    let trained = prepared.carry_out_until(&mut report_epoch, Some(interruption::flag()));
+    let trained = prepared.carry_out_until(&mut report_epoch, Some(interruption::stop().flag()));
     bars.finish();
     trained
 }

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::summary::{ExplainedVariance, reason};
 use crate::engine::TrainingRecord;
-use crate::report::number::significant;
+use crate::number::significant;
 use crate::report::tables::DIGITS;
 
 /// Up to this many trainings get a line each.

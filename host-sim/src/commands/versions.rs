@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use super::CommandError;
-use crate::output_file::OutputFile;
+use crate::files::output::OutputFile;
 use crate::packages::PackageBytes;
 use crate::signing::OperatorKey;
 
@@ -18,11 +18,12 @@ const LOCK_WAIT: Duration = Duration::from_secs(2);
 /// There is none after the largest.
 pub(super) fn after(version: u32, of: &Path) -> Result<u32, CommandError> {
     version.checked_add(1).ok_or_else(|| {
-        CommandError::Usage(format!(
+        CommandError::usage(format!(
             "{}: has version {version}, the largest there is; nodes take none after it. Give an \
              older version with --package-version, and sign the package with --replaces {version}",
             of.display()
         ))
+        .about(of)
     })
 }
 
@@ -59,7 +60,7 @@ pub(super) fn save(
 /// cannot be locked, nothing is.
 ///
 /// # Errors
-/// [`CommandError::FolderInUse`] if another command does not let go of it in [`LOCK_WAIT`].
+/// [`ErrorCode::FolderInUse`](super::ErrorCode) if another command does not let go of it in [`LOCK_WAIT`].
 fn lock(path: &Path) -> Result<Option<File>, CommandError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let folder = folder.unwrap_or(Path::new("."));
@@ -70,7 +71,7 @@ fn lock(path: &Path) -> Result<Option<File>, CommandError> {
             Ok(()) => return Ok(Some(file)),
             Err(TryLockError::Error(_)) => return Ok(None),
             Err(TryLockError::WouldBlock) if Instant::now() >= deadline => {
-                return Err(CommandError::FolderInUse { path: folder.to_owned() });
+                return Err(CommandError::folder_in_use(folder));
             }
             Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(10)),
         }
@@ -87,7 +88,9 @@ mod tests {
         let held = File::open(folder.path()).unwrap();
         held.try_lock().unwrap();
         let refused = lock(&folder.path().join("node.weights"));
-        assert!(matches!(refused, Err(CommandError::FolderInUse { .. })));
+        assert!(
+            matches!(refused, Err(error) if error.code() == crate::commands::ErrorCode::FolderInUse)
+        );
         drop(held);
         assert!(lock(&folder.path().join("node.weights")).unwrap().is_some());
     }

@@ -1,10 +1,11 @@
 //! What a person should know before a run takes its time, and after it.
 
-use super::CommandError;
-use crate::analysis::{Checks, DesignChecks, GainVerdict};
+use super::{CommandError, ErrorCode};
+use crate::analysis::GainVerdict;
 use crate::engine::RunResult;
-use crate::packages::judgement::outer_weights;
-use crate::report::number::significant;
+use crate::learning::judgement::outer_weights;
+use crate::number::significant;
+use crate::report::theorems::{Checks, DesignChecks};
 use crate::scenario::{Agent, Scenario, Window};
 use crate::terminal;
 use crate::warning::{Warning, WarningCode};
@@ -82,10 +83,15 @@ fn last_switch(scenario: &Scenario) -> Option<f64> {
     scenario.learning.iter().map(|cycle| cycle.apply_at).filter(within).reduce(f64::max)
 }
 
-/// Warnings about a run of `scenario`.
-pub(super) fn after(scenario: &Scenario, run: &RunResult, checks: &Checks) -> Vec<Warning> {
+/// Warnings about a run of `scenario`, beside those that were given before it.
+pub(super) fn after(
+    scenario: &Scenario,
+    run: &RunResult,
+    checks: &Checks,
+    before: &[Warning],
+) -> Vec<Warning> {
     let of_trainings = run.trainings.iter().flat_map(|training| &training.warnings);
-    let mut warnings: Vec<Warning> = of_trainings.cloned().collect();
+    let mut warnings = without_repetition(of_trainings.cloned(), before);
     let mut warn = |code, text: String| warnings.push(Warning::new(code, text));
     if let Some(text) = unstable_run(checks) {
         warn(WarningCode::UnstableRun, text);
@@ -129,6 +135,14 @@ pub(super) fn after(scenario: &Scenario, run: &RunResult, checks: &Checks) -> Ve
     warnings
 }
 
+/// Warnings of trainings. All agents have the scenario's outer weights, so that what these cannot
+/// learn is said once.
+fn without_repetition(warnings: impl Iterator<Item = Warning>, before: &[Warning]) -> Vec<Warning> {
+    let is_outer = |warning: &Warning| warning.code == WarningCode::OuterWeights;
+    let mut told = before.iter().any(is_outer);
+    warnings.filter(|warning| !is_outer(warning) || !std::mem::replace(&mut told, true)).collect()
+}
+
 /// How a run was unstable; `None` if it was not.
 pub(super) fn unstable_run(checks: &Checks) -> Option<String> {
     let growth = checks.growth.filter(|_| checks.unbounded())?;
@@ -148,7 +162,7 @@ pub(super) fn unstable_run(checks: &Checks) -> Option<String> {
 
 /// How a command ends after a run with these checks.
 pub(super) fn outcome(checks: &Checks) -> Result<(), CommandError> {
-    unstable_run(checks).map_or(Ok(()), |text| Err(CommandError::Unstable(text)))
+    unstable_run(checks).map_or(Ok(()), |text| Err(CommandError::new(ErrorCode::Unstable, text)))
 }
 
 #[cfg(test)]
@@ -173,7 +187,7 @@ mod tests {
     fn after_run(scenario: &Scenario) -> Vec<Warning> {
         let options = RunOptions { seed: 0, learning: true, bounds: true };
         let result = run(scenario, options, &Silent).unwrap();
-        after(scenario, &result, &Checks::new(scenario, &result))
+        after(scenario, &result, &Checks::new(scenario, &result), &[])
     }
 
     #[test]
@@ -240,5 +254,17 @@ mod tests {
         assert_eq!(codes(&before_run(&scenario)), [WarningCode::OuterWeights]);
         scenario.learning.clear();
         assert_eq!(before_run(&scenario), []);
+    }
+
+    #[test]
+    fn outer_weights_that_cannot_learn_are_reported_once() {
+        let outer = |text: &str| Warning::new(WarningCode::OuterWeights, text);
+        let few = || Warning::new(WarningCode::FewSamples, "agent 1, cycle 1: few");
+        let of_trainings =
+            [outer("agent 1, cycle 1: zero"), few(), outer("agent 2, cycle 1: zero")];
+        let kept = |before: &[Warning]| without_repetition(of_trainings.iter().cloned(), before);
+        assert_eq!(kept(&[]), [outer("agent 1, cycle 1: zero"), few()]);
+        assert_eq!(kept(&[few()]), [outer("agent 1, cycle 1: zero"), few()]);
+        assert_eq!(kept(&[outer("zero")]), [few()]);
     }
 }

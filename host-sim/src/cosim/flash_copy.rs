@@ -116,8 +116,8 @@ mod tests {
     use super::*;
     use crate::analysis::TriggerConstants;
     use crate::image::{ERASED, Image};
+    use crate::learning::trained;
     use crate::memory_map::MemoryMap;
-    use crate::packages::trained;
     use crate::scenario::{PAPER, Scenario};
     use crate::signing::OperatorKey;
 

@@ -10,64 +10,14 @@ use std::time::Instant;
 use agent_core::Tick;
 use agent_core::service::Status;
 
-use super::board::{Board, Turn};
+use super::board::Turn;
 use super::compare::{Mismatch, announcement_mismatch, first_mismatch};
 use super::fault::{Fault, NodeError};
+use super::loop_node::LoopNode;
 use super::relay::Relay;
 use super::{BoardReport, Notice, Setup};
 use crate::engine::run_observer::{AgentStart, AgentStep, RunObserver, RunObserverError, Switch};
-use crate::interruption;
 use crate::packages::PackageBytes;
-
-/// A node and what is known of it.
-#[derive(Debug)]
-pub(super) struct LoopNode {
-    pub(super) board: Board,
-    neighbours: Vec<usize>,
-    /// What it broadcast for the coming tick.
-    frames: Vec<Vec<u8>>,
-    /// Whether those are what the simulated agent broadcast.
-    frames_agree: bool,
-    pub(super) report: BoardReport,
-}
-
-impl LoopNode {
-    /// From here on it is not compared.
-    pub(super) fn stop_comparing(&mut self, tick: Tick, reason: &str) {
-        if self.report.parted.is_none() {
-            self.report.parted = Some(format!("from tick {tick} on, because {reason}"));
-        }
-    }
-
-    /// Whether it takes steps no more.
-    pub(super) fn has_ended(&self) -> bool {
-        self.report.ended.is_some()
-    }
-
-    /// It takes no more steps. To its neighbours, the simulated agent stands in for it.
-    pub(super) fn end(&mut self, tick: Tick, fault: &Fault) {
-        self.stop_comparing(tick, "it has ended");
-        self.report.ended = Some(format!("at tick {tick}: {fault}"));
-        self.board.kill();
-    }
-
-    /// It has broadcast what no simulated agent has.
-    pub(super) fn broadcast_alone(&mut self, frames: Vec<Vec<u8>>) {
-        if !frames.is_empty() {
-            self.report.broadcasts += frames.len() as u64;
-            self.frames_agree = false;
-            self.frames = frames;
-        }
-    }
-
-    fn note(&mut self, mismatch: Option<Mismatch>) -> Option<Mismatch> {
-        if self.report.parted.is_some() {
-            return None;
-        }
-        self.report.mismatches += u64::from(mismatch.is_some());
-        mismatch
-    }
-}
 
 /// The nodes of a run.
 pub(super) struct Lockstep<'s> {
@@ -135,13 +85,7 @@ impl<'s> Lockstep<'s> {
             let package = self.setup.signed(package);
             let board = self.setup.board(index, &package)?;
             let report = BoardReport::new(index + 1, board.label());
-            self.nodes.push(LoopNode {
-                board,
-                neighbours: agent.neighbours.clone(),
-                frames: Vec::new(),
-                frames_agree: true,
-                report,
-            });
+            self.nodes.push(LoopNode::new(board, agent.neighbours.clone(), report));
             self.packages.push(package);
         }
         Ok(())
@@ -268,8 +212,8 @@ impl RunObserver for Lockstep<'_> {
     ) -> Result<ControlFlow<()>, RunObserverError> {
         match &self.relay {
             // For a run that is served it is the end that was meant.
-            Some(relay) if relay.is_over() => return Ok(ControlFlow::Break(())),
-            None if interruption::requested() => {
+            Some(relay) if relay.is_over(&self.setup.stop) => return Ok(ControlFlow::Break(())),
+            None if self.setup.stop.is_requested() => {
                 self.interrupted = true;
                 return Ok(ControlFlow::Break(()));
             }
@@ -288,7 +232,7 @@ impl RunObserver for Lockstep<'_> {
         }
         let Some(relay) = &mut self.relay else { return Ok(ControlFlow::Continue(())) };
         relay.learned(switches);
-        let between = relay.between_steps(tick, &mut self.nodes, switches);
+        let between = relay.between_steps(tick, &mut self.nodes, switches, &self.setup.stop);
         for (index, fault) in between.faults {
             self.fault(index, tick, fault)?;
         }

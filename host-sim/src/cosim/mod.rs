@@ -14,9 +14,11 @@
 //! | [`endpoint`] | what nodes run on, as a command line names it |
 //! | [`board`] | one node: the messages that are exchanged with it |
 //! | [`qemu`], [`process`] | emulated nodes, and processes that end with their holder |
+//! | [`firmware`] | where the firmware of emulated nodes comes from |
 //! | `flash_copy` | what a node that is switched off has in its flash |
 //! | [`compare`] | what a node did against what the simulated agent did |
-//! | `lockstep` | the run_observer of the run that does all this |
+//! | `loop_node` | a node of a run, and what is known of it |
+//! | `lockstep` | the run observer that does all this |
 //! | `relay`, `socket` | nodes of a running co-simulation, offered to others |
 //! | [`fault`] | what can go wrong with a node |
 //!
@@ -31,8 +33,10 @@ pub mod board;
 pub mod compare;
 pub mod endpoint;
 pub mod fault;
+pub mod firmware;
 mod flash_copy;
 mod lockstep;
+mod loop_node;
 pub mod process;
 pub mod qemu;
 mod relay;
@@ -47,10 +51,11 @@ use agent_core::health::HealthSettings;
 use serde::Serialize;
 
 use crate::engine::{Progress, RunError, RunOptions, run_accompanied};
-use crate::output_file::OutputError;
+use crate::files::output::OutputError;
 use crate::packages::PackageBytes;
 use crate::scenario::{Record, Scenario};
 use crate::signing::OperatorKey;
+use crate::stop::Stop;
 use board::Board;
 use compare::Mismatch;
 use fault::{Fault, NodeError};
@@ -72,12 +77,15 @@ pub struct Setup<'s> {
     pub erased: bool,
     /// Called with what happens meanwhile.
     pub notice: Option<&'s mut dyn FnMut(&Notice<'_>)>,
+    /// Ends the run in front of the next step, and every wait for a node.
+    pub stop: Arc<Stop>,
 }
 
 impl<'s> Setup<'s> {
     /// Nodes that need no signatures, without notices.
-    pub fn new(start: &'s mut Start<'s>, timeout: Duration) -> Self {
-        Self { start, timeout, signer: None, erased: false, notice: None }
+    pub fn new(start: &'s mut Start<'s>, timeout: Duration, stop: &Arc<Stop>) -> Self {
+        let stop = stop.clone();
+        Self { start, timeout, signer: None, erased: false, notice: None, stop }
     }
 
     fn board(&mut self, index: usize, package: &PackageBytes) -> Result<Board, NodeError> {
@@ -98,7 +106,7 @@ impl<'s> Setup<'s> {
     }
 }
 
-/// How long a step that is under way may go on after a signal has asked for the end.
+/// How long a step that is under way may go on after the stop is requested.
 const GRACE: Duration = Duration::from_millis(400);
 
 /// Something that happens while others can talk to the nodes.
@@ -128,7 +136,7 @@ pub struct Service {
     pub folder: PathBuf,
     /// How much faster than real time it goes; above 0.
     pub speed: f64,
-    /// Becomes true when the run is to end before the next step, beside Ctrl-C.
+    /// Becomes true when the run is to end before the next step, without any wait being cut short.
     pub stop: Arc<AtomicBool>,
 }
 
@@ -147,7 +155,7 @@ pub struct CosimReport {
     pub elapsed_s: f64,
     /// Steps per second; each of them is a round trip to every node. \[1/s\]
     pub steps_per_s: f64,
-    /// Whether a signal asked for the end before the last step; not so for a run that is served,
+    /// Whether the stop was requested before the last step; not so for a run that is served,
     /// which ends like that.
     pub interrupted: bool,
     /// For a run that is served: how much of the speed that was asked for was kept, at most 1.

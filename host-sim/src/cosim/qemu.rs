@@ -13,6 +13,7 @@ use std::os::unix::fs::FileExt;
 use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use agent_core::package::signature::PublicKey;
@@ -26,10 +27,10 @@ use super::fault::Fault;
 use super::flash_copy::{FlashCopy, package_in_use};
 use super::process::Process;
 use crate::image::{ERASED, Image};
-use crate::interruption;
 use crate::memory_map::WeightsRegion;
 use crate::packages::PackageBytes;
 use crate::service::{Line, LineError};
+use crate::stop::Stop;
 
 /// The emulator's program.
 pub const PROGRAM: &str = "qemu-system-arm";
@@ -53,7 +54,7 @@ pub enum Channel {
 }
 
 /// How emulated nodes are started.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct Qemu {
     /// The emulator: a path, or a name to be looked for on `PATH`.
     pub program: PathBuf,
@@ -63,6 +64,8 @@ pub struct Qemu {
     pub region: WeightsRegion,
     /// How long it may take to begin.
     pub timeout: Duration,
+    /// Ends every wait for a node.
+    pub stop: Arc<Stop>,
 }
 
 impl Qemu {
@@ -150,7 +153,7 @@ impl Qemu {
         ));
         let mut process = self.spawn(&mut command, folder, removed)?;
         let alive = || process.ended().is_none();
-        match Line::over_pipes(&input, &output, self.timeout, alive) {
+        match Line::over_pipes(&input, &output, self.timeout, alive, &self.stop) {
             Ok(line) => Ok((Board::new(line, "qemu", lives_on), process)),
             Err(LineError::Silent) => Err(self.not_begun(&mut process)),
             Err(LineError::Interrupted) => Err(Fault::Interrupted),
@@ -177,13 +180,13 @@ impl Qemu {
         loop {
             match listener.accept() {
                 Ok((socket, _)) => {
-                    let line = Line::over_socket(socket).map_err(Fault::System)?;
+                    let line = Line::over_socket(socket, &self.stop).map_err(Fault::System)?;
                     return Ok((Board::new(line, "qemu-uart", lives_on), process));
                 }
                 Err(error) if error.kind() == ErrorKind::WouldBlock => {}
                 Err(error) => return Err(Fault::System(error)),
             }
-            if interruption::requested() {
+            if self.stop.is_requested() {
                 return Err(Fault::Interrupted);
             }
             if process.ended().is_some() || Instant::now() >= deadline {

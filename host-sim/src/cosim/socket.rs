@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use super::CosimError;
 use crate::service::address::connect;
+use crate::stop::Stop;
 
 /// A socket that others can connect to. Dropping it removes it, unless something else has taken its
 /// place.
@@ -37,7 +38,7 @@ impl Socket {
         if !metadata.file_type().is_socket() {
             return Err(occupied("there is something here that is not a socket"));
         }
-        match connect(path, Duration::ZERO) {
+        match connect(path, Duration::ZERO, &Stop::default()) {
             // What a run that was killed has left behind.
             Err(error) if error.kind() == ErrorKind::ConnectionRefused => Ok(true),
             _ => Err(occupied("another program serves this socket")),

@@ -1,7 +1,6 @@
 //! What the theorems bound, measured along a run. The memory does not grow with the run's length.
 
-use super::lumped::LumpedSamples;
-use crate::analysis::UltimateBound;
+use crate::analysis::{LumpedSamples, UltimateBound};
 use crate::scenario::Scenario;
 
 /// What was measured.

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use super::run_observer::Switch;
 use super::{Progress, RunError, TrainingRecord};
-use crate::packages::trained::{INITIAL_VERSION, TrainedError, TrainingTask};
+use crate::learning::trained::{INITIAL_VERSION, TrainedError, TrainingTask};
 use crate::packages::{PackageBytes, Recording, Timing};
 use crate::scenario::{LearningCycle, Scenario};
 use crate::training::{Dataset, EpochReport};

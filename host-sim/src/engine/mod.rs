@@ -17,7 +17,6 @@ pub mod bounds;
 mod failure;
 mod learning;
 pub mod link;
-mod lumped;
 mod run;
 pub mod run_observer;
 pub mod statistics;
@@ -29,9 +28,9 @@ use agent_core::math::parameter::ParameterError;
 use agent_core::package::Refusal;
 
 use crate::analysis::StepCheck;
+use crate::learning::quality::Quality;
+use crate::learning::trained::TrainedError;
 use crate::packages::parameter::InScenario;
-use crate::packages::quality::Quality;
-use crate::packages::trained::TrainedError;
 use crate::packages::{DraftError, PackageBytes, Recording};
 use crate::plant::RateFault;
 use crate::training::{EpochReport, TrainingError, TrainingReport};
@@ -41,7 +40,6 @@ use failure::step_hint;
 use statistics::AgentStatistics;
 use traces::Traces;
 
-pub use lumped::LumpedSamples;
 pub use run::{run, run_accompanied, run_over};
 pub use run_observer::{RunObserver, RunObserverError};
 

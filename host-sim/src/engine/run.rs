@@ -14,8 +14,9 @@ use super::run_observer::{AgentStart, RunObserver, Switch};
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
 use crate::analysis::{StepCheck, TriggerConstants, spectral_norm};
-use crate::fnv::Fnv;
-use crate::packages::{OwnedAgentConfig, PackageBytes, trained, with_dimension};
+use crate::files::fnv::Fnv;
+use crate::learning::{agent_config, trained};
+use crate::packages::{OwnedAgentConfig, PackageBytes, with_dimension};
 use crate::plant::Stepper;
 use crate::scenario::{Network, Scenario};
 use crate::training::{Dataset, TrainingError};
@@ -96,9 +97,8 @@ fn run_fixed<const N: usize>(
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
     let trigger = TriggerConstants::new(scenario);
-    let contents: Vec<_> = (0..scenario.agents.len())
-        .map(|index| OwnedAgentConfig::new(scenario, &trigger, index))
-        .collect();
+    let contents: Vec<_> =
+        (0..scenario.agents.len()).map(|index| agent_config(scenario, &trigger, index)).collect();
     let packages = start_packages(scenario, &trigger, &contents, options)?;
     let mut places: Vec<_> =
         contents.iter().map(|content| ParamBuffers::new(&content.node())).collect();

@@ -4,7 +4,7 @@
 
 use super::axis::Axis;
 use super::canvas::{Anchor, Canvas, PathData, Rect, Stroke, TextAt};
-use super::events::{EventFigure, LEFT, agent_panel, label_agents};
+use super::event_figure::{EventFigure, LEFT, agent_panel, label_agents};
 use super::font;
 use super::palette;
 use super::panel::{LEGEND_ROW, LEGEND_TOP, Labels, Panel, TICK_SIZE, TIME_LABEL};

@@ -4,58 +4,18 @@
 //! broadcast. Otherwise a map is drawn, a cell an agent (or a group of them) and a short time:
 //! the darker, the more broadcasts; under it the mean rate of all agents.
 
-use std::ops::RangeInclusive;
-
 use super::Figure;
-use super::axis::Axis;
-use super::canvas::{Anchor, Canvas, PathData, Rect, Stroke, TextAt, WIDTH};
+use super::canvas::{Anchor, Canvas, PathData, Stroke, TextAt, WIDTH};
+use super::event_figure::{EventFigure, LEFT, agent_panel, label_agents};
 use super::event_map::draw_map;
 use super::palette::{self, LINES};
-use super::panel::{BOTTOM_MARGIN, Labels, Panel, RIGHT_MARGIN, TICK_SIZE, TIME_LABEL, draw_title};
+use super::panel::{BOTTOM_MARGIN, Labels, RIGHT_MARGIN, TICK_SIZE, TIME_LABEL, draw_title};
 
 /// Up to this many agents have a row each.
 const ROWS: usize = 60;
 
 /// Up to this many broadcasts of an agent are drawn as ticks: about one every user unit.
 const TICKS: usize = 380;
-
-/// Left end of the panels. \[user unit\]
-pub(super) const LEFT: f64 = 50.0;
-
-/// What [`events`] draws.
-#[derive(Clone, Copy, Debug)]
-pub struct EventFigure<'a> {
-    /// Stands above the figure; how many broadcasts are shown is added under it.
-    pub title: &'a str,
-    /// Of each agent, the steps at whose beginning it broadcast, in ascending order.
-    pub events: &'a [&'a [u64]],
-    /// Length of a step. \[s\]
-    pub step_size: f64,
-    /// First instant that is shown. \[s\]
-    pub from: f64,
-    /// Last instant that is shown. \[s\]
-    pub to: f64,
-}
-
-impl EventFigure<'_> {
-    pub(super) fn time(&self, tick: u64) -> f64 {
-        tick as f64 * self.step_size
-    }
-
-    /// The first and the last step of the window.
-    pub(super) fn window(&self) -> RangeInclusive<u64> {
-        let tick = |time: f64| (time / self.step_size).round() as u64;
-        tick(self.from)..=tick(self.to)
-    }
-
-    /// The broadcasts of an agent that the window holds.
-    pub(super) fn shown(&self, agent: usize) -> &[u64] {
-        let (events, window) = (self.events[agent], self.window());
-        let first = events.partition_point(|tick| tick < window.start());
-        let last = events.partition_point(|tick| tick <= window.end());
-        &events[first..last.max(first)]
-    }
-}
 
 /// Draws when agents broadcast.
 #[must_use]
@@ -112,33 +72,4 @@ fn draw_ticks(canvas: &mut Canvas, figure: &EventFigure<'_>) -> f64 {
     panel.draw_frame(canvas, Labels { x_ticks: true, y_ticks: false, minor_grid: false });
     panel.label_x(canvas, TIME_LABEL);
     panel.area.bottom()
-}
-
-/// A panel with the first agent at the top.
-pub(super) fn agent_panel(figure: &EventFigure<'_>, top: f64) -> Panel {
-    let agents = figure.events.len().max(1) as f64;
-    let width = WIDTH - LEFT - RIGHT_MARGIN;
-    let height = (42.0 * agents).min((2.0 * agents).clamp(150.0, 260.0));
-    let x = Axis::horizontal(figure.from, figure.to, width, TICK_SIZE);
-    Panel::new(Rect { left: LEFT, top, width, height }, x, Axis::exact(0.0, agents, 1.0))
-}
-
-/// Writes the names of a few agents, or numbers of some of many, beside their rows.
-pub(super) fn label_agents(canvas: &mut Canvas, panel: &Panel, agents: usize) {
-    let area = panel.area;
-    let mut label = |agent: usize, text: &str| {
-        let middle = area.top + (agent as f64 - 0.5) / agents as f64 * area.height;
-        let at = TextAt::new(LEFT - 6.0, middle + 0.36 * TICK_SIZE, TICK_SIZE, Anchor::End);
-        canvas.text(text, at);
-    };
-    if agents <= LINES {
-        (1..=agents).for_each(|agent| label(agent, &format!("agent {agent}")));
-        return;
-    }
-    let round = Axis::exact(1.0, agents as f64, area.height / (3.0 * TICK_SIZE)).ticks();
-    let round =
-        round.into_iter().filter(|number| number.fract() == 0.0).map(|number| number as usize);
-    let first = if agents < 20 { None } else { Some(1) };
-    first.into_iter().chain(round).for_each(|agent| label(agent, &agent.to_string()));
-    panel.label_y(canvas, "agent", 14.0);
 }

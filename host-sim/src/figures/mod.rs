@@ -10,6 +10,7 @@ mod axis;
 mod canvas;
 mod clip;
 mod error_norms;
+mod event_figure;
 mod event_map;
 mod events;
 mod font;
@@ -28,10 +29,11 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use crate::output_file::{FileKind, OutputError, write_result};
+use crate::files::output::{FileKind, OutputError, write_result};
 
 pub use error_norms::{ErrorFigure, error_axis_limit, error_norms};
-pub use events::{EventFigure, events};
+pub use event_figure::EventFigure;
+pub use events::events;
 pub use marks::{Marker, Reference};
 pub use raster::{PNG_WIDTH, RenderError};
 pub use states::{StateFigure, states};

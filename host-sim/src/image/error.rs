@@ -1,6 +1,6 @@
 //! Why there is no image.
 
-use super::uf2::{PAYLOAD, UF2_FAMILIES};
+use super::uf2_format::{PAYLOAD, UF2_FAMILIES};
 
 /// Why an image cannot be made or written as a file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -3,9 +3,9 @@
 use agent_core::package::Envelope;
 use ihex::{Reader, Record};
 
-use super::uf2::{BLOCK, PAYLOAD};
+use super::uf2_format::{BLOCK, PAYLOAD};
 use super::{ERASED, ImageFormat, PACKAGE_ALIGNMENT};
-use crate::output_file::FileKind;
+use crate::files::output::FileKind;
 
 /// What is written beside the package, the commit record, is shorter. \[byte\]
 const RECORD_MAX: usize = 256;

@@ -26,6 +26,7 @@ mod kind;
 mod part;
 mod tools;
 mod uf2;
+mod uf2_format;
 
 use std::ops::Range;
 
@@ -33,7 +34,8 @@ pub use encode::{Format, ImageFormat};
 pub use error::ImageError;
 pub use part::Part;
 pub use tools::{ToolCommand, ToolUse, commands_for};
-pub use uf2::{UF2_FAMILIES, Uf2Family};
+pub use uf2::Uf2Family;
+pub use uf2_format::UF2_FAMILIES;
 
 use agent_core::store::{Slot, factory_record};
 

@@ -28,6 +28,7 @@
 
 mod error;
 mod expression;
+mod operators;
 mod reader;
 mod tokens;
 mod weights;
@@ -37,7 +38,7 @@ use std::path::Path;
 pub use error::MemoryMapError;
 pub use weights::WeightsRegion;
 
-use crate::input_file::read_limited;
+use crate::files::input::read_limited;
 
 /// Longest file that is read; a linker script has some kilobytes. \[byte\]
 const FILE_MAX: u64 = 1 << 20;

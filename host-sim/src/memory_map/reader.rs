@@ -5,7 +5,7 @@
 //! needed.
 
 use super::error::Fault;
-use super::expression::apply;
+use super::operators::apply;
 use super::tokens::{Token, tokens};
 use super::weights::REGION as WEIGHTS;
 use super::{ADDRESSES, MemoryMap, Region, Symbol};

@@ -1,6 +1,5 @@
 //! A package's bytes: they begin on a multiple of four, as in a node's flash, and can be shared.
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -8,7 +7,8 @@ use agent_core::observer::network::{Architecture, InnerNetwork};
 use agent_core::package::signature::{PublicKey, verify};
 use agent_core::package::{Envelope, NetworkPlace, Package, PackageError, signature_block};
 
-use crate::output_file::{FileKind, OutputError, write_whole};
+use crate::files::input::{is_too_large, read_limited};
+use crate::files::output::{FileKind, OutputError, write_whole};
 use crate::signing::OperatorKey;
 
 /// Longest file that is read as a package: beyond the largest network of all. \[bytes\]
@@ -53,6 +53,18 @@ pub enum PackageFileError {
     },
 }
 
+/// The content of a file that may be a package.
+///
+/// # Errors
+/// A file that cannot be read, or that is longer than any package.
+pub fn read_file(path: &Path) -> Result<Vec<u8>, PackageFileError> {
+    let path = path.to_owned();
+    read_limited(&path, LENGTH_MAX).map_err(|error| match is_too_large(&error) {
+        true => PackageFileError::TooLong { path },
+        false => PackageFileError::Read { path, error },
+    })
+}
+
 impl PackageBytes {
     /// The kind of its files.
     pub const KIND: FileKind =
@@ -77,14 +89,7 @@ impl PackageBytes {
     /// # Errors
     /// See [`PackageFileError`].
     pub fn load(path: &Path) -> Result<Self, PackageFileError> {
-        let named = |error| PackageFileError::Read { path: path.to_owned(), error };
-        let mut bytes = Vec::new();
-        let file = std::fs::File::open(path).map_err(named)?;
-        file.take(LENGTH_MAX + 1).read_to_end(&mut bytes).map_err(named)?;
-        if bytes.len() as u64 > LENGTH_MAX {
-            return Err(PackageFileError::TooLong { path: path.to_owned() });
-        }
-        Self::new(&bytes)
+        Self::new(&read_file(path)?)
             .map_err(|error| PackageFileError::Package { path: path.to_owned(), error })
     }
 

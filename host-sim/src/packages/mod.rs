@@ -3,29 +3,24 @@
 //! | module | what it is |
 //! | --- | --- |
 //! | [`bytes`] | a package's bytes, aligned and shared, in memory and in files |
-//! | [`node`] | what makes a node an agent, from a scenario |
+//! | [`node`] | what makes a node an agent |
 //! | [`parameter`] | what the core refuses, in the words of a scenario |
 //! | [`draft`] | everything that goes into a package, and the making of it |
 //! | [`check`] | the node's own acceptance, for any state dimension |
 //! | [`recording`] | recorded samples, in memory and in files |
-//! | [`cleaning`] | recorded samples prepared for training |
-//! | [`quality`] | how well a trained network fits the samples |
+//! | [`refusal`] | what to do about a package that is refused |
 //! | [`recording_source`] | where a recording comes from, according to its file |
-//! | [`trained`] | from recorded samples to a package |
 //!
 //! The simulated agents load these very bytes. The format is agent-core's; see `docs/format.md`.
 
 pub mod bytes;
 pub mod check;
-pub mod cleaning;
 pub mod draft;
-pub mod judgement;
 pub mod node;
 pub mod parameter;
-pub mod quality;
 pub mod recording;
 pub mod recording_source;
-pub mod trained;
+pub mod refusal;
 
 pub use bytes::{PackageBytes, PackageFileError, PackageParameters};
 pub use draft::{Draft, DraftError};

@@ -1,4 +1,4 @@
-//! What makes a node an agent, taken from a scenario and rounded to the core's precision.
+//! What makes a node an agent, in the core's precision: the numbers of an [`AgentConfig`], owned.
 
 use agent_core::AgentId;
 use agent_core::math::symmetric::SymmetricMatrix;
@@ -8,29 +8,23 @@ use agent_core::observer::trigger::TriggerParams;
 use agent_core::package::{AgentConfig, NeighbourIds};
 use nalgebra::DMatrix;
 
-use crate::analysis::TriggerConstants;
-use crate::scenario::{self, Scenario};
-
-/// Stands in where there is no network, and so no outer weights to adapt.
-const RESTING_PROJECTION: ProjectionParams =
-    ProjectionParams { radius: 1.0, boundary_layer: 1.0, smoothing: 1.0, smoothness: 0 };
-
-/// The numbers of a [`AgentConfig`], owned.
+/// The numbers of an [`AgentConfig`], owned.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OwnedAgentConfig {
-    agent: AgentId,
-    output_matrix: Vec<f32>,
-    gain: OwnedSymmetric,
-    neighbours: Vec<u8>,
-    edge_weights: Vec<f32>,
-    outer_gain: OwnedSymmetric,
-    projection: ProjectionParams,
-    trigger: TriggerParams,
-    step_size: f32,
+    pub(crate) agent: AgentId,
+    pub(crate) output_matrix: Vec<f32>,
+    pub(crate) gain: OwnedSymmetric,
+    pub(crate) neighbours: Vec<u8>,
+    pub(crate) edge_weights: Vec<f32>,
+    pub(crate) outer_gain: OwnedSymmetric,
+    pub(crate) projection: ProjectionParams,
+    pub(crate) trigger: TriggerParams,
+    pub(crate) step_size: f32,
 }
 
+/// A symmetric matrix in one of the forms of the package.
 #[derive(Clone, Debug, PartialEq)]
-enum OwnedSymmetric {
+pub(crate) enum OwnedSymmetric {
     Scalar(f32),
     Diagonal(Vec<f32>),
     Full(Vec<f32>),
@@ -38,7 +32,7 @@ enum OwnedSymmetric {
 
 impl OwnedSymmetric {
     /// The shortest form of `matrix`.
-    fn shortest(matrix: &DMatrix<f64>) -> Self {
+    pub(crate) fn shortest(matrix: &DMatrix<f64>) -> Self {
         let n = matrix.nrows();
         let diagonal: Vec<f32> = matrix.diagonal().iter().map(|&entry| entry as f32).collect();
         let off_diagonal = (0..n).flat_map(|row| (0..row).map(move |column| matrix[(row, column)]));
@@ -48,16 +42,6 @@ impl OwnedSymmetric {
             Self::Scalar(diagonal[0])
         } else {
             Self::Diagonal(diagonal)
-        }
-    }
-
-    fn of_outer(gain: &scenario::OuterGain) -> Self {
-        match gain {
-            scenario::OuterGain::Scalar(gain) => Self::Scalar(*gain as f32),
-            scenario::OuterGain::Diagonal(gain) => {
-                Self::Diagonal(gain.iter().map(|&entry| entry as f32).collect())
-            }
-            scenario::OuterGain::Full(gain) => Self::Full(row_major(gain)),
         }
     }
 
@@ -71,34 +55,6 @@ impl OwnedSymmetric {
 }
 
 impl OwnedAgentConfig {
-    /// Agent `index` (from 0) of a scenario, whose trigger has these constants.
-    #[must_use]
-    pub fn new(scenario: &Scenario, trigger: &TriggerConstants, index: usize) -> Self {
-        let edges = scenario.graph.neighbours(index);
-        let law = scenario.network.as_ref().map(|network| &network.outer_law);
-        Self {
-            agent: agent_id(index),
-            output_matrix: row_major(&scenario.agents[index].output_matrix),
-            gain: OwnedSymmetric::shortest(&scenario.design.gain),
-            neighbours: edges.iter().flat_map(|edge| agent_id(edge.agent).to_le_bytes()).collect(),
-            edge_weights: edges.iter().map(|edge| edge.weight as f32).collect(),
-            outer_gain: law
-                .map_or(OwnedSymmetric::Scalar(1.0), |law| OwnedSymmetric::of_outer(&law.gain)),
-            projection: law.map_or(RESTING_PROJECTION, |law| ProjectionParams {
-                radius: (law.bound - law.boundary_layer) as f32,
-                boundary_layer: law.boundary_layer as f32,
-                smoothing: law.smoothing as f32,
-                smoothness: law.smoothness,
-            }),
-            trigger: TriggerParams {
-                hold_error_weight: trigger.phi1 as f32,
-                consensus_weight: trigger.phi2 as f32,
-                threshold: trigger.threshold as f32,
-            },
-            step_size: scenario.time.step_size as f32,
-        }
-    }
-
     /// The first number, if any, that is not finite in single precision, by the scenario's keys.
     #[must_use]
     pub fn not_finite(&self) -> Option<&'static str> {
@@ -185,15 +141,7 @@ impl OwnedAgentConfig {
     }
 }
 
-/// The number by which agent `index` (from 0) goes on the air.
-///
-/// # Panics
-/// If there is no such number; a scenario has at most 1,000 agents.
-#[must_use]
-pub fn agent_id(index: usize) -> AgentId {
-    AgentId::try_from(index + 1).expect("a scenario has at most 1,000 agents")
-}
-
-fn row_major(matrix: &DMatrix<f64>) -> Vec<f32> {
+/// The entries of `matrix`, row by row, in single precision.
+pub(crate) fn row_major(matrix: &DMatrix<f64>) -> Vec<f32> {
     matrix.transpose().iter().map(|&entry| entry as f32).collect()
 }

@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use serde::Serialize;
 
-use super::number::significant;
-use crate::analysis::{AgentCheck, Checks, DesignChecks, Status};
+use super::theorems::{AgentCheck, Checks, DesignChecks, Status};
+use crate::number::significant;
 
 /// Up to this many agents get a line each.
 const LINES: usize = 12;

@@ -1,88 +1,12 @@
 //! CSV files: traces, broadcasts, training epochs.
 //!
-//! The first line names every column and its unit. Numbers have the fewest digits that read
-//! back as the same bits. Cost: about 40 ns a number; 40,000 rows of three agents (16 columns)
-//! take some 30 ms.
+//! Cost: about 40 ns a number; 40,000 rows of three agents (16 columns) take some 30 ms.
 
-use std::io::{self, Write};
 use std::path::Path;
 
 use crate::engine::traces::Traces;
-use crate::output_file::{FileKind, OutputError, write_result};
-
-/// One line of a CSV file that is being written.
-pub struct Row<'a> {
-    writer: csv::Writer<&'a mut dyn Write>,
-    float: ryu::Buffer,
-}
-
-impl Row<'_> {
-    /// A whole number.
-    ///
-    /// # Errors
-    /// What the file says, as with all methods here.
-    pub fn integer(&mut self, value: u64) -> io::Result<()> {
-        self.text(&value.to_string())
-    }
-
-    /// A number in double precision; one that is not finite is written as `NaN`, `inf` or
-    /// `-inf`, which CSV readers understand.
-    ///
-    /// # Errors
-    /// As [`Row::integer`].
-    pub fn double(&mut self, value: f64) -> io::Result<()> {
-        Ok(self.writer.write_field(self.float.format(value))?)
-    }
-
-    /// A number in single precision.
-    ///
-    /// # Errors
-    /// As [`Row::integer`].
-    pub fn single(&mut self, value: f32) -> io::Result<()> {
-        Ok(self.writer.write_field(self.float.format(value))?)
-    }
-
-    /// A number, or an empty field.
-    ///
-    /// # Errors
-    /// As [`Row::integer`].
-    pub fn optional(&mut self, value: Option<f64>) -> io::Result<()> {
-        match value {
-            Some(value) => self.double(value),
-            None => self.text(""),
-        }
-    }
-
-    /// A word; quoted if it must be.
-    ///
-    /// # Errors
-    /// As [`Row::integer`].
-    pub fn text(&mut self, value: &str) -> io::Result<()> {
-        Ok(self.writer.write_field(value)?)
-    }
-}
-
-/// Writes a CSV file: a header, and a line of what `write` says about each item.
-///
-/// # Errors
-/// A file that cannot be written, also if a line has not as many fields as the header.
-pub fn write_table<T>(
-    path: &Path,
-    header: &[impl AsRef<[u8]>],
-    items: impl Iterator<Item = T>,
-    mut write: impl FnMut(&mut Row<'_>, T) -> io::Result<()>,
-) -> Result<(), OutputError> {
-    write_result(path, FileKind::TABLE, |file| {
-        let writer = csv::WriterBuilder::new().buffer_capacity(1 << 16).from_writer(file);
-        let mut row = Row { writer, float: ryu::Buffer::new() };
-        row.writer.write_record(header)?;
-        for item in items {
-            write(&mut row, item)?;
-            row.writer.write_record(None::<&[u8]>)?;
-        }
-        row.writer.flush()
-    })
-}
+use crate::files::output::OutputError;
+use crate::files::table::write_table;
 
 /// Writes traces: a line a row, with the true state and each agent's estimate and error norm, in
 /// the units of the state.

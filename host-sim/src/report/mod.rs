@@ -3,6 +3,6 @@
 pub mod checks;
 pub mod columns;
 pub mod csv;
-pub mod number;
 pub mod paper;
 pub mod tables;
+pub mod theorems;

@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use super::columns::aligned;
-use super::csv::{Row, write_table};
-use super::number::significant;
 use super::paper::Published;
-use crate::output_file::OutputError;
+use crate::files::output::OutputError;
+use crate::files::table::{Row, write_table};
+use crate::number::significant;
 
 /// Significant digits of errors and times in tables.
 pub(crate) const DIGITS: usize = 4;

@@ -1,7 +1,5 @@
 //! From file to [`Scenario`]: the order in which its tables are read.
 
-use std::fs::File;
-use std::io::{self, Read};
 use std::path::Path;
 
 use toml::de::DeTable;
@@ -10,7 +8,8 @@ use super::error::{ScenarioError, closest};
 use super::reader::{Source, Table};
 use super::sections::{agents, gains, health, learning, network, plant, run};
 use super::{BUILT_IN, Scenario};
-use crate::fnv::Fnv;
+use crate::files::fnv::Fnv;
+use crate::files::input::{is_too_large, read_limited};
 
 /// Longest file that is read as a scenario: room for thousands of agents with matrices of their own.
 /// \[byte\]
@@ -24,12 +23,12 @@ impl Scenario {
     pub fn load(path: &Path) -> Result<Self, ScenarioError> {
         let file = path.display().to_string();
         let unread = Source { file: &file, text: "" };
-        let read = || {
-            let mut bytes = Vec::new();
-            File::open(path)?.take(BYTES_MAX + 1).read_to_end(&mut bytes)?;
-            Ok(bytes)
-        };
-        let bytes = read().map_err(|error: io::Error| {
+        let bytes = read_limited(path, BYTES_MAX).map_err(|error| {
+            if is_too_large(&error) {
+                let problem =
+                    format!("has more than {} MiB, which no scenario has", BYTES_MAX >> 20);
+                return unread.error(None, None, problem, "give the path of a scenario file");
+            }
             let names = BUILT_IN.map(|(name, _)| name);
             let meant = closest(&file, names).map_or(String::new(), |name| format!("{name}, "));
             let hint = format!(
@@ -40,10 +39,6 @@ impl Scenario {
             );
             unread.error(None, None, format_args!("cannot be read: {error}"), hint)
         })?;
-        if bytes.len() as u64 > BYTES_MAX {
-            let problem = format!("has more than {} MiB, which no scenario has", BYTES_MAX >> 20);
-            return Err(unread.error(None, None, problem, "give the path of a scenario file"));
-        }
         let text = String::from_utf8(bytes).map_err(|error| {
             let valid = &error.as_bytes()[..error.utf8_error().valid_up_to()];
             let line = valid.iter().filter(|&&byte| byte == b'\n').count() + 1;

@@ -6,13 +6,14 @@ use std::os::unix::fs::FileTypeExt;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use rustix::io::{Errno, FdFlags};
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketType};
 
 use super::Line;
-use crate::interruption;
+use crate::stop::Stop;
 
 /// Bits per second of a serial line, by default.
 pub const BAUD: u32 = 115_200;
@@ -21,11 +22,11 @@ pub const BAUD: u32 = 115_200;
 const ADMISSION: Duration = Duration::from_secs(3);
 
 /// Connects to a socket. If so many others wait there that there is no room, this waits so long, unless
-/// a signal asks for the end.
+/// `stop` is requested.
 ///
 /// # Errors
 /// What the system says; [`io::ErrorKind::WouldBlock`] if there is still no room then.
-pub fn connect(path: &Path, wait: Duration) -> io::Result<UnixStream> {
+pub fn connect(path: &Path, wait: Duration, stop: &Stop) -> io::Result<UnixStream> {
     let address = SocketAddrUnix::new(path)?;
     let deadline = Instant::now() + wait;
     loop {
@@ -36,7 +37,7 @@ pub fn connect(path: &Path, wait: Duration) -> io::Result<UnixStream> {
         match rustix::net::connect(&socket, &address) {
             Ok(()) => return Ok(UnixStream::from(socket)),
             Err(Errno::AGAIN | Errno::INTR)
-                if Instant::now() < deadline && !interruption::requested() =>
+                if Instant::now() < deadline && !stop.is_requested() =>
             {
                 std::thread::sleep(Duration::from_millis(10));
             }
@@ -68,14 +69,17 @@ pub struct AddressError {
 }
 
 impl Address {
-    /// A line to the node.
+    /// A line to the node, until `stop` is requested.
     ///
     /// # Errors
     /// What the system says.
-    pub fn connect(&self) -> Result<Line, AddressError> {
+    pub fn connect(&self, stop: &Arc<Stop>) -> Result<Line, AddressError> {
         let line = match self {
-            Self::Socket(path) => connect(path, ADMISSION).and_then(Line::over_socket),
-            Self::Serial(path, baud) => Line::over_serial(path, *baud),
+            Self::Socket(path) => {
+                let socket = connect(path, ADMISSION, stop);
+                socket.and_then(|socket| Line::over_socket(socket, stop))
+            }
+            Self::Serial(path, baud) => Line::over_serial(path, *baud, stop),
         };
         line.map_err(|error| AddressError { hint: self.hint(&error), address: self.clone(), error })
     }
@@ -183,7 +187,7 @@ mod tests {
         // As many as there is room for, whatever the system makes of the 1.
         let mut held = Vec::new();
         let error = loop {
-            match connect(&path, Duration::ZERO) {
+            match connect(&path, Duration::ZERO, &Stop::default()) {
                 Ok(socket) => held.push(socket),
                 Err(error) => break error,
             }
@@ -193,6 +197,6 @@ mod tests {
     }
 
     fn socket_error(path: &str) -> String {
-        Address::Socket(path.into()).connect().unwrap_err().to_string()
+        Address::Socket(path.into()).connect(&Arc::default()).unwrap_err().to_string()
     }
 }

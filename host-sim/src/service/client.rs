@@ -344,7 +344,7 @@ mod tests {
                 }
             }
         });
-        let mut client = Client::new(Line::over_socket(here).unwrap());
+        let mut client = Client::new(Line::over_socket(here, &std::sync::Arc::default()).unwrap());
         let error = status(&mut client, RETRY_POLICY).unwrap_err();
         drop(client);
         peer.join().unwrap();

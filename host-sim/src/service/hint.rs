@@ -1,16 +1,17 @@
 //! What to do about a refusal, and about bytes that are not messages.
 
-use agent_core::service::{Problem, RefusalKind};
+use agent_core::service::Problem;
 use agent_core::store::StoreError;
 
 use super::address::BAUD;
+use crate::packages::refusal::hint;
 
 /// What to do if a node refuses for this reason.
 #[must_use]
 pub fn of_refusal(problem: Problem) -> &'static str {
     match problem {
         Problem::Store(error) => of_store(error),
-        Problem::Package(report) => of_package(report.kind),
+        Problem::Package(report) => hint(report.kind),
         Problem::NoPackage => "push a package first",
         Problem::NotInTheLoop | Problem::Unknown => {
             "build firmware and host-sim from the same source"
@@ -39,32 +40,6 @@ fn of_store(error: StoreError) -> &'static str {
         StoreError::Damaged => "push it again; if this happens again, the node's flash fails",
         StoreError::NotLoaded => "reset the node, and try again",
         _ => "wait until the other push has ended, and push again",
-    }
-}
-
-fn of_package(kind: RefusalKind) -> &'static str {
-    use RefusalKind as Kind;
-    match kind {
-        Kind::Older => {
-            "give it a version above the one in use, or sign it with --replaces to go back on \
-             purpose"
-        }
-        Kind::Unsigned | Kind::Signature => {
-            "sign it with the key whose public half is in the firmware (`host-sim weights sign`)"
-        }
-        Kind::Agent => "push it to the node of that agent, or train a package for this one",
-        Kind::Dimension | Kind::Capacity => {
-            "train a package that fits, or build the firmware with other capacities"
-        }
-        Kind::FormatVersion | Kind::Other => "build firmware and host-sim from the same source",
-        Kind::Length | Kind::Magic | Kind::Checksum | Kind::SignatureChecksum | Kind::Slot => {
-            "copy the file again, and push it again"
-        }
-        Kind::TestVector => {
-            "this processor computes other bits than the one that made it: build the firmware from \
-             the same source, without fast-math options"
-        }
-        _ => "`host-sim weights verify` says more; train or import it again",
     }
 }
 

@@ -1,7 +1,7 @@
 //! Bytes to and from a node, over pipes, a socket or a serial line.
 //!
 //! Nothing here waits longer than it is told to, however much the other end sends, and every wait
-//! ends when a signal asks for it ([`crate::interruption`]). What has been received and not
+//! ends soon after its [`Stop`] is requested. What has been received and not
 //! been asked for is bounded.
 //!
 //! A serial line is opened exclusively: it is locked against other programs that lock it (as our own
@@ -13,14 +13,15 @@ use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::fs::OpenOptionsExt;
 use std::os::unix::net::UnixStream;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use nix::libc::{O_NOCTTY, O_NONBLOCK};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
-use crate::interruption;
+use crate::stop::Stop;
 
-/// Longest wait between two looks at whether a signal asked for the end. \[ms\]
+/// Longest wait between two looks at whether the stop is requested. \[ms\]
 const SLICE: u16 = 100;
 
 /// Most bytes that are read at once.
@@ -35,7 +36,9 @@ pub struct Line {
     input: File,
     output: File,
     received: Vec<u8>,
-    /// How long a wait goes on after a signal has asked for the end.
+    /// Ends every wait.
+    stop: Arc<Stop>,
+    /// How long a wait goes on after the stop is requested.
     grace: Duration,
     /// Where it is a serial line: what keeps others out, and bits per second.
     lock: Option<(File, u32)>,
@@ -55,7 +58,7 @@ pub enum LineError {
     /// The other end has gone.
     #[error("the connection has been closed at the other end")]
     Closed,
-    /// A signal asked for the end.
+    /// The stop was requested.
     #[error("interrupted")]
     Interrupted,
     /// The system reports an error.
@@ -64,14 +67,14 @@ pub enum LineError {
 }
 
 impl Line {
-    /// The line over a connected socket.
+    /// The line over a connected socket, until `stop` is requested.
     ///
     /// # Errors
     /// What the system says.
-    pub fn over_socket(socket: UnixStream) -> io::Result<Self> {
+    pub fn over_socket(socket: UnixStream, stop: &Arc<Stop>) -> io::Result<Self> {
         socket.set_nonblocking(true)?;
         let output = File::from(OwnedFd::from(socket.try_clone()?));
-        Ok(Self::new(File::from(OwnedFd::from(socket)), output, false))
+        Ok(Self::new(File::from(OwnedFd::from(socket)), output, false, stop))
     }
 
     /// The serial line `path` with `baud` bits per second, eight data bits, no parity. No other program can
@@ -79,7 +82,7 @@ impl Line {
     ///
     /// # Errors
     /// What the system says; [`io::ErrorKind::ResourceBusy`] if another program has the line.
-    pub fn over_serial(path: &Path, baud: u32) -> io::Result<Self> {
+    pub fn over_serial(path: &Path, baud: u32, stop: &Arc<Stop>) -> io::Result<Self> {
         // Locked before anything is set, which would disturb the one who uses it.
         let lock = OpenOptions::new()
             .read(true)
@@ -94,7 +97,7 @@ impl Line {
         })?;
         let port = serial2::SerialPort::open(path, baud)?;
         port.discard_buffers()?;
-        let mut line = Self::over_port(port)?;
+        let mut line = Self::over_port(port, stop)?;
         // Best effort: where a terminal does not know this, the lock holds among our own commands.
         let _ = rustix::termios::ioctl_tiocexcl(&lock);
         line.lock = Some((lock, baud));
@@ -105,11 +108,11 @@ impl Line {
     ///
     /// # Errors
     /// What the system says.
-    pub fn over_port(port: serial2::SerialPort) -> io::Result<Self> {
+    pub fn over_port(port: serial2::SerialPort, stop: &Arc<Stop>) -> io::Result<Self> {
         // The crate opens ports so that they do not block.
         let descriptor = OwnedFd::from(port);
         let output = File::from(descriptor.try_clone()?);
-        Ok(Self::new(File::from(descriptor), output, false))
+        Ok(Self::new(File::from(descriptor), output, false, stop))
     }
 
     /// The line over two named pipes: the node reads from `to_node`, and opens it first, and writes
@@ -122,6 +125,7 @@ impl Line {
         from_node: &Path,
         timeout: Duration,
         mut alive: impl FnMut() -> bool,
+        stop: &Arc<Stop>,
     ) -> Result<Self, LineError> {
         let deadline = Instant::now() + timeout;
         let input = OpenOptions::new().read(true).custom_flags(O_NONBLOCK).open(from_node)?;
@@ -130,7 +134,7 @@ impl Line {
                 Ok(output) => break output,
                 // It is not open for reading.
                 Err(error) if error.raw_os_error() == Some(nix::libc::ENXIO) => {
-                    if interruption::requested() {
+                    if stop.is_requested() {
                         return Err(LineError::Interrupted);
                     }
                     if Instant::now() >= deadline || !alive() {
@@ -141,14 +145,15 @@ impl Line {
                 Err(error) => return Err(error.into()),
             }
         };
-        Ok(Self::new(input, output, true))
+        Ok(Self::new(input, output, true, stop))
     }
 
-    fn new(input: File, output: File, pipes: bool) -> Self {
+    fn new(input: File, output: File, pipes: bool, stop: &Arc<Stop>) -> Self {
         Self {
             input,
             output,
             received: Vec::new(),
+            stop: stop.clone(),
             grace: Duration::ZERO,
             lock: None,
             pipes,
@@ -156,7 +161,7 @@ impl Line {
         }
     }
 
-    /// Lets waits go on for so long after a signal has asked for the end.
+    /// Lets waits go on for so long after the stop is requested.
     pub fn set_grace(&mut self, grace: Duration) {
         self.grace = grace;
     }
@@ -167,10 +172,16 @@ impl Line {
         self.lock.as_ref().map(|(_, baud)| *baud)
     }
 
+    /// What ends its waits.
+    #[must_use]
+    pub fn stop(&self) -> &Arc<Stop> {
+        &self.stop
+    }
+
     /// # Errors
-    /// [`LineError::Interrupted`] if a signal has asked for the end, and the time of grace is over.
+    /// [`LineError::Interrupted`] if the stop is requested, and the time of grace is over.
     pub(super) fn check_interruption(&self) -> Result<(), LineError> {
-        if interruption::requested_for(self.grace) { Err(LineError::Interrupted) } else { Ok(()) }
+        if self.stop.is_requested_for(self.grace) { Err(LineError::Interrupted) } else { Ok(()) }
     }
 
     /// The node has said that it resets: that it closes its pipes now is not its end.
@@ -292,7 +303,7 @@ mod tests {
     #[test]
     fn a_silent_peer_and_a_gone_one_are_told_apart() {
         let (here, mut there) = UnixStream::pair().unwrap();
-        let mut line = Line::over_socket(here).unwrap();
+        let mut line = Line::over_socket(here, &Arc::default()).unwrap();
         assert!(matches!(line.receive(SHORT), Err(LineError::Silent)));
         there.write_all(b"hello").unwrap();
         assert_eq!(line.receive(SHORT).unwrap(), b"hello");
@@ -304,7 +315,7 @@ mod tests {
     #[test]
     fn a_peer_that_does_not_read_ends_the_wait() {
         let (here, _there) = UnixStream::pair().unwrap();
-        let mut line = Line::over_socket(here).unwrap();
+        let mut line = Line::over_socket(here, &Arc::default()).unwrap();
         let much = vec![7; 1 << 22];
         assert!(matches!(line.send(&much, SHORT), Err(LineError::Silent)));
     }
@@ -312,7 +323,7 @@ mod tests {
     #[test]
     fn what_a_flooding_peer_sends_is_bounded() {
         let (here, mut there) = UnixStream::pair().unwrap();
-        let mut line = Line::over_socket(here).unwrap();
+        let mut line = Line::over_socket(here, &Arc::default()).unwrap();
         let flood = std::thread::spawn(move || {
             let mut sent = 0;
             while sent < 8 * RECEIVED_MAX && there.write_all(&[7; CHUNK]).is_ok() {
@@ -334,17 +345,17 @@ mod tests {
         // The name of the terminal, which is what commands are given.
         let path = format!("/proc/self/fd/{}", terminal.as_raw_fd());
         let path = std::fs::read_link(path).unwrap();
-        let first = Line::over_serial(&path, 115_200).unwrap();
-        let second = Line::over_serial(&path, 115_200).unwrap_err();
+        let first = Line::over_serial(&path, 115_200, &Arc::default()).unwrap();
+        let second = Line::over_serial(&path, 115_200, &Arc::default()).unwrap_err();
         assert_eq!(second.kind(), io::ErrorKind::ResourceBusy, "{second}");
         drop(first);
-        drop(Line::over_serial(&path, 115_200).unwrap());
+        drop(Line::over_serial(&path, 115_200, &Arc::default()).unwrap());
     }
 
     #[test]
     fn a_serial_line_carries_bytes_both_ways() {
         let (here, there) = serial2::SerialPort::pair().unwrap();
-        let mut line = Line::over_port(here).unwrap();
+        let mut line = Line::over_port(here, &Arc::default()).unwrap();
         line.send(&[1, 0, 17, 19, 255], SHORT).unwrap();
         let mut buffer = [0; 5];
         there.read_exact(&mut buffer).unwrap();

@@ -1,13 +1,12 @@
 //! What the nodes in a folder of sockets are part of: `nodes.json` beside the sockets, for those who
 //! talk to a node and want to know which scenario it is.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::output_file::{FileKind, OutputError, write_whole};
+use crate::files::input::read_limited;
+use crate::files::output::{FileKind, OutputError, write_whole};
 
 /// Name of the file.
 pub const NAME: &str = "nodes.json";
@@ -49,9 +48,8 @@ impl NodesFile {
     /// The one in this folder, if there is one that can be read.
     #[must_use]
     pub fn read(folder: &Path) -> Option<Self> {
-        let mut text = String::new();
-        File::open(folder.join(NAME)).ok()?.take(LENGTH_MAX).read_to_string(&mut text).ok()?;
-        serde_json::from_str(&text).ok()
+        let bytes = read_limited(&folder.join(NAME), LENGTH_MAX).ok()?;
+        serde_json::from_slice(&bytes).ok()
     }
 
     /// Whether there is something in this folder that is not such a file and would be overwritten.

@@ -14,8 +14,8 @@ use agent_core::wire::crc::crc32;
 use super::address::AddressError;
 use super::hint::of_refusal;
 use super::{Client, LineError, Message, RetryPolicy, ServiceError};
-use crate::interruption;
 use crate::packages::PackageBytes;
+use crate::stop::Stop;
 
 /// Why a package is not in use.
 #[derive(Debug, thiserror::Error)]
@@ -95,7 +95,7 @@ const RECONNECTIONS: u32 = 10;
 const RECONNECTION_PAUSE: Duration = Duration::from_millis(500);
 
 /// As [`transfer`], over connections that may break: then `connect` makes another, and the transfer
-/// goes on. Returns the connection, too.
+/// goes on, unless `stop` is requested. Returns the connection, too.
 ///
 /// # Errors
 /// See [`PushError`].
@@ -104,6 +104,7 @@ pub fn transfer_over(
     package: &[u8],
     retry_policy: RetryPolicy,
     progress: &mut dyn FnMut(Progress),
+    stop: &Stop,
 ) -> Result<(Client, u32), PushError> {
     let mut client = connect()?;
     let mut left = RECONNECTIONS;
@@ -114,7 +115,7 @@ pub fn transfer_over(
         };
         client = loop {
             left -= 1;
-            if interruption::requested() {
+            if stop.is_requested() {
                 return Err(ServiceError::from(LineError::Interrupted).into());
             }
             std::thread::sleep(RECONNECTION_PAUSE);

@@ -353,6 +353,31 @@ mod tests {
     }
 
     #[test]
+    fn a_recording_goes_behind_a_link_and_never_onto_a_disk() {
+        let folder = tempfile::tempdir().unwrap();
+        let (link, path) = (folder.path().join("link.csv"), folder.path().join("behind.csv"));
+        std::os::unix::fs::symlink("behind.csv", &link).unwrap();
+        drop(recorder(&link, false));
+        assert!(!path.exists() && link.symlink_metadata().unwrap().is_symlink());
+        let mut recorder = recorder(&link, false);
+        (0..4).for_each(|tick| recorder.state(&state(tick)).unwrap());
+        recorder.finish().unwrap();
+        assert_eq!(times(&path), [1, 2, 3]);
+        assert!(link.symlink_metadata().unwrap().is_symlink());
+
+        // Whatever disk there is, if there is one.
+        let disks = std::fs::read_dir("/dev").unwrap().filter_map(Result::ok);
+        let is_disk = |path: &std::path::PathBuf| {
+            use std::os::unix::fs::FileTypeExt;
+            std::fs::metadata(path).is_ok_and(|found| found.file_type().is_block_device())
+        };
+        if let Some(disk) = disks.map(|entry| entry.path()).find(is_disk) {
+            let refused = RecordFile::open(&disk, false, &source()).unwrap_err().to_string();
+            assert!(refused.ends_with(": is a disk; name a file"), "{refused}");
+        }
+    }
+
+    #[test]
     fn a_full_disk_is_told() {
         let full = Path::new("/dev/full");
         if !full.exists() {

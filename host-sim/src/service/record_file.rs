@@ -10,7 +10,7 @@ use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crate::output_file::OutputError;
+use crate::files::output::{OutputError, destination};
 use crate::packages::RecordingSource;
 
 /// How long a sample may wait until it is written.
@@ -59,7 +59,10 @@ struct Columns {
 /// A recording that is being written.
 #[derive(Debug)]
 pub struct RecordFile {
+    /// As it was named.
     path: PathBuf,
+    /// Behind all links.
+    place: PathBuf,
     file: File,
     /// Whether it is a file that can be cut, not a device.
     regular: bool,
@@ -92,18 +95,21 @@ impl RecordFile {
         if std::fs::metadata(path).is_ok_and(|metadata| metadata.file_type().is_fifo()) {
             return Err(other("this is a pipe, and a recording needs a file"));
         }
+        // A link is written through, also to what is not there yet; a disk is refused.
+        let place = destination(path)?.unwrap_or_else(|| path.to_owned());
         let mut options = OpenOptions::new();
         options.write(true);
-        let (file, created) = match options.clone().create_new(true).read(true).open(path) {
+        let (file, created) = match options.clone().create_new(true).read(true).open(&place) {
             Ok(file) => (file, true),
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {
-                (options.read(append).open(path).map_err(failed)?, false)
+                (options.read(append).open(&place).map_err(failed)?, false)
             }
             Err(error) => return Err(failed(error).into()),
         };
         let metadata = file.metadata().map_err(failed)?;
         let mut opened = Self {
             path: path.to_owned(),
+            place,
             regular: metadata.is_file(),
             file,
             created,
@@ -287,7 +293,7 @@ impl Drop for RecordFile {
     fn drop(&mut self) {
         if self.created && self.regular && self.length == 0 {
             // Best effort: an empty file does no harm.
-            let _ = std::fs::remove_file(&self.path);
+            let _ = std::fs::remove_file(&self.place);
         }
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use agent_core::package::signature::PublicKeyError;
 
-use crate::output_file::OutputError;
+use crate::files::output::OutputError;
 
 /// A key could not be made, written or read.
 #[derive(Debug, thiserror::Error)]

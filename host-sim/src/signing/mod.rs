@@ -25,8 +25,8 @@ use zeroize::Zeroizing;
 
 pub use error::KeyFileError;
 
-use crate::input_file::read_limited;
-use crate::output_file::{FileKind, write_whole};
+use crate::files::input::read_limited;
+use crate::files::output::{FileKind, write_whole};
 
 /// Longest file that is read as a key. \[byte\]
 const FILE_MAX: u64 = 64 << 10;
@@ -144,6 +144,33 @@ impl OperatorKey {
     }
 }
 
+/// The private or the public half of an operator's keys.
+#[derive(Debug)]
+pub enum EitherKey {
+    /// The private half, which has the public one in it.
+    Private(Box<OperatorKey>),
+    /// The public half.
+    Public(PublicKey),
+}
+
+impl EitherKey {
+    /// The key in the file `path`, which is read once; `passphrase` is asked if it is a private one
+    /// and encrypted. A file with both is a public key.
+    ///
+    /// # Errors
+    /// As [`OperatorKey::read_encrypted`]; [`KeyFileError::Refused`] for a public key that no node
+    /// takes.
+    pub fn read(path: &Path, passphrase: &mut AskPassphrase<'_>) -> Result<Self, KeyFileError> {
+        let text = read_text(path)?;
+        if let Ok(bytes) = pem::public_key(path, &text) {
+            return public_key(path, &bytes).map(Self::Public);
+        }
+        refuse_open(path)?;
+        let private = pem::private_key(path, &text, passphrase)?;
+        Ok(Self::Private(Box::new(OperatorKey::from_signer(private))))
+    }
+}
+
 /// The private half is not for logs.
 impl std::fmt::Debug for OperatorKey {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -156,8 +183,11 @@ impl std::fmt::Debug for OperatorKey {
 /// # Errors
 /// [`KeyFileError::Read`], [`KeyFileError::NotPublic`] or [`KeyFileError::Refused`].
 pub fn read_public_key(path: &Path) -> Result<PublicKey, KeyFileError> {
-    let bytes = pem::public_key(path, &read_text(path)?)?;
-    PublicKey::from_bytes(&bytes)
+    public_key(path, &pem::public_key(path, &read_text(path)?)?)
+}
+
+fn public_key(path: &Path, bytes: &[u8; PUBLIC_KEY_LENGTH]) -> Result<PublicKey, KeyFileError> {
+    PublicKey::from_bytes(bytes)
         .map_err(|error| KeyFileError::Refused { path: path.to_owned(), error })
 }
 
@@ -408,6 +438,37 @@ mod tests {
         let plain = folder.file("plain.pem", PRIVATE);
         let unasked = OperatorKey::read_encrypted(&plain, &mut |_| panic!("asked"));
         assert!(unasked.is_ok());
+    }
+
+    #[test]
+    fn either_key_is_read_once_and_with_its_passphrase() {
+        let folder = Folder::new("either");
+        let ask = &mut |_: &Path| Ok(Zeroizing::new("correct".to_owned()));
+        for (name, text) in [("plain.pem", PRIVATE), ("encrypted.pem", ENCRYPTED)] {
+            match EitherKey::read(&folder.file(name, text), ask).unwrap() {
+                EitherKey::Private(key) => {
+                    assert_eq!(fingerprint(key.public_key()), "21fe31dfa154a261");
+                }
+                EitherKey::Public(_) => panic!("{name}"),
+            }
+        }
+        let public = EitherKey::read(&folder.file("key.pub", PUBLIC), ask).unwrap();
+        assert!(matches!(public, EitherKey::Public(_)));
+        let error = EitherKey::read(&folder.file("text.pem", "hello"), ask).unwrap_err();
+        assert!(matches!(error, KeyFileError::NotPrivate { .. }), "{error}");
+    }
+
+    /// What comes through a pipe can be read once only.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_key_may_come_through_a_pipe() {
+        use std::os::fd::AsRawFd;
+        let (reader, mut writer) = io::pipe().unwrap();
+        writer.write_all(PRIVATE.as_bytes()).unwrap();
+        drop(writer);
+        let path = PathBuf::from(format!("/proc/self/fd/{}", reader.as_raw_fd()));
+        let key = EitherKey::read(&path, &mut |_| panic!("asked")).unwrap();
+        assert!(matches!(key, EitherKey::Private(_)));
     }
 
     #[test]

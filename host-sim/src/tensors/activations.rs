@@ -67,11 +67,6 @@ pub(super) fn names_of(architecture: &Architecture) -> Vec<&'static str> {
     architecture.layers().iter().map(|layer| layer.activation.name()).collect()
 }
 
-/// All names, for a message.
-pub(super) fn known() -> String {
-    Activation::NAMES.map(|(name, _)| name).join(", ")
-}
-
 fn one_each(given: Vec<Activation>, layers: usize) -> Result<Vec<Activation>, TensorProblem> {
     match given.as_slice() {
         &[for_all] => Ok(vec![for_all; layers]),

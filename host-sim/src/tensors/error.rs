@@ -4,10 +4,11 @@ use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use agent_core::math::activation::Activation;
 use agent_core::observer::network::{INNER_LAYERS_MAX, NetworkError};
 
-use super::{FILE_BYTES_MAX, FileKind, activations};
-use crate::output_file::OutputError;
+use super::{FILE_BYTES_MAX, FileKind};
+use crate::files::output::OutputError;
 
 /// Why a network cannot be read from or written to a file: file, array, problem and hint, in
 /// one line of text.
@@ -156,7 +157,7 @@ pub enum TensorProblem {
     /// The file names an activation that the core does not have.
     #[error(
         "activation `{name}` is unknown, expected one of {}; train the network with one of these",
-        activations::known()
+        known_activations()
     )]
     UnknownActivation {
         /// The name.
@@ -254,6 +255,11 @@ fn shape_mend(found: &[usize], expected: &[Extent]) -> &'static str {
     } else {
         "save the array of a network with these sizes"
     }
+}
+
+/// The names of all activations.
+fn known_activations() -> String {
+    Activation::NAMES.map(|(name, _)| name).join(", ")
 }
 
 /// Names in a sentence, the first few of them.

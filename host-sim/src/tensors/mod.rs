@@ -26,8 +26,7 @@ mod npz;
 mod safetensors;
 
 use std::fmt;
-use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::path::Path;
 
 use agent_core::observer::network::{Architecture, InnerNetwork};
@@ -36,7 +35,8 @@ pub use activations::{Activations, ActivationsSource};
 pub use array::Rounding;
 pub use error::{Extent, TensorError, TensorProblem};
 
-use crate::output_file::{FileKind as OutputKind, OutputError, write_whole};
+use crate::files::input::{is_too_large, read_limited};
+use crate::files::output::{FileKind as OutputKind, OutputError, write_whole};
 
 /// Largest file that is read, in bytes. The largest network (8 layers of 64 nodes) takes
 /// 0.28 MB in float64; the rest is room for headers and comments.
@@ -171,16 +171,10 @@ struct Contents<'f> {
 }
 
 fn read_bytes(path: &Path) -> Result<Vec<u8>, TensorProblem> {
-    let read = || -> io::Result<Vec<u8>> {
-        let mut bytes = Vec::new();
-        File::open(path)?.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes)?;
-        Ok(bytes)
-    };
-    let bytes = read().map_err(TensorProblem::Read)?;
-    if bytes.len() as u64 > FILE_BYTES_MAX {
-        return Err(TensorProblem::FileSize);
-    }
-    Ok(bytes)
+    read_limited(path, FILE_BYTES_MAX).map_err(|error| match is_too_large(&error) {
+        true => TensorProblem::FileSize,
+        false => TensorProblem::Read(error),
+    })
 }
 
 /// Reads a network from the bytes of a file.

@@ -2,7 +2,7 @@
 
 use super::testing::{architecture, assert_close, random_data, random_values};
 use super::*;
-use crate::fnv::Fnv;
+use crate::files::fnv::Fnv;
 use agent_core::math::activation::Activation::Tanh;
 
 const GO: ControlFlow<()> = ControlFlow::Continue(());

@@ -1,13 +1,14 @@
 //! `run.json`: what a folder of results holds, and how it was made.
 
 use std::collections::BTreeSet;
-use std::fs::{self, File};
-use std::io::{self, Read};
+use std::fs;
+use std::io;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::output_file::FileKind;
+use crate::files::input::read_limited;
+use crate::files::output::FileKind;
 use crate::packages::PackageBytes;
 use crate::scenario::Scenario;
 
@@ -63,11 +64,9 @@ impl Manifest {
 
     /// The manifest in `folder`, if there is one.
     pub(super) fn read(folder: &Path) -> Option<Self> {
-        let mut bytes = Vec::new();
         let path = folder.join(NAME);
         let is_file = fs::symlink_metadata(&path).is_ok_and(|found| found.is_file());
-        let file = File::open(path).ok().filter(|_| is_file)?;
-        file.take(BYTES_MAX).read_to_end(&mut bytes).ok()?;
+        let bytes = is_file.then(|| read_limited(&path, BYTES_MAX).ok()).flatten()?;
         Self::parse(&bytes)
     }
 

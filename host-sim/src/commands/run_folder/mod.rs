@@ -16,9 +16,8 @@ use std::path::{Path, PathBuf};
 use manifest::{Manifest, kind_of};
 
 use super::CommandError;
-use crate::figures::FigureError;
-use crate::output_file::temporary::{Temporary, is_temporary, uninterrupted};
-use crate::output_file::{OutputError, destination, make_folder, resemble};
+use crate::files::output::temporary::{Temporary, is_temporary, uninterrupted};
+use crate::files::output::{OutputError, destination, make_folder, resemble};
 use crate::scenario::Scenario;
 use crate::terminal;
 
@@ -56,15 +55,7 @@ impl RunFolder {
 
     /// An error about a staged file, with the place where the file was to go.
     pub(super) fn placed(&self, error: CommandError) -> CommandError {
-        match error {
-            CommandError::File(OutputError::Write { path, error })
-            | CommandError::Figure(FigureError::Write(OutputError::Write { path, error })) => {
-                let name = path.strip_prefix(self.stage());
-                let path = name.map(|name| self.path.join(name)).unwrap_or(path.clone());
-                OutputError::Write { path, error }.into()
-            }
-            other => other,
-        }
+        error.renamed(self.stage(), &self.path)
     }
 
     /// Puts all that has been written in its place, and removes what is left of the run before.
@@ -122,7 +113,7 @@ fn lock(path: &Path) -> Result<Option<File>, CommandError> {
     });
     match locked {
         Ok(folder) => Ok(Some(folder)),
-        Err(TryLockError::WouldBlock) => Err(CommandError::FolderInUse { path: path.to_owned() }),
+        Err(TryLockError::WouldBlock) => Err(CommandError::folder_in_use(path)),
         Err(TryLockError::Error(error)) => {
             terminal::warning(format_args!(
                 "{}: cannot be locked ({error}); make sure that no other run writes into it",

@@ -13,9 +13,10 @@ use crate::commands::key::Passphrase;
 use crate::commands::{
     CommandError, Format, agent_index, load_scenario, network_of, print_json, print_text, versions,
 };
-use crate::output_file::OutputFile;
-use crate::packages::trained::INITIAL_VERSION;
-use crate::packages::{Draft, OwnedAgentConfig, PackageBytes};
+use crate::files::output::OutputFile;
+use crate::learning::agent_config;
+use crate::learning::trained::INITIAL_VERSION;
+use crate::packages::{Draft, PackageBytes};
 use crate::shell::shell_word;
 use crate::tensors::{self, Activations, ActivationsSource, NetworkArrays};
 
@@ -203,7 +204,8 @@ fn take_activations(arrays: &mut NetworkArrays, replaced: &Architecture) {
 
 fn no_package(arrays: &Path, problem: &str) -> CommandError {
     let file = arrays.display();
-    CommandError::Usage(format!("{file}: {problem}; change the arrays, or the node to import for"))
+    CommandError::usage(format!("{file}: {problem}; change the arrays, or the node to import for"))
+        .about(arrays)
 }
 
 /// The network has to fit the node's state and gains.
@@ -235,7 +237,7 @@ fn draft(arguments: &Import) -> Result<Draft, CommandError> {
         (None, Some(scenario), Some(agent)) => of_scenario(scenario, agent)?,
         _ => {
             let problem = "no node to import for".to_owned();
-            return Err(CommandError::Usage(problem + "; give --base, or --scenario and --agent"));
+            return Err(CommandError::usage(problem + "; give --base, or --scenario and --agent"));
         }
     };
     draft.version = match (arguments.package_version, &arguments.base) {
@@ -267,7 +269,7 @@ fn of_scenario(path: &Path, agent: usize) -> Result<Draft, CommandError> {
         architecture: network.architecture.clone(),
         inner: Vec::new(),
         outer_weights: Vec::new(),
-        node: OwnedAgentConfig::new(&scenario, &trigger, index),
+        node: agent_config(&scenario, &trigger, index),
         broadcast_interval_min: 0.0,
         low: vec![f32::MIN; n],
         high: vec![f32::MAX; n],

@@ -69,7 +69,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
 }
 
 fn differences(first: &Facts, second: &Facts) -> Result<Vec<Difference>, CommandError> {
-    let value = |facts: &Facts| serde_json::to_value(facts).map_err(std::io::Error::from);
+    let value = |facts: &Facts| {
+        serde_json::to_value(facts).map_err(|error| CommandError::Output(error.into()))
+    };
     let (first, second) = (value(first)?, value(second)?);
     let facts = first.as_object().into_iter().flatten();
     let differences = facts.filter_map(|(fact, first)| {

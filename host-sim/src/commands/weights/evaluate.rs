@@ -97,7 +97,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         .apply_with_gaps(&recording.samples, &recording.ticks(), recording.interval)
         .map_err(|error| {
             let file = arguments.samples.display();
-            CommandError::Usage(format!("{file}: {error}; give a shorter --smoothing-window"))
+            CommandError::usage(format!("{file}: {error}; give a shorter --smoothing-window"))
+                .about(&arguments.samples)
         })?;
     let outputs = outputs(&package, &smoothed.data);
     let n = package.dimension();

@@ -8,11 +8,11 @@ use serde::Serialize;
 
 use super::renamed;
 use crate::commands::{CommandError, Format, print_json, print_text};
+use crate::files::output::write_whole;
 use crate::flash::{FlashTarget, ProbeRs};
 use crate::image::{self, Image, ImageError, ImageFormat, Part, ToolUse, Uf2Family, commands_for};
 use crate::interruption::{self, Again};
 use crate::memory_map::MemoryMap;
-use crate::output_file::write_whole;
 use crate::packages::PackageBytes;
 use crate::packages::check::check;
 use crate::signing::read_public_key;
@@ -253,29 +253,30 @@ fn formats(arguments: &Arguments) -> Result<(image::Format, Format), CommandErro
         };
         if twice {
             let problem = "--format: give one of bin, hex and uf2, and text or json besides";
-            return Err(CommandError::Usage(problem.to_owned()));
+            return Err(CommandError::usage(problem.to_owned()));
         }
     }
     let of_name = arguments.out.as_deref().map(|out| (out, image::Format::of_file(out)));
-    let format = match (image, of_name) {
-        (Some(asked), Some((out, Some(named)))) if asked != named => {
-            return Err(CommandError::Usage(format!(
+    let format =
+        match (image, of_name) {
+            (Some(asked), Some((out, Some(named)))) if asked != named => {
+                return Err(CommandError::usage(format!(
                 "{}: ends as a {named} file does, and --format says {asked}; give one of both, or \
                  another name",
                 out.display()
-            )));
-        }
-        (Some(asked), _) => asked,
-        (None, Some((_, Some(named)))) => named,
-        (None, Some((out, None))) => {
-            return Err(CommandError::Usage(format!(
+            )).about(out));
+            }
+            (Some(asked), _) => asked,
+            (None, Some((_, Some(named)))) => named,
+            (None, Some((out, None))) => {
+                return Err(CommandError::usage(format!(
                 "{}: its ending does not say what file to write; give --format bin, hex or uf2, or \
                  a name with .bin, .hex or .uf2",
                 out.display()
-            )));
-        }
-        (None, None) => image::Format::Hex,
-    };
+            )).about(out));
+            }
+            (None, None) => image::Format::Hex,
+        };
     Ok((format, printed.unwrap_or_default()))
 }
 

@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use super::key::Passphrase;
 use super::{CommandError, Format, print_json, print_text};
-use crate::output_file::{FileKind, OutputFile};
+use crate::files::output::{FileKind, OutputFile};
 use crate::packages::check::check;
 use crate::packages::{Draft, PackageBytes};
 use crate::signing::{OperatorKey, fingerprint};
@@ -130,12 +130,13 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
     let key = arguments.passphrase.key(&arguments.key)?;
     let replaced_signature = bytes.is_signed() && !bytes.is_signed_by(key.public_key());
     if replaced_signature && !arguments.replace_signature {
-        return Err(CommandError::Usage(format!(
+        return Err(CommandError::usage(format!(
             "{}: is signed with another key than {}; give --replace-signature if that is to be \
              replaced",
             arguments.package.display(),
             fingerprint(key.public_key())
-        )));
+        ))
+        .about(&arguments.package));
     }
     if arguments.replaces.is_some() {
         bytes = Draft { replaces: arguments.replaces, ..Draft::copy(&bytes.package()) }.seal()?;
@@ -180,7 +181,9 @@ fn keygen(arguments: &Keygen) -> Result<(), CommandError> {
     let (private, public) = (with_ending(".key"), with_ending(".pub"));
     if public.symlink_metadata().is_ok() {
         let problem = format!("{}: exists already", public.display());
-        return Err(CommandError::Usage(problem + "; choose another name, or move it away"));
+        return Err(
+            CommandError::usage(problem + "; choose another name, or move it away").about(&public)
+        );
     }
     // The pair is there as a whole, or not at all.
     drop(OutputFile::prepare(&public, FileKind::NEW)?);

@@ -74,12 +74,9 @@ struct Report {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
-    let report = match examine(arguments) {
+    let report = match examine(arguments)? {
         Ok(report) => report,
-        Err(error @ CommandError::Refused { .. })
-        | Err(error @ CommandError::Package(PackageFileError::Package { .. }))
-            if arguments.format == Format::Json =>
-        {
+        Err(error) if arguments.format == Format::Json => {
             let report = Report {
                 package: arguments.package.display().to_string(),
                 accepted: false,
@@ -116,29 +113,37 @@ pub(super) fn requirements<'k>(
     }
 }
 
-fn examine(arguments: &Arguments) -> Result<Report, CommandError> {
+/// What a node says to the package: the inner error is its refusal, the outer one that something
+/// cannot be read.
+fn examine(arguments: &Arguments) -> Result<Result<Report, CommandError>, CommandError> {
     let key = arguments.key.as_deref().map(read_public_key).transpose()?;
     let in_use = arguments.in_use.as_deref().map(PackageBytes::load).transpose()?;
     let slot_length = match &arguments.memory {
         Some(memory) => Some(MemoryMap::read(memory)?.weights()?.slot_length),
         None => None,
     };
-    let bytes = PackageBytes::load(&arguments.package)?;
+    let bytes = match PackageBytes::load(&arguments.package) {
+        Ok(bytes) => bytes,
+        Err(error @ PackageFileError::Package { .. }) => return Ok(Err(error.into())),
+        Err(error) => return Err(error.into()),
+    };
     let requirements = Requirements {
         capacity: arguments.capacity.capacity(),
         ..requirements(key.as_ref(), in_use.as_ref())
     };
-    let package = check(&bytes, &requirements)
-        .map_err(|refusal| CommandError::refused(&arguments.package, &refusal))?;
+    let package = match check(&bytes, &requirements) {
+        Ok(package) => package,
+        Err(refusal) => return Ok(Err(CommandError::refused(&arguments.package, &refusal))),
+    };
     let length = bytes.as_bytes().len();
     if let Some(slot) = slot_length.filter(|&slot| length as u64 > u64::from(slot)) {
-        return Err(CommandError::Refused {
-            path: arguments.package.clone(),
-            refusal: format!("the package has {length} bytes, a slot {slot}"),
-            hint: "train a smaller network, or give the node larger slots in memory.x",
-        });
+        return Ok(Err(CommandError::unfit(
+            &arguments.package,
+            &format!("the package has {length} bytes, a slot {slot}"),
+            "train a smaller network, or give the node larger slots in memory.x",
+        )));
     }
-    Ok(Report {
+    Ok(Ok(Report {
         package: arguments.package.display().to_string(),
         accepted: true,
         refusal: None,
@@ -148,7 +153,7 @@ fn examine(arguments: &Arguments) -> Result<Report, CommandError> {
         signature_checked: key.is_some(),
         key_fingerprint: key.as_ref().map(fingerprint),
         test_vectors: Some(package.test_vectors().count()),
-    })
+    }))
 }
 
 fn text(arguments: &Arguments, report: &Report) -> String {

@@ -19,8 +19,9 @@ mod timing;
 
 use std::path::{Path, PathBuf};
 
-use crate::output_file::OutputError;
-use crate::report::csv::write_table;
+use crate::files::input::is_too_large;
+use crate::files::output::OutputError;
+use crate::files::table::write_table;
 use crate::training::{DataError, Dataset};
 use columns::Columns;
 pub use timing::Timing;
@@ -119,6 +120,11 @@ impl Recording {
                     format!("has {len} fields, the header {expected_len}"),
                     "give every line as many fields as the header",
                 ),
+                csv::ErrorKind::Io(error) if is_too_large(error) => wrong(
+                    None,
+                    format!("cannot be read: {error}"),
+                    "record less, or save it to files of less than 4 GiB with a line for each sample",
+                ),
                 _ => wrong(line, format!("cannot be read: {error}"), "write lines of a CSV file"),
             }
         };
@@ -134,10 +140,6 @@ impl Recording {
         let (mut record, mut repeated) = (csv::ByteRecord::new(), 0);
         loop {
             let at = reader.position().clone();
-            if at.byte() > source::FILE_MAX {
-                let problem = format!("has more than {} bytes", source::FILE_MAX);
-                return Err(wrong(None, problem, "record less, or split the file"));
-            }
             if !reader.read_byte_record(&mut record).map_err(|error| unreadable(&at, &error))? {
                 break;
             }

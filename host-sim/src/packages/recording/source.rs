@@ -5,8 +5,16 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
+use crate::files::input::Limited;
+
 /// Longest file that is read. \[byte\]
-pub(super) const FILE_MAX: u64 = 4 << 30;
+const FILE_MAX: u64 = 4 << 30;
+
+/// Most that is read of a pipe or a device, which may never end: millions of samples. \[byte\]
+const STREAM_MAX: u64 = 256 << 20;
+
+/// Longest line. \[byte\]
+const LINE_MAX: usize = 1 << 20;
 
 /// Bytes that the header's line must end in.
 const HEAD: usize = 64 << 10;
@@ -17,11 +25,40 @@ pub(super) type Refusal = (String, String);
 /// The beginning of the file at `path`, and a reader of all of it.
 pub(super) fn open(path: &Path) -> io::Result<(Vec<u8>, impl Read)> {
     let mut file = File::open(path)?;
+    let limit = if file.metadata()?.is_file() { FILE_MAX } else { STREAM_MAX };
     let mut head = Vec::new();
     file.by_ref().take(HEAD as u64).read_to_end(&mut head)?;
-    // One byte more than is allowed tells a file that is too long.
-    let rest = file.take(FILE_MAX + 1 - head.len() as u64);
-    Ok((head.clone(), io::Cursor::new(head).chain(rest)))
+    Ok((head.clone(), content(head, file, limit)))
+}
+
+/// All of a file of which `head` has been read already, up to `limit` bytes.
+fn content(head: Vec<u8>, rest: impl Read, limit: u64) -> impl Read {
+    let inner = Limited::new(io::Cursor::new(head).chain(rest), limit);
+    ShortLines { inner, length: 0 }
+}
+
+/// A reader that fails at a line that is too long, before a parser keeps all of it.
+struct ShortLines<R> {
+    inner: R,
+    /// Bytes since the last line end.
+    length: usize,
+}
+
+impl<R: Read> Read for ShortLines<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let read = self.inner.read(buffer)?;
+        for line in buffer[..read].split_inclusive(|byte| matches!(byte, b'\n' | b'\r')) {
+            self.length += line.len();
+            if self.length > LINE_MAX {
+                let problem = format!("a line has more than {} MiB", LINE_MAX >> 20);
+                return Err(io::Error::new(io::ErrorKind::FileTooLarge, problem));
+            }
+            if line.ends_with(b"\n") || line.ends_with(b"\r") {
+                self.length = 0;
+            }
+        }
+        Ok(read)
+    }
 }
 
 /// Refuses what is not text, by the first bytes of the file.
@@ -128,4 +165,36 @@ pub(super) fn line_of(path: &Path, byte: u64, line: u64) -> u64 {
         }
     };
     line + blanks().unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The same bytes without end.
+    struct Endless(&'static [u8], usize);
+
+    impl Read for Endless {
+        fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+            for byte in &mut *buffer {
+                *byte = self.0[self.1 % self.0.len()];
+                self.1 += 1;
+            }
+            Ok(buffer.len())
+        }
+    }
+
+    #[test]
+    fn text_without_end_and_lines_without_end_are_refused() {
+        for (text, problem) in [
+            (&b"1,2,3\r\n"[..], "it has more than 3000000 bytes"),
+            (b"1,2,3,", "a line has more than 1 MiB"),
+        ] {
+            let mut bytes = Vec::new();
+            let mut reader = content(b"time,xhat1,dxhat1\n".to_vec(), Endless(text, 0), 3_000_000);
+            let error = reader.read_to_end(&mut bytes).unwrap_err();
+            assert_eq!((error.kind(), &*error.to_string()), (io::ErrorKind::FileTooLarge, problem));
+            assert!(bytes.len() <= 3_000_000, "{}", bytes.len());
+        }
+    }
 }

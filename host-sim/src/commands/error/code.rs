@@ -1,0 +1,128 @@
+//! The codes of errors, with the exit code that goes with each.
+
+use serde::{Serialize, Serializer};
+
+/// Declares the codes, each with its name in JSON and the exit code that goes with it.
+macro_rules! error_codes {
+    ($($(#[doc = $doc:literal])* $variant:ident = $name:literal, $exit:literal;)*) => {
+        /// What an error is about. Scripts can rely on the names; `docs/errors.md` explains each.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub(in crate::commands) enum ErrorCode {
+            $($(#[doc = $doc])* $variant,)*
+        }
+
+        impl ErrorCode {
+            /// Every code.
+            #[cfg(test)]
+            pub(super) const ALL: &'static [Self] = &[$(Self::$variant,)*];
+
+            /// The code as JSON has it.
+            pub(in crate::commands) fn as_str(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $name,)*
+                }
+            }
+
+            /// How the process ends.
+            pub(in crate::commands) fn exit(self) -> u8 {
+                match self {
+                    $(Self::$variant => $exit,)*
+                }
+            }
+        }
+    };
+}
+
+error_codes! {
+    /// The command line is wrong.
+    Usage = "usage", 2;
+    /// A scenario cannot be read.
+    Scenario = "invalid-scenario", 2;
+    /// A package file cannot be read as one.
+    Package = "invalid-package", 2;
+    /// A node would refuse the package, or has refused it.
+    PackageRefused = "package-refused", 2;
+    /// A network does not become a package.
+    Network = "invalid-network", 2;
+    /// Samples cannot be read.
+    Samples = "invalid-samples", 2;
+    /// A key cannot be read.
+    Key = "invalid-key", 2;
+    /// A memory map cannot be read.
+    MemoryMap = "invalid-memory-map", 2;
+    /// A package does not fit into flash, or not in this format.
+    Image = "invalid-image", 2;
+    /// Something else is where a file is to be written.
+    OutputRefused = "output-refused", 2;
+    /// A file cannot be written.
+    OutputFailed = "output-failed", 1;
+    /// Another command is writing into the same folder.
+    FolderInUse = "folder-in-use", 1;
+    /// Standard output cannot be written.
+    StandardOutput = "stdout-failed", 1;
+    /// The system has no random numbers.
+    Random = "no-randomness", 1;
+    /// Threads cannot be started.
+    Threads = "no-threads", 1;
+    /// The simulation cannot go on.
+    Run = "run-failed", 1;
+    /// An expression of the plant or the disturbance is not defined where it was evaluated.
+    Expression = "expression-undefined", 1;
+    /// The estimates grew without bound, or would.
+    Unstable = "unstable", 1;
+    /// The plant's state grew without bound.
+    Diverged = "plant-diverged", 1;
+    /// A network cannot be trained.
+    Training = "training-failed", 1;
+    /// A network explains nothing, and was not packed.
+    NotPacked = "not-packed", 1;
+    /// A figure cannot be drawn.
+    Figure = "figure-failed", 1;
+    /// probe-rs is not there.
+    ProbeRs = "probe-rs-missing", 1;
+    /// The chip was not flashed, or reads back differently.
+    Flash = "flash-failed", 1;
+    /// There is no firmware for emulated nodes.
+    Firmware = "firmware-failed", 1;
+    /// A node's steps differ from the simulated ones.
+    Mismatches = "mismatches", 1;
+    /// A node cannot go on.
+    Node = "node-failed", 1;
+    /// A node does not do what it is asked.
+    NodeRefused = "node-refused", 2;
+    /// Another push to the node is under way.
+    AnotherPush = "another-push", 1;
+    /// A node cannot be reached or does not answer.
+    Unreachable = "node-unreachable", 1;
+    /// A signal asked for the end.
+    Interrupted = "interrupted", 1;
+}
+
+impl Serialize for ErrorCode {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.as_str())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_list_of_codes_is_complete_and_true() {
+        let text = include_str!("../../../../docs/errors.md");
+        let row = |line: &str| {
+            let mut cells = line.strip_prefix("| `")?.split('|');
+            let code = cells.next()?.trim().trim_end_matches('`').to_owned();
+            Some((code, cells.next()?.trim().parse().ok()?))
+        };
+        let listed: Vec<(String, u8)> = text.lines().filter_map(row).collect();
+        let codes: Vec<_> =
+            ErrorCode::ALL.iter().map(|code| (code.as_str().to_owned(), code.exit())).collect();
+        assert_eq!(listed, codes);
+        let mut names: Vec<_> = codes.into_iter().map(|(code, _)| code).collect();
+        names.sort();
+        names.dedup();
+        assert_eq!(names.len(), ErrorCode::ALL.len(), "a code twice");
+    }
+}

@@ -1,0 +1,146 @@
+//! How a run goes on, as two bars on the terminal: steps of the simulation, and epochs of the
+//! training that reported last.
+//!
+//! The bars go to the error output, so that results can be piped, and are not drawn at all if
+//! that is not a terminal. Drawing is limited to ten times a second; a report that is not drawn
+//! costs a few atomic operations, and may come from any thread.
+
+use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+/// Most often that the bars are drawn. \[1/s\]
+const DRAWS: u8 = 10;
+
+const STEPS: &str =
+    "{prefix:12} [{bar:32}] {percent:>3} %  {human_pos} of {human_len} steps  {eta} left";
+const ENDLESS: &str = "{prefix:12} {human_pos} steps  {elapsed} since the start";
+const BYTES: &str = "{prefix:12} [{bar:32}] {percent:>3} %  {bytes} of {total_bytes}";
+const EPOCHS: &str = "{prefix:12} {msg}  ({human_pos} epochs in all)";
+
+/// The two bars.
+#[derive(Debug)]
+pub(super) struct ProgressBars {
+    bars: MultiProgress,
+    steps: ProgressBar,
+    epochs: ProgressBar,
+    /// There is no last step.
+    endless: bool,
+}
+
+impl ProgressBars {
+    /// Bars of a run called `name`, on the error output.
+    #[must_use]
+    pub(super) fn new(name: &str) -> Self {
+        Self::drawn_on(name, ProgressDrawTarget::stderr_with_hz(DRAWS))
+    }
+
+    /// Bars of a run that goes on until it is ended by a signal.
+    #[must_use]
+    pub(super) fn endless(name: &str) -> Self {
+        let mut bars = Self::new(name);
+        bars.steps.set_style(style(ENDLESS));
+        bars.endless = true;
+        bars
+    }
+
+    /// Does something that writes to the terminal, with the bars out of the way.
+    pub(super) fn suspended(&self, print: impl FnOnce()) {
+        self.bars.suspend(print);
+    }
+
+    /// Bars that are never drawn.
+    #[must_use]
+    #[cfg(test)]
+    fn hidden() -> Self {
+        Self::drawn_on("", ProgressDrawTarget::hidden())
+    }
+
+    fn drawn_on(name: &str, target: ProgressDrawTarget) -> Self {
+        let bars = MultiProgress::with_draw_target(target);
+        let bar = |template: &str, prefix: &str| {
+            let bar = bars.add(ProgressBar::new(0)).with_style(style(template));
+            bar.with_prefix(prefix.to_owned())
+        };
+        let (steps, epochs) = (bar(STEPS, name), bar(EPOCHS, "training"));
+        Self { bars, steps, epochs, endless: false }
+    }
+
+    /// The run has come to `tick` of `steps`.
+    pub(super) fn stepped(&self, tick: u64, steps: u64) {
+        if !self.endless && self.steps.length() != Some(steps) {
+            self.steps.set_length(steps);
+        }
+        self.steps.set_position(tick);
+    }
+
+    /// So many of `total` bytes have been sent.
+    pub(super) fn pushed(&self, bytes: u64, total: u64) {
+        if self.steps.length() != Some(total) {
+            self.steps.set_style(style(BYTES));
+            self.steps.set_length(total);
+        }
+        self.steps.set_position(bytes);
+    }
+
+    /// Training of `agent` in `cycle` (both from 1) has finished epoch `number`, which left a
+    /// mean squared error of `train_mse` \[squared state unit/s\].
+    pub(super) fn epoch(&self, agent: usize, cycle: usize, number: usize, train_mse: f64) {
+        self.epochs.inc(1);
+        if !self.epochs.is_hidden() {
+            let message =
+                format!("agent {agent}, cycle {cycle}: epoch {number}, MSE {train_mse:.3e}");
+            self.epochs.set_message(message);
+        }
+    }
+
+    /// Takes the bars off the terminal, so that what is printed next stands on a clean line.
+    pub(super) fn finish(&self) {
+        self.steps.finish_and_clear();
+        self.epochs.finish_and_clear();
+    }
+}
+
+fn style(template: &str) -> ProgressStyle {
+    ProgressStyle::with_template(template)
+        .unwrap_or_else(|_| ProgressStyle::default_bar())
+        .progress_chars("=> ")
+}
+
+impl Drop for ProgressBars {
+    fn drop(&mut self) {
+        self.finish();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn templates_are_valid() {
+        for template in [STEPS, ENDLESS, BYTES, EPOCHS] {
+            assert!(ProgressStyle::with_template(template).is_ok(), "{template}");
+        }
+    }
+
+    #[test]
+    fn reports_from_several_threads_are_counted() {
+        let bars = ProgressBars::hidden();
+        std::thread::scope(|scope| {
+            for agent in 1..=4 {
+                let bars = &bars;
+                scope.spawn(move || (1..=25).for_each(|number| bars.epoch(agent, 1, number, 0.5)));
+            }
+            bars.stepped(512, 40_000);
+        });
+        assert_eq!(bars.epochs.position(), 100);
+        assert_eq!((bars.steps.position(), bars.steps.length()), (512, Some(40_000)));
+    }
+
+    #[test]
+    fn a_run_without_an_end_has_no_length() {
+        let mut bars = ProgressBars::hidden();
+        bars.endless = true;
+        bars.stepped(512, 1 << 40);
+        assert_eq!((bars.steps.position(), bars.steps.length()), (512, Some(0)));
+    }
+}

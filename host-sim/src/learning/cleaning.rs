@@ -1,0 +1,246 @@
+//! Recorded samples prepared for training: averaged and thinned, with the smoothed pairs that a
+//! network is judged by.
+
+use crate::packages::Recording;
+use crate::scenario::Recipe;
+use crate::training::{Averaging, Dataset, Smoothed, Smoothing, SmoothingError};
+
+/// Cleaned samples of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cleaned {
+    /// What a network is trained on, in the order of time.
+    pub data: Dataset,
+    /// Smoothed pairs, in the order of time: the same as `data`, unless the recipe asks for raw
+    /// samples that carry chatter, by which no network should be judged.
+    pub judged: Dataset,
+    /// Of each row of `judged`, the row of `data` that it belongs to.
+    rows: Vec<usize>,
+    /// Length of the averaging window in use; 0 for none. \[s\]
+    pub window: f64,
+    /// Every how many averages one was kept.
+    pub stride: usize,
+    /// Period of the signal, if it rises above its chatter. \[s\]
+    pub period: Option<f64>,
+    /// What was left out because of gaps.
+    pub cleaning: Cleaning,
+}
+
+/// What was left out of a recording with gaps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Cleaning {
+    /// Pieces between gaps that are too long for a smoothing window to bridge.
+    pub pieces: usize,
+    /// Pieces that are too short for a window.
+    pub pieces_left_out: usize,
+    /// Recorded samples in those.
+    pub samples_left_out: usize,
+    /// Windows in which too many samples are missing.
+    pub windows_left_out: usize,
+}
+
+impl Cleaning {
+    fn of(smoothed: &Smoothed) -> Self {
+        Self {
+            pieces: smoothed.pieces,
+            pieces_left_out: smoothed.pieces_left_out,
+            samples_left_out: smoothed.samples_left_out,
+            windows_left_out: smoothed.windows_left_out,
+        }
+    }
+}
+
+/// Longest gap that is filled to find out how long to average. \[samples\]
+const FILLED_MAX: u64 = 8;
+
+impl Cleaned {
+    /// Averages and thins `recording` as `recipe` says or, where it says nothing, as the samples' own
+    /// spectrum suggests. A window bridges short gaps; a piece between two long gaps that is shorter
+    /// than the window is left out.
+    ///
+    /// # Errors
+    /// If no window fits between any two gaps.
+    pub fn new(recording: &Recording, recipe: &Recipe) -> Result<Self, SmoothingError> {
+        let pieces: Vec<Dataset> = recording.pieces().collect();
+        let interval = recording.interval;
+        let averaging = Averaging::of(&filled(recording), interval);
+        let window = recipe.smoothing_window.unwrap_or(averaging.window);
+        let stride = match recipe.decimation {
+            Some(decimation) => decimation.get() as usize,
+            None => Averaging::stride(window, interval),
+        };
+        let smoothing = Smoothing { window, stride };
+        let smoothed =
+            smoothing.apply_with_gaps(&recording.samples, &recording.ticks(), interval)?;
+        let cleaning = Cleaning::of(&smoothed);
+        let data = smoothed.data;
+        // A window of less than a step averages nothing.
+        let raw = smoothing.half_width(interval)? == 0 && averaging.window > 0.0;
+        let judged =
+            if raw { judge_raw(&pieces, averaging.window, interval, stride) } else { None };
+        let (judged, rows) = judged.unwrap_or_else(|| (data.clone(), (0..data.len()).collect()));
+        Ok(Self { data, judged, rows, window, stride, period: averaging.period, cleaning })
+    }
+
+    /// The judged samples that belong to the rows of `data` for which `chosen` is true.
+    #[must_use]
+    pub fn judged_in(&self, chosen: &[bool]) -> Option<Dataset> {
+        let belongs = |&index: &usize| chosen.get(self.rows[index]).copied().unwrap_or(false);
+        self.judged.select(&(0..self.rows.len()).filter(belongs).collect::<Vec<_>>())
+    }
+}
+
+/// The pieces between long gaps; short gaps are filled by linear interpolation. Only for choosing a
+/// window: single lost samples would leave pieces too short to show a slow signal.
+fn filled(recording: &Recording) -> Vec<Dataset> {
+    let n = recording.samples.dimension();
+    let (inputs, targets) = (recording.samples.inputs(), recording.samples.targets());
+    let ticks = recording.ticks();
+    let mut pieces = Vec::new();
+    let (mut filled_inputs, mut filled_targets) = (Vec::new(), Vec::new());
+    for (index, &tick) in ticks.iter().enumerate() {
+        let missing = index.checked_sub(1).map_or(0, |before| tick - ticks[before] - 1);
+        if missing > FILLED_MAX {
+            pieces.extend(Dataset::new(n, filled_inputs, filled_targets));
+            (filled_inputs, filled_targets) = (Vec::new(), Vec::new());
+        } else {
+            for step in 1..=missing {
+                let share = step as f64 / (missing + 1) as f64;
+                let between = |values: &[f64], i: usize| {
+                    let (a, b) = (values[(index - 1) * n + i], values[index * n + i]);
+                    a + share * (b - a)
+                };
+                filled_inputs.extend((0..n).map(|i| between(inputs, i)));
+                filled_targets.extend((0..n).map(|i| between(targets, i)));
+            }
+        }
+        filled_inputs.extend_from_slice(&inputs[index * n..(index + 1) * n]);
+        filled_targets.extend_from_slice(&targets[index * n..(index + 1) * n]);
+    }
+    pieces.extend(Dataset::new(n, filled_inputs, filled_targets));
+    pieces
+}
+
+/// Smoothed pairs for raw samples of which every `stride`-th is trained on, and the row of each
+/// among those; `None` if no window fits.
+fn judge_raw(
+    pieces: &[Dataset],
+    window: f64,
+    interval: f64,
+    stride: usize,
+) -> Option<(Dataset, Vec<usize>)> {
+    let smoothing = Smoothing { window, stride: 1 };
+    let half = smoothing.half_width(interval).ok()?;
+    let (mut inputs, mut targets, mut rows) = (Vec::new(), Vec::new(), Vec::new());
+    let mut first_row = 0;
+    for piece in pieces {
+        if let Ok(smooth) = smoothing.apply(piece, interval) {
+            let n = smooth.dimension();
+            let kept = (half..half + smooth.len()).filter(|sample| sample.is_multiple_of(stride));
+            for sample in kept {
+                let place = (sample - half) * n..(sample - half + 1) * n;
+                inputs.extend_from_slice(&smooth.inputs()[place.clone()]);
+                targets.extend_from_slice(&smooth.targets()[place]);
+                rows.push(first_row + sample / stride);
+            }
+        }
+        first_row += piece.len().div_ceil(stride);
+    }
+    let dimension = pieces.first()?.dimension();
+    Some((Dataset::new(dimension, inputs, targets).ok()?, rows))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::num::NonZeroU32;
+
+    use super::*;
+    use crate::packages::Timing;
+    use crate::scenario::{PAPER, Scenario};
+
+    /// A slow wave whose derivative carries chatter, up to half as large.
+    fn recording(gaps: &[usize]) -> Recording {
+        let wave = |s: usize| libm::sin(0.01 * s as f64);
+        let chatter = |s: usize| f64::from((s as u32).wrapping_mul(0x9e37_79b9)) / 4.3e9 - 0.5;
+        let inputs = (0..3000).map(wave).collect();
+        let targets = (0..3000).map(|s| libm::cos(0.01 * s as f64) + chatter(s)).collect();
+        Recording {
+            samples: Dataset::new(1, inputs, targets).unwrap(),
+            gaps: gaps.to_vec(),
+            start: 0.0,
+            interval: 0.01,
+            timing: Timing { missing: vec![1; gaps.len()], ..Timing::default() },
+            outer_weights: None,
+        }
+    }
+
+    fn recipe(window: Option<f64>, decimation: Option<u32>) -> Recipe {
+        let mut recipe = Scenario::parse("p", PAPER).unwrap().recipe("better").unwrap().clone();
+        recipe.smoothing_window = window;
+        recipe.decimation = decimation.and_then(NonZeroU32::new);
+        recipe
+    }
+
+    #[test]
+    fn the_samples_choose_their_window() {
+        let cleaned = Cleaned::new(&recording(&[]), &recipe(None, None)).unwrap();
+        assert!(cleaned.window > 0.02 && cleaned.window < 2.0, "{cleaned:?}");
+        assert_eq!(cleaned.data, cleaned.judged);
+        let period = cleaned.period.unwrap();
+        assert!(period > 5.0 && period < 8.0, "{period}");
+        let worst = cleaned.data.inputs().iter().zip(cleaned.data.targets());
+        let worst = worst.fold(0.0f64, |w, (x, y)| w.max((y * y + x * x - 1.0).abs()));
+        assert!(worst < 0.1, "{worst}");
+    }
+
+    #[test]
+    fn raw_samples_are_judged_without_their_chatter() {
+        // Half a step is no window either.
+        for (gaps, stride, window) in
+            [(&[][..], 1, 0.0), (&[1001, 1010], 3, 0.0), (&[], 1, 0.005 - 1e-9)]
+        {
+            let recording = recording(gaps);
+            let cleaned = Cleaned::new(&recording, &recipe(Some(window), Some(stride))).unwrap();
+            let pieces: Vec<_> = recording.pieces().collect();
+            let kept = pieces.iter().map(|p| p.len().div_ceil(stride as usize)).sum::<usize>();
+            assert_eq!(cleaned.data.len(), kept);
+            // The chatter of half a unit is gone, and each row is beside its own sample.
+            for (index, &row) in cleaned.rows.iter().enumerate() {
+                let (x, y) = (cleaned.judged.inputs()[index], cleaned.judged.targets()[index]);
+                assert!((x - cleaned.data.inputs()[row]).abs() < 0.05, "{index}");
+                assert!((y - cleaned.data.targets()[row]).abs() < 0.6, "{index}");
+                assert!((x * x + y * y - 1.0).abs() < 0.1, "{index}");
+            }
+            let chosen: Vec<bool> = (0..kept).map(|row| row < 500).collect();
+            let part = cleaned.judged_in(&chosen).unwrap();
+            assert_eq!(part.len(), cleaned.rows.iter().filter(|&&row| row < 500).count());
+        }
+    }
+
+    #[test]
+    fn gaps_beyond_counting_are_gaps() {
+        let mut recording = recording(&[1000, 2000]);
+        recording.timing.missing = vec![u64::MAX; 2];
+        let cleaned = Cleaned::new(&recording, &recipe(Some(0.0), Some(1))).unwrap();
+        assert_eq!(cleaned.data.len(), 3000);
+    }
+
+    #[test]
+    fn lost_samples_change_the_window_little() {
+        let whole = recording(&[]);
+        let window = Cleaned::new(&whole, &recipe(None, None)).unwrap().window;
+        let kept: Vec<usize> = (0..3000).filter(|s| s % 7 != 3 && s % 31 != 5).collect();
+        let gap = |pair: &[usize]| (pair[1] - pair[0] - 1) as u64;
+        let after = (1..kept.len()).filter(|&i| gap(&kept[i - 1..=i]) > 0);
+        let gaps: Vec<usize> = after.collect();
+        let missing = gaps.iter().map(|&i| gap(&kept[i - 1..=i])).collect();
+        let lossy = Recording {
+            samples: whole.samples.select(&kept).unwrap(),
+            gaps,
+            timing: Timing { missing, ..Timing::default() },
+            ..whole
+        };
+        let cleaned = Cleaned::new(&lossy, &recipe(None, None)).unwrap();
+        assert!(cleaned.window > 0.5 * window && cleaned.window < 2.0 * window, "{cleaned:?}");
+        assert_eq!((cleaned.cleaning.pieces, cleaned.cleaning.samples_left_out), (1, 0));
+    }
+}

@@ -1,0 +1,410 @@
+//! From recorded samples to a package: the same way for a simulated agent's learning cycle and
+//! for a file of samples from anywhere.
+
+use std::ops::ControlFlow;
+use std::sync::atomic::AtomicBool;
+
+use agent_core::package::{OnSwitch, TrainingErrors};
+
+use super::agent_config::agent_config;
+use super::cleaning::{Cleaned, Cleaning};
+use super::judgement::{Samples, judgement};
+use super::quality::{Fit, LAST_SHARE, Quality, estimates, explained, mean_squared_error};
+use crate::analysis::TriggerConstants;
+use crate::packages::{Draft, DraftError, PackageBytes, Recording};
+use crate::scenario::{Network, Recipe, Scenario, SwitchIn};
+use crate::training::data::divide_at_random;
+use crate::training::{
+    self, DataError, Dataset, EpochReport, Scaling, SmoothingError, TrainingError, TrainingReport,
+};
+use crate::warning::Warning;
+
+/// What is trained for whom.
+#[derive(Clone, Copy, Debug)]
+pub struct TrainingTask<'s> {
+    /// The scenario that describes agent and network.
+    pub scenario: &'s Scenario,
+    /// Its network.
+    pub network: &'s Network,
+    /// How.
+    pub recipe: &'s Recipe,
+    /// The agent, from 0.
+    pub agent: usize,
+    /// The learning cycle, from 0: a part of the training's seed.
+    pub cycle: usize,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Version of the package.
+    pub version: u32,
+}
+
+/// A task with its samples, ready to be carried out.
+#[derive(Debug)]
+pub struct Prepared<'t, 's> {
+    task: &'t TrainingTask<'s>,
+    recording: &'t Recording,
+    cleaned: Cleaned,
+    /// `W_hat` that the network is trained for, row by row, shape `[L, n]`.
+    outer_weights: Vec<f32>,
+    /// The scaling that the samples to train on ask for.
+    scaling: Scaling,
+    /// Warnings about these samples, known before training.
+    pub warnings: Vec<Warning>,
+}
+
+/// A trained package and how it came about.
+#[derive(Clone, Debug)]
+pub struct Trained {
+    /// The package.
+    pub package: PackageBytes,
+    /// Samples that were left after cleaning and decimation.
+    pub samples: usize,
+    /// Length of the averaging window; 0 for none. \[s\]
+    pub smoothing_window: f64,
+    /// Every how many averages one was used.
+    pub decimation: usize,
+    /// What cleaning left out.
+    pub cleaning: Cleaning,
+    /// How training went.
+    pub report: TrainingReport,
+    /// How well the network in the package fits the samples.
+    pub quality: Quality,
+    /// Whether it is to be used: it explains something ([`Quality::explains`]), or the recipe says
+    /// `switch_in = "always"`.
+    pub accepted: bool,
+    /// Warnings about samples and network.
+    pub warnings: Vec<Warning>,
+}
+
+/// Why there is no trained package.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TrainedError {
+    /// The samples cannot be cleaned.
+    #[error("the samples cannot be smoothed: {0}; record more, or shorten smoothing_window")]
+    Smoothing(#[from] SmoothingError),
+    /// The network cannot be trained.
+    #[error("{0}; change samples or recipe")]
+    Training(#[from] TrainingError),
+    /// The trained network does not become a package.
+    #[error("{0}")]
+    Draft(#[from] DraftError),
+    /// The trained network does not become a package, because of the size of the samples.
+    #[error("{error}; the samples' largest value is {largest:.0e}: {}", unit(*largest))]
+    Size {
+        /// What the network lacks.
+        error: DraftError,
+        /// The largest magnitude in the samples.
+        largest: f64,
+    },
+    /// The error of the trained network is not a number.
+    #[error(
+        "the mean squared error of the trained network is {error}, so there is nothing to pack; the \
+         samples' largest value is {largest:.0e}: {}",
+        unit(*largest)
+    )]
+    NotFinite {
+        /// The error.
+        error: f64,
+        /// The largest magnitude in the samples.
+        largest: f64,
+    },
+}
+
+/// Magnitudes that single precision handles, squares included.
+const SIZES: std::ops::RangeInclusive<f64> = 1e-15..=1e15;
+
+/// What to do about samples whose largest magnitude is this.
+fn unit(largest: f64) -> &'static str {
+    if largest < *SIZES.start() {
+        "write the samples in a smaller unit, in which values are about 1"
+    } else if largest > *SIZES.end() {
+        "write the samples in a larger unit, in which values are about 1"
+    } else {
+        "train with less noise, for fewer epochs or with another seed"
+    }
+}
+
+impl From<DataError> for TrainedError {
+    fn from(error: DataError) -> Self {
+        Self::Training(error.into())
+    }
+}
+
+impl<'s> TrainingTask<'s> {
+    /// Cleans and examines the samples; outer weights that the recording does not have are the
+    /// scenario's.
+    ///
+    /// # Errors
+    /// Samples that cannot be cleaned or divided.
+    pub fn prepare<'t>(
+        &'t self,
+        recording: &'t Recording,
+    ) -> Result<Prepared<'t, 's>, TrainedError> {
+        let cleaned = Cleaned::new(recording, self.recipe)?;
+        let outer_weights = match &recording.outer_weights {
+            Some(recorded) => recorded.clone(),
+            None => self.network.outer.iter().map(|&w| w as f32).collect(),
+        };
+        let train = cleaned.data.divide(self.recipe.split, self.task_seed())?.train;
+        let scaling = Scaling::of(&train);
+        let warnings = Samples {
+            train: &train,
+            scaling: &scaling,
+            outer_weights: &outer_weights,
+            parameters: self.network.architecture.parameter_count(),
+            window: cleaned.window,
+            period: cleaned.period,
+        }
+        .warnings();
+        Ok(Prepared { task: self, recording, cleaned, outer_weights, scaling, warnings })
+    }
+
+    /// Prepares and carries out.
+    ///
+    /// # Errors
+    /// See [`TrainedError`].
+    pub fn carry_out(
+        &self,
+        recording: &Recording,
+        progress: &mut dyn FnMut(&EpochReport) -> ControlFlow<()>,
+    ) -> Result<Trained, TrainedError> {
+        self.prepare(recording)?.carry_out(progress)
+    }
+
+    /// A seed of its own for every agent in every cycle of a run: the run's seed and the place of
+    /// the task, mixed so that neighbouring tasks start far apart.
+    fn task_seed(&self) -> u64 {
+        let place = (self.cycle as u64) << 32 | self.agent as u64;
+        self.seed ^ place.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15)
+    }
+}
+
+impl Prepared<'_, '_> {
+    /// Trains, packs, and judges the network in the package. `progress` can end the training with
+    /// the best network so far.
+    ///
+    /// # Errors
+    /// See [`TrainedError`].
+    pub fn carry_out(
+        self,
+        progress: &mut dyn FnMut(&EpochReport) -> ControlFlow<()>,
+    ) -> Result<Trained, TrainedError> {
+        self.carry_out_until(progress, None)
+    }
+
+    /// As [`Self::carry_out`]; once `stop` is true, training ends in the middle of an epoch.
+    ///
+    /// # Errors
+    /// See [`TrainedError`].
+    pub fn carry_out_until(
+        mut self,
+        progress: &mut dyn FnMut(&EpochReport) -> ControlFlow<()>,
+        stop: Option<&'static AtomicBool>,
+    ) -> Result<Trained, TrainedError> {
+        let task = self.task;
+        let outer: Vec<f64> = self.outer_weights.iter().map(|&w| f64::from(w)).collect();
+        let (parameters, report) = training::train_inner_network_until(
+            &task.network.architecture,
+            &outer,
+            &self.cleaned.data,
+            &task.recipe.settings(),
+            task.task_seed(),
+            progress,
+            stop,
+        )?;
+        let (low, high) = limits(&self.recording.samples);
+        let trigger = TriggerConstants::new(task.scenario);
+        let mut draft = Draft {
+            version: task.version,
+            replaces: None,
+            on_switch: OnSwitch::Keep,
+            architecture: task.network.architecture.clone(),
+            inner: parameters.iter().map(|&p| p as f32).collect(),
+            outer_weights: std::mem::take(&mut self.outer_weights),
+            node: agent_config(task.scenario, &trigger, task.agent),
+            broadcast_interval_min: interval_bound(task.scenario, &trigger, self.recording),
+            low,
+            high,
+            scenario_hash: task.scenario.hash,
+            recipe: task.recipe.name.clone(),
+            seed: task.seed,
+            samples: u32::try_from(self.cleaned.data.len()).unwrap_or(u32::MAX),
+            errors: None,
+        };
+        // The quality reported is that of the package, in single precision.
+        let quality = self.quality(&draft.seal().map_err(|error| self.unpacked(error))?)?;
+        let held_out = quality.test.or(quality.validation);
+        draft.errors = held_out.and_then(|held_out| {
+            let (training, held_out) = (quality.training.error as f32, held_out.error as f32);
+            let errors = TrainingErrors { training, held_out };
+            errors.is_finite().then_some(errors)
+        });
+        let accepted = quality.explains() || task.recipe.switch_in == SwitchIn::Always;
+        let mut warnings = self.warnings;
+        warnings.extend(judgement(&quality, accepted, &task.recipe.name));
+        Ok(Trained {
+            package: draft.seal()?,
+            samples: self.cleaned.data.len(),
+            smoothing_window: self.cleaned.window,
+            decimation: self.cleaned.stride,
+            cleaning: self.cleaned.cleaning,
+            report,
+            quality,
+            accepted,
+            warnings,
+        })
+    }
+
+    /// Why a draft of the trained network does not become a package.
+    fn unpacked(&self, error: DraftError) -> TrainedError {
+        let largest = largest(&self.recording.samples);
+        match error {
+            _ if SIZES.contains(&largest) => TrainedError::Draft(error),
+            error => TrainedError::Size { error, largest },
+        }
+    }
+
+    /// The quality of the network in `package` on the samples that it was trained on.
+    fn quality(&self, package: &PackageBytes) -> Result<Quality, TrainedError> {
+        let (data, judged) = (&self.cleaned.data, &self.cleaned.judged);
+        let parts = divide_at_random(data.len(), self.task.recipe.split, self.task.task_seed())?;
+        let fit = |part: &Vec<usize>| -> Option<Fit> {
+            let samples = data.select(part)?;
+            let error = mean_squared_error(&samples, &estimates(package, &samples));
+            let mut chosen = vec![false; data.len()];
+            part.iter().for_each(|&row| chosen[row] = true);
+            let explained = self.cleaned.judged_in(&chosen).and_then(|samples| {
+                explained(&samples, &estimates(package, &samples), &self.scaling)
+            });
+            Some(Fit { error, explained })
+        };
+        let [training, validation, test] = parts.each_ref().map(fit);
+        let training = training.ok_or(DataError::TooFewSamples { found: 0, needed: 1 })?;
+        if !training.error.is_finite() {
+            let largest = largest(&self.recording.samples);
+            return Err(TrainedError::NotFinite { error: training.error, largest });
+        }
+        let last = judged.select(&last_rows(judged.len()));
+        let last = last
+            .and_then(|samples| explained(&samples, &estimates(package, &samples), &self.scaling));
+        Ok(Quality { training, validation, test, last })
+    }
+}
+
+/// The last [`LAST_SHARE`] of `count` rows, at least one.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "between 0 and count")]
+fn last_rows(count: usize) -> Vec<usize> {
+    let last = (count as f64 * LAST_SHARE).ceil() as usize;
+    (count - last.clamp(1, count)..count).collect()
+}
+
+/// The package that agent `index` (from 0) starts with: the scenario's own network, not trained
+/// on anything, and so without limits to what it may be asked.
+///
+/// # Errors
+/// See [`DraftError`].
+pub fn initial(
+    scenario: &Scenario,
+    trigger: &TriggerConstants,
+    network: &Network,
+    inner: &[f32],
+    index: usize,
+    seed: u64,
+) -> Result<PackageBytes, DraftError> {
+    let n = scenario.dimension();
+    let draft = Draft {
+        version: INITIAL_VERSION,
+        replaces: None,
+        on_switch: OnSwitch::Keep,
+        architecture: network.architecture.clone(),
+        inner: inner.to_vec(),
+        outer_weights: network.outer.iter().map(|&w| w as f32).collect(),
+        node: agent_config(scenario, trigger, index),
+        broadcast_interval_min: 0.0,
+        low: vec![f32::MIN; n],
+        high: vec![f32::MAX; n],
+        scenario_hash: scenario.hash,
+        recipe: "initial".to_owned(),
+        seed,
+        samples: 0,
+        errors: None,
+    };
+    draft.seal()
+}
+
+/// Version of a package that was not trained.
+pub const INITIAL_VERSION: u32 = 1;
+
+/// The largest magnitude of all inputs and targets.
+fn largest(samples: &Dataset) -> f64 {
+    let values = samples.inputs().iter().chain(samples.targets());
+    values.fold(0.0, |largest: f64, value| largest.max(value.abs()))
+}
+
+/// Least and largest value of each input.
+fn limits(samples: &Dataset) -> (Vec<f32>, Vec<f32>) {
+    let n = samples.dimension();
+    let column = |i: usize| samples.inputs().iter().skip(i).step_by(n);
+    let low = |i| column(i).fold(f64::INFINITY, |low, &x| low.min(x)) as f32;
+    let high = |i| column(i).fold(f64::NEG_INFINITY, |high, &x| high.max(x)) as f32;
+    ((0..n).map(low).collect(), (0..n).map(high).collect())
+}
+
+/// Theorem 2 on the recorded trajectory: the hold error has to grow from 0 to the trigger's
+/// radius, and grows no faster than the estimate moves. 0, for not known, if not every step was
+/// recorded: a faster one may lie in between. \[s\]
+fn interval_bound(scenario: &Scenario, trigger: &TriggerConstants, recording: &Recording) -> f32 {
+    let every_step = recording.interval < 1.5 * scenario.time.step_size;
+    let samples = &recording.samples;
+    let rates = samples.targets().chunks_exact(samples.dimension());
+    let rate_squared = rates
+        .map(|rate| rate.iter().fold(0.0, |sum, r| sum + r * r))
+        .fold(0.0, |largest: f64, rate| largest.max(rate));
+    let bound = (trigger.radius() / rate_squared.sqrt()) as f32;
+    if every_step && bound.is_finite() { bound } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::packages::Timing;
+    use crate::scenario::PAPER;
+
+    #[test]
+    fn samples_of_the_wrong_size_are_called_so() {
+        let scenario = Scenario::parse("paper.toml", PAPER).unwrap();
+        let network = scenario.network.as_ref().unwrap();
+        let mut recipe = scenario.recipe("better").unwrap().clone();
+        recipe.solver.epochs_max = 2;
+        let task = TrainingTask {
+            scenario: &scenario,
+            network,
+            recipe: &recipe,
+            agent: 0,
+            cycle: 0,
+            seed: 0,
+            version: 2,
+        };
+        let values = |shift: f64| -> Vec<f64> {
+            (0..3000).map(|s| 1e-42 * libm::sin(0.01 * f64::from(s) + shift)).collect()
+        };
+        let recording = Recording {
+            samples: Dataset::new(3, values(0.0), values(1.0)).unwrap(),
+            gaps: Vec::new(),
+            start: 0.0,
+            interval: 1e-3,
+            timing: Timing::default(),
+            outer_weights: None,
+        };
+        let error = task.carry_out(&recording, &mut |_| ControlFlow::Continue(())).unwrap_err();
+        let message = error.to_string();
+        assert!(
+            message.ends_with(
+                "1e-42: write the samples in a smaller unit, in which values are about 1"
+            ),
+            "{message}"
+        );
+        assert!(unit(1e37).contains("a larger unit") && unit(1.0).contains("less noise"));
+    }
+}
