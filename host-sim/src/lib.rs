@@ -1,11 +1,11 @@
 //! Simulator, offline trainer and reports for a network of agent-core observers.
 //!
-//! | module | what it is |
+//! | module | purpose |
 //! | --- | --- |
-//! | [`scenario`] | a checked experiment, read from a TOML file |
+//! | [`scenario`] | experiments, read from TOML files and checked |
 //! | [`plant`] | drift, disturbance and integrators, in f64 |
-//! | [`graph`] | who hears whom |
-//! | [`engine`] | the run: agents, links, learning cycles, statistics, traces |
+//! | [`graph`] | the communication graph |
+//! | [`engine`] | runs: agents, links, learning cycles, statistics, traces |
 //! | [`training`] | offline training of the inner layers |
 //! | [`packages`] | weight packages: made, checked, in files |
 //! | [`learning`] | from scenarios and recorded samples to packages |

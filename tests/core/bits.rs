@@ -1,4 +1,4 @@
-//! Everything that an agent lets be seen, as bit patterns: equal values that differ in the
+//! The visible state of an agent as bit patterns: equal values that differ in the
 //! sign of a zero are not the same here.
 
 use agent_core::agent::hold::Hold;

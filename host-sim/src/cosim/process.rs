@@ -37,7 +37,7 @@ impl Process {
     /// killed, `folders` are removed.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn start(command: &mut Command, console: &Path, folders: &[&Path]) -> io::Result<Self> {
         let output = File::create(console)?;
         let absolute = folders.iter().map(std::path::absolute).collect::<io::Result<Vec<_>>>()?;

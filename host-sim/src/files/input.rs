@@ -1,13 +1,13 @@
-//! Files that are read whole, up to a limit: what is named may be a device that never ends.
+//! Reads whole files up to a size limit, because a path may name an endless device.
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
-/// The content of the file at `path`.
+/// Returns the content of the file at `path`.
 ///
 /// # Errors
-/// What the system says, and [`io::ErrorKind::FileTooLarge`] for more than `limit` bytes.
+/// Returns the system's error, or [`io::ErrorKind::FileTooLarge`] for more than `limit` bytes.
 pub fn read_limited(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     Limited::new(File::open(path)?, limit).read_to_end(&mut bytes)?;

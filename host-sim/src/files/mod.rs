@@ -1,6 +1,6 @@
 //! Files: read up to a limit, written whole or left as they were, tables, and hashes.
 //!
-//! | module | what it is |
+//! | module | purpose |
 //! | --- | --- |
 //! | [`input`] | reads a file, but not beyond a limit |
 //! | [`output`] | writes a file whole, or leaves what was there |

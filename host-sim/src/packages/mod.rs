@@ -1,6 +1,6 @@
 //! Weight packages on the host: making them, and checking them exactly as a node does.
 //!
-//! | module | what it is |
+//! | module | purpose |
 //! | --- | --- |
 //! | [`bytes`] | a package's bytes, aligned and shared, in memory and in files |
 //! | [`node`] | what makes a node an agent |

@@ -1,4 +1,4 @@
-//! One module for each group of tables of the file.
+//! One module per group of tables in the file.
 
 pub(super) mod agents;
 pub(super) mod gains;
