@@ -35,12 +35,12 @@ impl<R: Read> Read for Limited<R> {
         if buffer.is_empty() {
             return Ok(0);
         }
-        // One byte more than is allowed tells an input that is too long from one that just fits.
+        // One extra byte distinguishes an input that is too long from one that just fits.
         let most = usize::try_from(self.left.saturating_add(1)).unwrap_or(usize::MAX);
         let most = buffer.len().min(most);
         let length = self.inner.read(&mut buffer[..most])?;
         let left = self.left.checked_sub(length as u64).ok_or_else(|| {
-            let problem = format!("it has more than {} bytes", self.limit);
+            let problem = format!("larger than {} bytes", self.limit);
             io::Error::new(io::ErrorKind::FileTooLarge, problem)
         })?;
         self.left = left;
@@ -59,18 +59,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_is_read_up_to_the_limit_and_not_beyond() {
+    fn reads_files_up_to_the_limit() {
         let path = std::env::temp_dir().join(format!("input-file-{}", std::process::id()));
         std::fs::write(&path, b"12345").unwrap();
         assert_eq!(read_limited(&path, 5).unwrap(), b"12345");
         let error = read_limited(&path, 4).unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::FileTooLarge);
-        assert_eq!(error.to_string(), "it has more than 4 bytes");
+        assert_eq!(error.to_string(), "larger than 4 bytes");
         std::fs::remove_file(&path).unwrap();
     }
 
     #[test]
-    fn a_limited_reader_ends_where_its_input_does_and_fails_behind_the_limit() {
+    fn limited_reader_fails_beyond_the_limit() {
         let read = |text: &[u8], limit| {
             let mut bytes = Vec::new();
             let result = Limited::new(text, limit).read_to_end(&mut bytes);

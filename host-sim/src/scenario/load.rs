@@ -25,9 +25,8 @@ impl Scenario {
         let unread = Source { file: &file, text: "" };
         let bytes = read_limited(path, BYTES_MAX).map_err(|error| {
             if is_too_large(&error) {
-                let problem =
-                    format!("has more than {} MiB, which no scenario has", BYTES_MAX >> 20);
-                return unread.error(None, None, problem, "give the path of a scenario file");
+                let problem = format!("file is larger than {} MiB", BYTES_MAX >> 20);
+                return unread.error(None, None, problem, "pass the path of a scenario file");
             }
             let names = BUILT_IN.map(|(name, _)| name);
             let meant = closest(&file, names).map_or(String::new(), |name| format!("{name}, "));
