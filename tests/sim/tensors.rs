@@ -211,7 +211,7 @@ fn rejects_files_that_do_not_match_their_extension() {
         assert!(found.starts_with(&format!("{}: {message}", path.display())), "{found}");
     }
     let absent = refusal(&folder.join("absent.npz"), Activations::FromFile);
-    assert!(absent.contains("absent.npz: ") && absent.ends_with("permission to read it"));
+    assert!(absent.contains("absent.npz: ") && absent.ends_with("its read permission"));
     let large = folder.join("large.npz");
     fs::File::create(&large).unwrap().set_len(tensors::FILE_BYTES_MAX + 1).unwrap();
     let found = refusal(&large, Activations::FromFile);

@@ -90,7 +90,7 @@ fn theorem1(checks: &Checks) -> String {
         // Writing into a string cannot fail.
         let _ = writeln!(
             text,
-            "    |e_1|^2 took {} % of its bound {when}; ultimately |e_1| <= {}, bound {}",
+            "    |e_1|^2 reached {} % of its bound {when}; ultimately |e_1| <= {}, bound {}",
             significant(100.0 * part, 3),
             significant(share.error_evaluated, 4),
             significant(share.bound.ultimate().sqrt(), 4),

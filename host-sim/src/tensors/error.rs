@@ -36,7 +36,7 @@ pub enum TensorProblem {
     )]
     Extension,
     /// The file cannot be read.
-    #[error("{0}; check the path and the permission to read it")]
+    #[error("{0}; check the path and its read permission")]
     Read(#[source] io::Error),
     /// The file cannot be written.
     #[error("{0}; check that the folder is writable and the disk is not full")]
