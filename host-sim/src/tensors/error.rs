@@ -156,7 +156,7 @@ pub enum TensorProblem {
     },
     /// The file names an unsupported activation.
     #[error(
-        "activation `{name}` is unknown, expected one of {}; train the network with one of these",
+        "unknown activation `{name}`, expected one of {}; train the network with one of these",
         known_activations()
     )]
     UnknownActivation {
