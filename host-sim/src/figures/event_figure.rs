@@ -1,4 +1,4 @@
-//! What a figure of broadcasts shows, and the panel that its rows and its map share.
+//! Input of the broadcast figure, and the panel shared by its rows and its map.
 
 use std::ops::RangeInclusive;
 
@@ -10,7 +10,7 @@ use super::panel::{Panel, RIGHT_MARGIN, TICK_SIZE};
 /// Left end of the panels. \[user unit\]
 pub(super) const LEFT: f64 = 50.0;
 
-/// What [`super::events()`] draws.
+/// Input of [`super::events()`].
 #[derive(Clone, Copy, Debug)]
 pub struct EventFigure<'a> {
     /// Title of the figure; the number of broadcasts shown is added below it.

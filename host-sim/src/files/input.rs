@@ -14,8 +14,8 @@ pub fn read_limited(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// A reader that fails with [`io::ErrorKind::FileTooLarge`] behind a limit, where
-/// [`Read::take`] would end as if nothing more had been there.
+/// A reader that fails with [`io::ErrorKind::FileTooLarge`] beyond a limit, where
+/// [`Read::take`] would report the end of the input.
 #[derive(Debug)]
 pub struct Limited<R> {
     inner: R,
@@ -48,7 +48,7 @@ impl<R: Read> Read for Limited<R> {
     }
 }
 
-/// Whether an input was refused because it is longer than allowed.
+/// Whether an input was rejected for its size.
 #[must_use]
 pub fn is_too_large(error: &io::Error) -> bool {
     error.kind() == io::ErrorKind::FileTooLarge

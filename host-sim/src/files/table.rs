@@ -1,6 +1,6 @@
 //! CSV tables.
 //!
-//! The first line names every column and its unit. Numbers have the fewest digits that read
+//! The first line has the name and unit of every column. Numbers have the fewest digits that read
 //! back as the same bits.
 
 use std::io::{self, Write};
@@ -15,7 +15,7 @@ pub struct Row<'a> {
 }
 
 impl Row<'_> {
-    /// A whole number.
+    /// Writes an integer.
     ///
     /// # Errors
     /// The error of the file, as for all methods here.

@@ -1,6 +1,6 @@
 //! CSV files: traces, broadcasts, training epochs.
 //!
-//! Cost: about 40 ns a number; 40,000 rows of three agents (16 columns) take some 30 ms.
+//! Cost: about 40 ns per number; 40,000 rows of three agents (16 columns) take about 30 ms.
 
 use std::path::Path;
 
