@@ -41,7 +41,7 @@
 //! Samples of neighbours outside the plausible region are dropped, or they would carry it off again.
 //! A network that was not trained has a box without limits, and so a plausible region without: then
 //! only overflows lead to a restart, and every finite frame is believed.
-//! [`Health::restart`] does all of it; `docs/decisions/0009-beginning-anew.md` has the measurements.
+//! [`Health::restart`] does all of it; `docs/decisions/0009-restarts.md` has the measurements.
 //!
 //! Everything is a function of the steps' outcomes: nodes that see the same do the same.
 //!
