@@ -250,7 +250,7 @@ fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, Co
 /// Trains until it is done or interrupted, which keeps the best network so far.
 fn train(task: &TrainingTask<'_>, prepared: Prepared<'_, '_>) -> Result<Trained, TrainedError> {
     let bars = ProgressBars::new("training");
-    let total = task.recipe.solver.epochs_max as u64;
+    let total = task.recipe.trainer.trainer().epochs_max() as u64;
     let mut report_epoch = |epoch: &EpochReport| {
         bars.stepped(epoch.epoch as u64, total);
         bars.epoch(task.agent + 1, task.cycle + 1, epoch.epoch, epoch.train);

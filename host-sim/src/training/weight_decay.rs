@@ -13,7 +13,7 @@
 //!
 //! Reported errors are the plain mean squared ones; goal and progress are judged by E_λ.
 
-use super::levenberg_marquardt::LeastSquares;
+use super::trainer::levenberg_marquardt::LeastSquares;
 use agent_core::observer::network::Architecture;
 
 /// `problem` with the penalty λ‖θ‖².

@@ -19,7 +19,8 @@
 //! a validation set the parameters returned are those with the least validation error of all
 //! epochs, without one those of the last epoch.
 
-use super::cholesky::Cholesky;
+use super::Trainer;
+use crate::training::cholesky::Cholesky;
 use std::ops::ControlFlow;
 
 /// A nonlinear least-squares problem.
@@ -205,6 +206,21 @@ impl TrainingReport {
     #[must_use]
     pub fn best(&self) -> Option<&EpochReport> {
         self.epochs.get(self.best_epoch)
+    }
+}
+
+impl Trainer for LevenbergMarquardtSettings {
+    fn epochs_max(&self) -> usize {
+        self.epochs_max
+    }
+
+    fn minimize(
+        &self,
+        problem: &mut dyn LeastSquares,
+        start: Vec<f64>,
+        progress: &mut dyn FnMut(&EpochReport) -> ControlFlow<()>,
+    ) -> Result<(Vec<f64>, TrainingReport), SettingError> {
+        minimize(problem, start, self, progress)
     }
 }
 
