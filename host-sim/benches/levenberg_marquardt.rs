@@ -99,13 +99,12 @@ fn iteration_cost_of_all_sets(bencher: Bencher<'_, '_>) {
 #[divan::bench(sample_count = 5)]
 fn training_of_25_epochs(bencher: Bencher<'_, '_>) {
     let dataset = dataset();
-    let mut settings = TrainingSettings::default();
-    settings.trainer = LevenbergMarquardtSettings {
+    let solver = LevenbergMarquardtSettings {
         epochs_max: 25,
         validation_failures_max: 25,
         ..LevenbergMarquardtSettings::default()
-    }
-    .into();
+    };
+    let settings = TrainingSettings { trainer: solver.into(), ..TrainingSettings::default() };
     bencher.bench_local(|| {
         train_inner_network(&architecture(), &outer_weights(), &dataset, &settings, 1, &mut |_| {
             ControlFlow::Continue(())
