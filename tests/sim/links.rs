@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use agent_core::Tick;
-use agent_core::wire::frame::{FRAME_LENGTH_MAX, FrameBytes};
+use agent_core::wire::frame::FRAME_LENGTH_MAX;
 use host_sim::engine::link::Link;
 use host_sim::engine::{RunOptions, RunResult, Silent, run, run_over};
 use host_sim::scenario::Scenario;
@@ -29,7 +29,7 @@ enum Fate {
 struct Tampering<'c, F> {
     scenario: &'c Scenario,
     /// Each agent's last broadcast.
-    sent: Vec<Option<(Tick, FrameBytes)>>,
+    sent: Vec<Option<(Tick, Vec<u8>)>>,
     fate: F,
     /// For each receiver, the number of frames it must reject.
     unusable: &'c [AtomicU64],
@@ -41,8 +41,8 @@ fn garbage() -> [Vec<u8>; 3] {
 }
 
 impl<F: Fn(usize, Tick, usize) -> Fate + Sync> Link for Tampering<'_, F> {
-    fn send(&mut self, sender: usize, tick: Tick, bytes: &FrameBytes) {
-        self.sent[sender] = Some((tick, bytes.clone()));
+    fn send(&mut self, sender: usize, tick: Tick, bytes: &[u8]) {
+        self.sent[sender] = Some((tick, bytes.to_vec()));
     }
 
     fn deliver(&self, receiver: usize, tick: Tick, mut accept: impl FnMut(&[u8])) {
@@ -58,7 +58,7 @@ impl<F: Fn(usize, Tick, usize) -> Fate + Sync> Link for Tampering<'_, F> {
                 }
                 Fate::Lost => 0,
                 Fate::Changed(bit) => {
-                    let mut changed = bytes.to_vec();
+                    let mut changed = bytes.clone();
                     changed[bit / 8 % bytes.len()] ^= 1 << (bit % 8);
                     accept(&changed);
                     1

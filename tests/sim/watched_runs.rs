@@ -5,7 +5,7 @@ use agent_core::Tick;
 use agent_core::agent::StepError;
 use agent_core::agent::region::StateBox;
 use agent_core::health::{HealthCounters, HealthSettings};
-use agent_core::wire::frame::{Frame, FrameBytes};
+use agent_core::wire::frame::Frame;
 use host_sim::engine::link::{Link, Lossless};
 use host_sim::engine::{RunError, RunOptions, RunResult, Silent, run, run_over};
 use host_sim::packages::Draft;
@@ -208,7 +208,7 @@ fn diverging_agent_restarts() {
 struct Forging(Lossless);
 
 impl Link for Forging {
-    fn send(&mut self, sender: usize, tick: Tick, bytes: &FrameBytes) {
+    fn send(&mut self, sender: usize, tick: Tick, bytes: &[u8]) {
         self.0.send(sender, tick, bytes);
     }
 

@@ -234,7 +234,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             estimate: self.estimate(),
             derivative: self.last_sample.as_ref().map(|sample| sample.derivative.as_slice()),
             outer_weights: self.outer_weights(),
-            broadcast: self.outgoing.as_ref(),
+            broadcast: self.outgoing.as_deref(),
         }
     }
 

@@ -6,7 +6,7 @@ use toml::de::DeTable;
 
 use super::error::{ScenarioError, closest};
 use super::reader::{Source, Table};
-use super::sections::{agents, gains, health, learning, network, plant, run};
+use super::sections::{agents, gains, health, learning, link, network, plant, run};
 use super::{BUILT_IN, Scenario};
 use crate::files::fnv::Fnv;
 use crate::files::input::{is_too_large, read_limited};
@@ -94,6 +94,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         "outer_law",
         "network",
         "graph",
+        "link",
         "agents",
         "learning",
         "recipes",
@@ -110,6 +111,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let network = network::network(root, n)?;
     let agents = agents::agents(root, n)?;
     let graph = agents::graph(root, agents.len())?;
+    let link = link::link(root)?;
     let recipes = learning::recipes(root)?;
     let learning = learning::cycles(root, &time, agents.len(), &recipes, network.is_some())?;
     if let (Some(first), Some(network)) = (root.get_tables("learning")?.first(), &network) {
@@ -128,6 +130,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         design,
         network,
         graph,
+        link,
         agents,
         learning,
         recipes,

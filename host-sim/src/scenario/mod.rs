@@ -13,6 +13,7 @@ mod sections;
 
 pub use builtin::{BUILT_IN, PAPER, built_in};
 pub use error::ScenarioError;
+pub use sections::link::LinkModel;
 
 use std::num::NonZeroU32;
 
@@ -23,7 +24,7 @@ use nalgebra::DMatrix;
 use crate::graph::Graph;
 use crate::packages::PackageBytes;
 use crate::plant::{Disturbance, Integrator, Plant};
-use crate::training::{InitialParameters, LevenbergMarquardtSettings, TrainingSettings};
+use crate::training::{InitialParameters, TrainerSettings, TrainingSettings};
 
 /// One experiment, complete except for the seed.
 #[derive(Clone, Debug)]
@@ -46,6 +47,8 @@ pub struct Scenario {
     pub network: Option<Network>,
     /// The communication graph.
     pub graph: Graph,
+    /// What happens to frames between agents.
+    pub link: LinkModel,
     /// The agents; agent `i` of the paper is entry `i - 1`.
     pub agents: Vec<Agent>,
     /// Learning cycles, in the order of the file.
@@ -205,8 +208,8 @@ pub struct Recipe {
     pub split: [f64; 3],
     /// Penalty on the squared norm of the inner weights; 0 disables it.
     pub weight_decay: f64,
-    /// Solver settings.
-    pub solver: LevenbergMarquardtSettings,
+    /// The trainer and its settings.
+    pub trainer: TrainerSettings,
     /// When the trained network is switched in.
     pub switch_in: SwitchIn,
 }
@@ -226,7 +229,7 @@ impl Recipe {
     #[must_use]
     pub fn settings(&self) -> TrainingSettings {
         TrainingSettings {
-            levenberg_marquardt: self.solver.clone(),
+            trainer: self.trainer.clone(),
             split: self.split,
             initial: self.initial.clone(),
             weight_decay: self.weight_decay,

@@ -1,5 +1,6 @@
 use super::*;
 use crate::plant::{Harmonic, Wave};
+use crate::training::LevenbergMarquardtSettings;
 use agent_core::health::FallBack;
 use agent_core::math::activation::Activation;
 use nalgebra::{DVector, dmatrix};
@@ -83,7 +84,7 @@ fn reads_the_papers_recipe_and_fills_in_defaults() {
         damping_min: 0.0,
         ..LevenbergMarquardtSettings::default()
     };
-    assert_eq!(paper.solver, solver);
+    assert_eq!(paper.trainer, solver.into());
     let better = scenario.recipe("better").unwrap();
     assert_eq!((paper.normalise, better.normalise), (false, true));
     assert_eq!((paper.switch_in, better.switch_in), (SwitchIn::Always, SwitchIn::Checked));
@@ -94,7 +95,7 @@ fn reads_the_papers_recipe_and_fills_in_defaults() {
     assert_eq!(better.initial, InitialParameters::Glorot);
     assert_eq!((paper.weight_decay, better.weight_decay), (0.0, 1e-4));
     let solver = LevenbergMarquardtSettings { epochs_max: 60, ..Default::default() };
-    assert_eq!(better.solver, solver);
+    assert_eq!(better.trainer, solver.into());
     assert_eq!(scenario.recipe("best"), None);
 }
 
@@ -280,4 +281,26 @@ fn reads_health_settings_and_fills_in_defaults() {
     assert_eq!(watched(Some(chosen)), (Some(fall_back), 2.5, None));
     let never = chosen.replace("after = 3", "after = 0");
     assert_eq!(watched(Some(&never)), (None, 2.5, None));
+}
+
+#[test]
+fn models_of_links_and_trainers_are_named() {
+    let changed = |from: &str, to: &str| {
+        assert!(PAPER.contains(from), "{from}");
+        Scenario::parse("mine.toml", &PAPER.replace(from, to))
+    };
+    let (link, trainer) = ("kind = \"lossless\"", "trainer = \"levenberg-marquardt\"");
+    let scenario = changed(&format!("[link]\n{link}\n"), "").unwrap();
+    assert_eq!(scenario.link, LinkModel::Lossless);
+    for (from, to, key, hint) in [
+        (link, "kind = \"losless\"", "link.kind", "write \"lossless\""),
+        (link, "kind = \"lossless\"\nloss = 0.5", "link.loss", "unknown key"),
+        (link, "", "link", "kind"),
+        (trainer, "trainer = \"adam\"", "recipes.paper.trainer", "levenberg-marquardt"),
+    ] {
+        let error = changed(from, to).unwrap_err();
+        let text = error.to_string();
+        assert!(error.key.as_deref().is_some_and(|found| found.starts_with(key)), "{text}");
+        assert!(text.contains(hint), "{text}");
+    }
 }

@@ -17,7 +17,7 @@
 //! | [`scaling`] | scales the data, so that units do not matter |
 //! | [`network_problem`] | the training as a least-squares problem |
 //! | [`weight_decay`] | penalty on large weights |
-//! | [`levenberg_marquardt`] | the solver, for any least-squares problem |
+//! | [`trainer`] | solvers, for any least-squares problem |
 //! | `propagation`, `normal_matrix` | forward and backward pass; JᵀJ exploiting its structure |
 //! | `panel_product`, `cholesky`, `elementary` | the kernels |
 //!
@@ -34,7 +34,6 @@ pub(crate) mod cholesky;
 pub mod data;
 mod elementary;
 pub mod initial;
-pub mod levenberg_marquardt;
 pub mod network_problem;
 #[cfg(test)]
 mod network_tests;
@@ -47,18 +46,20 @@ pub mod smoothing;
 mod solver_tests;
 #[cfg(test)]
 mod testing;
+pub mod trainer;
 pub mod weight_decay;
 
 pub use averaging::Averaging;
 pub use data::{DataError, Dataset, Division};
 pub use initial::{InitialError, InitialParameters};
-pub use levenberg_marquardt::{
-    EpochReport, LeastSquares, LevenbergMarquardtSettings, SettingError, StopReason,
-    TrainingReport, minimize,
-};
 pub use network_problem::{NetworkProblem, ProblemError};
 pub use scaling::Scaling;
 pub use smoothing::{Smoothed, Smoothing, SmoothingError};
+pub use trainer::levenberg_marquardt::{
+    EpochReport, LeastSquares, LevenbergMarquardtSettings, SettingError, StopReason,
+    TrainingReport, minimize,
+};
+pub use trainer::{Trainer, TrainerSettings};
 pub use weight_decay::WeightDecay;
 
 use agent_core::observer::network::Architecture;
@@ -68,8 +69,8 @@ use std::sync::atomic::AtomicBool;
 /// Settings for training an inner network.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrainingSettings {
-    /// Solver settings.
-    pub levenberg_marquardt: LevenbergMarquardtSettings,
+    /// Solver.
+    pub trainer: TrainerSettings,
     /// Proportions of training, validation and test samples. Default 0.7, 0.15, 0.15 (paper).
     pub split: [f64; 3],
     /// Initial parameters. Default [`InitialParameters::NguyenWidrow`].
@@ -85,7 +86,7 @@ pub struct TrainingSettings {
 impl Default for TrainingSettings {
     fn default() -> Self {
         Self {
-            levenberg_marquardt: LevenbergMarquardtSettings::default(),
+            trainer: TrainerSettings::default(),
             split: [0.7, 0.15, 0.15],
             initial: InitialParameters::NguyenWidrow,
             weight_decay: 0.0,
@@ -163,8 +164,8 @@ pub fn train_inner_network_until(
     if let (Some(scaling), InitialParameters::Given(_)) = (&scaling, &settings.initial) {
         scaling.unfold(architecture, &mut start);
     }
-    let solver = &settings.levenberg_marquardt;
-    let (mut parameters, report) = minimize(&mut problem, start, solver, progress)?;
+    let trainer = settings.trainer.trainer();
+    let (mut parameters, report) = trainer.minimize(&mut problem, start, progress)?;
     if let Some(scaling) = &scaling {
         scaling.fold(architecture, &mut parameters);
     }

@@ -14,9 +14,9 @@
 //! only on the arguments, not on the machine.
 
 use super::data::Dataset;
-use super::levenberg_marquardt::LeastSquares;
 use super::normal_matrix::NormalMatrix;
 use super::propagation::{BATCH, Propagation, layer_shapes};
+use super::trainer::levenberg_marquardt::LeastSquares;
 use agent_core::observer::network::Architecture;
 use pulp::{Arch, Simd, WithSimd};
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -2,9 +2,9 @@
 //! loops.
 
 use super::data::Dataset;
-use super::levenberg_marquardt::LeastSquares;
 use super::network_problem::{NetworkProblem, ProblemError};
 use super::testing::{architecture, assert_close, instruction_sets, random_data, random_values};
+use super::trainer::levenberg_marquardt::LeastSquares;
 use agent_core::math::activation::Activation::{Gaussian, Logistic, Tanh};
 use agent_core::observer::network::Architecture;
 use proptest::prelude::*;

@@ -14,7 +14,7 @@
 //!
 //! Reported errors are mean squared errors without the penalty; goal and progress use E_λ.
 
-use super::levenberg_marquardt::LeastSquares;
+use super::trainer::levenberg_marquardt::LeastSquares;
 use agent_core::observer::network::Architecture;
 
 /// `problem` with the penalty λ‖θ‖².

@@ -5,14 +5,12 @@ use std::num::NonZeroU32;
 use super::agents::agent;
 use super::network::initial_parameters;
 use super::run::after_the_end;
+use super::trainer;
 use crate::scenario::error::{ScenarioError, closest};
 use crate::scenario::reader::{Table, Value};
 use crate::scenario::{LearningCycle, Recipe, SwitchIn, Time, Window};
+use crate::training::InitialParameters;
 use crate::training::network_problem::PARAMETERS_MAX;
-use crate::training::{InitialParameters, LevenbergMarquardtSettings};
-
-/// Limit for epochs and failed validations in a recipe.
-const EPOCHS_MAX: u32 = 1_000_000;
 
 /// Default weight decay of a recipe: `docs/decisions/0004-training-recipe.md`.
 const WEIGHT_DECAY: f64 = 1e-3;
@@ -158,24 +156,16 @@ pub(in crate::scenario) fn recipes(root: &Table<'_>) -> Result<Vec<Recipe>, Scen
 }
 
 fn recipe(name: &str, table: &Table<'_>) -> Result<Recipe, ScenarioError> {
-    table.only(&[
+    let own = [
         "smoothing_window",
         "decimation",
         "normalise",
         "initial",
         "split",
         "weight_decay",
-        "epochs",
-        "goal",
-        "mu",
-        "mu_decrease",
-        "mu_increase",
-        "mu_min",
-        "mu_max",
-        "min_gradient",
-        "validation_failures",
         "switch_in",
-    ])?;
+    ];
+    let trainer = trainer::trainer(table, &own)?;
     let smoothing_window =
         table.get("smoothing_window", "0.1").map(|value| value.not_negative()).transpose()?;
     let normalise = table.get("normalise", "true").map_or(Ok(true), |value| value.boolean())?;
@@ -202,7 +192,7 @@ fn recipe(name: &str, table: &Table<'_>) -> Result<Recipe, ScenarioError> {
         initial,
         split: split(table)?,
         weight_decay,
-        solver: solver(table)?,
+        trainer,
         switch_in,
     })
 }
@@ -222,45 +212,4 @@ fn split(table: &Table<'_>) -> Result<[f64; 3], ScenarioError> {
         return Err(value.error(problem, hint));
     }
     Ok([parts[0], parts[1], parts[2]])
-}
-
-fn solver(table: &Table<'_>) -> Result<LevenbergMarquardtSettings, ScenarioError> {
-    let default = LevenbergMarquardtSettings::default();
-    let positive =
-        |key: &str, or: f64| table.get(key, "0.5").map_or(Ok(or), |value| value.positive());
-    let not_negative =
-        |key: &str, or: f64| table.get(key, "0.0").map_or(Ok(or), |value| value.not_negative());
-    let count = |key: &str, or: usize| match table.get(key, "10") {
-        Some(value) => value.integer(1..=EPOCHS_MAX).map(|count| count as usize),
-        None => Ok(or),
-    };
-    let damping_decrease = match table.get("mu_decrease", "0.1") {
-        Some(value) => value.number_in("a number between 0 and 1", |x| x > 0.0 && x < 1.0)?,
-        None => default.damping_decrease,
-    };
-    let damping_increase = match table.get("mu_increase", "10.0") {
-        Some(value) => value.number_in("a number above 1", |x| x > 1.0)?,
-        None => default.damping_increase,
-    };
-    let damping_initial = positive("mu", default.damping_initial)?;
-    let damping_min = not_negative("mu_min", default.damping_min)?;
-    let damping_max = positive("mu_max", default.damping_max)?;
-    if !(damping_min <= damping_initial && damping_initial <= damping_max) {
-        let problem = format!(
-            "mu_min = {damping_min:?}, mu = {damping_initial:?} and mu_max = {damping_max:?} \
-             are out of order"
-        );
-        return Err(table.error(problem, "use mu_min <= mu <= mu_max"));
-    }
-    Ok(LevenbergMarquardtSettings {
-        damping_initial,
-        damping_decrease,
-        damping_increase,
-        damping_min,
-        damping_max,
-        goal: not_negative("goal", default.goal)?,
-        epochs_max: count("epochs", default.epochs_max)?,
-        gradient_min: not_negative("min_gradient", default.gradient_min)?,
-        validation_failures_max: count("validation_failures", default.validation_failures_max)?,
-    })
 }

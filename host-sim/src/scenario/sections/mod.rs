@@ -4,6 +4,8 @@ pub(super) mod agents;
 pub(super) mod gains;
 pub(super) mod health;
 pub(super) mod learning;
+pub(super) mod link;
 pub(super) mod network;
 pub(super) mod plant;
 pub(super) mod run;
+pub(super) mod trainer;

@@ -18,7 +18,8 @@
 //! validation set, the parameters returned are those with the smallest validation error of all
 //! epochs, otherwise those of the last epoch.
 
-use super::cholesky::Cholesky;
+use super::Trainer;
+use crate::training::cholesky::Cholesky;
 use std::ops::ControlFlow;
 
 /// A nonlinear least-squares problem.
@@ -203,6 +204,21 @@ impl TrainingReport {
     #[must_use]
     pub fn best(&self) -> Option<&EpochReport> {
         self.epochs.get(self.best_epoch)
+    }
+}
+
+impl Trainer for LevenbergMarquardtSettings {
+    fn epochs_max(&self) -> usize {
+        self.epochs_max
+    }
+
+    fn minimize(
+        &self,
+        problem: &mut dyn LeastSquares,
+        start: Vec<f64>,
+        progress: &mut dyn FnMut(&EpochReport) -> ControlFlow<()>,
+    ) -> Result<(Vec<f64>, TrainingReport), SettingError> {
+        minimize(problem, start, self, progress)
     }
 }
 
