@@ -46,7 +46,7 @@ impl<'a> Envelope<'a> {
     /// [`PackageError::Length`], [`PackageError::Magic`], [`PackageError::FormatVersion`],
     /// [`PackageError::Checksum`] or [`PackageError::SignatureChecksum`].
     pub fn open(bytes: &'a [u8]) -> Result<Self, PackageError> {
-        Self::split(bytes, |parts, checksum| crc32(parts) == checksum)
+        Self::split(bytes, true)
     }
 
     /// Takes apart what was opened before and has not changed since, as a checksum over all of it
@@ -55,13 +55,14 @@ impl<'a> Envelope<'a> {
     /// # Errors
     /// [`PackageError::Length`], [`PackageError::Magic`] or [`PackageError::FormatVersion`].
     pub fn open_unchanged(bytes: &'a [u8]) -> Result<Self, PackageError> {
-        Self::split(bytes, |_, _| true)
+        Self::split(bytes, false)
     }
 
-    fn split(
-        bytes: &'a [u8],
-        matches: impl Fn(&[&[u8]], u32) -> bool,
-    ) -> Result<Self, PackageError> {
+    #[inline(never)]
+    fn split(bytes: &'a [u8], is_in_doubt: bool) -> Result<Self, PackageError> {
+        let matches = |parts: &[&[u8]], checksum: [u8; CHECKSUM_LENGTH]| {
+            !is_in_doubt || crc32(parts) == u32::from_le_bytes(checksum)
+        };
         let too_short = PackageError::Length { expected: HEADER_LENGTH, found: bytes.len() };
         let (covered, rest) = bytes.split_first_chunk::<COVERED_LENGTH>().ok_or(too_short)?;
         let (&checksum, rest) = rest.split_first_chunk::<CHECKSUM_LENGTH>().ok_or(too_short)?;
@@ -78,7 +79,7 @@ impl<'a> Envelope<'a> {
             found: bytes.len(),
         };
         let (body, block) = rest.split_at_checked(length).ok_or(wrong_length)?;
-        if !matches(&[covered, body], u32::from_le_bytes(checksum)) {
+        if !matches(&[covered, body], checksum) {
             return Err(PackageError::Checksum);
         }
         let signed_part = bytes.get(..HEADER_LENGTH + length).ok_or(wrong_length)?;
@@ -87,8 +88,7 @@ impl<'a> Envelope<'a> {
             block => {
                 let (signature, checksum) =
                     block.split_first_chunk::<SIGNATURE_LENGTH>().ok_or(wrong_length)?;
-                let checksum = checksum.try_into().map_err(|_| wrong_length)?;
-                if !matches(&[signature], u32::from_le_bytes(checksum)) {
+                if !matches(&[signature], checksum.try_into().map_err(|_| wrong_length)?) {
                     return Err(PackageError::SignatureChecksum);
                 }
                 Some(signature)
