@@ -1,11 +1,12 @@
 //! Requests and their answers.
 
 use agent_core::health::Probation;
+use agent_core::package::{Package, Refusal};
 use agent_core::service::{Problem, Upload, receive};
 use agent_core::store::MappedFlash;
 use agent_core::{StateVector, Tick};
 
-use super::load::decoded;
+use super::load::Verified;
 use super::{Event, Next, Node, Request, Response, Rows, Session, respond};
 use crate::board::Board;
 
@@ -86,10 +87,12 @@ impl<
     }
 
     fn activate(&mut self) -> Answer<'static, N> {
-        let package = self.store.activate(decoded)?;
-        if let Some(slot) = self.store.in_use() {
-            self.in_use = Some(package.in_slot(slot));
-        }
+        // Staging has verified the package, and the store compares its bytes with the record.
+        let package = self.store.activate(|bytes| {
+            let package = Package::decode_unchanged(bytes)?;
+            Ok::<_, Refusal>(Verified::of(&package))
+        })?;
+        self.in_use = self.store.in_use().and_then(|slot| package.in_slot(slot, &self.store));
         let counters = self.health.counters();
         self.probation = Some(Probation::new(self.settings.good_steps, counters));
         Ok((Response::InUse { version: Some(package.version) }, Next::Switch))
@@ -99,8 +102,8 @@ impl<
         let slot = self.store.revert()?;
         self.probation = None;
         self.in_use = slot.and_then(|slot| {
-            let package = decoded(self.store.bytes(slot)?).ok()?;
-            Some(package.in_slot(slot))
+            let package = Package::decode(self.store.bytes(slot)?).ok()?;
+            Verified::of(&package).in_slot(slot, &self.store)
         });
         let version = self.in_use.map(|package| package.version);
         Ok((Response::InUse { version }, Next::Switch))

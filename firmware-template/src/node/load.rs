@@ -7,11 +7,10 @@ use agent_core::health::HealthParams;
 use agent_core::observer::feedback::Neighbour;
 use agent_core::observer::network::Scratch;
 use agent_core::package::{
-    Capacity, Envelope, InUse, NetworkPlace, Package, PackageError, Refusal, Requirements, accept,
+    AgentConfig, Capacity, Envelope, InUse, NetworkPlace, Package, Refusal, Requirements, accept,
 };
 use agent_core::service::RefusalReport;
 use agent_core::store::{self, MappedFlash, Store};
-use agent_core::wire::crc::crc32;
 
 use super::{Agent, InUsePackage, Node, ParamBuffers, Session};
 
@@ -47,7 +46,7 @@ impl<
             let length = |slot: &[u8]| u32::try_from(Envelope::length_in(slot)?).ok();
             store.salvage(length, check, |new: &Verified, old| new.version > old.version)
         });
-        self.in_use = found.map(|(slot, package)| package.in_slot(slot));
+        self.in_use = found.and_then(|(slot, package)| package.in_slot(slot, store));
     }
 
     /// Lets the upload become the staged package, if it passes all checks.
@@ -72,7 +71,8 @@ impl<
         let ParamBuffers { neighbours, gain } = places;
         let slot = self.in_use.map(|package| package.slot);
         let bytes = slot.and_then(|slot| self.store.bytes(slot));
-        let package = bytes.and_then(|bytes| Package::decode(bytes).ok());
+        // Loading, activating or reverting has just compared the bytes with a checksum.
+        let package = bytes.and_then(|bytes| Package::decode_unchanged(bytes).ok());
         let content = package.as_ref().map(|package| package.node).or(self.settings.fallback)?;
         let params = content.params::<N>(neighbours, gain).ok()?;
         let unlimited = ([f32::MIN; N], [f32::MAX; N]);
@@ -152,23 +152,23 @@ impl<const N: usize> Session<'_, N> {
 pub(super) struct Verified {
     agent: agent_core::AgentId,
     pub(super) version: u32,
-    checksum: u32,
     step_size: f32,
 }
 
 impl Verified {
-    fn of(package: &Package<'_>, bytes: &[u8]) -> Self {
-        Self {
-            agent: package.node.agent,
-            version: package.version,
-            checksum: crc32(&[bytes]),
-            step_size: package.node.step_size,
-        }
+    pub(super) fn of(package: &Package<'_>) -> Self {
+        let AgentConfig { agent, step_size, .. } = package.node;
+        Self { agent, version: package.version, step_size }
     }
 
-    pub(super) fn in_slot(self, slot: store::Slot) -> InUsePackage {
-        let Self { agent, version, checksum, step_size } = self;
-        InUsePackage { agent, version, checksum, step_size, slot }
+    /// `None` if nothing is recorded in the slot.
+    pub(super) fn in_slot<F: MappedFlash>(
+        self,
+        slot: store::Slot,
+        store: &Store<F>,
+    ) -> Option<InUsePackage> {
+        let Self { agent, version, step_size } = self;
+        Some(InUsePackage { agent, version, checksum: store.checksum(slot)?, step_size, slot })
     }
 }
 
@@ -179,13 +179,5 @@ pub(super) fn verified<const N: usize>(
     requirements: &Requirements<'_>,
     scratch: &mut Scratch,
 ) -> Result<Verified, Refusal> {
-    let package = accept::<N>(bytes, requirements, scratch)?;
-    Ok(Verified::of(&package, bytes))
-}
-
-/// What a package that was verified before still has to pass: its bytes are the same, which the
-/// store has seen.
-pub(super) fn decoded(bytes: &[u8]) -> Result<Verified, Refusal> {
-    let package = Package::decode(bytes).map_err(|error: PackageError| Refusal::Package(error))?;
-    Ok(Verified::of(&package, bytes))
+    accept::<N>(bytes, requirements, scratch).map(|package| Verified::of(&package))
 }
