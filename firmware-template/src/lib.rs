@@ -4,22 +4,25 @@
 //! arguments, frames to send are return values. What remains for a board is [`board`]: read
 //! a [`Sensor`], move bytes over a [`Link`], wait for a [`Clock`]. A new board implements
 //! these three and changes nothing else; [`registers`] is one sensor that runs on every
-//! hardware abstraction layer that implements `embedded-hal`.
+//! hardware abstraction layer that implements `embedded-hal`. The boards themselves are crates of their
+//! own, one folder each in `boards`; what they share below the traits is [`on_chip`].
 //!
 //! Everything here builds and is tested on the host too, since the hardware is a type
 //! parameter.
 #![no_std]
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 
 pub mod board;
 mod in_the_loop;
 mod key;
 mod memory_map;
 pub mod node;
+pub mod on_chip;
 mod periods;
 mod queued_port;
 pub mod registers;
 mod serial_link;
+mod waiting_port;
 
 pub use board::{Board, Clock, Hardware, Link, Lost, Sensor};
 pub use in_the_loop::InTheLoop;
@@ -30,3 +33,4 @@ pub use periods::Periods;
 pub use queued_port::{Full, QueuedEnd, QueuedPort, queued_port};
 pub use registers::RegisterSensor;
 pub use serial_link::SerialLink;
+pub use waiting_port::WaitingPort;

@@ -99,7 +99,8 @@ fn active_rustc() -> Command {
     Command::new(env::var_os("RUSTC").unwrap_or_else(|| "rustc".into()))
 }
 
-fn active_toolchain_has(target: &str) -> bool {
+/// Whether the active toolchain can compile for `target`.
+pub(crate) fn active_toolchain_has(target: &str) -> bool {
     ask(active_rustc().args(["--print", "target-libdir", "--target", target]))
         .is_some_and(|folder| library(Path::new(folder.trim()), "core").is_ok())
 }
@@ -153,11 +154,16 @@ fn numbers(version: &str) -> Vec<u32> {
     version.split('.').map_while(|part| part.parse().ok()).collect()
 }
 
+/// Where the sysroot for Debian's compiler is, once it has been built.
+pub(crate) fn sysroot_folder() -> PathBuf {
+    let (version, _) = release().unwrap_or_default();
+    target_folder().join(format!("sysroot-{version}"))
+}
+
 /// Builds the sysroot, unless it is there already, and returns its `rustc`.
 fn sysroot() -> Result<PathBuf, Failure> {
     let start = Instant::now();
-    let (version, _) = release().unwrap_or_default();
-    let prefix = target_folder().join(format!("sysroot-{version}"));
+    let prefix = sysroot_folder();
     let rustc = prefix.join("bin/rustc");
     let stamp = prefix.join("stamp");
     let package_versions = PACKAGES.map(|name| packages::version(name).unwrap_or_default());

@@ -1,7 +1,7 @@
 //! The co-simulation with the firmware that users get, in the emulator that they use.
 
 use crate::{
-    firmware::{self, BOARDS, EMULATED},
+    firmware,
     step::{Failure, cargo, run},
 };
 
@@ -14,12 +14,9 @@ const FIRMWARE: &str = "QEMU_MPS2_AN386_FIRMWARE";
 /// # Errors
 /// There is no firmware, or a test fails.
 pub(crate) fn test(debian: bool) -> Result<(), Failure> {
-    let board = BOARDS.iter().find(|board| board.name == EMULATED);
-    let board =
-        board.ok_or_else(|| Failure::new("no emulated board", "see xtask/src/firmware.rs"))?;
-    let program = firmware::build(board, None, debian)?;
+    let (_, program) = firmware::emulated(debian)?;
     let mut tests = cargo("test");
-    tests.args(["--package", "integration-tests", "--test", "integration"]);
+    tests.args(["--workspace", "--test", "integration"]);
     tests.args(["cosim_in_qemu", "--", "--ignored"]).env(FIRMWARE, program);
     run(
         "co-simulation with the firmware",

@@ -1,11 +1,18 @@
 //! The node's crates on bare metal: they build, their machine code holds nothing that would
-//! change the bits, and the memory map links.
+//! change the bits, and every board links with its own memory map.
 
-use std::{fs, path::PathBuf, process::Command};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use object::{Object, ObjectSymbol, SymbolSection};
 
 use crate::{
+    boards::{self, Board},
     compiler::{self, Compiler, cross_folder},
-    firmware,
+    firmware::{self, Variant},
     machine_code::{BINUTILS, Disassembler, Findings},
     packages, project,
     step::{Failure, cargo, on_path, run, workspace},
@@ -52,15 +59,15 @@ const ARTIFACTS: [Artifact; 2] = [
 ];
 
 /// How a library is compiled for reading: name, arguments for rustc.
-type Variant = (&'static str, &'static [&'static str]);
+type Variation = (&'static str, &'static [&'static str]);
 
-/// The release profile leaves all work to link-time optimisation, and a library then holds no
-/// machine code at all; both variants undo that.
+/// The boards' profile leaves all work to link-time optimisation, and a library then holds no
+/// machine code at all; both variations undo that.
 ///
 /// The optimised one is what runs, but holds neither generic nor small functions, which are
 /// left to whoever calls them. The complete one has every function that can be compiled here;
 /// what is fused or foreign is so in both, since rustc never contracts operations by itself.
-const VARIANTS: [Variant; 2] = [
+const VARIATIONS: [Variation; 2] = [
     ("optimised", &["-Clinker-plugin-lto=no", "-Cembed-bitcode=no"]),
     (
         "complete",
@@ -73,40 +80,50 @@ const VARIANTS: [Variant; 2] = [
 /// # Errors
 /// The first step that fails.
 pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
-    let compiler = Compiler::find(&triples(), debian)?;
+    let boards = boards::all()?;
+    let mut wanted = triples().to_vec();
+    wanted.extend(boards::targets(&boards));
+    let compiler = Compiler::find(&wanted, debian)?;
     let disassembler = Disassembler::find(debian)?;
-    for features in [&[][..], &["--features", "agent-core/signature"]] {
-        let mut build = cargo("build");
-        build.args(["--quiet", "--release", "--package", "agent-core", "--package"]);
-        build.arg("firmware-template").args(features);
-        build.args(TARGETS.iter().flat_map(|to| ["--target", to.triple]));
-        run(
-            "cross-build",
-            compiler.apply(&mut build),
-            "the node's crates must build without std; the error above names the line",
-        )?;
-    }
+    // Features only add code, and without them the crates are built for every target by `emulate`.
+    let mut check = cargo("check");
+    check.args(["--quiet", "--package", "agent-core", "--package", "firmware-template"]);
+    check.args(["--features", "agent-core/signature"]).args(boards::profile()?);
+    check.args(TARGETS.iter().flat_map(|to| ["--target", to.triple]));
+    run(
+        "cross-check",
+        compiler.apply(&mut check),
+        "the node's crates must compile without std; the error above names the line",
+    )?;
     for target in TARGETS.iter().filter(|target| target.fused) {
-        for variant in VARIANTS {
+        for variation in VARIATIONS {
             let mut instructions = 0;
             for artifact in &ARTIFACTS {
-                instructions += inspect(&compiler, &disassembler, target, artifact, variant)?;
+                instructions += inspect(&compiler, &disassembler, target, artifact, variation)?;
             }
             println!(
                 "machine code {}, {}: {instructions} instructions, no fused multiply-add, \
                  no platform mathematics",
-                target.triple, variant.0
+                target.triple, variation.0
             );
         }
     }
-    for board in &firmware::BOARDS {
-        let program = firmware::build(board, None, debian)?;
-        let found = disassembler.read(&program)?;
-        allow(&format!("machine code of {}", board.name), &found)?;
-        println!("machine code of {}: {} instructions, none fused", board.name, found.instructions);
+    let linker = Linker::find(debian)?;
+    for board in &boards {
+        for in_the_loop in [true, false] {
+            if in_the_loop && board.name == boards::EMULATED {
+                continue; // It always is.
+            }
+            let variant = Variant { in_the_loop, public_key: None };
+            let program = firmware::build(&compiler, board, &variant)?;
+            let found = disassembler.read(&program)?;
+            allow(&format!("machine code of {}", board.name), &found)?;
+            linker.check_map(board, &program)?;
+            let name = program.file_stem().unwrap_or_default().display();
+            println!("machine code of {name}: {} instructions, none fused", found.instructions);
+        }
     }
-    project::check(debian)?;
-    memory_map(debian)
+    project::check(&compiler, &boards)
 }
 
 /// # Errors
@@ -131,11 +148,11 @@ fn inspect(
     disassembler: &Disassembler,
     target: &Target,
     artifact: &Artifact,
-    (variant, flags): Variant,
+    (variation, flags): Variation,
 ) -> Result<usize, Failure> {
-    let name = format!("machine code {}, {variant}, {}", target.triple, artifact.file);
+    let name = format!("machine code {}, {variation}, {}", target.triple, artifact.file);
     let mut build = cargo("rustc");
-    build.args(["--quiet", "--release", "--target", target.triple]);
+    build.args(["--quiet", "--target", target.triple]).args(boards::profile()?);
     build.args(["--package", artifact.package]).args(artifact.selection).arg("--").args(flags);
     run(&name, compiler.apply(&mut build), "the error above names the line")?;
 
@@ -143,7 +160,7 @@ fn inspect(
     let found = disassembler.read(&file)?;
     allow(&name, &found)?;
     // Where everything is generic or small, the optimised code is all in the firmware.
-    let may_be_empty = variant == "optimised" && artifact.package != "agent-core";
+    let may_be_empty = variation == "optimised" && artifact.package != "agent-core";
     if found.instructions == 0 && !(may_be_empty && artifact.selection == ["--lib"]) {
         return Err(Failure::new(
             format!("{name}: no instruction to look at"),
@@ -154,40 +171,83 @@ fn inspect(
     Ok(found.instructions)
 }
 
-/// Links nothing but one section with `memory.x`, whose assertions the linker then checks.
-fn memory_map(debian: bool) -> Result<(), Failure> {
-    let script = cross_folder().join("memory-map.ld");
-    fs::write(&script, "INCLUDE memory.x\nSECTIONS { .data : { *(.data) } > RAM }\n")
-        .map_err(|error| Failure::new(format!("{}: {error}", script.display()), "free the disk"))?;
-    let (program, flavor) = linker(debian)?;
-    run(
-        "memory map",
-        Command::new(program)
-            .current_dir(workspace())
-            .args(flavor)
-            // Any file will do as content.
-            .args(["-m", "armelf", "--format=binary", "rustfmt.toml", "--format=default", "-T"])
-            .arg(&script)
-            .arg("-o")
-            .arg(cross_folder().join("memory-map.elf")),
-        "the message names the assertion in memory.x that does not hold",
-    )
+/// A linker for Arm: GNU's, or the one that comes with Rust.
+struct Linker {
+    program: PathBuf,
+    flavor: &'static [&'static str],
 }
 
-/// A linker for Arm: GNU's, or the one that comes with Rust.
-fn linker(debian: bool) -> Result<(PathBuf, &'static [&'static str]), Failure> {
-    const GNU: &str = "arm-none-eabi-ld";
-    if on_path(GNU) {
-        return Ok((GNU.into(), &[]));
+impl Linker {
+    fn find(debian: bool) -> Result<Self, Failure> {
+        const GNU: &str = "arm-none-eabi-ld";
+        let gnu = Self { program: GNU.into(), flavor: &[] };
+        if on_path(GNU) {
+            return Ok(gnu);
+        }
+        if let Some(program) = compiler::toolchain_programs().map(|bin| bin.join("rust-lld"))
+            && program.exists()
+        {
+            return Ok(Self { program, flavor: &["-flavor", "gnu"] });
+        }
+        if packages::allowed(debian) {
+            packages::install(&[BINUTILS])?;
+            return Ok(gnu);
+        }
+        Err(Failure::new("nothing here links for Arm", format!("install {BINUTILS}")))
     }
-    if let Some(lld) = compiler::toolchain_programs().map(|bin| bin.join("rust-lld"))
-        && lld.exists()
-    {
-        return Ok((lld, &["-flavor", "gnu"]));
+
+    /// Links a file of any content with nothing but the board's memory map, whose assertions are
+    /// checked with that, and compares all symbols of the map with those of the board's program: so
+    /// it was linked with its own map and no other.
+    fn check_map(&self, board: &Board, program: &Path) -> Result<(), Failure> {
+        let map = board.memory_map();
+        let script = cross_folder().join("memory-map.ld");
+        let text = format!(
+            "INCLUDE \"{}\"\nSECTIONS {{ .data : {{ *(.data) }} > RAM }}\n",
+            map.display()
+        );
+        fs::write(&script, text)
+            .map_err(|error| Failure::new(format!("{}: {error}", script.display()), "free the disk"))?;
+        let linked = cross_folder().join("memory-map.elf");
+        run(
+            &format!("memory map of {}", board.name),
+            Command::new(&self.program)
+                .current_dir(workspace())
+                .args(self.flavor)
+                .args(["-m", "armelf", "--format=binary", "rustfmt.toml", "--format=default", "-T"])
+                .arg(&script)
+                .arg("-o")
+                .arg(&linked),
+            "the message names the assertion in memory.x that does not hold",
+        )?;
+        let (wanted, found) = (weights_symbols(&linked)?, weights_symbols(program)?);
+        if wanted.is_empty() || wanted != found {
+            return Err(Failure::new(
+                format!(
+                    "{} is not linked with {}: it has {found:x?}, the map {wanted:x?}",
+                    program.display(),
+                    map.display()
+                ),
+                "see that the board's folder is a workspace of its own and has no other memory.x \
+                 above it that the linker finds first",
+            ));
+        }
+        Ok(())
     }
-    if packages::allowed(debian) {
-        packages::install(&[BINUTILS])?;
-        return Ok((GNU.into(), &[]));
-    }
-    Err(Failure::new("nothing here links for Arm", format!("install {BINUTILS}")))
+}
+
+/// The symbols that a memory map defines, in alphabetical order.
+fn weights_symbols(program: &Path) -> Result<Vec<(String, u64)>, Failure> {
+    let failed =
+        |reason: String| Failure::new(format!("{}: {reason}", program.display()), "build it again");
+    let bytes = fs::read(program).map_err(|error| failed(error.to_string()))?;
+    let file = object::File::parse(&*bytes).map_err(|error| failed(error.to_string()))?;
+    let mut symbols: Vec<(String, u64)> = file
+        .symbols()
+        .filter(|symbol| symbol.section() == SymbolSection::Absolute)
+        .filter_map(|symbol| Some((symbol.name().ok()?.to_owned(), symbol.address())))
+        .filter(|(name, _)| name.starts_with("_weights_"))
+        .collect();
+    symbols.sort();
+    Ok(symbols)
 }

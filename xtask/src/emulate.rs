@@ -11,6 +11,7 @@ use std::{
 };
 
 use crate::{
+    boards,
     compiler::{Compiler, cross_folder},
     cross,
     machine_code::Disassembler,
@@ -132,17 +133,17 @@ pub(crate) fn find_emulators(debian: bool) -> Result<(), Failure> {
 
 fn build(compiler: &Compiler, machine: &Machine) -> Result<PathBuf, Failure> {
     let mut build = cargo("build");
-    build.args(["--quiet", "--profile", "firmware", "--package", "on-target"]);
-    build.args(["--bin", "on-target", "--target", machine.triple]);
+    build.args(["--quiet", "--package", "on-target", "--bin", "on-target"]);
+    build.args(["--target", machine.triple]).args(boards::profile()?);
     if machine.small {
-        build.args(["--config", "profile.firmware.opt-level=\"s\""]);
+        build.args(["--config", "profile.release.opt-level=\"s\""]);
     }
     run(
         &format!("examination for {}", machine.core),
         compiler.apply(&mut build),
         "the examination must build and link for every machine; the error above says why not",
     )?;
-    Ok(cross_folder().join(machine.triple).join("firmware/on-target"))
+    Ok(cross_folder().join(machine.triple).join("release/on-target"))
 }
 
 /// Looks for what must not be in a node's program: ways to panic, and what would change the bits.

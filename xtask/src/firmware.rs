@@ -1,80 +1,48 @@
-//! The node's firmware, one binary a board.
+//! The firmware of the boards.
 
-use std::path::PathBuf;
-
-use crate::{
-    compiler::{Compiler, cross_folder},
-    step::{Failure, cargo, run, workspace},
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
 };
 
-/// A board that the template has a file for.
-#[derive(Debug)]
-pub(crate) struct Board {
-    /// Name of the file, of the feature, and of the binary.
-    pub(crate) name: &'static str,
-    pub(crate) target: &'static str,
-    /// What runs a program on it, for cargo: the program's path comes behind.
-    pub(crate) runner: &'static str,
-    /// Where host-sim finds its service port, for a project's README.
-    pub(crate) port: &'static str,
-}
+use object::{Object, ObjectSection};
 
-impl Board {
-    /// Its memory map: the one at the top belongs to the board without one of its own.
-    pub(crate) fn memory_map(&self) -> PathBuf {
-        let own = workspace().join(format!("firmware-template/boards/{}.x", self.name));
-        if own.exists() { own } else { workspace().join("memory.x") }
-    }
-}
-
-/// The board that this machine can emulate.
-pub(crate) const EMULATED: &str = "qemu-mps2-an386";
-
-/// Every board of the template.
-pub(crate) const BOARDS: [Board; 3] = [
-    Board {
-        name: EMULATED,
-        target: "thumbv7em-none-eabihf",
-        runner: "qemu-system-arm -machine mps2-an386 -display none -monitor none \
-                 -serial unix:node.sock,server,nowait \
-                 -semihosting-config enable=on,target=native,arg=node,arg=uart -kernel",
-        port: "unix:node.sock",
-    },
-    Board {
-        name: "stm32f405",
-        target: "thumbv7em-none-eabihf",
-        runner: "probe-rs run --chip STM32F405RGTx",
-        port: "serial:/dev/ttyACM0",
-    },
-    Board {
-        name: "nrf52840",
-        target: "thumbv7em-none-eabihf",
-        runner: "probe-rs run --chip nRF52840_xxAA",
-        port: "serial:/dev/ttyACM0",
-    },
-];
+use crate::{
+    boards::{self, Board},
+    compiler::{Compiler, cross_folder},
+    step::{Failure, cargo_in, run},
+};
 
 /// What `cargo xtask firmware` is asked for.
-#[derive(Debug)]
+#[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Options {
-    boards: Vec<&'static Board>,
+    /// Their names; `all` for every board.
+    boards: Vec<String>,
+    variant: Variant,
+}
+
+/// Which firmware of a board.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Variant {
     /// 64 hexadecimal digits; packages then have to be signed.
-    public_key: Option<String>,
+    pub(crate) public_key: Option<String>,
+    /// The simulator plays plant, clock and link over the service port.
+    pub(crate) in_the_loop: bool,
 }
 
 impl Options {
     /// Reads the arguments after the task; `None` if they are none.
     pub(crate) fn read(arguments: &[&str]) -> Option<Self> {
-        let mut options = Self { boards: Vec::new(), public_key: None };
+        let mut options = Self { boards: Vec::new(), variant: Variant::default() };
         let mut arguments = arguments.iter();
         while let Some(&argument) = arguments.next() {
-            let value = *arguments.next()?;
             match argument {
-                "--board" if value == "all" => options.boards.extend(&BOARDS),
-                "--board" => {
-                    options.boards.push(BOARDS.iter().find(|board| board.name == value)?);
+                "--board" => options.boards.push((*arguments.next()?).to_owned()),
+                "--public-key" => {
+                    options.variant.public_key = Some((*arguments.next()?).to_owned());
                 }
-                "--public-key" => options.public_key = Some(value.to_owned()),
+                "--in-the-loop" => options.variant.in_the_loop = true,
                 _ => return None,
             }
         }
@@ -85,41 +53,137 @@ impl Options {
 /// Builds the firmware of the boards that were asked for, and prints where it is.
 ///
 /// # Errors
-/// There is no compiler, or the build fails.
+/// There is no such board or no compiler, or the build fails.
 pub(crate) fn firmware(options: &Options, debian: bool) -> Result<(), Failure> {
-    let public_key = options.public_key.as_deref();
-    let programs = options.boards.iter().map(|board| build(board, public_key, debian));
-    for program in programs.collect::<Result<Vec<_>, _>>()? {
-        println!("firmware: {}", program.display());
+    let mut boards = Vec::new();
+    for name in &options.boards {
+        match name.as_str() {
+            "all" => boards.extend(boards::all()?),
+            name => boards.push(boards::find(name)?),
+        }
+    }
+    let compiler = Compiler::find(&boards::targets(&boards), debian)?;
+    for board in &boards {
+        println!("firmware: {}", build(&compiler, board, &options.variant)?.display());
     }
     Ok(())
 }
 
-/// Builds the firmware of one board and returns the program.
+/// Builds the firmware of the emulated board.
 ///
 /// # Errors
 /// As [`firmware`].
+pub(crate) fn emulated(debian: bool) -> Result<(Board, PathBuf), Failure> {
+    let board = boards::find(boards::EMULATED)?;
+    let compiler = Compiler::find(&[&board.target], debian)?;
+    let program = build(&compiler, &board, &Variant::default())?;
+    Ok((board, program))
+}
+
+/// Builds one firmware of one board and returns the program.
+///
+/// # Errors
+/// The build fails, or makes a program of nothing.
 pub(crate) fn build(
+    compiler: &Compiler,
     board: &Board,
-    public_key: Option<&str>,
-    debian: bool,
+    variant: &Variant,
 ) -> Result<PathBuf, Failure> {
-    let compiler = Compiler::find(&[board.target], debian)?;
-    let mut command = cargo("build");
-    let features = match public_key {
-        Some(_) => format!("{},signature", board.name),
-        None => board.name.to_owned(),
-    };
-    command.args(["--quiet", "--profile", "firmware", "--package", "firmware-template"]);
-    command.args(["--target", board.target, "--bin", board.name, "--features", &features]);
-    if let Some(key) = public_key {
+    let mut features = Vec::new();
+    let mut name = board.name.clone();
+    for (feature, is_on) in
+        [("signature", variant.public_key.is_some()), ("in-the-loop", variant.in_the_loop)]
+    {
+        if is_on {
+            features.push(feature);
+            name = format!("{name}-{feature}");
+        }
+    }
+    let mut command = cargo_in(&board.folder, "build");
+    command.args(["--quiet", "--release"]);
+    if !features.is_empty() {
+        command.args(["--features", &features.join(",")]);
+    }
+    if let Some(key) = &variant.public_key {
         command.env("NODE_PUBLIC_KEY", key);
     }
+    let built = build_with(compiler, board, &mut command, &format!("firmware for {name}"))?;
+    // Another variant would replace it.
+    let program = cross_folder().join("firmware").join(format!("{name}.elf"));
+    let failed =
+        |error| Failure::new(format!("{}: {error}", program.display()), "make sure that it can be written");
+    fs::create_dir_all(cross_folder().join("firmware")).map_err(failed)?;
+    fs::copy(&built, &program).map_err(failed)?;
+    Ok(program)
+}
+
+/// Runs a build of a board's crate and returns the program, which is not empty.
+///
+/// # Errors
+/// As [`build`].
+pub(crate) fn build_with(
+    compiler: &Compiler,
+    board: &Board,
+    command: &mut Command,
+    name: &str,
+) -> Result<PathBuf, Failure> {
     run(
-        &format!("firmware for {}", board.name),
-        compiler.apply(&mut command),
-        "the error above names the line; a symbol the_firmware_has_a_path_that_panics that is not \
-         defined means what it says",
+        name,
+        compiler.apply(command),
+        "the error above names the line; an undefined symbol the_firmware_has_a_path_that_panics \
+         means what it says",
     )?;
-    Ok(cross_folder().join(board.target).join("firmware").join(board.name))
+    let program = cross_folder().join(&board.target).join("release").join(&board.package);
+    check_content(&program)?;
+    Ok(program)
+}
+
+/// A program that was linked without its script has no sections in memory.
+fn check_content(program: &Path) -> Result<(), Failure> {
+    let failed = |problem: String| {
+        Failure::new(
+            format!("{}: {problem}", program.display()),
+            "let the board's Cargo.toml say `build = \"../build.rs\"`, which hands the linker its \
+             script, and its main.rs `#[entry]`",
+        )
+    };
+    let bytes = fs::read(program).map_err(|error| failed(error.to_string()))?;
+    if is_empty(&bytes).map_err(failed)? {
+        return Err(failed("the program is empty".to_owned()));
+    }
+    Ok(())
+}
+
+/// Whether a program has no vector table or no code.
+fn is_empty(bytes: &[u8]) -> Result<bool, String> {
+    let file = object::File::parse(bytes).map_err(|error| error.to_string())?;
+    let size = |name: &str| file.section_by_name(name).map_or(0, |section| section.size());
+    Ok(size(".vector_table") == 0 || size(".text") == 0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boards_and_variants_are_read_in_any_order() {
+        let boards = vec!["a".to_owned(), "b".to_owned()];
+        let variant = Variant { public_key: Some("00".to_owned()), in_the_loop: true };
+        let arguments =
+            ["--public-key", "00", "--board", "a", "--in-the-loop", "--board", "b"];
+        assert_eq!(Options::read(&arguments), Some(Options { boards, variant }));
+        for wrong in [&[][..], &["--board"], &["--in-the-loop"], &["--board", "a", "b"]] {
+            assert_eq!(Options::read(wrong), None, "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn a_program_without_code_is_empty() {
+        // An ELF header of 32 bits for Arm, and no sections.
+        let mut header = [0; 52];
+        header[..7].copy_from_slice(&[0x7f, b'E', b'L', b'F', 1, 1, 1]);
+        (header[16], header[18], header[20], header[40]) = (2, 40, 1, 52);
+        assert_eq!(is_empty(&header), Ok(true));
+        assert!(is_empty(b"").is_err());
+    }
 }

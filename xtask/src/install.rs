@@ -12,7 +12,7 @@ use std::{
 };
 
 use crate::{
-    firmware::{self, BOARDS, EMULATED},
+    firmware,
     step::{Failure, cargo, run, target_folder, workspace},
 };
 
@@ -46,15 +46,12 @@ pub(crate) fn install(options: &Options, debian: bool) -> Result<(), Failure> {
             .map(|home| home.join(".local"))
             .ok_or_else(|| Failure::new("cannot find the home folder", "name one with --prefix"))?,
     };
-    let board = BOARDS.iter().find(|board| board.name == EMULATED);
-    let board =
-        board.ok_or_else(|| Failure::new("no emulated board", "see xtask/src/firmware.rs"))?;
     let mut build = cargo("build");
     build.args(["--quiet", "--release", "--package", "host-sim", "--bin", "host-sim"]);
     run("the program", &mut build, "the error above names the line")?;
     let program = target_folder().join("release").join(program_name());
     check_paths(&program)?;
-    let firmware = firmware::build(board, None, debian)?;
+    let (board, firmware) = firmware::emulated(debian)?;
 
     let share = prefix.join("share/host-sim");
     put(&program, &prefix.join("bin").join(program_name()))?;

@@ -4,7 +4,11 @@
 //! fails and says what to do about it; none is left out silently.
 #![forbid(unsafe_code)]
 
+<<<<<<< HEAD
 mod circles;
+=======
+mod boards;
+>>>>>>> ee5b3cf (Make every board a crate of its own, found by its folder)
 mod compiler;
 mod cosim;
 mod cross;
@@ -27,29 +31,31 @@ use step::Failure;
 
 const HELP: &str = "\
 Usage: cargo xtask <task> [--debian]
-       cargo xtask firmware --board BOARD|all [--public-key HEX] [--debian]
-       cargo xtask new PATH [--board BOARD]
+       cargo xtask firmware --board BOARD|all [--public-key HEX] [--in-the-loop] [--debian]
+       cargo xtask new PATH [--board BOARD] [--copy-crates]
        cargo xtask install [--prefix PREFIX] [--debian]
        cargo xtask soak [--steps N] [--seed S] [--debian]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
 
 Tasks:
   test    every test there is: the workspace on the host, doctests included, then `cross`,
-          `emulate`, a co-simulation with the emulated board's firmware, and `soak`
-  cross   build the node's libraries for bare metal, look for fused multiply-add and
-          platform mathematics in the machine code, link the memory map
+          `emulate`, `size`, `boot`, a co-simulation with the emulated board's firmware, and `soak`
+  cross   compile the node's libraries for bare metal, look for fused multiply-add and platform
+          mathematics in the machine code, build every board in firmware-template/boards and
+          a project with it, link the memory maps
   emulate the examination in tests/on-target on emulated processors (QEMU): the bits that the
           host computes, instructions within their budgets, no way to panic
-  firmware  build a node's firmware: for qemu-mps2-an386, stm32f405, nrf52840; with
-          --public-key so that it takes only packages signed with the private half
-          (`weights keygen` prints the key)
-  new     make a project of your own in the folder PATH: the node's crates with one board's
-          program and memory map (qemu-mps2-an386 if none is named); it builds on its own
+  firmware  build a board's firmware; with --public-key so that it takes only packages signed
+          with the private half (`weights keygen` prints the key), with --in-the-loop so that
+          a co-simulation plays plant, clock and link over the service port
+  new     copy a board (qemu-mps2-an386 if none is named) into a project of your own in the
+          folder PATH, which builds on its own; the node's crates stay in this checkout, or
+          are copied, too, with --copy-crates
   install put the program at PREFIX/bin/host-sim and, for `host-sim cosim` outside of this project,
           the emulated board's firmware and memory map in PREFIX/share/host-sim; PREFIX is
           ~/.local if none is named
-  size    what the firmware of the emulated board takes of flash, RAM and stack, against its
-          budgets
+  size    what the firmware of each board takes of flash, RAM and stack, against the budgets
+          in its Cargo.toml
   soak    three nodes of the emulated board's firmware beside the same code on the host, for N
           steps (20000), with packages pushed, messages and frames damaged, sensors failing,
           resets and losses of power, all drawn from the seed S (1): every byte must be the
@@ -63,6 +69,7 @@ Tasks:
           address sanitizer.
   help    this text
 
+Boards are the folders in firmware-template/boards; CONTRIBUTING.md says how to add one.
 Bare-metal targets come from the active Rust toolchain (`rustup target add ...`). Where it
 has none, Debian's compiler packages take its place if --debian is given, if the environment
 has CI=true, or for root on Debian: what is missing is installed with apt-get.

@@ -1,4 +1,5 @@
-//! What the firmware takes of a microcontroller, held against budgets.
+//! What the firmware takes of a microcontroller, held against budgets: those in the `Cargo.toml` of
+//! each board.
 
 use std::{fs, path::Path};
 
@@ -6,20 +7,19 @@ use object::{Object, ObjectSection, ObjectSymbol, SectionFlags, elf};
 use rustc_demangle::demangle;
 
 use crate::{
-    firmware,
+    boards::{self, Board},
+    compiler::Compiler,
+    firmware::{self, Variant},
     machine_code::Disassembler,
-    stack::CallGraph,
-    step::{Failure, ask, cargo},
+    stack::{CallGraph, Deepest},
+    step::{Failure, ask, run, target_folder},
 };
 
-/// Code and constants of the whole node on the emulated board. \[byte\]
-const FLASH: u64 = 32 * 1024;
-/// Static memory but for the samples. \[byte\]
-const STATIC: u64 = 8 * 1024;
-/// Stack, at worst. \[byte\]
-const STACK: u64 = 4 * 1024;
-/// The samples for training: 64 of a tick and two vectors of three. \[byte\]
-const SAMPLES: u64 = 64 * 32;
+/// Place of `Reset` in the vector table; what follows preempts it.
+const RESET: usize = 1;
+/// What the processor itself puts on the stack for an exception, with and without a floating-point unit
+/// (Armv7-M Architecture Reference Manual, B1.5.6 and B1.5.7), aligned to 8 bytes. \[byte\]
+const EXCEPTION_FRAMES: [u32; 2] = [104 + 4, 32 + 4];
 
 /// One line of the table.
 struct Figure {
@@ -28,59 +28,111 @@ struct Figure {
     budget: u64,
 }
 
-/// Builds the emulated board's firmware, measures it, and prints the table.
+/// Builds the firmware of every board, measures it, and prints the table.
 ///
 /// # Errors
 /// A budget that is exceeded, and whatever stands in the way of measuring.
 pub(crate) fn size(debian: bool) -> Result<(), Failure> {
-    let board = &firmware::BOARDS[0];
-    let program = firmware::build(board, None, debian)?;
-    let Sections { flash, memory, stack } = sections(&program)?;
-    let listing = Disassembler::find(debian)?.listing(&program)?;
-    let deepest = CallGraph::read(&listing).deepest("Reset").map_err(|reason| {
+    let boards = boards::all()?;
+    let compiler = Compiler::find(&boards::targets(&boards), debian)?;
+    let disassembler = Disassembler::find(debian)?;
+    let mut table = format!("{:36} {:>8} {:>8}\n", "[byte]", "found", "budget");
+    let mut exceeded = None;
+    for board in &boards {
+        let program = firmware::build(&compiler, board, &Variant::default())?;
+        for Figure { what, found, budget } in measure(board, &program, &disassembler)? {
+            let what = format!("{}: {what}", board.name);
+            if found > budget {
+                exceeded.get_or_insert_with(|| {
+                    format!("{what}: {found} bytes, the budget is {budget}")
+                });
+            }
+            table += &format!("{what:36} {found:8} {budget:8}\n");
+        }
+    }
+    print!("\n{table}");
+    match exceeded {
+        None => Ok(()),
+        Some(what) => Err(Failure::new(
+            what,
+            "look for what has grown with `arm-none-eabi-nm --size-sort`; a budget, in the board's \
+             Cargo.toml, is only changed together with docs/performance.md",
+        )),
+    }
+}
+
+fn measure(
+    board: &Board,
+    program: &Path,
+    disassembler: &Disassembler,
+) -> Result<Vec<Figure>, Failure> {
+    let Content { flash, memory, stack, vectors } = content(program)?;
+    let graph = CallGraph::read(&disassembler.listing(program)?);
+    let unbounded = |reason| {
         Failure::new(
             format!("the stack of {} has no bound: {reason:?}", program.display()),
             "let the function that is named call nothing that leads back to it, and give its \
              frame a fixed size",
         )
-    })?;
-    println!("deepest calls, with the bytes of their frames:");
+    };
+    let deepest = graph.deepest("Reset").map_err(unbounded)?;
+    show(&board.name, "calls", &deepest);
+    // Interrupts have one priority, so one of them preempts the program and none another one.
+    let handlers = vectors.iter().skip(RESET + 1).filter_map(|&vector| graph.at(vector.into()));
+    let mut interrupt: Option<Deepest> = None;
+    for handler in handlers {
+        let found = graph.deepest(handler).map_err(unbounded)?;
+        if interrupt.as_ref().is_none_or(|deepest| deepest.depth < found.depth) {
+            interrupt = Some(found);
+        }
+    }
+    let [with_unit, without] = EXCEPTION_FRAMES;
+    let frame = if board.target.ends_with("hf") { with_unit } else { without };
+    // A board that takes no interrupts has one place for them, and nothing at it.
+    let interrupt = interrupt.filter(|deepest| deepest.path.len() > 1 || deepest.depth > 0);
+    let preempted = interrupt.map_or(0, |deepest| {
+        show(&board.name, "interrupt", &deepest);
+        frame + deepest.depth
+    });
+    let budget = board.budget;
+    let mut figures = vec![
+        Figure { what: "flash", found: flash, budget: budget.flash },
+        Figure { what: "static RAM", found: memory, budget: budget.ram },
+        Figure {
+            what: "stack, at worst",
+            found: (deepest.depth + preempted).into(),
+            budget: budget.stack,
+        },
+    ];
+    if board.name == boards::EMULATED {
+        let painted = stack.saturating_sub(stack_unused(program)?);
+        figures.push(Figure { what: "stack, as painted", found: painted, budget: budget.stack });
+    }
+    Ok(figures)
+}
+
+/// Prints the deepest way down.
+fn show(board: &str, what: &str, deepest: &Deepest) {
+    println!("{board}: deepest {what}, with the bytes of their frames:");
     for (name, frame) in &deepest.path {
         println!("    {frame:5}  {:#}", demangle(name));
     }
     for name in &deepest.indirect {
         println!("    calls what a register says, and is counted without it: {:#}", demangle(name));
     }
-    let painted = stack.saturating_sub(stack_unused(&program)?);
-    let figures = [
-        Figure { what: "flash: text + rodata", found: flash, budget: FLASH },
-        Figure { what: "RAM: static, samples apart", found: memory - SAMPLES, budget: STATIC },
-        Figure { what: "stack, from the frames", found: deepest.depth.into(), budget: STACK },
-        Figure { what: "stack, as painted", found: painted, budget: STACK },
-    ];
-    println!("\n{:30} {:>8} {:>8}", format!("{} [byte]", board.name), "found", "budget");
-    for Figure { what, found, budget } in &figures {
-        println!("{what:30} {found:8} {budget:8}");
-    }
-    match figures.iter().find(|figure| figure.found > figure.budget) {
-        None => Ok(()),
-        Some(Figure { what, found, budget }) => Err(Failure::new(
-            format!("{what}: {found} bytes, the budget is {budget}"),
-            "look for what has grown with `arm-none-eabi-nm --size-sort`; a budget is only changed \
-             together with docs/performance.md",
-        )),
-    }
 }
 
 /// What the linker made of the program. \[byte\]
-struct Sections {
+struct Content {
     flash: u64,
     memory: u64,
     /// What is left for the stack.
     stack: u64,
+    /// The vector table, entry by entry.
+    vectors: Vec<u32>,
 }
 
-fn sections(program: &Path) -> Result<Sections, Failure> {
+fn content(program: &Path) -> Result<Content, Failure> {
     let failed =
         |reason: String| Failure::new(format!("{}: {reason}", program.display()), "build it again");
     let bytes = fs::read(program).map_err(|error| failed(error.to_string()))?;
@@ -104,15 +156,22 @@ fn sections(program: &Path) -> Result<Sections, Failure> {
         symbol.ok_or_else(|| failed(format!("there is no {name}")))
     };
     let stack = symbol("_stack_start")?.saturating_sub(symbol("_stack_end")?);
-    Ok(Sections { flash, memory, stack })
+    let table = file.section_by_name(".vector_table").and_then(|section| section.data().ok());
+    let (words, _) = table.unwrap_or_default().as_chunks();
+    let vectors = words.iter().map(|word| u32::from_le_bytes(*word)).collect();
+    Ok(Content { flash, memory, stack, vectors })
 }
 
 /// What a node never uses of its stack in the paper's experiment, with a package pushed at t = 20.
 fn stack_unused(program: &Path) -> Result<u64, Failure> {
     println!("==> painted stack: the paper's experiment as a co-simulation");
-    // Not optimised further than the tests, which have built it already.
-    let mut command = cargo("run");
-    command.args(["--quiet", "--package", "host-sim", "--", "cosim", "--format", "json"]);
+    // With the features that the tests are built with, so that nothing is compiled again.
+    let mut build = crate::step::cargo("build");
+    build.args(["--quiet", "--workspace", "--bin", "host-sim"]);
+    run("host-sim", &mut build, "the error above names the line")?;
+    let name = format!("debug/host-sim{}", std::env::consts::EXE_SUFFIX);
+    let mut command = std::process::Command::new(target_folder().join(name));
+    command.current_dir(crate::step::workspace()).args(["cosim", "--format", "json"]);
     command.arg("--firmware").arg(program);
     let answer = ask(&mut command).unwrap_or_default();
     let figures = answer.split("\"stack_unused\":").skip(1).filter_map(|rest| {

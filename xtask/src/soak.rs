@@ -46,10 +46,10 @@ impl Options {
 /// The first thing that a node does and should not, or anything that is missing for the soak.
 pub(crate) fn soak(options: &Options, debian: bool) -> Result<(), Failure> {
     emulate::find_emulators(debian)?;
-    let program = firmware::build(&firmware::BOARDS[0], None, debian)?;
+    let (_, program) = firmware::emulated(debian)?;
     let mut command = cargo("test");
     command
-        .args(["--quiet", "--package", "integration-tests", "--test", "integration"])
+        .args(["--quiet", "--workspace", "--test", "integration"])
         .args(["soak::emulated", "--", "--exact", "--ignored", "--nocapture"])
         .env("SOAK_FIRMWARE", &program)
         .env("SOAK_STEPS", options.steps.to_string())

@@ -12,6 +12,8 @@ use std::collections::{BTreeMap, BTreeSet};
 #[derive(Debug, Default)]
 pub(crate) struct CallGraph {
     functions: BTreeMap<String, Function>,
+    /// Which function begins at an address.
+    starts: BTreeMap<u64, String>,
 }
 
 #[derive(Debug, Default)]
@@ -51,20 +53,38 @@ impl CallGraph {
     /// Reads a disassembler's listing of Thumb code.
     pub(crate) fn read(listing: &str) -> Self {
         let mut graph = Self::default();
+        let constants = constants(listing);
+        let mut loaded = BTreeMap::new();
         let mut name = None;
         for line in listing.lines() {
             if let Some(label) = line.strip_suffix(">:") {
-                let found = label.split_once('<').map_or(label, |(_, name)| name).to_owned();
-                graph.functions.entry(found.clone()).or_default();
-                name = Some(found);
+                let (address, found) = label.split_once('<').unwrap_or(("", label));
+                if let Ok(address) = u64::from_str_radix(address.trim(), 16) {
+                    graph.starts.insert(address, found.to_owned());
+                }
+                graph.functions.entry(found.to_owned()).or_default();
+                name = Some(found.to_owned());
+                loaded.clear();
             } else if let Some(name) = &name
                 && let Some((mnemonic, operands)) = instruction(line)
                 && let Some(function) = graph.functions.get_mut(name)
             {
-                function.notice(name, mnemonic, operands);
+                if mnemonic.starts_with("ldr")
+                    && operands.contains("[pc")
+                    && let Some(register) = operands.split(',').next()
+                    && let Some(constant) = loaded_from(line).and_then(|at| constants.get(&at))
+                {
+                    loaded.insert(register.to_owned(), *constant);
+                }
+                function.notice(name, mnemonic, operands, &loaded);
             }
         }
         graph
+    }
+
+    /// The function that begins at an address, without the bit that says it is Thumb code.
+    pub(crate) fn at(&self, address: u64) -> Option<&str> {
+        self.starts.get(&(address & !1)).map(String::as_str)
     }
 
     /// The deepest way down from `entry`.
@@ -122,7 +142,13 @@ impl CallGraph {
 }
 
 impl Function {
-    fn notice(&mut self, own: &str, mnemonic: &str, operands: &str) {
+    fn notice(
+        &mut self,
+        own: &str,
+        mnemonic: &str,
+        operands: &str,
+        loaded: &BTreeMap<String, u32>,
+    ) {
         let base = mnemonic.split('.').next().unwrap_or(mnemonic);
         match base {
             "push" | "vpush" => self.frame += register_bytes(operands),
@@ -133,6 +159,15 @@ impl Function {
                 Some(bytes) => self.frame += bytes,
                 None => self.dynamic = true,
             },
+            // Cortex-M0: a frame too large for an instruction comes from a constant.
+            "add" if operands.starts_with("sp, r") => {
+                let register = operands.trim_start_matches("sp, ");
+                match loaded.get(register).map(|&constant| constant.cast_signed()) {
+                    Some(bytes) if bytes < 0 => self.frame += bytes.unsigned_abs(),
+                    Some(_) => {}
+                    None => self.dynamic = true,
+                }
+            }
             "str" | "strd" if operands.ends_with("]!") && operands.contains("[sp, #-") => {
                 self.frame += constant(operands).unwrap_or(8);
             }
@@ -153,6 +188,24 @@ impl Function {
             _ => {}
         }
     }
+}
+
+/// The constants among the code, `606: .word 0x12345678`, by their addresses.
+fn constants(listing: &str) -> BTreeMap<u64, u32> {
+    let constant = |line: &str| {
+        let (address, rest) = line.trim_start().split_once(':')?;
+        let (_, digits) = rest.trim().strip_prefix(".word")?.trim().split_once("0x")?;
+        let digits = digits.get(..8)?;
+        Some((u64::from_str_radix(address, 16).ok()?, u32::from_str_radix(digits, 16).ok()?))
+    };
+    listing.lines().filter_map(constant).collect()
+}
+
+/// The address in the comment of `ldr r6, [pc, #8] @ (610 <f+0x10>)`.
+fn loaded_from(line: &str) -> Option<u64> {
+    let (_, comment) = line.rsplit_once('(').or_else(|| line.rsplit_once("@ 0x"))?;
+    let digits = comment.split([' ', ')']).next()?;
+    u64::from_str_radix(digits.trim_start_matches("0x"), 16).ok()
 }
 
 /// Mnemonic and operands of `   1c:   vmul.f32   s0, s1, s2`.
@@ -226,6 +279,27 @@ mod tests {
         let names: Vec<&str> = deepest.path.iter().map(|(name, _)| name.as_str()).collect();
         assert_eq!(names, ["main", "left", "right"]);
         assert!(deepest.indirect.iter().eq(["left"]));
+    }
+
+    #[test]
+    fn a_large_frame_of_a_small_core_comes_from_a_constant() {
+        let listing = "
+10000400 <large>:
+10000400:\tpush\t{r4, lr}
+10000402:\tldr\tr6, [pc, #8]\t@ (1000040c <large+0xc>)
+10000404:\tadd\tsp, r6
+10000406:\tldr\tr6, [pc, #8]\t@ (10000410 <large+0x10>)
+10000408:\tadd\tsp, r6
+1000040a:\tpop\t{r4, pc}
+1000040c:\t.word\t0xfffffd00
+10000410:\t.word\t0x00000300
+";
+        let graph = CallGraph::read(listing);
+        assert_eq!(graph.deepest("large").unwrap().depth, 8 + 0x300);
+        assert_eq!(graph.at(0x1000_0401), Some("large"));
+        assert_eq!(graph.at(0x1000_0403), None);
+        let unknown = CallGraph::read(&listing.replace("@ (1000040c", "@ (10000444"));
+        assert_eq!(unknown.deepest("large"), Err(Unbounded::Dynamic("large".to_owned())));
     }
 
     #[test]

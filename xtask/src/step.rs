@@ -3,6 +3,7 @@
 use std::{
     env,
     ffi::OsStr,
+    fs,
     io::{BufRead, BufReader, Read},
     path::{Path, PathBuf},
     process::{Command, Stdio},
@@ -47,6 +48,27 @@ pub(crate) fn cargo(task: &str) -> Command {
         command.arg("--locked");
     }
     command
+}
+
+/// `cargo <task>` for the crate in `folder`, which is a workspace of its own.
+///
+/// With CI=true its lock file must be up to date, unless the crate has just been copied and renamed:
+/// then the lock file still names the one that it was copied from.
+pub(crate) fn cargo_in(folder: &Path, task: &str) -> Command {
+    let mut command = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    command.current_dir(folder).arg(task);
+    if in_ci() && task != "fmt" && is_locked(folder) {
+        command.arg("--locked");
+    }
+    command
+}
+
+/// Whether the lock file in `folder` names the package there.
+fn is_locked(folder: &Path) -> bool {
+    let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap_or_default();
+    let manifest = read("Cargo.toml");
+    let name = manifest.lines().find(|line| line.starts_with("name = "));
+    name.is_some_and(|name| read("Cargo.lock").lines().any(|line| line == name))
 }
 
 /// Runs one step and lets its output through.

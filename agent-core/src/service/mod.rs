@@ -32,7 +32,7 @@ mod response;
 
 pub use problem::{Problem, RefusalKind, RefusalReport};
 pub use request::{Numbers, Request, Subscription};
-pub use response::{Event, Firmware, Outcome, PackageStatus, Response, Rows, State, Status};
+pub use response::{BoardFault, Event, Firmware, Outcome, PackageStatus, Response, Rows, State, Status};
 
 use serde::{Deserialize, Serialize};
 

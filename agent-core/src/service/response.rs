@@ -95,6 +95,17 @@ pub enum Event {
         /// Its version.
         version: u32,
     },
+    /// Something on the board does not work, and the node goes on without it. Told with every greeting
+    /// and after every status.
+    BoardFault(BoardFault),
+}
+
+/// What may not work on a board whose node works.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum BoardFault {
+    /// The crystal or the PLL did not start: the chip runs from its internal oscillator, slower and
+    /// less accurately, and its sampling periods are as inaccurate.
+    Clock,
 }
 
 /// An agent's state after the step at a tick.

@@ -115,6 +115,7 @@ fn every_response_arrives() {
         }),
         Response::Health { tick: 5, counters: status().health },
         Response::Event(Event::Confirmed { tick: 5, version: 7 }),
+        Response::Event(Event::BoardFault(BoardFault::Clock)),
         Response::Broadcast { bytes: &[1, 2, 3] },
     ] {
         assert_eq!(receive(&sent(&response)), Some(response));

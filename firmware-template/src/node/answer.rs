@@ -41,6 +41,9 @@ impl<
         match answer {
             Ok((response, next)) => {
                 respond(board, &response);
+                if matches!(response, Response::Status(_)) {
+                    self.tell_fault(board);
+                }
                 next
             }
             Err(problem) => {

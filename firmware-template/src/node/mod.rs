@@ -39,7 +39,7 @@ use agent_core::observer::network::Scratch;
 use agent_core::package::signature::PublicKey;
 use agent_core::package::{AgentConfig, NetworkPlace};
 use agent_core::service::{
-    Event, Firmware, PROTOCOL_VERSION, PackageStatus, RefusalReport, Request, Response, Rows,
+    BoardFault, Event, Firmware, PROTOCOL_VERSION, PackageStatus, RefusalReport, Request, Response, Rows,
     Status, Subscription, send,
 };
 use agent_core::store::{Layout, LayoutError, MappedFlash, Slot, Store};
@@ -132,6 +132,7 @@ pub struct Node<
     in_use: Option<InUsePackage>,
     counts: Counts,
     refused_at_start: [Option<RefusalReport>; 2],
+    board_fault: Option<BoardFault>,
 }
 
 /// What the observer changes.
@@ -221,10 +222,16 @@ impl<
             in_use: None,
             counts: Counts::default(),
             refused_at_start: [None; 2],
+            board_fault: None,
             settings,
         };
         node.load();
         Ok(node)
+    }
+
+    /// Lets the node tell of something that does not work on its board.
+    pub fn report(&mut self, fault: BoardFault) {
+        self.board_fault = Some(fault);
     }
 
     /// Lets the node work until it is told to reset: then let go of it, and begin anew.
@@ -280,7 +287,15 @@ impl<
         // Ends whatever a receiver may still hold of the time before the reset.
         board.respond(&[agent_core::wire::cobs::DELIMITER]);
         respond::<B, N>(board, &Response::Hello(self.status()));
+        self.tell_fault(board);
         board.flush();
+    }
+
+    /// What does not work on the board, if anything.
+    fn tell_fault<B: Board>(&self, board: &mut B) {
+        if let Some(fault) = self.board_fault {
+            respond::<B, N>(board, &Response::Event(Event::BoardFault(fault)));
+        }
     }
 
     fn status(&self) -> Status {

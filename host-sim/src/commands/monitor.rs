@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use agent_core::health::HealthCounters;
-use agent_core::service::{Event, Outcome, Request, State, Status, Subscription};
+use agent_core::service::{BoardFault, Event, Outcome, Request, State, Status, Subscription};
 use agent_core::{AgentId, Tick};
 use clap::Args;
 use serde::Serialize;
@@ -246,6 +246,9 @@ impl Monitor<'_> {
             Message::Event(Event::Confirmed { tick, version }) => {
                 format!("{}  version {version} has proved itself\n", time(tick))
             }
+            Message::Event(Event::BoardFault(fault)) => {
+                format!("board fault: {}\n", fault_text(*fault))
+            }
             Message::Health { tick, counters } if *counters != HealthCounters::default() => {
                 format!("{}  health: {}\n", time(tick), health::line(counters))
             }
@@ -405,6 +408,30 @@ impl RecordReport {
     }
 }
 
+<<<<<<< HEAD
+=======
+impl From<RecordError> for CommandError {
+    fn from(error: RecordError) -> Self {
+        let problem = error.to_string();
+        match error {
+            RecordError::Output(error) => Self::File(error),
+            RecordError::Exists { path } | RecordError::Other { path, .. } => {
+                Self::RecordRefused { path, problem }
+            }
+        }
+    }
+}
+
+fn fault_text(fault: BoardFault) -> &'static str {
+    match fault {
+        BoardFault::Clock => {
+            "the crystal or the PLL did not start; the chip runs from its internal oscillator, and \
+             sampling periods are only as accurate as that"
+        }
+    }
+}
+
+>>>>>>> ee5b3cf (Make every board a crate of its own, found by its folder)
 fn outcome_text(outcome: Outcome) -> &'static str {
     match outcome {
         Outcome::Stepped => "a step",

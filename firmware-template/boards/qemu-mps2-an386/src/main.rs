@@ -22,7 +22,6 @@ use core::convert::Infallible;
 use core::num::NonZeroU32;
 
 use agent_core::health::HealthSettings;
-use agent_core::package::signature::PublicKey;
 use agent_core::service::Subscription;
 use agent_core::store::MappedFlash;
 use cortex_m::peripheral::{NVIC, SCB};
@@ -32,7 +31,7 @@ use embedded_storage::nor_flash::{
     ErrorType as FlashErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase,
     check_read, check_write,
 };
-use firmware_template::{InTheLoop, Memory, Node, Settings, WeightsRegion, memory_map};
+use firmware_template::{InTheLoop, Memory, Node, Settings, WeightsRegion, memory_map, on_chip};
 use static_cell::{ConstStaticCell, StaticCell};
 
 /// State components of the paper's plant.
@@ -51,8 +50,7 @@ const EXIT_NO_CHANNEL: usize = 2;
 const EXIT_LAYOUT: usize = 3;
 /// Somebody has taken the memory; there is nobody else.
 const EXIT_MEMORY: usize = 5;
-/// The public key that was compiled in is none.
-#[cfg(feature = "signature")]
+/// What was compiled in as public key is not one.
 const EXIT_KEY: usize = 4;
 
 type Loop = InTheLoop<Port, { 2 * NEIGHBOURS }>;
@@ -67,16 +65,18 @@ fn main() -> ! {
     let region = memory_map!().region();
     // SAFETY: memory.x gives this region to nobody else, and this is the only call.
     let flash = unsafe { RamFlash::new(&region) };
+    // No signature would do for a key that is not one, so nothing must be taken without one.
+    let Ok(public_key) = on_chip::public_key() else { exit(EXIT_KEY) };
     let settings = Settings {
         layout: region.layout,
-        public_key: public_key(),
+        public_key,
         health: HealthSettings::RECOMMENDED,
         good_steps: NonZeroU32::new(1_000).unwrap_or(NonZeroU32::MIN),
         sample_stride: NonZeroU32::new(20).unwrap_or(NonZeroU32::MIN),
         subscription: Subscription { state_every: None, outer_weights: false },
         // Which agent this is, its package says.
         fallback: None,
-        stack_unused: Some(stack_unused),
+        stack_unused: Some(on_chip::stack_unused),
         version: [0, 1, 0],
     };
     let Some(port) = Port::open() else { exit(EXIT_NO_CHANNEL) };
@@ -96,38 +96,6 @@ fn main() -> ! {
 #[inline(never)]
 fn in_the_loop(port: Port) -> Option<&'static mut Loop> {
     LOOP.try_init_with(|| Loop::new(port))
-}
-
-/// Bytes of the stack that still hold what cortex-m-rt has painted them with.
-fn stack_unused() -> u32 {
-    unsafe extern "C" {
-        safe static _stack_end: u32;
-        safe static _stack_start: u32;
-    }
-    let (low, high) = (&raw const _stack_end, &raw const _stack_start);
-    let mut word = low;
-    // SAFETY: all words between the two addresses are RAM. What has been painted is nobody's, and
-    // reading stops at the first word that somebody has written to.
-    while word < high && unsafe { word.read_volatile() } == cortex_m_rt::STACK_PAINT_VALUE {
-        word = word.wrapping_add(1);
-    }
-    (word.addr() - low.addr()) as u32
-}
-
-/// The key that packages have to be signed with, if the firmware was built for one.
-#[cfg(feature = "signature")]
-fn public_key() -> Option<PublicKey> {
-    let bytes = const { firmware_template::key_from_hex(env!("NODE_PUBLIC_KEY")) };
-    match PublicKey::from_bytes(&bytes) {
-        Ok(key) => Some(key),
-        // Nobody's signature would do for it, so nothing must be taken without one.
-        Err(_) => exit(EXIT_KEY),
-    }
-}
-
-#[cfg(not(feature = "signature"))]
-fn public_key() -> Option<PublicKey> {
-    None
 }
 
 /// Whoever plays the plant.
@@ -389,17 +357,19 @@ impl MappedFlash for RamFlash {
 }
 
 /// No interrupt is ever taken, so the vector table has one place, which the linker script asks for.
+/// The script names no others: see device.x.
 #[unsafe(link_section = ".vector_table.interrupts")]
 #[unsafe(no_mangle)]
 static __INTERRUPTS: [usize; 1] = [0];
 
-#[cfg(feature = "signature")]
+/// With the verifier in, or without optimisation, there are paths that panic.
+#[cfg(any(feature = "signature", debug_assertions))]
 #[panic_handler]
 fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
     SCB::sys_reset()
 }
 
-#[cfg(not(feature = "signature"))]
+#[cfg(not(any(feature = "signature", debug_assertions)))]
 #[panic_handler]
 fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
     unsafe extern "C" {

@@ -1,0 +1,88 @@
+//! The timer that counts periods, and the watchdog.
+
+use firmware_template::{Clock, Periods};
+use nrf52840_hal as hal;
+
+use hal::pac::{self, TIMER1, interrupt};
+use hal::wdt::{Watchdog, WatchdogHandle, count, handles};
+
+/// Frequency of TIMER1. \[Hz\]
+const TIMER_FREQUENCY: f32 = 16e6;
+/// How often the processor wakes if there is nothing to sample: 0.1 s. \[tick\]
+const HEARTBEAT: u32 = 1_600_000;
+/// 8 s, far above the 0.6 s that the pages of a slot take to erase. \[1/32768 s\]
+const WATCHDOG_PERIOD: u32 = 8 * 32_768;
+
+/// Starts the watchdog, or finds the one that has outlived a reset.
+pub(crate) fn watchdog(wdt: pac::WDT) -> Option<WatchdogHandle<handles::Hdl0>> {
+    let parts = match Watchdog::try_new(wdt) {
+        Ok(mut watchdog) => {
+            watchdog.set_lfosc_ticks(WATCHDOG_PERIOD);
+            watchdog.run_during_sleep(true);
+            Some(watchdog.activate::<count::One>())
+        }
+        Err(wdt) => Watchdog::try_recover::<count::One>(wdt).ok(),
+    };
+    let (mut handle,) = parts?.handles;
+    handle.pet();
+    Some(handle)
+}
+
+/// TIMER1, a counter of 32 bits, and the watchdog that is fed with it.
+pub(crate) struct Timer {
+    timer: TIMER1,
+    watchdog: Option<WatchdogHandle<handles::Hdl0>>,
+    periods: Periods,
+}
+
+impl Timer {
+    /// Lets the counter run.
+    pub(crate) fn new(timer: TIMER1, watchdog: Option<WatchdogHandle<handles::Hdl0>>) -> Self {
+        timer.bitmode.write(|w| w.bitmode()._32bit());
+        // SAFETY: 16 MHz, undivided.
+        timer.prescaler.write(|w| unsafe { w.prescaler().bits(0) });
+        timer.intenset.write(|w| w.compare0().set());
+        timer.tasks_start.write(|w| w.tasks_start().set_bit());
+        Self { timer, watchdog, periods: Periods::new(HEARTBEAT) }
+    }
+
+    fn now(&self) -> u32 {
+        self.timer.tasks_capture[1].write(|w| w.tasks_capture().set_bit());
+        self.timer.cc[1].read().bits()
+    }
+}
+
+impl Clock for Timer {
+    fn start(&mut self, period: f32) {
+        let now = self.now();
+        self.periods.start(period, TIMER_FREQUENCY, now);
+    }
+
+    fn elapsed(&mut self) -> u32 {
+        if let Some(watchdog) = &mut self.watchdog {
+            watchdog.pet();
+        }
+        let now = self.now();
+        self.periods.elapsed(now)
+    }
+
+    /// An interrupt that comes before the instruction sets the event that it waits for, so none
+    /// is slept through.
+    fn rest(&mut self) {
+        // SAFETY: every value is one that this register takes.
+        self.timer.cc[0].write(|w| unsafe { w.bits(self.periods.next()) });
+        // What comes before the register is set does not wake.
+        if !self.periods.is_due(self.now()) {
+            cortex_m::asm::wfe();
+        }
+    }
+}
+
+#[interrupt]
+fn TIMER1() {
+    // SAFETY: only this touches the event, and `Timer` is not disturbed by it.
+    let timer = unsafe { &*TIMER1::ptr() };
+    timer.events_compare[0].reset();
+    // The bus takes its time, and the interrupt would come again.
+    let _ = timer.events_compare[0].read();
+}

@@ -1,0 +1,212 @@
+//! The link: IEEE 802.15.4 data frames to all nodes of one network.
+//!
+//! The radio listens whenever it does not send. Its interrupt puts each whole frame into a queue of
+//! [`FRAMES`] and has it listening again within microseconds; the next frame needs 160 us of preamble,
+//! so none is lost between two calls. Lost is what arrives while this node sends or erases flash.
+
+use core::ptr::NonNull;
+
+use agent_core::wire::frame::FRAME_LENGTH_MAX;
+use cortex_m::peripheral::NVIC;
+use firmware_template::on_chip::Shared;
+use firmware_template::{Link, Lost};
+use hal::ieee802154::{Channel, Packet, Radio};
+use hal::pac::{self, Interrupt, RADIO, interrupt};
+use heapless::{Deque, Vec};
+use nrf52840_hal as hal;
+
+/// 2,480 MHz, above the usual channels of wireless networks.
+const CHANNEL: Channel = Channel::_26;
+/// The network that all nodes of one plant share.
+const PAN: u16 = 0x4453;
+/// Received frames that wait for a step.
+const FRAMES: usize = 2 * crate::NEIGHBOURS;
+/// How often the radio looks for a free channel before a frame is given up.
+const TRIES: u32 = 4;
+
+static RECEIVER: Shared<Receiver> = Shared::new();
+
+/// The start of a data frame from a short address to all of one network, without acknowledgement
+/// (IEEE 802.15.4-2006, 7.2): frame control, sequence number, network, destination, source.
+struct Header;
+
+impl Header {
+    const LENGTH: usize = 9;
+    const CONTROL: [u8; 2] = 0x8841_u16.to_le_bytes();
+    const EVERYBODY: [u8; 2] = [0xff; 2];
+
+    fn of(sequence: u8, source: u16) -> [u8; Self::LENGTH] {
+        let [[c0, c1], [p0, p1], [e0, e1]] = [Self::CONTROL, PAN.to_le_bytes(), Self::EVERYBODY];
+        let [s0, s1] = source.to_le_bytes();
+        [c0, c1, sequence, p0, p1, e0, e1, s0, s1]
+    }
+
+    /// What such a frame of our network carries.
+    fn strip(bytes: &[u8]) -> Option<&[u8]> {
+        let (header, content) = bytes.split_first_chunk::<{ Self::LENGTH }>()?;
+        let [c0, c1, _, p0, p1, e0, e1, _, _] = *header;
+        let expected = [Self::CONTROL, PAN.to_le_bytes(), Self::EVERYBODY];
+        ([[c0, c1], [p0, p1], [e0, e1]] == expected).then_some(content)
+    }
+}
+
+const _: () = assert!(Header::LENGTH + FRAME_LENGTH_MAX <= Packet::CAPACITY as usize);
+
+/// What the interrupt does for the link.
+pub(crate) struct Receiver {
+    radio: RADIO,
+    /// Where the radio writes: length, content, link quality.
+    buffer: NonNull<[u8; Receiver::BUFFER]>,
+    frames: Deque<Vec<u8, FRAME_LENGTH_MAX>, FRAMES>,
+}
+
+// SAFETY: nobody else has a pointer to the buffer, which lives for ever.
+unsafe impl Send for Receiver {}
+
+impl Receiver {
+    pub(crate) const BUFFER: usize = 128;
+    /// Of the frame check sequence, which the length counts and the radio keeps. \[byte\]
+    const CHECK: usize = 2;
+
+    /// Begins to listen; the radio must not be sending.
+    fn listen(&mut self) {
+        self.radio.events_end.reset();
+        self.radio.events_framestart.reset();
+        // SAFETY: the buffer is as long as the longest frame, and lives for ever.
+        self.radio.packetptr.write(|w| unsafe { w.bits(self.buffer.as_ptr() as u32) });
+        self.radio.shorts.write(|w| w.rxready_start().set_bit());
+        cortex_m::asm::dmb();
+        while self.radio.state.read().state().is_tx_disable() {}
+        if self.radio.state.read().state().is_rx_idle() {
+            self.radio.tasks_start.write(|w| w.tasks_start().set_bit());
+        } else {
+            self.radio.tasks_rxen.write(|w| w.tasks_rxen().set_bit());
+        }
+    }
+
+    /// Stops listening, once a frame that is arriving has done so.
+    fn stop(&mut self) {
+        // 127 bytes of 32 us each, at 64 cycles a microsecond and some cycles for each look.
+        for _ in 0..127 * 32 * 64 / 8 {
+            let arriving = self.radio.events_framestart.read().events_framestart().bit_is_set();
+            if !arriving || self.radio.events_end.read().events_end().bit_is_set() {
+                break;
+            }
+        }
+        self.take();
+        // A receiver that is still starting would not hear that it is to stop.
+        while self.radio.state.read().state().is_rx_ru() {}
+        self.radio.shorts.reset();
+        self.radio.tasks_stop.write(|w| w.tasks_stop().set_bit());
+        while self.radio.state.read().state().is_rx() {}
+        cortex_m::asm::dmb();
+    }
+
+    /// Puts a frame that has arrived into the queue; returns whether one had.
+    fn take(&mut self) -> bool {
+        if self.radio.events_end.read().events_end().bit_is_clear() {
+            return false;
+        }
+        self.radio.events_end.reset();
+        cortex_m::asm::dmb();
+        if self.radio.crcstatus.read().crcstatus().bit_is_set() {
+            // SAFETY: the radio has ended its frame and is not started again while this borrows.
+            let [length, content @ ..] = unsafe { self.buffer.as_ref() };
+            let length = usize::from(*length).checked_sub(Self::CHECK);
+            let frame = length.and_then(|length| Header::strip(content.get(..length)?));
+            if let Some(frame) = frame.and_then(|frame| Vec::from_slice(frame).ok()) {
+                // What there is no room for is lost.
+                let _ = self.frames.push_back(frame);
+            }
+        }
+        true
+    }
+}
+
+#[interrupt]
+fn RADIO() {
+    RECEIVER.with(|receiver| {
+        if receiver.take() {
+            receiver.listen();
+        }
+    });
+}
+
+/// The link through the radio: the HAL sets it up and sends, the interrupt receives.
+pub(crate) struct RadioLink {
+    radio: Radio<'static>,
+    packet: Packet,
+    address: u16,
+    sequence: u8,
+    /// State of the generator of waiting times, different on each node.
+    random: u32,
+}
+
+impl RadioLink {
+    pub(crate) fn new(
+        mut radio: Radio<'static>,
+        buffer: &'static mut [u8; Receiver::BUFFER],
+        address: u16,
+    ) -> Self {
+        radio.set_channel(CHANNEL);
+        // SAFETY: the HAL's radio and this one take turns: the interrupt is masked while the HAL
+        // sends, and the HAL is only asked to send.
+        let registers = unsafe { pac::Peripherals::steal() }.RADIO;
+        registers.intenset.write(|w| w.end().set());
+        let mut receiver =
+            Receiver { radio: registers, buffer: NonNull::from(buffer), frames: Deque::new() };
+        receiver.listen();
+        RECEIVER.set(receiver);
+        let random = u32::from(address);
+        Self { radio, packet: Packet::new(), address, sequence: 0, random }
+    }
+
+    /// 1 to 8 times the 320 us that IEEE 802.15.4 counts waiting times in. \[cycle\]
+    fn waiting_time(&mut self) -> u32 {
+        // A linear congruential generator with the constants of Numerical Recipes.
+        self.random = self.random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (1 + (self.random >> 29)) * 320 * 64
+    }
+}
+
+impl Link for RadioLink {
+    type Error = Lost;
+
+    fn send(&mut self, frame: &[u8]) -> Result<(), Lost> {
+        let mut bytes = Vec::<u8, { Header::LENGTH + FRAME_LENGTH_MAX }>::new();
+        let header = Header::of(self.sequence, self.address);
+        self.sequence = self.sequence.wrapping_add(1);
+        if bytes.extend_from_slice(&header).is_err() || bytes.extend_from_slice(frame).is_err() {
+            return Err(Lost);
+        }
+        self.packet.copy_from_slice(&bytes);
+        // The interrupt would come for ever if it found no receiver, so it is masked. The others
+        // go on: sending takes milliseconds.
+        NVIC::mask(Interrupt::RADIO);
+        let mut receiver = RECEIVER.take().ok_or(Lost)?;
+        let mut sent = false;
+        for attempt in 0..TRIES {
+            if attempt > 0 {
+                cortex_m::asm::delay(self.waiting_time());
+            }
+            receiver.stop();
+            sent = self.radio.try_send(&mut self.packet).is_ok();
+            receiver.listen();
+            if sent {
+                break;
+            }
+        }
+        RECEIVER.set(receiver);
+        // SAFETY: it was so before, and what the handler uses is in place.
+        unsafe { NVIC::unmask(Interrupt::RADIO) };
+        if sent { Ok(()) } else { Err(Lost) }
+    }
+
+    fn poll<'buffer>(&mut self, buffer: &'buffer mut [u8]) -> Result<Option<&'buffer [u8]>, Lost> {
+        let frame = RECEIVER.with(|receiver| receiver.frames.pop_front()).flatten();
+        let Some(frame) = frame else { return Ok(None) };
+        let place = buffer.get_mut(..frame.len()).ok_or(Lost)?;
+        place.copy_from_slice(&frame);
+        Ok(Some(place))
+    }
+}

@@ -1,0 +1,169 @@
+//! The I2C bus, with an end to every wait. The HAL, which sets the bus up, waits for its flags as long
+//! as it takes; a bus that is stuck would then stop the node, which can do without a measurement.
+
+use embedded_hal::i2c::{
+    Error, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation, SevenBitAddress,
+};
+use hal::i2c;
+use hal::pac::I2C1;
+use hal::pac::i2c1::sr1;
+use stm32f4xx_hal as hal;
+
+/// I2C1.
+pub(crate) struct Bus {
+    registers: I2C1,
+}
+
+/// Why a transfer ended early.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum BusError {
+    /// A flag did not come.
+    Timeout,
+    /// Nothing acknowledged.
+    NoAcknowledge,
+    /// A misplaced start or stop, or another master.
+    Bus,
+}
+
+impl Error for BusError {
+    fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Timeout => ErrorKind::Other,
+            Self::NoAcknowledge => ErrorKind::NoAcknowledge(NoAcknowledgeSource::Unknown),
+            Self::Bus => ErrorKind::Bus,
+        }
+    }
+}
+
+impl Bus {
+    /// How often a flag is looked at: at 168 MHz and at least 8 cycles a look almost 1 ms, 40 times as
+    /// long as a byte takes.
+    const LOOKS: u32 = 20_000;
+
+    /// The bus that the HAL has set up.
+    pub(crate) fn new(bus: i2c::I2c<I2C1>) -> Self {
+        let (registers, _) = bus.release();
+        Self { registers }
+    }
+
+    /// Waits for a flag.
+    fn wait(&mut self, flag: impl Fn(&sr1::R) -> bool) -> Result<(), BusError> {
+        for _ in 0..Self::LOOKS {
+            let status = self.registers.sr1().read();
+            if status.af().bit_is_set() {
+                return Err(BusError::NoAcknowledge);
+            }
+            if status.berr().bit_is_set() || status.arlo().bit_is_set() {
+                return Err(BusError::Bus);
+            }
+            if flag(&status) {
+                return Ok(());
+            }
+        }
+        Err(BusError::Timeout)
+    }
+
+    /// Addresses the device; a single byte to read is not acknowledged, which has to be said now.
+    fn start(&mut self, address: u8, reads: bool, acknowledge: bool) -> Result<(), BusError> {
+        self.registers.cr1().modify(|_, w| w.start().set_bit().ack().bit(acknowledge));
+        self.wait(|status| status.sb().bit_is_set())?;
+        self.send(address << 1 | u8::from(reads));
+        self.wait(|status| status.addr().bit_is_set())?;
+        // Reading both status registers clears the flag.
+        let _ = self.registers.sr2().read();
+        Ok(())
+    }
+
+    fn send(&mut self, byte: u8) {
+        // SAFETY: every value is one that this register takes.
+        self.registers.dr().write(|w| unsafe { w.bits(byte.into()) });
+    }
+
+    fn write_bytes(&mut self, bytes: &[u8]) -> Result<(), BusError> {
+        for &byte in bytes {
+            self.wait(|status| status.tx_e().bit_is_set())?;
+            self.send(byte);
+        }
+        self.wait(|status| status.btf().bit_is_set())
+    }
+
+    fn read_bytes(&mut self, buffer: &mut [u8]) -> Result<(), BusError> {
+        let length = buffer.len();
+        for (index, place) in buffer.iter_mut().enumerate() {
+            if index + 1 == length {
+                self.registers.cr1().modify(|_, w| w.ack().clear_bit().stop().set_bit());
+            }
+            self.wait(|status| status.rx_ne().bit_is_set())?;
+            *place = self.registers.dr().read().bits() as u8;
+        }
+        Ok(())
+    }
+
+    fn stop(&mut self) {
+        self.registers.cr1().modify(|_, w| w.stop().set_bit());
+    }
+
+    /// Resets the peripheral, which keeps its settings but forgets the transfer.
+    fn recover(&mut self) {
+        self.stop();
+        let registers = &self.registers;
+        let (cr2, ccr, trise) =
+            (registers.cr2().read().bits(), registers.ccr().read().bits(), registers.trise().read().bits());
+        registers.cr1().modify(|_, w| w.swrst().set_bit());
+        registers.cr1().reset();
+        // SAFETY: the values were in these registers before.
+        unsafe {
+            registers.cr2().write(|w| w.bits(cr2));
+            registers.ccr().write(|w| w.bits(ccr));
+            registers.trise().write(|w| w.bits(trise));
+        }
+        registers.cr1().modify(|_, w| w.pe().set_bit());
+    }
+
+    fn operate(
+        &mut self,
+        address: u8,
+        operations: &mut [Operation<'_>],
+    ) -> Result<(), BusError> {
+        let mut stopped = true;
+        for operation in operations {
+            match operation {
+                Operation::Write(bytes) => {
+                    self.start(address, false, true)?;
+                    self.write_bytes(bytes)?;
+                    stopped = false;
+                }
+                Operation::Read(buffer) if buffer.is_empty() => {}
+                Operation::Read(buffer) => {
+                    self.start(address, true, buffer.len() > 1)?;
+                    self.read_bytes(buffer)?;
+                    // Reading ends with a stop; only writing goes on with another start.
+                    stopped = true;
+                }
+            }
+        }
+        if !stopped {
+            self.stop();
+        }
+        Ok(())
+    }
+}
+
+impl ErrorType for Bus {
+    type Error = BusError;
+}
+
+impl I2c<SevenBitAddress> for Bus {
+    /// A read ends with a stop, also before another operation.
+    fn transaction(
+        &mut self,
+        address: SevenBitAddress,
+        operations: &mut [Operation<'_>],
+    ) -> Result<(), BusError> {
+        let outcome = self.operate(address, operations);
+        if outcome.is_err() {
+            self.recover();
+        }
+        outcome
+    }
+}

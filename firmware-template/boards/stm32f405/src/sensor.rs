@@ -1,0 +1,54 @@
+//! The accelerometer.
+
+use firmware_template::Sensor;
+use hal::timer::SysDelay;
+use lsm303agr::interface::I2cInterface;
+use lsm303agr::mode::MagOneShot;
+use lsm303agr::{AccelMode, AccelOutputDataRate, Lsm303agr};
+use stm32f4xx_hal as hal;
+
+use crate::bus::{Bus, BusError};
+
+/// The accelerometer of an LSM303AGR: 1,344 samples a second, +-2 g, 4 mg a count.
+pub(crate) struct Accelerometer {
+    device: Lsm303agr<I2cInterface<Bus>, MagOneShot>,
+    delay: SysDelay,
+    /// Whether the device has been set up, and no error has occurred since.
+    ready: bool,
+}
+
+impl Accelerometer {
+    /// Standard gravity, by definition (CGPM 1901), of a thousandth of a g. \[m/s^2\]
+    const MILLIGRAVITY: f32 = 9.806_65e-3;
+
+    /// Sets nothing up yet: that is done with the first sample.
+    pub(crate) fn new(bus: Bus, delay: SysDelay) -> Self {
+        Self { device: Lsm303agr::new_with_i2c(bus), delay, ready: false }
+    }
+
+    fn sample(&mut self) -> Result<f32, lsm303agr::Error<BusError>> {
+        if !self.ready {
+            let rate = AccelOutputDataRate::Khz1_344;
+            self.device.init()?;
+            self.device.set_accel_mode_and_odr(&mut self.delay, AccelMode::Normal, rate)?;
+        }
+        let thousandths = self.device.acceleration()?.x_mg();
+        Ok(thousandths as f32 * Self::MILLIGRAVITY)
+    }
+}
+
+impl Sensor for Accelerometer {
+    type Error = lsm303agr::Error<BusError>;
+
+    fn outputs(&self) -> usize {
+        1
+    }
+
+    fn read(&mut self, measurement: &mut [f32]) -> Result<(), Self::Error> {
+        let [place] = measurement else { return Err(lsm303agr::Error::InvalidInputData) };
+        let sample = self.sample();
+        self.ready = sample.is_ok();
+        *place = sample?;
+        Ok(())
+    }
+}

@@ -1,0 +1,88 @@
+//! The serial ports: their interrupts fill and empty the queues.
+
+use firmware_template::QueuedEnd;
+use firmware_template::on_chip::Shared;
+use hal::gpio::{AnyPin, Output};
+use hal::pac::{USART3, USART6, interrupt};
+use hal::prelude::*;
+use hal::serial::{self, Event, Flag, Instance, Serial};
+use hal::{Listen, ReadFlags};
+use stm32f4xx_hal as hal;
+
+pub(crate) static SERVICE: Shared<Uart<USART3>> = Shared::new();
+pub(crate) static LINK: Shared<Uart<USART6>> = Shared::new();
+
+/// What an interrupt does for a serial port.
+pub(crate) struct Uart<U: Instance> {
+    serial: Serial<U>,
+    end: QueuedEnd<'static>,
+    /// Turns an RS-485 transceiver to sending.
+    driver: Option<AnyPin<Output>>,
+}
+
+impl<U: Instance> Uart<U> {
+    /// Hands everything to the interrupt, whose place is `place`.
+    pub(crate) fn begin(
+        place: &Shared<Self>,
+        serial: Result<Serial<U>, serial::config::InvalidConfig>,
+        end: QueuedEnd<'static>,
+        driver: Option<AnyPin<Output>>,
+    ) {
+        // The baud rates above are ones that the hardware has.
+        if let Ok(mut serial) = serial {
+            serial.listen(Event::RxNotEmpty);
+            place.set(Self { serial, end, driver });
+        }
+    }
+
+    fn serve(place: &Shared<Self>) {
+        place.with(|uart| {
+            uart.receive();
+            uart.send();
+        });
+    }
+
+    fn receive(&mut self) {
+        loop {
+            match self.serial.read() {
+                Ok(byte) => self.end.put(byte),
+                Err(hal::nb::Error::WouldBlock) => break,
+                // The HAL has taken the damaged byte, and with it the error.
+                Err(hal::nb::Error::Other(_)) => (),
+            }
+        }
+    }
+
+    fn send(&mut self) {
+        let flags = self.serial.flags();
+        if !flags.contains(Flag::TxEmpty) {
+            return;
+        }
+        if let Some(byte) = self.end.take() {
+            if let Some(driver) = &mut self.driver {
+                driver.set_high();
+            }
+            // There is room, as the flag said.
+            let _ = self.serial.write(byte);
+            self.serial.listen(Event::TxEmpty);
+        } else if flags.contains(Flag::TransmissionComplete) {
+            self.serial.unlisten(Event::TxEmpty | Event::TransmissionComplete);
+            if let Some(driver) = &mut self.driver {
+                driver.set_low();
+            }
+        } else {
+            self.serial.unlisten(Event::TxEmpty);
+            self.serial.listen(Event::TransmissionComplete);
+        }
+    }
+}
+
+#[interrupt]
+fn USART3() {
+    Uart::serve(&SERVICE);
+}
+
+#[interrupt]
+fn USART6() {
+    Uart::serve(&LINK);
+}
