@@ -408,20 +408,6 @@ impl RecordReport {
     }
 }
 
-<<<<<<< HEAD
-=======
-impl From<RecordError> for CommandError {
-    fn from(error: RecordError) -> Self {
-        let problem = error.to_string();
-        match error {
-            RecordError::Output(error) => Self::File(error),
-            RecordError::Exists { path } | RecordError::Other { path, .. } => {
-                Self::RecordRefused { path, problem }
-            }
-        }
-    }
-}
-
 fn fault_text(fault: BoardFault) -> &'static str {
     match fault {
         BoardFault::Clock => {
@@ -431,7 +417,6 @@ fn fault_text(fault: BoardFault) -> &'static str {
     }
 }
 
->>>>>>> ee5b3cf (Make every board a crate of its own, found by its folder)
 fn outcome_text(outcome: Outcome) -> &'static str {
     match outcome {
         Outcome::Stepped => "a step",
