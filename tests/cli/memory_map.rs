@@ -60,6 +60,23 @@ fn repository_map_matches_the_linker() {
 }
 
 #[test]
+fn every_boards_map_can_be_read_and_its_parts_are_erasable() {
+    let boards = Path::new(env!("CARGO_MANIFEST_DIR")).join("../firmware-template/boards");
+    let mut read = 0;
+    for entry in std::fs::read_dir(boards).unwrap() {
+        let path = entry.unwrap().path().join("memory.x");
+        if path.exists() {
+            let map = MemoryMap::read(&path).unwrap();
+            let weights =
+                map.weights().unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+            assert!(weights.layout().slot_length >= 28 << 10, "{}", path.display());
+            read += 1;
+        }
+    }
+    assert!(read >= 4, "{read} maps");
+}
+
+#[test]
 fn expressions_match_the_linker() {
     for (expression, expected) in [
         ("1 + 2 * 3", 7),
