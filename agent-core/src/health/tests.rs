@@ -5,6 +5,7 @@ use core::num::NonZeroU32;
 use super::*;
 use crate::agent::region::Region;
 use crate::agent::region::StateBox;
+use crate::agent::hold::Hold;
 use crate::math::activation::Activation;
 use crate::math::symmetric::SymmetricMatrix;
 use crate::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};

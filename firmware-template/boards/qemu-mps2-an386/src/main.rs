@@ -39,7 +39,6 @@ const N: usize = 3;
 /// Room for features, neighbours, entries of `Gamma`, samples for training.
 const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 4;
-const GAINS: usize = FEATURES;
 const SAMPLES: usize = 64;
 
 /// The plant is gone.
@@ -54,7 +53,7 @@ const EXIT_MEMORY: usize = 5;
 const EXIT_KEY: usize = 4;
 
 type Loop = InTheLoop<Port, { 2 * NEIGHBOURS }>;
-type LoopNode = Node<'static, RamFlash, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>;
+type LoopNode = Node<'static, RamFlash, N, FEATURES, NEIGHBOURS, SAMPLES>;
 
 static MEMORY: ConstStaticCell<Memory<N, FEATURES, NEIGHBOURS, SAMPLES>> =
     ConstStaticCell::new(Memory::new());
