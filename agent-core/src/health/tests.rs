@@ -3,9 +3,9 @@
 use core::num::NonZeroU32;
 
 use super::*;
+use crate::agent::hold::Hold;
 use crate::agent::region::Region;
 use crate::agent::region::StateBox;
-use crate::agent::hold::Hold;
 use crate::math::activation::Activation;
 use crate::math::symmetric::SymmetricMatrix;
 use crate::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
