@@ -303,7 +303,8 @@ fn the_watched_step_that_ships_is_the_one_written_out_here() {
             for value in measured.iter_mut().filter(|_| disturbed) {
                 *value = (draw.whole(0, 1) == 0).then(|| nonsense(&mut draw));
             }
-            let disturb = |agent: usize, value: &mut f32| *value = measured[agent].unwrap_or(*value);
+            let disturb =
+                |agent: usize, value: &mut f32| *value = measured[agent].unwrap_or(*value);
             shipped.step_as_shipped(disturb);
             oracle.step(disturb);
             assert_eq!(shipped.bits(), oracle.bits(), "seed {seed}, tick {tick}");

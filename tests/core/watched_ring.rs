@@ -3,9 +3,7 @@
 use agent_core::agent::inbox::Inbox;
 use agent_core::agent::region::StateBox;
 use agent_core::agent::{AgentParams, AgentState, StepError};
-use agent_core::health::{
-    Advice, Health, HealthParams, HealthSettings, WatchedAgent, WatchedStep,
-};
+use agent_core::health::{Advice, Health, HealthParams, HealthSettings, WatchedAgent, WatchedStep};
 use agent_core::math::activation::Activation;
 use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
