@@ -220,7 +220,7 @@ fn on_the_host(requests: &[Request<'_>]) -> Vec<Vec<u8>> {
     };
     let mut memory = Memory::new();
     let flash = SimulatedFlash::<4, { UNIT as usize }>::new(4 * UNIT as usize, Tear::Prefix, 1);
-    let mut node = Node::<_, 3, 8, 4, 8, 64>::new(flash, settings, &mut memory).unwrap();
+    let mut node = Node::<_, 3, 8, 4, 64>::new(flash, settings, &mut memory).unwrap();
     let mut board = InTheLoop::<_, 8>::new(Memorised { input, output: Vec::new() });
     node.run(&mut board);
     let mut decoder = Decoder::<512>::new();

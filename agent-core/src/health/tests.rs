@@ -3,6 +3,7 @@
 use core::num::NonZeroU32;
 
 use super::*;
+use crate::agent::hold::Hold;
 use crate::agent::region::Region;
 use crate::agent::region::StateBox;
 use crate::math::activation::Activation;

@@ -7,7 +7,7 @@ use agent_core::store::MappedFlash;
 use agent_core::{StateVector, Tick};
 
 use super::load::Verified;
-use super::{Event, Next, Node, Request, Response, Rows, Session, respond};
+use super::{Event, Next, Node, Request, Response, Rows, respond};
 use crate::board::Board;
 
 /// The answer to a request, and what follows from it.
@@ -18,25 +18,19 @@ impl<
     const N: usize,
     const FEATURES: usize,
     const NEIGHBOURS: usize,
-    const GAINS: usize,
     const SAMPLES: usize,
-> Node<'_, F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
+> Node<'_, F, N, FEATURES, NEIGHBOURS, SAMPLES>
 {
     /// Does what is asked for, and answers. Its stack is not to add to a turn's.
     #[inline(never)]
-    pub(super) fn answer<B: Board>(
-        &mut self,
-        session: Option<&Session<'_, N>>,
-        board: &mut B,
-        bytes: &[u8],
-    ) -> Next {
+    pub(super) fn answer<B: Board>(&mut self, board: &mut B, bytes: &[u8]) -> Next {
         let answer = match receive::<Request<'_>>(bytes) {
             None => Err(Problem::Unknown),
             Some(Request::Samples { from, most }) => {
                 let next = self.send_samples(board, from, most);
                 Ok((Response::SamplesEnd { next }, Next::Continue))
             }
-            Some(Request::StartAt { estimate }) => self.start(session, board, &estimate),
+            Some(Request::StartAt { estimate }) => self.start(board, &estimate),
             Some(request) => self.carry_out(&request),
         };
         match answer {
@@ -110,19 +104,16 @@ impl<
     }
 
     /// Goes on from another estimate, and lets the neighbours know.
-    fn start<B: Board>(
-        &mut self,
-        session: Option<&Session<'_, N>>,
-        board: &mut B,
-        estimate: &[f32],
-    ) -> Answer<'static, N> {
-        let session = session.ok_or(Problem::NoPackage)?;
-        let estimate: &[f32; N] = estimate.try_into().map_err(|_| Problem::Estimate)?;
-        if !self.start_at(session, StateVector::from(*estimate)) {
-            return Err(Problem::Estimate);
+    fn start<B: Board>(&mut self, board: &mut B, estimate: &[f32]) -> Answer<'static, N> {
+        if self.memory.session.is_none() {
+            return Err(Problem::NoPackage);
         }
-        self.announce(session, board);
-        Ok((Response::Done, Next::Continue))
+        let estimate: &[f32; N] = estimate.try_into().map_err(|_| Problem::Estimate)?;
+        match self.start_at(board, StateVector::from(*estimate)) {
+            Some(true) => Ok((Response::Done, Next::Continue)),
+            Some(false) => Err(Problem::Estimate),
+            None => Err(Problem::NoPackage),
+        }
     }
 
     /// Sends at most `most` samples from the tick `from` on; returns where to go on.

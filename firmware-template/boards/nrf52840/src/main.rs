@@ -59,10 +59,9 @@ use uart::{SERVICE, Uart};
 
 /// State components of the plant.
 const N: usize = 3;
-/// Room for features, neighbours, entries of `Gamma`, samples for training.
+/// Room for features, neighbours, samples for training.
 const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 4;
-const GAINS: usize = FEATURES;
 const SAMPLES: usize = 64;
 
 /// Address and register of the TMP117; 7.8125 thousandths of a degree a count.
@@ -75,7 +74,7 @@ const FLUSH_DELAY_CYCLES: u32 = 64_000_000 / 10;
 /// The radio needs the crystal, nothing here a clock that runs on while the chip sleeps.
 type ClocksForRadio = Clocks<ExternalOscillator, Internal, LfOscStopped>;
 
-type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>;
+type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, SAMPLES>;
 
 /// The board on its own feet.
 #[cfg(not(feature = "in-the-loop"))]
@@ -107,7 +106,7 @@ static NODE: StaticCell<ThisNode> = StaticCell::new();
 
 #[entry]
 fn main() -> ! {
-    if let Some(Parts { board, flash, }) = hardware()
+    if let Some(Parts { board, flash }) = hardware()
         && let Some(node) = node(flash)
     {
         node.run(board);

@@ -57,10 +57,9 @@ use uart::{LINK, SERVICE, Uart};
 
 /// State components of the plant.
 const N: usize = 3;
-/// Room for features, neighbours, entries of `Gamma`, samples for training.
+/// Room for features, neighbours, samples for training.
 const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 4;
-const GAINS: usize = FEATURES;
 const SAMPLES: usize = 64;
 
 /// Address and register of the TMP117; 7.8125 thousandths of a degree a count.
@@ -82,7 +81,7 @@ const FLUSH_DELAY_CYCLES: u32 = 125_000_000 / 10;
 #[used]
 static BOOT2: [u8; 256] = rp2040_boot2::BOOT_LOADER_W25Q080;
 
-type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>;
+type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, SAMPLES>;
 
 /// The pins of the sensor's bus.
 type BusPins = (Pin<Gpio4, FunctionI2C, PullUp>, Pin<Gpio5, FunctionI2C, PullUp>);

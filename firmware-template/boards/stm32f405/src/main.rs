@@ -57,10 +57,9 @@ use uart::{LINK, SERVICE, Uart};
 
 /// State components of the plant.
 const N: usize = 3;
-/// Room for features, neighbours, entries of `Gamma`, samples for training.
+/// Room for features, neighbours, samples for training.
 const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 4;
-const GAINS: usize = FEATURES;
 const SAMPLES: usize = 64;
 
 /// Above the longest erasure, also where the watchdog's own oscillator runs at 47 kHz instead of
@@ -73,7 +72,7 @@ const LINK_BAUD: u32 = 1_000_000;
 /// 168 MHz. \[cycle\]
 const FLUSH_DELAY_CYCLES: u32 = 168_000_000 / 10;
 
-type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>;
+type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, SAMPLES>;
 
 /// The board on its own feet.
 #[cfg(not(feature = "in-the-loop"))]
