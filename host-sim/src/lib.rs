@@ -47,6 +47,7 @@ pub mod scenario;
 pub mod service;
 pub mod shell;
 pub mod signing;
+mod spelling;
 pub mod stop;
 pub mod tensors;
 pub mod terminal;

@@ -238,6 +238,12 @@ fn passphrase_comes_from_a_file_or_a_variable() {
     let error = folder
         .fail(&format!("train {SAMPLES} {TRAIN} --sign operator.key --passphrase-file wrong"), 2);
     assert!(error.contains("cannot be decrypted"), "{error}");
+    let cosim = "cosim paper --boards unix:a,unix:b,unix:c --key operator.key --passphrase-file";
+    let error = folder.fail(&format!("{cosim} wrong"), 2);
+    assert!(error.contains("operator.key: cannot be decrypted"), "{error}");
+    // With the right one it gets as far as the nodes.
+    let error = folder.fail(&format!("{cosim} right"), 1);
+    assert!(error.contains("agent 1 (unix:a)"), "{error}");
     let with = |variable: Option<&str>| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_simulator-under-test"));
         command.args(sign.split(' ')).current_dir(folder.path(".")).stdin(Stdio::null());

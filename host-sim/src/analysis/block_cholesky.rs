@@ -333,34 +333,21 @@ impl Factor<'_, '_> {
 
     /// Computes `|L|^T y`.
     fn magnitudes_transposed(&self, y: &[f64]) -> Vec<f64> {
-        let n = self.structure.matrix.block();
         let mut result = vec![0.0; y.len()];
-        let rows = &self.structure.elimination.rows;
-        for (k, column) in self.columns.iter().enumerate() {
-            let ranks = std::iter::once(&k).chain(&rows[k]);
-            for ((block, rank), diagonal) in
-                column.chunks_exact(n * n).zip(ranks).zip((0..).map(|place| place == 0))
-            {
-                for i in 0..n {
-                    for j in 0..if diagonal { i + 1 } else { n } {
-                        result[k * n + j] += block[i * n + j].abs() * y[rank * n + i];
-                    }
-                }
-            }
-        }
-        let start = self.columns.len() * n;
-        for k in 0..y.len() - start {
-            let row = self.dense.row(k);
-            result[start + k] =
-                row.iter().zip(&y[start + k..]).fold(0.0, |sum, (u, y)| sum + u.abs() * y);
-        }
+        self.for_each_magnitude(y.len(), |row, column, entry| result[column] += entry * y[row]);
         result
     }
 
     /// Computes `|L| y`.
     fn magnitudes_forward(&self, y: &[f64]) -> Vec<f64> {
-        let n = self.structure.matrix.block();
         let mut result = vec![0.0; y.len()];
+        self.for_each_magnitude(y.len(), |row, column, entry| result[row] += entry * y[column]);
+        result
+    }
+
+    /// Calls `visit` with row, column and value of every entry of `|L|`, which has `size` rows.
+    fn for_each_magnitude(&self, size: usize, mut visit: impl FnMut(usize, usize, f64)) {
+        let n = self.structure.matrix.block();
         let rows = &self.structure.elimination.rows;
         for (k, column) in self.columns.iter().enumerate() {
             let ranks = std::iter::once(&k).chain(&rows[k]);
@@ -369,19 +356,17 @@ impl Factor<'_, '_> {
             {
                 for i in 0..n {
                     for j in 0..if diagonal { i + 1 } else { n } {
-                        result[rank * n + i] += block[i * n + j].abs() * y[k * n + j];
+                        visit(rank * n + i, k * n + j, block[i * n + j].abs());
                     }
                 }
             }
         }
         let start = self.columns.len() * n;
-        for k in 0..y.len() - start {
-            let own = y[start + k];
-            for (result, u) in result[start + k..].iter_mut().zip(self.dense.row(k)) {
-                *result += u.abs() * own;
+        for k in 0..size - start {
+            for (row, entry) in (start + k..size).zip(self.dense.row(k)) {
+                visit(row, start + k, entry.abs());
             }
         }
-        result
     }
 }
 

@@ -1,5 +1,7 @@
 //! Scenario errors: what is wrong in the file, where, and how to fix it.
 
+use crate::spelling::nearest;
+
 /// Why a scenario cannot be read. Formatted as one line: file, line, key, problem and hint.
 ///
 /// `paper.toml:17: agents[2].output_matrix: row 1 has 2 entries, expected 3 (the dimension of the
@@ -43,17 +45,8 @@ pub(super) fn closest<'c>(
 ) -> Option<&'c str> {
     let lower = word.to_lowercase();
     let near_enough = 1 + word.chars().count() / 5;
-    let mut near: Vec<(usize, &str)> = candidates
-        .into_iter()
-        .map(|candidate| (strsim::osa_distance(&lower, &candidate.to_lowercase()), candidate))
-        .filter(|&(distance, _)| distance <= near_enough)
-        .collect();
-    near.sort_by_key(|&(distance, _)| distance);
-    match near[..] {
-        [(_, only)] => Some(only),
-        [(first, nearest), (second, _), ..] if first < second => Some(nearest),
-        _ => None,
-    }
+    let distance = |candidate: &str| strsim::osa_distance(&lower, &candidate.to_lowercase());
+    nearest(candidates, distance, near_enough)
 }
 
 #[cfg(test)]

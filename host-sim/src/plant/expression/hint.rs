@@ -3,6 +3,7 @@
 
 use super::parser::ExpressionError;
 use super::{FUNCTIONS, RESERVED};
+use crate::spelling::nearest;
 
 /// Equivalents of functions in MATLAB, Python, C or Julia; names in lower case.
 const FUNCTIONS_ELSEWHERE: [(&[&str], &str); 43] = [
@@ -186,17 +187,8 @@ fn slip<'k>(name: &str, candidates: impl Iterator<Item = &'k str>) -> Option<&'k
         return None;
     }
     let allowed = if length < 6 { 1 } else { 2 };
-    let mut near: Vec<(usize, &str)> = candidates
-        .filter(|candidate| candidate.chars().count() > 1)
-        .map(|candidate| (strsim::osa_distance(name, candidate), candidate))
-        .filter(|&(distance, _)| distance <= allowed)
-        .collect();
-    near.sort_by_key(|&(distance, _)| distance);
-    match near[..] {
-        [(_, only)] => Some(only),
-        [(first, nearest), (second, _), ..] if first < second => Some(nearest),
-        _ => None,
-    }
+    let candidates = candidates.filter(|candidate| candidate.chars().count() > 1);
+    nearest(candidates, |candidate| strsim::osa_distance(name, candidate), allowed)
 }
 
 fn unexpected(column: usize, text: &str) -> Option<String> {
