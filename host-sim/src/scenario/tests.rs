@@ -293,7 +293,7 @@ fn models_of_links_and_trainers_are_named() {
     let scenario = changed(&format!("[link]\n{link}\n"), "").unwrap();
     assert_eq!(scenario.link, LinkModel::Lossless);
     for (from, to, key, hint) in [
-        (link, "kind = \"losless\"", "link.kind", "write \"lossless\""),
+        (link, "kind = \"losless\"", "link.kind", "did you mean \"lossless\""),
         (link, "kind = \"lossless\"\nloss = 0.5", "link.loss", "unknown key"),
         (link, "", "link", "kind"),
         (trainer, "trainer = \"adam\"", "recipes.paper.trainer", "levenberg-marquardt"),
