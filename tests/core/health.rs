@@ -295,7 +295,11 @@ fn the_watched_step_that_ships_is_the_one_written_out_here() {
             // Every third hundred steps are disturbed.
             let disturbed = tick / 100 % 3 == 2;
             if disturbed && draw.whole(0, 9) == 0 {
-                let frame = huge_frame(&mut draw);
+                let mut frame = huge_frame(&mut draw);
+                if draw.whole(0, 1) == 0 {
+                    // Plausible, but of an agent that is not a neighbour.
+                    (frame.sender, frame.estimate) = (99, StateVector::zeros());
+                }
                 shipped.inject(&frame);
                 oracle.inject(&frame);
             }
