@@ -47,7 +47,7 @@ pub use agent::hold::Hold;
 pub use agent::inbox::Inbox;
 pub use agent::region::{Region, StateBox};
 pub use agent::{AgentParams, AgentState, StepError, StepOutput};
-pub use health::{Health, HealthCounters, HealthParams, HealthSettings};
+pub use health::{Health, HealthCounters, HealthParams, HealthSettings, WatchedAgent, WatchedStep};
 pub use math::activation::Activation;
 pub use math::symmetric::SymmetricMatrix;
 pub use observer::feedback::{Neighbour, ObserverParams, OutputMatrix};

@@ -243,10 +243,10 @@ fn run(steps: u32) -> (Vec<u8>, u32) {
         stack_unused: None,
         version: [0, 1, 0],
     };
-    // Two state components; room for no features, 1 neighbour, no adaptation gain, 8 samples.
+    // Two state components; room for 1 feature, 1 neighbour, 8 samples.
     let mut memory = Memory::new();
-    let mut node = Node::<_, 2, 1, 1, 1, 8>::new(Ram([0xff; _]), settings, &mut memory)
-        .expect("a fine layout");
+    let mut node =
+        Node::<_, 2, 1, 1, 8>::new(Ram([0xff; _]), settings, &mut memory).expect("a fine layout");
     node.run(&mut board);
     (output.take(), heard.get())
 }

@@ -28,7 +28,7 @@ pub use board::{Board, Clock, Hardware, Link, Lost, Sensor};
 pub use in_the_loop::InTheLoop;
 pub use key::key_from_hex;
 pub use memory_map::{Symbols, WeightsRegion};
-pub use node::{Memory, Node, Settings};
+pub use node::{Memory, Node, Progress, Settings};
 pub use periods::Periods;
 pub use queued_port::{Full, QueuedEnd, QueuedPort, queued_port};
 pub use registers::RegisterSensor;

@@ -71,13 +71,15 @@ fn check_package(package: &Package<'_>, bytes: &[u8]) {
     let place = NetworkPlace::new(package, bytes).expect("it was decoded from there");
     assert_eq!(place.network(bytes).as_ref(), Some(&package.network));
 
-    // What is written decodes to the same package, and is written the same again. It can be
-    // shorter than what was read, where an integer took more bytes than it needs.
+    // What is written decodes to the same package, and is written the same again. But for a signature
+    // it is what was read, since there is one encoding for one package.
     let mut written = Aligned::new(&vec![0xaa; bytes.len()]);
-    let length = package.encode(written.bytes_mut()).expect("no longer than before");
+    let length = package.encode(written.bytes_mut()).expect("as long as before");
     let written = Aligned::new(&written.bytes()[..length]);
+    assert!(bytes.starts_with(written.bytes()));
     let decoded = Package::decode(written.bytes());
     assert_eq!(decoded.as_ref(), Ok(package));
+    assert_eq!(Package::decode_unchanged(bytes).as_ref(), Ok(package));
     let mut again = vec![0x55; length];
     assert_eq!(package.encode(&mut again), Ok(length));
     assert_eq!(again, written.bytes());
@@ -139,7 +141,7 @@ fn with_right_test_vectors<const N: usize>(
     }
     let package = Package { test_vectors: &numbers, ..package.clone() };
     let mut buffer = vec![0; length];
-    let length = package.encode(&mut buffer).expect("no longer than before");
+    let length = package.encode(&mut buffer).expect("as long as before");
     numbers.iter().all(|number| number.is_finite()).then(|| Aligned::new(&buffer[..length]))
 }
 

@@ -12,9 +12,10 @@ use agent_core::observer::network::{Architecture, Layer};
 use divan::Bencher;
 use faer::linalg::matmul::{matmul, triangular};
 use faer::{Accum, Mat, Par};
-use host_sim::training::levenberg_marquardt::Step;
+use host_sim::training::trainer::levenberg_marquardt::Step;
 use host_sim::training::{
-    Dataset, InitialParameters, LeastSquares, NetworkProblem, TrainingSettings, train_inner_network,
+    Dataset, InitialParameters, LeastSquares, LevenbergMarquardtSettings, NetworkProblem,
+    TrainingSettings, train_inner_network,
 };
 use std::ops::ControlFlow;
 
@@ -98,9 +99,12 @@ fn iteration_cost_of_all_sets(bencher: Bencher<'_, '_>) {
 #[divan::bench(sample_count = 5)]
 fn training_of_25_epochs(bencher: Bencher<'_, '_>) {
     let dataset = dataset();
-    let mut settings = TrainingSettings::default();
-    settings.levenberg_marquardt.epochs_max = 25;
-    settings.levenberg_marquardt.validation_failures_max = 25;
+    let solver = LevenbergMarquardtSettings {
+        epochs_max: 25,
+        validation_failures_max: 25,
+        ..LevenbergMarquardtSettings::default()
+    };
+    let settings = TrainingSettings { trainer: solver.into(), ..TrainingSettings::default() };
     bencher.bench_local(|| {
         train_inner_network(&architecture(), &outer_weights(), &dataset, &settings, 1, &mut |_| {
             ControlFlow::Continue(())

@@ -1,16 +1,16 @@
-//! Writes an image into a microcontroller, with the program probe-rs, and reads it back.
+//! Writes an image to a microcontroller with probe-rs, and verifies it.
 //!
-//! 1. `probe-rs download` writes the image from a temporary Intel HEX file. It erases the sectors
-//!    that the image touches, `--restore-unwritten` puts back what else lay in them: a memory map
-//!    whose erase unit is smaller than the chip's costs no firmware.
-//! 2. `probe-rs read` reads every segment back, and each byte is compared. The commit area comes
-//!    first, since it is what a firmware that runs meanwhile may change.
-//! 3. `probe-rs reset` restarts the firmware: the download used its RAM.
+//! 1. `probe-rs download` writes the image from a temporary Intel HEX file. It erases every sector
+//!    that the image touches; `--restore-unwritten` restores the rest of these sectors, so an erase
+//!    unit in the memory map that is smaller than the chip's does not destroy firmware.
+//! 2. `probe-rs read` reads every segment back for a byte-by-byte comparison. The commit area comes
+//!    first, because running firmware may change it.
+//! 3. `probe-rs reset` restarts the firmware, because the download used its RAM.
 //!
-//! Any error leaves the chip as it is at that moment; flashing again repairs it.
+//! After an error the chip is left as it is; flashing again repairs it.
 //!
-//! The options are those of probe-rs 0.24 and later. Other settings (the protocol, the speed, a
-//! description of the chip) reach it through its own environment variables.
+//! The options work with probe-rs 0.24 and later. Other settings (protocol, speed, chip
+//! description) are passed through probe-rs's own environment variables.
 
 use std::ffi::OsStr;
 use std::fmt;
@@ -31,34 +31,34 @@ pub struct ProbeRs {
     program: PathBuf,
 }
 
-/// The microcontroller, in probe-rs's words.
+/// The microcontroller, in probe-rs's terms.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct FlashTarget {
-    /// Its name: `--chip`. Without one, probe-rs finds out if it can.
+    /// Name of the chip: `--chip`. If `None`, probe-rs tries to detect it.
     pub chip: Option<String>,
-    /// The debug probe: `--probe`. Without one, there is only one.
+    /// The debug probe: `--probe`. If `None`, only one may be connected.
     pub probe: Option<String>,
 }
 
-/// What is done at the moment.
+/// A step of flashing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FlashStep {
-    /// So many bytes are written.
+    /// Writing the image.
     Download {
-        /// Bytes of all segments.
+        /// Total length of all segments. \[bytes\]
         bytes: usize,
     },
-    /// A segment is read back.
+    /// Reading a segment back.
     ReadBack {
-        /// What it is.
+        /// Name of the segment.
         name: &'static str,
         /// Its first address.
         address: u32,
-        /// Its length \[bytes\].
+        /// Length of the region. \[bytes\]
         bytes: usize,
     },
-    /// The firmware is restarted.
+    /// Restarting the firmware.
     Reset,
 }
 
@@ -78,90 +78,91 @@ impl fmt::Display for FlashStep {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FlashError {
-    /// There is no probe-rs.
+    /// probe-rs was not found.
     #[error(
-        "{}: there is no such program; install it (https://probe.rs/docs/getting-started/installation, \
-         or `cargo install probe-rs-tools --locked`) or name it with --probe-rs PATH",
+            "{}: program not found; install probe-rs \
+             (https://probe.rs/docs/getting-started/installation, or \
+             `cargo install probe-rs-tools --locked`) or pass its path with --probe-rs PATH",
         program.display()
     )]
     NotInstalled {
-        /// What was looked for.
+        /// The program looked for.
         program: PathBuf,
     },
-    /// The program cannot be started.
-    #[error("{}: cannot be started: {error}; name another with --probe-rs PATH", program.display())]
+    /// The program could not be started.
+    #[error("{}: cannot start: {error}; pass another program with --probe-rs PATH", program.display())]
     Start {
         /// The program.
         program: PathBuf,
-        /// What the system says.
+        /// The system's error.
         #[source]
         error: io::Error,
     },
-    /// The file for the program cannot be written.
-    #[error("{}: {error}; free the disk, or set TMPDIR to a folder that can be written to", path.display())]
+    /// The temporary file could not be written.
+    #[error("{}: {error}; free some disk space, or set TMPDIR to a writable folder", path.display())]
     TemporaryFile {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         #[source]
         error: io::Error,
     },
-    /// A signal asked for the end.
-    #[error("interrupted at {step}; the chip is as it was left, flash it again")]
+    /// Interrupted by a signal.
+    #[error("interrupted while {step}; the chip may be partly written, flash it again")]
     Interrupted {
-        /// What was not done, or not to its end.
+        /// The step that was not completed.
         step: FlashStep,
     },
-    /// The image cannot be written as a file.
+    /// The image could not be encoded.
     #[error(transparent)]
     Image(#[from] ImageError),
-    /// The program reports an error.
+    /// The program reported an error.
     #[error(
-        "{step} failed, `{command}` says:\n{said}\ncheck the debug probe's cable, the board's power \
-         and the name of the chip (`probe-rs chip list`)"
+        "{step} failed; `{command}` reported:\n{stderr}\ncheck the cable of the debug probe, the board's \
+             power and the chip name (`probe-rs chip list`)"
     )]
     Failed {
-        /// During which step.
+        /// The step.
         step: FlashStep,
         /// The command line.
         command: String,
-        /// What it wrote to standard error.
-        said: String,
+        /// Its standard error.
+        stderr: String,
     },
-    /// What the program printed is not what was read.
+    /// The output of the program could not be parsed.
     #[error(
-        "{step}: cannot understand what `{command}` prints ({problem}); use probe-rs 0.24 or later"
+        "{step}: cannot parse the output of `{command}` ({problem}); use probe-rs 0.24 or later"
     )]
     Unreadable {
-        /// During which step.
+        /// The step.
         step: FlashStep,
         /// The command line.
         command: String,
         /// What is wrong.
         problem: String,
     },
-    /// The chip holds something else than what was written.
+    /// The chip's contents differ from the image.
     #[error(
-        "{name} reads back differently: at {address:#010x} {expected:#04x} was written and \
-         {found:#04x} is there; flash again, and see that WEIGHTS in memory.x is flash of this chip"
+        "{name} does not match after flashing: at {address:#010x} wrote {expected:#04x}, read \
+             {found:#04x}; flash again, and check that WEIGHTS in memory.x is in the flash of this chip"
     )]
     Differs {
-        /// Which segment.
+        /// Name of the segment.
         name: &'static str,
         /// The first address that differs.
         address: u64,
-        /// What was written there.
+        /// The byte written.
         expected: u8,
-        /// What was read there.
+        /// The byte read.
         found: u8,
     },
 }
 
 impl ProbeRs {
-    /// The program at `named`, or the one on `PATH`.
+    /// Returns the program at `named`, or the one on `PATH`.
     ///
     /// # Errors
-    /// There is none.
+    /// If the program does not exist.
     pub fn find(named: Option<&Path>) -> Result<Self, FlashError> {
         match named {
             Some(program) if program.is_file() => Ok(Self::at(program)),
@@ -170,10 +171,10 @@ impl ProbeRs {
         }
     }
 
-    /// The program in one of the folders of `path`, which is written as the variable `PATH` is.
+    /// Returns the program in one of the folders of `path`, written like the variable `PATH`.
     ///
     /// # Errors
-    /// There is none.
+    /// If the program does not exist.
     pub fn find_in(path: &OsStr) -> Result<Self, FlashError> {
         let name = format!("{PROGRAM}{}", std::env::consts::EXE_SUFFIX);
         std::env::split_paths(path)
@@ -183,23 +184,23 @@ impl ProbeRs {
             .ok_or_else(|| FlashError::NotInstalled { program: PROGRAM.into() })
     }
 
-    /// A name without a folder would be looked for on `PATH` once more.
+    /// Makes the path absolute: a bare name would be searched on `PATH` again.
     fn at(program: &Path) -> Self {
         let absolute = std::path::absolute(program);
         Self { program: absolute.unwrap_or_else(|_| program.to_owned()) }
     }
 
-    /// Where the program is.
+    /// Returns the program's path.
     #[must_use]
     pub fn program(&self) -> &Path {
         &self.program
     }
 
-    /// Writes `image` into the chip, compares what then is there, and resets it. Every step is
-    /// announced to `progress`.
+    /// Writes `image` to the chip, verifies it, and resets the chip. Each step is reported to
+    /// `progress`.
     ///
     /// # Errors
-    /// Every [`FlashError`] but the first.
+    /// Every [`FlashError`] except `NotInstalled`.
     pub fn flash(
         &self,
         target: &FlashTarget,
@@ -213,7 +214,7 @@ impl ProbeRs {
         let mut download = self.command("download", target);
         download.args(["--binary-format", "hex", "--restore-unwritten"]).arg(file.path());
         run(step, &mut download)?;
-        // The commit area first: see the module's description.
+        // The commit area first: see the module docs.
         let region = image.region();
         let mut segments: Vec<_> = image.segments().iter().collect();
         segments.sort_by_key(|segment| segment.address != region.commit);
@@ -240,9 +241,9 @@ impl ProbeRs {
         let mut read = self.command("read", target);
         read.arg("b8").arg(format!("{:#x}", segment.address)).arg(segment.bytes.len().to_string());
         let printed = run(step, &mut read)?;
-        let found = bytes_of(&printed, segment).map_err(|problem| FlashError::Unreadable {
+        let found = parse_bytes(&printed, segment).map_err(|problem| FlashError::Unreadable {
             step,
-            command: line_of(&read),
+            command: command_line(&read),
             problem,
         })?;
         let differs = segment
@@ -269,13 +270,13 @@ impl ProbeRs {
     }
 }
 
-/// Runs `command` to its end and returns what it printed. A signal has to wait for
-/// that: a program that writes flash is not to be stopped in the middle.
+/// Runs `command` to its end and returns its output. A signal has to wait: a program that is
+/// writing flash must not be stopped half-way.
 fn run(step: FlashStep, command: &mut Command) -> Result<String, FlashError> {
     if interruption::requested() {
         return Err(FlashError::Interrupted { step });
     }
-    // Without an input, a question of which probe to take is an error, and nobody waits.
+    // Without input, probe-rs fails instead of asking which probe to use.
     let output = command
         .stdin(Stdio::null())
         .output()
@@ -284,42 +285,42 @@ fn run(step: FlashStep, command: &mut Command) -> Result<String, FlashError> {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
     }
     if interruption::requested() {
-        // Ctrl-C reaches every program of the terminal.
+        // Ctrl-C reaches every process of the terminal.
         return Err(FlashError::Interrupted { step });
     }
-    let said = String::from_utf8_lossy(&output.stderr).trim().to_owned();
-    let said = if said.is_empty() { output.status.to_string() } else { said };
-    Err(FlashError::Failed { step, command: line_of(command), said })
+    let stderr = String::from_utf8_lossy(&output.stderr).trim().to_owned();
+    let stderr = if stderr.is_empty() { output.status.to_string() } else { stderr };
+    Err(FlashError::Failed { step, command: command_line(command), stderr })
 }
 
-fn line_of(command: &Command) -> String {
+fn command_line(command: &Command) -> String {
     let words = std::iter::once(command.get_program()).chain(command.get_args());
     words.map(OsStr::to_string_lossy).collect::<Vec<_>>().join(" ")
 }
 
-/// The bytes in what `probe-rs read b8` printed: two hexadecimal digits each. Since version 0.32
-/// each line begins with the address of its first byte.
-fn bytes_of(printed: &str, segment: &Segment) -> Result<Vec<u8>, String> {
+/// Parses the output of `probe-rs read b8`: two hexadecimal digits per byte. Since version 0.32
+/// each line starts with the address of its first byte.
+fn parse_bytes(printed: &str, segment: &Segment) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::with_capacity(segment.bytes.len());
     for word in printed.split_whitespace() {
         if let Some(address) = word.strip_suffix(':') {
             let expected = segment.span().start + bytes.len() as u64;
             if u64::from_str_radix(address, 16) != Ok(expected) {
-                return Err(format!("found the address {address:?} instead of {expected:08x}"));
+                return Err(format!("expected address {expected:08x}, found {address:?}"));
             }
         } else {
             let digits = word.len() == 2 && word.bytes().all(|digit| digit.is_ascii_hexdigit());
             let byte = u8::from_str_radix(word, 16).ok().filter(|_| digits);
-            bytes.push(byte.ok_or_else(|| format!("found {word:?} instead of a byte"))?);
+            bytes.push(byte.ok_or_else(|| format!("expected a byte, found {word:?}"))?);
         }
     }
     if bytes.len() != segment.bytes.len() {
-        return Err(format!("found {} bytes instead of {}", bytes.len(), segment.bytes.len()));
+        return Err(format!("expected {} bytes, found {}", segment.bytes.len(), bytes.len()));
     }
     Ok(bytes)
 }
 
-/// A file for another program to read, removed at the end.
+/// Creates a file for another program to read; dropping it removes the file.
 fn temporary_file(content: &[u8]) -> Result<Temporary, FlashError> {
     let folder = std::env::temp_dir();
     let failed = |path: &Path, error| FlashError::TemporaryFile { path: path.to_owned(), error };
@@ -338,26 +339,26 @@ mod tests {
     }
 
     #[test]
-    fn what_every_version_prints_is_understood() {
+    fn parses_the_output_of_every_version() {
         let bytes: Vec<u8> = (0..10).collect();
         let list = "00 01 02 03 04 05 06 07 08 09\n";
-        assert_eq!(bytes_of(list, &segment(10)), Ok(bytes.clone()));
+        assert_eq!(parse_bytes(list, &segment(10)), Ok(bytes.clone()));
         let table = "00300000: 00 01 02 03 04 05 06 07\n00300008: 08 09\n";
-        assert_eq!(bytes_of(table, &segment(10)), Ok(bytes));
+        assert_eq!(parse_bytes(table, &segment(10)), Ok(bytes));
     }
 
     #[test]
-    fn what_is_not_understood_is_named() {
+    fn errors_quote_unexpected_output() {
         for (printed, part) in [
-            ("00 01", "2 bytes instead of 3"),
-            ("00 01 02 03", "4 bytes instead of 3"),
+            ("00 01", "expected 3 bytes, found 2"),
+            ("00 01 02 03", "expected 3 bytes, found 4"),
             ("00 01 zz", "\"zz\""),
             ("000102", "\"000102\""),
             ("00 +1 02", "\"+1\""),
             ("00300008: 00 01 02", "00300000"),
-            ("", "0 bytes"),
+            ("", "found 0"),
         ] {
-            let problem = bytes_of(printed, &segment(3)).unwrap_err();
+            let problem = parse_bytes(printed, &segment(3)).unwrap_err();
             assert!(problem.contains(part), "{printed}: {problem}");
         }
     }

@@ -1,18 +1,17 @@
-//! Who hears whom: the weighted undirected graph of the sensor network.
+//! The weighted undirected communication graph of the sensor network.
 //!
-//! With the adjacency matrix `A`, `a_ij = a_ji > 0` where agents i and j hear each other and 0
-//! elsewhere, the Laplacian is `L = Delta - A`, `Delta` diagonal with `Delta_ii = sum_j a_ij`.
+//! With the adjacency matrix `A`, where `a_ij = a_ji > 0` if agents i and j communicate and 0
+//! otherwise, the Laplacian is `L = Delta - A`, `Delta` diagonal with `Delta_ii = sum_j a_ij`.
 //!
-//! Agents are numbered from 0 here and from 1 in files and messages. Cost: construction
-//! `O(E log E)`, neighbours `O(1)`. Memory: 24 bytes an edge and 16 an end of an edge.
+//! Agents are numbered from 0 here and from 1 in files and messages. Cost: construction `O(E log
+//! E)`, neighbours `O(1)`. Memory: 24 bytes per edge plus 16 per end of an edge.
 //!
-//! Invariants: at least one agent; every edge joins two different agents, once, with a finite
-//! weight above 0; edges and neighbours are in ascending order; every agent is reached from
-//! every other.
+//! Invariants: at least one agent; every edge joins two different agents, appears once, and has a
+//! finite weight above 0; edges and neighbours are in ascending order; the graph is connected.
 
 use nalgebra::DMatrix;
 
-/// Two agents that hear each other.
+/// Two agents that communicate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Edge {
     /// The agent with the smaller number, from 0.
@@ -23,7 +22,7 @@ pub struct Edge {
     pub weight: f64,
 }
 
-/// One end of an edge, seen from the other.
+/// A neighbour of an agent, with the weight of their edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Neighbour {
     /// The neighbour, from 0.
@@ -37,28 +36,28 @@ pub struct Neighbour {
 pub struct Graph {
     edges: Vec<Edge>,
     neighbours: Vec<Neighbour>,
-    /// Agent i has the neighbours `starts[i]..starts[i + 1]`.
+    /// The neighbours of agent i are `starts[i]..starts[i + 1]`.
     starts: Vec<usize>,
 }
 
-/// Why there is no such graph. Agents are numbered from 0 in the fields, from 1 in the message.
+/// Why a graph is invalid. Agents are numbered from 0 in the fields, from 1 in the message.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GraphError {
-    /// No agent at all.
+    /// No agents.
     #[error("a graph needs at least one agent")]
     Empty,
     /// The adjacency matrix is not square.
-    #[error("the adjacency matrix has {rows} rows and {columns} columns, expected as many")]
+    #[error("the adjacency matrix has {rows} rows and {columns} columns, expected a square matrix")]
     NotSquare {
-        /// Its rows.
+        /// Number of rows.
         rows: usize,
-        /// Its columns.
+        /// Number of columns.
         columns: usize,
     },
     /// The adjacency matrix is not symmetric.
     #[error(
-        "row {}, column {} is not equal to row {}, column {}", .row + 1, .column + 1, .column + 1, .row + 1
+        "entries ({}, {}) and ({}, {}) differ", .row + 1, .column + 1, .column + 1, .row + 1
     )]
     NotSymmetric {
         /// Row of one of the two entries.
@@ -67,15 +66,15 @@ pub enum GraphError {
         column: usize,
     },
     /// An edge names an agent that does not exist.
-    #[error("agent {} does not exist, there are {agents}", .agent + 1)]
+    #[error("agent {} does not exist; the number of agents is {agents}", .agent + 1)]
     UnknownAgent {
-        /// The agent named.
+        /// The unknown agent.
         agent: usize,
-        /// How many there are.
+        /// The number of agents.
         agents: usize,
     },
-    /// An agent is joined to itself.
-    #[error("agent {} is joined to itself", .agent + 1)]
+    /// An edge from an agent to itself.
+    #[error("agent {} has an edge to itself", .agent + 1)]
     SelfLoop {
         /// The agent.
         agent: usize,
@@ -85,20 +84,20 @@ pub enum GraphError {
     Weight {
         /// One agent.
         first: usize,
-        /// The other.
+        /// The other agent.
         second: usize,
-        /// The weight given.
+        /// The weight.
         weight: f64,
     },
-    /// Two agents are joined twice.
-    #[error("agents {} and {} are joined twice", .first + 1, .second + 1)]
+    /// Two edges between the same agents.
+    #[error("agents {} and {} have two edges", .first + 1, .second + 1)]
     Repeated {
         /// One agent.
         first: usize,
-        /// The other.
+        /// The other agent.
         second: usize,
     },
-    /// The graph falls apart.
+    /// The graph is not connected.
     #[error("agent {} cannot be reached from agent 1", .agent + 1)]
     Disconnected {
         /// The first agent that cannot be reached from agent 0.
@@ -107,10 +106,10 @@ pub enum GraphError {
 }
 
 impl Graph {
-    /// The graph with `agents` vertices and these edges, in any order and direction.
+    /// Creates the graph of `agents` vertices with these edges, in any order and direction.
     ///
     /// # Errors
-    /// The first edge that breaks an invariant, or the first agent out of reach.
+    /// Returns the first edge that breaks an invariant, or the first unreachable agent.
     pub fn new(agents: usize, edges: &[Edge]) -> Result<Self, GraphError> {
         if agents == 0 {
             return Err(GraphError::Empty);
@@ -143,11 +142,11 @@ impl Graph {
         }
     }
 
-    /// The graph with this adjacency matrix, shape `[N, N]`.
+    /// Creates the graph with this adjacency matrix, shape `[N, N]`.
     ///
     /// # Errors
-    /// A matrix that is not square, symmetric, zero on its diagonal and elsewhere 0 or a finite
-    /// number above 0; a graph that is not connected.
+    /// If the matrix is not square, not symmetric, not zero on its diagonal, or has an off-diagonal
+    /// entry that is neither 0 nor a finite number above 0; if the graph is not connected.
     pub fn from_adjacency(adjacency: &DMatrix<f64>) -> Result<Self, GraphError> {
         let (rows, columns) = adjacency.shape();
         if rows != columns {
@@ -160,7 +159,7 @@ impl Graph {
             }
             for column in row + 1..columns {
                 let (above, below) = (adjacency[(row, column)], adjacency[(column, row)]);
-                // Written so that NaN, which no weight may be, counts as a weight.
+                // The comparison treats NaN as a weight, so that `Graph::new` rejects it.
                 if above == 0.0 && below == 0.0 {
                     continue;
                 }
@@ -173,8 +172,8 @@ impl Graph {
         Self::new(rows, &edges)
     }
 
-    /// Counts, then fills: no agent has a list of its own on the heap. The edges are sorted,
-    /// so every agent meets its smaller neighbours before its larger ones.
+    /// Counts the neighbours, then fills one shared list: no allocation per agent. The edges are
+    /// sorted, so every agent gets its smaller neighbours before its larger ones.
     fn from_sorted(agents: usize, edges: Vec<Edge>) -> Self {
         let mut starts = vec![0; agents + 1];
         for edge in &edges {
@@ -211,37 +210,37 @@ impl Graph {
         reached.iter().position(|&reached| !reached)
     }
 
-    /// `N`, the number of agents.
+    /// Returns `N`, the number of agents.
     #[must_use]
     pub fn agents(&self) -> usize {
         self.starts.len() - 1
     }
 
-    /// The edges, by their first, then by their second agent.
+    /// Returns the edges, sorted by first, then by second agent.
     #[must_use]
     pub fn edges(&self) -> &[Edge] {
         &self.edges
     }
 
-    /// The neighbours of `agent`, in ascending order.
+    /// Returns the neighbours of `agent` in ascending order.
     ///
     /// # Panics
-    /// If there is no such agent.
+    /// If the agent does not exist.
     #[must_use]
     pub fn neighbours(&self, agent: usize) -> &[Neighbour] {
         &self.neighbours[self.starts[agent]..self.starts[agent + 1]]
     }
 
-    /// `Delta_ii`, the sum of the weights of `agent`'s edges.
+    /// Returns `Delta_ii`, the sum of the weights of `agent`'s edges.
     ///
     /// # Panics
-    /// If there is no such agent.
+    /// If the agent does not exist.
     #[must_use]
     pub fn degree(&self, agent: usize) -> f64 {
         self.neighbours(agent).iter().fold(0.0, |sum, neighbour| sum + neighbour.weight)
     }
 
-    /// `A`, shape `[N, N]`.
+    /// Returns `A`, shape `[N, N]`.
     #[must_use]
     pub fn adjacency(&self) -> DMatrix<f64> {
         let mut adjacency = DMatrix::zeros(self.agents(), self.agents());
@@ -252,7 +251,7 @@ impl Graph {
         adjacency
     }
 
-    /// `L = Delta - A`, shape `[N, N]`.
+    /// Returns `L = Delta - A`, shape `[N, N]`.
     #[must_use]
     pub fn laplacian(&self) -> DMatrix<f64> {
         let mut laplacian = -self.adjacency();
@@ -285,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn the_laplacian_of_the_papers_network() {
+    fn laplacian_of_the_papers_network() {
         let adjacency = dmatrix![0.0, 1.0, 1.0; 1.0, 0.0, 0.0; 1.0, 0.0, 0.0];
         let graph = Graph::from_adjacency(&adjacency).unwrap();
         assert_eq!(graph.adjacency(), adjacency);
@@ -301,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_what_is_no_graph() {
+    fn rejects_invalid_graphs() {
         let refused = |agents, edges: &[Edge]| Graph::new(agents, edges).unwrap_err();
         assert_eq!(refused(0, &[]), GraphError::Empty);
         assert_eq!(
@@ -321,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_a_matrix_that_is_no_adjacency() {
+    fn rejects_invalid_adjacency_matrices() {
         let refused = |matrix: DMatrix<f64>| Graph::from_adjacency(&matrix).unwrap_err();
         assert_eq!(refused(dmatrix![0.0, 1.0]), GraphError::NotSquare { rows: 1, columns: 2 });
         let lopsided = dmatrix![0.0, 1.0; 2.0, 0.0];

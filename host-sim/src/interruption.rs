@@ -1,9 +1,9 @@
-//! Requests to end, by Ctrl-C or by a signal: commands look for them at points where they can stop
-//! in good order.
+//! Handles Ctrl-C and termination signals. Commands poll for a request at points where they can
+//! stop cleanly.
 //!
-//! A command that does not [`listen`] ends at once: its temporary files are removed, what was there
-//! before it stays, and the exit code is 128 and the signal's number, 130 for Ctrl-C and 143 for a
-//! request to terminate. Under `nohup`, closing the terminal does not end it.
+//! A command that does not call [`listen`] ends at once: its temporary files are removed, existing
+//! files stay unchanged, and the exit code is 128 plus the signal's number, 130 for Ctrl-C and 143
+//! for a request to terminate. Under `nohup`, closing the terminal does not end it.
 
 use std::sync::atomic::{AtomicI32, AtomicU8, Ordering};
 use std::sync::{Arc, LazyLock, Once};
@@ -14,44 +14,44 @@ use crate::terminal;
 
 /// Requested by the first signal.
 static STOP: LazyLock<Arc<Stop>> = LazyLock::new(Arc::default);
-/// Number of the first signal.
+/// Number of the first signal received.
 static SIGNAL: AtomicI32 = AtomicI32::new(0);
 /// An [`Again`], or [`END`].
 static RESPONSE: AtomicU8 = AtomicU8::new(END);
 
-/// No command listens: the first signal ends the process.
+/// No command is listening: the first signal ends the process.
 const END: u8 = 0;
 const EXIT: u8 = 1;
 const WAIT: u8 = 2;
 
-/// POSIX gives them these numbers.
+/// Signal numbers defined by POSIX.
 const HANG_UP: i32 = 1;
 const INTERRUPT: i32 = 2;
 const TERMINATE: i32 = 15;
 
-/// What a second request does.
+/// What a second signal does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Again {
     /// Ends the process at once.
     Exit,
-    /// Nothing: there are processes and files to be removed, and that does not take long.
+    /// Nothing: the command is about to remove processes and files, which takes little time.
     Wait,
 }
 
-/// What asked for the end.
+/// The signal that requested the end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Signal {
     /// Ctrl-C.
     Interrupt,
-    /// A request to terminate, as `kill` and service managers send it.
+    /// A request to terminate, as sent by `kill` and service managers.
     Terminate,
-    /// The terminal has gone.
+    /// The terminal was closed.
     HangUp,
 }
 
 impl Signal {
-    /// Its name in reports.
+    /// Returns its name in reports.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -62,12 +62,15 @@ impl Signal {
     }
 }
 
-/// Has signals remove temporary files before they end the process. Once is enough.
+/// Installs the signal handlers, which remove temporary files before they end the process. Only the
+/// first call has an effect.
 pub fn install() {
     static INSTALLED: Once = Once::new();
     INSTALLED.call_once(|| {
         if let Err(error) = handle_signals() {
-            terminal::warning(format_args!("Ctrl-C will end this without a result: {error}"));
+            terminal::warning(format_args!(
+                "cannot handle signals, so Ctrl-C will end the program without a result: {error}"
+            ));
         }
     });
 }
@@ -84,11 +87,11 @@ fn handle_signals() -> std::io::Result<()> {
     Ok(())
 }
 
-/// Whether this process was started to survive its terminal, as far as the system tells.
+/// Whether this process was started to survive its terminal, as far as the system reports.
 #[cfg(unix)]
 fn hang_up_is_ignored() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    // A bit for each signal, the first the lowest.
+    // One bit per signal, the first signal lowest.
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
     mask.is_some_and(|mask| mask >> (HANG_UP - 1) & 1 == 1)
@@ -115,7 +118,7 @@ fn received(signal: i32) {
     }
 }
 
-/// From here on, a signal sets a flag and does not end the process.
+/// Makes signals set a flag instead of ending the process.
 pub fn listen(again: Again) {
     let response = match again {
         Again::Exit => EXIT,
@@ -125,13 +128,13 @@ pub fn listen(again: Again) {
     install();
 }
 
-/// Whether a signal has asked for the end.
+/// Whether a signal has been received.
 #[must_use]
 pub fn requested() -> bool {
     STOP.is_requested()
 }
 
-/// What asked for the end, if anything did.
+/// Returns the signal received, if any.
 #[must_use]
 pub fn signal() -> Option<Signal> {
     requested().then(|| match SIGNAL.load(Ordering::Relaxed) {

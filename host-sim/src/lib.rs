@@ -1,27 +1,27 @@
 //! Simulator, offline trainer and reports for a network of agent-core observers.
 //!
-//! | module | what it is |
+//! | module | purpose |
 //! | --- | --- |
-//! | [`scenario`] | a checked experiment, read from a TOML file |
+//! | [`scenario`] | experiments, read from TOML files and checked |
 //! | [`plant`] | drift, disturbance and integrators, in f64 |
-//! | [`graph`] | who hears whom |
-//! | [`engine`] | the run: agents, links, learning cycles, statistics, traces |
+//! | [`graph`] | the communication graph |
+//! | [`engine`] | runs: agents, links, learning cycles, statistics, traces |
 //! | [`training`] | offline training of the inner layers |
-//! | [`packages`] | weight packages: made, checked, in files |
+//! | [`packages`] | weight packages: creating, checking, reading and writing them |
 //! | [`learning`] | from scenarios and recorded samples to packages |
-//! | [`memory_map`] | where things lie in a board's memory, read from its `memory.x` |
-//! | [`image`], [`flash`] | weight packages as flash images; writing them into a board |
-//! | [`service`] | talking to a running node: packages, samples |
-//! | [`cosim`] | runs together with nodes that are really there, compared bit for bit |
-//! | [`analysis`] | the theorems' constants and bounds, held against a run |
-//! | [`figures`], [`report`] | pictures; tables and CSV files |
-//! | [`files`], [`number`] | files read and written, tables, hashes; numbers for people |
-//! | [`terminal`] | the one place that prints |
-//! | [`shell`], [`interruption`], [`stop`] | command lines for people to copy; Ctrl-C and other signals; a request to stop |
-//! | [`signing`] | the operator's keys, for packages of weights |
-//! | [`tensors`] | networks from and for PyTorch, JAX and NumPy |
-//! | [`warning`] | what a person should know about a scenario, a training or a run |
-//! | [`commands`] | what the command line does |
+//! | [`memory_map`] | a board's memory layout, read from its `memory.x` |
+//! | [`image`], [`flash`] | weight packages as flash images; flashing them with probe-rs |
+//! | [`service`] | client for a running node: packages, samples |
+//! | [`cosim`] | co-simulation with real nodes, compared bit for bit |
+//! | [`analysis`] | constants and bounds of the theorems, compared with a run |
+//! | [`figures`], [`report`] | figures; tables and CSV files |
+//! | [`files`], [`number`] | reading and writing files, tables, hashes; number formatting |
+//! | [`terminal`] | terminal output |
+//! | [`shell`], [`interruption`], [`stop`] | quoting of command lines; Ctrl-C and other signals; stop requests |
+//! | [`signing`] | signing weight packages with the operator's key |
+//! | [`tensors`] | exchange of networks with PyTorch, JAX and NumPy |
+//! | [`warning`] | warnings about a scenario, a training or a run |
+//! | [`commands`] | the command line |
 #![forbid(unsafe_code)]
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
@@ -47,6 +47,7 @@ pub mod scenario;
 pub mod service;
 pub mod shell;
 pub mod signing;
+mod spelling;
 pub mod stop;
 pub mod tensors;
 pub mod terminal;

@@ -1,4 +1,4 @@
-//! Command line of the simulator: `host-sim help` says what there is.
+//! Command line of the simulator; see `host-sim help`.
 
 #![forbid(unsafe_code)]
 #![deny(clippy::print_stdout, clippy::print_stderr)]

@@ -1,6 +1,7 @@
-//! Numbers for people: a fixed number of significant digits at any size.
+//! Formats numbers with a fixed number of significant digits.
 
-/// `value` with `digits` significant digits: plain from 1e-4 to below 1e6, scientific elsewhere.
+/// Formats `value` with `digits` significant digits: plain from 1e-4 to below 1e6, otherwise
+/// scientific.
 ///
 /// # Panics
 /// If `digits` is 0.
@@ -11,7 +12,7 @@ pub fn significant(value: f64, digits: usize) -> String {
         return format!("{value}");
     }
     let scientific = format!("{value:.*e}", digits - 1);
-    // Of the rounded number: 0.9999 with three digits is 1.00.
+    // Exponent of the rounded number: 0.9999 with three digits is 1.00.
     let exponent = scientific.split_once('e').and_then(|(_, exponent)| exponent.parse().ok());
     match exponent.unwrap_or(0) {
         exponent @ -4..6 => {

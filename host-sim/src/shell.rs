@@ -1,8 +1,8 @@
-//! Command lines that are printed for people to copy.
+//! Quoting for command lines that are printed for the user to copy.
 
 use std::path::Path;
 
-/// `text` as one word of a Unix shell, whatever is in it.
+/// Returns `text` as one word of a Unix shell.
 #[must_use]
 pub fn quoted(text: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-./+:=@%,".contains(c);
@@ -13,14 +13,14 @@ pub fn quoted(text: &str) -> String {
     }
 }
 
-/// The file's name in a form that no program takes for an option.
+/// Returns the path in a form that no program mistakes for an option.
 #[must_use]
 pub fn path_argument(file: &Path) -> String {
     let name = file.display().to_string();
     if name.starts_with('-') { format!("./{name}") } else { name }
 }
 
-/// The file's name as one word of a Unix shell.
+/// Returns the path as one word of a Unix shell.
 #[must_use]
 pub fn shell_word(file: &Path) -> String {
     quoted(&path_argument(file))
@@ -31,7 +31,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_stays_one_word() {
+    fn paths_become_one_shell_word() {
         let words = [
             ("out/node-1.weights", "out/node-1.weights"),
             ("my node", "'my node'"),

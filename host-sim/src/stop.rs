@@ -1,10 +1,10 @@
-//! A request to stop: one place makes it, others look at it where they can stop in good order.
+//! A request to stop: set in one place, polled where work can stop cleanly.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Whether something is to stop, and since when. It is never taken back.
+/// Whether a stop is requested, and since when. A request cannot be withdrawn.
 #[derive(Debug, Default)]
 pub struct Stop {
     requested: AtomicBool,
@@ -12,26 +12,26 @@ pub struct Stop {
 }
 
 impl Stop {
-    /// Asks for the stop.
+    /// Requests the stop.
     pub fn request(&self) {
         self.since.get_or_init(Instant::now);
         self.requested.store(true, Ordering::Release);
     }
 
-    /// Whether the stop has been asked for.
+    /// Whether the stop has been requested.
     #[must_use]
     pub fn is_requested(&self) -> bool {
         self.requested.load(Ordering::Acquire)
     }
 
-    /// Whether the stop was asked for at least `time` ago: what is under way may have that long to
-    /// finish in good order.
+    /// Whether the stop was requested at least `time` ago: work in progress may use this long to
+    /// finish cleanly.
     #[must_use]
     pub fn is_requested_for(&self, time: Duration) -> bool {
         self.is_requested() && self.since.get().is_none_or(|since| since.elapsed() >= time)
     }
 
-    /// The flag that becomes true with the request.
+    /// Returns the flag that the request sets.
     #[must_use]
     pub fn flag(&self) -> &AtomicBool {
         &self.requested

@@ -1,14 +1,13 @@
-//! The one place that prints, and that escapes what must not reach a terminal.
+//! All terminal output, with unsafe characters escaped.
 //!
-//! Standard output carries results, standard error everything else. A standard error that is full
-//! or closed loses messages and nothing more. What standard output says is returned, and the caller
-//! decides: results that are already in files stay there whatever happens here.
+//! Results go to standard output, everything else to standard error. If standard error is full or
+//! closed, messages are lost and nothing else happens. Errors of standard output are returned to
+//! the caller; results already written to files are not affected.
 //!
-//! Names in files and messages come from others: a recipe's name could hold a sequence that clears
-//! the screen, or letters that turn the direction of a line. No control character reaches the
-//! output but the line ends and tabs of the text itself; each of the others is written as Rust
-//! escapes it, `\u{1b}`. Lines of a message after its first are indented, so that no name
-//! with a line end in it can pretend to be a message of its own.
+//! Names in files and messages are untrusted: a recipe's name could contain a sequence that clears
+//! the screen, or characters that reverse the direction of text. Control characters other than the
+//! line breaks and tabs of the text itself are escaped as in Rust: `\u{1b}`. All lines of a message
+//! but the first are indented, so that a name with a line break cannot pose as a separate message.
 
 use std::borrow::Cow;
 use std::fmt::Display;
@@ -16,7 +15,7 @@ use std::io::{self, Write};
 
 use serde::Serialize;
 
-/// Whether a terminal would act on this character, or show the text around it in another order.
+/// Whether a terminal would act on this character, or display the surrounding text out of order.
 fn is_hidden(c: char) -> bool {
     c.is_control()
         || matches!(
@@ -40,13 +39,13 @@ fn escaped(text: &str, stays: impl Fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(visible)
 }
 
-/// `text` with every character escaped that a terminal would act on, but for line ends and tabs.
+/// Escapes every character that a terminal would act on, except line breaks and tabs.
 #[must_use]
 pub fn visible(text: &str) -> Cow<'_, str> {
     escaped(text, |c| matches!(c, '\n' | '\t'))
 }
 
-/// A name from a file, on one line whatever is in it.
+/// Escapes a name from a file so that it stays on one line.
 #[must_use]
 pub fn one_line(name: &str) -> Cow<'_, str> {
     escaped(name, |_| false)
@@ -55,7 +54,7 @@ pub fn one_line(name: &str) -> Cow<'_, str> {
 /// Prints a result.
 ///
 /// # Errors
-/// What standard output says.
+/// The error of standard output.
 pub fn print(text: &str) -> io::Result<()> {
     write_output(visible(text).as_bytes())
 }
@@ -63,14 +62,14 @@ pub fn print(text: &str) -> io::Result<()> {
 /// Prints a result as one line of JSON.
 ///
 /// # Errors
-/// What standard output says.
+/// The error of standard output.
 pub fn print_json(value: &impl Serialize) -> io::Result<()> {
     let mut line = json_text(value)?;
     line.push('\n');
     write_output(line.as_bytes())
 }
 
-/// `value` as JSON; what JSON itself does not escape and a terminal would act on is escaped, too.
+/// Returns `value` as JSON, with characters escaped that JSON permits but a terminal would act on.
 fn json_text(value: &impl Serialize) -> io::Result<String> {
     use std::fmt::Write as _;
     let json = serde_json::to_string(value).map_err(io::Error::from)?;
@@ -80,7 +79,7 @@ fn json_text(value: &impl Serialize) -> io::Result<String> {
     let mut text = String::with_capacity(json.len() + 16);
     for c in json.chars() {
         if is_hidden(c) {
-            // Outside of strings, JSON has none of them.
+            // In JSON such characters appear only inside strings.
             for unit in c.encode_utf16(&mut [0; 2]) {
                 // Writing into a string cannot fail.
                 let _ = write!(text, "\\u{unit:04x}");
@@ -92,24 +91,24 @@ fn json_text(value: &impl Serialize) -> io::Result<String> {
     Ok(text)
 }
 
-#[expect(clippy::disallowed_methods, reason = "the place that prints")]
+#[expect(clippy::disallowed_methods, reason = "the only place that prints")]
 fn write_output(bytes: &[u8]) -> io::Result<()> {
     let mut output = io::stdout().lock();
     output.write_all(bytes)?;
     output.flush()
 }
 
-/// Says `message` on standard error, as it is.
+/// Prints `message` on standard error.
 pub fn note(message: impl Display) {
     write_error(&visible(&format!("{message}\n")));
 }
 
-/// Warns on standard error.
+/// Prints a warning on standard error.
 pub fn warning(message: impl Display) {
     write_error(&labelled("warning", &message.to_string()));
 }
 
-/// Says on standard error why a command failed.
+/// Prints an error on standard error.
 pub fn error(message: impl Display) {
     write_error(&labelled("error", &message.to_string()));
 }
@@ -118,9 +117,9 @@ fn labelled(label: &str, message: &str) -> String {
     format!("{label}: {}\n", visible(message).trim_end().replace('\n', "\n  "))
 }
 
-#[expect(clippy::disallowed_methods, reason = "the place that prints")]
+#[expect(clippy::disallowed_methods, reason = "the only place that prints")]
 fn write_error(text: &str) {
-    // Standard error may be full or closed: then a message is lost, and nothing else.
+    // If standard error is full or closed, the message is lost.
     let _ = io::stderr().lock().write_all(text.as_bytes());
 }
 
@@ -129,7 +128,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn control_characters_become_visible_and_other_text_stays() {
+    fn escapes_only_control_characters() {
         for (text, shown) in [
             ("Größe α → 3 µm\n\tnext", "Größe α → 3 µm\n\tnext"),
             ("\u{1b}[2J", "\\u{1b}[2J"),
@@ -143,13 +142,13 @@ mod tests {
     }
 
     #[test]
-    fn a_name_cannot_pretend_to_be_a_message() {
+    fn name_cannot_pose_as_a_message() {
         let message = labelled("error", "no such file: x\nerror: all is lost\r\n");
         assert_eq!(message, "error: no such file: x\n  error: all is lost\\r\n");
     }
 
     #[test]
-    fn json_stays_json_and_reads_back_the_same() {
+    fn escaped_json_round_trips() {
         let names = ["\u{1b}[2J", "\u{9b}31m", "\u{202e}", "\u{e0041}", "Größe"];
         let text = json_text(&names).unwrap();
         assert!(!text.chars().any(is_hidden), "{text}");

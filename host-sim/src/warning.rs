@@ -1,7 +1,7 @@
-//! What a person should know about a scenario, a training or a run, and what to do about it.
+//! Warnings about a scenario, a training or a run, with advice.
 //!
-//! Every warning has a code that scripts can rely on; the text is for people and may change.
-//! `docs/json.md` explains each code.
+//! Scripts can rely on a warning's code; the text is for people and may change. `docs/json.md`
+//! explains each code.
 
 use std::fmt;
 
@@ -11,42 +11,42 @@ use serde::{Serialize, Serializer};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum WarningCode {
-    /// The agents together do not measure the whole state.
+    /// Together, the agents do not measure the whole state.
     StateNotCovered,
-    /// `K_1` does not solve `BMI` with this `k_1`.
+    /// `K_1` does not satisfy `BMI` with this `k_1`.
     GainNotASolution,
     /// `rho` is below the estimate of `chi_bar_max`.
     RhoTooSmall,
-    /// The step is too long for the observer's own error dynamics.
+    /// The step is too long for the observer's error dynamics.
     UnstableStep,
-    /// The error grew without bound.
+    /// The error grows without bound.
     UnstableRun,
     /// An agent broadcast in more than a quarter of the steps.
     FrequentBroadcasts,
     /// The evaluation window begins before the last switch of a network.
     WindowBeforeSwitch,
-    /// `[health]` without any trained network.
+    /// `[health]` without a trained network.
     HealthUntrained,
-    /// The outer weights limit what the network can learn: all zero (for one component or for all),
-    /// or all rows equal.
+    /// The outer weights limit what the network can learn: they are all zero (for one component or
+    /// for all), or all rows are equal.
     OuterWeights,
-    /// An input does not vary by more than rounding, so it gets no weight.
+    /// An input varies by no more than rounding, so it gets no weight.
     ConstantInput,
     /// Single precision leaves few digits of an input's variation.
     InputResolution,
-    /// The trained network explains nothing of the targets.
+    /// The trained network explains none of the targets' variance.
     ExplainsNothing,
     /// The trained network is worse than a constant on the validation samples.
     WorseThanConstant,
     /// The smoothing window is longer than the period of the signal.
     LongSmoothing,
-    /// Fewer training numbers than parameters.
+    /// Fewer training values than parameters.
     FewSamples,
     /// The trained network was not switched in.
     NotSwitchedIn,
-    /// A run that errors are compared with failed.
+    /// The baseline run failed.
     BaselineFailed,
-    /// The samples were recorded with another scenario.
+    /// The samples were recorded with a different scenario.
     OtherScenario,
     /// Samples are closer together than steps of the scenario.
     DenseSamples,
@@ -76,7 +76,7 @@ impl WarningCode {
         Self::DenseSamples,
     ];
 
-    /// The code as JSON has it.
+    /// Returns the code as it appears in JSON.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -119,7 +119,7 @@ pub struct Warning {
 }
 
 impl Warning {
-    /// A warning with this text.
+    /// Creates a warning.
     #[must_use]
     pub fn new(code: WarningCode, text: impl Into<String>) -> Self {
         Self { code, text: text.into() }

@@ -1,4 +1,4 @@
-//! What errors are compared with: the runs without a network and with the untrained one, beside the
+//! Baselines: the runs without a network and with the untrained one, compared with the
 //! run itself, and the spread over seeds.
 
 use host_sim::engine::{RunOptions, RunResult, Silent, run};
@@ -26,7 +26,7 @@ fn agents(report: &Value) -> &[Value] {
     report["agents"].as_array().unwrap()
 }
 
-/// A number as JSON carries it.
+/// Returns a number as stored in JSON.
 fn json(number: f64) -> Value {
     serde_json::from_str(&serde_json::to_string(&number).unwrap()).unwrap()
 }
@@ -56,7 +56,7 @@ fn a_run_is_compared_with_no_network_and_the_untrained_one() {
     for baseline in ["no_network", "untrained"] {
         assert_eq!(report["baselines"][baseline]["status"], "done");
     }
-    // The table and the file say the same.
+    // The table and the file agree.
     let text = folder.succeed("run mine.toml --seed 3 --out text");
     let columns = ["no network", "untrained", "learned", "change against"];
     assert!(columns.iter().all(|column| text.contains(column)), "{text}");
@@ -89,7 +89,7 @@ fn baselines_change_no_bit_of_the_run() {
     for name in ["traces.csv", "events.csv", "training.csv"] {
         assert!(with[name] == without[name], "{name}");
     }
-    // They are seen in the figure of the errors, and only there.
+    // They appear in the error figure, and only there.
     let figure = |name| String::from_utf8(with[name].clone()).unwrap();
     assert!(figure("errors.svg").contains("no network, RMS"));
     assert_eq!(with["states.svg"], without["states.svg"]);
@@ -99,7 +99,7 @@ fn baselines_change_no_bit_of_the_run() {
 }
 
 #[test]
-fn without_learning_there_is_nothing_to_compare_unless_asked_for() {
+fn no_baselines_without_learning_unless_requested() {
     let folder = Folder::new("bare-baselines");
     folder.write("mine.toml", &short().text());
     let run = |more: &str| {

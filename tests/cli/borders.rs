@@ -1,5 +1,5 @@
-//! What comes in from other tools and people: recordings, keys, images, numbers on the command line.
-//! It is understood or refused, never guessed, and what is refused is named.
+//! Input from other tools and from users: recordings, keys, images, numbers on the command line.
+//! Input is accepted or rejected with an error that names the problem, but never guessed.
 
 use std::fs;
 use std::process::{Command, Stdio};
@@ -13,7 +13,7 @@ const MEMORY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../memory.x");
 const SAMPLES: &str = "out/agent1_cycle1_samples.csv";
 const TRAIN: &str = "--scenario mine.toml --agent 1 --out node1.weights";
 
-/// A folder with a scenario and the samples of a run.
+/// Creates a folder with a scenario and the samples of a run.
 fn folder(name: &str) -> Folder {
     let folder = Folder::new(name);
     let scenario = short().text().replace("\nevents = ", "\nsamples = true\nevents = ");
@@ -22,7 +22,7 @@ fn folder(name: &str) -> Folder {
     folder
 }
 
-/// The same with a package.
+/// Like [`folder`], with a package.
 fn with_package(name: &str) -> Folder {
     let folder = folder(name);
     folder.succeed(&format!("train {SAMPLES} {TRAIN}"));
@@ -39,13 +39,13 @@ fn samples(folder: &Folder) -> Vec<String> {
 }
 
 #[test]
-fn the_same_recording_in_other_units_and_separators_trains_the_same_package() {
+fn recordings_in_other_formats_train_the_same_package() {
     let folder = with_package("units");
     let package = fs::read(folder.path("node1.weights")).unwrap();
     let lines = samples(&folder);
     let milliseconds = |line: &String| -> String {
         let (time, rest) = line.split_once(',').unwrap();
-        // By digits, as a person would write it.
+        // In plain decimal notation.
         let time: f64 = time.parse().unwrap();
         format!("{},{rest}", (time * 1e6).round() / 1e3)
     };
@@ -69,7 +69,7 @@ fn the_same_recording_in_other_units_and_separators_trains_the_same_package() {
 }
 
 #[test]
-fn lost_samples_are_told_and_do_not_cost_the_rest() {
+fn missing_samples_are_reported_and_bridged() {
     let folder = folder("lost");
     let lines = samples(&folder);
     let whole = json(&folder, &format!("train {SAMPLES} {TRAIN}"));
@@ -93,7 +93,7 @@ fn lost_samples_are_told_and_do_not_cost_the_rest() {
 }
 
 #[test]
-fn an_image_is_what_its_ending_says() {
+fn image_format_follows_the_file_extension() {
     let folder = with_package("ending");
     let image = format!("weights image node1.weights --slot a --memory {MEMORY}");
     folder.succeed(&format!("{image} --out x.bin"));
@@ -102,7 +102,7 @@ fn an_image_is_what_its_ending_says() {
     assert!(fs::read(folder.path("x.HEX")).unwrap().starts_with(b":02000004"));
     folder.succeed(&format!("{image} --out x.img --format bin"));
     for (arguments, part) in [
-        ("--out y.uf2", "needs the family of the chip"),
+        ("--out y.uf2", "requires the family of the chip"),
         ("--out y.bin --format hex", "y.bin: ends as a bin file does, and --format says hex"),
         ("--out y.hex --format uf2 --family 17", "ends as a hex file does, and --format says uf2"),
         ("--out y.elf", "y.elf: its ending does not say what file to write; give --format"),
@@ -111,12 +111,12 @@ fn an_image_is_what_its_ending_says() {
         let error = folder.fail(&format!("{image} {arguments}"), 2);
         assert!(error.contains(part), "{arguments}: {error}");
     }
-    // A family whose chips have no flash there: told, in both forms.
+    // A family whose chips have no flash there: a warning, in both output forms.
     for (family, flash) in
         [("rp2040", "0x10000000 to 0x11000000"), ("stm32f4", "0x8000000 to 0x8200000")]
     {
         let told = format!(
-            "WARNING: slot A lies at 0x21000000 to 0x21007000, and the flash of {family} at {flash}"
+            "WARNING: slot A is at 0x21000000 to 0x21007000, outside the flash of {family} at {flash}"
         );
         let text = folder.succeed(&format!("{image} --out z.uf2 --family {family}"));
         assert!(text.contains(&told), "{text}");
@@ -130,7 +130,7 @@ fn an_image_is_what_its_ending_says() {
 }
 
 #[test]
-fn parts_that_a_chip_cannot_erase_alone_are_refused() {
+fn rejects_parts_that_share_a_sector() {
     let folder = with_package("sectors");
     let map = fs::read_to_string(MEMORY).unwrap();
     let at = |origin: &str, flash: &str| {
@@ -144,13 +144,12 @@ fn parts_that_a_chip_cannot_erase_alone_are_refused() {
         format!("weights image node1.weights --slot a --memory {map} --out i.hex {rest}")
     };
     let error = folder.fail(&image("stm32.x", "--chip STM32F405RGTx"), 2);
-    let part =
-        "slot A lies at 0x8020000 to 0x8027000, and stm32f4 erases 0x8020000 to 0x8040000 only";
+    let part = "slot A is at 0x8020000 to 0x8027000, but stm32f4 can only erase all of 0x8020000 to 0x8040000";
     assert!(error.contains(part), "{error}");
     let flash =
         "flash node1.weights --slot a --memory stm32.x --chip STM32F405RGTx --probe-rs none";
     assert!(folder.fail(flash, 2).contains(part));
-    // A chip that nothing is known of, and one with sectors of 4 KiB.
+    // An unknown chip, and one with sectors of 4 KiB.
     folder.succeed(&image("stm32.x", "--chip ESP32C3"));
     folder.succeed(&image("nrf.x", "--chip nRF52840_xxAA"));
     let uf2 = "weights image node1.weights --slot b --memory nrf.x --out i.uf2 --family nrf52840";
@@ -160,7 +159,7 @@ fn parts_that_a_chip_cannot_erase_alone_are_refused() {
 }
 
 #[test]
-fn a_map_that_would_make_a_file_of_gigabytes_is_refused() {
+fn rejects_a_map_that_needs_a_file_of_gigabytes() {
     let folder = with_package("gigabytes");
     let text = "MEMORY { WEIGHTS : ORIGIN = 0, LENGTH = 2048M } _weights_erase_size = 4K;\n\
         _weights_slot_a_origin = 0; _weights_slot_a_length = 8K;\n\
@@ -175,7 +174,7 @@ fn a_map_that_would_make_a_file_of_gigabytes_is_refused() {
 }
 
 #[test]
-fn a_signature_is_checked_or_said_not_to_be_and_never_replaced_silently() {
+fn signatures_are_checked_and_not_replaced_silently() {
     let folder = with_package("signatures");
     for name in ["one", "two"] {
         folder.succeed(&format!("weights keygen --out {name}"));
@@ -187,7 +186,7 @@ fn a_signature_is_checked_or_said_not_to_be_and_never_replaced_silently() {
     );
     let sign = |key: &str| format!("weights sign node1.weights --key {key}.key");
     assert_eq!(json(&folder, &sign("one"))["replaced_signature"], false);
-    // The same key again changes nothing.
+    // Signing again with the same key changes nothing.
     let signed = fs::read(folder.path("node1.weights")).unwrap();
     folder.succeed(&sign("one"));
     assert_eq!(fs::read(folder.path("node1.weights")).unwrap(), signed);
@@ -212,8 +211,8 @@ fn a_signature_is_checked_or_said_not_to_be_and_never_replaced_silently() {
 }
 
 #[test]
-fn a_passphrase_comes_from_a_file_or_a_variable() {
-    // Of `openssl genpkey -algorithm ed25519 -aes256 -pass pass:correct`.
+fn passphrase_comes_from_a_file_or_a_variable() {
+    // Created by `openssl genpkey -algorithm ed25519 -aes256 -pass pass:correct`.
     const KEY: &str = "-----BEGIN ENCRYPTED PRIVATE KEY-----\n\
         MIGbMFcGCSqGSIb3DQEFDTBKMCkGCSqGSIb3DQEFDDAcBAhtHESS55FyrwICCAAw\n\
         DAYIKoZIhvcNAgkFADAdBglghkgBZQMEASoEEPizFlrTFJdYcw3Glu8kJJMEQIbE\n\
@@ -235,10 +234,16 @@ fn a_passphrase_comes_from_a_file_or_a_variable() {
     let error = folder.fail(&format!("{sign} --passphrase-file wrong"), 2);
     assert!(error.contains("operator.key: cannot be decrypted"), "{error}");
     let error = folder.fail(&format!("{sign} --passphrase-file nowhere"), 2);
-    assert!(error.contains("nowhere: the passphrase cannot be read"), "{error}");
+    assert!(error.contains("nowhere: cannot read the passphrase"), "{error}");
     let error = folder
         .fail(&format!("train {SAMPLES} {TRAIN} --sign operator.key --passphrase-file wrong"), 2);
     assert!(error.contains("cannot be decrypted"), "{error}");
+    let cosim = "cosim paper --boards unix:a,unix:b,unix:c --key operator.key --passphrase-file";
+    let error = folder.fail(&format!("{cosim} wrong"), 2);
+    assert!(error.contains("operator.key: cannot be decrypted"), "{error}");
+    // With the right one it gets as far as the nodes.
+    let error = folder.fail(&format!("{cosim} right"), 1);
+    assert!(error.contains("agent 1 (unix:a)"), "{error}");
     let with = |variable: Option<&str>| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_simulator-under-test"));
         command.args(sign.split(' ')).current_dir(folder.path(".")).stdin(Stdio::null());
@@ -249,7 +254,7 @@ fn a_passphrase_comes_from_a_file_or_a_variable() {
         command.output().unwrap()
     };
     assert_eq!(with(Some("correct")).status.code(), Some(0));
-    // Nobody to ask.
+    // No terminal to ask.
     let output = with(None);
     let error = texts(&output).1;
     assert_eq!(output.status.code(), Some(2), "{error}");
@@ -257,7 +262,7 @@ fn a_passphrase_comes_from_a_file_or_a_variable() {
 }
 
 #[test]
-fn a_package_is_renumbered_with_its_provenance_and_without_its_signature() {
+fn renumbering_keeps_provenance_and_drops_the_signature() {
     let folder = with_package("renumber");
     folder.succeed("weights keygen --out one");
     folder.succeed("weights sign node1.weights --key one.key");
@@ -281,7 +286,7 @@ fn a_package_is_renumbered_with_its_provenance_and_without_its_signature() {
 }
 
 #[test]
-fn nothing_comes_after_the_largest_version() {
+fn rejects_a_successor_of_the_largest_version() {
     let folder = with_package("largest");
     folder.succeed("weights renumber node1.weights --version 4294967295 --out last.weights");
     folder.succeed("weights export node1.weights --out net.npz");
@@ -299,7 +304,7 @@ fn nothing_comes_after_the_largest_version() {
 }
 
 #[test]
-fn trainings_into_one_file_do_not_share_a_version() {
+fn parallel_trainings_to_one_file_get_different_versions() {
     let folder = with_package("shared");
     let children: Vec<_> = (1..=3)
         .map(|seed| {
@@ -324,16 +329,16 @@ fn trainings_into_one_file_do_not_share_a_version() {
 }
 
 #[test]
-fn a_package_is_evaluated_on_a_recording_by_the_nodes_own_code() {
+fn evaluates_a_package_with_the_nodes_code() {
     let folder = with_package("evaluate");
-    // A recording that the network explains to the bit has no error.
+    // A recording that matches the network exactly has no error.
     let report = json(&folder, &format!("weights evaluate node1.weights {SAMPLES}"));
     assert_eq!((&report["agent"], &report["version"]), (&1.into(), &2.into()));
     assert_eq!(report["outside_box"], 0, "it was trained on these samples");
     assert_eq!(report["not_finite"], 0);
     let number = |value: &Value| value.as_f64().unwrap();
     let components = report["components"].as_array().unwrap();
-    // The means against sums made here.
+    // Compare the means with sums computed here.
     let lines = samples(&folder);
     let n = components.len();
     let names: Vec<&str> = lines[0].split(',').collect();
@@ -361,7 +366,7 @@ fn a_package_is_evaluated_on_a_recording_by_the_nodes_own_code() {
     assert!(text.contains("0 samples (0.0 %) lie outside the box"), "{text}");
     assert!(text.lines().filter(|line| line.contains(" %")).count() > n, "{text}");
 
-    // Shifted by more than the box is wide, all samples lie outside of it.
+    // Shifted by more than the width of the box, all samples are outside.
     let shifted = lines[1..].iter().map(|line| {
         let fields: Vec<&str> = line.split(',').collect();
         let first: f64 = fields[1].parse().unwrap();
@@ -380,7 +385,7 @@ fn tests_close(found: f64, expected: f64) -> bool {
 }
 
 #[test]
-fn absurd_numbers_are_refused_with_the_range() {
+fn rejects_absurd_numbers_with_their_range() {
     let folder = with_package("numbers");
     let absurd = ["-1", "NaN", "inf", "1e-300", "1e300", "x", ""];
     for option in ["cosim --serve s --speed", "cosim --timeout"] {
@@ -419,7 +424,7 @@ fn absurd_numbers_are_refused_with_the_range() {
     }
 }
 
-/// Ends with 2, and says so without a panic.
+/// Returns the error of a command that must exit with code 2 and without a panic.
 fn refused(folder: &Folder, arguments: &str) -> String {
     let output = folder.run(arguments);
     let (standard, error) = texts(&output);
@@ -429,7 +434,7 @@ fn refused(folder: &Folder, arguments: &str) -> String {
 }
 
 #[test]
-fn what_is_too_large_for_a_node_is_named_by_the_scenarios_keys() {
+fn errors_about_oversized_nodes_name_the_scenario_keys() {
     let folder = folder("keys");
     let text = fs::read_to_string(folder.path("mine.toml")).unwrap();
     let bound = text.lines().find(|line| line.starts_with("bound = ")).expect("a bound").to_owned();

@@ -16,8 +16,11 @@ use super::command_line::{Folder, texts};
 
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 
-/// Commands that other parts of CI run, by their first words.
-const RUN_BY_CI: [&str; 13] = [
+/// Commands that other parts of CI run, some of them in a shorter form, by their first words.
+const RUN_BY_CI: [&str; 16] = [
+    "STORE_CUTS=all cargo test --release -p integration-tests",
+    "STORE_HISTORIES=1000000 cargo test --release -p integration-tests",
+    "cp -r firmware-template/boards/",
     "cargo test --workspace",
     "cargo test -p",
     "cargo bench -p",
@@ -49,10 +52,13 @@ struct Block {
     commands: Vec<String>,
 }
 
-/// The pages: the README, and everything that is documentation for its readers.
+/// The pages for readers. A board's README is not one of them: `cargo xtask cross` builds every board
+/// as it says.
 fn pages() -> Vec<PathBuf> {
     let mut pages = vec![Path::new(ROOT).join("README.md")];
-    for entry in fs::read_dir(Path::new(ROOT).join("docs")).unwrap() {
+    let root = Path::new(ROOT);
+    pages.push(root.join("CONTRIBUTING.md"));
+    for entry in fs::read_dir(root.join("docs")).unwrap() {
         let path = entry.unwrap().path();
         if path.extension().is_some_and(|ending| ending == "md") {
             pages.push(path);

@@ -1,4 +1,4 @@
-//! What commands do to files that are there, to streams that are not, and when they are told to end.
+//! Existing files, closed streams and signals, as commands handle them.
 
 use std::fs;
 use std::io::Read;
@@ -13,10 +13,10 @@ use crate::cli::command_line::{Folder, object, short, texts};
 const MEMORY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../memory.x");
 const TRAIN: &str = "train out/agent1_cycle1_samples.csv --scenario mine.toml --agent 1";
 
-/// A folder with a scenario and a run of it, and a package.
+/// Creates a folder with a scenario, a run of it, and a package.
 fn folder(name: &str) -> Folder {
     let folder = Folder::new(name);
-    // How good its networks are is not the question here.
+    // The quality of its networks does not matter here.
     let text = short().text().replace("\nevents = ", "\nsamples = true\nevents = ");
     folder.write("mine.toml", &text);
     done(&folder.run("run mine.toml --out out"));
@@ -24,7 +24,7 @@ fn folder(name: &str) -> Folder {
     folder
 }
 
-/// What a command printed that has succeeded, whatever it warned of.
+/// Returns the output of a command that succeeded, possibly with warnings.
 fn done(output: &Output) -> String {
     let (standard, error) = texts(output);
     assert_eq!(output.status.code(), Some(0), "{standard}{error}");
@@ -32,14 +32,14 @@ fn done(output: &Output) -> String {
     standard
 }
 
-/// The program with these arguments, separated by blanks.
+/// Returns the program with these arguments, separated by blanks.
 fn program(folder: &Folder, arguments: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_simulator-under-test"));
     command.args(arguments.split_whitespace()).current_dir(folder.path("."));
     command
 }
 
-/// A shell command line in which `$HS` is the program: what it printed, and its exit code.
+/// Runs a shell command line in which `$HS` is the program; returns its output and exit code.
 fn shell(folder: &Folder, line: &str) -> (String, Option<i32>) {
     let output = Command::new("sh")
         .args(["-c", line])
@@ -64,7 +64,7 @@ fn wait_until(what: &str, condition: impl Fn() -> bool) {
     }
 }
 
-/// Names of everything in a folder, hidden or not.
+/// Returns the names of all entries of a folder, including hidden ones.
 fn names(folder: &Folder, name: &str) -> Vec<String> {
     let entries = fs::read_dir(folder.path(name)).unwrap();
     let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
@@ -74,7 +74,7 @@ fn names(folder: &Folder, name: &str) -> Vec<String> {
 }
 
 #[test]
-fn no_command_replaces_a_file_of_another_kind() {
+fn commands_do_not_overwrite_files_of_other_kinds() {
     let folder = folder("other-kinds");
     folder.succeed("weights keygen --out operator");
     folder.succeed("weights export node.weights --out net.npz");
@@ -83,7 +83,7 @@ fn no_command_replaces_a_file_of_another_kind() {
     let image = "weights image node.weights --slot a --memory memory.x";
     for format in ["bin", "hex", "uf2 --family rp2040"] {
         folder.succeed(&format!("{image} --format {format} --out image"));
-        // Its own kind it replaces.
+        // Files of its own kind are replaced.
         folder.succeed(&format!("{image} --format {format} --out image"));
         fs::rename(folder.path("image"), folder.path(&format!("image.{}", &format[..3]))).unwrap();
     }
@@ -120,7 +120,7 @@ fn no_command_replaces_a_file_of_another_kind() {
             format!("weights import net.npz --base node.weights --out {file}"),
         ] {
             let error = folder.fail(&command, 2);
-            assert!(error.contains("is not a weight package; refusing to overwrite"), "{error}");
+            assert!(error.contains("not a weight package; refusing to overwrite"), "{error}");
         }
     }
     fs::write(folder.path("archive.npz"), b"PK\x03\x04 photographs").unwrap();
@@ -134,7 +134,7 @@ fn no_command_replaces_a_file_of_another_kind() {
 }
 
 #[test]
-fn links_and_devices_stay_what_they_are() {
+fn commands_write_through_links_and_to_devices() {
     let folder = folder("links");
     folder.succeed("weights keygen --out operator");
     fs::create_dir(folder.path("versions")).unwrap();
@@ -153,7 +153,7 @@ fn links_and_devices_stay_what_they_are() {
         shell(&folder, &format!("mkfifo pipe; cat pipe > copy & $HS {TRAIN} --out pipe && wait"));
     assert_eq!(piped.1, Some(0));
     folder.succeed("weights inspect copy");
-    // Beside the report, in the order in which they are written.
+    // Together with the report, in the order of writing.
     let image = format!(
         "$HS weights image node.weights --slot a --memory {MEMORY} --format hex --out /dev/stdout"
     );
@@ -168,20 +168,20 @@ fn links_and_devices_stay_what_they_are() {
 }
 
 #[test]
-fn what_cannot_be_written_is_found_before_the_work() {
+fn checks_outputs_before_the_work() {
     let folder = folder("unwritable");
-    // Training that would take hours.
+    // A training that would take hours.
     let endless = endless(&folder);
     folder.write("blocked", "a file\n");
     for out in ["blocked/below.weights", "/proc/no/x.weights"] {
         let error = folder.fail(&format!("{endless} --out {out}"), 1);
-        assert!(error.contains(out) && error.contains("make sure"), "{error}");
+        assert!(error.contains(out) && error.contains("check that"), "{error}");
     }
     assert!(folder.fail(&format!("{endless} --out blocked"), 2).contains("blocked"));
     assert!(folder.fail(&format!("{endless} --out out"), 2).contains("is a folder"));
 }
 
-/// The arguments of a training on noise that takes hours, but for `--out`.
+/// Returns the arguments, except `--out`, of a training on noise that takes hours.
 fn endless(folder: &Folder) -> String {
     let mut text = folder.succeed("scenario paper");
     for (from, to) in [
@@ -206,7 +206,7 @@ fn endless(folder: &Folder) -> String {
 }
 
 #[test]
-fn a_training_that_is_told_to_end_keeps_the_best_so_far() {
+fn interrupted_training_keeps_the_best_epoch() {
     let folder = Folder::new("told-to-end");
     let endless = endless(&folder);
     for (name, reason) in [("TERM", "terminate"), ("INT", "interrupt"), ("HUP", "hangup")] {
@@ -215,7 +215,7 @@ fn a_training_that_is_told_to_end_keeps_the_best_so_far() {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        // The temporary file is there when the work begins.
+        // The temporary file exists once the work starts.
         wait_until("no training begins", || {
             names(&folder, ".").iter().any(|n| n.starts_with(".host"))
         });
@@ -230,7 +230,7 @@ fn a_training_that_is_told_to_end_keeps_the_best_so_far() {
 }
 
 #[test]
-fn a_run_that_is_told_to_end_leaves_what_was_there() {
+fn interrupted_run_keeps_previous_results() {
     let folder = Folder::new("run-told-to-end");
     folder.succeed("run paper --out out --without-learning --seed 3");
     let before = folder.files("out");
@@ -255,7 +255,7 @@ fn a_run_that_is_told_to_end_leaves_what_was_there() {
 }
 
 #[test]
-fn a_folder_has_one_run_and_all_of_it() {
+fn output_folder_contains_exactly_one_run() {
     let folder = Folder::new("one-run");
     folder.write("mine.toml", &short().text());
     folder.succeed("run mine.toml --out out --seed 1");
@@ -270,7 +270,7 @@ fn a_folder_has_one_run_and_all_of_it() {
     let there: Vec<_> =
         names(&folder, "out").into_iter().filter(|name| name != "run.json").collect();
     assert_eq!(listed, there);
-    // Each of them would be found in the way before the work.
+    // Each of them is detected before the work.
     for name in &there {
         let other = folder.path(&format!("other/{name}"));
         fs::create_dir_all(folder.path("other")).unwrap();
@@ -280,12 +280,12 @@ fn a_folder_has_one_run_and_all_of_it() {
         assert_eq!(fs::read(&other).unwrap(), b"mine\n");
         fs::remove_file(other).unwrap();
     }
-    // Without learning, the packages of the run before are gone; a file of mine is not.
+    // Without learning, the packages of the previous run are removed; a user's file is kept.
     folder.write("out/mine.txt", "mine\n");
     let text = folder.succeed("run mine.toml --out out --without-learning");
     assert!(text.contains("Not of this run: mine.txt\n"), "{text}");
     assert!(!names(&folder, "out").iter().any(|name| name.ends_with(".weights")));
-    // It has another folder of its own accord.
+    // By default it uses another folder.
     folder.succeed("run mine.toml");
     let learned = folder.files("out/scenario_builder");
     folder.succeed("run mine.toml --without-learning");
@@ -296,7 +296,7 @@ fn a_folder_has_one_run_and_all_of_it() {
 }
 
 #[test]
-fn reproduce_and_run_do_not_mix() {
+fn reproduce_and_run_do_not_share_a_folder() {
     let folder = Folder::new("no-mixing");
     folder.write("mine.toml", &short().text());
     fs::create_dir(folder.path("out")).unwrap();
@@ -311,9 +311,9 @@ fn reproduce_and_run_do_not_mix() {
 }
 
 #[test]
-fn a_lost_stream_loses_no_work() {
+fn closed_streams_do_not_lose_results() {
     let folder = folder("streams");
-    // Few samples, which is warned of.
+    // Few samples, which causes a warning.
     folder.succeed("run paper --out paper-run");
     let samples = fs::read_to_string(folder.path("paper-run/agent1_cycle1_samples.csv")).unwrap();
     let few: Vec<_> = samples.lines().take(402).collect();
@@ -350,14 +350,14 @@ fn a_lost_stream_loses_no_work() {
         assert_eq!(shell(&folder, &line).1, Some(code), "{line}");
         assert!(folder.path(made).exists(), "{line}");
     }
-    // A refusal is still exit code 2 with its reader gone.
+    // Errors keep exit code 2 if the reader is gone.
     let line =
         "{ $HS weights verify few.csv --format json; echo $? >code; } | true; exit $(cat code)";
     assert_eq!(shell(&folder, line).1, Some(2));
 }
 
 #[test]
-fn errors_in_json_have_code_text_file_and_line() {
+fn json_errors_have_code_text_file_and_line() {
     let folder = folder("json-errors");
     folder.write("wrong.toml", &short().text().replace("duration = 0.8", "duration = -0.8"));
     fs::create_dir(folder.path("other")).unwrap();
@@ -431,9 +431,9 @@ fn errors_in_json_have_code_text_file_and_line() {
 }
 
 #[test]
-fn nothing_from_a_file_reaches_the_terminal_as_it_is() {
+fn control_characters_from_files_are_escaped() {
     let folder = folder("escapes");
-    // As TOML has it.
+    // In TOML syntax.
     let name = r#""\u001b[2J\r\nok\u009b\u202e""#;
     let recipe = short().text().replace("\"short\"", name);
     let recipe = recipe.replace("recipes.short", &format!("recipes.{name}"));
@@ -461,7 +461,7 @@ fn nothing_from_a_file_reaches_the_terminal_as_it_is() {
 }
 
 #[test]
-fn a_built_in_name_is_not_hidden_by_what_lies_around() {
+fn built_in_names_take_precedence_over_files() {
     let folder = Folder::new("hidden");
     fs::create_dir(folder.path("paper")).unwrap();
     let listed = |output: std::process::Output| {
@@ -471,7 +471,7 @@ fn a_built_in_name_is_not_hidden_by_what_lies_around() {
     let run = "run paper --format json --without-learning --out out";
     let (report, said) = listed(folder.run(run));
     assert_eq!((&report["scenario"], said.as_str()), (&"paper".into(), ""));
-    // A file of that name is the one with a folder before it.
+    // A file with that name needs a folder in its path.
     fs::remove_dir(folder.path("paper")).unwrap();
     folder.write("paper", &short().text());
     let (report, said) = listed(folder.run(run));
@@ -481,14 +481,14 @@ fn a_built_in_name_is_not_hidden_by_what_lies_around() {
     assert_eq!((&report["scenario"], said.as_str()), (&"scenario_builder".into(), ""));
     let error = folder.fail("run papper", 2);
     assert!(
-        error.contains("give paper, ") && error.contains("host-sim scenario paper > mine.toml"),
+        error.contains("pass paper, ") && error.contains("host-sim scenario paper > mine.toml"),
         "{error}"
     );
 }
 
 #[test]
-fn outside_of_a_project_no_firmware_is_built() {
-    // Not below this project, as other tests' folders are.
+fn does_not_build_firmware_outside_a_project() {
+    // Unlike the folders of other tests, not inside this project.
     let outside = tempfile::tempdir().unwrap();
     let mut child = Command::new(env!("CARGO_BIN_EXE_simulator-under-test"))
         .args(["cosim", "paper"])

@@ -1,4 +1,4 @@
-//! Flashing, with a program that stands for probe-rs and keeps the chip's memory in a file.
+//! Flashing with a substitute for probe-rs that keeps the chip's memory in a file.
 #![cfg(unix)]
 
 use std::collections::BTreeMap;
@@ -11,7 +11,7 @@ use host_sim::image::Image;
 
 use crate::cli::image::image;
 
-/// A folder with a chip of its own, removed at the end.
+/// A folder with a separate chip, removed at the end.
 struct Chip(PathBuf);
 
 impl Chip {
@@ -43,7 +43,7 @@ impl Chip {
         memory.lines().map(byte).collect()
     }
 
-    /// Flashes, found as on `PATH`; returns also the steps.
+    /// Flashes with the program on `PATH`; also returns the steps.
     fn flash(&self, image: &Image) -> (Result<(), FlashError>, Vec<FlashStep>) {
         let path = std::env::join_paths([Path::new("no/such/folder"), &self.0]).unwrap();
         let probe_rs = ProbeRs::find_in(&path).unwrap();
@@ -55,13 +55,13 @@ impl Chip {
 
 impl Drop for Chip {
     fn drop(&mut self) {
-        // Best effort: what stays lies in the build folder.
+        // Best effort: anything left is in the build folder.
         let _ = fs::remove_dir_all(&self.0);
     }
 }
 
 #[test]
-fn the_chip_holds_the_image_and_nothing_else() {
+fn chip_contains_only_the_image() {
     for (slot, name) in [(Slot::A, "slot-a"), (Slot::B, "slot-b")] {
         let chip = Chip::new(name);
         let image = image(slot, 2_213);
@@ -88,7 +88,7 @@ fn the_chip_holds_the_image_and_nothing_else() {
 }
 
 #[test]
-fn probe_rs_is_called_with_the_options_that_it_has() {
+fn calls_probe_rs_with_valid_options() {
     let chip = Chip::new("calls");
     chip.flash(&image(Slot::B, 64)).0.unwrap();
     let calls = chip.calls();
@@ -108,19 +108,19 @@ fn probe_rs_is_called_with_the_options_that_it_has() {
 }
 
 #[test]
-fn versions_that_print_no_addresses_are_understood() {
+fn supports_versions_that_print_no_addresses() {
     let chip = Chip::new("list");
     chip.set("list", "");
     chip.flash(&image(Slot::A, 2_213)).0.unwrap();
 }
 
 #[test]
-fn a_byte_that_reads_back_differently_is_named_and_the_chip_not_started() {
+fn reports_a_mismatch_and_does_not_reset_the_chip() {
     for (address, name, expected) in
         [(0x2100_0010, "the package", 0x10_u8), (0x2100_FFFF, "the commit area", 0xFF)]
     {
         let chip = Chip::new(&format!("corrupt-{address:x}"));
-        // Two of them: the first is named.
+        // Of two differences, the first is reported.
         chip.set("corrupt", &format!("{:#x}\n{address:#x}\n", address + 0x20));
         let error = chip.flash(&image(Slot::A, 2_213)).0.unwrap_err();
         let FlashError::Differs { name: named, address: at, expected: wrote, found } = error else {
@@ -132,7 +132,7 @@ fn a_byte_that_reads_back_differently_is_named_and_the_chip_not_started() {
 }
 
 #[test]
-fn what_probe_rs_says_is_passed_on() {
+fn passes_on_the_errors_of_probe_rs() {
     for (command, step) in
         [("download", "writing"), ("read", "reading the commit area back"), ("reset", "resetting")]
     {
@@ -150,7 +150,7 @@ fn what_probe_rs_says_is_passed_on() {
 }
 
 #[test]
-fn without_probe_rs_the_message_says_how_to_get_it() {
+fn missing_probe_rs_error_says_how_to_install_it() {
     let nowhere = ProbeRs::find_in("/no/such/folder".as_ref()).unwrap_err();
     let named = ProbeRs::find(Some(Path::new("no/such/probe-rs"))).unwrap_err();
     for (error, part) in [(nowhere, "probe-rs: "), (named, "no/such/probe-rs: ")] {

@@ -1,4 +1,4 @@
-//! Flash images: every format is read back, and nothing outside the segments is touched.
+//! Flash images: every format reads back, and nothing outside the segments is changed.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,10 +15,10 @@ type Memory = BTreeMap<u64, u8>;
 
 const FAMILY: Uf2Family = Uf2Family(0xE48B_FF56);
 
-/// Stands for the store's record: any bytes do.
+/// Arbitrary bytes in place of the store's record.
 pub(crate) const RECORD: [u8; 32] = *b"slot in use, confirmed (a test).";
 
-/// A package of that length whose bytes tell their place.
+/// Creates a package of this length whose bytes depend on their position.
 pub(crate) fn package(length: usize) -> Vec<u8> {
     (0..length).map(|at| (at % 251) as u8).collect()
 }
@@ -27,7 +27,7 @@ pub(crate) fn image(slot: Slot, length: usize) -> Image {
     Image::new(&WEIGHTS, slot, &package(length), &RECORD).unwrap()
 }
 
-/// Puts bytes where they belong; a byte that is written twice is a mistake.
+/// Stores bytes at an address; no byte may be written twice.
 fn put(memory: &mut Memory, address: u64, bytes: &[u8]) {
     for (address, &byte) in (address..).zip(bytes) {
         assert_eq!(memory.insert(address, byte), None, "{address:#x} is written twice");
@@ -80,7 +80,7 @@ fn read_uf2(file: &[u8], family: u32) -> Memory {
     memory
 }
 
-/// What `memory` holds besides `segments` is 0xFF at these addresses.
+/// Returns the addresses outside `segments`, all of which must contain 0xFF.
 fn besides(memory: &Memory, segments: &Memory) -> Vec<u64> {
     for (address, byte) in segments {
         assert_eq!(memory.get(address), Some(byte), "{address:#x}");
@@ -95,7 +95,7 @@ fn besides(memory: &Memory, segments: &Memory) -> Vec<u64> {
 }
 
 #[test]
-fn package_and_record_lie_where_the_firmware_looks() {
+fn package_and_record_are_where_the_firmware_looks() {
     for (slot, address) in [(Slot::A, 0x2100_0000), (Slot::B, 0x2100_7000)] {
         let memory = segments(&image(slot, 2_213));
         for (at, byte) in (0..).zip(package(2_213)) {
@@ -113,7 +113,7 @@ fn package_and_record_lie_where_the_firmware_looks() {
 }
 
 #[test]
-fn hex_holds_the_segments_and_nothing_else() {
+fn hex_contains_only_the_segments() {
     for slot in [Slot::A, Slot::B] {
         let image = image(slot, 2_213);
         assert_eq!(read_hex(&image.encode(ImageFormat::Hex).unwrap()), segments(&image));
@@ -121,7 +121,7 @@ fn hex_holds_the_segments_and_nothing_else() {
 }
 
 #[test]
-fn uf2_fills_the_last_erase_unit_of_the_package_and_nothing_else() {
+fn uf2_pads_only_the_last_erase_unit() {
     for (slot, address) in [(Slot::A, 0x2100_0000_u64), (Slot::B, 0x2100_7000)] {
         let image = image(slot, 5_000);
         let memory = read_uf2(&image.encode(ImageFormat::Uf2(FAMILY)).unwrap(), FAMILY.0);
@@ -131,7 +131,7 @@ fn uf2_fills_the_last_erase_unit_of_the_package_and_nothing_else() {
 }
 
 #[test]
-fn bin_blanks_what_lies_between_the_segments() {
+fn bin_blanks_the_gap_between_the_segments() {
     for (slot, address) in [(Slot::A, 0x2100_0000_u64), (Slot::B, 0x2100_7000)] {
         let image = image(slot, 2_213);
         let file = image.encode(ImageFormat::Bin).unwrap();
@@ -147,7 +147,7 @@ fn bin_blanks_what_lies_between_the_segments() {
 }
 
 #[test]
-fn a_full_slot_fits_and_one_byte_more_does_not() {
+fn accepts_a_full_slot_and_rejects_one_more_byte() {
     let full = image(Slot::A, 28 << 10);
     assert_eq!(full.segments()[0].span(), 0x2100_0000..0x2100_7000);
     let refused = Image::new(&WEIGHTS, Slot::A, &package((28 << 10) + 1), &RECORD);
@@ -160,7 +160,7 @@ fn a_full_slot_fits_and_one_byte_more_does_not() {
 }
 
 #[test]
-fn a_record_that_does_not_fit_is_refused() {
+fn rejects_a_record_of_invalid_length() {
     for length in [0, 31, 4_104] {
         let refused = Image::new(&WEIGHTS, Slot::A, &package(8), &package(length));
         assert_eq!(
@@ -172,7 +172,7 @@ fn a_record_that_does_not_fit_is_refused() {
 }
 
 #[test]
-fn what_would_leave_the_region_or_overlap_is_refused_whatever_the_region_says() {
+fn rejects_segments_outside_the_region_or_overlapping() {
     for region in [
         WeightsRegion { slot_a: 0x2F_F000, ..WEIGHTS },
         WeightsRegion { slot_a: 0x2100_F000, ..WEIGHTS },
@@ -188,7 +188,7 @@ fn what_would_leave_the_region_or_overlap_is_refused_whatever_the_region_says() 
 }
 
 #[test]
-fn uf2_refuses_what_is_not_made_of_its_blocks() {
+fn uf2_rejects_unaligned_segments() {
     let region = WeightsRegion { erase_size: 128, slot_a: 0x2100_0080, ..WEIGHTS };
     let image = Image::new(&region, Slot::A, &package(256), &RECORD).unwrap();
     let refused = image.encode(ImageFormat::Uf2(FAMILY)).unwrap_err();
@@ -198,7 +198,7 @@ fn uf2_refuses_what_is_not_made_of_its_blocks() {
 }
 
 #[test]
-fn the_ending_of_a_name_tells_the_format() {
+fn format_follows_the_file_extension() {
     for (name, format) in [
         ("a.bin", Some(Format::Bin)),
         ("a.b.HEX", Some(Format::Hex)),
@@ -210,7 +210,7 @@ fn the_ending_of_a_name_tells_the_format() {
     }
 }
 
-/// The command lines for slot B; `None` where a tool needs another format.
+/// Returns the command lines for slot B; `None` if a tool needs another format.
 fn lines(name: &str, format: Format) -> Vec<(&'static str, Option<String>)> {
     let commands = commands_for(&image(Slot::B, 100), Path::new(name), format);
     let line = |usage| match usage {
@@ -276,10 +276,13 @@ fn every_tool_gets_its_exact_command_line() {
         ]
     );
     let needs = &commands_for(&image(Slot::B, 100), Path::new("w.hex"), Format::Hex)[4];
-    assert_eq!(needs.to_string(), "picotool: takes no such file; choose --format uf2 or bin");
+    assert_eq!(
+        needs.to_string(),
+        "picotool: does not support this format; use --format uf2 or bin"
+    );
 }
 
-/// Regions of all sizes that keep what a memory map is checked for, commit area first or last.
+/// Valid regions of all sizes, with the commit area first or last.
 fn regions() -> impl Strategy<Value = WeightsRegion> {
     (0_u32..4, 1_u32..5, 2_u32..4, 0_u32..3, any::<bool>(), 0_u32..16).prop_map(
         |(size, slot, commit, spare, commit_first, high)| {
@@ -287,7 +290,7 @@ fn regions() -> impl Strategy<Value = WeightsRegion> {
             let (slot_length, commit_length) = (slot * erase_size, commit * erase_size);
             let spare = spare * erase_size;
             let length = 2 * slot_length + commit_length + 2 * spare;
-            // The highest place ends with the last address there is; most straddle 64 KiB.
+            // The highest position ends at the last address; most cross a 64 KiB boundary.
             let origin =
                 if high == 0 { length.wrapping_neg() } else { high * 0x1_0000 - erase_size };
             let slots = origin + spare + if commit_first { commit_length } else { 0 };
@@ -306,11 +309,11 @@ fn regions() -> impl Strategy<Value = WeightsRegion> {
 }
 
 proptest! {
-    // Each case makes three maps of thousands of bytes.
+    // Each case creates three maps of thousands of bytes.
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn every_format_says_the_same(
+    fn all_formats_agree(
         region in regions(),
         b in any::<bool>(),
         share in 0.0_f64..=1.0,

@@ -1,14 +1,14 @@
-//! The reader of memory maps: the repository's own map, the language, and every message.
+//! The memory map parser: the repository's own map, the language, and every message.
 
 use std::path::Path;
 
 use host_sim::memory_map::{MemoryMap, MemoryMapError, WeightsRegion};
 use proptest::prelude::*;
 
-/// The map of the default board.
+/// The memory map of the default board.
 pub(crate) const MEMORY_X: &str = include_str!("../../memory.x");
 
-/// What the region of that map is, as the linker computes it: GNU ld 2.40 on a file that includes
+/// The region of that map as the linker computes it: GNU ld 2.40 on a file that includes
 /// it, symbols printed by `nm`.
 pub(crate) const WEIGHTS: WeightsRegion = WeightsRegion {
     origin: 0x2100_0000,
@@ -25,7 +25,7 @@ fn parse(text: &str) -> Result<MemoryMap, MemoryMapError> {
     MemoryMap::parse(text, "map.x")
 }
 
-/// The value of an expression, after two regions and a symbol.
+/// Returns the value of an expression that follows two regions and a symbol.
 fn value(expression: &str) -> Result<u64, String> {
     let text = format!(
         "MEMORY {{ A : ORIGIN = 16, LENGTH = 4K B (rx!w) : org = ORIGIN(A) + LENGTH(A) l = 1M }}\n\
@@ -42,7 +42,7 @@ fn value(expression: &str) -> Result<u64, String> {
 }
 
 #[test]
-fn the_repositorys_map_is_what_the_linker_makes_of_it() {
+fn repository_map_matches_the_linker() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../memory.x");
     let map = MemoryMap::read(&path).unwrap();
     let regions: Vec<_> = map
@@ -60,7 +60,24 @@ fn the_repositorys_map_is_what_the_linker_makes_of_it() {
 }
 
 #[test]
-fn expressions_have_the_linkers_values() {
+fn every_boards_map_can_be_read_and_its_parts_are_erasable() {
+    let boards = Path::new(env!("CARGO_MANIFEST_DIR")).join("../firmware-template/boards");
+    let mut read = 0;
+    for entry in std::fs::read_dir(boards).unwrap() {
+        let path = entry.unwrap().path().join("memory.x");
+        if path.exists() {
+            let map = MemoryMap::read(&path).unwrap();
+            let weights =
+                map.weights().unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+            assert!(weights.layout().slot_length >= 28 << 10, "{}", path.display());
+            read += 1;
+        }
+    }
+    assert!(read >= 4, "{read} maps");
+}
+
+#[test]
+fn expressions_match_the_linker() {
     for (expression, expected) in [
         ("1 + 2 * 3", 7),
         ("(1 + 2) * 3", 9),
@@ -96,41 +113,41 @@ fn expressions_have_the_linkers_values() {
 }
 
 #[test]
-fn what_is_no_value_is_named() {
+fn errors_name_invalid_expressions() {
     let deep = format!("{}1{}", "(".repeat(65), ")".repeat(65));
     for (expression, message) in [
         (
             "1 - 2",
-            "map.x:2: result: 0x1 - 0x2 is negative; subtract less: addresses and sizes count from 0",
+            "map.x:2: result: 0x1 - 0x2 is negative; addresses and sizes must not be negative",
         ),
-        ("8 / (4 - 4)", "map.x:2: result: 0x8 / 0x0 divides by 0; divide by something else"),
+        ("8 / (4 - 4)", "map.x:2: result: 0x8 / 0x0 divides by 0; use another divisor"),
         (
             "0xFFFFFFFFFFFFFFFF + 1",
-            "map.x:2: result: 0xffffffffffffffff + 0x1 needs more than 64 bits; use smaller numbers",
+            "map.x:2: result: 0xffffffffffffffff + 0x1 overflows 64 bits; use smaller numbers",
         ),
         (
             "later",
-            "map.x:2: result: the symbol `later` has no value up to here; give it one further up",
+            "map.x:2: result: symbol `later` is not defined before this line; define it further up",
         ),
         (
             "LENGTH(C)",
-            "map.x:2: result: there is no region `C` up to here; describe it further up, in MEMORY",
+            "map.x:2: result: region `C` is not defined before this line; define it further up, in MEMORY",
         ),
         (
             "SIZEOF(.text)",
-            "map.x:2: result: found the function `SIZEOF`; expected ORIGIN(region) or LENGTH(region)",
+            "map.x:2: result: unsupported function `SIZEOF`; use ORIGIN(region) or LENGTH(region)",
         ),
-        ("1 2", "map.x:2: result: found the number 2; expected `;` behind the value"),
+        ("1 2", "map.x:2: result: found the number 2; expected `;` after the value"),
         (
             "1 + ;",
             "map.x:2: result: found `;`; expected a number, a symbol, ORIGIN(region), LENGTH(region) or `(`",
         ),
-        ("(1", "map.x:2: result: found `;`; expected `)` behind what it encloses"),
-        ("1 << 64", "map.x:2: result: 0x1 << 0x40 needs more than 64 bits; use smaller numbers"),
+        ("(1", "map.x:2: result: found `;`; expected `)` after the expression"),
+        ("1 << 64", "map.x:2: result: 0x1 << 0x40 overflows 64 bits; use smaller numbers"),
         ("4KB", "map.x:2: result: `4KB` is not a number; write it as 12, 0x1F, 64K or 3M"),
         (
             &deep,
-            "map.x:2: result: more than 64 parentheses within each other; give parts of the expression names of their own",
+            "map.x:2: result: more than 64 nested parentheses; move parts of the expression to separate symbols",
         ),
     ] {
         assert_eq!(value(expression), Err(message.to_owned()), "{expression}");
@@ -138,25 +155,25 @@ fn what_is_no_value_is_named() {
 }
 
 #[test]
-fn every_mistake_is_named_with_its_line_and_its_mend() {
+fn errors_name_line_and_fix() {
     const STATEMENTS: &str =
         "expected MEMORY { ... }, ASSERT(condition, \"message\"); or symbol = value;";
     for (text, message) in [
-        ("\nSECTIONS { ", "map.x:2: SECTIONS: has a parenthesis or brace that is never closed; close it".to_owned()),
-        ("SECTIONS { .a : { *(.a) } > WEIGHTS }", "map.x:1: SECTIONS: places a section in WEIGHTS, where new weights erase it; place it in another region".to_owned()),
-        ("REGION_ALIAS(\"X\", WEIGHTS);\nSECTIONS { .a : { *(.a) } > X AT> X }", "map.x:2: SECTIONS: places a section in WEIGHTS, where new weights erase it; place it in another region".to_owned()),
-        ("\nFLASH RAM", format!("map.x:2: found `FLASH` and then `RAM`; {STATEMENTS}")),
+        ("\nSECTIONS { ", "map.x:2: SECTIONS: has an unclosed parenthesis or brace; close it".to_owned()),
+        ("SECTIONS { .a : { *(.a) } > WEIGHTS }", "map.x:1: SECTIONS: places a section in WEIGHTS, where an update of the weights would erase it; place it in another region".to_owned()),
+        ("REGION_ALIAS(\"X\", WEIGHTS);\nSECTIONS { .a : { *(.a) } > X AT> X }", "map.x:2: SECTIONS: places a section in WEIGHTS, where an update of the weights would erase it; place it in another region".to_owned()),
+        ("\nFLASH RAM", format!("map.x:2: found `FLASH` followed by `RAM`; {STATEMENTS}")),
         ("a = 1;\n12 = 3;", format!("map.x:2: found the number 12; {STATEMENTS}")),
-        ("a = 1;\na = 2;", "map.x:2: a: already has a value, from line 1; give every symbol one value".to_owned()),
-        ("a = 1", "map.x:1: a: found the end of the file; expected `;` behind the value".to_owned()),
+        ("a = 1;\na = 2;", "map.x:2: a: is already defined on line 1; define each symbol once".to_owned()),
+        ("a = 1", "map.x:1: a: found the end of the file; expected `;` after the value".to_owned()),
         ("MEMORY {\n  A : ORIGIN = 0\n}", "map.x:3: A: found `}`; expected LENGTH = value (or len, or l)".to_owned()),
-        ("MEMORY { A ORIGIN = 0 }", "map.x:1: A: found `ORIGIN`; expected `:` behind the name of a region".to_owned()),
-        ("MEMORY { A : o = 0, l = 1 A : o = 2, l = 1 }", "map.x:1: A: there already is a region of this name, on line 1; give every region a name of its own".to_owned()),
-        ("MEMORY { A : o = 4096M, l = 1 }", "map.x:1: A: ORIGIN is 0x100000000, which is not a 32-bit address; choose one below 0x100000000".to_owned()),
-        ("MEMORY { A : o = 4095M, l = 2M }", "map.x:1: A: 0x200000 bytes from 0xfff00000 on end behind the last 32-bit address; choose a smaller LENGTH".to_owned()),
-        ("MEMORY", "map.x:1: found the end of the file; expected `{` behind MEMORY".to_owned()),
-        ("a = 1;\nASSERT(a == 2, \"a has to be 2\")", "map.x:2: ASSERT: does not hold: a has to be 2; change the regions or symbols that the condition names".to_owned()),
-        ("ASSERT(1)", "map.x:1: ASSERT: found `)`; expected `,` behind the condition".to_owned()),
+        ("MEMORY { A ORIGIN = 0 }", "map.x:1: A: found `ORIGIN`; expected `:` after the name of a region".to_owned()),
+        ("MEMORY { A : o = 0, l = 1 A : o = 2, l = 1 }", "map.x:1: A: region is already defined on line 1; use a different name for each region".to_owned()),
+        ("MEMORY { A : o = 4096M, l = 1 }", "map.x:1: A: ORIGIN is 0x100000000, which is not a 32-bit address; use an address below 0x100000000".to_owned()),
+        ("MEMORY { A : o = 4095M, l = 2M }", "map.x:1: A: 0x200000 bytes from 0xfff00000 exceed the 32-bit address space; use a smaller LENGTH".to_owned()),
+        ("MEMORY", "map.x:1: found the end of the file; expected `{` after MEMORY".to_owned()),
+        ("a = 1;\nASSERT(a == 2, \"a has to be 2\")", "map.x:2: ASSERT: assertion failed: a has to be 2; change the regions or symbols in the condition".to_owned()),
+        ("ASSERT(1)", "map.x:1: ASSERT: found `)`; expected `,` after the condition".to_owned()),
         ("ASSERT(1, a)", "map.x:1: ASSERT: found `a`; expected the message, in quotes".to_owned()),
         ("MEMORY { A : o = 0, l = 4KB }", "map.x:1: A: `4KB` is not a number; write it as 12, 0x1F, 64K or 3M".to_owned()),
     ] {
@@ -167,12 +184,12 @@ fn every_mistake_is_named_with_its_line_and_its_mend() {
     #[cfg(unix)]
     {
         let error = MemoryMap::read(Path::new("/dev/zero")).unwrap_err().to_string();
-        assert!(error.contains("it has more than 1048576 bytes"), "{error}");
+        assert!(error.contains("larger than 1048576 bytes"), "{error}");
     }
 }
 
-/// The repository's map with one change, and without its assertions: what they guard has to be
-/// found without them.
+/// Returns the weights of the repository's map with one change and without its assertions, whose
+/// violations must be detected without them.
 fn changed(from: &str, to: &str) -> Result<WeightsRegion, String> {
     assert!(MEMORY_X.contains(from), "{from} is no longer in memory.x");
     let bare: String = MEMORY_X
@@ -185,13 +202,13 @@ fn changed(from: &str, to: &str) -> Result<WeightsRegion, String> {
 }
 
 #[test]
-fn without_a_single_assertion_the_weights_still_lie_safely() {
+fn detects_an_invalid_weights_region_without_assertions() {
     assert_eq!(changed("RAM     : ORIGIN", "RAM     : ORIGIN"), Ok(WEIGHTS));
     for (from, to, name, part) in [
-        ("  WEIGHTS : ORIGIN", "  OTHER : ORIGIN", "WEIGHTS", "a region is needed"),
+        ("  WEIGHTS : ORIGIN", "  OTHER : ORIGIN", "WEIGHTS", "a region is required"),
         ("LENGTH = 4M", "LENGTH = 600M", "FLASH", "overlaps WEIGHTS"),
         ("LENGTH = 64K", "LENGTH = 60K", "_weights_commit_length", "WEIGHTS ends at 0x2100f000"),
-        ("_weights_erase_size = 4K", "_other = 4K", "_weights_erase_size", "no such name"),
+        ("_weights_erase_size = 4K", "_other = 4K", "_weights_erase_size", "not defined"),
         ("_weights_erase_size = 4K", "_weights_erase_size = 0", "_weights_erase_size", "is 0"),
         (
             "_weights_erase_size = 4K",
@@ -245,7 +262,7 @@ fn without_a_single_assertion_the_weights_still_lie_safely() {
             "_weights_commit_length = 8K",
             "_weights_commit_length = 4K",
             "_weights_commit_length",
-            "one erase unit only",
+            "only one erase unit",
         ),
     ] {
         let message = changed(from, to).unwrap_err();
@@ -254,9 +271,9 @@ fn without_a_single_assertion_the_weights_still_lie_safely() {
     }
 }
 
-/// What boards' own maps hold besides regions and symbols: it is passed over.
+/// Statements of real boards' maps other than regions and symbols.
 #[test]
-fn what_places_nothing_in_the_weights_is_passed_over() {
+fn skips_statements_unrelated_to_the_weights() {
     let standard = [
         // The RP2040 with its second-stage boot loader, as rp-hal writes it.
         "EXTERN(BOOT2_FIRMWARE)\nSECTIONS {\n  .boot2 ORIGIN(BOOT2) : { KEEP(*(.boot2)); } > BOOT2\n\
@@ -288,13 +305,13 @@ fn what_places_nothing_in_the_weights_is_passed_over() {
             assert_eq!(found, Ok(WEIGHTS), "{number}: {text}");
         }
     }
-    // What stands before MEMORY, and a byte order mark.
+    // Statements before MEMORY, and a byte order mark.
     let before = "\u{feff}OUTPUT_ARCH(riscv)\n_page = 1 << 12;\n";
     assert_eq!(parse(&format!("{before}{MEMORY_X}")).unwrap().weights(), Ok(WEIGHTS));
 }
 
 #[test]
-fn regions_are_read_in_every_style() {
+fn reads_regions_in_every_style() {
     for text in [
         "MEMORY\n{\n  FLASH (rx)  : ORIGIN = 0x08000000, LENGTH = 512K\n  RAM (xrw) : ORIGIN = 0x20000000, LENGTH = 128K }",
         "MEMORY { FLASH(rx!w) : org = 0x8000000 len = 0x80000 RAM : o = 32768K * 16, l = 128k }",
@@ -307,18 +324,18 @@ fn regions_are_read_in_every_style() {
 }
 
 #[test]
-fn a_symbol_of_the_weights_without_a_value_is_told_with_the_reason() {
+fn error_says_why_a_symbol_has_no_value() {
     for (from, to, message) in [
         (
             "_weights_erase_size = 4K",
             "_weights_erase_size = SIZEOF(.x)",
-            "_weights_erase_size: found the function `SIZEOF`; expected ORIGIN(region) or LENGTH(region)",
+            "_weights_erase_size: unsupported function `SIZEOF`; use ORIGIN(region) or LENGTH(region)",
         ),
         (
             "_weights_erase_size = 4K;",
             "INCLUDE sub/erase-size.x\n",
-            "_weights_erase_size: there is no such name, and a symbol is needed (INCLUDE is not \
-             followed: sub/erase-size.x); define it by an assignment in this file",
+            "_weights_erase_size: not defined, but a symbol is required (INCLUDE is not \
+             supported: sub/erase-size.x); define it by an assignment in this file",
         ),
     ] {
         let error = changed(from, to).unwrap_err();
@@ -327,7 +344,7 @@ fn a_symbol_of_the_weights_without_a_value_is_told_with_the_reason() {
 }
 
 #[test]
-fn a_part_of_a_gigabyte_is_refused_before_anything_is_made_of_it() {
+fn rejects_a_part_of_a_gigabyte() {
     let text = "MEMORY { WEIGHTS : ORIGIN = 0, LENGTH = 2048M } _weights_erase_size = 4K;\n\
         _weights_slot_a_origin = 0; _weights_slot_a_length = 4K;\n\
         _weights_slot_b_origin = 4K; _weights_slot_b_length = 4K;\n\
@@ -336,11 +353,11 @@ fn a_part_of_a_gigabyte_is_refused_before_anything_is_made_of_it() {
     assert_eq!(
         error,
         "map.x:4: _weights_commit_length: the commit area has 0x40000000 bytes; shorten it to \
-         0x4000000 at most; a package needs some kilobytes"
+         at most 0x4000000; a package takes a few kilobytes"
     );
 }
 
-/// What every outcome promises, whatever the text.
+/// Checks the invariants of the result for any text.
 fn sound(text: &str) -> Result<(), TestCaseError> {
     match parse(text) {
         Ok(map) => {
@@ -371,12 +388,12 @@ fn sound(text: &str) -> Result<(), TestCaseError> {
 
 proptest! {
     #[test]
-    fn any_text_is_a_map_or_an_error_with_its_line(text in any::<String>()) {
+    fn any_text_gives_a_map_or_an_error_with_a_line(text in any::<String>()) {
         sound(&text)?;
     }
 
     #[test]
-    fn so_is_any_text_of_tokens(words in prop::collection::vec(prop::sample::select(vec![
+    fn any_tokens_give_a_map_or_an_error_with_a_line(words in prop::collection::vec(prop::sample::select(vec![
         "MEMORY", "{", "}", "ASSERT", "(", ")", "a", "b", "=", "==", "<", "+", "-", "*", "/", "%", ",", ":", ";",
         "SECTIONS", "PROVIDE", "INCLUDE", "REGION_ALIAS", "?", "<<", "~", "+=", "#", "WEIGHTS",
         "ORIGIN", "LENGTH", "0", "1", "0xFFFFFFFFFFFFFFFF", "4K", "\"text\"", "/*", "*/", "\n", "!", ".",
@@ -385,7 +402,7 @@ proptest! {
     }
 
     #[test]
-    fn so_is_the_repositorys_map_with_a_piece_replaced(
+    fn any_edited_map_gives_a_map_or_an_error_with_a_line(
         start in 0..MEMORY_X.len(),
         length in 0_usize..40,
         piece in "[ -~\n]{0,12}",

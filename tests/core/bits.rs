@@ -1,7 +1,7 @@
-//! Everything that an agent lets be seen, as bit patterns: equal values that differ in the
+//! The visible state of an agent as bit patterns: equal values that differ in the
 //! sign of a zero are not the same here.
 
-use agent_core::agent::hold::Hold;
+use agent_core::agent::hold::{Hold, HoldSlots};
 use agent_core::agent::{AgentParams, AgentState, StepOutput};
 use agent_core::wire::frame::Frame;
 
@@ -37,7 +37,7 @@ pub(crate) fn state_bits<const N: usize, const FEATURES: usize, S>(
     state: &AgentState<N, FEATURES, S>,
 ) -> StateBits
 where
-    S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+    S: HoldSlots<N>,
 {
     StateBits {
         estimate: bits(state.estimate()),

@@ -282,3 +282,54 @@ proptest! {
         prop_assert!(dropped.sum::<u32>() > 400);
     }
 }
+
+/// What ships does what the steps of this test's ring do, written independently: whatever happens,
+/// the same bits, the same counters, the same frames.
+#[test]
+fn the_watched_step_that_ships_is_the_one_written_out_here() {
+    let mut total = HealthCounters::default().to_array();
+    for seed in 0..8 {
+        let (mut shipped, mut oracle) = (Ring::new(seed, &SETTINGS), Ring::new(seed, &SETTINGS));
+        let mut draw = Draw::new(seed);
+        for tick in 0..1_500 {
+            // Every third hundred steps are disturbed.
+            let disturbed = tick / 100 % 3 == 2;
+            if disturbed && draw.whole(0, 9) == 0 {
+                let mut frame = huge_frame(&mut draw);
+                if draw.whole(0, 1) == 0 {
+                    // Plausible, but of an agent that is not a neighbour.
+                    (frame.sender, frame.estimate) = (99, StateVector::zeros());
+                }
+                shipped.inject(&frame);
+                oracle.inject(&frame);
+            }
+            let mut measured: [Option<f32>; 3] = [None; 3];
+            for value in measured.iter_mut().filter(|_| disturbed) {
+                *value = (draw.whole(0, 1) == 0).then(|| nonsense(&mut draw));
+            }
+            let disturb =
+                |agent: usize, value: &mut f32| *value = measured[agent].unwrap_or(*value);
+            shipped.step_as_shipped(disturb);
+            oracle.step(disturb);
+            assert_eq!(shipped.bits(), oracle.bits(), "seed {seed}, tick {tick}");
+            assert_eq!(shipped.on_the_air(), oracle.on_the_air(), "seed {seed}, tick {tick}");
+        }
+        for (shipped, oracle) in shipped.agents.iter().zip(&oracle.agents) {
+            assert_eq!(shipped.health.counters(), oracle.health.counters());
+            for (sum, count) in total.iter_mut().zip(shipped.health.counters().to_array()) {
+                *sum += count;
+            }
+        }
+    }
+    let seen = HealthCounters::from_array(total);
+    for (count, what) in [
+        (seen.frames_implausible, "implausible frames"),
+        (seen.frames_refused, "refused frames"),
+        (seen.measurements_not_finite, "measurements that are not finite"),
+        (seen.diverged, "overflows"),
+        (seen.fall_backs, "fall-backs"),
+        (seen.restarts, "restarts"),
+    ] {
+        assert!(count > 0, "no {what}");
+    }
+}

@@ -1,4 +1,4 @@
-//! Random networks of agents, drawn from a seed, and a loop that steps them with lossless,
+//! Random networks of agents, generated from a seed, and a loop that steps them with lossless,
 //! simultaneous frames.
 
 use agent_core::agent::hold::Hold;
@@ -19,10 +19,10 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::core::oracle::Trigger;
 
-/// Capacity for features, the widest layer that is drawn.
+/// Capacity for features: the widest random layer.
 pub(crate) const FEATURES: usize = 20;
 
-/// How `Gamma` is given.
+/// The forms of `Gamma`.
 #[derive(Clone, Debug)]
 pub(crate) enum Gain {
     /// A multiple of the identity.
@@ -34,7 +34,7 @@ pub(crate) enum Gain {
 }
 
 impl Gain {
-    /// As the core takes it.
+    /// Borrows it in the core's form.
     fn borrowed(&self) -> SymmetricMatrix<'_> {
         match self {
             Self::Scalar(gain) => SymmetricMatrix::Scalar(*gain),
@@ -44,14 +44,14 @@ impl Gain {
     }
 }
 
-/// Everything about one drawn agent.
+/// A random agent.
 #[derive(Clone, Debug)]
 pub(crate) struct DrawnAgent<const N: usize> {
     pub(crate) id: AgentId,
     pub(crate) neighbours: Vec<Neighbour>,
     pub(crate) output_rows: Vec<StateVector<N>>,
     pub(crate) layers: Vec<Layer>,
-    /// Layer after layer, the biases and then the weights, a row for each input.
+    /// Layer by layer, the biases and then the weights, one row per input.
     pub(crate) inner_parameters: Vec<f32>,
     pub(crate) outer_gain: Gain,
     pub(crate) projection: ProjectionParams,
@@ -60,7 +60,7 @@ pub(crate) struct DrawnAgent<const N: usize> {
     pub(crate) estimate: StateVector<N>,
 }
 
-/// A drawn network.
+/// A random network.
 #[derive(Clone, Debug)]
 pub(crate) struct DrawnNetwork<const N: usize> {
     pub(crate) agents: Vec<DrawnAgent<N>>,
@@ -72,15 +72,15 @@ pub(crate) struct DrawnNetwork<const N: usize> {
     pub(crate) step_size: f32,
     /// The trigger's constants, in double precision.
     pub(crate) trigger: Trigger,
-    /// How large estimates and measurements are.
+    /// Magnitude of estimates and measurements.
     pub(crate) magnitude: f32,
 }
 
-/// Draws numbers.
+/// A random number generator.
 pub(crate) struct Draw(ChaCha8Rng);
 
 impl Draw {
-    /// The generator that belongs to a seed.
+    /// Creates the generator for a seed.
     pub(crate) fn new(seed: u64) -> Self {
         Self(ChaCha8Rng::seed_from_u64(seed))
     }
@@ -300,7 +300,7 @@ impl<const N: usize> DrawnAgent<N> {
     }
 }
 
-/// The places of an agent's neighbours on a heap.
+/// Buffers for an agent's neighbours on the heap.
 pub(crate) type ParamBuffers<const N: usize> = Vec<Option<Hold<N>>>;
 
 /// One running agent.
@@ -334,7 +334,7 @@ impl<const N: usize> DrawnNetwork<N> {
         .unwrap()
     }
 
-    /// All agents at tick 0, none of them heard yet.
+    /// Returns all agents at tick 0, before any announcement.
     pub(crate) fn silent_members(&self) -> Vec<Member<'_, N>> {
         let members = self.agents.iter().enumerate().map(|(index, drawn)| {
             let params = self.params(index);
@@ -350,7 +350,7 @@ impl<const N: usize> DrawnNetwork<N> {
         members.collect()
     }
 
-    /// All agents at tick 0 with every announcement delivered.
+    /// Returns all agents at tick 0 with every announcement delivered.
     pub(crate) fn members(&self) -> Vec<Member<'_, N>> {
         let mut members = self.silent_members();
         let frames: Vec<_> = members

@@ -3,7 +3,7 @@
 use agent_core::agent::inbox::Inbox;
 use agent_core::agent::region::StateBox;
 use agent_core::agent::{AgentParams, AgentState, StepError};
-use agent_core::health::{Advice, Health, HealthParams, HealthSettings};
+use agent_core::health::{Advice, Health, HealthParams, HealthSettings, WatchedAgent, WatchedStep};
 use agent_core::math::activation::Activation;
 use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
@@ -181,6 +181,41 @@ impl Ring {
             self.on_the_air.extend(broadcast.map(|frame| frame.encode()));
         }
         self.tick += 1;
+    }
+
+    /// The same by way of [`WatchedAgent`], which [`Self::step`] is an independent copy of.
+    pub(crate) fn step_as_shipped(&mut self, mut disturb: impl FnMut(usize, &mut f32)) {
+        let (truth, tick) = (self.truth(), self.tick);
+        let frames = std::mem::take(&mut self.on_the_air);
+        for (index, agent) in self.agents.iter_mut().enumerate() {
+            let mut watched = WatchedAgent {
+                params: &agent.params,
+                health_params: &agent.health_params,
+                state: &mut agent.state,
+                inbox: &mut agent.inbox,
+                health: &mut agent.health,
+            };
+            for bytes in &frames {
+                if Frame::<3>::decode(bytes).map(|frame| frame.sender) != Ok(index as u16) {
+                    let _ = watched.receive(bytes);
+                }
+            }
+            let mut measurement = [truth[index]];
+            disturb(index, &mut measurement[0]);
+            let network = Some(&self.inner_network);
+            let step = watched.step(network, &self.outer_weights, tick, &measurement);
+            self.on_the_air.extend(step.broadcast().map(|frame| frame.encode()));
+            agent.refusal = match step {
+                WatchedStep::Refused(error) => Some(error),
+                WatchedStep::Taken(_) | WatchedStep::Restarted(_) => None,
+            };
+        }
+        self.tick += 1;
+    }
+
+    /// What has been broadcast and not yet received.
+    pub(crate) fn on_the_air(&self) -> &[FrameBytes] {
+        &self.on_the_air
     }
 
     /// Undisturbed steps.

@@ -25,7 +25,7 @@ pub(crate) fn short_paper() -> Scenario {
     scenario.learning[0].collect = Window { from: 0.2, to: 0.8 };
     scenario.learning[0].apply_at = 1.0;
     for recipe in &mut scenario.recipes {
-        recipe.solver.epochs_max = 4;
+        *recipe.trainer.epochs_max_mut() = 4;
         recipe.smoothing_window = Some(0.02);
         recipe.decimation = NonZeroU32::new(2);
         recipe.switch_in = SwitchIn::Always;

@@ -22,7 +22,7 @@ use host_sim::packages::PackageBytes;
 use test_support::nor_flash::{SimulatedError, SimulatedFlash, Tear};
 
 /// Room of the nodes here: the paper's agents, and a little more.
-type TestNode<'m> = Node<'m, Flash, 3, 8, 2, 8, 64>;
+type TestNode<'m> = Node<'m, Flash, 3, 8, 2, 64>;
 
 /// The memory map that the project has.
 pub(crate) fn region() -> WeightsRegion {

@@ -7,3 +7,4 @@ pub(crate) mod loop_node;
 mod qemu;
 mod service;
 mod serving;
+mod stm32f405;

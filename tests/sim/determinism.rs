@@ -1,4 +1,4 @@
-//! The same scenario and seed give the same bits: again, on any number of threads, whatever is
+//! The same scenario and seed give the same bits: repeatedly, on any number of threads, whatever is
 //! recorded, and on every machine and at every level of optimisation.
 
 use host_sim::engine::{RunOptions, RunResult, Silent, run};
@@ -9,8 +9,8 @@ use crate::sim::scenario_builder::{Described, SHORT_RECIPE, cycle, network, pick
 
 /// Digest of the paper's run without learning.
 ///
-/// This and the next constant change only with what the agents compute: the core, the plant, the
-/// trigger's constants, or training. After such a change on purpose, take the values that the
+/// This and the next constant change only with the computation itself: the core, the plant, the
+/// trigger's constants, or training. After an intended change, take the values that the
 /// failing test prints, from a dev and a release build, which must agree; then say in the
 /// changelog that results differ in their last digits.
 const DIGEST_WITHOUT_LEARNING: u64 = 0x15d8_ff27_1d2b_e5e7;
@@ -21,7 +21,7 @@ fn simulate(scenario: &Scenario, seed: u64, learning: bool, bounds: bool) -> Run
     run(scenario, RunOptions { seed, learning, bounds }, &Silent).unwrap()
 }
 
-/// Everything that a run returns, as bits.
+/// All results of a run, as bits.
 #[derive(Debug, PartialEq)]
 struct RunBits {
     digest: u64,
@@ -71,14 +71,14 @@ fn run_bits(scenario: &Scenario, result: &RunResult) -> RunBits {
     }
 }
 
-/// A run on a pool of its own.
+/// Runs a scenario on a separate thread pool.
 fn on_threads(threads: usize, scenario: &Scenario, seed: u64) -> RunBits {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     pool.install(|| run_bits(scenario, &simulate(scenario, seed, true, true)))
 }
 
-/// Agents with random networks on a ring, some of which learn at different times; `agents` of
-/// them, half of which see one component and half the other.
+/// Creates `agents` agents with random networks on a ring, some of which learn at different times;
+/// half of them measure one component, half the other.
 fn learning_ring(agents: usize) -> Scenario {
     let mut scenario_builder = Described::linear(
         2,
@@ -101,7 +101,7 @@ fn a_run_repeats_itself() {
     let scenario = learning_ring(5);
     let [first, again] = [(); 2].map(|()| run_bits(&scenario, &simulate(&scenario, 3, true, true)));
     assert_eq!(first, again);
-    // There is something to be equal in.
+    // The results are not empty.
     assert_eq!(first.statistics.len(), 5);
     assert!(first.bounds.is_some());
     assert_eq!(first.traces.len(), 81 * (1 + 2 + 5 * 2));
@@ -112,7 +112,7 @@ fn a_run_repeats_itself() {
 }
 
 #[test]
-fn the_number_of_threads_changes_no_bit() {
+fn bits_are_independent_of_the_number_of_threads() {
     let scenario = paper("better");
     let expected = on_threads(1, &scenario, 1);
     for threads in [2, 3] {
@@ -131,10 +131,10 @@ fn agents_stepped_in_parallel_give_the_same_bits() {
 }
 
 #[test]
-fn another_seed_is_another_run_where_something_is_random() {
+fn different_seeds_differ_where_something_is_random() {
     let digest =
         |scenario: &Scenario, seed, learning| simulate(scenario, seed, learning, false).digest;
-    // Random inner parameters from the start.
+    // Random initial inner parameters.
     let scenario = learning_ring(5);
     assert_ne!(digest(&scenario, 0, false), digest(&scenario, 1, false));
     // Inner parameters of 0.1 until training starts from random ones.
@@ -143,7 +143,7 @@ fn another_seed_is_another_run_where_something_is_random() {
     assert_ne!(digest(&scenario, 0, true), digest(&scenario, 1, true));
 }
 
-/// The paper's scenario, over in three seconds.
+/// Returns the paper's scenario, shortened to three seconds.
 fn short_paper() -> Scenario {
     let mut scenario = paper("better");
     scenario.time.duration = 3.0;
@@ -154,7 +154,7 @@ fn short_paper() -> Scenario {
 }
 
 #[test]
-fn what_is_recorded_changes_no_bit() {
+fn recording_does_not_change_the_bits() {
     let scenario = short_paper();
     let full = simulate(&scenario, 0, true, true);
     assert!(full.traces.rows() == 3_001 && full.agents.iter().all(|a| !a.events.is_empty()));

@@ -1,6 +1,6 @@
 //! The Levenberg-Marquardt solver against SciPy on classical problems.
 //!
-//! Expected values: `golden/levenberg_marquardt.json`, made by the script beside it.
+//! Expected values: `golden/levenberg_marquardt.json`, created by the script next to it.
 
 use host_sim::training::{LeastSquares, LevenbergMarquardtSettings, StopReason, minimize};
 use serde_json::Value;
@@ -119,7 +119,7 @@ fn assert_close(what: &str, found: f64, expected: f64, rtol: f64, atol: f64) {
 }
 
 #[test]
-fn classical_problems_have_the_solutions_of_scipy() {
+fn solves_classical_problems_like_scipy() {
     let golden: Value = serde_json::from_str(include_str!("../golden/levenberg_marquardt.json"))
         .expect("valid JSON");
     let problems = golden["problems"].as_array().expect("an array");
@@ -156,7 +156,7 @@ fn classical_problems_have_the_solutions_of_scipy() {
         let residuals = problem["residuals"].as_f64().expect("a number");
         let expected_cost = problem["sum_of_squares"].as_f64().expect("a number") / residuals;
         assert_close(name, last.train, expected_cost, 1e-10, 1e-14);
-        // A minimum where the second derivative vanishes is found to a root of the rounding.
+        // A minimum with vanishing second derivative is accurate to a root of the rounding error.
         let (rtol, atol) = if name == "powell_singular" { (0.0, 1e-3) } else { (1e-5, 1e-9) };
         for (found, expected) in solution.iter().zip(&expected) {
             assert_close(name, *found, *expected, rtol, atol);
@@ -165,7 +165,7 @@ fn classical_problems_have_the_solutions_of_scipy() {
 }
 
 #[test]
-fn misra1a_has_the_values_certified_by_nist() {
+fn misra1a_matches_the_values_certified_by_nist() {
     let golden: Value = serde_json::from_str(include_str!("../golden/levenberg_marquardt.json"))
         .expect("valid JSON");
     let problems = golden["problems"].as_array().expect("an array");

@@ -1,10 +1,10 @@
-//! A link that loses, changes or adds frames: what cannot be used is refused and counted, and the
-//! run goes on.
+//! A link that loses, changes or adds frames: invalid frames are rejected and counted, and the run
+//! continues.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use agent_core::Tick;
-use agent_core::wire::frame::{FRAME_LENGTH_MAX, FrameBytes};
+use agent_core::wire::frame::FRAME_LENGTH_MAX;
 use host_sim::engine::link::Link;
 use host_sim::engine::{RunOptions, RunResult, Silent, run, run_over};
 use host_sim::scenario::Scenario;
@@ -13,36 +13,36 @@ use crate::sim::scenario_builder::{Described, network, picks};
 
 const OPTIONS: RunOptions = RunOptions { seed: 0, learning: false, bounds: false };
 
-/// What becomes of a frame.
+/// The fate of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fate {
     Arrives,
     Lost,
     /// With a bit flipped: which one, modulo the frame's length.
     Changed(usize),
-    /// Behind frames that are none, and before a copy of itself.
+    /// Delivered after invalid frames and before a copy of itself.
     Accompanied,
 }
 
-/// Decides the fate of a frame from its receiver, its tick and its sender: a pure function, so that
-/// the run stays one.
+/// Returns the fate of a frame by receiver, tick and sender: a pure function, so that the run is
+/// reproducible.
 struct Tampering<'c, F> {
     scenario: &'c Scenario,
-    /// What each agent broadcast last.
-    sent: Vec<Option<(Tick, FrameBytes)>>,
+    /// Each agent's last broadcast.
+    sent: Vec<Option<(Tick, Vec<u8>)>>,
     fate: F,
-    /// For each receiver, how many frames it is to refuse.
+    /// For each receiver, the number of frames it must reject.
     unusable: &'c [AtomicU64],
 }
 
-/// Bytes that are no frame: nothing, too few, too many.
-fn rubbish() -> [Vec<u8>; 3] {
+/// Invalid frames: empty, too short, too long.
+fn garbage() -> [Vec<u8>; 3] {
     [Vec::new(), vec![0x5a; 3], vec![0xa5; FRAME_LENGTH_MAX + 1]]
 }
 
 impl<F: Fn(usize, Tick, usize) -> Fate + Sync> Link for Tampering<'_, F> {
-    fn send(&mut self, sender: usize, tick: Tick, bytes: &FrameBytes) {
-        self.sent[sender] = Some((tick, bytes.clone()));
+    fn send(&mut self, sender: usize, tick: Tick, bytes: &[u8]) {
+        self.sent[sender] = Some((tick, bytes.to_vec()));
     }
 
     fn deliver(&self, receiver: usize, tick: Tick, mut accept: impl FnMut(&[u8])) {
@@ -58,16 +58,16 @@ impl<F: Fn(usize, Tick, usize) -> Fate + Sync> Link for Tampering<'_, F> {
                 }
                 Fate::Lost => 0,
                 Fate::Changed(bit) => {
-                    let mut changed = bytes.to_vec();
+                    let mut changed = bytes.clone();
                     changed[bit / 8 % bytes.len()] ^= 1 << (bit % 8);
                     accept(&changed);
                     1
                 }
                 Fate::Accompanied => {
-                    rubbish().iter().for_each(|bytes| accept(bytes));
+                    garbage().iter().for_each(|bytes| accept(bytes));
                     accept(bytes);
                     accept(bytes);
-                    rubbish().len() as u64 + 1
+                    garbage().len() as u64 + 1
                 }
             };
             self.unusable[receiver].fetch_add(unusable, Ordering::Relaxed);
@@ -75,8 +75,8 @@ impl<F: Fn(usize, Tick, usize) -> Fate + Sync> Link for Tampering<'_, F> {
     }
 }
 
-/// A run over a link of these fates; every agent has refused what it was to refuse. Also returns
-/// how many frames that was.
+/// Runs a scenario over such a link and checks that every agent rejected what it must. Also returns
+/// the number of rejected frames.
 fn run_with(
     scenario: &Scenario,
     fate: impl Fn(usize, Tick, usize) -> Fate + Sync,
@@ -91,14 +91,14 @@ fn run_with(
     (result, unusable.iter().sum())
 }
 
-/// Numbers that look random, from a frame.
+/// Returns a pseudorandom number for a frame.
 fn mixed(receiver: usize, tick: Tick, sender: usize) -> usize {
     let seed = (tick << 24) ^ ((receiver as u64) << 8) ^ sender as u64;
     let mixed = seed.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     ((mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 33) as usize
 }
 
-/// Three agents on a ring with a network, each seeing one component of three.
+/// Three agents on a ring with a network; each measures one component of three.
 fn ring() -> Scenario {
     let agents = (0..3).map(|component| (picks(3, [component]), 1));
     let mut scenario_builder = Described::linear(3, "ring", agents);
@@ -116,7 +116,7 @@ fn largest_rmse(result: &RunResult) -> f64 {
 }
 
 #[test]
-fn a_link_that_leaves_frames_alone_changes_nothing() {
+fn transparent_link_changes_nothing() {
     let scenario = ring();
     let (found, refused) = run_with(&scenario, |_, _, _| Fate::Arrives);
     let expected = run(&scenario, OPTIONS, &Silent).unwrap();
@@ -125,7 +125,7 @@ fn a_link_that_leaves_frames_alone_changes_nothing() {
 }
 
 #[test]
-fn changed_frames_are_refused_and_the_run_goes_on() {
+fn corrupted_frames_are_rejected_and_the_run_continues() {
     let scenario = ring();
     let (lossless, _) = run_with(&scenario, |_, _, _| Fate::Arrives);
     let (found, refused) =
@@ -138,12 +138,12 @@ fn changed_frames_are_refused_and_the_run_goes_on() {
     println!("largest RMSE {:.4}, lossless {:.4}", largest_rmse(&found), largest_rmse(&lossless));
     assert!(refused * 10 > heard && refused * 10 < heard * 3);
     assert_ne!(found.digest, lossless.digest);
-    // Every agent still knows what it does not measure; |e_1i| begins at sqrt(3).
+    // Every agent still estimates what it does not measure; |e_1i| starts at sqrt(3).
     assert!(largest_rmse(&found) < 0.2);
 }
 
 #[test]
-fn a_changed_frame_is_no_worse_than_a_lost_one() {
+fn corrupted_frames_act_like_lost_ones() {
     let scenario = ring();
     let chosen = |receiver, tick, sender| mixed(receiver, tick, sender).is_multiple_of(3);
     let (changed, refused) = run_with(&scenario, |receiver, tick, sender| {
@@ -158,20 +158,20 @@ fn a_changed_frame_is_no_worse_than_a_lost_one() {
 }
 
 #[test]
-fn rubbish_and_copies_among_the_frames_change_nothing() {
+fn garbage_and_copies_among_the_frames_change_nothing() {
     let scenario = ring();
     let (lossless, _) = run_with(&scenario, |_, _, _| Fate::Arrives);
     let (found, refused) = run_with(&scenario, |_, _, _| Fate::Accompanied);
     let heard: u64 = 2 * found.agents.iter().map(|agent| agent.broadcasts()).sum::<u64>();
     assert_eq!(found.digest, lossless.digest);
     assert_eq!(found.traces, lossless.traces);
-    // Broadcasts of the very end are heard by nobody.
+    // Broadcasts in the last step are not received.
     let expected = 4 * heard;
     assert!(refused <= expected && refused + 4 * 6 >= expected, "{refused} of {expected}");
 }
 
 #[test]
-fn without_any_frame_every_agent_is_on_its_own() {
+fn agents_without_frames_use_feedback_only() {
     let scenario = ring();
     let (result, refused) = run_with(&scenario, |_, _, _| Fate::Lost);
     assert_eq!(refused, 0);
@@ -181,7 +181,7 @@ fn without_any_frame_every_agent_is_on_its_own() {
         alone.network = network(&[(5, "tanh"), (4, "tanh")], "2.0");
         let alone = run(&alone.scenario(), OPTIONS, &Silent).unwrap();
         assert!(estimates(&result, index) == estimates(&alone, 0), "agent {}", index + 1);
-        // It does not see two of three components, which began at 1.
+        // It does not measure two of three components, which start at 1.
         assert!(result.agents[index].rmse().unwrap() > 0.5);
     }
 }
@@ -191,7 +191,7 @@ fn a_partition_heals() {
     let mut scenario = ring();
     scenario.evaluation.from = 2.5;
     let (lossless, _) = run_with(&scenario, |_, _, _| Fate::Arrives);
-    // Agent 3 (index 2) hears nobody and is heard by nobody for a second.
+    // Agent 3 (index 2) is disconnected for a second.
     let cut = |receiver: usize, tick: Tick, sender: usize| {
         let involved = receiver == 2 || sender == 2;
         if involved && (1_000..2_000).contains(&tick) { Fate::Lost } else { Fate::Arrives }
@@ -210,7 +210,7 @@ fn a_partition_heals() {
 }
 
 #[test]
-fn losses_are_the_same_bits_on_any_number_of_threads() {
+fn losses_are_deterministic_on_any_number_of_threads() {
     let mut scenario_builder =
         Described::linear(2, "ring", [(picks(2, [0]), 40), (picks(2, 0..2), 40)]);
     scenario_builder.duration = 0.5;

@@ -1,5 +1,5 @@
-//! Real packages: what the simulator's learning makes, what a node would take, and that a run
-//! is the same whichever way its agents came by their networks.
+//! Packages of trained networks: creation, acceptance by a node, and runs that do not depend on how
+//! the agents got their networks.
 
 use std::ops::ControlFlow;
 
@@ -16,7 +16,7 @@ use host_sim::signing::OperatorKey;
 use crate::sim::reproduce::paper;
 use crate::sim::scenario_builder::{Described, SHORT_RECIPE, cycle, network, picks};
 
-/// The package whose overhead is limited is that of the paper's network. \[bytes\]
+/// Limit of the overhead of the package of the paper's network. \[bytes\]
 const OVERHEAD_MAX: usize = 160;
 
 const ANYONE: Requirements<'static> =
@@ -43,7 +43,7 @@ fn package() -> PackageBytes {
 }
 
 #[test]
-fn the_papers_packages_cost_at_most_160_bytes_beyond_their_numbers() {
+fn overhead_of_the_papers_packages_is_at_most_160_bytes() {
     let result = learned(&paper("paper"));
     assert_eq!(result.trainings.len(), 3);
     for training in &result.trainings {
@@ -56,7 +56,7 @@ fn the_papers_packages_cost_at_most_160_bytes_beyond_their_numbers() {
 }
 
 #[test]
-fn every_single_bit_flip_of_a_real_package_is_refused() {
+fn rejects_every_single_bit_flip() {
     let unsigned = package();
     let signed = unsigned.signed(&OperatorKey::generate().unwrap());
     assert_eq!(signed.as_bytes().len(), unsigned.as_bytes().len() + SIGNATURE_BLOCK_LENGTH);
@@ -72,7 +72,7 @@ fn every_single_bit_flip_of_a_real_package_is_refused() {
 }
 
 #[test]
-fn what_is_trained_on_a_runs_samples_is_the_package_that_the_run_switched_in() {
+fn training_on_a_runs_samples_reproduces_its_package() {
     let scenario = short();
     for training in &learned(&scenario).trainings {
         let file = std::env::temp_dir().join(format!(
@@ -101,7 +101,7 @@ fn what_is_trained_on_a_runs_samples_is_the_package_that_the_run_switched_in() {
 }
 
 #[test]
-fn an_interrupted_training_gives_the_best_package_so_far() {
+fn interrupted_training_gives_the_best_package_so_far() {
     let scenario = short();
     let training = &learned(&scenario).trainings[0];
     let task = TrainingTask {
@@ -127,8 +127,8 @@ fn an_interrupted_training_gives_the_best_package_so_far() {
 }
 
 #[test]
-fn a_run_that_starts_with_packages_is_the_run_that_they_came_from() {
-    // The packages that the agents start with, made explicit, change nothing.
+fn starting_with_packages_reproduces_the_run() {
+    // Passing the initial packages explicitly changes nothing.
     let scenario = short();
     let network = scenario.network.as_ref().unwrap();
     let trigger = host_sim::analysis::TriggerConstants::new(&scenario);
@@ -165,7 +165,7 @@ fn trained_packages_estimate_better_from_the_start() {
 }
 
 #[test]
-fn a_package_for_another_node_is_not_simulated() {
+fn rejects_a_package_for_another_node() {
     let scenario = short();
     let mut wrong = scenario.clone();
     wrong.agents[1].package = Some(package());
@@ -180,7 +180,7 @@ fn a_package_for_another_node_is_not_simulated() {
 }
 
 #[test]
-fn signatures_decide_where_there_is_a_key() {
+fn signatures_are_required_if_there_is_a_key() {
     let (key, other) = (OperatorKey::generate().unwrap(), OperatorKey::generate().unwrap());
     let node = Requirements { public_key: Some(key.public_key()), ..ANYONE };
     let unsigned = package();
@@ -190,7 +190,7 @@ fn signatures_decide_where_there_is_a_key() {
     assert_eq!(check(&signed, &node).unwrap(), unsigned.package());
     // Signing again replaces the signature.
     assert_eq!(unsigned.signed(&other).signed(&key), signed);
-    // Without a key a node takes any, but no damaged one.
+    // Without a key, a node accepts any signature that is not damaged.
     assert!(check(&unsigned.signed(&other), &ANYONE).is_ok());
     // A signature of another package.
     let draft = Draft { version: 9, ..Draft::copy(&unsigned.package()) };
@@ -198,7 +198,7 @@ fn signatures_decide_where_there_is_a_key() {
     let block = &signed.as_bytes()[unsigned.as_bytes().len()..];
     let forged = PackageBytes::new(&[forged.as_bytes(), block].concat()).unwrap();
     assert_eq!(check(&forged, &node).unwrap_err(), Refusal::Signature);
-    // A changed signature under a checksum that fits.
+    // A changed signature with a matching checksum.
     let envelope = Envelope::open(signed.as_bytes()).unwrap();
     let mut changed = *envelope.signature.unwrap();
     changed[40] ^= 1;
@@ -208,7 +208,7 @@ fn signatures_decide_where_there_is_a_key() {
 }
 
 #[test]
-fn an_older_package_is_taken_only_if_a_signed_one_says_so() {
+fn accepts_an_older_package_only_with_a_signature() {
     let key = OperatorKey::generate().unwrap();
     let package = package();
     let draft = Draft::copy(&package.package());
@@ -227,7 +227,7 @@ fn an_older_package_is_taken_only_if_a_signed_one_says_so() {
 }
 
 #[test]
-fn a_draft_that_no_node_would_take_is_not_sealed() {
+fn does_not_seal_an_unacceptable_draft() {
     let draft = Draft::copy(&package().package());
     let far = Draft { outer_weights: vec![1e6; draft.outer_weights.len()], ..draft.clone() };
     assert!(far.seal().unwrap_err().to_string().contains("network.outer"));
@@ -240,7 +240,7 @@ fn a_draft_that_no_node_would_take_is_not_sealed() {
 }
 
 #[test]
-fn the_bytes_of_a_file_that_is_no_package_are_refused_by_name() {
+fn rejects_a_file_that_is_not_a_package() {
     let path = std::env::temp_dir().join(format!("{}-no.weights", std::process::id()));
     std::fs::write(&path, b"not a package at all").unwrap();
     let error = PackageBytes::load(&path).unwrap_err().to_string();

@@ -1,8 +1,8 @@
 //! The paper's experiment without learning, in closed loop: the core, agent by agent, with
-//! lossless simultaneous frames, beside the oracle's own simulation in double precision.
+//! lossless simultaneous frames, compared with the oracle's simulation in double precision.
 //!
-//! The two trajectories part after a while, because a broadcast that one of them makes a
-//! step earlier changes everything behind it; what the paper reports, root-mean-square errors
+//! The two trajectories diverge after a while, because a broadcast that one of them makes a
+//! step earlier changes everything after it; the paper's results, root-mean-square errors
 //! and mean intervals between broadcasts, must agree.
 
 use agent_core::agent::inbox::Inbox;
@@ -24,7 +24,7 @@ use crate::core::oracle::{Agent, Network, State, Trigger, laplacian};
 
 /// Steps of [`STEP_SIZE`]: 40 s.
 const STEPS: Tick = 40_000;
-/// Errors count from here on: 20 s.
+/// Start of the error evaluation: 20 s.
 const SETTLED: Tick = 20_000;
 /// \[s\]
 const STEP_SIZE: f64 = 1e-3;
@@ -51,15 +51,15 @@ const PROJECTION: ProjectionParams =
 /// `k_2`, `kappa` and `epsilon`.
 const TRIGGER: (f64, f64, f64) = (10.0, 1.0, 3e3);
 
-/// What the paper reports for this run: a comparison, not a requirement.
+/// The paper's results for this run: for comparison, not a requirement.
 const PAPER_ERRORS: [f64; 3] = [0.1827, 0.1775, 0.2070];
 const PAPER_INTERVALS: [f64; 3] = [0.0047, 0.0089, 0.0095];
-/// What another implementation, in double precision and another language, measured with the
+/// Results of another implementation, in double precision and another language, with the
 /// activations after the affine maps.
 const MEASURED_ERRORS: [f64; 3] = [0.1401, 0.1173, 0.1580];
 const MEASURED_INTERVALS: [f64; 3] = [0.00480, 0.00899, 0.00957];
 
-/// Agent 1 speaks with agents 2 and 3, and they with it only.
+/// Agent 1 communicates with agents 2 and 3, and they only with it.
 fn adjacency() -> DMatrix<f64> {
     DMatrix::from_row_slice(3, 3, &[0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 }
@@ -91,7 +91,7 @@ fn plant() -> Vec<Vector3<f64>> {
     states
 }
 
-/// What is reported of a run.
+/// Results of a run.
 #[derive(Debug, Default)]
 struct Outcome {
     squared_errors: [f64; 3],

@@ -1,4 +1,4 @@
-//! The paper's experiment through the library: the numbers that have to hold.
+//! The paper's experiment through the library: the required results.
 //!
 //! `cargo test -p integration-tests reproduce -- --nocapture` prints them.
 
@@ -15,18 +15,18 @@ type Three = [f64; 3];
 const PAPER_RMSE: Three = [0.0777, 0.0634, 0.0876];
 /// The paper's mean times between broadcasts. \[s\]
 const PAPER_INTERVALS: Three = [0.0047, 0.0089, 0.0095];
-/// How far ours may be from them, relatively.
+/// Allowed relative difference from them.
 const INTERVAL_TOLERANCE: f64 = 0.05;
 
-/// Seeds over which the better recipe is judged.
+/// Seeds for the evaluation of the better recipe.
 const SEEDS: std::ops::Range<u64> = 0..10;
-/// What the median seed must reach: about 1.05 times what it reached when this was written.
+/// Required error of the median seed: about 1.05 times that at the time of writing.
 /// \[state unit\]
 const MEDIAN_RMSE: Three = [0.037, 0.035, 0.0265];
-/// What the median seed must change against the run without learning. \[%\]
+/// Required change of the median seed relative to the run without learning. \[%\]
 const MEDIAN_CHANGE: Three = [-73.0, -70.0, -82.0];
 
-/// The paper's scenario with this recipe.
+/// Returns the paper's scenario with this recipe.
 pub(crate) fn paper(recipe: &str) -> Scenario {
     let mut scenario = Scenario::parse("paper.toml", PAPER).unwrap();
     for cycle in &mut scenario.learning {
@@ -53,7 +53,7 @@ fn assert_each_below(what: &str, found: Three, limits: Three) {
     }
 }
 
-/// Agent by agent, the mean of the two middle values and the largest one.
+/// Returns, for each agent, the mean of the two middle values and the largest value.
 fn median_and_worst(values: &[Three]) -> (Three, Three) {
     let sorted = [0, 1, 2].map(|agent| {
         let mut column: Vec<f64> = values.iter().map(|three| three[agent]).collect();
@@ -74,14 +74,14 @@ fn the_papers_recipe_is_better_than_the_paper() {
     println!("  without learning {:.4?}", rmse(&without));
     println!("  with learning    {:.4?}, paper {PAPER_RMSE:?}", rmse(&with));
     assert_each_below("RMSE", rmse(&with), PAPER_RMSE);
-    // Half an error is what learning is for.
+    // Learning must at least halve the error.
     assert_each_below("RMSE", rmse(&with), rmse(&without).map(|rmse| 0.5 * rmse));
     assert_eq!(with.trainings.len(), 3);
     assert!(with.trainings.iter().all(|training| training.samples == 6_000));
 }
 
 #[test]
-fn the_better_recipe_holds_for_every_seed() {
+fn better_recipe_works_for_every_seed() {
     let scenario = paper("better");
     let without = rmse(&simulate(&scenario, 0, false));
     let with: Vec<Three> =
@@ -113,7 +113,7 @@ fn broadcasts_are_as_frequent_as_the_papers() {
                 agent + 1,
                 found[agent],
             );
-            // Every broadcast is recorded, and statistics and events tell the same story.
+            // Every broadcast is recorded, and statistics and events agree.
             let agent = &result.agents[agent];
             assert_eq!(agent.events.len() as u64, agent.broadcasts());
             assert_eq!(agent.events[0], 0);
@@ -148,11 +148,11 @@ fn the_theory_holds() {
         assert_eq!(result.bounds.as_ref().map(|bounds| bounds.states), Some(40_001));
         assert!(share.largest > 0.0 && share.largest <= 1.0, "{theorem:?}");
         assert!(share.error_evaluated <= share.bound.ultimate().sqrt(), "{theorem:?}");
-        // The stacked error is no smaller than any agent's own.
+        // The stacked error is at least as large as each agent's error.
         let largest = result.agents.iter().filter_map(|agent| agent.max_error());
         let largest = largest.fold(0.0, f64::max);
         assert!(share.error_evaluated >= largest, "{theorem:?}, {largest}");
-        // The paper's rho is below what its disturbance alone reaches, so the theorem says nothing.
+        // The paper's rho is below its disturbance alone, so the theorem does not apply.
         let lumped = theorem.lumped.expect("bounds were measured");
         assert!(close(lumped.disturbance, 2.255, 0.0, 5e-4), "{lumped:?}");
         assert!(lumped.at_least > theorem.rho && lumped.at_least <= lumped.estimate, "{lumped:?}");

@@ -1,5 +1,5 @@
-//! From one agent that sees one number to a thousand on a ring: every size that a scenario may
-//! have runs, and does what it is for.
+//! From one agent with one measurement to a thousand on a ring: scenarios of every supported size
+//! run and converge.
 
 use host_sim::engine::{RunOptions, RunResult, Silent, run};
 use host_sim::scenario::Scenario;
@@ -14,8 +14,8 @@ fn simulate_with(scenario: &Scenario, learning: bool) -> RunResult {
     run(scenario, RunOptions { seed: 0, learning, bounds: true }, &Silent).unwrap()
 }
 
-/// The largest ratio of an agent's root-mean-square error, over the second half, to its error at
-/// the start; all agents were heard and refused nothing.
+/// Returns the largest ratio of an agent's root-mean-square error over the second half to its initial
+/// error; all agents must have broadcast and rejected nothing.
 fn worst_remainder(scenario: &Scenario, result: &RunResult) -> f64 {
     let mut worst = 0.0f64;
     for (index, agent) in result.agents.iter().enumerate() {
@@ -35,7 +35,7 @@ fn worst_remainder(scenario: &Scenario, result: &RunResult) -> f64 {
     worst
 }
 
-/// Runs what is scenario_builder; every agent's error must fall below this share of its first.
+/// Runs a scenario; every agent's error must fall below this fraction of its initial error.
 fn check(what: &str, scenario_builder: &Described, largest_remainder: f64) -> RunResult {
     let scenario = scenario_builder.scenario();
     let result = simulate(&scenario);
@@ -52,7 +52,7 @@ fn every_state_dimension_and_number_of_outputs() {
         let mut outputs = vec![1, n.div_ceil(2), n];
         outputs.dedup();
         for m in outputs {
-            // As many agents as it takes to see all components together, and one more.
+            // Enough agents to measure all components together, and one more.
             let agents = n.div_ceil(m) + 1;
             let agents =
                 (0..agents).map(|agent| (picks(n, (0..m).map(|k| (agent * m + k) % n)), 1));
@@ -67,21 +67,21 @@ fn one_agent_with_and_without_a_network() {
     for inner in [String::new(), network(&[(5, "tanh")], "2.0")] {
         let mut scenario_builder = Described::linear(3, "ring", [(picks(3, 0..3), 1)]);
         scenario_builder.graph.clear();
-        // Without neighbours phi_1 is small, and so the threshold has to be.
+        // Without neighbours phi_1 is small, so the threshold must be small.
         scenario_builder.epsilon = 1e-3;
         scenario_builder.network = inner;
         let result = check("one agent", &scenario_builder, 0.05);
-        // Nobody listens, but it keeps to its trigger.
+        // There are no receivers, but the trigger still applies.
         assert!(result.agents[0].broadcasts() < 3_000);
     }
 }
 
 #[test]
-fn an_agent_sees_through_its_neighbours_what_it_cannot_measure() {
+fn neighbours_provide_what_an_agent_cannot_measure() {
     let pair = Described::linear(2, "path", [(picks(2, [0]), 1), (picks(2, [1]), 1)]);
     let agents = check("two agents", &pair, 0.05).agents;
     let rmse_of_pair = agents.iter().filter_map(|agent| agent.rmse()).fold(0.0, f64::max);
-    // Each of them alone keeps most of its error in the component that it does not see.
+    // Alone, each keeps most of its error in the component that it does not measure.
     for component in [0, 1] {
         let mut alone = pair.clone();
         alone.graph.clear();
@@ -145,7 +145,7 @@ fn every_activation_and_kind_of_outer_gain() {
             let result = check(&format!("{activation}, gain {gain}"), &scenario_builder, 0.05);
             digests.push(result.digest);
         }
-        // A diagonal of equal numbers is that number; the others are something else.
+        // A diagonal of equal numbers equals the scalar; the other forms differ.
         let [scalar, diagonal, full, equal] = digests[digests.len() - 4..] else { unreachable!() };
         assert_eq!(scalar, equal);
         assert!(scalar != diagonal && scalar != full && diagonal != full);
@@ -156,8 +156,8 @@ fn every_activation_and_kind_of_outer_gain() {
 }
 
 #[test]
-fn agents_of_very_different_sight() {
-    // One sees everything, one a sum, one two weighted differences, the last one component.
+fn agents_with_very_different_measurements() {
+    // They measure the whole state, a sum, two weighted differences, and one component.
     let rows = [
         picks(4, 0..4),
         vec![vec![1.0, 1.0, 1.0, 1.0]],
@@ -169,7 +169,7 @@ fn agents_of_very_different_sight() {
 }
 
 #[test]
-fn runge_kutta_moves_the_plant_and_only_the_plant() {
+fn runge_kutta_applies_to_the_plant_only() {
     let mut scenario_builder =
         Described::linear(2, "path", [(picks(2, [0]), 1), (picks(2, [1]), 1)]);
     let euler = check("Euler", &scenario_builder, 0.05);
@@ -177,7 +177,7 @@ fn runge_kutta_moves_the_plant_and_only_the_plant() {
     let runge_kutta = check("RK4", &scenario_builder, 0.05);
     let last = euler.traces.rows() - 1;
     assert_eq!(last, 3_000);
-    // x' = A x from (1, 1) turns by 0.3 rad/s and decays at 0.02/s.
+    // x' = A x from (1, 1) rotates at 0.3 rad/s and decays at 0.02/s.
     let (sin, cos) = (0.3f64 * 3.0).sin_cos();
     let decay = (-0.02f64 * 3.0).exp();
     let exact = [decay * (cos - sin), decay * (sin + cos)];
@@ -195,11 +195,11 @@ fn runge_kutta_moves_the_plant_and_only_the_plant() {
 }
 
 #[test]
-fn learning_cycles_that_follow_and_overlap_each_other() {
+fn consecutive_and_overlapping_learning_cycles() {
     let mut scenario_builder =
         Described::linear(2, "path", [(picks(2, [0]), 1), (picks(2, 0..2), 1), (picks(2, [1]), 1)]);
     scenario_builder.duration = 4.0;
-    // Fast enough for the network to have something to explain.
+    // Fast enough to give the network something to learn.
     scenario_builder.plant = scenario_builder.plant.replace("0.3", "2.0");
     scenario_builder.network = network(&[(6, "tanh"), (5, "tanh")], "20.0");
     scenario_builder.learning = cycle(&[3, 1], 0.5, 1.2, 1.5)
@@ -221,7 +221,7 @@ fn learning_cycles_that_follow_and_overlap_each_other() {
         assert!(best.train < first.train, "{training:?}");
         assert!(training.samples > 10);
     }
-    // Until the first switch, the run is the one without learning; after it, it is not.
+    // The run equals the one without learning until the first switch, and differs after it.
     let without = simulate_with(&scenario, false);
     assert_ne!(result.digest, without.digest);
     for (agent, first_switch) in [(0, 1_500), (1, 1_000), (2, 1_500)] {

@@ -1,13 +1,13 @@
-//! Small scenarios, written as the TOML text that a person would write and read by the loader.
+//! Builds small scenarios as TOML text, which the loader then reads.
 
 use std::fmt::Write;
 
 use host_sim::scenario::Scenario;
 
-/// A scenario of slow oscillators that some agents watch; every part can be replaced.
+/// A scenario of slow oscillators that agents observe; every part can be replaced.
 #[derive(Clone, Debug)]
 pub(crate) struct Described {
-    /// Tables `[plant]` and, if there is one, `[disturbance]`.
+    /// Tables `[plant]` and, optionally, `[disturbance]`.
     pub(crate) plant: String,
     /// \[s\]
     pub(crate) duration: f64,
@@ -19,7 +19,7 @@ pub(crate) struct Described {
     pub(crate) network: String,
     /// Table `[graph]`; empty for one agent.
     pub(crate) graph: String,
-    /// Rows of `C_i` and how many such agents there are.
+    /// Rows of `C_i` and the number of such agents.
     pub(crate) agents: Vec<(Vec<Vec<f64>>, usize)>,
     /// Tables `[[learning]]` and `[recipes.*]`.
     pub(crate) learning: String,
@@ -50,7 +50,7 @@ impl Described {
         }
     }
 
-    /// The file.
+    /// Returns the TOML text.
     pub(crate) fn text(&self) -> String {
         let mut text = format!(
             "name = \"scenario_builder\"\n{}\n[time]\nduration = {:?}\nstep = 0.001\n\
@@ -74,7 +74,7 @@ impl Described {
         text + &self.learning
     }
 
-    /// The scenario that the file describes.
+    /// Returns the scenario.
     pub(crate) fn scenario(&self) -> Scenario {
         let text = self.text();
         Scenario::parse("scenario_builder.toml", &text)
@@ -82,8 +82,8 @@ impl Described {
     }
 }
 
-/// Table `[plant]`: `x' = A x` with pairs of components that turn into each other at 0.3 rad/s and
-/// more, each pair a little faster, while they decay at 0.02/s; a last component without a partner
+/// Table `[plant]`: `x' = A x` with pairs of components that rotate at 0.3 rad/s and
+/// more, each pair a little faster, and decay at 0.02/s; a last component without a partner
 /// only decays. All start at 1.
 fn oscillators(n: usize) -> String {
     let row = |row: usize| {
@@ -103,13 +103,13 @@ fn oscillators(n: usize) -> String {
     )
 }
 
-/// `C_i` that picks these components (from 0) of `n`.
+/// Returns the `C_i` that measures these components (from 0) of `n`.
 pub(crate) fn picks(n: usize, components: impl IntoIterator<Item = usize>) -> Vec<Vec<f64>> {
     let row = |picked| (0..n).map(|component| f64::from(u8::from(component == picked))).collect();
     components.into_iter().map(row).collect()
 }
 
-/// Tables `[network]` and `[outer_law]`: layers of so many nodes with an activation each, random
+/// Tables `[network]` and `[outer_law]`: layers with these widths and activations, random
 /// inner parameters, small outer weights.
 pub(crate) fn network(layers: &[(u8, &str)], outer_gain: &str) -> String {
     let layers: Vec<_> = layers
@@ -131,6 +131,6 @@ pub(crate) fn cycle(agents: &[usize], from: f64, to: f64, apply_at: f64) -> Stri
     )
 }
 
-/// A recipe of a few epochs, whose network is used however little it explains.
+/// A recipe of a few epochs whose network is always used.
 pub(crate) const SHORT_RECIPE: &str = "\n[recipes.short]\nsmoothing_window = 0.1\n\
                                       decimation = 5\nepochs = 10\nswitch_in = \"always\"\n";

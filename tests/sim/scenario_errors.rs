@@ -1,13 +1,13 @@
-//! Every message of the scenario loader, word for word, and that no text makes it panic.
+//! Every message of the scenario loader, word for word; the loader does not panic on any text.
 //!
-//! The cases stand in `scenario_errors/*.txt`, one block each:
+//! The cases are in `scenario_errors/*.txt`, one block each:
 //!
 //! ```text
 //! < paper            the built-in scenario to start from
-//! - step = 0.001     the first place where this stands (several lines: several `-`) ...
+//! - step = 0.001     the first place with this text (several lines: several `-`) ...
 //! + step = 0.003     ... becomes this
-//! @ duration = 40.0  the error must name the line where this first stands afterwards
-//! ! message          and say this, after file and line
+//! @ duration = 40.0  the error names the line on which this first appears afterwards
+//! ! message          the message, after file and line
 //! ```
 
 use host_sim::scenario::{BUILT_IN, PAPER, Scenario, built_in};
@@ -19,7 +19,7 @@ struct Case {
     message: String,
 }
 
-/// The lines of `block` that start with `mark`, without it.
+/// Returns the lines of `block` that start with `mark`, without the mark.
 fn marked(block: &str, mark: char) -> String {
     let lines = block.lines().filter_map(|line| line.strip_prefix(mark));
     lines.map(|line| line.strip_prefix(' ').unwrap_or(line)).collect::<Vec<_>>().join("\n")
@@ -45,7 +45,7 @@ fn check(cases: &str) {
 }
 
 #[test]
-fn text_that_is_no_toml() {
+fn invalid_toml() {
     check(include_str!("scenario_errors/toml.txt"));
 }
 
@@ -80,31 +80,31 @@ fn wrong_shapes() {
 }
 
 #[test]
-fn matrices_without_the_right_properties() {
+fn asymmetric_and_indefinite_matrices() {
     check(include_str!("scenario_errors/matrices.txt"));
 }
 
 #[test]
-fn graphs_that_are_none() {
+fn invalid_graphs() {
     check(include_str!("scenario_errors/graph.txt"));
 }
 
 #[test]
-fn impossible_learning() {
+fn invalid_learning_cycles() {
     check(include_str!("scenario_errors/learning.txt"));
 }
 
 #[test]
-fn impossible_watches() {
+fn invalid_health_settings() {
     check(include_str!("scenario_errors/health.txt"));
 }
 
 #[test]
-fn expressions_that_cannot_be_read() {
+fn invalid_expressions() {
     check(include_str!("scenario_errors/expressions.txt"));
 }
 
-/// A file in the system's directory for such, removed at the end.
+/// A file in the system's temporary directory, removed at the end.
 struct TemporaryFile(std::path::PathBuf);
 
 impl TemporaryFile {
@@ -122,7 +122,7 @@ impl Drop for TemporaryFile {
 }
 
 #[test]
-fn files_are_loaded_and_named_in_errors() {
+fn errors_name_the_file() {
     let file = TemporaryFile::new("paper.toml", PAPER.as_bytes());
     assert_eq!(Scenario::load(&file.0).expect("the paper is sound").name, "paper");
     let file = TemporaryFile::new("latin.toml", b"name = \"latin\"\n# \xe4\n");
@@ -132,25 +132,25 @@ fn files_are_loaded_and_named_in_errors() {
 }
 
 #[test]
-fn a_file_that_is_not_there() {
+fn missing_files() {
     let error = Scenario::load("no/such.toml".as_ref()).unwrap_err();
-    // What the system says differs from system to system.
+    // The rest of the message depends on the system.
     assert!(error.problem.starts_with("cannot be read: "), "{error}");
     assert!(error.to_string().starts_with("no/such.toml: cannot be read: "), "{error}");
-    let hint = "give the path of a scenario file, or the name of a built-in one (paper, lorenz, \
+    let hint = "pass the path of a scenario file, or the name of a built-in scenario (paper, lorenz, \
                 pendulum, duffing, expressions); `host-sim scenario paper > mine.toml` writes a \
-                file to start from";
+                starting point";
     assert_eq!((error.line, error.key, error.hint.as_str()), (None, None, hint));
     let error = Scenario::load("lorentz".as_ref()).unwrap_err();
-    assert!(error.hint.starts_with("give lorenz, the path"), "{error}");
+    assert!(error.hint.starts_with("pass lorenz, the path"), "{error}");
     assert!(error.hint.contains("`host-sim scenario lorenz >"), "{error}");
 }
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_file_without_an_end_is_refused() {
+fn rejects_an_endless_file() {
     let error = Scenario::load("/dev/zero".as_ref()).unwrap_err().to_string();
-    assert!(error.starts_with("/dev/zero: has more than 16 MiB"), "{error}");
+    assert!(error.starts_with("/dev/zero: file is larger than 16 MiB"), "{error}");
 }
 
 #[test]
@@ -160,7 +160,7 @@ fn every_built_in_scenario_loads() {
     }
 }
 
-/// Whether an error carries all that a person needs.
+/// Checks that an error has a line, a problem and a hint.
 fn is_complete(text: &str) -> Result<(), TestCaseError> {
     if let Err(error) = Scenario::parse("any.toml", text) {
         let lines = text.lines().count().max(1) + 1;
@@ -170,7 +170,7 @@ fn is_complete(text: &str) -> Result<(), TestCaseError> {
     Ok(())
 }
 
-/// Values that are right somewhere and wrong elsewhere.
+/// Values that are valid for some keys and invalid for others.
 const VALUES: &[&str] = &[
     "nan",
     "-inf",
@@ -208,7 +208,7 @@ proptest! {
         is_complete(&String::from_utf8_lossy(&bytes))?;
     }
 
-    /// A sound scenario in which one value is replaced, or one line removed.
+    /// Replaces one value of a valid scenario, or removes one line.
     #[test]
     fn no_change_makes_the_loader_panic(
         base in prop::sample::select(BUILT_IN.as_slice()),

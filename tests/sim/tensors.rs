@@ -1,7 +1,7 @@
-//! Networks that PyTorch, JAX and NumPy saved compute here what they computed there; ours come
-//! back unchanged; anything else is refused with its name.
+//! Networks saved by PyTorch, JAX and NumPy give the same outputs here; exported networks read back
+//! unchanged; invalid files are rejected.
 //!
-//! `fixtures/tensors/make.py` wrote the files, `read_exported.py` has read ours.
+//! `fixtures/tensors/make.py` created the files, `read_exported.py` has read the exported ones.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ use test_support::close;
 
 use crate::core::bits::bits;
 
-/// Files with networks, and what the report must say.
+/// Valid files with the expected report.
 const READABLE: [(&str, &str, ActivationsSource); 9] = [
     ("numpy.npz", "", ActivationsSource::Assumed),
     ("numpy_fortran.npz", "", ActivationsSource::Assumed),
@@ -29,47 +29,47 @@ const READABLE: [(&str, &str, ActivationsSource); 9] = [
     ("jax.safetensors", "", ActivationsSource::Assumed),
 ];
 
-/// Files that are refused, and why.
+/// Invalid files with their error messages.
 const REFUSED: [(&str, &str); 12] = [
     (
         "refused_shape.npz",
-        "array `layer2.weight` has shape [4, 2], expected [width 1 to 64, inputs 4]; transpose it, or exchange .weight and .kernel in its name",
+        "array `layer2.weight` has shape [4, 2], expected [width 1 to 64, inputs 4]; transpose it, or swap .weight and .kernel in its name",
     ),
     (
         "refused_wide.npz",
-        "array `layer1.weight` has shape [100, 3], expected [width 1 to 64, inputs 1 to 12]; save the array of a network with these sizes",
+        "array `layer1.weight` has shape [100, 3], expected [width 1 to 64, inputs 1 to 12]; save a network with these sizes",
     ),
     (
         "refused_float16.npz",
-        "array `layer1.bias` holds <f2, expected little-endian float32 or float64; convert it to float32",
+        "array `layer1.bias` contains <f2, expected little-endian float32 or float64; convert it to float32",
     ),
     (
         "refused_integers.npz",
-        "array `layer1.bias` holds <i8, expected little-endian float32 or float64; convert it to float32",
+        "array `layer1.bias` contains <i8, expected little-endian float32 or float64; convert it to float32",
     ),
     (
         "refused_big_endian.npz",
-        "array `layer1.weight` holds >f4, expected little-endian float32 or float64; convert it to float32",
+        "array `layer1.weight` contains >f4, expected little-endian float32 or float64; convert it to float32",
     ),
     (
         "refused_objects.npz",
-        "array `layer1.bias` holds |O, expected little-endian float32 or float64; convert it to float32",
+        "array `layer1.bias` contains |O, expected little-endian float32 or float64; convert it to float32",
     ),
     (
         "refused_bfloat16.safetensors",
-        "array `layer1.weight` holds BF16, expected little-endian float32 or float64; convert it to float32",
+        "array `layer1.weight` contains BF16, expected little-endian float32 or float64; convert it to float32",
     ),
     (
         "refused_nan.npz",
-        "array `layer2.weight` holds NaN at [1, 2], expected finite numbers; train the network again or repair the value",
+        "array `layer2.weight` contains NaN at [1, 2], expected finite numbers; train the network again or correct the value",
     ),
     (
         "refused_float64_range.npz",
-        "array `layer1.bias` holds 1e300 at [1], beyond the largest float32, 3.4028235e38; scale the network so that its weights are smaller",
+        "array `layer1.bias` contains 1e300 at [1], beyond the largest float32, 3.4028235e38; scale the network so that its weights are smaller",
     ),
     (
         "refused_missing.npz",
-        "has no array `layer2.bias`, it has `layer1.bias`, `layer1.weight`, `layer2.weight`, `outer.weight`; add the array, or give it this name",
+        "missing array `layer2.bias` (found: `layer1.bias`, `layer1.weight`, `layer2.weight`, `outer.weight`); add or rename the array",
     ),
     (
         "refused_unexpected.npz",
@@ -77,7 +77,7 @@ const REFUSED: [(&str, &str); 12] = [
     ),
     (
         "refused_activation.npz",
-        "activation `relu` is unknown, expected one of tanh, logistic, gaussian; train the network with one of these",
+        "unknown activation `relu`, expected one of tanh, logistic, gaussian; train the network with one of these",
     ),
 ];
 
@@ -112,7 +112,7 @@ fn outputs(arrays: &NetworkArrays, x: &[f32]) -> Vec<f32> {
 }
 
 #[test]
-fn imported_networks_compute_what_they_computed_where_they_were_trained() {
+fn imported_networks_match_the_original_outputs() {
     let expected: serde_json::Value =
         serde_json::from_str(include_str!("../fixtures/tensors/expected.json")).unwrap();
     let rows = |value: &serde_json::Value| -> Vec<Vec<f32>> {
@@ -138,7 +138,7 @@ fn imported_networks_compute_what_they_computed_where_they_were_trained() {
 }
 
 #[test]
-fn the_report_tells_prefix_activations_and_rounding() {
+fn report_has_prefix_activations_and_rounding() {
     for (name, prefix, source) in READABLE {
         let (arrays, report) = imported(name);
         assert_eq!((report.prefix.as_str(), report.activations), (prefix, source), "{name}");
@@ -163,7 +163,7 @@ fn the_report_tells_prefix_activations_and_rounding() {
 }
 
 #[test]
-fn the_caller_can_state_activations_that_the_file_does_not_contradict() {
+fn caller_may_state_activations_unless_the_file_differs() {
     let each = Activations::PerLayer(vec![Activation::Gaussian, Activation::Logistic]);
     for (asked, first, second) in [
         (Activations::All(Activation::Gaussian), Activation::Gaussian, Activation::Gaussian),
@@ -177,16 +177,17 @@ fn the_caller_can_state_activations_that_the_file_does_not_contradict() {
     let stated = fixture("numpy_activations.npz");
     let message = refusal(&stated, each);
     assert!(
-        message.contains("for the activations logistic,gaussian, asked for are gaussian,logistic;"),
+        message
+            .contains("the activations logistic,gaussian, but gaussian,logistic were requested;"),
         "{message}"
     );
     let three = Activations::PerLayer(vec![Activation::Tanh; 3]);
     let message = refusal(&stated, three);
-    assert!(message.contains("3 activations for 2 inner layers; give one"), "{message}");
+    assert!(message.contains("3 activations for 2 inner layers; pass one"), "{message}");
 }
 
 #[test]
-fn what_is_no_network_is_refused_by_name_and_with_a_mend() {
+fn rejects_invalid_networks_with_array_and_hint() {
     for (name, message) in REFUSED {
         let path = fixture(name);
         let expected = format!("{}: {message}", path.display());
@@ -195,14 +196,14 @@ fn what_is_no_network_is_refused_by_name_and_with_a_mend() {
 }
 
 #[test]
-fn files_that_are_not_what_their_name_says_are_refused() {
+fn rejects_files_that_do_not_match_their_extension() {
     let folder = folder("misnamed");
     let text = "no arrays at all";
     for (name, message) in [
-        ("net.npz", "is not a readable .npz file: "),
-        ("net.safetensors", "is not a readable .safetensors file: "),
-        ("net.mat", "ends in neither .npz nor .safetensors; "),
-        ("npz", "ends in neither .npz nor .safetensors; "),
+        ("net.npz", "not a valid .npz file: "),
+        ("net.safetensors", "not a valid .safetensors file: "),
+        ("net.mat", "unknown file extension; "),
+        ("npz", "unknown file extension; "),
     ] {
         let path = folder.join(name);
         fs::write(&path, text).unwrap();
@@ -210,16 +211,16 @@ fn files_that_are_not_what_their_name_says_are_refused() {
         assert!(found.starts_with(&format!("{}: {message}", path.display())), "{found}");
     }
     let absent = refusal(&folder.join("absent.npz"), Activations::FromFile);
-    assert!(absent.contains("absent.npz: ") && absent.ends_with("permission to read it"));
+    assert!(absent.contains("absent.npz: ") && absent.ends_with("its read permission"));
     let large = folder.join("large.npz");
     fs::File::create(&large).unwrap().set_len(tensors::FILE_BYTES_MAX + 1).unwrap();
     let found = refusal(&large, Activations::FromFile);
-    assert!(found.contains("is larger than 4194304 bytes"), "{found}");
+    assert!(found.contains("larger than 4194304 bytes"), "{found}");
     fs::remove_file(&large).unwrap();
 }
 
 #[test]
-fn exported_files_are_those_that_numpy_and_pytorch_have_read() {
+fn exported_files_match_those_read_by_numpy_and_pytorch() {
     let (arrays, _) = imported("numpy_activations.npz");
     let written = ["exported.npz", "exported.safetensors"].map(|name| {
         let path = folder("exported").join(name);
@@ -236,7 +237,7 @@ fn exported_files_are_those_that_numpy_and_pytorch_have_read() {
 }
 
 #[test]
-fn arrays_that_do_not_fit_their_architecture_are_not_written() {
+fn does_not_write_arrays_that_do_not_match_their_architecture() {
     let path = folder("unfit").join("net.npz");
     let (good, _) = imported("jax.npz");
     let mut short = good.clone();
@@ -250,7 +251,7 @@ fn arrays_that_do_not_fit_their_architecture_are_not_written() {
     for (arrays, message) in [
         (short, "25 inner parameters, the architecture has 26; "),
         (unsafe_inner, "inner parameter 3 is not finite; "),
-        (long, "7 outer weights, the architecture has 6; "),
+        (long, "7 outer weights, but the architecture has 6; "),
         (unsafe_outer, "outer weight 1 is not finite; "),
     ] {
         let found = tensors::write(&path, &arrays).unwrap_err().to_string();
@@ -261,14 +262,14 @@ fn arrays_that_do_not_fit_their_architecture_are_not_written() {
     assert!(matches!(elsewhere.problem, TensorProblem::Extension));
 }
 
-/// A folder of this test alone.
+/// Creates a separate folder for a test.
 fn folder(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("tensors").join(name);
     fs::create_dir_all(&folder).unwrap();
     folder
 }
 
-/// Any network, with finite weights of any bits.
+/// Random networks with arbitrary finite weights.
 fn networks() -> impl Strategy<Value = NetworkArrays> {
     let activation =
         prop::sample::select(&[Activation::Tanh, Activation::Logistic, Activation::Gaussian][..]);
@@ -288,7 +289,7 @@ fn networks() -> impl Strategy<Value = NetworkArrays> {
     })
 }
 
-/// A file of the fixtures, changed: bytes replaced, a stretch taken out or the end cut off.
+/// Damaged fixtures: bytes replaced, a section removed, or truncated.
 fn damaged_files() -> impl Strategy<Value = (FileKind, Vec<u8>)> {
     let names: Vec<&str> = READABLE.iter().map(|(name, _, _)| *name).collect();
     let changes = prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6);
@@ -317,7 +318,7 @@ proptest! {
     #![proptest_config(cases(48))]
 
     #[test]
-    fn what_is_written_is_read_bit_for_bit(arrays in networks(), npz: bool) {
+    fn written_networks_read_back_bit_for_bit(arrays in networks(), npz: bool) {
         let name = if npz { "net.npz" } else { "net.safetensors" };
         let path = folder("round_trip").join(name);
         tensors::write(&path, &arrays).unwrap();
@@ -334,7 +335,7 @@ proptest! {
     #![proptest_config(cases(4000))]
 
     #[test]
-    fn damaged_files_are_refused_or_hold_a_network((kind, bytes) in damaged_files()) {
+    fn damaged_files_are_rejected_or_contain_a_valid_network((kind, bytes) in damaged_files()) {
         match tensors::from_bytes(kind, &bytes, Activations::FromFile) {
             Ok((arrays, _)) => {
                 let outer = arrays.architecture.features() * arrays.architecture.inputs();
@@ -347,7 +348,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_refused(bytes in prop::collection::vec(any::<u8>(), 0..300), npz: bool) {
+    fn rejects_random_bytes(bytes in prop::collection::vec(any::<u8>(), 0..300), npz: bool) {
         let kind = if npz { FileKind::Npz } else { FileKind::Safetensors };
         let problem = tensors::from_bytes(kind, &bytes, Activations::FromFile).unwrap_err();
         prop_assert!(problem.to_string().contains("; "), "{}", problem);

@@ -1,4 +1,4 @@
-//! The paper's experiment in other units: learning must not depend on them.
+//! The paper's experiment in other units: learning must be independent of them.
 //!
 //! `cargo test -p integration-tests units -- --nocapture` prints the figures.
 
@@ -10,11 +10,11 @@ use rayon::prelude::*;
 
 const SEEDS: std::ops::Range<u64> = 0..10;
 
-/// How far the median error may be from that in the paper's units, relatively.
+/// Allowed relative difference between the median error and that in the paper's units.
 const TOLERANCE: f64 = 0.05;
 
 /// The paper's scenario with the state `scale * (x + offset)`, and every constant that has a unit
-/// changed with it; layer 1 of the untrained network, too, so that it says the same.
+/// changed with it; also layer 1 of the untrained network, so that its output is the same.
 fn paper_in(scale: f64, offset: [f64; 3]) -> Scenario {
     let expressions = format!(
         r#"[plant]
@@ -67,7 +67,7 @@ components = ["{scale:?}*0.5*sin(3*t)", "{scale:?}*0.75*cos(t)", "{scale:?}*cos(
     scenario
 }
 
-/// Root-mean-square error of each agent in units of `scale`, the median of all seeds.
+/// Returns each agent's root-mean-square error in units of `scale`, the median of all seeds.
 fn median_errors(scale: f64, offset: [f64; 3]) -> [f64; 3] {
     let scenario = paper_in(scale, offset);
     let errors = |seed| {
@@ -88,7 +88,7 @@ fn simulate(scenario: &Scenario, seed: u64) -> RunResult {
 }
 
 #[test]
-fn learning_does_not_depend_on_units() {
+fn learning_is_independent_of_units() {
     let reference = median_errors(1.0, [0.0; 3]);
     println!("in the paper's units: {reference:.5?}");
     // The largest component moves by 8: 1,000 amplitudes.
@@ -112,7 +112,7 @@ fn learning_does_not_depend_on_units() {
 }
 
 #[test]
-fn an_offset_beyond_single_precision_is_told() {
+fn warns_of_an_offset_beyond_single_precision() {
     let warned = |offset| {
         let result = simulate(&paper_in(1.0, offset), 0);
         let codes = result.trainings.iter().flat_map(|training| &training.warnings);

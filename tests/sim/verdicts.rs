@@ -1,4 +1,4 @@
-//! What the tool says of a scenario and of a run: verdicts, warnings, and how it ends.
+//! Verdicts, warnings and exit codes for scenarios and runs.
 
 use host_sim::analysis::StepCheck;
 use host_sim::engine::{RunError, RunOptions, Silent, run};
@@ -13,7 +13,7 @@ use crate::sim::scenario_builder::{Described, picks};
 
 const OPTIONS: RunOptions = RunOptions { seed: 0, learning: true, bounds: true };
 
-/// The object that a command printed, however it ended, and its exit code.
+/// Returns the object printed by a command, successful or not, and its exit code.
 fn object(folder: &Folder, arguments: &str) -> (Value, Option<i32>) {
     let output = folder.run(arguments);
     let text = String::from_utf8(output.stdout).unwrap();
@@ -27,13 +27,13 @@ fn codes(value: &Value) -> Vec<&str> {
     warnings.iter().map(|warning| warning["code"].as_str().unwrap()).collect()
 }
 
-/// Two agents on a path, each of which sees one of two components.
+/// Two agents on a path, each of which measures one of two components.
 fn pair() -> Described {
     Described::linear(2, "path", [(picks(2, [0]), 1), (picks(2, [1]), 1)])
 }
 
 #[test]
-fn check_tells_of_a_scenario_without_running_it() {
+fn check_reports_on_a_scenario_without_running_it() {
     let folder = Folder::new("check");
     let text = folder.succeed("check paper");
     for expected in ["lambda_min = 36.1356 1/s", "a solution", "is below 0.00233 s", "47.61"] {
@@ -55,7 +55,7 @@ fn check_tells_of_a_scenario_without_running_it() {
 }
 
 #[test]
-fn a_step_that_is_too_long_is_told_before_and_after_the_run() {
+fn warns_of_a_long_step_before_and_after_the_run() {
     let folder = Folder::new("unstable");
     let mut scenario_builder = pair();
     // The largest eigenvalue of 60 (C^T C + L) on this path is 60 (3 + sqrt(5))/2.
@@ -73,7 +73,7 @@ fn a_step_that_is_too_long_is_told_before_and_after_the_run() {
     assert_eq!(code, Some(1));
     assert!(found.starts_with(&["unstable-step", "unstable-run"]), "{found:?}");
     assert!(value["warnings"][0]["text"].as_str().unwrap().contains("below 0.0127 s"), "{value}");
-    // What there is was written all the same.
+    // The results so far were written.
     assert!(
         folder.path("results/agents.csv").exists() && folder.path("results/traces.csv").exists()
     );
@@ -87,7 +87,7 @@ fn a_step_that_is_too_long_is_told_before_and_after_the_run() {
 }
 
 #[test]
-fn the_largest_stable_step_is_where_errors_begin_to_grow() {
+fn errors_grow_above_the_largest_stable_step() {
     let full =
         DMatrix::from_row_slice(3, 3, &[60.0, 25.0, 0.0, 25.0, 40.0, -10.0, 0.0, -10.0, 80.0]);
     for (topology, agents) in [("path", 3), ("ring", 6), ("star", 5), ("complete", 4)] {
@@ -99,7 +99,7 @@ fn the_largest_stable_step_is_where_errors_begin_to_grow() {
         let mut scenario = scenario_builder.scenario();
         scenario.design.gain.copy_from(&full);
         scenario.design.epsilon = 1e-3;
-        // Different everywhere, so that every mode of the error is there.
+        // All different, to excite every mode of the error.
         for (index, agent) in scenario.agents.iter_mut().enumerate() {
             let part = |c: usize| 0.3 * ((5 * index + 3 * c) % 7) as f64;
             agent.initial_estimate = (0..3).map(part).collect();
@@ -118,7 +118,7 @@ fn the_largest_stable_step_is_where_errors_begin_to_grow() {
 }
 
 #[test]
-fn a_theorem_whose_premises_hold_is_kept() {
+fn theorem_with_valid_premises_is_kept() {
     let scenario = pair().scenario();
     let result = run(&scenario, OPTIONS, &Silent).unwrap();
     let checks = Checks::new(&scenario, &result);
@@ -128,7 +128,7 @@ fn a_theorem_whose_premises_hold_is_kept() {
     assert_eq!((lumped.at_least, lumped.disturbance), (lumped.estimate, 0.0));
     assert_eq!(checks.theorem1.status, Status::Kept, "{checks:?}");
     let share = checks.theorem1.share.unwrap();
-    // Without a network the bound is the error itself at t = 0, which says nothing.
+    // Without a network the bound equals the error at t = 0, so the comparison is trivial.
     assert!(share.largest < 1.0 && share.largest_at > 0.0, "{share:?}");
 
     // Each premise in turn.
@@ -146,9 +146,9 @@ fn a_theorem_whose_premises_hold_is_kept() {
     assert!(checks.theorem1.status.premise().unwrap().contains("measured"), "{checks:?}");
 }
 
-/// With the network known and constant features the best `W_0` can be told by hand.
+/// With a known network and constant features, the best `W_0` can be computed by hand.
 #[test]
-fn the_best_ideal_weights_count_for_rho() {
+fn rho_is_compared_with_the_best_ideal_weights() {
     // x' = 3 with one agent that measures x and a network of one constant feature, tanh(0 x + b):
     // W_0 = 3/tanh(b) makes chi_bar zero if it is inside the ball.
     let scenario = |bound: f64| {
@@ -173,7 +173,7 @@ fn the_best_ideal_weights_count_for_rho() {
 }
 
 #[test]
-fn checks_and_warnings_are_in_the_json() {
+fn json_contains_checks_and_warnings() {
     let folder = Folder::new("checks-json");
     folder.write("mine.toml", &pair().text());
     let (value, code) = object(&folder, "run mine.toml --format json");
@@ -190,7 +190,7 @@ fn checks_and_warnings_are_in_the_json() {
     let status = checks["theorem2"]["status"].as_str().unwrap();
     assert!(["kept", "not_applicable"].contains(&status), "{checks}");
 
-    // One agent less, and a component is seen by nobody.
+    // With one agent less, a component is not measured.
     let mut blind = pair();
     blind.agents[1].0 = picks(2, [0]);
     folder.write("blind.toml", &blind.text());
@@ -208,7 +208,7 @@ fn checks_and_warnings_are_in_the_json() {
 }
 
 #[test]
-fn the_advice_on_the_gain_is_the_same_in_both_places_and_helps() {
+fn advice_on_the_gain_is_consistent_and_works() {
     let folder = Folder::new("advice");
     let mut weak = pair();
     weak.gain = 2.0;
@@ -241,15 +241,15 @@ fn with_expression(text: &str, as_disturbance: bool, integrator: &str) -> Scenar
 }
 
 #[test]
-fn an_expression_that_is_not_defined_is_named_wherever_it_stands() {
-    // When the fault is met, and what is said of it.
+fn errors_name_undefined_expressions() {
+    // Time of the fault, and its message.
     let cases = [
         ("sqrt(x-10)", "0.0 with x = 2.0"),
         ("max(sqrt(x-10), 0)", "0.0 with x = 2.0"),
         ("1/0", "0.0;"),
         ("1/(1/(x-2))", "0.0 with x = 2.0"),
         ("0*exp(-1/(x-2))", "0.0 with x = 2.0"),
-        // From the middle of the run on.
+        // From the middle of the run.
         ("0*sqrt(0.495-t)", "0.5;"),
         ("min(ln(0.495-t), 0)*0", "0.5;"),
     ];
@@ -264,7 +264,7 @@ fn an_expression_that_is_not_defined_is_named_wherever_it_stands() {
                     if as_disturbance { "disturbance.components" } else { "plant.derivative" };
                 let expected = format!("{key}, expression 1 for x, `{text}`: ");
                 assert!(message.starts_with(&expected), "{message}");
-                // The last stage of a Runge-Kutta step already looks at its end.
+                // The last stage of a Runge-Kutta step evaluates its end.
                 let early = met.replace("0.5;", "0.495;");
                 let here = |met: &str| message.contains(&format!("at t = {met}"));
                 assert!(here(met) || (integrator == "rk4" && here(&early)), "{message}, {met}");
@@ -275,13 +275,13 @@ fn an_expression_that_is_not_defined_is_named_wherever_it_stands() {
 }
 
 #[test]
-fn a_plant_that_grows_beyond_all_numbers_still_diverges() {
+fn overflowing_plant_is_reported_as_diverged() {
     for text in ["x^3", "x^9", "exp(x)", "x^3*(1 + exp(x))^0 + x^5"] {
         for integrator in ["euler", "rk4"] {
             let mut scenario = with_expression(text, false, integrator);
             scenario.time.duration = 10.0;
             let error = run(&scenario, OPTIONS, &Silent).unwrap_err();
-            // With exp an overflow can come first: then it is named with the state it had.
+            // With exp an overflow can come first; the error then has the state at that time.
             let named =
                 matches!(&error, RunError::Expression(fault) if fault.expression().overflow);
             let diverged = matches!(error, RunError::PlantDiverged { .. });
@@ -291,7 +291,7 @@ fn a_plant_that_grows_beyond_all_numbers_still_diverges() {
 }
 
 #[test]
-fn check_finds_an_expression_that_is_not_defined_at_the_start() {
+fn check_finds_an_expression_undefined_at_the_start() {
     let folder = Folder::new("check-expression");
     let text = PAPER.replacen("model = \"van-der-pol\"", "model = \"expressions\"", 1).replacen(
         "parameters = { mu = 0.3 }",

@@ -1,11 +1,11 @@
-//! Simulated agents under watch: while nothing goes wrong no bit changes, what goes wrong is counted
-//! as it happens, and what ends an unwatched run does not end a watched one.
+//! Health monitoring of simulated agents: without faults no bit changes, faults are counted as they
+//! occur, and faults that end an unmonitored run do not end a monitored one.
 
 use agent_core::Tick;
 use agent_core::agent::StepError;
 use agent_core::agent::region::StateBox;
 use agent_core::health::{HealthCounters, HealthSettings};
-use agent_core::wire::frame::{Frame, FrameBytes};
+use agent_core::wire::frame::Frame;
 use host_sim::engine::link::{Link, Lossless};
 use host_sim::engine::{RunError, RunOptions, RunResult, Silent, run, run_over};
 use host_sim::packages::Draft;
@@ -17,11 +17,11 @@ use crate::core::health::{Ledger, SETTINGS};
 use crate::sim::reproduce::paper;
 use crate::sim::scenario_builder::{Described, SHORT_RECIPE, cycle, network};
 
-/// What counts and does nothing else.
+/// Settings that only count.
 const COUNTING: HealthSettings =
     HealthSettings { fall_back: None, restart_after: None, ..SETTINGS };
 
-/// Where the disturbance strikes, and how many steps the run takes.
+/// Step of the disturbance, and number of steps in the run.
 const STRIKE: Tick = 1_000;
 const STEPS: usize = 3_000;
 
@@ -29,8 +29,8 @@ fn simulate(scenario: &Scenario, learning: bool) -> Result<RunResult, RunError> 
     run(scenario, RunOptions { seed: 0, learning, bounds: false }, &Silent)
 }
 
-/// A circle, and beside it a component that only `disturbance` moves. Of `count` agents each, one
-/// kind sees `x`, one `v`, and one, agent 3 of three, the double of `s`.
+/// A circle, and a separate component that only `disturbance` moves. Of `count` agents each, one
+/// kind measures `x`, one `v`, and one, agent 3 of three, twice `s`.
 fn striking(disturbance: &str, count: usize) -> Described {
     let rows = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]];
     let agents = rows.map(|row| (vec![row.to_vec()], count));
@@ -44,12 +44,12 @@ fn striking(disturbance: &str, count: usize) -> Described {
     scenario_builder
 }
 
-/// For one step `s` is so much and then 0 again: what is added is subtracted to the bit.
+/// For one step `s` has this value and then 0 again, exactly.
 fn spike(size: &str) -> String {
     format!("{size}*1000*0.5*(sign(t - 0.9985) - 2*sign(t - 0.9995) + sign(t - 1.0005))",)
 }
 
-/// Three agents, with packages whose trained box is so large if there is one.
+/// Three agents, with packages whose trained box has this limit, if any.
 fn three(disturbance: &str, limit: Option<f32>) -> Scenario {
     let mut scenario_builder = striking(disturbance, 1);
     scenario_builder.learning = cycle(&[1, 2, 3], 0.1, 0.4, 0.5) + SHORT_RECIPE;
@@ -80,7 +80,7 @@ fn counters(result: &RunResult) -> Vec<HealthCounters> {
     result.agents.iter().map(|agent| agent.health.unwrap()).collect()
 }
 
-/// Whether every agent's error is what it would have been without trouble.
+/// Whether every agent's error is the same as without a fault.
 fn same_errors(found: &RunResult, expected: &RunResult) -> bool {
     let rmse = |result: &RunResult| -> Vec<f64> {
         result.agents.iter().map(|agent| agent.rmse().unwrap()).collect()
@@ -91,7 +91,7 @@ fn same_errors(found: &RunResult, expected: &RunResult) -> bool {
 }
 
 #[test]
-fn watching_changes_no_bit_while_nothing_goes_wrong() {
+fn monitoring_does_not_change_the_bits_without_faults() {
     let scenario = three("0", Some(6.0));
     let plain = simulate(&scenario, false).unwrap();
     assert!(plain.agents.iter().all(|agent| agent.health.is_none()));
@@ -101,7 +101,7 @@ fn watching_changes_no_bit_while_nothing_goes_wrong() {
 }
 
 #[test]
-fn watching_changes_no_bit_of_the_papers_run() {
+fn monitoring_does_not_change_the_papers_run() {
     let scenario = paper("better");
     let watched = watched(&scenario, HealthSettings { fall_back: None, ..SETTINGS });
     let (plain, found) =
@@ -109,7 +109,7 @@ fn watching_changes_no_bit_of_the_papers_run() {
     assert_eq!(found.digest, plain.digest);
     for counters in counters(&found) {
         println!("{counters:?}");
-        // From the switch on the network has a box, in which the plant does not stay.
+        // From the switch on, the network has a box, which the plant leaves.
         assert!((1..20_000).contains(&counters.outside_box));
         let outside_box = counters.outside_box;
         let expected = HealthCounters {
@@ -121,13 +121,13 @@ fn watching_changes_no_bit_of_the_papers_run() {
     }
 }
 
-/// The box of so large a limit.
+/// Whether an estimate is outside the box with this limit.
 fn outside(limit: f32, estimate: &[f32]) -> bool {
     !StateBox { low: &[-limit; 3], high: &[limit; 3] }.contains(estimate)
 }
 
 #[test]
-fn steps_outside_the_box_are_counted_exactly_and_make_agents_fall_back_and_return() {
+fn counts_steps_outside_the_box_and_falls_back_and_returns() {
     // s goes to 8 within 0.2 s, stays, and comes back.
     let excursion = "20*(sign(t - 1) - sign(t - 1.2) - sign(t - 1.6) + sign(t - 1.8))";
     let scenario = three(excursion, Some(2.0));
@@ -161,11 +161,11 @@ fn steps_outside_the_box_are_counted_exactly_and_make_agents_fall_back_and_retur
 }
 
 #[test]
-fn a_measurement_that_overflows_ends_only_the_unwatched_run() {
+fn overflowing_measurement_ends_only_the_unmonitored_run() {
     let calm = simulate(&three("0", Some(6.0)), false).unwrap();
     for (size, expected_error) in [
         ("1e30", StepError::Diverged),
-        // Twice that is no number of single precision any more.
+        // Twice that overflows single precision.
         ("3e38", StepError::MeasurementNotFinite { output: 0 }),
     ] {
         let scenario = three(&spike(size), Some(6.0));
@@ -190,7 +190,7 @@ fn a_measurement_that_overflows_ends_only_the_unwatched_run() {
 }
 
 #[test]
-fn an_agent_that_is_carried_off_begins_anew() {
+fn diverging_agent_restarts() {
     let calm = simulate(&three("0", Some(6.0)), false).unwrap();
     let scenario = three(&spike("1e7"), Some(6.0));
     let result = simulate(&watched(&scenario, SETTINGS), false).unwrap();
@@ -208,7 +208,7 @@ fn an_agent_that_is_carried_off_begins_anew() {
 struct Forging(Lossless);
 
 impl Link for Forging {
-    fn send(&mut self, sender: usize, tick: Tick, bytes: &FrameBytes) {
+    fn send(&mut self, sender: usize, tick: Tick, bytes: &[u8]) {
         self.0.send(sender, tick, bytes);
     }
 
@@ -223,7 +223,7 @@ impl Link for Forging {
 }
 
 #[test]
-fn a_link_that_makes_estimates_up_ends_only_the_unwatched_run() {
+fn forged_estimates_end_only_the_unmonitored_run() {
     let over = |scenario: &Scenario| {
         let options = RunOptions { seed: 0, learning: false, bounds: false };
         run_over(scenario, Forging(Lossless::new(&scenario.graph)), options, &Silent)
@@ -245,15 +245,15 @@ fn a_link_that_makes_estimates_up_ends_only_the_unwatched_run() {
     }
     let heard: Vec<_> = counters(&result).iter().map(|c| c.frames_implausible > 0).collect();
     assert_eq!(heard, [false, true, true]);
-    // A network that was not trained knows no box: its agent believes every finite number. The run
-    // goes on, but the agents are carried off.
+    // An untrained network has no box, so its agent accepts every finite number. The run
+    // continues, but the agents diverge.
     let (result, calm) = run_both(None);
     let diverged: u32 = counters(&result).iter().map(|counters| counters.diverged).sum();
     assert!(diverged > 0 && !same_errors(&result, &calm));
 }
 
 #[test]
-fn a_watch_has_the_same_bits_on_any_number_of_threads() {
+fn monitoring_is_deterministic_on_any_number_of_threads() {
     // More than 64 agents are shared among threads.
     let mut scenario_builder = striking(&spike("1e30"), 27);
     (scenario_builder.duration, scenario_builder.trace_stride) = (1.2, 20);

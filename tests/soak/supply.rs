@@ -93,7 +93,7 @@ pub(super) fn scenario() -> Scenario {
     scenario.learning[0].collect = Window { from: 2.0, to: 7.0 };
     scenario.learning[0].apply_at = 7.0;
     for recipe in &mut scenario.recipes {
-        recipe.solver.epochs_max = 8;
+        *recipe.trainer.epochs_max_mut() = 8;
         recipe.smoothing_window = Some(0.02);
         recipe.decimation = NonZeroU32::new(20);
         recipe.switch_in = SwitchIn::Always;

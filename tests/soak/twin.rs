@@ -23,7 +23,7 @@ use test_support::nor_flash::{SimulatedFlash, Tear};
 /// As strict as real flash, in the units of the emulated board.
 type Flash = SimulatedFlash<4, 4096>;
 /// The sizes of the emulated board's firmware.
-type TwinNode<'m> = Node<'m, Flash, 3, 8, 4, 8, 64>;
+type TwinNode<'m> = Node<'m, Flash, 3, 8, 4, 64>;
 type Loop<'s> = InTheLoop<Port<'s>, 8>;
 
 /// A running twin.

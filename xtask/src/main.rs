@@ -5,6 +5,7 @@
 #![forbid(unsafe_code)]
 
 mod boards;
+mod boot;
 mod circles;
 mod compiler;
 mod cosim;
@@ -28,6 +29,7 @@ use step::Failure;
 
 const HELP: &str = "\
 Usage: cargo xtask <task> [--debian]
+       cargo xtask size [BOARD...] [--debian]
        cargo xtask firmware --board BOARD|all [--public-key HEX] [--in-the-loop] [--debian]
        cargo xtask new PATH [--board BOARD] [--copy-crates]
        cargo xtask install [--prefix PREFIX] [--debian]
@@ -51,8 +53,10 @@ Tasks:
   install put the program at PREFIX/bin/host-sim and, for `host-sim cosim` outside of this project,
           the emulated board's firmware and memory map in PREFIX/share/host-sim; PREFIX is
           ~/.local if none is named
-  size    what the firmware of each board takes of flash, RAM and stack, against the budgets
-          in its Cargo.toml
+  size    what the firmware of each board, or those named, takes of flash, RAM and stack,
+          against the budgets in its Cargo.toml
+  boot    the firmware of the board stm32f405 on QEMU's netduinoplus2, as far as that machine
+          goes: greeting, telemetry, steps with the host's bits, frames, a reset
   soak    three nodes of the emulated board's firmware beside the same code on the host, for N
           steps (20000), with packages pushed, messages and frames damaged, sensors failing,
           resets and losses of power, all drawn from the seed S (1): every byte must be the
@@ -82,7 +86,10 @@ fn main() -> ExitCode {
     let outcome = match names[..] {
         ["test"] => test(debian),
         ["cross"] => cross::cross(debian),
-        ["size"] => size::size(debian),
+        ["size", ref rest @ ..] if rest.iter().all(|name| !name.starts_with('-')) => {
+            size::size(rest, debian)
+        }
+        ["boot"] => boot::boot(debian),
         ["emulate"] => emulate::emulate(debian),
         ["lint"] => circles::check(step::workspace())
             .and_then(|()| host::lint())
@@ -132,7 +139,8 @@ fn test(debian: bool) -> Result<(), Failure> {
     let count = host::test()?;
     cross::cross(debian)?;
     emulate::emulate(debian)?;
-    size::size(debian)?;
+    size::size(&[], debian)?;
+    boot::boot(debian)?;
     cosim::test(debian)?;
     soak::soak(&soak::Options::default(), debian)?;
     println!("tests: {count}");

@@ -28,12 +28,15 @@ struct Figure {
     budget: u64,
 }
 
-/// Builds the firmware of every board, measures it, and prints the table.
+/// Builds the firmware of the boards that are named, or of all, measures it, and prints the table.
 ///
 /// # Errors
 /// A budget that is exceeded, and whatever stands in the way of measuring.
-pub(crate) fn size(debian: bool) -> Result<(), Failure> {
-    let boards = boards::all()?;
+pub(crate) fn size(names: &[&str], debian: bool) -> Result<(), Failure> {
+    let boards = match names {
+        [] => boards::all()?,
+        names => names.iter().map(|name| boards::find(name)).collect::<Result<_, _>>()?,
+    };
     let compiler = Compiler::find(&boards::targets(&boards), debian)?;
     let disassembler = Disassembler::find(debian)?;
     let mut table = format!("{:36} {:>8} {:>8}\n", "[byte]", "found", "budget");

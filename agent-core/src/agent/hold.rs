@@ -33,6 +33,12 @@ pub struct Hold<const N: usize> {
     taken_over: Tick,
 }
 
+/// One slot for each neighbour's sample, in the order of the agent's parameters; `None` where
+/// nothing has been heard. An array or a `heapless::Vec` on a node, a `Vec` on the host.
+pub trait HoldSlots<const N: usize>: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]> {}
+
+impl<const N: usize, S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>> HoldSlots<N> for S {}
+
 /// For how many steps a held sample stays the newest until one that looks older is taken for
 /// that of a neighbour that began anew: a second at a step of 1 ms, far above the delay at which
 /// a sample is still worth something to an observer with gains of some 100 / s.

@@ -17,7 +17,7 @@
 //! a refused one changes nothing.
 
 use crate::Tick;
-use crate::agent::hold::Hold;
+use crate::agent::hold::{Hold, HoldSlots};
 use crate::agent::region::Region;
 use crate::observer::feedback::Neighbour;
 use crate::wire::frame::{Frame, FrameError};
@@ -37,7 +37,7 @@ impl<const N: usize, S> Inbox<N, S> {
     }
 }
 
-impl<const N: usize, S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>> Inbox<N, S> {
+impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
     /// An empty inbox; what `places` hold is discarded.
     pub fn new(mut places: S) -> Self {
         places.as_mut().fill(None);

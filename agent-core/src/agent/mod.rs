@@ -39,7 +39,7 @@ pub use error::StepError;
 pub use params::AgentParams;
 
 use crate::agent::capture::Sample;
-use crate::agent::hold::Hold;
+use crate::agent::hold::{Hold, HoldSlots};
 use crate::agent::inbox::Inbox;
 use crate::math::numeric::{add_scaled, all_finite, components, difference, product, zeros};
 use crate::math::parameter::{ParameterError, finite};
@@ -100,7 +100,7 @@ impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S> {
 
 impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S>
 where
-    S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+    S: HoldSlots<N>,
 {
     /// An agent at tick 0 with the estimate `x_hat(0)` and the outer weights `W_hat(0)`, row by
     /// row, shape `[L, N]`. It holds its initial estimate as its first sample, which
@@ -191,7 +191,7 @@ where
     ) -> Result<StepOutput<N>, StepError>
     where
         P: AsRef<[f32]>,
-        I: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+        I: HoldSlots<N>,
     {
         self.check(params, network, tick, measurement, inbox)?;
 
@@ -263,7 +263,7 @@ where
         inbox: &Inbox<N, I>,
     ) -> StateVector<N>
     where
-        I: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+        I: HoldSlots<N>,
     {
         if self.consensus_is_current && inbox.is_empty() {
             return self.consensus_term;
@@ -294,7 +294,7 @@ where
     ) -> Result<(), StepError>
     where
         P: AsRef<[f32]>,
-        I: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+        I: HoldSlots<N>,
     {
         let last = self.last_tick;
         if tick == Tick::MAX || last.is_some_and(|last| tick <= last) {

@@ -4,6 +4,7 @@ use nalgebra::SMatrix;
 
 use crate::agent::hold::RESTART_SILENCE;
 use crate::math::parameter::{ParameterError, positive};
+use crate::math::symmetric::SymmetricMatrix;
 use crate::observer::feedback::{Neighbour, ObserverParams};
 use crate::observer::outer_law::OuterLawParams;
 use crate::observer::projection::ProjectionParams;
@@ -47,6 +48,27 @@ impl<'a, const N: usize> AgentParams<'a, N> {
     #[must_use]
     pub fn with_restart_silence(self, restart_silence: Tick) -> Self {
         Self { restart_silence, ..self }
+    }
+
+    /// The same with neighbours and `Gamma` that lie elsewhere: copies of what was checked.
+    #[inline(always)] // A node does it in every step, and a call copies everything once more.
+    pub(crate) fn relocated<'b>(
+        &self,
+        neighbours: &'b [Neighbour],
+        outer_gain: SymmetricMatrix<'b>,
+    ) -> AgentParams<'b, N> {
+        AgentParams {
+            id: self.id,
+            step_size: self.step_size,
+            observer: ObserverParams {
+                output_matrix: self.observer.output_matrix.clone(),
+                gain: self.observer.gain,
+                neighbours,
+            },
+            outer_law: OuterLawParams { gain: outer_gain, projection: self.outer_law.projection },
+            trigger: self.trigger,
+            restart_silence: self.restart_silence,
+        }
     }
 
     /// The agent's number.

@@ -2,7 +2,7 @@
 
 use super::AgentParams;
 use super::AgentState;
-use crate::agent::hold::Hold;
+use crate::agent::hold::HoldSlots;
 use crate::agent::region::Region;
 use crate::math::numeric::{components, zeros};
 use crate::math::parameter::{ParameterError, finite};
@@ -11,7 +11,7 @@ use crate::{StateVector, Tick};
 
 impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S>
 where
-    S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+    S: HoldSlots<N>,
 {
     /// Begins anew with the estimate `x_hat(t_(k+1))` and the outer weights `W_hat(t_(k+1))`, row
     /// by row, shape `[L, N]`; `tick` is `k`, that of the last attempt at a step, whatever came of

@@ -41,7 +41,7 @@
 //! Samples of neighbours outside the plausible region are dropped, or they would carry it off again.
 //! A network that was not trained has a box without limits, and so a plausible region without: then
 //! only overflows lead to a restart, and every finite frame is believed.
-//! [`Health::restart`] does all of it; `docs/decisions/0009-beginning-anew.md` has the measurements.
+//! [`Health::restart`] does all of it; `docs/decisions/0009-restarts.md` has the measurements.
 //!
 //! Everything is a function of the steps' outcomes: nodes that see the same do the same.
 //!
@@ -54,13 +54,15 @@
 mod counters;
 mod params;
 mod probation;
+mod watched;
 
 pub use counters::HealthCounters;
 pub use params::{FallBack, HealthParams, HealthSettings};
 pub use probation::Probation;
+pub use watched::{WatchedAgent, WatchedStep};
 
 use crate::Tick;
-use crate::agent::hold::Hold;
+use crate::agent::hold::HoldSlots;
 use crate::agent::inbox::Inbox;
 use crate::agent::{AgentParams, AgentState, StepError, StepOutput};
 use crate::math::parameter::ParameterError;
@@ -111,7 +113,7 @@ impl Health {
         state: &AgentState<N, FEATURES, S>,
     ) -> Advice
     where
-        S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+        S: HoldSlots<N>,
     {
         // Whether the step was unhealthy, and for how many steps in a row the agent is lost.
         let (unhealthy, lost) = match outcome {
@@ -158,7 +160,7 @@ impl Health {
         state: &AgentState<N, FEATURES, S>,
     ) -> (Option<bool>, bool)
     where
-        S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+        S: HoldSlots<N>,
     {
         let outside = !params.trained.contains(state.estimate());
         let lost = outside && !params.plausible.contains(state.estimate());
@@ -253,8 +255,8 @@ impl Health {
         outer_weights: &[f32],
     ) -> Result<Frame<N>, ParameterError>
     where
-        S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
-        I: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+        S: HoldSlots<N>,
+        I: HoldSlots<N>,
     {
         let frame = state.restart(agent, tick, params.trained.centre(), outer_weights)?;
         state.forget_neighbours_outside(&params.plausible);
@@ -280,8 +282,7 @@ impl Health {
     ) -> Option<HealthCounters> {
         let interval = Tick::from(params.telemetry_interval);
         let early = self.last_report.is_some_and(|last| tick.saturating_sub(last) < interval);
-        // Arrays are compared in a loop, fields one after another.
-        if early || self.counters.to_array() == self.reported.to_array() {
+        if early || !self.counters.differ_from(&self.reported) {
             return None;
         }
         self.last_report = Some(tick);

@@ -41,7 +41,7 @@ pub struct HealthSettings {
 
 impl HealthSettings {
     /// What does no harm to a plant that its network was trained for, and ends what no plant does:
-    /// docs/decisions/0009-beginning-anew.md has the measurements. The network is never left out;
+    /// docs/decisions/0009-restarts.md has the measurements. The network is never left out;
     /// reports come at most every 1,000 steps.
     pub const RECOMMENDED: Self = Self {
         fall_back: None,

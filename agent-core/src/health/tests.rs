@@ -3,6 +3,7 @@
 use core::num::NonZeroU32;
 
 use super::*;
+use crate::agent::hold::Hold;
 use crate::agent::region::Region;
 use crate::agent::region::StateBox;
 use crate::math::activation::Activation;
@@ -406,4 +407,15 @@ fn a_box_of_one_point_and_one_without_limits_make_every_finite_estimate_plausibl
         };
         assert_eq!(*rig.health.counters(), expected);
     }
+}
+
+#[test]
+fn each_name_in_the_table_is_that_of_its_field() {
+    let counters =
+        HealthCounters { outside_box: 1, frames_stale: 12, restarts: 15, ..<_>::default() };
+    let values = counters.to_array();
+    let found = HealthCounters::TABLE.iter().zip(values).filter(|(_, count)| *count > 0);
+    let expected = [("outside_box", 1), ("frames_stale", 12), ("restarts", 15)];
+    assert!(found.map(|((name, _), count)| (*name, count)).eq(expected));
+    assert_eq!(HealthCounters::from_array(values), counters);
 }

@@ -26,6 +26,15 @@ impl<'a> Package<'a> {
         Self::from_envelope(&Envelope::open(bytes)?)
     }
 
+    /// The package in bytes that were decoded before and have not changed since; see
+    /// [`Envelope::open_unchanged`].
+    ///
+    /// # Errors
+    /// Whatever [`PackageError`] lists, but for checksums.
+    pub fn decode_unchanged(bytes: &'a [u8]) -> Result<Self, PackageError> {
+        Self::from_envelope(&Envelope::open_unchanged(bytes)?)
+    }
+
     /// The package in an envelope.
     ///
     /// # Errors

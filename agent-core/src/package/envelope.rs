@@ -46,6 +46,23 @@ impl<'a> Envelope<'a> {
     /// [`PackageError::Length`], [`PackageError::Magic`], [`PackageError::FormatVersion`],
     /// [`PackageError::Checksum`] or [`PackageError::SignatureChecksum`].
     pub fn open(bytes: &'a [u8]) -> Result<Self, PackageError> {
+        Self::split(bytes, true)
+    }
+
+    /// Takes apart what was opened before and has not changed since, as a checksum over all of it
+    /// has shown: those in it are not computed again.
+    ///
+    /// # Errors
+    /// [`PackageError::Length`], [`PackageError::Magic`] or [`PackageError::FormatVersion`].
+    pub fn open_unchanged(bytes: &'a [u8]) -> Result<Self, PackageError> {
+        Self::split(bytes, false)
+    }
+
+    #[inline(never)]
+    fn split(bytes: &'a [u8], is_in_doubt: bool) -> Result<Self, PackageError> {
+        let matches = |parts: &[&[u8]], checksum: [u8; CHECKSUM_LENGTH]| {
+            !is_in_doubt || crc32(parts) == u32::from_le_bytes(checksum)
+        };
         let too_short = PackageError::Length { expected: HEADER_LENGTH, found: bytes.len() };
         let (covered, rest) = bytes.split_first_chunk::<COVERED_LENGTH>().ok_or(too_short)?;
         let (&checksum, rest) = rest.split_first_chunk::<CHECKSUM_LENGTH>().ok_or(too_short)?;
@@ -62,13 +79,20 @@ impl<'a> Envelope<'a> {
             found: bytes.len(),
         };
         let (body, block) = rest.split_at_checked(length).ok_or(wrong_length)?;
-        if crc32(&[covered, body]) != u32::from_le_bytes(checksum) {
+        if !matches(&[covered, body], checksum) {
             return Err(PackageError::Checksum);
         }
         let signed_part = bytes.get(..HEADER_LENGTH + length).ok_or(wrong_length)?;
         let signature = match block {
             [] => None,
-            block => Some(open_signature(block).ok_or(wrong_length)??),
+            block => {
+                let (signature, checksum) =
+                    block.split_first_chunk::<SIGNATURE_LENGTH>().ok_or(wrong_length)?;
+                if !matches(&[signature], checksum.try_into().map_err(|_| wrong_length)?) {
+                    return Err(PackageError::SignatureChecksum);
+                }
+                Some(signature)
+            }
         };
         Ok(Self { body, signed_part, signature })
     }
@@ -87,17 +111,6 @@ impl Envelope<'_> {
         [signed, unsigned]
             .into_iter()
             .find(|&length| bytes.get(..length).is_some_and(|bytes| Envelope::open(bytes).is_ok()))
-    }
-}
-
-/// `None` if the block has the wrong length.
-fn open_signature(block: &[u8]) -> Option<Result<&[u8; SIGNATURE_LENGTH], PackageError>> {
-    let (signature, checksum) = block.split_first_chunk::<SIGNATURE_LENGTH>()?;
-    let checksum = u32::from_le_bytes(checksum.try_into().ok()?);
-    if crc32(&[signature]) == checksum {
-        Some(Ok(signature))
-    } else {
-        Some(Err(PackageError::SignatureChecksum))
     }
 }
 

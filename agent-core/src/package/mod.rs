@@ -34,7 +34,7 @@ pub use accept::{Capacity, InUse, Refusal, Requirements, accept};
 pub use encode::EncodeError;
 pub use envelope::{Envelope, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH, signature_block};
 pub use error::PackageError;
-pub use place::NetworkPlace;
+pub use place::{NetworkPlace, ParamsPlace};
 
 use serde::{Deserialize, Serialize};
 
@@ -252,9 +252,6 @@ impl AgentConfig<'_> {
         for (place, neighbour) in neighbours.iter_mut().zip(self.neighbours()) {
             *place = neighbour;
         }
-        if self.edge_weights.len() != found {
-            return Err(length("edge_weights", found, self.edge_weights.len()));
-        }
         let entries = self.outer_law.gain.entries();
         let capacity = gain.len();
         let gain = gain.get_mut(..entries.len()).ok_or(length(
@@ -263,6 +260,26 @@ impl AgentConfig<'_> {
             entries.len(),
         ))?;
         gain.copy_from_slice(entries);
+        let gain = match self.outer_law.gain {
+            SymmetricMatrix::Scalar(entry) => SymmetricMatrix::Scalar(entry),
+            SymmetricMatrix::Diagonal(_) => SymmetricMatrix::Diagonal(gain),
+            SymmetricMatrix::Full(_) => SymmetricMatrix::Full(gain),
+        };
+        self.joined(neighbours, gain)
+    }
+
+    /// The agent's parameters with neighbours and `Gamma` that have been put somewhere.
+    fn joined<'b, const N: usize>(
+        &self,
+        neighbours: &'b [Neighbour],
+        gain: SymmetricMatrix<'b>,
+    ) -> Result<AgentParams<'b, N>, ParameterError> {
+        let length =
+            |parameter, expected, found| ParameterError::Length { parameter, expected, found };
+        let (expected, found) = (self.neighbours.len(), self.edge_weights.len());
+        if expected != found {
+            return Err(length("edge_weights", expected, found));
+        }
         if !self.output_matrix.len().is_multiple_of(N) {
             return Err(length("output_matrix", self.outputs(N) * N, self.output_matrix.len()));
         }
@@ -276,11 +293,6 @@ impl AgentConfig<'_> {
             output_matrix: OutputMatrix::of(rows)?,
             gain: self.gain.unfold(),
             neighbours,
-        };
-        let gain = match self.outer_law.gain {
-            SymmetricMatrix::Scalar(entry) => SymmetricMatrix::Scalar(entry),
-            SymmetricMatrix::Diagonal(_) => SymmetricMatrix::Diagonal(gain),
-            SymmetricMatrix::Full(_) => SymmetricMatrix::Full(gain),
         };
         let outer_law = OuterLawParams { gain, projection: self.outer_law.projection };
         AgentParams::new(self.agent, self.step_size, observer, outer_law, self.trigger)

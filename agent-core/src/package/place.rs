@@ -1,12 +1,18 @@
-//! Where a network lies, for those who cannot hold on to a reference.
+//! Where a network and `Gamma` lie, for a node that cannot hold on to a reference.
 //!
 //! A node writes one slot of its flash while it works from the other, and no safe reference into
 //! a flash can outlive a write to it. So a node keeps the place, and turns it into a network
 //! anew for every step, which costs some 30 operations and checks nothing but that the bytes reach
 //! that far.
 
-use super::Package;
+use core::ops::Range;
+
 use super::decode::WORD;
+use super::{AgentConfig, Package};
+use crate::agent::AgentParams;
+use crate::math::parameter::ParameterError;
+use crate::math::symmetric::SymmetricMatrix;
+use crate::observer::feedback::Neighbour;
 use crate::observer::network::{Architecture, InnerNetwork};
 
 /// The inner network of a package that has been decoded, as a place in its bytes.
@@ -23,14 +29,8 @@ impl NetworkPlace {
     /// not.
     #[must_use]
     pub fn new(package: &Package<'_>, bytes: &[u8]) -> Option<Self> {
-        let parameters = package.network.parameters();
-        let start = parameters.as_ptr().addr().checked_sub(bytes.as_ptr().addr())?;
-        let place = Self {
-            architecture: package.network.architecture().clone(),
-            start,
-            end: start + WORD * parameters.len(),
-        };
-        (bytes.len() >= place.end).then_some(place)
+        let Range { start, end } = range_in(bytes, package.network.parameters())?;
+        Some(Self { architecture: package.network.architecture().clone(), start, end })
     }
 
     /// The network, in the same bytes.
@@ -62,4 +62,105 @@ impl NetworkPlace {
     pub fn architecture(&self) -> &Architecture {
         &self.architecture
     }
+}
+
+/// An agent's parameters without a reference into its package: the neighbours are copied, in
+/// `NEIGHBOURS` places, and `Gamma`, which may have `L^2` entries, is found again in the package's
+/// bytes. [`AgentParams`] are made of it for every step; that copies them and checks nothing.
+#[derive(Clone, Debug)]
+pub struct ParamsPlace<const N: usize, const NEIGHBOURS: usize> {
+    /// Without neighbours.
+    params: AgentParams<'static, N>,
+    neighbours: heapless::Vec<Neighbour, NEIGHBOURS>,
+    outer_gain: GainPlace,
+}
+
+#[derive(Clone, Debug)]
+enum GainPlace {
+    /// Not in a package.
+    Elsewhere(SymmetricMatrix<'static>),
+    /// These bytes of the package.
+    Diagonal(Range<usize>),
+    /// These bytes of the package.
+    Full(Range<usize>),
+}
+
+impl<const N: usize, const NEIGHBOURS: usize> ParamsPlace<N, NEIGHBOURS> {
+    /// The parameters in `package`, which was decoded from `bytes`.
+    ///
+    /// # Errors
+    /// What [`AgentConfig::params`] refuses, too many neighbours, or a package that was decoded
+    /// from other bytes.
+    pub fn new(package: &Package<'_>, bytes: &[u8]) -> Result<Self, ParameterError> {
+        let place = |entries: &[f32]| {
+            let range = range_in(bytes, entries);
+            range.ok_or(ParameterError::Length {
+                parameter: "bytes of the package",
+                expected: WORD * entries.len(),
+                found: bytes.len(),
+            })
+        };
+        let outer_gain = match package.node.outer_law.gain {
+            SymmetricMatrix::Scalar(entry) => GainPlace::Elsewhere(SymmetricMatrix::Scalar(entry)),
+            SymmetricMatrix::Diagonal(entries) => GainPlace::Diagonal(place(entries)?),
+            SymmetricMatrix::Full(entries) => GainPlace::Full(place(entries)?),
+        };
+        Self::with_gain(&package.node, outer_gain)
+    }
+
+    /// The parameters of an agent that is built into the firmware.
+    ///
+    /// # Errors
+    /// As for [`Self::new`].
+    pub fn built_in(config: &AgentConfig<'static>) -> Result<Self, ParameterError> {
+        Self::with_gain(config, GainPlace::Elsewhere(config.outer_law.gain))
+    }
+
+    fn with_gain(config: &AgentConfig<'_>, outer_gain: GainPlace) -> Result<Self, ParameterError> {
+        let mut neighbours = heapless::Vec::new();
+        for neighbour in config.neighbours() {
+            neighbours.push(neighbour).map_err(|_| ParameterError::Length {
+                parameter: "observer.neighbours",
+                expected: NEIGHBOURS,
+                found: config.neighbours.len(),
+            })?;
+        }
+        let params = config
+            .joined::<N>(&neighbours, config.outer_law.gain)?
+            .relocated(&[], SymmetricMatrix::Diagonal(&[]));
+        Ok(Self { params, neighbours, outer_gain })
+    }
+
+    /// The parameters; `bytes` are those of the package, or nothing for an agent that is built in.
+    /// `None` if they do not reach as far as `Gamma`.
+    #[inline(always)] // A call would copy the parameters twice.
+    #[must_use]
+    pub fn params<'a>(&'a self, bytes: &'a [u8]) -> Option<AgentParams<'a, N>> {
+        let words = |range: &Range<usize>| bytemuck::try_cast_slice(bytes.get(range.clone())?).ok();
+        let outer_gain = match &self.outer_gain {
+            GainPlace::Elsewhere(gain) => *gain,
+            GainPlace::Diagonal(range) => SymmetricMatrix::Diagonal(words(range)?),
+            GainPlace::Full(range) => SymmetricMatrix::Full(words(range)?),
+        };
+        Some(self.params.relocated(&self.neighbours, outer_gain))
+    }
+
+    /// The neighbours, in the order of an inbox's places.
+    #[must_use]
+    pub fn neighbours(&self) -> &[Neighbour] {
+        &self.neighbours
+    }
+
+    /// `dt`. \[s\]
+    #[must_use]
+    pub fn step_size(&self) -> f32 {
+        self.params.step_size()
+    }
+}
+
+/// Where `numbers` lie in `bytes`; `None` if they do not.
+fn range_in(bytes: &[u8], numbers: &[f32]) -> Option<Range<usize>> {
+    let start = numbers.as_ptr().addr().checked_sub(bytes.as_ptr().addr())?;
+    let end = start + WORD * numbers.len();
+    (bytes.len() >= end).then_some(start..end)
 }

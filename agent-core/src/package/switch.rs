@@ -2,7 +2,7 @@
 //! continuous `Phi_hat` jumps while the estimate goes on.
 
 use super::{OnSwitch, Package};
-use crate::agent::hold::Hold;
+use crate::agent::hold::HoldSlots;
 use crate::agent::inbox::Inbox;
 use crate::agent::{AgentParams, AgentState};
 use crate::math::parameter::ParameterError;
@@ -10,7 +10,7 @@ use crate::observer::feedback::Neighbour;
 
 impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S>
 where
-    S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+    S: HoldSlots<N>,
 {
     /// Prepares the next step for `package`, whose parameters are `new`, after steps with the
     /// neighbours `old`. The estimate goes on. The adapted outer weights go on, too, unless the
@@ -28,7 +28,7 @@ where
         inbox: &mut Inbox<N, I>,
     ) -> Result<(), ParameterError>
     where
-        I: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>,
+        I: HoldSlots<N>,
     {
         let (expected, found) = (self.neighbour_holds().len(), new.neighbours().len());
         if expected != found {

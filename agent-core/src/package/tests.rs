@@ -163,6 +163,30 @@ fn every_single_bit_flip_and_every_truncation_is_refused() {
 }
 
 #[test]
+fn an_unchanged_package_is_decoded_without_its_checksums() {
+    let content = Content::new();
+    let unsigned = encoded(&content.package());
+    let signed = [unsigned.bytes(), &signature_block(&[0x5a; 64])].concat();
+    for bytes in [unsigned.bytes(), &signed] {
+        let copy = Aligned::new(bytes);
+        assert_eq!(Package::decode_unchanged(copy.bytes()), Package::decode(copy.bytes()));
+        let mut damaged = bytes.to_vec();
+        // The header's checksum and, if there is one, the signature's.
+        damaged[8] ^= 1;
+        *damaged.last_mut().unwrap() ^= 1;
+        let damaged = Aligned::new(&damaged);
+        assert_eq!(Package::decode(damaged.bytes()), Err(PackageError::Checksum));
+        if bytes.len() > unsigned.length {
+            assert_eq!(Package::decode_unchanged(damaged.bytes()), Ok(content.package()));
+        }
+        // All else is refused as ever.
+        let cut = Aligned::new(&bytes[..bytes.len() - 1]);
+        let refused = Package::decode_unchanged(cut.bytes());
+        assert!(matches!(refused, Err(PackageError::Length { .. })));
+    }
+}
+
+#[test]
 fn a_package_is_found_at_the_beginning_of_a_slot() {
     let unsigned = encoded(&Content::new().package());
     let signed = [unsigned.bytes(), &signature_block(&[0x5a; 64])].concat();

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize, Serializer};
 
 use super::{Problem, RefusalReport, Upload};
 use crate::agent::StepError;
-use crate::health::HealthCounters;
+use crate::health::{HealthCounters, WatchedStep};
 use crate::store::Slot;
 use crate::{AgentId, StateVector, Tick};
 
@@ -151,6 +151,16 @@ impl From<&StepError> for Outcome {
             StepError::MeasurementNotFinite { .. } => Self::MeasurementNotFinite,
             StepError::Diverged => Self::Diverged,
             _ => Self::Refused,
+        }
+    }
+}
+
+impl<const N: usize> From<&WatchedStep<N>> for Outcome {
+    fn from(step: &WatchedStep<N>) -> Self {
+        match step {
+            WatchedStep::Taken(_) => Self::Stepped,
+            WatchedStep::Refused(error) => Self::from(error),
+            WatchedStep::Restarted(_) => Self::Restarted,
         }
     }
 }

@@ -325,9 +325,10 @@ impl<F: MappedFlash> Store<F> {
             self.upload = None;
             return Err(error.into());
         }
-        // Neither is missing: the slot holds `length` bytes, and that is not 0.
+        // What was received, whatever has become of the flash since: activating compares it.
+        let extent = upload.extent();
+        // Not missing: the slot holds `length` bytes.
         let bytes = bytes_at(&self.flash, offset, length).ok_or(StoreError::Damaged)?;
-        let extent = Extent::of(bytes).ok_or(StoreError::Damaged)?;
         let package = check(bytes).map_err(CheckedError::Refused)?;
         let staged = self.contents.with_package(slot, Some(extent));
         self.commit(Contents { phase: Phase::Staged, ..staged })?;
@@ -402,6 +403,12 @@ impl<F: MappedFlash> Store<F> {
     #[inline]
     pub fn bytes(&self, slot: Slot) -> Option<&[u8]> {
         bytes_at(&self.flash, self.layout.slot(slot), self.contents.package(slot)?.length)
+    }
+
+    /// The CRC-32 of the recorded package in a slot, as it is recorded.
+    #[must_use]
+    pub fn checksum(&self, slot: Slot) -> Option<u32> {
+        Some(self.contents.package(slot)?.checksum)
     }
 
     /// The flash driver.

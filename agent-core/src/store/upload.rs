@@ -4,11 +4,13 @@
 //! erasure that was cut can look finished and not be. Whole words go straight from the chunk to
 //! the flash and are read back; the rest of a chunk waits for its word to become full.
 //!
-//! Memory: one word of 32 bytes. Cost of a chunk: its bytes once written and once compared, and
-//! an erasure for each unit that it enters.
+//! Memory: one word of 32 bytes. Cost of a chunk: its bytes once written, once compared and once in
+//! the checksum, and an erasure for each unit that it enters.
 
 use super::flash::{MappedFlash, WORD_LENGTH_MAX, bytes_at, driver_error, erase_unit};
+use super::record::Extent;
 use super::{Slot, StoreError};
+use crate::wire::crc::Checksum;
 
 /// An unfinished upload.
 #[derive(Clone, Debug)]
@@ -20,6 +22,8 @@ pub(super) struct Upload {
     pub(super) length: u32,
     /// How many have come.
     pub(super) received: u32,
+    /// The checksum of those.
+    checksum: Checksum,
     /// How many lie in flash, whole words.
     written: u32,
     /// The first `received - written` bytes of the next word.
@@ -28,7 +32,13 @@ pub(super) struct Upload {
 
 impl Upload {
     pub(super) fn new(slot: Slot, start: u32, length: u32) -> Self {
-        Self { slot, start, length, received: 0, written: 0, word: [0; WORD_LENGTH_MAX] }
+        let word = [0; WORD_LENGTH_MAX];
+        Self { slot, start, length, received: 0, checksum: Checksum::new(), written: 0, word }
+    }
+
+    /// What has been received, for the record.
+    pub(super) fn extent(&self) -> Extent {
+        Extent { length: self.received, checksum: self.checksum.clone().finish() }
     }
 
     /// Which of `bytes`, to lie at `offset`, are new; the others must be what has come before.
@@ -72,6 +82,7 @@ impl Upload {
         let waiting = self.received.saturating_sub(self.written) as usize;
         // What the caller has counted fits into 32 bits.
         self.received = self.received.wrapping_add(bytes.len() as u32);
+        self.checksum.update(bytes);
         if waiting > 0 {
             let room = self.word.get_mut(waiting..F::WRITE_SIZE).unwrap_or_default();
             let taken = room.len().min(rest.len());

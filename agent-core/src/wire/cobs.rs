@@ -15,7 +15,7 @@
 
 use postcard::ser_flavors::Flavor;
 
-use crate::wire::crc::{CHECKSUM_LENGTH, Checksum, checksum, crc32};
+use crate::wire::crc::{CHECKSUM_LENGTH, Checksum, crc32};
 
 /// Ends every message, and is nowhere else.
 pub const DELIMITER: u8 = 0;
@@ -32,6 +32,7 @@ pub const fn encoded_length_max(length: usize) -> usize {
 }
 
 /// Encodes one message piece by piece into `sink`, which gets one block at a time.
+#[derive(Debug)]
 pub struct Encoder<S> {
     sink: S,
     checksum: Checksum,
@@ -45,7 +46,7 @@ impl<S: FnMut(&[u8])> Encoder<S> {
     /// Begins a message.
     pub fn new(sink: S) -> Self {
         let block = [0; BLOCK_LENGTH_MAX as usize + 1];
-        Self { sink, checksum: checksum(), block, length: 0 }
+        Self { sink, checksum: Checksum::new(), block, length: 0 }
     }
 
     /// Takes the message's next bytes.
@@ -57,7 +58,7 @@ impl<S: FnMut(&[u8])> Encoder<S> {
 
     /// Ends the message.
     pub fn finish(mut self) {
-        let checksum = self.checksum.clone().finalize().to_le_bytes();
+        let checksum = self.checksum.clone().finish().to_le_bytes();
         self.stuff(&checksum);
         self.end_block();
         (self.sink)(&[DELIMITER]);

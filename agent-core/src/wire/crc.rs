@@ -12,21 +12,42 @@ pub const CHECKSUM_LENGTH: usize = 4;
 /// One table of 1 KiB, in flash.
 static ALGORITHM: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 
-/// The checksum of bytes that come piece by piece.
-pub(crate) type Checksum = Digest<'static, u32, Table<1>>;
-
-/// The checksum of no byte.
-pub(crate) fn checksum() -> Checksum {
-    ALGORITHM.digest()
+/// The checksum of all `parts`, one after another.
+// One copy of the loop, which the optimiser unrolls.
+#[inline(never)]
+#[must_use]
+pub fn crc32(parts: &[&[u8]]) -> u32 {
+    let mut checksum = Checksum::new();
+    parts.iter().for_each(|part| checksum.update(part));
+    checksum.finish()
 }
 
-/// The checksum of all `parts`, one after another.
-#[must_use]
-#[inline(never)]
-pub fn crc32(parts: &[&[u8]]) -> u32 {
-    let mut checksum = checksum();
-    parts.iter().for_each(|part| checksum.update(part));
-    checksum.finalize()
+/// The checksum of bytes that come piece by piece.
+#[derive(Clone)]
+pub(crate) struct Checksum(Digest<'static, u32, Table<1>>);
+
+impl Checksum {
+    /// That of no byte.
+    pub(crate) fn new() -> Self {
+        Self(ALGORITHM.digest())
+    }
+
+    /// Takes the next bytes.
+    #[inline]
+    pub(crate) fn update(&mut self, bytes: &[u8]) {
+        self.0.update(bytes);
+    }
+
+    /// The checksum of all bytes so far.
+    pub(crate) fn finish(self) -> u32 {
+        self.0.finalize()
+    }
+}
+
+impl core::fmt::Debug for Checksum {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "Checksum({:08x})", self.clone().finish())
+    }
 }
 
 #[cfg(test)]

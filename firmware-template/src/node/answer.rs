@@ -1,12 +1,13 @@
 //! Requests and their answers.
 
 use agent_core::health::Probation;
+use agent_core::package::{Package, Refusal};
 use agent_core::service::{Problem, Upload, receive};
 use agent_core::store::MappedFlash;
 use agent_core::{StateVector, Tick};
 
-use super::load::decoded;
-use super::{Event, Next, Node, Request, Response, Rows, Session, respond};
+use super::load::Verified;
+use super::{Event, Next, Node, Request, Response, Rows, respond};
 use crate::board::Board;
 
 /// The answer to a request, and what follows from it.
@@ -17,25 +18,19 @@ impl<
     const N: usize,
     const FEATURES: usize,
     const NEIGHBOURS: usize,
-    const GAINS: usize,
     const SAMPLES: usize,
-> Node<'_, F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
+> Node<'_, F, N, FEATURES, NEIGHBOURS, SAMPLES>
 {
     /// Does what is asked for, and answers. Its stack is not to add to a turn's.
     #[inline(never)]
-    pub(super) fn answer<B: Board>(
-        &mut self,
-        session: Option<&Session<'_, N>>,
-        board: &mut B,
-        bytes: &[u8],
-    ) -> Next {
+    pub(super) fn answer<B: Board>(&mut self, board: &mut B, bytes: &[u8]) -> Next {
         let answer = match receive::<Request<'_>>(bytes) {
             None => Err(Problem::Unknown),
             Some(Request::Samples { from, most }) => {
                 let next = self.send_samples(board, from, most);
                 Ok((Response::SamplesEnd { next }, Next::Continue))
             }
-            Some(Request::StartAt { estimate }) => self.start(session, board, &estimate),
+            Some(Request::StartAt { estimate }) => self.start(board, &estimate),
             Some(request) => self.carry_out(&request),
         };
         match answer {
@@ -86,10 +81,12 @@ impl<
     }
 
     fn activate(&mut self) -> Answer<'static, N> {
-        let package = self.store.activate(decoded)?;
-        if let Some(slot) = self.store.in_use() {
-            self.in_use = Some(package.in_slot(slot));
-        }
+        // Staging has verified the package, and the store compares its bytes with the record.
+        let package = self.store.activate(|bytes| {
+            let package = Package::decode_unchanged(bytes)?;
+            Ok::<_, Refusal>(Verified::of(&package))
+        })?;
+        self.in_use = self.store.in_use().and_then(|slot| package.in_slot(slot, &self.store));
         let counters = self.health.counters();
         self.probation = Some(Probation::new(self.settings.good_steps, counters));
         Ok((Response::InUse { version: Some(package.version) }, Next::Switch))
@@ -99,27 +96,24 @@ impl<
         let slot = self.store.revert()?;
         self.probation = None;
         self.in_use = slot.and_then(|slot| {
-            let package = decoded(self.store.bytes(slot)?).ok()?;
-            Some(package.in_slot(slot))
+            let package = Package::decode(self.store.bytes(slot)?).ok()?;
+            Verified::of(&package).in_slot(slot, &self.store)
         });
         let version = self.in_use.map(|package| package.version);
         Ok((Response::InUse { version }, Next::Switch))
     }
 
     /// Goes on from another estimate, and lets the neighbours know.
-    fn start<B: Board>(
-        &mut self,
-        session: Option<&Session<'_, N>>,
-        board: &mut B,
-        estimate: &[f32],
-    ) -> Answer<'static, N> {
-        let session = session.ok_or(Problem::NoPackage)?;
-        let estimate: &[f32; N] = estimate.try_into().map_err(|_| Problem::Estimate)?;
-        if !self.start_at(session, StateVector::from(*estimate)) {
-            return Err(Problem::Estimate);
+    fn start<B: Board>(&mut self, board: &mut B, estimate: &[f32]) -> Answer<'static, N> {
+        if self.memory.session.is_none() {
+            return Err(Problem::NoPackage);
         }
-        self.announce(session, board);
-        Ok((Response::Done, Next::Continue))
+        let estimate: &[f32; N] = estimate.try_into().map_err(|_| Problem::Estimate)?;
+        match self.start_at(board, StateVector::from(*estimate)) {
+            Some(true) => Ok((Response::Done, Next::Continue)),
+            Some(false) => Err(Problem::Estimate),
+            None => Err(Problem::NoPackage),
+        }
     }
 
     /// Sends at most `most` samples from the tick `from` on; returns where to go on.

@@ -7,25 +7,26 @@ use agent_core::health::HealthParams;
 use agent_core::observer::feedback::Neighbour;
 use agent_core::observer::network::Scratch;
 use agent_core::package::{
-    Capacity, Envelope, InUse, NetworkPlace, Package, PackageError, Refusal, Requirements, accept,
+    AgentConfig, Capacity, Envelope, InUse, NetworkPlace, Package, ParamsPlace, Refusal,
+    Requirements, accept,
 };
 use agent_core::service::RefusalReport;
 use agent_core::store::{self, MappedFlash, Store};
-use agent_core::wire::crc::crc32;
 
-use super::{Agent, InUsePackage, Node, ParamBuffers, Session};
+use super::{Agent, Counts, InUsePackage, Memory, Node, Session, count};
+use crate::board::Board;
 
 impl<
     F: MappedFlash,
     const N: usize,
     const FEATURES: usize,
     const NEIGHBOURS: usize,
-    const GAINS: usize,
     const SAMPLES: usize,
-> Node<'_, F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
+> Node<'_, F, N, FEATURES, NEIGHBOURS, SAMPLES>
 {
+    /// `Gamma` stays in the package and needs no place.
     const CAPACITY: Capacity =
-        Capacity { features: FEATURES, neighbours: NEIGHBOURS, gain_entries: GAINS };
+        Capacity { features: FEATURES, neighbours: NEIGHBOURS, gain_entries: usize::MAX };
 
     /// Takes what the flash holds into use, after all checks.
     pub(super) fn load(&mut self) {
@@ -47,7 +48,7 @@ impl<
             let length = |slot: &[u8]| u32::try_from(Envelope::length_in(slot)?).ok();
             store.salvage(length, check, |new: &Verified, old| new.version > old.version)
         });
-        self.in_use = found.map(|(slot, package)| package.in_slot(slot));
+        self.in_use = found.and_then(|(slot, package)| package.in_slot(slot, store));
     }
 
     /// Lets the upload become the staged package, if it passes all checks.
@@ -61,26 +62,32 @@ impl<
         store.stage(|bytes| verified::<N>(bytes, &requirements, &mut memory.scratch))
     }
 
-    /// Prepares the agent for what is in use, which follows on an agent with the neighbours `old`.
-    /// `None` if nothing is in use and nothing is built in.
+    /// Prepares the agent for what is in use. There is no session if nothing is in use and nothing
+    /// is built in.
     #[inline(never)]
-    pub(super) fn begin_session<'a>(
-        &mut self,
-        places: &'a mut ParamBuffers<NEIGHBOURS, GAINS>,
-        old: &[Neighbour],
-    ) -> Option<Session<'a, N>> {
-        let ParamBuffers { neighbours, gain } = places;
+    pub(super) fn begin_session(&mut self) {
+        let old = self.memory.session.take().map(|session| session.params);
+        self.memory.session = self.session_after(old.as_ref().map_or(&[], ParamsPlace::neighbours));
+    }
+
+    /// The next session, of an agent that had the neighbours `old`.
+    fn session_after(&mut self, old: &[Neighbour]) -> Option<Session<N, NEIGHBOURS>> {
         let slot = self.in_use.map(|package| package.slot);
-        let bytes = slot.and_then(|slot| self.store.bytes(slot));
-        let package = bytes.and_then(|bytes| Package::decode(bytes).ok());
-        let content = package.as_ref().map(|package| package.node).or(self.settings.fallback)?;
-        let params = content.params::<N>(neighbours, gain).ok()?;
+        let bytes = slot.and_then(|slot| self.store.bytes(slot)).unwrap_or_default();
+        // Loading, activating or reverting has just compared the bytes with a checksum.
+        let package = Package::decode_unchanged(bytes).ok();
+        let place = match &package {
+            Some(package) => ParamsPlace::new(package, bytes),
+            None => ParamsPlace::built_in(self.settings.fallback.as_ref()?),
+        }
+        .ok()?;
+        let params = place.params(bytes)?;
         let unlimited = ([f32::MIN; N], [f32::MAX; N]);
         let unlimited = StateBox { low: &unlimited.0, high: &unlimited.1 };
         let (trained_box, interval_min) = package.as_ref().map_or((unlimited, 0.0), |package| {
             (package.trained_box, package.broadcast_interval_min)
         });
-        let watch =
+        let health_params =
             HealthParams::new(&params, &trained_box, interval_min, &self.settings.health).ok()?;
 
         let agent = &mut self.memory.agent;
@@ -90,31 +97,42 @@ impl<
             });
         if !switched {
             let estimate =
-                if agent.begun { *agent.state.estimate() } else { watch.start_estimate() };
+                if agent.begun { *agent.state.estimate() } else { health_params.start_estimate() };
             let weights = package.as_ref().map_or(&[0.0; N][..], |package| package.outer_weights);
             agent.begun = agent.begin(&params, estimate, weights);
             agent.begun.then_some(())?;
         }
         let network = slot
-            .zip(bytes.zip(package))
-            .and_then(|(slot, (bytes, package))| Some((slot, NetworkPlace::new(&package, bytes)?)));
-        Some(Session { params, watch, network })
+            .zip(package)
+            .and_then(|(slot, package)| Some((slot, NetworkPlace::new(&package, bytes)?)));
+        Some(Session { params: place, health_params, network })
     }
 
-    /// Lets the agent go on from this estimate; returns whether it could.
-    pub(super) fn start_at(&mut self, session: &Session<'_, N>, estimate: StateVector<N>) -> bool {
-        let Self { store, memory, next_tick, .. } = self;
-        let zeros = [0.0; N];
-        let weights = session.outer_weights(store).unwrap_or(&zeros);
-        let agent = &mut memory.agent;
-        if agent.announced {
+    /// Lets the agent go on from this estimate and tells its neighbours; returns whether it could,
+    /// `None` if there is no agent.
+    pub(super) fn start_at<B: Board>(
+        &mut self,
+        board: &mut B,
+        estimate: StateVector<N>,
+    ) -> Option<bool> {
+        let Self { store, memory, next_tick, counts, .. } = self;
+        let Memory { agent, session, .. } = &mut **memory;
+        let session = session.as_ref()?;
+        let bytes = session.bytes(store);
+        let params = session.params.params(bytes)?;
+        let weights = session.outer_weights(bytes);
+        let started = if agent.announced {
             let tick = next_tick.saturating_sub(1);
-            let restarted = agent.state.restart(&session.params, tick, estimate, weights).is_ok();
+            let restarted = agent.state.restart(&params, tick, estimate, weights).is_ok();
             agent.announced = !restarted;
             restarted
         } else {
-            agent.begin(&session.params, estimate, weights)
+            agent.begin(&params, estimate, weights)
+        };
+        if started {
+            agent.announce(&params, board, counts);
         }
+        Some(started)
     }
 }
 
@@ -134,16 +152,35 @@ impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize>
             && self.inbox.places().resize(neighbours, None).is_ok()
             && self.state.begin(params, estimate, outer_weights).is_ok()
     }
+
+    /// Tells the neighbours the first sample, unless they know it.
+    pub(super) fn announce<B: Board>(
+        &mut self,
+        params: &AgentParams<'_, N>,
+        board: &mut B,
+        counts: &mut Counts,
+    ) {
+        if !self.announced {
+            self.announced = true;
+            let frame = self.state.announcement(params).encode();
+            if !board.broadcast(&frame) {
+                count(&mut counts.broadcasts_lost);
+            }
+        }
+    }
 }
 
-impl<const N: usize> Session<'_, N> {
-    /// The outer weights that the package in use brings along.
-    pub(super) fn outer_weights<'s, F: MappedFlash>(
-        &self,
-        store: &'s Store<F>,
-    ) -> Option<&'s [f32]> {
-        let (slot, place) = self.network.as_ref()?;
-        place.outer_weights(store.bytes(*slot)?)
+impl<const N: usize, const NEIGHBOURS: usize> Session<N, NEIGHBOURS> {
+    /// The bytes of the package in use; none for the built-in agent.
+    #[inline]
+    pub(super) fn bytes<'s, F: MappedFlash>(&self, store: &'s Store<F>) -> &'s [u8] {
+        self.network.as_ref().and_then(|(slot, _)| store.bytes(*slot)).unwrap_or_default()
+    }
+
+    /// The outer weights that the package in use brings along, in its bytes.
+    pub(super) fn outer_weights<'b>(&self, bytes: &'b [u8]) -> &'b [f32] {
+        let package = self.network.as_ref().and_then(|(_, place)| place.outer_weights(bytes));
+        package.unwrap_or(&[0.0; N])
     }
 }
 
@@ -152,23 +189,23 @@ impl<const N: usize> Session<'_, N> {
 pub(super) struct Verified {
     agent: agent_core::AgentId,
     pub(super) version: u32,
-    checksum: u32,
     step_size: f32,
 }
 
 impl Verified {
-    fn of(package: &Package<'_>, bytes: &[u8]) -> Self {
-        Self {
-            agent: package.node.agent,
-            version: package.version,
-            checksum: crc32(&[bytes]),
-            step_size: package.node.step_size,
-        }
+    pub(super) fn of(package: &Package<'_>) -> Self {
+        let AgentConfig { agent, step_size, .. } = package.node;
+        Self { agent, version: package.version, step_size }
     }
 
-    pub(super) fn in_slot(self, slot: store::Slot) -> InUsePackage {
-        let Self { agent, version, checksum, step_size } = self;
-        InUsePackage { agent, version, checksum, step_size, slot }
+    /// `None` if nothing is recorded in the slot.
+    pub(super) fn in_slot<F: MappedFlash>(
+        self,
+        slot: store::Slot,
+        store: &Store<F>,
+    ) -> Option<InUsePackage> {
+        let Self { agent, version, step_size } = self;
+        Some(InUsePackage { agent, version, checksum: store.checksum(slot)?, step_size, slot })
     }
 }
 
@@ -179,13 +216,5 @@ pub(super) fn verified<const N: usize>(
     requirements: &Requirements<'_>,
     scratch: &mut Scratch,
 ) -> Result<Verified, Refusal> {
-    let package = accept::<N>(bytes, requirements, scratch)?;
-    Ok(Verified::of(&package, bytes))
-}
-
-/// What a package that was verified before still has to pass: its bytes are the same, which the
-/// store has seen.
-pub(super) fn decoded(bytes: &[u8]) -> Result<Verified, Refusal> {
-    let package = Package::decode(bytes).map_err(|error: PackageError| Refusal::Package(error))?;
-    Ok(Verified::of(&package, bytes))
+    accept::<N>(bytes, requirements, scratch).map(|package| Verified::of(&package))
 }

@@ -1,7 +1,7 @@
 //! A whole node above its board: an agent, its weight packages, and what it says and is told.
 //!
-//! [`Node::run`] is the loop. What is due goes first: a step whenever the board says that a period
-//! has begun, then one request.
+//! [`Node::poll`] does one piece of work that is due: a step if the board says that a period has
+//! begun, or else one request. [`Node::run`] polls and rests in turn.
 //!
 //! ```text
 //!            frames                     requests
@@ -29,15 +29,14 @@ mod turn;
 use core::num::NonZeroU32;
 
 use agent_core::Tick;
+use agent_core::agent::AgentState;
 use agent_core::agent::capture::CaptureRing;
 use agent_core::agent::hold::Hold;
 use agent_core::agent::inbox::Inbox;
-use agent_core::agent::{AgentParams, AgentState};
 use agent_core::health::{Health, HealthParams, HealthSettings, Probation};
-use agent_core::observer::feedback::Neighbour;
 use agent_core::observer::network::Scratch;
 use agent_core::package::signature::PublicKey;
-use agent_core::package::{AgentConfig, NetworkPlace};
+use agent_core::package::{AgentConfig, NetworkPlace, ParamsPlace};
 use agent_core::service::{
     BoardFault, Event, Firmware, PROTOCOL_VERSION, PackageStatus, RefusalReport, Request, Response,
     Rows, Status, Subscription, send,
@@ -82,6 +81,7 @@ pub struct Memory<
     const SAMPLES: usize,
 > {
     agent: Agent<N, FEATURES, NEIGHBOURS>,
+    session: Option<Session<N, NEIGHBOURS>>,
     samples: CaptureRing<N, SAMPLES>,
     /// Where packages are tried out.
     scratch: Scratch,
@@ -99,7 +99,7 @@ impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize, const SAMPL
             begun: false,
             announced: false,
         };
-        Self { agent, samples: CaptureRing::new(), scratch: Scratch::NEW }
+        Self { agent, session: None, samples: CaptureRing::new(), scratch: Scratch::NEW }
     }
 }
 
@@ -111,7 +111,7 @@ impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize, const SAMPL
     }
 }
 
-/// A node; its numbers are those of its [`Memory`], and room for `GAINS` entries of `Gamma`.
+/// A node; its numbers are those of its [`Memory`].
 #[derive(Debug)]
 pub struct Node<
     'm,
@@ -119,7 +119,6 @@ pub struct Node<
     const N: usize,
     const FEATURES: usize,
     const NEIGHBOURS: usize,
-    const GAINS: usize,
     const SAMPLES: usize,
 > {
     settings: Settings,
@@ -129,6 +128,7 @@ pub struct Node<
     probation: Option<Probation>,
     subscription: Subscription,
     next_tick: Tick,
+    due: Due,
     in_use: Option<InUsePackage>,
     counts: Counts,
     refused_at_start: [Option<RefusalReport>; 2],
@@ -164,22 +164,41 @@ struct Counts {
     broadcasts_lost: u32,
 }
 
-/// What the parameters of a session are made of.
-#[derive(Clone, Copy, Debug)]
-struct ParamBuffers<const NEIGHBOURS: usize, const GAINS: usize> {
-    neighbours: [Neighbour; NEIGHBOURS],
-    gain: [f32; GAINS],
-}
-
 /// What does not change while one package is in use.
-struct Session<'a, const N: usize> {
-    params: AgentParams<'a, N>,
-    watch: HealthParams<N>,
+#[derive(Debug)]
+struct Session<const N: usize, const NEIGHBOURS: usize> {
+    params: ParamsPlace<N, NEIGHBOURS>,
+    health_params: HealthParams<N>,
     /// `None` for the built-in agent, which has no network.
     network: Option<(Slot, NetworkPlace)>,
 }
 
-/// How a request, or a session, ended.
+/// What a call of [`Node::poll`] led to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[must_use]
+pub enum Progress {
+    /// Something was done, and more may be due.
+    Worked,
+    /// Nothing is due: wait for a period or for a byte at the service port.
+    Idle,
+    /// The node has been told to reset: let go of it, and make another one.
+    Reset,
+}
+
+/// What [`Node::poll`] does next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Due {
+    Greeting,
+    /// Another package is in use.
+    Session,
+    /// A turn, if a period has begun, or else a request.
+    Turn,
+    /// A request, if there is one, or else a turn: after every turn, so that a node that is late
+    /// can still be told what to do.
+    Request,
+}
+
+/// What follows from a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Next {
     Continue,
@@ -194,9 +213,8 @@ impl<
     const N: usize,
     const FEATURES: usize,
     const NEIGHBOURS: usize,
-    const GAINS: usize,
     const SAMPLES: usize,
-> Node<'m, F, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>
+> Node<'m, F, N, FEATURES, NEIGHBOURS, SAMPLES>
 {
     /// The node as it finds itself after a reset: with the package in use that its flash holds. What
     /// `memory` held before is forgotten.
@@ -211,6 +229,7 @@ impl<
     ) -> Result<Self, LayoutError> {
         let store = Store::open(flash, settings.layout)?;
         memory.agent.begun = false;
+        memory.session = None;
         memory.samples.clear();
         let mut node = Self {
             store,
@@ -219,6 +238,7 @@ impl<
             probation: None,
             subscription: settings.subscription,
             next_tick: 0,
+            due: Due::Greeting,
             in_use: None,
             counts: Counts::default(),
             refused_at_start: [None; 2],
@@ -234,53 +254,91 @@ impl<
         self.board_fault = Some(fault);
     }
 
-    /// Lets the node work until it is told to reset: then let go of it, and begin anew.
+    /// Lets the node work until it is told to reset: then let go of it, and make another one.
     pub fn run<B: Board>(&mut self, board: &mut B) {
-        self.hello(board);
-        let mut old = heapless::Vec::<Neighbour, NEIGHBOURS>::new();
         loop {
-            let mut places = ParamBuffers {
-                neighbours: [Neighbour { id: 0, weight: 0.0 }; NEIGHBOURS],
-                gain: [0.0; GAINS],
-            };
-            let session = self.begin_session(&mut places, &old);
-            let next = self.session(session.as_ref(), board);
-            if next == Next::Reset {
-                return;
-            }
-            old.clear();
-            if let Some(session) = &session {
-                // As many as there are places.
-                let _ = old.extend_from_slice(session.params.neighbours());
+            match self.poll(board) {
+                Progress::Worked => {}
+                Progress::Idle => board.rest(),
+                Progress::Reset => return,
             }
         }
     }
 
-    fn session<B: Board>(&mut self, session: Option<&Session<'_, N>>, board: &mut B) -> Next {
-        if let Some(session) = session {
-            board.start(session.params.step_size());
-        }
-        let mut buffer: RequestBuffer = [0; _];
-        loop {
-            let periods = board.elapsed();
-            if periods > 0 {
-                self.turn(session, board, periods);
-                board.flush();
+    /// Does one piece of work that is due, if there is one, and never waits: says hello, takes a
+    /// package into use, takes a step, or answers a request.
+    ///
+    /// An asynchronous main calls this instead of [`run`](Self::run) and waits when nothing is due.
+    /// [`Clock::rest`](crate::Clock::rest) is not called, so such a board leaves it empty:
+    ///
+    /// ```
+    /// # use agent_core::store::MappedFlash;
+    /// # use firmware_template::{Board, Node, node::Progress};
+    /// # async fn period_or_byte() {}
+    /// # async fn other_tasks() {}
+    /// async fn node_task<F: MappedFlash>(mut node: Node<'_, F, 3, 8, 4, 64>, mut board: impl Board) {
+    ///     loop {
+    ///         match node.poll(&mut board) {
+    ///             // Other tasks get their turn between two pieces of work.
+    ///             Progress::Worked => other_tasks().await,
+    ///             // A ticker at the package's period, or a byte at the service port.
+    ///             Progress::Idle => period_or_byte().await,
+    ///             Progress::Reset => return,
+    ///         }
+    ///     }
+    /// }
+    /// ```
+    ///
+    /// The longest piece of work is to check a package or to erase a sector of flash, then a step:
+    /// `docs/performance.md` has the times. What must not wait for them belongs into an interrupt.
+    pub fn poll<B: Board>(&mut self, board: &mut B) -> Progress {
+        match self.due {
+            Due::Greeting => {
+                self.hello(board);
+                self.due = Due::Session;
+                return Progress::Worked;
             }
-            // One after every turn, too, so that a node that is late can still be told what to do.
-            match board.request(&mut buffer) {
-                None if periods > 0 => {}
-                None => board.rest(),
-                Some(Err(_)) => count(&mut self.counts.messages_damaged),
-                Some(Ok(bytes)) => {
-                    let next = self.answer(session, board, bytes);
-                    board.flush();
-                    if next != Next::Continue {
-                        return next;
-                    }
+            Due::Session => {
+                self.begin_session();
+                if let Some(session) = &self.memory.session {
+                    board.start(session.params.step_size());
+                }
+                self.due = Due::Turn;
+                return Progress::Worked;
+            }
+            Due::Request => {
+                self.due = Due::Turn;
+                if let Some(progress) = self.take_request(board) {
+                    return progress;
                 }
             }
+            Due::Turn => {}
         }
+        let periods = board.elapsed();
+        if periods > 0 {
+            self.turn(board, periods);
+            board.flush();
+            self.due = Due::Request;
+            return Progress::Worked;
+        }
+        self.take_request(board).unwrap_or(Progress::Idle)
+    }
+
+    /// Answers a request, if there is one.
+    fn take_request<B: Board>(&mut self, board: &mut B) -> Option<Progress> {
+        let mut buffer: RequestBuffer = [0; _];
+        let Ok(bytes) = board.request(&mut buffer)? else {
+            count(&mut self.counts.messages_damaged);
+            return Some(Progress::Worked);
+        };
+        let next = self.answer(board, bytes);
+        board.flush();
+        match next {
+            Next::Continue => {}
+            Next::Switch => self.due = Due::Session,
+            Next::Reset => return Some(Progress::Reset),
+        }
+        Some(Progress::Worked)
     }
 
     fn hello<B: Board>(&self, board: &mut B) {

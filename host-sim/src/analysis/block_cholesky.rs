@@ -1,26 +1,26 @@
-//! Is `M - s I` positive definite? By Cholesky's factorisation `M - s I = L L^T` of a
-//! [`BlockMatrix`], with an error bound that makes the answer certain.
+//! Decides whether `M - s I` is positive definite, by the Cholesky factorisation `M - s I = L L^T`
+//! of a [`BlockMatrix`] with a rigorous error bound.
 //!
-//! Sparse graphs are factored block by block in the order of [`Elimination`]; what is left as a
-//! dense block goes to the trainer's kernel. A graph that is nearly complete, with one weight `w`
-//! nearly everywhere, is taken as what it lacks: with the Laplacian `L_c` of weights `w - a_ij`,
+//! Sparse graphs are factored block by block in the order of [`Elimination`]; the remaining dense
+//! block goes to the trainer's kernel. A nearly complete graph, most of whose edges have the same
+//! weight `w`, is represented by its missing edges: with the Laplacian `L_c` of weights `w - a_ij`,
 //!
 //! ```text
 //! M = blockdiag(D_i + w N K) - L_c (x) K - U (N w K) U^T,   U = (1/sqrt(N)) [I .. I]^T
 //! ```
 //!
-//! is the Schur complement of `N w K` in a matrix with one more block, a hub that is joined to every
-//! agent: then a complete graph costs what a star does. The hub's matrix is positive definite if and
-//! only if `M` is, as `K` is. Vectors `(v, U^T v)` are at most `sqrt(2)` times as long as `v`, so
-//! errors count twice.
+//! is the Schur complement of `N w K` in a matrix with one more block, a hub joined to every agent,
+//! so that a complete graph costs as much as a star. The hub's matrix is positive definite if and
+//! only if `M` is, because `K` is. Vectors `(v, U^T v)` are at most `sqrt(2)` times as long as `v`,
+//! so errors count twice.
 //!
-//! Errors: where the factorisation is carried out to its end, `L L^T = M - s I + E` with
-//! `|E| <= gamma |L| |L|^T` entry by entry (Higham, *Accuracy and Stability of Numerical
-//! Algorithms*, theorem 10.3), so `lambda_min(M) >= s - |E|`. The norm of `|L| |L|^T` is bounded by
-//! Collatz and Wielandt: for every positive `y` it is at most the largest `(|L| |L|^T y)_i / y_i`.
+//! Errors: if the factorisation completes, `L L^T = M - s I + E` with `|E| <= gamma |L| |L|^T`
+//! entry by entry (Higham, *Accuracy and Stability of Numerical Algorithms*, theorem 10.3), so
+//! `lambda_min(M) >= s - |E|`. The norm of `|L| |L|^T` is bounded by Collatz and Wielandt: for
+//! every positive `y` it is at most the largest `(|L| |L|^T y)_i / y_i`.
 //!
-//! Cost: `n^3 (r^2 + r)` operations for every agent that meets `r` others, `d^3/6` for the dense
-//! rest of order `d`; memory in proportion to the blocks of `L`.
+//! Cost: `n^3 (r^2 + r)` operations for each agent with `r` remaining neighbours, `d^3/6` for a
+//! dense remainder of order `d`; memory proportional to the number of blocks of `L`.
 
 use nalgebra::DMatrix;
 use pulp::Arch;
@@ -32,34 +32,34 @@ use super::block_matrix::{BlockMatrix, UNIT_ROUNDOFF};
 use super::elimination::Elimination;
 use crate::training::cholesky::Cholesky;
 
-/// The structure that all factorisations of one matrix share, whatever their shift.
+/// The structure shared by all factorisations of a matrix, independent of the shift.
 #[derive(Debug)]
 pub(super) struct BlockCholesky<'m> {
     matrix: &'m BlockMatrix<'m>,
-    /// How often `K` is added to the diagonal block of each vertex; the last may be the hub.
+    /// Multiple of `K` in the diagonal block of each vertex; the last vertex may be the hub.
     coefficients: Vec<f64>,
-    /// Blocks beside the diagonal, as multiples of `K`.
+    /// Off-diagonal blocks, as multiples of `K`.
     pairs: Vec<(usize, usize, f64)>,
     hub: bool,
     elimination: Elimination,
     rank: Vec<usize>,
-    /// Most products that any entry of `L` sums up.
+    /// The largest number of products in any entry of `L`.
     products_max: usize,
-    /// Bounds what computing the `D_i` themselves may have lost, by their largest norm.
+    /// Largest norm of the `D_i`, which bounds the rounding errors of computing them.
     block_norm: f64,
 }
 
-/// `L`, for one shift.
+/// `L` for one shift.
 #[derive(Debug)]
 pub(super) struct Factor<'s, 'm> {
     structure: &'s BlockCholesky<'m>,
-    /// For each eliminated vertex its diagonal block and those of its rows, each `n * n` numbers,
-    /// row by row.
+    /// For each eliminated vertex, its diagonal block and the blocks of its rows, each with `n * n`
+    /// numbers in row-major order.
     columns: Vec<Vec<f64>>,
     dense: Cholesky,
-    /// `lambda_min(M)` is at least this.
+    /// A lower bound of `lambda_min(M)`.
     pub(super) lower: f64,
-    /// How far below the shift that is: what rounding may have done.
+    /// Distance of that bound from the shift: the bound on rounding errors.
     pub(super) error: f64,
 }
 
@@ -133,7 +133,7 @@ impl<'m> BlockCholesky<'m> {
         }
     }
 
-    /// `L` of `M - shift I`, or `None` where that is not positive definite, or not by more than
+    /// Returns `L` of `M - shift I`, or `None` if that is not positive definite, or only within
     /// rounding.
     pub(super) fn factor(&self, shift: f64) -> Option<Factor<'_, 'm>> {
         let n = self.matrix.block();
@@ -161,7 +161,7 @@ impl<'m> BlockCholesky<'m> {
                 }
                 if rank_b >= eliminated {
                     for (a, &rank_a) in rows.iter().enumerate().skip(b) {
-                        // The dense rest keeps its upper triangle.
+                        // Only the upper triangle of the dense remainder is stored.
                         let left = &below[a * n * n..][..n * n];
                         let at =
                             (rank_b - eliminated) * n * dense_order + (rank_a - eliminated) * n;
@@ -197,18 +197,17 @@ impl<'m> BlockCholesky<'m> {
         Some(factor)
     }
 
-    /// Bounds what all roundings together may have changed, as the norm of a matrix, given that of
-    /// `|L| |L|^T`.
+    /// Bounds the norm of all rounding errors, given that of `|L| |L|^T`.
     fn error(&self, shift: f64, magnitude: f64) -> f64 {
         let n = self.matrix.block();
-        // Sums of products in L; a reciprocal and a root; and what an entry of M was made of.
+        // Sums of products in L, a reciprocal and a square root, and the terms of an entry of M.
         let roundings = (self.products_max + 2 * n + 32) as f64;
         let scale = magnitude + shift.abs() + self.block_norm * n as f64;
         let counted = if self.hub { 2.0 } else { 1.0 };
         1.01 * counted * roundings * UNIT_ROUNDOFF * scale
     }
 
-    /// The entries of `M - shift I` where the factor will stand.
+    /// Fills in the entries of `M - shift I` in the layout of the factor.
     fn assemble(&self, shift: f64) -> (Vec<Vec<f64>>, Vec<f64>) {
         let n = self.matrix.block();
         let coupling = &self.matrix.coupling;
@@ -314,54 +313,41 @@ impl Factor<'_, '_> {
         }
     }
 
-    /// A bound of the norm of `|L| |L|^T`.
+    /// Returns a bound of the norm of `|L| |L|^T`.
     fn magnitude(&self) -> f64 {
         let n = self.structure.matrix.block();
         let order = self.structure.elimination.order.len() * n;
         let mut y = vec![1.0; order];
         let mut least = f64::INFINITY;
-        // A few powers bring y near the vector for which the bound is the norm itself.
+        // A few power iterations move y close to the vector for which the bound equals the norm.
         for _ in 0..4 {
             let image = self.magnitudes_forward(&self.magnitudes_transposed(&y));
             let ratio = image.iter().zip(&y).fold(0.0, |most: f64, (a, b)| most.max(a / b));
             least = least.min(ratio);
             let scale = 1.0 / image.iter().fold(0.0, |most: f64, &a| most.max(a));
-            // Never so small that a ratio says nothing.
+            // Bounded from below, so that the ratios remain meaningful.
             y.iter_mut().zip(&image).for_each(|(y, a)| *y = (a * scale).max(1e-6));
         }
         least
     }
 
-    /// `|L|^T y`.
+    /// Computes `|L|^T y`.
     fn magnitudes_transposed(&self, y: &[f64]) -> Vec<f64> {
-        let n = self.structure.matrix.block();
         let mut result = vec![0.0; y.len()];
-        let rows = &self.structure.elimination.rows;
-        for (k, column) in self.columns.iter().enumerate() {
-            let ranks = std::iter::once(&k).chain(&rows[k]);
-            for ((block, rank), diagonal) in
-                column.chunks_exact(n * n).zip(ranks).zip((0..).map(|place| place == 0))
-            {
-                for i in 0..n {
-                    for j in 0..if diagonal { i + 1 } else { n } {
-                        result[k * n + j] += block[i * n + j].abs() * y[rank * n + i];
-                    }
-                }
-            }
-        }
-        let start = self.columns.len() * n;
-        for k in 0..y.len() - start {
-            let row = self.dense.row(k);
-            result[start + k] =
-                row.iter().zip(&y[start + k..]).fold(0.0, |sum, (u, y)| sum + u.abs() * y);
-        }
+        self.for_each_magnitude(y.len(), |row, column, entry| result[column] += entry * y[row]);
         result
     }
 
-    /// `|L| y`.
+    /// Computes `|L| y`.
     fn magnitudes_forward(&self, y: &[f64]) -> Vec<f64> {
-        let n = self.structure.matrix.block();
         let mut result = vec![0.0; y.len()];
+        self.for_each_magnitude(y.len(), |row, column, entry| result[row] += entry * y[column]);
+        result
+    }
+
+    /// Calls `visit` with row, column and value of every entry of `|L|`, which has `size` rows.
+    fn for_each_magnitude(&self, size: usize, mut visit: impl FnMut(usize, usize, f64)) {
+        let n = self.structure.matrix.block();
         let rows = &self.structure.elimination.rows;
         for (k, column) in self.columns.iter().enumerate() {
             let ranks = std::iter::once(&k).chain(&rows[k]);
@@ -370,23 +356,21 @@ impl Factor<'_, '_> {
             {
                 for i in 0..n {
                     for j in 0..if diagonal { i + 1 } else { n } {
-                        result[rank * n + i] += block[i * n + j].abs() * y[k * n + j];
+                        visit(rank * n + i, k * n + j, block[i * n + j].abs());
                     }
                 }
             }
         }
         let start = self.columns.len() * n;
-        for k in 0..y.len() - start {
-            let own = y[start + k];
-            for (result, u) in result[start + k..].iter_mut().zip(self.dense.row(k)) {
-                *result += u.abs() * own;
+        for k in 0..size - start {
+            for (row, entry) in (start + k..size).zip(self.dense.row(k)) {
+                visit(row, start + k, entry.abs());
             }
         }
-        result
     }
 }
 
-/// The weight that most edges have, and how many.
+/// Returns the most frequent edge weight and its number of edges.
 fn usual_weight(matrix: &BlockMatrix<'_>) -> Option<(f64, usize)> {
     let mut weights: Vec<f64> = matrix.graph.edges().iter().map(|edge| edge.weight).collect();
     weights.sort_by(f64::total_cmp);

@@ -1,7 +1,7 @@
-//! What [`super::block_cholesky`] does with single blocks, each `n * n` numbers row by row, and a sum
-//! that keeps its digits.
+//! Operations of [`super::block_cholesky`] on single blocks of `n * n` numbers in row-major order,
+//! and a compensated sum.
 
-/// A sum that keeps what rounding takes (Kahan and Neumaier).
+/// A compensated sum (Kahan and Neumaier).
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sum {
     sum: f64,
@@ -22,11 +22,11 @@ impl Sum {
     }
 }
 
-/// Factors one block in place, lower triangle; `false` where it is not positive definite.
+/// Factors a block in place, lower triangle; returns `false` if it is not positive definite.
 pub(super) fn factor_block(a: &mut [f64], n: usize) -> bool {
     for j in 0..n {
         let pivot = (0..j).fold(a[j * n + j], |sum, k| sum - a[j * n + k] * a[j * n + k]);
-        // Also false for a pivot that is not a number.
+        // Also false for a NaN pivot.
         if !(pivot > 0.0 && pivot.is_finite()) {
             return false;
         }
@@ -40,7 +40,7 @@ pub(super) fn factor_block(a: &mut [f64], n: usize) -> bool {
     true
 }
 
-/// `X L^-T` in place of `X`.
+/// Replaces `X` by `X L^-T`.
 pub(super) fn divide_block(x: &mut [f64], l: &[f64], n: usize) {
     for row in x.chunks_exact_mut(n) {
         for j in 0..n {
@@ -50,7 +50,7 @@ pub(super) fn divide_block(x: &mut [f64], l: &[f64], n: usize) {
     }
 }
 
-/// `target -= left right^T`, given `right^T`.
+/// Computes `target -= left right^T`, given `right^T`.
 pub(super) fn subtract_product(
     target: &mut [f64],
     left: &[f64],
@@ -66,7 +66,7 @@ pub(super) fn subtract_product(
     }
 }
 
-/// `target -= right left^T`, of rows `stride` apart.
+/// Computes `target -= right left^T`, with rows `stride` apart.
 pub(super) fn subtract_product_transposed(
     target: &mut [f64],
     stride: usize,

@@ -1,7 +1,7 @@
-//! The symmetric matrices of the analysis: `M = blockdiag(D_1, .., D_N) + L (x) K`, of shape
-//! `[nN, nN]`, with symmetric `D_i` and `K` of shape `[n, n]` and the graph's Laplacian `L`.
+//! Symmetric matrices of the analysis: `M = blockdiag(D_1, .., D_N) + L (x) K`, of shape `[nN,
+//! nN]`, with symmetric `D_i` and `K` of shape `[n, n]` and the graph's Laplacian `L`.
 //!
-//! Products with vectors cost `2 n^2 N` operations and `3 n` for each end of an edge.
+//! A product with a vector costs `2 n^2 N` operations plus `3 n` per end of an edge.
 
 use nalgebra::DMatrix;
 use rand::{RngExt, SeedableRng};
@@ -12,31 +12,31 @@ use crate::graph::Graph;
 /// `M`.
 #[derive(Clone, Debug)]
 pub(super) struct BlockMatrix<'g> {
-    /// `D_i`, one for each agent.
+    /// `D_i`, one per agent.
     pub(super) diagonal: Vec<DMatrix<f64>>,
     /// `K`.
     pub(super) coupling: DMatrix<f64>,
-    /// Whose Laplacian `L` is.
+    /// The graph of the Laplacian `L`.
     pub(super) graph: &'g Graph,
 }
 
 impl BlockMatrix<'_> {
-    /// `n`.
+    /// Returns `n`.
     pub(super) fn block(&self) -> usize {
         self.coupling.nrows()
     }
 
-    /// `nN`.
+    /// Returns `nN`.
     pub(super) fn dimension(&self) -> usize {
         self.block() * self.graph.agents()
     }
 
-    /// `M v` into `result`.
+    /// Writes `M v` to `result`.
     pub(super) fn apply(&self, v: &[f64], result: &mut [f64]) {
         self.product(v, result, |x| x, -1.0);
     }
 
-    /// `|M| v` into `result`, of absolute values, entry by entry, or a little more.
+    /// Writes `|M| v`, with absolute values entry by entry, or a slightly larger value to `result`.
     pub(super) fn apply_magnitudes(&self, v: &[f64], result: &mut [f64]) {
         self.product(v, result, f64::abs, 1.0);
     }
@@ -62,8 +62,8 @@ impl BlockMatrix<'_> {
         }
     }
 
-    /// `v^T M v / v^T v`, which no eigenvalue `lambda_min` exceeds, and how far off rounding can
-    /// make it.
+    /// Returns `v^T M v / v^T v`, an upper bound of `lambda_min`, and a bound on its rounding
+    /// error.
     pub(super) fn rayleigh_quotient(&self, v: &[f64]) -> (f64, f64) {
         let n = self.block();
         let mut image = vec![0.0; v.len()];
@@ -74,19 +74,19 @@ impl BlockMatrix<'_> {
         let magnitude = self.dot(&magnitudes, &image) / square;
         let degree_max =
             (0..self.graph.agents()).map(|i| self.graph.neighbours(i).len()).max().unwrap_or(0);
-        // Every number passes through so many roundings: its sum over neighbours, over a block,
-        // over the agents, of the product and of the square, and some more.
+        // Number of roundings per value: the sums over neighbours, over a block and over the
+        // agents, of both the product and the square, and a margin.
         let roundings = 2 * (degree_max + 4 * n + 2 * self.graph.agents()) + 16;
         (product / square, roundings as f64 * UNIT_ROUNDOFF * magnitude)
     }
 
-    /// Sums agent by agent first, which keeps roundings few.
+    /// Sums over each agent first, which reduces the number of roundings.
     fn dot(&self, a: &[f64], b: &[f64]) -> f64 {
         let n = self.block();
         a.chunks(n).zip(b.chunks(n)).fold(0.0, |sum, (a, b)| sum + dot(a, b))
     }
 
-    /// A number that no eigenvalue is below, by Gershgorin's discs.
+    /// Returns a lower bound of all eigenvalues, by Gershgorin's discs.
     pub(super) fn eigenvalues_above(&self) -> f64 {
         let n = self.block();
         let mut lowest = f64::INFINITY;
@@ -114,14 +114,15 @@ pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).fold(0.0, |sum, (a, b)| sum + a * b)
 }
 
-/// Scales `v` to length 1; returns its length before.
+/// Scales `v` to length 1; returns its previous length.
 pub(super) fn normalise(v: &mut [f64]) -> f64 {
     let length = dot(v, v).sqrt();
     v.iter_mut().for_each(|x| *x /= length);
     length
 }
 
-/// A unit vector; any fixed seed will do, as a random vector has a part in every eigenvector.
+/// Returns a unit vector. The seed is arbitrary, because a random vector has a component along
+/// every eigenvector.
 pub(super) fn random_direction(dimension: usize) -> Vec<f64> {
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut v: Vec<f64> = (0..dimension).map(|_| random.random_range(-1.0..1.0)).collect();

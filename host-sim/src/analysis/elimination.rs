@@ -1,21 +1,21 @@
-//! In which order the vertices of a graph are eliminated so that few new edges appear: always one
-//! of least degree (the minimum-degree rule). Where what is left is half a clique or more, it
-//! stays together and is treated as dense.
+//! Elimination order of a graph's vertices that creates few new edges: the vertex of smallest
+//! degree goes first (minimum-degree rule). A remainder with at least half the edges of a clique is
+//! kept together and treated as dense.
 //!
-//! The elimination itself is carried out on rows of bits: at most `N^3/64` operations, 16 million
-//! for a thousand vertices.
+//! The elimination works on rows of bits: at most `N^3/64` operations, 16 million for a thousand
+//! vertices.
 
-/// The order, and what each elimination meets.
+/// The order, and the remaining neighbours at each elimination.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Elimination {
-    /// The vertex of each rank: first those that are eliminated one by one, then the rest.
+    /// The vertex of each rank: first those eliminated one by one, then the rest.
     pub(super) order: Vec<usize>,
-    /// For each that is eliminated: the ranks of those it is still joined to, ascending.
+    /// For each eliminated vertex, the ranks of its remaining neighbours, ascending.
     pub(super) rows: Vec<Vec<usize>>,
 }
 
 impl Elimination {
-    /// Of the graph with these vertices and pairs of neighbours.
+    /// Computes the order for a graph with these vertices and pairs of neighbours.
     pub(super) fn new(vertices: usize, pairs: impl Iterator<Item = (usize, usize)>) -> Self {
         let mut graph = Bits::new(vertices);
         for (a, b) in pairs {
@@ -51,7 +51,7 @@ impl Elimination {
         Self { order, rows }
     }
 
-    /// How many vertices are eliminated one by one.
+    /// Returns the number of vertices eliminated one by one.
     pub(super) fn eliminated(&self) -> usize {
         self.rows.len()
     }
@@ -92,7 +92,7 @@ impl Bits {
         (0..64 * self.words).filter(is_set).collect()
     }
 
-    /// Joins `vertex` to the neighbours of `eliminated`, which leaves.
+    /// Joins `vertex` to the neighbours of `eliminated`, which is removed.
     fn absorb(&mut self, vertex: usize, eliminated: usize) {
         for word in 0..self.words {
             let more = self.bits[eliminated * self.words + word];
@@ -108,14 +108,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_star_loses_its_leaves_first() {
+    fn leaves_of_a_star_are_eliminated_first() {
         let found = Elimination::new(6, (1..6).map(|leaf| (0, leaf)));
         assert_eq!(found.order, [1, 2, 3, 0, 4, 5]);
         assert_eq!(found.rows, [vec![3], vec![3], vec![3]]);
     }
 
     #[test]
-    fn eliminating_joins_the_neighbours() {
+    fn elimination_joins_the_neighbours() {
         // A ring of seven: eliminating 0 joins 1 and 6.
         let found = Elimination::new(7, (0..7).map(|v| (v, (v + 1) % 7)));
         assert_eq!(found.order[0], 0);

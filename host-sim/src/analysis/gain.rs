@@ -1,14 +1,14 @@
-//! Is `K_1` a solution of `BMI`, as the theorems require?
+//! Decides whether `K_1` is a solution of `BMI`, as the theorems require.
 //!
 //! ```text
 //! M = (1/2) (I (x) K_1) C^T C + (1/2) C^T C (I (x) K_1) + L (x) K_1 >= k_1 I,
 //! k_1 = k_2 + rho^2 / delta
 //! ```
 //!
-//! `M` is linear in `K_1`: where its smallest eigenvalue is above zero, a multiple of `K_1` is a
+//! `M` is linear in `K_1`: if its smallest eigenvalue is positive, a multiple of `K_1` is a
 //! solution. With `K_1 = k I` it is `k (C^T C + L (x) I)`, which is positive definite if and only
-//! if the agents together measure the whole state and the graph is connected; without that no gain
-//! is a solution, as `v = (u, .., u)` with all `C_i u = 0` makes `v^T M v` zero.
+//! if the agents together measure the whole state and the graph is connected. Otherwise no gain is
+//! a solution, because `v = (u, .., u)` with all `C_i u = 0` gives `v^T M v = 0`.
 
 use nalgebra::DMatrix;
 
@@ -19,32 +19,32 @@ use super::smallest::Smallest;
 use crate::number::significant;
 use crate::scenario::{Design, Scenario};
 
-/// Whether `K_1` solves `BMI`, as the theorems require.
+/// Result of the check whether `K_1` solves `BMI`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GainCertificate {
     /// Smallest eigenvalue of the left side of `BMI`. \[1/s\]
     pub eigenvalue_min: f64,
-    /// The true one is certain to lie this near, rounding included. \[1/s\]
+    /// Bound on its error, including rounding. \[1/s\]
     pub uncertainty: f64,
-    /// `k_1 = k_2 + rho^2 / delta`, which it must reach. \[1/s\]
+    /// `k_1 = k_2 + rho^2 / delta`, the required value. \[1/s\]
     pub k1: f64,
-    /// Whether it does.
+    /// The result.
     pub verdict: GainVerdict,
 }
 
-/// What is known of `BMI`, and what would help.
+/// The result for `BMI`, with a remedy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum GainVerdict {
     /// `K_1` is a solution.
     Solution,
-    /// Too near to tell: within rounding of `k_1`. This factor makes it a solution.
+    /// Undecided: within rounding of `k_1`. This factor makes it a solution.
     Open {
-        /// What to multiply `K_1` by.
+        /// Factor for `K_1`.
         factor: f64,
     },
     /// `K_1` is not a solution, but this multiple of it is.
     Multiply {
-        /// What to multiply `K_1` by, rounded up.
+        /// Factor for `K_1`, rounded up.
         factor: f64,
     },
     /// No multiple of `K_1` is a solution, but this multiple of the identity is.
@@ -54,12 +54,13 @@ pub enum GainVerdict {
     },
     /// The agents together do not measure the whole state, so no gain is a solution.
     StateNotCovered,
-    /// They measure all of it, but some of it so weakly that rounding hides whether any gain is.
+    /// They measure the whole state, but part of it so weakly that rounding hides whether any gain
+    /// is a solution.
     Hidden,
 }
 
 impl GainCertificate {
-    /// Examines this scenario's gain.
+    /// Checks the gain of a scenario.
     #[must_use]
     pub fn new(scenario: &Scenario) -> Self {
         let Design { k2, rho, delta, ref gain, .. } = scenario.design;
@@ -68,7 +69,7 @@ impl GainCertificate {
         let structure = BlockCholesky::new(&matrix);
         let found = Smallest::new(&matrix, &structure);
         let covered = outputs_determine_state(scenario);
-        // Its own three roundings.
+        // Rounding errors of k1 itself.
         let k1_high = k1 * (1.0 + 4.0 * UNIT_ROUNDOFF);
         let reached = covered
             && (found.lower >= k1_high
@@ -98,13 +99,13 @@ impl GainCertificate {
         Self { eigenvalue_min: found.estimate, uncertainty, k1, verdict }
     }
 
-    /// Whether `K_1` is a solution of `BMI` with this `k_1`, for certain.
+    /// Whether `K_1` is a solution of `BMI` with this `k_1`, with certainty.
     #[must_use]
     pub fn holds(&self) -> bool {
         self.verdict == GainVerdict::Solution
     }
 
-    /// What is wrong and what to do; `None` for a solution.
+    /// Returns what is wrong and what to do; `None` for a solution.
     #[must_use]
     pub fn advice(&self) -> Option<String> {
         Some(match self.verdict {
@@ -117,24 +118,23 @@ impl GainCertificate {
                 format!("NOT a solution; multiply design.gain by {}", significant(factor, 3))
             }
             GainVerdict::Identity { gain } => format!(
-                "NOT a solution, and no multiple of design.gain helps; write design.gain = {}, a \
+                "NOT a solution, and no multiple of design.gain helps; set design.gain = {}, a \
                  multiple of the identity",
                 significant(gain, 3)
             ),
             GainVerdict::StateNotCovered => "NOT a solution, and no gain helps: together the \
-                                             agents do not measure the whole state; let some \
-                                             agent measure what is missing"
+                                             agents do not measure the whole state; let an \
+                                             agent measure the missing part"
                 .to_owned(),
-            GainVerdict::Hidden => {
-                "not certain to be a solution, and no multiple is: together the \
+            GainVerdict::Hidden => "cannot be verified, and neither can a multiple: together the \
                                     agents measure some combination of the state so weakly that \
-                                    rounding hides it; let some agent measure it more strongly"
-                    .to_owned()
-            }
+                                    rounding hides it; let an agent measure it with a larger weight"
+                .to_owned(),
         })
     }
 
-    /// By how much `K_1` would have to grow to be a solution, if a multiple of it can be one.
+    /// Returns the factor by which `K_1` must grow to be a solution, if a multiple of it can be
+    /// one.
     #[must_use]
     pub fn factor(&self) -> Option<f64> {
         match self.verdict {
@@ -151,7 +151,7 @@ fn certain_from(structure: &BlockCholesky<'_>, k1: f64, upper: f64) -> bool {
     above <= upper && structure.factor(above).is_some_and(|factor| factor.lower >= k1)
 }
 
-/// The left side of `BMI` for the gain `gain`.
+/// Returns the left side of `BMI` for the gain `gain`.
 fn left_side<'s>(scenario: &'s Scenario, gain: &DMatrix<f64>) -> BlockMatrix<'s> {
     let n = scenario.dimension();
     let blocks = scenario.agents.iter().map(|agent| {
@@ -163,13 +163,13 @@ fn left_side<'s>(scenario: &'s Scenario, gain: &DMatrix<f64>) -> BlockMatrix<'s>
             })
         })
     });
-    // The order of the sums makes entries (i, j) and (j, i) differ by rounding: make them equal.
+    // Rounding makes entries (i, j) and (j, i) differ; make them equal.
     let blocks =
         blocks.map(|b: DMatrix<f64>| DMatrix::from_fn(n, n, |i, j| b[(i.max(j), i.min(j))]));
     BlockMatrix { diagonal: blocks.collect(), coupling: gain.clone(), graph: &scenario.graph }
 }
 
-/// `C^T C`.
+/// Returns `C^T C`.
 pub(crate) fn gram(output_matrix: &DMatrix<f64>) -> DMatrix<f64> {
     let n = output_matrix.ncols();
     DMatrix::from_fn(n, n, |row, column| {
@@ -177,8 +177,8 @@ pub(crate) fn gram(output_matrix: &DMatrix<f64>) -> DMatrix<f64> {
     })
 }
 
-/// Whether the agents together see the whole state: the sum of all `C_i^T C_i` is positive
-/// definite. Without that no gain solves `BMI`.
+/// Whether the agents together measure the whole state: the sum of all `C_i^T C_i` is positive
+/// definite. Otherwise no gain solves `BMI`.
 #[must_use]
 pub fn outputs_determine_state(scenario: &Scenario) -> bool {
     let n = scenario.dimension();
@@ -189,17 +189,17 @@ pub fn outputs_determine_state(scenario: &Scenario) -> bool {
     if (0..n).any(|i| seen[(i, i)] <= 0.0) {
         return false;
     }
-    // In units in which every component is seen equally well.
+    // In units in which every component has the same weight.
     let scaled = DMatrix::from_fn(n, n, |i, j| seen[(i, j)] / (seen[(i, i)] * seen[(j, j)]).sqrt());
-    // Rounding of the sums, with room to spare.
+    // Rounding of the sums, with a margin.
     Eigen::new(&scaled).values[0] > 1e-12
 }
 
-/// The next number above `x` that three digits can write.
+/// Returns the next number above `x` with three digits.
 fn round_up(x: f64) -> f64 {
     let rounded = |x: f64| format!("{x:.2e}").parse::<f64>().unwrap_or(x);
-    // So that rounding to the nearest is rounding up, and the scaled gain is a solution beyond
-    // doubt.
+    // Add half a unit, so that rounding to nearest rounds up and the scaled gain is certain to be a
+    // solution.
     let exponent = libm::floor(libm::log10(x));
     let unit = libm::pow(10.0, exponent - 2.0);
     let near = rounded(x);

@@ -1,9 +1,9 @@
-#![allow(clippy::print_stdout, reason = "figures, for whom they are measured again")]
+#![allow(clippy::print_stdout, reason = "prints timings")]
 
 use super::*;
 use std::fmt::Write;
 
-/// Agents of which each measures one component of a state of `n`, on a graph.
+/// Creates a network in which each agent measures one component of a state of `n`.
 fn network(
     agents: usize,
     n: usize,
@@ -28,7 +28,7 @@ fn network(
     Scenario::parse("graph.toml", &text).unwrap()
 }
 
-/// `M`, written out.
+/// Returns the full matrix `M`.
 fn dense(scenario: &Scenario) -> DMatrix<f64> {
     let (n, laplacian) = (scenario.dimension(), scenario.graph.laplacian());
     let matrix = left_side(scenario, &scenario.design.gain);
@@ -40,8 +40,8 @@ fn dense(scenario: &Scenario) -> DMatrix<f64> {
     })
 }
 
-/// The smallest eigenvalue by another library's dense algebra; component by component of the state
-/// where the components do not touch.
+/// Computes the smallest eigenvalue with another library's dense algebra; separately for each
+/// component of the state if they are not coupled.
 fn dense_smallest(scenario: &Scenario) -> f64 {
     let (n, agents, matrix) = (scenario.dimension(), scenario.agents.len(), dense(scenario));
     let touching = (0..matrix.nrows())
@@ -56,8 +56,7 @@ fn dense_smallest(scenario: &Scenario) -> f64 {
     smallest.fold(f64::INFINITY, f64::min)
 }
 
-/// What is told is the eigenvalue of dense algebra, within the uncertainty that is told with it,
-/// and that is small.
+/// Checks the eigenvalue against dense algebra, within its own uncertainty, which must be small.
 fn check(what: &str, scenario: &Scenario) -> GainCertificate {
     let start = std::time::Instant::now();
     let found = GainCertificate::new(scenario);
@@ -77,7 +76,7 @@ fn check(what: &str, scenario: &Scenario) -> GainCertificate {
     found
 }
 
-/// The factor that is told makes a solution, and a hundredth less does not.
+/// Checks that the advised factor makes a solution, and one percent less does not.
 fn check_factor(scenario: &Scenario, found: &GainCertificate) {
     let Some(factor) = found.factor() else { return };
     for (scale, expected) in [(1.0, true), (0.99, false)] {
@@ -88,7 +87,7 @@ fn check_factor(scenario: &Scenario, found: &GainCertificate) {
 }
 
 #[test]
-fn fourteen_graphs_against_dense_algebra() {
+fn fourteen_graphs_match_dense_algebra() {
     let mut cases = Vec::new();
     for agents in [9, 10, 30, 60, 99] {
         cases.push(("complete", agents, 3));
@@ -104,7 +103,7 @@ fn fourteen_graphs_against_dense_algebra() {
     assert_eq!(cases.len(), 14);
     for (topology, agents, n) in cases {
         let gain = if n == 2 { "[50.0, 70.0]" } else { "[134.86, 263.23, 263.23]" };
-        // All components are measured equally often; or the last one by one agent only.
+        // All components are measured equally often, or the last one by a single agent.
         let patterns: [(&str, &dyn Fn(usize) -> usize); 2] = [
             ("in turn", &|agent| agent % n),
             ("one alone", &|agent| if agent == 0 { n - 1 } else { agent % (n - 1) }),
@@ -119,19 +118,19 @@ fn fourteen_graphs_against_dense_algebra() {
 }
 
 #[test]
-fn graphs_and_gains_of_no_special_shape() {
+fn irregular_graphs_and_full_gains_match_dense_algebra() {
     use rand::{RngExt, SeedableRng};
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
     let full = "[[80.0, 20.0, -5.0], [20.0, 60.0, 10.0], [-5.0, 10.0, 40.0]]";
     for (agents, density) in [(12, 0.0), (40, 0.1), (40, 0.5), (40, 0.93), (25, 0.8)] {
         let mut edges = Vec::new();
         for second in 2..=agents {
-            // A tree first, so that everyone is reached.
+            // A tree first, so that the graph is connected.
             let parent = random.random_range(1..second);
             for first in 1..second {
                 let chosen: f64 = random.random_range(0.0..1.0);
                 if first == parent || chosen < density {
-                    // Mostly one weight, now and then another.
+                    // Mostly one weight, sometimes another.
                     let weight = if chosen < 0.1 * density { 1.75 } else { 0.5 };
                     edges.push(format!("[{first}, {second}, {weight:?}]"));
                 }
@@ -145,7 +144,7 @@ fn graphs_and_gains_of_no_special_shape() {
 }
 
 #[test]
-fn the_papers_gain_and_half_of_it() {
+fn paper_gain_is_a_solution_and_half_of_it_is_not() {
     let mut scenario = Scenario::parse("paper.toml", crate::scenario::PAPER).unwrap();
     assert_eq!(check("paper", &scenario).advice(), None);
     scenario.design.gain *= 0.5;
@@ -156,9 +155,9 @@ fn the_papers_gain_and_half_of_it() {
 }
 
 #[test]
-fn a_gain_that_is_a_solution_in_no_multiple() {
-    // Strong coupling of the components in the gain: the symmetric part of K_1 C^T C has a
-    // negative eigenvalue, and the path cannot make up for it.
+fn no_multiple_of_a_skewed_gain_is_a_solution() {
+    // Strong coupling in the gain: the symmetric part of K_1 C^T C has a negative eigenvalue, which
+    // the path cannot compensate.
     let gain = "[[100.0, 99.0], [99.0, 100.0]]";
     let scenario = network(2, 2, "edges = [[1, 2, 0.01]]", gain, |agent| agent);
     let found = check("skew", &scenario);
@@ -172,20 +171,20 @@ fn a_gain_that_is_a_solution_in_no_multiple() {
 }
 
 #[test]
-fn a_state_that_is_not_covered() {
+fn uncovered_state_has_no_solution() {
     let scenario = network(3, 2, "topology = \"path\"", "50.0", |_| 0);
     let found = check("blind", &scenario);
     assert_eq!(found.verdict, GainVerdict::StateNotCovered);
     assert!(!outputs_determine_state(&scenario));
     assert!(found.advice().unwrap().contains("no gain helps"));
-    // Seen, if only in small units.
+    // Covered, but in small units.
     let mut faint = network(2, 2, "topology = \"path\"", "50.0", |agent| agent);
     faint.agents[1].output_matrix *= 1e-8;
     assert!(outputs_determine_state(&faint));
 }
 
 #[test]
-fn k1_itself_is_too_near_to_tell_and_above_it_is_not() {
+fn eigenvalue_equal_to_k1_is_undecided() {
     // One agent that measures everything: M is the gain.
     let exactly = network(1, 1, "edges = []", "1.0", |_| 0);
     let k1 = GainCertificate::new(&exactly).k1;
@@ -205,8 +204,8 @@ fn k1_itself_is_too_near_to_tell_and_above_it_is_not() {
     assert!(matches!(found.verdict, GainVerdict::Open { factor } if factor > 1.0), "{found:?}");
 }
 
-/// Dense by nature: a second or two, not minutes. `cargo test -p host-sim --lib large_dense --
-/// --nocapture` prints the time.
+/// Takes a second or two. `cargo test -p host-sim --lib large_dense -- --nocapture` prints the
+/// time.
 #[test]
 fn large_dense_graphs() {
     use rand::{RngExt, SeedableRng};

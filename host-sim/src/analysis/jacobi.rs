@@ -1,11 +1,11 @@
-//! All eigenvalues of a small symmetric matrix, by Jacobi's rotations.
+//! All eigenvalues of a small symmetric matrix, by Jacobi rotations.
 //!
-//! Cost: some 10 sweeps of `6 n^3` operations. In a fixed order, so the bits are the same on every
-//! machine. Small eigenvalues of a positive definite matrix come out to nearly full precision.
+//! Cost: about 10 sweeps of `6 n^3` operations, in a fixed order, so that the bits are the same on
+//! every machine. Small eigenvalues of a positive definite matrix have nearly full precision.
 
 use nalgebra::DMatrix;
 
-/// More sweeps than any matrix of doubles needs: convergence is quadratic.
+/// Limit that is never reached, because convergence is quadratic.
 const SWEEPS_MAX: usize = 60;
 
 /// Eigenvalues, ascending, and their unit eigenvectors as columns.
@@ -16,7 +16,7 @@ pub(super) struct Eigen {
 }
 
 impl Eigen {
-    /// Of a symmetric matrix, shape `[n, n]`.
+    /// Decomposes a symmetric matrix, shape `[n, n]`.
     pub(super) fn new(matrix: &DMatrix<f64>) -> Self {
         let n = matrix.nrows();
         let mut a = matrix.clone();
@@ -40,8 +40,8 @@ impl Eigen {
         }
     }
 
-    /// The matrix with the same eigenvectors and the square roots of the eigenvalues; below zero
-    /// they count as zero.
+    /// Returns the matrix with the same eigenvectors and the square roots of the eigenvalues;
+    /// negative ones count as zero.
     pub(super) fn square_root(&self) -> DMatrix<f64> {
         let n = self.values.len();
         DMatrix::from_fn(n, n, |row, column| {
@@ -53,7 +53,7 @@ impl Eigen {
     }
 }
 
-/// Annuls entry `(p, q)`; returns whether there was anything to annul.
+/// Zeroes entry `(p, q)`; returns whether it was above rounding.
 fn rotate(a: &mut DMatrix<f64>, vectors: &mut DMatrix<f64>, p: usize, q: usize) -> bool {
     let off = a[(p, q)];
     // Relative to both diagonal entries, so that small eigenvalues keep their digits.
@@ -94,8 +94,8 @@ mod tests {
     use nalgebra::dmatrix;
 
     #[test]
-    fn eigenvalues_of_a_matrix_done_by_hand() {
-        // Of the path of three nodes: 0, 1, 3.
+    fn eigenvalues_match_hand_calculation() {
+        // The Laplacian of a path of three nodes: 0, 1, 3.
         let eigen = Eigen::new(&dmatrix![1.0, -1.0, 0.0; -1.0, 2.0, -1.0; 0.0, -1.0, 1.0]);
         for (found, expected) in eigen.values.iter().zip([0.0, 1.0, 3.0]) {
             assert!((found - expected).abs() < 1e-15, "{eigen:?}");
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn the_square_root_squared_is_the_matrix() {
+    fn square_of_the_root_is_the_matrix() {
         let matrix = dmatrix![4.0, 1.0, 0.5; 1.0, 3.0, -0.25; 0.5, -0.25, 1e-3 + 0.2];
         let root = Eigen::new(&matrix).square_root();
         for row in 0..3 {

@@ -1,24 +1,23 @@
-//! The two ends of a symmetric operator's spectrum, by Lanczos' method with full
+//! Both ends of a symmetric operator's spectrum, by the Lanczos method with full
 //! reorthogonalisation.
 //!
-//! The operator is known only by its products with vectors, so the networks of a thousand
-//! agents need no matrix of their size. All sums run in a fixed order and no library kernel
-//! is involved, because `phi_1` and `phi_2` come from here and enter the agents: the same
-//! scenario has to give the same bits on every machine.
+//! The operator is given by its products with vectors, so networks of a thousand agents need no
+//! matrix of that size. All sums have a fixed order and no library kernel is used: `phi_1` and
+//! `phi_2` are computed here and enter the agents, and the same scenario must give the same bits on
+//! every machine.
 //!
-//! Cost: one product and `2 k dim` operations in iteration `k`; at most [`ITERATIONS_MAX`]
-//! iterations, fewer once both ends have settled. Up to that dimension the result is exact up
-//! to rounding.
+//! Cost: one product and `2 k dim` operations in iteration `k`, at most [`ITERATIONS_MAX`]
+//! iterations, fewer if both ends converge. Up to that dimension the result is exact to rounding.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 const ITERATIONS_MAX: usize = 400;
-/// Both ends count as settled when they move by less than this, relatively, in
-/// [`SETTLING`] iterations.
+/// Both ends have converged when they change by less than this, relatively, in [`SETTLING`]
+/// iterations.
 const TOLERANCE: f64 = 1e-12;
 const SETTLING: usize = 10;
-/// Halvings of the interval that holds an eigenvalue: more than the digits of an `f64`.
+/// Bisections of an interval with an eigenvalue: more than the digits of an `f64`.
 const BISECTIONS: usize = 80;
 
 /// The ends of a spectrum.
@@ -26,15 +25,16 @@ const BISECTIONS: usize = 80;
 pub(super) struct Spectrum {
     /// Smallest eigenvalue.
     pub(super) min: f64,
-    /// Norm of the residual of its eigenvector: some eigenvalue lies this near.
+    /// Norm of the residual of its eigenvector: an eigenvalue is within this distance.
     pub(super) min_residual: f64,
     /// Largest eigenvalue.
     pub(super) max: f64,
 }
 
-/// The ends of the spectrum of the symmetric operator `apply(v, result)` on `dimension` numbers.
+/// Computes the ends of the spectrum of the symmetric operator `apply(v, result)` on `dimension`
+/// numbers.
 pub(super) fn spectrum(dimension: usize, mut apply: impl FnMut(&[f64], &mut [f64])) -> Spectrum {
-    // Any fixed seed: a random start has a part in every eigenvector.
+    // The seed is arbitrary: a random start has a component along every eigenvector.
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut basis: Vec<Vec<f64>> = Vec::new();
     let (mut diagonal, mut off_diagonal): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
@@ -66,7 +66,7 @@ pub(super) fn spectrum(dimension: usize, mut apply: impl FnMut(&[f64], &mut [f64
             residual.iter_mut().for_each(|x| *x /= norm);
             next = Some(residual);
         } else {
-            // The basis spans an invariant subspace: go on in its complement.
+            // The basis spans an invariant subspace: continue in its complement.
             off_diagonal.push(0.0);
             next = random_direction(&mut random, dimension, &basis);
         }
@@ -78,7 +78,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).fold(0.0, |sum, (a, b)| sum + a * b)
 }
 
-/// Takes the parts along `basis` out of `vector`; twice, because once leaves rounding errors.
+/// Removes the components along `basis` from `vector`; twice, because of rounding errors.
 fn orthogonalise(vector: &mut [f64], basis: &[Vec<f64>]) {
     for _ in 0..2 {
         for direction in basis {
@@ -103,12 +103,12 @@ fn random_direction(
     Some(vector)
 }
 
-/// The ends of the spectrum of a symmetric tridiagonal matrix, with the residual that the
-/// smallest one has in the whole space, where the next off-diagonal entry is `beyond`.
+/// Computes the ends of the spectrum of a symmetric tridiagonal matrix, and the residual of the
+/// smallest eigenvalue in the whole space, where the next off-diagonal entry is `beyond`.
 fn ends(diagonal: &[f64], off_diagonal: &[f64], beyond: f64) -> Spectrum {
     let size = diagonal.len();
     let off = |k: usize| off_diagonal.get(k).copied().unwrap_or(0.0);
-    // Gershgorin's discs hold all eigenvalues.
+    // Gershgorin's discs contain all eigenvalues.
     let radius = |k: usize| off(k) + if k > 0 { off(k - 1) } else { 0.0 };
     let low = (0..size).fold(f64::INFINITY, |low, k| low.min(diagonal[k] - radius(k)));
     let high = (0..size).fold(f64::NEG_INFINITY, |high, k| high.max(diagonal[k] + radius(k)));
@@ -127,12 +127,12 @@ fn ends(diagonal: &[f64], off_diagonal: &[f64], beyond: f64) -> Spectrum {
     Spectrum { min, min_residual, max: bisect(size) }
 }
 
-/// The largest eigenvalue of a symmetric tridiagonal matrix.
+/// Returns the largest eigenvalue of a symmetric tridiagonal matrix.
 pub(super) fn tridiagonal_max(diagonal: &[f64], off_diagonal: &[f64]) -> f64 {
     ends(diagonal, off_diagonal, 0.0).max
 }
 
-/// How many eigenvalues lie below `x`: the negative pivots of the matrix less `x` (Sturm).
+/// Counts the eigenvalues below `x`: the negative pivots of the matrix minus `x` (Sturm).
 fn eigenvalues_below(diagonal: &[f64], off_diagonal: &[f64], x: f64) -> usize {
     let mut count = 0;
     let mut pivot = 1.0f64;
@@ -147,8 +147,8 @@ fn eigenvalues_below(diagonal: &[f64], off_diagonal: &[f64], x: f64) -> usize {
     count
 }
 
-/// Size of the last component of the unit eigenvector for `eigenvalue`, by the three-term
-/// recurrence; an upper estimate where rounding dominates.
+/// Returns the magnitude of the last component of the unit eigenvector for `eigenvalue`, by the
+/// three-term recurrence; an upper estimate if rounding dominates.
 fn last_component(diagonal: &[f64], off_diagonal: &[f64], eigenvalue: f64) -> f64 {
     let (mut before, mut now, mut sum) = (0.0f64, 1.0f64, 1.0f64);
     for k in 0..diagonal.len() - 1 {
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn both_ends_of_a_known_spectrum() {
+    fn finds_both_ends_of_a_known_spectrum() {
         for size in [1, 2, 3, 10, 60] {
             let found = path(size, 0.5);
             let largest =
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn repeated_eigenvalues_do_not_stop_it_early() {
+    fn continues_after_repeated_eigenvalues() {
         let found = spectrum(6, |v, result| {
             for (i, result) in result.iter_mut().enumerate() {
                 *result = [2.0, 2.0, 2.0, 2.0, 2.0, 7.0][i] * v[i];
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn a_large_operator_settles_before_the_limit() {
+    fn large_operator_converges_before_the_limit() {
         let found = path(3_000, 0.5);
         assert!((found.max - 4.5).abs() < 1e-4, "{found:?}");
         assert!(found.min >= 0.5 - 1e-12 && found.min < 0.51, "{found:?}");

@@ -1,4 +1,4 @@
-//! `chi_bar_max`, which `rho` has to reach: how large the lumped uncertainty was along a run.
+//! `chi_bar_max`, the size of the lumped uncertainty along a run, which `rho` must reach.
 //!
 //! With the samples of [`LumpedSamples`],
 //!
@@ -8,14 +8,14 @@
 //! ```
 //!
 //! is a convex problem. Lawson's algorithm solves it: least squares with weights on the samples,
-//! which then grow where the residual is large. Every `W_0` on the way gives an upper bound on the
-//! smallest maximum, and every set of weights a lower one (a weighted mean of squares is at most
-//! their maximum), so the remaining gap is known. The ball is the one in which the projection's
-//! inequality holds, of radius `omega_bar - beta`.
+//! which grow where the residual is large. Every `W_0` gives an upper bound on the smallest
+//! maximum, and every set of weights a lower one (a weighted mean of squares is at most their
+//! maximum), so the gap is known. The ball, of radius `omega_bar - beta`, is the one in which the
+//! projection's inequality holds.
 //!
-//! The result is still an estimate: it covers the sampled steps of this run only.
+//! The result is an estimate: it covers only the sampled steps of this run.
 //!
-//! Cost: `S N L (L + n)` operations an iteration for `S` samples, and `(L n)^3 / 6` for a solution.
+//! Cost: `S N L (L + n)` operations per iteration for `S` samples, and `(L n)^3 / 6` per solution.
 
 use pulp::Arch;
 
@@ -25,27 +25,27 @@ use crate::scenario::Scenario;
 use crate::training::cholesky::Cholesky;
 
 const ITERATIONS_MAX: u64 = 80;
-/// Operations after which the search ends with what it has found.
+/// Limit for the number of operations, after which the best result so far is returned.
 const OPERATIONS_MAX: u64 = 400_000_000;
-/// Relative distance between the bounds that is close enough.
+/// Relative gap between the bounds at which the search ends.
 const TOLERANCE: f64 = 0.01;
 
-/// How large the lumped uncertainty was.
+/// Size of the lumped uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LumpedUncertainty {
-    /// `chi_bar_max` for the best constant `W_0` that was found; for the very best it is at most
-    /// this. \[state unit/s\]
+    /// `chi_bar_max` for the best constant `W_0` found, an upper bound of the optimum. \[state
+    /// unit/s\]
     pub estimate: f64,
-    /// No `W_0` brings it below this. \[state unit/s\]
+    /// Lower bound of the optimum. \[state unit/s\]
     pub at_least: f64,
-    /// Largest `|d|`, all agents stacked. \[state unit/s\]
+    /// Largest `|d|`, stacked over all agents. \[state unit/s\]
     pub disturbance: f64,
-    /// From how many steps of the run.
+    /// Number of sampled steps.
     pub samples: usize,
 }
 
 impl LumpedUncertainty {
-    /// From the samples of a run of `scenario`.
+    /// Computes it from the samples of a run of `scenario`.
     #[must_use]
     pub fn new(scenario: &Scenario, samples: &LumpedSamples) -> Self {
         let (mut estimate, mut at_least) = (f64::INFINITY, 0.0f64);
@@ -65,7 +65,7 @@ impl LumpedUncertainty {
             _ => {}
         }
         if !estimate.is_finite() {
-            // Without a network, or with features that say nothing: W_0 = 0.
+            // Without a network, or with uninformative features: W_0 = 0.
             let size = samples.kind.len() * samples.dimension;
             let largest = samples.rest.chunks(size.max(1)).map(|g| dot(g, g));
             estimate = largest.fold(0.0, f64::max).sqrt();
@@ -82,7 +82,7 @@ impl LumpedUncertainty {
 struct Search<'s> {
     samples: &'s LumpedSamples,
     radius: f64,
-    /// A weight for each sample; they add up to 1.
+    /// One weight per sample; they add up to 1.
     weights: Vec<f64>,
     /// `W_0`, row by row, shape `[L, n]`.
     solution: Vec<f64>,
@@ -110,8 +110,8 @@ impl<'s> Search<'s> {
         (OPERATIONS_MAX / cost.max(1)).clamp(2, ITERATIONS_MAX)
     }
 
-    /// The best `W_0` in the ball for these weights; returns a lower bound of `chi_bar_max`, or
-    /// `None` where there is no solution.
+    /// Finds the best `W_0` in the ball for these weights; returns a lower bound of `chi_bar_max`,
+    /// or `None` if there is no solution.
     fn solve(&mut self) -> Option<f64> {
         let unknowns = self.solution.len();
         let (matrix, right, constant) = self.normal_equations();
@@ -119,7 +119,7 @@ impl<'s> Search<'s> {
         if !(trace > 0.0 && trace.is_finite()) {
             return None;
         }
-        // Small enough to change nothing, large enough for features that depend on each other.
+        // Small enough to be negligible, large enough for linearly dependent features.
         let (mut outside, mut inside) = (0.0f64, 1e-11 * trace);
         while !self.damped(&matrix, &right, inside) {
             outside = inside;
@@ -128,7 +128,7 @@ impl<'s> Search<'s> {
                 return None;
             }
         }
-        // Up to the edge of the ball, if that is where the solution lies.
+        // Move to the edge of the ball if the solution lies there.
         for _ in 0..if outside > 0.0 { 12 } else { 0 } {
             let between = (outside * inside).sqrt();
             if self.damped(&matrix, &right, between) { inside = between } else { outside = between }
@@ -137,8 +137,8 @@ impl<'s> Search<'s> {
             self.damped(&matrix, &right, inside);
         }
         let damping = inside;
-        // min (w^T H w - 2 w^T b + c + mu |w|^2) = c - w^T b for (H + mu I) w = b; what mu adds is at
-        // most mu radius^2 inside the ball.
+        // min (w^T H w - 2 w^T b + c + mu |w|^2) = c - w^T b for (H + mu I) w = b; inside the ball,
+        // the mu term is at most mu radius^2.
         let least = constant - dot(&self.solution, &right) - damping * self.radius * self.radius;
         Some(least.max(0.0).sqrt())
     }
@@ -150,11 +150,11 @@ impl<'s> Search<'s> {
             && dot(&self.solution, &self.solution).sqrt() <= self.radius
     }
 
-    /// Row by row the matrix of the least squares, its right side, and what is left at `W_0 = 0`.
+    /// Returns the normal matrix, row by row, the right side, and the residual for `W_0 = 0`.
     fn normal_equations(&self) -> (Vec<f64>, Vec<f64>, f64) {
         let LumpedSamples { features: l, dimension: n, kind, measured, .. } = self.samples;
         let (l, n, unknowns) = (*l, *n, self.solution.len());
-        // Of each kind of agent: sums of sigma sigma^T and of sigma g^T, with the weights.
+        // For each kind of agent: weighted sums of sigma sigma^T and of sigma g^T.
         let mut grams = vec![vec![0.0; l * l]; measured.len()];
         let mut products = vec![vec![0.0; l * n]; measured.len()];
         let mut constant = 0.0;
@@ -192,7 +192,7 @@ impl<'s> Search<'s> {
         (matrix, right, constant)
     }
 
-    /// Moves weight to where the residual is large; returns the largest.
+    /// Moves weight to samples with a large residual; returns the largest residual.
     fn weigh(&mut self) -> f64 {
         let n = self.samples.dimension;
         let mut squared = vec![0.0; self.weights.len()];
@@ -209,7 +209,7 @@ impl<'s> Search<'s> {
             }
         });
         let largest = squared.iter().copied().fold(0.0, f64::max);
-        // Never quite nothing, so that a weight can come back.
+        // Bounded from below, so that a weight can grow again.
         let least = 1e-9 / self.weights.len() as f64;
         for (weight, squared) in self.weights.iter_mut().zip(&squared) {
             *weight = (*weight * squared.sqrt()).max(least * largest.sqrt());
@@ -221,12 +221,12 @@ impl<'s> Search<'s> {
         largest.sqrt()
     }
 
-    /// Hands every sample's and agent's `sigma_i` and `g_i` on, in order.
-    fn each(&self, mut hear: impl FnMut(usize, usize, &[f64], &[f64])) {
+    /// Passes each sample's and agent's `sigma_i` and `g_i` to `visit`, in order.
+    fn each(&self, mut visit: impl FnMut(usize, usize, &[f64], &[f64])) {
         let LumpedSamples { features, dimension, kind, sigma, rest, .. } = self.samples;
         let parts = sigma.chunks_exact(*features).zip(rest.chunks_exact(*dimension));
         for (part, (sigma, rest)) in parts.enumerate() {
-            hear(part / kind.len(), part % kind.len(), sigma, rest);
+            visit(part / kind.len(), part % kind.len(), sigma, rest);
         }
     }
 }

@@ -49,7 +49,7 @@ pub struct LumpedSamples {
     pub(crate) sigma: Vec<f64>,
     /// `g_i` of each sample and agent, `n` numbers each.
     pub(crate) rest: Vec<f64>,
-    /// Largest `|d|`, all agents stacked. \[state unit/s\]
+    /// Largest `|d|`, stacked over all agents. \[state unit/s\]
     pub(crate) disturbance_max: f64,
     first: u64,
     stride: u64,

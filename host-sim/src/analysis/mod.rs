@@ -1,11 +1,11 @@
-//! What the paper's analysis promises for a scenario, computed before the run, and held
-//! against what the run measured.
+//! Guarantees of the paper's analysis for a scenario, computed before the run and compared with the
+//! run's measurements.
 //!
-//! * [`GainCertificate`]: is `K_1` a solution of `BMI`?
-//! * [`StepCheck`]: is the step short enough for the observer itself?
+//! * [`GainCertificate`]: whether `K_1` is a solution of `BMI`
+//! * [`StepCheck`]: whether the step is short enough for the observer
 //! * [`TriggerConstants`]: `phi_1`, `phi_2` and the hold error at which the trigger fires.
 //! * [`UltimateBound`]: Theorem 1's bound on `|e_1(t)|^2` (equation `UUB Bound`).
-//! * [`LumpedUncertainty`]: what its premise on `rho` asks.
+//! * [`LumpedUncertainty`]: the required size of `rho`.
 //! * [`minimum_interval`]: Theorem 2's bound on the time between broadcasts (`Zeno Bound`).
 
 mod block_cholesky;
@@ -31,7 +31,7 @@ pub use lumped::LumpedUncertainty;
 pub use lumped_samples::LumpedSamples;
 pub use step::StepCheck;
 
-/// `|A|`, the largest singular value.
+/// Returns `|A|`, the largest singular value.
 #[must_use]
 pub fn spectral_norm(matrix: &DMatrix<f64>) -> f64 {
     let (rows, columns) = matrix.shape();
@@ -47,7 +47,7 @@ pub fn spectral_norm(matrix: &DMatrix<f64>) -> f64 {
     gram.max.max(0.0).sqrt()
 }
 
-/// `lambda_max(L)` of the graph's Laplacian, which is also `|L (x) I_n|`.
+/// Returns `lambda_max(L)` of the graph's Laplacian, which equals `|L (x) I_n|`.
 #[must_use]
 pub fn laplacian_norm(graph: &Graph) -> f64 {
     spectrum(graph.agents(), |v, result| {
@@ -66,14 +66,14 @@ pub fn laplacian_norm(graph: &Graph) -> f64 {
 pub struct TriggerConstants {
     /// `phi_1 = k_2/2 + kappa/2 |L (x) K_1|^2`. \[1/s\]
     pub phi1: f64,
-    /// `phi_2 = k_2 / (4 |L (x) I_n|^2)`; 0 for a single agent, which has no one to hear. \[1/s\]
+    /// `phi_2 = k_2 / (4 |L (x) I_n|^2)`; 0 for a single agent, which has no neighbours. \[1/s\]
     pub phi2: f64,
     /// `epsilon / N`. \[squared state unit/s\]
     pub threshold: f64,
 }
 
 impl TriggerConstants {
-    /// The constants for this scenario's graph, gain and design.
+    /// Computes the constants for this scenario's graph, gain and design.
     #[must_use]
     pub fn new(scenario: &Scenario) -> Self {
         let Design { gain, k2, kappa, epsilon, .. } = &scenario.design;
@@ -86,18 +86,18 @@ impl TriggerConstants {
         }
     }
 
-    /// The hold error at which the trigger fires while the consensus term is zero.
-    /// \[state unit\]
+    /// Returns the hold error at which the trigger fires while the consensus term is zero. \[state
+    /// unit\]
     #[must_use]
     pub fn radius(&self) -> f64 {
         (self.threshold / self.phi1).sqrt()
     }
 }
 
-/// Theorem 1's bound on `|e_1(t)|^2`, all agents stacked.
+/// Theorem 1's bound on `|e_1(t)|^2`, stacked over all agents.
 ///
-/// The ideal outer weights are unknown; within `|W_0| <= omega_bar` the weight errors are at most
-/// `2 omega_bar`, which bounds `tr(W_tilde^T Gamma^-1 W_tilde)` at all times.
+/// The ideal outer weights are unknown; with `|W_0| <= omega_bar` the weight errors are at most `2
+/// omega_bar`, which bounds `tr(W_tilde^T Gamma^-1 W_tilde)` at all times.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UltimateBound {
     /// `|e_1(0)|^2`.
@@ -111,8 +111,8 @@ pub struct UltimateBound {
 }
 
 impl UltimateBound {
-    /// The bound for this scenario; `None` where `alpha <= 0`, for which the theorem says
-    /// nothing.
+    /// Computes the bound for this scenario; `None` if `alpha <= 0`, where the theorem does not
+    /// apply.
     #[must_use]
     pub fn new(scenario: &Scenario) -> Option<Self> {
         let Design { k2, kappa, delta, epsilon, .. } = scenario.design;
@@ -134,21 +134,21 @@ impl UltimateBound {
         })
     }
 
-    /// The bound at `time` \[s\].
+    /// Returns the bound at `time` \[s\].
     #[must_use]
     pub fn at(&self, time: f64) -> f64 {
         let decay = libm::exp(-self.alpha * time);
         (self.initial_error_squared + self.weight_error) * decay + self.ultimate() * (1.0 - decay)
     }
 
-    /// What the bound tends to.
+    /// Returns the limit of the bound for large times.
     #[must_use]
     pub fn ultimate(&self) -> f64 {
         self.weight_error + 2.0 * self.delta_bar / self.alpha
     }
 }
 
-/// `lambda_min(Gamma)`.
+/// Returns `lambda_min(Gamma)`.
 fn gain_min(gain: &OuterGain) -> f64 {
     match gain {
         OuterGain::Scalar(gain) => *gain,
@@ -165,7 +165,7 @@ fn gain_min(gain: &OuterGain) -> f64 {
     }
 }
 
-/// Theorem 2's lower bound on the time between two broadcasts of an agent whose hold error
+/// Returns Theorem 2's lower bound on the time between two broadcasts of an agent whose hold error
 /// grows no faster than `rate` \[state unit/s\]: `sqrt(epsilon / (N phi_1)) / rate`. \[s\]
 #[must_use]
 pub fn minimum_interval(trigger: &TriggerConstants, rate: f64) -> f64 {
@@ -177,9 +177,9 @@ mod tests {
     use super::*;
     use crate::scenario::{PAPER, Scenario};
 
-    /// The values of an independent implementation in double precision.
+    /// Compares with an independent implementation in double precision.
     #[test]
-    fn the_papers_constants() {
+    fn constants_of_the_paper() {
         let scenario = Scenario::parse("paper.toml", PAPER).unwrap();
         let trigger = TriggerConstants::new(&scenario);
         assert!((trigger.phi1 - 311_810.148).abs() < 1e-3, "{}", trigger.phi1);
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ultimate_bound_decays_from_its_start_to_its_end() {
+    fn ultimate_bound_decays_from_initial_to_ultimate_value() {
         let bound = UltimateBound::new(&Scenario::parse("paper.toml", PAPER).unwrap()).unwrap();
         // |x_0(0)|^2 = 25 + 49 + 64 for each of three agents that start at zero.
         assert_eq!(bound.initial_error_squared, 3.0 * 138.0);

@@ -1,12 +1,12 @@
-//! `lambda_min(M)` of a [`BlockMatrix`] between two bounds that are certain.
+//! Rigorous bounds of `lambda_min(M)` for a [`BlockMatrix`].
 //!
-//! From above: no Rayleigh quotient is below the smallest eigenvalue. From below: `M - s I` has a
-//! Cholesky factor only if `s` is not above it (up to an error that [`BlockCholesky`] bounds). The
-//! vector for the one comes from Lanczos' method on `(M - s I)^-1`, with the factor of the other;
-//! from there `s` moves up to just below the quotient. Repeated and crowded eigenvalues make that
-//! slower, never wrong: what is returned are the bounds.
+//! Upper bound: the smallest eigenvalue is not above any Rayleigh quotient. Lower bound: `M - s I`
+//! has a Cholesky factor only if `s` is not above the eigenvalue (up to an error that
+//! [`BlockCholesky`] bounds). The vector of the quotient comes from the Lanczos method on `(M - s
+//! I)^-1`, with the factor of the lower bound; then `s` moves up to just below the quotient.
+//! Repeated and clustered eigenvalues slow this down, but the bounds remain valid.
 //!
-//! Cost: two factorisations as a rule, a few more where eigenvalues crowd; 24 solutions for each.
+//! Cost: usually two factorisations, a few more for clustered eigenvalues, with 24 solutions each.
 
 use nalgebra::DMatrix;
 
@@ -14,26 +14,26 @@ use super::block_cholesky::{BlockCholesky, Factor};
 use super::block_matrix::{BlockMatrix, dot, normalise, random_direction};
 use super::jacobi::Eigen;
 
-/// Steps of Lanczos' method between two factorisations.
+/// Lanczos steps between two factorisations.
 const STEPS: usize = 24;
-/// More rounds than are ever needed: each brings the bounds nearer by a factor.
+/// Limit that is never reached: each round reduces the gap by a factor.
 const ROUNDS_MAX: usize = 40;
-/// Relative distance between the bounds that is close enough.
+/// Relative gap between the bounds at which the search ends.
 const TOLERANCE: f64 = 1e-12;
 
-/// What is known of `lambda_min(M)`.
+/// Bounds of `lambda_min(M)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Smallest {
-    /// It is not below this.
+    /// Lower bound.
     pub(super) lower: f64,
     /// A Rayleigh quotient.
     pub(super) estimate: f64,
-    /// It is not above this.
+    /// Upper bound.
     pub(super) upper: f64,
 }
 
 impl Smallest {
-    /// Finds bounds that are as near to each other as rounding allows, or [`TOLERANCE`] is.
+    /// Computes bounds as close as rounding or [`TOLERANCE`] allow.
     pub(super) fn new(matrix: &BlockMatrix<'_>, structure: &BlockCholesky<'_>) -> Self {
         let mut vector = random_direction(matrix.dimension());
         let (estimate, error) = matrix.rayleigh_quotient(&vector);
@@ -51,7 +51,8 @@ impl Smallest {
             if found.upper - found.lower <= 2.0 * near {
                 break;
             }
-            // As near as the residual promises, then further down until there is a factor.
+            // Start at the distance that the residual suggests, then move down until there is a
+            // factor.
             let mut distance = residual(matrix, &vector, estimate).max(0.5 * near);
             let nearer = loop {
                 let next = found.estimate - distance;
@@ -76,13 +77,13 @@ impl Smallest {
     }
 }
 
-/// A factor with a shift below every eigenvalue, and the shift.
+/// Returns a factor with a shift below every eigenvalue, and the shift.
 fn below_all<'s, 'm>(
     matrix: &BlockMatrix<'_>,
     structure: &'s BlockCholesky<'m>,
 ) -> Option<(Factor<'s, 'm>, f64)> {
     let smallest_of = |block: &DMatrix<f64>| Eigen::new(block).values[0];
-    // L (x) K is positive semidefinite if K is, and takes nothing away.
+    // L (x) K is positive semidefinite if K is, and does not lower eigenvalues.
     let of_blocks = if smallest_of(&matrix.coupling) >= 0.0 {
         let mut blocks: Vec<&DMatrix<f64>> = matrix.diagonal.iter().collect();
         blocks.dedup();
@@ -102,7 +103,7 @@ fn below_all<'s, 'm>(
     None
 }
 
-/// The Ritz vector of the largest eigenvalue of `(M - s I)^-1`, from a start that may know it.
+/// Returns the Ritz vector of the largest eigenvalue of `(M - s I)^-1`, from a start near it.
 fn largest_of_inverse(factor: &Factor<'_, '_>, start: Vec<f64>) -> Vec<f64> {
     let dimension = start.len();
     let steps = STEPS.min(dimension);
@@ -111,7 +112,7 @@ fn largest_of_inverse(factor: &Factor<'_, '_>, start: Vec<f64>) -> Vec<f64> {
         let mut image = basis[k].clone();
         factor.solve(&mut image);
         projected[(k, k)] = dot(&basis[k], &image);
-        // Twice, because once leaves rounding errors.
+        // Twice, because of rounding errors.
         for _ in 0..2 {
             for direction in &basis {
                 let part = dot(&image, direction);
@@ -123,7 +124,7 @@ fn largest_of_inverse(factor: &Factor<'_, '_>, start: Vec<f64>) -> Vec<f64> {
         }
         let length = normalise(&mut image);
         if !length.is_finite() || length <= 1e-14 * projected[(0, 0)].abs() {
-            // The basis spans all that the start has a part in.
+            // The basis spans the invariant subspace of the start.
             projected = projected.view((0, 0), (k + 1, k + 1)).into_owned();
             break;
         }
@@ -141,7 +142,7 @@ fn largest_of_inverse(factor: &Factor<'_, '_>, start: Vec<f64>) -> Vec<f64> {
     vector
 }
 
-/// `|M v - lambda v|` of a unit vector.
+/// Returns `|M v - lambda v|` of a unit vector.
 fn residual(matrix: &BlockMatrix<'_>, v: &[f64], eigenvalue: f64) -> f64 {
     let mut image = vec![0.0; v.len()];
     matrix.apply(v, &mut image);

@@ -1,23 +1,24 @@
-//! Is the step short enough for the observer itself?
+//! Checks whether the step is short enough for the observer.
 //!
-//! Where every agent broadcasts in every step, the held estimates are the estimates, and the
-//! errors `e_1`, all stacked, obey, with the plant and the network apart,
+//! If every agent broadcasts in every step, the held estimates equal the estimates, and the stacked
+//! errors `e_1`, apart from plant and network, obey
 //!
 //! ```text
 //! e_1(t + dt) = (I - dt G) e_1(t),   G = (I (x) K_1) (C^T C + L (x) I_n)
 //! ```
 //!
-//! An error that grows makes agents broadcast in every step, so this matrix decides. `G` is a
+//! An error that grows makes agents broadcast in every step, so this matrix is decisive. `G` is the
 //! product of a positive definite and a positive semidefinite matrix: its eigenvalues are real and
-//! those of the symmetric `R (C^T C + L (x) I_n) R` with `R = I (x) K_1^(1/2)`. Euler's method is
-//! stable if `dt lambda_max(G) < 2`, so the largest stable step is `2 / lambda_max(G)`. Between
-//! broadcasts an agent's own feedback `K_1 C_i^T C_i` alone acts, whose eigenvalues are no larger.
+//! equal those of the symmetric `R (C^T C + L (x) I_n) R` with `R = I (x) K_1^(1/2)`. Euler's
+//! method is stable if `dt lambda_max(G) < 2`, so the largest stable step is `2 / lambda_max(G)`.
+//! Between broadcasts only an agent's own feedback `K_1 C_i^T C_i` acts, whose eigenvalues are no
+//! larger.
 //!
-//! A gain with an eigenvalue that is not above zero makes no step stable; a scenario file cannot
-//! have one.
+//! If a gain has an eigenvalue that is not positive, no step is stable; scenario files cannot
+//! contain such a gain.
 //!
-//! `lambda_max` comes from Lanczos' method without reorthogonalisation, which the largest
-//! eigenvalue does not need; it is approached from below, to far more digits than are printed.
+//! `lambda_max` comes from the Lanczos method without reorthogonalisation, which the largest
+//! eigenvalue does not need. It converges from below, to far more digits than are printed.
 
 use nalgebra::DMatrix;
 
@@ -29,24 +30,24 @@ use crate::number::significant;
 use crate::scenario::Scenario;
 
 const ITERATIONS_MAX: usize = 600;
-/// Iterations between two looks at the eigenvalue.
+/// Iterations between two convergence checks.
 const SETTLING: usize = 20;
-/// It counts as settled when it moved by less than this, relatively.
+/// Relative change at which the eigenvalue has converged.
 const TOLERANCE: f64 = 1e-9;
 
-/// The step against the longest that is stable.
+/// The step compared with the longest stable one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepCheck {
     /// `dt`. \[s\]
     pub step_size: f64,
-    /// `lambda_max(G)`, the fastest rate of the observer's own error dynamics. \[1/s\]
+    /// `lambda_max(G)`, the fastest rate of the observer's error dynamics. \[1/s\]
     pub eigenvalue_max: f64,
-    /// From this step on errors grow; `None` where they do at any step. \[s\]
+    /// The limit from which errors grow; `None` if they grow with any step. \[s\]
     pub largest_stable_step: Option<f64>,
 }
 
 impl StepCheck {
-    /// Examines this scenario's step.
+    /// Checks the step of a scenario.
     #[must_use]
     pub fn new(scenario: &Scenario) -> Self {
         let gain = Eigen::new(&scenario.design.gain);
@@ -72,20 +73,20 @@ impl StepCheck {
         }
     }
 
-    /// Whether errors do not grow at this step.
+    /// Whether errors do not grow with this step.
     #[must_use]
     pub fn is_stable(&self) -> bool {
         self.largest_stable_step.is_some_and(|largest| self.step_size < largest)
     }
 
-    /// The spectral radius of `I - dt G` where that is above 1, else at most 1: by how much an
-    /// error grows in a step.
+    /// Returns the growth of an error per step: the spectral radius of `I - dt G` if it is above 1,
+    /// otherwise at most 1.
     #[must_use]
     pub fn growth(&self) -> f64 {
         (self.step_size * self.eigenvalue_max - 1.0).abs()
     }
 
-    /// The step against the largest stable one, in words.
+    /// Describes the step relative to the largest stable one.
     #[must_use]
     pub fn describe(&self) -> String {
         let step = self.step_size;
@@ -94,12 +95,12 @@ impl StepCheck {
                      step; make design.gain positive definite"
                 .to_owned(),
             Some(largest) if self.is_stable() => format!(
-                "time.step = {step} s is below {} s, from which the observer itself is unstable",
+                "time.step = {step} s is below {} s, the stability limit of the observer",
                 round_down(largest)
             ),
             Some(largest) => format!(
-                "time.step = {step} s is too long for the observer, whose error grows up to {} \
-                 times in every step; write time.step below {} s, or lower design.gain or the \
+                "time.step = {step} s is too long: the observer's error grows by up to {} \
+                 times per step; set time.step below {} s, or reduce design.gain or the \
                  weights of the graph",
                 significant(self.growth(), 3),
                 round_down(largest),
@@ -112,7 +113,7 @@ impl StepCheck {
 fn round_down(x: f64) -> String {
     let nearest = significant(x, 3);
     match nearest.parse::<f64>() {
-        // The last of three digits is worth between a thousandth and a hundredth of the number.
+        // A unit of the third digit is between a thousandth and a hundredth of the number.
         Ok(value) if value > x => {
             let unit = libm::pow(10.0, libm::floor(libm::log10(value)) - 2.0);
             significant(value - unit, 3)
@@ -127,7 +128,7 @@ fn product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
     })
 }
 
-/// `lambda_max(M)`.
+/// Returns `lambda_max(M)`.
 fn largest(matrix: &BlockMatrix<'_>) -> f64 {
     let dimension = matrix.dimension();
     let (mut before, mut vector) = (vec![0.0; dimension], random_direction(dimension));
@@ -143,7 +144,7 @@ fn largest(matrix: &BlockMatrix<'_>) -> f64 {
             *x -= own * v + last * b;
         }
         let length = normalise(&mut image);
-        // Nothing is left: the basis spans an invariant subspace.
+        // The basis spans an invariant subspace.
         scale = scale.max(own.abs());
         let spans = !length.is_finite() || length <= 1e-13 * scale;
         if spans || iteration % SETTLING == 0 || iteration == ITERATIONS_MAX {
@@ -173,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn of_the_papers_network_as_a_dense_matrix_has_it() {
+    fn limit_of_the_paper_matches_dense_matrix() {
         let check = paper(|_| {});
         let dense = dense_eigenvalue_max(&Scenario::parse("paper.toml", PAPER).unwrap());
         assert!((check.eigenvalue_max - dense).abs() < 1e-9 * dense, "{check:?}, {dense}");
@@ -186,12 +187,12 @@ mod tests {
     }
 
     #[test]
-    fn a_gain_that_is_not_positive_definite_is_stable_at_no_step() {
+    fn indefinite_gain_has_no_stable_step() {
         let check = paper(|scenario| scenario.design.gain[(1, 1)] = -1.0);
         assert_eq!((check.largest_stable_step, check.is_stable()), (None, false));
     }
 
-    /// `lambda_max(G)` of the matrix written out, by powers of it.
+    /// Computes `lambda_max(G)` of the full matrix by power iteration.
     fn dense_eigenvalue_max(scenario: &Scenario) -> f64 {
         let (n, agents) = (scenario.dimension(), scenario.agents.len());
         let laplacian = scenario.graph.laplacian();
@@ -218,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn rounds_towards_what_is_stable() {
+    fn rounds_down_to_a_stable_step() {
         assert_eq!(round_down(0.033_39), "0.0333");
         assert_eq!(round_down(0.033_31), "0.0333");
         assert_eq!(round_down(2.0), "2.00");

@@ -21,47 +21,15 @@ impl Serialize for HealthReport {
 }
 
 /// The name of each counter, what it says to people, and how much it is.
-fn named(counters: &HealthCounters) -> [(&'static str, &'static str, u32); 15] {
-    let HealthCounters {
-        outside_box,
-        implausible,
-        projection_active,
-        diverged,
-        measurements_not_finite,
-        steps_refused,
-        skipped_ticks,
-        early_broadcasts,
-        frames_not_finite,
-        frames_implausible,
-        frames_refused,
-        frames_stale,
-        fall_backs,
-        returns,
-        restarts,
-    } = *counters;
-    [
-        ("outside_box", "steps outside the trained box", outside_box),
-        ("implausible", "of them implausible", implausible),
-        ("projection_active", "steps with an active projection", projection_active),
-        ("diverged", "steps that would have overflowed", diverged),
-        ("measurements_not_finite", "measurements not finite", measurements_not_finite),
-        ("steps_refused", "steps refused for other reasons", steps_refused),
-        ("skipped_ticks", "ticks skipped", skipped_ticks),
-        ("early_broadcasts", "broadcasts sooner than Theorem 2 allows", early_broadcasts),
-        ("frames_not_finite", "frames not finite", frames_not_finite),
-        ("frames_implausible", "implausible frames", frames_implausible),
-        ("frames_refused", "frames refused for other reasons", frames_refused),
-        ("frames_stale", "frames out of date", frames_stale),
-        ("fall_backs", "times the network was left out", fall_backs),
-        ("returns", "times it was used again", returns),
-        ("restarts", "times begun anew", restarts),
-    ]
+fn named(counters: &HealthCounters) -> impl Iterator<Item = (&'static str, &'static str, u32)> {
+    let rows = HealthCounters::TABLE.into_iter().zip(counters.to_array());
+    rows.map(|((name, text), count)| (name, text, count))
 }
 
 /// What has been counted, on one line.
 #[cfg(unix)]
 pub(super) fn line(counters: &HealthCounters) -> String {
-    let counted = named(counters).into_iter().filter(|(_, _, count)| *count > 0);
+    let counted = named(counters).filter(|(_, _, count)| *count > 0);
     let parts: Vec<_> = counted.map(|(_, what, count)| format!("{what}: {count}")).collect();
     if parts.is_empty() { "nothing to report".to_owned() } else { parts.join(", ") }
 }
@@ -76,7 +44,7 @@ pub(super) fn table(agents: &[AgentStatistics]) -> String {
     let mut text = String::from("Health\n");
     let told = |(_, counters): &&(usize, HealthCounters)| *counters != HealthCounters::default();
     for (agent, counters) in watched.iter().filter(told).take(LINES) {
-        let counted = named(counters).into_iter().filter(|(_, _, count)| *count > 0);
+        let counted = named(counters).filter(|(_, _, count)| *count > 0);
         let parts: Vec<_> = counted.map(|(_, what, count)| format!("{what}: {count}")).collect();
         // Writing into a string cannot fail.
         let _ = writeln!(text, "  agent {agent}: {}", parts.join(", "));

@@ -1,20 +1,20 @@
-//! How a run goes on, as two bars on the terminal: steps of the simulation, and epochs of the
+//! Progress bars on the terminal: one for the steps of the simulation, one for the epochs of the
 //! training that reported last.
 //!
-//! The bars go to the error output, so that results can be piped, and are not drawn at all if
-//! that is not a terminal. Drawing is limited to ten times a second; a report that is not drawn
-//! costs a few atomic operations, and may come from any thread.
+//! The bars go to standard error, so that results can be piped, and are not drawn if that is not a
+//! terminal. They are drawn at most ten times a second; a report that is not drawn costs a few
+//! atomic operations. Reports may come from any thread.
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-/// Most often that the bars are drawn. \[1/s\]
+/// Maximum drawing rate. \[1/s\]
 const DRAWS: u8 = 10;
 
 const STEPS: &str =
     "{prefix:12} [{bar:32}] {percent:>3} %  {human_pos} of {human_len} steps  {eta} left";
-const ENDLESS: &str = "{prefix:12} {human_pos} steps  {elapsed} since the start";
+const ENDLESS: &str = "{prefix:12} {human_pos} steps  {elapsed} elapsed";
 const BYTES: &str = "{prefix:12} [{bar:32}] {percent:>3} %  {bytes} of {total_bytes}";
-const EPOCHS: &str = "{prefix:12} {msg}  ({human_pos} epochs in all)";
+const EPOCHS: &str = "{prefix:12} {msg}  ({human_pos} epochs in total)";
 
 /// The two bars.
 #[derive(Debug)]
@@ -22,18 +22,18 @@ pub(super) struct ProgressBars {
     bars: MultiProgress,
     steps: ProgressBar,
     epochs: ProgressBar,
-    /// There is no last step.
+    /// Whether the run has no last step.
     endless: bool,
 }
 
 impl ProgressBars {
-    /// Bars of a run called `name`, on the error output.
+    /// Creates the bars of a run called `name`, on standard error.
     #[must_use]
     pub(super) fn new(name: &str) -> Self {
         Self::drawn_on(name, ProgressDrawTarget::stderr_with_hz(DRAWS))
     }
 
-    /// Bars of a run that goes on until it is ended by a signal.
+    /// Creates the bars of a run that continues until a signal ends it.
     #[must_use]
     pub(super) fn endless(name: &str) -> Self {
         let mut bars = Self::new(name);
@@ -42,12 +42,12 @@ impl ProgressBars {
         bars
     }
 
-    /// Does something that writes to the terminal, with the bars out of the way.
+    /// Hides the bars while `print` writes to the terminal.
     pub(super) fn suspended(&self, print: impl FnOnce()) {
         self.bars.suspend(print);
     }
 
-    /// Bars that are never drawn.
+    /// Creates bars that are never drawn.
     #[must_use]
     #[cfg(test)]
     fn hidden() -> Self {
@@ -64,7 +64,7 @@ impl ProgressBars {
         Self { bars, steps, epochs, endless: false }
     }
 
-    /// The run has come to `tick` of `steps`.
+    /// Reports that the run has reached `tick` of `steps`.
     pub(super) fn stepped(&self, tick: u64, steps: u64) {
         if !self.endless && self.steps.length() != Some(steps) {
             self.steps.set_length(steps);
@@ -72,7 +72,7 @@ impl ProgressBars {
         self.steps.set_position(tick);
     }
 
-    /// So many of `total` bytes have been sent.
+    /// Reports that `bytes` of `total` bytes have been sent.
     pub(super) fn pushed(&self, bytes: u64, total: u64) {
         if self.steps.length() != Some(total) {
             self.steps.set_style(style(BYTES));
@@ -81,7 +81,7 @@ impl ProgressBars {
         self.steps.set_position(bytes);
     }
 
-    /// Training of `agent` in `cycle` (both from 1) has finished epoch `number`, which left a
+    /// Reports that training of `agent` in `cycle` (both from 1) has finished epoch `number` with a
     /// mean squared error of `train_mse` \[squared state unit/s\].
     pub(super) fn epoch(&self, agent: usize, cycle: usize, number: usize, train_mse: f64) {
         self.epochs.inc(1);
@@ -92,7 +92,7 @@ impl ProgressBars {
         }
     }
 
-    /// Takes the bars off the terminal, so that what is printed next stands on a clean line.
+    /// Removes the bars, so that the next output starts on a clean line.
     pub(super) fn finish(&self) {
         self.steps.finish_and_clear();
         self.epochs.finish_and_clear();
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_without_an_end_has_no_length() {
+    fn endless_run_has_no_length() {
         let mut bars = ProgressBars::hidden();
         bars.endless = true;
         bars.stepped(512, 1 << 40);

@@ -21,7 +21,7 @@ use crate::interruption::{self, Again};
 use crate::learning::agent_config;
 use crate::learning::trained::{INITIAL_VERSION, Prepared, Trained, TrainedError, TrainingTask};
 use crate::packages::recording_source::{RecordingSource, SourceScenario};
-use crate::packages::{PackageBytes, Recording};
+use crate::packages::{PackageBytes, PackageSummary, Recording};
 use crate::scenario::{Recipe, Scenario};
 use crate::shell::shell_word;
 use crate::terminal;
@@ -66,9 +66,8 @@ pub(super) struct Arguments {
 #[derive(Serialize)]
 struct Report<'a> {
     package: String,
-    bytes: usize,
-    agent: usize,
-    version: u32,
+    #[serde(flatten)]
+    summary: PackageSummary,
     recipe: &'a str,
     seed: u64,
     recorded_samples: usize,
@@ -250,7 +249,7 @@ fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, Co
 /// Trains until it is done or interrupted, which keeps the best network so far.
 fn train(task: &TrainingTask<'_>, prepared: Prepared<'_, '_>) -> Result<Trained, TrainedError> {
     let bars = ProgressBars::new("training");
-    let total = task.recipe.solver.epochs_max as u64;
+    let total = task.recipe.trainer.trainer().epochs_max() as u64;
     let mut report_epoch = |epoch: &EpochReport| {
         bars.stepped(epoch.epoch as u64, total);
         bars.epoch(task.agent + 1, task.cycle + 1, epoch.epoch, epoch.train);
@@ -276,9 +275,7 @@ fn report<'a>(
     let quality = &trained.quality;
     Report {
         package: arguments.out.display().to_string(),
-        bytes: package.as_bytes().len(),
-        agent: arguments.agent,
-        version: package.package().version,
+        summary: PackageSummary::new(package),
         recipe: &task.recipe.name,
         seed: task.seed,
         recorded_samples: recording.samples.len(),
@@ -342,13 +339,11 @@ fn text(arguments: &Arguments, report: &Report<'_>) -> String {
     // Writing into a string cannot fail.
     let _ = writeln!(
         text,
-        "Written to {}: agent {}, version {}, {} bytes, {}\n\
+        "Written to {}: {}, {}\n\
          Recipe {}, seed {}, {:.2} s\n\
          Next: host-sim weights verify {}",
         report.package,
-        report.agent,
-        report.version,
-        report.bytes,
+        report.summary,
         if report.signed { "signed" } else { "not signed" },
         terminal::one_line(report.recipe),
         report.seed,

@@ -210,10 +210,10 @@ mod tests {
         assert_eq!(codes(&weak), [WarningCode::GainNotASolution]);
         // 113.333 / 36.1356, and then the step is too long.
         assert!(weak[0].text.contains("NOT a solution; multiply design.gain by 3.14"), "{weak:?}");
-        assert!(weak[0].text.ends_with("write time.step below 0.00074 s"), "{weak:?}");
+        assert!(weak[0].text.ends_with("set time.step below 0.00074 s"), "{weak:?}");
         let long = changed("step = 0.001", "step = 0.004");
         assert_eq!(codes(&long), [WarningCode::UnstableStep]);
-        assert!(long[0].text.contains("write time.step below 0.00233 s"), "{long:?}");
+        assert!(long[0].text.contains("set time.step below 0.00233 s"), "{long:?}");
         let early = changed("from = 20.0", "from = 19.0");
         assert_eq!(codes(&early), [WarningCode::WindowBeforeSwitch]);
         assert!(early[0].text.ends_with("write evaluation.from = 20"), "{early:?}");

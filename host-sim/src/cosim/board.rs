@@ -25,7 +25,7 @@ const END: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub struct Board {
     client: Client,
-    /// What it is, for people.
+    /// Name, for messages.
     label: String,
     /// Where it is an emulator: its process.
     process: Option<Process>,

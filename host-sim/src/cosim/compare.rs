@@ -53,7 +53,7 @@ pub fn first_mismatch(
         Some(state) => of_state(tick, state, step),
         None => Some(("state", None, "not told".to_owned(), format!("of tick {tick}"))),
     };
-    let broadcast = step.broadcast.map(|frame| &frame[..]);
+    let broadcast = step.broadcast;
     let difference = difference.or_else(|| of_frames(&turn.frames, broadcast));
     difference.map(|difference| mismatch(agent, tick, difference))
 }
@@ -123,15 +123,12 @@ fn of_frames(node: &[Vec<u8>], simulator: Option<&[u8]>) -> Option<Difference> {
 #[cfg(test)]
 mod tests {
     use agent_core::service::Outcome;
-    use agent_core::wire::frame::FrameBytes;
 
     use super::*;
 
-    fn frame() -> FrameBytes {
-        FrameBytes::from_slice(&[1, 2, 3]).unwrap()
-    }
+    const FRAME: [u8; 3] = [1, 2, 3];
 
-    fn step(broadcast: Option<&FrameBytes>) -> AgentStep<'_> {
+    fn step(broadcast: Option<&[u8]>) -> AgentStep<'_> {
         AgentStep {
             measurement: &[1.0],
             outcome: Outcome::Stepped,
@@ -155,7 +152,7 @@ mod tests {
 
     #[test]
     fn equal_bits_are_no_mismatch() {
-        assert_eq!(first_mismatch(0, 7, &turn(), &step(Some(&frame()))), None);
+        assert_eq!(first_mismatch(0, 7, &turn(), &step(Some(&FRAME))), None);
     }
 
     #[test]
@@ -163,7 +160,7 @@ mod tests {
         let told = |change: fn(&mut State<Vec<f32>>)| {
             let mut turn = turn();
             change(turn.state.as_mut().unwrap());
-            first_mismatch(1, 7, &turn, &step(Some(&frame()))).unwrap().to_string()
+            first_mismatch(1, 7, &turn, &step(Some(&FRAME))).unwrap().to_string()
         };
         let on = "agent 2, tick 7: ";
         assert_eq!(
@@ -195,7 +192,7 @@ mod tests {
         );
         let mut other = turn();
         other.frames[0][2] = 9;
-        let mismatch = first_mismatch(1, 7, &other, &step(Some(&frame()))).unwrap().to_string();
+        let mismatch = first_mismatch(1, 7, &other, &step(Some(&FRAME))).unwrap().to_string();
         assert_eq!(mismatch, format!("{on}frame[2] is 0x09 on the node and 0x03 in the simulator"));
         let mismatch = first_mismatch(1, 7, &turn(), &step(None)).unwrap().to_string();
         assert_eq!(

@@ -127,7 +127,7 @@ pub enum Fault {
     /// Somebody asked for the end.
     #[error("interrupted")]
     Interrupted,
-    /// The system reports an error.
+    /// The system reported an error.
     #[error("{0}; reconnect the board and start again")]
     System(std::io::Error),
 }

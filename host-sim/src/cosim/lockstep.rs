@@ -151,7 +151,7 @@ impl<'s> Lockstep<'s> {
     fn took_turn(&mut self, index: usize, tick: Tick, turn: Turn, agent: &AgentStep<'_>) {
         let node = &mut self.nodes[index];
         let mismatch = first_mismatch(index, tick, &turn, agent);
-        let expected = agent.broadcast.map(|frame| &frame[..]);
+        let expected = agent.broadcast;
         node.frames_agree = turn.frames.iter().map(Vec::as_slice).eq(expected);
         node.report.broadcasts += turn.frames.len() as u64;
         node.report.compared += u64::from(node.report.parted.is_none());
@@ -191,7 +191,7 @@ impl RunObserver for Lockstep<'_> {
             }
             let begun = node.board.begin(package, agent.estimate);
             let frames = begun.map_err(|fault| self.named(index, fault))?;
-            let announcement = agent.announcement.map(|frame| &frame[..]);
+            let announcement = agent.announcement;
             let mismatch = announcement_mismatch(index, &frames, announcement);
             self.nodes[index].report.broadcasts += frames.len() as u64;
             self.nodes[index].frames = frames;
@@ -257,7 +257,7 @@ impl RunObserver for Lockstep<'_> {
         self.part_with_neighbours(tick);
         self.feed(tick, agents)?;
         for (index, agent) in agents.iter().enumerate() {
-            let simulated = agent.broadcast.map(|frame| &frame[..]);
+            let simulated = agent.broadcast;
             if !self.nodes[index].has_ended() {
                 match self.nodes[index].board.turn() {
                     Ok(turn) => self.took_turn(index, tick, turn, agent),

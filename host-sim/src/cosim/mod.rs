@@ -9,7 +9,7 @@
 //!     └─────> compare: every step of every node, bit for bit
 //! ```
 //!
-//! | module | what it is |
+//! | module | purpose |
 //! | --- | --- |
 //! | [`endpoint`] | what nodes run on, as a command line names it |
 //! | [`board`] | one node: the messages that are exchanged with it |
@@ -256,7 +256,7 @@ pub enum CosimError {
     Serve {
         /// The folder or the socket.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         #[source]
         error: std::io::Error,
     },

@@ -4,11 +4,13 @@
 //! stands guard: it reads from a pipe that only this process holds open, and if the pipe ends without
 //! a word, it kills the process that it guards and removes its folder.
 
-use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::collections::VecDeque;
+use std::io::{self, Read, Write};
 use std::os::unix::process::CommandExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
@@ -18,7 +20,7 @@ use nix::unistd::Pid;
 const GRACE: Duration = Duration::from_secs(1);
 
 /// Bytes of its console that are shown when it has ended.
-const TAIL: u64 = 2000;
+const TAIL: usize = 2000;
 
 /// What the guard does: its arguments are the files and folders to be removed.
 const GUARD: &str =
@@ -29,17 +31,17 @@ const GUARD: &str =
 pub struct Process {
     child: Child,
     guard: Child,
-    console: PathBuf,
+    console: Console,
 }
 
 impl Process {
-    /// Starts `command`; what it writes to its outputs goes to the file `console`. If this process is
+    /// Starts `command`; of what it writes to its outputs, the end is kept. If this process is
     /// killed, `folders` are removed.
     ///
     /// # Errors
-    /// What the system says.
-    pub fn start(command: &mut Command, console: &Path, folders: &[&Path]) -> io::Result<Self> {
-        let output = File::create(console)?;
+    /// The system's error.
+    pub fn start(command: &mut Command, folders: &[&Path]) -> io::Result<Self> {
+        let (console, output) = Console::open()?;
         let absolute = folders.iter().map(std::path::absolute).collect::<io::Result<Vec<_>>>()?;
         // The guard is there first, so that there is no time without it.
         let mut guard = Command::new("/bin/sh")
@@ -67,7 +69,7 @@ impl Process {
                 return Err(error);
             }
         };
-        let mut process = Self { child, guard, console: console.to_owned() };
+        let mut process = Self { child, guard, console };
         let id = process.id();
         // If this fails, dropping the process ends it.
         process.tell_guard(&format!("{id}\n"))?;
@@ -114,16 +116,9 @@ impl Process {
 
     /// The end of what it has written.
     #[must_use]
-    pub fn said(&self) -> String {
-        let read = || -> io::Result<Vec<u8>> {
-            let mut file = File::open(&self.console)?;
-            let length = file.metadata()?.len();
-            file.seek(SeekFrom::Start(length.saturating_sub(TAIL)))?;
-            let mut text = Vec::new();
-            file.take(TAIL).read_to_end(&mut text)?;
-            Ok(text)
-        };
-        String::from_utf8_lossy(&read().unwrap_or_default()).trim().to_owned()
+    pub fn said(&mut self) -> String {
+        let ended = self.ended().is_some();
+        self.console.tail(ended)
     }
 
     /// Tells it to end, without waiting.
@@ -139,6 +134,44 @@ impl Process {
             // still its own.
             let _ = kill(Pid::from_raw(id), signal);
         }
+    }
+}
+
+/// The end of what a process writes to its outputs: what is before it is forgotten, however much
+/// it is.
+#[derive(Debug)]
+struct Console {
+    tail: Arc<Mutex<VecDeque<u8>>>,
+    reader: JoinHandle<()>,
+}
+
+impl Console {
+    /// The console, and where the process is to write.
+    fn open() -> io::Result<(Self, io::PipeWriter)> {
+        let (mut input, output) = io::pipe()?;
+        let tail = Arc::new(Mutex::new(VecDeque::new()));
+        let kept = Arc::clone(&tail);
+        let reader = std::thread::Builder::new().name("console".to_owned()).spawn(move || {
+            let mut buffer = [0; 4096];
+            while let Ok(length @ 1..) = input.read(&mut buffer) {
+                let mut tail = kept.lock().unwrap_or_else(PoisonError::into_inner);
+                tail.extend(&buffer[..length]);
+                let forgotten = tail.len().saturating_sub(TAIL);
+                tail.drain(..forgotten);
+            }
+        })?;
+        Ok((Self { tail, reader }, output))
+    }
+
+    /// The end; all of it, if the process has `ended`.
+    fn tail(&self, ended: bool) -> String {
+        // A child of the process may hold its outputs open for longer.
+        let deadline = Instant::now() + GRACE;
+        while ended && !self.reader.is_finished() && Instant::now() < deadline {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let mut tail = self.tail.lock().unwrap_or_else(PoisonError::into_inner);
+        String::from_utf8_lossy(tail.make_contiguous()).trim().to_owned()
     }
 }
 
@@ -158,9 +191,8 @@ impl Drop for Process {
 mod tests {
     use super::*;
 
-    fn start(folder: &Path, script: &str) -> Process {
-        Process::start(Command::new("sh").args(["-c", script]), &folder.join("console"), &[])
-            .unwrap()
+    fn start(script: &str) -> Process {
+        Process::start(Command::new("sh").args(["-c", script]), &[]).unwrap()
     }
 
     fn is_there(id: u32) -> bool {
@@ -169,8 +201,7 @@ mod tests {
 
     #[test]
     fn a_process_ends_with_its_holder() {
-        let folder = tempfile::tempdir().unwrap();
-        let process = start(folder.path(), "exec sleep 1000");
+        let process = start("exec sleep 1000");
         let id = process.id();
         assert!(is_there(id));
         drop(process);
@@ -179,9 +210,7 @@ mod tests {
 
     #[test]
     fn a_process_that_does_not_listen_is_killed() {
-        let folder = tempfile::tempdir().unwrap();
-        let process =
-            start(folder.path(), "trap '' TERM; echo ready; while :; do sleep 0.01; done");
+        let mut process = start("trap '' TERM; echo ready; while :; do sleep 0.01; done");
         while process.said() != "ready" {
             std::thread::sleep(Duration::from_millis(1));
         }
@@ -192,10 +221,18 @@ mod tests {
 
     #[test]
     fn what_it_said_and_how_it_ended_are_known() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut process = start(folder.path(), "echo fine; echo wrong >&2; exit 3");
+        let mut process = start("echo fine; echo wrong >&2; exit 3");
         let status = process.ends_within(Duration::from_secs(10)).unwrap();
         assert_eq!((status.code(), process.said().as_str()), (Some(3), "fine\nwrong"));
+    }
+
+    #[test]
+    fn of_endless_output_only_the_end_is_kept() {
+        let script = "head -c 10000000 /dev/zero | tr '\\0' x; echo; echo the end";
+        let mut process = start(script);
+        assert!(process.ends_within(Duration::from_secs(60)).unwrap().success());
+        let said = process.said();
+        assert!(said.ends_with("x\nthe end") && said.len() < TAIL, "{} bytes", said.len());
     }
 
     #[test]
@@ -204,12 +241,8 @@ mod tests {
         let guarded = folder.path().join("guarded");
         std::fs::create_dir(&guarded).unwrap();
         let script = "trap '' TERM; while :; do sleep 0.01; done";
-        let mut process = Process::start(
-            Command::new("sh").args(["-c", script]),
-            &guarded.join("console"),
-            &[&guarded],
-        )
-        .unwrap();
+        let mut process =
+            Process::start(Command::new("sh").args(["-c", script]), &[&guarded]).unwrap();
         // What the system does for a holder that is killed: its end of the pipe is closed.
         drop(process.guard.stdin.take());
         assert!(process.guard.wait().unwrap().success());

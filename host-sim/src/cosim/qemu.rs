@@ -151,7 +151,7 @@ impl Qemu {
             option(&input),
             option(&output)
         ));
-        let mut process = self.spawn(&mut command, folder, removed)?;
+        let mut process = self.spawn(&mut command, removed)?;
         let alive = || process.ended().is_none();
         match Line::over_pipes(&input, &output, self.timeout, alive, &self.stop) {
             Ok(line) => Ok((Board::new(line, "qemu", lives_on), process)),
@@ -175,7 +175,7 @@ impl Qemu {
         listener.set_nonblocking(true).map_err(Fault::System)?;
         command.arg("-serial").arg(format!("unix:{}", option(&path)));
         command.args(["-semihosting-config", "enable=on,target=native,arg=node,arg=uart"]);
-        let mut process = self.spawn(&mut command, folder, removed)?;
+        let mut process = self.spawn(&mut command, removed)?;
         let deadline = Instant::now() + self.timeout;
         loop {
             match listener.accept() {
@@ -196,13 +196,8 @@ impl Qemu {
         }
     }
 
-    fn spawn(
-        &self,
-        command: &mut Command,
-        folder: &TempDir,
-        removed: &[&Path],
-    ) -> Result<Process, Fault> {
-        Process::start(command, &folder.path().join("console"), removed).map_err(|error| {
+    fn spawn(&self, command: &mut Command, removed: &[&Path]) -> Result<Process, Fault> {
+        Process::start(command, removed).map_err(|error| {
             let program = self.program.display();
             Fault::Start(if error.kind() == ErrorKind::NotFound {
                 format!(

@@ -4,8 +4,8 @@
 use agent_core::agent::capture::Sample;
 use agent_core::agent::hold::Hold;
 use agent_core::agent::inbox::Inbox;
-use agent_core::agent::{AgentParams, AgentState, StepError, StepOutput};
-use agent_core::health::HealthSettings;
+use agent_core::agent::{AgentParams, AgentState, StepError};
+use agent_core::health::{HealthSettings, WatchedStep};
 use agent_core::math::parameter::ParameterError;
 use agent_core::observer::feedback::Neighbour;
 use agent_core::observer::network::{InnerNetwork, LAYER_WIDTH_MAX, Scratch};
@@ -128,75 +128,55 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     /// because agents are stepped in parallel.
     #[inline]
     pub(super) fn step(&mut self, tick: Tick, truth: &[f64; N], link: &impl Link, index: usize) {
-        let (inbox, params) = (&mut self.inbox, &self.params);
-        let (refused, watch) = (&mut self.statistics.frames_refused, &mut self.watch);
-        link.deliver(index, tick, |bytes| {
-            // A node drops a frame that it cannot use and goes on; so does its simulation.
-            let accepted = match watch {
-                None => inbox.accept(params.neighbours(), bytes),
-                Some(watch) => watch.accept(params, inbox, bytes),
-            };
-            *refused += u64::from(accepted.is_err());
-        });
+        let Self { params, state, inbox, watch, network, norms, statistics, .. } = self;
         for (measured, row) in self.measurement.iter_mut().zip(&self.sensor) {
             let exact = row.iter().zip(truth).fold(0.0, |sum, (c, x)| sum + c * x);
             *measured = exact as f32;
         }
         let measurement = &self.measurement[..self.sensor.len()];
-        let network_in_use = self.watch.as_ref().is_none_or(Watch::network_in_use);
-        let network = self.network.as_ref().filter(|_| network_in_use);
-        let outcome = self.state.step(&self.params, network, tick, measurement, &mut self.inbox);
-        self.outcome = outcome.as_ref().map_or_else(Outcome::from, |_| Outcome::Stepped);
-        if self.norms.is_some()
-            && let Ok(output) = &outcome
-        {
-            self.observe_bounds(&output.sample, network_in_use);
-        }
-        let Some(watch) = &mut self.watch else {
-            match outcome {
-                Ok(output) => self.take_output(output),
-                Err(failure) => self.failure = Some(failure),
+        let network = network.as_ref();
+        let mut bounds = Bounds::default();
+        let mut refused = 0;
+        let is_watched = watch.is_some();
+        let step = match watch {
+            // The paper's agent: no region, no restart.
+            None => {
+                link.deliver(index, tick, |bytes| {
+                    refused += u64::from(inbox.accept(params.neighbours(), bytes).is_err());
+                });
+                match state.step(params, network, tick, measurement, inbox) {
+                    Ok(output) => {
+                        bounds = Bounds::of(params, network, state, &output.sample, norms);
+                        WatchedStep::Taken(output)
+                    }
+                    Err(error) => WatchedStep::Refused(error),
+                }
             }
-            return;
+            Some(watch) => {
+                let network_in_use = watch.network_in_use();
+                let (mut agent, outer_weights) = watch.agent(params, state, inbox);
+                // A node drops a frame that it cannot use and goes on; so does its simulation.
+                link.deliver(index, tick, |bytes| {
+                    refused += u64::from(agent.receive(bytes).is_err());
+                });
+                agent.step_observed(network, outer_weights, tick, measurement, |state, output| {
+                    let network = network.filter(|_| network_in_use);
+                    bounds = Bounds::of(params, network, state, &output.sample, norms);
+                })
+            }
         };
-        let (params, state, inbox) = (&self.params, &mut self.state, &mut self.inbox);
-        let anew = watch.observe(params, state, inbox, tick, &outcome);
-        match (anew, outcome) {
-            // What led there is nothing to learn from.
-            (Some(frame), _) => {
-                self.outcome = Outcome::Restarted;
-                self.outgoing = Some(frame.encode());
-                self.last_sample = None;
-            }
-            (None, Ok(output)) => self.take_output(output),
-            (None, Err(failure)) => {
-                self.last_sample = None;
-                self.failure = Some(failure).filter(|&failure| !is_recoverable(failure));
-            }
+        statistics.frames_refused += refused;
+        statistics.hold_error_rate_max = statistics.hold_error_rate_max.max(bounds.hold_error_rate);
+        statistics.outer_weights_norm_max =
+            statistics.outer_weights_norm_max.max(bounds.outer_weights_norm);
+        self.outcome = Outcome::from(&step);
+        self.outgoing = step.broadcast().map(|frame| frame.encode());
+        self.last_sample = step.sample().copied();
+        self.failure = match step {
+            WatchedStep::Refused(error) => Some(error),
+            WatchedStep::Taken(_) | WatchedStep::Restarted(_) => None,
         }
-    }
-
-    #[inline]
-    fn take_output(&mut self, output: StepOutput<N>) {
-        self.outgoing = output.broadcast.map(|frame| frame.encode());
-        self.last_sample = Some(output.sample);
-    }
-
-    /// Keeps the largest `e_2i_max` of Theorem 2 and the largest norm of the outer weights.
-    fn observe_bounds(&mut self, sample: &Sample<N>, network_in_use: bool) {
-        let Some((norms, scratch)) = &mut self.norms else { return };
-        let network = self.network.as_ref().filter(|_| network_in_use);
-        let features = network.and_then(|network| {
-            let features = network.features(sample.estimate.as_slice(), scratch)?;
-            Some(norm(features))
-        });
-        let weights = f64::from(self.state.outer_weights().norm_squared()).sqrt();
-        let rate = weights * features.unwrap_or(0.0)
-            + norms.gain * norm(self.state.consensus_term().as_slice())
-            + norms.gain_output * norm(self.state.output_error(&self.params));
-        let statistics = &mut self.statistics;
-        statistics.hold_error_rate_max = statistics.hold_error_rate_max.max(rate);
-        statistics.outer_weights_norm_max = statistics.outer_weights_norm_max.max(weights);
+        .filter(|&error| !is_watched || !is_recoverable(error));
     }
 
     /// Calls `hear` with `sigma_i` at the estimate, shape `[L]`, and `W_hat_i` row by row, shape
@@ -234,7 +214,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             estimate: self.estimate(),
             derivative: self.last_sample.as_ref().map(|sample| sample.derivative.as_slice()),
             outer_weights: self.outer_weights(),
-            broadcast: self.outgoing.as_ref(),
+            broadcast: self.outgoing.as_deref(),
         }
     }
 
@@ -269,6 +249,35 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     pub(super) fn finish(mut self) -> AgentStatistics {
         self.statistics.health = self.watch.as_ref().map(Watch::counters);
         self.statistics
+    }
+}
+
+/// Norms after a step, for the bounds of the theorems; 0 if they are not asked for.
+#[derive(Default)]
+struct Bounds {
+    /// `e_2i_max` of Theorem 2.
+    hold_error_rate: f64,
+    outer_weights_norm: f64,
+}
+
+impl Bounds {
+    fn of<const N: usize>(
+        params: &AgentParams<'_, N>,
+        network: Option<&SharedNetwork>,
+        state: &SimulatedState<N>,
+        sample: &Sample<N>,
+        norms: &mut Option<(GainNorms, Box<Scratch>)>,
+    ) -> Self {
+        let Some((norms, scratch)) = norms else { return Self::default() };
+        let features = network.and_then(|network| {
+            let features = network.features(sample.estimate.as_slice(), scratch)?;
+            Some(norm(features))
+        });
+        let outer_weights_norm = f64::from(state.outer_weights().norm_squared()).sqrt();
+        let hold_error_rate = outer_weights_norm * features.unwrap_or(0.0)
+            + norms.gain * norm(state.consensus_term().as_slice())
+            + norms.gain_output * norm(state.output_error(params));
+        Self { hold_error_rate, outer_weights_norm }
     }
 }
 

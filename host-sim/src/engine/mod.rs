@@ -45,7 +45,7 @@ pub use run_observer::{RunObserver, RunObserverError};
 
 /// Hears how a run goes on; every method does nothing by default.
 pub trait Progress: Sync {
-    /// The run has come to `tick` of `steps`.
+    /// Reports that the run has reached `tick` of `steps`.
     fn stepped(&self, tick: u64, steps: u64) {
         let _ = (tick, steps);
     }

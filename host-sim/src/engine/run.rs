@@ -9,7 +9,7 @@ use super::agents::{GainNorms, ParamBuffers, SimulatedAgent};
 use super::bounds::BoundsMeter;
 use super::failure::plant_error;
 use super::learning::Learning;
-use super::link::{Link, Lossless};
+use super::link::{Link, ScenarioLink};
 use super::run_observer::{AgentStart, RunObserver, Switch};
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
@@ -28,7 +28,7 @@ const AGENTS_PER_THREAD: usize = 32;
 /// Steps between two reports of progress.
 const PROGRESS_STRIDE: Tick = 512;
 
-/// Runs `scenario` over the paper's lossless links.
+/// Runs `scenario` over the link that it describes.
 ///
 /// # Errors
 /// A parameter or network that the core refuses, a training that fails, a plant or an agent
@@ -38,10 +38,10 @@ pub fn run(
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
-    run_over(scenario, Lossless::new(&scenario.graph), options, progress)
+    run_over(scenario, ScenarioLink::new(scenario, options.seed), options, progress)
 }
 
-/// Runs `scenario` over the paper's lossless links, and lets `run_observer` go along.
+/// Runs `scenario` over the link that it describes, beside `run_observer`.
 ///
 /// # Errors
 /// As [`run`], and those of the run_observer.
@@ -54,7 +54,7 @@ pub fn run_accompanied(
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
-    let link = Lossless::new(&scenario.graph);
+    let link = ScenarioLink::new(scenario, options.seed);
     run_any(scenario, link, Some(run_observer), options, progress)
 }
 
@@ -243,7 +243,7 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
         let agents = self.agents.iter().enumerate().map(|(index, agent)| AgentStart {
             package: packages.get(index),
             estimate: agent.estimate(),
-            announcement: agent.outgoing.as_ref(),
+            announcement: agent.outgoing.as_deref(),
             neighbours: graph.neighbours(index).iter().map(|n| n.agent).collect(),
         });
         run_observer.begin(&agents.collect::<Vec<_>>()).map_err(RunError::RunObserver)

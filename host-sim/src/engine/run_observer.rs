@@ -8,7 +8,6 @@ use std::ops::ControlFlow;
 
 use agent_core::Tick;
 use agent_core::service::Outcome;
-use agent_core::wire::frame::FrameBytes;
 
 use crate::packages::PackageBytes;
 
@@ -49,7 +48,7 @@ pub struct AgentStart<'r> {
     /// `x_hat(0)`, shape `[n]`.
     pub estimate: &'r [f32],
     /// The frame that announces it to its neighbours.
-    pub announcement: Option<&'r FrameBytes>,
+    pub announcement: Option<&'r [u8]>,
     /// Its neighbours, in ascending order.
     pub neighbours: Vec<usize>,
 }
@@ -68,7 +67,7 @@ pub struct AgentStep<'r> {
     /// `W_hat(t_(k+1))`, row by row, shape `[L, n]`.
     pub outer_weights: Vec<f32>,
     /// The frame of `t_(k+1)`, if the agent broadcast.
-    pub broadcast: Option<&'r FrameBytes>,
+    pub broadcast: Option<&'r [u8]>,
 }
 
 /// A package that an agent takes into use between two steps.

@@ -1,19 +1,17 @@
 //! The watch over one agent, as a node's firmware keeps it: [`agent_core::health`].
 
-use agent_core::Tick;
-use agent_core::agent::{AgentParams, StepError, StepOutput};
-use agent_core::health::{Advice, Health, HealthCounters, HealthParams, HealthSettings};
+use agent_core::agent::hold::HoldSlots;
+use agent_core::agent::inbox::Inbox;
+use agent_core::agent::{AgentParams, AgentState, StepError};
+use agent_core::health::{Health, HealthCounters, HealthParams, HealthSettings, WatchedAgent};
 use agent_core::math::parameter::ParameterError;
 use agent_core::package::Package;
-use agent_core::wire::frame::{Frame, FrameError};
-
-use super::agents::{SimulatedInbox, SimulatedState};
 
 /// What watches over an agent from its first package on.
 #[derive(Clone, Debug)]
 pub(super) struct Watch<const N: usize> {
     params: HealthParams<N>,
-    /// The outer weights of the package in use, row by row, shape `[L, N]`: those to begin anew with.
+    /// The outer weights of the package in use, row by row, shape `[L, N]`: those of a restart.
     outer_weights: Vec<f32>,
     health: Health,
 }
@@ -34,44 +32,19 @@ impl<const N: usize> Watch<N> {
         })
     }
 
-    /// Takes delivery of a frame, unless it cannot be true.
-    pub(super) fn accept(
-        &mut self,
-        agent: &AgentParams<'_, N>,
-        inbox: &mut SimulatedInbox<N>,
-        bytes: &[u8],
-    ) -> Result<(), FrameError> {
-        let region = self.params.plausible_region();
-        inbox
-            .accept_within(agent.neighbours(), region, bytes)
-            .inspect_err(|error| self.health.frame_refused(error))
+    /// The agent with these parts, watched, and the outer weights of a restart.
+    pub(super) fn agent<'a, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>(
+        &'a mut self,
+        params: &'a AgentParams<'a, N>,
+        state: &'a mut AgentState<N, FEATURES, S>,
+        inbox: &'a mut Inbox<N, I>,
+    ) -> (WatchedAgent<'a, N, FEATURES, S, I>, &'a [f32]) {
+        let Self { params: health_params, outer_weights, health } = self;
+        (WatchedAgent { params, health_params, state, inbox, health }, outer_weights)
     }
 
     pub(super) fn network_in_use(&self) -> bool {
         self.health.network_in_use()
-    }
-
-    /// Takes notice of the attempt at a step. If the agent is lost, it begins anew; returns the frame to
-    /// broadcast in place of the step's.
-    ///
-    /// # Panics
-    /// Never: outer weights of an accepted package fit the agent.
-    pub(super) fn observe(
-        &mut self,
-        agent: &AgentParams<'_, N>,
-        state: &mut SimulatedState<N>,
-        inbox: &mut SimulatedInbox<N>,
-        tick: Tick,
-        outcome: &Result<StepOutput<N>, StepError>,
-    ) -> Option<Frame<N>> {
-        match self.health.observe(&self.params, tick, outcome, state) {
-            Advice::Continue => None,
-            Advice::Restart => {
-                let weights = &self.outer_weights;
-                let frame = self.health.restart(&self.params, agent, state, inbox, tick, weights);
-                Some(frame.expect("outer weights of an accepted package"))
-            }
-        }
     }
 
     pub(super) fn counters(&self) -> HealthCounters {

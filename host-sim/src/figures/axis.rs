@@ -1,37 +1,37 @@
-//! Linear axes: round ticks, and labels with just as many decimals as they need.
+//! Linear axes: round ticks, and labels with no more decimals than needed.
 //!
 //! Very large and very small values are written as multiples of a power of ten, and values that
-//! differ little as distances from a round number. Power and number are written once next to the
+//! differ little as offsets from a round number. Power and offset are written once next to the
 //! axis, as its [`Axis::note`].
 
 use super::font;
 
-/// An axis from `from` to `to`, both in the unit of its data.
+/// An axis from `from` to `to`, both in the unit of the data.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Axis {
     /// Left or lower end.
     pub from: f64,
     /// Right or upper end; greater than `from`.
     pub to: f64,
-    /// Distance of two labelled ticks.
+    /// Distance between labelled ticks.
     step: f64,
-    /// Into how many parts the minor grid divides a step.
+    /// Number of minor grid intervals per step.
     parts: u32,
     /// Whether values are exponents of ten.
     powers: bool,
 }
 
 impl Axis {
-    /// An axis over exactly this range, with about `count` labelled ticks. A range that is empty
-    /// or not finite is widened to one that can be drawn.
+    /// Creates an axis over exactly this range, with about `count` labelled ticks. An empty or
+    /// non-finite range is widened to one that can be drawn.
     pub(super) fn exact(from: f64, to: f64, count: f64) -> Self {
         let (from, to) = drawable(from, to);
         let (step, parts) = round_step((to - from) / count.max(1.0));
         Self { from, to, step, parts, powers: false }
     }
 
-    /// An axis of the decimal logarithms of values, from the power of ten at or below `from` to the
-    /// one at or above `to`, both above 0.
+    /// Creates an axis of decimal logarithms, from the power of ten at or below `from` to the one
+    /// at or above `to`, both above 0.
     pub(super) fn powers(from: f64, to: f64) -> Self {
         let exponent =
             |value: f64| if value > 0.0 { value.log10().clamp(-300.0, 300.0) } else { 0.0 };
@@ -41,8 +41,8 @@ impl Axis {
         Self { from, to, step, parts: 1, powers: true }
     }
 
-    /// A horizontal axis over exactly this range, `width` long, with as many labels of font size
-    /// `size` as can stand side by side, at most twelve.
+    /// Creates a horizontal axis over exactly this range, `width` long, with as many labels of font
+    /// size `size` as fit side by side, at most twelve.
     pub(super) fn horizontal(from: f64, to: f64, width: f64, size: f64) -> Self {
         let mut axis = Self::exact(from, to, 12.0);
         for count in (1..12).rev() {
@@ -58,21 +58,21 @@ impl Axis {
         axis
     }
 
-    /// An axis over this range and on to the next labelled ticks.
+    /// Creates an axis over this range, extended to the next labelled ticks.
     pub(super) fn rounded(from: f64, to: f64, count: f64) -> Self {
         let mut axis = Self::exact(from, to, count);
-        // A thousandth of a step is not worth a whole further one.
+        // Do not add a step for a thousandth of one.
         axis.from = ((axis.from / axis.step + 1e-3).floor()) * axis.step;
         axis.to = ((axis.to / axis.step - 1e-3).ceil()) * axis.step;
         axis
     }
 
-    /// Where the labelled ticks are.
+    /// Returns the positions of the labelled ticks.
     pub(super) fn ticks(&self) -> Vec<f64> {
         self.multiples(self.step)
     }
 
-    /// Where the minor grid is, labelled ticks included.
+    /// Returns the positions of the minor grid, including the labelled ticks.
     pub(super) fn minor_ticks(&self) -> Vec<f64> {
         self.multiples(self.step / f64::from(self.parts))
     }
@@ -85,7 +85,7 @@ impl Axis {
         (0..count).map(|index| (first + index as f64) * step).collect()
     }
 
-    /// How a tick is written: less the offset, as a multiple of the power of ten.
+    /// Formats a tick: without the offset, as a multiple of the power of ten.
     pub(super) fn label(&self, tick: f64) -> String {
         if self.powers {
             return format!("10{}", raised(tick as i32));
@@ -94,11 +94,11 @@ impl Axis {
         decimal((tick - self.offset()) / scale, self.step / scale)
     }
 
-    /// How to get the values from the labels, such as "×10⁻⁵ + 293"; empty for most axes.
+    /// Returns how labels relate to values, such as "×10⁻⁵ + 293"; empty for most axes.
     pub(super) fn note(&self) -> String {
         let (offset, exponent) = (self.offset(), self.exponent());
         let scale = if exponent == 0 { String::new() } else { format!("×10{}", raised(exponent)) };
-        // The offset is a multiple of ten steps: as many decimals are enough.
+        // The offset is a multiple of ten steps and needs no more decimals than that.
         let offset = match offset {
             0.0 => String::new(),
             _ if offset < 0.0 => format!("− {}", shortest(decimal(-offset, 10.0 * self.step))),
@@ -107,7 +107,8 @@ impl Axis {
         if scale.is_empty() || offset.is_empty() { scale + &offset } else { scale + " " + &offset }
     }
 
-    /// What labels count from: a multiple of ten steps, or 0 if that makes none of them shorter.
+    /// Returns the offset of the labels: a multiple of ten steps, or 0 if an offset would not
+    /// shorten them.
     fn offset(&self) -> f64 {
         let largest = self.from.abs().max(self.to.abs());
         if self.powers || self.to - self.from >= LITTLE * largest || self.from * self.to <= 0.0 {
@@ -117,7 +118,7 @@ impl Axis {
         (self.from / unit + 1e-6).floor() * unit
     }
 
-    /// The power of ten that labels are multiples of.
+    /// Returns the exponent of the power of ten that labels are multiples of.
     fn exponent(&self) -> i32 {
         let offset = self.offset();
         let largest = (self.from - offset).abs().max((self.to - offset).abs());
@@ -127,32 +128,32 @@ impl Axis {
         (largest.log10() + 1e-9).floor() as i32
     }
 
-    /// `value` as a part of the way from `from` to `to`.
+    /// Returns the position of `value` between `from` and `to`, as a fraction.
     #[inline]
     pub(super) fn part(&self, value: f64) -> f64 {
         (value - self.from) / (self.to - self.from)
     }
 }
 
-/// Labels from here on \[-\] ...
+/// Labels are written in full from this value \[-\] ...
 const PLAIN_FROM: f64 = 1e-2;
-/// ... to below here are written in full.
+/// ... up to below this value.
 const PLAIN_TO: f64 = 1e5;
 
-/// An axis that is shorter than this part of its values has an offset.
+/// An axis shorter than this fraction of its values has an offset.
 const LITTLE: f64 = 1e-3;
 
-/// A number with the decimals that multiples of `step` need.
+/// Formats a number with the decimals that multiples of `step` need.
 fn decimal(value: f64, step: f64) -> String {
     let decimals = (-(step.log10() + 1e-9).floor()).clamp(0.0, 12.0) as usize;
     let text = format!("{value:.decimals$}");
-    // Rounding can leave "-0.0"; a minus sign is longer than a hyphen.
+    // Rounding can produce "-0.0". Negative numbers get a minus sign, not a hyphen.
     let negative = text.starts_with('-') && text.bytes().any(|byte| (b'1'..=b'9').contains(&byte));
     let digits = text.trim_start_matches('-');
     if negative { format!("−{digits}") } else { digits.to_owned() }
 }
 
-/// A number without zeros at the end of its decimals.
+/// Removes trailing zeros from the decimals of a number.
 fn shortest(number: String) -> String {
     if !number.contains('.') {
         return number;
@@ -160,7 +161,7 @@ fn shortest(number: String) -> String {
     number.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-/// A number in superscript.
+/// Formats a number in superscript.
 fn raised(number: i32) -> String {
     const DIGITS: [char; 10] = ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'];
     let raise = |digit: char| digit.to_digit(10).map_or('⁻', |digit| DIGITS[digit as usize]);
@@ -169,7 +170,7 @@ fn raised(number: i32) -> String {
 
 fn drawable(from: f64, to: f64) -> (f64, f64) {
     let from = if from.is_finite() { from } else { 0.0 };
-    // Below this ticks could not be told apart in double precision.
+    // Below this, ticks are indistinguishable in double precision.
     let least = from.abs().max(f64::MIN_POSITIVE * 1e30) * 1e-12;
     if to.is_finite() && to - from > least {
         (from, to)
@@ -178,8 +179,8 @@ fn drawable(from: f64, to: f64) -> (f64, f64) {
     }
 }
 
-/// The step of 1, 2 or 5 times a power of ten that is nearest to `step` (in proportion), and
-/// into how many parts it divides well.
+/// Returns the step of 1, 2 or 5 times a power of ten that is nearest to `step` in proportion, and
+/// the number of minor intervals for it.
 fn round_step(step: f64) -> (f64, u32) {
     let power = 10.0_f64.powf(step.log10().floor());
     match step / power {
@@ -190,7 +191,7 @@ fn round_step(step: f64) -> (f64, u32) {
     }
 }
 
-/// The least "round" number that is not below `value`: an end of an axis that two figures share.
+/// Returns the smallest round number not below `value`, for an axis end that two figures share.
 pub(super) fn round_up(value: f64) -> f64 {
     if !(value.is_finite() && value > 0.0) {
         return 1.0;
@@ -210,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn ticks_are_round_and_labels_short() {
+    fn ticks_are_round_and_labels_are_short() {
         assert_eq!(
             labels(&Axis::exact(0.0, 40.0, 8.0)),
             ["0", "5", "10", "15", "20", "25", "30", "35", "40"]
@@ -223,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn what_labels_have_in_common_is_noted_once() {
+    fn note_holds_the_common_part_of_the_labels() {
         let of = |from, to, count| {
             let axis = Axis::exact(from, to, count);
             (labels(&axis), axis.note())
@@ -243,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn an_axis_of_powers_ends_on_them() {
+    fn log_axis_ends_on_powers_of_ten() {
         assert_eq!(labels(&Axis::powers(0.03, 12.0)), ["10⁻²", "10⁻¹", "10⁰", "10¹", "10²"]);
         assert_eq!(labels(&Axis::powers(1.0, 1.0)), ["10⁰", "10¹"]);
         assert_eq!(labels(&Axis::powers(1e-9, 1e3)), ["10⁻⁹", "10⁻⁶", "10⁻³", "10⁰", "10³"]);
@@ -251,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rounded_axis_holds_its_data_and_ends_on_ticks() {
+    fn rounded_axis_contains_its_data_and_ends_on_ticks() {
         let axis = Axis::rounded(-3.2, 7.1, 4.0);
         assert!(axis.from <= -3.2 && axis.to >= 7.1);
         let ticks = axis.ticks();
@@ -259,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn ranges_that_cannot_be_drawn_are_widened() {
+    fn empty_and_non_finite_ranges_are_widened() {
         for (from, to) in
             [(1.0, 1.0), (0.0, f64::NAN), (f64::INFINITY, 2.0), (3.0, 2.0), (1e9, 1e9), (0.0, 0.0)]
         {
@@ -270,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn rounding_up_is_never_below_and_not_far_above() {
+    fn round_up_is_at_least_the_value_and_close_to_it() {
         for value in [0.013, 0.99, 1.0, 1.01, 7.9, 8.1, 123.0] {
             let up = round_up(value);
             assert!(up >= value * (1.0 - 1e-9) && up <= 1.35 * value, "{value} to {up}");

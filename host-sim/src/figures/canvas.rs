@@ -1,8 +1,8 @@
-//! A thin layer over the SVG document: the few shapes that figures are made of.
+//! Basic shapes of the figures, on top of the SVG document.
 //!
-//! Lengths are in user units; a figure is [`WIDTH`] of them wide, so that in print at the width
-//! of a column (89 mm) a font size of 11 comes out at about 6 points. Coordinates are written in
-//! tenths, finer than a pixel of the picture.
+//! Lengths are in user units; a figure is [`WIDTH`] of them wide, so that a font size of 11 prints
+//! at about 6 points in a column of 89 mm. Coordinates have a resolution of 0.1, finer than a pixel
+//! of the PNG.
 
 use std::fmt::Write;
 
@@ -15,10 +15,10 @@ use super::font;
 /// Width of every figure. \[user unit\]
 pub(super) const WIDTH: f64 = 440.0;
 
-/// Ink of text and frames.
+/// Colour of text and frames.
 pub(super) const INK: &str = "#1a1a1a";
 
-/// A rectangle; `y` grows downwards.
+/// A rectangle; the y axis points down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rect {
     pub left: f64,
@@ -37,7 +37,7 @@ impl Rect {
     }
 }
 
-/// Lengths of dashes. \[user unit\]
+/// A dash pattern. \[user unit\]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Dash {
     pub drawn: f64,
@@ -67,7 +67,7 @@ impl Stroke {
     }
 }
 
-/// To which side of its point a text extends.
+/// Alignment of a text relative to its point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Anchor {
     Start,
@@ -75,16 +75,16 @@ pub(super) enum Anchor {
     End,
 }
 
-/// Where and how a text stands; its baseline goes through (`x`, `y`).
+/// Position and style of a text; its baseline goes through (`x`, `y`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TextAt {
     pub x: f64,
     pub y: f64,
     pub size: f64,
     pub anchor: Anchor,
-    /// Width that it must not exceed: a longer text is set smaller.
+    /// Maximum width: longer text gets a smaller font size.
     pub room: f64,
-    /// Whether it reads upwards.
+    /// Whether it is rotated to read upwards.
     pub upwards: bool,
 }
 
@@ -102,17 +102,17 @@ impl TextAt {
     }
 }
 
-/// The data of a path: relative moves in tenths, which is short and does not accumulate errors.
+/// Path data in relative moves of 0.1 units, which is compact and does not accumulate errors.
 #[derive(Clone, Debug, Default)]
 pub(super) struct PathData {
     text: String,
-    /// Where the pen is. \[0.1 user unit\]
+    /// Position of the pen. \[0.1 user unit\]
     pen: Option<(i64, i64)>,
     points: usize,
 }
 
 impl PathData {
-    /// Lifts the pen and sets it down at a point.
+    /// Moves the pen to a point without drawing.
     pub(super) fn move_to(&mut self, x: f64, y: f64) {
         let (x, y) = (tenths(x), tenths(y));
         self.text.push('M');
@@ -123,7 +123,7 @@ impl PathData {
         self.points += 1;
     }
 
-    /// Draws to a point; the first one only sets the pen down.
+    /// Draws to a point; the first call only places the pen.
     pub(super) fn line_to(&mut self, x: f64, y: f64) {
         let Some((pen_x, pen_y)) = self.pen else { return self.move_to(x, y) };
         let (x, y) = (tenths(x), tenths(y));
@@ -137,12 +137,12 @@ impl PathData {
         self.points += 1;
     }
 
-    /// Lifts the pen: the next point begins a new line.
+    /// Lifts the pen: the next point starts a new line.
     pub(super) fn lift(&mut self) {
         self.pen = None;
     }
 
-    /// How many points it has.
+    /// Returns the number of points.
     pub(super) fn points(&self) -> usize {
         self.points
     }
@@ -162,7 +162,7 @@ impl PathData {
         };
     }
 
-    /// What stands in the document.
+    /// Returns the path data as SVG text.
     pub(super) fn into_text(self) -> String {
         // A move without a line leaves a command without arguments.
         self.text.replace("lM", "M").trim_end_matches('l').to_owned()
@@ -173,7 +173,7 @@ fn tenths(value: f64) -> i64 {
     (value * 10.0).round() as i64
 }
 
-/// A figure that is being drawn.
+/// A figure in progress.
 pub(super) struct Canvas {
     group: Group,
 }
@@ -203,7 +203,7 @@ impl Canvas {
         self.add(path);
     }
 
-    /// Draws one straight line.
+    /// Draws a straight line.
     pub(super) fn segment(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke) {
         let mut data = PathData::default();
         data.move_to(from.0, from.1);
@@ -211,7 +211,7 @@ impl Canvas {
         self.line(data, stroke);
     }
 
-    /// Fills the inside of a path.
+    /// Fills the area enclosed by a path.
     pub(super) fn area(&mut self, data: PathData, fill: &str, opacity: f64) {
         if data.points() < 3 {
             return;
@@ -228,13 +228,13 @@ impl Canvas {
         self.add(rectangle(area).set("fill", color));
     }
 
-    /// Draws the border of a rectangle.
+    /// Draws the outline of a rectangle.
     pub(super) fn frame(&mut self, area: Rect, stroke: Stroke) {
         let frame = rectangle(area).set("fill", "none").set("stroke", stroke.color);
         self.add(frame.set("stroke-width", number(stroke.width)));
     }
 
-    /// Writes a text; control characters, which no document may hold, are shown as such.
+    /// Writes text. Characters that are invalid in XML become replacement characters.
     pub(super) fn text(&mut self, text: &str, at: TextAt) {
         let text = &text.replace(|c: char| c.is_control() || !in_xml(c), "\u{fffd}");
         let anchor = match at.anchor {
@@ -260,7 +260,7 @@ impl Canvas {
         self.group = std::mem::replace(&mut self.group, Group::new()).add(node);
     }
 
-    /// The whole document, `height` user units high.
+    /// Returns the document, `height` user units high.
     pub(super) fn finish(self, height: f64) -> String {
         let background = Rect { left: 0.0, top: 0.0, width: WIDTH, height };
         let document = Document::new()
@@ -282,12 +282,12 @@ fn rectangle(area: Rect) -> Rectangle {
         .set("height", number(area.height))
 }
 
-/// Whether a character that is not a control character may stand in XML.
+/// Whether a character other than a control character is allowed in XML.
 fn in_xml(character: char) -> bool {
     !matches!(character, '\u{fffe}' | '\u{ffff}')
 }
 
-/// At most two decimals.
+/// Formats a number with at most two decimals.
 fn number(value: f64) -> Value {
     Value::from((value * 100.0).round() / 100.0)
 }
@@ -297,7 +297,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn path_data_is_short_and_does_not_drift() {
+    fn path_data_is_compact_and_does_not_drift() {
         let mut data = PathData::default();
         data.line_to(1.04, 2.0);
         data.line_to(1.08, 1.5);
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn texts_are_escaped_and_documents_the_same_every_time() {
+    fn text_is_escaped_and_output_is_deterministic() {
         let draw = || {
             let mut canvas = Canvas::new();
             let at = TextAt::new(1.0, 2.0, 11.0, Anchor::Middle).upwards();

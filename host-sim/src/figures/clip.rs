@@ -1,16 +1,16 @@
-//! Lines cut off at the border of a rectangle.
+//! Clips lines to a rectangle.
 //!
-//! SVG could cut them itself, but a renderer then draws every line into a picture of its own;
-//! cutting them here makes pictures several times faster and documents shorter.
+//! SVG has clip paths, but renderers then draw every line to a separate picture; clipping here
+//! makes rendering several times faster and documents shorter.
 
 use super::canvas::{PathData, Rect};
 
-/// A line of which only what lies in a rectangle is kept.
+/// A line clipped to a rectangle.
 #[derive(Clone, Debug)]
 pub(super) struct ClippedLine {
     area: Rect,
     data: PathData,
-    /// The last point, which may be outside.
+    /// The last point, which may be outside the rectangle.
     last: Option<(f64, f64)>,
 }
 
@@ -19,7 +19,7 @@ impl ClippedLine {
         Self { area, data: PathData::default(), last: None }
     }
 
-    /// Draws to a point; the first one only sets the pen down.
+    /// Draws to a point; the first call only places the pen.
     pub(super) fn line_to(&mut self, x: f64, y: f64) {
         let to = (x, y);
         if let Some([begin, end]) = self.last.and_then(|from| self.inside(from, to)) {
@@ -34,19 +34,19 @@ impl ClippedLine {
         self.last = Some(to);
     }
 
-    /// Lifts the pen: the next point begins a new line.
+    /// Lifts the pen: the next point starts a new line.
     pub(super) fn lift(&mut self) {
         self.data.lift();
         self.last = None;
     }
 
-    /// What is left of it.
+    /// Returns the clipped line.
     pub(super) fn finish(self) -> PathData {
         self.data
     }
 
-    /// The part of a straight line that lies inside: from each of the four borders follows a
-    /// range of the parameter of the line (the method of Liang and Barsky).
+    /// Returns the part of a segment inside the rectangle: each border limits the range of the
+    /// segment's parameter (Liang–Barsky).
     fn inside(&self, from: (f64, f64), to: (f64, f64)) -> Option<[(f64, f64); 2]> {
         let (dx, dy) = (to.0 - from.0, to.1 - from.1);
         let borders = [
@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_is_inside_is_drawn() {
+    fn draws_only_the_part_inside() {
         assert_eq!(drawn(&[(1.0, 1.0), (9.0, 9.0)]), "M1 1l8 8");
         assert_eq!(drawn(&[(-5.0, 5.0), (15.0, 5.0)]), "M0 5l10 0");
         assert_eq!(drawn(&[(5.0, 5.0), (5.0, -5.0), (7.0, -5.0), (7.0, 5.0)]), "M5 5l0-5M7 0l0 5");

@@ -1,9 +1,9 @@
 //! Norms of the estimation errors over time (Figures 1 and 2 of the paper).
 //!
-//! `|e_1i(t)|` starts at the norm of the initial error and then chatters at a small fraction of
-//! it. The upper axes show that steady state on a linear scale and the lower ones the transient on a
-//! logarithmic one, so that neither hides the other. The running root mean square, the quantity of the
-//! paper's table, is drawn over the chattering lines, together with that of the baselines.
+//! `|e_1i(t)|` starts at the norm of the initial error and then chatters at a small fraction of it.
+//! The upper axes show the steady state on a linear scale, the lower ones the transient on a
+//! logarithmic scale. The running root mean square, which the paper's table lists, is drawn over
+//! the chattering lines, together with that of the baselines.
 
 use std::ops::Range;
 
@@ -24,36 +24,36 @@ use crate::engine::traces::Traces;
 
 const AXIS_LABEL: &str = "estimation error ‖e₁ᵢ(t)‖ [state unit]";
 
-/// Width of the window of the running root mean square, as a part of the run.
+/// Window of the running root mean square, as a fraction of the run.
 const RMS_PART: f64 = 0.025;
 
 /// Space above the largest error, as a multiple of it.
 const HEADROOM: f64 = 1.06;
 
-/// The part of a run after which, for the axis, its transient is over.
+/// The transient is assumed to be over after the run divided by this, when choosing the axis.
 const TRANSIENT_PART: usize = 4;
 
-/// Height of the panel of the transient. \[user unit\]
+/// Height of the transient panel. \[user unit\]
 const TRANSIENT_HEIGHT: f64 = 62.0;
 
-/// What [`error_norms`] draws.
+/// Input of [`error_norms`].
 #[derive(Clone, Copy, Debug)]
 pub struct ErrorFigure<'a> {
-    /// Stands above the figure.
+    /// Title of the figure.
     pub title: &'a str,
     /// The run.
     pub traces: &'a Traces,
-    /// Instants to mark, in ascending order.
+    /// Marked instants, in ascending order.
     pub markers: &'a [Marker<'a>],
     /// Runs to compare with.
     pub references: &'a [Reference<'a>],
-    /// Upper end of the error axis; [`error_axis_limit`] of this run if there is none. Give
-    /// figures that are to be compared the same. \[state unit\]
+    /// Upper end of the error axis; `None` uses [`error_axis_limit`] of this run. Pass the same
+    /// limit to figures that are to be compared. \[state unit\]
     pub error_limit: Option<f64>,
 }
 
-/// An upper end of the error axis that shows all these runs well: their largest error after the
-/// first quarter, or what they are compared with, with headroom, rounded. \[state unit\]
+/// Returns an upper end of the error axis that suits all these runs: the largest error after the
+/// first quarter, or of the references, with headroom, rounded. \[state unit\]
 #[must_use]
 pub fn error_axis_limit(runs: &[&Traces], references: &[Reference<'_>]) -> f64 {
     let largest = runs.iter().map(|traces| {
@@ -100,7 +100,7 @@ pub fn error_norms(figure: &ErrorFigure<'_>) -> Figure {
     draw_legend(&mut canvas, &rows, left, LEGEND_TOP);
     let labels = Labels { x_ticks: true, y_ticks: true, minor_grid: true };
     panel.draw_grid(&mut canvas, labels);
-    // The more lines lie over each other, the fainter.
+    // The more lines overlap, the fainter they are.
     let opacity = (1.5 / traces.agents().max(1) as f64).clamp(0.25, 0.5);
     let line = |agent| Stroke::solid(palette::agent(agent), 0.45).faint(opacity);
     draw_errors(&mut canvas, &panel, traces, line, |error| error);
@@ -114,7 +114,7 @@ pub fn error_norms(figure: &ErrorFigure<'_>) -> Figure {
     panel.label_y(&mut canvas, AXIS_LABEL, LABEL_BASELINE);
     let mut bottom = area.bottom();
     if let Some((until, y)) = transient {
-        // The name of the lower panel stands between the two.
+        // The title of the lower panel goes between the two.
         let top = bottom + BOTTOM_MARGIN + TICK_SIZE + 8.0;
         let area = Rect { left, top, width, height: TRANSIENT_HEIGHT };
         let x = Axis::horizontal(start, until, width, TICK_SIZE);
@@ -140,7 +140,7 @@ fn legend(traces: &Traces) -> Vec<Entry> {
     agents.chain([note]).collect()
 }
 
-/// Width of the window of the running root mean square. \[s\]
+/// Returns the window of the running root mean square. \[s\]
 fn rms_window(traces: &Traces) -> f64 {
     let time = traces.time();
     let length = time.last().zip(time.first()).map_or(0.0, |(end, start)| end - start);
@@ -151,7 +151,7 @@ const fn rms_line(agent: usize) -> Stroke {
     Stroke::solid(palette::agent(agent), 1.4)
 }
 
-/// Draws the errors into the panel, with lines as given, or their spread if there are many; `scale`
+/// Draws the errors into the panel: as lines, or as their spread if there are many agents. `scale`
 /// is that of the panel's axis.
 fn draw_errors(
     canvas: &mut Canvas,
@@ -180,8 +180,8 @@ fn columns(panel: &Panel, traces: &Traces) -> Vec<Range<usize>> {
     series::columns(traces.time(), &panel.x, count)
 }
 
-/// Draws running root mean squares where a whole window lies behind the transient and not
-/// across an instant at which the error may jump.
+/// Draws running root mean squares wherever a whole window lies after the transient and does not
+/// contain an instant at which the error may jump.
 fn draw_running_rms(
     canvas: &mut Canvas,
     panel: &Panel,
@@ -206,8 +206,8 @@ fn draw_running_rms(
     }
 }
 
-/// Root mean square of `errors` over a window centred at every second column, where the window
-/// lies within these rows.
+/// Computes the root mean square of `errors` over a window centred at every second column, where
+/// the window lies within these rows.
 fn running_rms(
     panel: &Panel,
     time: &[f64],
@@ -240,15 +240,15 @@ fn running_rms(
     line.finish()
 }
 
-/// The first row from which on all errors of the first quarter are within `limit`.
+/// Returns the first row after which all errors of the first quarter stay within `limit`.
 fn settling_row(traces: &Traces, limit: f64) -> usize {
     let beyond =
         |row: &usize| largest_error(traces, *row..row + 1).is_some_and(|error| error > limit);
     (0..traces.rows() / TRANSIENT_PART).rfind(beyond).map_or(0, |row| row + 1)
 }
 
-/// When the transient that the upper axes cut off ends \[s\], and an axis for it; `None` if there is
-/// none.
+/// Returns the end \[s\] of the transient that the upper axes cut off, and an axis for it; `None`
+/// if nothing is cut off.
 fn transient(traces: &Traces, limit: f64) -> Option<(f64, Axis)> {
     let time = traces.time();
     let (start, end) = (*time.first()?, *time.last()?);
@@ -256,7 +256,7 @@ fn transient(traces: &Traces, limit: f64) -> Option<(f64, Axis)> {
     let until = (start + round_up(1.5 * (time[settled] - start))).min(end);
     let last = time.partition_point(|&time| time <= until);
     let largest = largest_error(traces, 0..last).unwrap_or(1.0);
-    // As far down as the upper axes' first ticks: below that there is only chatter.
+    // Down to the first ticks of the upper axes; below that there is only chatter.
     Some((until, Axis::powers(0.2 * limit, largest)))
 }
 
@@ -278,17 +278,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_running_rms_is_that_of_whole_windows_of_its_rows() {
+    fn running_rms_uses_only_whole_windows_of_its_rows() {
         let area = Rect { left: 0.0, top: 0.0, width: 100.0, height: 100.0 };
         let panel = Panel::new(area, Axis::exact(0.0, 10.0, 5.0), Axis::exact(0.0, 10.0, 5.0));
         let time: Vec<f64> = (0..=1000).map(|row| f64::from(row) * 0.01).collect();
-        // 3 where it counts; a window that reached beyond would show some of the 9.
+        // 3 in these rows and 9 outside; a window that reached outside would show it.
         let rows = 200..801;
         let errors: Vec<f64> =
             (0..=1000).map(|row| if rows.contains(&row) { 3.0 } else { 9.0 }).collect();
         let columns = series::columns(&time, &panel.x, 100);
         let line = running_rms(&panel, &time, &errors, rows, &columns, 1.0);
-        // From t = 2.6 to 7.4, every 0.2: half a window from 2 and 8, at even columns.
+        // From t = 2.6 to 7.4 in steps of 0.2: half a window away from 2 and 8, at even columns.
         assert_eq!(line.points(), 25);
         let text = line.into_text();
         assert!(text.starts_with("M26 70l2 0") && !text.contains('-'), "{text}");

@@ -1,4 +1,4 @@
-//! What a figure of broadcasts shows, and the panel that its rows and its map share.
+//! Input of the broadcast figure, and the panel shared by its rows and its map.
 
 use std::ops::RangeInclusive;
 
@@ -10,18 +10,18 @@ use super::panel::{Panel, RIGHT_MARGIN, TICK_SIZE};
 /// Left end of the panels. \[user unit\]
 pub(super) const LEFT: f64 = 50.0;
 
-/// What [`super::events()`] draws.
+/// Input of [`super::events()`].
 #[derive(Clone, Copy, Debug)]
 pub struct EventFigure<'a> {
-    /// Stands above the figure; how many broadcasts are shown is added under it.
+    /// Title of the figure; the number of broadcasts shown is added below it.
     pub title: &'a str,
-    /// Of each agent, the steps at whose beginning it broadcast, in ascending order.
+    /// For each agent, the steps at whose start it broadcast, in ascending order.
     pub events: &'a [&'a [u64]],
     /// Length of a step. \[s\]
     pub step_size: f64,
-    /// First instant that is shown. \[s\]
+    /// First instant shown. \[s\]
     pub from: f64,
-    /// Last instant that is shown. \[s\]
+    /// Last instant shown. \[s\]
     pub to: f64,
 }
 
@@ -30,13 +30,13 @@ impl EventFigure<'_> {
         tick as f64 * self.step_size
     }
 
-    /// The first and the last step of the window.
+    /// Returns the first and the last step of the window.
     pub(super) fn window(&self) -> RangeInclusive<u64> {
         let tick = |time: f64| (time / self.step_size).round() as u64;
         tick(self.from)..=tick(self.to)
     }
 
-    /// The broadcasts of an agent that the window holds.
+    /// Returns an agent's broadcasts in the window.
     pub(super) fn shown(&self, agent: usize) -> &[u64] {
         let (events, window) = (self.events[agent], self.window());
         let first = events.partition_point(|tick| tick < window.start());
@@ -45,7 +45,7 @@ impl EventFigure<'_> {
     }
 }
 
-/// A panel with the first agent at the top.
+/// Creates a panel with the first agent at the top.
 pub(super) fn agent_panel(figure: &EventFigure<'_>, top: f64) -> Panel {
     let agents = figure.events.len().max(1) as f64;
     let width = WIDTH - LEFT - RIGHT_MARGIN;
@@ -54,7 +54,7 @@ pub(super) fn agent_panel(figure: &EventFigure<'_>, top: f64) -> Panel {
     Panel::new(Rect { left: LEFT, top, width, height }, x, Axis::exact(0.0, agents, 1.0))
 }
 
-/// Writes the names of a few agents, or numbers of some of many, beside their rows.
+/// Labels the rows with the names of a few agents, or with some of the numbers of many.
 pub(super) fn label_agents(canvas: &mut Canvas, panel: &Panel, agents: usize) {
     let area = panel.area;
     let mut label = |agent: usize, text: &str| {

@@ -1,6 +1,6 @@
-//! Broadcasts of many agents, or over a long time, as a map: a cell is an agent (or a group of
-//! them) and a short time, and the darker, the more broadcasts it holds. Under it stands the mean
-//! rate of all agents.
+//! Density map of the broadcasts of many agents, or over a long time. A cell stands for an agent
+//! (or a group of agents) and a short time; darker cells have more broadcasts. A panel below shows
+//! the mean rate of all agents.
 
 use super::axis::Axis;
 use super::canvas::{Anchor, Canvas, PathData, Rect, Stroke, TextAt};
@@ -9,30 +9,30 @@ use super::font;
 use super::palette;
 use super::panel::{LEGEND_ROW, LEGEND_TOP, Labels, Panel, TICK_SIZE, TIME_LABEL};
 
-/// Most rows of the map.
+/// Maximum number of rows of the map.
 const ROWS: usize = 125;
 
-/// Most columns of the map and of the rate.
+/// Maximum number of columns of the map and the rate.
 const COLUMNS: u64 = 190;
 
-/// Most shades of the map.
+/// Maximum number of shades.
 const SHADES: u32 = 5;
 
-/// Broadcasts of groups of agents in columns of time.
+/// Broadcast counts per group of agents and column of time.
 struct Counts {
     rows: usize,
     columns: usize,
-    /// Agents that share a row.
+    /// Agents per row.
     group: usize,
-    /// Steps of a column. They are whole: otherwise columns of more and of fewer steps would
-    /// alternate.
+    /// Steps per column. An integer: otherwise columns of more and fewer steps would alternate and
+    /// show stripes.
     steps: u64,
     cells: Vec<u32>,
 }
 
 impl Counts {
-    /// Counts all broadcasts but those at the last instant of the window, after which no time
-    /// is shown.
+    /// Counts all broadcasts except those at the last instant of the window, which has no column
+    /// after it.
     fn of(figure: &EventFigure<'_>) -> Self {
         let window = figure.window();
         let length = window.end().saturating_sub(*window.start()).max(1);
@@ -55,13 +55,13 @@ impl Counts {
         &self.cells[row * self.columns..][..self.columns]
     }
 
-    /// When a column begins, or the one before ends. \[s\]
+    /// Returns the start of a column, which is the end of the previous one. \[s\]
     fn begin(&self, figure: &EventFigure<'_>, column: usize) -> f64 {
         figure.time(*figure.window().start() + column as u64 * self.steps).min(figure.to)
     }
 
-    /// The count from which on a cell has the darkest shade: that of one busy cell in two
-    /// hundred, so that a single one does not make all others pale.
+    /// Returns the count at which a cell gets the darkest shade: exceeded by one in two hundred
+    /// busy cells, so that a single busy cell does not make all others pale.
     fn dark(&self) -> u32 {
         let mut counts: Vec<u32> = self.cells.iter().copied().filter(|&count| count > 0).collect();
         counts.sort_unstable();
@@ -69,7 +69,7 @@ impl Counts {
     }
 }
 
-/// Draws the map and under it the rate; returns where the lower panel ends.
+/// Draws the map with the rate below it; returns the bottom of the lower panel.
 pub(super) fn draw_map(canvas: &mut Canvas, figure: &EventFigure<'_>) -> f64 {
     let counts = Counts::of(figure);
     let map = agent_panel(figure, LEGEND_TOP + 2.0 * LEGEND_ROW + 5.0);
@@ -77,7 +77,7 @@ pub(super) fn draw_map(canvas: &mut Canvas, figure: &EventFigure<'_>) -> f64 {
     let shades = SHADES.min(dark);
     canvas.fill(map.area, "#ffffff");
     for shade in 1..=shades {
-        // Counts from 1 to `dark` fall into classes of equal size; the last one is open.
+        // Counts from 1 to `dark` fall into classes of equal size; the last class is open.
         let above = ((shade - 1) * dark).div_ceil(shades);
         let upto = if shade == shades { u32::MAX } else { (shade * dark).div_ceil(shades) };
         let cells = cells_of(figure, &map, &counts, |count| count > above && count <= upto);
@@ -94,7 +94,7 @@ fn shade_stroke(width: f64, shade: u32, shades: u32) -> Stroke {
     Stroke::solid(palette::TOGETHER, width).faint(f64::from(shade) / f64::from(shades))
 }
 
-/// The cells whose counts are in a class, neighbours in a row as one thick line.
+/// Returns the cells with counts in a class; neighbours in a row become one thick line.
 fn cells_of(
     figure: &EventFigure<'_>,
     map: &Panel,
@@ -118,7 +118,7 @@ fn cells_of(
     lines
 }
 
-/// Draws the legend of the map: its shades, and the counts of the lightest and the darkest.
+/// Draws the legend of the map: the shades, and the counts of the lightest and the darkest.
 fn draw_shades(
     canvas: &mut Canvas,
     figure: &EventFigure<'_>,
@@ -143,7 +143,7 @@ fn draw_shades(
     canvas.text(&text, TextAt::new(left + 5.0, baseline, TICK_SIZE, Anchor::Start));
 }
 
-/// Draws the mean rate of all agents; returns where the panel ends.
+/// Draws the mean rate of all agents; returns the bottom of the panel.
 fn draw_rate(canvas: &mut Canvas, figure: &EventFigure<'_>, counts: &Counts, area: Rect) -> f64 {
     let agents = figure.events.len() as f64;
     let rate = |column: usize| {

@@ -1,8 +1,7 @@
-//! Instants of broadcasts (Figure 3 of the paper).
+//! Broadcast instants (Figure 3 of the paper).
 //!
-//! Up to sixty agents whose broadcasts can be told apart get a row of ticks each, one tick a
-//! broadcast. Otherwise a map is drawn, a cell an agent (or a group of them) and a short time:
-//! the darker, the more broadcasts; under it the mean rate of all agents.
+//! Up to sixty agents with few enough broadcasts get a row of ticks each, one tick per broadcast.
+//! Otherwise a density map is drawn, see [`event_map`](super::event_map).
 
 use super::Figure;
 use super::canvas::{Anchor, Canvas, PathData, Stroke, TextAt, WIDTH};
@@ -11,13 +10,13 @@ use super::event_map::draw_map;
 use super::palette::{self, LINES};
 use super::panel::{BOTTOM_MARGIN, Labels, RIGHT_MARGIN, TICK_SIZE, TIME_LABEL, draw_title};
 
-/// Up to this many agents have a row each.
+/// Up to this many agents get a row each.
 const ROWS: usize = 60;
 
-/// Up to this many broadcasts of an agent are drawn as ticks: about one every user unit.
+/// Up to this many broadcasts of an agent are drawn as ticks: about one per user unit.
 const TICKS: usize = 380;
 
-/// Draws when agents broadcast.
+/// Draws the broadcasts of all agents.
 #[must_use]
 pub fn events(figure: &EventFigure<'_>) -> Figure {
     let mut canvas = Canvas::new();
@@ -33,7 +32,7 @@ pub fn events(figure: &EventFigure<'_>) -> Figure {
     Figure { svg: canvas.finish(bottom + BOTTOM_MARGIN) }
 }
 
-/// How many broadcasts the figure shows, in a sentence.
+/// Returns one sentence with the number of broadcasts shown.
 fn summary(counts: &[usize], seconds: f64) -> String {
     let total: usize = counts.iter().sum();
     let seconds = format!("{seconds:.3}");
@@ -50,7 +49,7 @@ fn summary(counts: &[usize], seconds: f64) -> String {
     format!("{total} broadcasts of {agents} agents in {seconds} s, {least} to {most} each")
 }
 
-/// Draws a row of ticks for each agent; returns where the panel ends.
+/// Draws a row of ticks per agent; returns the bottom of the panel.
 fn draw_ticks(canvas: &mut Canvas, figure: &EventFigure<'_>) -> f64 {
     let agents = figure.events.len();
     let panel = agent_panel(figure, 38.0);

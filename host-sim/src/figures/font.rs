@@ -1,8 +1,8 @@
 //! The typeface of all figures.
 //!
-//! DejaVu Sans is compiled into the program, so that a picture is the same on a machine that
-//! has no fonts at all. An SVG names it and falls back on any sans-serif face of its viewer.
-//! Its licence (Bitstream Vera, and public domain for the changes) allows embedding.
+//! DejaVu Sans is compiled into the program, so that pictures are identical on machines without
+//! fonts. An SVG names it and falls back on any sans-serif face of the viewer. Its licence
+//! (Bitstream Vera, with changes in the public domain) allows embedding.
 
 use std::sync::{Arc, LazyLock};
 
@@ -12,10 +12,10 @@ use ttf_parser::Face;
 /// Name of the typeface inside the font file.
 pub(super) const FAMILY: &str = "DejaVu Sans";
 
-/// What an SVG asks for.
+/// The `font-family` of an SVG.
 pub(super) const FAMILY_WITH_FALLBACK: &str = "DejaVu Sans, Verdana, sans-serif";
 
-/// Width of a character that the face does not have, as part of the font size.
+/// Width of a character missing from the face, as a fraction of the font size.
 const MISSING_ADVANCE: f64 = 0.6;
 
 static DATABASE: LazyLock<Arc<Database>> = LazyLock::new(|| {
@@ -28,12 +28,12 @@ static DATABASE: LazyLock<Arc<Database>> = LazyLock::new(|| {
 static FACE: LazyLock<Option<Face<'static>>> =
     LazyLock::new(|| Face::parse(dejavu::sans::regular(), 0).ok());
 
-/// The only fonts that figures are drawn with.
+/// Returns the font database, which holds only the embedded face.
 pub(super) fn database() -> Arc<Database> {
     Arc::clone(&DATABASE)
 }
 
-/// Width of `text` at font size `size`, in the unit of `size`.
+/// Returns the width of `text` at font size `size`, in the unit of `size`.
 pub(super) fn width(text: &str, size: f64) -> f64 {
     let advance = |character| {
         let face = FACE.as_ref()?;
@@ -48,14 +48,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_embedded_face_has_the_name_that_figures_ask_for() {
+    fn embedded_face_has_the_name_used_in_figures() {
         let names: Vec<_> =
             database().faces().flat_map(|face| face.families.clone()).map(|name| name.0).collect();
         assert!(names.iter().any(|name| name == FAMILY), "{names:?}");
     }
 
     #[test]
-    fn all_characters_of_the_labels_are_in_the_face() {
+    fn face_contains_all_characters_of_labels() {
         let face = FACE.as_ref().expect("the embedded font is a font");
         for character in "0123456789−.‖₁₂ᵢ()[]/ abcxyzt×–≤<µ".chars() {
             assert!(face.glyph_index(character).is_some(), "{character:?} would show as a box");
@@ -63,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn a_text_is_as_wide_as_its_characters() {
+    fn text_width_is_the_sum_of_its_characters() {
         let (one, two) = (width("0", 10.0), width("00", 10.0));
         assert!((two - 2.0 * one).abs() < 1e-12);
         assert!(width("i", 10.0) < width("m", 10.0));

@@ -1,11 +1,12 @@
-//! No label overprints another, leaves the figure or lies on a panel, for runs of all shapes.
+//! Labels do not overlap each other or a panel and stay within the figure, for runs of all shapes.
 
 use resvg::usvg::roxmltree::{Document, Node};
 
 use super::*;
 use crate::engine::traces::Traces;
 
-/// A run of 20 s around `offset`, of this size: errors decay from it to a hundredth within a second.
+/// Creates traces of 20 s around `offset`; errors start at `size` and decay to a hundredth within a
+/// second.
 fn traces(dimension: usize, agents: usize, offset: f64, size: f64) -> Traces {
     let rows = 801;
     let mut traces = Traces::with_capacity(dimension, agents, rows);
@@ -32,7 +33,7 @@ fn attribute(node: &Node<'_, '_>, name: &str) -> f64 {
     node.attribute(name).and_then(|value| value.parse().ok()).unwrap_or_default()
 }
 
-/// Where the letters of a text are; most have no descenders, and none fills its line.
+/// Returns a text and its bounding box; most texts have no descenders and do not fill their line.
 fn text_box(node: &Node<'_, '_>) -> (String, Box) {
     let text = node.text().unwrap_or_default().trim().to_owned();
     let [x, y, size] = ["x", "y", "font-size"].map(|name| attribute(node, name));
@@ -44,7 +45,7 @@ fn text_box(node: &Node<'_, '_>) -> (String, Box) {
     };
     let (ascent, descent) = (0.72 * size, 0.1 * size);
     let area = if node.attribute("transform").is_some() {
-        // Read upwards: what is left of the start lies below it.
+        // Reading upwards, the text left of the anchor lies below it.
         [x - ascent, y + before - width, x + descent, y + before]
     } else {
         [x - before, y - ascent, x - before + width, y + descent]
@@ -56,7 +57,7 @@ fn overlap(a: &Box, b: &Box) -> bool {
     a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
 }
 
-/// The panels: rectangles that are not filled.
+/// Returns the panels: rectangles without a fill.
 fn panels(document: &Document<'_>) -> Vec<Box> {
     let frames = document
         .descendants()
@@ -94,7 +95,7 @@ fn assert_legible(name: &str, figure: &Figure) {
 }
 
 #[test]
-fn labels_overprint_nothing() {
+fn labels_do_not_overlap() {
     type Named = fn(usize) -> String;
     let long = |index: usize| format!("concentration_of_substrate_in_tank_{index}");
     let short = |index: usize| format!("x{index}");
@@ -134,14 +135,14 @@ fn labels_overprint_nothing() {
         assert_legible(&format!("{name}, errors"), &errors);
         let states = states(&StateFigure { title: "States", traces: &traces, names: &names });
         assert_legible(&format!("{name}, states"), &states);
-        // A name that is set smaller is there all the same.
+        // A name in a smaller size is still present.
         assert!(names.iter().all(|name| states.svg().contains(name)), "{name}");
     }
 }
 
 #[test]
-fn what_the_upper_axes_cut_off_is_shown_below() {
-    // Back beyond the axes long after it was first within them.
+fn transient_panel_shows_what_the_upper_axes_cut_off() {
+    // The error leaves the axes again long after it first entered them.
     let mut traces = Traces::with_capacity(1, 1, 401);
     for row in 0..=400 {
         let time = f64::from(row) * 0.05;
@@ -159,8 +160,8 @@ fn what_the_upper_axes_cut_off_is_shown_below() {
     let document = Document::parse(figure.svg()).unwrap();
     let texts = document.descendants().filter(|node| node.has_tag_name("text"));
     let texts: Vec<_> = texts.filter_map(|node| node.text().map(str::trim)).collect();
-    // The last error beyond is that at 3.95 s; the lower axes go to the round number from 1.5
-    // times that on.
+    // The last error beyond the axes is at 3.95 s; the lower axes extend to the round number above
+    // 1.5 times that.
     let below = texts.iter().position(|text| *text == "transient in full").unwrap();
     assert!(texts[..below].contains(&"0.10") && texts.contains(&"6"), "{texts:?}");
     assert!(texts.contains(&"10⁻²") && texts.contains(&"10¹"), "{texts:?}");

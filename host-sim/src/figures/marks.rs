@@ -1,34 +1,34 @@
-//! What an error figure shows besides the run: marked instants, and errors of other runs.
+//! Marked instants and reference levels of an error figure.
 
 use super::canvas::{Canvas, INK, Stroke};
 use super::palette::{self, LINES, SIGNAL};
 use super::panel::{Entry, Panel, Sample};
 
-/// An instant that is marked in a figure.
+/// A marked instant of a figure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Marker<'a> {
-    /// When. \[s\]
+    /// Time. \[s\]
     pub(super) time: f64,
     label: &'a str,
     stroke: Stroke,
-    /// Whether the error may jump here, so that no mean is taken across it.
+    /// Whether the error may jump here, in which case means are not taken across it.
     pub(super) jump: bool,
 }
 
 impl<'a> Marker<'a> {
-    /// Agents begin to collect data, at `time` \[s\]: black, dashed.
+    /// Marks the start of data collection at `time` \[s\]: black, dashed.
     #[must_use]
     pub const fn collection_start(time: f64, label: &'a str) -> Self {
         Self { time, label, stroke: Stroke::solid("#000000", 1.1).dashed(5.0, 3.0), jump: false }
     }
 
-    /// Agents stop collecting and train, at `time` \[s\]: black, solid.
+    /// Marks the end of data collection and the training at `time` \[s\]: black, solid.
     #[must_use]
     pub const fn collection_end(time: f64, label: &'a str) -> Self {
         Self { time, label, stroke: Stroke::solid("#000000", 1.1), jump: false }
     }
 
-    /// Trained networks are switched in, at `time` \[s\]: red, dashed.
+    /// Marks the switch to trained networks at `time` \[s\]: red, dashed.
     #[must_use]
     pub const fn apply(time: f64, label: &'a str) -> Self {
         Self { time, label, stroke: Stroke::solid(SIGNAL, 1.3).dashed(5.0, 3.0), jump: true }
@@ -39,7 +39,7 @@ impl<'a> Marker<'a> {
     }
 }
 
-/// Draws vertical lines, which the legend explains.
+/// Draws the markers as vertical lines; the legend explains them.
 pub(super) fn draw_markers(canvas: &mut Canvas, panel: &Panel, markers: &[Marker<'_>]) {
     for marker in markers.iter().filter(|marker| marker.is_shown(panel)) {
         let x = panel.at_x(marker.time);
@@ -47,7 +47,7 @@ pub(super) fn draw_markers(canvas: &mut Canvas, panel: &Panel, markers: &[Marker
     }
 }
 
-/// An entry for each kind of instant.
+/// Returns one legend entry per kind of marker.
 pub(super) fn marker_entries(markers: &[Marker<'_>]) -> Vec<Entry> {
     let mut kinds: Vec<&Marker<'_>> = Vec::new();
     for marker in markers {
@@ -63,22 +63,22 @@ pub(super) fn marker_entries(markers: &[Marker<'_>]) -> Vec<Entry> {
     kinds.into_iter().map(entry).collect()
 }
 
-/// Root mean square errors of a run to compare with, drawn as horizontal lines in the colours of
-/// the agents; of more agents than have lines of their own, their median in black.
+/// Root mean square errors of another run, drawn as horizontal lines in the agents' colours; if
+/// there are too many agents for separate lines, their median is drawn in black.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reference<'a> {
-    /// What the run is called.
+    /// Name of the run.
     pub label: &'a str,
-    /// Start of the time that the errors are taken over. \[s\]
+    /// Start of the window of the errors. \[s\]
     pub from: f64,
-    /// End of the time that the errors are taken over. \[s\]
+    /// End of the window of the errors. \[s\]
     pub to: f64,
-    /// Of each agent, where there is one. \[state unit\]
+    /// Error of each agent, where known. \[state unit\]
     pub errors: Vec<Option<f64>>,
 }
 
 impl Reference<'_> {
-    /// What is drawn: an error and its colour.
+    /// Returns the lines to draw: an error and its colour.
     fn levels(&self) -> Vec<(f64, &'static str)> {
         let finite = |error: &Option<f64>| error.filter(|error| error.is_finite());
         if self.errors.len() <= LINES {
@@ -92,13 +92,13 @@ impl Reference<'_> {
         errors.get(errors.len() / 2).map(|&median| (median, INK)).into_iter().collect()
     }
 
-    /// The largest error that is drawn. \[state unit\]
+    /// Returns the largest error drawn. \[state unit\]
     pub(super) fn largest(&self) -> f64 {
         self.levels().into_iter().map(|(error, _)| error).fold(0.0, f64::max)
     }
 }
 
-/// How the lines of a reference are drawn: the first one dotted, the second one dashed.
+/// Returns the line style of a reference: the first dotted, the second dashed.
 const fn stroke(index: usize, color: &'static str) -> Stroke {
     match index {
         0 => Stroke::solid(color, 1.6).dashed(1.5, 1.8),
@@ -107,7 +107,7 @@ const fn stroke(index: usize, color: &'static str) -> Stroke {
 }
 
 /// Draws references on a white background, so that curves do not hide them. The last one is drawn
-/// first: dots show on dashes, but dashes do not show on dots.
+/// first, because dots remain visible on dashes but not vice versa.
 pub(super) fn draw_references(canvas: &mut Canvas, panel: &Panel, references: &[Reference<'_>]) {
     for (index, reference) in references.iter().enumerate().rev() {
         let (left, right) = (panel.at_x(reference.from), panel.at_x(reference.to));
@@ -123,7 +123,7 @@ pub(super) fn draw_references(canvas: &mut Canvas, panel: &Panel, references: &[
     }
 }
 
-/// An entry for each reference.
+/// Returns one legend entry per reference.
 pub(super) fn reference_entries(references: &[Reference<'_>]) -> Vec<Entry> {
     let entry = |(index, reference): (usize, &Reference<'_>)| Entry {
         text: match reference.errors.len() {
@@ -140,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn references_are_lines_of_agents_or_one_median() {
+    fn many_agents_share_a_median_reference() {
         let few = Reference {
             label: "untrained",
             from: 0.0,
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn each_kind_of_instant_has_one_entry() {
+    fn legend_has_one_entry_per_kind_of_marker() {
         let markers = [
             Marker::collection_start(1.0, "collect"),
             Marker::apply(2.0, "apply"),

@@ -1,10 +1,10 @@
 //! Figures of a run: errors, broadcasts and states, as SVG and PNG.
 //!
-//! The SVG is the only source; the PNG is that SVG rendered with a typeface that is part of the
-//! program, so that both look the same on any machine. The same data give the same bytes.
+//! The SVG is the only source; the PNG is rendered from it with an embedded typeface, so both look
+//! the same on every machine. The same data give the same bytes.
 //!
 //! Networks of up to eight agents are drawn line by line; larger ones as median, 5th to 95th
-//! percentile and minimum to maximum over the agents.
+//! percentile, and minimum to maximum over the agents.
 
 mod axis;
 mod canvas;
@@ -45,24 +45,24 @@ pub struct Figure {
 }
 
 impl Figure {
-    /// The figure as an SVG document.
+    /// Returns the figure as an SVG document.
     #[must_use]
     pub fn svg(&self) -> &str {
         &self.svg
     }
 
-    /// The figure as a PNG file, [`PNG_WIDTH`] pixels wide.
+    /// Returns the figure as a PNG file, [`PNG_WIDTH`] pixels wide.
     ///
     /// # Errors
-    /// If the renderer refuses the SVG, which would be a defect of this module.
+    /// If the renderer rejects the SVG, which would be a bug in this module.
     pub fn png(&self) -> Result<Vec<u8>, RenderError> {
         raster::png(&self.svg)
     }
 
-    /// Writes `stem.svg` and `stem.png` into `folder`; returns their paths.
+    /// Writes `stem.svg` and `stem.png` to `folder`; returns their paths.
     ///
     /// # Errors
-    /// A file that cannot be written.
+    /// If a file cannot be written.
     pub fn write(&self, folder: &Path, stem: &str) -> Result<[PathBuf; 2], FigureError> {
         let paths = ["svg", "png"].map(|extension| folder.join(format!("{stem}.{extension}")));
         write_result(&paths[0], FileKind::SVG, |file| file.write_all(self.svg.as_bytes()))?;
@@ -73,10 +73,10 @@ impl Figure {
     }
 }
 
-/// Writes several figures, each under its stem, on all threads.
+/// Writes several figures, each with its own stem, in parallel.
 ///
 /// # Errors
-/// A file that cannot be written.
+/// If a file cannot be written.
 pub fn write_all(
     folder: &Path,
     figures: &[(&str, Figure)],
@@ -84,19 +84,19 @@ pub fn write_all(
     figures.par_iter().map(|(stem, figure)| figure.write(folder, stem)).collect()
 }
 
-/// A figure could not be written.
+/// Why a figure could not be written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FigureError {
-    /// A file could not be written.
+    /// Why a file could not be written.
     #[error(transparent)]
     Write(#[from] OutputError),
-    /// The picture could not be rendered.
+    /// The PNG could not be rendered.
     #[error("{}: {error}; the SVG beside it is complete", path.display())]
     Render {
-        /// The picture.
+        /// Path of the PNG.
         path: PathBuf,
-        /// What the renderer says.
+        /// The renderer's error.
         error: RenderError,
     },
 }

@@ -1,4 +1,4 @@
-//! A pair of axes on the canvas: frame, grid, ticks and labels.
+//! Axes on the canvas: frame, grid, ticks and labels.
 
 use super::axis::Axis;
 use super::canvas::{Anchor, Canvas, INK, PathData, Rect, Stroke, TextAt, WIDTH};
@@ -7,10 +7,10 @@ use super::font;
 /// Font size of axis labels and titles. \[user unit\]
 pub(super) const LABEL_SIZE: f64 = 11.5;
 
-/// Height of a note above a panel. \[user unit\]
+/// Height reserved for a note above a panel. \[user unit\]
 pub(super) const NOTE: f64 = 11.0;
 
-/// Where the label of the y axis stands, and the space left of tick labels. \[user unit\]
+/// Position of the y axis label, and the space left of tick labels. \[user unit\]
 pub(super) const LABEL_BASELINE: f64 = 14.0;
 pub(super) const LABEL_SPACE: f64 = 23.0;
 
@@ -21,29 +21,28 @@ const MAJOR_GRID: Stroke = Stroke::solid("#d9d9d9", 0.6);
 const MINOR_GRID: Stroke = Stroke::solid("#efefef", 0.45);
 const FRAME: Stroke = Stroke::solid(INK, 0.8);
 
-/// Space right of all panels, for the last tick label. \[user unit\]
+/// Space right of all panels, for half of the last tick label. \[user unit\]
 pub(super) const RIGHT_MARGIN: f64 = 13.0;
 
-/// Space under the lowest panel, for the time axis. \[user unit\]
+/// Space below the lowest panel, for the time axis. \[user unit\]
 pub(super) const BOTTOM_MARGIN: f64 = 37.0;
 
-/// Label of all time axes.
+/// Label of every time axis.
 pub(super) const TIME_LABEL: &str = "time t [s]";
 
-/// Writes the title of a figure whose panels begin at `left`; legends begin at
-/// [`LEGEND_TOP`].
+/// Writes the title of a figure whose panels start at `left`; legends start at [`LEGEND_TOP`].
 pub(super) fn draw_title(canvas: &mut Canvas, title: &str, left: f64) {
     let at = TextAt::new(left, 15.0, LABEL_SIZE + 0.5, Anchor::Start);
     canvas.text(title, at.within(WIDTH - left - RIGHT_MARGIN));
 }
 
-/// Where legends begin. \[user unit\]
+/// Top of the legends. \[user unit\]
 pub(super) const LEGEND_TOP: f64 = 22.0;
 
 /// Length of a tick. \[user unit\]
 const TICK: f64 = 3.5;
 
-/// Which parts of the axes are written.
+/// The parts of the axes to draw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Labels {
     pub x_ticks: bool,
@@ -66,19 +65,19 @@ impl Panel {
         Self { area, x, y, tick_size: TICK_SIZE }
     }
 
-    /// Where a value of the x axis is on the canvas.
+    /// Maps a value of the x axis to the canvas.
     #[inline]
     pub(super) fn at_x(&self, value: f64) -> f64 {
         self.area.left + self.x.part(value) * self.area.width
     }
 
-    /// Where a value of the y axis is on the canvas.
+    /// Maps a value of the y axis to the canvas.
     #[inline]
     pub(super) fn at_y(&self, value: f64) -> f64 {
         self.area.bottom() - self.y.part(value) * self.area.height
     }
 
-    /// Draws background and grid, over which the data go.
+    /// Draws the background and the grid, below the data.
     pub(super) fn draw_grid(&self, canvas: &mut Canvas, labels: Labels) {
         canvas.fill(self.area, "#ffffff");
         if labels.minor_grid {
@@ -100,14 +99,14 @@ impl Panel {
         grid
     }
 
-    /// Width of the tick labels of the y axis, tick included. \[user unit\]
+    /// Returns the width of the y axis tick labels, including the tick. \[user unit\]
     pub(super) fn y_labels_width(y: &Axis, tick_size: f64) -> f64 {
         let widths = y.ticks().into_iter().map(|tick| font::width(&y.label(tick), tick_size));
         TICK + 2.0 + widths.fold(0.0, f64::max)
     }
 
-    /// Draws frame, ticks and their labels, which go over the data, and the note of the y axis
-    /// above its right end.
+    /// Draws the frame, the ticks and their labels over the data, and the note of the y axis above
+    /// its right end.
     pub(super) fn draw_frame(&self, canvas: &mut Canvas, labels: Labels) {
         let mut ticks = PathData::default();
         let (left, bottom) = (self.area.left, self.area.bottom());
@@ -117,7 +116,7 @@ impl Panel {
             ticks.line_to(x, bottom + TICK);
             if labels.x_ticks {
                 let label = self.x.label(tick);
-                // The last label must not leave the figure.
+                // The last label must stay within the figure.
                 let half = 0.5 * font::width(&label, self.tick_size);
                 let x = x.min(WIDTH - 1.0 - half);
                 let y = bottom + TICK + 1.0 + self.tick_size;
@@ -153,7 +152,7 @@ impl Panel {
         }
     }
 
-    /// Writes the label of the x axis, and its note, under its tick labels.
+    /// Writes the label and the note of the x axis below its tick labels.
     pub(super) fn label_x(&self, canvas: &mut Canvas, label: &str) {
         let label = match self.x.note() {
             note if note.is_empty() => label.to_owned(),
@@ -164,8 +163,8 @@ impl Panel {
         canvas.text(&label, TextAt::new(x, y, LABEL_SIZE, Anchor::Middle));
     }
 
-    /// Writes the label of the y axis, reading upwards, its baseline at `x`, not much longer than
-    /// the axis.
+    /// Writes the label of the y axis, reading upwards, with its baseline at `x` and not much
+    /// longer than the axis.
     pub(super) fn label_y(&self, canvas: &mut Canvas, label: &str, x: f64) {
         let y = self.area.top + 0.5 * self.area.height;
         let at = TextAt::new(x, y, LABEL_SIZE, Anchor::Middle).upwards();
@@ -180,13 +179,13 @@ pub(super) struct Entry {
     pub sample: Sample,
 }
 
-/// What stands before the text of a legend's entry.
+/// The sample in front of a legend text.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Sample {
     Line(Stroke),
-    /// A line that stands upright in the figure.
+    /// A line that is vertical in the figure.
     Upright(Stroke),
-    /// A filled patch of a colour and an opacity.
+    /// A filled patch with colour and opacity.
     Patch(&'static str, f64),
     None,
 }
@@ -198,7 +197,7 @@ const ENTRY_GAP: f64 = 9.5;
 /// Height of a row of a legend. \[user unit\]
 pub(super) const LEGEND_ROW: f64 = 14.5;
 
-/// Distributes a legend over rows of `width`.
+/// Breaks a legend into rows of at most `width`.
 pub(super) fn legend_rows(entries: &[Entry], width: f64) -> Vec<Vec<&Entry>> {
     let mut rows: Vec<Vec<&Entry>> = Vec::new();
     let mut used = f64::INFINITY;
@@ -218,7 +217,7 @@ fn entry_width(entry: &Entry) -> f64 {
     sample_width(entry.sample) + font::width(&entry.text, TICK_SIZE)
 }
 
-/// Width of a sample and the gap behind it.
+/// Returns the width of a sample and the gap after it.
 fn sample_width(sample: Sample) -> f64 {
     match sample {
         Sample::None => 0.0,

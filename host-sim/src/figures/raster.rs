@@ -1,4 +1,4 @@
-//! From SVG to PNG.
+//! Renders SVG as PNG.
 
 use png::{BitDepth, ColorType, Compression, Encoder, Filter};
 use resvg::tiny_skia::{Color, Pixmap, Transform};
@@ -6,20 +6,20 @@ use resvg::usvg::{Options, Tree};
 
 use super::font;
 
-/// Width of every picture. \[pixel\]
+/// Width of every PNG. \[pixels\]
 pub const PNG_WIDTH: u32 = 1600;
 
-/// The renderer or the PNG encoder refused a figure.
+/// Why a figure could not be rendered.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RenderError {
-    /// The SVG is not one that the renderer understands.
+    /// The renderer rejected the SVG.
     #[error("the SVG cannot be rendered: {0}")]
     Svg(String),
-    /// The picture would be empty or larger than memory.
-    #[error("a picture of {PNG_WIDTH} x {height} pixels cannot be made")]
+    /// The picture would be empty or too large for memory.
+    #[error("cannot allocate a picture of {PNG_WIDTH} x {height} pixels")]
     Size {
-        /// Its height. \[pixel\]
+        /// Height. \[pixels\]
         height: u32,
     },
     /// The encoder failed.
@@ -27,7 +27,7 @@ pub enum RenderError {
     Png(#[from] png::EncodingError),
 }
 
-/// Renders a figure on white.
+/// Renders a figure on a white background.
 pub(super) fn png(svg: &str) -> Result<Vec<u8>, RenderError> {
     let options = Options {
         fontdb: font::database(),
@@ -44,7 +44,7 @@ pub(super) fn png(svg: &str) -> Result<Vec<u8>, RenderError> {
     encode(&picture)
 }
 
-/// On white every pixel is opaque: three channels say all.
+/// On a white background every pixel is opaque, so three channels suffice.
 fn encode(picture: &Pixmap) -> Result<Vec<u8>, RenderError> {
     let opaque: Vec<u8> =
         picture.data().chunks_exact(4).flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
@@ -53,7 +53,7 @@ fn encode(picture: &Pixmap) -> Result<Vec<u8>, RenderError> {
     encoder.set_color(ColorType::Rgb);
     encoder.set_depth(BitDepth::Eight);
     encoder.set_compression(Compression::Fast);
-    // Of the filters this one makes the smallest files, and is as fast as any.
+    // This filter gives the smallest files and is as fast as any other.
     encoder.set_filter(Filter::Paeth);
     let mut writer = encoder.write_header()?;
     writer.write_image_data(&opaque)?;

@@ -1,9 +1,8 @@
-//! Series of thousands of rows as lines and bands of a few points a pixel.
+//! Reduces series of thousands of rows to lines and bands with a few points per pixel.
 //!
-//! A column of the picture shows of a line no more than from where to where it reaches there:
-//! its minimum and maximum, in the order in which they occur, draw the same picture as all the
-//! rows do. Of many agents a column shows minimum, 5th percentile, median, 95th percentile and
-//! maximum.
+//! Within one pixel column of the picture, only the minimum and maximum of a line are visible, so
+//! these two, in order of occurrence, give the same picture as all the rows. For many agents a
+//! column shows minimum, 5th percentile, median, 95th percentile and maximum.
 
 use std::ops::Range;
 
@@ -15,26 +14,25 @@ use super::clip::ClippedLine;
 use super::palette;
 use super::panel::Panel;
 
-/// Points that all lines of a figure share; at about 8 bytes each this keeps an SVG below
-/// 300 kB. \[-\]
+/// Points shared by all lines of a figure; at about 8 bytes each this keeps an SVG below 300 kB.
+/// \[-\]
 const POINTS: usize = 32_000;
 
-/// Most columns a user unit is divided into: a picture has 3.6 pixels a unit.
+/// Maximum number of columns per user unit: a picture has 3.6 pixels per unit.
 const COLUMNS_PER_UNIT: f64 = 3.0;
 
-/// About how many values of a column percentiles are taken from; minimum and maximum are those
-/// of all.
+/// Approximate number of values per column for percentiles; minimum and maximum use all values.
 const POOL: usize = 1024;
 
-/// How many columns a panel that is `width` user units wide is divided into if the figure shows
-/// `lines` lines (in as many panels as there are).
+/// Returns the number of columns for a panel `width` user units wide, if the figure shows `lines`
+/// lines in all its panels.
 pub(super) fn column_count(width: f64, lines: usize) -> usize {
     let finest = (width * COLUMNS_PER_UNIT) as usize;
     finest.min(POINTS / (2 * lines.max(1))).max(16)
 }
 
-/// Rows that fall into each of `count` equal parts of an axis, those without rows left out, and
-/// one row before the axis and one behind it, so that lines reach its ends. Times ascend.
+/// Groups rows into `count` equal columns of an axis, omitting empty ones, plus one row before the
+/// axis and one after it, so that lines reach its ends. Times must ascend.
 pub(super) fn columns(time: &[f64], axis: &Axis, count: usize) -> Vec<Range<usize>> {
     let first = time.partition_point(|&t| t < axis.from).saturating_sub(1);
     let last = (time.partition_point(|&t| t <= axis.to) + 1).min(time.len());
@@ -50,7 +48,7 @@ pub(super) fn columns(time: &[f64], axis: &Axis, count: usize) -> Vec<Range<usiz
     columns
 }
 
-/// The line of `value` (of a row) over `time`; values that are not finite interrupt it.
+/// Draws `value` (of a row) over `time`; non-finite values interrupt the line.
 pub(super) fn line(
     panel: &Panel,
     time: &[f64],
@@ -83,7 +81,7 @@ pub(super) fn line(
     data.finish()
 }
 
-/// How the values of many agents are spread in a column.
+/// Distribution of the values of many agents in a column.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Spread {
     /// Mean time of the column. \[s\]
@@ -92,8 +90,8 @@ pub(super) struct Spread {
     pub levels: [f64; 5],
 }
 
-/// Spreads of `value` (of a row and an agent) in all columns, those without finite values left
-/// out.
+/// Returns the spread of `value` (of a row and an agent) in each column, omitting columns without
+/// finite values.
 pub(super) fn spreads(
     time: &[f64],
     columns: &[Range<usize>],
@@ -129,14 +127,14 @@ fn spread(
     Some(Spread { time, levels: [min, percentile(0.05), percentile(0.5), percentile(0.95), max] })
 }
 
-/// Opacities of the band from minimum to maximum and of that between the percentiles.
+/// Opacity of the min–max band and of the percentile band.
 pub(super) const BANDS: [f64; 2] = [0.18, 0.35];
 
-/// Line of the median.
+/// Line style of the median.
 pub(super) const MEDIAN: Stroke = Stroke::solid(palette::TOGETHER, 1.1);
 
-/// Draws spreads: a faint band from minimum to maximum, a stronger one between the percentiles,
-/// and the median.
+/// Draws spreads: a faint band from minimum to maximum, a stronger one between the percentiles, and
+/// the median.
 pub(super) fn draw_spreads(canvas: &mut Canvas, panel: &Panel, spreads: &[Spread]) {
     let at = |spread: &Spread, level: usize| {
         let (x, y) = (panel.at_x(spread.time), panel.at_y(spread.levels[level]));
@@ -168,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_hold_every_row_of_the_axis_once() {
+    fn columns_contain_every_row_of_the_axis_once() {
         let time: Vec<f64> = (0..=2000).map(|row| f64::from(row) * 0.01).collect();
         let columns = columns(&time, &Axis::exact(5.0, 10.0, 5.0), 50);
         assert_eq!(columns.first().unwrap().start, 499);
@@ -177,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_of_many_rows_keeps_every_peak() {
+    fn reduced_line_keeps_every_peak() {
         let time: Vec<f64> = (0..40_000).map(|row| f64::from(row) * 0.000_25).collect();
         let peak = |row: usize| if row == 12_345 { 1.5 } else { 0.0 };
         let panel = panel();
@@ -189,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_interrupts_a_line() {
+    fn non_finite_values_interrupt_a_line() {
         let panel = panel();
         let values = [0.0, 1.0, f64::NAN, 1.0, f64::INFINITY, 0.0];
         let time = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
@@ -199,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn spreads_are_those_of_the_agents() {
+    fn spreads_match_the_agents() {
         let time = [0.0, 1.0];
         let columns = [0..1, 1..2];
         let spreads = spreads(&time, &columns, 101, |row, agent| (row + agent) as f64);

@@ -1,7 +1,7 @@
-//! True state and all estimates over time, a panel a component.
+//! True state and all estimates over time, one panel per component.
 //!
-//! Up to four components are stacked, with the transient enlarged beside each; more stand in a
-//! grid of two or three columns.
+//! Up to four components are stacked, each next to an enlarged view of its transient; more are
+//! arranged in a grid of two or three columns.
 
 use super::Figure;
 use super::axis::{Axis, round_up};
@@ -14,23 +14,23 @@ use super::panel::{
 use super::series::{self, BANDS, MEDIAN};
 use crate::engine::traces::Traces;
 
-/// Dashed, and drawn over the estimates, which are seen through its gaps.
+/// Dashed and drawn over the estimates, which remain visible through the gaps.
 const TRUTH: Stroke = Stroke::solid("#000000", 1.0).dashed(4.0, 2.5);
 
 /// Up to this many components are stacked.
 const STACKED: usize = 4;
 
-/// About how many rows an axis takes the extent of the estimates from.
+/// Approximate number of rows sampled for the range of an axis.
 const AXIS_SAMPLES: usize = 2000;
 
-/// What [`states`] draws.
+/// Input of [`states`].
 #[derive(Clone, Copy, Debug)]
 pub struct StateFigure<'a> {
-    /// Stands above the figure.
+    /// Title of the figure.
     pub title: &'a str,
     /// The run.
     pub traces: &'a Traces,
-    /// What the components are called, shape `[n]`.
+    /// Names of the components, shape `[n]`.
     pub names: &'a [String],
 }
 
@@ -54,7 +54,7 @@ pub fn states(figure: &StateFigure<'_>) -> Figure {
             Name::Beside(name) => panel.label_y(&mut canvas, name, LABEL_BASELINE),
             Name::Above(name) => {
                 let at = TextAt::new(area.left, area.top - 4.0, TICK_SIZE, Anchor::Start);
-                // The note of the axis stands at the other end.
+                // The note of the axis is at the other end.
                 let note = super::font::width(&one.y.note(), TICK_SIZE);
                 canvas.text(name, at.within(area.width - note - 4.0));
             }
@@ -86,14 +86,14 @@ const fn estimate_line(agent: usize) -> Stroke {
     Stroke::solid(palette::agent(agent), 1.1)
 }
 
-/// Where the panels are; they begin at the height 0.
+/// Arrangement of the panels, starting at height 0.
 struct Layout<'a> {
-    /// Left end of the first column of panels.
+    /// Left edge of the first column of panels.
     left: f64,
     components: Vec<Component<'a>>,
 }
 
-/// The components above each other, each next to its transient if there is one.
+/// Stacks the components, each next to its transient if there is one.
 fn stack<'a>(figure: &StateFigure<'a>) -> Layout<'a> {
     let traces = figure.traces;
     let (start, end) = ends(traces);
@@ -104,7 +104,7 @@ fn stack<'a>(figure: &StateFigure<'a>) -> Layout<'a> {
         (axes(whole).collect(), transient.into_iter().flat_map(axes).collect());
     let left = LABEL_SPACE + labels_width(&wholes, TICK_SIZE);
     let room = WIDTH - left - RIGHT_MARGIN;
-    // The labels of the right column stand between the two, and half of the last of the left.
+    // Leave room for the labels of the right column and half of the last label of the left one.
     let between = labels_width(&transients, TICK_SIZE) + 12.0;
     let right = if transient.is_some() { 0.3 * room } else { 0.0 };
     let wide = if transient.is_some() { room - right - between } else { room };
@@ -135,7 +135,7 @@ fn stack<'a>(figure: &StateFigure<'a>) -> Layout<'a> {
     Layout { left, components }
 }
 
-/// The components in a grid, their names above them.
+/// Arranges the components in a grid, with their names above.
 fn grid<'a>(figure: &StateFigure<'a>) -> Layout<'a> {
     let traces = figure.traces;
     let tick_size = TICK_SIZE - 1.0;
@@ -149,7 +149,7 @@ fn grid<'a>(figure: &StateFigure<'a>) -> Layout<'a> {
     let height = if columns == 2 { 82.0 } else { 74.0 };
     let component = |(index, y): (usize, Axis)| {
         let (row, column) = (index / columns, index % columns);
-        // The lowest panel of a column carries the time axis.
+        // Only the lowest panel of a column has a time axis.
         let x_ticks = index + columns >= traces.dimension();
         Component {
             index,
@@ -173,7 +173,7 @@ fn labels_width(axes: &[Axis], tick_size: f64) -> f64 {
     axes.iter().map(|y| Panel::y_labels_width(y, tick_size)).fold(0.0, f64::max)
 }
 
-/// Where the name of a component stands.
+/// Position of a component's name.
 #[derive(Clone, Copy, Debug)]
 enum Name<'a> {
     Beside(&'a str),
@@ -181,9 +181,9 @@ enum Name<'a> {
     None,
 }
 
-/// A panel with a component of the state over a stretch of time \[s\].
+/// A panel showing a component of the state over a window of time \[s\].
 struct Component<'a> {
-    /// From 0.
+    /// Index of the component, from 0.
     index: usize,
     name: Name<'a>,
     window: (f64, f64),
@@ -200,7 +200,7 @@ impl Component<'_> {
         Panel { tick_size: self.tick_size, ..Panel::new(area, x, self.y.clone()) }
     }
 
-    /// Draws a panel, one of `panels`, with its axes, the estimates, and over them the true state.
+    /// Draws a panel, one of `panels`, with its axes, the estimates, and the true state over them.
     fn draw(&self, canvas: &mut Canvas, panel: &Panel, traces: &Traces, panels: usize) {
         panel.draw_grid(canvas, self.labels);
         let time = traces.time();
@@ -231,8 +231,8 @@ fn ends(traces: &Traces) -> (f64, f64) {
     (traces.time().first().copied().unwrap_or(0.0), traces.time().last().copied().unwrap_or(1.0))
 }
 
-/// An axis for what the true state does in a stretch of time \[s\], the estimates at its start,
-/// and what the estimates exceed that by, up to half of it again.
+/// Creates an axis for the true state in a window of time \[s\] and the estimates at its start.
+/// Later estimates extend the range by up to half.
 fn value_axis(traces: &Traces, component: usize, (from, to): (f64, f64)) -> Axis {
     let time = traces.time();
     let rows = time.partition_point(|&t| t < from)..time.partition_point(|&t| t <= to);
@@ -250,19 +250,20 @@ fn value_axis(traces: &Traces, component: usize, (from, to): (f64, f64)) -> Axis
         extent(rows.step_by(sampled).flat_map(estimates)).unwrap_or((low, high));
     let (low, high) = (least.clamp(low - room, low), greatest.clamp(high, high + room));
     let largest = low.abs().max(high.abs());
-    // A constant lies in the middle.
+    // A constant is centred.
     let length = if high - low > 1e-12 * largest { high - low } else { largest };
     let margin = 0.06 * if length > 0.0 { length } else { 1.0 };
     Axis::exact(low - margin, high + margin, 3.0)
 }
 
-/// Smallest and largest of those values that are finite.
+/// Returns the smallest and largest finite value.
 fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     let finite = values.filter(|value| value.is_finite()).map(|value| (value, value));
     finite.reduce(|(low, high), (value, _)| (low.min(value), high.max(value)))
 }
 
-/// Until when the estimates settle, with as much again to show it; `None` if they start settled.
+/// Returns the end of the transient, twice the time at which the estimates settle; `None` if they
+/// start settled.
 fn transient(traces: &Traces) -> Option<f64> {
     let (start, end) = ends(traces);
     let error = |row: usize| {

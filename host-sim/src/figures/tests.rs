@@ -1,11 +1,11 @@
-//! The figures as a whole: documents that parse, pictures that show something.
+//! Whole figures: documents that parse, and pictures that are not empty.
 
 use resvg::usvg::roxmltree::Document;
 
 use super::*;
 use crate::engine::traces::Traces;
 
-/// Noise in \[-1, 1) that is the same every time (a linear congruential generator).
+/// Reproducible noise in \[-1, 1) from a linear congruential generator.
 struct Noise(u64);
 
 impl Noise {
@@ -16,7 +16,8 @@ impl Noise {
     }
 }
 
-/// Oscillations over 40 s; errors decay from about 5 a component to chatter of about 0.05.
+/// Creates oscillations over 40 s; errors decay from about 5 per component to chatter of about
+/// 0.05.
 fn traces(dimension: usize, agents: usize, rows: usize) -> Traces {
     let mut noise = Noise(1);
     let mut traces = Traces::with_capacity(dimension, agents, rows);
@@ -36,7 +37,7 @@ fn traces(dimension: usize, agents: usize, rows: usize) -> Traces {
     traces
 }
 
-/// Of each agent a broadcast about every `interval` steps for 40,000 steps.
+/// Creates broadcasts of each agent about every `interval` steps, for 40,000 steps.
 fn broadcasts(agents: usize, interval: u64) -> Vec<Vec<u64>> {
     (0..agents as u64)
         .map(|agent| (agent % interval..40_000).step_by(interval as usize).collect())
@@ -47,19 +48,19 @@ fn slices(events: &[Vec<u64>]) -> Vec<&[u64]> {
     events.iter().map(Vec::as_slice).collect()
 }
 
-/// Texts of a document, in its order.
+/// Returns the texts of a document in document order.
 fn texts(document: &Document<'_>) -> Vec<String> {
     let texts = document.descendants().filter(|node| node.has_tag_name("text"));
     texts.filter_map(|node| Some(node.text()?.trim().to_owned())).collect()
 }
 
-/// How many numbers the longest path has.
+/// Returns the length of the longest path.
 fn longest_path(document: &Document<'_>) -> usize {
     let paths = document.descendants().filter_map(|node| node.attribute("d"));
     paths.map(|data| data.bytes().filter(u8::is_ascii_digit).count()).max().unwrap_or(0)
 }
 
-/// Width, height, and how many different colours there are.
+/// Returns width, height, and the number of different colours.
 fn picture(bytes: &[u8]) -> (u32, u32, usize) {
     let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().unwrap();
     let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
@@ -71,7 +72,7 @@ fn picture(bytes: &[u8]) -> (u32, u32, usize) {
 }
 
 #[test]
-fn error_norms_show_data_markers_and_transient() {
+fn error_figure_shows_data_markers_and_transient() {
     let traces = traces(3, 3, 40_001);
     let markers = [
         Marker::collection_start(10.0, "starts"),
@@ -108,25 +109,25 @@ fn error_norms_show_data_markers_and_transient() {
 }
 
 #[test]
-fn the_error_axis_fits_the_steady_state_of_all_runs() {
+fn error_axis_fits_the_steady_state_of_all_runs() {
     let quiet = traces(3, 3, 4_001);
     let limit = error_axis_limit(&[&quiet], &[]);
     assert!((0.05..0.15).contains(&limit), "{limit}");
     let worse = traces(12, 3, 4_001);
     assert!(error_axis_limit(&[&quiet, &worse], &[]) > limit);
-    // What a run is compared with is seen, too.
+    // The axis includes references.
     let reference = no_network(vec![Some(1.0), None, Some(0.5)]);
     assert!((1.0..1.3).contains(&error_axis_limit(&[&quiet], &[reference])));
     assert!((error_axis_limit(&[], &[]) - 1.0).abs() < f64::EPSILON);
 }
 
 #[test]
-fn few_broadcasts_are_ticks_and_counted() {
+fn few_broadcasts_become_ticks() {
     let events = broadcasts(3, 10);
     let figure = events_of(&events, 19.75, 20.25);
     let document = Document::parse(figure.svg()).unwrap();
     let texts = texts(&document);
-    // Multiples of 10, 10 k + 1 and 10 k + 2 within 19,750 to 20,250, both ends included.
+    // Multiples of 10, 10 k + 1 and 10 k + 2 from 19,750 to 20,250, both ends included.
     let summary = "151 broadcasts in 0.5 s: 51 of agent 1, 50 of agent 2, 50 of agent 3";
     assert!(texts.iter().any(|text| text == summary), "{texts:?}");
     let ticks = document.descendants().filter_map(|node| node.attribute("d"));
@@ -158,7 +159,7 @@ fn events_of(events: &[Vec<u64>], from: f64, to: f64) -> Figure {
 }
 
 #[test]
-fn large_networks_and_states_stay_small_and_parse() {
+fn figures_of_large_networks_stay_small_and_parse() {
     let (large, wide) = (traces(2, 1000, 201), traces(12, 8, 4_001));
     let many = broadcasts(1000, 7);
     let figures = [
@@ -180,7 +181,7 @@ fn large_networks_and_states_stay_small_and_parse() {
 }
 
 #[test]
-fn nothing_recorded_gives_empty_axes() {
+fn empty_recording_gives_empty_axes() {
     let empty = Traces::with_capacity(3, 3, 0);
     let no_agents = Traces::with_capacity(0, 0, 0);
     for traces in [&empty, &no_agents] {
@@ -197,7 +198,7 @@ fn nothing_recorded_gives_empty_axes() {
 }
 
 #[test]
-fn what_diverged_is_still_drawn() {
+fn diverged_runs_are_drawn() {
     let mut traces = traces(2, 2, 501);
     for row in 0..500 {
         let value = if row < 250 { 1e30 } else { f32::NAN };
@@ -222,7 +223,7 @@ fn what_diverged_is_still_drawn() {
 }
 
 #[test]
-fn the_same_data_give_the_same_bytes_and_whole_files() {
+fn output_is_deterministic_and_written_to_files() {
     let traces = traces(3, 9, 2_001);
     let draw = || states_of("Again", &traces);
     let (one, two) = (draw(), draw());
@@ -237,7 +238,7 @@ fn the_same_data_give_the_same_bytes_and_whole_files() {
 }
 
 #[test]
-fn a_file_in_the_way_is_named() {
+fn error_names_the_file_that_cannot_be_written() {
     let folder = std::env::temp_dir().join(format!("in-the-way-{}", std::process::id()));
     std::fs::write(&folder, "a file").unwrap();
     let traces = traces(1, 1, 11);

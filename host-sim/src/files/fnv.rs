@@ -1,7 +1,7 @@
-//! FNV-1a, 64 bits: a hash for people to compare, the same on every machine. Not for tables,
-//! not against forgery.
+//! 64-bit FNV-1a: identifies content, with the same result on every machine. Not for hash tables,
+//! and no protection against forgery.
 
-/// A hash in the making.
+/// A hash in progress.
 #[derive(Clone, Copy, Debug)]
 pub struct Fnv(u64);
 
@@ -12,7 +12,7 @@ impl Default for Fnv {
 }
 
 impl Fnv {
-    /// Takes in more bytes.
+    /// Adds bytes to the hash.
     #[inline]
     pub fn add(&mut self, bytes: &[u8]) {
         for &byte in bytes {
@@ -20,7 +20,7 @@ impl Fnv {
         }
     }
 
-    /// The hash of all bytes so far.
+    /// Returns the hash of all bytes so far.
     #[must_use]
     pub fn finish(&self) -> u64 {
         self.0

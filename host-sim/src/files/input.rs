@@ -1,21 +1,21 @@
-//! Files that are read whole, up to a limit: what is named may be a device that never ends.
+//! Reads whole files up to a size limit, because a path may name an endless device.
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
-/// The content of the file at `path`.
+/// Returns the content of the file at `path`.
 ///
 /// # Errors
-/// What the system says, and [`io::ErrorKind::FileTooLarge`] for more than `limit` bytes.
+/// Returns the system's error, or [`io::ErrorKind::FileTooLarge`] for more than `limit` bytes.
 pub fn read_limited(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     Limited::new(File::open(path)?, limit).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
-/// A reader that fails with [`io::ErrorKind::FileTooLarge`] behind a limit, where
-/// [`Read::take`] would end as if nothing more had been there.
+/// A reader that fails with [`io::ErrorKind::FileTooLarge`] beyond a limit, where
+/// [`Read::take`] would report the end of the input.
 #[derive(Debug)]
 pub struct Limited<R> {
     inner: R,
@@ -35,12 +35,12 @@ impl<R: Read> Read for Limited<R> {
         if buffer.is_empty() {
             return Ok(0);
         }
-        // One byte more than is allowed tells an input that is too long from one that just fits.
+        // One extra byte distinguishes an input that is too long from one that just fits.
         let most = usize::try_from(self.left.saturating_add(1)).unwrap_or(usize::MAX);
         let most = buffer.len().min(most);
         let length = self.inner.read(&mut buffer[..most])?;
         let left = self.left.checked_sub(length as u64).ok_or_else(|| {
-            let problem = format!("it has more than {} bytes", self.limit);
+            let problem = format!("larger than {} bytes", self.limit);
             io::Error::new(io::ErrorKind::FileTooLarge, problem)
         })?;
         self.left = left;
@@ -48,7 +48,7 @@ impl<R: Read> Read for Limited<R> {
     }
 }
 
-/// Whether an input was refused because it is longer than allowed.
+/// Whether an input was rejected for its size.
 #[must_use]
 pub fn is_too_large(error: &io::Error) -> bool {
     error.kind() == io::ErrorKind::FileTooLarge
@@ -59,18 +59,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_is_read_up_to_the_limit_and_not_beyond() {
+    fn reads_files_up_to_the_limit() {
         let path = std::env::temp_dir().join(format!("input-file-{}", std::process::id()));
         std::fs::write(&path, b"12345").unwrap();
         assert_eq!(read_limited(&path, 5).unwrap(), b"12345");
         let error = read_limited(&path, 4).unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::FileTooLarge);
-        assert_eq!(error.to_string(), "it has more than 4 bytes");
+        assert_eq!(error.to_string(), "larger than 4 bytes");
         std::fs::remove_file(&path).unwrap();
     }
 
     #[test]
-    fn a_limited_reader_ends_where_its_input_does_and_fails_behind_the_limit() {
+    fn limited_reader_fails_beyond_the_limit() {
         let read = |text: &[u8], limit| {
             let mut bytes = Vec::new();
             let result = Limited::new(text, limit).read_to_end(&mut bytes);

@@ -1,11 +1,11 @@
-//! Files: read up to a limit, written whole or left as they were, tables, and hashes.
+//! Files: size-limited input, atomic output, tables, and hashes.
 //!
-//! | module | what it is |
+//! | module | purpose |
 //! | --- | --- |
-//! | [`input`] | reads a file, but not beyond a limit |
-//! | [`output`] | writes a file whole, or leaves what was there |
+//! | [`input`] | reads files up to a size limit |
+//! | [`output`] | writes files atomically |
 //! | [`table`] | CSV tables |
-//! | [`fnv`] | a hash for people to compare |
+//! | [`fnv`] | a hash that identifies content |
 
 pub mod fnv;
 pub mod input;

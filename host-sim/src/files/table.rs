@@ -1,6 +1,6 @@
 //! CSV tables.
 //!
-//! The first line names every column and its unit. Numbers have the fewest digits that read
+//! The first line has the name and unit of every column. Numbers have the fewest digits that read
 //! back as the same bits.
 
 use std::io::{self, Write};
@@ -8,42 +8,42 @@ use std::path::Path;
 
 use super::output::{FileKind, OutputError, write_result};
 
-/// One line of a CSV file that is being written.
+/// A line of a CSV file in progress.
 pub struct Row<'a> {
     writer: csv::Writer<&'a mut dyn Write>,
     float: ryu::Buffer,
 }
 
 impl Row<'_> {
-    /// A whole number.
+    /// Writes an integer.
     ///
     /// # Errors
-    /// What the file says, as with all methods here.
+    /// The error of the file, as for all methods here.
     pub fn integer(&mut self, value: u64) -> io::Result<()> {
         self.text(&value.to_string())
     }
 
-    /// A number in double precision; one that is not finite is written as `NaN`, `inf` or
-    /// `-inf`, which CSV readers understand.
+    /// Writes a number in double precision; non-finite numbers become `NaN`, `inf` or `-inf`, which
+    /// CSV readers understand.
     ///
     /// # Errors
-    /// As [`Row::integer`].
+    /// Same as [`Row::integer`].
     pub fn double(&mut self, value: f64) -> io::Result<()> {
         Ok(self.writer.write_field(self.float.format(value))?)
     }
 
-    /// A number in single precision.
+    /// Writes a number in single precision.
     ///
     /// # Errors
-    /// As [`Row::integer`].
+    /// Same as [`Row::integer`].
     pub fn single(&mut self, value: f32) -> io::Result<()> {
         Ok(self.writer.write_field(self.float.format(value))?)
     }
 
-    /// A number, or an empty field.
+    /// Writes a number, or an empty field.
     ///
     /// # Errors
-    /// As [`Row::integer`].
+    /// Same as [`Row::integer`].
     pub fn optional(&mut self, value: Option<f64>) -> io::Result<()> {
         match value {
             Some(value) => self.double(value),
@@ -51,19 +51,19 @@ impl Row<'_> {
         }
     }
 
-    /// A word; quoted if it must be.
+    /// Writes a word, quoted if necessary.
     ///
     /// # Errors
-    /// As [`Row::integer`].
+    /// Same as [`Row::integer`].
     pub fn text(&mut self, value: &str) -> io::Result<()> {
         Ok(self.writer.write_field(value)?)
     }
 }
 
-/// Writes a CSV file: a header, and a line of what `write` says about each item.
+/// Writes a CSV file: a header, and one line per item with the fields that `write` adds.
 ///
 /// # Errors
-/// A file that cannot be written, also if a line has not as many fields as the header.
+/// If the file cannot be written, or a line and the header differ in the number of fields.
 pub fn write_table<T>(
     path: &Path,
     header: &[impl AsRef<[u8]>],

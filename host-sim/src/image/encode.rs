@@ -1,4 +1,4 @@
-//! Images as files.
+//! Encodes images as files.
 
 use std::path::Path;
 
@@ -7,19 +7,19 @@ use ihex::Record;
 use super::uf2::{self, Uf2Family};
 use super::{ERASED, Image, ImageError, Segment};
 
-/// The name of a format, as on a command line.
+/// A file format, as named on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Format {
-    /// Bytes without addresses; what lies between package and commit area is blanked.
+    /// Bytes without addresses; the gap between package and commit area is filled with blanks.
     Bin,
     /// Intel HEX.
     Hex,
-    /// Blocks for the USB drive of a bootloader; needs the chip's family.
+    /// Blocks for the USB drive of a bootloader; requires the chip's family.
     Uf2,
 }
 
 impl Format {
-    /// The format that the ending of a file's name stands for.
+    /// Returns the format for the extension of a file name.
     #[must_use]
     pub fn of_file(path: &Path) -> Option<Self> {
         let ending = path.extension()?.to_str()?.to_ascii_lowercase();
@@ -31,10 +31,10 @@ impl Format {
         }
     }
 
-    /// The format with all that it needs; only UF2 needs a family, the others ignore it.
+    /// Returns the complete format; only UF2 uses the family.
     ///
     /// # Errors
-    /// UF2 without a family.
+    /// If the format is UF2 and there is no family.
     pub fn with_family(self, family: Option<Uf2Family>) -> Result<ImageFormat, ImageError> {
         match self {
             Self::Bin => Ok(ImageFormat::Bin),
@@ -44,32 +44,32 @@ impl Format {
     }
 }
 
-/// A format with all that it needs.
+/// A format with all its parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImageFormat {
     /// Bytes without addresses.
     Bin,
     /// Intel HEX.
     Hex,
-    /// Blocks for this family of chips.
+    /// UF2 blocks for this family of chips.
     Uf2(Uf2Family),
 }
 
-/// Data bytes in a record of Intel HEX: what most tools write.
+/// Data bytes per record of Intel HEX, as most tools write.
 const RECORD: usize = 16;
 
-/// Longest image, blanks included: more than any node's flash for weights. \[byte\]
+/// Maximum length of an image including blanks: more than any node's flash for weights. \[bytes\]
 const LENGTH_MAX: u64 = 256 << 20;
 
-/// Addresses that records reach without a new upper half.
+/// Range of addresses that share an upper half.
 const HALF: u64 = 1 << 16;
 
 impl Image {
-    /// The image as the content of a file.
+    /// Encodes the image as the content of a file.
     ///
     /// # Errors
-    /// UF2 on a memory map whose parts are not made of its blocks; a file that would be blank for
-    /// the most part, and very long.
+    /// If the format is UF2 and a part of the memory map is not a multiple of its blocks, or if the
+    /// file would be very long and mostly blank.
     pub fn encode(&self, format: ImageFormat) -> Result<Vec<u8>, ImageError> {
         let unit = match format {
             ImageFormat::Uf2(_) => u64::from(self.region().erase_size),
@@ -109,7 +109,8 @@ impl Image {
                 if upper.replace(high) != Some(high) {
                     records.push(Record::ExtendedLinearAddress(high));
                 }
-                // No record crosses into the next upper half: readers disagree on what that means.
+                // A record does not cross into the next upper half, because readers disagree on
+                // what that means.
                 let (now, later) =
                     rest.split_at(rest.len().min(RECORD).min((HALF - u64::from(low)) as usize));
                 records.push(Record::Data { offset: low, value: now.to_vec() });

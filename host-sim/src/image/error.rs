@@ -1,125 +1,125 @@
-//! Why there is no image.
+//! Image errors.
 
 use super::uf2_format::{PAYLOAD, UF2_FAMILIES};
 
-/// Why an image cannot be made or written as a file.
+/// Why an image cannot be created or encoded.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImageError {
-    /// The package is empty, or longer than the slot.
+    /// The package is empty or longer than the slot.
     #[error(
-        "the package has {found} bytes, a slot of the memory map {slot_length}; name a package file \
-         of at least 1 byte, train a smaller network, or make the slots in memory.x longer"
+        "the package has {found} bytes and a slot of the memory map {slot_length}; use a package of at \
+             least 1 byte, train a smaller network, or make the slots in memory.x longer"
     )]
     PackageLength {
-        /// Length of the package \[bytes\].
+        /// Length of the package. \[bytes\]
         found: usize,
-        /// Length of a slot \[bytes\].
+        /// Length of a slot. \[bytes\]
         slot_length: u32,
     },
-    /// The commit record does not fit.
+    /// The commit record has an invalid length.
     #[error(
-        "the commit record has {found} bytes; it takes a multiple of 8, at least 8 and at most \
-         one erase unit of {erase_size}"
+        "the commit record has {found} bytes; its length must be a multiple of 8, at least 8 and at \
+             most one erase unit of {erase_size}"
     )]
     RecordLength {
-        /// Length of the record \[bytes\].
+        /// Length of the record. \[bytes\]
         found: usize,
-        /// Length of an erase unit \[bytes\].
+        /// Length of an erase unit. \[bytes\]
         erase_size: u32,
     },
     /// A segment leaves the region or overlaps another one.
     #[error(
-        "{name} would lie at {start:#x} to {end:#x}, but only {free_start:#x} to {free_end:#x} is \
-         free for it in WEIGHTS; correct the symbols in memory.x"
+        "{name} would be at {start:#x} to {end:#x}, outside {free_start:#x} to {free_end:#x}, its part \
+             of WEIGHTS; correct the symbols in memory.x"
     )]
     Outside {
-        /// Which segment.
+        /// Name of the segment.
         name: &'static str,
         /// Its first address.
         start: u64,
-        /// The first address behind it.
+        /// End address, exclusive.
         end: u64,
-        /// First address that is free for it.
+        /// First address available to it.
         free_start: u64,
-        /// First address behind what is free.
+        /// End of the available addresses, exclusive.
         free_end: u64,
     },
-    /// A UF2 file needs parts that begin and end with its blocks.
+    /// The segments of a UF2 file must start and end on block boundaries.
     #[error(
-        "{name} would take {start:#x} to {end:#x} of a UF2 file, which is written in blocks of \
-         {PAYLOAD} bytes; choose a multiple of {PAYLOAD} for _weights_erase_size in memory.x, or the format hex"
+        "{name} would be at {start:#x} to {end:#x} in a UF2 file, which has blocks of {PAYLOAD} bytes; \
+             set _weights_erase_size in memory.x to a multiple of {PAYLOAD}, or use the format hex"
     )]
     Uf2Alignment {
-        /// Which segment.
+        /// Name of the segment.
         name: &'static str,
         /// Its first address.
         start: u64,
-        /// The first address behind it.
+        /// End address, exclusive.
         end: u64,
     },
-    /// A UF2 file needs to know for which chips it is.
+    /// A UF2 file requires the family of the chip.
     #[error(
-        "a UF2 file needs the family of the chip, which its bootloader compares; choose {}",
+        "a UF2 file requires the family of the chip, which the bootloader checks; use {}",
         families()
     )]
     FamilyMissing,
-    /// The chip's flash is somewhere else.
+    /// A part of the store is outside the chip's flash.
     #[error(
-        "{name} lies at {start:#x} to {end:#x}, and the flash of {chip} at {flash_start:#x} to \
-         {flash_end:#x}; give the memory map of that chip, or the chip of the memory map"
+        "{name} is at {start:#x} to {end:#x}, outside the flash of {chip} at {flash_start:#x} to \
+             {flash_end:#x}; pass the memory map of that chip, or the chip of that memory map"
     )]
     NotFlash {
-        /// Which part of the store.
+        /// Name of the part.
         name: &'static str,
         /// Its first address.
         start: u64,
-        /// The first address behind it.
+        /// End address, exclusive.
         end: u64,
         /// The chip or series.
         chip: &'static str,
         /// First address of its flash.
         flash_start: u64,
-        /// First address behind its flash.
+        /// End of its flash, exclusive.
         flash_end: u64,
     },
-    /// The chip cannot erase a part of the store alone.
+    /// The chip cannot erase the part without erasing something else.
     #[error(
-        "{name} lies at {start:#x} to {end:#x}, and {chip} erases {sector:#x} to {sector_end:#x} only \
-         as a whole, with what else is there; let every part in memory.x begin and end with the \
-         chip's sectors, and _weights_erase_size be their length"
+        "{name} is at {start:#x} to {end:#x}, but {chip} can only erase all of {sector:#x} to \
+             {sector_end:#x}, including what else is stored there; align every part in memory.x to the \
+             chip's sectors and set _weights_erase_size to their length"
     )]
     Sector {
-        /// Which part of the store.
+        /// Name of the part.
         name: &'static str,
         /// Its first address.
         start: u64,
-        /// The first address behind it.
+        /// End address, exclusive.
         end: u64,
         /// The chip or series.
         chip: &'static str,
-        /// First address of the sector that it cuts.
+        /// First address of the sector that it shares.
         sector: u64,
-        /// First address behind that sector.
+        /// End of that sector, exclusive.
         sector_end: u64,
     },
-    /// The file would be far longer than what is to be written.
+    /// The file would be far longer than its data.
     #[error(
-        "a file of this format would have {length} bytes, most of them blank; choose the format hex, \
-         or place slots and commit area closer together in memory.x"
+        "a file of this format would have {length} bytes, most of them blank; use the format hex, or \
+             move slots and commit area closer together in memory.x"
     )]
     TooLong {
-        /// Bytes of the image.
+        /// Length of the image. \[bytes\]
         length: u64,
     },
-    /// There is no such family.
-    #[error("{found:?} is not a family of chips for UF2; choose {}", families())]
+    /// Unknown UF2 family.
+    #[error("unknown UF2 family {found:?}; use {}", families())]
     Family {
-        /// What was given.
+        /// The name given.
         found: String,
     },
-    /// Records that Intel HEX cannot hold.
-    #[error("the image cannot be written as Intel HEX: {0}; choose the format bin")]
+    /// The image cannot be encoded as Intel HEX.
+    #[error("cannot encode the image as Intel HEX: {0}; use the format bin")]
     Hex(String),
 }
 

@@ -1,4 +1,4 @@
-//! Image files of this program, told from the images of firmware and from packages.
+//! Recognises image files of this program, as opposed to firmware images and packages.
 
 use agent_core::package::Envelope;
 use ihex::{Reader, Record};
@@ -7,11 +7,12 @@ use super::uf2_format::{BLOCK, PAYLOAD};
 use super::{ERASED, ImageFormat, PACKAGE_ALIGNMENT};
 use crate::files::output::FileKind;
 
-/// What is written beside the package, the commit record, is shorter. \[byte\]
+/// Upper limit for the length of a commit record. \[bytes\]
 const RECORD_MAX: usize = 256;
 
 impl ImageFormat {
-    /// The kind of its files: those that hold the flash of a package and nothing else.
+    /// Returns the kind of its files: those that contain the flash image of a package and nothing
+    /// else.
     #[must_use]
     pub fn file_kind(self) -> FileKind {
         match self {
@@ -30,8 +31,8 @@ impl ImageFormat {
     }
 }
 
-/// Whether this is a package, and little besides it that is not erased: a package's file ends where
-/// the package does, and firmware does not.
+/// Whether this is a package with few bytes around it that are not erased. A package file has
+/// nothing after the package, and firmware has far more.
 fn is_weights(data: &[u8]) -> bool {
     let starts = (0..data.len()).step_by(PACKAGE_ALIGNMENT);
     let mut packages =
@@ -43,7 +44,7 @@ fn is_weights(data: &[u8]) -> bool {
     })
 }
 
-/// The data of an Intel HEX file, one record after the other.
+/// Returns the data of an Intel HEX file, record by record.
 fn hex_data(bytes: &[u8]) -> Option<Vec<u8>> {
     let text = std::str::from_utf8(bytes).ok()?;
     let mut data = Vec::new();
@@ -55,7 +56,7 @@ fn hex_data(bytes: &[u8]) -> Option<Vec<u8>> {
     Some(data)
 }
 
-/// The data of a UF2 file, one block after the other.
+/// Returns the data of a UF2 file, block by block.
 fn uf2_data(bytes: &[u8]) -> Option<Vec<u8>> {
     let (blocks, rest) = bytes.as_chunks::<BLOCK>();
     let whole = rest.is_empty() && blocks.iter().all(|block| block.starts_with(b"UF2\n"));

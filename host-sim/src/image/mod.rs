@@ -1,24 +1,24 @@
 //! Flash images: a weight package at the address where the firmware looks for it.
 //!
-//! An image fills one slot of the region that the memory map reserves for weights, and says in the
-//! commit area that this slot is in use:
+//! An image fills one slot of the region that the memory map reserves for weights, and marks this
+//! slot as the active one in the commit area:
 //!
 //! ```text
 //! slot          package | 0xFF up to a multiple of 8 bytes        the rest is not part of the image
-//! commit area   record  | 0xFF up to its end                      so that no older record stays
+//! commit area   record  | 0xFF up to its end                      which erases older records
 //! ```
 //!
-//! These two [`Segment`]s are all that is written, with one exception for each of two formats:
+//! Only these two [`Segment`]s are written, except for padding in two formats:
 //!
-//! | format | what it is | what it covers besides |
+//! | format | content | padding |
 //! | --- | --- | --- |
-//! | `hex` | Intel HEX with 32-bit addresses | nothing: it has holes |
+//! | `hex` | Intel HEX with 32-bit addresses | none: it has gaps |
 //! | `uf2` | 512-byte blocks for USB drives | 0xFF up to the end of the package's last erase unit |
-//! | `bin` | bytes without addresses | all between the two segments, as 0xFF: an image of slot A blanks slot B |
+//! | `bin` | bytes without addresses | 0xFF between the two segments: an image of slot A erases slot B |
 //!
-//! Invariants, checked for every image whatever its [`WeightsRegion`] says: the segments lie in the
-//! region and do not overlap, the package in its slot. What is in the package and in the record
-//! is not looked at.
+//! Invariants, checked for every image regardless of its [`WeightsRegion`]: the segments are inside
+//! the region and do not overlap, and the package is inside its slot. The contents of package and
+//! record are not checked.
 
 mod encode;
 mod error;
@@ -42,17 +42,17 @@ use agent_core::store::{Slot, factory_record};
 use crate::memory_map::WeightsRegion;
 use crate::packages::PackageBytes;
 
-/// What erased flash reads as, on every NOR flash that the store supports.
+/// Value of erased flash, for every NOR flash that the store supports.
 pub const ERASED: u8 = 0xFF;
 
-/// A package is padded to a multiple of this \[bytes\]: the largest unit of writing of common
+/// A package is padded to a multiple of this \[bytes\], the largest write unit of common
 /// microcontrollers' flash.
 pub const PACKAGE_ALIGNMENT: usize = 8;
 
-/// Bytes and where they go.
+/// Bytes and their address.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Segment {
-    /// What it is, for people.
+    /// Name, for messages.
     pub name: &'static str,
     /// Address of the first byte.
     pub address: u32,
@@ -61,7 +61,7 @@ pub struct Segment {
 }
 
 impl Segment {
-    /// Its addresses.
+    /// Returns its address range.
     #[must_use]
     pub fn span(&self) -> Range<u64> {
         let start = u64::from(self.address);
@@ -69,21 +69,21 @@ impl Segment {
     }
 }
 
-/// What is to be written, and where.
+/// The bytes to write and their addresses.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Image {
     region: WeightsRegion,
     slot: Slot,
-    /// The package and the commit area, in the order of their addresses.
+    /// The package and the commit area, in order of address.
     segments: [Segment; 2],
 }
 
 impl Image {
-    /// The image that puts `package` into `slot` and `record` at the start of the commit area.
+    /// Creates an image with `package` in `slot` and `record` at the start of the commit area.
     ///
     /// # Errors
-    /// An empty package or one that is longer than the slot; a record that is empty, longer than
-    /// an erase unit or no multiple of [`PACKAGE_ALIGNMENT`]; a region whose parts do not lie in it.
+    /// If the package is empty or longer than the slot; if the record is empty, longer than an
+    /// erase unit or not a multiple of [`PACKAGE_ALIGNMENT`]; if a part is outside the region.
     pub fn new(
         region: &WeightsRegion,
         slot: Slot,
@@ -125,10 +125,10 @@ impl Image {
         Ok(Self { region: *region, slot, segments })
     }
 
-    /// The image that makes `package` the one in use, confirmed, in `slot`.
+    /// Creates an image that makes `package`, in `slot`, the active and confirmed one.
     ///
     /// # Errors
-    /// As [`Self::new`].
+    /// Same as [`Self::new`].
     pub fn of_package(
         region: &WeightsRegion,
         slot: Slot,
@@ -138,37 +138,37 @@ impl Image {
         Self::new(region, slot, bytes, &factory_record(slot, bytes))
     }
 
-    /// All that is written, in the order of the addresses.
+    /// Returns all segments, in order of address.
     #[must_use]
     pub fn segments(&self) -> &[Segment] {
         &self.segments
     }
 
-    /// The slot that it fills.
+    /// Returns the slot that it fills.
     #[must_use]
     pub fn slot(&self) -> Slot {
         self.slot
     }
 
-    /// Where the weights lie.
+    /// Returns the region of the weights.
     #[must_use]
     pub fn region(&self) -> &WeightsRegion {
         &self.region
     }
 
-    /// The lowest address of the image; a `bin` file begins there.
+    /// Returns the lowest address of the image, where a `bin` file starts.
     #[must_use]
     pub fn base(&self) -> u32 {
         self.segments[0].address
     }
 
-    /// What lies between the segments: a `bin` file blanks it.
+    /// Returns the gap between the segments, which a `bin` file fills with blanks.
     #[must_use]
     pub fn gap(&self) -> Range<u64> {
         self.segments[0].span().end..self.segments[1].span().start
     }
 
-    /// Whether a `bin` file blanks the slot that is not written.
+    /// Whether a `bin` file erases the other slot.
     #[must_use]
     pub fn gap_holds_other_slot(&self) -> bool {
         let other = match self.slot {
@@ -179,7 +179,7 @@ impl Image {
     }
 }
 
-/// The last look before anything is written: `segments` lie in the region, apart, in order.
+/// Final check before anything is written: `segments` are inside the region, in order and disjoint.
 fn check(region: &WeightsRegion, segments: &[Segment]) -> Result<(), ImageError> {
     let mut end = u64::from(region.origin);
     for segment in segments {

@@ -1,24 +1,24 @@
-//! What is known of a chip's flash: where it is, and what it can erase at once.
+//! Flash layout of known chips: address range and sector sizes.
 //!
-//! A memory map can promise erase units that the chip does not have. Erasing one of the store's
-//! parts then takes its neighbours along, on the node as when flashing; where the chip is known,
-//! that is refused. Sectors are those of the manufacturers' reference manuals; where the devices of
-//! a series differ, the smallest.
+//! A memory map can declare erase units that the chip does not have. Erasing a part of the store
+//! then also erases its neighbours, both on the node and when flashing; for known chips this is
+//! rejected. Sector sizes are from the manufacturers' reference manuals; if the devices of a series
+//! differ, the smallest is used.
 
 use super::{Image, ImageError, Uf2Family};
 
-/// The flash of a chip or a series of chips.
+/// Flash of a chip or a series of chips.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Part {
-    /// How the chip's name begins, in lower case.
+    /// Prefix of the chip's name, in lower case.
     name: &'static str,
     /// The flash's first address.
     origin: u32,
-    /// The longest flash of the series. \[byte\]
+    /// Flash length of the largest device. \[bytes\]
     length: u32,
-    /// Lengths of its first sectors; the last of them goes on to the end of a bank. \[byte\]
+    /// Lengths of the first sectors; the last one repeats to the end of a bank. \[bytes\]
     sectors: &'static [u32],
-    /// After so many bytes the sectors begin again. \[byte\]
+    /// Length of a bank, after which the sectors repeat. \[bytes\]
     bank: u32,
 }
 
@@ -37,7 +37,7 @@ const fn uniform(name: &'static str, origin: u32, length: u32, sector: &'static 
     Part { name, origin, length, sectors: sector, bank: length }
 }
 
-/// Longer names before those that they begin with.
+/// Longer names come before their prefixes.
 const PARTS: [Part; 25] = [
     Part { name: "stm32f2", origin: STM32, length: MIB, sectors: &STM32F4, bank: MIB },
     Part { name: "stm32f4", origin: STM32, length: 2 * MIB, sectors: &STM32F4, bank: MIB },
@@ -67,14 +67,14 @@ const PARTS: [Part; 25] = [
 ];
 
 impl Part {
-    /// The chip of that name, as probe-rs writes it; `None` if nothing is known of it.
+    /// Returns the chip with this name, as probe-rs spells it; `None` for unknown chips.
     #[must_use]
     pub fn of_chip(name: &str) -> Option<Self> {
         let name = name.to_ascii_lowercase();
         PARTS.into_iter().find(|part| name.starts_with(part.name))
     }
 
-    /// The chips for which a UF2 file is; `None` if nothing is known of them.
+    /// Returns the chips of this UF2 family; `None` for unknown chips.
     #[must_use]
     pub fn of_family(family: Uf2Family) -> Option<Self> {
         Self::of_chip(&family.to_string())
@@ -85,7 +85,8 @@ impl Part {
         start >= origin && end <= origin + u64::from(self.length)
     }
 
-    /// The sector in which `address`, inside the flash, lies: its first address and its length.
+    /// Returns first address and length of the sector that contains `address`, which must be in the
+    /// flash.
     fn sector(&self, address: u64) -> (u64, u64) {
         let offset = address - u64::from(self.origin);
         let bank = u64::from(self.bank);
@@ -105,12 +106,12 @@ impl Part {
 }
 
 impl Image {
-    /// Holds the memory map against the chip's flash.
+    /// Checks the memory map against the chip's flash.
     ///
     /// # Errors
-    /// Parts of the store that begin or end inside a sector of the chip. With `only_flash`, which is
-    /// how boot loaders are, parts outside the chip's flash; without it those are not looked at,
-    /// for they may be in a flash of another chip.
+    /// If a part of the store starts or ends inside a sector of the chip. With `only_flash`, as for
+    /// bootloaders, also if a part is outside the chip's flash; otherwise such parts are not
+    /// checked, because they may be in the flash of another chip.
     pub fn check_part(&self, part: &Part, only_flash: bool) -> Result<(), ImageError> {
         let region = self.region();
         let half = region.commit_length / 2;
@@ -158,7 +159,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sectors_are_those_of_the_reference_manuals() {
+    fn sectors_match_the_reference_manuals() {
         let part = |name| Part::of_chip(name).unwrap();
         for (chip, address, start, length) in [
             ("STM32F405RGTx", 0x0800_0000, 0x0800_0000, 16 * KIB),

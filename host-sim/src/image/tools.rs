@@ -1,11 +1,11 @@
-//! The command lines with which common tools write an image.
+//! Command lines of common tools that flash an image.
 //!
-//! Sources: the tools' own manuals and sources, of probe-rs 0.32, OpenOCD 0.12, stlink 1.8,
-//! dfu-util 0.11 and picotool 2.2. What is not obvious in them:
-//! - OpenOCD and st-flash fill the hole in an Intel HEX file, as a `bin` file has it filled;
-//!   probe-rs does so with a UF2 file, with zeros, so it is not proposed here.
-//! - dfu-util's `:leave` starts whatever lies at the address of the download; weights are no
-//!   program, so the board is reset by hand.
+//! Sources: manuals and source code of probe-rs 0.32, OpenOCD 0.12, stlink 1.8, dfu-util 0.11 and
+//! picotool 2.2. Not obvious from these:
+//! - OpenOCD and st-flash fill the gap in an Intel HEX file, like a `bin` file; probe-rs fills it
+//!   with zeros in a UF2 file, so that combination is not suggested.
+//! - dfu-util's `:leave` would start executing at the download address, which holds weights, so the
+//!   board must be reset manually.
 
 use core::fmt;
 use std::path::Path;
@@ -16,19 +16,18 @@ use crate::shell::{path_argument, quoted};
 /// How a tool writes an image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ToolCommand {
-    /// The tool.
+    /// Name of the tool.
     pub tool: &'static str,
-    /// What it does with the file.
+    /// How it uses the file.
     pub usage: ToolUse,
 }
 
-/// What a tool does with a file.
+/// How a tool uses a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ToolUse {
-    /// It takes the file with this command line, for a Unix shell. Words in capital letters are
-    /// the user's to fill in.
+    /// A command line for a Unix shell. The user replaces words in capital letters.
     Line(String),
-    /// It does not take this format, only these.
+    /// It does not support this format, only these.
     Needs(&'static [Format]),
 }
 
@@ -37,7 +36,7 @@ impl fmt::Display for ToolCommand {
         match &self.usage {
             ToolUse::Line(line) => write!(f, "{}: {line}", self.tool),
             ToolUse::Needs(formats) => {
-                write!(f, "{}: takes no such file; choose --format ", self.tool)?;
+                write!(f, "{}: does not support this format; use --format ", self.tool)?;
                 for (at, format) in formats.iter().enumerate() {
                     write!(f, "{}{format}", if at == 0 { "" } else { " or " })?;
                 }
@@ -57,7 +56,7 @@ impl fmt::Display for Format {
     }
 }
 
-/// How each tool writes `image`, which is stored as `file` in `format`.
+/// Returns how each tool writes `image`, stored as `file` in `format`.
 #[must_use]
 pub fn commands_for(image: &Image, file: &Path, format: Format) -> Vec<ToolCommand> {
     use Format::{Bin, Hex, Uf2};
@@ -119,7 +118,7 @@ pub fn commands_for(image: &Image, file: &Path, format: Format) -> Vec<ToolComma
     .collect()
 }
 
-/// `path` as one word of a Tcl script.
+/// Quotes `path` as one word of a Tcl script.
 fn tcl_word(path: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
     let escaped = path.chars().flat_map(|c| {
@@ -134,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_stays_one_word_of_tcl() {
+    fn paths_become_one_tcl_word() {
         for (name, word) in [
             ("a/b-1.hex", "a/b-1.hex"),
             ("two words", "two\\ words"),

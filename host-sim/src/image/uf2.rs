@@ -1,19 +1,19 @@
-//! UF2, the format of bootloaders that show a USB drive.
+//! UF2, the file format of bootloaders that appear as a USB drive.
 //!
-//! A file is a sequence of blocks of 512 bytes, each of which stands for itself. All numbers are
-//! 32 bits, little-endian (<https://github.com/microsoft/uf2>, retrieved 2026):
+//! A file is a sequence of self-contained blocks of 512 bytes. All numbers are 32 bits,
+//! little-endian (<https://github.com/microsoft/uf2>, retrieved 2026):
 //!
 //! ```text
 //!   0  magic 0x0A324655      16  bytes of data: 256
-//!   4  magic 0x9E5D5157      20  number of the block, from 0
-//!   8  flags 0x2000          24  how many blocks
-//!  12  address               28  family of chips, as the flag says
+//!   4  magic 0x9E5D5157      20  block number, from 0
+//!   8  flags 0x2000          24  number of blocks
+//!  12  address               28  chip family, as the flag indicates
 //!  32  data, then zeros     508  magic 0x0AB16F30
 //! ```
 //!
-//! The bootloader of the RP2040 finds out from the *number* of a block when a sector is to be
-//! erased (its erratum E14), so that a file with holes must hold whole sectors. Therefore each
-//! segment is filled up with 0xFF to whole erase units; they are erased anyway.
+//! The bootloader of the RP2040 decides by the block *number* when to erase a sector (erratum E14),
+//! so a file with gaps must contain whole sectors. Each segment is therefore padded with 0xFF to
+//! whole erase units, which are erased anyway.
 
 use core::fmt;
 use core::str::FromStr;
@@ -21,14 +21,14 @@ use core::str::FromStr;
 use super::uf2_format::{BLOCK, FAMILY_PRESENT, MAGIC, PAYLOAD, UF2_FAMILIES};
 use super::{ERASED, Image, ImageError, Segment, check};
 
-/// The chips for which a UF2 file is; their bootloader leaves other files alone.
+/// A chip family; bootloaders ignore files of other families.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Uf2Family(pub u32);
 
 impl FromStr for Uf2Family {
     type Err = ImageError;
 
-    /// A name of [`UF2_FAMILIES`] or a number, decimal or with `0x`.
+    /// Parses a name of [`UF2_FAMILIES`] or a number, decimal or with `0x`.
     fn from_str(text: &str) -> Result<Self, ImageError> {
         let named = UF2_FAMILIES.iter().find(|(name, _)| name.eq_ignore_ascii_case(text));
         let number = || match text.strip_prefix("0x").or(text.strip_prefix("0X")) {
@@ -52,10 +52,10 @@ impl fmt::Display for Uf2Family {
     }
 }
 
-/// `image` as the content of a UF2 file.
+/// Encodes `image` as a UF2 file.
 ///
 /// # Errors
-/// Segments whose erase units are not made of blocks, or reach into each other.
+/// If the erase units of a segment are not multiples of blocks, or segments overlap.
 pub(super) fn encode(image: &Image, family: Uf2Family) -> Result<Vec<u8>, ImageError> {
     let erase_size = image.region().erase_size as usize;
     let segments = image.segments().iter().map(|segment| {
@@ -79,7 +79,7 @@ pub(super) fn encode(image: &Image, family: Uf2Family) -> Result<Vec<u8>, ImageE
     let mut file = Vec::with_capacity(blocks.len() * BLOCK);
     for (number, (address, payload)) in (0..).zip(blocks) {
         let [first, second, last] = MAGIC;
-        // The check above has seen that every address has 32 bits.
+        // The check above ensures that every address fits into 32 bits.
         let address = address as u32;
         let head =
             [first, second, FAMILY_PRESENT, address, PAYLOAD as u32, number, count, family.0];
@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn families_by_name_and_by_number() {
+    fn parses_families_by_name_and_number() {
         for (name, number) in UF2_FAMILIES {
             assert_eq!(name.parse(), Ok(Uf2Family(number)));
             assert_eq!(Uf2Family(number).to_string(), name);

@@ -1,18 +1,18 @@
 //! Numbers of the UF2 format.
 
-/// Data bytes in a block: the number that every bootloader takes.
+/// Data bytes per block, as supported by every bootloader.
 pub(super) const PAYLOAD: usize = 256;
 
-/// Length of a block [bytes].
+/// Length of a block. \[bytes\]
 pub(super) const BLOCK: usize = 512;
 
 /// The first two words of a block and the last one.
 pub(super) const MAGIC: [u32; 3] = [0x0A32_4655, 0x9E5D_5157, 0x0AB1_6F30];
 
-/// The word at 28 is a family.
+/// Flag: the word at 28 is a family.
 pub(super) const FAMILY_PRESENT: u32 = 0x2000;
 
-/// The families that have names here; the numbers are those of the format's own list.
+/// Families with a name; the numbers are from the official list.
 pub const UF2_FAMILIES: [(&str, u32); 5] = [
     ("rp2040", 0xE48B_FF56),
     ("rp2350-arm-s", 0xE48B_FF59),

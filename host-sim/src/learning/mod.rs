@@ -1,6 +1,6 @@
 //! From scenarios and recorded samples to weight packages.
 //!
-//! | module | what it is |
+//! | module | purpose |
 //! | --- | --- |
 //! | [`agent_config`] | an agent's configuration, from a scenario |
 //! | [`cleaning`] | recorded samples prepared for training |

@@ -376,7 +376,7 @@ mod tests {
         let scenario = Scenario::parse("paper.toml", PAPER).unwrap();
         let network = scenario.network.as_ref().unwrap();
         let mut recipe = scenario.recipe("better").unwrap().clone();
-        recipe.solver.epochs_max = 2;
+        *recipe.trainer.epochs_max_mut() = 2;
         let task = TrainingTask {
             scenario: &scenario,
             network,

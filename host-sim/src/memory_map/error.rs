@@ -1,21 +1,21 @@
-//! What is wrong with a memory map, where, and how to hint it.
+//! Memory map errors: what is wrong, where, and how to fix it.
 
-/// Why a memory map cannot be used: file, line, name, problem and hint, in one line of text.
+/// Why a memory map cannot be used. Formatted as one line: file, line, name, problem and hint.
 ///
-/// `memory.x:25: WEIGHTS: ORIGIN is 0x100000000, which is not a 32-bit address; choose one below
-/// 0x100000000`
+/// `memory.x:25: WEIGHTS: ORIGIN is 0x100000000, which is not a 32-bit address; use an address
+/// below 0x100000000`
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct MemoryMapError {
-    /// The file, as it was named.
+    /// The file, as the user named it.
     pub file: String,
-    /// The line, from 1; `None` if the file cannot be read or something is nowhere in it.
+    /// The line, from 1; `None` if the file cannot be read or the name does not appear in it.
     pub line: Option<usize>,
-    /// The region, the symbol or the statement.
+    /// The region, symbol or statement.
     pub name: Option<String>,
-    /// What is wrong: what was found.
+    /// What is wrong.
     pub problem: String,
-    /// What to write instead: what is expected.
+    /// How to fix it.
     pub hint: String,
 }
 
@@ -34,7 +34,7 @@ impl core::fmt::Display for MemoryMapError {
 
 impl core::error::Error for MemoryMapError {}
 
-/// An error before the file's name is known: inside the reader there is only text.
+/// An error without the file name, which the reader does not know.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Fault {
     pub(super) line: usize,
@@ -48,7 +48,7 @@ impl Fault {
         Self { line, name: None, problem: problem.into(), hint: hint.into() }
     }
 
-    /// The same error, said of `name`; whoever was nearer to the error has named it better.
+    /// Adds `name`, unless the error already has a more specific one.
     pub(super) fn about(mut self, name: &str) -> Self {
         self.name.get_or_insert_with(|| name.to_owned());
         self

@@ -1,6 +1,6 @@
-//! Values in a linker script: unsigned 64-bit numbers, operators as strong as in C.
+//! Expressions of a linker script: unsigned 64-bit numbers, with the operator precedence of C.
 //!
-//! What wraps around in a linker is an error here: an address that does so is a mistake.
+//! Overflow, which a linker would wrap around, is an error, because such an address is a mistake.
 
 use super::Region;
 use super::error::Fault;
@@ -8,10 +8,10 @@ use super::operators::apply;
 use super::reader::Reader;
 use super::tokens::Token;
 
-/// Parentheses within parentheses; more are a mistake, and each costs stack.
+/// Maximum nesting of parentheses, which bounds the stack.
 const DEEPEST: usize = 64;
 
-/// Binary operators, loosest binding first, each level from the left.
+/// Binary operators, lowest precedence first, left-associative.
 const LEVELS: [&[&str]; 10] = [
     &["||"],
     &["&&"],
@@ -26,20 +26,20 @@ const LEVELS: [&[&str]; 10] = [
 ];
 
 impl Reader<'_> {
-    /// A whole value: `condition ? value : value`, the loosest binding.
+    /// Parses an expression, including `condition ? value : value`.
     pub(super) fn value(&mut self) -> Result<u64, Fault> {
         self.depth += 1;
         if self.depth > DEEPEST {
             return Err(Fault::new(
                 self.line(),
-                format!("more than {DEEPEST} parentheses within each other"),
-                "give parts of the expression names of their own",
+                format!("more than {DEEPEST} nested parentheses"),
+                "move parts of the expression to separate symbols",
             ));
         }
         let condition = self.chain(0)?;
         let value = if self.take_if("?") {
             let yes = self.value()?;
-            self.expect(":", "between the two values of a condition")?;
+            self.expect(":", "between the two values of a conditional")?;
             let no = self.value()?;
             if condition != 0 { yes } else { no }
         } else {
@@ -49,7 +49,7 @@ impl Reader<'_> {
         Ok(value)
     }
 
-    /// Operands of one strength.
+    /// Parses operands at one level of precedence.
     fn chain(&mut self, level: usize) -> Result<u64, Fault> {
         let Some(signs) = LEVELS.get(level) else { return self.signed() };
         let mut value = self.chain(level + 1)?;
@@ -63,16 +63,16 @@ impl Reader<'_> {
             let right = self.chain(level + 1)?;
             value = apply(sign, value, right).ok_or_else(|| {
                 let (problem, hint) = match sign {
-                    "/" | "%" => ("divides by 0", "divide by something else"),
-                    "-" => ("is negative", "subtract less: addresses and sizes count from 0"),
-                    _ => ("needs more than 64 bits", "use smaller numbers"),
+                    "/" | "%" => ("divides by 0", "use another divisor"),
+                    "-" => ("is negative", "addresses and sizes must not be negative"),
+                    _ => ("overflows 64 bits", "use smaller numbers"),
                 };
                 Fault::new(line, format!("{value:#x} {sign} {right:#x} {problem}"), hint)
             })?;
         }
     }
 
-    /// `~`, `!`, `-` and `+` before an operand.
+    /// Parses `~`, `!`, `-` and `+` in front of an operand.
     fn signed(&mut self) -> Result<u64, Fault> {
         let mut signs = Vec::new();
         while let Token::Sign(sign @ ("~" | "!" | "-" | "+")) = self.peek() {
@@ -91,7 +91,7 @@ impl Reader<'_> {
         Ok(value)
     }
 
-    /// A number, an earlier symbol, a function or something in parentheses.
+    /// Parses a number, an earlier symbol, a function or a parenthesised expression.
     fn operand(&mut self) -> Result<u64, Fault> {
         let line = self.line();
         match self.peek() {
@@ -106,7 +106,7 @@ impl Reader<'_> {
             Token::Sign("(") => {
                 self.next += 1;
                 let value = self.value()?;
-                self.expect(")", "behind what it encloses")?;
+                self.expect(")", "after the expression")?;
                 Ok(value)
             }
             Token::Word(word) => {
@@ -130,13 +130,13 @@ impl Reader<'_> {
             Some(fault) => fault.clone(),
             None => Fault::new(
                 line,
-                format!("the symbol `{name}` has no value up to here"),
-                "give it one further up",
+                format!("symbol `{name}` is not defined before this line"),
+                "define it further up",
             ),
         })
     }
 
-    /// What stands behind `name(`.
+    /// Parses the arguments after `name(`.
     fn function(&mut self, name: &str, line: usize) -> Result<u64, Fault> {
         let value = match name {
             "ORIGIN" | "LENGTH" => {
@@ -153,7 +153,7 @@ impl Reader<'_> {
                     "MIN" => first.min(second),
                     _ => first.checked_next_multiple_of(second).ok_or_else(|| {
                         let problem = format!("{first:#x} cannot be aligned to {second:#x}");
-                        Fault::new(line, problem, "choose a smaller number above 0")
+                        Fault::new(line, problem, "use a smaller alignment above 0")
                     })?,
                 }
             }
@@ -164,12 +164,12 @@ impl Reader<'_> {
             function => {
                 return Err(Fault::new(
                     line,
-                    format!("found the function `{function}`"),
-                    "expected ORIGIN(region) or LENGTH(region)",
+                    format!("unsupported function `{function}`"),
+                    "use ORIGIN(region) or LENGTH(region)",
                 ));
             }
         };
-        self.expect(")", &format!("behind what {name} is applied to"))?;
+        self.expect(")", &format!("after the arguments of {name}"))?;
         Ok(value)
     }
 
@@ -182,8 +182,8 @@ impl Reader<'_> {
         region.cloned().ok_or_else(|| {
             Fault::new(
                 line,
-                format!("there is no region `{name}` up to here"),
-                "describe it further up, in MEMORY",
+                format!("region `{name}` is not defined before this line"),
+                "define it further up, in MEMORY",
             )
         })
     }

@@ -1,8 +1,8 @@
 //! The memory map of a board, read from its linker script.
 //!
-//! `memory.x` is the only place that says where things lie in a board's memory. The linker takes
-//! it as it is; so that host and firmware cannot disagree, the host reads the same file, in the
-//! part of the linker's language that a memory map needs:
+//! `memory.x` is the single source for the memory layout of a board. The linker uses it directly;
+//! so that host and firmware always agree, the host reads the same file. It supports the subset of
+//! the linker script language that a memory map needs:
 //!
 //! ```text
 //! statement = "MEMORY" "{" { region } "}"
@@ -10,21 +10,21 @@
 //!           | "PROVIDE" "(" symbol "=" value ")" ";"
 //!           | "REGION_ALIAS" "(" name "," region ")" ";"
 //!           | "ASSERT" "(" value "," "\"message\"" ")" [ ";" ]
-//!           | any other with its parentheses or braces       passed over
+//!           | any other with its parentheses or braces       skipped
 //! region    = name [ "(" attributes ")" ] ":" ORIGIN "=" value [ "," ] LENGTH "=" value
 //! value     = C's operators over  number | symbol | "(" value ")" | ORIGIN(name) | LENGTH(name)
 //!           | MAX(value, value) | MIN(value, value) | ALIGN(value, value) | ABSOLUTE(value)
 //! number    = ( digits | "0x" hexadecimal ) [ "K" | "M" ]
 //! ```
 //!
-//! `ORIGIN` may be spelt `org` or `o`, `LENGTH` `len` or `l`, the suffixes in lower case. Comments
-//! are `/* ... */` and, as LLD has them, `# ...`. Statements are evaluated in their order, as
-//! unsigned 64-bit numbers without wrapping; an assertion that does not hold is an error with its
-//! message. `SECTIONS`, `EXTERN`, `ENTRY` and whatever else places nothing in the region of the
-//! weights is the linker's business and passed over. A symbol whose value only the linker knows
-//! (`ADDR`, `SIZEOF`, `.`) has none here; that is an error only where a value is needed.
+//! `ORIGIN` may be written `org` or `o`, `LENGTH` `len` or `l`, the suffixes in lower case.
+//! Comments are `/* ... */` and, as in LLD, `# ...`. Statements are evaluated in order, as unsigned
+//! 64-bit numbers without wrapping; a failed assertion is an error with its message. `SECTIONS`,
+//! `EXTERN`, `ENTRY` and anything else that places nothing in the weights region is skipped.
+//! Symbols whose value only the linker knows (`ADDR`, `SIZEOF`, `.`) are undefined here, which is
+//! an error only where the value is needed.
 //!
-//! Invariant: every region lies within the 32-bit addresses.
+//! Invariant: every region is within the 32-bit address space.
 
 mod error;
 mod expression;
@@ -40,48 +40,48 @@ pub use weights::WeightsRegion;
 
 use crate::files::input::read_limited;
 
-/// Longest file that is read; a linker script has some kilobytes. \[byte\]
+/// Size limit of a linker script, which has a few kilobytes. \[bytes\]
 const FILE_MAX: u64 = 1 << 20;
 
-/// How many addresses there are: 2^32.
+/// Size of the address space: 2^32.
 pub(crate) const ADDRESSES: u64 = 1 << 32;
 
 /// Regions and symbols of a memory map, in the order of the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MemoryMap {
-    /// The file, as it was named.
+    /// The file, as the user named it.
     pub file: String,
-    /// What `MEMORY` describes.
+    /// The regions in `MEMORY`.
     pub regions: Vec<Region>,
-    /// What the assignments define.
+    /// The symbols defined by assignments.
     pub symbols: Vec<Symbol>,
-    /// Why each symbol that is assigned, but has no value here, has none.
+    /// For each assigned symbol without a value here, the reason.
     pub unresolved: Vec<MemoryMapError>,
-    /// Files that it includes. They are not read.
+    /// Included files, which are not read.
     pub included: Vec<String>,
 }
 
-/// A part of the address space.
+/// A memory region.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Region {
     /// Its name.
     pub name: String,
     /// Its first address.
     pub origin: u32,
-    /// How long it is \[bytes\]; it ends at 2^32 at the latest.
+    /// Length \[bytes\]; it ends at 2^32 at the latest.
     pub length: u64,
-    /// The line that names it, from 1.
+    /// Line of the definition, from 1.
     pub line: usize,
 }
 
-/// A name for a number.
+/// A symbol with its value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Symbol {
     /// Its name.
     pub name: String,
     /// Its value.
     pub value: u64,
-    /// The line that names it, from 1.
+    /// Line of the definition, from 1.
     pub line: usize,
 }
 
@@ -89,7 +89,7 @@ impl MemoryMap {
     /// Reads the file at `path`.
     ///
     /// # Errors
-    /// A file that cannot be read, and those of [`MemoryMap::parse`].
+    /// If the file cannot be read, and the errors of [`MemoryMap::parse`].
     pub fn read(path: &Path) -> Result<Self, MemoryMapError> {
         let file = path.display().to_string();
         match read_limited(path, FILE_MAX) {
@@ -99,16 +99,16 @@ impl MemoryMap {
                 line: None,
                 name: None,
                 problem: format!("cannot be read: {error}"),
-                hint: "name the memory.x with which the firmware is linked".to_owned(),
+                hint: "pass the memory.x that the firmware is linked with".to_owned(),
             }),
         }
     }
 
-    /// Reads `text`, which errors call `file`.
+    /// Parses `text`; `file` is the name used in errors.
     ///
     /// # Errors
-    /// What is not a linker script, regions without a value or outside the 32-bit addresses,
-    /// sections in the region of the weights, assertions that do not hold.
+    /// If the text is not a linker script, a region has no value or is outside the 32-bit
+    /// addresses, a section is placed in the weights region, or an assertion fails.
     pub fn parse(text: &str, file: &str) -> Result<Self, MemoryMapError> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let (mut map, unresolved) = reader::read(text).map_err(|fault| fault.within(file))?;
@@ -117,29 +117,29 @@ impl MemoryMap {
         Ok(map)
     }
 
-    /// The region of that name.
+    /// Returns the region with this name.
     #[must_use]
     pub fn region(&self, name: &str) -> Option<&Region> {
         self.regions.iter().find(|region| region.name == name)
     }
 
-    /// The symbol of that name.
+    /// Returns the symbol with this name.
     #[must_use]
     pub fn symbol(&self, name: &str) -> Option<&Symbol> {
         self.symbols.iter().find(|symbol| symbol.name == name)
     }
 
-    /// Where the weights lie.
+    /// Returns the weights region.
     ///
     /// # Errors
-    /// A missing region or symbol, and what [`WeightsRegion`] promises but the file does not keep.
+    /// If a region or symbol is missing, or an invariant of [`WeightsRegion`] does not hold.
     pub fn weights(&self) -> Result<WeightsRegion, MemoryMapError> {
         WeightsRegion::of(self)
     }
 }
 
 impl Region {
-    /// The first address behind it, 2^32 at most.
+    /// Returns its end address, exclusive, 2^32 at most.
     #[must_use]
     pub fn end(&self) -> u64 {
         u64::from(self.origin) + self.length

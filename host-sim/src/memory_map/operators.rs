@@ -1,6 +1,7 @@
 //! The binary operators of a linker script.
 
-/// Comparisons give 0 or 1; `None` if the result is not a number from 0 to 2^64 - 1.
+/// Applies an operator; comparisons give 0 or 1. Returns `None` if the result does not fit into
+/// 64 bits.
 pub(super) fn apply(sign: &str, left: u64, right: u64) -> Option<u64> {
     let shift = || u32::try_from(right).ok();
     match sign {

@@ -1,8 +1,7 @@
-//! Reads the statements of a memory map and evaluates them in their order.
+//! Parses the statements of a memory map and evaluates them in order.
 //!
-//! Most of a linker script is the linker's business: what places nothing in the region of the
-//! weights is passed over, and a symbol without a value here is an error only where a value is
-//! needed.
+//! Anything that places nothing in the weights region is left to the linker and skipped. A symbol
+//! without a value here is an error only where the value is needed.
 
 use super::error::Fault;
 use super::operators::apply;
@@ -12,8 +11,8 @@ use super::{ADDRESSES, MemoryMap, Region, Symbol};
 
 const STATEMENTS: &str = "MEMORY { ... }, ASSERT(condition, \"message\"); or symbol = value;";
 
-/// Reads `text`; the map does not know yet from which file it is. Besides it, why each symbol that
-/// has no value has none.
+/// Parses `text`. The file name of the map is not set. Also returns, for each symbol without a
+/// value, the reason.
 pub(super) fn read(text: &str) -> Result<(MemoryMap, Vec<Fault>), Fault> {
     let tokens = tokens(text)?;
     let mut reader = Reader {
@@ -36,15 +35,15 @@ pub(super) fn read(text: &str) -> Result<(MemoryMap, Vec<Fault>), Fault> {
     Ok((reader.map, reader.unresolved))
 }
 
-/// The state of reading.
+/// State of the parser.
 pub(super) struct Reader<'t> {
     tokens: &'t [(Token, usize)],
     pub(super) next: usize,
     pub(super) depth: usize,
     pub(super) map: MemoryMap,
-    /// Other names of regions.
+    /// Aliases of regions.
     pub(super) aliases: Vec<(String, String)>,
-    /// Assignments whose values are not known here, by the names of their symbols.
+    /// Assignments that cannot be evaluated here, by the name of their symbol.
     pub(super) unresolved: Vec<Fault>,
 }
 
@@ -119,24 +118,24 @@ impl Reader<'_> {
             }
             (_, found) => Err(Fault::new(
                 line,
-                format!("found `{word}` and then {found}"),
+                format!("found `{word}` followed by {found}"),
                 format!("expected {STATEMENTS}"),
             )),
         }
     }
 
-    /// `symbol = value;`, of which the linker may know more than is known here.
+    /// Parses `symbol = value;`, which may use values that only the linker knows.
     fn assignment(&mut self, name: &str, line: usize) -> Result<(), Fault> {
         if let Some(first) = self.map.symbols.iter().find(|symbol| symbol.name == name) {
             return Err(Fault::new(
                 line,
-                format!("already has a value, from line {}", first.line),
-                "give every symbol one value",
+                format!("is already defined on line {}", first.line),
+                "define each symbol once",
             ));
         }
         let start = self.next;
         let value = self.value().and_then(|value| {
-            self.expect(";", "behind the value")?;
+            self.expect(";", "after the value")?;
             Ok(value)
         });
         match value {
@@ -148,22 +147,22 @@ impl Reader<'_> {
         }
     }
 
-    /// `symbol += value;` and the like.
+    /// Parses `symbol += value;` and similar assignments.
     fn change(&mut self, name: &str, line: usize) -> Result<(), Fault> {
         let Token::Sign(sign) = self.peek() else { return Err(self.unexpected(STATEMENTS)) };
         let operator = &sign[..sign.len() - 1];
         self.next += 1;
         let start = self.next;
         let value = self.value().and_then(|right| {
-            self.expect(";", "behind the value")?;
+            self.expect(";", "after the value")?;
             let symbol = self.map.symbols.iter_mut().find(|symbol| symbol.name == name);
             let symbol = symbol.ok_or_else(|| {
-                let problem = format!("the symbol `{name}` has no value up to here");
-                Fault::new(line, problem, "give it one further up")
+                let problem = format!("symbol `{name}` is not defined before this line");
+                Fault::new(line, problem, "define it further up")
             })?;
             symbol.value = apply(operator, symbol.value, right).ok_or_else(|| {
                 let problem = format!("{:#x} {operator} {right:#x} is out of range", symbol.value);
-                Fault::new(line, problem, "use other numbers")
+                Fault::new(line, problem, "use other values")
             })?;
             Ok(())
         });
@@ -176,7 +175,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Goes on behind an assignment that begins at `start` and cannot be evaluated here.
+    /// Continues after the assignment at `start`, which cannot be evaluated here.
     fn pass_over(&mut self, fault: Fault, name: &str, start: usize) -> Result<(), Fault> {
         (self.next, self.depth) = (start, 0);
         if self.skip_statement().is_err() {
@@ -186,30 +185,30 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// `PROVIDE(symbol = value);`: the value counts where nothing else gives one.
+    /// Parses `PROVIDE(symbol = value);`: the value is used if there is no other definition.
     fn provided(&mut self, how: &str) -> Result<(), Fault> {
-        self.expect("(", "behind it")?;
+        self.expect("(", "after it")?;
         let line = self.line();
         let start = self.next;
         let name = self.word("the name of a symbol")?;
-        self.expect("=", "behind the name")?;
+        self.expect("=", "after the name")?;
         let value = self.value().and_then(|value| {
-            self.expect(")", "behind the value")?;
+            self.expect(")", "after the value")?;
             Ok(value)
         });
         match value {
             Ok(value) => {
                 let known = self.map.symbols.iter().any(|symbol| symbol.name == name);
                 if known && how == "HIDDEN" {
-                    let problem = format!("`{name}` already has a value");
-                    return Err(Fault::new(line, problem, "give every symbol one value"));
+                    let problem = format!("`{name}` is already defined");
+                    return Err(Fault::new(line, problem, "define each symbol once"));
                 }
                 if !known {
                     self.map.symbols.push(Symbol { name, value, line });
                 }
             }
             Err(fault) => {
-                // Back to what follows the opening parenthesis.
+                // Back to the token after the opening parenthesis.
                 (self.next, self.depth) = (start - 1, 0);
                 self.skip_block().map_err(|_| fault.clone())?;
                 self.unresolved.push(Fault { name: Some(name), ..fault });
@@ -221,11 +220,11 @@ impl Reader<'_> {
 
     /// `REGION_ALIAS("NAME", REGION);`
     fn alias(&mut self) -> Result<(), Fault> {
-        self.expect("(", "behind REGION_ALIAS")?;
+        self.expect("(", "after REGION_ALIAS")?;
         let alias = self.word("the new name")?;
-        self.expect(",", "behind the new name")?;
+        self.expect(",", "after the new name")?;
         let region = self.word("the name of a region")?;
-        self.expect(")", "behind the name of a region")?;
+        self.expect(")", "after the name of a region")?;
         self.take_if(";");
         let of_alias = self.aliases.iter().find(|(known, _)| *known == region);
         let region = of_alias.map_or(region, |(_, real)| real.clone());
@@ -233,11 +232,11 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// `INCLUDE file`, which is not followed; a symbol that is then missing may stand there.
+    /// Parses `INCLUDE file`. The file is not read, but errors about missing symbols mention it.
     fn include(&mut self) -> Result<(), Fault> {
         let line = self.line();
         let mut file = String::new();
-        // A file's name is whatever stands on the line.
+        // The file name extends to the end of the line.
         while self.line() == line && !matches!(self.peek(), Token::End | Token::Sign(";" | "}")) {
             match self.peek() {
                 Token::Word(text) | Token::Text(text) | Token::BadNumber(text, ..) => file += text,
@@ -250,7 +249,7 @@ impl Reader<'_> {
         }
         self.take_if(";");
         if file.is_empty() {
-            return Err(self.unexpected("the name of a file behind INCLUDE"));
+            return Err(self.unexpected("a file name after INCLUDE"));
         }
         self.map.included.push(file);
         Ok(())
@@ -258,34 +257,34 @@ impl Reader<'_> {
 
     fn assertion(&mut self, line: usize) -> Result<(), Fault> {
         let start = self.next;
-        self.expect("(", "behind ASSERT")?;
+        self.expect("(", "after ASSERT")?;
         let holds = match self.value() {
             Ok(value) => value != 0,
-            // Sizes of sections and the like: the linker checks them.
+            // Such as sizes of sections, which the linker checks.
             Err(fault) => {
                 (self.next, self.depth) = (start, 0);
                 return self.skip_block().map_err(|_| fault);
             }
         };
-        self.expect(",", "behind the condition")?;
+        self.expect(",", "after the condition")?;
         let Token::Text(message) = self.peek() else {
             return Err(self.unexpected("the message, in quotes"));
         };
         let message = message.clone();
         self.next += 1;
-        self.expect(")", "behind the message")?;
+        self.expect(")", "after the message")?;
         self.take_if(";");
         if holds {
             return Ok(());
         }
         Err(Fault::new(
             line,
-            format!("does not hold: {message}"),
-            "change the regions or symbols that the condition names",
+            format!("assertion failed: {message}"),
+            "change the regions or symbols in the condition",
         ))
     }
 
-    /// Passes over everything up to the next `;` of this statement.
+    /// Skips to the next `;` of this statement.
     fn skip_statement(&mut self) -> Result<(), Fault> {
         loop {
             match self.peek() {
@@ -295,15 +294,14 @@ impl Reader<'_> {
                 }
                 Token::Sign("(") => self.skip_block()?,
                 Token::Sign("{" | "}" | ")") | Token::End => {
-                    return Err(self.unexpected("`;` behind the value"));
+                    return Err(self.unexpected("`;` after the value"));
                 }
                 _ => self.next += 1,
             }
         }
     }
 
-    /// Passes over `( ... )` or `{ ... }`. Nothing in it may place something in the region of the
-    /// weights.
+    /// Skips `( ... )` or `{ ... }`, which must not place anything in the weights region.
     fn skip_block(&mut self) -> Result<(), Fault> {
         let start = self.line();
         let mut open = Vec::new();
@@ -311,11 +309,11 @@ impl Reader<'_> {
             match self.peek() {
                 Token::Sign(sign @ ("(" | "{")) => open.push(if *sign == "(" { ")" } else { "}" }),
                 Token::Sign(sign @ (")" | "}")) if open.pop() != Some(*sign) => {
-                    return Err(self.unexpected("the other kind of parenthesis"));
+                    return Err(self.unexpected("the matching closing parenthesis or brace"));
                 }
                 Token::Sign(">") => self.refuse_weights()?,
                 Token::End => {
-                    let problem = "has a parenthesis or brace that is never closed";
+                    let problem = "has an unclosed parenthesis or brace";
                     return Err(Fault::new(start, problem, "close it"));
                 }
                 _ => {}
@@ -327,7 +325,7 @@ impl Reader<'_> {
         }
     }
 
-    /// `> WEIGHTS` behind a section.
+    /// Rejects `> WEIGHTS` after a section.
     fn refuse_weights(&self) -> Result<(), Fault> {
         let (Token::Word(name) | Token::Text(name)) = &self.tokens[self.next + 1].0 else {
             return Ok(());
@@ -338,13 +336,13 @@ impl Reader<'_> {
         }
         Err(Fault::new(
             self.line(),
-            format!("places a section in {WEIGHTS}, where new weights erase it"),
+            format!("places a section in {WEIGHTS}, where an update of the weights would erase it"),
             "place it in another region",
         ))
     }
 
     fn memory(&mut self) -> Result<(), Fault> {
-        self.expect("{", "behind MEMORY")?;
+        self.expect("{", "after MEMORY")?;
         while !self.take_if("}") {
             let line = self.line();
             let name = self.word("the name of a region or `}`")?;
@@ -357,24 +355,24 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// `NAME (attributes)? : ORIGIN = value, LENGTH = value`.
+    /// Parses `NAME (attributes)? : ORIGIN = value, LENGTH = value`.
     fn region(&mut self, name: &str, line: usize) -> Result<(), Fault> {
         if let Some(first) = self.map.regions.iter().find(|region| region.name == name) {
             return Err(Fault::new(
                 line,
-                format!("there already is a region of this name, on line {}", first.line),
-                "give every region a name of its own",
+                format!("region is already defined on line {}", first.line),
+                "use a different name for each region",
             ));
         }
         if self.take_if("(") {
-            // Which sections may go there is the linker's business.
+            // The attributes matter to the linker only.
             while !self.take_if(")") {
                 if !self.take_if("!") {
                     self.word("attributes such as rx, and `)`")?;
                 }
             }
         }
-        self.expect(":", "behind the name of a region")?;
+        self.expect(":", "after the name of a region")?;
         let origin = self.named_value(&["ORIGIN", "org", "o"])?;
         self.take_if(",");
         let length = self.named_value(&["LENGTH", "len", "l"])?;
@@ -382,28 +380,28 @@ impl Reader<'_> {
             return Err(Fault::new(
                 line,
                 format!("ORIGIN is {origin:#x}, which is not a 32-bit address"),
-                "choose one below 0x100000000",
+                "use an address below 0x100000000",
             ));
         };
         if length > ADDRESSES - u64::from(origin) {
             return Err(Fault::new(
                 line,
-                format!("{length:#x} bytes from {origin:#x} on end behind the last 32-bit address"),
-                "choose a smaller LENGTH",
+                format!("{length:#x} bytes from {origin:#x} exceed the 32-bit address space"),
+                "use a smaller LENGTH",
             ));
         }
         self.map.regions.push(Region { name: name.to_owned(), origin, length, line });
         Ok(())
     }
 
-    /// `ORIGIN = value` under one of its spellings.
+    /// Parses `ORIGIN = value` in one of its spellings.
     fn named_value(&mut self, spellings: &[&str; 3]) -> Result<u64, Fault> {
         let [long, middle, short] = spellings;
         match self.peek() {
             Token::Word(word) if spellings.contains(&word.as_str()) => self.next += 1,
             _ => return Err(self.unexpected(&format!("{long} = value (or {middle}, or {short})"))),
         }
-        self.expect("=", &format!("behind {long}"))?;
+        self.expect("=", &format!("after {long}"))?;
         self.value()
     }
 }

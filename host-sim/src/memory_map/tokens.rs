@@ -1,4 +1,4 @@
-//! Splits the text of a linker script into tokens, each with its line.
+//! Splits the text of a linker script into tokens with line numbers.
 
 use core::fmt;
 
@@ -9,22 +9,21 @@ use super::error::Fault;
 pub(super) enum Token {
     /// A name or a keyword.
     Word(String),
-    /// A number, its suffix already applied.
+    /// A number, with its suffix applied.
     Number(u64),
-    /// A text in quotes, without them.
+    /// A string, without its quotes.
     Text(String),
     /// One of [`SIGNS`].
     Sign(&'static str),
-    /// A number that linkers do not read: its text, what is wrong, and the hint.
+    /// A number that linkers do not accept: its text, the problem, and the hint.
     BadNumber(String, &'static str, &'static str),
-    /// A character that only stands in what is skipped, such as the pattern of a section's name.
+    /// A character that appears only in skipped parts, such as the pattern of a section's name.
     Other(char),
-    /// Nothing follows.
+    /// End of the input.
     End,
 }
 
-/// Signs of the scripts that are read here; where one is the start of another, the longer one
-/// comes first.
+/// Operators and delimiters; longer ones come before their prefixes.
 const SIGNS: [&str; 38] = [
     "<<=", ">>=", "<<", ">>", "<=", ">=", "==", "!=", "&&", "||", "+=", "-=", "*=", "/=", "&=",
     "|=", "^=", "<", ">", "=", "!", "+", "-", "*", "/", "%", "&", "|", "^", "~", "?", "(", ")",
@@ -36,7 +35,7 @@ impl fmt::Display for Token {
         match self {
             Self::Word(word) => write!(f, "`{word}`"),
             Self::Number(number) => write!(f, "the number {number}"),
-            Self::Text(text) => write!(f, "the text \"{text}\""),
+            Self::Text(text) => write!(f, "the string \"{text}\""),
             Self::BadNumber(word, ..) => write!(f, "`{word}`"),
             Self::Other(character) => write!(f, "{character:?}"),
             Self::Sign(sign) => write!(f, "`{sign}`"),
@@ -45,10 +44,10 @@ impl fmt::Display for Token {
     }
 }
 
-/// The tokens of `text` with their lines from 1; the last one is [`Token::End`].
+/// Returns the tokens of `text` with their lines, from 1; the last one is [`Token::End`].
 ///
 /// # Errors
-/// A comment or a text without an end, or a comment of another language.
+/// If a comment or string is not closed, or a comment has the syntax of another language.
 pub(super) fn tokens(text: &str) -> Result<Vec<(Token, usize)>, Fault> {
     let mut found = Vec::new();
     let mut line = 1;
@@ -59,13 +58,13 @@ pub(super) fn tokens(text: &str) -> Result<Vec<(Token, usize)>, Fault> {
             line += usize::from(first == '\n');
             rest = &rest[first.len_utf8()..];
         } else if let Some(comment) = rest.strip_prefix("/*") {
-            let Some((inside, behind)) = comment.split_once("*/") else {
-                return Err(Fault::new(started, "a comment that never ends", "close it with */"));
+            let Some((inside, after)) = comment.split_once("*/") else {
+                return Err(Fault::new(started, "unclosed comment", "close it with */"));
             };
             line += inside.matches('\n').count();
-            rest = behind;
+            rest = after;
         } else if first == '#' {
-            // A comment to LLD, which links Rust by default.
+            // A comment in LLD, Rust's default linker.
             rest = &rest[rest.find('\n').unwrap_or(rest.len())..];
         } else if rest.starts_with("//") {
             return Err(Fault::new(
@@ -78,7 +77,7 @@ pub(super) fn tokens(text: &str) -> Result<Vec<(Token, usize)>, Fault> {
             let Some(end) = end else {
                 return Err(Fault::new(
                     started,
-                    "a text whose line has no closing quote",
+                    "unclosed string",
                     "close it with \" on the same line",
                 ));
             };
@@ -86,7 +85,7 @@ pub(super) fn tokens(text: &str) -> Result<Vec<(Token, usize)>, Fault> {
             rest = &quoted[end + 1..];
         } else if is_in_word(first) {
             let end = rest.find(|c| !is_in_word(c)).unwrap_or(rest.len());
-            let (word, behind) = rest.split_at(end);
+            let (word, after) = rest.split_at(end);
             let token = if first.is_ascii_digit() {
                 number(word).map_or_else(
                     |(problem, hint)| Token::BadNumber(word.to_owned(), problem, hint),
@@ -96,7 +95,7 @@ pub(super) fn tokens(text: &str) -> Result<Vec<(Token, usize)>, Fault> {
                 Token::Word(word.to_owned())
             };
             found.push((token, started));
-            rest = behind;
+            rest = after;
         } else if let Some(sign) = SIGNS.into_iter().find(|&sign| rest.starts_with(sign)) {
             found.push((Token::Sign(sign), started));
             rest = &rest[sign.len()..];
@@ -113,7 +112,7 @@ fn is_in_word(c: char) -> bool {
     c.is_ascii_alphanumeric() || matches!(c, '_' | '.' | '$')
 }
 
-/// The value of `0x1F`, `31`, `4K` or `0x2m`, or problem and hint.
+/// Parses `0x1F`, `31`, `4K` or `0x2m`; the error is problem and hint.
 fn number(word: &str) -> Result<u64, (&'static str, &'static str)> {
     const FORMS: &str = "write it as 12, 0x1F, 64K or 3M";
     let (digits, unit) = match word.as_bytes().last() {
@@ -129,12 +128,12 @@ fn number(word: &str) -> Result<u64, (&'static str, &'static str)> {
         return Err(("is not a number", FORMS));
     }
     if radix == 10 && digits.len() > 1 && digits.starts_with('0') {
-        return Err(("begins with 0, which linkers read as octal", FORMS));
+        return Err(("starts with 0, which linkers read as octal", FORMS));
     }
     u64::from_str_radix(digits, radix)
         .ok()
         .and_then(|value| value.checked_mul(unit))
-        .ok_or(("needs more than 64 bits", "write a smaller number"))
+        .ok_or(("overflows 64 bits", "use a smaller number"))
 }
 
 #[cfg(test)]
@@ -161,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn every_token_knows_the_line_on_which_it_starts() {
+    fn tokens_carry_their_first_line() {
         let found = tokens("a /* two\nlines */ <= 4K\n\"text\";").unwrap();
         let expected = [
             (Token::Word("a".to_owned()), 1),
@@ -175,10 +174,10 @@ mod tests {
     }
 
     #[test]
-    fn what_never_ends_is_named_with_its_line() {
+    fn errors_name_the_line_of_unclosed_tokens() {
         for (text, line, part) in [
             ("/* never", 1, "*/"),
-            ("\n\"open\n\"", 2, "closing quote"),
+            ("\n\"open\n\"", 2, "unclosed string"),
             ("\n\n// comment", 3, "/* ... */"),
         ] {
             let fault = tokens(text).unwrap_err();
@@ -189,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn patterns_and_comments_of_lld_are_tokens() {
+    fn accepts_section_patterns_and_lld_comments() {
         let found = tokens("# a comment\n*(.text [a-z]) 010 << 2").unwrap();
         let kinds: Vec<_> = found.iter().map(|(token, _)| token.to_string()).collect();
         let expected = [

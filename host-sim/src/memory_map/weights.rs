@@ -1,43 +1,43 @@
-//! Where the weights lie: two slots and the commit area, in a region of their own.
+//! The weights region: two slots and the commit area.
 
 use agent_core::store::Layout;
 
 use super::{MemoryMap, MemoryMapError, Region};
 
-/// The region `WEIGHTS` and what the symbols of the memory map place in it.
+/// The region `WEIGHTS` and its parts, which symbols of the memory map define.
 ///
-/// Both slots and the commit area lie inside the region, apart from each other, each on whole
-/// erase units, so that erasing one touches no other; the slots are equally long; the commit area
-/// has at least two erase units; no other region overlaps this one. All this is checked here,
-/// whether or not the file asserts it.
+/// Invariants: both slots and the commit area are inside the region, do not overlap and are aligned
+/// to erase units, so that erasing one does not affect another; the slots have the same length; the
+/// commit area has at least two erase units; the region does not overlap another one. All this is
+/// checked here, even if the file has no assertions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WeightsRegion {
     /// First address of the region.
     pub origin: u32,
-    /// Its length \[bytes\].
+    /// Length of the region. \[bytes\]
     pub length: u32,
     /// First address of slot A.
     pub slot_a: u32,
     /// First address of slot B.
     pub slot_b: u32,
-    /// Length of each slot \[bytes\].
+    /// Length of each slot. \[bytes\]
     pub slot_length: u32,
     /// First address of the commit area.
     pub commit: u32,
-    /// Length of the commit area \[bytes\].
+    /// Length of the commit area. \[bytes\]
     pub commit_length: u32,
-    /// The smallest piece that can be erased \[bytes\].
+    /// Erase unit of the flash. \[bytes\]
     pub erase_size: u32,
 }
 
 /// Name of the region.
 pub(super) const REGION: &str = "WEIGHTS";
 
-/// Longest part of it: many times the largest package, and little enough to be written whole into
-/// an image. \[byte\]
+/// Maximum length of a part: many times the largest package, but small enough for an image file.
+/// \[bytes\]
 const PART_MAX: u64 = 64 << 20;
 
-/// A piece of the region: its name, the symbols of its origin and its length.
+/// A part of the region: its name, and the symbols of its origin and length.
 type Part = (&'static str, &'static str, &'static str);
 
 const SLOT_A: Part = ("slot A", "_weights_slot_a_origin", "_weights_slot_a_length");
@@ -52,7 +52,7 @@ impl WeightsRegion {
         };
         let erase_size = value(map, ERASE_SIZE)?;
         if erase_size == 0 {
-            return Err(wrong(map, ERASE_SIZE, "is 0", "give the smallest unit that is erased"));
+            return Err(wrong(map, ERASE_SIZE, "is 0", "set it to the erase unit of the flash"));
         }
         check_apart_from_others(map, region)?;
         let parts = [SLOT_A, SLOT_B, COMMIT];
@@ -71,17 +71,17 @@ impl WeightsRegion {
                 map,
                 SLOT_B.2,
                 &format!("is not {slot_length:#x}, the length of slot A"),
-                "make the slots equally long, so that they can stand in for each other",
+                "make both slots the same length, so that either can hold a package",
             ));
         }
         let commit_length = value(map, COMMIT.2)?;
-        // `check_units` has seen that it is a multiple, and not 0.
+        // `check_units` ensures that it is a nonzero multiple.
         if commit_length == erase_size {
             return Err(wrong(
                 map,
                 COMMIT.2,
-                "is one erase unit only",
-                "give it two, so that one holds a record while the other is erased",
+                "is only one erase unit",
+                "use two, so that one holds a record while the other is erased",
             ));
         }
         let Ok(length) = u32::try_from(region.length) else {
@@ -89,7 +89,7 @@ impl WeightsRegion {
                 map,
                 Some(region.line),
                 REGION,
-                "takes every address there is".to_owned(),
+                "covers the whole address space".to_owned(),
                 "leave room for RAM",
             ));
         };
@@ -103,7 +103,7 @@ impl WeightsRegion {
             commit_length: address(map, COMMIT.2)?,
             erase_size: address(map, ERASE_SIZE)?,
         };
-        // The last word is that of the node's own store.
+        // The final check is that of the node's own store.
         match found.layout().validate(found.erase_size, found.length) {
             Ok(()) => Ok(found),
             Err(problem) => Err(error(
@@ -111,12 +111,12 @@ impl WeightsRegion {
                 Some(region.line),
                 REGION,
                 format!("cannot hold the store: {problem}"),
-                "give slots whole erase units, the commit record an even number of them",
+                "use whole erase units for slots and an even number of them for the commit area",
             )),
         }
     }
 
-    /// The same as the node's store is told.
+    /// Returns the layout as the node's store expects it.
     #[must_use]
     pub fn layout(&self) -> Layout {
         Layout {
@@ -127,7 +127,7 @@ impl WeightsRegion {
         }
     }
 
-    /// The first address behind the region, 2^32 at most.
+    /// Returns the end address of the region, exclusive, 2^32 at most.
     #[must_use]
     pub fn end(&self) -> u64 {
         u64::from(self.origin) + u64::from(self.length)
@@ -154,7 +154,7 @@ fn check_apart_from_others(map: &MemoryMap, region: &Region) -> Result<(), Memor
                 region.origin,
                 region.end()
             ),
-            "shorten one of them: flashing weights would erase what lies there",
+            "shorten one of them; flashing weights would erase the other region",
         )),
     }
 }
@@ -163,14 +163,14 @@ fn check_inside(map: &MemoryMap, region: &Region, part: Part) -> Result<(), Memo
     let (name, origin_symbol, length_symbol) = part;
     let (origin, length) = (value(map, origin_symbol)?, value(map, length_symbol)?);
     if length == 0 {
-        return Err(wrong(map, length_symbol, "is 0", "give it whole erase units"));
+        return Err(wrong(map, length_symbol, "is 0", "use whole erase units"));
     }
     if length > PART_MAX && origin >= region.origin.into() && length <= region.length {
         return Err(wrong(
             map,
             length_symbol,
             &format!("{name} has {length:#x} bytes"),
-            &format!("shorten it to {PART_MAX:#x} at most; a package needs some kilobytes"),
+            &format!("shorten it to at most {PART_MAX:#x}; a package takes a few kilobytes"),
         ));
     }
     if origin < region.origin.into() {
@@ -181,7 +181,7 @@ fn check_inside(map: &MemoryMap, region: &Region, part: Part) -> Result<(), Memo
             &format!("place it inside {REGION}"),
         ));
     }
-    // In a sum of 64 bits a large length could come out small.
+    // A large length could overflow the sum of 64 bits.
     if origin > region.end() || length > region.end() - origin {
         return Err(wrong(
             map,
@@ -205,14 +205,16 @@ fn check_units(map: &MemoryMap, part: Part, erase_size: u64) -> Result<(), Memor
                 map,
                 symbol,
                 &format!("the {what} of {name}, {found:#x}, is not a multiple of {erase_size:#x}"),
-                &format!("choose a multiple of {ERASE_SIZE}, so that erasing it touches no other"),
+                &format!(
+                    "use a multiple of {ERASE_SIZE}, so that erasing it does not affect other parts"
+                ),
             ));
         }
     }
     Ok(())
 }
 
-/// Both parts lie inside the region by now, so that their ends are small numbers.
+/// Both parts are inside the region at this point, so the sums cannot overflow.
 fn check_apart(map: &MemoryMap, first: Part, second: Part) -> Result<(), MemoryMapError> {
     let span = |part: Part| -> Result<_, MemoryMapError> {
         let origin = value(map, part.1)?;
@@ -227,7 +229,7 @@ fn check_apart(map: &MemoryMap, first: Part, second: Part) -> Result<(), MemoryM
                 "{}, {:#x} to {:#x}, overlaps {}, {:#x} to {:#x}",
                 second.0, second_span.0, second_span.1, first.0, first_span.0, first_span.1
             ),
-            "place them apart",
+            "move them apart",
         ));
     }
     Ok(())
@@ -237,27 +239,27 @@ fn value(map: &MemoryMap, name: &str) -> Result<u64, MemoryMapError> {
     match map.symbol(name) {
         Some(symbol) => Ok(symbol.value),
         None => {
-            let told = map.unresolved.iter().find(|error| error.name.as_deref() == Some(name));
-            Err(told.cloned().unwrap_or_else(|| missing(map, name, "a symbol", "an assignment")))
+            let reason = map.unresolved.iter().find(|error| error.name.as_deref() == Some(name));
+            Err(reason.cloned().unwrap_or_else(|| missing(map, name, "a symbol", "an assignment")))
         }
     }
 }
 
 fn address(map: &MemoryMap, name: &str) -> Result<u32, MemoryMapError> {
     u32::try_from(value(map, name)?)
-        .map_err(|_| wrong(map, name, "needs more than 32 bits", "choose a smaller number"))
+        .map_err(|_| wrong(map, name, "exceeds 32 bits", "use a smaller number"))
 }
 
 fn missing(map: &MemoryMap, name: &str, what: &str, by: &str) -> MemoryMapError {
     let included = match map.included.as_slice() {
         [] => String::new(),
-        files => format!(" (INCLUDE is not followed: {})", files.join(", ")),
+        files => format!(" (INCLUDE is not supported: {})", files.join(", ")),
     };
     error(
         map,
         None,
         name,
-        format!("there is no such name, and {what} is needed{included}"),
+        format!("not defined, but {what} is required{included}"),
         &format!("define it by {by} in this file, as the project's own memory.x does"),
     )
 }

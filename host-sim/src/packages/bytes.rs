@@ -31,7 +31,7 @@ pub enum PackageFileError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         error: std::io::Error,
     },
     /// The file is too long for any package.

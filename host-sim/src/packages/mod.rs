@@ -1,6 +1,6 @@
 //! Weight packages on the host: making them, and checking them exactly as a node does.
 //!
-//! | module | what it is |
+//! | module | purpose |
 //! | --- | --- |
 //! | [`bytes`] | a package's bytes, aligned and shared, in memory and in files |
 //! | [`node`] | what makes a node an agent |
@@ -9,6 +9,7 @@
 //! | [`check`] | the node's own acceptance, for any state dimension |
 //! | [`recording`] | recorded samples, in memory and in files |
 //! | [`refusal`] | what to do about a package that is refused |
+//! | [`summary`] | a package in a few words |
 //! | [`recording_source`] | where a recording comes from, according to its file |
 //!
 //! The simulated agents load these very bytes. The format is agent-core's; see `docs/format.md`.
@@ -21,12 +22,14 @@ pub mod parameter;
 pub mod recording;
 pub mod recording_source;
 pub mod refusal;
+pub mod summary;
 
 pub use bytes::{PackageBytes, PackageFileError, PackageParameters};
 pub use draft::{Draft, DraftError};
 pub use node::OwnedAgentConfig;
 pub use recording::{Recording, RecordingError, Timing};
 pub use recording_source::RecordingSource;
+pub use summary::PackageSummary;
 
 /// Calls `$function::<N>($arguments)` for the state dimension `$n`, 1 to 12.
 macro_rules! with_dimension {

@@ -1,4 +1,4 @@
-//! What else acts on the plant.
+//! Disturbances of the plant.
 
 use super::ExpressionSystem;
 
@@ -7,16 +7,16 @@ use super::ExpressionSystem;
 pub enum Disturbance {
     /// No disturbance.
     None,
-    /// A sum of harmonics for every component of the state.
+    /// A sum of harmonics per component of the state.
     Harmonic(Vec<Harmonic>),
-    /// Expressions of the user, one for every component of the state.
+    /// User-defined expressions, one per component of the state.
     Expressions(ExpressionSystem),
 }
 
 /// `offset + amplitude function(angular_frequency t + phase)` on one component.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Harmonic {
-    /// The component of the state that it acts on, from 0.
+    /// The component of the state it is added to, from 0.
     pub component: usize,
     /// Sine or cosine.
     pub function: Wave,
@@ -40,11 +40,11 @@ pub enum Wave {
 }
 
 impl Disturbance {
-    /// `d` at `time` \[s\] and state `x`, shape `[n]`, into `d`, shape `[n]`. Only expressions
+    /// Writes `d` at `time` \[s\] and state `x`, shape `[n]`, to `d`, shape `[n]`. Only expressions
     /// may depend on the state.
     ///
     /// # Panics
-    /// If `d` (or, for expressions, `x`) has fewer components than the disturbance acts on.
+    /// If `d` (or, for expressions, `x`) has too few components.
     #[inline]
     pub fn evaluate(&self, time: f64, x: &[f64], d: &mut [f64]) {
         match self {
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn none_overwrites_what_was_there() {
+    fn none_writes_zeros() {
         let mut d = [1.0; 2];
         Disturbance::None.evaluate(1.0, &[0.0; 2], &mut d);
         assert_eq!(d, [0.0; 2]);

@@ -1,14 +1,15 @@
 //! Integration of the plant over one step.
 //!
-//! Euler: `x(t + h) = x(t) + h F(t, x)` with `F = f + d`. Runge–Kutta of order 4: the classical
-//! four stages. Error of one step `O(h^2)` and `O(h^5)`; one and four evaluations of `F`.
+//! Euler: `x(t + h) = x(t) + h F(t, x)` with `F = f + d`. Runge–Kutta: the classical four stages of
+//! order 4. The error of one step is `O(h^2)` and `O(h^5)`, the cost one and four evaluations of
+//! `F`.
 
 use super::{DIMENSION_MAX, Disturbance, Plant, RateFault};
 
 /// How the plant is integrated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Integrator {
-    /// Euler's explicit method, the paper's.
+    /// The explicit Euler method, as in the paper.
     Euler,
     /// The classical Runge–Kutta method of order 4.
     Rk4,
@@ -16,7 +17,7 @@ pub enum Integrator {
 
 type State = [f64; DIMENSION_MAX];
 
-/// Takes steps; owns the room that they need.
+/// Takes steps; owns the buffers they need.
 #[derive(Clone, Debug)]
 pub struct Stepper {
     integrator: Integrator,
@@ -26,7 +27,7 @@ pub struct Stepper {
 }
 
 impl Stepper {
-    /// A stepper for any plant.
+    /// Creates a stepper for any plant.
     #[must_use]
     pub fn new(integrator: Integrator) -> Self {
         let zeros = [0.0; DIMENSION_MAX];
@@ -49,8 +50,8 @@ impl Stepper {
         self.advance(plant, disturbance, time, step_size, x, |_, _| {});
     }
 
-    /// Why a step from the finite state `x` does not lead to a finite one: the first expression
-    /// that it meets without a finite value; `None` if there is none, and the state only grows.
+    /// Returns why a step from the finite state `x` leads to a non-finite one: the first expression
+    /// without a finite value, or `None` if the state merely grows too large.
     ///
     /// # Panics
     /// As [`Self::step`].
@@ -72,7 +73,7 @@ impl Stepper {
         found
     }
 
-    /// The step; `meets` is called with every time and state at which the rate is taken.
+    /// Takes the step; `meets` is called with every time and state at which the rate is evaluated.
     #[inline]
     fn advance(
         &mut self,
@@ -134,7 +135,7 @@ mod tests {
     use crate::plant::{Harmonic, Wave};
     use nalgebra::dmatrix;
 
-    /// Error at t = 1 of `x' = -x + 2 cos(t) ...` against the solution `x = sin t + cos t`.
+    /// Returns the error at t = 1 of `x' = -x + 2 cos(t) ...` compared with `x = sin t + cos t`.
     fn error_after_one_second(integrator: Integrator, steps: u32) -> f64 {
         let plant = Plant::Linear(dmatrix![-1.0]);
         let drive = Harmonic {
@@ -155,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_fall_with_the_order_of_the_method() {
+    fn error_decreases_with_the_order_of_the_method() {
         for (integrator, order) in [(Integrator::Euler, 1.0), (Integrator::Rk4, 4.0)] {
             let (coarse, fine) =
                 (error_after_one_second(integrator, 16), error_after_one_second(integrator, 32));
@@ -165,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn one_euler_step_by_hand() {
+    fn euler_step_matches_hand_calculation() {
         let plant = Plant::Linear(dmatrix![0.0, 1.0; -4.0, 0.0]);
         let (mut stepper, mut x) = (Stepper::new(Integrator::Euler), [1.0, 2.0]);
         stepper.step(&plant, &Disturbance::None, 0.0, 0.25, &mut x);

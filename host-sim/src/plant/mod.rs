@@ -1,14 +1,14 @@
 //! The plant `d/dt x_0 = f(x_0) + d` (equation `plant dynamics`): drift, disturbance and
 //! integrators, in f64.
 //!
-//! Nobody in the network knows `f` and `d`; only the simulator does.
+//! `f` and `d` are known to the simulator only, not to the agents.
 //!
-//! Cost of one step of Euler's method for the paper's plant and disturbance: some 20 operations
-//! and three sines, below 80 ns. Nothing here allocates after construction.
+//! Cost of one Euler step for the paper's plant and disturbance: about 20 operations and three
+//! sines, below 80 ns. Nothing here allocates after construction.
 //!
-//! Invariants: the same arguments give the same bits on every machine. Transcendental functions
-//! are those of the `libm` crate, called by path, integer powers are products in a fixed order,
-//! and no multiplication is fused with an addition.
+//! Invariant: the same arguments give the same bits on every machine. Transcendental functions are
+//! those of the `libm` crate, called by path; integer powers are products in a fixed order; no
+//! multiplication is fused with an addition.
 
 mod disturbance;
 pub mod expression;
@@ -20,7 +20,7 @@ pub use integrator::{Integrator, Stepper};
 
 use nalgebra::DMatrix;
 
-/// Largest state dimension; what the agents' networks can take as inputs.
+/// Largest state dimension: the most inputs that an agent's network can have.
 pub const DIMENSION_MAX: usize = agent_core::INPUTS_MAX;
 
 /// `f`, the drift.
@@ -32,24 +32,24 @@ pub enum Plant {
         /// `mu`, not 0.
         mu: f64,
     },
-    /// Lorenz' convection model:
+    /// The Lorenz convection model:
     /// `x' = sigma (y - x)`, `y' = x (rho - z) - y`, `z' = x y - beta z`.
     Lorenz {
         /// Prandtl number. \[1/s\]
         sigma: f64,
         /// Relative Rayleigh number.
         rho: f64,
-        /// Geometry. \[1/s\]
+        /// Geometry factor. \[1/s\]
         beta: f64,
     },
-    /// Duffing's oscillator: `x' = v`, `v' = -damping v - stiffness x - cubic_stiffness x^3`.
-    /// What drives it is a disturbance.
+    /// The Duffing oscillator: `x' = v`, `v' = -damping v - stiffness x - cubic_stiffness x^3`. A
+    /// disturbance drives it.
     Duffing {
         /// \[1/s\]
         damping: f64,
-        /// Linear stiffness by mass; below 0 for two wells. \[1/s^2\]
+        /// Linear stiffness per mass; negative for two wells. \[1/s^2\]
         stiffness: f64,
-        /// Cubic stiffness by mass. \[1/(s^2 squared state unit)\]
+        /// Cubic stiffness per mass. \[1/(s^2 squared state unit)\]
         cubic_stiffness: f64,
     },
     /// A pendulum with viscous friction:
@@ -64,12 +64,12 @@ pub enum Plant {
     },
     /// `x' = A x`, `A` of shape `[n, n]`. \[1/s\]
     Linear(DMatrix<f64>),
-    /// Expressions of the user.
+    /// User-defined expressions.
     Expressions(ExpressionSystem),
 }
 
 impl Plant {
-    /// `n`, the dimension of the state.
+    /// Returns `n`, the dimension of the state.
     #[must_use]
     pub fn dimension(&self) -> usize {
         match self {
@@ -80,7 +80,7 @@ impl Plant {
         }
     }
 
-    /// What the components of the state are called in expressions and tables, shape `[n]`.
+    /// Returns the names of the state's components in expressions and tables, shape `[n]`.
     #[must_use]
     pub fn state_names(&self) -> Vec<String> {
         let fixed = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
@@ -93,8 +93,8 @@ impl Plant {
         }
     }
 
-    /// `f` at `time` \[s\] and state `x`, shape `[n]`, into `dx`, shape `[n]`. Only expressions
-    /// may depend on time; where one is not defined, `dx` is not finite.
+    /// Writes `f` at `time` \[s\] and state `x`, shape `[n]`, to `dx`, shape `[n]`. Only
+    /// expressions may depend on time; `dx` is not finite where one is undefined.
     ///
     /// # Panics
     /// If `x` or `dx` is shorter than the dimension.
@@ -133,7 +133,7 @@ impl Plant {
     }
 }
 
-/// What of drift or disturbance has no finite value, and why.
+/// An expression of the drift or the disturbance without a finite value, and why.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RateFault {
     /// An expression of the drift.
@@ -145,8 +145,8 @@ pub enum RateFault {
 }
 
 impl RateFault {
-    /// What is wrong with `plant` or `disturbance` at `time` \[s\] and the finite state `x`, shape
-    /// `[n]`; `None` where both are defined.
+    /// Returns what is wrong with `plant` or `disturbance` at `time` \[s\] and the finite state
+    /// `x`, shape `[n]`; `None` if both are defined.
     #[must_use]
     pub fn find(plant: &Plant, disturbance: &Disturbance, time: f64, x: &[f64]) -> Option<Self> {
         let drift = match plant {
@@ -159,7 +159,7 @@ impl RateFault {
         })
     }
 
-    /// The expression.
+    /// Returns the expression.
     #[must_use]
     pub fn expression(&self) -> &ExpressionFault {
         match self {
@@ -168,13 +168,13 @@ impl RateFault {
     }
 }
 
-/// The first `N` components.
+/// Returns the first `N` components.
 #[inline]
 fn first<const N: usize>(x: &[f64]) -> &[f64; N] {
     x.first_chunk().expect("the state has the plant's dimension")
 }
 
-/// The first `N` components.
+/// Returns the first `N` components.
 #[inline]
 fn first_mut<const N: usize>(dx: &mut [f64]) -> &mut [f64; N] {
     dx.first_chunk_mut().expect("the derivative has the plant's dimension")
@@ -192,8 +192,8 @@ mod tests {
     }
 
     #[test]
-    fn built_in_plants_at_a_point() {
-        // Numbers that are exact in binary, so that a hand calculation gives the same bits.
+    fn built_in_plants_match_hand_calculation() {
+        // Exact binary numbers, so that a calculation by hand gives the same bits.
         let van_der_pol = Plant::VanDerPol { mu: 0.5 };
         assert_eq!(
             derivative(&van_der_pol, &[3.0, 2.0, 4.0]),
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn the_papers_plant_as_expressions_gives_the_same_bits() {
+    fn expressions_reproduce_the_papers_plant_bit_for_bit() {
         let names = ["x", "y", "z"].map(str::to_owned);
         let parameters = [("mu".to_owned(), 0.3)];
         let texts = ["mu*(x - x^3/3 - y)", "x/mu", "-mu*z"];
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn every_plant_names_its_states() {
+    fn every_plant_has_state_names() {
         let plants = [
             Plant::VanDerPol { mu: 1.0 },
             Plant::Lorenz { sigma: 1.0, rho: 1.0, beta: 1.0 },

@@ -1,4 +1,4 @@
-//! The checks against the theory, as text and for JSON.
+//! Checks against the theory, as text and for JSON.
 
 use std::fmt::Write;
 
@@ -10,7 +10,7 @@ use crate::number::significant;
 /// Up to this many agents get a line each.
 const LINES: usize = 12;
 
-/// The checks that need no run, as lines.
+/// Formats the checks that do not need a run, line by line.
 #[must_use]
 pub fn design_text(design: &DesignChecks) -> String {
     let trigger = &design.trigger;
@@ -26,7 +26,7 @@ pub fn design_text(design: &DesignChecks) -> String {
     )
 }
 
-/// Every check of a run, as lines with a heading.
+/// Formats all checks of a run, with a heading.
 #[must_use]
 pub fn text(checks: &Checks) -> String {
     let mut text = String::from("Checks against the theory\n");
@@ -80,7 +80,7 @@ fn theorem1(checks: &Checks) -> String {
     let theorem = &checks.theorem1;
     let mut text = format!("  Theorem 1: {}\n", in_words(&theorem.status));
     if let Some(share) = &theorem.share {
-        // At t = 0 the bound is the error itself where there is no network.
+        // At t = 0 the bound equals the error if there is no network.
         let from_start = share.bound.weight_error > 0.0;
         let (part, when) = if from_start {
             (share.largest, format!("at most (at t = {} s)", significant(share.largest_at, 4)))
@@ -90,7 +90,7 @@ fn theorem1(checks: &Checks) -> String {
         // Writing into a string cannot fail.
         let _ = writeln!(
             text,
-            "    |e_1|^2 took {} % of its bound {when}; ultimately |e_1| <= {}, bound {}",
+            "    |e_1|^2 reached {} % of its bound {when}; ultimately |e_1| <= {}, bound {}",
             significant(100.0 * part, 3),
             significant(share.error_evaluated, 4),
             significant(share.bound.ultimate().sqrt(), 4),
@@ -111,14 +111,14 @@ fn theorem1(checks: &Checks) -> String {
     text
 }
 
-/// The checks that need no run, for JSON.
+/// The checks that do not need a run, for JSON.
 #[derive(Clone, Debug, Serialize)]
 pub struct DesignReport {
     eigenvalue_min: f64,
     eigenvalue_uncertainty: f64,
     k1: f64,
     solution: bool,
-    /// What to multiply the gain by to have a solution; null where there is one, or none.
+    /// Factor that makes the gain a solution; null if it is one, or no factor helps.
     gain_factor: Option<f64>,
     phi1: f64,
     phi2: f64,
@@ -127,12 +127,12 @@ pub struct DesignReport {
     state_covered: bool,
     step: f64,
     largest_stable_step: Option<f64>,
-    /// What Theorem 1's bound on `|e_1|` tends to.
+    /// Limit of Theorem 1's bound on `|e_1|`.
     ultimate_bound: Option<f64>,
 }
 
 impl DesignReport {
-    /// Of these checks.
+    /// Creates the report of these checks.
     #[must_use]
     pub fn new(design: &DesignChecks) -> Self {
         let (gain, trigger) = (&design.gain, &design.trigger);
@@ -153,7 +153,7 @@ impl DesignReport {
     }
 }
 
-/// Every check of a run, for JSON.
+/// All checks of a run, for JSON.
 #[derive(Clone, Debug, Serialize)]
 pub struct ChecksReport {
     #[serde(flatten)]
@@ -195,7 +195,7 @@ struct Theorem2Agent {
 }
 
 impl ChecksReport {
-    /// Of these checks.
+    /// Creates the report of these checks.
     #[must_use]
     pub fn new(checks: &Checks) -> Self {
         let premise = |status: &Status| status.premise().map(str::to_owned);

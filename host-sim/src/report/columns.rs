@@ -1,9 +1,9 @@
-//! Text tables: columns as wide as their widest entry, aligned at the right.
+//! Text tables: right-aligned columns as wide as their widest entry.
 
-/// A heading of two lines over each column, a rule, and the rows; missing entries are blank.
-/// Neighbouring columns with the same first line share it.
+/// Formats a table with two heading lines, a rule, and the rows; missing entries are blank.
+/// Adjacent columns with the same first line share it.
 ///
-/// Entries are counted in characters, one column of the terminal each.
+/// Widths are in characters, one terminal column each.
 #[must_use]
 pub fn aligned(headings: &[[&str; 2]], rows: &[Vec<String>]) -> String {
     let mut widths: Vec<usize> = headings.iter().map(|[_, name]| count(name)).collect();
@@ -14,7 +14,7 @@ pub fn aligned(headings: &[[&str; 2]], rows: &[Vec<String>]) -> String {
     }
     let groups = groups(headings);
     for group in &groups {
-        // The extra width of a long heading is shared among its columns.
+        // The extra width of a long heading is distributed over its columns.
         let inside = &mut widths[group.columns.clone()];
         let missing = count(group.name).saturating_sub(span(inside));
         let columns = inside.len();
@@ -26,7 +26,7 @@ pub fn aligned(headings: &[[&str; 2]], rows: &[Vec<String>]) -> String {
     if groups.iter().any(|group| !group.name.is_empty()) {
         let widths: Vec<usize> =
             groups.iter().map(|group| span(&widths[group.columns.clone()])).collect();
-        // A heading of several columns stands in their middle.
+        // A heading of several columns is centred.
         let centred = groups.iter().zip(&widths).map(|(group, &width)| {
             let room = if group.columns.len() > 1 { width - count(group.name) } else { 0 };
             format!("{}{}", group.name, " ".repeat(room / 2))
@@ -40,7 +40,7 @@ pub fn aligned(headings: &[[&str; 2]], rows: &[Vec<String>]) -> String {
     lines.join("\n") + "\n"
 }
 
-/// Blanks between two columns.
+/// Blanks between columns.
 const GAP: usize = 2;
 
 /// Columns that share the first line of their headings.
@@ -49,7 +49,7 @@ struct Group<'a> {
     columns: std::ops::Range<usize>,
 }
 
-/// Width of columns and the gaps between them.
+/// Returns the width of columns including the gaps between them.
 fn span(widths: &[usize]) -> usize {
     widths.iter().sum::<usize>() + GAP * widths.len().saturating_sub(1)
 }
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn without_groups_there_is_one_line_of_headings() {
+    fn table_without_groups_has_one_heading_line() {
         let rows = [vec!["1".to_owned(), "−2".to_owned()]];
         assert_eq!(aligned(&[["", "a"], ["", "b"]], &rows), "a   b\n-----\n1  −2\n");
     }

@@ -1,6 +1,6 @@
 //! CSV files: traces, broadcasts, training epochs.
 //!
-//! Cost: about 40 ns a number; 40,000 rows of three agents (16 columns) take some 30 ms.
+//! Cost: about 40 ns per number; 40,000 rows of three agents (16 columns) take about 30 ms.
 
 use std::path::Path;
 
@@ -8,16 +8,16 @@ use crate::engine::traces::Traces;
 use crate::files::output::OutputError;
 use crate::files::table::write_table;
 
-/// Writes traces: a line a row, with the true state and each agent's estimate and error norm, in
+/// Writes traces: one line per row with the true state and each agent's estimate and error norm, in
 /// the units of the state.
 ///
-/// `names` are those of the state's components, shape `[n]`. The columns are `time`, `NAME` (true
-/// state), `agentI.NAMEhat` (estimate of agent I) and `agentI.error`. Names of states have neither
-/// dots nor blanks, so no two headers can be the same: a state called `time` is told from the time
-/// by its unit.
+/// `names` are the names of the state's components, shape `[n]`. The columns are `time`, `NAME`
+/// (true state), `agentI.NAMEhat` (estimate of agent I) and `agentI.error`. Names of states contain
+/// neither dots nor blanks, so headers are unique; the unit distinguishes a state called `time`
+/// from the time.
 ///
 /// # Errors
-/// A file that cannot be written; also if there are not as many names as components.
+/// If the file cannot be written, or the number of names differs from that of the components.
 pub fn write_traces(path: &Path, traces: &Traces, names: &[String]) -> Result<(), OutputError> {
     let mut header = vec!["time [s]".to_owned()];
     header.extend(names.iter().map(|name| format!("{name} [state unit]")));
@@ -40,12 +40,11 @@ pub fn write_traces(path: &Path, traces: &Traces, names: &[String]) -> Result<()
     })
 }
 
-/// Writes broadcasts, agent by agent: its number, which of its broadcasts it is (from 1), and
-/// when. `events` are the steps at whose beginning each agent broadcast; a step is `step_size`
-/// long \[s\].
+/// Writes broadcasts agent by agent: number of the agent, sequence number (from 1), and time.
+/// `events` are the steps at whose start each agent broadcast; a step is `step_size` \[s\] long.
 ///
 /// # Errors
-/// A file that cannot be written.
+/// If the file cannot be written.
 pub fn write_events(path: &Path, events: &[&[u64]], step_size: f64) -> Result<(), OutputError> {
     let numbered = events.iter().enumerate().flat_map(|(agent, ticks)| {
         ticks.iter().enumerate().map(move |(sequence, &tick)| (agent + 1, sequence + 1, tick))
@@ -62,7 +61,7 @@ pub fn write_events(path: &Path, events: &[&[u64]], step_size: f64) -> Result<()
     )
 }
 
-/// One epoch of one training.
+/// One epoch of a training.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EpochRow {
     /// The agent, from 1.
@@ -71,11 +70,11 @@ pub struct EpochRow {
     pub cycle: usize,
     /// The epoch; 0 is the state before the first step.
     pub epoch: usize,
-    /// Mean squared error over the samples trained on. \[squared state unit/s\]
+    /// Mean squared error on the training samples. \[squared state unit/s\]
     pub train_mse: f64,
-    /// Mean squared error over the validation samples, if there are any. \[squared state unit/s\]
+    /// Mean squared error on the validation samples, if any. \[squared state unit/s\]
     pub validation_mse: Option<f64>,
-    /// Mean squared error over the test samples, if there are any. \[squared state unit/s\]
+    /// Mean squared error on the test samples, if any. \[squared state unit/s\]
     pub test_mse: Option<f64>,
     /// Damping of the Levenberg–Marquardt step.
     pub damping: f64,
@@ -83,10 +82,10 @@ pub struct EpochRow {
     pub gradient_norm: f64,
 }
 
-/// Writes epochs of trainings.
+/// Writes the epochs of trainings.
 ///
 /// # Errors
-/// A file that cannot be written.
+/// If the file cannot be written.
 pub fn write_epochs(path: &Path, epochs: &[EpochRow]) -> Result<(), OutputError> {
     let header = [
         "agent",
@@ -120,7 +119,7 @@ mod tests {
         std::env::temp_dir().join(format!("{}-{name}", std::process::id()))
     }
 
-    /// Header and lines of a file, which is then removed.
+    /// Returns header and lines of a file, and removes it.
     fn read(path: &Path) -> (Vec<String>, Vec<Vec<String>>) {
         let mut reader = csv::Reader::from_path(path).unwrap();
         let words = |record: &csv::StringRecord| record.iter().map(str::to_owned).collect();
@@ -139,7 +138,7 @@ mod tests {
             traces.push(time, &[0.1 + 0.2, -1e-300], estimates.iter().map(|x| &x[..]));
         }
         let path = file("traces.csv");
-        // A comma, a quote and a line end do not end a field.
+        // A comma, a quote or a line break does not end a field.
         let names = ["angle".to_owned(), "a \"b\",\nc".to_owned()];
         write_traces(&path, &traces, &names).unwrap();
         let (header, lines) = read(&path);
@@ -181,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn what_an_epoch_lacks_is_empty() {
+    fn missing_values_of_an_epoch_are_empty() {
         let path = file("epochs.csv");
         let epoch = EpochRow {
             agent: 2,
@@ -200,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_of_the_wrong_length_is_refused() {
+    fn rejects_a_line_of_the_wrong_length() {
         let path = file("wrong.csv");
         let error = write_table(&path, &["one", "two"], 0..1, |row, number| row.integer(number));
         assert!(error.unwrap_err().to_string().contains("wrong.csv"));

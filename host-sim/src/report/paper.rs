@@ -1,4 +1,4 @@
-//! What the paper published, for comparison only: nothing is tuned to these numbers.
+//! The paper's published results, for comparison only: nothing is tuned to these numbers.
 //!
 //! Source: F. M. Zegers, R. Sun, G. Chowdhary, W. E. Dixon, "Distributed State Estimation with
 //! Deep Neural Networks for Uncertain Nonlinear Systems under Event-Triggered Communication",
@@ -6,16 +6,16 @@
 //! section "Simulation Results" around it (mean times between broadcasts, where the paper saw
 //! no significant difference between its two simulations).
 
-/// The paper's numbers of one agent.
+/// The paper's results for one agent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Published {
     /// Root mean square of `|e_1i|`, inner networks held constant. \[state unit\]
     pub rmse_without: f64,
     /// Root mean square of `|e_1i|`, inner networks trained once. \[state unit\]
     pub rmse_with: f64,
-    /// The change between the two as printed; it is not always what the rounded numbers give. \[%\]
+    /// The change between the two as printed; it does not always match the rounded numbers. \[%\]
     pub change_percent: f64,
-    /// Mean time between broadcasts, both simulations alike. \[s\]
+    /// Mean time between broadcasts, the same in both simulations. \[s\]
     pub mean_interval: f64,
 }
 

@@ -1,4 +1,4 @@
-//! Table 1: errors without a network, with the untrained one and with learning, next to the paper's.
+//! Table 1: errors without a network, with an untrained one and with learning, next to the paper's.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use crate::number::significant;
 /// Significant digits of errors and times in tables.
 pub(crate) const DIGITS: usize = 4;
 
-/// What a run measured of one agent.
+/// A run's results for one agent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AgentResult {
     /// Root mean square of `|e_1i|` over the evaluation window. \[state unit\]
@@ -20,26 +20,26 @@ pub struct AgentResult {
     pub mean_interval: Option<f64>,
 }
 
-/// The table. The slices are parallel; agents that a slice does not have are left blank.
+/// The table. The slices are parallel; agents missing from a slice are left blank.
 #[derive(Clone, Copy, Debug)]
 pub struct ComparisonTable<'a> {
-    /// Of the observer on its feedback alone.
+    /// The observer with feedback only.
     pub no_network: &'a [AgentResult],
-    /// Of the run whose network is not trained; the paper's "without learning".
+    /// The run with an untrained network; the paper's "without learning".
     pub without: &'a [AgentResult],
-    /// Of the run with learning.
+    /// The run with learning.
     pub with: &'a [AgentResult],
-    /// The paper's, if the scenario is the paper's; empty otherwise.
+    /// The paper's results, if the scenario is the paper's; otherwise empty.
     pub published: &'a [Published],
-    /// Begin and end of the evaluation window. \[s\]
+    /// Start and end of the evaluation window. \[s\]
     pub window: (f64, f64),
 }
 
-/// One agent's numbers: without a network, untrained, learned.
+/// Results of one agent: without a network, untrained, learned.
 struct Line {
     agent: usize,
     rmse: [Option<f64>; 3],
-    /// Against no network, and against the untrained one.
+    /// Relative to no network, and relative to the untrained one.
     changes: [Option<f64>; 2],
     intervals: [Option<f64>; 3],
     published: Option<Published>,
@@ -62,7 +62,7 @@ impl ComparisonTable<'_> {
         })
     }
 
-    /// The table as aligned text for a terminal.
+    /// Returns the table as aligned text for a terminal.
     #[must_use]
     pub fn to_text(&self) -> String {
         format!(
@@ -119,7 +119,7 @@ impl ComparisonTable<'_> {
         })
     }
 
-    /// A table of these columns, those that are not marked only where there is something published.
+    /// Formats these columns; those marked `false` are shown only if there are published results.
     fn table(
         &self,
         columns: &[([&str; 2], bool)],
@@ -138,10 +138,10 @@ impl ComparisonTable<'_> {
         aligned(&headings, &rows)
     }
 
-    /// Writes the table as CSV; a number that there is not is an empty field.
+    /// Writes the table as CSV; missing numbers are empty fields.
     ///
     /// # Errors
-    /// A file that cannot be written.
+    /// If the file cannot be written.
     pub fn write_csv(&self, path: &Path) -> Result<(), OutputError> {
         let header = [
             "agent",
@@ -171,24 +171,24 @@ impl ComparisonTable<'_> {
     }
 }
 
-/// By how much `with` differs from `without`; `None` without anything to compare. \[%\]
+/// Returns the change from `without` to `with`; `None` if one is missing. \[%\]
 pub(crate) fn change_percent(without: Option<f64>, with: Option<f64>) -> Option<f64> {
     let (without, with) = (without.filter(|&rmse| rmse > 0.0)?, with?);
     Some(100.0 * (with - without) / without)
 }
 
-/// A number as tables show it.
+/// Formats a number for a table.
 pub(crate) fn number(value: Option<f64>) -> String {
     value.map_or_else(|| "-".to_owned(), |value| significant(value, DIGITS))
 }
 
-/// A change in percent as tables show it.
+/// Formats a change in percent for a table.
 pub(crate) fn percent(value: Option<f64>) -> String {
     let text = value.map_or_else(|| "-".to_owned(), |value| format!("{value:+.1}"));
     if text == "-0.0" || text == "+0.0" { "0.0".to_owned() } else { text }
 }
 
-/// A number with the decimals that the paper printed.
+/// Formats a number with the decimals that the paper printed.
 fn printed(value: Option<f64>) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.4}"))
 }
@@ -213,7 +213,7 @@ mod tests {
     ];
 
     #[test]
-    fn beside_the_paper() {
+    fn table_with_published_results() {
         let table = ComparisonTable {
             no_network: &NO_NETWORK,
             without: &WITHOUT,
@@ -243,7 +243,7 @@ agent  no network  untrained   learned   paper
     }
 
     #[test]
-    fn of_a_scenario_of_ones_own() {
+    fn table_without_published_results() {
         let table = ComparisonTable {
             no_network: &[],
             without: &WITHOUT[..1],

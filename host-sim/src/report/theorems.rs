@@ -1,15 +1,15 @@
-//! The theorems' bounds against what a run measured.
+//! Compares the theorems' bounds with the measurements of a run.
 //!
 //! A theorem applies only if its premises hold. If one fails, the check names it and the theorem is
-//! "not applicable", however the run went.
+//! "not applicable", whatever the result of the run.
 //!
 //! * Theorem 1: `k_2 > 1/kappa`; `K_1` solves `BMI`; `rho >= chi_bar_max`, which the run estimates
 //!   ([`LumpedUncertainty`]).
-//! * Theorem 2: a bound on the rate of the hold error. It is measured along the run, so it needs no
-//!   other premise; but the interval that it allows can only be tested if it is at least one step
+//! * Theorem 2: a bound on the rate of the hold error. The rate is measured along the run, so there
+//!   is no other premise; but the allowed interval can be tested only if it is at least one step
 //!   long, because broadcasts happen between steps.
 //!
-//! An agent that restarted left the dynamics of both.
+//! An agent that restarted did not follow the dynamics of either theorem.
 
 use crate::analysis::{
     GainCertificate, LumpedUncertainty, StepCheck, TriggerConstants, UltimateBound,
@@ -21,23 +21,23 @@ use crate::engine::statistics::AgentStatistics;
 use crate::number::significant;
 use crate::scenario::Scenario;
 
-/// Every check that needs no run.
+/// The checks that do not need a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DesignChecks {
-    /// Is `K_1` a solution of `BMI`?
+    /// Whether `K_1` is a solution of `BMI`.
     pub gain: GainCertificate,
     /// `phi_1`, `phi_2` and the threshold.
     pub trigger: TriggerConstants,
-    /// Is the step short enough for the observer itself?
+    /// Whether the step is short enough for the observer.
     pub step: StepCheck,
-    /// Do the agents together measure the whole state?
+    /// Whether the agents together measure the whole state.
     pub covered: bool,
-    /// Theorem 1's bound; `None` where `k_2 <= 1/kappa`.
+    /// Theorem 1's bound; `None` if `k_2 <= 1/kappa`.
     pub ultimate_bound: Option<UltimateBound>,
 }
 
 impl DesignChecks {
-    /// Examines a scenario.
+    /// Checks a scenario.
     #[must_use]
     pub fn new(scenario: &Scenario) -> Self {
         Self {
@@ -49,13 +49,12 @@ impl DesignChecks {
         }
     }
 
-    /// `K_1` against the matrix inequality, in one sentence without a full stop, the same in every
-    /// report.
+    /// Returns the result for `K_1` as one sentence without a full stop, the same in every report.
     #[must_use]
     pub fn gain_in_words(&self) -> String {
         let gain = &self.gain;
         let mut words = format!(
-            "lambda_min = {} 1/s (+- {}), needs k1 = {} 1/s: {}",
+            "lambda_min = {} 1/s (+- {}), requires k1 = {} 1/s: {}",
             significant(gain.eigenvalue_min, 6),
             significant(gain.uncertainty, 1),
             significant(gain.k1, 6),
@@ -68,39 +67,39 @@ impl DesignChecks {
                 ..self.step
             };
             if let (false, Some(step)) = (scaled.is_stable(), scaled.largest_stable_step) {
-                words += &format!(", and write time.step below {} s", significant(0.99 * step, 2));
+                words += &format!(", and set time.step below {} s", significant(0.99 * step, 2));
             }
         }
         words
     }
 }
 
-/// Every check of one run.
+/// All checks of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checks {
-    /// The checks that need no run.
+    /// The checks that do not need a run.
     pub design: DesignChecks,
     /// Theorem 1.
     pub theorem1: UltimateBoundCheck,
-    /// Theorem 2, for each agent.
+    /// Theorem 2 for each agent.
     pub theorem2: Vec<AgentCheck>,
-    /// How the error went on; `None` if it was not measured.
+    /// Development of the error; `None` if it was not measured.
     pub growth: Option<Growth>,
 }
 
 /// The verdict on a theorem.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Status {
-    /// The run kept within its bound.
+    /// The run stayed within its bound.
     Kept,
-    /// The run did not.
+    /// The run violated its bound.
     Broken,
-    /// It does not apply to the run, because this premise fails.
+    /// The theorem does not apply to the run, because this premise fails.
     NotApplicable(String),
 }
 
 impl Status {
-    /// The status as JSON has it.
+    /// Returns the status as it appears in JSON.
     #[must_use]
     pub fn as_str(&self) -> &'static str {
         match self {
@@ -110,7 +109,7 @@ impl Status {
         }
     }
 
-    /// The premise that fails.
+    /// Returns the premise that fails.
     #[must_use]
     pub fn premise(&self) -> Option<&str> {
         match self {
@@ -124,41 +123,41 @@ impl Status {
     }
 }
 
-/// Theorem 1 against a run.
+/// Theorem 1 compared with a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UltimateBoundCheck {
     /// The verdict.
     pub status: Status,
     /// `rho`. \[state unit/s\]
     pub rho: f64,
-    /// What `rho` has to reach; `None` if it was not measured.
+    /// The required size of `rho`; `None` if it was not measured.
     pub lumped: Option<LumpedUncertainty>,
-    /// The error against the bound; `None` where there is no bound, or it was not measured.
+    /// The error relative to the bound; `None` if there is no bound, or it was not measured.
     pub share: Option<BoundShare>,
 }
 
-/// Theorem 2 against a run, for one agent.
+/// Theorem 2 compared with a run, for one agent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AgentCheck {
     /// The verdict.
     pub status: Status,
-    /// Largest rate `e_2i_max` of the hold error that occurred. \[state unit/s\]
+    /// Largest measured rate `e_2i_max` of the hold error. \[state unit/s\]
     pub hold_error_rate: f64,
-    /// The shortest time between broadcasts that the theorem allows; `None` where the hold error
-    /// did not move. \[s\]
+    /// The shortest time between broadcasts that the theorem allows; `None` if the hold error did
+    /// not change. \[s\]
     pub interval_bound: Option<f64>,
-    /// The shortest that occurred; `None` with fewer than two broadcasts. \[s\]
+    /// The shortest measured time; `None` with fewer than two broadcasts. \[s\]
     pub interval_min: Option<f64>,
 }
 
 impl Checks {
-    /// Compares a run of `scenario`.
+    /// Compares a run of `scenario` with the theorems.
     #[must_use]
     pub fn new(scenario: &Scenario, run: &RunResult) -> Self {
         Self::of(DesignChecks::new(scenario), scenario, run)
     }
 
-    /// The same, with the checks that need no run already done.
+    /// Like [`Self::new`], with the checks that do not need a run already done.
     #[must_use]
     pub fn of(design: DesignChecks, scenario: &Scenario, run: &RunResult) -> Self {
         let bounds = run.bounds.as_ref();
@@ -170,7 +169,7 @@ impl Checks {
             let status = match bound {
                 _ if bounds.is_none() => not_measured(),
                 _ if restarts(agent) > 0 => Status::NotApplicable("the agent restarted".to_owned()),
-                None => Status::NotApplicable("the hold error did not move".to_owned()),
+                None => Status::NotApplicable("the hold error did not change".to_owned()),
                 Some(bound) if bound < step_size => Status::NotApplicable(format!(
                     "not testable at this step: its bound, {} s, is below one step",
                     significant(bound, 3)
@@ -198,8 +197,8 @@ impl Checks {
         Self { design, theorem1, theorem2, growth: bounds.map(|bounds| bounds.growth) }
     }
 
-    /// The verdict on Theorem 2 for all agents: broken if it is broken for one; otherwise kept if it
-    /// is kept for one.
+    /// Returns the verdict on Theorem 2 for all agents: broken if broken for any; otherwise kept if
+    /// kept for any.
     #[must_use]
     pub fn theorem2_status(&self) -> Status {
         let statuses = || self.theorem2.iter().map(|agent| &agent.status);

@@ -1,9 +1,9 @@
-//! Scenarios that come with the program.
+//! Scenarios built into the program.
 
 /// The paper's simulation, with every key explained.
 pub const PAPER: &str = include_str!("../../scenarios/paper.toml");
 
-/// Name and text of every scenario that comes with the program.
+/// Name and text of every built-in scenario.
 pub const BUILT_IN: [(&str, &str); 5] = [
     ("paper", PAPER),
     ("lorenz", include_str!("../../scenarios/lorenz.toml")),
@@ -12,7 +12,7 @@ pub const BUILT_IN: [(&str, &str); 5] = [
     ("expressions", include_str!("../../scenarios/expressions.toml")),
 ];
 
-/// The text of the scenario of that name.
+/// Returns the text of the built-in scenario with this name.
 #[must_use]
 pub fn built_in(name: &str) -> Option<&'static str> {
     BUILT_IN.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)

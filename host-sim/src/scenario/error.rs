@@ -1,22 +1,24 @@
-//! What is wrong with a scenario file, where, and how to hint it.
+//! Scenario errors: what is wrong in the file, where, and how to fix it.
 
-/// Why a scenario cannot be read: file, line, key, problem and hint, in one line of text.
+use crate::spelling::nearest;
+
+/// Why a scenario cannot be read. Formatted as one line: file, line, key, problem and hint.
 ///
-/// `paper.toml:17: agents[2].output_matrix: row 1 has 2 entries, the state has 3; give every
-/// row 3 entries`
+/// `paper.toml:17: agents[2].output_matrix: row 1 has 2 entries, expected 3 (the dimension of the
+/// state); write 3 entries in every row`
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ScenarioError {
-    /// The file, as it was named.
+    /// The file, as the user named it.
     pub file: String,
-    /// Line of the key or the value, from 1; of the table's head if a key is missing; `None`
+    /// Line of the key or value, from 1; the line of the table header if a key is missing. `None`
     /// if the file cannot be opened.
     pub line: Option<usize>,
-    /// Dotted path of the key; entries of lists count from 1. `None` if the text is not TOML.
+    /// Dotted path of the key; list entries count from 1. `None` if the text is not TOML.
     pub key: Option<String>,
     /// What is wrong.
     pub problem: String,
-    /// What to write instead.
+    /// How to fix it.
     pub hint: String,
 }
 
@@ -35,26 +37,16 @@ impl core::fmt::Display for ScenarioError {
 
 impl core::error::Error for ScenarioError {}
 
-/// The candidate that `word` is a slip of the keyboard away from (a letter more, less, other or
-/// swapped with its neighbour), if there is one that is nearer than all others. Case counts for
-/// nothing.
+/// Returns the candidate that is one typo away from `word` (a letter added, missing, replaced or
+/// swapped with its neighbour), if exactly one candidate is closest. Ignores case.
 pub(super) fn closest<'c>(
     word: &str,
     candidates: impl IntoIterator<Item = &'c str>,
 ) -> Option<&'c str> {
     let lower = word.to_lowercase();
     let near_enough = 1 + word.chars().count() / 5;
-    let mut near: Vec<(usize, &str)> = candidates
-        .into_iter()
-        .map(|candidate| (strsim::osa_distance(&lower, &candidate.to_lowercase()), candidate))
-        .filter(|&(distance, _)| distance <= near_enough)
-        .collect();
-    near.sort_by_key(|&(distance, _)| distance);
-    match near[..] {
-        [(_, only)] => Some(only),
-        [(first, nearest), (second, _), ..] if first < second => Some(nearest),
-        _ => None,
-    }
+    let distance = |candidate: &str| strsim::osa_distance(&lower, &candidate.to_lowercase());
+    nearest(candidates, distance, near_enough)
 }
 
 #[cfg(test)]
@@ -62,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_is_near_is_proposed() {
+    fn suggests_only_close_matches() {
         let keys = ["duration", "step", "plant_integrator"];
         assert_eq!(closest("durration", keys), Some("duration"));
         assert_eq!(closest("stepp", keys), Some("step"));
@@ -71,6 +63,6 @@ mod tests {
         assert_eq!(closest("Step", keys), Some("step"));
         assert_eq!(closest("setp", keys), Some("step"));
         assert_eq!(closest("rand", ["tan", "cat"]), None);
-        assert_eq!(closest("k3", ["k1", "k2"]), None, "one is as near as the other");
+        assert_eq!(closest("k3", ["k1", "k2"]), None, "both are equally close");
     }
 }

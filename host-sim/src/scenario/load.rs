@@ -1,4 +1,4 @@
-//! From file to [`Scenario`]: the order in which its tables are read.
+//! Reads a scenario file, table by table.
 
 use std::path::Path;
 
@@ -6,34 +6,33 @@ use toml::de::DeTable;
 
 use super::error::{ScenarioError, closest};
 use super::reader::{Source, Table};
-use super::sections::{agents, gains, health, learning, network, plant, run};
+use super::sections::{agents, gains, health, learning, link, network, plant, run};
 use super::{BUILT_IN, Scenario};
 use crate::files::fnv::Fnv;
 use crate::files::input::{is_too_large, read_limited};
 
-/// Longest file that is read as a scenario: room for thousands of agents with matrices of their own.
-/// \[byte\]
+/// Size limit of a scenario file, with room for thousands of agents with their own matrices.
+/// \[bytes\]
 const BYTES_MAX: u64 = 16 << 20;
 
 impl Scenario {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// The first thing that is wrong, with file, line, key and hint.
+    /// Returns the first problem found, with file, line, key and hint.
     pub fn load(path: &Path) -> Result<Self, ScenarioError> {
         let file = path.display().to_string();
         let unread = Source { file: &file, text: "" };
         let bytes = read_limited(path, BYTES_MAX).map_err(|error| {
             if is_too_large(&error) {
-                let problem =
-                    format!("has more than {} MiB, which no scenario has", BYTES_MAX >> 20);
-                return unread.error(None, None, problem, "give the path of a scenario file");
+                let problem = format!("file is larger than {} MiB", BYTES_MAX >> 20);
+                return unread.error(None, None, problem, "pass the path of a scenario file");
             }
             let names = BUILT_IN.map(|(name, _)| name);
             let meant = closest(&file, names).map_or(String::new(), |name| format!("{name}, "));
             let hint = format!(
-                "give {meant}the path of a scenario file, or the name of a built-in one ({}); \
-                 `host-sim scenario {} > mine.toml` writes a file to start from",
+                "pass {meant}the path of a scenario file, or the name of a built-in scenario ({}); \
+                 `host-sim scenario {} > mine.toml` writes a starting point",
                 names.join(", "),
                 closest(&file, names).unwrap_or(names[0]),
             );
@@ -47,7 +46,7 @@ impl Scenario {
         Self::parse(&file, &text)
     }
 
-    /// Reads and checks the text of a scenario. `file` is what errors call it.
+    /// Reads and checks the text of a scenario. `file` is the name used in errors.
     ///
     /// ```
     /// use host_sim::scenario::{PAPER, Scenario};
@@ -56,18 +55,19 @@ impl Scenario {
     /// assert_eq!((scenario.dimension(), scenario.agents.len()), (3, 3));
     ///
     /// let error = Scenario::parse("mine.toml", "name = 'x'\ntimes = {}").unwrap_err();
-    /// assert_eq!(error.to_string(), "mine.toml:2: times: unknown key; write time");
+    /// assert_eq!(error.to_string(), "mine.toml:2: times: unknown key; did you mean time?");
     /// # Ok::<(), host_sim::scenario::ScenarioError>(())
     /// ```
     ///
     /// # Errors
-    /// The first thing that is wrong, with file, line, key and hint.
+    /// Returns the first problem found, with file, line, key and hint.
     pub fn parse(file: &str, text: &str) -> Result<Self, ScenarioError> {
         let source = Source { file, text };
         let document = DeTable::parse(text).map_err(|error| {
             let line = error.span().map(|span| source.line(span.start));
             let problem = format!("invalid TOML: {}", error.message().replace('\n', ", "));
-            let hint = "write keys as `key = value` and tables as `[name]`, each name once";
+            let hint =
+                "write keys as `key = value` and tables as `[name]`, and use each name only once";
             source.error(line.or(Some(1)), None, problem, hint)
         })?;
         let scenario = read(&Table::root(&source, document.get_ref()))?;
@@ -75,7 +75,7 @@ impl Scenario {
     }
 }
 
-/// A file that was only given other line ends is the same scenario.
+/// Line endings do not count: a file with CRLF has the same hash.
 fn text_hash(text: &str) -> u64 {
     let mut hash = Fnv::default();
     for part in text.split('\r') {
@@ -94,6 +94,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         "outer_law",
         "network",
         "graph",
+        "link",
         "agents",
         "learning",
         "recipes",
@@ -110,6 +111,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let network = network::network(root, n)?;
     let agents = agents::agents(root, n)?;
     let graph = agents::graph(root, agents.len())?;
+    let link = link::link(root)?;
     let recipes = learning::recipes(root)?;
     let learning = learning::cycles(root, &time, agents.len(), &recipes, network.is_some())?;
     if let (Some(first), Some(network)) = (root.get_tables("learning")?.first(), &network) {
@@ -128,6 +130,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         design,
         network,
         graph,
+        link,
         agents,
         learning,
         recipes,

@@ -1,9 +1,9 @@
-//! What is simulated: a checked description of plant, network of agents, gains, deep network
-//! and learning, read from a TOML file.
+//! Scenarios: checked descriptions of the plant, the network of agents, the gains, the deep network
+//! and the learning cycles, read from a TOML file.
 //!
-//! The types here hold what has already been checked as a whole (dimensions agree, the graph
-//! is connected, every number is finite), so that the engine need not look again. All numbers
-//! are in the units of the file: states as the user scales them, time in \[s\].
+//! Values of these types have been checked as a whole (dimensions agree, the graph is connected,
+//! every number is finite), so the engine does not check them again. All numbers are in the units
+//! of the file: states as the user scales them, time in \[s\].
 
 mod builtin;
 mod error;
@@ -13,6 +13,7 @@ mod sections;
 
 pub use builtin::{BUILT_IN, PAPER, built_in};
 pub use error::ScenarioError;
+pub use sections::link::LinkModel;
 
 use std::num::NonZeroU32;
 
@@ -23,57 +24,59 @@ use nalgebra::DMatrix;
 use crate::graph::Graph;
 use crate::packages::PackageBytes;
 use crate::plant::{Disturbance, Integrator, Plant};
-use crate::training::{InitialParameters, LevenbergMarquardtSettings, TrainingSettings};
+use crate::training::{InitialParameters, TrainerSettings, TrainingSettings};
 
-/// One experiment, complete but for the seed.
+/// One experiment, complete except for the seed.
 #[derive(Clone, Debug)]
 pub struct Scenario {
-    /// Its name, for reports and file names.
+    /// Its name, used in reports and file names.
     pub name: String,
-    /// Hash of the text that it was read from (FNV-1a, 64 bits), whatever its line ends.
+    /// Hash of the scenario's text (FNV-1a, 64 bits), independent of line endings.
     pub hash: u64,
-    /// `f`, the drift that nobody knows.
+    /// `f`, the drift, unknown to the agents.
     pub plant: Plant,
-    /// `d`, what else acts on the plant.
+    /// `d`, the disturbance of the plant.
     pub disturbance: Disturbance,
     /// `x_0(0)`, shape `[n]`.
     pub initial_state: Vec<f64>,
-    /// How long, and in which steps.
+    /// Duration, step and plant integrator.
     pub time: Time,
     /// Gains of the observer and constants of its analysis.
     pub design: Design,
-    /// The deep network; without one the agents run on their feedback alone.
+    /// The deep network; `None` if the agents use feedback alone.
     pub network: Option<Network>,
-    /// Who hears whom.
+    /// The communication graph.
     pub graph: Graph,
+    /// What happens to frames between agents.
+    pub link: LinkModel,
     /// The agents; agent `i` of the paper is entry `i - 1`.
     pub agents: Vec<Agent>,
     /// Learning cycles, in the order of the file.
     pub learning: Vec<LearningCycle>,
-    /// Ways of training that learning cycles name, in the order of the file.
+    /// Training recipes that learning cycles refer to, in the order of the file.
     pub recipes: Vec<Recipe>,
-    /// How agents are watched; without it they are not.
+    /// Health monitoring of the agents; `None` if they are not monitored.
     pub health: Option<HealthSettings>,
-    /// Over which time errors are evaluated.
+    /// The window over which errors are evaluated.
     pub evaluation: Window,
-    /// What is written down.
+    /// What is recorded.
     pub record: Record,
 }
 
 impl Scenario {
-    /// `n`, the dimension of the state.
+    /// Returns `n`, the dimension of the state.
     #[must_use]
     pub fn dimension(&self) -> usize {
         self.initial_state.len()
     }
 
-    /// How many steps the run takes.
+    /// Returns the number of steps in the run.
     #[must_use]
     pub fn steps(&self) -> u64 {
         self.time.tick(self.time.duration)
     }
 
-    /// The recipe of that name.
+    /// Returns the recipe with this name.
     #[must_use]
     pub fn recipe(&self, name: &str) -> Option<&Recipe> {
         self.recipes.iter().find(|recipe| recipe.name == name)
@@ -87,25 +90,25 @@ pub struct Time {
     pub duration: f64,
     /// Step of plant and agents. \[s\]
     pub step_size: f64,
-    /// How the plant is integrated; the agents always take Euler's steps.
+    /// How the plant is integrated; the agents always use Euler's method.
     pub integrator: Integrator,
 }
 
 impl Time {
-    /// The step that begins nearest to `time` \[s\].
+    /// Returns the step whose start is nearest to `time` \[s\].
     #[must_use]
     pub fn tick(&self, time: f64) -> u64 {
         (time / self.step_size).round() as u64
     }
 
-    /// When step `tick` begins. \[s\]
+    /// Returns the start of step `tick`. \[s\]
     #[must_use]
     pub fn at(&self, tick: u64) -> f64 {
         tick as f64 * self.step_size
     }
 }
 
-/// Gain of the observer and the constants that its analysis ties to it.
+/// Gain of the observer and the constants of its analysis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Design {
     /// `K_1`, symmetric, shape `[n, n]`. \[1/s\]
@@ -153,11 +156,11 @@ pub enum OuterGain {
 pub struct Network {
     /// Inner layers.
     pub architecture: Architecture,
-    /// Weights and biases of the inner layers at the start.
+    /// Initial weights and biases of the inner layers.
     pub inner: InitialParameters,
     /// `W_hat(0)`, row by row, shape `[L, n]`.
     pub outer: Vec<f64>,
-    /// The adaptation of the outer weights.
+    /// The adaptation law of the outer weights.
     pub outer_law: OuterLaw,
 }
 
@@ -168,18 +171,18 @@ pub struct Agent {
     pub output_matrix: DMatrix<f64>,
     /// `x_hat_i(0)`, shape `[n]`.
     pub initial_estimate: Vec<f64>,
-    /// The weight package to start with, in place of the scenario's own network.
+    /// The weight package to start with, instead of the scenario's own network.
     pub package: Option<PackageBytes>,
 }
 
-/// One cycle of collecting, training and switching in.
+/// One cycle of collecting samples, training, and switching the network in.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LearningCycle {
-    /// Which agents, as indices from 0.
+    /// The agents that learn, as indices from 0.
     pub agents: Vec<usize>,
-    /// When data are collected. \[s\]
+    /// When samples are collected. \[s\]
     pub collect: Window,
-    /// Every how many steps a sample is taken.
+    /// Steps between samples.
     pub stride: NonZeroU32,
     /// When the trained network is switched in. \[s\]
     pub apply_at: f64,
@@ -187,34 +190,34 @@ pub struct LearningCycle {
     pub recipe: String,
 }
 
-/// How collected samples become a network.
+/// How collected samples become a trained network.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recipe {
     /// Its name.
     pub name: String,
-    /// Length of the centred moving average that cleans inputs and targets of the high-gain
-    /// chatter; 0 leaves them raw, `None` lets the samples' own spectrum decide. \[s\]
+    /// Length of the centred moving average that removes high-gain chatter from inputs and targets;
+    /// 0 leaves them unfiltered, `None` derives it from the samples' spectrum. \[s\]
     pub smoothing_window: Option<f64>,
-    /// Of the cleaned samples every how many-th is used; `None` follows from the window.
+    /// Keep one cleaned sample out of this many; `None` derives it from the window.
     pub decimation: Option<NonZeroU32>,
-    /// Whether training takes place in units of the data.
+    /// Whether inputs and targets are normalised for training.
     pub normalise: bool,
-    /// Where training starts.
+    /// Initial parameters of the training.
     pub initial: InitialParameters,
-    /// Parts of the samples for training, validation and test; they add up to 1.
+    /// Fractions of the samples for training, validation and test; they add up to 1.
     pub split: [f64; 3],
-    /// Penalty on the squared norm of the inner weights; 0 for none.
+    /// Penalty on the squared norm of the inner weights; 0 disables it.
     pub weight_decay: f64,
-    /// Settings of the solver.
-    pub solver: LevenbergMarquardtSettings,
-    /// When the trained network is used.
+    /// The trainer and its settings.
+    pub trainer: TrainerSettings,
+    /// When the trained network is switched in.
     pub switch_in: SwitchIn,
 }
 
-/// When a trained network is packed and switched in.
+/// When a trained network is packaged and switched in.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SwitchIn {
-    /// If it explains a part of the variance of the smoothed targets at the end of the samples.
+    /// If it explains part of the variance of the smoothed targets at the end of the samples.
     #[default]
     Checked,
     /// Always.
@@ -222,11 +225,11 @@ pub enum SwitchIn {
 }
 
 impl Recipe {
-    /// Start, division of the samples, and solver.
+    /// Returns the initial parameters, the data split and the solver settings.
     #[must_use]
     pub fn settings(&self) -> TrainingSettings {
         TrainingSettings {
-            levenberg_marquardt: self.solver.clone(),
+            trainer: self.trainer.clone(),
             split: self.split,
             initial: self.initial.clone(),
             weight_decay: self.weight_decay,
@@ -235,31 +238,31 @@ impl Recipe {
     }
 }
 
-/// An interval of time, `from <= t < to`. \[s\]
+/// A half-open interval of time, `from <= t < to`. \[s\]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
-    /// Where it begins.
+    /// Start of the interval.
     pub from: f64,
-    /// Where it ends.
+    /// End of the interval.
     pub to: f64,
 }
 
 impl Window {
-    /// The steps that begin inside.
+    /// Returns the steps that start inside the window.
     #[must_use]
     pub fn ticks(&self, time: &Time) -> std::ops::Range<u64> {
         time.tick(self.from)..time.tick(self.to)
     }
 }
 
-/// What is written down during a run.
+/// What is recorded during a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Record {
-    /// Every how many steps a row of the traces is kept; `None` keeps no traces.
+    /// Steps between rows of the traces; `None` records no traces.
     pub trace_stride: Option<NonZeroU32>,
-    /// Whether every agent's broadcast times are kept.
+    /// Whether the broadcast times of every agent are recorded.
     pub events: bool,
-    /// Whether the samples of learning cycles are kept.
+    /// Whether the samples of learning cycles are recorded.
     pub samples: bool,
 }
 

@@ -1,8 +1,8 @@
-//! TOML tables and values that know their file, line and path, so that whatever is wrong with
-//! one can be said in full.
+//! TOML tables and values that know their file, line and path, so that every error can name all
+//! three.
 //!
-//! A value is asked for what it should be; a value of another type, shape or range answers
-//! with a finished [`ScenarioError`].
+//! A value is asked for an expected type, shape or range; on a mismatch it returns a complete
+//! [`ScenarioError`].
 
 use core::fmt::Display;
 use core::ops::RangeInclusive;
@@ -12,7 +12,7 @@ use toml::de::{DeArray, DeTable, DeValue};
 
 use super::error::{ScenarioError, closest};
 
-/// File name and text; turns places in the text into lines.
+/// File name and text; maps offsets in the text to lines.
 #[derive(Debug)]
 pub(super) struct Source<'a> {
     pub(super) file: &'a str,
@@ -41,19 +41,19 @@ impl Source<'_> {
 #[derive(Clone, Debug)]
 pub(super) struct Table<'a> {
     source: &'a Source<'a>,
-    /// Empty for the file itself.
+    /// Dotted path; empty for the root table.
     path: String,
-    /// Where its head or opening brace stands.
+    /// Offset of its header or opening brace.
     offset: usize,
     entries: &'a DeTable<'a>,
 }
 
-/// A value, and what could stand in its place.
+/// A value, with a hint that shows a valid one.
 #[derive(Clone, Debug)]
 pub(super) struct Value<'a> {
     source: &'a Source<'a>,
     path: String,
-    /// `write key = example`.
+    /// Such as `for example key = value`.
     hint: String,
     value: &'a Spanned<DeValue<'a>>,
 }
@@ -63,55 +63,55 @@ impl<'a> Table<'a> {
         Self { source, path: String::new(), offset: 0, entries }
     }
 
-    /// An error about this table as a whole.
+    /// Creates an error about the table as a whole.
     pub(super) fn error(&self, problem: impl Display, hint: impl Display) -> ScenarioError {
         let key = (!self.path.is_empty()).then(|| self.path.clone());
         self.source.error(Some(self.source.line(self.offset)), key, problem, hint)
     }
 
-    /// Refuses every key that is not one of `known`.
+    /// Rejects every key that is not in `known`.
     pub(super) fn only(&self, known: &[&str]) -> Result<(), ScenarioError> {
-        let stranger = |key: &&Spanned<_>| !known.contains(&name(key));
-        let first = self.entries.keys().filter(stranger).min_by_key(|key| key.span().start);
+        let unknown = |key: &&Spanned<_>| !known.contains(&name(key));
+        let first = self.entries.keys().filter(unknown).min_by_key(|key| key.span().start);
         let Some(key) = first else { return Ok(()) };
         let hint = match closest(name(key), known.iter().copied()) {
-            Some(closest) => format!("write {closest}"),
-            None => format!("the keys that can stand here are {}", known.join(", ")),
+            Some(closest) => format!("did you mean {closest}?"),
+            None => format!("valid keys: {}", known.join(", ")),
         };
         let line = self.source.line(key.span().start);
         Err(self.source.error(Some(line), Some(self.path_of(name(key))), "unknown key", hint))
     }
 
-    /// The value of `key`, if there is one. `example` is what could stand after `key =`.
+    /// Returns the value of `key`, if present. `example` is a valid value for the hint.
     pub(super) fn get(&self, key: &str, example: &str) -> Option<Value<'a>> {
-        self.get_with_mend(key, format!("write {key} = {example}"))
+        self.get_with_hint(key, format!("for example {key} = {example}"))
     }
 
-    /// The value of `key`.
+    /// Returns the value of `key`, or an error if it is missing.
     pub(super) fn require(&self, key: &str, example: &str) -> Result<Value<'a>, ScenarioError> {
-        self.get(key, example).ok_or_else(|| self.missing(key, format!("write {key} = {example}")))
+        self.get(key, example).ok_or_else(|| self.missing(key, format!("add {key} = {example}")))
     }
 
-    /// The table `[key]`, if there is one.
+    /// Returns the table `[key]`, if present.
     pub(super) fn get_table(&self, key: &str) -> Result<Option<Table<'a>>, ScenarioError> {
         let hint = format!("write a table [{}]", self.path_of(key));
-        self.get_with_mend(key, hint).map(|value| value.table()).transpose()
+        self.get_with_hint(key, hint).map(|value| value.table()).transpose()
     }
 
-    /// The table `[key]`.
+    /// Returns the table `[key]`, or an error if it is missing.
     pub(super) fn require_table(&self, key: &str) -> Result<Table<'a>, ScenarioError> {
-        let missing = || self.missing(key, format!("write a table [{}]", self.path_of(key)));
+        let missing = || self.missing(key, format!("add a table [{}]", self.path_of(key)));
         self.get_table(key)?.ok_or_else(missing)
     }
 
-    /// The tables `[[key]]`; empty if there are none.
+    /// Returns the tables `[[key]]`; empty if there are none.
     pub(super) fn get_tables(&self, key: &str) -> Result<Vec<Table<'a>>, ScenarioError> {
         let hint = format!("write tables [[{}]]", self.path_of(key));
-        let Some(list) = self.get_with_mend(key, hint) else { return Ok(Vec::new()) };
+        let Some(list) = self.get_with_hint(key, hint) else { return Ok(Vec::new()) };
         list.list(&list.hint)?.iter().map(Value::table).collect()
     }
 
-    /// All keys with their values, in the order of the file.
+    /// Returns all keys with their values, in the order of the file.
     pub(super) fn entries(&self, example: &str) -> Vec<(&'a str, Value<'a>)> {
         let mut entries: Vec<_> = self.entries.iter().collect();
         entries.sort_by_key(|(key, _)| key.span().start);
@@ -124,7 +124,7 @@ impl<'a> Table<'a> {
         self.source.error(Some(line), Some(self.path_of(key)), "missing", hint)
     }
 
-    fn get_with_mend(&self, key: &str, hint: String) -> Option<Value<'a>> {
+    fn get_with_hint(&self, key: &str, hint: String) -> Option<Value<'a>> {
         let value = self.entries.get(key)?;
         Some(Value { source: self.source, path: self.path_of(key), hint, value })
     }
@@ -134,7 +134,7 @@ impl<'a> Table<'a> {
     }
 }
 
-/// The text of a key.
+/// Returns the text of a key.
 fn name<S: AsRef<str>>(key: &Spanned<S>) -> &str {
     key.get_ref().as_ref()
 }
@@ -145,7 +145,7 @@ impl<'a> Value<'a> {
         self.source.error(Some(line), Some(self.path.clone()), problem, hint)
     }
 
-    /// An error of `whole`, of which this is the part where the problem lies.
+    /// Creates an error about `whole` at the line of this value, which is a part of it.
     pub(super) fn error_of(
         &self,
         whole: &Self,
@@ -155,22 +155,22 @@ impl<'a> Value<'a> {
         Value { path: whole.path.clone(), ..self.clone() }.error(problem, hint)
     }
 
-    /// `problem`, with the key's example as hint.
+    /// Creates an error with the value's own hint.
     pub(super) fn wrong(&self, problem: impl Display) -> ScenarioError {
         self.error(problem, &self.hint)
     }
 
-    /// The same value with another hint.
-    pub(super) fn with_mend(&self, hint: &str) -> Self {
+    /// Returns the same value with another hint.
+    pub(super) fn with_hint(&self, hint: &str) -> Self {
         Self { hint: hint.to_owned(), ..self.clone() }
     }
 
     fn wrong_type(&self, expected: &str) -> ScenarioError {
         let found = match self.value.get_ref() {
-            DeValue::String(_) => "a text",
+            DeValue::String(_) => "a string",
             DeValue::Integer(_) => "an integer",
             DeValue::Float(_) => "a number",
-            DeValue::Boolean(_) => "true or false",
+            DeValue::Boolean(_) => "a boolean",
             DeValue::Datetime(_) => "a date",
             DeValue::Array(_) => "a list",
             DeValue::Table(_) => "a table",
@@ -178,7 +178,7 @@ impl<'a> Value<'a> {
         self.wrong(format_args!("is {found}, expected {expected}"))
     }
 
-    /// A finite number, small enough for the agents' single precision.
+    /// Returns a finite number that fits into the agents' single precision.
     pub(super) fn number(&self) -> Result<f64, ScenarioError> {
         if let Some(number) = plain_number(self.value.get_ref()) {
             return Ok(number);
@@ -186,11 +186,11 @@ impl<'a> Value<'a> {
         if !matches!(self.value.get_ref(), DeValue::Integer(_) | DeValue::Float(_)) {
             return Err(self.wrong_type("a number"));
         }
-        let problem = "expected a finite number that fits into single precision";
+        let problem = "expected a finite number in the range of single precision";
         Err(self.wrong(format_args!("is {}, {problem}", self.written())))
     }
 
-    /// A number for which `holds`.
+    /// Returns a number that satisfies `holds`.
     pub(super) fn number_in(
         &self,
         expected: &str,
@@ -208,7 +208,7 @@ impl<'a> Value<'a> {
     }
 
     pub(super) fn not_negative(&self) -> Result<f64, ScenarioError> {
-        self.number_in("a number, 0 or above", |number| number >= 0.0)
+        self.number_in("a number >= 0", |number| number >= 0.0)
     }
 
     pub(super) fn integer(&self, range: RangeInclusive<u32>) -> Result<u32, ScenarioError> {
@@ -219,7 +219,7 @@ impl<'a> Value<'a> {
         integer.filter(|integer| range.contains(integer)).ok_or_else(|| {
             let (low, high) = (*range.start(), *range.end());
             let range = match high {
-                u32::MAX => format!(", {low} or above"),
+                u32::MAX => format!(" >= {low}"),
                 _ => format!(" from {low} to {high}"),
             };
             self.wrong(format_args!("is {written}, expected an integer{range}"))
@@ -227,17 +227,17 @@ impl<'a> Value<'a> {
     }
 
     pub(super) fn boolean(&self) -> Result<bool, ScenarioError> {
-        self.value.get_ref().as_bool().ok_or_else(|| self.wrong_type("true or false"))
+        self.value.get_ref().as_bool().ok_or_else(|| self.wrong_type("a boolean"))
     }
 
     pub(super) fn text(&self) -> Result<&'a str, ScenarioError> {
         match self.value.get_ref() {
             DeValue::String(text) => Ok(text),
-            _ => Err(self.wrong_type("a text")),
+            _ => Err(self.wrong_type("a string")),
         }
     }
 
-    /// One of a few texts, each standing for something.
+    /// Maps one of a few strings to its value.
     pub(super) fn choice<T: Copy>(&self, choices: &[(&str, T)]) -> Result<T, ScenarioError> {
         let text = self.text()?;
         if let Some((_, meaning)) = choices.iter().find(|(name, _)| *name == text) {
@@ -245,10 +245,10 @@ impl<'a> Value<'a> {
         }
         let names: Vec<_> = choices.iter().map(|(name, _)| *name).collect();
         let hint = match closest(text, names.iter().copied()) {
-            Some(closest) => format!("write \"{closest}\""),
-            None => format!("write one of {}", names.join(", ")),
+            Some(closest) => format!("did you mean \"{closest}\"?"),
+            None => format!("use one of {}", names.join(", ")),
         };
-        Err(self.error(format_args!("`{text}` is unknown here"), hint))
+        Err(self.error(format_args!("unknown value `{text}`"), hint))
     }
 
     pub(super) fn table(&self) -> Result<Table<'a>, ScenarioError> {
@@ -271,21 +271,21 @@ impl<'a> Value<'a> {
         self.value.get_ref().as_array().ok_or_else(|| self.wrong_type("a list"))
     }
 
-    /// The entries of a list; `hint` is what to do about one that is wrong.
+    /// Returns the entries of a list; `hint` says how to fix an invalid one.
     pub(super) fn list(&self, hint: &str) -> Result<Vec<Value<'a>>, ScenarioError> {
         let entry = |(index, value)| self.entry(index, value, hint);
         Ok(self.array()?.iter().enumerate().map(entry).collect())
     }
 
-    /// Entry `index`, from 0; counted from 1 in its path.
+    /// Entry `index`, from 0; its path counts from 1.
     fn entry(&self, index: usize, value: &'a Spanned<DeValue<'a>>, hint: &str) -> Value<'a> {
         let path = format!("{}[{}]", self.path, index + 1);
         Value { source: self.source, path, hint: hint.to_owned(), value }
     }
 
-    /// A list of numbers.
+    /// Returns a list of numbers.
     pub(super) fn numbers(&self) -> Result<Vec<f64>, ScenarioError> {
-        // Only a number that is refused needs its path.
+        // Build the path only for a number that is refused.
         let number = |(index, value): (usize, &'a Spanned<DeValue<'a>>)| {
             let refused = || self.entry(index, value, "write a finite number").number();
             plain_number(value.get_ref()).map_or_else(refused, Ok)
@@ -293,33 +293,35 @@ impl<'a> Value<'a> {
         self.array()?.iter().enumerate().map(number).collect()
     }
 
-    /// As many numbers as `owner` has: `numbers_of(3, "the state has")`.
+    /// Returns `count` numbers; `owner` says where the count comes from: `numbers_of(3, "the
+    /// dimension of the state")`.
     pub(super) fn numbers_of(&self, count: usize, owner: &str) -> Result<Vec<f64>, ScenarioError> {
         let found = self.array()?.len();
         if found != count {
-            let problem = format!("{}, {owner} {count}", has(found, "entry", "entries"));
-            return Err(self.error(problem, format_args!("give it {count}")));
+            let problem = format!("{}, expected {count} ({owner})", has(found, "entry", "entries"));
+            return Err(self.error(problem, format_args!("write {count} numbers")));
         }
         self.numbers()
     }
 
-    /// A matrix by rows; every row as long as `owner` asks for. At least one row.
+    /// Returns a matrix given by its rows: at least one row, each of length `columns`.
     pub(super) fn matrix(
         &self,
         columns: usize,
         owner: &str,
     ) -> Result<nalgebra::DMatrix<f64>, ScenarioError> {
-        let rows = self.list("write every row as a list of numbers")?;
+        let rows = self.list("write each row as a list of numbers")?;
         if rows.is_empty() {
-            return Err(self.wrong("has no row"));
+            return Err(self.wrong("has no rows"));
         }
         let mut entries = Vec::with_capacity(rows.len() * columns);
         for (index, row) in rows.iter().enumerate() {
             let found = row.array()?.len();
             if found != columns {
                 let found = has(found, "entry", "entries");
-                let problem = format!("row {} {found}, {owner} {columns}", index + 1);
-                let hint = format_args!("give every row {}", counted(columns, "entry", "entries"));
+                let problem = format!("row {} {found}, expected {columns} ({owner})", index + 1);
+                let hint =
+                    format_args!("write {} in every row", counted(columns, "entry", "entries"));
                 return Err(row.error_of(self, problem, hint));
             }
             entries.extend(row.numbers()?);
@@ -327,11 +329,14 @@ impl<'a> Value<'a> {
         Ok(nalgebra::DMatrix::from_row_slice(rows.len(), columns, &entries))
     }
 
-    /// A number as it stands in the file.
+    /// Returns the number as written in the file.
     pub(super) fn written(&self) -> String {
         self.source.text.get(self.value.span()).unwrap_or_default().to_owned()
     }
 }
+
+/// Where the length of a state vector comes from, for [`Value::numbers_of`] and [`Value::matrix`].
+pub(super) const STATE: &str = "the dimension of the state";
 
 /// `has 1 entry`, `has 2 entries`.
 pub(super) fn has(count: usize, one: &str, many: &str) -> String {
@@ -343,7 +348,7 @@ pub(super) fn counted(count: usize, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
-/// The number that `value` is, if it is one that an agent can hold.
+/// Returns the number if an agent can represent it.
 fn plain_number(value: &DeValue<'_>) -> Option<f64> {
     let number = match value {
         DeValue::Integer(integer) => integer_value(integer)? as f64,

@@ -1,5 +1,6 @@
 use super::*;
 use crate::plant::{Harmonic, Wave};
+use crate::training::LevenbergMarquardtSettings;
 use agent_core::health::FallBack;
 use agent_core::math::activation::Activation;
 use nalgebra::{DVector, dmatrix};
@@ -9,7 +10,7 @@ fn paper() -> Scenario {
 }
 
 #[test]
-fn the_paper_is_read_in_full() {
+fn reads_every_key_of_the_paper() {
     let scenario = paper();
     assert_eq!(scenario.name, "paper");
     assert_eq!(scenario.plant, Plant::VanDerPol { mu: 0.3 });
@@ -71,7 +72,7 @@ fn the_paper_is_read_in_full() {
 }
 
 #[test]
-fn the_papers_recipe_and_the_defaults_of_the_other() {
+fn reads_the_papers_recipe_and_fills_in_defaults() {
     let scenario = paper();
     let paper = scenario.recipe("paper").unwrap();
     assert_eq!((paper.smoothing_window, paper.decimation.map(|d| d.get())), (Some(0.0), Some(1)));
@@ -83,7 +84,7 @@ fn the_papers_recipe_and_the_defaults_of_the_other() {
         damping_min: 0.0,
         ..LevenbergMarquardtSettings::default()
     };
-    assert_eq!(paper.solver, solver);
+    assert_eq!(paper.trainer, solver.into());
     let better = scenario.recipe("better").unwrap();
     assert_eq!((paper.normalise, better.normalise), (false, true));
     assert_eq!((paper.switch_in, better.switch_in), (SwitchIn::Always, SwitchIn::Checked));
@@ -94,7 +95,7 @@ fn the_papers_recipe_and_the_defaults_of_the_other() {
     assert_eq!(better.initial, InitialParameters::Glorot);
     assert_eq!((paper.weight_decay, better.weight_decay), (0.0, 1e-4));
     let solver = LevenbergMarquardtSettings { epochs_max: 60, ..Default::default() };
-    assert_eq!(better.solver, solver);
+    assert_eq!(better.trainer, solver.into());
     assert_eq!(scenario.recipe("best"), None);
 }
 
@@ -115,13 +116,13 @@ fn bmi_margin(scenario: &Scenario) -> f64 {
 }
 
 #[test]
-fn every_built_in_scenario_is_sound() {
+fn built_in_scenarios_satisfy_bmi_and_step_limit() {
     for (name, text) in BUILT_IN {
         let scenario = Scenario::parse(name, text).unwrap();
         assert_eq!(scenario.name, name);
         assert_eq!(built_in(name), Some(text));
         let margin = bmi_margin(&scenario);
-        assert!(margin > 0.0, "{name}: K1 misses the matrix inequality by {margin}");
+        assert!(margin > 0.0, "{name}: K1 violates the matrix inequality by {margin}");
         // Euler's method for the linear part of the observer.
         let largest = scenario.graph.laplacian().symmetric_eigenvalues().max() + 1.0;
         let gain = scenario.design.gain.symmetric_eigenvalues().max();
@@ -134,7 +135,7 @@ fn every_built_in_scenario_is_sound() {
 }
 
 #[test]
-fn the_paper_as_expressions_is_the_same_plant() {
+fn expressions_reproduce_the_papers_plant() {
     let (paper, written) = (paper(), Scenario::parse("e", built_in("expressions").unwrap()));
     let written = written.unwrap();
     assert_eq!(written.initial_state, paper.initial_state);
@@ -151,14 +152,14 @@ fn the_paper_as_expressions_is_the_same_plant() {
     }
 }
 
-/// The paper with one text replaced.
+/// Returns the paper's scenario with one piece of text replaced.
 fn with(from: &str, to: &str) -> Scenario {
     assert!(PAPER.contains(from), "{from}");
     Scenario::parse("changed.toml", &PAPER.replacen(from, to, 1)).unwrap()
 }
 
 #[test]
-fn what_is_left_out_has_its_default() {
+fn missing_keys_get_defaults() {
     let head = PAPER.split("# --- Results").next().unwrap();
     let scenario = Scenario::parse("short.toml", head).unwrap();
     assert_eq!(scenario.evaluation, paper().evaluation);
@@ -170,7 +171,7 @@ fn what_is_left_out_has_its_default() {
 }
 
 #[test]
-fn gains_may_be_numbers_diagonals_or_matrices() {
+fn accepts_gains_as_numbers_diagonals_or_matrices() {
     let number = with("gain = [134.86, 263.23, 263.23]", "gain = 200");
     assert_eq!(number.design.gain, DMatrix::from_diagonal_element(3, 3, 200.0));
     let rows = "gain = [[2.0, 0.5, 0.0], [0.5, 3.0, 0.0], [0.0, 0.0, 4.0]]";
@@ -181,7 +182,7 @@ fn gains_may_be_numbers_diagonals_or_matrices() {
 }
 
 #[test]
-fn graphs_may_be_edges_or_topologies() {
+fn accepts_graphs_as_edges_or_topologies() {
     let table = &PAPER[PAPER.find("adjacency = [\n").unwrap()..];
     let adjacency = &table[..table.find("\n]\n").unwrap() + 3];
     let graph = |text: &str| with(adjacency, text).graph;
@@ -199,7 +200,7 @@ fn graphs_may_be_edges_or_topologies() {
 }
 
 #[test]
-fn agents_can_be_replicated() {
+fn count_replicates_an_agent() {
     let text = built_in("pendulum").unwrap();
     let scenario = Scenario::parse("pendulum", text).unwrap();
     let rows: Vec<_> = scenario.agents.iter().map(|a| a.output_matrix.clone()).collect();
@@ -217,7 +218,7 @@ fn one_agent_needs_no_graph() {
 }
 
 #[test]
-fn disturbances_add_up_and_may_be_left_out() {
+fn disturbances_add_up_and_are_optional() {
     let first = "{ amplitude = 0.5, angular_frequency = 3.0, function = \"sin\" }";
     let scenario = with(first, &format!("[{first}, {first}]"));
     let mut d = [0.0; 3];
@@ -239,7 +240,8 @@ fn cycles_of_different_agents_may_overlap() {
     assert_eq!(agents, [vec![0, 2], vec![1]]);
 }
 
-/// The paper with the table that it shows behind `#`, or with these lines in it.
+/// Returns the health settings of the paper with its commented-out `[health]` table, or with these
+/// lines in its place.
 fn watched(lines: Option<&str>) -> FallBackAndRest {
     let example = PAPER.split("# [health]\n").nth(1).unwrap();
     let example = example.split("# --- Results").next().unwrap();
@@ -255,7 +257,7 @@ fn watched(lines: Option<&str>) -> FallBackAndRest {
 type FallBackAndRest = (Option<FallBack>, f32, Option<u32>);
 
 #[test]
-fn the_watch_is_read_in_full_and_has_defaults() {
+fn reads_health_settings_and_fills_in_defaults() {
     assert_eq!(paper().health, None);
     let all = FallBack {
         after: NonZeroU32::new(10).unwrap(),
@@ -279,4 +281,26 @@ fn the_watch_is_read_in_full_and_has_defaults() {
     assert_eq!(watched(Some(chosen)), (Some(fall_back), 2.5, None));
     let never = chosen.replace("after = 3", "after = 0");
     assert_eq!(watched(Some(&never)), (None, 2.5, None));
+}
+
+#[test]
+fn models_of_links_and_trainers_are_named() {
+    let changed = |from: &str, to: &str| {
+        assert!(PAPER.contains(from), "{from}");
+        Scenario::parse("mine.toml", &PAPER.replace(from, to))
+    };
+    let (link, trainer) = ("kind = \"lossless\"", "trainer = \"levenberg-marquardt\"");
+    let scenario = changed(&format!("[link]\n{link}\n"), "").unwrap();
+    assert_eq!(scenario.link, LinkModel::Lossless);
+    for (from, to, key, hint) in [
+        (link, "kind = \"losless\"", "link.kind", "did you mean \"lossless\""),
+        (link, "kind = \"lossless\"\nloss = 0.5", "link.loss", "unknown key"),
+        (link, "", "link", "kind"),
+        (trainer, "trainer = \"adam\"", "recipes.paper.trainer", "levenberg-marquardt"),
+    ] {
+        let error = changed(from, to).unwrap_err();
+        let text = error.to_string();
+        assert!(error.key.as_deref().is_some_and(|found| found.starts_with(key)), "{text}");
+        assert!(text.contains(hint), "{text}");
+    }
 }

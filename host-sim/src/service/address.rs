@@ -61,7 +61,7 @@ pub enum Address {
 pub struct AddressError {
     /// Where it should be.
     pub address: Address,
-    /// What the system says.
+    /// The system's error.
     #[source]
     pub error: io::Error,
     /// What to do about it.
@@ -72,7 +72,7 @@ impl Address {
     /// A line to the node, until `stop` is requested.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn connect(&self, stop: &Arc<Stop>) -> Result<Line, AddressError> {
         let line = match self {
             Self::Socket(path) => {

@@ -61,7 +61,7 @@ pub enum LineError {
     /// The stop was requested.
     #[error("interrupted")]
     Interrupted,
-    /// The system reports an error.
+    /// The system reported an error.
     #[error(transparent)]
     System(#[from] io::Error),
 }
@@ -70,7 +70,7 @@ impl Line {
     /// The line over a connected socket, until `stop` is requested.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn over_socket(socket: UnixStream, stop: &Arc<Stop>) -> io::Result<Self> {
         socket.set_nonblocking(true)?;
         let output = File::from(OwnedFd::from(socket.try_clone()?));
@@ -107,7 +107,7 @@ impl Line {
     /// The line over an open serial port.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn over_port(port: serial2::SerialPort, stop: &Arc<Stop>) -> io::Result<Self> {
         // The crate opens ports so that they do not block.
         let descriptor = OwnedFd::from(port);

@@ -1,6 +1,6 @@
 //! Talking to a running node over its service port.
 //!
-//! | module | what it is |
+//! | module | purpose |
 //! | --- | --- |
 //! | [`mod@line`] | bytes to and from a node, with a deadline for everything |
 //! | [`address`] | where a node is found: a socket or a serial line |

@@ -62,7 +62,7 @@ impl NodesFile {
     /// Writes it into this folder.
     ///
     /// # Errors
-    /// A file that cannot be written.
+    /// If the file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<PathBuf, OutputError> {
         let path = folder.join(NAME);
         write_whole(&path, Self::KIND, |file| {

@@ -373,7 +373,7 @@ mod tests {
         };
         if let Some(disk) = disks.map(|entry| entry.path()).find(is_disk) {
             let refused = RecordFile::open(&disk, false, &source()).unwrap_err().to_string();
-            assert!(refused.ends_with(": is a disk; name a file"), "{refused}");
+            assert!(refused.ends_with(": is a disk; choose a file name"), "{refused}");
         }
     }
 

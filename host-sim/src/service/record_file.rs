@@ -40,7 +40,7 @@ pub enum RecordError {
     Other {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// What is wrong.
         problem: String,
     },
     /// It cannot be written.
@@ -201,7 +201,7 @@ impl RecordFile {
     /// Adds a sample of finite numbers. Its outer weights are those of the whole recording, row by row.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn push(
         &mut self,
         time: f64,
@@ -244,7 +244,7 @@ impl RecordFile {
     /// Writes what waits, if it has waited long enough.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn flush_if_due(&mut self, outer_weights: &[f32]) -> Result<(), RecordError> {
         if self.written.elapsed() >= WAIT { self.flush(outer_weights) } else { Ok(()) }
     }
@@ -277,7 +277,7 @@ impl RecordFile {
     /// Writes what is left, and removes a file that was made for nothing.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn finish(&mut self, outer_weights: &[f32]) -> Result<(), RecordError> {
         self.flush(outer_weights)?;
         if self.regular {

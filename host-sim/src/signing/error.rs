@@ -1,4 +1,4 @@
-//! Why a key cannot be used.
+//! Key errors.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -7,16 +7,16 @@ use agent_core::package::signature::PublicKeyError;
 
 use crate::files::output::OutputError;
 
-/// A key could not be made, written or read.
+/// Why a key could not be created, written or read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum KeyFileError {
-    /// The system has no random numbers to make a key from.
-    #[error("no random numbers from the operating system: {0}; make the key on another machine")]
+    /// The operating system provides no random numbers.
+    #[error("no random numbers from the operating system: {0}; create the key on another machine")]
     Random(#[source] getrandom::Error),
-    /// There is a file where the private key should go.
+    /// The private key's file already exists.
     #[error(
-        "{}: exists already, and a private key is never overwritten; choose another name or move the file away",
+        "{}: already exists, and private keys are never overwritten; choose another name or move the file",
         path.display()
     )]
     Exists {
@@ -24,30 +24,30 @@ pub enum KeyFileError {
         path: PathBuf,
     },
     /// The private key could not be written.
-    #[error("{}: {error}; make sure that the folder can be written to and the disk is not full", path.display())]
+    #[error("{}: {error}; check that the folder is writable and the disk is not full", path.display())]
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         #[source]
         error: io::Error,
     },
     /// The public key could not be written.
     #[error(transparent)]
     WritePublic(#[from] OutputError),
-    /// The file cannot be read.
-    #[error("{}: cannot be read as a key: {error}; make sure that the file is there and that you may read it", path.display())]
+    /// The file could not be read.
+    #[error("{}: cannot read the key: {error}; check that the file exists and is readable", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         #[source]
         error: io::Error,
     },
-    /// Others may read the private key.
+    /// Other users can read the private key.
     #[error(
-        "{0}: a private key that others may read (mode {mode:04o}) is not used; `chmod 600 {0}` keeps \
-         it to you, and if others may have read it, make a new key",
+        "{0}: refusing a private key that other users can read (mode {mode:04o}); run `chmod 600 {0}`, \
+             and create a new key if others may have read it",
         path.display()
     )]
     Open {
@@ -56,22 +56,22 @@ pub enum KeyFileError {
         /// Its mode.
         mode: u32,
     },
-    /// The file holds no private key of this kind.
+    /// The file does not contain a private key of this kind.
     #[error(
-        "{}: holds {found}, expected an Ed25519 private key (PEM, PKCS#8); {hint}",
+        "{}: contains {found}, expected an Ed25519 private key (PEM, PKCS#8); {hint}",
         path.display()
     )]
     NotPrivate {
         /// The file.
         path: PathBuf,
-        /// What is there instead.
+        /// What it contains.
         found: String,
         /// What to do.
         hint: &'static str,
     },
     /// The private key is encrypted, and there is no passphrase.
     #[error(
-        "{}: is encrypted, and there is no terminal to ask for its passphrase; give \
+        "{}: is encrypted, and there is no terminal to ask for the passphrase; pass \
          --passphrase-file FILE, or set HOST_SIM_PASSPHRASE",
         path.display()
     )]
@@ -79,35 +79,35 @@ pub enum KeyFileError {
         /// The file.
         path: PathBuf,
     },
-    /// The passphrase cannot be read.
-    #[error("{}: the passphrase cannot be read: {error}; name a file with the passphrase on its first line", path.display())]
+    /// The passphrase could not be read.
+    #[error("{}: cannot read the passphrase: {error}; pass a file with the passphrase on its first line", path.display())]
     PassphraseUnread {
-        /// Where from.
+        /// The source of the passphrase.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         #[source]
         error: io::Error,
     },
-    /// The passphrase does not fit.
-    #[error("{}: cannot be decrypted ({problem}); give its passphrase, or a key encrypted by OpenSSL 1.1 or later", path.display())]
+    /// The passphrase is wrong.
+    #[error("{}: cannot be decrypted ({problem}); check the passphrase, or use a key encrypted by OpenSSL 1.1 or later", path.display())]
     Passphrase {
         /// The file.
         path: PathBuf,
         /// What is wrong.
         problem: String,
     },
-    /// The file holds no public key of this kind.
-    #[error("{}: holds {found}, expected an Ed25519 public key (PEM); {hint}", path.display())]
+    /// The file does not contain a public key of this kind.
+    #[error("{}: contains {found}, expected an Ed25519 public key (PEM); {hint}", path.display())]
     NotPublic {
         /// The file.
         path: PathBuf,
-        /// What is there instead.
+        /// What it contains.
         found: String,
         /// What to do.
         hint: &'static str,
     },
-    /// The file holds a public key that no node takes.
-    #[error("{}: {error}; ask its owner for the right file", path.display())]
+    /// The file contains a public key that nodes reject.
+    #[error("{}: {error}; ask the key's owner for the correct file", path.display())]
     Refused {
         /// The file.
         path: PathBuf,
@@ -118,7 +118,7 @@ pub enum KeyFileError {
 }
 
 impl KeyFileError {
-    /// The file that it is about.
+    /// Returns the path of the file.
     #[must_use]
     pub fn path(&self) -> Option<&Path> {
         match self {

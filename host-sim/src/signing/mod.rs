@@ -1,13 +1,13 @@
-//! The operator's keys: who may give weights to the nodes.
+//! The operator's keys for signing weight packages.
 //!
-//! The private key stays in a file of the operator, PKCS#8 in PEM as OpenSSL writes and reads
-//! it, encrypted with a passphrase or not; the nodes hold the public key. Signing is deterministic (RFC 8032): the same key and
-//! message give the same bytes everywhere, so that a signed package can be reproduced.
-//! Verification is the nodes' own, [`agent_core::package::signature::verify`].
+//! The operator keeps the private key in a file, PKCS#8 in PEM as OpenSSL writes and reads it, with
+//! or without encryption by a passphrase; the nodes store the public key. Signing is deterministic
+//! (RFC 8032): the same key and message give the same bytes everywhere, so a signed package can be
+//! reproduced. Verification uses the nodes' own [`agent_core::package::signature::verify`].
 //!
-//! Keys of OpenSSL will do: `openssl genpkey -algorithm ed25519 -out operator.pem`.
+//! OpenSSL's keys can be used: `openssl genpkey -algorithm ed25519 -out operator.pem`.
 //!
-//! A file with a private key that others may read is refused, as OpenSSH does.
+//! A private key that other users can read is rejected, as in OpenSSH.
 
 mod error;
 mod pem;
@@ -28,7 +28,7 @@ pub use error::KeyFileError;
 use crate::files::input::read_limited;
 use crate::files::output::{FileKind, write_whole};
 
-/// Longest file that is read as a key. \[byte\]
+/// Size limit of a key file. \[bytes\]
 const FILE_MAX: u64 = 64 << 10;
 
 /// Asks for the passphrase of the key in a file.
@@ -41,7 +41,7 @@ pub struct OperatorKey {
 }
 
 impl OperatorKey {
-    /// A new key, from the operating system's randomness.
+    /// Creates a new key from the operating system's randomness.
     ///
     /// # Errors
     /// [`KeyFileError::Random`].
@@ -51,20 +51,20 @@ impl OperatorKey {
         Ok(Self::from_signer(SigningKey::from_bytes(&secret)))
     }
 
-    /// The private key in the file `path`, which is not encrypted.
+    /// Reads the private key in the file `path`, which must not be encrypted.
     ///
     /// # Errors
-    /// As [`Self::read_encrypted`]; [`KeyFileError::PassphraseNeeded`] for an encrypted one.
+    /// Same as [`Self::read_encrypted`]; [`KeyFileError::PassphraseNeeded`] for an encrypted key.
     pub fn read(path: &Path) -> Result<Self, KeyFileError> {
         let none = |path: &Path| Err(KeyFileError::PassphraseNeeded { path: path.to_owned() });
         Self::read_encrypted(path, &mut { none })
     }
 
-    /// The private key in the file `path`; `passphrase` is asked if it is encrypted.
+    /// Reads the private key in the file `path`; asks for the `passphrase` if it is encrypted.
     ///
     /// # Errors
-    /// A file that cannot be read, that others may read, or that holds something else; a
-    /// passphrase that there is none of or that does not fit.
+    /// If the file cannot be read, is readable by other users, or contains something else; if the
+    /// passphrase is missing or wrong.
     pub fn read_encrypted(
         path: &Path,
         passphrase: &mut AskPassphrase<'_>,
@@ -76,20 +76,20 @@ impl OperatorKey {
 
     fn from_signer(signer: SigningKey) -> Self {
         let public = PublicKey::from_bytes(signer.verifying_key().as_bytes())
-            // The private scalar is a multiple of 8 from 2^254 up to 2^255, and no multiple of
-            // 8 times the group's order (above 2^252) is: the point is never of small order.
+            // The private scalar is a multiple of 8 from 2^254 up to 2^255, but not a multiple of 8
+            // times the group's order (above 2^252), so the point is never of small order.
             .expect("a private key gives a valid public key");
         Self { signer, public }
     }
 
-    /// Writes the private key into a new file that only its owner may read (mode 0600, on
-    /// systems that have modes). Folders that do not exist yet are made.
+    /// Writes the private key to a new file that only its owner can read (mode 0600, on systems
+    /// that have modes). Creates missing folders.
     ///
     /// # Errors
     /// [`KeyFileError::Exists`] or [`KeyFileError::Write`]; no file is left behind.
     pub fn write_new(&self, path: &Path) -> Result<(), KeyFileError> {
         let failed = |error| KeyFileError::Write { path: path.to_owned(), error };
-        // Without the public key in it: OpenSSL 3.0 refuses the newer form that has it.
+        // Without the public key, because OpenSSL 3.0 rejects the newer form that includes it.
         let pem = KeypairBytes { secret_key: self.signer.to_bytes(), public_key: None }
             .to_pkcs8_pem(LineEnding::LF)
             .map_err(|error| failed(io::Error::other(error.to_string())))?;
@@ -105,16 +105,16 @@ impl OperatorKey {
             _ => failed(error),
         })?;
         file.write_all(pem.as_bytes()).and_then(|()| file.sync_all()).map_err(|error| {
-            // Best effort: the error that is reported is the first one.
+            // Best effort: the first error is reported.
             let _ = fs::remove_file(path);
             failed(error)
         })
     }
 
-    /// Writes the public key, for the nodes and for anyone who verifies.
+    /// Writes the public key, for the nodes and for anyone who verifies signatures.
     ///
     /// # Errors
-    /// [`KeyFileError::WritePublic`]; the file is then as it was before.
+    /// [`KeyFileError::WritePublic`]; the previous file is then unchanged.
     pub fn write_public(&self, path: &Path) -> Result<(), KeyFileError> {
         write_whole(path, FileKind::NEW, |file| {
             let pem = PublicKeyBytes(self.public_key_bytes())
@@ -125,19 +125,19 @@ impl OperatorKey {
         Ok(())
     }
 
-    /// The public half.
+    /// Returns the public key.
     #[must_use]
     pub fn public_key(&self) -> &PublicKey {
         &self.public
     }
 
-    /// The public half as the nodes store it.
+    /// Returns the public key as the nodes store it.
     #[must_use]
     pub fn public_key_bytes(&self) -> [u8; PUBLIC_KEY_LENGTH] {
         *self.public.as_bytes()
     }
 
-    /// The signature of `message`; always the same one.
+    /// Signs `message`; the signature is deterministic.
     #[must_use]
     pub fn sign(&self, message: &[u8]) -> [u8; SIGNATURE_LENGTH] {
         self.signer.sign(message).to_bytes()
@@ -171,14 +171,14 @@ impl EitherKey {
     }
 }
 
-/// The private half is not for logs.
+/// Omits the private key, which must not appear in logs.
 impl std::fmt::Debug for OperatorKey {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "OperatorKey({})", fingerprint(&self.public))
     }
 }
 
-/// The public key in the file `path`.
+/// Reads the public key in the file `path`.
 ///
 /// # Errors
 /// [`KeyFileError::Read`], [`KeyFileError::NotPublic`] or [`KeyFileError::Refused`].
@@ -191,19 +191,20 @@ fn public_key(path: &Path, bytes: &[u8; PUBLIC_KEY_LENGTH]) -> Result<PublicKey,
         .map_err(|error| KeyFileError::Refused { path: path.to_owned(), error })
 }
 
-/// A short name of a key for people to compare: the first 8 bytes of the SHA-256 of its 32
-/// bytes, hexadecimal. Not for machines, which compare keys.
+/// Returns a short name of a key for people to compare: the first 8 bytes of the SHA-256 of its 32
+/// bytes, in hexadecimal. Programs must compare the keys.
 #[must_use]
 pub fn fingerprint(key: &PublicKey) -> String {
     Sha256::digest(key.as_bytes()).iter().take(8).map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The file as text, wiped when dropped; bytes that are not text become something that no key has.
+/// Returns the file as text, wiped when dropped; bytes that are not text become characters that no
+/// key contains.
 fn read_text(path: &Path) -> Result<Zeroizing<String>, KeyFileError> {
     let bytes = read_limited(path, FILE_MAX)
         .map(Zeroizing::new)
         .map_err(|error| KeyFileError::Read { path: path.to_owned(), error })?;
-    // Windows' editors write UTF-16.
+    // Windows editors write UTF-16.
     let unit: fn([u8; 2]) -> u16 = match bytes.as_slice() {
         [0xFF, 0xFE, ..] => u16::from_le_bytes,
         [0xFE, 0xFF, ..] => u16::from_be_bytes,
@@ -214,13 +215,13 @@ fn read_text(path: &Path) -> Result<Zeroizing<String>, KeyFileError> {
     Ok(Zeroizing::new(String::from_utf16_lossy(&units)))
 }
 
-/// Refuses a private key that others may read: who reads it can sign for the nodes.
+/// Rejects a private key that other users can read and therefore sign with.
 #[cfg(unix)]
 fn refuse_open(path: &Path) -> Result<(), KeyFileError> {
     use std::os::unix::fs::MetadataExt;
     let Ok(file) = fs::metadata(path) else { return Ok(()) };
     let mode = file.mode() & 0o777;
-    // A key that belongs to another user may be meant for this one's group.
+    // A key that belongs to another user may be meant for the group of this one.
     let own = file.uid() == nix::unistd::Uid::effective().as_raw();
     let open = mode & 0o007 != 0 || own && mode & 0o070 != 0;
     if file.is_file() && open {
@@ -229,7 +230,7 @@ fn refuse_open(path: &Path) -> Result<(), KeyFileError> {
     Ok(())
 }
 
-/// Other systems have no such modes.
+/// Other systems do not have such modes.
 #[cfg(not(unix))]
 fn refuse_open(_: &Path) -> Result<(), KeyFileError> {
     Ok(())
@@ -251,7 +252,7 @@ mod tests {
         MCowBQYDK2VwAyEA11qYAYKxCrfVS/7TyWQHOg7hcvPapiMlrwIaaPcHURo=\n\
         -----END PUBLIC KEY-----\n";
 
-    /// A folder of its own for a test, removed at its end.
+    /// A separate folder for a test, removed at its end.
     struct Folder(PathBuf);
 
     impl Folder {
@@ -266,7 +267,7 @@ mod tests {
             self.bytes(name, text.as_bytes())
         }
 
-        /// A file that only its owner may read.
+        /// Creates a file that only its owner can read.
         fn bytes(&self, name: &str, bytes: &[u8]) -> PathBuf {
             let path = self.0.join(name);
             let mut options = OpenOptions::new();
@@ -285,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_key_signs_for_the_nodes_before_and_after_its_files() {
+    fn new_key_round_trips_through_files() {
         let folder = Folder::new("round-trip");
         let (private, public) = (folder.0.join("made/key.pem"), folder.0.join("key.pub.pem"));
         let key = OperatorKey::generate().unwrap();
@@ -303,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn files_are_those_of_openssl() {
+    fn files_match_openssl() {
         let folder = Folder::new("openssl");
         let key = OperatorKey::read(&folder.file("key.pem", PRIVATE)).unwrap();
         let (private, public) = (folder.0.join("again.pem"), folder.0.join("again.pub.pem"));
@@ -318,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn a_private_key_is_never_overwritten() {
+    fn does_not_overwrite_a_private_key() {
         let folder = Folder::new("overwrite");
         let path = folder.file("key.pem", PRIVATE);
         let error = OperatorKey::generate().unwrap().write_new(&path).unwrap_err();
@@ -329,7 +330,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn only_the_owner_may_read_a_private_key() {
+    fn private_key_is_readable_by_its_owner_only() {
         use std::os::unix::fs::PermissionsExt;
         let folder = Folder::new("mode");
         let path = folder.0.join("key.pem");
@@ -339,7 +340,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn a_private_key_that_others_may_read_is_refused() {
+    fn rejects_a_private_key_readable_by_others() {
         use std::os::unix::fs::PermissionsExt;
         let folder = Folder::new("open");
         let path = folder.file("key.pem", PRIVATE);
@@ -360,22 +361,22 @@ mod tests {
         fs::set_permissions(&path, fs::Permissions::from_mode(0o644)).unwrap();
         let public = folder.file("key.pub.pem", PUBLIC);
         fs::set_permissions(&public, fs::Permissions::from_mode(0o644)).unwrap();
-        assert!(read_public_key(&public).is_ok(), "a public key is for everyone");
+        assert!(read_public_key(&public).is_ok(), "a public key may be readable");
     }
 
     #[test]
-    fn a_file_that_never_ends_is_not_a_key() {
+    fn rejects_an_endless_file() {
         #[cfg(unix)]
         for error in [
             OperatorKey::read(Path::new("/dev/zero")).unwrap_err(),
             read_public_key(Path::new("/dev/zero")).unwrap_err(),
         ] {
-            assert!(error.to_string().contains("more than 65536 bytes"), "{error}");
+            assert!(error.to_string().contains("larger than 65536 bytes"), "{error}");
         }
     }
 
     #[test]
-    fn white_space_and_marks_do_not_matter() {
+    fn accepts_whitespace_marks_and_surrounding_text() {
         let folder = Folder::new("space");
         let utf16 = |text: &str, unit: fn(u16) -> [u8; 2]| -> Vec<u8> {
             format!("\u{feff}{text}").encode_utf16().flat_map(unit).collect()
@@ -407,7 +408,7 @@ mod tests {
         }
     }
 
-    /// The same key, by `openssl pkey -aes256 -passout pass:correct` of OpenSSL 3.0.
+    /// The same key encrypted by `openssl pkey -aes256 -passout pass:correct` of OpenSSL 3.0.
     const ENCRYPTED: &str = "-----BEGIN ENCRYPTED PRIVATE KEY-----\n\
         MIGbMFcGCSqGSIb3DQEFDTBKMCkGCSqGSIb3DQEFDDAcBAhtHESS55FyrwICCAAw\n\
         DAYIKoZIhvcNAgkFADAdBglghkgBZQMEASoEEPizFlrTFJdYcw3Glu8kJJMEQIbE\n\
@@ -416,7 +417,7 @@ mod tests {
         -----END ENCRYPTED PRIVATE KEY-----\n";
 
     #[test]
-    fn an_encrypted_key_is_read_with_its_passphrase() {
+    fn reads_an_encrypted_key_with_its_passphrase() {
         let folder = Folder::new("encrypted");
         let path = folder.file("key.pem", ENCRYPTED);
         let with = |passphrase: &'static str| {
@@ -434,7 +435,7 @@ mod tests {
         assert!(error.to_string().contains("key.pem"), "{error}");
         let error = OperatorKey::read(&path).unwrap_err();
         assert!(matches!(error, KeyFileError::PassphraseNeeded { .. }), "{error}");
-        // Nothing is asked for a key that is not encrypted.
+        // An unencrypted key needs no passphrase.
         let plain = folder.file("plain.pem", PRIVATE);
         let unasked = OperatorKey::read_encrypted(&plain, &mut |_| panic!("asked"));
         assert!(unasked.is_ok());
@@ -474,9 +475,9 @@ mod tests {
     #[test]
     fn messages_name_the_file_what_it_holds_and_the_hint() {
         let folder = Folder::new("messages");
-        // The identifier of Ed25519 is 1.3.101.112; of X25519, 1.3.101.110.
+        // The object identifier of Ed25519 is 1.3.101.112, that of X25519 1.3.101.110.
         let x25519 = PRIVATE.replace("K2Vw", "K2Vu");
-        // Of `openssl genpkey -algorithm EC -pkeyopt ec_paramgen_curve:P-256`.
+        // Created by `openssl genpkey -algorithm EC -pkeyopt ec_paramgen_curve:P-256`.
         let elliptic = "-----BEGIN PRIVATE KEY-----\n\
             MIGHAgEAMBMGByqGSM49AgEGCCqGSM49AwEHBG0wawIBAQQgBq/kHdP4bMkWdXYK\n\
             12NYKbXZ37MtWnRLwyV4OGssRmGhRANCAASWl2SZzCBeGBAHcSqDwdAPEWNE7NlY\n\
@@ -485,31 +486,31 @@ mod tests {
         let openssh = PRIVATE.replace("PRIVATE", "OPENSSH PRIVATE");
         for (name, text, found, hint) in [
             ("public.pem", PUBLIC, "a public key", "the file with the private key"),
-            ("short.pem", &PRIVATE[..60], "a PEM text without its END line", "copy the whole file"),
-            ("letters.pem", &PRIVATE.replace("MC4C", "MC4*"), "badly formatted", "copy the whole"),
-            ("cut.pem", &PRIVATE.replace("7rAMcrn9g", ""), "badly formatted", "copy the whole"),
+            ("short.pem", &PRIVATE[..60], "PEM text without an END line", "copy the whole file"),
+            ("letters.pem", &PRIVATE.replace("MC4C", "MC4*"), "malformed", "copy the whole"),
+            ("cut.pem", &PRIVATE.replace("7rAMcrn9g", ""), "malformed", "copy the whole"),
             ("x25519.pem", &x25519, "an X25519 private key", "weights keygen"),
             ("p256.pem", elliptic, "an elliptic-curve (ECDSA) private key", "weights keygen"),
             ("ssh.pem", &openssh, "an OpenSSH private key", "weights keygen"),
             ("rsa.pem", &PRIVATE.replace("PRIVATE", "RSA PRIVATE"), "an RSA private key", "keygen"),
             ("ssh.pub", "ssh-ed25519 AAAAC3 me@here", "an OpenSSH public key", "the private key"),
             ("none.pem", "", "an empty file", "weights keygen"),
-            ("text.pem", "hello", "no PEM text", "weights keygen"),
+            ("text.pem", "hello", "text that is not PEM", "weights keygen"),
             ("key.der", "0.\u{2}\u{1}\0", "binary data", "openssl pkey -inform DER"),
         ] {
             let message = OperatorKey::read(&folder.file(name, text)).unwrap_err().to_string();
             for part in [name, found, hint] {
                 assert!(message.contains(part), "{name}, {part}: {message}");
             }
-            assert!(!message.contains("MC4C"), "a key in a message: {message}");
+            assert!(!message.contains("MC4C"), "message contains a key: {message}");
         }
         for (name, text, expected) in [
-            ("private.pem", PRIVATE, "a private key, which stays secret"),
+            ("private.pem", PRIVATE, "a private key, which must stay secret"),
             ("encrypted.pem", ENCRYPTED, "an encrypted private key"),
             ("x25519.pub.pem", &PUBLIC.replace("K2Vw", "K2Vu"), "an X25519 public key"),
             ("ssh2.pub", "ssh-ed25519 AAAAC3 me@here", "an OpenSSH public key"),
-            ("cut.pub.pem", &PUBLIC.replace("URo=", ""), "badly formatted"),
-            // The neutral element, for which everybody can sign.
+            ("cut.pub.pem", &PUBLIC.replace("URo=", ""), "malformed"),
+            // The neutral element, for which anyone can create signatures.
             (
                 "weak.pem",
                 &PUBLIC.replace(
@@ -523,6 +524,6 @@ mod tests {
             assert!(message.contains(name) && message.contains(expected), "{message}");
         }
         let missing = OperatorKey::read(&folder.0.join("missing.pem")).unwrap_err().to_string();
-        assert!(missing.contains("missing.pem") && missing.contains("is there"), "{missing}");
+        assert!(missing.contains("missing.pem") && missing.contains("exists"), "{missing}");
     }
 }

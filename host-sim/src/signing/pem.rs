@@ -1,7 +1,7 @@
-//! Keys as text: PEM, read as people and their tools leave it.
+//! Parses keys in PEM, tolerating the changes that editors and tools make.
 //!
-//! White space, line ends, a byte order mark and text around the PEM do not matter. What is another
-//! key is named.
+//! White space, line endings, a byte order mark and text around the PEM are ignored. Errors name
+//! the kind of key found.
 
 use std::path::Path;
 
@@ -20,12 +20,12 @@ const PRIVATE: &str = "PRIVATE KEY";
 const ENCRYPTED: &str = "ENCRYPTED PRIVATE KEY";
 const PUBLIC: &str = "PUBLIC KEY";
 
-const COPY: &str = "copy the whole file again from where the key was made";
-const MAKE: &str = "`host-sim weights keygen` makes a pair of keys";
-const GIVE_PRIVATE: &str = "give the file with the private key, which stays with you";
-const GIVE_PUBLIC: &str = "`openssl pkey -in PRIVATE -pubout` writes it from the private one";
+const COPY: &str = "copy the whole file again from its source";
+const MAKE: &str = "`host-sim weights keygen` creates a key pair";
+const GIVE_PRIVATE: &str = "pass the file with the private key, which you keep";
+const GIVE_PUBLIC: &str = "`openssl pkey -in PRIVATE -pubout` derives it from the private key";
 
-/// The private key in `text`; `passphrase` is asked if it is encrypted.
+/// Reads the private key in `text`; asks for the `passphrase` if it is encrypted.
 pub(super) fn private_key(
     path: &Path,
     text: &str,
@@ -65,7 +65,7 @@ pub(super) fn private_key(
     })
 }
 
-/// The bytes of the public key in `text`.
+/// Reads the bytes of the public key in `text`.
 pub(super) fn public_key(path: &Path, text: &str) -> Result<[u8; PUBLIC_KEY_LENGTH], KeyFileError> {
     let wrong =
         |found: String, hint| KeyFileError::NotPublic { path: path.to_owned(), found, hint };
@@ -90,7 +90,7 @@ struct Block<'t> {
     body: &'t str,
 }
 
-/// What stands in place of a block.
+/// What was found instead of a block.
 #[derive(Clone, Copy)]
 enum Missing<'t> {
     Nothing,
@@ -104,30 +104,30 @@ enum Missing<'t> {
 impl Missing<'_> {
     fn named(self) -> String {
         match self {
-            Self::Nothing => "nothing: it is an empty file".to_owned(),
-            Self::Label(PRIVATE) => "a private key, which stays secret".to_owned(),
-            Self::Label(ENCRYPTED) => "an encrypted private key, which stays secret".to_owned(),
+            Self::Nothing => "nothing (an empty file)".to_owned(),
+            Self::Label(PRIVATE) => "a private key, which must stay secret".to_owned(),
+            Self::Label(ENCRYPTED) => "an encrypted private key, which must stay secret".to_owned(),
             Self::Label(PUBLIC) => "a public key".to_owned(),
             Self::Label("OPENSSH PRIVATE KEY") => "an OpenSSH private key".to_owned(),
             Self::Label("RSA PRIVATE KEY") => "an RSA private key".to_owned(),
             Self::Label("EC PRIVATE KEY") => "an elliptic-curve (ECDSA) private key".to_owned(),
             Self::Label(label) => format!("PEM of another kind ({label})"),
-            Self::Unclosed => "a PEM text without its END line".to_owned(),
+            Self::Unclosed => "PEM text without an END line".to_owned(),
             Self::Ssh => "an OpenSSH public key".to_owned(),
             Self::Binary => "binary data".to_owned(),
-            Self::Text => "no PEM text".to_owned(),
+            Self::Text => "text that is not PEM".to_owned(),
         }
     }
 }
 
 impl<'t> Block<'t> {
-    /// The first block of one of these kinds, or what is there instead.
+    /// Returns the first block with one of these labels, or what was found instead.
     fn find(text: &'t str, labels: &[&str]) -> Result<Self, Missing<'t>> {
         let mut first = None;
         let mut rest = text;
         while let Some((_, begun)) = rest.split_once("-----BEGIN ") {
             let Some((label, content)) = begun.split_once("-----") else { break };
-            let Some((body, behind)) = content.split_once(&format!("-----END {label}-----")) else {
+            let Some((body, after)) = content.split_once(&format!("-----END {label}-----")) else {
                 return Err(if labels.contains(&label) {
                     Missing::Unclosed
                 } else {
@@ -138,7 +138,7 @@ impl<'t> Block<'t> {
                 return Ok(Self { label, body });
             }
             first.get_or_insert(Missing::Label(label));
-            rest = behind;
+            rest = after;
         }
         let words = text.trim_start_matches('\u{feff}').trim();
         let not_text = |c: char| c == '\u{fffd}' || c.is_control() && !c.is_whitespace();
@@ -151,11 +151,11 @@ impl<'t> Block<'t> {
         }))
     }
 
-    /// The bytes that it stands for. RFC 7468's strict form is made of the body first: lines of 64
-    /// characters, ended by one newline.
+    /// Decodes the block. The body is first brought into the strict form of RFC 7468: lines of 64
+    /// characters, each ended by a newline.
     fn decode(&self) -> Option<SecretDocument> {
         let mut strict = Zeroizing::new(format!("-----BEGIN {}-----\n", self.label));
-        // Room for all of it: no copy of a secret is left behind by a longer buffer.
+        // Reserve the full length, so that growing the buffer does not leave copies of a secret.
         strict.reserve(2 * self.body.len() + 128);
         let content = self.body.chars().filter(|c| !c.is_whitespace() && *c != '\u{feff}');
         for (index, character) in content.enumerate() {
@@ -174,11 +174,11 @@ impl<'t> Block<'t> {
             PRIVATE => "a private key",
             _ => "a public key",
         };
-        format!("{what} that is badly formatted")
+        format!("{what} that is malformed")
     }
 }
 
-/// The name of an algorithm for keys, with its article; `None` for Ed25519 itself.
+/// Returns the name of a key algorithm with its article; `None` for Ed25519.
 fn algorithm(identifier: ObjectIdentifier) -> Option<String> {
     Some(match identifier.to_string().as_str() {
         "1.3.101.112" => return None,

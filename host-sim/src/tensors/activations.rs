@@ -1,36 +1,36 @@
-//! Which functions the layers apply: their names, and whose word counts.
+//! Activations of the layers: their names, and the precedence of file and caller.
 
 use agent_core::math::activation::Activation;
 use agent_core::observer::network::Architecture;
 
 use super::TensorProblem;
 
-/// What the caller of an import says about the activations.
+/// The activations that the caller of an import requests.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Activations {
-    /// Nothing: the file's are taken, tanh throughout if it states none.
+    /// Those of the file, or tanh throughout if it states none.
     #[default]
     FromFile,
-    /// The same for all layers.
+    /// The same activation for all layers.
     All(Activation),
-    /// One a layer, first to last.
+    /// One activation per layer, first to last.
     PerLayer(Vec<Activation>),
 }
 
-/// Who said which activations the layers of an imported network have.
+/// Where the activations of an imported network come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ActivationsSource {
     /// The file.
     File,
-    /// The caller; the file said the same or nothing.
+    /// The caller; the file stated the same or none.
     Caller,
-    /// Nobody: tanh was assumed.
+    /// Assumed to be tanh.
     Assumed,
 }
 
 impl Activations {
-    /// One activation for each of the `layers`, with their source; `stated` is what the file
-    /// says.
+    /// Returns one activation for each of the `layers`, with their source; `stated` are the names
+    /// in the file.
     pub(super) fn resolve(
         self,
         stated: Option<&[String]>,
@@ -62,7 +62,7 @@ impl Activations {
     }
 }
 
-/// The names of an architecture's activations, one a layer.
+/// Returns the names of an architecture's activations, one per layer.
 pub(super) fn names_of(architecture: &Architecture) -> Vec<&'static str> {
     architecture.layers().iter().map(|layer| layer.activation.name()).collect()
 }

@@ -1,4 +1,4 @@
-//! One array of a file: its elements, their order, and what rounding does to them.
+//! An array of a file: decoding, element order, and rounding to float32.
 
 use std::borrow::Cow;
 use std::mem;
@@ -8,10 +8,10 @@ use agent_core::observer::network::LAYER_WIDTH_MAX;
 use super::TensorProblem;
 use super::error::{Extent, fits};
 
-/// Most elements that an array of a network has: the weights between two of the widest layers.
+/// Maximum number of elements of an array: the weights between two of the widest layers.
 pub(super) const ELEMENTS_MAX: usize = LAYER_WIDTH_MAX * LAYER_WIDTH_MAX;
 
-/// An array as a file holds it.
+/// An array as stored in a file.
 #[derive(Clone, Debug)]
 pub(super) struct StoredArray<'f> {
     pub(super) name: String,
@@ -19,7 +19,7 @@ pub(super) struct StoredArray<'f> {
     pub(super) element: Element,
     /// Whether the first index varies fastest, as in Fortran.
     pub(super) first_index_fastest: bool,
-    /// The elements; may be left empty if there are more than [`ELEMENTS_MAX`].
+    /// The elements; may be empty if there are more than [`ELEMENTS_MAX`].
     pub(super) bytes: Cow<'f, [u8]>,
 }
 
@@ -30,12 +30,12 @@ pub(super) enum Element {
     Float32,
     /// IEEE 754 binary64, little-endian.
     Float64,
-    /// Any other, as the file calls it.
+    /// Any other type, as named in the file.
     Other(String),
 }
 
 impl Element {
-    /// Bytes of an element, for types that are read.
+    /// Returns the bytes per element of a supported type.
     pub(super) fn size(&self) -> Option<usize> {
         match self {
             Self::Float32 => Some(mem::size_of::<f32>()),
@@ -45,12 +45,12 @@ impl Element {
     }
 }
 
-/// How a float64 became a float32.
+/// The rounding of a float64 to float32.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rounding {
-    /// The array's name.
+    /// Name of the array.
     pub array: String,
-    /// Where in the array, from 0.
+    /// Index in the array, from 0.
     pub index: Vec<usize>,
     /// The value in the file.
     pub value: f64,
@@ -58,14 +58,14 @@ pub struct Rounding {
     pub error: f64,
 }
 
-/// Number of elements of an array, `None` if no machine could hold it.
+/// Returns the number of elements of an array, `None` on overflow.
 pub(super) fn element_count(shape: &[usize]) -> Option<usize> {
     shape.iter().try_fold(1usize, |count, &extent| count.checked_mul(extent))
 }
 
 impl StoredArray<'_> {
-    /// The elements in row-major order, as float32. The larger of `rounding` and what happens
-    /// here becomes the new `rounding`.
+    /// Returns the elements in row-major order, as float32. Updates `rounding` if a larger one
+    /// occurs.
     pub(super) fn values(
         &self,
         expected: &[Extent],
@@ -99,7 +99,7 @@ impl StoredArray<'_> {
             .collect()
     }
 
-    /// The index of the element at `position` in row-major order.
+    /// Returns the index of the element at `position` in row-major order.
     fn index(&self, mut position: usize) -> Vec<usize> {
         let mut index = vec![0; self.shape.len()];
         for (index, &extent) in index.iter_mut().zip(&self.shape).rev() {
@@ -109,7 +109,7 @@ impl StoredArray<'_> {
         index
     }
 
-    /// Where the file holds the element at `index`.
+    /// Returns the position of the element at `index` in the file.
     fn offset(&self, index: &[usize]) -> usize {
         let nested = |offset, (&index, &extent): (&usize, &usize)| offset * extent + index;
         let pairs = index.iter().zip(&self.shape);
@@ -126,7 +126,8 @@ impl StoredArray<'_> {
         if !value.is_finite() {
             return Err(TensorProblem::NotFinite { array: array(), index, value });
         }
-        // To nearest, ties to even. Float32 passes through float64 unchanged.
+        // To nearest, ties to even. Float32 values are unchanged by the conversion to float64 and
+        // back.
         let nearest = value as f32;
         if nearest.is_infinite() {
             return Err(TensorProblem::OutOfRange { array: array(), index, value });
@@ -160,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn both_orders_give_rows() {
+    fn both_element_orders_give_the_same_rows() {
         let rows = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
         let by_columns = StoredArray {
             first_index_fastest: true,
@@ -174,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_rounding_is_reported() {
+    fn reports_the_largest_rounding() {
         let mut rounding = None;
         let values =
             stored(&[0.5, 0.1, -3.3, 1.0], &[2, 2]).values(&MATRIX, &mut rounding).unwrap();
@@ -183,11 +184,11 @@ mod tests {
         assert_eq!((largest.index.as_slice(), largest.value), (&[1, 0][..], -3.3));
         assert_eq!(largest.error, (f64::from(-3.3f32) + 3.3).abs());
         stored(&[0.1; 4], &[2, 2]).values(&MATRIX, &mut rounding).unwrap();
-        assert_eq!(rounding, Some(largest), "a smaller one took its place");
+        assert_eq!(rounding, Some(largest), "replaced by a smaller one");
     }
 
     #[test]
-    fn float32_keeps_its_bits() {
+    fn float32_values_keep_their_bits() {
         let bits = [0x8000_0000u32, 1, 0x7f7f_ffff, 0x0080_0000];
         let array = StoredArray {
             element: Element::Float32,
@@ -201,18 +202,18 @@ mod tests {
     }
 
     #[test]
-    fn values_that_are_no_float32_are_refused_with_their_place() {
+    fn rejects_values_that_do_not_fit_float32() {
         let refused = |value| {
             let array = stored(&[0.0, 0.0, value, 0.0], &[2, 2]);
             array.values(&MATRIX, &mut None).unwrap_err().to_string()
         };
-        assert!(refused(f64::NAN).contains("array `a` holds NaN at [1, 0]"));
-        assert!(refused(f64::NEG_INFINITY).contains("array `a` holds -inf at [1, 0]"));
-        assert!(refused(1e39).contains("array `a` holds 1e39 at [1, 0], beyond"));
+        assert!(refused(f64::NAN).contains("array `a` contains NaN at [1, 0]"));
+        assert!(refused(f64::NEG_INFINITY).contains("array `a` contains -inf at [1, 0]"));
+        assert!(refused(1e39).contains("array `a` contains 1e39 at [1, 0], beyond"));
     }
 
     #[test]
-    fn the_shape_comes_before_all_else() {
+    fn checks_the_shape_first() {
         for shape in [&[2, 5][..], &[2, 0], &[2], &[2, 2, 1], &[4, 2]] {
             let problem = stored(&[], shape).values(&MATRIX, &mut None).unwrap_err();
             assert!(matches!(problem, TensorProblem::Shape { .. }), "{shape:?}: {problem}");

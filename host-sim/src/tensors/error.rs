@@ -1,4 +1,4 @@
-//! What is wrong with a file of arrays, and how to hint it.
+//! Errors of network files: what is wrong, and how to fix it.
 
 use std::fmt;
 use std::io;
@@ -10,69 +10,69 @@ use agent_core::observer::network::{INNER_LAYERS_MAX, NetworkError};
 use super::{FILE_BYTES_MAX, FileKind};
 use crate::files::output::OutputError;
 
-/// Why a network cannot be read from or written to a file: file, array, problem and hint, in
-/// one line of text.
+/// Why a network cannot be read from or written to a file. Formatted as one line: file, array,
+/// problem and hint.
 ///
 /// ``net.npz: array `layer2.weight` has shape [4, 2], expected [width 1 to 64, inputs 4];
 /// transpose it, …``
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {problem}", path.display())]
 pub struct TensorError {
-    /// The file, as it was named.
+    /// The file, as the user named it.
     pub path: PathBuf,
-    /// What is wrong with it.
+    /// What is wrong.
     #[source]
     pub problem: TensorProblem,
 }
 
-/// What can be wrong with a file of arrays. Indices count from 0, as in NumPy; layers from 1,
-/// as in the names.
+/// What is wrong with a network file. Indices count from 0, as in NumPy; layers from 1, as in the
+/// names.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TensorProblem {
-    /// The name promises no known format.
+    /// The file name has no known extension.
     #[error(
-        "ends in neither .npz nor .safetensors; give the file the ending of the format that it has"
+        "unknown file extension; use .npz or .safetensors, according to the format of the file"
     )]
     Extension,
-    /// The system cannot read the file.
-    #[error("{0}; check the path and the permission to read it")]
+    /// The file cannot be read.
+    #[error("{0}; check the path and its read permission")]
     Read(#[source] io::Error),
-    /// The system cannot write the file.
-    #[error("{0}; make sure that the folder can be written to and the disk is not full")]
+    /// The file cannot be written.
+    #[error("{0}; check that the folder is writable and the disk is not full")]
     Write(#[source] io::Error),
-    /// Something else is there.
-    #[error("is not replaced: {0}")]
+    /// A file of another kind exists at the path.
+    #[error("not overwritten: {0}")]
     Refused(#[source] OutputError),
     /// The file is larger than any network.
     #[error(
-        "is larger than {FILE_BYTES_MAX} bytes, more than any network takes; save only the inner layers and the outer weights"
+        "larger than {FILE_BYTES_MAX} bytes, more than any network needs; save only the inner layers and the outer weights"
     )]
     FileSize,
-    /// The file as a whole does not have its format.
-    #[error("is not a readable {kind} file: {reason}; write it with {}", kind.writer())]
+    /// The file does not have the format of its extension.
+    #[error("not a valid {kind} file: {reason}; write it with {}", kind.writer())]
     Format {
-        /// The format that the name promises.
+        /// The format of the extension.
         kind: FileKind,
-        /// What the reader stumbled over.
+        /// The reason.
         reason: String,
     },
-    /// An array does not have the `.npy` format.
+    /// An array is not in `.npy` format.
     #[error("array `{array}` cannot be read: {reason}; save it again with numpy.savez")]
     Array {
-        /// Its name.
+        /// Name of the array.
         array: String,
-        /// What the reader stumbled over.
+        /// The reason.
         reason: String,
     },
     /// Two arrays have the same name.
-    #[error("holds array `{array}` twice; keep one of them")]
+    #[error("contains array `{array}` twice; keep one of them")]
     Twice {
-        /// Their name.
+        /// Name of the arrays.
         array: String,
     },
     /// A layer is given in both orientations.
-    #[error("holds both `{weight}` and `{kernel}`; keep one of them")]
+    #[error("contains both `{weight}` and `{kernel}`; keep one of them")]
     BothOrientations {
         /// The array of shape `[outputs, inputs]`.
         weight: String,
@@ -84,118 +84,120 @@ pub enum TensorProblem {
         "array `{array}` is not part of a network, expected `{prefix}layer1.weight`, `{prefix}layer1.bias` and so on up to `{prefix}outer.weight`; rename it or leave it out"
     )]
     Unexpected {
-        /// Its name.
+        /// Name of the array.
         array: String,
-        /// What stands before the names of the other arrays.
+        /// Common prefix of the names.
         prefix: String,
     },
-    /// A part of the network is not there.
-    #[error("has no array `{array}`, it has {}; add the array, or give it this name", list(found))]
+    /// A part of the network is missing.
+    #[error("missing array `{array}` (found: {}); add or rename the array", list(found))]
     Missing {
-        /// The array's name.
+        /// Name of the array.
         array: String,
-        /// The names that there are.
+        /// The names found.
         found: Vec<String>,
     },
-    /// A layer has a number that no layer can have.
+    /// A layer number is out of range.
     #[error(
-        "array `{array}` belongs to no layer from 1 to {INNER_LAYERS_MAX}; number the layers from 1 and leave out what is beyond {INNER_LAYERS_MAX}"
+        "array `{array}` does not belong to a layer from 1 to {INNER_LAYERS_MAX}; number the layers from 1 and use at most {INNER_LAYERS_MAX}"
     )]
     LayerNumber {
-        /// Its name.
+        /// Name of the array.
         array: String,
     },
     /// An array has the wrong shape.
     #[error(
         "array `{array}` has shape {found:?}, expected {}; {}",
         shape(expected),
-        shape_mend(found, expected)
+        shape_hint(found, expected)
     )]
     Shape {
-        /// Its name.
+        /// Name of the array.
         array: String,
         /// Its shape.
         found: Vec<usize>,
-        /// What each dimension must be.
+        /// The expected dimensions.
         expected: Vec<Extent>,
     },
-    /// An array has elements of a type that is not read.
+    /// An array has an unsupported element type.
     #[error(
-        "array `{array}` holds {found}, expected little-endian float32 or float64; convert it to float32"
+        "array `{array}` contains {found}, expected little-endian float32 or float64; convert it to float32"
     )]
     ElementType {
-        /// Its name.
+        /// Name of the array.
         array: String,
-        /// The type, as the file calls it.
+        /// The type, as named in the file.
         found: String,
     },
-    /// A value is infinite or not a number.
+    /// A value is infinite or NaN.
     #[error(
-        "array `{array}` holds {value} at {index:?}, expected finite numbers; train the network again or repair the value"
+        "array `{array}` contains {value} at {index:?}, expected finite numbers; train the network again or correct the value"
     )]
     NotFinite {
-        /// The array's name.
+        /// Name of the array.
         array: String,
-        /// Where in the array.
+        /// Index in the array.
         index: Vec<usize>,
         /// The value.
         value: f64,
     },
     /// A float64 value is too large for float32.
     #[error(
-        "array `{array}` holds {value:e} at {index:?}, beyond the largest float32, {:e}; scale the network so that its weights are smaller",
+        "array `{array}` contains {value:e} at {index:?}, beyond the largest float32, {:e}; scale the network so that its weights are smaller",
         f32::MAX
     )]
     OutOfRange {
-        /// The array's name.
+        /// Name of the array.
         array: String,
-        /// Where in the array.
+        /// Index in the array.
         index: Vec<usize>,
         /// The value.
         value: f64,
     },
-    /// The file names an activation that the core does not have.
+    /// The file names an unsupported activation.
     #[error(
-        "activation `{name}` is unknown, expected one of {}; train the network with one of these",
+        "unknown activation `{name}`, expected one of {}; train the network with one of these",
         known_activations()
     )]
     UnknownActivation {
         /// The name.
         name: String,
     },
-    /// There are neither one activation nor as many as layers.
+    /// The number of activations is neither one nor the number of layers.
     #[error(
-        "{found} activations for {layers} inner layers; give one for all layers or one for each"
+        "{found} activations for {layers} inner layers; pass one for all layers or one per layer"
     )]
     ActivationCount {
-        /// How many were given.
+        /// Number of activations given.
         found: usize,
-        /// How many layers there are.
+        /// Number of layers.
         layers: usize,
     },
-    /// The caller asks for other activations than the file states.
+    /// The caller requests other activations than the file states.
     #[error(
-        "was written for the activations {stated}, asked for are {asked}; leave the choice to the file, or correct the file"
+        "the file states the activations {stated}, but {asked} were requested; use those of the file, or correct the file"
     )]
     ActivationsDiffer {
-        /// What the file states, one a layer.
+        /// The activations in the file, one per layer.
         stated: String,
-        /// What the caller asks for, one a layer.
+        /// The activations requested, one per layer.
         asked: String,
     },
-    /// The inner parameters to be written do not fit the architecture.
-    #[error("{0}; write the parameters of this architecture")]
+    /// The inner parameters to write do not match the architecture.
+    #[error("{0}; pass the parameters of this architecture")]
     Network(#[source] NetworkError),
-    /// The outer weights to be written do not fit the architecture.
-    #[error("{found} outer weights, the architecture has {expected}; write features times inputs")]
+    /// The outer weights to write do not match the architecture.
+    #[error(
+        "{found} outer weights, but the architecture has {expected}; pass features times inputs"
+    )]
     OuterCount {
         /// The number given.
         found: usize,
         /// Features times inputs.
         expected: usize,
     },
-    /// An outer weight to be written is infinite or not a number.
-    #[error("outer weight {index} is not finite; write finite weights")]
+    /// An outer weight to write is infinite or NaN.
+    #[error("outer weight {index} is not finite; pass finite weights")]
     OuterNotFinite {
         /// Index of the weight, row by row.
         index: usize,
@@ -208,7 +210,7 @@ impl TensorProblem {
     }
 }
 
-/// What one dimension of an array must be.
+/// The expected size of one dimension of an array.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Extent {
     /// This many.
@@ -218,7 +220,7 @@ pub enum Extent {
 }
 
 impl Extent {
-    /// Whether a dimension of this size will do.
+    /// Whether a dimension may have this size.
     #[must_use]
     pub fn admits(self, found: usize) -> bool {
         match self {
@@ -237,7 +239,7 @@ impl fmt::Display for Extent {
     }
 }
 
-/// Whether an array of shape `found` is what `expected` asks for.
+/// Whether an array of shape `found` matches `expected`.
 pub(super) fn fits(found: &[usize], expected: &[Extent]) -> bool {
     found.len() == expected.len()
         && found.iter().zip(expected).all(|(&found, expected)| expected.admits(found))
@@ -248,12 +250,12 @@ fn shape(expected: &[Extent]) -> String {
     format!("[{}]", extents.join(", "))
 }
 
-fn shape_mend(found: &[usize], expected: &[Extent]) -> &'static str {
+fn shape_hint(found: &[usize], expected: &[Extent]) -> &'static str {
     let transposed: Vec<usize> = found.iter().rev().copied().collect();
     if found.len() == 2 && fits(&transposed, expected) {
-        "transpose it, or exchange .weight and .kernel in its name"
+        "transpose it, or swap .weight and .kernel in its name"
     } else {
-        "save the array of a network with these sizes"
+        "save a network with these sizes"
     }
 }
 
@@ -262,7 +264,7 @@ fn known_activations() -> String {
     Activation::NAMES.map(|(name, _)| name).join(", ")
 }
 
-/// Names in a sentence, the first few of them.
+/// Lists the first few names.
 fn list(names: &[String]) -> String {
     const SHOWN: usize = 20;
     let shown: Vec<String> = names.iter().take(SHOWN).map(|name| format!("`{name}`")).collect();

@@ -1,21 +1,21 @@
-//! Networks that PyTorch, JAX or NumPy trained come in, ours go out: `.npz` and `.safetensors`.
+//! Imports and exports networks of PyTorch, JAX and NumPy as `.npz` and `.safetensors`.
 //!
-//! `docs/tensors.md` lists the names and shapes of the arrays. A file holds the inner layers
+//! `docs/tensors.md` lists the names and shapes of the arrays. A file contains the inner layers
 //! (`W_q`, `b_q` of equation `Phi func`) and the outer weights `W_hat` in either orientation; in
-//! memory both are as the core reads them, one row for each input.
+//! memory both have the core's orientation, one row per input.
 //!
-//! | module | what it knows |
+//! | module | purpose |
 //! | --- | --- |
-//! | `names` | which array is which part of a network, and in which orientation |
-//! | `activations` | the names of the activations, and whose word counts |
+//! | `names` | array names: their part of the network and orientation |
+//! | `activations` | activation names, and the precedence of file and caller |
 //! | `array` | one array: element type, order, rounding to float32 |
 //! | `npz`, `npy`, `safetensors` | the formats |
 //!
-//! Cost: the file, at most [`FILE_BYTES_MAX`], and the network, once each in memory.
+//! Cost: one copy each of the file, at most [`FILE_BYTES_MAX`], and the network in memory.
 //!
-//! Invariants: what [`read`] returns has the shapes of its architecture and no value that is
-//! infinite or not a number; no bytes make it panic or allocate more than a small multiple of
-//! [`FILE_BYTES_MAX`]. `read` returns the bits that [`write`](fn@write) was given.
+//! Invariants: the arrays that [`read`] returns match their architecture and contain only finite
+//! values; no input makes it panic or allocate more than a small multiple of [`FILE_BYTES_MAX`].
+//! `read` returns the bits that [`write`](fn@write) was given.
 
 mod activations;
 mod array;
@@ -38,8 +38,8 @@ pub use error::{Extent, TensorError, TensorProblem};
 use crate::files::input::{is_too_large, read_limited};
 use crate::files::output::{FileKind as OutputKind, OutputError, write_whole};
 
-/// Largest file that is read, in bytes. The largest network (8 layers of 64 nodes) takes
-/// 0.28 MB in float64; the rest is room for headers and comments.
+/// Size limit of a file, in bytes. The largest network (8 layers of 64 nodes) takes 0.28 MB in
+/// float64; the rest is room for headers and comments.
 pub const FILE_BYTES_MAX: u64 = 4 << 20;
 
 /// An inner network with its outer weights, as arrays.
@@ -55,7 +55,7 @@ pub struct NetworkArrays {
     pub outer: Vec<f32>,
 }
 
-/// The formats that are read and written.
+/// Supported file formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileKind {
     /// NumPy's archive of arrays, compressed or not.
@@ -64,22 +64,22 @@ pub enum FileKind {
     Safetensors,
 }
 
-/// What an import did besides copying.
+/// Details of an import.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImportReport {
-    /// The file's format.
+    /// Format of the file.
     pub kind: FileKind,
-    /// What stood before every name (`model.`), often nothing.
+    /// Common prefix of the names (`model.`), usually empty.
     pub prefix: String,
-    /// Who said which activations the layers have.
+    /// Source of the activations.
     pub activations: ActivationsSource,
-    /// The value that rounding from float64 to float32 changed most; `None` if every value is
-    /// as it was in the file.
+    /// The value with the largest rounding error from float64 to float32; `None` if all values are
+    /// unchanged.
     pub rounding: Option<Rounding>,
 }
 
 impl FileKind {
-    /// The format that the name of a file promises.
+    /// Returns the format for the extension of a file name.
     ///
     /// # Errors
     /// [`TensorProblem::Extension`].
@@ -91,7 +91,7 @@ impl FileKind {
             .ok_or_else(|| TensorProblem::Extension.of(path))
     }
 
-    /// How the names of such files end, without the dot.
+    /// Returns the file extension, without the dot.
     #[must_use]
     pub fn extension(self) -> &'static str {
         match self {
@@ -100,7 +100,7 @@ impl FileKind {
         }
     }
 
-    /// Files that a network may take the place of: other networks.
+    /// Returns the kind of files that a network may replace: other networks.
     #[must_use]
     pub fn output_kind(self) -> OutputKind {
         match self {
@@ -117,7 +117,7 @@ impl FileKind {
         }
     }
 
-    /// The Python function that writes such files.
+    /// Returns the Python function that writes such files.
     fn writer(self) -> &'static str {
         match self {
             Self::Npz => "numpy.savez",
@@ -132,11 +132,11 @@ impl fmt::Display for FileKind {
     }
 }
 
-/// Reads a network. `activations` says which functions the layers apply, or leaves that to the
-/// file.
+/// Reads a network. `activations` selects the activations of the layers, or leaves the choice to
+/// the file.
 ///
 /// # Errors
-/// A [`TensorError`] that names the file, the array, what is wrong with it and the hint.
+/// A [`TensorError`] with the file, the array, the problem and the hint.
 pub fn read(
     path: &Path,
     activations: Activations,
@@ -146,11 +146,11 @@ pub fn read(
     from_bytes(kind, &bytes, activations).map_err(|problem| problem.of(path))
 }
 
-/// Writes a network whole or not at all; `path` decides the format.
+/// Writes a network atomically; the extension of `path` selects the format.
 ///
 /// # Errors
-/// A [`TensorError`] if the arrays do not fit their architecture, hold a value that is not
-/// finite, or cannot be written.
+/// If the arrays do not match their architecture, contain a value that is not finite, or cannot be
+/// written.
 pub fn write(path: &Path, arrays: &NetworkArrays) -> Result<(), TensorError> {
     let kind = FileKind::of(path)?;
     let bytes = to_bytes(kind, arrays).map_err(|problem| problem.of(path))?;
@@ -163,10 +163,10 @@ pub fn write(path: &Path, arrays: &NetworkArrays) -> Result<(), TensorError> {
     })
 }
 
-/// What a file holds, whatever its format.
+/// The contents of a file, independent of its format.
 struct Contents<'f> {
     arrays: Vec<array::StoredArray<'f>>,
-    /// Names of the activations, one a layer or one for all.
+    /// Names of the activations, one per layer or one for all.
     activations: Option<Vec<String>>,
 }
 
@@ -180,7 +180,7 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>, TensorProblem> {
 /// Reads a network from the bytes of a file.
 ///
 /// # Errors
-/// A [`TensorProblem`] that names the array, what is wrong with it and the hint.
+/// A [`TensorProblem`] with the array, the problem and the hint.
 pub fn from_bytes(
     kind: FileKind,
     bytes: &[u8],
@@ -199,7 +199,7 @@ pub fn from_bytes(
     Ok((NetworkArrays { architecture, inner: parts.inner, outer: parts.outer }, report))
 }
 
-/// The bytes of a file with this network: the same for the same network.
+/// Returns the bytes of a file with this network; they depend on the network only.
 ///
 /// # Errors
 /// [`TensorProblem::Network`], [`TensorProblem::OuterCount`] or

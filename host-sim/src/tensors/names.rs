@@ -1,8 +1,8 @@
-//! Which array is which part of a network, and in which orientation.
+//! Maps array names to the parts of a network.
 //!
 //! `layer{q}.bias`, `layer{q}.weight` or `layer{q}.kernel` for `q = 1..=ell`, `outer.weight` or
-//! `outer.kernel`. A weight has the shape `[outputs, inputs]`, as PyTorch's `Linear` keeps it, a
-//! kernel `[inputs, outputs]`, as JAX's libraries do and the core.
+//! `outer.kernel`. A weight has the shape `[outputs, inputs]`, as in PyTorch's `Linear`, a kernel
+//! `[inputs, outputs]`, as in JAX's libraries and in the core.
 
 use std::collections::BTreeMap;
 
@@ -24,7 +24,7 @@ pub(super) struct Parts {
     pub(super) rounding: Option<Rounding>,
 }
 
-/// An array that is to be written.
+/// An array to write.
 pub(super) struct NamedArray {
     pub(super) name: String,
     pub(super) shape: Vec<usize>,
@@ -32,7 +32,7 @@ pub(super) struct NamedArray {
 }
 
 impl Parts {
-    /// The architecture with one activation a layer.
+    /// Returns the architecture with one activation per layer.
     pub(super) fn architecture(
         &self,
         activations: &[Activation],
@@ -41,7 +41,7 @@ impl Parts {
             .widths
             .iter()
             .zip(activations)
-            // At most LAYER_WIDTH_MAX; 0 would be refused.
+            // At most LAYER_WIDTH_MAX; the architecture rejects 0.
             .map(|(&width, &activation)| Layer {
                 width: u8::try_from(width).unwrap_or(0),
                 activation,
@@ -51,7 +51,7 @@ impl Parts {
     }
 }
 
-/// Finds the parts of a network among `arrays`; all of them must have a place in it.
+/// Assembles a network from `arrays`; each of them must belong to it.
 pub(super) fn assemble(arrays: Vec<StoredArray<'_>>) -> Result<Parts, TensorProblem> {
     let mut named = BTreeMap::new();
     for array in arrays {
@@ -99,7 +99,7 @@ pub(super) fn assemble(arrays: Vec<StoredArray<'_>>) -> Result<Parts, TensorProb
     }
 }
 
-/// The arrays of a network under their canonical names, in the order of evaluation.
+/// Returns the arrays of a network under their canonical names, in order of evaluation.
 pub(super) fn disassemble(arrays: &NetworkArrays) -> Vec<NamedArray> {
     let NetworkArrays { architecture, inner, outer } = arrays;
     let mut named = Vec::new();
@@ -129,7 +129,7 @@ pub(super) fn disassemble(arrays: &NetworkArrays) -> Vec<NamedArray> {
     named
 }
 
-/// What stands before `layer1.weight` or `layer1.kernel`: nothing, or words that end in a dot.
+/// Returns the prefix of `layer1.weight` or `layer1.kernel`: empty, or words that end in a dot.
 fn common_prefix<'n>(
     names: impl Iterator<Item = &'n String> + Clone,
 ) -> Result<String, TensorProblem> {
@@ -148,9 +148,9 @@ fn common_prefix<'n>(
         })
 }
 
-/// What a file holds.
+/// The contents of a file during assembly.
 struct Found<'f> {
-    /// The arrays that have not found their place yet.
+    /// The arrays not yet used.
     arrays: BTreeMap<String, StoredArray<'f>>,
     /// The names of all arrays.
     names: Vec<String>,
@@ -159,7 +159,7 @@ struct Found<'f> {
 }
 
 impl<'f> Found<'f> {
-    /// The largest number of a layer.
+    /// Returns the largest layer number.
     fn count_layers(&self) -> Result<usize, TensorProblem> {
         let mut count = 0;
         for name in self.arrays.keys() {
@@ -192,7 +192,7 @@ impl<'f> Found<'f> {
         }
     }
 
-    /// A matrix in either orientation: its shape `[from, to]` and its rows, one for each input.
+    /// Reads a matrix in either orientation: its shape `[from, to]` and its rows, one per input.
     fn matrix(
         &mut self,
         part: &str,
@@ -224,7 +224,7 @@ impl<'f> Found<'f> {
     }
 }
 
-/// The transpose of a row-major matrix with this many rows.
+/// Transposes a row-major matrix with this many rows.
 fn transposed(values: &[f32], rows: usize) -> Vec<f32> {
     let columns = values.len() / rows;
     (0..columns).flat_map(|column| values[column..].iter().step_by(columns).copied()).collect()
@@ -248,7 +248,7 @@ mod tests {
         }
     }
 
-    /// Two inputs, three nodes.
+    /// Creates a network with two inputs and three nodes.
     fn small(prefix: &str) -> Vec<StoredArray<'static>> {
         let named = |name: &str| format!("{prefix}{name}");
         vec![
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn the_core_reads_biases_then_a_row_for_each_input() {
+    fn parameters_are_biases_then_one_row_per_input() {
         let parts = assemble(small("")).unwrap();
         assert_eq!(parts.inner, [7.0, 8.0, 9.0, 1.0, 3.0, 5.0, 2.0, 4.0, 6.0]);
         assert_eq!(parts.outer, [10.0, 11.0, 12.0, 13.0, 14.0, 15.0]);
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn a_prefix_that_all_share_is_dropped() {
+    fn drops_a_common_prefix() {
         let parts = assemble(small("net.inner.")).unwrap();
         assert_eq!((parts.inner.len(), parts.prefix.as_str()), (9, "net.inner."));
         let mut mixed = small("net.");
@@ -279,20 +279,20 @@ mod tests {
         let message = refused(mixed);
         assert!(message.contains("`layer2.bias` is not part") && message.contains("net.layer1"));
         assert!(
-            refused(small("net_")).contains("has no array `layer1.weight`, it has `net_layer1")
+            refused(small("net_")).contains("missing array `layer1.weight` (found: `net_layer1")
         );
     }
 
     #[test]
-    fn what_has_no_place_or_two_is_refused() {
+    fn rejects_unknown_and_duplicate_arrays() {
         for (extra, message) in [
-            ("layer1.kernel", "holds both `layer1.weight` and `layer1.kernel`"),
-            ("layer1.bias", "holds array `layer1.bias` twice"),
+            ("layer1.kernel", "contains both `layer1.weight` and `layer1.kernel`"),
+            ("layer1.bias", "contains array `layer1.bias` twice"),
             ("layer1.scale", "`layer1.scale` is not part of a network"),
-            ("layer3.bias", "has no array `layer2.weight`"),
-            ("layer9.weight", "`layer9.weight` belongs to no layer from 1 to 8"),
-            ("layer0.weight", "`layer0.weight` belongs to no layer from 1 to 8"),
-            ("layer99999999999999999999.weight", "belongs to no layer from 1 to 8"),
+            ("layer3.bias", "missing array `layer2.weight`"),
+            ("layer9.weight", "`layer9.weight` does not belong to a layer from 1 to 8"),
+            ("layer0.weight", "`layer0.weight` does not belong to a layer from 1 to 8"),
+            ("layer99999999999999999999.weight", "does not belong to a layer from 1 to 8"),
             ("layer01.weight", "`layer01.weight` is not part of a network"),
             ("layer.weight", "`layer.weight` is not part of a network"),
         ] {
@@ -304,19 +304,19 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_is_named_beside_what_is_there() {
+    fn missing_array_error_lists_the_names_found() {
         for missing in 0..3 {
             let mut arrays = small("a.");
             let name = arrays.remove(missing).name.replace("kernel", "weight");
             let name = if missing == 0 { "layer1.weight" } else { &name };
             let found = refused(arrays);
-            assert!(found.contains(&format!("has no array `{name}`, it has ")), "{found}");
+            assert!(found.contains(&format!("missing array `{name}` (found: ")), "{found}");
         }
-        assert!(refused(Vec::new()).contains("it has none; add"));
+        assert!(refused(Vec::new()).contains("(found: none); add"));
     }
 
     #[test]
-    fn sizes_must_chain_and_stay_within_the_limits() {
+    fn rejects_sizes_that_do_not_match_or_exceed_limits() {
         for (name, shape, message) in [
             ("layer1.weight", &[65, 2][..], "[65, 2], expected [width 1 to 64, inputs 1 to 12]"),
             ("layer1.weight", &[3, 13], "[3, 13], expected [width 1 to 64, inputs 1 to 12]"),

@@ -1,26 +1,26 @@
-//! The head of a `.npy` array: what its elements are and how they lie.
+//! The header of a `.npy` array: element type, order and shape.
 //!
 //! ```text
 //! 93 'NUMPY' | major, minor | length of the text, 2 or 4 bytes, little-endian | text
 //! ```
-//! The text is a Python dictionary with the keys `descr`, `fortran_order` and `shape`. Only that
-//! much Python is understood: nothing nested, so that no text can exhaust the stack. The source
-//! is NumPy's documentation, "NPY format", versions 1.0 to 3.0.
+//! The text is a Python dictionary with the keys `descr`, `fortran_order` and `shape`. Only this
+//! subset of Python is supported; without nesting, no text can exhaust the stack. Source: NumPy's
+//! documentation, "NPY format", versions 1.0 to 3.0.
 
 use std::io::{self, Read};
 
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
 
-/// Longest text that is read, in bytes: NumPy's own limit for files that are not trusted.
+/// Limit for the length of the text, in bytes: NumPy's own limit for untrusted files.
 const TEXT_MAX: usize = 10_000;
 
 /// Array data starts at a multiple of this many bytes (NumPy's `ARRAY_ALIGN`).
 const ALIGNMENT: usize = 64;
 
-/// What the text says.
+/// The contents of the text.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Head {
-    /// Element type: `<f4`.
+    /// Element type, such as `<f4`.
     pub(super) descr: String,
     /// Whether the first index varies fastest.
     pub(super) fortran_order: bool,
@@ -28,17 +28,17 @@ pub(super) struct Head {
 }
 
 impl Head {
-    /// Reads a head and leaves `source` at the first element. The error is the reason.
+    /// Reads a header and leaves `source` at the first element. The error is the reason.
     pub(super) fn read(source: &mut impl Read) -> Result<Self, String> {
         let ended = |error: io::Error| match error.kind() {
-            io::ErrorKind::UnexpectedEof => "it ends within its head".to_owned(),
+            io::ErrorKind::UnexpectedEof => "unexpected end of the header".to_owned(),
             _ => error.to_string(),
         };
         let mut start = [0; 8];
         source.read_exact(&mut start).map_err(ended)?;
         let length = match start {
             [magic @ .., _, _] if magic != *MAGIC => {
-                return Err("it is not a .npy array".to_owned());
+                return Err("not a .npy array".to_owned());
             }
             [.., 1, _] => {
                 let mut length = [0; 2];
@@ -54,28 +54,28 @@ impl Head {
         };
         let length = usize::try_from(length).unwrap_or(usize::MAX);
         if length > TEXT_MAX {
-            return Err(format!("its head has {length} bytes, more than {TEXT_MAX}"));
+            return Err(format!("header of {length} bytes exceeds {TEXT_MAX}"));
         }
         let mut text = vec![0; length];
         source.read_exact(&mut text).map_err(ended)?;
         std::str::from_utf8(&text)
             .ok()
             .and_then(|text| Text(text).head())
-            .ok_or_else(|| "its head is not that of a plain array".to_owned())
+            .ok_or_else(|| "unsupported header".to_owned())
     }
 
-    /// The bytes of a head, version 1.0, for row-major data.
+    /// Returns the bytes of a header, version 1.0, for row-major data.
     pub(super) fn row_major(descr: &str, shape: &[usize]) -> Vec<u8> {
         let extents: Vec<String> = shape.iter().map(usize::to_string).collect();
-        // Python's tuple of one needs its comma.
+        // Python writes a tuple of one element with a comma.
         let comma = if shape.len() == 1 { "," } else { "" };
         let shape = extents.join(", ");
         let text =
             format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}{comma}), }}");
         let before = MAGIC.len() + 4;
-        // One byte more for the line's end.
+        // One more byte for the newline.
         let padded = (before + text.len() + 1).next_multiple_of(ALIGNMENT) - before;
-        // The dimensions and types that are written take far less than 65,535 bytes.
+        // The dimensions and types written take far less than 65,535 bytes.
         let length = u16::try_from(padded).unwrap_or(u16::MAX);
         let mut head = MAGIC.to_vec();
         head.extend([1, 0]);
@@ -85,11 +85,11 @@ impl Head {
     }
 }
 
-/// What is left of the text.
+/// The rest of the text.
 struct Text<'t>(&'t str);
 
 impl<'t> Text<'t> {
-    /// The whole dictionary; every key once, in any order.
+    /// Parses the whole dictionary; each key must appear once, in any order.
     fn head(mut self) -> Option<Head> {
         let (mut descr, mut fortran_order, mut shape) = (None, None, None);
         self.symbol("{")?;
@@ -115,7 +115,7 @@ impl<'t> Text<'t> {
         Some(Head { descr: descr?, fortran_order: fortran_order?, shape: shape? })
     }
 
-    /// Takes `symbol`, with the blanks before it.
+    /// Consumes `symbol` and the blanks before it.
     fn symbol(&mut self, symbol: &str) -> Option<()> {
         self.0 = self.0.trim_ascii_start().strip_prefix(symbol)?;
         Some(())
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn heads_are_read_as_numpy_and_others_write_them() {
+    fn reads_headers_of_numpy_and_other_writers() {
         for (text, shape, fortran_order) in [
             ("{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4), }   \n", vec![3, 4], false),
             ("{\"shape\":(3,),\"fortran_order\":True,\"descr\":\"<f4\"}", vec![3], true),
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_and_aligned() {
+    fn written_headers_are_aligned_and_read_back() {
         for shape in [&[][..], &[7], &[12, 64], &[1, 2, 3]] {
             let bytes = Head::row_major("<f4", shape);
             assert_eq!(bytes.len() % ALIGNMENT, 0);
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn other_python_is_refused() {
+    fn rejects_other_python_expressions() {
         let nested = "(".repeat(9_000);
         for text in [
             "",
@@ -209,20 +209,20 @@ mod tests {
             &format!("{{'shape': {nested}"),
         ] {
             let reason = Head::read(&mut with_text(text).as_slice()).unwrap_err();
-            assert_eq!(reason, "its head is not that of a plain array", "{text}");
+            assert_eq!(reason, "unsupported header", "{text}");
         }
     }
 
     #[test]
-    fn a_head_that_claims_to_be_huge_is_not_believed() {
+    fn rejects_oversized_and_truncated_headers() {
         let mut bytes = b"\x93NUMPY\x02\x00".to_vec();
         bytes.extend(u32::MAX.to_le_bytes());
         let reason = Head::read(&mut bytes.as_slice()).unwrap_err();
-        assert!(reason.contains("4294967295 bytes, more than 10000"), "{reason}");
+        assert!(reason.contains("4294967295 bytes exceeds 10000"), "{reason}");
         for (bytes, expected) in [
-            (&b"\x93NUMPY\x01\x00\x40"[..], "it ends within its head"),
-            (b"\x93NUMPY\x01\x00\x40\x00{", "it ends within its head"),
-            (b"\x93NUMPX\x01\x00\x40\x00", "it is not a .npy array"),
+            (&b"\x93NUMPY\x01\x00\x40"[..], "unexpected end of the header"),
+            (b"\x93NUMPY\x01\x00\x40\x00{", "unexpected end of the header"),
+            (b"\x93NUMPX\x01\x00\x40\x00", "not a .npy array"),
             (b"\x93NUMPY\x07\x01\x40\x00", "unknown .npy version 7.1"),
         ] {
             assert_eq!(Head::read(&mut &bytes[..]).unwrap_err(), expected);

@@ -1,8 +1,7 @@
-//! NumPy's archives of arrays: a ZIP file with one `.npy` file for each array.
+//! NumPy's archives of arrays: a ZIP file with one `.npy` file per array.
 //!
-//! Of every array only as much is unpacked as an array of a network can have, so that neither a
-//! head nor a compressed stream that promises gigabytes is followed. Checksums of what is used
-//! are verified.
+//! No more of an array is unpacked than an array of a network can have, so a header or compressed
+//! stream that claims gigabytes is harmless. Checksums of the data used are verified.
 
 use std::io::{Read, Write};
 
@@ -15,14 +14,14 @@ use super::names::NamedArray;
 use super::npy::Head;
 use super::{Contents, FileKind, TensorProblem};
 
-/// The array of the activations' names.
+/// Name of the array with the activations.
 const ACTIVATIONS: &str = "activations";
-/// Longest name of an activation that is read, in characters.
+/// Limit for the length of an activation's name, in characters.
 const ACTIVATION_LENGTH_MAX: usize = 64;
-/// Most arrays that are looked at. A network has at most 18, and those that are too many are
-/// named one by one in the message.
+/// Limit for the number of arrays. A network has at most 18; a few more are listed in the error
+/// message.
 const ENTRIES_MAX: usize = 256;
-/// NumPy keeps a character in 4 bytes (UCS-4).
+/// NumPy stores a character in 4 bytes (UCS-4).
 const CHARACTER_BYTES: usize = 4;
 
 pub(super) fn read(bytes: &[u8]) -> Result<Contents<'_>, TensorProblem> {
@@ -34,7 +33,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Contents<'_>, TensorProblem> {
     while let Some(entry) = entries.next_entry().map_err(|error| refused(error.to_string()))? {
         count += 1;
         if count > ENTRIES_MAX {
-            return Err(refused(format!("it has more than {ENTRIES_MAX} entries")));
+            return Err(refused(format!("more than {ENTRIES_MAX} entries")));
         }
         let path = String::from_utf8_lossy(entry.file_path().as_bytes()).escape_debug().to_string();
         let name = path.strip_suffix(".npy").unwrap_or(&path).to_owned();
@@ -46,7 +45,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Contents<'_>, TensorProblem> {
             CompressionMethod::DEFLATE => {
                 unpack(local.verifying_reader(DeflateDecoder::new(local.data())), &name)
             }
-            other => Err(format!("it is compressed by {other}, expected stored or deflated")),
+            other => Err(format!("unsupported compression {other}, expected stored or deflated")),
         };
         match unpacked.map_err(unreadable)? {
             Unpacked::Array(array) => contents.arrays.push(array),
@@ -89,7 +88,7 @@ fn store(
     Ok(())
 }
 
-/// A vector of strings as NumPy keeps it: all as long as the longest, filled up with zeros.
+/// Encodes a vector of strings as NumPy does: all as long as the longest, padded with zeros.
 fn text_array(strings: &[&str]) -> Vec<u8> {
     let width = strings.iter().map(|string| string.chars().count()).max().unwrap_or(0);
     let mut bytes = Head::row_major(&format!("<U{width}"), &[strings.len()]);
@@ -120,7 +119,7 @@ fn unpack(mut source: impl Read, name: &str) -> Result<Unpacked, String> {
     let count = element_count(&shape).filter(|&count| count <= ELEMENTS_MAX);
     let bytes = match (count, element.size()) {
         (Some(count), Some(size)) => exactly(source, count * size)?,
-        // The array will be refused for its shape or its elements.
+        // The array will be rejected for its shape or element type.
         _ => Vec::new(),
     };
     let name = name.to_owned();
@@ -133,7 +132,7 @@ fn unpack(mut source: impl Read, name: &str) -> Result<Unpacked, String> {
     }))
 }
 
-/// The strings of a vector, or the one of an array without dimensions.
+/// Reads the strings of a vector, or of an array without dimensions.
 fn texts(head: &Head, source: impl Read) -> Result<Vec<String>, String> {
     let width = head
         .descr
@@ -147,7 +146,7 @@ fn texts(head: &Head, source: impl Read) -> Result<Vec<String>, String> {
     };
     let (Some(width), Some(count)) = (width, count) else {
         return Err(format!(
-            "it has elements {} in shape {:?}, expected a vector of at most {INNER_LAYERS_MAX} strings (<U8)",
+            "elements {} in shape {:?}, expected a vector of at most {INNER_LAYERS_MAX} strings (<U8)",
             head.descr.escape_debug(),
             head.shape
         ));
@@ -162,21 +161,21 @@ fn texts(head: &Head, source: impl Read) -> Result<Vec<String>, String> {
                 .iter()
                 .map(|&character| char::from_u32(u32::from_le_bytes(character)))
                 .collect();
-            let string = string.ok_or("it holds characters that are none")?;
-            // MATLAB fills up with blanks.
+            let string = string.ok_or("invalid characters")?;
+            // MATLAB pads with blanks.
             Ok(string.trim_end_matches('\0').trim_end().escape_debug().to_string())
         })
         .collect()
 }
 
-/// The `length` bytes that are left in `source`: neither fewer nor more.
+/// Returns the `length` bytes left in `source`; fewer or more are an error.
 fn exactly(source: impl Read, length: usize) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::with_capacity(length + 1);
-    // One byte more than there should be, so that the reader reaches its end and verifies.
+    // Reading one more byte makes the reader reach its end and verify the checksum.
     source.take(length as u64 + 1).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
     match bytes.len() {
-        found if found < length => Err(format!("it ends after {found} of {length} bytes")),
-        found if found > length => Err(format!("it goes on after its {length} bytes")),
+        found if found < length => Err(format!("unexpected end after {found} of {length} bytes")),
+        found if found > length => Err(format!("more data than its {length} bytes")),
         _ => Ok(bytes),
     }
 }
@@ -186,7 +185,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn strings_come_back_without_what_fills_them_up() {
+    fn strings_are_read_without_padding() {
         for strings in [&["tanh", "logistic"][..], &["tanh    ", "logistic"]] {
             let Ok(Unpacked::Activations(names)) =
                 unpack(text_array(strings).as_slice(), ACTIVATIONS)

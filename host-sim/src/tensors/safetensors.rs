@@ -1,7 +1,7 @@
-//! The safetensors format: a JSON head, then the elements of all arrays.
+//! The safetensors format: a JSON header, then the elements of all arrays.
 //!
 //! The library checks that the arrays cover the file without gaps or overlap, so nothing is
-//! allocated for what a head merely claims. Activations stand in the file's metadata, separated
+//! allocated for the mere claims of a header. The activations are in the file's metadata, separated
 //! by commas.
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -10,7 +10,7 @@ use super::array::{Element, StoredArray};
 use super::names::NamedArray;
 use super::{Contents, FileKind, TensorProblem};
 
-/// The metadata's key.
+/// Metadata key of the activations.
 const ACTIVATIONS: &str = "activations";
 
 pub(super) fn read(bytes: &[u8]) -> Result<Contents<'_>, TensorProblem> {

@@ -1,8 +1,8 @@
-//! How long to average recorded samples, from the samples themselves.
+//! Chooses the averaging window of recorded samples from the samples themselves.
 //!
-//! The targets carry fast chatter on top of a slow signal. The Hadamard variance, the mean square of
-//! second differences between neighbouring averages over a time T, shows how much of both is left at
-//! T:
+//! The targets carry fast chatter on top of a slow signal. The Hadamard variance, the mean square
+//! of second differences between neighbouring averages over a time T, shows how much of each
+//! remains at T:
 //!
 //! ```text
 //! V(T) = (1/6) mean_t (ȳ_T(t + 2T) − 2 ȳ_T(t + T) + ȳ_T(t))²
@@ -10,20 +10,22 @@
 //!
 //! V is a spectral measure: V(T) is the power in about an octave around the frequency 0.37/T.
 //! Chatter makes it fall with T, and the signal's curvature makes it rise with T⁴; it is smallest
-//! where both are equal. There the error that averaging puts into the signal, ÿT²/24, is still √96
-//! times smaller than the part of V that it causes, so the window with the least error is about
-//! 96^(1/6) = 2.1 times as long, since the chatter of a bounded estimate falls with T²: **the window
-//! is twice the averaging time with the smallest V**. If V rises from the first sample on, there is
-//! no chatter, and the window is 0.
+//! where both are equal. There the error that averaging adds to the signal, ÿT²/24, is still √96
+//! times smaller than its contribution to V. Since the chatter of a bounded estimate falls with T²,
+//! the window with the smallest error is about 96^(1/6) = 2.1 times as long: **the window is twice
+//! the averaging time with the smallest V**. If V rises from the first sample on, there is no
+//! chatter, and the window is 0.
 //!
-//! Which of V's falls is the signal's, the inputs tell, because chatter is small in the estimate itself:
-//! the averaging time at which V of an input is largest belongs to the component's own motion. Only
-//! shorter times are considered, since averages over a whole period are small, too.
+//! The inputs show which fall of V is due to the signal, because the estimate itself has little
+//! chatter: the averaging time at which V of an input is largest belongs to the motion of that
+//! component. Only shorter times are considered, because averages over a whole period are small as
+//! well.
 //!
-//! Cost: twelve operations per sample, component and averaging time, with about four averaging times
-//! per octave.
+//! Cost: twelve operations per sample, component and averaging time, with about four averaging
+//! times per octave.
 //!
-//! Invariants: every sum has a fixed order; units of state and targets do not matter.
+//! Invariants: every sum has a fixed order; the result is independent of the units of state and
+//! targets.
 
 use super::data::Dataset;
 use super::scaling::Spread;
@@ -31,17 +33,17 @@ use super::scaling::Spread;
 /// A sine of period P has its largest V at an averaging time of 0.37 P.
 const PEAK: f64 = 0.37;
 
-/// What the samples say about averaging.
+/// The result of the analysis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Averaging {
     /// Window of the centred moving average that balances chatter and signal; 0 for none. \[s\]
     pub window: f64,
-    /// The shortest of the components' periods; `None` if no component moves. \[s\]
+    /// The shortest period of all components; `None` if no component moves. \[s\]
     pub period: Option<f64>,
 }
 
 impl Averaging {
-    /// Examines `pieces`, each of equidistant samples that are `interval` \[s\] apart.
+    /// Analyses `pieces` of equidistant samples, `interval` \[s\] apart.
     #[must_use]
     pub fn of(pieces: &[Dataset], interval: f64) -> Self {
         let n = pieces.first().map_or(0, Dataset::dimension);
@@ -61,7 +63,8 @@ impl Averaging {
         Self { window, period: shortest.map(|length| length as f64 * interval / PEAK) }
     }
 
-    /// The stride at which averages are worth keeping: about twenty per window, or all without one.
+    /// Returns the stride for the averages: about twenty per window, or every sample without a
+    /// window.
     #[must_use]
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "small, positive")]
     pub fn stride(window: f64, interval: f64) -> usize {
@@ -73,12 +76,13 @@ impl Averaging {
 struct Component {
     /// V of the targets for each averaging length.
     variances: Vec<f64>,
-    /// Index of the length with the largest V of the inputs: that of the component's motion.
+    /// Index of the length with the largest V of the inputs, which is that of the component's
+    /// motion.
     peak: usize,
 }
 
 impl Component {
-    /// `None` if the input does not vary by more than rounding, or there are too few samples.
+    /// Returns `None` if the input varies by no more than rounding, or there are too few samples.
     fn of(pieces: &[Dataset], index: usize, lengths: &[usize]) -> Option<Self> {
         let inputs: Vec<f64> = pieces.iter().flat_map(|piece| piece.inputs()).copied().collect();
         let n = pieces.first()?.dimension();
@@ -94,14 +98,15 @@ impl Component {
         (largest > 0.0).then(|| Self { variances: variances(Dataset::targets), peak })
     }
 
-    /// V of the targets at a length, in units of that of the motion; beyond that, no less.
+    /// Returns V of the targets at a length, relative to V at the length of the motion; for longer
+    /// lengths, at least that.
     fn power(&self, index: usize) -> f64 {
         let motion = self.variances[self.peak];
         if motion > 0.0 { self.variances[index.min(self.peak)] / motion } else { 0.0 }
     }
 }
 
-/// 1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20 ... up to `longest`.
+/// Returns 1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20 ... up to `longest`.
 fn averaging_lengths(longest: usize) -> Vec<usize> {
     let mut lengths = Vec::new();
     let mut length = 1usize;
@@ -112,7 +117,7 @@ fn averaging_lengths(longest: usize) -> Vec<usize> {
     lengths
 }
 
-/// Sums of the first 0, 1, 2 .. values of a component, less its first value.
+/// Returns the sums of the first 0, 1, 2 ... values of a component, relative to its first value.
 fn running_sums(values: &[f64], dimension: usize, index: usize) -> Vec<f64> {
     let first = values.get(index).copied().unwrap_or(0.0);
     let values = values.iter().skip(index).step_by(dimension).map(|value| value - first);
@@ -124,7 +129,7 @@ fn running_sums(values: &[f64], dimension: usize, index: usize) -> Vec<f64> {
     sums
 }
 
-/// V for averages over `m` samples, over all pieces that are long enough.
+/// Computes V for averages over `m` samples, over all pieces that are long enough.
 fn hadamard(pieces: &[Vec<f64>], m: usize) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for sums in pieces {
@@ -145,7 +150,7 @@ mod tests {
 
     const STEP: f64 = 0.001;
 
-    /// A sine of period `period` \[s\] and size 1, and on it white noise of this size.
+    /// Creates a sine of period `period` \[s\] and amplitude 1, with white noise of this amplitude.
     fn noisy_sine(samples: usize, period: f64, noise: f64, unit: f64) -> Dataset {
         let random = random_values(samples, 3);
         let angle = |s: usize| 2.0 * std::f64::consts::PI * s as f64 * STEP / period;
@@ -155,7 +160,7 @@ mod tests {
         Dataset::new(1, inputs, targets).expect("valid")
     }
 
-    /// Mean squared error of the centred average over `window` against the sine.
+    /// Returns the mean squared error of the centred average over `window` relative to the sine.
     fn error(data: &Dataset, period: f64, window: f64) -> f64 {
         let half = (0.5 * window / STEP).round() as usize;
         let first = data.targets()[0];
@@ -171,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn the_window_is_near_the_best_one() {
+    fn window_is_close_to_optimal() {
         for (period, noise) in [(2.0, 0.3), (2.0, 3.0), (0.5, 1.0), (6.0, 10.0)] {
             let data = noisy_sine(20_000, period, noise, 1.0);
             let found = Averaging::of(std::slice::from_ref(&data), STEP);
@@ -183,13 +188,13 @@ mod tests {
     }
 
     #[test]
-    fn clean_samples_are_left_alone() {
+    fn clean_samples_are_not_averaged() {
         let data = noisy_sine(5_000, 1.0, 0.0, 1.0);
         assert_eq!(Averaging::of(&[data], STEP).window, 0.0);
     }
 
     #[test]
-    fn the_period_is_that_of_the_signal() {
+    fn finds_the_period_of_the_signal() {
         for (period, noise) in [(0.2, 0.0), (0.5, 0.5), (2.0, 0.5), (2.0, 3.0)] {
             let data = noisy_sine(20_000, period, noise, 1.0);
             let found = Averaging::of(&[data], STEP).period.expect("a signal");
@@ -199,8 +204,8 @@ mod tests {
         assert_eq!(Averaging::of(&[still], STEP), Averaging { window: 0.0, period: None });
     }
 
-    /// Between two broadcasts an estimate ramps, so its derivative is smooth there and jumps where
-    /// they are.
+    /// Between two broadcasts the estimate is a ramp: its derivative is smooth there and jumps at
+    /// the broadcasts.
     #[test]
     fn ramps_between_broadcasts_are_chatter() {
         for interval in [5usize, 20, 60] {
@@ -217,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn units_and_pieces_do_not_matter() {
+    fn result_does_not_depend_on_units_or_pieces() {
         let data = noisy_sine(8_000, 1.0, 1.0, 1.0);
         let whole = Averaging::of(&[data], STEP);
         assert_eq!(Averaging::of(&[noisy_sine(8_000, 1.0, 1.0, 1024.0)], STEP), whole);

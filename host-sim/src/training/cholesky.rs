@@ -1,23 +1,23 @@
-//! Solution of the damped normal equations by Cholesky's factorisation.
+//! Solves the damped normal equations by Cholesky factorisation.
 //!
 //! ```text
 //! (A + μ I) x = b,   A + μ I = Uᵀ U,   Uᵀ y = b,   U x = y
 //! ```
 //!
 //! Cost for n unknowns: n³/6 multiplications and additions, n² of memory. Rows are factored in
-//! blocks; what a block contributes to the rows below it is one panel product.
+//! blocks; the contribution of a block to the rows below it is one panel product.
 //!
 //! Invariants: the bits do not depend on the machine (no fused multiply-add; square root and
-//! division are exact to the last bit by IEEE 754). A matrix that is not positive definite to
-//! rounding is an outcome, `false`, not an error.
+//! division are correctly rounded by IEEE 754). A matrix that is not positive definite to rounding
+//! is an outcome, `false`, not an error.
 
 use super::panel_product::{LANES, PanelProduct, Store, round_up, row_stride};
 use pulp::{Arch, Simd, WithSimd};
 
-/// Rows that are factored before the rest of the matrix is updated.
+/// Number of rows factored before the rest of the matrix is updated.
 const BLOCK: usize = 32;
 
-/// Factor, and room to compute it.
+/// The factor and its work space.
 #[derive(Clone, Debug)]
 pub(crate) struct Cholesky {
     arch: Arch,
@@ -25,12 +25,12 @@ pub(crate) struct Cholesky {
     stride: usize,
     /// Upper triangle of U, row-major, rows `stride` apart.
     factor: Vec<f64>,
-    /// The block's columns as rows.
+    /// The columns of the current block, stored as rows.
     columns: Vec<[f64; BLOCK]>,
 }
 
 impl Cholesky {
-    /// Room for matrices of the given order.
+    /// Allocates the work space for matrices of the given order.
     pub(crate) fn new(order: usize, arch: Arch) -> Self {
         let stride = row_stride(order);
         Self {
@@ -43,9 +43,9 @@ impl Cholesky {
     }
 
     /// Solves `(A + damping I) x = b` in place of `b`. `matrix` is A, row-major, shape
-    /// `[order][order]`, of which the upper triangle is read.
+    /// `[order][order]`; only its upper triangle is read.
     ///
-    /// Returns whether the matrix was positive definite; if not, the content of `b` is meaningless.
+    /// Returns whether the matrix was positive definite; if not, the content of `b` is unspecified.
     /// Also returns `false` once `stopped` is true, which is checked every few million
     /// multiplications.
     ///
@@ -86,7 +86,7 @@ impl Cholesky {
         self.factorise(stopped)
     }
 
-    /// Row `k` of U, from its diagonal on.
+    /// Returns row `k` of U from its diagonal on.
     pub(crate) fn row(&self, k: usize) -> &[f64] {
         &self.factor[k * self.stride..][k..self.order]
     }
@@ -156,7 +156,7 @@ impl Cholesky {
     }
 }
 
-/// Inner product in four interleaved sums, added pairwise at the end.
+/// Computes an inner product in four interleaved sums, added pairwise at the end.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut sums = [0.0; 4];
     let (a_chunks, a_rest) = a.as_chunks::<4>();
@@ -199,7 +199,7 @@ impl WithSimd for BlockRows<'_> {
                 }
             }
             let pivot = row[0];
-            // Also false for a pivot that is not a number.
+            // Also false for a NaN pivot.
             if !(pivot > 0.0 && pivot.is_finite()) {
                 return false;
             }
@@ -217,7 +217,7 @@ mod tests {
     use super::*;
     use crate::training::testing::{assert_close, instruction_sets, random_values};
 
-    /// Row-major BᵀB/n + identity/4.
+    /// Returns BᵀB/n + identity/4, row-major.
     fn positive_definite(order: usize) -> Vec<f64> {
         let b = random_values(order * order, 7);
         let mut a = vec![0.0; order * order];
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn solves_and_every_vector_width_agrees() {
+    fn solution_is_correct_and_independent_of_vector_width() {
         for order in [1, 2, 7, 31, 32, 33, 64, 65, 100, 137] {
             let matrix = positive_definite(order);
             let b = random_values(order, 8);
@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn tells_a_matrix_that_is_not_positive_definite() {
+    fn detects_a_matrix_that_is_not_positive_definite() {
         let order = 40;
         let mut matrix = positive_definite(order);
         let mut cholesky = Cholesky::new(order, Arch::new());

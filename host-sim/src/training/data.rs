@@ -1,10 +1,10 @@
-//! Samples to train on, and their random division into training, validation and test sets.
+//! Training samples and their random split into training, validation and test sets.
 //!
 //! Cost: one copy of the samples.
 //!
-//! Invariants: a [`Dataset`] has at least one sample and only finite numbers. The three sets of
-//! a division are disjoint, together hold every sample, and keep the order of the original;
-//! the same seed gives the same division on every machine.
+//! Invariants: a [`Dataset`] has at least one sample and only finite numbers. The three sets of a
+//! split are disjoint, together contain every sample, and keep the original order; the same seed
+//! gives the same split on every machine.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -17,7 +17,7 @@ pub struct Dataset {
     targets: Vec<f64>,
 }
 
-/// Which part of the data an error means.
+/// The part of the data that an error refers to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
     /// The inputs x̂.
@@ -31,11 +31,11 @@ pub enum Part {
 #[non_exhaustive]
 pub enum DataError {
     /// The dimension is 0.
-    #[error("data of dimension 0")]
+    #[error("the dimension of the data is 0")]
     Dimension,
     /// A length is not a multiple of the dimension, or the lengths differ.
     #[error(
-        "{inputs} input and {targets} target values do not make samples of dimension {dimension}"
+        "{inputs} input and {targets} target values do not form samples of dimension {dimension}"
     )]
     Length {
         /// Number of input values.
@@ -45,8 +45,8 @@ pub enum DataError {
         /// Dimension n.
         dimension: usize,
     },
-    /// A value is infinite or not a number.
-    #[error("{part:?} of sample {sample}, component {component} is not finite")]
+    /// A value is infinite or NaN.
+    #[error("non-finite value in {part:?}: sample {sample}, component {component}")]
     NotFinite {
         /// Inputs or targets.
         part: Part,
@@ -56,26 +56,26 @@ pub enum DataError {
         component: usize,
     },
     /// Fewer samples than needed.
-    #[error("{found} samples, at least {needed} are needed")]
+    #[error("{found} samples, but at least {needed} are required")]
     TooFewSamples {
-        /// Samples there are.
+        /// Number of samples.
         found: usize,
-        /// Samples needed.
+        /// Number of samples required.
         needed: usize,
     },
-    /// A share of the division is negative or not finite, or there is nothing to train on.
-    #[error("division {split:?}, expected three shares from 0, the first above 0")]
+    /// A fraction of the split is negative or not finite, or there is nothing to train on.
+    #[error("split {split:?}, expected three fractions >= 0, the first above 0")]
     Split {
-        /// The shares given.
+        /// The fractions.
         split: [f64; 3],
     },
 }
 
 impl Dataset {
-    /// Samples of dimension n; `inputs` and `targets` are row-major, shape `[samples][n]`.
+    /// Creates samples of dimension n; `inputs` and `targets` are row-major, shape `[samples][n]`.
     ///
     /// # Errors
-    /// If the lengths do not fit, there is no sample, or a value is not finite.
+    /// If the lengths do not match, there are no samples, or a value is not finite.
     pub fn new(dimension: usize, inputs: Vec<f64>, targets: Vec<f64>) -> Result<Self, DataError> {
         if dimension == 0 {
             return Err(DataError::Dimension);
@@ -96,38 +96,38 @@ impl Dataset {
         Ok(Self { dimension, inputs, targets })
     }
 
-    /// Number of samples.
+    /// Returns the number of samples.
     #[must_use]
     #[allow(clippy::len_without_is_empty, reason = "a data set is never empty")]
     pub fn len(&self) -> usize {
         self.inputs.len() / self.dimension
     }
 
-    /// Dimension n of inputs and targets.
+    /// Returns n, the dimension of inputs and targets.
     #[must_use]
     pub fn dimension(&self) -> usize {
         self.dimension
     }
 
-    /// Row-major, shape `[samples][n]`.
+    /// Returns the inputs, row-major, shape `[samples][n]`.
     #[must_use]
     pub fn inputs(&self) -> &[f64] {
         &self.inputs
     }
 
-    /// Row-major, shape `[samples][n]`.
+    /// Returns the targets, row-major, shape `[samples][n]`.
     #[must_use]
     pub fn targets(&self) -> &[f64] {
         &self.targets
     }
 
-    /// The same number of samples with other values, which have to be finite.
+    /// Replaces the values, which must be finite, for the same number of samples.
     pub(super) fn with_values(&self, inputs: Vec<f64>, targets: Vec<f64>) -> Self {
         debug_assert_eq!((inputs.len(), targets.len()), (self.inputs.len(), self.targets.len()));
         Self { dimension: self.dimension, inputs, targets }
     }
 
-    /// The samples with the given indices, or `None` if there are none.
+    /// Returns the samples with the given indices, or `None` if there are none.
     ///
     /// # Panics
     /// If an index is out of range.
@@ -144,8 +144,8 @@ impl Dataset {
         })
     }
 
-    /// Divides the samples at random, in the given proportions of training, validation and
-    /// test.
+    /// Splits the samples at random into training, validation and test sets of the given
+    /// proportions.
     ///
     /// # Errors
     /// [`DataError::Split`] or, if the training set would be empty,
@@ -161,19 +161,19 @@ impl Dataset {
     }
 }
 
-/// Three disjoint parts of a data set.
+/// Three disjoint subsets of a data set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Division {
-    /// To fit.
+    /// Used to fit the parameters.
     pub train: Dataset,
-    /// To end the training before it fits noise.
+    /// Used to stop before training fits noise.
     pub validation: Option<Dataset>,
-    /// To report.
+    /// Used for reporting only.
     pub test: Option<Dataset>,
 }
 
 impl Division {
-    /// The division with `change` applied to each part.
+    /// Applies `change` to each subset.
     #[must_use]
     pub fn map(&self, change: impl Fn(&Dataset) -> Dataset) -> Self {
         Self {
@@ -184,10 +184,10 @@ impl Division {
     }
 }
 
-/// Indices of training, validation and test set, each ascending.
+/// Returns the indices of training, validation and test set, each ascending.
 ///
-/// As the toolbox's `dividerand`: validation and test get their rounded share, training the
-/// rest, by a random permutation.
+/// As in the toolbox's `dividerand`, validation and test get their rounded share of a random
+/// permutation, and training gets the rest.
 ///
 /// # Errors
 /// [`DataError::Split`] or [`DataError::TooFewSamples`].
@@ -220,7 +220,7 @@ fn rounded_share(samples: usize, share: f64) -> usize {
     (samples as f64 * share).round() as usize
 }
 
-/// Fisher and Yates' shuffle of 0..count.
+/// Shuffles 0..count by Fisher and Yates.
 fn permutation(count: usize, generator: &mut impl Rng) -> Vec<usize> {
     let mut indices: Vec<usize> = (0..count).collect();
     for last in (1..count).rev() {
@@ -229,7 +229,8 @@ fn permutation(count: usize, generator: &mut impl Rng) -> Vec<usize> {
     indices
 }
 
-/// Uniform in 0..bound, without bias: draws above the last multiple of `bound` are repeated.
+/// Draws uniformly from 0..bound without bias: draws above the last multiple of `bound` are
+/// repeated.
 #[allow(clippy::cast_possible_truncation, reason = "below `bound`, a usize")]
 fn below(bound: usize, generator: &mut impl Rng) -> usize {
     let bound = bound as u64;
@@ -248,7 +249,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn refuses_what_does_not_fit() {
+    fn rejects_inconsistent_data() {
         assert_eq!(Dataset::new(0, vec![], vec![]), Err(DataError::Dimension));
         assert_eq!(
             Dataset::new(2, vec![0.0; 4], vec![0.0; 6]),
@@ -264,7 +265,7 @@ mod tests {
         );
         let error = DataError::NotFinite { part: Part::Targets, sample: 1, component: 0 };
         assert_eq!(Dataset::new(2, vec![0.0; 4], vec![0.0, 0.0, f64::NAN, 0.0]), Err(error));
-        assert_eq!(error.to_string(), "Targets of sample 1, component 0 is not finite");
+        assert_eq!(error.to_string(), "non-finite value in Targets: sample 1, component 0");
         let data = Dataset::new(1, vec![1.0, 2.0], vec![3.0, 4.0]).expect("fits");
         assert_eq!(data.select(&[1]), Some(Dataset::new(1, vec![2.0], vec![4.0]).expect("fits")));
         let split = [0.0, 1.0, 0.0];
@@ -276,14 +277,14 @@ mod tests {
     }
 
     #[test]
-    fn paper_division_has_the_paper_shares() {
+    fn split_of_the_paper_has_the_papers_sizes() {
         let sizes = divide_at_random(6000, [0.7, 0.15, 0.15], 3).expect("valid").map(|p| p.len());
         assert_eq!(sizes, [4200, 900, 900]);
     }
 
     proptest! {
         #[test]
-        fn parts_partition_the_samples(
+        fn subsets_partition_the_samples(
             samples in 4usize..500, validation in 0.0..0.3f64, test in 0.0..0.3f64, seed: u64,
         ) {
             let split = [1.0 - validation - test, validation, test];
@@ -299,7 +300,7 @@ mod tests {
         }
 
         #[test]
-        fn seeds_differ(seed in 0..u64::MAX) {
+        fn different_seeds_give_different_splits(seed in 0..u64::MAX) {
             let division = |seed| divide_at_random(100, [0.7, 0.15, 0.15], seed).expect("valid");
             prop_assert_ne!(division(seed), division(seed + 1));
         }

@@ -1,8 +1,8 @@
-//! Where training starts.
+//! Initial parameters for training.
 //!
-//! A constant start, as the paper has it (0.1), leaves the nodes of a layer identical for ever,
-//! because their gradients are equal: the network is then as narrow as one node a layer. A
-//! random start breaks the symmetry. Two are offered, for a layer of w nodes and m inputs:
+//! With a constant start, as in the paper (0.1), the nodes of a layer stay identical because their
+//! gradients are equal, and the network is as narrow as one node per layer. A random start breaks
+//! the symmetry. There are two, for a layer of w nodes and m inputs:
 //!
 //! ```text
 //! Glorot and Bengio (2010):   weight ~ U(−r, r),  r = √(6 / (m + w)),  bias = 0
@@ -10,13 +10,13 @@
 //!                             bias_p = β · (−1 + 2p/(w−1)) · random sign    (0 for w = 1)
 //! ```
 //!
-//! A is the half-width of the activation's active range (2 for tanh, 4 for the logistic, 1 for
-//! the Gaussian). Both formulas suppose inputs in about [−1, 1]. For the first layer inputs are
-//! standardised by the data's mean and deviation (Glorot) or range (Nguyen–Widrow), for a layer
-//! above by the activation's range; the affine map is then folded into weights and biases:
+//! A is the half-width of the activation's active range (2 for tanh, 4 for the logistic, 1 for the
+//! Gaussian). Both formulas assume inputs of about [−1, 1]. The inputs of the first layer are
+//! standardised by the data's mean and deviation (Glorot) or range (Nguyen–Widrow), those of a
+//! later layer by the activation's range; the affine map is then folded into weights and biases:
 //! `(x − c)/h` gives `weight/h` and `bias − Σ weight·c/h`.
 //!
-//! Invariants: the same seed gives the same bits on every machine.
+//! Invariant: the same seed gives the same bits on every machine.
 
 use super::data::Dataset;
 use agent_core::math::activation::Activation;
@@ -24,44 +24,44 @@ use agent_core::observer::network::Architecture;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// The parameters that training starts from.
+/// The initial parameters of training.
 #[derive(Clone, Debug, PartialEq)]
 pub enum InitialParameters {
-    /// Every parameter has this value; the paper's is 0.1.
+    /// All parameters have this value; 0.1 in the paper.
     Constant(f64),
-    /// These parameters, in the flat order of the core's networks: for training that continues.
+    /// These parameters, in the flat order of the core's networks, to continue a training.
     Given(Vec<f64>),
     /// Glorot and Bengio's uniform weights for standardised inputs.
     Glorot,
-    /// Nguyen and Widrow's: active ranges spread evenly over the inputs.
+    /// Nguyen and Widrow's method: active ranges spread evenly over the inputs.
     NguyenWidrow,
 }
 
-/// Why there is no start.
+/// Why there are no initial parameters.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InitialError {
-    /// A parameter is infinite or not a number.
+    /// A parameter is infinite or NaN.
     #[error("initial parameter {index} is not finite")]
     NotFinite {
         /// Its index.
         index: usize,
     },
-    /// The given parameters do not fit the architecture.
-    #[error("{found} initial parameters, the architecture has {expected}")]
+    /// The given parameters do not match the architecture.
+    #[error("{found} initial parameters, but the architecture has {expected}")]
     Count {
-        /// Parameters of the architecture.
+        /// Number of parameters of the architecture.
         expected: usize,
-        /// Parameters given.
+        /// Number of parameters given.
         found: usize,
     },
 }
 
 impl InitialParameters {
-    /// The flat parameters for `architecture`, whose first layer will see the inputs of `data`.
+    /// Returns the flat parameters for `architecture`, whose first layer gets the inputs of `data`.
     ///
     /// # Errors
-    /// If given parameters are not finite or do not fit.
+    /// If given parameters are not finite or do not match.
     pub fn draw(
         &self,
         architecture: &Architecture,
@@ -94,13 +94,13 @@ struct InputRange {
 }
 
 impl InputRange {
-    /// A constant input has no width; it is only centred.
+    /// A constant input has no width and is only centred.
     fn new(centre: f64, half_width: f64) -> Self {
         Self { centre, half_width: if half_width > 0.0 { half_width } else { 1.0 } }
     }
 }
 
-/// Mean and standard deviation of each input.
+/// Returns mean and standard deviation of each input.
 fn standard_ranges(data: &Dataset) -> Vec<InputRange> {
     let (n, count) = (data.dimension(), data.len() as f64);
     let column = |i: usize| data.inputs().iter().skip(i).step_by(n);
@@ -112,7 +112,7 @@ fn standard_ranges(data: &Dataset) -> Vec<InputRange> {
     (0..n).map(range).collect()
 }
 
-/// Middle and half of the range of each input.
+/// Returns midpoint and half-width of each input's range.
 fn extreme_ranges(data: &Dataset) -> Vec<InputRange> {
     let n = data.dimension();
     let column = |i: usize| data.inputs().iter().skip(i).step_by(n);
@@ -124,7 +124,7 @@ fn extreme_ranges(data: &Dataset) -> Vec<InputRange> {
     (0..n).map(range).collect()
 }
 
-/// The range of what a layer passes on.
+/// Returns the range of a layer's outputs.
 fn output_range(activation: Activation) -> InputRange {
     match activation {
         Activation::Tanh => InputRange { centre: 0.0, half_width: 1.0 },
@@ -132,8 +132,7 @@ fn output_range(activation: Activation) -> InputRange {
     }
 }
 
-/// Biases and weights of one layer for inputs in about [−1, 1]; biases `[width]`, weights
-/// `[inputs][width]`.
+/// Draws biases `[width]` and weights `[inputs][width]` of one layer for inputs of about [−1, 1].
 type DrawLayer = fn(usize, usize, Activation, &mut ChaCha8Rng) -> (Vec<f64>, Vec<f64>);
 
 fn random(
@@ -200,7 +199,7 @@ fn nguyen_widrow(
     (biases, weights)
 }
 
-/// Uniform in (−1, 1), on 2^53 points, of which none is 0.
+/// Draws uniformly from 2^53 points in (−1, 1), not including 0.
 fn symmetric_uniform(generator: &mut impl Rng) -> f64 {
     let unit = ((generator.next_u64() >> 11) as f64 + 0.5) * (1.0 / 9_007_199_254_740_992.0);
     2.0 * unit - 1.0
@@ -218,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn same_seed_same_bits_other_seed_other_bits() {
+    fn bits_depend_only_on_the_seed() {
         let architecture = architecture(2, &[(5, Tanh), (3, Logistic), (4, Gaussian)]);
         for initial in [InitialParameters::Glorot, InitialParameters::NguyenWidrow] {
             let draw = |seed| initial.draw(&architecture, &data(), seed).expect("finite");
@@ -229,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_and_given_are_taken_as_they_are() {
+    fn constant_and_given_parameters_are_used_unchanged() {
         let architecture = architecture(2, &[(2, Tanh)]);
         let constant = InitialParameters::Constant(0.1).draw(&architecture, &data(), 0);
         assert_eq!(constant, Ok(vec![0.1; 6]));
@@ -245,7 +244,7 @@ mod tests {
     fn glorot_centres_the_first_layer_on_the_data() {
         let architecture = architecture(2, &[(6, Tanh)]);
         let p = InitialParameters::Glorot.draw(&architecture, &data(), 5).expect("finite");
-        // At the mean of the data every node is in the middle of its range.
+        // At the mean of the data, every node is at the centre of its active range.
         let sums: Vec<f64> = (0..6).map(|q| p[q] + 3.0 * p[6 + q] - 40.0 * p[12 + q]).collect();
         assert_close(&sums, &[0.0; 6], 0.0, 1e-13);
         let radius = (6.0f64 / 8.0).sqrt();
@@ -261,10 +260,10 @@ mod tests {
         let p = InitialParameters::NguyenWidrow.draw(&architecture, &data(), 5).expect("finite");
         let norm = 0.7 * 5f64.sqrt() * 2.0;
         for q in 0..5 {
-            // In units of half the range, every node's weights have the norm.
+            // In units of half the range, every node's weights have this norm.
             let weights = [p[5 + q] * 2.0, p[10 + q] * 20.0];
             assert_close(&[(weights[0].powi(2) + weights[1].powi(2)).sqrt()], &[norm], 1e-14, 0.0);
-            // The sum in the middle of the data is the evenly spread bias.
+            // At the centre of the data, the pre-activation is the evenly spread bias.
             let middle = p[q] + 3.0 * p[5 + q] - 40.0 * p[10 + q];
             assert_close(&[middle.abs()], &[norm * (q as f64 / 2.0 - 1.0).abs()], 1e-12, 1e-13);
         }

@@ -4,37 +4,36 @@
 //! minimise over θ   E(θ) = (1/(S n)) Σ_s ‖Wᵀ σ(Φ̂(x̂_s; θ)) − ẋ̂_s‖²
 //! ```
 //!
-//! over S recorded samples of an agent's own estimate x̂ and its derivative, with the outer
-//! weights W fixed (the paper's section "Simulation": Levenberg–Marquardt, mean squared error,
-//! 70/15/15 % of the samples for training, validation and test). The rest is building blocks:
+//! over S recorded samples of an agent's own estimate x̂ and its derivative, with fixed outer
+//! weights W (the paper's section "Simulation": Levenberg–Marquardt, mean squared error, 70/15/15 %
+//! of the samples for training, validation and test).
 //!
-//! | module | what it does |
+//! | module | purpose |
 //! | --- | --- |
-//! | [`data`] | samples, their division |
-//! | [`averaging`] | chooses how long to average samples |
-//! | [`smoothing`] | takes the chatter out of recorded samples |
-//! | [`initial`] | parameters to start from |
-//! | [`scaling`] | units of the data, so that the user's do not matter |
-//! | [`network_problem`] | network and data as a least-squares problem |
-//! | [`weight_decay`] | a preference for small parameters |
-//! | [`levenberg_marquardt`] | the solver, for any least-squares problem |
-//! | `propagation`, `normal_matrix` | forward and backward pass; JᵀJ by its structure |
+//! | [`data`] | samples and their split |
+//! | [`averaging`] | chooses the averaging window |
+//! | [`smoothing`] | removes chatter from recorded samples |
+//! | [`initial`] | initial parameters |
+//! | [`scaling`] | scales the data, so that units do not matter |
+//! | [`network_problem`] | the training as a least-squares problem |
+//! | [`weight_decay`] | penalty on large weights |
+//! | [`trainer`] | solvers, for any least-squares problem |
+//! | `propagation`, `normal_matrix` | forward and backward pass; JᵀJ exploiting its structure |
 //! | `panel_product`, `cholesky`, `elementary` | the kernels |
 //!
 //! Cost for the paper's network (425 parameters, 4,200 training samples): about 0.35 billion
-//! multiplications and additions an epoch, nearly all of them in JᵀJ. Single-threaded: train
-//! agents in parallel instead.
+//! multiplications and additions per epoch, nearly all of them in JᵀJ. Single-threaded; agents can
+//! be trained in parallel.
 //!
-//! Invariants: the same arguments give the same bits on every machine, whatever its vector
-//! width: every sum has a fixed order, no multiplication is fused with an addition, and no
-//! function of the platform's libm is called.
+//! Invariants: the same arguments give the same bits on every machine and with every vector width:
+//! every sum has a fixed order, no multiplication is fused with an addition, and no function of the
+//! platform's libm is called.
 
 pub mod averaging;
 pub(crate) mod cholesky;
 pub mod data;
 mod elementary;
 pub mod initial;
-pub mod levenberg_marquardt;
 pub mod network_problem;
 #[cfg(test)]
 mod network_tests;
@@ -47,45 +46,47 @@ pub mod smoothing;
 mod solver_tests;
 #[cfg(test)]
 mod testing;
+pub mod trainer;
 pub mod weight_decay;
 
 pub use averaging::Averaging;
 pub use data::{DataError, Dataset, Division};
 pub use initial::{InitialError, InitialParameters};
-pub use levenberg_marquardt::{
-    EpochReport, LeastSquares, LevenbergMarquardtSettings, SettingError, StopReason,
-    TrainingReport, minimize,
-};
 pub use network_problem::{NetworkProblem, ProblemError};
 pub use scaling::Scaling;
 pub use smoothing::{Smoothed, Smoothing, SmoothingError};
+pub use trainer::levenberg_marquardt::{
+    EpochReport, LeastSquares, LevenbergMarquardtSettings, SettingError, StopReason,
+    TrainingReport, minimize,
+};
+pub use trainer::{Trainer, TrainerSettings};
 pub use weight_decay::WeightDecay;
 
 use agent_core::observer::network::Architecture;
 use std::ops::ControlFlow;
 use std::sync::atomic::AtomicBool;
 
-/// How an inner network is trained.
+/// Settings for training an inner network.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrainingSettings {
     /// Solver.
-    pub levenberg_marquardt: LevenbergMarquardtSettings,
+    pub trainer: TrainerSettings,
     /// Proportions of training, validation and test samples. Default 0.7, 0.15, 0.15 (paper).
     pub split: [f64; 3],
-    /// Start. Default [`InitialParameters::NguyenWidrow`].
+    /// Initial parameters. Default [`InitialParameters::NguyenWidrow`].
     pub initial: InitialParameters,
-    /// λ of the penalty λ‖w‖² on the weights, but not the biases, that is added to the mean
-    /// squared error. Default 0.
+    /// λ of the penalty λ‖w‖² added to the mean squared error; w are the weights without the
+    /// biases. Default 0.
     pub weight_decay: f64,
-    /// Whether training takes place in units of the data ([`Scaling`]): errors, goal, damping and
-    /// decay are then shares of the targets' variance. Default true.
+    /// Whether to train on normalised data ([`Scaling`]): errors, goal, damping and decay are then
+    /// relative to the targets' variance. Default true.
     pub normalise: bool,
 }
 
 impl Default for TrainingSettings {
     fn default() -> Self {
         Self {
-            levenberg_marquardt: LevenbergMarquardtSettings::default(),
+            trainer: TrainerSettings::default(),
             split: [0.7, 0.15, 0.15],
             initial: InitialParameters::NguyenWidrow,
             weight_decay: 0.0,
@@ -98,29 +99,29 @@ impl Default for TrainingSettings {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TrainingError {
-    /// The samples cannot be divided.
+    /// The samples cannot be split.
     #[error(transparent)]
     Data(#[from] DataError),
-    /// There is no start.
+    /// The initial parameters are invalid.
     #[error(transparent)]
     Initial(#[from] InitialError),
-    /// Network and data do not fit.
+    /// Network and data do not match.
     #[error(transparent)]
     Problem(#[from] ProblemError),
-    /// A setting of the solver is out of its range.
+    /// A setting of the solver is out of range.
     #[error(transparent)]
     Setting(#[from] SettingError),
 }
 
-/// Divides the data, draws a start and trains.
+/// Splits the data, draws the initial parameters and trains.
 ///
-/// `outer_weights` is W, row-major, shape `[L][n]`. `seed` fixes division and start (as two
-/// streams, so that one does not depend on the other). Returns the flat inner parameters in
-/// the order of the core's networks, and what happened.
+/// `outer_weights` is W, row-major, shape `[L][n]`. `seed` determines both the split and the
+/// initial parameters, as two independent streams. Returns the flat inner parameters in the order
+/// of the core's networks, and the report.
 ///
 /// # Errors
-/// If data, network and settings do not fit; see [`TrainingError`]. How training ended is in
-/// the report, never an error.
+/// If data, network and settings do not match; see [`TrainingError`]. The reason why training ended
+/// is part of the report, not an error.
 pub fn train_inner_network(
     architecture: &Architecture,
     outer_weights: &[f64],
@@ -132,11 +133,11 @@ pub fn train_inner_network(
     train_inner_network_until(architecture, outer_weights, dataset, settings, seed, progress, None)
 }
 
-/// As [`train_inner_network`]; once `stop` is true, training ends within tens of milliseconds, even
-/// in the middle of an epoch, with the best epoch so far.
+/// Like [`train_inner_network`]; once `stop` is true, training ends within tens of milliseconds,
+/// even in the middle of an epoch, and returns the best epoch so far.
 ///
 /// # Errors
-/// As [`train_inner_network`].
+/// Same as [`train_inner_network`].
 pub fn train_inner_network_until(
     architecture: &Architecture,
     outer_weights: &[f64],
@@ -163,14 +164,14 @@ pub fn train_inner_network_until(
     if let (Some(scaling), InitialParameters::Given(_)) = (&scaling, &settings.initial) {
         scaling.unfold(architecture, &mut start);
     }
-    let solver = &settings.levenberg_marquardt;
-    let (mut parameters, report) = minimize(&mut problem, start, solver, progress)?;
+    let trainer = settings.trainer.trainer();
+    let (mut parameters, report) = trainer.minimize(&mut problem, start, progress)?;
     if let Some(scaling) = &scaling {
         scaling.fold(architecture, &mut parameters);
     }
     Ok((parameters, report))
 }
 
-/// Any fixed number will do: it separates the random numbers of the start from those of the
-/// division. These are the first digits of π in hexadecimal.
+/// An arbitrary constant that separates the random numbers of the initial parameters from those of
+/// the split: the first digits of π in hexadecimal.
 const START_STREAM: u64 = 0x243f_6a88_85a3_08d3;

@@ -4,58 +4,58 @@
 //! e^o(s) = f̂^o(x_s) − y_s^o,   f̂(x) = Wᵀ σ(Φ̂(x)),   E = (1 / (S n)) Σ_s Σ_o e^o(s)²
 //! ```
 //!
-//! The outer weights W are fixed: on the node they belong to the update law. Only the
+//! The outer weights W are fixed, because on the node the update law adapts them. Only the
 //! parameters of the inner layers are trained.
 //!
-//! Cost: see `normal_matrix` for JᵀJ, which is nearly all of it. Memory for n parameters:
-//! about 4 n² bytes here and 16 n² in the solver.
+//! Cost: dominated by JᵀJ, see `normal_matrix`. Memory for n parameters: about 4 n² bytes here and
+//! 16 n² in the solver.
 //!
-//! Invariants: samples are taken in the order of the data set; the bits of every result depend
+//! Invariants: samples are processed in the order of the data set; the bits of every result depend
 //! only on the arguments, not on the machine.
 
 use super::data::Dataset;
-use super::levenberg_marquardt::LeastSquares;
 use super::normal_matrix::NormalMatrix;
 use super::propagation::{BATCH, Propagation, layer_shapes};
+use super::trainer::levenberg_marquardt::LeastSquares;
 use agent_core::observer::network::Architecture;
 use pulp::{Arch, Simd, WithSimd};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Most parameters that can be trained; JᵀJ then takes half a gigabyte.
+/// Maximum number of trainable parameters; JᵀJ then takes half a gigabyte.
 pub const PARAMETERS_MAX: usize = 8192;
 
-/// Why network and data do not make a problem.
+/// Why network and data do not form a problem.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ProblemError {
     /// The outer weights do not have the shape `[L][n]`.
     #[error("{found} outer weights, expected {features} features times {dimension} outputs")]
     OuterWeightCount {
-        /// The number given.
+        /// Number of weights given.
         found: usize,
-        /// Features L of the architecture.
+        /// Number of features L of the architecture.
         features: usize,
-        /// Outputs n of the data.
+        /// Number of outputs n of the data.
         dimension: usize,
     },
-    /// An outer weight is infinite or not a number.
+    /// An outer weight is infinite or NaN.
     #[error("outer weight {index} is not finite")]
     OuterWeightNotFinite {
-        /// Its index in the row-major sequence.
+        /// Its index in row-major order.
         index: usize,
     },
-    /// The data have another dimension than the network's input.
-    #[error("data of dimension {found} for a network with {expected} inputs")]
+    /// The dimension of the data differs from the number of inputs.
+    #[error("the data have dimension {found}, but the network has {expected} inputs")]
     Dimension {
-        /// Inputs of the architecture.
+        /// Number of inputs of the architecture.
         expected: usize,
         /// Dimension of the data.
         found: usize,
     },
     /// More than [`PARAMETERS_MAX`] parameters.
-    #[error("{found} inner parameters, at most {PARAMETERS_MAX} can be trained")]
+    #[error("{found} inner parameters, but training supports at most {PARAMETERS_MAX}")]
     ParameterCount {
-        /// Parameters of the architecture.
+        /// Number of parameters of the architecture.
         found: usize,
     },
 }
@@ -75,11 +75,11 @@ pub struct NetworkProblem {
 }
 
 impl NetworkProblem {
-    /// Trains the inner layers of `architecture` below the fixed `outer_weights` (row-major,
-    /// shape `[L][n]`).
+    /// Creates the problem of training the inner layers of `architecture` with fixed
+    /// `outer_weights` (row-major, shape `[L][n]`).
     ///
     /// # Errors
-    /// If shapes do not fit or a weight is not finite.
+    /// If shapes do not match or a weight is not finite.
     pub fn new(
         architecture: &Architecture,
         outer_weights: &[f64],
@@ -90,7 +90,7 @@ impl NetworkProblem {
         Self::with_arch(architecture, outer_weights, [Some(train), validation, test], Arch::new())
     }
 
-    /// As [`Self::new`], for a given instruction set.
+    /// Like [`Self::new`], for a given instruction set.
     pub(super) fn with_arch(
         architecture: &Architecture,
         outer_weights: &[f64],
@@ -129,7 +129,7 @@ impl NetworkProblem {
         })
     }
 
-    /// The same problem, whose evaluations end early once `stop` is true.
+    /// Makes evaluations end early once `stop` is true.
     #[must_use]
     pub fn until(self, stop: Option<&'static AtomicBool>) -> Self {
         Self { stop, ..self }
@@ -188,12 +188,13 @@ impl LeastSquares for NetworkProblem {
     }
 }
 
-/// Whether training is to end at once.
+/// Whether training must end at once.
 fn is_set(stop: Option<&AtomicBool>) -> bool {
     stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
 }
 
-/// E over `samples`, for the parameters that `propagation` holds; of no use once `stop` is true.
+/// Computes E over `samples` for the parameters set in `propagation`; unspecified once `stop` is
+/// true.
 fn mean_squared_error(
     arch: Arch,
     samples: &Samples,
@@ -222,7 +223,7 @@ struct Samples {
     targets: Vec<f64>,
 }
 
-/// One batch, rows of [`BATCH`], of which `samples` count.
+/// One batch of rows of [`BATCH`], of which the first `samples` count.
 struct Batch<'a> {
     inputs: &'a [f64],
     targets: &'a [f64],
@@ -257,13 +258,13 @@ impl Samples {
         )
     }
 
-    /// M, as a number to divide by.
+    /// Returns M as a divisor.
     fn residual_count(&self) -> f64 {
         (self.count * self.dimension) as f64
     }
 }
 
-/// Σ e², one sum for each place in a batch.
+/// Σ e², one sum per position in a batch.
 struct SquareSums([f64; BATCH]);
 
 impl SquareSums {
@@ -271,7 +272,7 @@ impl SquareSums {
         Self([0.0; BATCH])
     }
 
-    /// Writes estimate − target of a batch into `residuals` and adds their squares.
+    /// Writes estimate − target of a batch to `residuals` and adds their squares.
     fn add(&mut self, arch: Arch, estimates: &[f64], batch: &Batch<'_>, residuals: &mut [f64]) {
         let sums = &mut self.0[..batch.samples];
         arch.dispatch(SubtractAndSquare { estimates, targets: batch.targets, residuals, sums });

@@ -1,14 +1,15 @@
-//! The network problem against definitions: central differences, a dense Jacobian, plain loops.
+//! Compares the network problem with its definition: central differences, a dense Jacobian, plain
+//! loops.
 
 use super::data::Dataset;
-use super::levenberg_marquardt::LeastSquares;
 use super::network_problem::{NetworkProblem, ProblemError};
 use super::testing::{architecture, assert_close, instruction_sets, random_data, random_values};
+use super::trainer::levenberg_marquardt::LeastSquares;
 use agent_core::math::activation::Activation::{Gaussian, Logistic, Tanh};
 use agent_core::observer::network::Architecture;
 use proptest::prelude::*;
 
-/// f̂(x) as the equations have it, with libm's functions.
+/// Computes f̂(x) as in the equations, with libm's functions.
 fn naive_estimate(
     architecture: &Architecture,
     outer: &[f64],
@@ -53,7 +54,7 @@ fn naive_residuals(
     .collect()
 }
 
-/// J by fourth-order central differences, one column a parameter.
+/// Computes J by fourth-order central differences, one column per parameter.
 fn naive_jacobian(
     architecture: &Architecture,
     outer: &[f64],
@@ -73,7 +74,7 @@ fn naive_jacobian(
     (0..parameters.len()).map(column).collect()
 }
 
-/// Upper triangle of the normal matrix (the rest 0), gradient and cost.
+/// Returns the upper triangle of the normal matrix (the rest 0), gradient and cost.
 fn normal_equations(problem: &mut NetworkProblem, parameters: &[f64]) -> (Vec<f64>, Vec<f64>, f64) {
     let n = parameters.len();
     let (mut hessian, mut gradient) = (vec![f64::NAN; n * n], vec![f64::NAN; n]);
@@ -110,7 +111,7 @@ fn check_against_definitions(architecture: &Architecture, samples: usize, seed: 
     assert_eq!(problem.cost(&parameters).to_bits(), cost.to_bits());
     assert_eq!(problem.validation_cost(&parameters).map(f64::to_bits), Some(cost.to_bits()));
     assert_eq!(problem.test_cost(&parameters), None);
-    // Differences of order 4 with step 1e-3 are good to about 1e-10.
+    // Fourth-order differences with step 1e-3 are accurate to about 1e-10.
     assert_close(&gradient, &expected_gradient, 1e-8, 1e-9);
     assert_close(&hessian, &expected, 1e-8, 1e-9);
 
@@ -123,14 +124,14 @@ fn check_against_definitions(architecture: &Architecture, samples: usize, seed: 
 }
 
 #[test]
-fn paper_network_against_definitions() {
+fn paper_network_matches_definition() {
     let architecture = architecture(3, &[(12, Tanh), (12, Tanh), (12, Tanh), (5, Tanh)]);
     assert_eq!(architecture.parameter_count(), 425);
     check_against_definitions(&architecture, 70, 11);
 }
 
 #[test]
-fn extreme_shapes_against_definitions() {
+fn extreme_shapes_match_definition() {
     check_against_definitions(&architecture(1, &[(1, Tanh)]), 1, 1);
     check_against_definitions(&architecture(12, &[(9, Logistic), (1, Gaussian)]), 65, 2);
     check_against_definitions(&architecture(2, &[(2, Gaussian); 8]), 128, 3);
@@ -139,7 +140,7 @@ fn extreme_shapes_against_definitions() {
 }
 
 #[test]
-fn widest_layers_have_the_cost_and_gradient_of_the_definition() {
+fn widest_layers_match_definition() {
     let architecture = architecture(2, &[(64, Tanh), (64, Logistic)]);
     let (data, outer) = (random_data(2, 100, 1), random_values(128, 2));
     let parameters = random_values(architecture.parameter_count(), 3);
@@ -152,7 +153,7 @@ fn widest_layers_have_the_cost_and_gradient_of_the_definition() {
         problem.cost(&moved)
     };
     let slope = (cost(1e-5) - cost(-1e-5)) / 2e-5;
-    // The gradient of the mean squared error is twice what the normal equations hold.
+    // The gradient of the mean squared error is twice that of the normal equations.
     let expected = 2.0 * gradient.iter().zip(&direction).map(|(g, d)| g * d).sum::<f64>();
     assert_close(&[slope], &[expected], 1e-6, 1e-8);
 }
@@ -160,7 +161,7 @@ fn widest_layers_have_the_cost_and_gradient_of_the_definition() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
     #[test]
-    fn random_networks_against_definitions(
+    fn random_networks_match_definition(
         inputs in 1usize..5,
         layers in prop::collection::vec(
             (1u8..10, prop::sample::select(vec![Tanh, Logistic, Gaussian])), 1..5),
@@ -187,7 +188,7 @@ fn saturated_networks_stay_finite() {
 }
 
 #[test]
-fn refuses_what_does_not_fit() {
+fn rejects_mismatched_shapes() {
     let small = architecture(2, &[(3, Tanh)]);
     let create = |architecture, outer: &[f64], dimension| {
         let data = random_data(dimension, 3, 1);

@@ -1,7 +1,7 @@
-//! JᵀJ and Jᵀe of the inner parameters without ever forming J.
+//! Computes JᵀJ and Jᵀe of the inner parameters without forming J.
 //!
-//! With `a_k` the inputs of layer k (and a leading 1) and `δ_k^o` the sensitivities of output
-//! o, the row of J for sample s and output o holds `a_k[i] δ_k^o[p]` at weight (i, p) of layer
+//! With `a_k` the inputs of layer k (including a leading 1) and `δ_k^o` the sensitivities of output
+//! o, the row of J for sample s and output o contains `a_k[i] δ_k^o[p]` at weight (i, p) of layer
 //! k. Hence
 //!
 //! ```text
@@ -9,15 +9,15 @@
 //! Jᵀe[(k, i, p)]            = Σ_s  a_k[i]         · (Σ_o δ_k^o[p] e^o)
 //! ```
 //!
-//! The sum over outputs is taken before the products, and for every pair of layers what
-//! remains is the product of a panel `[(i, j)][s]` and a panel `[s][(p, q)]`, batch by batch.
-//! For k = l both factors are symmetric, and only i ≤ j and p ≤ q are computed.
+//! The sum over outputs is taken before the products; for every pair of layers this leaves the
+//! product of a panel `[(i, j)][s]` and a panel `[s][(p, q)]`, batch by batch. For k = l both
+//! factors are symmetric, and only i ≤ j and p ≤ q are computed.
 //!
-//! Cost a sample: Σ_k m_k(m_k+1)/2 · w_k(w_k+1)/2 + Σ_(k<l) m_k m_l w_k w_l multiplications and
-//! additions with m = inputs + 1: 79,053 for the paper's network, where the rows of a dense J
-//! with three outputs cost 271,575. Memory: 8 bytes for each of these, once.
+//! Cost per sample: Σ_k m_k(m_k+1)/2 · w_k(w_k+1)/2 + Σ_(k<l) m_k m_l w_k w_l multiplications and
+//! additions with m = inputs + 1: 79,053 for the paper's network, compared with 271,575 for the
+//! rows of a dense J with three outputs. Memory: 8 bytes for each of these, once.
 //!
-//! Invariants: every entry is a sum over batches in ascending order of sums over samples in
+//! Invariant: every entry is a sum over batches in ascending order of sums over samples in
 //! ascending order.
 
 use super::panel_product::{LANES, PanelProduct, Store, round_up, row_stride};
@@ -31,9 +31,9 @@ pub(super) struct NormalMatrix {
     layers: Vec<LayerShape>,
     outputs: usize,
     pairs: Vec<Pair>,
-    /// Sums of all pairs, one panel after the other.
+    /// Sums of all pairs, panel by panel.
     sums: Vec<f64>,
-    /// δ_k sample by sample, shape `[BATCH][outputs][node_stride(width)]`, zero-padded.
+    /// δ_k by sample, shape `[BATCH][outputs][node_stride(width)]`, zero-padded.
     by_sample: Vec<Vec<f64>>,
     /// The panel `[(i, j)][s]`.
     left: Vec<f64>,
@@ -50,11 +50,11 @@ struct Pair {
     rows: usize,
     /// Columns of the panel: pairs (p, q), or p alone; a multiple of [`LANES`].
     columns: usize,
-    /// Where the panel starts in the sums.
+    /// Start of the panel in the sums.
     start: usize,
 }
 
-/// What layer `first` is combined with.
+/// The factor that layer `first` is combined with.
 #[derive(Clone, Copy, Debug)]
 enum Second {
     /// A layer: a block of JᵀJ.
@@ -96,13 +96,13 @@ impl NormalMatrix {
         }
     }
 
-    /// Forgets all samples.
+    /// Clears all sums.
     pub(super) fn clear(&mut self) {
         self.sums.fill(0.0);
     }
 
-    /// Adds the first `samples` of the batch that has been propagated forward and backward;
-    /// `residuals` has shape `[outputs][BATCH]`.
+    /// Adds the first `samples` of a batch after its forward and backward pass; `residuals` has
+    /// shape `[outputs][BATCH]`.
     pub(super) fn add(&mut self, batch: &Propagation, residuals: &[f64], samples: usize) {
         for (k, layer) in self.layers.iter().enumerate() {
             let target = &mut self.by_sample[k];
@@ -202,8 +202,8 @@ impl NormalMatrix {
     }
 }
 
-/// Writes a symmetric block from its packed upper triangle. If the block lies on the diagonal
-/// of the matrix, its lower triangle lands where nobody reads.
+/// Writes a symmetric block from its packed upper triangle. For a block on the diagonal of the
+/// matrix, its lower triangle goes to a part that is never read.
 fn write_symmetric(block: &mut [f64], stride: usize, width: usize, scale: f64, packed: &[f64]) {
     let mut packed = packed.iter();
     for p in 0..width {
@@ -214,18 +214,18 @@ fn write_symmetric(block: &mut [f64], stride: usize, width: usize, scale: f64, p
     }
 }
 
-/// Row length of a panel `[s][(p, q)]`: room for one more vector, since rows are written in
+/// Row length of a panel `[s][(p, q)]`, with room for one more vector, because rows are written in
 /// whole vectors.
 const fn panel_stride(columns: usize) -> usize {
     row_stride(columns + LANES)
 }
 
-/// Row length of δ sample by sample: whole vectors may be read from any node on.
+/// Row length of δ by sample, so that whole vectors can be read from any node on.
 const fn node_stride(width: usize) -> usize {
     round_up(width) + LANES
 }
 
-/// From `[width][outputs][BATCH]` to `[BATCH][outputs][node_stride(width)]`.
+/// Converts `[width][outputs][BATCH]` to `[BATCH][outputs][node_stride(width)]`.
 fn sample_major(source: &[f64], outputs: usize, width: usize, target: &mut [f64]) {
     let stride = node_stride(width);
     let (rows, _) = source.as_chunks::<BATCH>();
@@ -267,8 +267,8 @@ impl WithSimd for InputProducts<'_> {
 
 /// `right[s][(p, q)] = Σ_o first[s][o][p] · second[s][o][q]`, for q ≥ p only if symmetric.
 ///
-/// Rows are written in whole vectors. What goes beyond the last q belongs to the next p, which
-/// is written later, or is padding.
+/// Rows are written in whole vectors. Elements beyond the last q belong to the next p, which is
+/// written later, or are padding.
 struct SensitivityProducts<'a> {
     factors: [&'a [f64]; 2],
     widths: [usize; 2],
@@ -328,7 +328,7 @@ impl SensitivityProducts<'_> {
                     start += count;
                 }
             } else {
-                // From the last vector to the first, so that the next p comes later.
+                // From the last vector to the first, so that the next p is written later.
                 let vectors = self.widths[1].div_ceil(S::F64_LANES);
                 for lane in (0..vectors).rev().map(|v| v * S::F64_LANES) {
                     let values = load(simd, second, lane);
@@ -342,7 +342,7 @@ impl SensitivityProducts<'_> {
     }
 }
 
-/// One vector from each row.
+/// Loads one vector from each row.
 #[inline(always)]
 fn load<S: Simd, const OUTPUTS: usize>(
     _: S,
@@ -352,7 +352,7 @@ fn load<S: Simd, const OUTPUTS: usize>(
     core::array::from_fn(|o| S::as_simd_f64s(&rows[o][start..][..S::F64_LANES]).0[0])
 }
 
-/// `target[start..] = Σ_o factors[o] · values[o]`, one vector.
+/// Computes `target[start..] = Σ_o factors[o] · values[o]` for one vector.
 #[inline(always)]
 fn store_dot<S: Simd, const OUTPUTS: usize>(
     simd: S,

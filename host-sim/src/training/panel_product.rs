@@ -1,66 +1,66 @@
-//! Dense product of two small panels: the one loop nest where training spends its time.
+//! Dense product of two small panels: the loop nest that dominates training.
 //!
 //! ```text
 //! sum[r, c]    = Σ_t left[r, t] · panel[t, c]        t ascending
 //! output[r, c] = sum, output + sum, or output − sum
 //! ```
 //!
-//! Forward pass, backward pass, JᵀJ, the gradient and the Cholesky factorisation all call it.
+//! Used by the forward pass, the backward pass, JᵀJ, the gradient and the Cholesky factorisation.
 //!
-//! Cost: `rows · terms · columns` multiplications and as many additions; the sums of one tile
-//! of `left` rows times `panel` columns stay in registers.
+//! Cost: `rows · terms · columns` multiplications and as many additions; the sums of a tile of
+//! `left` rows times `panel` columns stay in registers.
 //!
-//! Invariants: every output element is one sum over `t` in ascending order, a multiplication
-//! and then an addition, each rounded. No element depends on the vector width, on the tile
-//! that computed it or on the other elements: the bits are the same on every machine.
+//! Invariants: every output element is one sum over `t` in ascending order, with a rounded
+//! multiplication and then a rounded addition. No element depends on the vector width, on its tile
+//! or on other elements, so the bits are the same on every machine.
 
 use pulp::{Simd, WithSimd};
 
-/// Columns come in multiples of this; the widest vector holds as many f64.
+/// Columns come in multiples of this, the f64 lanes of the widest vector.
 pub(super) const LANES: usize = 8;
 
-/// `count` rounded up to whole vectors of [`LANES`].
+/// Rounds `count` up to whole vectors of [`LANES`].
 pub(super) const fn round_up(count: usize) -> usize {
     count.div_ceil(LANES) * LANES
 }
 
-/// Row length of at least `count` that is an odd number of vectors, so that the rows of a
-/// panel spread over all sets of the cache.
+/// Returns a row length of at least `count` that is an odd number of vectors, so that the rows of a
+/// panel are spread over all cache sets.
 pub(super) const fn row_stride(count: usize) -> usize {
     (count.div_ceil(LANES) | 1) * LANES
 }
 
-/// What happens to the sums.
+/// What to do with the sums.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Store {
-    /// They replace the output.
+    /// Replace the output.
     Set,
-    /// They are added to the output.
+    /// Add to the output.
     Add,
-    /// They are subtracted from the output.
+    /// Subtract from the output.
     Subtract,
 }
 
-/// One product; see the module.
+/// One product; see the module docs.
 ///
-/// `left` has rows of a length `STRIDE` known at compile time: a tile then addresses all its
-/// rows by one pointer and constant distances.
+/// Rows of `left` have a length `STRIDE` known at compile time, so that a tile addresses all its
+/// rows by one pointer and constant offsets.
 pub(super) struct PanelProduct<'a, const STRIDE: usize> {
     /// Shape `[rows][terms]`, padded to `STRIDE`.
     pub(super) left: &'a [[f64; STRIDE]],
-    /// Terms of each sum, at most `STRIDE`.
+    /// Terms per sum, at most `STRIDE`.
     pub(super) terms: usize,
     /// Shape `[terms][columns]`, rows `panel_stride` apart.
     pub(super) panel: &'a [f64],
-    /// Distance of the rows of `panel`.
+    /// Distance between rows of `panel`.
     pub(super) panel_stride: usize,
-    /// Columns, a multiple of [`LANES`].
+    /// Number of columns, a multiple of [`LANES`].
     pub(super) columns: usize,
     /// Shape `[rows][columns]`, rows `output_stride` apart.
     pub(super) output: &'a mut [f64],
-    /// Distance of the rows of the output.
+    /// Distance between rows of the output.
     pub(super) output_stride: usize,
-    /// What happens to the sums.
+    /// What to do with the sums.
     pub(super) store: Store,
 }
 
@@ -82,12 +82,12 @@ impl<const STRIDE: usize> WithSimd for PanelProduct<'_, STRIDE> {
 }
 
 impl<const STRIDE: usize> PanelProduct<'_, STRIDE> {
-    /// All rows of `VECTORS` vectors of columns, which stay in the first-level cache.
+    /// Computes all rows of `VECTORS` vectors of columns, which stay in the first-level cache.
     #[inline(always)]
     fn strip<S: Simd, const VECTORS: usize>(&mut self, simd: S, column: usize) {
         let mut row = 0;
-        // Eight rows by two vectors fill 16 of 32 registers, four by two 8 of 16. Both hide
-        // the latency of an addition; larger tiles were spilt and slower.
+        // Eight rows by two vectors fill 16 of 32 registers, four by two 8 of 16. Both hide the
+        // latency of an addition; larger tiles spilled and were slower.
         if S::REGISTER_COUNT >= 32 {
             while let Some(left) = self.left[row..].first_chunk() {
                 self.tile::<S, 8, VECTORS>(simd, left, row, column);
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn every_vector_width_has_the_bits_of_the_plain_loop() {
+    fn every_vector_width_matches_the_plain_loop_bit_for_bit() {
         for rows in 0..20 {
             for columns in (8..=72).step_by(8) {
                 let terms = (3 * rows + columns) % 11;

@@ -5,14 +5,14 @@
 //! δ_ell^o = φ'(z_ell) ∘ W[:, o],   δ_k^o = φ'(z_k) ∘ (W_(k+1) δ_(k+1)^o)
 //! ```
 //!
-//! `δ_k^o` is the derivative of output o with respect to `z_k`, so the derivative with
-//! respect to weight (i, p) of layer k is `a_(k−1)[i] δ_k^o[p]`, with `a[−1] = 1` for biases.
+//! `δ_k^o` is the derivative of output o with respect to `z_k`, so the derivative with respect to
+//! weight (i, p) of layer k is `a_(k−1)[i] δ_k^o[p]`, with `a[−1] = 1` for biases.
 //!
-//! Cost a sample: one multiplication and one addition for every parameter, and `outputs`
-//! times that backwards.
+//! Cost per sample: one multiplication and one addition per parameter forward, `outputs` times that
+//! backward.
 //!
-//! Invariants: quantity-major rows, one f64 for each of [`BATCH`] samples, so that a vector
-//! unit works on neighbouring samples and each sample's sums run in the order written above.
+//! Invariants: quantity-major rows with one f64 for each of [`BATCH`] samples, so that a vector
+//! holds neighbouring samples and each sample's sums run in the order above.
 
 use super::elementary::{exp_of_negative, tanh};
 use super::panel_product::{PanelProduct, Store, round_up};
@@ -20,28 +20,28 @@ use agent_core::math::activation::Activation;
 use agent_core::observer::network::{Architecture, LAYER_WIDTH_MAX};
 use pulp::{Arch, Simd, WithSimd};
 
-/// Samples that are propagated together. Sums over samples are taken batch by batch, so this
-/// number is part of what fixes the bits. With 64, the panels of a 12-wide layer fit the
-/// second-level cache and a strip of them the first.
+/// Number of samples propagated together. Sums over samples are taken batch by batch, so this
+/// number affects the bits. With 64, the panels of a 12-wide layer fit the second-level cache and a
+/// strip of them the first.
 pub(super) const BATCH: usize = 64;
 
-/// Row length of weights, as the left factor of a product: the most inputs of a node, with the
-/// bias, in whole cache lines.
+/// Row length of weights as the left factor of a product: the largest number of inputs of a node,
+/// plus the bias, in whole cache lines.
 const WEIGHT_ROW: usize = round_up(LAYER_WIDTH_MAX + 1);
 
-/// Where one layer finds its parameters.
+/// Shape of a layer and position of its parameters.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LayerShape {
-    /// Inputs without the constant 1 of the bias.
+    /// Number of inputs, without the constant 1 of the bias.
     pub(super) inputs: usize,
-    /// Nodes.
+    /// Number of nodes.
     pub(super) width: usize,
     /// Index of the layer's first parameter.
     pub(super) offset: usize,
     activation: Activation,
 }
 
-/// Layers of an architecture with their places in the flat parameter sequence.
+/// Returns the layers of an architecture with their offsets in the flat parameters.
 pub(super) fn layer_shapes(architecture: &Architecture) -> Vec<LayerShape> {
     let mut offset = 0;
     let shape = |(inputs, layer): (usize, agent_core::observer::network::Layer)| {
@@ -53,7 +53,7 @@ pub(super) fn layer_shapes(architecture: &Architecture) -> Vec<LayerShape> {
     architecture.shapes().map(shape).collect()
 }
 
-/// One batch on its way through the network.
+/// One batch passing through the network.
 #[derive(Clone, Debug)]
 pub(super) struct Propagation {
     arch: Arch,
@@ -63,11 +63,12 @@ pub(super) struct Propagation {
     outer: Vec<f64>,
     /// Outer weights transposed, shape `[outputs][L]`.
     outer_by_output: Vec<[f64; WEIGHT_ROW]>,
-    /// What enters each node of each layer, bias first: shape `[width][1 + inputs]`.
+    /// Incoming weights of each node of each layer, bias first: shape `[width][1 + inputs]`.
     entering: Vec<Vec<[f64; WEIGHT_ROW]>>,
-    /// What leaves each input of each layer: shape `[inputs][width]`.
+    /// Outgoing weights of each input of each layer: shape `[inputs][width]`.
     leaving: Vec<Vec<[f64; WEIGHT_ROW]>>,
-    /// Inputs of layer k with a leading row of ones, `[1 + inputs][BATCH]`; then the features.
+    /// Inputs of layer k with a leading row of ones, `[1 + inputs][BATCH]`; the last entry holds
+    /// the features.
     inputs: Vec<Vec<f64>>,
     /// z_k, `[width][BATCH]`.
     pre_activations: Vec<Vec<f64>>,
@@ -78,7 +79,7 @@ pub(super) struct Propagation {
 }
 
 impl Propagation {
-    /// For outer weights of shape `[L][outputs]`, row-major.
+    /// Creates the pass for outer weights of shape `[L][outputs]`, row-major.
     pub(super) fn new(architecture: &Architecture, outer: &[f64], arch: Arch) -> Self {
         let layers = layer_shapes(architecture);
         let features = architecture.features();
@@ -103,7 +104,7 @@ impl Propagation {
         }
     }
 
-    /// Takes over the parameters, flat.
+    /// Sets the flat parameters.
     pub(super) fn set_parameters(&mut self, parameters: &[f64]) {
         for (k, layer) in self.layers.iter().enumerate() {
             let rows = &parameters[layer.offset..][..(1 + layer.inputs) * layer.width];
@@ -113,7 +114,7 @@ impl Propagation {
         }
     }
 
-    /// f̂ of a batch of inputs, shape `[inputs][BATCH]`; the result is `[outputs][BATCH]`.
+    /// Computes f̂, shape `[outputs][BATCH]`, of a batch of inputs, shape `[inputs][BATCH]`.
     pub(super) fn forward(&mut self, batch: &[f64]) -> &[f64] {
         self.inputs[0][BATCH..].copy_from_slice(batch);
         for (k, layer) in self.layers.iter().enumerate() {
@@ -145,7 +146,7 @@ impl Propagation {
         &self.estimates
     }
 
-    /// Sensitivities of the batch of the last [`Self::forward`], read with
+    /// Computes the sensitivities for the batch of the last [`Self::forward`]; read them with
     /// [`Self::sensitivities`].
     pub(super) fn backward(&mut self) {
         for (k, layer) in self.layers.iter().enumerate().rev() {
@@ -178,23 +179,23 @@ impl Propagation {
         }
     }
 
-    /// Inputs of layer k with a leading row of ones, shape `[1 + inputs][BATCH]`.
+    /// Returns the inputs of layer k with a leading row of ones, shape `[1 + inputs][BATCH]`.
     pub(super) fn inputs(&self, k: usize) -> &[f64] {
         &self.inputs[k]
     }
 
-    /// Sensitivities of layer k, shape `[width][outputs][BATCH]`.
+    /// Returns the sensitivities of layer k, shape `[width][outputs][BATCH]`.
     pub(super) fn sensitivities(&self, k: usize) -> &[f64] {
         &self.sensitivities[k]
     }
 }
 
-/// A row of weights, with zeros up to the fixed length.
+/// Pads a row of weights with zeros to the fixed length.
 fn padded(row: &[f64]) -> [f64; WEIGHT_ROW] {
     core::array::from_fn(|i| row.get(i).copied().unwrap_or(0.0))
 }
 
-/// The columns of a row-major matrix as padded rows.
+/// Returns the columns of a row-major matrix as padded rows.
 fn padded_columns(matrix: &[f64], columns: usize) -> Vec<[f64; WEIGHT_ROW]> {
     let entry = |i: usize, c: usize| matrix.get(i * columns + c).copied().unwrap_or(0.0);
     (0..columns).map(|c| core::array::from_fn(|i| entry(i, c))).collect()
@@ -213,7 +214,7 @@ impl WithSimd for Activate<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let pairs = self.values.iter_mut().zip(self.pre_activation);
-        // Loops, not closures: a closure need not be inlined, and then is not vectorised.
+        // Loops, because closures might not be inlined and vectorised.
         match self.activation {
             Activation::Tanh => {
                 for (value, z) in pairs {

@@ -1,33 +1,33 @@
-//! Training in units of the data, so that the user's units and offsets do not matter.
+//! Scales training data, so that units and offsets do not matter.
 //!
 //! ```text
 //! u_i = (x_i − c_i) / h_i,   y'_o = y_o / τ_o,   W'[:, o] = W[:, o] / τ_o
 //! ```
 //!
 //! c and h are the mean and the standard deviation of each input over the training samples, τ the
-//! standard deviation of each target. A network trained on (u, y') with W' gives the same
-//! residuals, each in units of its target's deviation, as one on (x, y) with W whose first layer
-//! is folded:
+//! standard deviation of each target. A network trained on (u, y') with W' has the same residuals,
+//! each relative to its target's deviation, as one on (x, y) with W whose first layer is folded:
 //!
 //! ```text
 //! weight[i, p] = weight'[i, p] / h_i,   bias[p] = bias'[p] − Σ_i weight[i, p] c_i
 //! ```
 //!
-//! so the node pays nothing. Targets are scaled, never centred: Ŵᵀσ has no bias to take a centre.
-//! Damping, limits on the gradient, the goal and weight decay then mean the same in every unit.
+//! so scaling costs the node nothing. Targets are scaled, not centred, because Ŵᵀσ has no bias to
+//! absorb a centre. Damping, gradient limits, goal and weight decay then have the same meaning in
+//! all units.
 //!
 //! Cost: one copy of the samples.
 //!
-//! Invariants: an input that varies by less than [`WIDTH_MIN`] of its size is constant to single
-//! precision. It is passed on as 0 and gets the weight 0. Scaling all inputs or targets by a power
-//! of two changes no bit of the training.
+//! Invariants: an input that varies by less than [`WIDTH_MIN`] of its magnitude is constant in
+//! single precision; it is replaced by 0 and gets the weight 0. Scaling all inputs or targets by a
+//! power of two does not change a bit of the training.
 
 use agent_core::observer::network::Architecture;
 
 use super::data::Dataset;
 
-/// Least width of an input's range, as a share of its largest absolute value: eight units in the
-/// last place of single precision, in which nodes hold the estimate.
+/// Smallest range of a varying input, relative to its largest absolute value: eight units in the
+/// last place of single precision, in which nodes store the estimate.
 pub const WIDTH_MIN: f64 = 1.0 / 1_048_576.0;
 
 /// Centres and widths of inputs, widths of targets.
@@ -35,15 +35,15 @@ pub const WIDTH_MIN: f64 = 1.0 / 1_048_576.0;
 pub struct Scaling {
     /// c, shape `[n]`. \[state unit\]
     centre: Vec<f64>,
-    /// h, shape `[n]`; `None` for an input that is constant. \[state unit\]
+    /// h, shape `[n]`; `None` for a constant input. \[state unit\]
     width: Vec<Option<f64>>,
     /// τ, shape `[n]`, above 0. \[state unit/s\]
     target: Vec<f64>,
-    /// Which targets are constant.
+    /// Whether each target is constant.
     constant_target: Vec<bool>,
 }
 
-/// Mean, standard deviation and whether the values vary by more than rounding.
+/// Mean, standard deviation, and whether the values vary by more than rounding.
 pub(super) struct Spread {
     pub(super) mean: f64,
     pub(super) deviation: f64,
@@ -51,14 +51,14 @@ pub(super) struct Spread {
 }
 
 impl Spread {
-    /// Of component `index` of row-major values, shape `[samples][n]`.
+    /// Computes the spread of component `index` of row-major values, shape `[samples][n]`.
     pub(super) fn of(values: &[f64], dimension: usize, index: usize) -> Self {
         let column = || values.iter().skip(index).step_by(dimension);
         let count = (values.len() / dimension) as f64;
         let low = column().fold(f64::INFINITY, |low, &x| low.min(x));
         let high = column().fold(f64::NEG_INFINITY, |high, &x| high.max(x));
         let size = low.abs().max(high.abs());
-        // In units of their size, so that no square can overflow or vanish.
+        // Relative to the magnitude, so that no square overflows or underflows.
         let unit = power_of_two(size);
         let mean = column().fold(0.0, |sum, x| sum + x / unit) / count;
         let squares = column().fold(0.0, |sum, x| sum + (x / unit - mean) * (x / unit - mean));
@@ -70,13 +70,13 @@ impl Spread {
     }
 }
 
-/// The power of two at or below `size`, 1 for 0: dividing by it rounds nothing.
+/// Returns the power of two at or below `size`, 1 for 0; dividing by it is exact.
 fn power_of_two(size: f64) -> f64 {
     if size > 0.0 && size.is_finite() { libm::ldexp(1.0, libm::ilogb(size)) } else { 1.0 }
 }
 
 impl Scaling {
-    /// The scaling of these training samples.
+    /// Computes the scaling of these training samples.
     #[must_use]
     pub fn of(train: &Dataset) -> Self {
         let n = train.dimension();
@@ -86,7 +86,7 @@ impl Scaling {
         let largest = varying.fold(0.0f64, |largest, spread| largest.max(spread.deviation));
         let target = |spread: &Spread| match spread {
             Spread { varies: true, deviation, .. } => *deviation,
-            // A constant target is judged by its size, and zero by what the others are.
+            // A constant target is scaled by its magnitude, or like the others if it is zero.
             Spread { mean, .. } if *mean != 0.0 => mean.abs(),
             _ if largest > 0.0 => largest,
             _ => 1.0,
@@ -99,7 +99,7 @@ impl Scaling {
         }
     }
 
-    /// Samples in units of the data.
+    /// Returns scaled samples.
     #[must_use]
     pub fn apply(&self, data: &Dataset) -> Dataset {
         let n = data.dimension();
@@ -111,20 +111,20 @@ impl Scaling {
         data.with_values(inputs.collect(), targets.collect())
     }
 
-    /// W', row-major, shape `[L][n]`.
+    /// Returns W', row-major, shape `[L][n]`.
     #[must_use]
     pub fn outer_weights(&self, outer: &[f64]) -> Vec<f64> {
         let n = self.target.len();
         outer.iter().enumerate().map(|(index, w)| w / self.target[index % n]).collect()
     }
 
-    /// Converts the parameters of a network on u into those of the same network on x, in place.
+    /// Converts the parameters of a network on u to those of the same network on x, in place.
     ///
     /// Weights of the first layer are rounded to single precision before the biases are computed
-    /// from them, so that rounding them does not move the network along a large centre.
+    /// from them, so that later rounding does not shift the network when a centre is large.
     ///
     /// # Panics
-    /// If `parameters` are not those of `architecture`.
+    /// If `parameters` does not match `architecture`.
     pub fn fold(&self, architecture: &Architecture, parameters: &mut [f64]) {
         let width = first_width(architecture);
         let (biases, rest) = parameters.split_at_mut(width);
@@ -136,10 +136,10 @@ impl Scaling {
         }
     }
 
-    /// The inverse of [`Self::fold`], but for the rounding and for constant inputs.
+    /// The inverse of [`Self::fold`], except for rounding and constant inputs.
     ///
     /// # Panics
-    /// If `parameters` are not those of `architecture`.
+    /// If `parameters` does not match `architecture`.
     pub fn unfold(&self, architecture: &Architecture, parameters: &mut [f64]) {
         let width = first_width(architecture);
         let (biases, rest) = parameters.split_at_mut(width);
@@ -151,27 +151,27 @@ impl Scaling {
         }
     }
 
-    /// The inputs that are constant, from 0.
+    /// Returns the indices of constant inputs, from 0.
     pub fn constant_inputs(&self) -> impl Iterator<Item = usize> + '_ {
         self.width.iter().enumerate().filter_map(|(i, width)| width.is_none().then_some(i))
     }
 
-    /// For each input, the distance of its centre from 0 in standard deviations; `None` if it is
-    /// constant.
+    /// Returns the distance of each input's centre from 0 in standard deviations; `None` if the
+    /// input is constant.
     pub fn offsets(&self) -> impl Iterator<Item = Option<f64>> + '_ {
         self.centre.iter().zip(&self.width).map(|(c, width)| width.map(|h| c.abs() / h))
     }
 
-    /// τ, shape `[n]`. \[state unit/s\]
+    /// Returns τ, shape `[n]`. \[state unit/s\]
     #[must_use]
     pub fn targets(&self) -> &[f64] {
         &self.target
     }
 
-    /// Whether the target of this component, from 0, does not vary.
+    /// Whether the target of this component, from 0, is constant.
     ///
     /// # Panics
-    /// If there is no such component.
+    /// If the component does not exist.
     #[must_use]
     pub fn is_constant_target(&self, component: usize) -> bool {
         self.constant_target[component]
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn scaled_samples_do_not_depend_on_units() {
+    fn scaled_samples_are_independent_of_units() {
         let one = data(1.0, 0.0);
         for (scale, offset) in [(1e-6, 0.0), (1e6, 0.0), (1.0, 300.0), (3.0, -1e3)] {
             let other = data(scale, offset);
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn an_input_that_varies_by_rounding_only_is_constant() {
+    fn input_that_varies_only_by_rounding_is_constant() {
         let scaling = Scaling::of(&data(1.0, 0.0));
         assert_eq!(scaling.constant_inputs().collect::<Vec<_>>(), [1]);
         // Averages of 0.1 that differ in their last bits.
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_targets_are_judged_by_their_size() {
+    fn constant_targets_are_scaled_by_their_magnitude() {
         let scaling = Scaling::of(&data(2.0, 0.0));
         let [wave, zero, four] = scaling.targets() else { panic!("three targets") };
         assert_eq!((zero, *four), (wave, 4.0));
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn folding_is_the_same_network() {
+    fn folding_keeps_the_network_function() {
         let (architecture, data) = (architecture(3, &[(4, Tanh)]), data(0.5, 70.0));
         let scaling = Scaling::of(&data);
         let scaled: Vec<f64> = (0..16).map(|p| 0.1 * f64::from(p) - 0.7).collect();
@@ -246,7 +246,8 @@ mod tests {
         let units = scaling.apply(&data);
         for (x, u) in data.inputs().chunks_exact(3).zip(units.inputs().chunks_exact(3)) {
             for q in 0..4 {
-                // Weights are rounded to single precision; the bias makes up for it at the centre.
+                // Weights are rounded to single precision; the bias compensates for it at the
+                // centre.
                 let expected = entering(&scaled, u, q);
                 assert_close(&[entering(&folded, x, q)], &[expected], 0.0, 1e-6);
             }

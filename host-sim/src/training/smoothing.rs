@@ -1,23 +1,23 @@
-//! Cleans recorded samples before training: centred moving average and decimation.
+//! Smooths recorded samples before training: centred moving average and decimation.
 //!
 //! ```text
 //! x̄_j = (1/(2h+1)) Σ_(|d| ≤ h) x_(js+h+d),   h = round(window / (2 step)),   s the stride
 //! ```
 //!
-//! The targets ẋ̂ carry the high-gain chatter of the consensus term; a flexible network fits
-//! it. Inputs and targets are averaged alike, so that for a motion that is smooth over the
-//! window the pair stays on the graph of f up to second order in the window.
+//! The targets ẋ̂ carry the high-gain chatter of the consensus term, which a flexible network would
+//! fit. Inputs and targets are averaged alike: if the motion is smooth over the window, the
+//! averaged pair stays on the graph of f up to second order in the window.
 //!
-//! Cost: `2h + 1` additions for every value kept.
+//! Cost: `2h + 1` additions per value kept.
 //!
-//! Where samples are missing, [`Smoothing::apply_with_gaps`] averages over the others. The means of
-//! inputs and targets are over the same samples, so a missing one moves both alike and the pair
-//! stays on the graph of f to the same order. Only some averaging is lost: with half of the samples,
-//! chatter comes through √2 times as strong.
+//! Where samples are missing, [`Smoothing::apply_with_gaps`] averages over the others. Inputs and
+//! targets are averaged over the same samples, so a missing one shifts both alike and the pair
+//! stays on the graph of f to the same order. Averaging only becomes less effective: with half of
+//! the samples, √2 times as much chatter remains.
 //!
-//! Invariants: only windows inside the samples are averaged: h samples are lost at either end, and
-//! none is invented. A window shorter than two steps and a stride of 1 change nothing. Samples must
-//! be equidistant, in the order of time. Without a gap both ways give the same bits.
+//! Invariants: only full windows inside the samples are averaged, so h samples are lost at either
+//! end. A window shorter than two steps with a stride of 1 changes nothing. Samples must be
+//! equidistant and in order of time. Without a gap both methods give the same bits.
 
 use super::data::{DataError, Dataset};
 
@@ -26,7 +26,7 @@ use super::data::{DataError, Dataset};
 pub struct Smoothing {
     /// Length of the averaging window `[s]`; 0 for none.
     pub window: f64,
-    /// Every how many samples one is kept, at least 1.
+    /// One average is kept every this many samples, at least 1.
     pub stride: usize,
 }
 
@@ -35,7 +35,7 @@ pub struct Smoothing {
 #[non_exhaustive]
 pub enum SmoothingError {
     /// The window is negative or not finite.
-    #[error("smoothing window {window} s, expected a finite number from 0")]
+    #[error("smoothing window {window} s, expected a finite number >= 0")]
     Window {
         /// Its length `[s]`.
         window: f64,
@@ -54,17 +54,17 @@ pub enum SmoothingError {
     Data(#[from] DataError),
     /// No window has enough samples between the gaps.
     #[error(
-        "{samples} samples in {pieces} pieces between gaps, none with at least half the samples of a \
-         window of {needed} (the longest piece has {longest})"
+        "{samples} samples in {pieces} pieces between gaps; no piece has at least half the samples of \
+             a window of {needed} (the longest has {longest})"
     )]
     Gaps {
-        /// Samples there are.
+        /// Number of samples.
         samples: usize,
-        /// Pieces between gaps that no window bridges.
+        /// Pieces between gaps that windows do not bridge.
         pieces: usize,
-        /// Samples of a window.
+        /// Samples per window.
         needed: usize,
-        /// Samples of the longest piece.
+        /// Samples in the longest piece.
         longest: usize,
     },
 }
@@ -72,22 +72,22 @@ pub enum SmoothingError {
 /// Smoothed samples, and counts of what was left out.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Smoothed {
-    /// The means.
+    /// The averages.
     pub data: Dataset,
-    /// Pieces between gaps that no window bridges.
+    /// Pieces between gaps that windows do not bridge.
     pub pieces: usize,
-    /// Pieces that were left out as a whole.
+    /// Pieces left out entirely.
     pub pieces_left_out: usize,
-    /// Samples in those.
+    /// Samples in these pieces.
     pub samples_left_out: usize,
-    /// Windows of the other pieces in which too many samples are missing.
+    /// Windows left out in other pieces, because too many samples are missing.
     pub windows_left_out: usize,
-    /// Samples of a full window.
+    /// Samples per full window.
     pub window: usize,
 }
 
 impl Smoothing {
-    /// Samples as they were recorded.
+    /// Leaves samples as recorded.
     pub const NONE: Self = Self { window: 0.0, stride: 1 };
 
     /// Smooths samples that are `step` `[s]` apart.
@@ -118,11 +118,11 @@ impl Smoothing {
         Ok(Dataset::new(n, average(data.inputs()), average(data.targets()))?)
     }
 
-    /// Smooths samples of which some are missing. `ticks`, ascending, tell when each was taken, in
-    /// intervals of `step` `[s]`; shape `[samples]`.
+    /// Smooths samples with gaps. `ticks`, ascending, are the times of the samples in intervals of
+    /// `step` `[s]`; shape `[samples]`.
     ///
-    /// A window counts if at least half of its samples are there. A gap of more than a quarter of a
-    /// window is not bridged: what lies behind it is smoothed by itself.
+    /// A window counts if it has at least half of its samples. A gap of more than a quarter of a
+    /// window is not bridged: the samples after it are smoothed separately.
     ///
     /// # Errors
     /// If a field or `step` is out of range, or no window has enough samples.
@@ -177,8 +177,8 @@ impl Smoothing {
         Ok(Smoothed { data, pieces, pieces_left_out, samples_left_out, windows_left_out, window })
     }
 
-    /// The means over the windows of one piece, the samples `rows`; returns how many windows have too
-    /// few samples.
+    /// Averages over the windows of one piece, the samples `rows`; returns the number of windows
+    /// with too few samples.
     fn piece_with_gaps(
         &self,
         data: &Dataset,
@@ -206,7 +206,7 @@ impl Smoothing {
             while ticks[first] < tick {
                 first += 1;
             }
-            // A stride longer than the window leaves samples out between two windows.
+            // A stride longer than the window skips samples between two windows.
             end = end.max(first);
             while end < rows.end && ticks[end] - tick < window as u64 {
                 end += 1;
@@ -224,7 +224,7 @@ impl Smoothing {
         left_out
     }
 
-    /// h, samples to either side of a window's centre.
+    /// Returns h, the number of samples on either side of a window's centre.
     ///
     /// # Errors
     /// If the window or `step` is out of range.
@@ -250,15 +250,15 @@ mod tests {
     fn ramp(samples: usize) -> Dataset {
         let row = |s: usize| [s as f64, 100.0 - 2.0 * s as f64];
         let inputs = (0..samples).flat_map(row).collect();
-        // A square wave of one sample around 7: chatter.
+        // A square wave of one sample around 7, as chatter.
         let targets = (0..samples).flat_map(|s| [if s % 2 == 0 { 5.0 } else { 9.0 }; 2]).collect();
         Dataset::new(2, inputs, targets).expect("valid")
     }
 
     #[test]
-    fn keeps_what_is_linear_and_removes_chatter() {
+    fn keeps_linear_motion_and_removes_chatter() {
         let smooth = Smoothing { window: 0.02, stride: 3 }.apply(&ramp(100), STEP).expect("fits");
-        // 21 samples a window, 80 windows, every third: 27.
+        // 21 samples per window and 80 windows; every third makes 27.
         assert_eq!(smooth.len(), 27);
         for (j, row) in smooth.inputs().chunks_exact(2).enumerate() {
             let s = (3 * j + 10) as f64;
@@ -269,12 +269,12 @@ mod tests {
     }
 
     #[test]
-    fn none_changes_nothing() {
+    fn none_keeps_samples_unchanged() {
         assert_eq!(Smoothing::NONE.apply(&ramp(10), STEP), Ok(ramp(10)));
     }
 
     #[test]
-    fn refuses_what_does_not_fit() {
+    fn rejects_invalid_settings() {
         let apply = |window, stride, step| Smoothing { window, stride }.apply(&ramp(20), step);
         assert_eq!(apply(-1.0, 1, STEP), Err(SmoothingError::Window { window: -1.0 }));
         assert_eq!(apply(0.0, 0, STEP), Err(SmoothingError::Stride));
@@ -285,7 +285,7 @@ mod tests {
         assert!(apply(1e300, 1, STEP).is_err());
     }
 
-    /// Every sample of `data` but those at `lost`, and their ticks.
+    /// Returns every sample of `data` except those at `lost`, and their ticks.
     fn without(data: &Dataset, lost: impl Fn(usize) -> bool) -> (Dataset, Vec<u64>) {
         let kept: Vec<usize> = (0..data.len()).filter(|&index| !lost(index)).collect();
         let ticks = kept.iter().map(|&index| index as u64).collect();
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_gap_both_ways_give_the_same_bits() {
+    fn both_methods_agree_bit_for_bit_without_gaps() {
         let data = ramp(100);
         for (window, stride) in [(0.0, 1), (0.0, 7), (0.02, 1), (0.02, 3), (0.098, 2)] {
             let smoothing = Smoothing { window, stride };
@@ -308,38 +308,38 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_sample_does_not_cut_a_window_in_two() {
+    fn windows_bridge_missing_samples() {
         let smoothing = Smoothing { window: 0.02, stride: 3 };
         let (data, ticks) = without(&ramp(100), |index| index == 30 || index == 31 || index == 70);
         let smoothed = smoothing.apply_with_gaps(&data, &ticks, STEP).expect("fits");
-        // As many windows as with every sample, each on the line x_2 = 100 - 2 x_1.
+        // The same number of windows as with every sample, each on the line x_2 = 100 - 2 x_1.
         assert_eq!((smoothed.data.len(), smoothed.pieces, smoothed.window), (27, 1, 21));
         assert_eq!((smoothed.samples_left_out, smoothed.windows_left_out), (0, 0));
         for row in smoothed.data.inputs().chunks_exact(2) {
             assert_close(&[row[1]], &[100.0 - 2.0 * row[0]], 1e-13, 1e-12);
         }
-        // The first windows, 0 to 20 and so on, miss nothing: they are the same bits.
+        // The first windows, 0 to 20 and so on, are complete and have the same bits.
         let whole = smoothing.apply(&ramp(100), STEP).expect("fits");
         assert_eq!(smoothed.data.inputs()[..4 * 2], whole.inputs()[..4 * 2]);
-        // The window from 12 to 32 misses the last but one and the one before it.
+        // In the window from 12 to 32, samples 30 and 31 are missing.
         let mean = ((12..=32).sum::<i32>() - 30 - 31) as f64 / 19.0;
         assert_close(&[smoothed.data.inputs()[4 * 2]], &[mean], 1e-14, 0.0);
     }
 
     #[test]
-    fn a_stride_longer_than_the_window_passes_over_gaps() {
+    fn stride_longer_than_the_window_skips_gaps() {
         let smoothing = Smoothing { window: 0.02, stride: 50 };
         let (data, ticks) = without(&ramp(100), |index| index == 10 || index == 40);
         let smoothed = smoothing.apply_with_gaps(&data, &ticks, STEP).expect("fits");
-        // The windows are 0 to 20 without 10, whose mean is 10 all the same, and 50 to 70.
+        // The windows are 0 to 20 without 10, whose mean is still 10, and 50 to 70.
         assert_close(smoothed.data.inputs(), &[10.0, 80.0, 60.0, -20.0], 1e-14, 0.0);
         assert_eq!((smoothed.pieces, smoothed.windows_left_out), (1, 0));
     }
 
     #[test]
-    fn windows_of_a_piece_that_is_left_out_are_not_counted() {
+    fn windows_of_omitted_pieces_are_not_counted() {
         let smoothing = Smoothing { window: 0.02, stride: 1 };
-        // 40 samples, and of the 40 after a gap of 10 every third: no window has half of its own.
+        // 40 samples, a gap of 10, then every third of 40 samples: there no window is half full.
         let lost = |index| (40..50).contains(&index) || index >= 50 && index % 3 != 2;
         let (data, ticks) = without(&ramp(90), lost);
         let smoothed = smoothing.apply_with_gaps(&data, &ticks, STEP).expect("fits");
@@ -349,9 +349,9 @@ mod tests {
     }
 
     #[test]
-    fn a_long_gap_cuts_and_what_is_left_out_is_counted() {
+    fn long_gaps_split_pieces_and_omissions_are_counted() {
         let smoothing = Smoothing { window: 0.02, stride: 1 };
-        // 40 samples, 10 of a piece that is too short, 38.
+        // Pieces of 40 samples, of 10, which is too short, and of 38.
         let (data, ticks) =
             without(&ramp(100), |index| (40..46).contains(&index) || (56..62).contains(&index));
         let smoothed = smoothing.apply_with_gaps(&data, &ticks, STEP).expect("fits");
@@ -360,14 +360,14 @@ mod tests {
             (3, 1, 10)
         );
         assert_eq!(smoothed.data.len(), (40 - 20) + (38 - 20));
-        // Each second sample: 11 or 10 of 21. Those that begin with a missing one have 10.
+        // Every second sample: 11 or 10 of 21. Windows that begin with a missing sample have 10.
         let (data, ticks) = without(&ramp(100), |index| index % 2 == 1);
         let half = smoothing.apply_with_gaps(&data, &ticks, STEP).expect("fits");
         assert_eq!((half.data.len(), half.windows_left_out), (40, 39));
     }
 
     #[test]
-    fn nothing_but_short_pieces_is_an_error_with_counts() {
+    fn only_short_pieces_is_an_error() {
         let smoothing = Smoothing { window: 0.02, stride: 1 };
         let (data, ticks) = without(&ramp(100), |index| index % 20 >= 14);
         let error = smoothing.apply_with_gaps(&data, &ticks, STEP).unwrap_err();

@@ -1,4 +1,4 @@
-//! What the unit tests of training share.
+//! Helpers for the unit tests of training.
 
 use super::data::Dataset;
 use agent_core::math::activation::Activation;
@@ -20,7 +20,7 @@ pub(crate) fn assert_close(found: &[f64], expected: &[f64], rtol: f64, atol: f64
     }
 }
 
-/// The instruction sets that this machine has, none included.
+/// Returns the instruction sets of this machine, including scalar code.
 pub(crate) fn instruction_sets() -> Vec<pulp::Arch> {
     let mut sets = vec![pulp::Arch::Scalar, pulp::Arch::new()];
     #[cfg(target_arch = "x86_64")]
@@ -28,20 +28,20 @@ pub(crate) fn instruction_sets() -> Vec<pulp::Arch> {
     sets
 }
 
-/// Values uniform in [−1, 1).
+/// Returns values uniform in [−1, 1).
 pub(crate) fn random_values(count: usize, seed: u64) -> Vec<f64> {
     let mut generator = ChaCha8Rng::seed_from_u64(seed);
     (0..count).map(|_| generator.next_u32() as f64 / 2_147_483_648.0 - 1.0).collect()
 }
 
-/// A valid architecture.
+/// Returns a valid architecture.
 pub(crate) fn architecture(inputs: usize, layers: &[(u8, Activation)]) -> Architecture {
     let layers: Vec<Layer> =
         layers.iter().map(|&(width, activation)| Layer { width, activation }).collect();
     Architecture::new(inputs, &layers).expect("valid architecture")
 }
 
-/// Random samples.
+/// Returns random samples.
 pub(crate) fn random_data(dimension: usize, samples: usize, seed: u64) -> Dataset {
     let inputs = random_values(dimension * samples, seed);
     let targets = random_values(dimension * samples, seed + 1);

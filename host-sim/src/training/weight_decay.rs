@@ -1,19 +1,20 @@
-//! Weight decay: a least-squares problem with a preference for small parameters.
+//! Weight decay: a penalty on large weights for any least-squares problem.
 //!
 //! ```text
 //! E_λ(θ) = E(θ) + λ ‖w‖²,   JᵀJ/M + λ D,   Jᵀe/M + λ D θ
 //! ```
 //!
 //! where w are the weights in θ without the biases, and D is diagonal, 1 for a weight and 0 for a
-//! bias: a bias says where a node is active, not how steep it is, and depends on the inputs' offset.
+//! bias: a bias determines where a node is active, not how steep it is, and depends on the inputs'
+//! offset.
 //!
-//! Among the networks that explain the samples equally well it prefers the smoother one. The
-//! samples of one collection window lie on a single curve in the state space, and the trained
-//! network is used beside that curve; a smoother network errs less there. λ = 0 changes no bit.
+//! Of networks that explain the samples equally well, it prefers the smoother one. The samples of a
+//! collection window lie on a single curve in the state space, but the trained network is also used
+//! away from it, where a smoother network has smaller errors. λ = 0 does not change a bit.
 //!
-//! Reported errors are the plain mean squared ones; goal and progress are judged by E_λ.
+//! Reported errors are mean squared errors without the penalty; goal and progress use E_λ.
 
-use super::levenberg_marquardt::LeastSquares;
+use super::trainer::levenberg_marquardt::LeastSquares;
 use agent_core::observer::network::Architecture;
 
 /// `problem` with the penalty λ‖θ‖².
@@ -21,13 +22,13 @@ use agent_core::observer::network::Architecture;
 pub struct WeightDecay<P> {
     /// The problem without the penalty.
     pub problem: P,
-    /// λ, 0 or above.
+    /// λ, at least 0.
     pub weight_decay: f64,
-    /// Which parameters are biases, which are not penalised; one entry for each.
+    /// Whether each parameter is a bias, which is not penalised.
     pub is_bias: Vec<bool>,
 }
 
-/// Which of the flat inner parameters are biases, one entry for each.
+/// Returns whether each of the flat inner parameters is a bias.
 #[must_use]
 pub fn biases(architecture: &Architecture) -> Vec<bool> {
     let layer = |(inputs, layer): (usize, agent_core::observer::network::Layer)| {
@@ -94,8 +95,8 @@ mod tests {
     use crate::training::{LevenbergMarquardtSettings, minimize};
     use std::ops::ControlFlow;
 
-    /// One residual a parameter, `θ - 3`: with decay the minimum of a weight is at
-    /// `3 / (1 + λ M)`, that of a bias stays.
+    /// One residual `θ - 3` per parameter: with decay, the minimum of a weight is at `3 / (1 + λ
+    /// M)`; that of a bias does not move.
     struct Shifted;
 
     impl LeastSquares for Shifted {
@@ -120,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn the_minimum_moves_as_the_formula_says() {
+    fn minimum_moves_as_predicted() {
         for (weight_decay, expected) in [(0.0, 3.0), (0.5, 1.5), (1.0, 1.0)] {
             let is_bias = vec![false, true];
             let mut problem = WeightDecay { problem: Shifted, weight_decay, is_bias };

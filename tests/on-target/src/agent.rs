@@ -1,6 +1,6 @@
 //! An agent as a node runs it, through everything that can happen to it.
 
-use agent_core::health::HealthCounters;
+use agent_core::health::{HealthCounters, WatchedStep};
 use agent_core::observer::network::Scratch;
 use agent_core::wire::frame::{Frame, FrameBytes};
 
@@ -8,7 +8,7 @@ use crate::Unusable;
 use crate::digest::Digest;
 use crate::draw::{scaled, triangle};
 use crate::meter::{Figure, Figures, Meter};
-use crate::node::{Node, Outcome, ParamBuffers};
+use crate::node::{N, Node, ParamBuffers};
 use crate::package;
 
 /// Steps of the run.
@@ -96,13 +96,13 @@ pub(crate) fn digest(meter: &mut impl Meter, figures: &mut Figures) -> Result<u6
         }
         let measured = [measurement(tick)];
         let with_network = node.health.network_in_use();
-        let (outcome, instructions) =
+        let (step, instructions) =
             meter.count(|| node.step(package::bytes(), tick.into(), &measured, &mut broadcast));
-        if outcome == Outcome::Taken && with_network {
+        if matches!(step, WatchedStep::Taken(_)) && with_network {
             let figure = if broadcast.is_empty() { Figure::Step } else { Figure::Broadcast };
             figures.add(figure, instructions);
         }
-        add(&mut digest, &node, &outcome, &broadcast);
+        add(&mut digest, &node, &step, &broadcast);
     }
     if let Some(missing) = what_did_not_happen(node.health.counters()) {
         return Err(Unusable { what: missing });
@@ -146,11 +146,11 @@ fn what_did_not_happen(counters: &HealthCounters) -> Option<&'static str> {
 }
 
 /// Everything that the node lets be seen.
-fn add(digest: &mut Digest, node: &Node<'_>, outcome: &Outcome, broadcast: &[u8]) {
-    digest.number(match outcome {
-        Outcome::Taken => 0,
-        Outcome::Refused(_) => 1,
-        Outcome::Restarted => 2,
+fn add(digest: &mut Digest, node: &Node<'_>, step: &WatchedStep<N>, broadcast: &[u8]) {
+    digest.number(match step {
+        WatchedStep::Taken(_) => 0,
+        WatchedStep::Refused(_) => 1,
+        WatchedStep::Restarted(_) => 2,
     });
     let state = &node.state;
     digest.floats(state.estimate());

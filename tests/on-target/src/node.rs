@@ -5,8 +5,10 @@ use core::num::NonZeroU32;
 use agent_core::StateVector;
 use agent_core::agent::hold::Hold;
 use agent_core::agent::inbox::Inbox;
-use agent_core::agent::{AgentParams, AgentState, StepError, StepOutput};
-use agent_core::health::{Advice, FallBack, Health, HealthParams, HealthSettings};
+use agent_core::agent::{AgentParams, AgentState};
+use agent_core::health::{
+    FallBack, Health, HealthParams, HealthSettings, WatchedAgent, WatchedStep,
+};
 use agent_core::observer::feedback::Neighbour;
 use agent_core::observer::network::Scratch;
 use agent_core::package::NetworkPlace;
@@ -52,20 +54,9 @@ pub(crate) struct Node<'a> {
     pub(crate) state: AgentState<N, FEATURES, [Option<Hold<N>>; NEIGHBOURS]>,
     pub(crate) inbox: Inbox<N, [Option<Hold<N>>; NEIGHBOURS]>,
     pub(crate) health: Health,
-    watch: HealthParams<N>,
+    health_params: HealthParams<N>,
     network: NetworkPlace,
     outer_weights: &'static [f32],
-}
-
-/// What came of a step.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Outcome {
-    /// It was taken.
-    Taken,
-    /// It was refused.
-    Refused(StepError),
-    /// The agent began anew.
-    Restarted,
 }
 
 impl<'a> Node<'a> {
@@ -85,7 +76,7 @@ impl<'a> Node<'a> {
             [None; NEIGHBOURS],
         )
         .map_err(|_| Unusable { what: "the package's agent does not fit" })?;
-        let watch = HealthParams::new(
+        let health_params = HealthParams::new(
             &params,
             &package.trained_box,
             package.broadcast_interval_min,
@@ -99,7 +90,7 @@ impl<'a> Node<'a> {
             state,
             inbox: Inbox::new([None; NEIGHBOURS]),
             health: Health::new(),
-            watch,
+            health_params,
             network,
             outer_weights: package.outer_weights,
         })
@@ -116,12 +107,15 @@ impl<'a> Node<'a> {
             .map_err(|_| Unusable { what: "the enlarged outer weights do not fit" })
     }
 
+    fn watched(&mut self) -> Watched<'_> {
+        let Self { params, state, inbox, health, health_params, .. } = self;
+        WatchedAgent { params, health_params, state, inbox, health }
+    }
+
     /// A received frame. A function of its own, whose instructions are what a node takes.
     #[inline(never)]
     pub(crate) fn receive(&mut self, bytes: &[u8]) -> Result<(), FrameError> {
-        self.inbox
-            .accept_within(self.params.neighbours(), self.watch.plausible_region(), bytes)
-            .inspect_err(|error| self.health.frame_refused(error))
+        self.watched().receive(bytes)
     }
 
     /// A step; what is to be broadcast is left in `broadcast`. A function of its own, whose
@@ -133,27 +127,17 @@ impl<'a> Node<'a> {
         tick: u64,
         measurement: &[f32],
         broadcast: &mut FrameBytes,
-    ) -> Outcome {
+    ) -> WatchedStep<N> {
         broadcast.clear();
-        let network = self.network.network(package).filter(|_| self.health.network_in_use());
-        let outcome =
-            self.state.step(&self.params, network.as_ref(), tick, measurement, &mut self.inbox);
-        let advice = self.health.observe(&self.watch, tick, &outcome, &self.state);
-        if advice == Advice::Restart {
-            let Self { params, state, inbox, health, watch, outer_weights, .. } = self;
-            if let Ok(frame) = health.restart(watch, params, state, inbox, tick, outer_weights) {
-                *broadcast = frame.encode();
-                return Outcome::Restarted;
-            }
+        let network = self.network.network(package);
+        let outer_weights = self.outer_weights;
+        let step = self.watched().step(network.as_ref(), outer_weights, tick, measurement);
+        if let Some(frame) = step.broadcast() {
+            *broadcast = frame.encode();
         }
-        match outcome {
-            Ok(StepOutput { broadcast: frame, .. }) => {
-                if let Some(frame) = frame {
-                    *broadcast = frame.encode();
-                }
-                Outcome::Taken
-            }
-            Err(error) => Outcome::Refused(error),
-        }
+        step
     }
 }
+
+type Watched<'a> =
+    WatchedAgent<'a, N, FEATURES, [Option<Hold<N>>; NEIGHBOURS], [Option<Hold<N>>; NEIGHBOURS]>;

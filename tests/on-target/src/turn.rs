@@ -240,7 +240,7 @@ fn run(
         version: [0; 3],
     };
     let mut memory = Memory::<N, FEATURES, NEIGHBOURS, SAMPLES>::new();
-    let node = Node::<_, N, FEATURES, NEIGHBOURS, 1, SAMPLES>::new(ReadOnly, settings, &mut memory);
+    let node = Node::<_, N, FEATURES, NEIGHBOURS, SAMPLES>::new(ReadOnly, settings, &mut memory);
     let mut node = node.map_err(|_| Unusable { what: "the node's flash has another layout" })?;
     let mut bench = Bench {
         meter,

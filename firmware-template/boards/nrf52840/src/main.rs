@@ -59,10 +59,9 @@ use uart::{SERVICE, Uart};
 
 /// State components of the plant.
 const N: usize = 3;
-/// Room for features, neighbours, entries of `Gamma`, samples for training.
+/// Room for features, neighbours, samples for training.
 const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 4;
-const GAINS: usize = FEATURES;
 const SAMPLES: usize = 64;
 
 /// Address and register of the TMP117; 7.8125 thousandths of a degree a count.
@@ -75,7 +74,7 @@ const FLUSH_DELAY_CYCLES: u32 = 64_000_000 / 10;
 /// The radio needs the crystal, nothing here a clock that runs on while the chip sleeps.
 type ClocksForRadio = Clocks<ExternalOscillator, Internal, LfOscStopped>;
 
-type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>;
+type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, SAMPLES>;
 
 /// The board on its own feet.
 #[cfg(not(feature = "in-the-loop"))]
@@ -107,16 +106,24 @@ static NODE: StaticCell<ThisNode> = StaticCell::new();
 
 #[entry]
 fn main() -> ! {
-    if let Some((node, board)) = start() {
+    if let Some(Parts { board, flash }) = hardware()
+        && let Some(node) = node(flash)
+    {
         node.run(board);
     }
     cortex_m::asm::delay(FLUSH_DELAY_CYCLES);
     SCB::sys_reset()
 }
 
-/// Sets everything up in its place. Out of line, so that the stack is free again of what that takes.
+/// What [`hardware`] sets up.
+struct Parts {
+    board: &'static mut ThisBoard,
+    flash: pac::NVMC,
+}
+
+/// Sets the board up in its place. Out of line, so that the stack is free again of what that takes.
 #[inline(never)]
-fn start() -> Option<(&'static mut ThisNode, &'static mut ThisBoard)> {
+fn hardware() -> Option<Parts> {
     let chip = pac::Peripherals::take()?;
     let watchdog = clock::watchdog(chip.WDT);
     let clocks = CLOCKS.init(Clocks::new(chip.CLOCK).enable_ext_hfosc());
@@ -151,7 +158,12 @@ fn start() -> Option<(&'static mut ThisNode, &'static mut ThisBoard)> {
         let _ = (sensor, link);
         ThisBoard::new(firmware_template::WaitingPort::new(service, clock))
     };
+    Some(Parts { board: BOARD.init(board), flash: chip.NVMC })
+}
 
+/// The node above it, in its place; `None` if it cannot be trusted with packages.
+#[inline(never)]
+fn node(flash: pac::NVMC) -> Option<&'static mut ThisNode> {
     let region = memory_map!().region();
     // Once a second, at the period of 0.1 s that a package for this link might have.
     let state_every = NonZeroU32::new(10).filter(|_| !cfg!(feature = "in-the-loop"));
@@ -169,9 +181,8 @@ fn start() -> Option<(&'static mut ThisNode, &'static mut ThisBoard)> {
         version: [0, 1, 0],
     };
     // SAFETY: memory.x gives this region to nothing else, and this is the only call.
-    let flash = unsafe { Flash::new(chip.NVMC, &region) };
-    let node = ThisNode::new(flash, settings, MEMORY.take()).ok()?;
-    Some((NODE.init(node), BOARD.init(board)))
+    let flash = unsafe { Flash::new(flash, &region) };
+    Some(NODE.init(ThisNode::new(flash, settings, MEMORY.take()).ok()?))
 }
 
 firmware_template::reset_on_fault!();

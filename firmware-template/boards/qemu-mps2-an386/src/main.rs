@@ -36,10 +36,9 @@ use static_cell::{ConstStaticCell, StaticCell};
 
 /// State components of the paper's plant.
 const N: usize = 3;
-/// Room for features, neighbours, entries of `Gamma`, samples for training.
+/// Room for features, neighbours, samples for training.
 const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 4;
-const GAINS: usize = FEATURES;
 const SAMPLES: usize = 64;
 
 /// The plant is gone.
@@ -54,7 +53,7 @@ const EXIT_MEMORY: usize = 5;
 const EXIT_KEY: usize = 4;
 
 type Loop = InTheLoop<Port, { 2 * NEIGHBOURS }>;
-type LoopNode = Node<'static, RamFlash, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>;
+type LoopNode = Node<'static, RamFlash, N, FEATURES, NEIGHBOURS, SAMPLES>;
 
 static MEMORY: ConstStaticCell<Memory<N, FEATURES, NEIGHBOURS, SAMPLES>> =
     ConstStaticCell::new(Memory::new());

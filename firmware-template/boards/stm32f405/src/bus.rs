@@ -107,8 +107,11 @@ impl Bus {
     fn recover(&mut self) {
         self.stop();
         let registers = &self.registers;
-        let (cr2, ccr, trise) =
-            (registers.cr2().read().bits(), registers.ccr().read().bits(), registers.trise().read().bits());
+        let (cr2, ccr, trise) = (
+            registers.cr2().read().bits(),
+            registers.ccr().read().bits(),
+            registers.trise().read().bits(),
+        );
         registers.cr1().modify(|_, w| w.swrst().set_bit());
         registers.cr1().reset();
         // SAFETY: the values were in these registers before.
@@ -120,11 +123,7 @@ impl Bus {
         registers.cr1().modify(|_, w| w.pe().set_bit());
     }
 
-    fn operate(
-        &mut self,
-        address: u8,
-        operations: &mut [Operation<'_>],
-    ) -> Result<(), BusError> {
+    fn operate(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), BusError> {
         let mut stopped = true;
         for operation in operations {
             match operation {

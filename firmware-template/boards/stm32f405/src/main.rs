@@ -57,10 +57,9 @@ use uart::{LINK, SERVICE, Uart};
 
 /// State components of the plant.
 const N: usize = 3;
-/// Room for features, neighbours, entries of `Gamma`, samples for training.
+/// Room for features, neighbours, samples for training.
 const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 4;
-const GAINS: usize = FEATURES;
 const SAMPLES: usize = 64;
 
 /// Above the longest erasure, also where the watchdog's own oscillator runs at 47 kHz instead of
@@ -73,7 +72,7 @@ const LINK_BAUD: u32 = 1_000_000;
 /// 168 MHz. \[cycle\]
 const FLUSH_DELAY_CYCLES: u32 = 168_000_000 / 10;
 
-type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, GAINS, SAMPLES>;
+type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, SAMPLES>;
 
 /// The board on its own feet.
 #[cfg(not(feature = "in-the-loop"))]
@@ -103,16 +102,25 @@ static NODE: StaticCell<ThisNode> = StaticCell::new();
 
 #[entry]
 fn main() -> ! {
-    if let Some((node, board)) = start() {
+    if let Some(Parts { board, flash, fault }) = hardware()
+        && let Some(node) = node(flash, fault)
+    {
         node.run(board);
     }
     cortex_m::asm::delay(FLUSH_DELAY_CYCLES);
     SCB::sys_reset()
 }
 
-/// Sets everything up in its place. Out of line, so that the stack is free again of what that takes.
+/// What [`hardware`] sets up.
+struct Parts {
+    board: &'static mut ThisBoard,
+    flash: pac::FLASH,
+    fault: Option<BoardFault>,
+}
+
+/// Sets the board up in its place. Out of line, so that the stack is free again of what that takes.
 #[inline(never)]
-fn start() -> Option<(&'static mut ThisNode, &'static mut ThisBoard)> {
+fn hardware() -> Option<Parts> {
     let (chip, core) = (pac::Peripherals::take()?, cortex_m::Peripherals::take()?);
     let mut watchdog = IndependentWatchdog::new(chip.IWDG);
     watchdog.stop_on_debug(&chip.DBGMCU, true);
@@ -146,7 +154,13 @@ fn start() -> Option<(&'static mut ThisNode, &'static mut ThisBoard)> {
         let _ = (sensor, link);
         ThisBoard::new(firmware_template::WaitingPort::new(service, clock))
     };
+    let fault = (!crystal_is_ready).then_some(BoardFault::Clock);
+    Some(Parts { board: BOARD.init(board), flash: chip.FLASH, fault })
+}
 
+/// The node above it, in its place; `None` if it cannot be trusted with packages.
+#[inline(never)]
+fn node(flash: pac::FLASH, fault: Option<BoardFault>) -> Option<&'static mut ThisNode> {
     let region = memory_map!().region();
     // Once a second, at the period of 1 ms.
     let state_every = NonZeroU32::new(1_000).filter(|_| !cfg!(feature = "in-the-loop"));
@@ -163,12 +177,12 @@ fn start() -> Option<(&'static mut ThisNode, &'static mut ThisBoard)> {
         version: [0, 1, 0],
     };
     // SAFETY: memory.x gives this region to nothing else, and this is the only call.
-    let flash = unsafe { Flash::new(chip.FLASH, &region) };
+    let flash = unsafe { Flash::new(flash, &region) };
     let mut node = ThisNode::new(flash, settings, MEMORY.take()).ok()?;
-    if !crystal_is_ready {
-        node.report(BoardFault::Clock);
+    if let Some(fault) = fault {
+        node.report(fault);
     }
-    Some((NODE.init(node), BOARD.init(board)))
+    Some(NODE.init(node))
 }
 
 firmware_template::reset_on_fault!();

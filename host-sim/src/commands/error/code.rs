@@ -16,7 +16,7 @@ macro_rules! error_codes {
             #[cfg(test)]
             pub(super) const ALL: &'static [Self] = &[$(Self::$variant,)*];
 
-            /// The code as JSON has it.
+            /// Returns the code as it appears in JSON.
             pub(in crate::commands) fn as_str(self) -> &'static str {
                 match self {
                     $(Self::$variant => $name,)*

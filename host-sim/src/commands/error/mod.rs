@@ -36,7 +36,7 @@ pub(super) enum CommandError {
 pub(super) struct ErrorReport {
     code: ErrorCode,
     text: String,
-    /// The file that it is about.
+    /// Returns the path of the file.
     file: Option<String>,
     /// The line in that file, from 1.
     line: Option<u64>,
@@ -50,7 +50,7 @@ pub(super) trait Reported: fmt::Display {
     /// What it is about.
     fn code(&self) -> ErrorCode;
 
-    /// The file that it is about.
+    /// Returns the path of the file.
     fn file(&self) -> Option<PathBuf> {
         None
     }

@@ -1,7 +1,7 @@
 use super::*;
 use crate::scenario::PAPER;
 
-/// A folder of its own for a test, removed at its end.
+/// A separate folder for a test, removed at its end.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -69,7 +69,7 @@ fn what_is_not_a_result_is_found_before_the_run_and_stays() {
     let folder = Folder::new("foreign");
     folder.write("a.csv", "price list\n");
     let error = folder.run(&["a.csv"], "1").unwrap_err().to_string();
-    assert!(error.contains("a.csv: exists and is not a table"), "{error}");
+    assert!(error.contains("a.csv: not a table"), "{error}");
     assert_eq!(
         (folder.names(), folder.read("a.csv")),
         (vec!["a.csv".into()], "price list\n".into())

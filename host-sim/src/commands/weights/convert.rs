@@ -16,7 +16,7 @@ use crate::commands::{
 use crate::files::output::OutputFile;
 use crate::learning::agent_config;
 use crate::learning::trained::INITIAL_VERSION;
-use crate::packages::{Draft, PackageBytes};
+use crate::packages::{Draft, PackageBytes, PackageSummary};
 use crate::shell::shell_word;
 use crate::tensors::{self, Activations, ActivationsSource, NetworkArrays};
 
@@ -119,9 +119,8 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
     #[derive(Serialize)]
     struct Report {
         package: String,
-        bytes: usize,
-        agent: u16,
-        version: u32,
+        #[serde(flatten)]
+        summary: PackageSummary,
         signed: bool,
         activations_from: &'static str,
         largest_rounding: Option<f64>,
@@ -148,9 +147,7 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
     let package = versions::save(package, chosen, key.as_ref(), &arguments.out, output)?;
     let report = Report {
         package: arguments.out.display().to_string(),
-        bytes: package.as_bytes().len(),
-        agent: package.package().node.agent,
-        version: package.package().version,
+        summary: PackageSummary::new(&package),
         signed: package.is_signed(),
         activations_from: match import.activations {
             ActivationsSource::File => "file",
@@ -162,13 +159,11 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
     match arguments.format {
         Format::Json => print_json(&report),
         Format::Text => print_text(&format!(
-            "Written to {}: agent {}, version {}, {} bytes, {}\n\
+            "Written to {}: {}, {}\n\
              Activations: {}; {}\n\
              Outer weights that the node has adapted: {}\n",
             report.package,
-            report.agent,
-            report.version,
-            report.bytes,
+            report.summary,
             if report.signed { "signed" } else { "not signed" },
             match import.activations {
                 ActivationsSource::File => "as the file says",

@@ -7,18 +7,17 @@ use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::package::{FORMAT_VERSION, OnSwitch, SIGNATURE_BLOCK_LENGTH};
 use serde::Serialize;
 
-use crate::packages::PackageBytes;
+use crate::packages::{PackageBytes, PackageSummary};
 use crate::terminal;
 
 /// A package, told.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Facts {
     pub(super) format_version: u8,
-    pub(super) bytes: usize,
+    #[serde(flatten)]
+    pub(super) summary: PackageSummary,
     pub(super) signed: bool,
-    pub(super) version: u32,
     pub(super) replaces: Option<u32>,
-    pub(super) agent: u16,
     pub(super) dimension: usize,
     pub(super) layers: Vec<Layer>,
     pub(super) inner_parameters: usize,
@@ -96,11 +95,9 @@ impl Facts {
         let [major, minor, patch] = provenance.tool_version;
         Self {
             format_version: FORMAT_VERSION,
-            bytes: bytes.as_bytes().len(),
+            summary: PackageSummary::new(bytes),
             signed,
-            version: package.version,
             replaces: package.replaces,
-            agent: node.agent,
             dimension: package.dimension(),
             layers: architecture
                 .layers()
@@ -153,13 +150,13 @@ impl Facts {
             let _ = writeln!(text, "{name:22} {value}");
         };
         line("package", format!("{}, format {}", path.display(), self.format_version));
-        line("bytes", format!("{}, of which {} overhead", self.bytes, self.overhead_bytes));
+        line("bytes", format!("{}, of which {} overhead", self.summary.bytes, self.overhead_bytes));
         line("signed", if self.signed { "yes" } else { "no" }.to_owned());
         let replaces = self.replaces.map_or(String::new(), |newest| {
             format!(" (may replace versions up to {newest}, if signed)")
         });
-        line("version", format!("{}{replaces}", self.version));
-        line("agent", self.agent.to_string());
+        line("version", format!("{}{replaces}", self.summary.version));
+        line("agent", self.summary.agent.to_string());
         let layers: Vec<_> =
             self.layers.iter().map(|l| format!("{} {}", l.nodes, l.activation)).collect();
         line(

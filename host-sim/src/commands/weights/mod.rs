@@ -190,7 +190,7 @@ fn keygen(arguments: &Keygen) -> Result<(), CommandError> {
     let key = OperatorKey::generate()?;
     key.write_new(&private)?;
     if let Err(error) = key.write_public(&public) {
-        // Best effort: the error that is reported is the first one.
+        // Best effort: the first error is reported.
         let _ = std::fs::remove_file(&private);
         return Err(error.into());
     }

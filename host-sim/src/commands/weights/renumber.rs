@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::commands::{CommandError, Format, print_json, print_text};
-use crate::packages::PackageBytes;
+use crate::packages::{PackageBytes, PackageSummary};
 use crate::shell::shell_word;
 
 /// Arguments of `weights renumber`.
@@ -28,9 +28,8 @@ pub(in crate::commands) struct Arguments {
 #[derive(Serialize)]
 struct Report {
     package: String,
-    bytes: usize,
-    agent: u16,
-    version: u32,
+    #[serde(flatten)]
+    summary: PackageSummary,
     version_before: u32,
     /// It had a signature, which is of the old version.
     signature_dropped: bool,
@@ -43,18 +42,18 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     package.save(out)?;
     let report = Report {
         package: out.display().to_string(),
-        bytes: package.as_bytes().len(),
-        agent: package.package().node.agent,
-        version: arguments.version,
+        summary: PackageSummary::new(&package),
         version_before: before.package().version,
         signature_dropped: before.is_signed(),
     };
     match arguments.format {
         Format::Json => print_json(&report),
         Format::Text => {
+            let PackageSummary { bytes, agent, version } = report.summary;
             let mut text = format!(
-                "Written to {}: agent {}, version {} (it was {}), {} bytes, not signed\n",
-                report.package, report.agent, report.version, report.version_before, report.bytes
+                "Written to {}: agent {agent}, version {version} (it was {}), {bytes} bytes, not \
+                 signed\n",
+                report.package, report.version_before
             );
             if report.signature_dropped {
                 text += &format!(

@@ -1,58 +1,61 @@
-//! What carries frames from agent to agent.
+//! What carries frames from agent to agent: one file a model.
 //!
 //! The engine hands over encoded frames and takes back encoded frames; what happens to them
 //! in between is the link's matter. Links that lose, delay or reorder wrap another one behind
 //! the same trait.
+//!
+//! A new model is a file here, a variant of [`ScenarioLink`], and a variant of
+//! [`LinkModel`](crate::scenario::LinkModel) with the keys that it reads from `[link]`.
+
+mod lossless;
 
 use agent_core::Tick;
-use agent_core::wire::frame::FrameBytes;
 
-use crate::graph::Graph;
+pub use lossless::Lossless;
+
+use crate::scenario::{LinkModel, Scenario};
 
 /// Carries frames between the agents of one network.
 ///
 /// The engine calls [`Link::send`] for the broadcasts of one tick in ascending order of the
 /// sender, then [`Link::deliver`] once for each receiver, possibly from several threads.
 pub trait Link: Sync {
-    /// Takes the broadcast that `sender` (from 0) made at `tick`.
-    fn send(&mut self, sender: usize, tick: Tick, bytes: &FrameBytes);
+    /// Takes the frame that `sender` (from 0) broadcast at `tick`.
+    fn send(&mut self, sender: usize, tick: Tick, frame: &[u8]);
 
     /// Hands to `accept` every frame that reaches `receiver` (from 0) in time for its step at
     /// `tick`.
     fn deliver(&self, receiver: usize, tick: Tick, accept: impl FnMut(&[u8]));
 }
 
-/// The paper's link: every broadcast reaches all neighbours at once and unharmed.
+/// The link that a scenario describes.
 #[derive(Clone, Debug)]
-pub struct Lossless {
-    neighbours: Vec<Vec<usize>>,
-    last: Vec<Option<(Tick, FrameBytes)>>,
+pub enum ScenarioLink {
+    /// See [`Lossless`].
+    Lossless(Lossless),
 }
 
-impl Lossless {
-    /// A link along every edge of `graph`.
+impl ScenarioLink {
+    /// Creates the link of a run. `seed` is the run's, for models that draw random numbers.
     #[must_use]
-    pub fn new(graph: &Graph) -> Self {
-        let agents = graph.agents();
-        let neighbours = (0..agents)
-            .map(|i| graph.neighbours(i).iter().map(|neighbour| neighbour.agent).collect())
-            .collect();
-        Self { neighbours, last: vec![None; agents] }
+    pub fn new(scenario: &Scenario, _seed: u64) -> Self {
+        match scenario.link {
+            LinkModel::Lossless => Self::Lossless(Lossless::new(&scenario.graph)),
+        }
     }
 }
 
-impl Link for Lossless {
-    fn send(&mut self, sender: usize, tick: Tick, bytes: &FrameBytes) {
-        self.last[sender] = Some((tick, bytes.clone()));
+impl Link for ScenarioLink {
+    fn send(&mut self, sender: usize, tick: Tick, frame: &[u8]) {
+        match self {
+            Self::Lossless(link) => link.send(sender, tick, frame),
+        }
     }
 
     #[inline]
-    fn deliver(&self, receiver: usize, tick: Tick, mut accept: impl FnMut(&[u8])) {
-        for &neighbour in &self.neighbours[receiver] {
-            match &self.last[neighbour] {
-                Some((sent, bytes)) if *sent == tick => accept(bytes),
-                _ => {}
-            }
+    fn deliver(&self, receiver: usize, tick: Tick, accept: impl FnMut(&[u8])) {
+        match self {
+            Self::Lossless(link) => link.deliver(receiver, tick, accept),
         }
     }
 }

@@ -1,27 +1,27 @@
-//! Kinds of files, told apart by what is in them.
+//! Recognises kinds of files by their content.
 
 use std::fmt;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// A kind of file. Each format has its own, beside the code that writes it.
+/// A kind of file. Each format defines its own, next to the code that writes it.
 #[derive(Clone, Copy)]
 pub struct FileKind {
-    /// What it is, with its article: "a weight package".
+    /// Its name, with an article: "a weight package".
     pub name: &'static str,
     /// Whether these bytes, the first [`FileKind::BYTES_MAX`] of a file, are of this kind.
     pub recognises: fn(&[u8]) -> bool,
 }
 
 impl FileKind {
-    /// So many bytes of a file are looked at: more than the largest package or network. \[byte\]
+    /// Number of bytes checked: more than the largest package or network. \[bytes\]
     pub const BYTES_MAX: u64 = 4 << 20;
 
-    /// A file that never takes the place of another.
+    /// A file that never replaces another.
     pub const NEW: Self = Self { name: "empty", recognises: |_| false };
 
-    /// A CSV file of this program: the first column of each has one of these names.
+    /// A CSV file of this program, recognised by the name of its first column.
     pub const TABLE: Self = Self {
         name: "a table of this program",
         recognises: |bytes| {
@@ -46,7 +46,8 @@ impl FileKind {
     pub const PNG: Self =
         Self { name: "a PNG picture", recognises: |bytes| bytes.starts_with(b"\x89PNG\r\n\x1a\n") };
 
-    /// Whether a regular file can be replaced by one of this kind: it is empty, or of the same kind.
+    /// Whether a regular file can be replaced by one of this kind: it is empty, or of the same
+    /// kind.
     #[must_use]
     pub fn replaces(&self, path: &Path) -> bool {
         let mut bytes = Vec::new();

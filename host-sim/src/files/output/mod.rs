@@ -1,18 +1,17 @@
-//! Files that are either whole or not there, and that take the place of nothing else.
+//! Writes files atomically, without overwriting files of other kinds.
 //!
-//! | what is at the path | what happens |
+//! | at the path | result |
 //! | --- | --- |
 //! | nothing, or an empty file | the file is written |
-//! | a file of the same kind, by its content | it is replaced; mode and owner stay |
+//! | a file of the same kind, by its content | it is replaced, keeping mode and owner |
 //! | any other file, a folder, a socket, a block device | refused |
-//! | a link | its target is treated so, and the link stays; a target that is not there is made |
-//! | a character device (`/dev/null`), a named pipe, a standard stream | written into |
+//! | a link | the link is followed and kept; a missing target is created |
+//! | a character device (`/dev/null`), a named pipe, a standard stream | written to |
 //!
-//! All of this is found out by [`OutputFile::prepare`], before the work whose result is to be
-//! written. The bytes go to a temporary file beside the place, which is renamed into it once every
-//! byte has been handed to the system, so that an interrupted command leaves the file of the one
-//! before (or none), never half of one. A temporary file is removed by an error and by a signal
-//! ([`temporary`]).
+//! [`OutputFile::prepare`] checks all this before the work whose result is to be written. The bytes
+//! go to a temporary file in the same folder, which is renamed once they have all been handed to
+//! the system, so an interrupted command leaves the previous file (or none), never half of one.
+//! Temporary files are removed after an error or a signal ([`temporary`]).
 
 mod kind;
 mod place;
@@ -26,49 +25,49 @@ pub use kind::FileKind;
 use place::Place;
 use temporary::Temporary;
 
-/// A file could not be written.
+/// Why a file could not be written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OutputError {
-    /// The system reports an error.
+    /// The system reported an error.
     #[error(
-        "{}: {error}; make sure that the folder can be written to and the disk is not full",
+        "{}: {error}; check that the folder is writable and the disk is not full",
         path.display()
     )]
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         #[source]
         error: io::Error,
     },
-    /// There is a file of another kind.
-    #[error("{}: exists and is not {kind}; refusing to overwrite it; name another file", path.display())]
+    /// A file of another kind exists.
+    #[error("{}: not {kind}; refusing to overwrite; choose another file name", path.display())]
     OtherKind {
         /// The file.
         path: PathBuf,
-        /// What would be written.
+        /// The kind to be written.
         kind: &'static str,
     },
-    /// There is something that cannot be replaced by a file.
-    #[error("{}: is {what}; name a file", path.display())]
+    /// The path is something that a file cannot replace.
+    #[error("{}: is {what}; choose a file name", path.display())]
     NotAFile {
         /// The path.
         path: PathBuf,
-        /// What it is.
+        /// What is there.
         what: &'static str,
     },
     /// The file belongs to another user.
     #[error(
-        "{}: belongs to another user, and a new file in its place could not; name another file, or \
-         remove this one first",
+            "{}: belongs to another user, and a replacement would change the owner; choose another file \
+             name, or remove this file first",
         path.display()
     )]
     Owner {
         /// The file.
         path: PathBuf,
     },
-    /// A named pipe that is not read from.
+    /// A named pipe without a reader.
     #[error("{}: nothing reads from this pipe; start its reader first", path.display())]
     NoReader {
         /// The pipe.
@@ -77,7 +76,7 @@ pub enum OutputError {
 }
 
 impl OutputError {
-    /// The file or the folder.
+    /// Returns the path of the file or folder.
     #[must_use]
     pub fn path(&self) -> &Path {
         match self {
@@ -89,17 +88,17 @@ impl OutputError {
         }
     }
 
-    /// Whether writing was refused for what is there, not by the system.
+    /// Whether writing was refused because of an existing file, not by the system.
     #[must_use]
     pub fn is_refusal(&self) -> bool {
         matches!(self, Self::OtherKind { .. } | Self::NotAFile { .. } | Self::Owner { .. })
     }
 }
 
-/// Bytes that are gathered before they go to the system.
+/// Size of the write buffer. \[bytes\]
 const BUFFER: usize = 1 << 18;
 
-/// A file that can be written, as far as can be known before its content is there.
+/// A file that can be written, as far as can be determined in advance.
 #[derive(Debug)]
 pub struct OutputFile {
     path: PathBuf,
@@ -111,14 +110,13 @@ pub struct OutputFile {
 enum Target {
     /// A regular file, or nothing yet.
     File { temporary: Temporary, file: File, place: PathBuf, made: MadeFolders },
-    /// Something that is written into.
+    /// A stream to write to.
     Stream(File),
 }
 
 impl OutputFile {
-    /// Finds out whether a file of this kind can be written at `path`, and makes room for it: a
-    /// temporary file, and folders that do not exist yet. Dropped without [`Self::write`], it leaves
-    /// nothing behind.
+    /// Checks that a file of this kind can be written at `path`, and creates a temporary file and
+    /// missing folders. They are removed if this is dropped without [`Self::write`].
     ///
     /// # Errors
     /// See [`OutputError`].
@@ -128,7 +126,7 @@ impl OutputFile {
             Place::Stream(file) => Target::Stream(file),
             Place::File(place) => {
                 if place.file_name().is_none() {
-                    let error = io::Error::new(io::ErrorKind::InvalidInput, "not a file's name");
+                    let error = io::Error::new(io::ErrorKind::InvalidInput, "not a file name");
                     return Err(failed(error));
                 }
                 let before = place::check(path, &place, kind)?;
@@ -149,11 +147,11 @@ impl OutputFile {
         Ok(Self { path: path.to_owned(), kind, target })
     }
 
-    /// Writes the file: `fill` gives its content.
+    /// Writes the file: `fill` provides its content.
     ///
     /// # Errors
-    /// What `fill` or the system says, or a file of another kind has appeared meanwhile; what was there
-    /// is then there as before.
+    /// Returns an error of `fill` or of the system, or if a file of another kind has appeared in
+    /// the meantime; then the previous content is unchanged.
     pub fn write(
         self,
         fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
@@ -161,7 +159,7 @@ impl OutputFile {
         self.finish(fill, true)
     }
 
-    /// `durable`: the bytes are on the disk before the old file is gone.
+    /// With `durable`, the bytes are on the disk before the old file is replaced.
     fn finish(
         self,
         fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
@@ -174,7 +172,7 @@ impl OutputFile {
             Target::File { temporary, file, place, made } => {
                 let file = filled(file, fill).map_err(failed)?;
                 if durable {
-                    // What a system writes later may fail later: the old file is still there now.
+                    // A delayed write may fail; at this point the old file still exists.
                     file.sync_data().map_err(failed)?;
                 }
                 place::check(&path, &place, kind)?;
@@ -191,18 +189,17 @@ fn filled(file: File, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io
     match fill(&mut file).and_then(|()| file.flush()) {
         Ok(()) => file.into_inner().map_err(io::IntoInnerError::into_error),
         Err(error) => {
-            // What is left in the buffer is of no use any more.
+            // Discard what is left in the buffer.
             drop(file.into_parts());
             Err(error)
         }
     }
 }
 
-/// Writes `path` whole, or leaves what was there: [`OutputFile::prepare`] and
-/// [`OutputFile::write`] in one.
+/// Writes `path` atomically: [`OutputFile::prepare`] followed by [`OutputFile::write`].
 ///
 /// # Errors
-/// As these.
+/// Same as these.
 pub fn write_whole(
     path: &Path,
     kind: FileKind,
@@ -211,11 +208,11 @@ pub fn write_whole(
     OutputFile::prepare(path, kind)?.write(fill)
 }
 
-/// As [`write_whole`], without waiting for the disk: for the many files of a run, which can be made
-/// again.
+/// Like [`write_whole`], without waiting for the disk: for the many files of a run, which can be
+/// regenerated.
 ///
 /// # Errors
-/// As [`write_whole`].
+/// Same as [`write_whole`].
 pub fn write_result(
     path: &Path,
     kind: FileKind,
@@ -224,8 +221,8 @@ pub fn write_result(
     OutputFile::prepare(path, kind)?.finish(fill, false)
 }
 
-/// The regular file, there or not yet, that `path` stands for when links are followed; `None` if that
-/// is something to be written into.
+/// Resolves links and returns the regular file, existing or not, at `path`; `None` for a stream to
+/// write to.
 ///
 /// # Errors
 /// See [`OutputError`].
@@ -236,24 +233,24 @@ pub fn destination(path: &Path) -> Result<Option<PathBuf>, OutputError> {
     })
 }
 
-/// Gives a new file mode and owner of the one that it will replace.
+/// Copies mode and owner of the previous file to its replacement.
 ///
 /// # Errors
-/// What the system says, in most cases that the owner is another user.
+/// The system's error, usually because the owner is another user.
 pub fn resemble(new: &Path, before: &fs::Metadata) -> io::Result<()> {
     place::resemble(&File::open(new)?, before)
 }
 
-/// Makes a folder for results, with those above it.
+/// Creates a folder for results, and its parents.
 ///
 /// # Errors
-/// What the system says.
+/// The system's error.
 pub fn make_folder(folder: &Path) -> Result<(), OutputError> {
     fs::create_dir_all(folder)
         .map_err(|error| OutputError::Write { path: folder.to_owned(), error })
 }
 
-/// Folders that were made for a file; removed again if it is not written.
+/// Folders created for a file; removed again if it is not written.
 #[derive(Debug)]
 struct MadeFolders(Vec<PathBuf>);
 
@@ -276,7 +273,7 @@ impl MadeFolders {
 impl Drop for MadeFolders {
     fn drop(&mut self) {
         for folder in &self.0 {
-            // Only an empty folder is removed by this.
+            // Only removes empty folders.
             if fs::remove_dir(folder).is_err() {
                 break;
             }

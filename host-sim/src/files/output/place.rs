@@ -1,4 +1,4 @@
-//! What is at a path where a file is to be written.
+//! Determines what is at an output path.
 
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io;
@@ -6,19 +6,19 @@ use std::path::{Path, PathBuf};
 
 use super::{FileKind, OutputError};
 
-/// Where the bytes go.
+/// The destination of the bytes.
 #[derive(Debug)]
 pub(super) enum Place {
-    /// Into a regular file here, which may not be there yet; no link.
+    /// A regular file at this path, which may not exist yet; not a link.
     File(PathBuf),
-    /// Into this device, pipe or standard stream.
+    /// This device, pipe or standard stream.
     Stream(File),
 }
 
-/// Links that are followed one after the other: as many as Linux follows.
+/// Maximum number of links in a chain, as in Linux.
 const LINKS_MAX: usize = 40;
 
-/// Finds the place behind `path`.
+/// Resolves the destination of `path`.
 pub(super) fn find(path: &Path) -> Result<Place, OutputError> {
     let failed = |error| OutputError::Write { path: path.to_owned(), error };
     if let Some(stream) = standard_stream(path).map_err(failed)? {
@@ -27,7 +27,7 @@ pub(super) fn find(path: &Path) -> Result<Place, OutputError> {
     match fs::metadata(path) {
         Ok(found) if found.is_file() => {}
         Ok(found) => return Ok(Place::Stream(special(path, &found)?)),
-        // A link to what is not there yet, or nothing.
+        // A link to a missing file, or nothing.
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
         Err(error) => return Err(failed(error)),
     }
@@ -38,14 +38,14 @@ pub(super) fn find(path: &Path) -> Result<Place, OutputError> {
             Err(_) => return Ok(Place::File(place)),
         }
     }
-    Err(failed(io::Error::other("too many links, one to the other")))
+    Err(failed(io::Error::other("too many levels of links")))
 }
 
-/// The standard stream that `path` names: opened by its path, it would begin again at byte 0.
+/// Returns the standard stream that `path` names. Opening the path would start at byte 0 again.
 #[cfg(unix)]
 fn standard_stream(path: &Path) -> io::Result<Option<File>> {
     use std::os::fd::AsFd;
-    #[expect(clippy::disallowed_methods, reason = "a stream to write a file into")]
+    #[expect(clippy::disallowed_methods, reason = "writes a file to a stream")]
     let stream = match path.to_str() {
         Some("/dev/stdout" | "/dev/fd/1" | "/proc/self/fd/1") => {
             io::stdout().as_fd().try_clone_to_owned()?
@@ -63,7 +63,7 @@ fn standard_stream(_: &Path) -> io::Result<Option<File>> {
     Ok(None)
 }
 
-/// Opens what is neither a file nor nothing.
+/// Opens a path that exists and is not a regular file.
 #[cfg(unix)]
 fn special(path: &Path, found: &Metadata) -> Result<File, OutputError> {
     use std::os::unix::fs::FileTypeExt;
@@ -89,16 +89,16 @@ fn special(path: &Path, _: &Metadata) -> Result<File, OutputError> {
     Err(OutputError::NotAFile { path: path.to_owned(), what: "a folder" })
 }
 
-/// What the system says about a pipe without a reader.
+/// Error of a pipe without a reader.
 #[cfg(unix)]
 const NO_READER: i32 = nix::errno::Errno::ENXIO as i32;
 
-/// Opens a named pipe as soon as there is a reader. Without one, opening would wait for ever.
+/// Opens a named pipe as soon as there is a reader; a plain open would wait forever.
 #[cfg(unix)]
 fn open_pipe(path: &Path) -> io::Result<File> {
     use nix::fcntl::{FcntlArg, OFlag, fcntl};
     use std::time::{Duration, Instant};
-    // A reader that is started together with this command is there by then.
+    // A reader started together with this command is ready by then.
     let deadline = Instant::now() + Duration::from_secs(1);
     loop {
         match open_existing(path, OFlag::O_NONBLOCK.bits()) {
@@ -107,7 +107,7 @@ fn open_pipe(path: &Path) -> io::Result<File> {
             }
             opened => {
                 let file = opened?;
-                // From here on, a slow reader is waited for.
+                // From here on, writes wait for a slow reader.
                 fcntl(&file, FcntlArg::F_SETFL(OFlag::empty()))?;
                 return Ok(file);
             }
@@ -121,8 +121,8 @@ fn open_existing(path: &Path, flags: i32) -> io::Result<File> {
     OpenOptions::new().write(true).custom_flags(flags).open(path)
 }
 
-/// What is known of the file that is to be replaced, if there is one: of the same kind, and one that
-/// may be written to. `path` is how errors call it.
+/// Returns the metadata of the file to be replaced, if there is one; it must be of the same kind
+/// and writable. `path` is the name used in errors.
 pub(super) fn check(
     path: &Path,
     place: &Path,
@@ -135,18 +135,18 @@ pub(super) fn check(
         Err(error) => return Err(failed(error)),
     };
     if !found.is_file() {
-        let what = "not a file any more";
+        let what = "no longer a file";
         return Err(OutputError::NotAFile { path: path.to_owned(), what });
     }
     if !kind.replaces(place) {
         return Err(OutputError::OtherKind { path: path.to_owned(), kind: kind.name });
     }
-    // A file that its owner has protected stays as it is, although its folder can be written to.
+    // A read-only file stays unchanged even if its folder is writable.
     OpenOptions::new().append(true).open(place).map_err(failed)?;
     Ok(Some(found))
 }
 
-/// The mode of a file, where systems have modes.
+/// Returns the mode of a file, on systems that have modes.
 #[cfg(unix)]
 pub(super) fn mode(found: &Metadata) -> u32 {
     std::os::unix::fs::PermissionsExt::mode(&found.permissions())
@@ -157,7 +157,7 @@ pub(super) fn mode(_: &Metadata) -> u32 {
     0
 }
 
-/// Gives `file` owner and mode of the file that it will replace.
+/// Copies owner and mode of the previous file to `file`.
 #[cfg(unix)]
 pub(super) fn resemble(file: &File, before: &Metadata) -> io::Result<()> {
     use std::os::unix::fs::{MetadataExt, fchown};
@@ -167,7 +167,7 @@ pub(super) fn resemble(file: &File, before: &Metadata) -> io::Result<()> {
     if owner.is_some() || group.is_some() {
         fchown(file, owner, group)?;
     }
-    // After the owner: changing that takes special bits away.
+    // After the owner, because changing the owner clears special bits.
     file.set_permissions(before.permissions())
 }
 

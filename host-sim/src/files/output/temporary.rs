@@ -1,8 +1,7 @@
-//! Files and folders that only exist while something is written: known to the whole process, so that
-//! a signal can remove them.
+//! Temporary files and folders, listed for the whole process so that a signal can remove them.
 //!
-//! Making one, and renaming it, holds the lock of the list. So a signal that removes them
-//! comes before or after that, never in between, and nothing new is made behind it.
+//! Creating and renaming hold the lock of the list, so a signal handler runs before or after them,
+//! and nothing new can be created once the files are removed.
 
 use std::fs::{self, File, OpenOptions};
 use std::io;
@@ -12,23 +11,23 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 static LIST: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// How the names of all of them begin and end.
+/// Prefix and suffix of all their names.
 const BEGINNING: &str = ".host-sim-";
 const ENDING: &str = ".partial";
 
 fn list() -> MutexGuard<'static, Vec<PathBuf>> {
-    // A list is whole at any moment, also after a panic while it was locked.
+    // The list is valid at any time, even after a panic while it was locked.
     LIST.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A name that nothing has in `folder`, hidden, of this process.
+/// Returns an unused, hidden name in `folder` with this process's id.
 fn name_in(folder: &Path) -> PathBuf {
     static COUNT: AtomicU32 = AtomicU32::new(0);
     let count = COUNT.fetch_add(1, Ordering::Relaxed);
     folder.join(format!("{BEGINNING}{}-{count}{ENDING}", std::process::id()))
 }
 
-/// Whether a file's name is one of those that are given here.
+/// Whether a file name has the form of a temporary name.
 #[must_use]
 pub fn is_temporary(name: &str) -> bool {
     let middle = name.strip_prefix(BEGINNING).and_then(|name| name.strip_suffix(ENDING));
@@ -37,13 +36,13 @@ pub fn is_temporary(name: &str) -> bool {
     })
 }
 
-/// Makes something under a new name in `folder`.
+/// Creates an entry with a new name in `folder`.
 fn make<T>(folder: &Path, make: impl Fn(&Path) -> io::Result<T>) -> io::Result<(Temporary, T)> {
     let mut list = list();
     loop {
         let path = name_in(folder);
         match make(&path) {
-            // Left by a process that was killed and had this one's number.
+            // Left by a killed process with the same id.
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
             made => {
                 let made = made?;
@@ -54,17 +53,18 @@ fn make<T>(folder: &Path, make: impl Fn(&Path) -> io::Result<T>) -> io::Result<(
     }
 }
 
-/// A temporary file or folder; it is removed when this is dropped.
+/// A temporary file or folder, removed when dropped.
 #[derive(Debug)]
 pub struct Temporary {
     path: PathBuf,
 }
 
 impl Temporary {
-    /// A new, empty file in `folder`, open for writing; with this mode, where systems have modes.
+    /// Creates an empty file in `folder`, open for writing; with this mode, on systems that have
+    /// modes.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn file(folder: &Path, mode: Option<u32>) -> io::Result<(Self, File)> {
         make(folder, |path| {
             let mut options = OpenOptions::new();
@@ -79,24 +79,24 @@ impl Temporary {
         })
     }
 
-    /// A new, empty folder in `folder`.
+    /// Creates an empty folder in `folder`.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn folder(folder: &Path) -> io::Result<Self> {
         Ok(make(folder, |path| fs::create_dir(path))?.0)
     }
 
-    /// Where it is.
+    /// Returns its path.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Puts it in the place of `path`, in the same file system.
+    /// Renames it to `path` in the same file system.
     ///
     /// # Errors
-    /// What the system says; it is then removed.
+    /// The system's error; it is then removed.
     pub fn rename(self, path: &Path) -> io::Result<()> {
         let mut list = list();
         fs::rename(&self.path, path)?;
@@ -115,12 +115,12 @@ impl Drop for Temporary {
     }
 }
 
-/// Best effort: an error here must not hide the one that led here.
+/// Best effort: an error here must not hide the original one.
 fn remove(path: &Path) {
     let _ = fs::remove_file(path).or_else(|_| fs::remove_dir_all(path));
 }
 
-/// Does something that no signal may interrupt, like putting several files in their places.
+/// Runs `work` without interruption by signals, for example to move several files into place.
 pub(crate) fn uninterrupted<T>(work: impl FnOnce() -> T) -> T {
     let list = list();
     let done = work();
@@ -128,11 +128,11 @@ pub(crate) fn uninterrupted<T>(work: impl FnOnce() -> T) -> T {
     done
 }
 
-/// Removes all of them, since the process ends; none can be made afterwards.
+/// Removes all of them because the process is ending; no more can be created afterwards.
 pub(crate) fn remove_all() {
     let list = list();
     list.iter().for_each(|path| remove(path));
-    // Kept for good: see above.
+    // Never unlocked, see above.
     std::mem::forget(list);
 }
 
@@ -141,7 +141,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_told_apart_from_those_of_others() {
+    fn recognises_only_its_own_names() {
         let name = name_in(Path::new("out"));
         assert!(is_temporary(name.file_name().unwrap().to_str().unwrap()));
         for other in [".host-sim-.partial", ".host-sim-mine.partial", "traces.csv", ".host-sim-1-2"]
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_dropped_is_removed_with_all_in_it() {
+    fn drop_removes_files_and_folders() {
         let folder = std::env::temp_dir();
         let (file, _) = Temporary::file(&folder, None).unwrap();
         let inner = Temporary::folder(&folder).unwrap();

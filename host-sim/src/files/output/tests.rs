@@ -2,7 +2,7 @@ use std::io::ErrorKind;
 
 use super::*;
 
-/// Text that begins so is of the kind of these tests.
+/// Text that starts with "test" is of the kind used in these tests.
 const KIND: FileKind = FileKind { name: "a test", recognises: |bytes| bytes.starts_with(b"test") };
 
 fn write(path: &Path, text: &str) -> Result<(), OutputError> {
@@ -17,7 +17,7 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// A folder of its own for a test, removed at its end.
+/// A separate folder for a test, removed at its end.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -39,7 +39,7 @@ impl Drop for Folder {
 }
 
 #[test]
-fn a_failed_write_leaves_the_old_file_and_no_other() {
+fn failed_write_keeps_the_old_file() {
     let folder = Folder::new("failed");
     let path = folder.path("made/on/the/way/result");
     write(&path, "test: whole").unwrap();
@@ -50,11 +50,11 @@ fn a_failed_write_leaves_the_old_file_and_no_other() {
     let message = failed.unwrap_err().to_string();
     assert!(message.contains("result") && message.contains("the power went"), "{message}");
     assert_eq!(fs::read(&path).unwrap(), b"test: whole");
-    assert_eq!(names(path.parent().unwrap()), ["result"], "a temporary file was left behind");
+    assert_eq!(names(path.parent().unwrap()), ["result"], "temporary file left behind");
 }
 
 #[test]
-fn what_is_prepared_and_not_written_leaves_nothing() {
+fn dropping_a_prepared_file_leaves_nothing() {
     let folder = Folder::new("prepared");
     let output = OutputFile::prepare(&folder.path("a/b/result"), KIND).unwrap();
     assert_eq!(names(&folder.path("a/b")).len(), 1);
@@ -63,7 +63,7 @@ fn what_is_prepared_and_not_written_leaves_nothing() {
 }
 
 #[test]
-fn a_file_of_another_kind_stays_and_an_empty_one_does_not() {
+fn replaces_only_empty_files_and_its_own_kind() {
     let folder = Folder::new("kinds");
     let path = folder.path("result");
     for (before, replaced) in [("", true), ("test: old", true), ("mine", false)] {
@@ -83,7 +83,7 @@ fn a_file_of_another_kind_stays_and_an_empty_one_does_not() {
 }
 
 #[test]
-fn a_file_that_came_meanwhile_stays() {
+fn keeps_a_file_that_appears_after_prepare() {
     let folder = Folder::new("meanwhile");
     let path = folder.path("result");
     let output = OutputFile::prepare(&path, KIND).unwrap();
@@ -95,7 +95,7 @@ fn a_file_that_came_meanwhile_stays() {
 }
 
 #[test]
-fn a_path_without_a_file_name_is_refused() {
+fn rejects_a_path_without_a_file_name() {
     assert!(matches!(write(Path::new("/"), ""), Err(OutputError::NotAFile { .. })));
     let error = write(Path::new(""), "").unwrap_err();
     assert!(
@@ -105,7 +105,7 @@ fn a_path_without_a_file_name_is_refused() {
 }
 
 #[test]
-fn tables_and_pictures_are_told_from_other_files() {
+fn recognises_tables_and_pictures() {
     for (kind, own, other) in [
         (FileKind::TABLE, &b"agent,rmse [state unit]\n1,0.5\n"[..], &b"name,price\n"[..]),
         (FileKind::TABLE, b"time [s],x1 [state unit]\n", b"time [s]\n"),
@@ -128,7 +128,7 @@ mod unix {
     use super::*;
 
     #[test]
-    fn links_are_written_through_and_modes_stay() {
+    fn follows_links_and_keeps_modes() {
         let folder = Folder::new("links");
         fs::create_dir(folder.path("versions")).unwrap();
         let target = folder.path("versions/3");
@@ -154,7 +154,7 @@ mod unix {
     }
 
     #[test]
-    fn pipes_are_written_into_and_sockets_refused() {
+    fn writes_to_pipes_and_rejects_sockets() {
         let folder = Folder::new("pipes");
         let pipe = folder.path("pipe");
         nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).unwrap();
@@ -168,7 +168,7 @@ mod unix {
                 text
             }
         });
-        // More than a pipe holds, so that writing has to wait for the reader.
+        // More than a pipe can hold, so that writing waits for the reader.
         let long = "test ".repeat(100_000);
         write(&pipe, &long).unwrap();
         assert_eq!(reader.join().unwrap(), long);
@@ -181,7 +181,7 @@ mod unix {
     }
 
     #[test]
-    fn devices_are_written_into() {
+    fn writes_to_devices() {
         write(Path::new("/dev/null"), "test").unwrap();
         assert!(fs::metadata("/dev/null").unwrap().file_type().is_char_device());
         #[cfg(target_os = "linux")]

@@ -82,7 +82,7 @@ impl Recording {
     /// Writes the samples as a CSV file.
     ///
     /// # Errors
-    /// A file that cannot be written.
+    /// If the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), OutputError> {
         let weights = self.outer_weights.as_deref().unwrap_or(&[]);
         let time = |index| self.start + index as f64 * self.interval;
@@ -253,7 +253,7 @@ fn number_hint(text: &str, is_time: bool) -> &'static str {
 /// row, or none.
 ///
 /// # Errors
-/// A file that cannot be written.
+/// If the file cannot be written.
 pub fn write_samples(
     path: &Path,
     samples: &Dataset,

@@ -187,7 +187,7 @@ mod tests {
     #[test]
     fn text_without_end_and_lines_without_end_are_refused() {
         for (text, problem) in [
-            (&b"1,2,3\r\n"[..], "it has more than 3000000 bytes"),
+            (&b"1,2,3\r\n"[..], "larger than 3000000 bytes"),
             (b"1,2,3,", "a line has more than 1 MiB"),
         ] {
             let mut bytes = Vec::new();

@@ -1,4 +1,4 @@
-//! The functions that expressions may call, all from the `libm` crate or exact.
+//! The functions available in expressions. Each is exact or comes from the `libm` crate.
 
 /// Names of the functions, in alphabetical order.
 pub const FUNCTIONS: [&str; 18] = [
@@ -41,7 +41,7 @@ pub(super) enum Function {
 }
 
 impl Unary {
-    /// Every one, in the order of [`FUNCTIONS`].
+    /// All of them, in the order of [`FUNCTIONS`].
     const ALL: [Self; 14] = [
         Self::Abs,
         Self::Acos,
@@ -59,7 +59,7 @@ impl Unary {
         Self::Tanh,
     ];
 
-    /// What it is called.
+    /// Returns the name used in expressions.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Abs => "abs",
@@ -79,12 +79,12 @@ impl Unary {
         }
     }
 
-    /// Whether it makes a finite number of an infinite one.
+    /// Whether it can map an infinite argument to a finite result.
     pub(super) fn absorbs(self) -> bool {
         matches!(self, Self::Atan | Self::Exp | Self::Sign | Self::Tanh)
     }
 
-    /// Whether a finite argument can be too large for it; elsewhere an infinite result is a pole.
+    /// Whether a finite argument can overflow; for the others, an infinite result is a pole.
     pub(super) fn overflows(self) -> bool {
         matches!(self, Self::Cosh | Self::Exp | Self::Sinh)
     }
@@ -93,7 +93,7 @@ impl Unary {
 impl Binary {
     const ALL: [Self; 3] = [Self::Atan2, Self::Max, Self::Min];
 
-    /// What it is called.
+    /// Returns the name used in expressions.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Atan2 => "atan2",
@@ -104,7 +104,7 @@ impl Binary {
 }
 
 impl Function {
-    /// The function of that name; `log` is the natural logarithm, as `ln` is.
+    /// Returns the function with this name; `log` is the natural logarithm, like `ln`.
     pub(super) fn named(name: &str) -> Option<Self> {
         let name = if name == "log" { "ln" } else { name };
         let unary = Unary::ALL.into_iter().find(|function| function.name() == name);
@@ -112,7 +112,7 @@ impl Function {
         unary.map(Self::Unary).or(binary.map(Self::Binary))
     }
 
-    /// How many arguments it takes.
+    /// Returns the number of arguments.
     pub(super) fn arguments(self) -> usize {
         match self {
             Self::Unary(_) => 1,
@@ -154,7 +154,7 @@ impl Binary {
     }
 }
 
-/// -1, 0 or 1; not a number stays so.
+/// Returns -1, 0 or 1; NaN stays NaN.
 fn sign(x: f64) -> f64 {
     if x > 0.0 {
         1.0

@@ -1,10 +1,11 @@
-//! What to write in place of what an expression cannot hold: the spellings of other languages, and
-//! slips of the keyboard. A hint is right or absent.
+//! Suggestions for expressions that cannot be parsed: spellings from other languages, and typos. If
+//! unsure, it suggests nothing.
 
 use super::parser::ExpressionError;
 use super::{FUNCTIONS, RESERVED};
+use crate::spelling::nearest;
 
-/// How to write what MATLAB, Python, C or Julia call by this name; all in lower case.
+/// Equivalents of functions in MATLAB, Python, C or Julia; names in lower case.
 const FUNCTIONS_ELSEWHERE: [(&[&str], &str); 43] = [
     (&["sine"], "write sin"),
     (&["cosine"], "write cos"),
@@ -51,12 +52,12 @@ const FUNCTIONS_ELSEWHERE: [(&[&str], &str); 43] = [
     (&["clip", "clamp", "sat", "saturate", "saturation"], "write min(max(x, low), high)"),
 ];
 
-/// What expressions have no words for.
+/// Features that expressions do not have.
 const NOT_HERE: [(&[&str], &str); 5] = [
     (
         &["rand", "randn", "random", "randi", "rnd", "noise", "normal", "gauss", "wgn"],
-        "expressions are not random, so that the same scenario gives the same bits; write a sum of \
-         sines with frequencies that do not fit each other",
+        "expressions are deterministic, so that a scenario always gives the same bits; write a sum of \
+         sines with incommensurate frequencies",
     ),
     (
         &[
@@ -74,38 +75,38 @@ const NOT_HERE: [(&[&str], &str); 5] = [
             "int",
             "frac",
         ],
-        "expressions have no rounding and no remainder; write what repeats with sin and cos",
+        "expressions have no rounding and no remainder; write periodic signals with sin and cos",
     ),
     (
         &["if", "ifelse", "where", "cond", "piecewise", "switch", "select", "iif", "merge"],
-        "expressions have no conditions; write min, max or (1 + sign(x))/2 as a factor",
+        "expressions have no conditions; use min, max or a factor (1 + sign(x))/2",
     ),
     (
         &["diff", "der", "deriv", "derivative", "integral", "int_", "cumsum", "laplacian"],
-        "expressions neither differentiate nor integrate; make it a state",
+        "expressions cannot differentiate or integrate; add a state instead",
     ),
     (
         &[
             "delay", "delayed", "lag", "sum", "prod", "mean", "dot", "erf", "gamma", "sinc",
             "conj", "real", "imag",
         ],
-        "there is no such function; write it in terms of the others",
+        "function not supported; write it in terms of the supported ones",
     ),
 ];
 
-/// Names that are not functions.
+/// Constants and variables.
 const NAMES_ELSEWHERE: [(&[&str], &str); 5] = [
     (&["m_pi", "\u{3c0}"], "write pi"),
-    (&["time"], "write t for the time"),
-    (&["euler", "m_e"], "write e, or exp(x) for a power of it"),
+    (&["time"], "write t for time"),
+    (&["euler", "m_e"], "write e, or exp(x) for its powers"),
     (&["inf", "infinity", "nan", "eps"], "write a finite number"),
-    (&["tau"], "write 2*pi if the circle is meant, or define tau as a parameter"),
+    (&["tau"], "write 2*pi for the circle constant, or define tau as a parameter"),
 ];
 
-/// Prefixes by which other languages call functions.
+/// Module prefixes of functions in other languages.
 const LIBRARIES: [&str; 9] = ["np", "numpy", "math", "cmath", "std", "torch", "jnp", "sympy", "sp"];
 
-/// What to write in place of what `error` says of `text`, if it is known.
+/// Returns a suggestion for `error` in `text`, if there is one.
 #[must_use]
 pub fn hint(error: &ExpressionError, text: &str) -> Option<String> {
     match error {
@@ -122,21 +123,20 @@ pub fn hint(error: &ExpressionError, text: &str) -> Option<String> {
 }
 
 fn unknown(name: &str, column: usize, known: &[String], text: &str) -> Option<String> {
-    let behind: String = text.chars().skip(column - 1 + name.chars().count()).collect();
-    let behind = behind.trim_start();
-    let is_call = behind.starts_with('(');
+    let rest: String = text.chars().skip(column - 1 + name.chars().count()).collect();
+    let rest = rest.trim_start();
+    let is_call = rest.starts_with('(');
     let lower = name.to_lowercase();
-    if LIBRARIES.contains(&lower.as_str()) && (behind.starts_with('.') || behind.starts_with("::"))
-    {
-        return Some(format!("write the function alone, without {name}"));
+    if LIBRARIES.contains(&lower.as_str()) && (rest.starts_with('.') || rest.starts_with("::")) {
+        return Some(format!("write the function without {name}"));
     }
-    // What it can be: a function before a parenthesis, else anything but a function.
+    // In front of a parenthesis it must be a function, elsewhere it cannot be one.
     let is_function = |known: &str| FUNCTIONS.contains(&known);
     let fitting = || known.iter().map(String::as_str).filter(|known| is_function(known) == is_call);
     if let Some(same) = fitting().find(|known| known.eq_ignore_ascii_case(name)) {
         return Some(match same {
-            "t" => "write t if the time is meant".to_owned(),
-            "e" => "write e if the base of the natural logarithm is meant".to_owned(),
+            "t" => "write t for time".to_owned(),
+            "e" => "write e for the base of the natural logarithm".to_owned(),
             same => format!("write {same}"),
         });
     }
@@ -158,16 +158,16 @@ fn unknown(name: &str, column: usize, known: &[String], text: &str) -> Option<St
         return foreign;
     }
     let index = |c: char| c.is_ascii_digit() || c.is_whitespace();
-    let indexed = behind.strip_prefix(['(', '[']).map(|behind| behind.trim_start_matches(index));
-    if indexed.is_some_and(|behind| behind.starts_with([')', ']'])) {
+    let indexed = rest.strip_prefix(['(', '[']).map(|rest| rest.trim_start_matches(index));
+    if indexed.is_some_and(|rest| rest.starts_with([')', ']'])) {
         let states = known.iter().map(String::as_str);
         let names: Vec<_> = states.filter(|k| !is_function(k) && !RESERVED.contains(k)).collect();
-        return Some(format!("components have names of their own: {}", names.join(", ")));
+        return Some(format!("refer to components by name: {}", names.join(", ")));
     }
     if !is_call && is_function(&lower) {
-        return Some(format!("write {lower}(x), with what it is applied to"));
+        return Some(format!("write {lower}(x), with an argument"));
     }
-    // `xy` is a product of two names in some languages, not here.
+    // In some languages `xy` is a product of two names, but not here.
     let halves = name.char_indices().skip(1).map(|(at, _)| name.split_at(at));
     let is_name =
         |part: &str| part != "e" && known.iter().any(|known| known == part && !is_function(known));
@@ -179,25 +179,16 @@ fn unknown(name: &str, column: usize, known: &[String], text: &str) -> Option<St
     slip(name, fitting()).map(|meant| format!("write {meant}"))
 }
 
-/// The one candidate that is a slip of the keyboard away: one letter more, less, other or swapped,
-/// two in a long word. Names of one letter are all alike.
+/// Returns the one candidate that is a typo away: one letter added, missing, replaced or swapped,
+/// two in a long word. Names of one letter never match.
 fn slip<'k>(name: &str, candidates: impl Iterator<Item = &'k str>) -> Option<&'k str> {
     let length = name.chars().count();
     if length < 2 {
         return None;
     }
     let allowed = if length < 6 { 1 } else { 2 };
-    let mut near: Vec<(usize, &str)> = candidates
-        .filter(|candidate| candidate.chars().count() > 1)
-        .map(|candidate| (strsim::osa_distance(name, candidate), candidate))
-        .filter(|&(distance, _)| distance <= allowed)
-        .collect();
-    near.sort_by_key(|&(distance, _)| distance);
-    match near[..] {
-        [(_, only)] => Some(only),
-        [(first, nearest), (second, _), ..] if first < second => Some(nearest),
-        _ => None,
-    }
+    let candidates = candidates.filter(|candidate| candidate.chars().count() > 1);
+    nearest(candidates, |candidate| strsim::osa_distance(name, candidate), allowed)
 }
 
 fn unexpected(column: usize, text: &str) -> Option<String> {
@@ -216,15 +207,15 @@ fn unexpected(column: usize, text: &str) -> Option<String> {
     let begins = before.is_none_or(|c| "+-*/^(,".contains(*c));
     const PRODUCT: &str = "write * for a product";
     const CONDITIONS: &str =
-        "expressions have no conditions; write min, max or (1 + sign(x))/2 as a factor";
+        "expressions have no conditions; use min, max or a factor (1 + sign(x))/2";
     let fixed = match (before, here?) {
         (Some('*'), '*') | (Some('^'), '^') => "write ^ for a power",
-        (_, '.') if next == Some('^') => "write ^ for a power; there are no operations by element",
+        (_, '.') if next == Some('^') => "write ^ for a power; there are no element-wise operators",
         (_, '.') if matches!(next, Some('*' | '/')) => {
-            "write * and /; there are no operations by element"
+            "write * and /; there are no element-wise operators"
         }
-        (_, '^') if function.is_some() => "write the power behind the parenthesis, as in sin(x)^2",
-        (_, '[') => "write each component of the state by its own name, such as x1 for x[1]",
+        (_, '^') if function.is_some() => "write the power after the parenthesis, as in sin(x)^2",
+        (_, '[') => "write each state component by name, such as x1 for x[1]",
         (_, '\u{d7}' | '\u{b7}' | '\u{22c5}') => PRODUCT,
         (_, '\u{f7}') => "write / for a quotient",
         (_, '\u{2212}' | '\u{2013}') => "write - for a difference",
@@ -237,9 +228,9 @@ fn unexpected(column: usize, text: &str) -> Option<String> {
         (_, '<' | '>' | '?' | '&' | '|') => CONDITIONS,
         (_, '=' | '!') if next == Some('=') || matches!(before, Some('<' | '>')) => CONDITIONS,
         (_, '=') => "write the right-hand side only",
-        (Some(_), '\'') => "write the derivative's expression, or make it a state",
+        (Some(_), '\'') => "write out the derivative, or add a state for it",
         (Some(c), ',') if c.is_ascii_digit() && is_digit(next) => {
-            "write decimal points in place of decimal commas"
+            "use decimal points, not decimal commas"
         }
         (Some(_), '(') => match &name {
             Some(name) if name.parse::<f64>().is_err() => {
@@ -263,7 +254,7 @@ fn unexpected(column: usize, text: &str) -> Option<String> {
     Some(fixed.to_owned())
 }
 
-/// The name or number that ends `characters`, blanks left out.
+/// Returns the name or number at the end of `characters`, ignoring trailing blanks.
 fn name_before(characters: &[char]) -> Option<String> {
     let end = characters.iter().rposition(|c| !c.is_whitespace())? + 1;
     let is_part = |c: &char| c.is_ascii_alphanumeric() || matches!(c, '_' | '.');
@@ -276,7 +267,7 @@ mod tests {
     use super::*;
     use crate::plant::expression::ExpressionSystem;
 
-    /// The hint for an expression of states x, x2, y and a parameter mu.
+    /// Returns the hint for an expression in states x, x2, y and a parameter mu.
     fn hint_for(text: &str) -> Option<String> {
         let states = ["x", "x2", "y"].map(str::to_owned);
         let parameters = [("mu".to_owned(), 0.5)];
@@ -285,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn what_other_languages_write_has_its_hint() {
+    fn hints_at_syntax_of_other_languages() {
         for (text, expected) in [
             ("log10(x)", "write ln(x)/ln(10)"),
             ("2*log2 (x)", "write ln(x)/ln(2)"),
@@ -294,20 +285,20 @@ mod tests {
             ("PI*x", "write pi"),
             ("M_PI*x", "write pi"),
             ("X + 1", "write x"),
-            ("T", "write t if the time is meant"),
-            ("sin(time)", "write t for the time"),
+            ("T", "write t for time"),
+            ("sin(time)", "write t for time"),
             ("pow(x, 2)", "write x^y"),
             ("x ** 2", "write ^ for a power"),
             ("x**-2", "write ^ for a power"),
-            ("x.^2", "write ^ for a power; there are no operations by element"),
-            ("x.*y", "write * and /; there are no operations by element"),
-            ("x./y", "write * and /; there are no operations by element"),
+            ("x.^2", "write ^ for a power; there are no element-wise operators"),
+            ("x.*y", "write * and /; there are no element-wise operators"),
+            ("x./y", "write * and /; there are no element-wise operators"),
             ("fabs(x)", "write abs(x)"),
             ("sinf(x)", "write sin"),
             ("expf(x)", "write exp"),
-            ("np.sin(x)", "write the function alone, without np"),
-            ("Math.PI*x", "write the function alone, without Math"),
-            ("std::sin(x)", "write the function alone, without std"),
+            ("np.sin(x)", "write the function without np"),
+            ("Math.PI*x", "write the function without Math"),
+            ("std::sin(x)", "write the function without std"),
             ("arctan(x)", "write atan(x)"),
             ("sind(x)", "write sin(x*pi/180)"),
             ("hypot(x, y)", "write sqrt(x^2 + y^2)"),
@@ -324,13 +315,13 @@ mod tests {
             ("x(y + 1)", "write x*( for a product; x is not a function"),
             ("mu y", "write an operator between mu and y, such as mu*y"),
             ("sin x", "write sin(x)"),
-            ("sin^2(x)", "write the power behind the parenthesis, as in sin(x)^2"),
-            ("x[1]", "write each component of the state by its own name, such as x1 for x[1]"),
-            ("z(1)", "components have names of their own: x, x2, y, mu"),
-            ("z[1]", "components have names of their own: x, x2, y, mu"),
+            ("sin^2(x)", "write the power after the parenthesis, as in sin(x)^2"),
+            ("x[1]", "write each state component by name, such as x1 for x[1]"),
+            ("z(1)", "refer to components by name: x, x2, y, mu"),
+            ("z[1]", "refer to components by name: x, x2, y, mu"),
             ("|x|", "write abs(x) for an absolute value"),
             ("2*|x|", "write abs(x) for an absolute value"),
-            ("0,5*x", "write decimal points in place of decimal commas"),
+            ("0,5*x", "use decimal points, not decimal commas"),
             ("x\u{b2}", "write ^2"),
             ("2\u{b7}x", "write * for a product"),
             ("\u{3c0}*x", "write pi"),
@@ -346,10 +337,10 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_words_here_is_told_so() {
+    fn names_unsupported_features() {
         for (text, part) in [
-            ("rand()", "not random"),
-            ("randn(1)*x", "not random"),
+            ("rand()", "deterministic"),
+            ("randn(1)*x", "deterministic"),
             ("mod(x, 2)", "no remainder"),
             ("x % 2", "no remainder"),
             ("floor(x)", "no rounding"),
@@ -358,7 +349,7 @@ mod tests {
             ("(x > 0)*y", "no conditions"),
             ("(x == 0)*y", "no conditions"),
             ("x && y", "no conditions"),
-            ("diff(x)", "neither differentiate"),
+            ("diff(x)", "cannot differentiate"),
             ("x'", "the derivative"),
         ] {
             let hint = hint_for(text).unwrap_or_default();
@@ -367,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn no_hint_is_better_than_a_wrong_one() {
+    fn gives_no_hint_if_unsure() {
         for text in [
             "w",
             "0.5*w",

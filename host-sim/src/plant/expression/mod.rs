@@ -1,4 +1,4 @@
-//! Expressions of the user: `0.5*sin(3*t) - mu*x^3`.
+//! User-defined expressions, such as `0.5*sin(3*t) - mu*x^3`.
 //!
 //! Grammar, loosest binding first:
 //!
@@ -10,21 +10,21 @@
 //! operand = number | name | function "(" sum { "," sum } ")" | "(" sum ")"
 //! ```
 //!
-//! so that `-x^2` is `-(x^2)`, as on paper. A number is written as in `2`, `.5`, `1e-3`. A
-//! name is the time `t`, a state, a parameter, `pi` or `e`; the functions are those of
-//! [`FUNCTIONS`].
+//! so `-x^2` is `-(x^2)`, as on paper. Numbers are written like `2`, `.5` or `1e-3`. A name is the
+//! time `t`, a state, a parameter, `pi` or `e`; the functions are listed in [`FUNCTIONS`].
 //!
-//! An expression is compiled once, to a program for a machine with a stack: parameters become
-//! constants, and what is constant is computed. Cost of an evaluation: about 1 ns for every
-//! operation and the functions' own. No allocation: every name is resolved and the depth of the
-//! stack is known when the text is read.
+//! An expression is compiled once into a program for a stack machine; parameters become constants,
+//! and constant subexpressions are folded. An evaluation costs about 1 ns per operation plus the
+//! functions called. It does not allocate: names are resolved and the stack depth is checked when
+//! the text is parsed.
 //!
-//! No result on the way may be infinite or not a number, whatever comes of it: `max(sqrt(x - 10), 0)`
-//! and `1/(1 + exp(1000*x))` are not defined, or too large, where their parts are. Then the value is
-//! not finite, and [`ExpressionSystem::fault`] tells which operation it was.
+//! No intermediate result may be infinite or NaN, even if the final value is finite: `max(sqrt(x -
+//! 10), 0)` and `1/(1 + exp(1000*x))` are undefined wherever a part of them is undefined or
+//! overflows. There the value is not finite, and [`ExpressionSystem::fault`] returns the operation
+//! responsible.
 //!
-//! Invariants: the same bits everywhere. Functions are those of the `libm` crate; a power
-//! whose exponent is a whole number is a product in a fixed order.
+//! Invariant: the same bits on every machine. Functions come from the `libm` crate; a power with an
+//! integer exponent is a product in a fixed order.
 
 mod function;
 mod hint;
@@ -38,10 +38,10 @@ pub use program::{STACK_DEPTH_MAX, integer_power};
 
 use program::Program;
 
-/// Names that a state or a parameter cannot have, besides the functions: time and constants.
+/// Names that a state or a parameter cannot have, in addition to the functions: time and constants.
 const RESERVED: [&str; 3] = ["t", "pi", "e"];
 
-/// One expression for every component of a vector.
+/// One expression per component of a vector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExpressionSystem {
     names: Vec<String>,
@@ -61,26 +61,26 @@ pub struct ExpressionSystem {
 pub struct ExpressionFault {
     /// Index of the expression, from 0.
     pub index: usize,
-    /// The component of the state whose rate it is.
+    /// The component of the state whose rate it gives.
     pub component: String,
     /// The expression.
     pub text: String,
-    /// The first operation whose result is not finite, with its operands.
+    /// The first operation with a non-finite result, with its operands.
     pub operation: String,
-    /// That result.
+    /// The result.
     pub result: f64,
-    /// Whether it is too large for a double, rather than not defined.
+    /// Whether the result overflowed, rather than being undefined.
     pub overflow: bool,
-    /// When. \[s\]
+    /// Time of the evaluation. \[s\]
     pub time: f64,
-    /// The states that the expression names, with their values.
+    /// The states used in the expression, with their values.
     pub values: Vec<(String, f64)>,
 }
 
 fn result_in_words(result: f64, overflow: bool) -> &'static str {
     match (result.is_nan(), overflow) {
         (true, _) => "not a number",
-        (false, true) => "too large a number",
+        (false, true) => "too large",
         (false, false) => "infinite",
     }
 }
@@ -96,27 +96,27 @@ fn values_in_words(values: &[(String, f64)]) -> String {
 
 fn fault_hint(overflow: bool) -> &'static str {
     if overflow {
-        "write it so that no part overflows, or keep its variables smaller"
+        "rewrite it so that no part overflows, or keep its variables smaller"
     } else {
-        "change the expression, or keep its variables where it is defined"
+        "change the expression, or keep its variables within its domain"
     }
 }
 
-/// Which expression of a system is wrong, and why.
+/// Identifies the faulty expression of a system.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("expression {}: {error}", .index + 1)]
 pub struct SystemError {
     /// Index of the expression, from 0.
     pub index: usize,
-    /// What is wrong with it.
+    /// What is wrong.
     pub error: ExpressionError,
 }
 
 impl ExpressionSystem {
-    /// Reads one expression for each state. `parameters` are names with their values.
+    /// Parses one expression per state. `parameters` are names and values.
     ///
     /// # Errors
-    /// The first expression that cannot be read, or that uses an unknown name.
+    /// Returns the first expression that cannot be parsed or that uses an unknown name.
     ///
     /// # Panics
     /// If there are more states than a program can address (256).
@@ -125,7 +125,7 @@ impl ExpressionSystem {
         states: &[String],
         parameters: &[(String, f64)],
     ) -> Result<Self, SystemError> {
-        assert!(states.len() <= 256, "a program addresses states by a byte");
+        assert!(states.len() <= 256, "states are addressed by one byte");
         let read = |(index, text): (usize, &S)| {
             parser::parse(text.as_ref(), states, parameters)
                 .map_err(|error| SystemError { index, error })
@@ -135,20 +135,20 @@ impl ExpressionSystem {
         Ok(Self { names: states.to_vec(), texts, programs })
     }
 
-    /// How many expressions there are.
+    /// Returns the number of expressions.
     #[must_use]
     pub fn dimension(&self) -> usize {
         self.programs.len()
     }
 
-    /// The states' names.
+    /// Returns the names of the states.
     #[must_use]
     pub fn state_names(&self) -> &[String] {
         &self.names
     }
 
-    /// The first expression that has no finite value at `time` \[s\] and state `x`, shape `[n]`;
-    /// `None` if all have one, or `x` itself is not finite.
+    /// Returns the first expression without a finite value at `time` \[s\] and state `x`, shape
+    /// `[n]`; `None` if all values are finite, or `x` itself is not.
     #[must_use]
     pub fn fault(&self, time: f64, x: &[f64]) -> Option<ExpressionFault> {
         if !x.iter().all(|x| x.is_finite()) {
@@ -170,8 +170,8 @@ impl ExpressionSystem {
         })
     }
 
-    /// All expressions at `time` \[s\] and state `x`, into `result`, shape `[dimension]`; one that is
-    /// not defined there gives what is not finite.
+    /// Evaluates all expressions at `time` \[s\] and state `x` into `result`, shape `[dimension]`.
+    /// Undefined expressions give a non-finite value.
     ///
     /// # Panics
     /// If `x` has fewer components than there are states.
@@ -183,16 +183,16 @@ impl ExpressionSystem {
     }
 }
 
-/// Why `name` cannot name a state or a parameter, in words that follow the name.
+/// Returns why `name` is not a valid name for a state or a parameter, worded to follow the name.
 #[must_use]
 pub fn name_problem(name: &str) -> Option<&'static str> {
     let mut letters = name.chars();
     let starts_well = letters.next().is_some_and(|c| c.is_ascii_alphabetic() || c == '_');
     if !starts_well || !letters.all(|c| c.is_ascii_alphanumeric() || c == '_') {
-        return Some("is not a name");
+        return Some("is not a valid name");
     }
     match name {
-        "t" => Some("is the time"),
+        "t" => Some("is reserved for time"),
         _ if RESERVED.contains(&name) => Some("is a constant"),
         _ if FUNCTIONS.contains(&name) => Some("is a function"),
         _ => None,

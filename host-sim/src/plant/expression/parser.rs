@@ -1,34 +1,34 @@
-//! From text to program, by recursive descent: one function for each rule of the grammar.
+//! Recursive-descent parser: one function per rule of the grammar.
 
 use super::FUNCTIONS;
 use super::function::Function;
 use super::program::{Operation, Program};
 
-/// Most rules inside one another: bounds the parser's own recursion.
+/// Maximum nesting of rules, which bounds the parser's recursion.
 const NESTING_MAX: usize = 64;
 
-/// Why an expression cannot be read. Columns count characters from 1.
+/// Why an expression cannot be parsed. Columns count characters from 1.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExpressionError {
-    /// Something else was expected.
+    /// Unexpected input.
     #[error("expected {expected} at column {column}, found {found}")]
     Unexpected {
-        /// Where.
+        /// Column.
         column: usize,
-        /// What may stand there.
+        /// What is allowed there.
         expected: &'static str,
-        /// What stands there.
+        /// What was found.
         found: String,
     },
-    /// A name that is no state, parameter, constant or function.
+    /// A name that is not a state, parameter, constant or function.
     #[error("unknown name `{name}` at column {column}")]
     UnknownName {
         /// The name.
         name: String,
-        /// Where.
+        /// Column.
         column: usize,
-        /// The names that may be used.
+        /// All known names.
         known: Vec<String>,
     },
     /// A function with too few or too many arguments.
@@ -36,22 +36,22 @@ pub enum ExpressionError {
     ArgumentCount {
         /// The function.
         name: String,
-        /// Where.
+        /// Column.
         column: usize,
-        /// How many it takes.
+        /// The number of arguments it takes.
         expected: usize,
-        /// How many it was given.
+        /// The number of arguments given.
         found: usize,
     },
-    /// A number that does not fit into an f64, or is none.
+    /// A number that is malformed or does not fit into an f64.
     #[error("`{text}` at column {column} is not a finite number")]
     Number {
         /// The number's text.
         text: String,
-        /// Where.
+        /// Column.
         column: usize,
     },
-    /// Too many parentheses or operations inside one another.
+    /// Too many nested parentheses or operations.
     #[error("nested too deeply")]
     TooDeep,
 }
@@ -66,14 +66,14 @@ pub(super) fn parse(
         Parser { text, position: 0, nesting: 0, states, parameters, program: Program::default() };
     parser.sum()?;
     if parser.peek().is_some() {
-        return Err(parser.unexpected("an operator or the end"));
+        return Err(parser.unexpected("an operator or the end of the expression"));
     }
     if parser.program.fits() { Ok(parser.program) } else { Err(ExpressionError::TooDeep) }
 }
 
 struct Parser<'a> {
     text: &'a str,
-    /// Byte offset of what has not been read.
+    /// Byte offset of the unread text.
     position: usize,
     nesting: usize,
     states: &'a [String],
@@ -110,7 +110,7 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// Every recursion of the grammar passes through here.
+    /// Every recursive rule passes through here, so the nesting is checked here.
     fn signed(&mut self) -> Result<(), ExpressionError> {
         self.nesting += 1;
         if self.nesting > NESTING_MAX {
@@ -253,7 +253,7 @@ impl<'a> Parser<'a> {
         Err(self.unexpected(expected))
     }
 
-    /// The next character that is not blank.
+    /// Returns the next character that is not blank.
     fn peek(&mut self) -> Option<char> {
         let rest = &self.text[self.position..];
         let trimmed = rest.trim_start();
@@ -261,7 +261,7 @@ impl<'a> Parser<'a> {
         trimmed.chars().next()
     }
 
-    /// Passes over what [`Self::peek`] has shown.
+    /// Consumes the character that [`Self::peek`] returned.
     fn skip(&mut self) {
         let next = self.text[self.position..].chars().next();
         self.position += next.map_or(0, char::len_utf8);
@@ -272,7 +272,8 @@ impl<'a> Parser<'a> {
     }
 
     fn unexpected(&mut self, expected: &'static str) -> ExpressionError {
-        let found = self.peek().map_or("the end".to_owned(), |c| format!("`{c}`"));
+        let found =
+            self.peek().map_or("the end of the expression".to_owned(), |c| format!("`{c}`"));
         ExpressionError::Unexpected { column: self.column(), expected, found }
     }
 

@@ -1,11 +1,11 @@
-//! The compiled form: operations of a machine with a stack.
+//! Compiled expressions: programs for a stack machine.
 
 use super::function::{Binary, Unary};
 
-/// Most intermediate results that an expression may hold at once.
+/// Limit for intermediate results held at once.
 pub const STACK_DEPTH_MAX: usize = 32;
 
-/// What the machine does next. Operands are taken from the stack, the result is put there.
+/// One instruction. Operands are popped from the stack, the result is pushed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Operation {
     Constant(f64),
@@ -22,29 +22,29 @@ pub(super) enum Operation {
     Binary(Binary),
 }
 
-/// Operations in the order in which they are carried out; leaves exactly one result.
+/// Operations in order of execution; exactly one result remains.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Program {
     operations: Vec<Operation>,
-    /// Whether an operation may make a finite number of one that is not, as `1/x` and `max` do:
-    /// then every result has to be looked at, not only the last.
+    /// Whether an operation may turn a non-finite operand into a finite result, as `1/x` and `max`
+    /// do. If so, every intermediate result is checked, otherwise only the last.
     absorbs: bool,
 }
 
-/// The first operation of a program whose result is not finite.
+/// The first operation of a program with a non-finite result.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Failure {
-    /// The operation with the numbers that it was given, as `sqrt(-8.0)`.
+    /// The operation with its operands, such as `sqrt(-8.0)`.
     pub(super) operation: String,
-    /// What came out: infinite, or not a number.
+    /// The result: infinite or NaN.
     pub(super) result: f64,
-    /// Whether the result is too large for a double, rather than not defined.
+    /// Whether the result overflowed, rather than being undefined.
     pub(super) overflow: bool,
 }
 
 impl Program {
-    /// Appends an operation; if its operands are constants, appends its result instead, unless that
-    /// is not finite.
+    /// Appends an operation. If all its operands are constants, appends its result instead, unless
+    /// that is not finite.
     pub(super) fn push(&mut self, operation: Operation) {
         use Operation::{Add, Constant, Divide, IntegerPower, Multiply, Negate, Power, Subtract};
         let folded = match (operation, self.operations.as_slice()) {
@@ -83,7 +83,7 @@ impl Program {
         self.operations.push(operation);
     }
 
-    /// Which components of the state it reads, ascending.
+    /// Returns the indices of the states it reads, ascending.
     pub(super) fn states(&self) -> Vec<usize> {
         let indices = self.operations.iter().filter_map(|operation| match operation {
             Operation::State(index) => Some(usize::from(*index)),
@@ -95,7 +95,7 @@ impl Program {
         states
     }
 
-    /// Whether the machine's stack is deep enough.
+    /// Whether the program fits into the machine's stack.
     pub(super) fn fits(&self) -> bool {
         let mut depth = 0;
         self.operations.iter().all(|operation| {
@@ -108,7 +108,7 @@ impl Program {
         })
     }
 
-    /// The value at `time` and state `x`; not finite if any result on the way was not.
+    /// Returns the value at `time` and state `x`; not finite if any intermediate result was not.
     #[inline]
     pub(super) fn evaluate(&self, time: f64, x: &[f64]) -> f64 {
         if !self.absorbs {
@@ -119,7 +119,7 @@ impl Program {
         if finite { value } else { f64::NAN }
     }
 
-    /// The first operation whose result is not finite; `None` if all are.
+    /// Returns the first operation with a non-finite result; `None` if all results are finite.
     pub(super) fn failure(&self, time: f64, x: &[f64]) -> Option<Failure> {
         let mut found = None;
         self.carry_out(time, x, |operation, left, right, result| {
@@ -134,8 +134,8 @@ impl Program {
         found
     }
 
-    /// Carries the operations out; `after` is called for each that is not a constant, the time or a
-    /// state: the operands (of one operand, the second) and the result.
+    /// Executes the program. `after` is called for each operation except constants, time and
+    /// states, with its operands (a single operand is passed as the second) and its result.
     #[inline(always)]
     fn carry_out(
         &self,
@@ -143,7 +143,7 @@ impl Program {
         x: &[f64],
         mut after: impl FnMut(&Operation, f64, f64, f64),
     ) -> f64 {
-        // A stack whose top is apart: most operations then touch one place of the array.
+        // The top of the stack is kept apart, so most operations touch one array element.
         let mut below = [0.0; STACK_DEPTH_MAX + 1];
         let mut depth = 0;
         let mut top = 0.0;
@@ -183,7 +183,7 @@ impl Program {
 }
 
 impl Operation {
-    /// The operation with its operands, as one would write it.
+    /// Formats the operation with its operands.
     fn written(&self, left: f64, right: f64) -> String {
         let infix = |sign: &str| format!("({left:?}) {sign} ({right:?})");
         match self {
@@ -201,7 +201,7 @@ impl Operation {
         }
     }
 
-    /// Whether an infinite result is one that is too large, not one at a pole.
+    /// Whether an infinite result is an overflow rather than a pole.
     fn overflows(&self, left: f64, right: f64, result: f64) -> bool {
         if !result.is_infinite() {
             return false;
@@ -216,13 +216,13 @@ impl Operation {
     }
 }
 
-/// `x` as an integer, if it is one that an `i32` can hold.
+/// Returns `x` as an integer if it is one and fits into an `i32`.
 fn whole(x: f64) -> Option<i32> {
     let integer = x as i32;
     (f64::from(integer) == x).then_some(integer)
 }
 
-/// `base^exponent`; a product where the exponent is a whole number.
+/// Returns `base^exponent`; a product if the exponent is an integer.
 #[inline]
 fn power(base: f64, exponent: f64) -> f64 {
     match whole(exponent) {
@@ -231,8 +231,8 @@ fn power(base: f64, exponent: f64) -> f64 {
     }
 }
 
-/// `base^exponent` by squaring and multiplying, lowest bit of the exponent first:
-/// `x^3 = x (x x)`, `x^-2 = 1/(x x)`, `x^0 = 1`.
+/// Computes `base^exponent` by repeated squaring, lowest bit of the exponent first: `x^3 = x (x
+/// x)`, `x^-2 = 1/(x x)`, `x^0 = 1`.
 #[inline]
 #[must_use]
 pub fn integer_power(base: f64, exponent: i32) -> f64 {

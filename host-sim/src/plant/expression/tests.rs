@@ -1,7 +1,7 @@
 use super::*;
 use proptest::prelude::*;
 
-/// The value at t = 0.5, x = 3, y = -2, with mu = 0.25.
+/// Evaluates the text at t = 0.5, x = 3, y = -2, with mu = 0.25.
 fn value(text: &str) -> Result<f64, ExpressionError> {
     let states = ["x".to_owned(), "y".to_owned()];
     let program = parser::parse(text, &states, &[("mu".to_owned(), 0.25)])?;
@@ -13,7 +13,7 @@ fn message(text: &str) -> String {
 }
 
 #[test]
-fn binds_as_on_paper() {
+fn operators_bind_as_on_paper() {
     let cases = [
         ("x^3", 27.0),
         ("2*x^3", 54.0),
@@ -50,7 +50,7 @@ fn binds_as_on_paper() {
 }
 
 #[test]
-fn functions_are_those_of_libm() {
+fn functions_match_libm() {
     let cases: [(&str, f64); 18] = [
         ("sin(x)", libm::sin(3.0)),
         ("cos(x)", libm::cos(3.0)),
@@ -80,7 +80,7 @@ fn functions_are_those_of_libm() {
 }
 
 #[test]
-fn what_is_constant_is_computed_once() {
+fn constant_subexpressions_are_folded() {
     let states = ["x".to_owned()];
     let folded = parser::parse("2*sin(pi/6)^2 - mu + x", &states, &[("mu".to_owned(), 0.25)]);
     let sine = libm::sin(core::f64::consts::PI / 6.0);
@@ -89,14 +89,14 @@ fn what_is_constant_is_computed_once() {
 }
 
 #[test]
-fn says_what_is_wrong_and_where() {
+fn errors_name_the_problem_and_the_column() {
     let cases = [
-        ("", "expected a number, a name or `(` at column 1, found the end"),
-        ("x +", "expected a number, a name or `(` at column 4, found the end"),
-        ("x 2", "expected an operator or the end at column 3, found `2`"),
-        ("2x", "expected an operator or the end at column 2, found `x`"),
-        ("(x", "expected `)` or an operator at column 3, found the end"),
-        ("x)", "expected an operator or the end at column 2, found `)`"),
+        ("", "expected a number, a name or `(` at column 1, found the end of the expression"),
+        ("x +", "expected a number, a name or `(` at column 4, found the end of the expression"),
+        ("x 2", "expected an operator or the end of the expression at column 3, found `2`"),
+        ("2x", "expected an operator or the end of the expression at column 2, found `x`"),
+        ("(x", "expected `)` or an operator at column 3, found the end of the expression"),
+        ("x)", "expected an operator or the end of the expression at column 2, found `)`"),
         ("sin x", "expected `(` after a function at column 5, found `x`"),
         ("sin(x, y)", "`sin` at column 1 takes 1 argument(s), found 2"),
         ("x + max(x)", "`max` at column 5 takes 2 argument(s), found 1"),
@@ -105,7 +105,7 @@ fn says_what_is_wrong_and_where() {
         ("µ*x", "expected a number, a name or `(` at column 1, found `µ`"),
         ("1e999", "`1e999` at column 1 is not a finite number"),
         (".", "`.` at column 1 is not a finite number"),
-        ("1.5.2", "expected an operator or the end at column 4, found `.`"),
+        ("1.5.2", "expected an operator or the end of the expression at column 4, found `.`"),
     ];
     for (text, expected) in cases {
         assert_eq!(message(text), expected, "{text}");
@@ -117,7 +117,7 @@ fn says_what_is_wrong_and_where() {
 }
 
 #[test]
-fn an_unknown_name_comes_with_the_known_ones() {
+fn unknown_name_lists_known_names() {
     let Err(ExpressionError::UnknownName { known, .. }) = value("w") else {
         panic!("`w` is unknown")
     };
@@ -125,13 +125,13 @@ fn an_unknown_name_comes_with_the_known_ones() {
 }
 
 #[test]
-fn names_that_mean_something_else_are_refused() {
+fn rejects_reserved_and_invalid_names() {
     assert_eq!(name_problem("x_1"), None);
-    assert_eq!(name_problem("t"), Some("is the time"));
+    assert_eq!(name_problem("t"), Some("is reserved for time"));
     assert_eq!(name_problem("e"), Some("is a constant"));
     assert_eq!(name_problem("sin"), Some("is a function"));
     for name in ["", "1x", "x-y", "ä", "x y"] {
-        assert_eq!(name_problem(name), Some("is not a name"), "{name}");
+        assert_eq!(name_problem(name), Some("is not a valid name"), "{name}");
     }
 }
 
@@ -145,20 +145,20 @@ fn integer_powers_are_products() {
     assert_eq!(integer_power(2.0, i32::MIN), 0.0);
 }
 
-/// The fault of one expression at t = 0.5, x = 3, y = -2.
+/// Returns the fault of an expression at t = 0.5, x = 3, y = -2.
 fn fault(text: &str) -> Option<String> {
     let states = ["x".to_owned(), "y".to_owned()];
     let system = ExpressionSystem::parse(&["0", text], &states, &[]).unwrap();
     let mut values = [0.0; 2];
     system.evaluate(0.5, &[3.0, -2.0], &mut values);
     let fault = system.fault(0.5, &[3.0, -2.0]);
-    // What has a fault shows it in its value, however the value could hide it.
+    // A faulty expression has a non-finite value, even where `max` or `atan` would hide it.
     assert_eq!(values[1].is_finite(), fault.is_none(), "{text}: {}", values[1]);
     fault.map(|fault| fault.to_string())
 }
 
 #[test]
-fn what_is_not_defined_is_never_swallowed() {
+fn undefined_results_are_never_hidden() {
     let not_a_number = [
         ("sqrt(x-10)", "sqrt(-7.0)"),
         ("max(sqrt(x-10), 0)", "sqrt(-7.0)"),
@@ -192,7 +192,7 @@ fn what_is_not_defined_is_never_swallowed() {
     for (cases, words) in [
         (&not_a_number[..], "not a number"),
         (&infinite[..], "infinite"),
-        (&too_large[..], "too large a number"),
+        (&too_large[..], "too large"),
     ] {
         for (text, operation) in cases {
             let message = fault(text).unwrap_or_else(|| panic!("{text}: no fault"));
@@ -204,29 +204,29 @@ fn what_is_not_defined_is_never_swallowed() {
 }
 
 #[test]
-fn a_fault_names_the_values_of_its_states_only() {
+fn fault_lists_only_the_states_used() {
     let found = fault("sqrt(y) + t").unwrap();
     assert!(found.contains("at t = 0.5 with y = -2.0; change the expression"), "{found}");
     assert!(fault("sqrt(x*y)").unwrap().contains("with x = 3.0, y = -2.0;"));
     for text in ["x/y", "exp(-1e9*x)", "max(x, y)", "x^-2", "1/(1 + exp(x))", "ln(x)^0.5"] {
         assert_eq!(fault(text), None);
     }
-    // Where the state itself is not finite, the expression is not to blame.
+    // If the state itself is not finite, the expression is not at fault.
     let system = ExpressionSystem::parse(&["ln(x)"], &["x".to_owned()], &[]).unwrap();
     assert_eq!(system.fault(0.0, &[f64::INFINITY]), None);
 }
 
 proptest! {
     #[test]
-    fn reads_or_refuses_but_never_panics(text in "[-+*/^(),.0-9a-z_ ]{0,60}|.{0,20}") {
+    fn parser_never_panics(text in "[-+*/^(),.0-9a-z_ ]{0,60}|.{0,20}") {
         if let Ok(value) = value(&text) {
-            // What was read has the same value when it stands in parentheses.
+            // Parentheses around an expression do not change its value.
             prop_assert_eq!(self::value(&format!("({text})")).map(f64::to_bits), Ok(value.to_bits()));
         }
     }
 
     #[test]
-    fn sums_of_products_are_those_of_rust(a in -1e3..1e3f64, b in -1e3..1e3f64, c in -1e3..1e3f64) {
+    fn arithmetic_matches_rust(a in -1e3..1e3f64, b in -1e3..1e3f64, c in -1e3..1e3f64) {
         let text = format!("({a:e}) - ({b:e})*x/({c:e}) + y^3");
         prop_assert_eq!(value(&text), Ok(a - b * 3.0 / c + -8.0));
     }

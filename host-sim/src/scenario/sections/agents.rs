@@ -1,52 +1,52 @@
-//! `[[agents]]` and `[graph]`. Agents count from 1 in the file and from 0 here.
+//! `[[agents]]` and `[graph]`. Agents are numbered from 1 in the file and from 0 here.
 
 use std::collections::BTreeSet;
 
 use crate::graph::{Edge, Graph, GraphError};
 use crate::scenario::Agent;
 use crate::scenario::error::ScenarioError;
-use crate::scenario::reader::{Table, Value, counted, has};
+use crate::scenario::reader::{STATE, Table, Value, counted, has};
 
-const EDGE: &str = "write [agent, agent] or [agent, agent, weight]";
+const EDGE: &str = "use [agent, agent] or [agent, agent, weight]";
 
-/// Most agents of a network.
+/// Maximum number of agents.
 const AGENTS_MAX: u32 = 1000;
 
 /// `n` is the dimension of the state.
 pub(in crate::scenario) fn agents(root: &Table<'_>, n: usize) -> Result<Vec<Agent>, ScenarioError> {
     let tables = root.get_tables("agents")?;
     if tables.is_empty() {
-        return Err(root.missing("agents", "write a table [[agents]] for each"));
+        return Err(root.missing("agents", "add a table [[agents]] for each agent"));
     }
     let mut agents = Vec::new();
     for table in &tables {
         table.only(&["output_matrix", "initial_estimate", "count"])?;
         let output_value = table.require("output_matrix", "[[1.0, 0.0]]")?;
-        let output_matrix = output_value.matrix(n, "the state has")?;
+        let output_matrix = output_value.matrix(n, STATE)?;
         if output_matrix.nrows() > n {
             let rows = output_matrix.nrows();
-            let problem = format!("has {rows} rows, the state has {n} components");
-            return Err(output_value.error(problem, format!("give it 1 to {n}")));
+            let problem = format!("has {rows} rows, more than the {n} components of the state");
+            return Err(output_value.error(problem, format!("write 1 to {n} rows")));
         }
         let initial_estimate = match table.get("initial_estimate", "[0.0, 0.0]") {
-            Some(value) => value.numbers_of(n, "the state has")?,
+            Some(value) => value.numbers_of(n, STATE)?,
             None => vec![0.0; n],
         };
         let count = table.get("count", "2").map_or(Ok(1), |v| v.integer(1..=AGENTS_MAX))?;
         let total = agents.len() + count as usize;
         if total > AGENTS_MAX as usize {
-            let problem = format!("brings the network to {total} agents");
-            return Err(table.error(problem, format!("write at most {AGENTS_MAX}")));
+            let problem = format!("brings the number of agents to {total}");
+            return Err(table.error(problem, format!("use at most {AGENTS_MAX}")));
         }
         agents.resize(total, Agent { output_matrix, initial_estimate, package: None });
     }
     Ok(agents)
 }
 
-/// `agents` is how many there are.
+/// `agents` is the number of agents.
 pub(in crate::scenario) fn graph(root: &Table<'_>, agents: usize) -> Result<Graph, ScenarioError> {
     if let (1, None) = (agents, root.get_table("graph")?) {
-        return Graph::new(1, &[]).map_err(|error| root.error(error, "write a table [graph]"));
+        return Graph::new(1, &[]).map_err(|error| root.error(error, "add a table [graph]"));
     }
     let table = root.require_table("graph")?;
     table.only(&["adjacency", "edges", "topology", "weight"])?;
@@ -54,28 +54,28 @@ pub(in crate::scenario) fn graph(root: &Table<'_>, agents: usize) -> Result<Grap
     let edges = table.get("edges", "[[1, 2]]");
     let topology = table.get("topology", "\"ring\"");
     if let Some(weight) = table.get("weight", "1.0").filter(|_| topology.is_none()) {
-        let hint = "write weights into adjacency or edges, or write topology = \"ring\"";
-        return Err(weight.error("stands without a topology", hint));
+        let hint = "put the weights into adjacency or edges, or add topology = \"ring\"";
+        return Err(weight.error("needs a topology", hint));
     }
     match (adjacency, edges, topology) {
         (Some(adjacency), None, None) => from_adjacency(&adjacency, agents),
         (None, Some(edges), None) => from_edges(&edges, agents),
         (None, None, Some(topology)) => from_topology(&topology, &table, agents),
         _ => Err(table.error(
-            "says not at all or more than once who hears whom",
-            "write one of adjacency, edges and topology",
+            "needs exactly one of adjacency, edges and topology",
+            "keep or add one of them",
         )),
     }
 }
 
 fn from_adjacency(value: &Value<'_>, agents: usize) -> Result<Graph, ScenarioError> {
-    let rows = value.list("write every row as a list of numbers")?;
+    let rows = value.list("write each row as a list of numbers")?;
     if rows.len() != agents {
         let found = has(rows.len(), "row", "rows");
-        let problem = format!("{found}, there are {}", counted(agents, "agent", "agents"));
-        return Err(value.error(problem, format!("give it {agents}")));
+        let problem = format!("{found}, but there are {}", counted(agents, "agent", "agents"));
+        return Err(value.error(problem, format!("write one row per agent, {agents} in all")));
     }
-    let matrix = value.matrix(agents, "the number of agents is")?;
+    let matrix = value.matrix(agents, "the number of agents")?;
     Graph::from_adjacency(&matrix).map_err(|error| {
         let row = match error {
             GraphError::NotSymmetric { column, .. } => Some(column),
@@ -83,7 +83,7 @@ fn from_adjacency(value: &Value<'_>, agents: usize) -> Result<Graph, ScenarioErr
             GraphError::Weight { second, .. } => Some(second),
             _ => None,
         };
-        let hint = graph_mend(&error);
+        let hint = graph_hint(&error);
         match row {
             Some(row) => rows[row].error_of(value, error, hint),
             None => value.error(error, hint),
@@ -95,11 +95,11 @@ fn from_edges(value: &Value<'_>, agents: usize) -> Result<Graph, ScenarioError> 
     let mut edges = Vec::new();
     let mut joined = BTreeSet::new();
     for entry in value.list(EDGE)? {
-        let parts = entry.list("write the number of an agent")?;
+        let parts = entry.list("use the number of an agent")?;
         let ([first, second], weight) = match parts.as_slice() {
             [first, second] => ([first, second], None),
             [first, second, weight] => {
-                ([first, second], Some(weight.with_mend("write a weight above 0")))
+                ([first, second], Some(weight.with_hint("use a weight above 0")))
             }
             _ => {
                 let problem = has(parts.len(), "entry", "entries");
@@ -117,14 +117,14 @@ fn from_edges(value: &Value<'_>, agents: usize) -> Result<Graph, ScenarioError> 
             None
         };
         if let Some(error) = error {
-            return Err(entry.error(error, graph_mend(&error)));
+            return Err(entry.error(error, graph_hint(&error)));
         }
         edges.push(Edge { first, second, weight });
     }
-    Graph::new(agents, &edges).map_err(|error| value.error(error, graph_mend(&error)))
+    Graph::new(agents, &edges).map_err(|error| value.error(error, graph_hint(&error)))
 }
 
-/// The agent that a number of the file stands for, from 0.
+/// Returns the index, from 0, of the agent that the file names by number.
 pub(super) fn agent(value: &Value<'_>, agents: usize) -> Result<usize, ScenarioError> {
     Ok(value.integer(1..=agents as u32)? as usize - 1)
 }
@@ -153,7 +153,7 @@ fn from_topology(
     let path = (1..agents).map(|agent| (agent - 1, agent));
     let edges: Vec<Edge> = match topology {
         Topology::Path => path.map(edge).collect(),
-        // Two agents are joined once, whichever way round.
+        // Two agents share a single edge, not a ring of two.
         Topology::Ring => {
             let closing = (agents > 2).then(|| (0, agents - 1));
             path.chain(closing).map(edge).collect()
@@ -164,18 +164,20 @@ fn from_topology(
             .map(edge)
             .collect(),
     };
-    Graph::new(agents, &edges).map_err(|error| value.error(error, graph_mend(&error)))
+    Graph::new(agents, &edges).map_err(|error| value.error(error, graph_hint(&error)))
 }
 
-fn graph_mend(error: &GraphError) -> String {
+fn graph_hint(error: &GraphError) -> String {
     match error {
         GraphError::NotSymmetric { .. } => "write the same weight in both".to_owned(),
-        GraphError::SelfLoop { .. } => "an agent hears itself anyway: leave this out".to_owned(),
-        GraphError::Weight { .. } => "write a number above 0, or 0 for no edge".to_owned(),
-        GraphError::Repeated { .. } => "write each edge once".to_owned(),
-        GraphError::Disconnected { agent } => {
-            format!("join agent {} to one that is reached", agent + 1)
+        GraphError::SelfLoop { .. } => {
+            "remove this edge; an agent always uses its own values".to_owned()
         }
-        _ => "write a table [graph]".to_owned(),
+        GraphError::Weight { .. } => "use a number above 0, or 0 for no edge".to_owned(),
+        GraphError::Repeated { .. } => "list each edge once".to_owned(),
+        GraphError::Disconnected { agent } => {
+            format!("connect agent {} to the rest", agent + 1)
+        }
+        _ => "add a table [graph]".to_owned(),
     }
 }

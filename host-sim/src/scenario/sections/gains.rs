@@ -1,26 +1,25 @@
-//! `[design]` and `[outer_law]`: gains and the constants around them.
+//! `[design]` and `[outer_law]`: gains and related constants.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
 use crate::scenario::error::ScenarioError;
-use crate::scenario::reader::{Table, Value, has};
+use crate::scenario::reader::{STATE, Table, Value, has};
 use crate::scenario::{Design, OuterGain, OuterLaw};
 
-/// Highest smoothness of the projection that the agents offer.
+/// Highest smoothness of the projection that the agents support.
 const SMOOTHNESS_MAX: u32 = 7;
 
-const DELTA: &str = "write a number above 0; it may be small, and the bound on the error gets tighter \
-                     with it";
-const EPSILON: &str = "write a number above 0; the smaller it is, the more often agents broadcast";
+const DELTA: &str = "use a number above 0; a smaller delta tightens the bound on the error";
+const EPSILON: &str = "use a number above 0; a smaller epsilon makes agents broadcast more often";
 
 /// `n` is the dimension of the state.
 pub(in crate::scenario) fn design(root: &Table<'_>, n: usize) -> Result<Design, ScenarioError> {
     let table = root.require_table("design")?;
     table.only(&["gain", "k2", "kappa", "rho", "delta", "epsilon"])?;
     let gain_value = table.require("gain", "80.0")?;
-    let gain = symmetric(&gain_value, n, "the state has")?;
+    let gain = symmetric(&gain_value, n, STATE)?;
     if !is_positive_definite(&gain) {
-        // With an eigenvector v to an eigenvalue that is not, all agents at v contradict `BMI`.
+        // An eigenvector `v` with an eigenvalue <= 0 violates `BMI` when all agents are at `v`.
         return Err(gain_value.error("is not positive definite", POSITIVE_DEFINITE));
     }
     let gain = match gain {
@@ -31,8 +30,8 @@ pub(in crate::scenario) fn design(root: &Table<'_>, n: usize) -> Result<Design, 
     let k2_value = table.require("k2", "5.0")?;
     let (k2, kappa) = (k2_value.positive()?, table.require("kappa", "0.5")?.positive()?);
     if k2 * kappa <= 1.0 {
-        let problem = format!("is {}, the analysis needs it above 1/kappa", k2_value.written());
-        let hint = format!("write a number above {}, or a larger kappa", 1.0 / kappa);
+        let problem = format!("is {}, expected a number above 1/kappa", k2_value.written());
+        let hint = format!("use a number above {}, or a larger kappa", 1.0 / kappa);
         return Err(k2_value.error(problem, hint));
     }
     Ok(Design {
@@ -40,8 +39,8 @@ pub(in crate::scenario) fn design(root: &Table<'_>, n: usize) -> Result<Design, 
         k2,
         kappa,
         rho: table.require("rho", "1.0")?.positive()?,
-        delta: table.require("delta", "0.5")?.with_mend(DELTA).positive()?,
-        epsilon: table.require("epsilon", "1000.0")?.with_mend(EPSILON).positive()?,
+        delta: table.require("delta", "0.5")?.with_hint(DELTA).positive()?,
+        epsilon: table.require("epsilon", "1000.0")?.with_hint(EPSILON).positive()?,
     })
 }
 
@@ -50,17 +49,17 @@ pub(super) fn outer_law(root: &Table<'_>, features: usize) -> Result<OuterLaw, S
     let table = root.require_table("outer_law")?;
     table.only(&["gain", "bound", "boundary_layer", "smoothing", "smoothness"])?;
     let gain_value = table.require("gain", "2.0")?;
-    let gain = symmetric(&gain_value, features, "the last layer has")?;
+    let gain = symmetric(&gain_value, features, "the width of the last layer")?;
     if !is_positive_definite(&gain) {
         return Err(gain_value.error("is not positive definite", POSITIVE_DEFINITE));
     }
     let bound = table.require("bound", "10.0")?.positive()?;
     let layer_value = table.get("boundary_layer", "0.5");
-    // A twentieth of the bound keeps the projection away from all but the largest weights.
+    // With a twentieth of the bound, the projection affects only the largest weights.
     let boundary_layer = layer_value.as_ref().map_or(Ok(bound / 20.0), Value::positive)?;
     if let Some(value) = layer_value.filter(|_| boundary_layer >= bound) {
-        let problem = format!("is {}, which leaves no room inside the bound", value.written());
-        return Err(value.error(problem, format!("write a number below outer_law.bound, {bound}")));
+        let problem = format!("is {}, which is not below the bound", value.written());
+        return Err(value.error(problem, format!("use a number below outer_law.bound, {bound}")));
     }
     let smoothing = table.get("smoothing", "0.1").map_or(Ok(0.1), |value| value.positive())?;
     let smoothness = table.get("smoothness", "1");
@@ -69,7 +68,7 @@ pub(super) fn outer_law(root: &Table<'_>, features: usize) -> Result<OuterLaw, S
 }
 
 const POSITIVE_DEFINITE: &str =
-    "write a number above 0, a list of such, or a matrix with positive eigenvalues";
+    "use a number above 0, a list of numbers above 0, or a matrix with positive eigenvalues";
 
 fn is_positive_definite(gain: &OuterGain) -> bool {
     match gain {
@@ -79,18 +78,18 @@ fn is_positive_definite(gain: &OuterGain) -> bool {
     }
 }
 
-/// A symmetric matrix of shape `[size, size]`, written as a number, a diagonal, or its rows.
+/// Reads a symmetric matrix of shape `[size, size]`, given as a number, a diagonal, or its rows.
 fn symmetric(value: &Value<'_>, size: usize, owner: &str) -> Result<OuterGain, ScenarioError> {
     if !value.is_list() {
         return value.number().map(OuterGain::Scalar);
     }
-    let rows = value.list("write every row as a list of numbers")?;
+    let rows = value.list("write each row as a list of numbers")?;
     if !rows.iter().any(Value::is_list) {
         return value.numbers_of(size, owner).map(OuterGain::Diagonal);
     }
     if rows.len() != size {
-        let problem = format!("{}, {owner} {size}", has(rows.len(), "row", "rows"));
-        return Err(value.error(problem, format!("give it {size} rows")));
+        let problem = format!("{}, expected {size} ({owner})", has(rows.len(), "row", "rows"));
+        return Err(value.error(problem, format!("write {size} rows")));
     }
     let matrix = value.matrix(size, owner)?;
     for row in 0..size {
@@ -99,14 +98,10 @@ fn symmetric(value: &Value<'_>, size: usize, owner: &str) -> Result<OuterGain, S
             if below != above {
                 let (row, column) = (row + 1, column + 1);
                 let problem = format!(
-                    "is not symmetric: row {row}, column {column} is {below}, \
-                     row {column}, column {row} is {above}"
+                    "is not symmetric: entry ({row}, {column}) is {below}, \
+                     entry ({column}, {row}) is {above}"
                 );
-                return Err(rows[row - 1].error_of(
-                    value,
-                    problem,
-                    "write the same number in both",
-                ));
+                return Err(rows[row - 1].error_of(value, problem, "use the same number in both"));
             }
         }
     }

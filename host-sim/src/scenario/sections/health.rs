@@ -7,11 +7,11 @@ use agent_core::health::{FallBack, HealthSettings};
 use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::{Table, Value};
 
-/// Where `return_after` is not written, this many times `fall_back_after`: leaving the network out
-/// should be quick, coming back to it should not.
+/// Default of `return_after`, as a multiple of `fall_back_after`: falling back should be quick,
+/// returning to the network slow.
 const RETURN_FACTOR: u32 = 10;
 
-/// A sign of trouble that a network can be left out for.
+/// A symptom that makes an agent fall back.
 #[derive(Clone, Copy, PartialEq)]
 enum Sign {
     OutsideBox,
@@ -31,8 +31,8 @@ pub(in crate::scenario) fn health(
 ) -> Result<Option<HealthSettings>, ScenarioError> {
     let Some(table) = root.get_table("health")? else { return Ok(None) };
     if !has_network {
-        let hint = "write a table [network], or remove this one";
-        return Err(table.error("there is no network to watch", hint));
+        let hint = "add a table [network], or remove this one";
+        return Err(table.error("there is no network to monitor", hint));
     }
     table.only(&[
         "fall_back_after",
@@ -48,7 +48,7 @@ pub(in crate::scenario) fn health(
     let restart_after =
         steps_or_never(&table, "restart_after", HealthSettings::RECOMMENDED.restart_after)?;
     let fall_back = fall_back(&table)?;
-    // There is nobody to report to before the end.
+    // Telemetry has no receiver in a simulated run.
     let telemetry_interval = u32::MAX;
     Ok(Some(HealthSettings { fall_back, plausible_margin, restart_after, telemetry_interval }))
 }
@@ -61,7 +61,7 @@ fn fall_back(table: &Table<'_>) -> Result<Option<FallBack>, ScenarioError> {
     };
     let list = table.get("fall_back_on", "[\"outside-box\", \"diverged\"]");
     let signs = list.as_ref().map_or(Ok(SIGNS.map(|(_, sign)| sign).to_vec()), signs)?;
-    // Without it the other two keys are checked and rest.
+    // Without `fall_back_after` the other two keys are checked but unused.
     let Some(after) = after else { return Ok(None) };
     let return_after = written
         .unwrap_or_else(|| after.saturating_mul(NonZeroU32::MIN.saturating_add(RETURN_FACTOR - 1)));
@@ -74,7 +74,7 @@ fn fall_back(table: &Table<'_>) -> Result<Option<FallBack>, ScenarioError> {
     }))
 }
 
-/// Steps; 0 for never.
+/// Reads a number of steps; 0 means never.
 fn steps_or_never(
     table: &Table<'_>,
     key: &str,
@@ -86,23 +86,23 @@ fn steps_or_never(
     }
 }
 
-/// Above 0 in the agents' single precision, too.
+/// Reads a margin that is above 0 in the agents' single precision as well.
 fn margin(value: &Value<'_>) -> Result<f32, ScenarioError> {
     let margin = value.number_in("a number above 0", |number| number as f32 > 0.0)?;
     Ok(margin as f32)
 }
 
 fn signs(value: &Value<'_>) -> Result<Vec<Sign>, ScenarioError> {
-    let list = value.list("write \"outside-box\"")?;
+    let list = value.list("use \"outside-box\"")?;
     if list.is_empty() {
-        let hint = "name at least one, or write fall_back_after = 0";
-        return Err(value.error("names no sign of trouble", hint));
+        let hint = "name at least one, or set fall_back_after = 0";
+        return Err(value.error("is empty", hint));
     }
     let mut signs = Vec::with_capacity(list.len());
     for entry in &list {
         let sign = entry.choice(&SIGNS)?;
         if signs.contains(&sign) {
-            return Err(entry.error("is named twice", "name each sign once"));
+            return Err(entry.error("is listed twice", "list each one once"));
         }
         signs.push(sign);
     }

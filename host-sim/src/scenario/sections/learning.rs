@@ -4,20 +4,18 @@ use std::num::NonZeroU32;
 
 use super::agents::agent;
 use super::network::initial_parameters;
-use super::run::beyond_the_end;
+use super::run::after_the_end;
+use super::trainer;
 use crate::scenario::error::{ScenarioError, closest};
 use crate::scenario::reader::{Table, Value};
 use crate::scenario::{LearningCycle, Recipe, SwitchIn, Time, Window};
+use crate::training::InitialParameters;
 use crate::training::network_problem::PARAMETERS_MAX;
-use crate::training::{InitialParameters, LevenbergMarquardtSettings};
 
-/// Most epochs, and failed validations, that a recipe may ask for.
-const EPOCHS_MAX: u32 = 1_000_000;
-
-/// Weight decay where a recipe names none: `docs/decisions/0004-training-recipe.md`.
+/// Default weight decay of a recipe: `docs/decisions/0004-training-recipe.md`.
 const WEIGHT_DECAY: f64 = 1e-3;
 
-/// The learning cycles of `agents` agents.
+/// Reads the learning cycles of `agents` agents.
 pub(in crate::scenario) fn cycles(
     root: &Table<'_>,
     time: &Time,
@@ -29,8 +27,8 @@ pub(in crate::scenario) fn cycles(
     let mut cycles: Vec<LearningCycle> = Vec::with_capacity(tables.len());
     for table in &tables {
         if !has_network {
-            let hint = "write a table [network], or remove this one";
-            return Err(table.error("there is no network that could learn", hint));
+            let hint = "add a table [network], or remove this one";
+            return Err(table.error("there is no network to train", hint));
         }
         let cycle = cycle(table, time, agents, recipes)?;
         check_order(table, &cycle, &cycles)?;
@@ -55,57 +53,59 @@ fn cycle(
     let to = to_value.positive()?;
     let collect = Window { from, to };
     if to > time.duration {
-        return Err(beyond_the_end(&to_value, time));
+        return Err(after_the_end(&to_value, time));
     }
     if collect.ticks(time).is_empty() {
-        let problem = format!("is {}, not after collect_from", to_value.written());
-        return Err(to_value.error(problem, format!("write a time after {from}")));
+        let problem = format!("is {}, but must be after collect_from", to_value.written());
+        return Err(to_value.error(problem, format!("use a time after {from}")));
     }
     let stride = stride(table, "stride")?.unwrap_or(NonZeroU32::MIN);
     let apply_value = table.require("apply_at", "10.0")?;
     let apply_at = apply_value.positive()?;
     if time.tick(apply_at) >= time.tick(time.duration) {
-        let problem = format!("is {}, when the run is over", apply_value.written());
-        let hint = format!("write a time below time.duration, {}", time.duration);
+        let problem = format!("is {}, after the end of the run", apply_value.written());
+        let hint = format!("use a time below time.duration, {}", time.duration);
         return Err(apply_value.error(problem, hint));
     }
     if apply_at < to {
-        let problem = format!("is {}, before collecting has ended", apply_value.written());
-        return Err(apply_value.error(problem, format!("write a time from collect_to, {to}")));
+        let problem = format!("is {}, before collecting ends", apply_value.written());
+        return Err(apply_value.error(problem, format!("use a time not before collect_to, {to}")));
     }
     let recipe_value = table.require("recipe", "\"plain\"")?;
     let recipe = recipe_value.text()?;
     if !recipes.iter().any(|known| known.name == recipe) {
         let hint = match closest(recipe, recipes.iter().map(|known| known.name.as_str())) {
-            Some(closest) => format!("write \"{closest}\""),
+            Some(closest) => format!("did you mean \"{closest}\"?"),
             None => {
-                let known = recipes.iter().map(|known| format!("\"{}\" or ", known.name));
-                format!("write {}a table [recipes.{recipe}]", known.collect::<String>())
+                let known = recipes.iter().map(|known| format!("\"{}\", ", known.name));
+                format!("use {}or add a table [recipes.{recipe}]", known.collect::<String>())
             }
         };
-        return Err(recipe_value.error(format_args!("there is no recipe `{recipe}`"), hint));
+        return Err(recipe_value.error(format_args!("unknown recipe `{recipe}`"), hint));
     }
     Ok(LearningCycle { agents: learners, collect, stride, apply_at, recipe: recipe.to_owned() })
 }
 
 fn learners(value: &Value<'_>, agents: usize) -> Result<Vec<usize>, ScenarioError> {
-    let list = value.list("write the number of an agent")?;
+    let list = value.list("use the number of an agent")?;
     if list.is_empty() {
-        return Err(value.error("names no agent", "name at least one, or remove the key for all"));
+        return Err(
+            value.error("is empty", "name at least one agent, or remove the key to train all")
+        );
     }
     let mut learners = Vec::with_capacity(list.len());
     for entry in &list {
         let learner = agent(entry, agents)?;
         if learners.contains(&learner) {
-            let problem = format!("agent {} is named twice", learner + 1);
-            return Err(entry.error(problem, "name each agent once"));
+            let problem = format!("agent {} is listed twice", learner + 1);
+            return Err(entry.error(problem, "list each agent once"));
         }
         learners.push(learner);
     }
     Ok(learners)
 }
 
-/// A network must not be too large for the trainer's normal equations.
+/// Checks that the network is small enough for the trainer's normal equations.
 pub(in crate::scenario) fn check_size(
     table: &Table<'_>,
     parameters: usize,
@@ -114,12 +114,12 @@ pub(in crate::scenario) fn check_size(
         return Ok(());
     }
     let problem = format!(
-        "the network has {parameters} inner parameters, training takes up to {PARAMETERS_MAX}"
+        "the network has {parameters} inner parameters; training supports at most {PARAMETERS_MAX}"
     );
-    Err(table.error(problem, "write fewer or narrower network.layers, or no learning"))
+    Err(table.error(problem, "use fewer or narrower network.layers, or remove [[learning]]"))
 }
 
-/// A cycle may only begin when every earlier one of the same agent has been applied.
+/// Checks that a cycle begins only after every earlier cycle of the same agent has been applied.
 fn check_order(
     table: &Table<'_>,
     cycle: &LearningCycle,
@@ -136,7 +136,7 @@ fn check_order(
                 learner + 1,
                 before.apply_at
             );
-            let hint = "write the cycles of an agent in the order of time, none inside another";
+            let hint = "list the cycles of an agent in order of time, without overlap";
             return Err(value.error(problem, hint));
         }
     }
@@ -148,7 +148,7 @@ fn stride(table: &Table<'_>, key: &str) -> Result<Option<NonZeroU32>, ScenarioEr
     Ok(stride.and_then(NonZeroU32::new))
 }
 
-/// The recipes, in the order of the file.
+/// Reads the recipes, in the order of the file.
 pub(in crate::scenario) fn recipes(root: &Table<'_>) -> Result<Vec<Recipe>, ScenarioError> {
     let Some(table) = root.get_table("recipes")? else { return Ok(Vec::new()) };
     let recipe = |(name, value): (&str, Value<'_>)| recipe(name, &value.table()?);
@@ -156,24 +156,16 @@ pub(in crate::scenario) fn recipes(root: &Table<'_>) -> Result<Vec<Recipe>, Scen
 }
 
 fn recipe(name: &str, table: &Table<'_>) -> Result<Recipe, ScenarioError> {
-    table.only(&[
+    let own = [
         "smoothing_window",
         "decimation",
         "normalise",
         "initial",
         "split",
         "weight_decay",
-        "epochs",
-        "goal",
-        "mu",
-        "mu_decrease",
-        "mu_increase",
-        "mu_min",
-        "mu_max",
-        "min_gradient",
-        "validation_failures",
         "switch_in",
-    ])?;
+    ];
+    let trainer = trainer::trainer(table, &own)?;
     let smoothing_window =
         table.get("smoothing_window", "0.1").map(|value| value.not_negative()).transpose()?;
     let normalise = table.get("normalise", "true").map_or(Ok(true), |value| value.boolean())?;
@@ -200,65 +192,24 @@ fn recipe(name: &str, table: &Table<'_>) -> Result<Recipe, ScenarioError> {
         initial,
         split: split(table)?,
         weight_decay,
-        solver: solver(table)?,
+        trainer,
         switch_in,
     })
 }
 
-/// Parts for training, validation and test.
+/// Reads the fractions for training, validation and test.
 fn split(table: &Table<'_>) -> Result<[f64; 3], ScenarioError> {
-    // What the toolbox that the paper used does by itself.
+    // The default of the toolbox that the paper used.
     let Some(value) = table.get("split", "[0.7, 0.15, 0.15]") else {
         return Ok([0.7, 0.15, 0.15]);
     };
-    let parts = value.numbers_of(3, "the parts are training, validation and test, that is")?;
+    let parts = value.numbers_of(3, "training, validation and test")?;
     let sum = parts.iter().fold(0.0, |sum, part| sum + part);
     if parts[0] <= 0.0 || parts.iter().any(|&part| part < 0.0) || (sum - 1.0).abs() > 1e-9 {
         let problem =
-            format!("is {}, which does not add up to 1, or has a negative part", value.written());
-        let hint = "write three numbers, 0 or above and the first above 0, that add up to 1";
+            format!("is {}, but the fractions must be >= 0 and add up to 1", value.written());
+        let hint = "use three numbers >= 0 that add up to 1, the first above 0";
         return Err(value.error(problem, hint));
     }
     Ok([parts[0], parts[1], parts[2]])
-}
-
-fn solver(table: &Table<'_>) -> Result<LevenbergMarquardtSettings, ScenarioError> {
-    let default = LevenbergMarquardtSettings::default();
-    let positive =
-        |key: &str, or: f64| table.get(key, "0.5").map_or(Ok(or), |value| value.positive());
-    let not_negative =
-        |key: &str, or: f64| table.get(key, "0.0").map_or(Ok(or), |value| value.not_negative());
-    let count = |key: &str, or: usize| match table.get(key, "10") {
-        Some(value) => value.integer(1..=EPOCHS_MAX).map(|count| count as usize),
-        None => Ok(or),
-    };
-    let damping_decrease = match table.get("mu_decrease", "0.1") {
-        Some(value) => value.number_in("a number between 0 and 1", |x| x > 0.0 && x < 1.0)?,
-        None => default.damping_decrease,
-    };
-    let damping_increase = match table.get("mu_increase", "10.0") {
-        Some(value) => value.number_in("a number above 1", |x| x > 1.0)?,
-        None => default.damping_increase,
-    };
-    let damping_initial = positive("mu", default.damping_initial)?;
-    let damping_min = not_negative("mu_min", default.damping_min)?;
-    let damping_max = positive("mu_max", default.damping_max)?;
-    if !(damping_min <= damping_initial && damping_initial <= damping_max) {
-        let problem = format!(
-            "mu_min = {damping_min:?}, mu = {damping_initial:?} and mu_max = {damping_max:?} \
-             are out of order"
-        );
-        return Err(table.error(problem, "write mu_min <= mu <= mu_max"));
-    }
-    Ok(LevenbergMarquardtSettings {
-        damping_initial,
-        damping_decrease,
-        damping_increase,
-        damping_min,
-        damping_max,
-        goal: not_negative("goal", default.goal)?,
-        epochs_max: count("epochs", default.epochs_max)?,
-        gradient_min: not_negative("min_gradient", default.gradient_min)?,
-        validation_failures_max: count("validation_failures", default.validation_failures_max)?,
-    })
 }

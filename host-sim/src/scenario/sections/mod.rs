@@ -1,9 +1,11 @@
-//! One module for each group of tables of the file.
+//! One module per group of tables in the file.
 
 pub(super) mod agents;
 pub(super) mod gains;
 pub(super) mod health;
 pub(super) mod learning;
+pub(super) mod link;
 pub(super) mod network;
 pub(super) mod plant;
 pub(super) mod run;
+pub(super) mod trainer;

@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use super::gains;
 use crate::scenario::Network;
 use crate::scenario::error::ScenarioError;
-use crate::scenario::reader::{Table, Value, has};
+use crate::scenario::reader::{STATE, Table, Value, has};
 use crate::training::InitialParameters;
 
 const LAYERS: &str = "[{ nodes = 8, activation = \"tanh\" }]";
@@ -21,18 +21,18 @@ pub(in crate::scenario) fn network(
     let Some(table) = root.get_table("network")? else {
         return match root.get_table("outer_law")? {
             Some(law) => Err(law.error(
-                "there is no network whose outer weights it could adapt",
-                "write a table [network], or remove this one",
+                "there is no network to adapt",
+                "add a table [network], or remove this one",
             )),
             None => Ok(None),
         };
     };
     table.only(&["layers", "inner", "outer"])?;
     let layers_value = table.require("layers", LAYERS)?;
-    let list = layers_value.list("write { nodes = 8, activation = \"tanh\" }")?;
+    let list = layers_value.list("use { nodes = 8, activation = \"tanh\" }")?;
     if !(1..=INNER_LAYERS_MAX).contains(&list.len()) {
         let problem = has(list.len(), "layer", "layers");
-        return Err(layers_value.error(problem, format!("give it 1 to {INNER_LAYERS_MAX}")));
+        return Err(layers_value.error(problem, format!("use 1 to {INNER_LAYERS_MAX} layers")));
     }
     let layers = list.iter().map(layer).collect::<Result<Vec<_>, _>>()?;
     let architecture = Architecture::new(n, &layers).map_err(|error| layers_value.wrong(error))?;
@@ -43,8 +43,8 @@ pub(in crate::scenario) fn network(
     let outer_law = gains::outer_law(root, features)?;
     let norm = outer.iter().fold(0.0, |sum, weight| sum + weight * weight).sqrt();
     if norm > outer_law.bound {
-        let problem = format!("has the Frobenius norm {norm:.3}, above outer_law.bound");
-        let hint = format!("write a bound above {norm:.3}, or smaller weights");
+        let problem = format!("has a Frobenius norm of {norm:.3}, above outer_law.bound");
+        let hint = format!("use a bound above {norm:.3}, or smaller weights");
         return Err(outer_value.error(problem, hint));
     }
     Ok(Some(Network { architecture, inner, outer, outer_law }))
@@ -58,7 +58,7 @@ fn layer(value: &Value<'_>) -> Result<Layer, ScenarioError> {
     Ok(Layer { width, activation })
 }
 
-/// `{ fill = number }` or `{ random = "glorot" }`.
+/// Reads `{ fill = number }` or `{ random = "glorot" }`.
 pub(super) fn initial_parameters(value: &Value<'_>) -> Result<InitialParameters, ScenarioError> {
     let table = value.table()?;
     table.only(&["fill", "random"])?;
@@ -72,20 +72,20 @@ pub(super) fn initial_parameters(value: &Value<'_>) -> Result<InitialParameters,
             })
         }
         _ => Err(value.error(
-            "asks for neither or both of a number and random ones",
-            "write { fill = 0.5 } or { random = \"glorot\" }",
+            "needs exactly one of fill and random",
+            "use { fill = 0.5 } or { random = \"glorot\" }",
         )),
     }
 }
 
-/// `count` numbers between `-scale` and `scale`: the same ones whatever the run's seed, as if they
-/// stood in the file.
+/// Draws `count` numbers between `-scale` and `scale`. They do not depend on the run's seed, as if
+/// they were written in the file.
 fn random_weights(scale: f64, count: usize) -> Vec<f64> {
     let mut random = ChaCha8Rng::seed_from_u64(0);
     (0..count).map(|_| scale * random.random_range(-1.0..1.0)).collect()
 }
 
-/// `W_hat(0)`, row by row, shape `[features, n]`.
+/// Reads `W_hat(0)`, row by row, shape `[features, n]`.
 fn outer_weights(value: &Value<'_>, features: usize, n: usize) -> Result<Vec<f64>, ScenarioError> {
     if value.is_table() {
         let table = value.table()?;
@@ -94,15 +94,16 @@ fn outer_weights(value: &Value<'_>, features: usize, n: usize) -> Result<Vec<f64
             (Some(fill), None) => Ok(vec![fill.number()?; features * n]),
             (None, Some(random)) => Ok(random_weights(random.positive()?, features * n)),
             _ => Err(value.error(
-                "asks for neither or both of a number and random ones",
-                "write { random = 5.0 } or { fill = 0.0 }",
+                "needs exactly one of fill and random",
+                "use { random = 5.0 } or { fill = 0.0 }",
             )),
         };
     }
-    let rows = value.list("write every row as a list of numbers")?.len();
+    let rows = value.list("write each row as a list of numbers")?.len();
     if rows != features {
-        let problem = format!("{}, the last layer has {features} nodes", has(rows, "row", "rows"));
-        return Err(value.error(problem, format!("give it {features}, one for every node")));
+        let problem =
+            format!("{}, but the last layer has {features} nodes", has(rows, "row", "rows"));
+        return Err(value.error(problem, format!("write one row per node, {features} in all")));
     }
-    Ok(value.matrix(n, "the state has")?.transpose().as_slice().to_vec())
+    Ok(value.matrix(n, STATE)?.transpose().as_slice().to_vec())
 }

@@ -3,7 +3,7 @@
 use crate::plant::expression::{ExpressionError, hint, name_problem};
 use crate::plant::{DIMENSION_MAX, Disturbance, ExpressionSystem, Harmonic, Plant, Wave};
 use crate::scenario::error::ScenarioError;
-use crate::scenario::reader::{Table, Value, has};
+use crate::scenario::reader::{STATE, Table, Value, has};
 
 const EXPRESSION: &str = "\"0.5*x - sin(t)^2\"";
 
@@ -17,7 +17,7 @@ enum Model {
     Expressions,
 }
 
-/// The plant and its initial state, shape `[n]`.
+/// Reads the plant and its initial state, shape `[n]`.
 pub(in crate::scenario) fn plant(root: &Table<'_>) -> Result<(Plant, Vec<f64>), ScenarioError> {
     let table = root.require_table("plant")?;
     let model = table.require("model", "\"lorenz\"")?.choice(&[
@@ -36,7 +36,7 @@ pub(in crate::scenario) fn plant(root: &Table<'_>) -> Result<(Plant, Vec<f64>), 
         built_in(model, &table)?
     };
     let initial_state = table.require("initial_state", "[1.0, 0.0]")?;
-    let initial_state = initial_state.numbers_of(plant.dimension(), "the state has")?;
+    let initial_state = initial_state.numbers_of(plant.dimension(), STATE)?;
     Ok((plant, initial_state))
 }
 
@@ -75,9 +75,9 @@ fn built_in(model: Model, table: &Table<'_>) -> Result<Plant, ScenarioError> {
         Model::Linear | Model::Expressions => {
             only(&["matrix"])?;
             let value = parameters.require("matrix", "[[0.0, 1.0], [-1.0, 0.0]]")?;
-            let rows = value.list("write every row as a list of numbers")?.len();
+            let rows = value.list("write each row as a list of numbers")?.len();
             check_dimension(&value, rows, "row", "rows")?;
-            Plant::Linear(value.matrix(rows, "the number of rows is")?)
+            Plant::Linear(value.matrix(rows, "the number of rows")?)
         }
     })
 }
@@ -91,7 +91,7 @@ fn check_dimension(
     if (1..=DIMENSION_MAX).contains(&found) {
         return Ok(());
     }
-    let hint = format!("give it 1 to {DIMENSION_MAX}, the dimension of the state");
+    let hint = format!("use a dimension of 1 to {DIMENSION_MAX}");
     Err(value.error(has(found, one, many), hint))
 }
 
@@ -116,19 +116,19 @@ fn expressions(table: &Table<'_>) -> Result<ExpressionSystem, ScenarioError> {
     system(&derivative, &states, &parameters)
 }
 
-/// Refuses a name that cannot be used in expressions, or that a state has already.
+/// Rejects a name that is not valid in expressions, or that a state already has.
 fn check_name(value: &Value<'_>, name: &str, states: &[String]) -> Result<(), ScenarioError> {
     let taken = states.iter().any(|state| state == name).then_some("is a state");
     match name_problem(name).or(taken) {
         Some(problem) => Err(value.error(
             format_args!("`{name}` {problem}"),
-            "write another name, of letters, digits and _, that starts with a letter",
+            "use another name of letters, digits and _ that starts with a letter",
         )),
         None => Ok(()),
     }
 }
 
-/// One expression for every state.
+/// Parses one expression per state.
 fn system(
     value: &Value<'_>,
     states: &[String],
@@ -138,27 +138,28 @@ fn system(
     if list.len() != states.len() {
         let found = has(list.len(), "expression", "expressions");
         let n = states.len();
-        return Err(value.error(format!("{found}, the state has {n}"), format!("give it {n}")));
+        return Err(value
+            .error(format!("{found}, expected {n} ({STATE})"), format!("write {n} expressions")));
     }
     let texts = list.iter().map(Value::text).collect::<Result<Vec<_>, _>>()?;
     ExpressionSystem::parse(&texts, states, parameters).map_err(|refused| {
         let problem = format!("in `{}`: {}", texts[refused.index], refused.error);
-        list[refused.index].error(problem, expression_mend(&refused.error, texts[refused.index]))
+        list[refused.index].error(problem, expression_hint(&refused.error, texts[refused.index]))
     })
 }
 
-fn expression_mend(error: &ExpressionError, text: &str) -> String {
+fn expression_hint(error: &ExpressionError, text: &str) -> String {
     if let Some(hint) = hint(error, text) {
         return hint;
     }
     match error {
         ExpressionError::UnknownName { known, .. } => {
-            format!("the names that can stand here are {}", known.join(", "))
+            format!("known names: {}", known.join(", "))
         }
         ExpressionError::ArgumentCount { expected, .. } => {
-            format!("give it {expected}, separated by commas")
+            format!("pass {expected}, separated by commas")
         }
-        ExpressionError::TooDeep => "write it with fewer parentheses inside one another".to_owned(),
+        ExpressionError::TooDeep => "use fewer nested parentheses".to_owned(),
         _ => format!("write an expression such as {EXPRESSION}"),
     }
 }
@@ -200,13 +201,13 @@ pub(in crate::scenario) fn disturbance(
 }
 
 const HARMONICS: &str = "[{ amplitude = 0.5, angular_frequency = 2.0, function = \"sin\" }, []]";
-const HARMONIC: &str = "write { amplitude = 0.5, angular_frequency = 2.0, function = \"sin\" }";
+const HARMONIC: &str = "use { amplitude = 0.5, angular_frequency = 2.0, function = \"sin\" }";
 
 fn harmonics(value: &Value<'_>, n: usize) -> Result<Vec<Harmonic>, ScenarioError> {
     let list = value.list(HARMONIC)?;
     if list.len() != n {
-        let problem = format!("{}, the state has {n}", has(list.len(), "entry", "entries"));
-        return Err(value.error(problem, format!("give it {n}; [] stands for no disturbance")));
+        let problem = format!("{}, expected {n} ({STATE})", has(list.len(), "entry", "entries"));
+        return Err(value.error(problem, format!("write {n} entries, [] for no disturbance")));
     }
     let mut harmonics = Vec::new();
     for (component, value) in list.iter().enumerate() {
@@ -215,7 +216,7 @@ fn harmonics(value: &Value<'_>, n: usize) -> Result<Vec<Harmonic>, ScenarioError
             continue;
         }
         if !value.is_list() {
-            return Err(value.wrong("is neither a table nor a list of tables"));
+            return Err(value.wrong("is not a table or a list of tables"));
         }
         for value in value.list(HARMONIC)? {
             harmonics.push(harmonic(component, &value.table()?)?);

@@ -7,9 +7,9 @@ use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::{Table, Value};
 use crate::scenario::{Record, Time, Window};
 
-/// Most steps of a run: 11 days at a millisecond.
+/// Maximum number of steps in a run: 11 days at one millisecond.
 const STEPS_MAX: f64 = 1e9;
-/// Longest name, which becomes part of file names.
+/// Maximum length of the name, which becomes part of file names.
 const NAME_LENGTH_MAX: usize = 64;
 
 pub(in crate::scenario) fn name(root: &Table<'_>) -> Result<String, ScenarioError> {
@@ -17,8 +17,8 @@ pub(in crate::scenario) fn name(root: &Table<'_>) -> Result<String, ScenarioErro
     let name = value.text()?;
     let letters = name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_');
     if name.is_empty() || name.len() > NAME_LENGTH_MAX || !letters {
-        let hint = format!("write 1 to {NAME_LENGTH_MAX} ASCII letters, digits, - or _");
-        return Err(value.error(format_args!("`{name}` cannot name files"), hint));
+        let hint = format!("use 1 to {NAME_LENGTH_MAX} ASCII letters, digits, - or _");
+        return Err(value.error(format_args!("`{name}` cannot be used in file names"), hint));
     }
     Ok(name.to_owned())
 }
@@ -35,16 +35,16 @@ pub(in crate::scenario) fn time(root: &Table<'_>) -> Result<Time, ScenarioError>
         })?;
     let steps = duration / step_size;
     if steps > STEPS_MAX {
-        let problem = format!("is {}, which makes {steps:e} steps", step_value.written());
-        return Err(step_value.error(problem, "write a longer step, for at most 1e9 of them"));
+        let problem = format!("is {}, which gives {steps:e} steps", step_value.written());
+        return Err(step_value.error(problem, "use a longer step, for at most 1e9 steps"));
     }
-    // A duration and a step that are decimal fractions are off by a few roundings.
+    // The ratio of two decimal fractions is off by a few rounding errors.
     let whole = steps.round();
     if whole < 1.0 || (steps - whole).abs() > 1e-9 * whole {
         let (duration, step) = (duration_value.written(), step_value.written());
         let problem = format!("is {duration}, not a whole number of steps of {step}");
         let nearest = (whole.max(1.0) * step_size * 1e9).round() / 1e9;
-        let hint = format!("write a multiple of the step, such as {nearest}");
+        let hint = format!("use a multiple of the step, such as {nearest}");
         return Err(duration_value.error(problem, hint));
     }
     Ok(Time { duration, step_size, integrator })
@@ -63,22 +63,22 @@ pub(in crate::scenario) fn evaluation(
     let to_time = to.as_ref().map_or(Ok(second_half.to), Value::positive)?;
     let window = Window { from: from_time, to: to_time };
     if let Some(to) = to.filter(|_| window.to > time.duration) {
-        return Err(beyond_the_end(&to, time));
+        return Err(after_the_end(&to, time));
     }
     if window.ticks(time).is_empty() {
-        let problem = format!("holds no step: it is from {} to {}", window.from, window.to);
-        return Err(table.error(problem, "write from < to"));
+        let problem = format!("contains no step: from {} to {}", window.from, window.to);
+        return Err(table.error(problem, "use from < to"));
     }
     Ok(window)
 }
 
-/// A time after the end of the run.
-pub(super) fn beyond_the_end(value: &Value<'_>, time: &Time) -> ScenarioError {
+/// Creates the error for a time after the end of the run.
+pub(super) fn after_the_end(value: &Value<'_>, time: &Time) -> ScenarioError {
     let problem = format!("is {}, after the end of the run", value.written());
-    value.error(problem, format_args!("write a time up to time.duration, {}", time.duration))
+    value.error(problem, format_args!("use a time up to time.duration, {}", time.duration))
 }
 
-/// Most bytes of traces that a run may keep in memory.
+/// Limit for the traces kept in memory. \[bytes\]
 const TRACE_BYTES_MAX: u64 = 1 << 31;
 
 /// `n` is the dimension of the state.
@@ -89,7 +89,7 @@ pub(in crate::scenario) fn record(
     agents: usize,
 ) -> Result<Record, ScenarioError> {
     let record = written_record(root)?;
-    // Time and true state in double precision, estimates in single.
+    // Time and true state take 8 bytes a number, estimates 4.
     let row = 8 * (1 + n as u64) + 4 * (n as u64 * agents as u64);
     let bytes = |stride: u64| time.tick(time.duration) / stride * row;
     let Some(stride) = record.trace_stride.map(|stride| u64::from(stride.get())) else {
@@ -99,7 +99,7 @@ pub(in crate::scenario) fn record(
         let gigabytes = bytes(stride) as f64 / 1e9;
         let enough = bytes(1).div_ceil(TRACE_BYTES_MAX);
         let problem = format!("would keep {gigabytes:.1} GB of traces in memory");
-        let hint = format!("write record.trace_stride = {enough}, or 0 for no traces");
+        let hint = format!("set record.trace_stride = {enough}, or 0 for no traces");
         return Err(match root.get_table("record")? {
             Some(table) => table.error(problem, hint),
             None => root.error(problem, hint),

@@ -6,34 +6,33 @@
 //! E(θ + Δ) < E(θ):  θ ← θ + Δ, μ ← max(0.1 μ, μ_min)     else  μ ← 10 μ, try again
 //! ```
 //!
-//! Both sides of the step carry 1/M, as in that toolbox's `trainlm` (Hagan and Menhaj,
-//! "Training feedforward networks with the Marquardt algorithm", IEEE Transactions on Neural
-//! Networks 5(6), 1994, write it without): μ is relative to the *mean* of the squared
-//! derivatives, so its meaning does not change with the number of samples. The gradient norm
-//! that is reported and compared is ‖∇E‖ = 2 ‖Jᵀe/M‖.
+//! Both sides of the step contain 1/M, as in that toolbox's `trainlm` (Hagan and Menhaj, "Training
+//! feedforward networks with the Marquardt algorithm", IEEE Transactions on Neural Networks 5(6),
+//! 1994, omit it): μ is relative to the *mean* of the squared derivatives, so its meaning does not
+//! change with the number of samples. The gradient norm reported and compared is ‖∇E‖ = 2 ‖Jᵀe/M‖.
 //!
-//! Cost an epoch: one evaluation of the normal equations, and for every damping that is tried
-//! one Cholesky factorisation (n³/6 multiplications) and one evaluation of E.
+//! Cost per epoch: one evaluation of the normal equations; for every damping tried, one Cholesky
+//! factorisation (n³/6 multiplications) and one evaluation of E.
 //!
-//! Invariants: E never rises from one epoch to the next; a step is taken only if E falls; with
-//! a validation set the parameters returned are those with the least validation error of all
-//! epochs, without one those of the last epoch.
+//! Invariants: E never rises from one epoch to the next; a step is taken only if E falls. With a
+//! validation set, the parameters returned are those with the smallest validation error of all
+//! epochs, otherwise those of the last epoch.
 
-use super::cholesky::Cholesky;
+use super::Trainer;
+use crate::training::cholesky::Cholesky;
 use std::ops::ControlFlow;
 
 /// A nonlinear least-squares problem.
 pub trait LeastSquares {
-    /// Parameters n.
+    /// Returns n, the number of parameters.
     fn parameter_count(&self) -> usize;
 
-    /// E, the mean of the squared residuals. May be infinite or NaN where the problem is
+    /// Returns E, the mean of the squared residuals. It may be infinite or NaN where the problem is
     /// undefined; such points are never accepted.
     fn cost(&mut self, parameters: &[f64]) -> f64;
 
-    /// Writes the upper triangle of JᵀJ/M into `hessian` (row-major, shape `[n][n]`; its lower
-    /// triangle may hold anything afterwards) and Jᵀe/M into `gradient` (shape `[n]`), and
-    /// returns E.
+    /// Writes the upper triangle of JᵀJ/M to `hessian` (row-major, shape `[n][n]`; its lower
+    /// triangle is unspecified afterwards) and Jᵀe/M to `gradient` (shape `[n]`), and returns E.
     fn normal_equations(
         &mut self,
         parameters: &[f64],
@@ -41,49 +40,49 @@ pub trait LeastSquares {
         gradient: &mut [f64],
     ) -> f64;
 
-    /// The mean squared error behind a cost of `cost` at `parameters`, where the cost has
-    /// other parts, too. Reported, never used.
+    /// Returns the mean squared error that is part of a cost of `cost` at `parameters`, if the cost
+    /// has other parts as well. For reporting only.
     fn error_of_cost(&self, _parameters: &[f64], cost: f64) -> f64 {
         cost
     }
 
-    /// Mean squared error on a validation set, if there is one.
+    /// Returns the mean squared error on the validation set, if there is one.
     fn validation_cost(&mut self, _parameters: &[f64]) -> Option<f64> {
         None
     }
 
-    /// Whether training is to end at once. From then on what the other methods return is
-    /// meaningless, and no step is based on it.
+    /// Whether training must end at once. From then on, the results of the other methods are
+    /// unspecified, and no step is based on them.
     fn stopped(&self) -> bool {
         false
     }
 
-    /// Mean squared error on a test set, if there is one. Reported, never used.
+    /// Returns the mean squared error on the test set, if there is one. For reporting only.
     fn test_cost(&mut self, _parameters: &[f64]) -> Option<f64> {
         None
     }
 }
 
-/// Settings; the defaults are those of `trainlm`.
+/// Solver settings; the defaults are those of `trainlm`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LevenbergMarquardtSettings {
     /// μ of the first step. Default 1e-3.
     pub damping_initial: f64,
-    /// Factor on μ after a step that was taken, in (0, 1). Default 0.1.
+    /// Factor on μ after an accepted step, in (0, 1). Default 0.1.
     pub damping_decrease: f64,
-    /// Factor on μ after a step that was refused, above 1. Default 10.
+    /// Factor on μ after a rejected step, above 1. Default 10.
     pub damping_increase: f64,
-    /// μ never falls below. Default 1e-20; the paper bounds its rate by 1e-3.
+    /// Lower limit of μ. Default 1e-20; the paper uses 1e-3.
     pub damping_min: f64,
-    /// Training ends when μ exceeds it. Default 1e10.
+    /// Training ends when μ exceeds this. Default 1e10.
     pub damping_max: f64,
     /// Training ends when E is at most this. Default 0.
     pub goal: f64,
-    /// Training ends after so many epochs. Default 1000; the paper has 25.
+    /// Training ends after this many epochs. Default 1000; the paper uses 25.
     pub epochs_max: usize,
     /// Training ends when ‖∇E‖ is at most this. Default 1e-7.
     pub gradient_min: f64,
-    /// Training ends after so many epochs in a row whose validation error is above the least.
+    /// Training ends after this many epochs in a row with a validation error above the smallest.
     /// Default 6.
     pub validation_failures_max: usize,
 }
@@ -104,15 +103,15 @@ impl Default for LevenbergMarquardtSettings {
     }
 }
 
-/// A setting out of its range.
+/// A setting is out of range.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("setting {name} is {value}, expected {expected}")]
+#[error("{name} is {value}, expected {expected}")]
 pub struct SettingError {
     /// Name of the field.
     pub name: &'static str,
     /// Its value.
     pub value: f64,
-    /// The values allowed.
+    /// The valid values.
     pub expected: &'static str,
 }
 
@@ -120,14 +119,14 @@ impl LevenbergMarquardtSettings {
     /// Checks every field.
     ///
     /// # Errors
-    /// The first field that is out of its range.
+    /// Returns the first field that is out of range.
     pub fn validate(&self) -> Result<(), SettingError> {
         let positive = |v: f64| v > 0.0 && v.is_finite();
         let not_negative = |v: f64| v >= 0.0 && v.is_finite();
         let above_one = |v: f64| v > 1.0 && v.is_finite();
         let below_one = |v: f64| v > 0.0 && v < 1.0;
         let range = "a finite number above 0";
-        let from_zero = "a finite number from 0";
+        let from_zero = "a finite number >= 0";
         let checks: [(_, _, &dyn Fn(f64) -> bool, _); 7] = [
             ("damping_initial", self.damping_initial, &positive, range),
             ("damping_decrease", self.damping_decrease, &below_one, "a number between 0 and 1"),
@@ -150,27 +149,27 @@ impl LevenbergMarquardtSettings {
     }
 }
 
-/// Why training ended. All are outcomes, none an error.
+/// Why training ended. None of these is an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum StopReason {
     /// The mean squared error reached the goal.
     Goal,
-    /// The epochs are used up.
+    /// The maximum number of epochs was reached.
     Epochs,
     /// The gradient vanished: a stationary point.
     Gradient,
-    /// No damping up to the largest lowers the error: a minimum up to rounding.
+    /// No damping up to the largest reduces the error: a minimum to rounding.
     DampingMax,
-    /// The validation error was above its least for too many epochs in a row.
+    /// The validation error was above its minimum for too many epochs in a row.
     Validation,
-    /// The progress callback or [`LeastSquares::stopped`] asked for it.
+    /// The progress callback or [`LeastSquares::stopped`] requested it.
     Callback,
-    /// The error at the start is infinite or not a number.
+    /// The initial error is infinite or NaN.
     NotFinite,
 }
 
-/// One epoch; epoch 0 is the start.
+/// State of an epoch; epoch 0 is the start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EpochReport {
     /// Steps taken so far.
@@ -181,49 +180,64 @@ pub struct EpochReport {
     pub validation: Option<f64>,
     /// Mean squared error on the test set.
     pub test: Option<f64>,
-    /// μ with which the next step will be tried first.
+    /// The first μ to try for the next step.
     pub damping: f64,
     /// ‖∇E‖.
     pub gradient_norm: f64,
-    /// Epochs in a row with a validation error above the least.
+    /// Epochs in a row with a validation error above the smallest.
     pub validation_failures: usize,
 }
 
-/// What happened.
+/// Result of a training.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrainingReport {
     /// Why training ended.
     pub stop: StopReason,
-    /// All epochs, the start first; none if training was stopped before the start was evaluated.
+    /// All epochs from the start on; empty if training was stopped before the start was evaluated.
     pub epochs: Vec<EpochReport>,
-    /// The epoch whose parameters were returned.
+    /// The epoch of the returned parameters.
     pub best_epoch: usize,
 }
 
 impl TrainingReport {
-    /// The epoch whose parameters were returned.
+    /// Returns the epoch of the returned parameters.
     #[must_use]
     pub fn best(&self) -> Option<&EpochReport> {
         self.epochs.get(self.best_epoch)
     }
 }
 
-/// The parameters with the least validation error so far.
+impl Trainer for LevenbergMarquardtSettings {
+    fn epochs_max(&self) -> usize {
+        self.epochs_max
+    }
+
+    fn minimize(
+        &self,
+        problem: &mut dyn LeastSquares,
+        start: Vec<f64>,
+        progress: &mut dyn FnMut(&EpochReport) -> ControlFlow<()>,
+    ) -> Result<(Vec<f64>, TrainingReport), SettingError> {
+        minimize(problem, start, self, progress)
+    }
+}
+
+/// The parameters with the smallest validation error so far.
 struct Best {
     epoch: usize,
     cost: f64,
     parameters: Vec<f64>,
 }
 
-/// Minimises the mean squared error of `problem` from `start`.
+/// Minimises the mean squared error of `problem`, starting from `start`.
 ///
-/// `progress` hears of every epoch, the start included, and may end the training.
+/// `progress` is called for every epoch, including the start, and may end the training.
 ///
 /// # Errors
-/// A setting out of its range.
+/// If a setting is out of range.
 ///
 /// # Panics
-/// If `start` has not the length that the problem asks for.
+/// If `start` has the wrong length.
 pub fn minimize<P: LeastSquares + ?Sized>(
     problem: &mut P,
     start: Vec<f64>,
@@ -247,7 +261,7 @@ pub fn minimize<P: LeastSquares + ?Sized>(
         let test = problem.test_cost(&parameters);
         if problem.stopped() {
             if epoch > 0 {
-                // Back to the epoch that has been reported last.
+                // Return to the last epoch reported.
                 core::mem::swap(&mut parameters, &mut step.candidate);
             }
             break StopReason::Callback;
@@ -255,7 +269,7 @@ pub fn minimize<P: LeastSquares + ?Sized>(
         if let Some(cost) = validation {
             match &best {
                 Some(best) if cost == best.cost => {}
-                // A cost that is not a number is a failure, too.
+                // A NaN cost counts as a failure.
                 Some(best) if cost > best.cost || cost.is_nan() => failures += 1,
                 _ => {
                     failures = 0;
@@ -318,7 +332,7 @@ pub fn minimize<P: LeastSquares + ?Sized>(
     Ok((parameters, TrainingReport { stop, epochs, best_epoch }))
 }
 
-/// The normal equations at a point, and the point that one damped step leads to.
+/// The normal equations at a point, and the result of a damped step from there.
 #[derive(Clone, Debug)]
 pub struct Step {
     /// JᵀJ/M, upper triangle, row-major, shape `[n][n]`.
@@ -331,7 +345,7 @@ pub struct Step {
 }
 
 impl Step {
-    /// Room for n parameters: about 16 n² bytes.
+    /// Allocates a step for n parameters: about 16 n² bytes.
     #[must_use]
     pub fn new(parameter_count: usize) -> Self {
         Self {
@@ -342,16 +356,16 @@ impl Step {
         }
     }
 
-    /// Computes the candidate from `parameters` with damping μ. `false` if the damped matrix is
-    /// not positive definite to rounding: the step is to be refused.
+    /// Computes the candidate from `parameters` with damping μ. Returns `false` if the damped
+    /// matrix is not positive definite to rounding, in which case the step must be rejected.
     ///
     /// # Panics
-    /// If `parameters` has another length than n.
+    /// If `parameters` does not have length n.
     pub fn attempt(&mut self, parameters: &[f64], damping: f64) -> bool {
         self.attempt_unless(parameters, damping, &|| false)
     }
 
-    /// As [`Self::attempt`], but also `false` soon after `stopped` becomes true.
+    /// Like [`Self::attempt`], but also returns `false` soon after `stopped` becomes true.
     fn attempt_unless(
         &mut self,
         parameters: &[f64],
@@ -367,7 +381,7 @@ impl Step {
         solved
     }
 
-    /// ‖∇E‖ = 2 ‖Jᵀe/M‖.
+    /// Returns ‖∇E‖ = 2 ‖Jᵀe/M‖.
     #[must_use]
     pub fn gradient_norm(&self) -> f64 {
         let squared = self.gradient.iter().fold(0.0, |sum, g| sum + g * g);

@@ -1,0 +1,217 @@
+//! A node on an RP2040, wired as on the Raspberry Pi Pico.
+//!
+//! **Compiled and linked by CI, never run there**: no emulator at hand models this chip. The lines to
+//! check first on a real board are the constants below and the table.
+//!
+//! | what | where |
+//! | --- | --- |
+//! | service port | UART0, TX GP0, RX GP1, 115,200 baud |
+//! | link between nodes | UART1, TX GP8, RX GP9, 1 Mbaud, for an RS-485 transceiver that turns around by itself |
+//! | sensor | TMP117 on I2C0 at address 0x48, SDA GP4, SCL GP5, 400 kHz: `y` is the temperature in degrees C |
+//! | clock | the timer, which runs freely at 1 MHz |
+//! | weights | the last 64 KiB of the flash chip, as memory.x says |
+//!
+//! **Floating point.** This core has none, and the boot ROM's routines take subnormal numbers for zero:
+//! the HAL's feature `disable-intrinsics` leaves the compiler's own, whose bits are those of every other
+//! processor. A step takes about 170,000 instructions, 1.4 ms at 125 MHz.
+//!
+//! **Flash.** While a sector is erased (45 ms, at most 400 ms) or a page written (0.4 ms, at most 3 ms;
+//! data sheet of the W25Q16JV), the program stands still with interrupts off. Its clock goes on, so ticks
+//! stay true. The serial ports keep 32 bytes by themselves; what comes beyond that is lost.
+//!
+//! **What goes wrong.** A panic, a fault and a node that is told to reset all end in a reset. The
+//! watchdog does the same if the loop stands still for 8 s, also in the HAL's waits for the crystal and
+//! for the I2C bus. Without its crystal this board does not work: its ring oscillator may run at half
+//! or twice its speed, at which no serial port is understood.
+#![no_std]
+#![no_main]
+#![allow(unsafe_code, reason = "flash, registers, and interrupts that are let in")]
+
+mod clock;
+mod flash;
+mod uart;
+
+use core::num::NonZeroU32;
+
+use agent_core::health::HealthSettings;
+use agent_core::service::Subscription;
+use cortex_m::peripheral::{NVIC, SCB};
+use firmware_template::registers::Channel as Register;
+use firmware_template::{
+    Memory, Node, QueuedPort, RegisterSensor, Settings, memory_map, on_chip, queued_port,
+};
+use heapless::spsc::Queue;
+use rp2040_hal as hal;
+use static_cell::{ConstStaticCell, StaticCell};
+
+use hal::fugit::{ExtU32, RateExtU32};
+use hal::gpio::bank0::{Gpio4, Gpio5};
+use hal::gpio::{FunctionI2C, FunctionUart, Pin, Pins, PullNone, PullUp};
+use hal::pac::{self, Interrupt};
+use hal::uart::{DataBits, StopBits, UartConfig, UartPeripheral};
+use hal::{Clock as _, I2C, Sio, Watchdog};
+
+use clock::Timer;
+use flash::Flash;
+use uart::{LINK, SERVICE, Uart};
+
+/// State components of the plant.
+const N: usize = 3;
+/// Room for features, neighbours, samples for training.
+const FEATURES: usize = 8;
+const NEIGHBOURS: usize = 4;
+const SAMPLES: usize = 64;
+
+/// Address and register of the TMP117; 7.8125 thousandths of a degree a count.
+const SENSOR: u8 = 0x48;
+static REGISTERS: [Register; 1] = [Register { register: 0, scale: 0.007_812_5, offset: 0.0 }];
+
+/// Frequency of the crystal. \[Hz\]
+const CRYSTAL: u32 = 12_000_000;
+/// Almost the longest that there is, and far above the 2.8 s that the sectors of a slot take to erase.
+/// \[ms\]
+const WATCHDOG_PERIOD: u32 = 8_000;
+const SERVICE_BAUD: u32 = 115_200;
+const LINK_BAUD: u32 = 1_000_000;
+/// How long what is queued for the service port may take to leave, before a reset. \[cycle\]
+const FLUSH_DELAY_CYCLES: u32 = 125_000_000 / 10;
+
+/// What the flash chip on this board is read with.
+#[unsafe(link_section = ".boot2")]
+#[used]
+static BOOT2: [u8; 256] = rp2040_boot2::BOOT_LOADER_W25Q080;
+
+type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, SAMPLES>;
+
+/// The pins of the sensor's bus.
+type BusPins = (Pin<Gpio4, FunctionI2C, PullUp>, Pin<Gpio5, FunctionI2C, PullUp>);
+
+/// The board on its own feet.
+#[cfg(not(feature = "in-the-loop"))]
+type ThisBoard = firmware_template::Hardware<
+    RegisterSensor<'static, I2C<pac::I2C0, BusPins>, 1>,
+    firmware_template::SerialLink<QueuedPort<'static>>,
+    Timer,
+    QueuedPort<'static>,
+>;
+
+/// The board whose plant, clock and link are played over the service port.
+#[cfg(feature = "in-the-loop")]
+type ThisBoard = firmware_template::InTheLoop<
+    firmware_template::WaitingPort<QueuedPort<'static>, Timer>,
+    { 2 * NEIGHBOURS },
+>;
+
+/// Bytes that wait in one direction.
+type Bytes = Queue<u8, 2048>;
+
+// What is large lies here and not on the stack, where it would stay as long as `main` does.
+static MEMORY: ConstStaticCell<Memory<N, FEATURES, NEIGHBOURS, SAMPLES>> =
+    ConstStaticCell::new(Memory::new());
+static QUEUES: ConstStaticCell<[Bytes; 4]> = ConstStaticCell::new([const { Bytes::new() }; 4]);
+static BOARD: StaticCell<ThisBoard> = StaticCell::new();
+static NODE: StaticCell<ThisNode> = StaticCell::new();
+
+#[hal::entry]
+fn main() -> ! {
+    if let Some(board) = hardware()
+        && let Some(node) = node()
+    {
+        node.run(board);
+    }
+    cortex_m::asm::delay(FLUSH_DELAY_CYCLES);
+    SCB::sys_reset()
+}
+
+/// Sets the board up in its place. Out of line, so that the stack is free again of what that takes.
+#[inline(never)]
+fn hardware() -> Option<&'static mut ThisBoard> {
+    let mut chip = pac::Peripherals::take()?;
+    let mut watchdog = Watchdog::new(chip.WATCHDOG);
+    watchdog.enable_tick_generation((CRYSTAL / 1_000_000) as u8);
+    watchdog.pause_on_debug(true);
+    watchdog.start(WATCHDOG_PERIOD.millis());
+    let clocks = hal::clocks::init_clocks_and_plls(
+        CRYSTAL,
+        chip.XOSC,
+        chip.CLOCKS,
+        chip.PLL_SYS,
+        chip.PLL_USB,
+        &mut chip.RESETS,
+        &mut watchdog,
+    );
+    let clocks = clocks.ok()?;
+    let (sio, resets) = (Sio::new(chip.SIO), &mut chip.RESETS);
+    let pins = Pins::new(chip.IO_BANK0, chip.PADS_BANK0, sio.gpio_bank0, resets);
+
+    let [service_in, service_out, link_in, link_out] = QUEUES.take();
+    let baud = |rate: u32| UartConfig::new(rate.Hz(), DataBits::Eight, None, StopBits::One);
+    let frequency = clocks.peripheral_clock.freq();
+    let (service, end) = queued_port(service_in, service_out, || NVIC::pend(Interrupt::UART0_IRQ));
+    let uart_pins = (
+        pins.gpio0.reconfigure::<FunctionUart, PullNone>(),
+        pins.gpio1.reconfigure::<FunctionUart, PullUp>(),
+    );
+    let uart = UartPeripheral::new(chip.UART0, uart_pins, resets);
+    SERVICE.set(Uart::new(uart.enable(baud(SERVICE_BAUD), frequency).ok()?.free().0, end));
+    let (link, end) = queued_port(link_in, link_out, || NVIC::pend(Interrupt::UART1_IRQ));
+    let uart_pins = (
+        pins.gpio8.reconfigure::<FunctionUart, PullNone>(),
+        pins.gpio9.reconfigure::<FunctionUart, PullUp>(),
+    );
+    let uart = UartPeripheral::new(chip.UART1, uart_pins, resets);
+    LINK.set(Uart::new(uart.enable(baud(LINK_BAUD), frequency).ok()?.free().0, end));
+
+    let bus = I2C::i2c0(
+        chip.I2C0,
+        pins.gpio4.reconfigure(),
+        pins.gpio5.reconfigure(),
+        400.kHz(),
+        resets,
+        clocks.system_clock.freq(),
+    );
+    let sensor = RegisterSensor::new(bus, SENSOR, &REGISTERS).ok()?;
+    let clock = Timer::new(hal::Timer::new(chip.TIMER, resets, &clocks), watchdog);
+    for interrupt in [Interrupt::TIMER_IRQ_0, Interrupt::UART0_IRQ, Interrupt::UART1_IRQ] {
+        // SAFETY: what the handlers use is in place, and nothing relies on their being masked.
+        unsafe { NVIC::unmask(interrupt) };
+    }
+    #[cfg(not(feature = "in-the-loop"))]
+    let board = {
+        let link = firmware_template::SerialLink::new(link);
+        ThisBoard::new(sensor, link, clock, service)
+    };
+    #[cfg(feature = "in-the-loop")]
+    let board = {
+        let _: (RegisterSensor<'_, I2C<_, BusPins>, 1>, _) = (sensor, link);
+        ThisBoard::new(firmware_template::WaitingPort::new(service, clock))
+    };
+    Some(BOARD.init(board))
+}
+
+/// The node above it, in its place; `None` if it cannot be trusted with packages.
+#[inline(never)]
+fn node() -> Option<&'static mut ThisNode> {
+    let region = memory_map!().region();
+    // Once a second, at the period of 0.01 s.
+    let state_every = NonZeroU32::new(100).filter(|_| !cfg!(feature = "in-the-loop"));
+    let settings = Settings {
+        layout: region.layout,
+        // No signature would do for a key that is not one, so nothing must be taken without one.
+        public_key: on_chip::public_key().ok()?,
+        health: HealthSettings::RECOMMENDED,
+        good_steps: const { NonZeroU32::new(100).unwrap() },
+        sample_stride: NonZeroU32::MIN,
+        subscription: Subscription { state_every, outer_weights: false },
+        // Which agent this is, its package says.
+        fallback: None,
+        stack_unused: Some(on_chip::stack_unused),
+        version: [0, 1, 0],
+    };
+    // SAFETY: memory.x gives this region to nothing else, this is the only call, and the second core is
+    // never started.
+    let flash = unsafe { Flash::new(&region) };
+    Some(NODE.init(ThisNode::new(flash, settings, MEMORY.take()).ok()?))
+}
+
+firmware_template::reset_on_fault!();

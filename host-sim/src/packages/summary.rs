@@ -1,0 +1,35 @@
+//! A package in a few words.
+
+use std::fmt;
+
+use agent_core::AgentId;
+use serde::Serialize;
+
+use super::PackageBytes;
+
+/// What tells a package from others of its network, in reports.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct PackageSummary {
+    /// Length of the package, signature included. \[bytes\]
+    pub bytes: usize,
+    /// The agent that it is for, from 1.
+    pub agent: AgentId,
+    /// Its version.
+    pub version: u32,
+}
+
+impl PackageSummary {
+    /// Summarises a package.
+    #[must_use]
+    pub fn new(package: &PackageBytes) -> Self {
+        let bytes = package.as_bytes().len();
+        let package = package.package();
+        Self { bytes, agent: package.node.agent, version: package.version }
+    }
+}
+
+impl fmt::Display for PackageSummary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "agent {}, version {}, {} bytes", self.agent, self.version, self.bytes)
+    }
+}
