@@ -259,3 +259,14 @@ fn links_between_pages_lead_somewhere() {
         }
     }
 }
+
+#[test]
+fn pictures_are_what_the_simulator_draws() {
+    let folder = Folder::new("documented-pictures");
+    folder.succeed("run paper --out drawn");
+    for name in ["errors.svg", "events.svg"] {
+        let shown = fs::read(Path::new(ROOT).join("docs/pictures").join(name)).unwrap();
+        let drawn = fs::read(folder.path("drawn").join(name)).unwrap();
+        assert!(shown == drawn, "docs/pictures/{name}: copy the one of `run paper`");
+    }
+}
