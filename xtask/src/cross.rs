@@ -7,7 +7,7 @@ use std::{
     process::Command,
 };
 
-use object::{Object, ObjectSymbol, SymbolSection};
+use object::{Object, ObjectSymbol};
 
 use crate::{
     boards::{self, Board},
@@ -243,7 +243,6 @@ fn weights_symbols(program: &Path) -> Result<Vec<(String, u64)>, Failure> {
     let file = object::File::parse(&*bytes).map_err(|error| failed(error.to_string()))?;
     let mut symbols: Vec<(String, u64)> = file
         .symbols()
-        .filter(|symbol| symbol.section() == SymbolSection::Absolute)
         .filter_map(|symbol| Some((symbol.name().ok()?.to_owned(), symbol.address())))
         .filter(|(name, _)| name.starts_with("_weights_"))
         .collect();

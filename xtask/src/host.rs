@@ -2,7 +2,10 @@
 
 use std::fmt;
 
-use crate::step::{Failure, cargo, run, run_reading};
+use crate::{
+    boards,
+    step::{Failure, cargo, cargo_in, run, run_reading},
+};
 
 /// How many tests ended in which way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -72,6 +75,13 @@ pub(crate) fn test() -> Result<TestCount, Failure> {
 /// The first that is not clean.
 pub(crate) fn lint() -> Result<(), Failure> {
     run("formatting", cargo("fmt").args(["--all", "--", "--check"]), "cargo fmt --all")?;
+    for board in boards::all()? {
+        run(
+            &format!("formatting of {}", board.name),
+            cargo_in(&board.folder, "fmt").args(["--", "--check"]),
+            "call cargo fmt in the board's folder",
+        )?;
+    }
     run(
         "clippy",
         cargo("clippy").args(["--workspace", "--all-targets", "--", "-D", "warnings"]),

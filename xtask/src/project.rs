@@ -110,6 +110,10 @@ fn make(path: &Path, board: &Board, copy_crates: bool) -> Result<(), Failure> {
     let crates = if copy_crates { PathBuf::from("crates") } else { workspace().to_owned() };
     let mut manifest = boards::read(&board.folder.join("Cargo.toml"))?;
     redirect(manifest.as_table_mut(), &board.folder, &crates);
+    if copy_crates {
+        // They have a workspace of their own, whose settings they inherit.
+        manifest["workspace"]["exclude"] = value(Array::from_iter(["crates"]));
+    }
     write(&path.join("Cargo.toml"), &manifest.to_string())?;
     let mut config = boards::read(&board.folder.join(".cargo/config.toml"))?;
     config["profile"] = boards::shared_config()?["profile"].clone();

@@ -26,6 +26,7 @@ mod answer;
 mod load;
 mod turn;
 
+use core::mem::MaybeUninit;
 use core::num::NonZeroU32;
 
 use agent_core::Tick;
@@ -227,11 +228,48 @@ impl<
         settings: Settings,
         memory: &'m mut Memory<N, FEATURES, NEIGHBOURS, SAMPLES>,
     ) -> Result<Self, LayoutError> {
+        let mut node = Self::open(flash, settings, memory)?;
+        node.load();
+        Ok(node)
+    }
+
+    /// As [`new`](Self::new), in its place, which takes less stack: packages are checked when nothing
+    /// of the node is on it any more.
+    ///
+    /// # Errors
+    /// A layout that does not fit the flash.
+    pub fn new_in(
+        place: &'m mut MaybeUninit<Self>,
+        flash: F,
+        settings: Settings,
+        memory: &'m mut Memory<N, FEATURES, NEIGHBOURS, SAMPLES>,
+    ) -> Result<&'m mut Self, LayoutError> {
+        let node = Self::write_to(place, flash, settings, memory)?;
+        node.load();
+        Ok(node)
+    }
+
+    #[inline(never)] // The stack is to be free again of the node.
+    fn write_to(
+        place: &'m mut MaybeUninit<Self>,
+        flash: F,
+        settings: Settings,
+        memory: &'m mut Memory<N, FEATURES, NEIGHBOURS, SAMPLES>,
+    ) -> Result<&'m mut Self, LayoutError> {
+        Ok(place.write(Self::open(flash, settings, memory)?))
+    }
+
+    /// The node with no package in use yet.
+    fn open(
+        flash: F,
+        settings: Settings,
+        memory: &'m mut Memory<N, FEATURES, NEIGHBOURS, SAMPLES>,
+    ) -> Result<Self, LayoutError> {
         let store = Store::open(flash, settings.layout)?;
         memory.agent.begun = false;
         memory.session = None;
         memory.samples.clear();
-        let mut node = Self {
+        Ok(Self {
             store,
             memory,
             health: Health::new(),
@@ -244,9 +282,7 @@ impl<
             refused_at_start: [None; 2],
             board_fault: None,
             settings,
-        };
-        node.load();
-        Ok(node)
+        })
     }
 
     /// Lets the node tell of something that does not work on its board.

@@ -54,7 +54,7 @@ use hal::twim::{self, Twim};
 
 use clock::Timer;
 use flash::Flash;
-use radio::{RadioLink, Receiver};
+use radio::RadioLink;
 use uart::{SERVICE, Uart};
 
 /// State components of the plant.
@@ -99,7 +99,6 @@ type Bytes = Queue<u8, 2048>;
 static MEMORY: ConstStaticCell<Memory<N, FEATURES, NEIGHBOURS, SAMPLES>> =
     ConstStaticCell::new(Memory::new());
 static QUEUES: ConstStaticCell<[Bytes; 2]> = ConstStaticCell::new([const { Bytes::new() }; 2]);
-static RECEIVED: ConstStaticCell<[u8; Receiver::BUFFER]> = ConstStaticCell::new([0; _]);
 static CLOCKS: StaticCell<ClocksForRadio> = StaticCell::new();
 static BOARD: StaticCell<ThisBoard> = StaticCell::new();
 static NODE: StaticCell<ThisNode> = StaticCell::new();
@@ -145,7 +144,7 @@ fn hardware() -> Option<Parts> {
 
     // Two bytes of the number that the factory gave this chip.
     let address = chip.FICR.deviceid[0].read().bits() as u16;
-    let link = RadioLink::new(Radio::init(chip.RADIO, clocks), RECEIVED.take(), address);
+    let link = RadioLink::new(Radio::init(chip.RADIO, clocks), address);
     let clock = Timer::new(chip.TIMER1, watchdog);
     for interrupt in [Interrupt::TIMER1, Interrupt::UARTE0_UART0, Interrupt::RADIO] {
         // SAFETY: what the handlers use is in place, and nothing relies on their being masked.
@@ -182,7 +181,7 @@ fn node(flash: pac::NVMC) -> Option<&'static mut ThisNode> {
     };
     // SAFETY: memory.x gives this region to nothing else, and this is the only call.
     let flash = unsafe { Flash::new(flash, &region) };
-    Some(NODE.init(ThisNode::new(flash, settings, MEMORY.take()).ok()?))
+    ThisNode::new_in(NODE.uninit(), flash, settings, MEMORY.take()).ok()
 }
 
 firmware_template::reset_on_fault!();

@@ -14,6 +14,7 @@ use hal::ieee802154::{Channel, Packet, Radio};
 use hal::pac::{self, Interrupt, RADIO, interrupt};
 use heapless::{Deque, Vec};
 use nrf52840_hal as hal;
+use static_cell::{ConstStaticCell, StaticCell};
 
 /// 2,480 MHz, above the usual channels of wireless networks.
 const CHANNEL: Channel = Channel::_26;
@@ -24,7 +25,10 @@ const FRAMES: usize = 2 * crate::NEIGHBOURS;
 /// How often the radio looks for a free channel before a frame is given up.
 const TRIES: u32 = 4;
 
-static RECEIVER: Shared<Receiver> = Shared::new();
+/// Where the receiver is for the interrupt, while the link does not have it.
+static RECEIVER: Shared<&'static mut Receiver> = Shared::new();
+static RECEIVER_PLACE: StaticCell<Receiver> = StaticCell::new();
+static BUFFER: ConstStaticCell<[u8; Receiver::BUFFER]> = ConstStaticCell::new([0; _]);
 
 /// The start of a data frame from a short address to all of one network, without acknowledgement
 /// (IEEE 802.15.4-2006, 7.2): frame control, sequence number, network, destination, source.
@@ -53,7 +57,7 @@ impl Header {
 const _: () = assert!(Header::LENGTH + FRAME_LENGTH_MAX <= Packet::CAPACITY as usize);
 
 /// What the interrupt does for the link.
-pub(crate) struct Receiver {
+struct Receiver {
     radio: RADIO,
     /// Where the radio writes: length, content, link quality.
     buffer: NonNull<[u8; Receiver::BUFFER]>,
@@ -64,7 +68,7 @@ pub(crate) struct Receiver {
 unsafe impl Send for Receiver {}
 
 impl Receiver {
-    pub(crate) const BUFFER: usize = 128;
+    const BUFFER: usize = 128;
     /// Of the frame check sequence, which the length counts and the radio keeps. \[byte\]
     const CHECK: usize = 2;
 
@@ -143,18 +147,18 @@ pub(crate) struct RadioLink {
 }
 
 impl RadioLink {
-    pub(crate) fn new(
-        mut radio: Radio<'static>,
-        buffer: &'static mut [u8; Receiver::BUFFER],
-        address: u16,
-    ) -> Self {
+    pub(crate) fn new(mut radio: Radio<'static>, address: u16) -> Self {
         radio.set_channel(CHANNEL);
         // SAFETY: the HAL's radio and this one take turns: the interrupt is masked while the HAL
         // sends, and the HAL is only asked to send.
         let registers = unsafe { pac::Peripherals::steal() }.RADIO;
         registers.intenset.write(|w| w.end().set());
-        let mut receiver =
-            Receiver { radio: registers, buffer: NonNull::from(buffer), frames: Deque::new() };
+        let buffer = NonNull::from(BUFFER.take());
+        let receiver = RECEIVER_PLACE.init_with(|| Receiver {
+            radio: registers,
+            buffer,
+            frames: Deque::new(),
+        });
         receiver.listen();
         RECEIVER.set(receiver);
         let random = u32::from(address);
@@ -183,7 +187,7 @@ impl Link for RadioLink {
         // The interrupt would come for ever if it found no receiver, so it is masked. The others
         // go on: sending takes milliseconds.
         NVIC::mask(Interrupt::RADIO);
-        let mut receiver = RECEIVER.take().ok_or(Lost)?;
+        let receiver = RECEIVER.take().ok_or(Lost)?;
         let mut sent = false;
         for attempt in 0..TRIES {
             if attempt > 0 {

@@ -211,7 +211,7 @@ fn node() -> Option<&'static mut ThisNode> {
     // SAFETY: memory.x gives this region to nothing else, this is the only call, and the second core is
     // never started.
     let flash = unsafe { Flash::new(&region) };
-    Some(NODE.init(ThisNode::new(flash, settings, MEMORY.take()).ok()?))
+    ThisNode::new_in(NODE.uninit(), flash, settings, MEMORY.take()).ok()
 }
 
 firmware_template::reset_on_fault!();

@@ -178,11 +178,11 @@ fn node(flash: pac::FLASH, fault: Option<BoardFault>) -> Option<&'static mut Thi
     };
     // SAFETY: memory.x gives this region to nothing else, and this is the only call.
     let flash = unsafe { Flash::new(flash, &region) };
-    let mut node = ThisNode::new(flash, settings, MEMORY.take()).ok()?;
+    let node = ThisNode::new_in(NODE.uninit(), flash, settings, MEMORY.take()).ok()?;
     if let Some(fault) = fault {
         node.report(fault);
     }
-    Some(NODE.init(node))
+    Some(node)
 }
 
 firmware_template::reset_on_fault!();

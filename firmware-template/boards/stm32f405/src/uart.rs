@@ -53,26 +53,32 @@ impl<U: Instance> Uart<U> {
         }
     }
 
+    /// Sends what there is room for. QEMU always has room, and never interrupts to say so.
     fn send(&mut self) {
-        let flags = self.serial.flags();
-        if !flags.contains(Flag::TxEmpty) {
+        loop {
+            let flags = self.serial.flags();
+            if !flags.contains(Flag::TxEmpty) {
+                return;
+            }
+            if let Some(byte) = self.end.take() {
+                if let Some(driver) = &mut self.driver {
+                    driver.set_high();
+                }
+                // There is room, as the flag said.
+                let _ = self.serial.write(byte);
+                self.serial.listen(Event::TxEmpty);
+                continue;
+            }
+            if flags.contains(Flag::TransmissionComplete) {
+                self.serial.unlisten(Event::TxEmpty | Event::TransmissionComplete);
+                if let Some(driver) = &mut self.driver {
+                    driver.set_low();
+                }
+            } else {
+                self.serial.unlisten(Event::TxEmpty);
+                self.serial.listen(Event::TransmissionComplete);
+            }
             return;
-        }
-        if let Some(byte) = self.end.take() {
-            if let Some(driver) = &mut self.driver {
-                driver.set_high();
-            }
-            // There is room, as the flag said.
-            let _ = self.serial.write(byte);
-            self.serial.listen(Event::TxEmpty);
-        } else if flags.contains(Flag::TransmissionComplete) {
-            self.serial.unlisten(Event::TxEmpty | Event::TransmissionComplete);
-            if let Some(driver) = &mut self.driver {
-                driver.set_low();
-            }
-        } else {
-            self.serial.unlisten(Event::TxEmpty);
-            self.serial.listen(Event::TransmissionComplete);
         }
     }
 }
