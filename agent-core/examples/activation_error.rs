@@ -15,38 +15,37 @@
 //! each sign by itself, and every value is compared with the one before it, across the
 //! boundaries of the threads' blocks as well.
 
+use agent_core::math::activation::Activation;
 use micromath::F32Ext;
 use std::io::{IsTerminal, Write};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
 
-/// How f(-x) follows from f(x).
-#[derive(Clone, Copy, PartialEq)]
-enum Symmetry {
-    Odd,
-    Even,
-    None,
-}
+#[path = "../src/math/activation/laws.rs"]
+#[allow(dead_code, reason = "the unit tests use the rest of the table")]
+mod laws;
+
+use laws::{Law, Symmetry, law};
 
 /// A function under test and the laws it ought to obey.
 struct Subject {
-    name: &'static str,
-    function: fn(f32) -> f32,
-    reference: fn(f64) -> f64,
-    symmetry: Symmetry,
-    /// Whether the values fall for x from 0 to +infinity; for x from 0 to -infinity all
-    /// of these functions fall.
-    falls: bool,
-    range: (f32, f32),
+    name: String,
+    function: Box<dyn Fn(f32) -> f32 + Sync>,
+    law: Law,
 }
 
-fn logistic_reference(x: f64) -> f64 {
-    1.0 / (1.0 + libm::exp(-x))
-}
+impl Subject {
+    fn new(activation: Activation) -> Self {
+        let function = Box::new(move |x| activation.value(x));
+        Self { name: activation.name().to_owned(), function, law: law(activation) }
+    }
 
-fn gaussian_reference(x: f64) -> f64 {
-    libm::exp(-x * x) // exact square: 48 bits
+    /// Another implementation of an activation.
+    fn compared(activation: Activation, by: &str, function: fn(f32) -> f32) -> Self {
+        let name = format!("{}, {by}", activation.name());
+        Self { name, function: Box::new(function), law: law(activation) }
+    }
 }
 
 /// Clamped because micromath's `exp` ends in infinity over infinity otherwise.
@@ -63,39 +62,14 @@ fn micromath_gaussian(x: f32) -> f32 {
     F32Ext::exp(-x * x)
 }
 
-const SUBJECTS: [Subject; 3] = [
-    Subject {
-        name: "tanh",
-        function: agent_core::math::activation::tanh,
-        reference: libm::tanh,
-        symmetry: Symmetry::Odd,
-        falls: false,
-        range: (-1.0, 1.0),
-    },
-    Subject {
-        name: "logistic",
-        function: agent_core::math::activation::logistic,
-        reference: logistic_reference,
-        symmetry: Symmetry::None,
-        falls: false,
-        range: (0.0, 1.0),
-    },
-    Subject {
-        name: "Gaussian",
-        function: agent_core::math::activation::gaussian,
-        reference: gaussian_reference,
-        symmetry: Symmetry::Even,
-        falls: true,
-        range: (0.0, 1.0),
-    },
-];
-
-const COMPARED: [Subject; 4] = [
-    Subject { name: "tanh, libm tanhf", function: libm::tanhf, ..SUBJECTS[0] },
-    Subject { name: "tanh, micromath exp", function: micromath_tanh, ..SUBJECTS[0] },
-    Subject { name: "logistic, micromath exp", function: micromath_logistic, ..SUBJECTS[1] },
-    Subject { name: "Gaussian, micromath exp", function: micromath_gaussian, ..SUBJECTS[2] },
-];
+fn compared() -> Vec<Subject> {
+    vec![
+        Subject::compared(Activation::Tanh, "libm tanhf", libm::tanhf),
+        Subject::compared(Activation::Tanh, "micromath exp", micromath_tanh),
+        Subject::compared(Activation::Logistic, "micromath exp", micromath_logistic),
+        Subject::compared(Activation::Gaussian, "micromath exp", micromath_gaussian),
+    ]
+}
 
 /// What a walk found.
 #[derive(Clone, Copy)]
@@ -163,7 +137,8 @@ const BLOCK: u32 = 1 << 20;
 
 /// Walks magnitudes `first`, `first + stride`, … below `end`, both signs of each.
 fn walk(subject: &Subject, first: u32, end: u32, stride: u32) -> Findings {
-    let Subject { function, reference, symmetry, falls, range, .. } = *subject;
+    let function = &subject.function;
+    let Law { reference, symmetry, falls, range, .. } = subject.law;
     let mut findings = Findings::NONE;
     let before = first.saturating_sub(stride);
     let mut last = (function(f32::from_bits(before)), function(-f32::from_bits(before)));
@@ -262,10 +237,13 @@ fn main() {
         "{:24} {:>12} {:>14} {:>12}  monotone  symmetry  range  NaN",
         "function", "worst ulp", "at x", "worst abs"
     );
-    let compared = if compare { &COMPARED[..] } else { &[] };
-    for subject in SUBJECTS.iter().chain(compared) {
+    let mut subjects: Vec<_> = Activation::ALL.map(Subject::new).into();
+    if compare {
+        subjects.extend(compared());
+    }
+    for subject in &subjects {
         let findings = measure(subject, stride);
-        let symmetry = match subject.symmetry {
+        let symmetry = match subject.law.symmetry {
             Symmetry::Odd if findings.symmetric => "odd",
             Symmetry::Even if findings.symmetric => "even",
             Symmetry::None => "-",

@@ -30,11 +30,7 @@ fn oracle_layers(inputs: usize, layers: &[Layer], parameters: &[f32]) -> InnerNe
         let layer = inner_network::Layer {
             weights: DMatrix::from_row_slice(inputs, width, weights).map(f64::from),
             biases: DVector::from_column_slice(biases).map(f64::from),
-            activation: match layer.activation {
-                Activation::Tanh => inner_network::Activation::Tanh,
-                Activation::Logistic => inner_network::Activation::Logistic,
-                Activation::Gaussian => inner_network::Activation::Gaussian,
-            },
+            activation: layer.activation,
         };
         (inputs, rest) = (width, after);
         layer

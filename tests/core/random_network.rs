@@ -151,12 +151,11 @@ impl Draw {
 
     /// One to four layers of 1 to 20 nodes.
     fn layers(&mut self) -> Vec<Layer> {
-        let activations = [Activation::Tanh, Activation::Logistic, Activation::Gaussian];
         let count = self.whole(1, 4);
         (0..count)
             .map(|_| Layer {
                 width: self.whole(1, FEATURES) as u8,
-                activation: activations[self.whole(0, 2)],
+                activation: Activation::ALL[self.whole(0, Activation::ALL.len() - 1)],
             })
             .collect()
     }

@@ -189,7 +189,7 @@ fn oracle_network() -> Network {
         inner_network::Layer {
             weights,
             biases: DVector::repeat(width, f64::from(INNER_PARAMETER)),
-            activation: inner_network::Activation::Tanh,
+            activation: Activation::Tanh,
         }
     });
     let agents = (0..3).map(|agent| Agent {

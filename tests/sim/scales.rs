@@ -1,6 +1,7 @@
 //! From one agent with one measurement to a thousand on a ring: scenarios of every supported size
 //! run and converge.
 
+use agent_core::math::activation::Activation;
 use host_sim::engine::{RunOptions, RunResult, Silent, run};
 use host_sim::scenario::Scenario;
 
@@ -137,7 +138,7 @@ fn the_deepest_and_widest_network() {
 fn every_activation_and_kind_of_outer_gain() {
     let full = "[[2.0, 0.5, 0.0], [0.5, 3.0, -0.25], [0.0, -0.25, 1.0]]";
     let mut digests = Vec::new();
-    for activation in ["tanh", "logistic", "gaussian"] {
+    for (activation, _) in Activation::NAMES {
         for gain in ["2.0", "[2.0, 3.0, 1.0]", full, "[2.0, 2.0, 2.0]"] {
             let mut scenario_builder =
                 Described::linear(3, "ring", [(picks(3, [0, 1]), 2), (picks(3, [1, 2]), 2)]);

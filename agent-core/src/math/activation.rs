@@ -68,6 +68,8 @@
 //! `docs/decisions/0001-software-activations.md` compares them with other ways.
 
 #[cfg(test)]
+mod laws;
+#[cfg(test)]
 mod tests;
 
 use core::f32::consts::LOG2_E;
@@ -130,44 +132,61 @@ const SIGN: u32 = 1 << 31;
 /// Clears the lower 12 of the 24 significand bits.
 const UPPER_HALF: u32 = 0xffff_f000;
 
-/// Which function the nodes of a layer apply; packages number them in this order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum Activation {
-    /// Hyperbolic tangent, the paper's tangent-sigmoid.
-    Tanh,
-    /// Logistic sigmoid 1/(1 + exp(-x)).
-    Logistic,
-    /// Gaussian exp(-x^2).
-    Gaussian,
+/// Makes the enumeration and its tables from one list: each activation's name in files, its value,
+/// and what applies it to a slice. Packages number the activations in this order, so a new one goes
+/// to the end.
+macro_rules! activations {
+    ($($(#[doc = $doc:literal])+ $variant:ident: $name:literal, $value:ident, $in_place:ident,)+) => {
+        /// Which function the nodes of a layer apply; packages number them in this order.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+        pub enum Activation {
+            $($(#[doc = $doc])+ $variant,)+
+        }
+
+        impl Activation {
+            /// Every activation, in the order of the numbers in packages.
+            pub const ALL: [Self; [$($name),+].len()] = [$(Self::$variant),+];
+
+            /// Every activation with its name, as people write it in files.
+            pub const NAMES: [(&'static str, Self); Self::ALL.len()] =
+                [$(($name, Self::$variant)),+];
+
+            /// Returns its name in [`Self::NAMES`].
+            #[must_use]
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $name,)+
+                }
+            }
+
+            /// Returns the function's value at `x`.
+            #[must_use]
+            pub fn value(self, x: f32) -> f32 {
+                match self {
+                    $(Self::$variant => $value(x),)+
+                }
+            }
+
+            /// Applies the function to every element of `values`, in place.
+            ///
+            /// Each element gets the bits that [`Self::value`] gives for it, whatever the length.
+            #[inline(always)]
+            pub fn apply(self, values: &mut [f32]) {
+                match self {
+                    $(Self::$variant => $in_place(values),)+
+                }
+            }
+        }
+    };
 }
 
-impl Activation {
-    /// Every activation with its name, as people write it in files.
-    pub const NAMES: [(&'static str, Self); 3] =
-        [("tanh", Self::Tanh), ("logistic", Self::Logistic), ("gaussian", Self::Gaussian)];
-
-    /// Its name in [`Self::NAMES`].
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Tanh => "tanh",
-            Self::Logistic => "logistic",
-            Self::Gaussian => "gaussian",
-        }
-    }
-
-    /// Applies the function to every element of `values`, in place.
-    ///
-    /// Each element gets the bits that [`tanh`], [`logistic`] or [`gaussian`] gives for it,
-    /// whatever the length.
-    #[inline(always)]
-    pub fn apply(self, values: &mut [f32]) {
-        match self {
-            Self::Tanh => tanh_in_place(values),
-            Self::Logistic => logistic_in_place(values),
-            Self::Gaussian => gaussian_in_place(values),
-        }
-    }
+activations! {
+    /// Hyperbolic tangent, the paper's tangent-sigmoid.
+    Tanh: "tanh", tanh, tanh_in_place,
+    /// Logistic sigmoid 1/(1 + exp(-x)).
+    Logistic: "logistic", logistic, logistic_in_place,
+    /// Gaussian exp(-x^2).
+    Gaussian: "gaussian", gaussian, gaussian_in_place,
 }
 
 // Plain loops: the compiler turns these, and not hand-made groups of four, into vector code

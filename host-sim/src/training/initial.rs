@@ -10,14 +10,14 @@
 //!                             bias_p = β · (−1 + 2p/(w−1)) · random sign    (0 for w = 1)
 //! ```
 //!
-//! A is the half-width of the activation's active range (2 for tanh, 4 for the logistic, 1 for the
-//! Gaussian). Both formulas assume inputs of about [−1, 1]. The inputs of the first layer are
+//! A is the half-width of the activation's active range. Both formulas assume inputs of about [−1, 1]. The inputs of the first layer are
 //! standardised by the data's mean and deviation (Glorot) or range (Nguyen–Widrow), those of a
 //! later layer by the activation's range; the affine map is then folded into weights and biases:
 //! `(x − c)/h` gives `weight/h` and `bias − Σ weight·c/h`.
 //!
 //! Invariant: the same seed gives the same bits on every machine.
 
+use super::activation::{active_half_width, output_range};
 use super::data::Dataset;
 use agent_core::math::activation::Activation;
 use agent_core::observer::network::Architecture;
@@ -98,6 +98,11 @@ impl InputRange {
     fn new(centre: f64, half_width: f64) -> Self {
         Self { centre, half_width: if half_width > 0.0 { half_width } else { 1.0 } }
     }
+
+    /// From the least to the largest value.
+    fn of(low: f64, high: f64) -> Self {
+        Self::new(0.5 * low + 0.5 * high, 0.5 * high - 0.5 * low)
+    }
 }
 
 /// Returns mean and standard deviation of each input.
@@ -119,17 +124,9 @@ fn extreme_ranges(data: &Dataset) -> Vec<InputRange> {
     let range = |i| {
         let low = column(i).fold(f64::INFINITY, |low, &x| low.min(x));
         let high = column(i).fold(f64::NEG_INFINITY, |high, &x| high.max(x));
-        InputRange::new(0.5 * low + 0.5 * high, 0.5 * high - 0.5 * low)
+        InputRange::of(low, high)
     };
     (0..n).map(range).collect()
-}
-
-/// Returns the range of a layer's outputs.
-fn output_range(activation: Activation) -> InputRange {
-    match activation {
-        Activation::Tanh => InputRange { centre: 0.0, half_width: 1.0 },
-        Activation::Logistic | Activation::Gaussian => InputRange { centre: 0.5, half_width: 0.5 },
-    }
 }
 
 /// Draws biases `[width]` and weights `[inputs][width]` of one layer for inputs of about [−1, 1].
@@ -155,7 +152,8 @@ fn random(
         }
         parameters.append(&mut biases);
         parameters.append(&mut weights);
-        ranges = vec![output_range(layer.activation); width];
+        let (low, high) = output_range(layer.activation);
+        ranges = vec![InputRange::of(low, high); width];
     }
     parameters
 }
@@ -177,12 +175,7 @@ fn nguyen_widrow(
     activation: Activation,
     generator: &mut ChaCha8Rng,
 ) -> (Vec<f64>, Vec<f64>) {
-    let active = match activation {
-        Activation::Tanh => 2.0,
-        Activation::Logistic => 4.0,
-        Activation::Gaussian => 1.0,
-    };
-    let norm = 0.7 * libm::pow(width as f64, 1.0 / inputs as f64) * active;
+    let norm = 0.7 * libm::pow(width as f64, 1.0 / inputs as f64) * active_half_width(activation);
     let mut biases = vec![0.0; width];
     let mut weights = vec![0.0; inputs * width];
     for (p, bias) in biases.iter_mut().enumerate() {

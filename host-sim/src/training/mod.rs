@@ -18,6 +18,7 @@
 //! | [`network_problem`] | the training as a least-squares problem |
 //! | [`weight_decay`] | penalty on large weights |
 //! | [`trainer`] | solvers, for any least-squares problem |
+//! | `activation` | values, slopes and ranges of the activations |
 //! | `propagation`, `normal_matrix` | forward and backward pass; JᵀJ exploiting its structure |
 //! | `panel_product`, `cholesky`, `elementary` | the kernels |
 //!
@@ -29,6 +30,7 @@
 //! every sum has a fixed order, no multiplication is fused with an addition, and no function of the
 //! platform's libm is called.
 
+mod activation;
 pub mod averaging;
 pub(crate) mod cholesky;
 pub mod data;

@@ -5,7 +5,7 @@ use super::data::Dataset;
 use super::network_problem::{NetworkProblem, ProblemError};
 use super::testing::{architecture, assert_close, instruction_sets, random_data, random_values};
 use super::trainer::levenberg_marquardt::LeastSquares;
-use agent_core::math::activation::Activation::{Gaussian, Logistic, Tanh};
+use agent_core::math::activation::Activation::{self, Gaussian, Logistic, Tanh};
 use agent_core::observer::network::Architecture;
 use proptest::prelude::*;
 
@@ -164,7 +164,7 @@ proptest! {
     fn random_networks_match_definition(
         inputs in 1usize..5,
         layers in prop::collection::vec(
-            (1u8..10, prop::sample::select(vec![Tanh, Logistic, Gaussian])), 1..5),
+            (1u8..10, prop::sample::select(&Activation::ALL[..])), 1..5),
         samples in 1usize..140,
         seed in 0u64..1 << 40,
     ) {
@@ -174,7 +174,7 @@ proptest! {
 
 #[test]
 fn saturated_networks_stay_finite() {
-    for activation in [Tanh, Logistic, Gaussian] {
+    for activation in Activation::ALL {
         let architecture = architecture(2, &[(3, activation), (3, activation)]);
         let (data, outer) = (random_data(2, 10, 1), random_values(6, 2));
         let parameters: Vec<f64> =

@@ -14,11 +14,11 @@
 //! Invariants: quantity-major rows with one f64 for each of [`BATCH`] samples, so that a vector
 //! holds neighbouring samples and each sample's sums run in the order above.
 
-use super::elementary::{exp_of_negative, tanh};
+use super::activation::{Activate, ApplySlopes};
 use super::panel_product::{PanelProduct, Store, round_up};
 use agent_core::math::activation::Activation;
 use agent_core::observer::network::{Architecture, LAYER_WIDTH_MAX};
-use pulp::{Arch, Simd, WithSimd};
+use pulp::Arch;
 
 /// Number of samples propagated together. Sums over samples are taken batch by batch, so this
 /// number affects the bits. With 64, the panels of a 12-wide layer fit the second-level cache and a
@@ -199,74 +199,4 @@ fn padded(row: &[f64]) -> [f64; WEIGHT_ROW] {
 fn padded_columns(matrix: &[f64], columns: usize) -> Vec<[f64; WEIGHT_ROW]> {
     let entry = |i: usize, c: usize| matrix.get(i * columns + c).copied().unwrap_or(0.0);
     (0..columns).map(|c| core::array::from_fn(|i| entry(i, c))).collect()
-}
-
-/// `values = φ(pre_activation)`.
-struct Activate<'a> {
-    activation: Activation,
-    pre_activation: &'a [f64],
-    values: &'a mut [f64],
-}
-
-impl WithSimd for Activate<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let pairs = self.values.iter_mut().zip(self.pre_activation);
-        // Loops, because closures might not be inlined and vectorised.
-        match self.activation {
-            Activation::Tanh => {
-                for (value, z) in pairs {
-                    *value = tanh(*z);
-                }
-            }
-            Activation::Logistic => {
-                for (value, z) in pairs {
-                    *value = 0.5 + 0.5 * tanh(0.5 * z);
-                }
-            }
-            Activation::Gaussian => {
-                for (value, z) in pairs {
-                    *value = exp_of_negative(-(z * z));
-                }
-            }
-        }
-    }
-}
-
-/// `sensitivities[p][o] *= φ'(pre_activation[p])`, where `values` is φ(pre_activation).
-struct ApplySlopes<'a> {
-    activation: Activation,
-    pre_activation: &'a [f64],
-    values: &'a [f64],
-    sensitivities: &'a mut [f64],
-    /// Row length of the sensitivities, a multiple of [`BATCH`].
-    columns: usize,
-}
-
-impl WithSimd for ApplySlopes<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let (pre_activation, _) = self.pre_activation.as_chunks::<BATCH>();
-        let (values, _) = self.values.as_chunks::<BATCH>();
-        let nodes = pre_activation.iter().zip(values);
-        for ((z, a), row) in nodes.zip(self.sensitivities.chunks_exact_mut(self.columns)) {
-            let mut slopes = [0.0; BATCH];
-            for s in 0..BATCH {
-                slopes[s] = match self.activation {
-                    Activation::Tanh => 1.0 - a[s] * a[s],
-                    Activation::Logistic => a[s] * (1.0 - a[s]),
-                    Activation::Gaussian => -2.0 * z[s] * a[s],
-                };
-            }
-            for block in row.as_chunks_mut::<BATCH>().0 {
-                for s in 0..BATCH {
-                    block[s] *= slopes[s];
-                }
-            }
-        }
-    }
 }

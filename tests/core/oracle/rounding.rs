@@ -12,6 +12,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::inner_network::{curvature, slope, value as activation_value};
 use super::{Network, Rates, State, Trigger, block_diagonal, vectorised};
 
 /// The unit roundoff of single precision with rounding to nearest.
@@ -58,9 +59,9 @@ fn features(network: &Network, state: &State) -> DVector<f64> {
             let sum = layer.affine(&value);
             let rounding = gamma(value.len() + 1) * (&weights * value.abs() + layer.biases.abs());
             let sum_bound = rounding + weights * bound;
-            value = sum.map(|sum| activation.value(sum));
+            value = sum.map(|sum| activation_value(activation, sum));
             let carried = sum.zip_map(&sum_bound, |sum, bound| {
-                activation.slope(sum).abs() * bound + 0.5 * activation.curvature() * bound.powi(2)
+                slope(activation, sum).abs() * bound + 0.5 * curvature(activation) * bound.powi(2)
             });
             let own = value.map(|value| ACTIVATION_ULP * f64::from(f32::EPSILON) * value.abs());
             bound = (carried + own).add_scalar(f64::from(f32::MIN_POSITIVE));

@@ -1,9 +1,9 @@
-//! The three activations.
+//! The activations.
 //!
 //! NaN is left out: the core refuses it before it gets here, and its payload differs between
 //! processors.
 
-use agent_core::math::activation::{Activation, gaussian, logistic, tanh};
+use agent_core::math::activation::Activation;
 
 use crate::digest::Digest;
 
@@ -40,10 +40,10 @@ pub(crate) fn digest() -> u64 {
     let mut digest = Digest::NEW;
     let mut both_signs = |bits: u32| {
         for x in [f32::from_bits(bits), -f32::from_bits(bits)] {
-            let single = [tanh(x), logistic(x), gaussian(x)];
+            let single = Activation::ALL.map(|activation| activation.value(x));
             digest.floats(&single);
             // In a block, as layers do it, every value has to come out the same.
-            for (_, activation) in Activation::NAMES {
+            for activation in Activation::ALL {
                 let mut block = [x, 0.5, -x, -0.75, x, 0.0, x];
                 activation.apply(&mut block);
                 digest.floats(&block);

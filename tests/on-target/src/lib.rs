@@ -7,7 +7,7 @@
 //!
 //! | section | what is in it |
 //! | --- | --- |
-//! | `activations` | `tanh`, logistic, Gaussian: special values, seams, a sweep over all floats |
+//! | `activations` | every activation: special values, seams, a sweep over all floats |
 //! | `network` | the package's network, and one with other widths and activations |
 //! | `agent` | an agent as a node runs it: frames, trigger, adaptation, faults, restart |
 //! | `package` | acceptance and refusal of a weight package, checksums |

@@ -2,6 +2,7 @@
 //! float near the points where something changes. `examples/activation_error.rs` walks
 //! all of them.
 
+use super::laws::{Symmetry, law};
 use super::*;
 use core::f32::consts::LN_2;
 
@@ -13,100 +14,52 @@ const NEIGHBOURS: u32 = 200;
 
 const INFINITY_BITS: u32 = 0x7f80_0000;
 
-#[derive(Clone, Copy, PartialEq)]
-enum Symmetry {
-    Odd,
-    Even,
-    None,
-}
-
-/// One activation and what the module's documentation says of it.
-struct Law {
-    activation: Activation,
-    function: fn(f32) -> f32,
-    reference: fn(f64) -> f64,
-    symmetry: Symmetry,
-    range: (f32, f32),
-    /// The documented largest error [ulp], rounded up.
-    worst_ulp: f64,
-}
-
-const LAWS: [Law; 3] = [
-    Law {
-        activation: Activation::Tanh,
-        function: tanh,
-        reference: libm::tanh,
-        symmetry: Symmetry::Odd,
-        range: (-1.0, 1.0),
-        worst_ulp: 2.609,
-    },
-    Law {
-        activation: Activation::Logistic,
-        function: logistic,
-        reference: |x| 1.0 / (1.0 + libm::exp(-x)),
-        symmetry: Symmetry::None,
-        range: (0.0, 1.0),
-        worst_ulp: 2.481,
-    },
-    Law {
-        activation: Activation::Gaussian,
-        function: gaussian,
-        reference: |x| libm::exp(-x * x),
-        symmetry: Symmetry::Even,
-        range: (0.0, 1.0),
-        worst_ulp: 1.030,
-    },
-];
-
 /// |value - reference| in ulps of the binary32 binade of `reference`.
 fn ulp_error(value: f32, reference: f64) -> f64 {
     let exponent = libm::ilogb(reference).max(-126);
     libm::scalbn((f64::from(value) - reference).abs(), 23 - exponent)
 }
 
-impl Law {
-    /// Checks value, range and symmetry at `x` and `-x`, and order against the magnitude
-    /// `before`, which is smaller.
-    fn check(&self, before: f32, x: f32) {
-        let name = self.activation;
-        let (positive, negative) = ((self.function)(x), (self.function)(-x));
-        let (earlier, earlier_negative) = ((self.function)(before), (self.function)(-before));
-        for (input, value) in [(x, positive), (-x, negative)] {
-            let error = ulp_error(value, (self.reference)(f64::from(input)));
-            assert!(error <= self.worst_ulp, "{name:?}({input:e}) = {value:e}: {error} ulp");
-            assert!(
-                (self.range.0..=self.range.1).contains(&value),
-                "{name:?}({input:e}) = {value:e} is out of range"
-            );
-        }
-        match self.symmetry {
-            Symmetry::Odd => assert_eq!(negative.to_bits(), (-positive).to_bits(), "{x:e}"),
-            Symmetry::Even => assert_eq!(negative.to_bits(), positive.to_bits(), "{x:e}"),
-            Symmetry::None => {}
-        }
-        assert!(negative <= earlier_negative, "{name:?} rises from {:e} to {:e}", -before, -x);
-        let ordered =
-            if self.symmetry == Symmetry::Even { positive <= earlier } else { positive >= earlier };
-        assert!(ordered, "{name:?} is not monotone from {before:e} to {x:e}");
+/// Checks value, range and symmetry at `x` and `-x`, and order against the magnitude `before`, which
+/// is smaller.
+fn check(activation: Activation, before: f32, x: f32) {
+    let (name, law) = (activation.name(), law(activation));
+    let (positive, negative) = (activation.value(x), activation.value(-x));
+    let (earlier, earlier_negative) = (activation.value(before), activation.value(-before));
+    for (input, value) in [(x, positive), (-x, negative)] {
+        let error = ulp_error(value, (law.reference)(f64::from(input)));
+        assert!(error <= law.worst_ulp, "{name}({input:e}) = {value:e}: {error} ulp");
+        assert!(
+            (law.range.0..=law.range.1).contains(&value),
+            "{name}({input:e}) = {value:e} is out of range"
+        );
     }
+    match law.symmetry {
+        Symmetry::Odd => assert_eq!(negative.to_bits(), (-positive).to_bits(), "{x:e}"),
+        Symmetry::Even => assert_eq!(negative.to_bits(), positive.to_bits(), "{x:e}"),
+        Symmetry::None => {}
+    }
+    assert!(negative <= earlier_negative, "{name} rises from {:e} to {:e}", -before, -x);
+    let ordered = if law.falls { positive <= earlier } else { positive >= earlier };
+    assert!(ordered, "{name} is not monotone from {before:e} to {x:e}");
+}
 
-    /// Checks every float near `point` > 0.
-    fn check_around(&self, point: f32) {
-        let first = point.to_bits().saturating_sub(NEIGHBOURS);
-        let last = (point.to_bits() + NEIGHBOURS).min(INFINITY_BITS);
-        for bits in first..last {
-            self.check(f32::from_bits(bits), f32::from_bits(bits + 1));
-        }
+/// Checks every float near `point` > 0.
+fn check_around(activation: Activation, point: f32) {
+    let first = point.to_bits().saturating_sub(NEIGHBOURS);
+    let last = (point.to_bits() + NEIGHBOURS).min(INFINITY_BITS);
+    for bits in first..last {
+        check(activation, f32::from_bits(bits), f32::from_bits(bits + 1));
     }
 }
 
 #[test]
 fn a_sweep_over_all_floats_obeys_the_laws() {
-    for law in &LAWS {
+    for activation in Activation::ALL {
         let mut before = 0.0;
         for bits in (0..=INFINITY_BITS).step_by(SWEEP_STRIDE) {
             let x = f32::from_bits(bits);
-            law.check(before, x);
+            check(activation, before, x);
             before = x;
         }
     }
@@ -114,30 +67,30 @@ fn a_sweep_over_all_floats_obeys_the_laws() {
 
 #[test]
 fn every_binade_edge_obeys_the_laws() {
-    for law in &LAWS {
+    for activation in Activation::ALL {
         for exponent in 0..=255 {
-            law.check_around(f32::from_bits(exponent << SIGNIFICAND_BITS));
+            check_around(activation, f32::from_bits(exponent << SIGNIFICAND_BITS));
         }
     }
 }
 
 #[test]
 fn every_seam_obeys_the_laws() {
-    for law in &LAWS {
+    for activation in Activation::ALL {
         for point in [TANH_SMALL_BELOW, EXP_LIMIT, GAUSSIAN_LIMIT, LOGISTIC_SATURATION] {
-            law.check_around(point);
+            check_around(activation, point);
         }
         // Where tanh and the logistic become 1, where exp(-x) and exp(-x^2) leave the
         // normal numbers and where they become 0.
         for point in [9.01, 17.33, 87.34, 88.73, 103.97, 9.346, 10.197] {
-            law.check_around(point);
+            check_around(activation, point);
         }
         // Where the exponential goes on to the next k: x, and x^2, halfway between two
         // multiples of ln 2.
         for k in 0u8..=150 {
             let seam = (f32::from(k) + 0.5) * LN_2;
-            law.check_around(seam);
-            law.check_around(libm::sqrtf(seam));
+            check_around(activation, seam);
+            check_around(activation, libm::sqrtf(seam));
         }
     }
 }
@@ -154,8 +107,8 @@ fn limits_are_exact_and_nan_stays_nan() {
     assert_eq!(gaussian(0.0).to_bits(), 1.0f32.to_bits());
     // A NaN whose payload lies in the bits that the Gaussian's split clears, too.
     for nan in [f32::NAN, -f32::NAN, f32::from_bits(INFINITY_BITS + 1)] {
-        for law in &LAWS {
-            assert!((law.function)(nan).is_nan(), "{:?}", law.activation);
+        for activation in Activation::ALL {
+            assert!(activation.value(nan).is_nan(), "{activation:?}");
         }
     }
 }
@@ -169,17 +122,17 @@ fn small_arguments_pass_through_tanh_unchanged() {
 
 #[test]
 fn apply_gives_the_bits_of_the_scalar_functions() {
-    for law in &LAWS {
+    for activation in Activation::ALL {
         for length in 0..=64usize {
             let mut values = [0.0f32; 64];
             for (index, value) in values.iter_mut().enumerate() {
                 *value = f32::from_bits(sample_bits(997 * length + index));
             }
             let mut applied = values;
-            law.activation.apply(&mut applied[..length]);
+            activation.apply(&mut applied[..length]);
             for (index, (&x, &y)) in values.iter().zip(&applied).enumerate() {
-                let expected = if index < length { (law.function)(x) } else { x };
-                assert_eq!(y.to_bits(), expected.to_bits(), "{:?}({x:e})", law.activation);
+                let expected = if index < length { activation.value(x) } else { x };
+                assert_eq!(y.to_bits(), expected.to_bits(), "{activation:?}({x:e})");
             }
         }
     }
@@ -216,14 +169,12 @@ fn fnv1a_gives_the_published_hash() {
 
 #[test]
 fn golden_bits() {
-    // Computed by the binary32 model of `fit_activations.py --golden`, not by this code:
-    // expected from every target, at every optimisation level.
-    let expected = [0xed3e_6e94_a4d0_f88e, 0x08ca_cb3d_c3b5_1dea, 0x7317_1064_9956_7cc2];
-    for (law, expected) in LAWS.iter().zip(expected) {
-        let outputs =
-            (0..GOLDEN_SAMPLES).map(|i| (law.function)(f32::from_bits(sample_bits(i))).to_bits());
+    // Expected from every target, at every optimisation level.
+    for activation in Activation::ALL {
+        let outputs = (0..GOLDEN_SAMPLES)
+            .map(|i| activation.value(f32::from_bits(sample_bits(i))).to_bits());
         let hash = fnv1a(outputs);
-        assert_eq!(hash, expected, "{:?}: {hash:#018x}", law.activation);
+        assert_eq!(hash, law(activation).golden, "{activation:?}: {hash:#018x}");
     }
     let golden_tanh: [(f32, u32); 6] = [
         (0.1, 0x3dcc_1ebc),
