@@ -54,7 +54,7 @@ pub use observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
 pub use observer::network::{Architecture, InnerNetwork, Layer};
 pub use observer::outer_law::OuterLawParams;
 pub use observer::projection::ProjectionParams;
-pub use observer::trigger::TriggerParams;
+pub use observer::trigger::{Trigger, TriggerParams};
 pub use package::Package;
 pub use store::Store;
 pub use wire::frame::Frame;

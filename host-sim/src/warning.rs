@@ -50,11 +50,13 @@ pub enum WarningCode {
     OtherScenario,
     /// Samples are closer together than steps of the scenario.
     DenseSamples,
+    /// Trained networks are not written as packages, which cannot carry the scenario's trigger.
+    SimulationOnly,
 }
 
 impl WarningCode {
     /// Every code.
-    pub const ALL: [Self; 19] = [
+    pub const ALL: [Self; 20] = [
         Self::StateNotCovered,
         Self::GainNotASolution,
         Self::RhoTooSmall,
@@ -74,6 +76,7 @@ impl WarningCode {
         Self::BaselineFailed,
         Self::OtherScenario,
         Self::DenseSamples,
+        Self::SimulationOnly,
     ];
 
     /// Returns the code as it appears in JSON.
@@ -99,6 +102,7 @@ impl WarningCode {
             Self::BaselineFailed => "baseline-failed",
             Self::OtherScenario => "other-scenario",
             Self::DenseSamples => "dense-samples",
+            Self::SimulationOnly => "simulation-only",
         }
     }
 }

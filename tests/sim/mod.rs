@@ -10,6 +10,7 @@ mod scales;
 pub(crate) mod scenario_builder;
 mod scenario_errors;
 mod tensors;
+mod trigger;
 mod units;
 mod verdicts;
 mod watched_runs;

@@ -239,7 +239,8 @@ where
     #[inline]
     fn broadcast_if_due(&mut self, params: &AgentParams<'_, N>, tick: Tick) -> Option<Frame<N>> {
         let hold_error = difference(self.own_hold.estimate(), &self.estimate);
-        if !params.trigger.fires(&hold_error, &self.consensus_term) {
+        let held = self.own_hold.age(tick);
+        if !params.trigger.fires(held, &hold_error, &self.consensus_term) {
             return None;
         }
         self.sample_estimate(tick);

@@ -8,7 +8,7 @@ use crate::math::symmetric::SymmetricMatrix;
 use crate::observer::feedback::{Neighbour, ObserverParams};
 use crate::observer::outer_law::OuterLawParams;
 use crate::observer::projection::ProjectionParams;
-use crate::observer::trigger::TriggerParams;
+use crate::observer::trigger::{Trigger, TriggerParams};
 use crate::{AgentId, Tick};
 
 /// Everything about an agent that does not change, checked as a whole.
@@ -18,7 +18,7 @@ pub struct AgentParams<'a, const N: usize> {
     pub(super) step_size: f32,
     pub(super) observer: ObserverParams<'a, N>,
     pub(super) outer_law: OuterLawParams<'a>,
-    pub(super) trigger: TriggerParams,
+    pub(super) trigger: Trigger,
     pub(super) restart_silence: Tick,
 }
 
@@ -38,7 +38,7 @@ impl<'a, const N: usize> AgentParams<'a, N> {
         observer.validate(id)?;
         outer_law.projection.validate()?;
         trigger.validate()?;
-        let restart_silence = RESTART_SILENCE;
+        let (trigger, restart_silence) = (Trigger::Event(trigger), RESTART_SILENCE);
         Ok(Self { id, step_size, observer, outer_law, trigger, restart_silence })
     }
 
@@ -48,6 +48,16 @@ impl<'a, const N: usize> AgentParams<'a, N> {
     #[must_use]
     pub fn with_restart_silence(self, restart_silence: Tick) -> Self {
         Self { restart_silence, ..self }
+    }
+
+    /// Returns the same parameters with another trigger than the event trigger. Packages carry no other, so
+    /// this is for simulations.
+    ///
+    /// # Errors
+    /// A constant of the trigger that is out of its range.
+    pub fn with_trigger(self, trigger: Trigger) -> Result<Self, ParameterError> {
+        trigger.validate()?;
+        Ok(Self { trigger, ..self })
     }
 
     /// The same with neighbours and `Gamma` that lie elsewhere: copies of what was checked.
@@ -87,6 +97,12 @@ impl<'a, const N: usize> AgentParams<'a, N> {
     #[must_use]
     pub fn outputs(&self) -> usize {
         self.observer.output_matrix.outputs()
+    }
+
+    /// Returns when the agent broadcasts.
+    #[must_use]
+    pub fn trigger(&self) -> &Trigger {
+        &self.trigger
     }
 
     /// `K_1`, shape `[N, N]`. \[1/s\]

@@ -111,8 +111,8 @@ pub struct UltimateBound {
 }
 
 impl UltimateBound {
-    /// Computes the bound for this scenario; `None` if `alpha <= 0`, where the theorem does not
-    /// apply.
+    /// Computes the bound for this scenario; `None` where the theorem does not apply: if `alpha <= 0`,
+    /// or with another trigger than the event trigger.
     #[must_use]
     pub fn new(scenario: &Scenario) -> Option<Self> {
         let Design { k2, kappa, delta, epsilon, .. } = scenario.design;
@@ -126,7 +126,8 @@ impl UltimateBound {
             let largest = 2.0 * network.outer_law.bound;
             scenario.agents.len() as f64 * largest * largest / gain_min(&network.outer_law.gain)
         });
-        (alpha > 0.0).then_some(Self {
+        let applies = alpha > 0.0 && scenario.trigger.departure().is_none();
+        applies.then_some(Self {
             initial_error_squared,
             weight_error,
             alpha,

@@ -65,12 +65,19 @@ pub(super) fn tables(
     Ok(())
 }
 
-/// Writes the package of every training and, where they were recorded, the samples that it was
-/// trained on.
-pub(super) fn packages(folder: &Path, run: &RunResult) -> Result<(), CommandError> {
+/// Writes the package of every training, if nodes have the scenario's trigger, and, where they were
+/// recorded, the samples that it was trained on.
+pub(super) fn packages(
+    folder: &Path,
+    scenario: &Scenario,
+    run: &RunResult,
+) -> Result<(), CommandError> {
+    let for_nodes = scenario.trigger.check_for_nodes().is_ok();
     for training in &run.trainings {
         let stem = format!("agent{}_cycle{}", training.agent, training.cycle);
-        training.package.save(&folder.join(format!("{stem}.weights")))?;
+        if for_nodes {
+            training.package.save(&folder.join(format!("{stem}.weights")))?;
+        }
         if let Some(recording) = &training.recording {
             recording.save(&folder.join(format!("{stem}_samples.csv")))?;
         }

@@ -242,7 +242,7 @@ fn write_files(
     );
     tables?;
     figures?;
-    output::packages(out, result)
+    output::packages(out, scenario, result)
 }
 
 fn write_figures(

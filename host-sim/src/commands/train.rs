@@ -22,7 +22,7 @@ use crate::learning::agent_config;
 use crate::learning::trained::{INITIAL_VERSION, Prepared, Trained, TrainedError, TrainingTask};
 use crate::packages::recording_source::{RecordingSource, SourceScenario};
 use crate::packages::{PackageBytes, PackageSummary, Recording};
-use crate::scenario::{Recipe, Scenario};
+use crate::scenario::{Recipe, Scenario, SimulationOnly};
 use crate::shell::shell_word;
 use crate::terminal;
 use crate::training::{EpochReport, StopReason};
@@ -104,6 +104,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     // A second Ctrl-C does not wait for the epoch to end.
     interruption::listen(Again::Exit);
     let scenario = load_scenario(&arguments.scenario)?;
+    let about = |error: SimulationOnly| CommandError::from(error).about(&arguments.scenario);
+    scenario.trigger.check_for_nodes().map_err(about)?;
     let index = agent_index(&scenario, arguments.agent)?;
     let network = network_of(&scenario)?;
     let (recipe, cycle) = recipe(arguments, &scenario, index)?;

@@ -66,6 +66,12 @@ pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning>
     let outer = to_train.and_then(|n| outer_weights(&n.outer, scenario.dimension()));
     warnings.extend(outer);
     let trained = |agent: &Agent| agent.package.is_some();
+    if let Err(error) = scenario.trigger.check_for_nodes()
+        && !scenario.learning.is_empty()
+    {
+        let text = format!("trained packages are not written: {error}");
+        warnings.push(Warning::new(WarningCode::SimulationOnly, text));
+    }
     if scenario.health.is_some()
         && scenario.learning.is_empty()
         && !scenario.agents.iter().any(trained)
@@ -99,8 +105,9 @@ pub(super) fn after(
     let steps = scenario.steps().max(1) as f64;
     // The announcement at t = 0 is not the trigger's.
     let shares = run.agents.iter().map(|agent| (agent.broadcasts().max(1) - 1) as f64 / steps);
+    let event = scenario.trigger.departure().is_none();
     let frequent: Vec<(usize, f64)> =
-        (1..).zip(shares).filter(|(_, share)| *share > FREQUENT).collect();
+        (1..).zip(shares).filter(|(_, share)| event && *share > FREQUENT).collect();
     if let Some(worst) = frequent.iter().copied().reduce(|a, b| if b.1 > a.1 { b } else { a }) {
         let others = match frequent.len() {
             1 => String::new(),
@@ -114,7 +121,8 @@ pub(super) fn after(
         );
         warn(WarningCode::FrequentBroadcasts, text);
     }
-    if let Some(lumped) = checks.theorem1.lumped.filter(|l| checks.theorem1.rho < l.estimate) {
+    let needed = checks.theorem1.lumped.filter(|l| event && checks.theorem1.rho < l.estimate);
+    if let Some(lumped) = needed {
         let rho = checks.theorem1.rho;
         let alone = if lumped.disturbance > rho {
             format!(

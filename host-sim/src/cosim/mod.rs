@@ -53,7 +53,7 @@ use serde::Serialize;
 use crate::engine::{Progress, RunError, RunOptions, run_accompanied};
 use crate::files::output::OutputError;
 use crate::packages::PackageBytes;
-use crate::scenario::{Record, Scenario};
+use crate::scenario::{Record, Scenario, SimulationOnly};
 use crate::signing::OperatorKey;
 use crate::stop::Stop;
 use board::Board;
@@ -240,6 +240,9 @@ pub enum CosimError {
         /// Its name.
         scenario: String,
     },
+    /// Nodes do not have the scenario's trigger.
+    #[error(transparent)]
+    Trigger(#[from] SimulationOnly),
     /// There is something else where a node's socket would be.
     #[error("{}: {what}; it is left as it is: name another folder with --serve", path.display())]
     Occupied {
@@ -265,12 +268,13 @@ pub enum CosimError {
 /// The scenario as its nodes live it: watched with the recommended settings; nothing is written down.
 ///
 /// # Errors
-/// [`CosimError::NoNetwork`] or [`CosimError::Health`].
+/// [`CosimError::NoNetwork`], [`CosimError::Health`] or [`CosimError::Trigger`].
 pub fn prepared(scenario: &Scenario) -> Result<Scenario, CosimError> {
     let name = || scenario.name.clone();
     if scenario.network.is_none() {
         return Err(CosimError::NoNetwork { scenario: name() });
     }
+    scenario.trigger.check_for_nodes()?;
     // How often there are reports is of no consequence for the agent.
     let telemetry_interval = HealthSettings::RECOMMENDED.telemetry_interval;
     let differs = |own: HealthSettings| {

@@ -139,6 +139,10 @@ fn build_agents<'s, const N: usize>(
             gain_output: spectral_norm(&(&scenario.design.gain * agent.output_matrix.transpose())),
         });
         let params = places.params::<N>(&content.node())?;
+        let params = match scenario.trigger.simulated() {
+            Some(trigger) => params.with_trigger(trigger)?,
+            None => params,
+        };
         match packages.get(index) {
             Some(package) => {
                 let outer_weights = package.package().outer_weights;

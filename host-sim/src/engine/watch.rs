@@ -5,6 +5,7 @@ use agent_core::agent::inbox::Inbox;
 use agent_core::agent::{AgentParams, AgentState, StepError};
 use agent_core::health::{Health, HealthCounters, HealthParams, HealthSettings, WatchedAgent};
 use agent_core::math::parameter::ParameterError;
+use agent_core::observer::trigger::Trigger;
 use agent_core::package::Package;
 
 /// What watches over an agent from its first package on.
@@ -24,7 +25,9 @@ impl<const N: usize> Watch<N> {
         settings: &HealthSettings,
         before: Option<&Self>,
     ) -> Result<Self, ParameterError> {
-        let interval = package.broadcast_interval_min;
+        // Theorem 2 bounds the intervals of the event trigger only.
+        let by_event = matches!(agent.trigger(), Trigger::Event(_));
+        let interval = if by_event { package.broadcast_interval_min } else { 0.0 };
         Ok(Self {
             params: HealthParams::new(agent, &package.trained_box, interval, settings)?,
             outer_weights: package.outer_weights.to_vec(),

@@ -352,17 +352,18 @@ fn limits(samples: &Dataset) -> (Vec<f32>, Vec<f32>) {
 }
 
 /// Theorem 2 on the recorded trajectory: the hold error has to grow from 0 to the trigger's
-/// radius, and grows no faster than the estimate moves. 0, for not known, if not every step was
-/// recorded: a faster one may lie in between. \[s\]
+/// radius, and grows no faster than the estimate moves. 0, for not known, if agents have another
+/// trigger, or if not every step was recorded: a faster one may lie in between. \[s\]
 fn interval_bound(scenario: &Scenario, trigger: &TriggerConstants, recording: &Recording) -> f32 {
     let every_step = recording.interval < 1.5 * scenario.time.step_size;
+    let applies = scenario.trigger.departure().is_none();
     let samples = &recording.samples;
     let rates = samples.targets().chunks_exact(samples.dimension());
     let rate_squared = rates
         .map(|rate| rate.iter().fold(0.0, |sum, r| sum + r * r))
         .fold(0.0, |largest: f64, rate| largest.max(rate));
     let bound = (trigger.radius() / rate_squared.sqrt()) as f32;
-    if every_step && bound.is_finite() { bound } else { 0.0 }
+    if applies && every_step && bound.is_finite() { bound } else { 0.0 }
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Disturbances of the plant.
 
-use super::ExpressionSystem;
+use super::{ExpressionFault, ExpressionSystem};
 
 /// `d`, the disturbance.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,6 +56,15 @@ impl Disturbance {
                 }
             }
             Self::Expressions(system) => system.evaluate(time, x, d),
+        }
+    }
+
+    /// Returns the expression without a finite value at `time` \[s\] and state `x`, shape `[n]`, if
+    /// there is one.
+    pub(super) fn fault(&self, time: f64, x: &[f64]) -> Option<ExpressionFault> {
+        match self {
+            Self::None | Self::Harmonic(_) => None,
+            Self::Expressions(system) => system.fault(time, x),
         }
     }
 }

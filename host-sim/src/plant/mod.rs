@@ -153,10 +153,7 @@ impl RateFault {
             Plant::Expressions(system) => system.fault(time, x).map(Self::Drift),
             _ => None,
         };
-        drift.or_else(|| match disturbance {
-            Disturbance::Expressions(system) => system.fault(time, x).map(Self::Disturbance),
-            _ => None,
-        })
+        drift.or_else(|| disturbance.fault(time, x).map(Self::Disturbance))
     }
 
     /// Returns the expression.

@@ -13,16 +13,24 @@ const LINES: usize = 12;
 /// Formats the checks that do not need a run, line by line.
 #[must_use]
 pub fn design_text(design: &DesignChecks) -> String {
-    let trigger = &design.trigger;
+    let trigger = match (&design.trigger_constants, design.trigger.departure()) {
+        (_, Some(model)) => {
+            format!("agents broadcast {model}, so Theorems 1 and 2 do not apply")
+        }
+        (Some(trigger), None) => format!(
+            "phi1 = {} 1/s, phi2 = {} 1/s; with z = 0 it fires at |e_2| = {}",
+            significant(trigger.phi1, 7),
+            significant(trigger.phi2, 5),
+            significant(trigger.radius(), 5),
+        ),
+        (None, None) => String::new(),
+    };
     format!(
         "  K1 in the matrix inequality: {}\n\
         \x20 step: {}\n\
-        \x20 trigger: phi1 = {} 1/s, phi2 = {} 1/s; with z = 0 it fires at |e_2| = {}\n",
+        \x20 trigger: {trigger}\n",
         design.gain_in_words(),
         design.step.describe(),
-        significant(trigger.phi1, 7),
-        significant(trigger.phi2, 5),
-        significant(trigger.radius(), 5),
     )
 }
 
@@ -120,10 +128,11 @@ pub struct DesignReport {
     solution: bool,
     /// Factor that makes the gain a solution; null if it is one, or no factor helps.
     gain_factor: Option<f64>,
-    phi1: f64,
-    phi2: f64,
+    /// Null if agents do not use the event trigger, like the two below.
+    phi1: Option<f64>,
+    phi2: Option<f64>,
     /// Hold error at which the trigger fires with z = 0.
-    trigger_radius: f64,
+    trigger_radius: Option<f64>,
     state_covered: bool,
     step: f64,
     largest_stable_step: Option<f64>,
@@ -135,16 +144,16 @@ impl DesignReport {
     /// Creates the report of these checks.
     #[must_use]
     pub fn new(design: &DesignChecks) -> Self {
-        let (gain, trigger) = (&design.gain, &design.trigger);
+        let (gain, trigger) = (&design.gain, &design.trigger_constants);
         Self {
             eigenvalue_min: gain.eigenvalue_min,
             eigenvalue_uncertainty: gain.uncertainty,
             k1: gain.k1,
             solution: gain.holds(),
             gain_factor: gain.factor(),
-            phi1: trigger.phi1,
-            phi2: trigger.phi2,
-            trigger_radius: trigger.radius(),
+            phi1: trigger.map(|trigger| trigger.phi1),
+            phi2: trigger.map(|trigger| trigger.phi2),
+            trigger_radius: trigger.map(|trigger| trigger.radius()),
             state_covered: design.covered,
             step: design.step.step_size,
             largest_stable_step: design.step.largest_stable_step,

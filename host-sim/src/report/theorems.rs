@@ -3,6 +3,7 @@
 //! A theorem applies only if its premises hold. If one fails, the check names it and the theorem is
 //! "not applicable", whatever the result of the run.
 //!
+//! * Both: agents use the event trigger.
 //! * Theorem 1: `k_2 > 1/kappa`; `K_1` solves `BMI`; `rho >= chi_bar_max`, which the run estimates
 //!   ([`LumpedUncertainty`]).
 //! * Theorem 2: a bound on the rate of the hold error. The rate is measured along the run, so there
@@ -19,20 +20,22 @@ use crate::engine::RunResult;
 use crate::engine::bounds::{BoundShare, Growth};
 use crate::engine::statistics::AgentStatistics;
 use crate::number::significant;
-use crate::scenario::Scenario;
+use crate::scenario::{Scenario, TriggerModel};
 
 /// The checks that do not need a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DesignChecks {
     /// Whether `K_1` is a solution of `BMI`.
     pub gain: GainCertificate,
-    /// `phi_1`, `phi_2` and the threshold.
-    pub trigger: TriggerConstants,
+    /// When agents broadcast.
+    pub trigger: TriggerModel,
+    /// `phi_1`, `phi_2` and the threshold; `None` if agents do not use the event trigger.
+    pub trigger_constants: Option<TriggerConstants>,
     /// Whether the step is short enough for the observer.
     pub step: StepCheck,
     /// Whether the agents together measure the whole state.
     pub covered: bool,
-    /// Theorem 1's bound; `None` if `k_2 <= 1/kappa`.
+    /// Theorem 1's bound; `None` if `k_2 <= 1/kappa`, or if agents do not use the event trigger.
     pub ultimate_bound: Option<UltimateBound>,
 }
 
@@ -42,11 +45,23 @@ impl DesignChecks {
     pub fn new(scenario: &Scenario) -> Self {
         Self {
             gain: GainCertificate::new(scenario),
-            trigger: TriggerConstants::new(scenario),
+            trigger: scenario.trigger,
+            trigger_constants: match scenario.trigger.departure() {
+                None => Some(TriggerConstants::new(scenario)),
+                Some(_) => None,
+            },
             step: StepCheck::new(scenario),
             covered: outputs_determine_state(scenario),
             ultimate_bound: UltimateBound::new(scenario),
         }
+    }
+
+    /// Returns the premise of both theorems that the trigger breaks.
+    fn broken_trigger_premise(&self) -> Option<Status> {
+        let model = self.trigger.departure()?;
+        Some(Status::NotApplicable(format!(
+            "agents broadcast {model}, not by the event trigger that the theorem assumes"
+        )))
     }
 
     /// Returns the result for `K_1` as one sentence without a full stop, the same in every report.
@@ -162,9 +177,11 @@ impl Checks {
     pub fn of(design: DesignChecks, scenario: &Scenario, run: &RunResult) -> Self {
         let bounds = run.bounds.as_ref();
         let step_size = scenario.time.step_size;
+        let other_trigger = design.broken_trigger_premise();
         let agents = run.agents.iter().map(|agent| {
             let rate = agent.hold_error_rate_max;
-            let bound = Some(minimum_interval(&design.trigger, rate)).filter(|b| b.is_finite());
+            let bound = design.trigger_constants.map(|trigger| minimum_interval(&trigger, rate));
+            let bound = bound.filter(|bound| bound.is_finite());
             let shortest = agent.min_interval(&scenario.time);
             let status = match bound {
                 _ if bounds.is_none() => not_measured(),
@@ -177,13 +194,13 @@ impl Checks {
                 Some(bound) => Status::kept(shortest.is_none_or(|interval| interval >= bound)),
             };
             AgentCheck {
-                status,
+                status: other_trigger.clone().unwrap_or(status),
                 hold_error_rate: rate,
                 interval_bound: bound,
                 interval_min: shortest,
             }
         });
-        let theorem2 = agents.collect();
+        let theorem2: Vec<_> = agents.collect();
         let lumped = bounds.map(|bounds| LumpedUncertainty::new(scenario, &bounds.lumped));
         let share = bounds.and_then(|bounds| bounds.ultimate);
         let restarted = run.agents.iter().filter(|agent| restarts(agent) > 0).count();
@@ -193,6 +210,7 @@ impl Checks {
             count => Status::NotApplicable(format!("{count} agents restarted")),
         };
         let rho = scenario.design.rho;
+        let status = other_trigger.unwrap_or(status);
         let theorem1 = UltimateBoundCheck { status, rho, lumped, share };
         Self { design, theorem1, theorem2, growth: bounds.map(|bounds| bounds.growth) }
     }

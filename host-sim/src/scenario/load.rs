@@ -6,7 +6,7 @@ use toml::de::DeTable;
 
 use super::error::{ScenarioError, closest};
 use super::reader::{Source, Table};
-use super::sections::{agents, gains, health, learning, link, network, plant, run};
+use super::sections::{agents, disturbance, gains, health, learning, link, network, plant, run, trigger};
 use super::{BUILT_IN, Scenario};
 use crate::files::fnv::Fnv;
 use crate::files::input::{is_too_large, read_limited};
@@ -95,6 +95,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         "network",
         "graph",
         "link",
+        "trigger",
         "agents",
         "learning",
         "recipes",
@@ -106,12 +107,13 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let time = run::time(root)?;
     let (plant, initial_state) = plant::plant(root)?;
     let n = plant.dimension();
-    let disturbance = plant::disturbance(root, &plant)?;
+    let disturbance = disturbance::disturbance(root, &plant)?;
     let design = gains::design(root, n)?;
     let network = network::network(root, n)?;
     let agents = agents::agents(root, n)?;
     let graph = agents::graph(root, agents.len())?;
     let link = link::link(root)?;
+    let trigger = trigger::trigger(root)?;
     let recipes = learning::recipes(root)?;
     let learning = learning::cycles(root, &time, agents.len(), &recipes, network.is_some())?;
     if let (Some(first), Some(network)) = (root.get_tables("learning")?.first(), &network) {
@@ -131,6 +133,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         network,
         graph,
         link,
+        trigger,
         agents,
         learning,
         recipes,

@@ -14,6 +14,7 @@ mod sections;
 pub use builtin::{BUILT_IN, PAPER, built_in};
 pub use error::ScenarioError;
 pub use sections::link::LinkModel;
+pub use sections::trigger::{SimulationOnly, TriggerModel};
 
 use std::num::NonZeroU32;
 
@@ -49,6 +50,8 @@ pub struct Scenario {
     pub graph: Graph,
     /// What happens to frames between agents.
     pub link: LinkModel,
+    /// When agents broadcast.
+    pub trigger: TriggerModel,
     /// The agents; agent `i` of the paper is entry `i - 1`.
     pub agents: Vec<Agent>,
     /// Learning cycles, in the order of the file.

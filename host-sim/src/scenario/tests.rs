@@ -284,7 +284,7 @@ fn reads_health_settings_and_fills_in_defaults() {
 }
 
 #[test]
-fn models_of_links_and_trainers_are_named() {
+fn models_of_links_triggers_and_trainers_are_named() {
     let changed = |from: &str, to: &str| {
         assert!(PAPER.contains(from), "{from}");
         Scenario::parse("mine.toml", &PAPER.replace(from, to))
@@ -292,10 +292,20 @@ fn models_of_links_and_trainers_are_named() {
     let (link, trainer) = ("kind = \"lossless\"", "trainer = \"levenberg-marquardt\"");
     let scenario = changed(&format!("[link]\n{link}\n"), "").unwrap();
     assert_eq!(scenario.link, LinkModel::Lossless);
+    let trigger = "kind = \"event\"";
+    let scenario = changed(&format!("[trigger]\n{trigger}\n"), "").unwrap();
+    assert_eq!(scenario.trigger, TriggerModel::Event);
+    let scenario = changed(trigger, "kind = \"periodic\"\nevery = 10").unwrap();
+    let every = NonZeroU32::new(10).unwrap();
+    assert_eq!(scenario.trigger, TriggerModel::Periodic { every });
     for (from, to, key, hint) in [
         (link, "kind = \"losless\"", "link.kind", "did you mean \"lossless\""),
         (link, "kind = \"lossless\"\nloss = 0.5", "link.loss", "unknown key"),
         (link, "", "link", "kind"),
+        (trigger, "kind = \"period\"", "trigger.kind", "did you mean \"periodic\""),
+        (trigger, "kind = \"event\"\nevery = 3", "trigger.every", "unknown key"),
+        (trigger, "kind = \"periodic\"", "trigger.every", "add every = 10"),
+        (trigger, "kind = \"periodic\"\nevery = 0", "trigger.every", "an integer >= 1"),
         (trainer, "trainer = \"adam\"", "recipes.paper.trainer", "levenberg-marquardt"),
     ] {
         let error = changed(from, to).unwrap_err();

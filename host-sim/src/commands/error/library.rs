@@ -11,7 +11,7 @@ use crate::image::ImageError;
 use crate::learning::trained::TrainedError;
 use crate::memory_map::MemoryMapError;
 use crate::packages::{DraftError, PackageFileError, RecordingError};
-use crate::scenario::ScenarioError;
+use crate::scenario::{ScenarioError, SimulationOnly};
 use crate::signing::KeyFileError;
 use crate::tensors::{TensorError, TensorProblem};
 
@@ -30,6 +30,12 @@ impl Reported for ScenarioError {
 
     fn line(&self) -> Option<u64> {
         self.line.map(|line| line as u64)
+    }
+}
+
+impl Reported for SimulationOnly {
+    fn code(&self) -> ErrorCode {
+        ErrorCode::Scenario
     }
 }
 
@@ -201,7 +207,9 @@ mod nodes {
     impl Reported for CosimError {
         fn code(&self) -> ErrorCode {
             match self {
-                Self::NoNetwork { .. } | Self::Health { .. } => ErrorCode::Scenario,
+                Self::NoNetwork { .. } | Self::Health { .. } | Self::Trigger(_) => {
+                    ErrorCode::Scenario
+                }
                 Self::Interrupted => ErrorCode::Interrupted,
                 Self::Run(error) => error.code(),
                 Self::Node(error) => match error.fault {

@@ -17,6 +17,7 @@ use crate::files::output::OutputFile;
 use crate::learning::agent_config;
 use crate::learning::trained::INITIAL_VERSION;
 use crate::packages::{Draft, PackageBytes, PackageSummary};
+use crate::scenario::SimulationOnly;
 use crate::shell::shell_word;
 use crate::tensors::{self, Activations, ActivationsSource, NetworkArrays};
 
@@ -253,6 +254,8 @@ fn draft(arguments: &Import) -> Result<Draft, CommandError> {
 
 fn of_scenario(path: &Path, agent: usize) -> Result<Draft, CommandError> {
     let scenario = load_scenario(path)?;
+    let about = |error: SimulationOnly| CommandError::from(error).about(path);
+    scenario.trigger.check_for_nodes().map_err(about)?;
     let index = agent_index(&scenario, agent)?;
     let network = network_of(&scenario)?;
     let n = scenario.dimension();

@@ -1,6 +1,7 @@
 //! One module per group of tables in the file.
 
 pub(super) mod agents;
+pub(super) mod disturbance;
 pub(super) mod gains;
 pub(super) mod health;
 pub(super) mod learning;
@@ -9,3 +10,4 @@ pub(super) mod network;
 pub(super) mod plant;
 pub(super) mod run;
 pub(super) mod trainer;
+pub(super) mod trigger;

@@ -1,7 +1,7 @@
-//! `[plant]` and `[disturbance]`.
+//! `[plant]`.
 
 use crate::plant::expression::{ExpressionError, hint, name_problem};
-use crate::plant::{DIMENSION_MAX, Disturbance, ExpressionSystem, Harmonic, Plant, Wave};
+use crate::plant::{DIMENSION_MAX, ExpressionSystem, Plant};
 use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::{STATE, Table, Value, has};
 
@@ -129,7 +129,7 @@ fn check_name(value: &Value<'_>, name: &str, states: &[String]) -> Result<(), Sc
 }
 
 /// Parses one expression per state.
-fn system(
+pub(super) fn system(
     value: &Value<'_>,
     states: &[String],
     parameters: &[(String, f64)],
@@ -162,79 +162,4 @@ fn expression_hint(error: &ExpressionError, text: &str) -> String {
         ExpressionError::TooDeep => "use fewer nested parentheses".to_owned(),
         _ => format!("write an expression such as {EXPRESSION}"),
     }
-}
-
-#[derive(Clone, Copy)]
-enum DisturbanceModel {
-    None,
-    Harmonic,
-    Expressions,
-}
-
-pub(in crate::scenario) fn disturbance(
-    root: &Table<'_>,
-    plant: &Plant,
-) -> Result<Disturbance, ScenarioError> {
-    let Some(table) = root.get_table("disturbance")? else { return Ok(Disturbance::None) };
-    let model = table.require("model", "\"none\"")?.choice(&[
-        ("none", DisturbanceModel::None),
-        ("harmonic", DisturbanceModel::Harmonic),
-        ("expressions", DisturbanceModel::Expressions),
-    ])?;
-    let components = |example| {
-        table.only(&["model", "components"])?;
-        table.require("components", example)
-    };
-    match model {
-        DisturbanceModel::None => {
-            table.only(&["model"])?;
-            Ok(Disturbance::None)
-        }
-        DisturbanceModel::Expressions => {
-            let value = components("[\"0.5*sin(2*t)\", \"0\"]")?;
-            system(&value, &plant.state_names(), &[]).map(Disturbance::Expressions)
-        }
-        DisturbanceModel::Harmonic => {
-            harmonics(&components(HARMONICS)?, plant.dimension()).map(Disturbance::Harmonic)
-        }
-    }
-}
-
-const HARMONICS: &str = "[{ amplitude = 0.5, angular_frequency = 2.0, function = \"sin\" }, []]";
-const HARMONIC: &str = "use { amplitude = 0.5, angular_frequency = 2.0, function = \"sin\" }";
-
-fn harmonics(value: &Value<'_>, n: usize) -> Result<Vec<Harmonic>, ScenarioError> {
-    let list = value.list(HARMONIC)?;
-    if list.len() != n {
-        let problem = format!("{}, expected {n} ({STATE})", has(list.len(), "entry", "entries"));
-        return Err(value.error(problem, format!("write {n} entries, [] for no disturbance")));
-    }
-    let mut harmonics = Vec::new();
-    for (component, value) in list.iter().enumerate() {
-        if value.is_table() {
-            harmonics.push(harmonic(component, &value.table()?)?);
-            continue;
-        }
-        if !value.is_list() {
-            return Err(value.wrong("is not a table or a list of tables"));
-        }
-        for value in value.list(HARMONIC)? {
-            harmonics.push(harmonic(component, &value.table()?)?);
-        }
-    }
-    Ok(harmonics)
-}
-
-fn harmonic(component: usize, table: &Table<'_>) -> Result<Harmonic, ScenarioError> {
-    table.only(&["amplitude", "angular_frequency", "function", "phase", "offset"])?;
-    let or_zero = |key: &str| table.get(key, "0.0").map_or(Ok(0.0), |value| value.number());
-    let function = table.require("function", "\"sin\"")?;
-    Ok(Harmonic {
-        component,
-        function: function.choice(&[("sin", Wave::Sin), ("cos", Wave::Cos)])?,
-        amplitude: table.require("amplitude", "0.5")?.number()?,
-        angular_frequency: table.require("angular_frequency", "2.0")?.number()?,
-        phase: or_zero("phase")?,
-        offset: or_zero("offset")?,
-    })
 }

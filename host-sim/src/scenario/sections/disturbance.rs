@@ -1,0 +1,78 @@
+//! `[disturbance]`.
+
+use super::plant::system;
+use crate::plant::{Disturbance, Harmonic, Plant, Wave};
+use crate::scenario::error::ScenarioError;
+use crate::scenario::reader::{STATE, Table, Value, has};
+
+/// Reads the keys of one model from the table.
+type Read = fn(&Table<'_>, &Plant) -> Result<Disturbance, ScenarioError>;
+
+/// The models by their names.
+const MODELS: [(&str, Read); 3] =
+    [("none", none), ("harmonic", harmonic_sum), ("expressions", expressions)];
+
+pub(in crate::scenario) fn disturbance(
+    root: &Table<'_>,
+    plant: &Plant,
+) -> Result<Disturbance, ScenarioError> {
+    let Some(table) = root.get_table("disturbance")? else { return Ok(Disturbance::None) };
+    let read: Read = table.require("model", "\"none\"")?.choice(&MODELS)?;
+    read(&table, plant)
+}
+
+fn none(table: &Table<'_>, _: &Plant) -> Result<Disturbance, ScenarioError> {
+    table.only(&["model"])?;
+    Ok(Disturbance::None)
+}
+
+fn expressions(table: &Table<'_>, plant: &Plant) -> Result<Disturbance, ScenarioError> {
+    table.only(&["model", "components"])?;
+    let value = table.require("components", "[\"0.5*sin(2*t)\", \"0\"]")?;
+    system(&value, &plant.state_names(), &[]).map(Disturbance::Expressions)
+}
+
+fn harmonic_sum(table: &Table<'_>, plant: &Plant) -> Result<Disturbance, ScenarioError> {
+    table.only(&["model", "components"])?;
+    let value = table.require("components", HARMONICS)?;
+    harmonics(&value, plant.dimension()).map(Disturbance::Harmonic)
+}
+
+const HARMONICS: &str = "[{ amplitude = 0.5, angular_frequency = 2.0, function = \"sin\" }, []]";
+const HARMONIC: &str = "use { amplitude = 0.5, angular_frequency = 2.0, function = \"sin\" }";
+
+fn harmonics(value: &Value<'_>, n: usize) -> Result<Vec<Harmonic>, ScenarioError> {
+    let list = value.list(HARMONIC)?;
+    if list.len() != n {
+        let problem = format!("{}, expected {n} ({STATE})", has(list.len(), "entry", "entries"));
+        return Err(value.error(problem, format!("write {n} entries, [] for no disturbance")));
+    }
+    let mut harmonics = Vec::new();
+    for (component, value) in list.iter().enumerate() {
+        if value.is_table() {
+            harmonics.push(harmonic(component, &value.table()?)?);
+            continue;
+        }
+        if !value.is_list() {
+            return Err(value.wrong("is not a table or a list of tables"));
+        }
+        for value in value.list(HARMONIC)? {
+            harmonics.push(harmonic(component, &value.table()?)?);
+        }
+    }
+    Ok(harmonics)
+}
+
+fn harmonic(component: usize, table: &Table<'_>) -> Result<Harmonic, ScenarioError> {
+    table.only(&["amplitude", "angular_frequency", "function", "phase", "offset"])?;
+    let or_zero = |key: &str| table.get(key, "0.0").map_or(Ok(0.0), |value| value.number());
+    let function = table.require("function", "\"sin\"")?;
+    Ok(Harmonic {
+        component,
+        function: function.choice(&[("sin", Wave::Sin), ("cos", Wave::Cos)])?,
+        amplitude: table.require("amplitude", "0.5")?.number()?,
+        angular_frequency: table.require("angular_frequency", "2.0")?.number()?,
+        phase: or_zero("phase")?,
+        offset: or_zero("offset")?,
+    })
+}
