@@ -7,7 +7,6 @@
 //! exact in double precision.
 
 use agent_core::agent::StepOutput;
-use agent_core::math::activation::Activation;
 use agent_core::observer::network::Layer;
 use nalgebra::{DMatrix, DVector};
 use test_support::close;

@@ -271,8 +271,7 @@ fn folder(name: &str) -> PathBuf {
 
 /// Random networks with arbitrary finite weights.
 fn networks() -> impl Strategy<Value = NetworkArrays> {
-    let activation =
-        prop::sample::select(&Activation::ALL[..]);
+    let activation = prop::sample::select(&Activation::ALL[..]);
     let layer = (1..=64u8, activation).prop_map(|(width, activation)| Layer { width, activation });
     (1..=12usize, prop::collection::vec(layer, 1..=8)).prop_flat_map(|(inputs, layers)| {
         let architecture = Architecture::new(inputs, &layers).unwrap();

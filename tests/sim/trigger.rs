@@ -59,7 +59,8 @@ fn the_theorems_do_not_apply_to_a_periodic_trigger() {
 
     let (scenario, result) = simulate(&periodic(10));
     let checks = Checks::new(&scenario, &result);
-    let premise = "agents broadcast every 10 steps, not by the event trigger that the theorem assumes";
+    let premise =
+        "agents broadcast every 10 steps, not by the event trigger that the theorem assumes";
     let expected = Status::NotApplicable(premise.to_owned());
     assert_eq!(checks.theorem1.status, expected);
     assert!(checks.theorem1.share.is_none());
@@ -73,9 +74,8 @@ fn the_theorems_do_not_apply_to_a_periodic_trigger() {
 fn health_expects_no_interval_from_a_periodic_trigger() {
     let health = "\n[health]\nfall_back_after = 0\n";
     let (_, trained) = simulate(&(short().text() + health));
-    let interval = |result: &RunResult| {
-        result.trainings[0].package.package().broadcast_interval_min
-    };
+    let interval =
+        |result: &RunResult| result.trainings[0].package.package().broadcast_interval_min;
     assert!(interval(&trained) > 0.002, "{}", interval(&trained));
     // The package's interval is that of the event trigger; this one broadcasts more often.
     let mut scenario = Scenario::parse("mine.toml", &(periodic(1) + health)).unwrap();

@@ -119,7 +119,10 @@ mod tests {
         // Neither a large hold error nor a large consensus term matters.
         for (hold_error, consensus_term) in [(0.0, 0.0), (1e6, 0.0), (0.0, 1e6)] {
             let fires = |held| trigger.fires(held, &[hold_error].into(), &[consensus_term].into());
-            assert_eq!([0, 1, 2, 3, 4, Tick::MAX].map(fires), [false, false, false, true, true, true]);
+            assert_eq!(
+                [0, 1, 2, 3, 4, Tick::MAX].map(fires),
+                [false, false, false, true, true, true]
+            );
         }
         assert_eq!(trigger.validate(), Ok(()));
     }

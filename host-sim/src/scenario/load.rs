@@ -6,7 +6,9 @@ use toml::de::DeTable;
 
 use super::error::{ScenarioError, closest};
 use super::reader::{Source, Table};
-use super::sections::{agents, disturbance, gains, health, learning, link, network, plant, run, trigger};
+use super::sections::{
+    agents, disturbance, gains, health, learning, link, network, plant, run, trigger,
+};
 use super::{BUILT_IN, Scenario};
 use crate::files::fnv::Fnv;
 use crate::files::input::{is_too_large, read_limited};

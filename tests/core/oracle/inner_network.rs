@@ -73,9 +73,9 @@ fn slopes_and_curvatures_match_finite_differences() {
         let mut largest = 0.0f64;
         for x in (-4000..=4000).map(|step| f64::from(step) * 1e-3) {
             let (width, value) = (1e-4, |x| value(activation, x));
-            let slope = (value(x + width) - value(x - width)) / (2.0 * width);
+            let expected = (value(x + width) - value(x - width)) / (2.0 * width);
             // Truncation: the third derivative is below 8, times width^2 / 6.
-            assert!(test_support::close(slope(activation, x), slope, 0.0, 2e-8));
+            assert!(test_support::close(slope(activation, x), expected, 0.0, 2e-8));
             let curvature =
                 (slope(activation, x + width) - slope(activation, x - width)) / (2.0 * width);
             largest = largest.max(curvature.abs());

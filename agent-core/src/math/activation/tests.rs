@@ -171,8 +171,8 @@ fn fnv1a_gives_the_published_hash() {
 fn golden_bits() {
     // Expected from every target, at every optimisation level.
     for activation in Activation::ALL {
-        let outputs = (0..GOLDEN_SAMPLES)
-            .map(|i| activation.value(f32::from_bits(sample_bits(i))).to_bits());
+        let outputs =
+            (0..GOLDEN_SAMPLES).map(|i| activation.value(f32::from_bits(sample_bits(i))).to_bits());
         let hash = fnv1a(outputs);
         assert_eq!(hash, law(activation).golden, "{activation:?}: {hash:#018x}");
     }
