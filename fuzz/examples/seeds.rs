@@ -9,9 +9,10 @@
 use std::{fs, io, path::Path};
 
 use agent_core::math::activation::Activation::{Gaussian, Logistic, Tanh};
+use agent_core::math::symmetric::MatrixForm;
 use agent_core::package::signature_block;
 use agent_core::wire::frame::Frame;
-use fuzz::{Event, Form, SamplePackage};
+use fuzz::{Event, SamplePackage};
 
 fn main() -> io::Result<()> {
     let signed = SamplePackage {
@@ -19,7 +20,7 @@ fn main() -> io::Result<()> {
         agent: 7,
         layers: vec![(3, Tanh)],
         neighbours: vec![3, 265],
-        gain: Form::Full,
+        gain: MatrixForm::Full,
         test_vectors: 2,
         recipe: "better",
         ..SamplePackage::smallest()
@@ -29,8 +30,8 @@ fn main() -> io::Result<()> {
     let deep = SamplePackage {
         layers: vec![(2, Tanh), (1, Logistic), (3, Gaussian)],
         outputs: 2,
-        gain: Form::Diagonal,
-        outer_gain: Form::Full,
+        gain: MatrixForm::Diagonal,
+        outer_gain: MatrixForm::Full,
         ..SamplePackage::smallest()
     };
     let wide = SamplePackage {
@@ -39,8 +40,8 @@ fn main() -> io::Result<()> {
         layers: vec![(13, Logistic), (17, Gaussian)],
         outputs: 4,
         neighbours: vec![1, 2, 69, 71],
-        gain: Form::Diagonal,
-        outer_gain: Form::Diagonal,
+        gain: MatrixForm::Diagonal,
+        outer_gain: MatrixForm::Diagonal,
         test_vectors: 8,
         recipe: "wide",
     };

@@ -10,7 +10,7 @@ mod sample;
 
 pub use aligned::Aligned;
 pub use frames::Event;
-pub use sample::{Form, SamplePackage};
+pub use sample::SamplePackage;
 
 use agent_core::package::{FORMAT_VERSION, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH};
 use agent_core::wire::crc::crc32;

@@ -4,7 +4,7 @@ use agent_core::AgentId;
 use agent_core::StateVector;
 use agent_core::agent::region::StateBox;
 use agent_core::math::activation::Activation;
-use agent_core::math::symmetric::SymmetricMatrix;
+use agent_core::math::symmetric::MatrixForm;
 use agent_core::observer::network::{Architecture, InnerNetwork, Layer, Scratch};
 use agent_core::observer::outer_law::OuterLawParams;
 use agent_core::observer::projection::ProjectionParams;
@@ -13,35 +13,14 @@ use agent_core::package::{
     AgentConfig, NeighbourIds, OnSwitch, Package, Provenance, TrainingErrors,
 };
 
-/// In which form a symmetric matrix is given.
-#[derive(Clone, Copy, Debug)]
-pub enum Form {
-    /// As a multiple of the identity.
-    Scalar,
-    /// As its diagonal.
-    Diagonal,
-    /// In full.
-    Full,
-}
-
-impl Form {
-    /// A diagonally dominant matrix in this form, as its entries.
-    fn entries(self, size: usize) -> Vec<f32> {
-        match self {
-            Self::Scalar => vec![3.0],
-            Self::Diagonal => (0..size).map(|row| 3.0 + row as f32).collect(),
-            Self::Full => (0..size * size)
-                .map(|index| if index % (size + 1) == 0 { 20.0 } else { 0.125 })
-                .collect(),
-        }
-    }
-
-    fn matrix(self, entries: &[f32]) -> SymmetricMatrix<'_> {
-        match self {
-            Self::Scalar => SymmetricMatrix::Scalar(entries[0]),
-            Self::Diagonal => SymmetricMatrix::Diagonal(entries),
-            Self::Full => SymmetricMatrix::Full(entries),
-        }
+/// The entries of a diagonally dominant matrix of shape `[size, size]` in this form.
+fn entries(form: MatrixForm, size: usize) -> Vec<f32> {
+    match form {
+        MatrixForm::Scalar => vec![3.0],
+        MatrixForm::Diagonal => (0..size).map(|row| 3.0 + row as f32).collect(),
+        MatrixForm::Full => (0..form.count(size))
+            .map(|index| if index % (size + 1) == 0 { 20.0 } else { 0.125 })
+            .collect(),
     }
 }
 
@@ -58,10 +37,10 @@ pub struct SamplePackage {
     pub outputs: usize,
     /// Its neighbours.
     pub neighbours: Vec<AgentId>,
-    /// Form of `K_1`.
-    pub gain: Form,
-    /// Form of `Gamma`.
-    pub outer_gain: Form,
+    /// MatrixForm of `K_1`.
+    pub gain: MatrixForm,
+    /// MatrixForm of `Gamma`.
+    pub outer_gain: MatrixForm,
     /// How many test vectors there are.
     pub test_vectors: usize,
     /// Name of the training recipe.
@@ -78,8 +57,8 @@ impl SamplePackage {
             layers: vec![(1, Activation::Tanh)],
             outputs: 1,
             neighbours: vec![],
-            gain: Form::Scalar,
-            outer_gain: Form::Scalar,
+            gain: MatrixForm::Scalar,
+            outer_gain: MatrixForm::Scalar,
             test_vectors: 1,
             recipe: "",
         }
@@ -97,8 +76,8 @@ impl SamplePackage {
         let inner = numbers(architecture.parameter_count());
         let outer_weights = numbers(architecture.features() * N);
         let output_matrix = numbers(self.outputs * N);
-        let gain = self.gain.entries(N);
-        let outer_gain = self.outer_gain.entries(architecture.features());
+        let gain = entries(self.gain, N);
+        let outer_gain = entries(self.outer_gain, architecture.features());
         let neighbours: Vec<u8> = self.neighbours.iter().flat_map(|id| id.to_le_bytes()).collect();
         let node = AgentConfig {
             agent: self.agent,

@@ -7,8 +7,55 @@
 //! Invariants: none until [`SymmetricMatrix::validate`] has been asked.
 
 use nalgebra::SMatrix;
+use serde::{Deserialize, Serialize};
 
 use crate::math::parameter::{ParameterError, finite, positive};
+
+/// How a symmetric matrix is written down; packages number the forms in this order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum MatrixForm {
+    /// A multiple of the identity.
+    Scalar,
+    /// The diagonal.
+    Diagonal,
+    /// All entries, row by row.
+    Full,
+}
+
+impl MatrixForm {
+    /// Every form, in the order of the numbers in packages.
+    pub const ALL: [Self; 3] = [Self::Scalar, Self::Diagonal, Self::Full];
+
+    /// Returns its name in reports.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Scalar => "scalar",
+            Self::Diagonal => "diagonal",
+            Self::Full => "full",
+        }
+    }
+
+    /// Returns how many entries a matrix of shape `[size, size]` has in this form.
+    #[must_use]
+    pub const fn count(self, size: usize) -> usize {
+        match self {
+            Self::Scalar => 1,
+            Self::Diagonal => size,
+            Self::Full => size * size,
+        }
+    }
+
+    /// Returns the matrix of this form with these entries, of which there is at least one.
+    #[must_use]
+    pub fn matrix(self, entries: &[f32]) -> SymmetricMatrix<'_> {
+        match self {
+            Self::Scalar => SymmetricMatrix::Scalar(entries.first().copied().unwrap_or(0.0)),
+            Self::Diagonal => SymmetricMatrix::Diagonal(entries),
+            Self::Full => SymmetricMatrix::Full(entries),
+        }
+    }
+}
 
 /// A symmetric matrix, shape `[size, size]`; which size, its user knows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,6 +69,16 @@ pub enum SymmetricMatrix<'a> {
 }
 
 impl SymmetricMatrix<'_> {
+    /// Returns the form that it is written in.
+    #[must_use]
+    pub const fn form(&self) -> MatrixForm {
+        match self {
+            Self::Scalar(_) => MatrixForm::Scalar,
+            Self::Diagonal(_) => MatrixForm::Diagonal,
+            Self::Full(_) => MatrixForm::Full,
+        }
+    }
+
     /// # Errors
     /// A wrong number of entries for `size`, an entry that is not finite, a full matrix that is
     /// not symmetric. `parameter` is what the error calls the matrix.
@@ -139,6 +196,19 @@ mod tests {
             form.apply(&[0.3, -0.7], &mut result);
             assert_eq!(result, [3.0f32 * 0.3, 3.0f32 * -0.7]);
         }
+    }
+
+    #[test]
+    fn a_form_and_its_entries_give_the_matrix_back() {
+        let entries = [2.0, 0.5, 0.5, 3.0];
+        for (index, form) in MatrixForm::ALL.into_iter().enumerate() {
+            // The order is that of the numbers in packages.
+            assert_eq!(form as usize, index);
+            let matrix = form.matrix(&entries[..form.count(2)]);
+            assert_eq!((matrix.form(), matrix.entries()), (form, &entries[..form.count(2)]));
+            assert_eq!(matrix.validate("gain", 2), Ok(()), "{}", form.name());
+        }
+        assert_eq!(MatrixForm::ALL.map(|form| form.count(3)), [1, 3, 9]);
     }
 
     #[test]

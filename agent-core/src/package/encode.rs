@@ -2,7 +2,7 @@
 
 use super::decode::WORD;
 use super::envelope::header;
-use super::wire::{Counts, Form, Metadata};
+use super::wire::{Counts, Metadata};
 use super::{HEADER_LENGTH, Package, TEST_VECTORS_MAX, test_vector_length};
 
 /// Why a package cannot be written.
@@ -85,8 +85,8 @@ impl Package<'_> {
             layers: architecture.layers().iter().copied().collect(),
             outputs: self.node.outputs(self.dimension()) as u8,
             neighbours: self.node.neighbours.bytes(),
-            gain: Form::of(&self.node.gain),
-            outer_gain: Form::of(&self.node.outer_law.gain),
+            gain: self.node.gain.form(),
+            outer_gain: self.node.outer_law.gain.form(),
             smoothness: self.node.outer_law.projection.smoothness,
             test_vectors: test_vectors as u8,
             provenance: self.provenance,

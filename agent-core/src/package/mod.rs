@@ -260,12 +260,7 @@ impl AgentConfig<'_> {
             entries.len(),
         ))?;
         gain.copy_from_slice(entries);
-        let gain = match self.outer_law.gain {
-            SymmetricMatrix::Scalar(entry) => SymmetricMatrix::Scalar(entry),
-            SymmetricMatrix::Diagonal(_) => SymmetricMatrix::Diagonal(gain),
-            SymmetricMatrix::Full(_) => SymmetricMatrix::Full(gain),
-        };
-        self.joined(neighbours, gain)
+        self.joined(neighbours, self.outer_law.gain.form().matrix(gain))
     }
 
     /// The agent's parameters with neighbours and `Gamma` that have been put somewhere.

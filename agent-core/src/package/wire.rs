@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{OnSwitch, Provenance, test_vector_length};
 use crate::AgentId;
-use crate::math::symmetric::SymmetricMatrix;
+use crate::math::symmetric::MatrixForm;
 use crate::observer::network::{Architecture, INNER_LAYERS_MAX, Layer};
 
 /// Everything in a body that is not one of its numbers.
@@ -18,47 +18,12 @@ pub(super) struct Metadata<'a> {
     pub(super) layers: heapless::Vec<Layer, INNER_LAYERS_MAX>,
     pub(super) outputs: u8,
     pub(super) neighbours: &'a [u8],
-    pub(super) gain: Form,
-    pub(super) outer_gain: Form,
+    pub(super) gain: MatrixForm,
+    pub(super) outer_gain: MatrixForm,
     pub(super) smoothness: u8,
     pub(super) test_vectors: u8,
     #[serde(borrow)]
     pub(super) provenance: Provenance<'a>,
-}
-
-/// Which form of a symmetric matrix the numbers are.
-#[derive(Clone, Copy, Serialize, Deserialize)]
-pub(super) enum Form {
-    Scalar,
-    Diagonal,
-    Full,
-}
-
-impl Form {
-    pub(super) fn of(matrix: &SymmetricMatrix<'_>) -> Self {
-        match matrix {
-            SymmetricMatrix::Scalar(_) => Self::Scalar,
-            SymmetricMatrix::Diagonal(_) => Self::Diagonal,
-            SymmetricMatrix::Full(_) => Self::Full,
-        }
-    }
-
-    fn count(self, size: usize) -> usize {
-        match self {
-            Self::Scalar => 1,
-            Self::Diagonal => size,
-            Self::Full => size * size,
-        }
-    }
-
-    /// The matrix of this form with these entries, of which there is at least one.
-    pub(super) fn matrix<'a>(self, entries: &'a [f32]) -> SymmetricMatrix<'a> {
-        match self {
-            Self::Scalar => SymmetricMatrix::Scalar(entries.first().copied().unwrap_or(0.0)),
-            Self::Diagonal => SymmetricMatrix::Diagonal(entries),
-            Self::Full => SymmetricMatrix::Full(entries),
-        }
-    }
 }
 
 /// How many numbers a body has of each kind, in their order.

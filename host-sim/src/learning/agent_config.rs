@@ -28,7 +28,7 @@ pub fn agent_config(
         gain: OwnedSymmetric::shortest(&scenario.design.gain),
         neighbours: edges.iter().flat_map(|edge| agent_id(edge.agent).to_le_bytes()).collect(),
         edge_weights: edges.iter().map(|edge| edge.weight as f32).collect(),
-        outer_gain: law.map_or(OwnedSymmetric::Scalar(1.0), |law| outer_gain(&law.gain)),
+        outer_gain: law.map_or(OwnedSymmetric::scalar(1.0), |law| outer_gain(&law.gain)),
         projection: law.map_or(RESTING_PROJECTION, |law| ProjectionParams {
             radius: (law.bound - law.boundary_layer) as f32,
             boundary_layer: law.boundary_layer as f32,
@@ -46,11 +46,11 @@ pub fn agent_config(
 
 fn outer_gain(gain: &OuterGain) -> OwnedSymmetric {
     match gain {
-        OuterGain::Scalar(gain) => OwnedSymmetric::Scalar(*gain as f32),
+        OuterGain::Scalar(gain) => OwnedSymmetric::scalar(*gain as f32),
         OuterGain::Diagonal(gain) => {
-            OwnedSymmetric::Diagonal(gain.iter().map(|&entry| entry as f32).collect())
+            OwnedSymmetric::diagonal(gain.iter().map(|&entry| entry as f32).collect())
         }
-        OuterGain::Full(gain) => OwnedSymmetric::Full(row_major(gain)),
+        OuterGain::Full(gain) => OwnedSymmetric::full(gain),
     }
 }
 

@@ -1,7 +1,7 @@
 //! What makes a node an agent, in the core's precision: the numbers of an [`AgentConfig`], owned.
 
 use agent_core::AgentId;
-use agent_core::math::symmetric::SymmetricMatrix;
+use agent_core::math::symmetric::{MatrixForm, SymmetricMatrix};
 use agent_core::observer::outer_law::OuterLawParams;
 use agent_core::observer::projection::ProjectionParams;
 use agent_core::observer::trigger::TriggerParams;
@@ -24,33 +24,40 @@ pub struct OwnedAgentConfig {
 
 /// A symmetric matrix in one of the forms of the package.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum OwnedSymmetric {
-    Scalar(f32),
-    Diagonal(Vec<f32>),
-    Full(Vec<f32>),
+pub(crate) struct OwnedSymmetric {
+    form: MatrixForm,
+    entries: Vec<f32>,
 }
 
 impl OwnedSymmetric {
+    pub(crate) fn scalar(entry: f32) -> Self {
+        Self { form: MatrixForm::Scalar, entries: vec![entry] }
+    }
+
+    pub(crate) fn diagonal(entries: Vec<f32>) -> Self {
+        Self { form: MatrixForm::Diagonal, entries }
+    }
+
+    pub(crate) fn full(matrix: &DMatrix<f64>) -> Self {
+        Self { form: MatrixForm::Full, entries: row_major(matrix) }
+    }
+
     /// The shortest form of `matrix`.
     pub(crate) fn shortest(matrix: &DMatrix<f64>) -> Self {
         let n = matrix.nrows();
         let diagonal: Vec<f32> = matrix.diagonal().iter().map(|&entry| entry as f32).collect();
         let off_diagonal = (0..n).flat_map(|row| (0..row).map(move |column| matrix[(row, column)]));
         if off_diagonal.into_iter().any(|entry| entry as f32 != 0.0) {
-            Self::Full(row_major(matrix))
+            Self::full(matrix)
         } else if diagonal.iter().all(|entry| *entry == diagonal[0]) {
-            Self::Scalar(diagonal[0])
+            Self::scalar(diagonal[0])
         } else {
-            Self::Diagonal(diagonal)
+            Self::diagonal(diagonal)
         }
     }
 
     fn borrow(&self) -> SymmetricMatrix<'_> {
-        match self {
-            Self::Scalar(entry) => SymmetricMatrix::Scalar(*entry),
-            Self::Diagonal(entries) => SymmetricMatrix::Diagonal(entries),
-            Self::Full(entries) => SymmetricMatrix::Full(entries),
-        }
+        self.form.matrix(&self.entries)
     }
 }
 
@@ -83,10 +90,9 @@ impl OwnedAgentConfig {
     /// Takes a copy of what `node` borrows.
     #[must_use]
     pub fn copy(node: &AgentConfig<'_>) -> Self {
-        let owned = |matrix: SymmetricMatrix<'_>| match matrix {
-            SymmetricMatrix::Scalar(entry) => OwnedSymmetric::Scalar(entry),
-            SymmetricMatrix::Diagonal(entries) => OwnedSymmetric::Diagonal(entries.to_vec()),
-            SymmetricMatrix::Full(entries) => OwnedSymmetric::Full(entries.to_vec()),
+        let owned = |matrix: SymmetricMatrix<'_>| OwnedSymmetric {
+            form: matrix.form(),
+            entries: matrix.entries().to_vec(),
         };
         Self {
             agent: node.agent,

@@ -73,12 +73,7 @@ pub(super) struct Neighbour {
 
 impl Matrix {
     fn new(matrix: &SymmetricMatrix<'_>) -> Self {
-        let form = match matrix {
-            SymmetricMatrix::Scalar(_) => "scalar",
-            SymmetricMatrix::Diagonal(_) => "diagonal",
-            SymmetricMatrix::Full(_) => "full",
-        };
-        Self { form, entries: matrix.entries().to_vec() }
+        Self { form: matrix.form().name(), entries: matrix.entries().to_vec() }
     }
 }
 
