@@ -8,7 +8,7 @@ use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::Table;
 
 /// When agents broadcast.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum TriggerModel {
     /// The paper's event trigger, with constants from `[design]`.
     #[default]
