@@ -430,7 +430,7 @@ fn a_mistake_in_a_scenario_changes_no_file() {
     let line = 1 + short().text().lines().position(|line| line.contains("duration =")).unwrap();
     let message = folder.fail("run wrong.toml --out results", 2);
     let place = format!("error: wrong.toml:{line}: time.duration: ");
-    assert!(message.starts_with(&place) && message.contains("; write "), "{message}");
+    assert!(message.starts_with(&place) && message.contains("; for example "), "{message}");
     assert_eq!(message.lines().count(), 1);
     let output = folder.run("run wrong.toml --out results --format json");
     assert_eq!(output.status.code(), Some(2));
