@@ -20,9 +20,9 @@ use crate::observer::network::{Architecture, InnerNetwork, Layer};
 use crate::package::tests::{Aligned, Content, encoded};
 use crate::package::{OnSwitch, Package, PackageError, signature_block};
 use crate::service::{
-    BoardFault, CHUNK_LENGTH_MAX, Event, Firmware, Numbers, Outcome, PROTOCOL_VERSION, PackageStatus, Problem,
-    RefusalKind, RefusalReport, Request, Response, State, Status, Subscription, Upload, receive,
-    send,
+    BoardFault, CHUNK_LENGTH_MAX, Event, Firmware, Numbers, Outcome, PROTOCOL_VERSION,
+    PackageStatus, Problem, RefusalKind, RefusalReport, Request, Response, State, Status,
+    Subscription, Upload, receive, send,
 };
 use crate::store::{Slot, StoreError};
 use crate::wire::cobs::Decoder;

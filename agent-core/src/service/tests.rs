@@ -129,7 +129,8 @@ fn board_errors() -> BoardErrors {
 
 #[test]
 fn board_errors_are_a_new_kind_of_message_at_the_end() {
-    let message = Response::<'_, Numbers>::BoardErrors { tick: 5, counters: board_errors() };
+    let message: Response<'_, Numbers> =
+        Response::BoardErrors { tick: 5, counters: board_errors() };
     assert!(!message.is_answer());
     // The kind that no version before had, the tick, and one integer for each counter.
     assert_eq!(sent(&message), [13, 5, 1, 2, 3, 4, 5, 6, 7, 8, 0xac, 0x02]);

@@ -76,8 +76,8 @@ impl<
         }
         let mut measurement = [0.0; N];
         let outputs = board.measure(&mut measurement);
-        let taken = outputs
-            .and_then(|outputs| measurement.get(..outputs).ok_or(SensorErrorKind::Other));
+        let taken =
+            outputs.and_then(|outputs| measurement.get(..outputs).ok_or(SensorErrorKind::Other));
         let measurement = match taken {
             Ok(measurement) => measurement,
             Err(kind) => {

@@ -8,13 +8,8 @@ use super::*;
 
 const ADDRESS: SevenBitAddress = 0x48;
 /// What is in the register, as it is.
-const RAW: Channel = Channel {
-    register: 0,
-    format: Format::I16BigEndian,
-    scale: 1.0,
-    offset: 0.0,
-    not_ready: None,
-};
+const RAW: Channel =
+    Channel { register: 0, format: Format::I16BigEndian, scale: 1.0, offset: 0.0, not_ready: None };
 /// Powers of two, so that the expected values are exact.
 static CHANNELS: [Channel; 2] = [
     Channel { register: 0x3B, offset: 0.0, scale: 0.25, ..RAW },
@@ -45,8 +40,7 @@ fn the_ends_of_the_range_keep_their_sign() {
 #[test]
 fn a_failed_bus_leaves_the_measurement_alone() {
     let nack = ErrorKind::NoAcknowledge(NoAcknowledgeSource::Data);
-    let mut bus =
-        Mock::new(&[reading(0x3B, [0x01, 0x02]), reading(0x41, [0, 0]).with_error(nack)]);
+    let mut bus = Mock::new(&[reading(0x3B, [0x01, 0x02]), reading(0x41, [0, 0]).with_error(nack)]);
     let mut sensor = RegisterSensor::new(bus.clone(), ADDRESS, &CHANNELS).unwrap();
     let mut measurement = [7.0, 8.0];
     let error = sensor.read(&mut measurement).unwrap_err();
