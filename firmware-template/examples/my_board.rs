@@ -26,7 +26,7 @@ use agent_core::wire::cobs::Decoder;
 use agent_core::wire::frame::Frame;
 use embedded_io::{Read, ReadReady, Write};
 use embedded_storage::nor_flash::{NorFlash, NorFlashErrorKind, ReadNorFlash};
-use firmware_template::{Clock, Hardware, Link, Lost, Memory, Node, Sensor, Settings};
+use firmware_template::{Clock, Hardware, Link, LinkErrorKind, Memory, Node, Sensor, Settings};
 
 /// The sampling period. \[s\]
 const PERIOD: f32 = 1e-3;
@@ -64,14 +64,17 @@ struct Neighbour {
 }
 
 impl Link for Neighbour {
-    type Error = Lost;
+    type Error = LinkErrorKind;
 
-    fn send(&mut self, _frame: &[u8]) -> Result<(), Lost> {
+    fn send(&mut self, _frame: &[u8]) -> Result<(), LinkErrorKind> {
         self.heard.set(self.heard.get() + 1);
         Ok(())
     }
 
-    fn poll<'buffer>(&mut self, buffer: &'buffer mut [u8]) -> Result<Option<&'buffer [u8]>, Lost> {
+    fn poll<'buffer>(
+        &mut self,
+        buffer: &'buffer mut [u8],
+    ) -> Result<Option<&'buffer [u8]>, LinkErrorKind> {
         let now = self.now.get();
         if now < 10 * self.told {
             return Ok(None);
@@ -80,7 +83,7 @@ impl Link for Neighbour {
         let frame = Frame { sender: 2, sequence: self.told, tick: now.into(), estimate };
         self.told += 1;
         let bytes = frame.encode();
-        let place = buffer.get_mut(..bytes.len()).ok_or(Lost)?;
+        let place = buffer.get_mut(..bytes.len()).ok_or(LinkErrorKind::Overflow)?;
         place.copy_from_slice(&bytes);
         Ok(Some(place))
     }

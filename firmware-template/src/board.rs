@@ -10,17 +10,21 @@
 //!
 //! [`Hardware`] joins the first four to a [`Board`], which is what [`crate::node::Node`] runs on.
 //! None of this allocates, and only [`Clock::rest`] waits.
-
-use core::fmt::Debug;
+//!
+//! What goes wrong with sensor and link has a kind ([`SensorErrorKind`], [`LinkErrorKind`]), as errors
+//! of embedded-hal do. A node counts them by kind and reports the counts through its service port, as
+//! [`agent_core::health::BoardErrors`].
 
 use agent_core::service::REQUEST_LENGTH_MAX;
 use agent_core::wire::cobs::{Decoder, SerialError};
 use embedded_io::{Read, ReadReady, Write};
 
+pub use crate::board_error::{LinkError, LinkErrorKind, SensorError, SensorErrorKind};
+
 /// Reads the agent's own part of the output, `y_i`.
 pub trait Sensor {
-    /// What can go wrong on the way to the sensor.
-    type Error: Debug;
+    /// What can go wrong on the way to the sensor; [`SensorErrorKind`] itself will do.
+    type Error: SensorError;
 
     /// Components of `y_i` that [`read`](Self::read) delivers.
     fn outputs(&self) -> usize;
@@ -39,8 +43,8 @@ pub trait Sensor {
 ///
 /// A link may lose, repeat and reorder whole frames. It never delivers a part of one.
 pub trait Link {
-    /// What can go wrong on the way to the neighbours.
-    type Error: Debug;
+    /// What can go wrong on the way to the neighbours; [`LinkErrorKind`] itself will do.
+    type Error: LinkError;
 
     /// Hands one frame over for sending to all neighbours. That it arrives is not promised.
     ///
@@ -86,15 +90,23 @@ pub trait Board {
     /// See [`Clock::rest`].
     fn rest(&mut self);
 
-    /// Takes a sample into `measurement` and returns how many components it has; `None` if the
-    /// sensor failed, or has more components than there is room for.
-    fn measure(&mut self, measurement: &mut [f32]) -> Option<usize>;
+    /// Takes a sample into `measurement` and returns how many components it has. See [`Sensor::read`].
+    ///
+    /// # Errors
+    /// The sensor failed, or has more components than there is room for.
+    fn measure(&mut self, measurement: &mut [f32]) -> Result<usize, SensorErrorKind>;
 
-    /// Hands a frame to the link; returns whether that worked. See [`Link::send`].
-    fn broadcast(&mut self, frame: &[u8]) -> bool;
+    /// Hands a frame to the link. See [`Link::send`].
+    ///
+    /// # Errors
+    /// The frame was not sent.
+    fn broadcast(&mut self, frame: &[u8]) -> Result<(), LinkErrorKind>;
 
-    /// The oldest received frame, or that it was lost. See [`Link::poll`].
-    fn frame<'buffer>(&mut self, buffer: &'buffer mut [u8]) -> Option<Result<&'buffer [u8], Lost>>;
+    /// The oldest received frame, or why it was lost. See [`Link::poll`].
+    fn frame<'buffer>(
+        &mut self,
+        buffer: &'buffer mut [u8],
+    ) -> Option<Result<&'buffer [u8], LinkErrorKind>>;
 
     /// The next request at the service port, or that it was damaged. Never waits.
     fn request<'buffer>(
@@ -106,13 +118,9 @@ pub trait Board {
     /// hold up a step.
     fn respond(&mut self, bytes: &[u8]);
 
-    /// Lets go of what [`respond`](Self::respond) may have kept back.
+    /// Sends what [`respond`](Self::respond) may have buffered.
     fn flush(&mut self);
 }
-
-/// Something could not be received.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Lost;
 
 /// Room for one request.
 pub type RequestBuffer = [u8; REQUEST_LENGTH_MAX];
@@ -150,18 +158,22 @@ impl<S: Sensor, L: Link, C: Clock, P: Read + ReadReady + Write> Board for Hardwa
         self.clock.rest();
     }
 
-    fn measure(&mut self, measurement: &mut [f32]) -> Option<usize> {
+    fn measure(&mut self, measurement: &mut [f32]) -> Result<usize, SensorErrorKind> {
         let outputs = self.sensor.outputs();
-        self.sensor.read(measurement.get_mut(..outputs)?).ok()?;
-        Some(outputs)
+        let measurement = measurement.get_mut(..outputs).ok_or(SensorErrorKind::Other)?;
+        self.sensor.read(measurement).map_err(|error| error.kind())?;
+        Ok(outputs)
     }
 
-    fn broadcast(&mut self, frame: &[u8]) -> bool {
-        self.link.send(frame).is_ok()
+    fn broadcast(&mut self, frame: &[u8]) -> Result<(), LinkErrorKind> {
+        self.link.send(frame).map_err(|error| error.kind())
     }
 
-    fn frame<'buffer>(&mut self, buffer: &'buffer mut [u8]) -> Option<Result<&'buffer [u8], Lost>> {
-        self.link.poll(buffer).map_err(|_| Lost).transpose()
+    fn frame<'buffer>(
+        &mut self,
+        buffer: &'buffer mut [u8],
+    ) -> Option<Result<&'buffer [u8], LinkErrorKind>> {
+        self.link.poll(buffer).map_err(|error| error.kind()).transpose()
     }
 
     fn request<'buffer>(
@@ -194,18 +206,18 @@ impl<S: Sensor, L: Link, C: Clock, P: Read + ReadReady + Write> Board for Hardwa
     }
 }
 
-/// Writes all of `bytes`, or says that it could not: `write_all` panics where a port writes nothing.
-pub(crate) fn write_whole<P: Write>(port: &mut P, mut bytes: &[u8]) -> Result<(), Lost> {
+/// Writes all of `bytes`, or returns that it could not: `write_all` panics where a port writes nothing.
+pub(crate) fn write_whole<P: Write>(port: &mut P, mut bytes: &[u8]) -> Result<(), LinkErrorKind> {
     while !bytes.is_empty() {
         match port.write(bytes) {
             Ok(length) if length > 0 => bytes = bytes.get(length..).unwrap_or_default(),
-            _ => return Err(Lost),
+            _ => return Err(LinkErrorKind::NotSent),
         }
     }
     Ok(())
 }
 
-/// `message` at the start of `buffer`.
+/// Copies `message` to the start of `buffer`.
 pub(crate) fn copied<'buffer>(
     message: &[u8],
     buffer: &'buffer mut [u8],

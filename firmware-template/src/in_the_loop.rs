@@ -1,5 +1,5 @@
-//! A board whose plant, clock and link are played by somebody at the other end of the service
-//! port: the simulator, for a co-simulation ("hardware in the loop").
+//! A board whose plant, clock and link are played at the other end of the service port: by the
+//! simulator, for a co-simulation ("hardware in the loop").
 //!
 //! Requests to the node and stimuli ([`Request::Frame`], [`Request::Tick`]) come over one port and
 //! take effect in their order. What a turn has to tell is written at once.
@@ -11,7 +11,9 @@ use agent_core::wire::cobs::SerialError;
 use agent_core::wire::frame::FRAME_LENGTH_MAX;
 use embedded_io::{Read, Write};
 
-use crate::board::{Board, Lost, RequestBuffer, RequestDecoder, copied, write_whole};
+use crate::board::{
+    Board, LinkErrorKind, RequestBuffer, RequestDecoder, SensorErrorKind, copied, write_whole,
+};
 
 /// Bytes that are read or written at once.
 const CHUNK: usize = 256;
@@ -22,7 +24,7 @@ pub struct InTheLoop<P, const FRAMES: usize> {
     port: P,
     decoder: RequestDecoder,
     input: [u8; CHUNK],
-    /// The part of the input that nobody has looked at.
+    /// The part of the input that has not been decoded.
     unread: core::ops::Range<usize>,
     output: heapless::Vec<u8, CHUNK>,
     frames: heapless::Deque<heapless::Vec<u8, FRAME_LENGTH_MAX>, FRAMES>,
@@ -31,7 +33,7 @@ pub struct InTheLoop<P, const FRAMES: usize> {
 }
 
 impl<P: Read + Write, const FRAMES: usize> InTheLoop<P, FRAMES> {
-    /// The board at the end of this port.
+    /// Creates the board at the end of this port.
     pub const fn new(port: P) -> Self {
         Self {
             port,
@@ -45,7 +47,7 @@ impl<P: Read + Write, const FRAMES: usize> InTheLoop<P, FRAMES> {
         }
     }
 
-    /// The port, for what comes after the node's work.
+    /// Returns the port, for what comes after the node's work.
     pub fn port(&mut self) -> &mut P {
         &mut self.port
     }
@@ -76,7 +78,7 @@ enum Stimulus {
 
 fn stimulus(message: &[u8]) -> Option<Stimulus> {
     match receive::<Request<'_>>(message)? {
-        // A longer one is no frame, and an empty one is refused as such.
+        // A longer one is not a frame; an empty one stands for it and is refused.
         Request::Frame { bytes } => {
             Some(Stimulus::Frame(heapless::Vec::from_slice(bytes).unwrap_or_default()))
         }
@@ -101,22 +103,26 @@ impl<P: Read + Write, const FRAMES: usize> Board for InTheLoop<P, FRAMES> {
         }
     }
 
-    fn measure(&mut self, measurement: &mut [f32]) -> Option<usize> {
-        let numbers = self.measurement.take()?;
-        let places = measurement.get_mut(..numbers.len())?;
+    /// A tick without a measurement plays a sensor that is not ready.
+    fn measure(&mut self, measurement: &mut [f32]) -> Result<usize, SensorErrorKind> {
+        let numbers = self.measurement.take().ok_or(SensorErrorKind::NotReady)?;
+        let places = measurement.get_mut(..numbers.len()).ok_or(SensorErrorKind::Other)?;
         places.iter_mut().zip(&numbers).for_each(|(place, number)| *place = *number);
-        Some(numbers.len())
+        Ok(numbers.len())
     }
 
-    fn broadcast(&mut self, frame: &[u8]) -> bool {
+    fn broadcast(&mut self, frame: &[u8]) -> Result<(), LinkErrorKind> {
         let response: Response<'_, Rows<'_, 1>> = Response::Broadcast { bytes: frame };
         send(&response, |bytes| self.respond(bytes));
-        true
+        Ok(())
     }
 
-    fn frame<'buffer>(&mut self, buffer: &'buffer mut [u8]) -> Option<Result<&'buffer [u8], Lost>> {
+    fn frame<'buffer>(
+        &mut self,
+        buffer: &'buffer mut [u8],
+    ) -> Option<Result<&'buffer [u8], LinkErrorKind>> {
         let frame = self.frames.pop_front()?;
-        Some(copied(&frame, buffer).map_err(|_| Lost))
+        Some(copied(&frame, buffer).map_err(LinkErrorKind::from))
     }
 
     fn request<'buffer>(

@@ -13,6 +13,7 @@
 #![deny(unsafe_code)]
 
 pub mod board;
+mod board_error;
 mod in_the_loop;
 mod key;
 mod memory_map;
@@ -24,7 +25,9 @@ pub mod registers;
 mod serial_link;
 mod waiting_port;
 
-pub use board::{Board, Clock, Hardware, Link, Lost, Sensor};
+pub use board::{
+    Board, Clock, Hardware, Link, LinkError, LinkErrorKind, Sensor, SensorError, SensorErrorKind,
+};
 pub use in_the_loop::InTheLoop;
 pub use key::key_from_hex;
 pub use memory_map::{Symbols, WeightsRegion};

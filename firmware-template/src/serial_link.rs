@@ -1,19 +1,19 @@
 //! A link over a shared serial line: RS-485, a UART between two nodes, or a radio module that
 //! passes bytes through.
 //!
-//! Frames travel as [`agent_core::wire::cobs`] encodes messages, so that whoever joins late finds the
-//! next one. Who may talk when is the matter of the line; frames that collide fail their checksum
+//! Frames travel as [`agent_core::wire::cobs`] encodes messages, so that a receiver that joins late finds
+//! the next one. Nothing here decides who may talk when; frames that collide fail their checksum
 //! and are lost, as the observer expects of a link.
 //!
 //! Memory: the port, and 90 bytes.
 
-use agent_core::wire::cobs::{Decoder, Encoder, SerialError};
+use agent_core::wire::cobs::{Decoder, Encoder};
 use agent_core::wire::crc::CHECKSUM_LENGTH;
 use agent_core::wire::frame::FRAME_LENGTH_MAX;
 use embedded_io::{Read, ReadReady, Write};
 
 use crate::board::{copied, write_whole};
-use crate::{Link, Lost};
+use crate::{Link, LinkErrorKind};
 
 /// A link over `P`.
 #[derive(Debug)]
@@ -23,16 +23,16 @@ pub struct SerialLink<P> {
 }
 
 impl<P> SerialLink<P> {
-    /// The link over this port.
+    /// Creates a link over this port.
     pub const fn new(port: P) -> Self {
         Self { port, decoder: Decoder::new() }
     }
 }
 
 impl<P: Read + ReadReady + Write> Link for SerialLink<P> {
-    type Error = Lost;
+    type Error = LinkErrorKind;
 
-    fn send(&mut self, frame: &[u8]) -> Result<(), Lost> {
+    fn send(&mut self, frame: &[u8]) -> Result<(), LinkErrorKind> {
         let mut outcome = Ok(());
         let port = &mut self.port;
         let mut encoder = Encoder::new(|block: &[u8]| {
@@ -45,17 +45,19 @@ impl<P: Read + ReadReady + Write> Link for SerialLink<P> {
         outcome
     }
 
-    fn poll<'buffer>(&mut self, buffer: &'buffer mut [u8]) -> Result<Option<&'buffer [u8]>, Lost> {
-        while self.port.read_ready().map_err(|_| Lost)? {
+    fn poll<'buffer>(
+        &mut self,
+        buffer: &'buffer mut [u8],
+    ) -> Result<Option<&'buffer [u8]>, LinkErrorKind> {
+        while self.port.read_ready().map_err(|_| LinkErrorKind::Receiver)? {
             let mut byte = [0];
-            if self.port.read(&mut byte).map_err(|_| Lost)? == 0 {
+            if self.port.read(&mut byte).map_err(|_| LinkErrorKind::Receiver)? == 0 {
                 break;
             }
             let [byte] = byte;
             if let Some(message) = self.decoder.push(byte) {
-                let frame: Result<_, SerialError> =
-                    message.and_then(|message| copied(message, buffer));
-                return frame.map(Some).map_err(|_| Lost);
+                let frame = message.and_then(|message| copied(message, buffer));
+                return frame.map(Some).map_err(LinkErrorKind::from);
             }
         }
         Ok(None)

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use agent_core::service::{Problem, Request, Response, Upload, receive};
+use agent_core::health::BoardErrors;
+use agent_core::service::{BoardFault, Event, Problem, Request, Response, Upload, receive};
 use agent_core::store::StoreError;
 use embedded_storage::nor_flash::NorFlashErrorKind;
 use host_sim::packages::Recording;
@@ -278,4 +279,59 @@ fn a_node_without_a_package_counts_in_ticks() {
     let told = folder.succeed("monitor node --count 4 --every 1");
     assert!(told.contains("runs the agent built into its firmware"), "{told}");
     assert!(told.contains("tick         3  x_hat") && !told.contains("t = "), "{told}");
+}
+
+#[test]
+fn node_and_monitor_show_what_a_board_reports() {
+    let folder = Folder::new("node-board");
+    let errors = |sensor_bus| BoardErrors { sensor_bus, link_damaged: 3, ..BoardErrors::default() };
+    listen(&folder.path("node"), move |peer| {
+        while let Some(request) = peer.request() {
+            match receive::<Request<'_>>(&request) {
+                Some(Request::Query) => {
+                    // A message of the future comes in between.
+                    peer.write(&[3, 100, 1, 0]);
+                    peer.say(&Response::Event(Event::BoardFault(BoardFault::Clock)));
+                    peer.say(&Response::BoardErrors { tick: 0, counters: errors(2) });
+                    peer.say(&Response::Status(status()));
+                }
+                Some(Request::Subscribe(subscription)) => {
+                    peer.say(&Response::Done);
+                    if subscription.state_every.is_none() {
+                        return;
+                    }
+                    peer.say(&Response::BoardErrors { tick: 1_500, counters: errors(4) });
+                    peer.say(&state(1_500));
+                }
+                _ => {}
+            }
+        }
+    });
+    let told = folder.succeed("node node");
+    let expected =
+        "  board errors: samples lost on the sensor's bus: 2, frames that arrived damaged: 3\n";
+    assert!(told.contains("  board fault: the crystal or the PLL did not start"), "{told}");
+    assert!(told.ends_with(expected), "{told}");
+    let told: serde_json::Value =
+        serde_json::from_str(&folder.succeed("node node --format json")).unwrap();
+    assert_eq!((&told["tick"], &told["protocol"]), (&0.into(), &1.into()));
+    assert_eq!(told["board_faults"], serde_json::json!(["Clock"]));
+    let counts = &told["board_errors"];
+    assert_eq!((&counts["sensor_bus"], &counts["link_damaged"]), (&2.into(), &3.into()));
+    assert_eq!((counts.as_object().unwrap().len(), &counts["sensor_other"]), (9, &0.into()));
+
+    let told = folder.succeed("monitor node --count 1");
+    assert!(told.contains(expected), "{told}");
+    assert!(
+        told.contains("t =     1.500 s  board errors: samples lost on the sensor's bus: 4, "),
+        "{told}"
+    );
+    let told = folder.succeed("monitor node --count 1 --format json");
+    let lines: Vec<serde_json::Value> =
+        told.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert!(lines[0].get("Status").is_some(), "{told}");
+    assert_eq!(lines[1], serde_json::json!({"Event": {"BoardFault": "Clock"}}));
+    assert_eq!(lines[2]["BoardErrors"]["counters"]["sensor_bus"], 2);
+    assert_eq!(lines[3]["BoardErrors"]["tick"], 1_500);
+    assert_eq!(lines[3]["BoardErrors"]["counters"]["sensor_bus"], 4);
 }

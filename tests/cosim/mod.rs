@@ -4,6 +4,7 @@ pub(crate) mod fake_node;
 mod faults;
 pub(crate) mod lockstep;
 pub(crate) mod loop_node;
+mod polled_node;
 mod qemu;
 mod service;
 mod serving;

@@ -7,6 +7,7 @@
 use std::collections::VecDeque;
 
 use agent_core::Tick;
+use agent_core::health::BoardErrors;
 use agent_core::service::{
     Event, Outcome, PROTOCOL_VERSION, Problem, RefusalReport, Request, State, Status, Subscription,
     receive,
@@ -111,6 +112,14 @@ impl Judge {
                 return self.turned(periods, measurement.as_deref(), said, told, tally);
             }
             Request::Query => {
+                if self.measurements_missing > 0 {
+                    match said.pop_front() {
+                        Some(Message::BoardErrors { tick, counters }) => {
+                            self.missing_are(tick, self.next_tick, &counters)?;
+                        }
+                        other => return Err(instead("what its sensor has reported", other)),
+                    }
+                }
                 return match said.pop_front() {
                     Some(Message::Status(status)) => self.scenario_builder(&status),
                     other => Err(instead("its status", other)),
@@ -187,6 +196,10 @@ impl Judge {
                 Message::Health { counters, .. } => {
                     self.counters_rise(&counters.to_array())?;
                     tally.event("health report");
+                }
+                Message::BoardErrors { tick, counters } => {
+                    self.missing_are(*tick + 1, self.next_tick, counters)?;
+                    tally.event("board error report");
                 }
                 Message::Event(Event::Confirmed { tick, version }) => {
                     let due = self.store.is_on_trial() && self.taken_on_trial >= GOOD_STEPS;
@@ -302,6 +315,19 @@ impl Judge {
             return Err(format!("{status:?}"));
         }
         self.counters_rise(&status.health.to_array())
+    }
+
+    /// Whether the node has counted the samples that are missing, and no other error of its board.
+    fn missing_are(&self, tick: Tick, expected: Tick, found: &BoardErrors) -> Result<(), String> {
+        let sensor = found.sensor_not_ready.saturating_add(found.sensor_other);
+        let rest = BoardErrors { sensor_not_ready: 0, sensor_other: 0, ..*found };
+        if tick != expected || sensor != self.measurements_missing || !rest.is_empty() {
+            return Err(format!(
+                "it reports {found:?} for tick {tick}, where {} samples are missing in tick {expected}",
+                self.measurements_missing
+            ));
+        }
+        Ok(())
     }
 
     fn counters_rise(&mut self, counters: &[u32]) -> Result<(), String> {

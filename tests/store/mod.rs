@@ -2,6 +2,6 @@
 
 mod damage;
 mod histories;
-mod packages;
+pub(crate) mod packages;
 mod power_cuts;
 mod reading;

@@ -21,17 +21,17 @@ const FEATURES: usize = 4;
 /// Bytes of a frame's payload.
 const CHUNK: usize = 100;
 /// The repository's memory map.
-const LAYOUT: Layout =
+pub(crate) const LAYOUT: Layout =
     Layout { slots: [0, 0x7000], slot_length: 0x7000, commit: 0xe000, commit_length: 0x2000 };
 
-type Flash = SimulatedFlash<8, 0x1000>;
+pub(crate) type Flash = SimulatedFlash<8, 0x1000>;
 
-fn new_flash() -> Flash {
+pub(crate) fn new_flash() -> Flash {
     Flash::new(0x1_0000, Tear::Prefix, 0)
 }
 
 /// A package of this version for the first of two agents; other versions have other weights.
-fn package(version: u32) -> PackageBytes {
+pub(crate) fn package(version: u32) -> PackageBytes {
     let mut scenario_builder =
         Described::linear(N, "path", [(picks(N, [0]), 1), (picks(N, [1]), 1)]);
     scenario_builder.network = network(&[(5, "tanh"), (3, "logistic")], "2.0");

@@ -13,16 +13,16 @@ use std::{format, string::String, vec, vec::Vec};
 
 use embedded_storage::nor_flash::NorFlashErrorKind;
 
-use crate::health::HealthCounters;
+use crate::health::{BoardErrors, HealthCounters};
 use crate::math::activation::Activation;
 use crate::math::symmetric::SymmetricMatrix;
 use crate::observer::network::{Architecture, InnerNetwork, Layer};
 use crate::package::tests::{Aligned, Content, encoded};
 use crate::package::{OnSwitch, Package, PackageError, signature_block};
 use crate::service::{
-    CHUNK_LENGTH_MAX, Event, Firmware, Numbers, Outcome, PROTOCOL_VERSION, PackageStatus, Problem,
-    RefusalKind, RefusalReport, Request, Response, State, Status, Subscription, Upload, receive,
-    send,
+    BoardFault, CHUNK_LENGTH_MAX, Event, Firmware, Numbers, Outcome, PROTOCOL_VERSION,
+    PackageStatus, Problem, RefusalKind, RefusalReport, Request, Response, State, Status,
+    Subscription, Upload, receive, send,
 };
 use crate::store::{Slot, StoreError};
 use crate::wire::cobs::Decoder;
@@ -335,6 +335,9 @@ fn responses() -> Vec<Response<'static, Numbers>> {
         let report = RefusalReport { kind, expected: 1, found: 300 };
         Response::Refused(Problem::Package(report))
     }));
+    all.push(Response::Event(Event::BoardFault(BoardFault::Clock)));
+    let counters = BoardErrors::from_array([1, 2, 300, 0, u32::MAX, 5, 6, 7, 8]);
+    all.push(Response::BoardErrors { tick: 70_000, counters });
     all
 }
 

@@ -1,46 +1,58 @@
 //! How often what happened.
 //!
-//! The table below is the one place that lists the counters: their order is that of the messages,
+//! The tables below are the one place that lists the counters: their order is that of the messages,
 //! their names are the keys in JSON. A new one goes to the end, and changes
 //! [`PROTOCOL_VERSION`](crate::service::PROTOCOL_VERSION).
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Makes the struct, its arrays, and [`HealthCounters::TABLE`] of one list.
+/// Makes a struct of counters, their number, their arrays, and the table of their names of one list.
 macro_rules! counters {
-    ($($(#[doc = $doc:literal])+ $name:ident: $text:literal,)+) => {
-        /// Counts since the node began; each stays at `u32::MAX` once it is there.
+    (
+        $(#[doc = $about:literal])+
+        $counters:ident, $count:ident:
+        $($(#[doc = $doc:literal])+ $name:ident: $text:literal,)+
+    ) => {
+        $(#[doc = $about])+
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-        pub struct HealthCounters {
+        pub struct $counters {
             $($(#[doc = $doc])+ pub $name: u32,)+
         }
 
         /// How many there are.
-        const COUNTERS: usize = [$(stringify!($name)),+].len();
+        const $count: usize = [$(stringify!($name)),+].len();
 
-        impl HealthCounters {
+        impl $counters {
             /// The name of each, and what it counts in a few words, in their order.
-            pub const TABLE: [(&'static str, &'static str); COUNTERS] =
+            pub const TABLE: [(&'static str, &'static str); $count] =
                 [$((stringify!($name), $text)),+];
 
             /// All of them, in their order.
             #[inline]
             #[must_use]
-            pub fn to_array(&self) -> [u32; COUNTERS] {
+            pub fn to_array(&self) -> [u32; $count] {
                 [$(self.$name),+]
             }
 
             /// The counters with these values, in their order.
             #[must_use]
-            pub fn from_array(values: [u32; COUNTERS]) -> Self {
+            pub fn from_array(values: [u32; $count]) -> Self {
                 let [$($name),+] = values;
                 Self { $($name),+ }
+            }
+        }
+
+        impl<'de> Deserialize<'de> for $counters {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                <[u32; $count]>::deserialize(deserializer).map(Self::from_array)
             }
         }
     };
 }
 
 counters! {
+    /// Counts since the node began; each stays at `u32::MAX` once it is there.
+    HealthCounters, COUNTERS:
     /// Steps that led to an estimate outside the box of trained inputs.
     outside_box: "steps outside the trained box",
     /// Steps that led to an estimate outside the plausible region, and so outside the box.
@@ -90,8 +102,46 @@ impl Serialize for HealthCounters {
     }
 }
 
-impl<'de> Deserialize<'de> for HealthCounters {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        <[u32; COUNTERS]>::deserialize(deserializer).map(Self::from_array)
+counters! {
+    /// How often a node's sensor and link have failed since the node began, by kind; each stays at
+    /// `u32::MAX` once it is there. docs/service.md says what to do about each.
+    BoardErrors, BOARD_ERRORS:
+    /// Samples without an acknowledgement from the sensor.
+    sensor_no_answer: "samples without an answer from the sensor",
+    /// Samples that were lost on the sensor's bus.
+    sensor_bus: "samples lost on the sensor's bus",
+    /// Samples that the sensor did not have yet.
+    sensor_not_ready: "samples that were not ready",
+    /// Samples outside the sensor's range.
+    sensor_out_of_range: "samples out of range",
+    /// Samples that are missing for any other reason.
+    sensor_other: "samples missing for other reasons",
+    /// Frames that could not be handed over for sending.
+    link_not_sent: "frames not sent",
+    /// Frames that arrived damaged.
+    link_damaged: "frames that arrived damaged",
+    /// Frames that arrived and for which there was no room.
+    link_overflow: "frames without room at their arrival",
+    /// Failures of the link's receiver.
+    link_receiver: "failures of the link's receiver",
+}
+
+impl BoardErrors {
+    /// Whether nothing has failed.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.to_array().iter().fold(0, |any, count| any | count) == 0
+    }
+}
+
+// On the wire as the other counters; for people and programs with a name each.
+impl Serialize for BoardErrors {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let counts = self.to_array();
+        if serializer.is_human_readable() {
+            let named = Self::TABLE.into_iter().zip(counts);
+            return serializer.collect_map(named.map(|((name, _), count)| (name, count)));
+        }
+        counts.serialize(serializer)
     }
 }

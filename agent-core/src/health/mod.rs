@@ -56,7 +56,7 @@ mod params;
 mod probation;
 mod watched;
 
-pub use counters::HealthCounters;
+pub use counters::{BoardErrors, HealthCounters};
 pub use params::{FallBack, HealthParams, HealthSettings};
 pub use probation::Probation;
 pub use watched::{WatchedAgent, WatchedStep};

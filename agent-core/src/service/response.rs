@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize, Serializer};
 
 use super::{Problem, RefusalReport, Upload};
 use crate::agent::StepError;
-use crate::health::{HealthCounters, WatchedStep};
+use crate::health::{BoardErrors, HealthCounters, WatchedStep};
 use crate::store::Slot;
 use crate::{AgentId, StateVector, Tick};
 
@@ -61,6 +61,14 @@ pub enum Response<'a, V> {
         /// The frame.
         bytes: &'a [u8],
     },
+    /// What sensor and link have reported so far: before a status if anything has failed, and
+    /// otherwise, like the health, at most once in an interval and only if it has changed.
+    BoardErrors {
+        /// When.
+        tick: Tick,
+        /// How often what failed.
+        counters: BoardErrors,
+    },
 }
 
 impl<V> Response<'_, V> {
@@ -80,7 +88,8 @@ impl<V> Response<'_, V> {
             | Self::State(_)
             | Self::Health { .. }
             | Self::Event(_)
-            | Self::Broadcast { .. } => false,
+            | Self::Broadcast { .. }
+            | Self::BoardErrors { .. } => false,
         }
     }
 }
@@ -95,8 +104,8 @@ pub enum Event {
         /// Its version.
         version: u32,
     },
-    /// Something on the board does not work, and the node goes on without it. Told with every greeting
-    /// and after every status.
+    /// Something on the board does not work, and the node goes on without it. Told after every greeting
+    /// and before every status.
     BoardFault(BoardFault),
 }
 

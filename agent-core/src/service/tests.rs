@@ -9,7 +9,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::INPUTS_MAX;
 use crate::StateVector;
-use crate::health::HealthCounters;
+use crate::health::{BoardErrors, HealthCounters};
 use crate::package::Refusal;
 use crate::store::{Slot, StoreError};
 use crate::wire::cobs::Decoder;
@@ -117,9 +117,25 @@ fn every_response_arrives() {
         Response::Event(Event::Confirmed { tick: 5, version: 7 }),
         Response::Event(Event::BoardFault(BoardFault::Clock)),
         Response::Broadcast { bytes: &[1, 2, 3] },
+        Response::BoardErrors { tick: 5, counters: board_errors() },
     ] {
         assert_eq!(receive(&sent(&response)), Some(response));
     }
+}
+
+fn board_errors() -> BoardErrors {
+    BoardErrors::from_array([1, 2, 3, 4, 5, 6, 7, 8, 300])
+}
+
+#[test]
+fn board_errors_are_a_new_kind_of_message_at_the_end() {
+    let message: Response<'_, Numbers> =
+        Response::BoardErrors { tick: 5, counters: board_errors() };
+    assert!(!message.is_answer());
+    // The kind that no version before had, the tick, and one integer for each counter.
+    assert_eq!(sent(&message), [13, 5, 1, 2, 3, 4, 5, 6, 7, 8, 0xac, 0x02]);
+    let failed = BoardErrors { link_receiver: 1, ..BoardErrors::default() };
+    assert!(BoardErrors::default().is_empty() && !failed.is_empty());
 }
 
 #[test]

@@ -35,10 +35,11 @@ impl<
         };
         match answer {
             Ok((response, next)) => {
-                respond(board, &response);
+                // Before it, so that a laptop that has its answer has heard them.
                 if matches!(response, Response::Status(_)) {
-                    self.tell_fault(board);
+                    self.tell_faults(board);
                 }
+                respond(board, &response);
                 next
             }
             Err(problem) => {

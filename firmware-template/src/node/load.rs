@@ -13,7 +13,7 @@ use agent_core::package::{
 use agent_core::service::RefusalReport;
 use agent_core::store::{self, MappedFlash, Store};
 
-use super::{Agent, Counts, InUsePackage, Memory, Node, Session, count};
+use super::{Agent, Counts, InUsePackage, Memory, Node, Session};
 use crate::board::Board;
 
 impl<
@@ -163,8 +163,8 @@ impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize>
         if !self.announced {
             self.announced = true;
             let frame = self.state.announcement(params).encode();
-            if !board.broadcast(&frame) {
-                count(&mut counts.broadcasts_lost);
+            if let Err(kind) = board.broadcast(&frame) {
+                counts.not_sent(kind);
             }
         }
     }

@@ -23,6 +23,7 @@
 //! only a package that passed [`agent_core::package::accept`] is ever in use.
 
 mod answer;
+mod errors;
 mod load;
 mod turn;
 
@@ -45,6 +46,7 @@ use agent_core::service::{
 use agent_core::store::{Layout, LayoutError, MappedFlash, Slot, Store};
 
 use crate::board::{Board, RequestBuffer};
+use errors::Counts;
 
 /// What the user of a node chooses.
 #[derive(Clone, Debug)]
@@ -155,14 +157,6 @@ struct InUsePackage {
     checksum: u32,
     step_size: f32,
     slot: Slot,
-}
-
-/// What a node counts that its agent's health does not know of.
-#[derive(Clone, Copy, Debug, Default)]
-struct Counts {
-    messages_damaged: u32,
-    measurements_missing: u32,
-    broadcasts_lost: u32,
 }
 
 /// What does not change while one package is in use.
@@ -381,14 +375,18 @@ impl<
         // Ends whatever a receiver may still hold of the time before the reset.
         board.respond(&[agent_core::wire::cobs::DELIMITER]);
         respond::<B, N>(board, &Response::Hello(self.status()));
-        self.tell_fault(board);
+        self.tell_faults(board);
         board.flush();
     }
 
-    /// What does not work on the board, if anything.
-    fn tell_fault<B: Board>(&self, board: &mut B) {
+    /// Sends what does not work on the board, and what has gone wrong there; nothing if all is well.
+    fn tell_faults<B: Board>(&self, board: &mut B) {
         if let Some(fault) = self.board_fault {
             respond::<B, N>(board, &Response::Event(Event::BoardFault(fault)));
+        }
+        let counters = self.counts.errors;
+        if !counters.is_empty() {
+            respond::<B, N>(board, &Response::BoardErrors { tick: self.next_tick, counters });
         }
     }
 

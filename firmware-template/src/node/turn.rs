@@ -7,8 +7,8 @@ use agent_core::service::{Outcome, State};
 use agent_core::store::MappedFlash;
 use agent_core::wire::frame::{FRAME_LENGTH_MAX, FrameError};
 
-use super::{Memory, Node, Response, Rows, count, respond};
-use crate::board::Board;
+use super::{Memory, Node, Response, Rows, respond};
+use crate::board::{Board, SensorErrorKind};
 
 impl<
     F: MappedFlash,
@@ -68,27 +68,35 @@ impl<
                     // A refusal has been counted.
                     let _ = watched.receive(bytes);
                 }
-                Err(_) => watched.health.frame_refused(&FrameError::Malformed),
+                Err(kind) => {
+                    watched.health.frame_refused(&FrameError::Malformed);
+                    counts.link(kind);
+                }
             }
         }
         let mut measurement = [0.0; N];
         let outputs = board.measure(&mut measurement);
-        let Some(measurement) = outputs.and_then(|outputs| measurement.get(..outputs)) else {
-            count(&mut counts.measurements_missing);
-            return Err(Outcome::NoMeasurement);
+        let taken =
+            outputs.and_then(|outputs| measurement.get(..outputs).ok_or(SensorErrorKind::Other));
+        let measurement = match taken {
+            Ok(measurement) => measurement,
+            Err(kind) => {
+                counts.sensor(kind);
+                return Err(Outcome::NoMeasurement);
+            }
         };
         let network = session.network.as_ref().and_then(|(_, place)| place.network(bytes));
         let weights = session.outer_weights(bytes);
         let step = watched.step(network.as_ref(), weights, tick, measurement);
         if let Some(frame) = step.broadcast()
-            && !board.broadcast(&frame.encode())
+            && let Err(kind) = board.broadcast(&frame.encode())
         {
-            count(&mut counts.broadcasts_lost);
+            counts.not_sent(kind);
         }
         Ok(step)
     }
 
-    /// What somebody wants to know of this turn.
+    /// Sends what is to be told of this turn.
     fn tell<B: Board>(
         &mut self,
         board: &mut B,
@@ -100,6 +108,9 @@ impl<
             && let Some(counters) = self.health.due(&session.health_params, tick)
         {
             respond::<B, N>(board, &Response::Health { tick, counters });
+        }
+        if let Some(counters) = self.counts.due(tick, self.settings.health.telemetry_interval) {
+            respond::<B, N>(board, &Response::BoardErrors { tick, counters });
         }
         let Some(every) = self.subscription.state_every else { return };
         if !agent_core::agent::capture::is_due(tick, every) {

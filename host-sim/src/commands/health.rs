@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+#[cfg(unix)]
+use agent_core::health::BoardErrors;
 use agent_core::health::HealthCounters;
 use serde::{Serialize, Serializer};
 
@@ -29,8 +31,20 @@ fn named(counters: &HealthCounters) -> impl Iterator<Item = (&'static str, &'sta
 /// What has been counted, on one line.
 #[cfg(unix)]
 pub(super) fn line(counters: &HealthCounters) -> String {
-    let counted = named(counters).filter(|(_, _, count)| *count > 0);
-    let parts: Vec<_> = counted.map(|(_, what, count)| format!("{what}: {count}")).collect();
+    counted(HealthCounters::TABLE.into_iter().zip(counters.to_array()))
+}
+
+/// What sensor and link have reported, on one line.
+#[cfg(unix)]
+pub(super) fn board_line(errors: &BoardErrors) -> String {
+    counted(BoardErrors::TABLE.into_iter().zip(errors.to_array()))
+}
+
+/// The counts above 0, on one line.
+#[cfg(unix)]
+fn counted(counts: impl Iterator<Item = ((&'static str, &'static str), u32)>) -> String {
+    let counts = counts.filter(|(_, count)| *count > 0);
+    let parts: Vec<_> = counts.map(|((_, what), count)| format!("{what}: {count}")).collect();
     if parts.is_empty() { "nothing to report".to_owned() } else { parts.join(", ") }
 }
 

@@ -8,6 +8,8 @@
 
 mod agent_table;
 mod baselines;
+#[cfg(unix)]
+mod board_report;
 mod check;
 #[cfg(unix)]
 mod cosim;

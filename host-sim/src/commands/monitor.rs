@@ -5,18 +5,19 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use agent_core::health::HealthCounters;
-use agent_core::service::{BoardFault, Event, Outcome, Request, State, Status, Subscription};
+use agent_core::service::{Event, Outcome, Request, State, Status, Subscription};
 use agent_core::{AgentId, Tick};
 use clap::Args;
 use serde::Serialize;
 
+use super::board_report::{BoardReport, errors_line, fault_line};
 use super::node::{RETRY_POLICY, connect, text};
 use super::{CommandError, ErrorCode, Format, health, load_scenario, print_json, print_text};
 use crate::interruption::{self, Again};
 use crate::packages::{PackageBytes, RecordingSource};
 use crate::service::client::understood;
 use crate::service::nodes_file::NodesFile;
-use crate::service::push::{done, in_use, status};
+use crate::service::push::{done, in_use, status_and};
 use crate::service::record::{RecordCounts, Recorder, step_size};
 use crate::service::record_file::RecordFile;
 use crate::service::{Address, Client, LineError, Message, RetryPolicy, ServiceError};
@@ -66,7 +67,8 @@ const GOOD_BYE: RetryPolicy = RetryPolicy { timeout: Duration::from_millis(400),
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     interruption::listen(Again::Exit);
     let mut node = connect(&arguments.endpoint)?;
-    let before = status(&mut node, RETRY_POLICY)?;
+    let mut board = BoardReport::default();
+    let before = status_and(&mut node, RETRY_POLICY, &mut |message| board.hear(message))?;
     let default = if arguments.record.is_some() { NonZeroU32::MIN } else { EVERY };
     let every = arguments.every.unwrap_or(default);
     let all_steps = every == NonZeroU32::MIN;
@@ -91,8 +93,16 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         lost_output: None,
     };
     match arguments.format {
-        Format::Json => monitor.print(|| print_json(&Message::Status(before)))?,
-        Format::Text => monitor.print(|| print_text(&text(&arguments.endpoint, &before)))?,
+        Format::Json => {
+            monitor.print(|| print_json(&Message::Status(before)))?;
+            for message in board.messages() {
+                monitor.print(|| print_json(&message))?;
+            }
+        }
+        Format::Text => {
+            let text = text(&arguments.endpoint, &before) + &board.text();
+            monitor.print(|| print_text(&text))?;
+        }
     }
     subscribe(&mut node, monitor.subscription, RETRY_POLICY)?;
     let listened = monitor.listen(&mut node);
@@ -246,8 +256,9 @@ impl Monitor<'_> {
             Message::Event(Event::Confirmed { tick, version }) => {
                 format!("{}  version {version} has proved itself\n", time(tick))
             }
-            Message::Event(Event::BoardFault(fault)) => {
-                format!("board fault: {}\n", fault_text(*fault))
+            Message::Event(Event::BoardFault(fault)) => fault_line(*fault),
+            Message::BoardErrors { tick, counters } => {
+                format!("{}  {}", time(tick), errors_line(counters))
             }
             Message::Health { tick, counters } if *counters != HealthCounters::default() => {
                 format!("{}  health: {}\n", time(tick), health::line(counters))
@@ -405,15 +416,6 @@ impl RecordReport {
             text += &format!(", {} pieces, since the node was reset", resets + 1);
         }
         text + "\n"
-    }
-}
-
-fn fault_text(fault: BoardFault) -> &'static str {
-    match fault {
-        BoardFault::Clock => {
-            "the crystal or the PLL did not start; the chip runs from its internal oscillator, and \
-             sampling periods are only as accurate as that"
-        }
     }
 }
 

@@ -5,6 +5,7 @@ use std::time::Duration;
 use agent_core::service::{Request, Status};
 use clap::{Args, ValueEnum};
 
+use super::board_report::BoardReport;
 use super::health;
 use super::{CommandError, Format, print_json, print_text};
 use crate::interruption::{self, Again};
@@ -66,10 +67,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             node.request(&Request::Reset, RETRY_POLICY, &mut |_| {}, "that it is done", done)?;
         }
     }
-    let status = push::status(node, RETRY_POLICY)?;
+    let mut board = BoardReport::default();
+    let status = push::status_and(node, RETRY_POLICY, &mut |message| board.hear(message))?;
     match arguments.format {
-        Format::Json => print_json(&status),
-        Format::Text => print_text(&text(&arguments.endpoint, &status)),
+        Format::Json => print_json(&board.with(&status)),
+        Format::Text => print_text(&(text(&arguments.endpoint, &status) + &board.text())),
     }
 }
 

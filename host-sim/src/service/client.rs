@@ -226,7 +226,11 @@ impl Client {
                 self.overdue = self.overdue.saturating_add(u32::from(silent));
             });
             let Ok(bytes) = next? else { continue };
-            let message = understood(&bytes)?;
+            let message = match understood(&bytes) {
+                // A newer node may tell more without being asked.
+                Err(ServiceError::Nonsense(_)) if !may_be_answer(&bytes) => continue,
+                message => message?,
+            };
             if let Some(answer) = answer(&message) {
                 return Ok(answer);
             }
@@ -288,6 +292,12 @@ pub fn understood(bytes: &[u8]) -> Result<Message<'_>, ServiceError> {
     })
 }
 
+/// Whether a message that is not understood may answer a request, by its kind: those of
+/// [`Message::is_answer`], which stay.
+fn may_be_answer(bytes: &[u8]) -> bool {
+    matches!(bytes, [] | [0 | 2..=8, ..])
+}
+
 /// What kind of message it is, for people.
 #[must_use]
 pub fn name(message: &Message<'_>) -> String {
@@ -306,6 +316,7 @@ pub fn name(message: &Message<'_>) -> String {
         Message::Health { .. } => "its health".to_owned(),
         Message::Event(_) => "an event".to_owned(),
         Message::Broadcast { .. } => "a frame".to_owned(),
+        Message::BoardErrors { .. } => "what its sensor and link have reported".to_owned(),
     }
 }
 
@@ -376,6 +387,24 @@ mod tests {
         // Without a delimiter in it there is not even a damaged message.
         let error = status_of(vec![0x55; 4000]);
         assert!(matches!(error, ServiceError::Garbage { damaged: 0, .. }), "{error}");
+    }
+
+    #[test]
+    fn what_a_newer_node_tells_without_being_asked_is_skipped() {
+        // A kind of message and an event that this version does not know.
+        for message in [&[100, 1, 2][..], &[11, 100, 1]] {
+            assert!(matches!(understood(message), Err(ServiceError::Nonsense(_))));
+            let error = status_of(framed(message));
+            assert!(matches!(error, ServiceError::Line(LineError::Silent)), "{error}");
+        }
+        // What is no answer where one may be is not skipped: an upload without its length.
+        let error = status_of(framed(&[2]));
+        assert!(matches!(error, ServiceError::Nonsense(_)), "{error}");
+        // Every kind of message that this version knows is told apart in the same way.
+        for (message, is_answer) in [(&[5][..], true), (&[8, 0], true), (&[11, 1, 0], false)] {
+            assert!(understood(message).is_ok_and(|known| known.is_answer() == is_answer));
+            assert_eq!(may_be_answer(message), is_answer);
+        }
     }
 
     #[test]

@@ -133,7 +133,20 @@ pub fn transfer_over(
 /// # Errors
 /// See [`ServiceError`].
 pub fn status(client: &mut Client, retry_policy: RetryPolicy) -> Result<Status, ServiceError> {
-    client.request(&Request::Query, retry_policy, &mut |_| {}, "its status", |m| match m {
+    status_and(client, retry_policy, &mut |_| {})
+}
+
+/// Asks a node how it is; hands what it tells before its answer to `unasked`: what does not work on
+/// its board, and what its sensor and its link have reported.
+///
+/// # Errors
+/// See [`ServiceError`].
+pub fn status_and(
+    client: &mut Client,
+    retry_policy: RetryPolicy,
+    unasked: &mut dyn FnMut(&Message<'_>),
+) -> Result<Status, ServiceError> {
+    client.request(&Request::Query, retry_policy, unasked, "its status", |m| match m {
         Message::Status(status) => Some(*status),
         _ => None,
     })

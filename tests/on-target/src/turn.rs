@@ -9,7 +9,9 @@ use agent_core::store::{Layout, MappedFlash};
 use agent_core::wire::cobs::SerialError;
 use agent_core::wire::frame::{FRAME_LENGTH_MAX, Frame, FrameBytes};
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
-use firmware_template::board::{Board, Lost, RequestBuffer, RequestDecoder};
+use firmware_template::board::{
+    Board, LinkErrorKind, RequestBuffer, RequestDecoder, SensorErrorKind,
+};
 use firmware_template::{Memory, Node, Settings};
 
 use crate::Unusable;
@@ -145,18 +147,22 @@ impl<M: Meter> Board for Bench<'_, M> {
 
     fn rest(&mut self) {}
 
-    fn measure(&mut self, measurement: &mut [f32]) -> Option<usize> {
-        *measurement.first_mut()? = scaled(triangle(self.turn, 300), 8);
-        Some(1)
+    fn measure(&mut self, measurement: &mut [f32]) -> Result<usize, SensorErrorKind> {
+        let place = measurement.first_mut().ok_or(SensorErrorKind::Other)?;
+        *place = scaled(triangle(self.turn, 300), 8);
+        Ok(1)
     }
 
-    fn broadcast(&mut self, frame: &[u8]) -> bool {
+    fn broadcast(&mut self, frame: &[u8]) -> Result<(), LinkErrorKind> {
         self.hear(frame);
         self.broadcast = true;
-        true
+        Ok(())
     }
 
-    fn frame<'buffer>(&mut self, buffer: &'buffer mut [u8]) -> Option<Result<&'buffer [u8], Lost>> {
+    fn frame<'buffer>(
+        &mut self,
+        buffer: &'buffer mut [u8],
+    ) -> Option<Result<&'buffer [u8], LinkErrorKind>> {
         let bytes = self.frames.get(self.received)?;
         self.received += 1;
         let place = buffer.get_mut(..bytes.len())?;

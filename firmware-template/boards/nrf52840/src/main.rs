@@ -37,7 +37,7 @@ use agent_core::health::HealthSettings;
 use agent_core::service::Subscription;
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_rt::entry;
-use firmware_template::registers::Channel as Register;
+use firmware_template::registers::{Channel as Register, Format, RegisterValue, SetUp};
 use firmware_template::{
     Memory, Node, QueuedPort, RegisterSensor, Settings, memory_map, on_chip, queued_port,
 };
@@ -64,9 +64,18 @@ const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 4;
 const SAMPLES: usize = 64;
 
-/// Address and register of the TMP117; 7.8125 thousandths of a degree a count.
+/// Address of the TMP117, and its temperature: 7.8125 thousandths of a degree a count, and -256 degrees
+/// until there is a first one (its data sheet, temperature register).
 const SENSOR: u8 = 0x48;
-static REGISTERS: [Register; 1] = [Register { register: 0, scale: 0.007_812_5, offset: 0.0 }];
+static REGISTERS: [Register; 1] = [Register {
+    register: 0,
+    format: Format::I16BigEndian,
+    scale: 0.007_812_5,
+    offset: 0.0,
+    not_ready: Some(-0x8000),
+}];
+/// A conversion every 15.5 ms, without averaging, where the sensor's own default is one a second.
+static SET_UP: [SetUp; 1] = [SetUp { register: 1, value: RegisterValue::BigEndian(0) }];
 
 /// How long what is queued for the service port may take to leave, before a reset. \[cycle\]
 const FLUSH_DELAY_CYCLES: u32 = 64_000_000 / 10;
@@ -140,7 +149,7 @@ fn hardware() -> Option<Parts> {
         sda: pins.p0_26.into_floating_input().degrade(),
     };
     let bus = Twim::new(chip.TWIM0, bus, twim::Frequency::K400);
-    let sensor = RegisterSensor::new(bus, SENSOR, &REGISTERS).ok()?;
+    let sensor = RegisterSensor::new(bus, SENSOR, &REGISTERS).ok()?.with_set_up(&SET_UP);
 
     // Two bytes of the number that the factory gave this chip.
     let address = chip.FICR.deviceid[0].read().bits() as u16;

@@ -9,7 +9,7 @@ use core::ptr::NonNull;
 use agent_core::wire::frame::FRAME_LENGTH_MAX;
 use cortex_m::peripheral::NVIC;
 use firmware_template::on_chip::Shared;
-use firmware_template::{Link, Lost};
+use firmware_template::{Link, LinkErrorKind};
 use hal::ieee802154::{Channel, Packet, Radio};
 use hal::pac::{self, Interrupt, RADIO, interrupt};
 use heapless::{Deque, Vec};
@@ -62,9 +62,11 @@ struct Receiver {
     /// Where the radio writes: length, content, link quality.
     buffer: NonNull<[u8; Receiver::BUFFER]>,
     frames: Deque<Vec<u8, FRAME_LENGTH_MAX>, FRAMES>,
+    /// Why the last frame was lost of those since the link was polled.
+    lost: Option<LinkErrorKind>,
 }
 
-// SAFETY: nobody else has a pointer to the buffer, which lives for ever.
+// SAFETY: there is no other pointer to the buffer, which lives for ever.
 unsafe impl Send for Receiver {}
 
 impl Receiver {
@@ -118,10 +120,14 @@ impl Receiver {
             let [length, content @ ..] = unsafe { self.buffer.as_ref() };
             let length = usize::from(*length).checked_sub(Self::CHECK);
             let frame = length.and_then(|length| Header::strip(content.get(..length)?));
-            if let Some(frame) = frame.and_then(|frame| Vec::from_slice(frame).ok()) {
-                // What there is no room for is lost.
-                let _ = self.frames.push_back(frame);
+            // What others say on this channel is not a frame of this link.
+            if let Some(frame) = frame.and_then(|frame| Vec::from_slice(frame).ok())
+                && self.frames.push_back(frame).is_err()
+            {
+                self.lost = Some(LinkErrorKind::Overflow);
             }
+        } else {
+            self.lost = Some(LinkErrorKind::Damaged);
         }
         true
     }
@@ -158,6 +164,7 @@ impl RadioLink {
             radio: registers,
             buffer,
             frames: Deque::new(),
+            lost: None,
         });
         receiver.listen();
         RECEIVER.set(receiver);
@@ -174,20 +181,20 @@ impl RadioLink {
 }
 
 impl Link for RadioLink {
-    type Error = Lost;
+    type Error = LinkErrorKind;
 
-    fn send(&mut self, frame: &[u8]) -> Result<(), Lost> {
+    fn send(&mut self, frame: &[u8]) -> Result<(), LinkErrorKind> {
         let mut bytes = Vec::<u8, { Header::LENGTH + FRAME_LENGTH_MAX }>::new();
         let header = Header::of(self.sequence, self.address);
         self.sequence = self.sequence.wrapping_add(1);
         if bytes.extend_from_slice(&header).is_err() || bytes.extend_from_slice(frame).is_err() {
-            return Err(Lost);
+            return Err(LinkErrorKind::NotSent);
         }
         self.packet.copy_from_slice(&bytes);
         // The interrupt would come for ever if it found no receiver, so it is masked. The others
         // go on: sending takes milliseconds.
         NVIC::mask(Interrupt::RADIO);
-        let receiver = RECEIVER.take().ok_or(Lost)?;
+        let receiver = RECEIVER.take().ok_or(LinkErrorKind::NotSent)?;
         let mut sent = false;
         for attempt in 0..TRIES {
             if attempt > 0 {
@@ -203,13 +210,20 @@ impl Link for RadioLink {
         RECEIVER.set(receiver);
         // SAFETY: it was so before, and what the handler uses is in place.
         unsafe { NVIC::unmask(Interrupt::RADIO) };
-        if sent { Ok(()) } else { Err(Lost) }
+        if sent { Ok(()) } else { Err(LinkErrorKind::NotSent) }
     }
 
-    fn poll<'buffer>(&mut self, buffer: &'buffer mut [u8]) -> Result<Option<&'buffer [u8]>, Lost> {
-        let frame = RECEIVER.with(|receiver| receiver.frames.pop_front()).flatten();
-        let Some(frame) = frame else { return Ok(None) };
-        let place = buffer.get_mut(..frame.len()).ok_or(Lost)?;
+    /// Returns what has been lost once there are no more frames, so that it holds none up.
+    fn poll<'buffer>(
+        &mut self,
+        buffer: &'buffer mut [u8],
+    ) -> Result<Option<&'buffer [u8]>, LinkErrorKind> {
+        let received = RECEIVER.with(|receiver| match receiver.frames.pop_front() {
+            Some(frame) => Ok(Some(frame)),
+            None => receiver.lost.take().map_or(Ok(None), Err),
+        });
+        let Some(frame) = received.transpose()?.flatten() else { return Ok(None) };
+        let place = buffer.get_mut(..frame.len()).ok_or(LinkErrorKind::Overflow)?;
         place.copy_from_slice(&frame);
         Ok(Some(place))
     }

@@ -7,7 +7,7 @@
 //! | --- | --- |
 //! | service port | UART0, TX GP0, RX GP1, 115,200 baud |
 //! | link between nodes | UART1, TX GP8, RX GP9, 1 Mbaud, for an RS-485 transceiver that turns around by itself |
-//! | sensor | TMP117 on I2C0 at address 0x48, SDA GP4, SCL GP5, 400 kHz: `y` is the temperature in degrees C |
+//! | sensor | TMP117 on I2C0 at address 0x48, SDA GP4, SCL GP5, 400 kHz: `y` is the temperature in degrees C, every 15.5 ms |
 //! | clock | the timer, which runs freely at 1 MHz |
 //! | weights | the last 64 KiB of the flash chip, as memory.x says |
 //!
@@ -36,7 +36,7 @@ use core::num::NonZeroU32;
 use agent_core::health::HealthSettings;
 use agent_core::service::Subscription;
 use cortex_m::peripheral::{NVIC, SCB};
-use firmware_template::registers::Channel as Register;
+use firmware_template::registers::{Channel as Register, Format, RegisterValue, SetUp};
 use firmware_template::{
     Memory, Node, QueuedPort, RegisterSensor, Settings, memory_map, on_chip, queued_port,
 };
@@ -62,9 +62,18 @@ const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 4;
 const SAMPLES: usize = 64;
 
-/// Address and register of the TMP117; 7.8125 thousandths of a degree a count.
+/// Address of the TMP117, and its temperature: 7.8125 thousandths of a degree a count, and -256 degrees
+/// until there is a first one (its data sheet, temperature register).
 const SENSOR: u8 = 0x48;
-static REGISTERS: [Register; 1] = [Register { register: 0, scale: 0.007_812_5, offset: 0.0 }];
+static REGISTERS: [Register; 1] = [Register {
+    register: 0,
+    format: Format::I16BigEndian,
+    scale: 0.007_812_5,
+    offset: 0.0,
+    not_ready: Some(-0x8000),
+}];
+/// A conversion every 15.5 ms, without averaging, where the sensor's own default is one a second.
+static SET_UP: [SetUp; 1] = [SetUp { register: 1, value: RegisterValue::BigEndian(0) }];
 
 /// Frequency of the crystal. \[Hz\]
 const CRYSTAL: u32 = 12_000_000;
@@ -170,7 +179,7 @@ fn hardware() -> Option<&'static mut ThisBoard> {
         resets,
         clocks.system_clock.freq(),
     );
-    let sensor = RegisterSensor::new(bus, SENSOR, &REGISTERS).ok()?;
+    let sensor = RegisterSensor::new(bus, SENSOR, &REGISTERS).ok()?.with_set_up(&SET_UP);
     let clock = Timer::new(hal::Timer::new(chip.TIMER, resets, &clocks), watchdog);
     for interrupt in [Interrupt::TIMER_IRQ_0, Interrupt::UART0_IRQ, Interrupt::UART1_IRQ] {
         // SAFETY: what the handlers use is in place, and nothing relies on their being masked.

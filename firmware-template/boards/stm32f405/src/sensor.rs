@@ -1,6 +1,7 @@
 //! The accelerometer.
 
-use firmware_template::Sensor;
+use embedded_hal::i2c::Error as _;
+use firmware_template::{Sensor, SensorErrorKind};
 use hal::timer::SysDelay;
 use lsm303agr::interface::I2cInterface;
 use lsm303agr::mode::MagOneShot;
@@ -37,18 +38,26 @@ impl Accelerometer {
     }
 }
 
+/// The kind of an error of the driver.
+fn kind(error: &lsm303agr::Error<BusError>) -> SensorErrorKind {
+    match error {
+        lsm303agr::Error::Comm(error) => error.kind().into(),
+        _ => SensorErrorKind::Other,
+    }
+}
+
 impl Sensor for Accelerometer {
-    type Error = lsm303agr::Error<BusError>;
+    type Error = SensorErrorKind;
 
     fn outputs(&self) -> usize {
         1
     }
 
     fn read(&mut self, measurement: &mut [f32]) -> Result<(), Self::Error> {
-        let [place] = measurement else { return Err(lsm303agr::Error::InvalidInputData) };
+        let [place] = measurement else { return Err(SensorErrorKind::Other) };
         let sample = self.sample();
         self.ready = sample.is_ok();
-        *place = sample?;
+        *place = sample.map_err(|error| kind(&error))?;
         Ok(())
     }
 }

@@ -156,11 +156,12 @@ impl NodeSocket {
             Some(request) => request,
         };
         let exchange = node.board.exchange(&request)?;
-        for answer in &exchange.answers {
-            asking.forward(answer);
-        }
+        // In the node's order: what it tells comes before the end of its answer.
         for client in &mut self.clients {
             exchange.unasked.iter().for_each(|bytes| client.forward(bytes));
+        }
+        for answer in &exchange.answers {
+            self.clients[client].forward(answer);
         }
         node.broadcast_alone(exchange.frames);
         let answer = exchange.answers.last().and_then(|answer| receive::<Message<'_>>(answer));
