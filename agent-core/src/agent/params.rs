@@ -1,4 +1,4 @@
-//! What does not change about an agent.
+//! The immutable parameters of an agent.
 
 use nalgebra::SMatrix;
 
@@ -11,7 +11,7 @@ use crate::observer::projection::ProjectionParams;
 use crate::observer::trigger::TriggerParams;
 use crate::{AgentId, Tick};
 
-/// Everything about an agent that does not change, checked as a whole.
+/// All parameters of an agent, validated as a whole.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AgentParams<'a, const N: usize> {
     pub(super) id: AgentId,
@@ -23,10 +23,10 @@ pub struct AgentParams<'a, const N: usize> {
 }
 
 impl<'a, const N: usize> AgentParams<'a, N> {
-    /// Joins the parameters of agent `id`, which is stepped every `step_size` \[s\].
+    /// Creates the parameters of agent `id`, which is stepped every `step_size` \[s\].
     ///
     /// # Errors
-    /// The first parameter that is out of its range.
+    /// The first parameter outside its range.
     pub fn new(
         id: AgentId,
         step_size: f32,
@@ -42,16 +42,17 @@ impl<'a, const N: usize> AgentParams<'a, N> {
         Ok(Self { id, step_size, observer, outer_law, trigger, restart_silence })
     }
 
-    /// The same with another number of steps than [`RESTART_SILENCE`] until a neighbour that began
-    /// anew is heard again. Above the longest delay of the link, or a frame that was overtaken
-    /// can take the place of a newer one.
+    /// Sets the number of steps after which a restarted neighbour is heard again, in place of
+    /// [`RESTART_SILENCE`]. It must exceed the longest delay of the link; otherwise an overtaken
+    /// frame can replace a newer one.
     #[must_use]
     pub fn with_restart_silence(self, restart_silence: Tick) -> Self {
         Self { restart_silence, ..self }
     }
 
-    /// The same with neighbours and `Gamma` that lie elsewhere: copies of what was checked.
-    #[inline(always)] // A node does it in every step, and a call copies everything once more.
+    /// Returns the same parameters with neighbours and `Gamma` stored elsewhere; both must be
+    /// copies of the validated ones.
+    #[inline(always)] // Called in every step; a real call would copy everything again.
     pub(crate) fn relocated<'b>(
         &self,
         neighbours: &'b [Neighbour],
@@ -71,37 +72,37 @@ impl<'a, const N: usize> AgentParams<'a, N> {
         }
     }
 
-    /// The agent's number.
+    /// Returns the agent's number.
     #[must_use]
     pub fn id(&self) -> AgentId {
         self.id
     }
 
-    /// `dt`. \[s\]
+    /// Returns `dt`. \[s\]
     #[must_use]
     pub fn step_size(&self) -> f32 {
         self.step_size
     }
 
-    /// `m`, how many outputs the agent measures.
+    /// Returns `m`, the number of outputs the agent measures.
     #[must_use]
     pub fn outputs(&self) -> usize {
         self.observer.output_matrix.outputs()
     }
 
-    /// `K_1`, shape `[N, N]`. \[1/s\]
+    /// Returns `K_1`, shape `[N, N]`. \[1/s\]
     #[must_use]
     pub fn gain(&self) -> &SMatrix<f32, N, N> {
         &self.observer.gain
     }
 
-    /// The operator that keeps the outer weights bounded.
+    /// Returns the parameters of the operator that bounds the outer weights.
     #[must_use]
     pub fn projection(&self) -> &ProjectionParams {
         &self.outer_law.projection
     }
 
-    /// The neighbours, in the order of an inbox's places.
+    /// Returns the neighbours, in the order of an inbox's slots.
     #[must_use]
     pub fn neighbours(&self) -> &'a [Neighbour] {
         self.observer.neighbours

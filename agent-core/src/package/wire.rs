@@ -1,4 +1,4 @@
-//! The metadata of a package as postcard writes them, and how many numbers follow from them.
+//! The postcard form of a package's metadata, and the counts of numbers that follow from it.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +7,7 @@ use crate::AgentId;
 use crate::math::symmetric::SymmetricMatrix;
 use crate::observer::network::{Architecture, INNER_LAYERS_MAX, Layer};
 
-/// Everything in a body that is not one of its numbers.
+/// The contents of a body except for its numbers.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Metadata<'a> {
     pub(super) version: u32,
@@ -26,7 +26,7 @@ pub(super) struct Metadata<'a> {
     pub(super) provenance: Provenance<'a>,
 }
 
-/// Which form of a symmetric matrix the numbers are.
+/// The form of a symmetric matrix.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 pub(super) enum Form {
     Scalar,
@@ -51,7 +51,7 @@ impl Form {
         }
     }
 
-    /// The matrix of this form with these entries, of which there is at least one.
+    /// Creates the matrix of this form from its entries, of which there is at least one.
     pub(super) fn matrix<'a>(self, entries: &'a [f32]) -> SymmetricMatrix<'a> {
         match self {
             Self::Scalar => SymmetricMatrix::Scalar(entries.first().copied().unwrap_or(0.0)),
@@ -61,7 +61,7 @@ impl Form {
     }
 }
 
-/// How many numbers a body has of each kind, in their order.
+/// The counts of each kind of number in a body, in order.
 pub(super) struct Counts {
     pub(super) inner: usize,
     pub(super) outer_weights: usize,
