@@ -1,8 +1,8 @@
-//! A board whose plant, clock and link are played by somebody at the other end of the service
-//! port: the simulator, for a co-simulation ("hardware in the loop").
+//! A board in the loop: the program at the other end of the service port, usually the simulator,
+//! provides plant, clock and link ("hardware in the loop").
 //!
-//! Requests to the node and stimuli ([`Request::Frame`], [`Request::Tick`]) come over one port and
-//! take effect in their order. What a turn has to tell is written at once.
+//! Requests to the node and stimuli ([`Request::Frame`], [`Request::Tick`]) arrive over one port
+//! and take effect in order. The output of a turn is written at once.
 //!
 //! Memory: the port, one request, `FRAMES` frames, and 512 bytes of input and output.
 
@@ -13,16 +13,16 @@ use embedded_io::{Read, Write};
 
 use crate::board::{Board, Lost, RequestBuffer, RequestDecoder, copied, write_whole};
 
-/// Bytes that are read or written at once.
+/// Bytes read or written at a time.
 const CHUNK: usize = 256;
 
-/// A board in the loop, with room for `FRAMES` frames between two steps.
+/// A board in the loop, with capacity for `FRAMES` frames between two steps.
 #[derive(Debug)]
 pub struct InTheLoop<P, const FRAMES: usize> {
     port: P,
     decoder: RequestDecoder,
     input: [u8; CHUNK],
-    /// The part of the input that nobody has looked at.
+    /// The part of the input that has not been decoded yet.
     unread: core::ops::Range<usize>,
     output: heapless::Vec<u8, CHUNK>,
     frames: heapless::Deque<heapless::Vec<u8, FRAME_LENGTH_MAX>, FRAMES>,
@@ -31,7 +31,7 @@ pub struct InTheLoop<P, const FRAMES: usize> {
 }
 
 impl<P: Read + Write, const FRAMES: usize> InTheLoop<P, FRAMES> {
-    /// The board at the end of this port.
+    /// Creates a board in the loop on `port`.
     pub const fn new(port: P) -> Self {
         Self {
             port,
@@ -45,14 +45,14 @@ impl<P: Read + Write, const FRAMES: usize> InTheLoop<P, FRAMES> {
         }
     }
 
-    /// The port, for what comes after the node's work.
+    /// Returns the port, for use after the node has stopped.
     pub fn port(&mut self) -> &mut P {
         &mut self.port
     }
 
-    /// The next message, as far as it has arrived.
+    /// Returns the next message, if it has arrived completely.
     fn message(&mut self) -> Option<Result<&[u8], SerialError>> {
-        // What the decoder returns borrows it, so the end of a message is found first.
+        // The decoder's result borrows it, so the end of a message is located first.
         loop {
             let byte = *self.input.get(self.unread.next()?)?;
             if byte == agent_core::wire::cobs::DELIMITER {
@@ -68,7 +68,7 @@ impl<P: Read + Write, const FRAMES: usize> InTheLoop<P, FRAMES> {
     }
 }
 
-/// What a message says to the board; the node gets the others.
+/// A message for the board; the node gets all others.
 enum Stimulus {
     Frame(heapless::Vec<u8, FRAME_LENGTH_MAX>),
     Tick(u32, Option<Numbers>),
@@ -76,7 +76,7 @@ enum Stimulus {
 
 fn stimulus(message: &[u8]) -> Option<Stimulus> {
     match receive::<Request<'_>>(message)? {
-        // A longer one is no frame, and an empty one is refused as such.
+        // A longer one is not a valid frame, and an empty one is refused.
         Request::Frame { bytes } => {
             Some(Stimulus::Frame(heapless::Vec::from_slice(bytes).unwrap_or_default()))
         }
@@ -131,7 +131,7 @@ impl<P: Read + Write, const FRAMES: usize> Board for InTheLoop<P, FRAMES> {
             match stimulus(message) {
                 None => return Some(copied(message, buffer)),
                 Some(Stimulus::Frame(frame)) => {
-                    // What a node has no room for is lost, as with a real receiver.
+                    // Frames beyond the capacity are lost, as with a real receiver.
                     let _ = self.frames.push_back(frame);
                 }
                 Some(Stimulus::Tick(periods, measurement)) => {

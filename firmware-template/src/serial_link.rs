@@ -1,11 +1,11 @@
-//! A link over a shared serial line: RS-485, a UART between two nodes, or a radio module that
-//! passes bytes through.
+//! A link over a shared serial line: RS-485, a UART between two nodes, or a transparent radio
+//! module.
 //!
-//! Frames travel as [`agent_core::wire::cobs`] encodes messages, so that whoever joins late finds the
-//! next one. Who may talk when is the matter of the line; frames that collide fail their checksum
-//! and are lost, as the observer expects of a link.
+//! Frames are encoded like messages ([`agent_core::wire::cobs`]), so a node that joins late
+//! synchronises at the next one. Access to the line is not arbitrated; colliding frames fail their
+//! checksum and are lost, which the observer tolerates.
 //!
-//! Memory: the port, and 90 bytes.
+//! Memory: the port and 90 bytes.
 
 use agent_core::wire::cobs::{Decoder, Encoder, SerialError};
 use agent_core::wire::crc::CHECKSUM_LENGTH;
@@ -15,7 +15,7 @@ use embedded_io::{Read, ReadReady, Write};
 use crate::board::{copied, write_whole};
 use crate::{Link, Lost};
 
-/// A link over `P`.
+/// A link over the port `P`.
 #[derive(Debug)]
 pub struct SerialLink<P> {
     port: P,
@@ -23,7 +23,7 @@ pub struct SerialLink<P> {
 }
 
 impl<P> SerialLink<P> {
-    /// The link over this port.
+    /// Creates a link over `port`.
     pub const fn new(port: P) -> Self {
         Self { port, decoder: Decoder::new() }
     }
