@@ -61,6 +61,13 @@ pub use store::Store;
 pub use wire::frame::Frame;
 
 /// A vector in state space, shape `[N]`.
+///
+/// ```
+/// use agent_core::StateVector;
+///
+/// let estimate = StateVector::<3>::new(5.0, 7.0, 8.0);
+/// assert_eq!(estimate - estimate, StateVector::<3>::zeros());
+/// ```
 pub type StateVector<const N: usize> = nalgebra::SVector<f32, N>;
 
 /// Number of an agent; must be unique within its network.

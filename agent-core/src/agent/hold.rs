@@ -24,6 +24,15 @@ use crate::wire::sequence::is_newer;
 use crate::{StateVector, Tick};
 
 /// The last sample that an agent broadcast.
+///
+/// ```
+/// use agent_core::{Hold, StateVector};
+///
+/// let hold = Hold::new(StateVector::<2>::new(1.0, 2.0), 40, 7);
+/// assert_eq!(hold.estimate()[1], 2.0);
+/// assert_eq!(hold.age(45), 5);
+/// assert_eq!(hold.age(39), 0); // from the future
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hold<const N: usize> {
     sample: StateVector<N>,

@@ -23,6 +23,21 @@ use crate::wire::frame::{Frame, FrameError};
 
 /// Slots for the next frame of each neighbour, in `S`: an array on the node, a vector on the host,
 /// one entry per neighbour in the order of the agent's parameters.
+///
+/// ```
+/// use agent_core::wire::frame::FrameError;
+/// use agent_core::{Frame, Inbox, Neighbour, StateVector};
+///
+/// let neighbours = [Neighbour { id: 2, weight: 1.0 }];
+/// let mut inbox = Inbox::<2, _>::new([None]);
+/// let frame = Frame { sender: 2, sequence: 0, tick: 0, estimate: StateVector::<2>::zeros() };
+/// assert_eq!(inbox.accept(&neighbours, &frame.encode()), Ok(()));
+/// assert_eq!(inbox.len(), 1);
+///
+/// let stranger = Frame { sender: 9, ..frame };
+/// let refusal = inbox.accept(&neighbours, &stranger.encode());
+/// assert_eq!(refusal, Err(FrameError::UnknownSender { sender: 9 }));
+/// ```
 #[derive(Clone, Debug)]
 pub struct Inbox<const N: usize, S> {
     pending: S,

@@ -48,6 +48,33 @@ use crate::wire::frame::Frame;
 use crate::{StateVector, Tick};
 
 /// Result of a step.
+///
+/// ```
+/// use agent_core::{AgentParams, AgentState, Inbox, InnerNetwork, StateVector};
+/// # use agent_core::{Neighbour, ObserverParams, OutputMatrix, OuterLawParams, ProjectionParams};
+/// # use agent_core::{SymmetricMatrix, TriggerParams};
+/// # let neighbours = [Neighbour { id: 2, weight: 1.0 }];
+/// # let observer = ObserverParams {
+/// #     output_matrix: OutputMatrix::new(&[StateVector::<2>::new(1.0, 0.0)])?,
+/// #     gain: SymmetricMatrix::Scalar(50.0).unfold(),
+/// #     neighbours: &neighbours,
+/// # };
+/// # let projection =
+/// #     ProjectionParams { radius: 9.0, boundary_layer: 1.0, smoothing: 0.1, smoothness: 1 };
+/// # let outer_law = OuterLawParams { gain: SymmetricMatrix::Scalar(1.0), projection };
+/// # let trigger =
+/// #     TriggerParams { hold_error_weight: 1e4, consensus_weight: 0.5, threshold: 10.0 };
+/// # let params = AgentParams::new(1, 1e-3, observer, outer_law, trigger)?;
+///
+/// const NO_NETWORK: Option<&InnerNetwork<&[f32]>> = None;
+/// let mut state = AgentState::<2, 1, _>::new(&params, StateVector::zeros(), &[0.0; 2], [None])?;
+/// let output = state.step(&params, NO_NETWORK, 0, &[10.0], &mut Inbox::new([None])).unwrap();
+/// // The estimate moved by 0.5, so the trigger fires. The frame is for the next tick.
+/// let frame = output.broadcast.unwrap();
+/// assert_eq!((frame.sender, frame.tick), (1, 1));
+/// assert_eq!(frame.estimate, *state.estimate());
+/// # Ok::<(), agent_core::math::parameter::ParameterError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepOutput<const N: usize> {
     /// The frame to broadcast, if the trigger fired.
@@ -60,6 +87,35 @@ pub struct StepOutput<const N: usize> {
 ///
 /// `FEATURES` is the capacity for the network's features (rows of the outer weights); `S` holds one
 /// slot per neighbour: an array on the node, a vector on the host.
+///
+/// ```
+/// use agent_core::{AgentParams, AgentState, Inbox, InnerNetwork, StateVector};
+/// # use agent_core::{Neighbour, ObserverParams, OutputMatrix, OuterLawParams, ProjectionParams};
+/// # use agent_core::{SymmetricMatrix, TriggerParams};
+/// # let neighbours = [Neighbour { id: 2, weight: 1.0 }];
+/// # let observer = ObserverParams {
+/// #     output_matrix: OutputMatrix::new(&[StateVector::<2>::new(1.0, 0.0)])?,
+/// #     gain: SymmetricMatrix::Scalar(50.0).unfold(),
+/// #     neighbours: &neighbours,
+/// # };
+/// # let projection =
+/// #     ProjectionParams { radius: 9.0, boundary_layer: 1.0, smoothing: 0.1, smoothness: 1 };
+/// # let outer_law = OuterLawParams { gain: SymmetricMatrix::Scalar(1.0), projection };
+/// # let trigger =
+/// #     TriggerParams { hold_error_weight: 1e4, consensus_weight: 0.5, threshold: 10.0 };
+/// # let params = AgentParams::new(1, 1e-3, observer, outer_law, trigger)?;
+///
+/// const NO_NETWORK: Option<&InnerNetwork<&[f32]>> = None;
+/// let mut state = AgentState::<2, 1, _>::new(&params, StateVector::zeros(), &[0.0; 2], [None])?;
+/// let mut inbox = Inbox::new([None]);
+///
+/// let output = state.step(&params, NO_NETWORK, 0, &[1.0], &mut inbox).unwrap();
+/// assert_eq!(output.sample.tick, 0);
+/// assert!(state.estimate()[0] > 0.0); // moved towards the measurement
+/// // Ticks must increase.
+/// assert!(state.step(&params, NO_NETWORK, 0, &[1.0], &mut inbox).is_err());
+/// # Ok::<(), agent_core::math::parameter::ParameterError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct AgentState<const N: usize, const FEATURES: usize, S> {
     last_tick: Option<Tick>,

@@ -12,6 +12,29 @@ use crate::observer::trigger::TriggerParams;
 use crate::{AgentId, Tick};
 
 /// All parameters of an agent, validated as a whole.
+///
+/// ```
+/// use agent_core::{AgentParams, StateVector};
+/// # use agent_core::{Neighbour, ObserverParams, OutputMatrix, OuterLawParams, ProjectionParams};
+/// # use agent_core::{SymmetricMatrix, TriggerParams};
+/// # let neighbours = [Neighbour { id: 2, weight: 1.0 }];
+/// # let observer = ObserverParams {
+/// #     output_matrix: OutputMatrix::new(&[StateVector::<2>::new(1.0, 0.0)])?,
+/// #     gain: SymmetricMatrix::Scalar(50.0).unfold(),
+/// #     neighbours: &neighbours,
+/// # };
+/// # let projection =
+/// #     ProjectionParams { radius: 9.0, boundary_layer: 1.0, smoothing: 0.1, smoothness: 1 };
+/// # let outer_law = OuterLawParams { gain: SymmetricMatrix::Scalar(1.0), projection };
+/// # let trigger =
+/// #     TriggerParams { hold_error_weight: 1e4, consensus_weight: 0.5, threshold: 10.0 };
+/// # let params = AgentParams::new(1, 1e-3, observer, outer_law, trigger)?;
+///
+/// // `params` describes agent 1, which measures one output and hears agent 2.
+/// assert_eq!((params.id(), params.outputs()), (1, 1));
+/// assert_eq!(params.neighbours()[0].id, 2);
+/// # Ok::<(), agent_core::math::parameter::ParameterError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct AgentParams<'a, const N: usize> {
     pub(super) id: AgentId,

@@ -10,6 +10,14 @@ use crate::math::numeric::{components, components_mut};
 use crate::math::parameter::{ParameterError, finite, not_negative};
 
 /// A box in state space with borrowed limits.
+///
+/// ```
+/// use agent_core::StateBox;
+///
+/// let trained = StateBox { low: &[-1.0, -2.0], high: &[1.0, 2.0] };
+/// assert!(trained.contains(&[1.0, 0.0]));
+/// assert!(!trained.contains(&[1.0, 2.5]));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StateBox<'a> {
     /// Lower limit of each component, shape `[n]`.
@@ -29,6 +37,16 @@ impl StateBox<'_> {
 }
 
 /// All `x` with `low <= x <= high`, componentwise.
+///
+/// ```
+/// use agent_core::{Region, StateVector};
+///
+/// let region = Region::new(StateVector::<1>::new(-1.0), StateVector::<1>::new(1.0))?;
+/// assert!(!region.contains(&StateVector::<1>::new(2.0)));
+/// // Wider by one and a half widths on each side: -4 to 4.
+/// assert!(region.widened(1.5)?.contains(&StateVector::<1>::new(4.0)));
+/// # Ok::<(), agent_core::math::parameter::ParameterError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Region<const N: usize> {
     low: StateVector<N>,

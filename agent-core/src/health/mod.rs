@@ -79,6 +79,16 @@ pub enum Advice {
 }
 
 /// The health record of an agent.
+///
+/// ```
+/// use agent_core::wire::frame::FrameError;
+/// use agent_core::Health;
+///
+/// let mut health = Health::new();
+/// assert!(health.network_in_use());
+/// health.frame_refused(&FrameError::Checksum);
+/// assert_eq!(health.counters().frames_refused, 1);
+/// ```
 #[derive(Clone, Debug, Default)]
 pub struct Health {
     counters: HealthCounters,

@@ -24,6 +24,26 @@ pub struct FallBack {
 }
 
 /// User settings of health monitoring.
+///
+/// ```
+/// use core::num::NonZeroU32;
+///
+/// use agent_core::HealthSettings;
+/// use agent_core::health::FallBack;
+///
+/// let after = NonZeroU32::new(100).unwrap();
+/// let settings = HealthSettings {
+///     fall_back: Some(FallBack {
+///         after,
+///         return_after: after,
+///         outside_box: true,
+///         projection_active: false,
+///         diverged: true,
+///     }),
+///     ..HealthSettings::RECOMMENDED
+/// };
+/// assert_eq!(settings.restart_after, NonZeroU32::new(10));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HealthSettings {
     /// When to fall back to feedback alone; `None` for never.
@@ -53,6 +73,31 @@ impl HealthSettings {
 
 /// Validated parameters of health monitoring. They contain copies of the package's values, because
 /// the package's memory may be overwritten while the agent runs.
+///
+/// ```
+/// use agent_core::{AgentParams, HealthParams, HealthSettings, StateBox, StateVector};
+/// # use agent_core::{Neighbour, ObserverParams, OutputMatrix, OuterLawParams, ProjectionParams};
+/// # use agent_core::{SymmetricMatrix, TriggerParams};
+/// # let neighbours = [Neighbour { id: 2, weight: 1.0 }];
+/// # let observer = ObserverParams {
+/// #     output_matrix: OutputMatrix::new(&[StateVector::<2>::new(1.0, 0.0)])?,
+/// #     gain: SymmetricMatrix::Scalar(50.0).unfold(),
+/// #     neighbours: &neighbours,
+/// # };
+/// # let projection =
+/// #     ProjectionParams { radius: 9.0, boundary_layer: 1.0, smoothing: 0.1, smoothness: 1 };
+/// # let outer_law = OuterLawParams { gain: SymmetricMatrix::Scalar(1.0), projection };
+/// # let trigger =
+/// #     TriggerParams { hold_error_weight: 1e4, consensus_weight: 0.5, threshold: 10.0 };
+/// # let params = AgentParams::new(1, 1e-3, observer, outer_law, trigger)?;
+///
+/// let trained = StateBox { low: &[-1.0; 2], high: &[3.0; 2] };
+/// let health = HealthParams::new(&params, &trained, 2.5e-3, &HealthSettings::RECOMMENDED)?;
+/// assert_eq!(health.start_estimate(), StateVector::<2>::new(1.0, 1.0));
+/// // 2.5 ms are two whole steps of 1 ms.
+/// assert_eq!(health.interval_min(), 2);
+/// # Ok::<(), agent_core::math::parameter::ParameterError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct HealthParams<const N: usize> {
     pub(super) trained: Region<N>,

@@ -131,6 +131,15 @@ const SIGN: u32 = 1 << 31;
 const UPPER_HALF: u32 = 0xffff_f000;
 
 /// Which function the nodes of a layer apply; packages number them in this order.
+///
+/// ```
+/// use agent_core::Activation;
+///
+/// let mut values = [-1.0, 0.0, 1.0];
+/// Activation::Tanh.apply(&mut values);
+/// assert_eq!(values[1], 0.0);
+/// assert_eq!(values[0], -values[2]); // odd to the bit
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Activation {
     /// Hyperbolic tangent, the paper's tangent-sigmoid.

@@ -11,6 +11,18 @@ use nalgebra::SMatrix;
 use crate::math::parameter::{ParameterError, finite, positive};
 
 /// A symmetric matrix, shape `[size, size]`; the caller supplies the size.
+///
+/// ```
+/// use agent_core::SymmetricMatrix;
+///
+/// let gain = SymmetricMatrix::Diagonal(&[2.0, 3.0]);
+/// assert!(gain.validate("gain", 2).is_ok());
+/// assert!(gain.validate("gain", 3).is_err());
+///
+/// let mut product = [0.0; 2];
+/// gain.apply(&[1.0, -1.0], &mut product);
+/// assert_eq!(product, [2.0, -3.0]);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SymmetricMatrix<'a> {
     /// A multiple of the identity.

@@ -21,6 +21,21 @@ use crate::math::symmetric::SymmetricMatrix;
 use crate::{AgentId, StateVector};
 
 /// `C_i`, the output matrix: maps the state to the agent's measurements.
+///
+/// ```
+/// use agent_core::{OutputMatrix, StateVector};
+///
+/// // Measures the second of three state components.
+/// let matrix = OutputMatrix::new(&[StateVector::<3>::new(0.0, 1.0, 0.0)])?;
+/// assert_eq!(matrix.outputs(), 1);
+///
+/// let mut error = StateVector::zeros();
+/// let estimate = StateVector::<3>::new(7.0, 5.0, 8.0);
+/// let innovation = matrix.output_error(&estimate, &[4.0], &mut error);
+/// assert_eq!(error[0], 1.0);
+/// assert_eq!(innovation, StateVector::<3>::new(0.0, 1.0, 0.0));
+/// # Ok::<(), agent_core::math::parameter::ParameterError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct OutputMatrix<const N: usize> {
     rows: heapless::Vec<StateVector<N>, N>,
@@ -80,6 +95,13 @@ impl<const N: usize> OutputMatrix<N> {
 }
 
 /// One edge of the communication graph, as seen from one end.
+///
+/// ```
+/// use agent_core::Neighbour;
+///
+/// let neighbour = Neighbour { id: 2, weight: 0.5 };
+/// assert!(neighbour.weight > 0.0);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Neighbour {
     /// The agent at the other end.
@@ -89,6 +111,25 @@ pub struct Neighbour {
 }
 
 /// Parameters of the feedback.
+///
+/// ```
+/// use agent_core::{Neighbour, ObserverParams, OutputMatrix, StateVector, SymmetricMatrix};
+///
+/// let params = ObserverParams {
+///     output_matrix: OutputMatrix::new(&[StateVector::<2>::new(1.0, 0.0)])?,
+///     gain: SymmetricMatrix::Scalar(50.0).unfold(),
+///     neighbours: &[Neighbour { id: 2, weight: 0.5 }, Neighbour { id: 3, weight: 1.0 }],
+/// };
+/// assert!(params.validate(1).is_ok());
+/// assert!(params.validate(2).is_err()); // an agent is not its own neighbour
+///
+/// // Agent 3 has not been heard yet and contributes nothing.
+/// let own = StateVector::<2>::new(1.0, 1.0);
+/// let heard = StateVector::<2>::new(3.0, 1.0);
+/// let term = params.consensus_term(&own, [Some(&heard), None].into_iter());
+/// assert_eq!(term, StateVector::<2>::new(1.0, 0.0));
+/// # Ok::<(), agent_core::math::parameter::ParameterError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObserverParams<'a, const N: usize> {
     /// `C_i`, shape `[m, N]`.

@@ -41,6 +41,16 @@ impl Layer {
 /// Input dimension and inner layers of a network.
 ///
 /// 18 bytes, copied without a loop, because a node builds a network from it in every step.
+///
+/// ```
+/// use agent_core::{Activation, Architecture, Layer};
+///
+/// let layer = |width| Layer { width, activation: Activation::Tanh };
+/// let architecture = Architecture::new(3, &[layer(10), layer(5)])?;
+/// assert_eq!(architecture.features(), 5);
+/// assert_eq!(architecture.parameter_count(), (3 + 1) * 10 + (10 + 1) * 5);
+/// # Ok::<(), agent_core::observer::network::NetworkError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Architecture {
     inputs: u8,
@@ -167,6 +177,21 @@ impl Architecture {
 
 /// The inner network with its parameters stored in `S`: a flash slice, a static buffer, or a heap
 /// vector on the host.
+///
+/// ```
+/// use agent_core::observer::network::Scratch;
+/// use agent_core::{Activation, Architecture, InnerNetwork, Layer};
+///
+/// let layers = [Layer { width: 1, activation: Activation::Tanh }];
+/// let architecture = Architecture::new(2, &layers)?;
+/// // One bias, then one weight per input.
+/// let network = InnerNetwork::new(architecture, [0.0, 1.0, -1.0])?;
+///
+/// let mut scratch = Scratch::NEW;
+/// assert_eq!(network.features(&[4.0, 4.0], &mut scratch), Some(&[0.0][..]));
+/// assert_eq!(network.features(&[4.0], &mut scratch), None); // the wrong length
+/// # Ok::<(), agent_core::observer::network::NetworkError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct InnerNetwork<S> {
     architecture: Architecture,

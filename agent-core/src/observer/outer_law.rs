@@ -23,6 +23,16 @@ use crate::math::symmetric::SymmetricMatrix;
 use crate::observer::projection::ProjectionParams;
 
 /// Parameters of the adaptation law.
+///
+/// ```
+/// use agent_core::{OuterLawParams, ProjectionParams, SymmetricMatrix};
+///
+/// let projection =
+///     ProjectionParams { radius: 9.0, boundary_layer: 1.0, smoothing: 0.1, smoothness: 1 };
+/// let law = OuterLawParams { gain: SymmetricMatrix::Diagonal(&[3.0; 5]), projection };
+/// assert!(law.validate(5).is_ok());
+/// assert!(law.validate(4).is_err()); // the gain has one row per feature
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OuterLawParams<'a> {
     /// `Gamma`, symmetric and positive definite, shape `[L, L]`. \[1/s^2\]

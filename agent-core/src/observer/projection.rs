@@ -20,6 +20,18 @@ use crate::math::numeric::square_root;
 use crate::math::parameter::ParameterError;
 
 /// Parameters of the projection operator.
+///
+/// ```
+/// use agent_core::ProjectionParams;
+///
+/// let params = ProjectionParams { radius: 9.0, boundary_layer: 1.0, smoothing: 0.1, smoothness: 1 };
+/// assert!(params.validate().is_ok());
+/// assert_eq!(params.bound(), 10.0);
+///
+/// // Inside the ball the operator changes nothing, and `theta^T mu` is not evaluated.
+/// assert_eq!(params.correction(80.0, || unreachable!()), 0.0);
+/// assert!(params.correction(90.0, || 1.0) > 0.0);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProjectionParams {
     /// `theta_0`, radius of the ball in which the operator is the identity. 1e-15 to 1e15, like

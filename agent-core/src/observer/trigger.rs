@@ -12,6 +12,18 @@ use crate::math::numeric::dot;
 use crate::math::parameter::{ParameterError, not_negative, positive};
 
 /// Constants of the trigger.
+///
+/// ```
+/// use agent_core::{StateVector, TriggerParams};
+///
+/// let trigger = TriggerParams { hold_error_weight: 100.0, consensus_weight: 0.5, threshold: 1.0 };
+/// let agreement = StateVector::<1>::zeros();
+/// // Without disagreement it fires at a hold error of sqrt(1 / 100).
+/// assert!(trigger.fires(&StateVector::<1>::new(0.11), &agreement));
+/// assert!(!trigger.fires(&StateVector::<1>::new(0.09), &agreement));
+/// // Disagreement with the neighbours raises that limit.
+/// assert!(!trigger.fires(&StateVector::<1>::new(0.11), &StateVector::<1>::new(1.0)));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TriggerParams {
     /// `phi_1`, weight of the squared hold error. Above 0. \[1/s\]

@@ -56,6 +56,16 @@ pub const FORMAT_VERSION: u8 = 1;
 pub const TEST_VECTORS_MAX: usize = 8;
 
 /// The contents of a package. All slices borrow the bytes it was decoded from.
+///
+/// ```
+/// use agent_core::Package;
+/// use agent_core::package::PackageError;
+///
+/// // Any bytes decode to a package or to an error.
+/// let header = *b"OWP\x01\0\0\0\0\0\0\0\0";
+/// assert_eq!(Package::decode(&header), Err(PackageError::Checksum));
+/// assert_eq!(Package::decode(b"not a package"), Err(PackageError::Magic));
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Package<'a> {
     /// Increases with every package for the same agent; older packages are refused.

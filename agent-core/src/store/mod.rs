@@ -121,6 +121,69 @@ pub struct Loaded<T, E> {
 }
 
 /// The slots, the journal, and the current upload.
+///
+/// ```
+/// # use embedded_storage::nor_flash::{
+/// #     check_erase, check_read, check_write, ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash,
+/// # };
+/// # use agent_core::store::MappedFlash;
+/// # struct Ram([u32; 64]);
+/// # impl ErrorType for Ram {
+/// #     type Error = NorFlashErrorKind;
+/// # }
+/// # impl ReadNorFlash for Ram {
+/// #     const READ_SIZE: usize = 1;
+/// #     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+/// #         check_read(self, offset, bytes.len())?;
+/// #         bytes.copy_from_slice(&self.mapped()[offset as usize..][..bytes.len()]);
+/// #         Ok(())
+/// #     }
+/// #     fn capacity(&self) -> usize {
+/// #         256
+/// #     }
+/// # }
+/// # impl NorFlash for Ram {
+/// #     const WRITE_SIZE: usize = 4;
+/// #     const ERASE_SIZE: usize = 64;
+/// #     fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+/// #         check_erase(self, from, to)?;
+/// #         self.0[from as usize / 4..to as usize / 4].fill(u32::MAX);
+/// #         Ok(())
+/// #     }
+/// #     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+/// #         check_write(self, offset, bytes.len())?;
+/// #         bytemuck::cast_slice_mut(&mut self.0)[offset as usize..][..bytes.len()]
+/// #             .copy_from_slice(bytes);
+/// #         Ok(())
+/// #     }
+/// # }
+/// # impl MappedFlash for Ram {
+/// #     fn mapped(&self) -> &[u8] {
+/// #         bytemuck::cast_slice(&self.0)
+/// #     }
+/// # }
+/// use agent_core::Store;
+/// use agent_core::store::{Layout, Slot};
+///
+/// // `Ram` implements `MappedFlash`. A node's check is `agent_core::package::accept`.
+/// let flash = Ram([u32::MAX; 64]);
+/// let layout = Layout { slots: [0, 64], slot_length: 64, commit: 128, commit_length: 128 };
+/// let check = |bytes: &[u8]| if bytes == b"package" { Ok(()) } else { Err("refused") };
+///
+/// let mut store = Store::open(flash, layout)?;
+/// assert_eq!(store.load(check).in_use, None);
+/// store.begin(7).unwrap();
+/// store.write(0, b"package").unwrap();
+/// store.stage(check).unwrap();
+/// store.activate(check).unwrap();
+/// store.confirm().unwrap();
+///
+/// // A reboot finds the package again.
+/// let mut store = Store::open(store.into_flash(), layout)?;
+/// assert_eq!(store.load(check).in_use, Some((Slot::A, ())));
+/// assert_eq!(store.bytes(Slot::A), Some(&b"package"[..]));
+/// # Ok::<(), agent_core::store::LayoutError>(())
+/// ```
 #[derive(Debug)]
 pub struct Store<F> {
     flash: F,

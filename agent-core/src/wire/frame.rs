@@ -41,6 +41,18 @@ pub type Numbers = heapless::Vec<f32, INPUTS_MAX>;
 pub type FrameBytes = heapless::Vec<u8, FRAME_LENGTH_MAX>;
 
 /// One broadcast of an agent.
+///
+/// ```
+/// use agent_core::wire::frame::FrameError;
+/// use agent_core::{Frame, StateVector};
+///
+/// let frame = Frame { sender: 2, sequence: 7, tick: 300, estimate: StateVector::<2>::zeros() };
+/// let mut bytes = frame.encode();
+/// assert_eq!(Frame::decode(&bytes), Ok(frame));
+///
+/// bytes[1] ^= 1;
+/// assert_eq!(Frame::<2>::decode(&bytes), Err(FrameError::Checksum));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame<const N: usize> {
     /// The agent that broadcasts.
