@@ -34,7 +34,7 @@ impl Activation {
         }
     }
 
-    /// The largest magnitude that the second derivative has anywhere:
+    /// The largest magnitude of the second derivative:
     /// `4 / (3 sqrt 3)`, `1 / (6 sqrt 3)` and 2.
     pub(crate) fn curvature(self) -> f64 {
         match self {
