@@ -7,7 +7,7 @@
 //! Cost: one division per call. Memory: 12 bytes. Invariants: a period is at least one tick, and no
 //! period is lost or counted twice, as long as calls are less than 2^32 ticks apart.
 
-/// Counter of begun periods.
+/// Counts the periods that have begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Periods {
     /// Length of a period. \[tick\]

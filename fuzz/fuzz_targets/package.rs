@@ -14,7 +14,7 @@ use agent_core::package::{
     Capacity, InUse, NetworkPlace, Package, PackageError, Refusal, Requirements,
     SIGNATURE_BLOCK_LENGTH, accept, signature_block,
 };
-use fuzz::{Aligned, mend_package};
+use fuzz::{Aligned, correct_package};
 use libfuzzer_sys::fuzz_target;
 
 const ANY: Requirements<'static> =
@@ -23,7 +23,7 @@ const ANY: Requirements<'static> =
 fuzz_target!(|data: &[u8]| {
     let mut bytes = Aligned::new(data);
     check_all(&bytes);
-    mend_package(bytes.bytes_mut());
+    correct_package(bytes.bytes_mut());
     check_all(&bytes);
 });
 

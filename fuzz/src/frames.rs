@@ -1,11 +1,11 @@
 //! Decodes the input of the target `frame`.
 
-use crate::mend_frame;
+use crate::correct_frame;
 
 /// The length that encodes a step of the agent.
 const STEP: u8 = 0x7f;
 /// Set if a frame's checksum is to be corrected.
-const MENDED: u8 = 0x80;
+const CORRECTED: u8 = 0x80;
 
 /// An event for an agent.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -23,16 +23,16 @@ impl Event {
     pub fn read(mut input: &[u8]) -> impl Iterator<Item = Self> {
         std::iter::from_fn(move || {
             let (&head, rest) = input.split_first()?;
-            if head & !MENDED == STEP {
+            if head & !CORRECTED == STEP {
                 input = rest;
                 return Some(Self::Step);
             }
-            let length = usize::from(head & !MENDED).min(rest.len());
+            let length = usize::from(head & !CORRECTED).min(rest.len());
             let (bytes, rest) = rest.split_at(length);
             input = rest;
             let mut bytes = bytes.to_vec();
-            if head & MENDED != 0 {
-                mend_frame(&mut bytes);
+            if head & CORRECTED != 0 {
+                correct_frame(&mut bytes);
             }
             Some(Self::Received(bytes))
         })
@@ -43,7 +43,7 @@ impl Event {
         match self {
             Self::Step => input.push(STEP),
             Self::Received(bytes) => {
-                input.push(bytes.len() as u8 | MENDED);
+                input.push(bytes.len() as u8 | CORRECTED);
                 input.extend_from_slice(bytes);
             }
         }

@@ -2,7 +2,7 @@
 //! packages as seeds.
 //!
 //! A fuzzer cannot guess a checksum, so every target tries its bytes twice: unchanged, and with the
-//! checksums corrected ([`mend_package`], [`mend_frame`]), which reaches the code behind them.
+//! checksums corrected ([`correct_package`], [`correct_frame`]), which reaches the code behind them.
 
 mod aligned;
 mod frames;
@@ -20,7 +20,7 @@ const CHECKSUM_LENGTH: usize = 4;
 /// Overwrites the header of a package with the one that matches its body and, if the old header's
 /// length leaves exactly a signature at the end, the signature's checksum. Fewer bytes than a
 /// header are left unchanged.
-pub fn mend_package(bytes: &mut [u8]) {
+pub fn correct_package(bytes: &mut [u8]) {
     let Some((header, rest)) = bytes.split_first_chunk_mut::<HEADER_LENGTH>() else { return };
     let [.., l0, l1, l2, l3, _, _, _, _] = *header;
     let stated = u32::from_le_bytes([l0, l1, l2, l3]) as usize;
@@ -31,11 +31,11 @@ pub fn mend_package(bytes: &mut [u8]) {
     covered[3] = FORMAT_VERSION;
     covered[4..].copy_from_slice(&(body.len() as u32).to_le_bytes());
     checksum.copy_from_slice(&crc32(&[covered, body]).to_le_bytes());
-    mend_frame(block);
+    correct_frame(block);
 }
 
 /// Overwrites the last four bytes with the checksum of the preceding ones.
-pub fn mend_frame(bytes: &mut [u8]) {
+pub fn correct_frame(bytes: &mut [u8]) {
     if let Some((body, checksum)) = bytes.split_last_chunk_mut::<CHECKSUM_LENGTH>() {
         *checksum = crc32(&[body]).to_le_bytes();
     }

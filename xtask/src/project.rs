@@ -111,7 +111,7 @@ fn make(path: &Path, board: &Board, copy_crates: bool) -> Result<(), Failure> {
     let mut manifest = boards::read(&board.folder.join("Cargo.toml"))?;
     redirect(manifest.as_table_mut(), &board.folder, &crates);
     if copy_crates {
-        // They have a workspace of their own, whose settings they inherit.
+        // They are a separate workspace, whose settings they inherit.
         manifest["workspace"]["exclude"] = value(Array::from_iter(["crates"]));
     }
     write(&path.join("Cargo.toml"), &manifest.to_string())?;

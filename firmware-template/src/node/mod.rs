@@ -233,11 +233,11 @@ impl<
         Ok(node)
     }
 
-    /// As [`new`](Self::new), in its place, which takes less stack: packages are checked when nothing
-    /// of the node is on it any more.
+    /// Like [`new`](Self::new), but in place, which takes less stack: packages are checked when the
+    /// node itself is not on the stack.
     ///
     /// # Errors
-    /// A layout that does not fit the flash.
+    /// A layout that does not match the flash.
     pub fn new_in(
         place: &'m mut MaybeUninit<Self>,
         flash: F,
@@ -249,7 +249,7 @@ impl<
         Ok(node)
     }
 
-    #[inline(never)] // The stack is to be free again of the node.
+    #[inline(never)] // Frees the node's stack.
     fn write_to(
         place: &'m mut MaybeUninit<Self>,
         flash: F,
@@ -259,7 +259,7 @@ impl<
         Ok(place.write(Self::open(flash, settings, memory)?))
     }
 
-    /// The node with no package in use yet.
+    /// Creates the node without loading a package.
     fn open(
         flash: F,
         settings: Settings,

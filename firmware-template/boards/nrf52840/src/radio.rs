@@ -26,7 +26,7 @@ const FRAMES: usize = 2 * crate::NEIGHBOURS;
 /// Number of attempts to find the channel free before a frame is dropped.
 const TRIES: u32 = 4;
 
-/// Where the receiver is for the interrupt, while the link does not have it.
+/// Holds the receiver for the interrupt, while the link does not use it.
 static RECEIVER: Shared<&'static mut Receiver> = Shared::new();
 static RECEIVER_PLACE: StaticCell<Receiver> = StaticCell::new();
 static BUFFER: ConstStaticCell<[u8; Receiver::BUFFER]> = ConstStaticCell::new([0; _]);

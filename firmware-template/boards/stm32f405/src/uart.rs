@@ -53,7 +53,7 @@ impl<U: Instance> Uart<U> {
         }
     }
 
-    /// Sends what there is room for. QEMU always has room, and never interrupts to say so.
+    /// Sends as many bytes as there is space for. QEMU always has space, and never interrupts.
     fn send(&mut self) {
         loop {
             let flags = self.serial.flags();
@@ -64,7 +64,7 @@ impl<U: Instance> Uart<U> {
                 if let Some(driver) = &mut self.driver {
                     driver.set_high();
                 }
-                // There is room, as the flag said.
+                // There is space, as the flag showed.
                 let _ = self.serial.write(byte);
                 self.serial.listen(Event::TxEmpty);
                 continue;
