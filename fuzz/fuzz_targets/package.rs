@@ -115,7 +115,7 @@ fn check_acceptance<const N: usize>(bytes: &[u8], package: &Package<'_>) {
         }
         Err(Refusal::Dimension { .. }) => assert_ne!(package.dimension(), N),
         Err(Refusal::TestVector { .. }) => {
-            let Some(proved) = with_right_test_vectors::<N>(package, bytes.len()) else { return };
+            let Some(proved) = with_correct_test_vectors::<N>(package, bytes.len()) else { return };
             let accepted = judge::<N>(proved.bytes(), &ANY).expect("nothing else was wrong");
             check_accepted::<N>(proved.bytes(), &accepted);
         }
@@ -126,7 +126,7 @@ fn check_acceptance<const N: usize>(bytes: &[u8], package: &Package<'_>) {
 
 /// Returns the package with the network's outputs for the inputs of its test vectors, if they are
 /// finite; `length` is the package's length in bytes.
-fn with_right_test_vectors<const N: usize>(
+fn with_correct_test_vectors<const N: usize>(
     package: &Package<'_>,
     length: usize,
 ) -> Option<Aligned> {

@@ -197,7 +197,7 @@ fn any_order_of_stepping<const N: usize>(seed: u64) -> Result<(), TestCaseError>
 }
 
 /// Runs agent 0 with neighbours some of which are never heard, beside one without them.
-fn silent_neighbours_count_for_nothing<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
+fn silent_neighbours_contribute_nothing<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
     let mut draw = Draw::new(seed);
     let full = draw.network::<N>();
     let mut reduced = full.clone();
@@ -359,9 +359,9 @@ proptest! {
 
     #[test]
     fn a_neighbour_that_was_never_heard_contributes_nothing(seed: u64) {
-        silent_neighbours_count_for_nothing::<1>(seed)?;
-        silent_neighbours_count_for_nothing::<3>(seed)?;
-        silent_neighbours_count_for_nothing::<12>(seed)?;
+        silent_neighbours_contribute_nothing::<1>(seed)?;
+        silent_neighbours_contribute_nothing::<3>(seed)?;
+        silent_neighbours_contribute_nothing::<12>(seed)?;
     }
 
     #[test]

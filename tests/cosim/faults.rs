@@ -207,7 +207,7 @@ fn framed(response: &Response<'_, Vec<f32>>) -> Vec<u8> {
 }
 
 #[test]
-fn cosim_ends_with_a_node_that_talks_nonsense_in_the_middle() {
+fn cosim_ends_with_a_node_that_sends_invalid_messages() {
     let error = scripted(|_| {}, &[1, 2, 3, 4, 5, 6, 7, DELIMITER]);
     assert!(error.starts_with("agent 3 (script): it sends an unrecognised message: "), "{error}");
     let error = scripted(|_| {}, &framed(&Response::InUse { version: Some(2) }));

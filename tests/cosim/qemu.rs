@@ -24,7 +24,7 @@ fn children() -> BTreeSet<String> {
 }
 
 #[test]
-#[ignore = "needs the firmware and QEMU; cargo xtask test runs it"]
+#[ignore = "requires the firmware and QEMU; run `cargo xtask test`"]
 fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
     let folder = Folder::new("cosim-qemu");
     let before = children();
@@ -57,7 +57,7 @@ fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
 }
 
 #[test]
-#[ignore = "needs the firmware and QEMU; cargo xtask test runs it"]
+#[ignore = "requires the firmware and QEMU; run `cargo xtask test`"]
 fn cosim_in_qemu_continues_with_kept_flash() {
     let folder = Folder::new("cosim-qemu-keep");
     let learns = "paper --keep flash --steps 300 --without-learning";

@@ -126,7 +126,7 @@ impl Messages {
 }
 
 #[test]
-#[ignore = "needs the firmware and QEMU; cargo xtask boot runs it"]
+#[ignore = "requires the firmware and QEMU; run `cargo xtask boot`"]
 fn stm32f405_in_qemu_greets_steps_and_broadcasts_without_crystal_and_sensor() {
     let folder = tempfile::tempdir().unwrap();
     let mut board = Emulated::start(FIRMWARE, folder.path());
@@ -163,7 +163,7 @@ fn stm32f405_in_qemu_greets_steps_and_broadcasts_without_crystal_and_sensor() {
 }
 
 #[test]
-#[ignore = "needs the firmware and QEMU; cargo xtask boot runs it"]
+#[ignore = "requires the firmware and QEMU; run `cargo xtask boot`"]
 fn stm32f405_in_qemu_steps_with_the_bits_of_the_host() {
     let subscription = Subscription { state_every: NonZeroU32::new(1), outer_weights: true };
     let ticks = (0..200).map(|step| {

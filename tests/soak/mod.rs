@@ -130,7 +130,7 @@ fn the_judge_accepts_only_correct_answers() {
 
 /// For `cargo xtask soak`, which passes firmware, length and seed in environment variables.
 #[test]
-#[ignore = "takes the firmware: cargo xtask soak"]
+#[ignore = "requires the firmware; run `cargo xtask soak`"]
 fn emulated() {
     let setting = |name: &str| {
         std::env::var(name).unwrap_or_else(|_| panic!("{name} is not set; run `cargo xtask soak`"))

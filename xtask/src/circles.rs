@@ -380,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn there_are_no_circles() {
+    fn there_are_no_cycles() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
         if let Err(failure) = check(root) {
             panic!("{}", failure.what);
@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn circles_are_found_in_every_spelling() {
+    fn cycles_are_found_in_every_spelling() {
         for there in [
             "use crate::b::B;",
             "use crate::{b::B, c};",
@@ -404,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn a_longer_circle_is_one() {
+    fn a_longer_cycle_is_found() {
         let files = [
             ("", "pub use c::C;"),
             ("a", "use crate::b::B;"),

@@ -194,7 +194,7 @@ fn run_target(target: &str, program: &Path, seconds: u32) -> Result<(), Failure>
     })
     .map_err(|failure| match finding {
         Some(path) => Failure::new(
-            format!("fuzz target {target}: a finding, {path}"),
+            format!("fuzz target {target} failed: see {path}"),
             format!(
                 "reproduce it with `{} {path}`; after fixing it, copy the input to \
                  fuzz/corpus/{target}/ as a regression test",

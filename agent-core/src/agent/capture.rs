@@ -105,7 +105,7 @@ mod tests {
 
     proptest::proptest! {
         #[test]
-        fn the_remainder_is_that_of_a_division(tick: u64, shift in 0u32..64, stride in 1u32..) {
+        fn remainder_matches_division(tick: u64, shift in 0u32..64, stride in 1u32..) {
             let stride = NonZeroU32::new(stride).unwrap();
             for tick in [tick, tick >> shift] {
                 assert_eq!(u64::from(remainder(tick, stride)), tick % u64::from(stride.get()));

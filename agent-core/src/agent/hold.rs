@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn what_looks_older_has_to_wait_for_the_silence_on_the_receivers_clock() {
+    fn older_looking_samples_wait_for_silence_on_the_receivers_clock() {
         // The sender's clock is far ahead of the receiver's.
         let held = hold(1_000_000, 500).taken_over(40);
         let anew = hold(0, 0);

@@ -176,7 +176,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_newer_frame_takes_the_place_of_one_that_waits() {
+    fn a_newer_frame_replaces_a_pending_one() {
         let mut inbox = Inbox::<2, _>::new([None; 2]);
         let with = |sequence| Frame { sequence, ..frame(9) }.encode();
         assert_eq!(inbox.accept(&NEIGHBOURS, &with(u32::MAX)), Ok(()));
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn an_estimate_that_cannot_be_true_is_refused_or_discarded() {
+    fn an_implausible_estimate_is_refused_or_discarded() {
         let region = Region::new([-5.0, -5.0].into(), [5.0, 5.0].into()).unwrap();
         let mut inbox = Inbox::<2, _>::new([None; 2]);
         let huge = Frame::<2> { estimate: [1.0, 1e30].into(), ..frame(9) }.encode();

@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn finiteness_sees_every_component() {
+    fn finiteness_checks_every_component() {
         assert!(all_finite(&SVector::<f32, 3>::new(1.0, -2.0, f32::MAX)));
         for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             for place in 0..3 {

@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn vectors_of_the_standard() {
+    fn accepts_the_vectors_of_the_standard() {
         for (private, public, message, signature) in RFC_8032 {
             let signature = hex(signature);
             let key = PublicKey::from_bytes(&hex(public)).unwrap();
@@ -357,7 +357,7 @@ mod tests {
 
     /// About half of all byte strings are points.
     #[test]
-    fn agrees_on_what_a_key_is() {
+    fn agrees_on_valid_keys() {
         let mut bytes = Bytes(6);
         let mut points = 0;
         for _ in 0..400 {

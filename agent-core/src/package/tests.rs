@@ -187,7 +187,7 @@ fn an_unchanged_package_is_decoded_without_its_checksums() {
 }
 
 #[test]
-fn a_package_is_found_at_the_beginning_of_a_slot() {
+fn a_package_is_found_at_the_start_of_a_slot() {
     let unsigned = encoded(&Content::new().package());
     let signed = [unsigned.bytes(), &signature_block(&[0x5a; 64])].concat();
     for (package, rest) in [(unsigned.bytes(), 0xff), (&signed, 0xff), (unsigned.bytes(), 0)] {
@@ -358,7 +358,7 @@ fn an_older_package_or_one_for_another_agent_is_refused() {
 }
 
 #[test]
-fn a_network_that_computes_something_else_is_refused() {
+fn a_network_with_other_results_is_refused() {
     let mut content = Content::new();
     // One unit in the last place of one bias.
     content.inner[1] = f32::from_bits(content.inner[1].to_bits() + 1);

@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn no_flipped_bit_no_erased_and_no_zeroed_flash_is_a_record() {
+    fn flipped_bits_and_erased_or_zeroed_flash_are_not_records() {
         let record = contents().encode(7);
         for bit in 0..RECORD_LENGTH * 8 {
             let mut flipped = record;
