@@ -404,7 +404,8 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
     fn check_what_is_in_use(&self) {
         if let Some(number) = self.in_use {
             let slot = self.store.in_use();
-            let bytes = slot.map(|slot| self.store.bytes(slot).expect("the package in use is recorded"));
+            let bytes =
+                slot.map(|slot| self.store.bytes(slot).expect("the package in use is recorded"));
             assert_eq!(bytes.map(accept), number.map(Ok));
             assert_eq!(self.store.is_on_trial(), self.way_back.is_some());
         }
