@@ -315,7 +315,7 @@ impl<
     /// async fn node_task<F: MappedFlash>(mut node: Node<'_, F, 3, 8, 4, 64>, mut board: impl Board) {
     ///     loop {
     ///         match node.poll(&mut board) {
-    /// Let other tasks run between two pieces of work.
+    ///             // Let other tasks run between two pieces of work.
     ///             Progress::Worked => other_tasks().await,
     ///             // A ticker at the package's period, or a byte at the service port.
     ///             Progress::Idle => period_or_byte().await,
