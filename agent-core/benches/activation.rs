@@ -1,4 +1,4 @@
-//! Time of the activations on slices of 12 and 64 values, against libm and micromath.
+//! Benchmarks the activations on slices of 12 and 64 values against libm and micromath.
 //!
 //! `cargo bench -p agent-core --bench activation`
 
@@ -10,15 +10,16 @@ fn main() {
     divan::main();
 }
 
-/// Widths of a small layer and of the widest.
+/// The width of a small layer and the largest width.
 const WIDTHS: [usize; 2] = [12, 64];
 
-/// Times `apply` on `width` values spread over [-3, 3]; the copy into place is timed too.
+/// Times `apply` on `width` values spread over [-3, 3], including the copy into place.
 fn run(bencher: Bencher, width: usize, mut apply: impl FnMut(&mut [f32])) {
     let mut source = [0.0f32; 64];
     let mut bits = 0u16;
     for value in &mut source {
-        // A full-period linear congruence: all octants, no pattern for a branch predictor.
+        // A full-period linear congruence: covers all octants and has no pattern that a branch
+        // predictor could learn.
         bits = bits.wrapping_mul(25_173).wrapping_add(13_849);
         *value = (f32::from(bits) / 32_768.0 - 1.0) * 3.0;
     }

@@ -5,15 +5,15 @@
 //! cargo run --release -p agent-core --example activation_error -- --stride 4099 --compare
 //! ```
 //!
-//! `--stride K` takes every K-th float of each sign, `--compare` adds the libm crate's
-//! `tanhf` and the functions as one would build them on micromath's `exp`.
+//! `--stride K` takes every K-th float of each sign; `--compare` adds the libm crate's `tanhf` and
+//! versions of the functions built on micromath's `exp`.
 //!
-//! The reference is the libm crate's binary64 function of the exact input. An error is
-//! |value - reference| with the reference not rounded, in ulps of the binary32 binade that
-//! the reference lies in (2^-149 below the normal numbers). The reference's own error, about
-//! 2^-29 of such an ulp, is the resolution. Inputs are walked in the order of their bits,
-//! each sign by itself, and every value is compared with the one before it, across the
-//! boundaries of the threads' blocks as well.
+//! The reference is the libm crate's binary64 function of the exact input. An error is |value -
+//! reference| with the reference not rounded, in ulps of the binary32 binade that contains the
+//! reference (2^-149 below the normal numbers). The resolution is the reference's own error, about
+//! 2^-29 of such an ulp. Inputs are visited in the order of their bits, each sign separately, and
+//! every value is compared with the previous one, also across the boundaries of the threads'
+//! blocks.
 
 use agent_core::math::activation::Activation;
 use micromath::F32Ext;
@@ -28,7 +28,7 @@ mod laws;
 
 use laws::{Law, Symmetry, law};
 
-/// A function under test and the laws it ought to obey.
+/// A function under test and the properties it must have.
 struct Subject {
     name: String,
     function: Box<dyn Fn(f32) -> f32 + Sync>,
@@ -48,7 +48,7 @@ impl Subject {
     }
 }
 
-/// Clamped because micromath's `exp` ends in infinity over infinity otherwise.
+/// Clamped, because micromath's `exp` otherwise ends in infinity over infinity.
 fn micromath_tanh(x: f32) -> f32 {
     let e = F32Ext::exp(2.0 * x.clamp(-9.0, 9.0));
     (e - 1.0) / (e + 1.0)
@@ -71,7 +71,7 @@ fn compared() -> Vec<Subject> {
     ]
 }
 
-/// What a walk found.
+/// The result of a walk.
 #[derive(Clone, Copy)]
 struct Findings {
     worst_ulp: f64,
@@ -97,7 +97,7 @@ impl Findings {
     fn add_error(&mut self, x: f32, value: f32, reference: f64) {
         let absolute = (f64::from(value) - reference).abs();
         let ulp = absolute * reciprocal_ulp(reference);
-        // Of equals the smaller |x|, so that the answer does not depend on the threads.
+        // On a tie the smaller |x| wins, so that the result does not depend on the threads.
         if ulp > self.worst_ulp || (ulp == self.worst_ulp && x.abs() < self.worst_at.abs()) {
             self.worst_ulp = ulp;
             self.worst_at = x;
@@ -132,7 +132,7 @@ fn reciprocal_ulp(reference: f64) -> f64 {
 const INFINITY: u32 = 0x7f80_0000;
 /// One more than the bits of the last NaN without sign.
 const END: u32 = 0x8000_0000;
-/// Samples that a thread takes at a time.
+/// Samples that a thread processes at a time.
 const BLOCK: u32 = 1 << 20;
 
 /// Walks magnitudes `first`, `first + stride`, … below `end`, both signs of each.
@@ -223,12 +223,12 @@ fn main() {
             "--stride" => match arguments.next().map(|k| k.parse()) {
                 Some(Ok(k @ 1..=0x0fff_ffff)) => stride = k,
                 _ => {
-                    eprintln!("--stride takes a number from 1 to 268435455");
+                    eprintln!("invalid --stride: expected a number from 1 to 268435455");
                     std::process::exit(2);
                 }
             },
             other => {
-                eprintln!("unknown argument {other}: --stride K and --compare are known");
+                eprintln!("unknown argument {other}: expected --stride K or --compare");
                 std::process::exit(2);
             }
         }
@@ -259,7 +259,7 @@ fn main() {
             yes(findings.in_range),
             yes(findings.nan_to_nan),
         );
-        // The table is written line by line even into a pipe: a full walk takes minutes.
+        // Printed line by line even into a pipe, because a full walk takes minutes.
         std::io::stdout().flush().expect("standard output is open");
     }
 }

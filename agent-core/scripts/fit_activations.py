@@ -1,25 +1,25 @@
 #!/usr/bin/env python3
-"""Fits the constants of agent-core/src/activation.rs and prints them.
+"""Fits the constants of agent-core/src/math/activation.rs and prints them.
 
     pip install numpy mpmath
     python agent-core/scripts/fit_activations.py
     python agent-core/scripts/fit_activations.py --golden
 
-The second form also prints the hashes and bits that `src/activation/tests.rs` expects,
-from the binary32 model of the functions below and not from the Rust code.
+The second form also prints the hashes and bits that `src/math/activation/tests.rs` expects,
+computed with the binary32 model below, not with the Rust code.
 
 Each polynomial is fitted in two steps, without randomness:
 
-1. A Remez exchange in 40 digits finds the polynomial whose largest *weighted* error is
-   least. The weight is the derivative of the activation's relative error with respect to
-   the polynomial, so what is minimised is the error of the activation and not that of the
-   polynomial. Coefficients are rounded to binary32 one after the other, lowest degree
-   first; after each the rest is fitted again around the rounded ones.
+1. A Remez exchange in 40 digits finds the polynomial with the smallest maximum *weighted*
+   error. The weight is the derivative of the activation's relative error with respect to
+   the polynomial, so the error of the activation is minimised, not that of the polynomial.
+   Coefficients are rounded to binary32 one by one, lowest degree first; after each
+   rounding the remaining ones are fitted again.
 2. A descent over neighbouring binary32 values minimises the worst error of the whole
    function, evaluated operation by operation in binary32 on a fixed grid of inputs.
 
-The search sees a grid only. `cargo run --release --example activation_error` walks every
-float and is what the documented errors come from.
+The search uses only a grid. `cargo run --release --example activation_error` checks every
+float and determines the documented errors.
 """
 
 import sys
@@ -31,8 +31,8 @@ mp.mp.dps = 40
 F32 = np.float32
 
 LN2 = mp.log(2)
-# Below it tanh is x - x^3 P(x^2), from it on 1 - 2 / (exp(2 x) + 1). Just above
-# atanh(1/2) = 0.5493, so that the second form never answers in the binade below 1/2.
+# Below this tanh is x - x^3 P(x^2), above it 1 - 2 / (exp(2 x) + 1). Just above
+# atanh(1/2) = 0.5493, so that the second form never gives a result in the binade below 1/2.
 TANH_SMALL_BELOW = F32(0.55)
 # 1 - tanh(x) is under a quarter of an ulp from here on.
 TANH_FIT_END = mp.mpf("9.4")
@@ -44,7 +44,7 @@ EXP_LIMIT = F32(104.0)
 GAUSSIAN_LIMIT = F32(10.2)
 # 1 + exp(-20) is 1.
 LOGISTIC_SATURATION = F32(20.0)
-# 1.5 * 2^23: adding it leaves the integer nearest to the other summand in the low bits.
+# 1.5 * 2^23: adding it to a number leaves the nearest integer in the low bits.
 ROUNDER = F32(12582912.0)
 LOG2_E = F32(float(1 / LN2))
 # 16 bits, so that its product with any |k| <= 151 (8 bits) is exact.

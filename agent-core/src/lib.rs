@@ -1,29 +1,30 @@
-//! One agent of a distributed observer: every node of a sensor network estimates the whole
-//! state of a system whose dynamics nobody knows, from its own partial measurement, a deep
-//! network, and what its neighbours last broadcast.
+//! One agent of a distributed observer. Every node of a sensor network estimates the full state of
+//! a system with unknown dynamics from its own partial measurement, a deep network, and its
+//! neighbours' last broadcasts.
 //!
-//! The crate needs no operating system, no heap and no `unsafe`, and it computes the same
-//! bits on every target: only IEEE additions, subtractions, multiplications, divisions and
-//! comparisons in single precision, in an order that the source fixes, never fused, never a
+//! The crate needs no operating system and no heap, contains no `unsafe`, and computes the same
+//! bits on every target: it uses only single-precision IEEE additions, subtractions,
+//! multiplications, divisions and comparisons, in the order the source fixes, never fused and never
+//! from a platform's math library.
 //! platform's mathematical library.
 //!
 //! # Modules, bottom up
-//! Each one knows only those above it in this table.
+//! Each module depends only on those above it in this table.
 //!
-//! | module | holds | equations in the paper |
+//! | module | contents | equations in the paper |
 //! | --- | --- | --- |
-//! | [`math`] | ordered sums, activations, symmetric matrices, parameter ranges | |
+//! | [`math`] | ordered sums, activations, symmetric matrices, range checks | |
 //! | [`wire`] | frames, COBS framing, CRC-32 | |
 //! | [`observer`] | network, feedback, outer law, projection, trigger | `Phi func`, `Observer i`, `What_i Dot`, `Trigger` |
 //! | [`agent`] | parameters, state, the step; held samples, inbox, capture | `x_i_tilde` |
-//! | [`package`] | parameters as bytes: encode, decode, accept, sign, switch in | `Phi_hat` at `T_p` |
-//! | [`store`] | packages in flash, safe against loss of power at any instant | |
-//! | [`health`] | run-time faults: counters, fall-back, restart | `Zeno Bound` |
+//! | [`package`] | weight packages: encode, decode, accept, sign, activate | `Phi_hat` at `T_p` |
+//! | [`store`] | packages in flash, safe against power loss at any instant | |
+//! | [`health`] | run-time faults: counters, fallback, restart | `Zeno Bound` |
 //! | [`service`] | requests and responses between a node and a laptop | |
-//!
-//! Parameters ([`agent::AgentParams`]) never change and can live in flash; the state
-//! ([`agent::AgentState`]) is all that does. Time, measurements and frames are arguments, the
-//! frame to broadcast is a return value: nothing here touches a peripheral, except that
+//! Parameters ([`agent::AgentParams`]) are immutable and can be placed in flash; all mutable data
+//! is in the state ([`agent::AgentState`]). Time, measurements and frames are arguments, and the
+//! frame to broadcast is a return value: nothing here touches a peripheral, except that [`store`]
+//! writes through the flash driver it is given.
 //! [`store`] writes through the flash driver that it is given.
 #![no_std]
 #![forbid(unsafe_code)]
@@ -40,7 +41,7 @@ pub mod wire;
 #[cfg(test)]
 mod golden_bytes;
 
-/// Most inputs that a network can have; the largest state dimension.
+/// Largest number of network inputs, and largest state dimension.
 pub const INPUTS_MAX: usize = 12;
 
 pub use agent::hold::Hold;
@@ -59,16 +60,23 @@ pub use package::Package;
 pub use store::Store;
 pub use wire::frame::Frame;
 
-/// A vector of the state space, shape `[N]`.
+/// A vector in state space, shape `[N]`.
+///
+/// ```
+/// use agent_core::StateVector;
+///
+/// let estimate = StateVector::<3>::new(5.0, 7.0, 8.0);
+/// assert_eq!(estimate - estimate, StateVector::<3>::zeros());
+/// ```
 pub type StateVector<const N: usize> = nalgebra::SVector<f32, N>;
 
-/// Number of an agent in its network; any scheme will do as long as no two share one.
+/// Number of an agent; must be unique within its network.
 pub type AgentId = u16;
 
-/// Discrete time: how many steps of length `step_size` lie behind.
+/// Discrete time: number of elapsed steps of length `step_size`.
 pub type Tick = u64;
 
-/// The example in the README is compiled and run, so that it cannot drift.
+/// Compiles and runs the README's example, so that it stays correct.
 #[cfg(doctest)]
 #[doc = include_str!("../../README.md")]
 struct Readme;

@@ -1,9 +1,9 @@
-//! Links a board with the linker script of cortex-m-rt and the memory map in the board's folder: the
-//! build script of every board (`build = "../build.rs"`).
+//! The build script of every board (`build = "../build.rs"`): links it with the linker script of
+//! cortex-m-rt and the memory map in the board's folder.
 //!
-//! The script says `INCLUDE memory.x`, and linkers look for that name first where cargo starts them:
-//! in the folder of the workspace. A board that is its own workspace so gets its own map, whatever was
-//! built before it.
+//! The script contains `INCLUDE memory.x`, and linkers first look for that file in the folder where
+//! cargo runs them: the root of the workspace. A board that is its own workspace therefore gets its
+//! own map, whatever was built before.
 
 use std::{env, error::Error, fs, path::Path, process::ExitCode};
 
@@ -11,7 +11,7 @@ fn main() -> ExitCode {
     match link() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // Cargo shows what is printed like this as an error of the board.
+            // Cargo reports this as a build error of the board.
             println!("cargo::error={error}");
             ExitCode::FAILURE
         }
@@ -24,7 +24,7 @@ fn link() -> Result<(), Box<dyn Error>> {
     let folder = env::var("CARGO_MANIFEST_DIR")?;
     if env::var("CARGO_CFG_TARGET_OS")? != "none" {
         return Err(format!(
-            "this is firmware, and it was built for this computer; call cargo in {folder}, where \
+            "this is firmware, but the target is the host; run cargo in {folder}, where \
              .cargo/config.toml names the target, or give --target"
         )
         .into());
@@ -33,7 +33,7 @@ fn link() -> Result<(), Box<dyn Error>> {
     if !manifest.lines().any(|line| line.trim() == "[workspace]") {
         return Err(format!(
             "{folder}/Cargo.toml has no [workspace], so the linker may find another board's memory.x; \
-             add that line"
+             add that section"
         )
         .into());
     }
@@ -42,14 +42,14 @@ fn link() -> Result<(), Box<dyn Error>> {
         Ok(_) => return Err(format!("{folder}/memory.x has no MEMORY regions").into()),
         Err(error) => {
             return Err(format!(
-                "{folder}/memory.x: {error}; copy the one of a similar board and adapt it"
+                "{folder}/memory.x: {error}; copy and adapt that of a similar board"
             )
             .into());
         }
     }
     println!("cargo::rustc-link-arg-bins=--nmagic");
     println!("cargo::rustc-link-arg-bins=-Tlink.x");
-    // A second-stage boot loader, for chips that have one.
+    // The second-stage boot loader, for chips that have one.
     if Path::new("boot2.x").exists() {
         println!("cargo::rerun-if-changed=boot2.x");
         println!("cargo::rustc-link-arg-bins=-Tboot2.x");

@@ -1,12 +1,13 @@
-//! A board from nothing: every trait that a node needs, played by the host.
+//! A complete board with every trait that a node needs, simulated on the host.
 //!
 //! `cargo run -p firmware-template --example my_board`
 //!
 //! The plant is an oscillator, `x1' = x2`, `x2' = -x1`. This node measures `x1`; a neighbour,
-//! whom the link plays, measures `x2` and broadcasts its estimate every 10 ms. The node has no
-//! package, so it is its fallback, and yet comes to know both.
+//! simulated by the link, measures `x2` and broadcasts its estimate every 10 ms. The node has no
+//! package, so it runs its fallback, and still estimates both components.
 //!
-//! On a real board, each of the five parts below talks to hardware instead; nothing else changes.
+//! On a real board, each of the five parts below accesses hardware instead; everything else stays
+//! the same.
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -31,7 +32,7 @@ use firmware_template::{Clock, Hardware, Link, LinkErrorKind, Memory, Node, Sens
 /// The sampling period. \[s\]
 const PERIOD: f32 = 1e-3;
 
-/// How many periods have passed: all that the parts of this board have in common.
+/// The number of elapsed periods, shared by all parts of this board.
 type Now = Rc<Cell<u32>>;
 
 /// The plant's state.
@@ -40,7 +41,7 @@ fn plant(now: u32) -> [f32; 2] {
     [t.sin() as f32, t.cos() as f32]
 }
 
-/// 1. The sensor. A real one reads a bus; see `RegisterSensor`, and the board `stm32f405`.
+/// 1. The sensor. A real one reads a bus; see `RegisterSensor` and the board `stm32f405`.
 struct Position(Now);
 
 impl Sensor for Position {
@@ -56,7 +57,7 @@ impl Sensor for Position {
     }
 }
 
-/// 2. The link. A real one hands frames to a radio; over a serial line it is `SerialLink`.
+/// 2. The link. A real one passes frames to a radio; over a serial line it is `SerialLink`.
 struct Neighbour {
     now: Now,
     heard: Rc<Cell<u32>>,
@@ -89,7 +90,7 @@ impl Link for Neighbour {
     }
 }
 
-/// 3. The clock. A real one looks at a timer (see `Periods`) and rests until an interrupt.
+/// 3. The clock. A real one reads a timer (see `Periods`) and rests until an interrupt.
 struct Simulated {
     now: Now,
     counted: u32,
@@ -124,7 +125,7 @@ impl embedded_io::ErrorType for Console {
 
 impl ReadReady for Console {
     fn read_ready(&mut self) -> Result<bool, Infallible> {
-        // Somebody asks the node to reset when it has done its steps.
+        // Requests a reset once the node has completed its steps.
         if self.now.get() >= self.steps && self.input.is_empty() {
             send(&Request::Reset, |bytes| self.input.extend(bytes));
         }
@@ -203,7 +204,7 @@ impl MappedFlash for Ram {
     }
 }
 
-/// What the node is until it gets a package.
+/// The agent that runs until the node gets a package.
 fn fallback() -> Option<AgentConfig<'static>> {
     Some(AgentConfig {
         agent: 1,
@@ -225,7 +226,7 @@ fn fallback() -> Option<AgentConfig<'static>> {
     })
 }
 
-/// Lets a node do `steps` steps on this board; returns what it said and how often it broadcast.
+/// Runs a node for `steps` steps on this board; returns its output and the number of broadcasts.
 fn run(steps: u32) -> (Vec<u8>, u32) {
     let now = Now::default();
     let (heard, output) = (Rc::new(Cell::new(0)), Rc::new(RefCell::new(Vec::new())));
@@ -246,15 +247,15 @@ fn run(steps: u32) -> (Vec<u8>, u32) {
         stack_unused: None,
         version: [0, 1, 0],
     };
-    // Two state components; room for 1 feature, 1 neighbour, 8 samples.
+    // State dimension 2; capacity for 1 feature, 1 neighbour, 8 samples.
     let mut memory = Memory::new();
-    let mut node =
-        Node::<_, 2, 1, 1, 8>::new(Ram([0xff; _]), settings, &mut memory).expect("a fine layout");
+    let mut node = Node::<_, 2, 1, 1, 8>::new(Ram([0xff; _]), settings, &mut memory)
+        .expect("the layout is valid");
     node.run(&mut board);
     (output.take(), heard.get())
 }
 
-/// Whatever `bytes` hold, as `monitor` would show it.
+/// Decodes the responses in `bytes`, as `monitor` does.
 fn responses(bytes: &[u8], mut show: impl FnMut(Response<'_, Numbers>)) {
     let mut decoder = Decoder::<512>::new();
     for byte in bytes {
@@ -279,7 +280,7 @@ fn main() {
 }
 
 #[test]
-fn the_node_comes_to_know_what_it_does_not_measure() {
+fn the_node_estimates_what_it_does_not_measure() {
     let (bytes, broadcasts) = run(5_000);
     let (mut states, mut done) = (0, false);
     responses(&bytes, |response| match response {

@@ -1,6 +1,6 @@
 //! What a node needs from its board.
 //!
-//! | trait | what it is | who implements it |
+//! | trait | purpose | implementation |
 //! | --- | --- | --- |
 //! | [`Sensor`] | reads the agent's own part of the output, `y_i` | [`crate::RegisterSensor`], or the board |
 //! | [`Link`] | moves frames to and from the neighbours | [`crate::SerialLink`], or the board |
@@ -26,38 +26,37 @@ pub trait Sensor {
     /// What can go wrong on the way to the sensor; [`SensorErrorKind`] itself will do.
     type Error: SensorError;
 
-    /// Components of `y_i` that [`read`](Self::read) delivers.
+    /// Returns the number of components of `y_i` that [`read`](Self::read) delivers.
     fn outputs(&self) -> usize;
 
-    /// Takes one sample and writes it into `measurement`, in the units of the model that
-    /// the agent observes.
+    /// Takes one sample and writes it into `measurement`, in the units of the agent's model.
     ///
     /// # Errors
     /// The bus or the sensor failed, or `measurement` does not have
-    /// [`outputs`](Self::outputs) elements. `measurement` is unchanged then, so that half a
-    /// sample never reaches the observer.
+    /// [`outputs`](Self::outputs) elements. `measurement` is then unchanged, so that the
+    /// observer never gets part of a sample.
     fn read(&mut self, measurement: &mut [f32]) -> Result<(), Self::Error>;
 }
 
-/// Moves frames, without looking into them, to and from the neighbours.
+/// Moves frames to and from the neighbours without decoding them.
 ///
 /// A link may lose, repeat and reorder whole frames. It never delivers a part of one.
 pub trait Link {
     /// What can go wrong on the way to the neighbours; [`LinkErrorKind`] itself will do.
     type Error: LinkError;
 
-    /// Hands one frame over for sending to all neighbours. That it arrives is not promised.
+    /// Passes a frame on for sending to all neighbours. Delivery is not guaranteed.
     ///
     /// # Errors
-    /// The frame could not be handed over, and none of it was sent.
+    /// The frame could not be passed on, and no part of it was sent.
     fn send(&mut self, frame: &[u8]) -> Result<(), Self::Error>;
 
     /// Takes the oldest received frame, if there is one: copies it to the start of `buffer`
     /// and returns that part of it. Never waits.
     ///
     /// # Errors
-    /// The receiver failed, or the frame is longer than `buffer`; it is lost then, and the
-    /// next call takes the next one.
+    /// The receiver failed, or the frame is longer than `buffer`. The frame is then lost, and
+    /// the next call takes the next one.
     fn poll<'buffer>(
         &mut self,
         buffer: &'buffer mut [u8],
@@ -66,20 +65,20 @@ pub trait Link {
 
 /// Paces the agent at the fixed sampling period of its observer.
 pub trait Clock {
-    /// Begins to count sampling periods of this length \[s\], which is the `dt` of the package in
-    /// use. Called when the node begins and whenever a package has another period.
+    /// Starts counting sampling periods of this length \[s\], which is the `dt` of the package in
+    /// use. Called when the node starts and whenever a package has another period.
     fn start(&mut self, period: f32);
 
-    /// How many periods have begun since the last call: 1 when the agent keeps up, more when it
-    /// missed instants, 0 when it is not yet time. Never waits.
+    /// Returns how many periods have begun since the last call: 1 if the agent keeps up, more if
+    /// it is late, 0 if the next period has not begun. Never waits.
     fn elapsed(&mut self) -> u32;
 
-    /// Waits until something may have happened: a period, or a byte for the service port. It may
-    /// return at any time without a reason, as an instruction that waits for an interrupt does.
+    /// Waits until a period may have begun or a byte may have arrived at the service port. Spurious
+    /// returns are allowed, as from an instruction that waits for an interrupt.
     fn rest(&mut self);
 }
 
-/// Everything around a node but its flash.
+/// Everything around a node except its flash.
 pub trait Board {
     /// See [`Clock::start`].
     fn start(&mut self, period: f32);
@@ -139,7 +138,7 @@ pub struct Hardware<S, L, C, P> {
 }
 
 impl<S: Sensor, L: Link, C: Clock, P: Read + ReadReady + Write> Hardware<S, L, C, P> {
-    /// Joins the parts.
+    /// Creates a board from its parts.
     pub const fn new(sensor: S, link: L, clock: C, port: P) -> Self {
         Self { sensor, link, clock, port, decoder: RequestDecoder::new() }
     }
@@ -180,7 +179,7 @@ impl<S: Sensor, L: Link, C: Clock, P: Read + ReadReady + Write> Board for Hardwa
         &mut self,
         buffer: &'buffer mut RequestBuffer,
     ) -> Option<Result<&'buffer [u8], SerialError>> {
-        // A receiver that is flooded gets back to its steps after the longest request.
+        // When flooded, the node returns to its steps after the longest request.
         for _ in 0..2 * REQUEST_LENGTH_MAX {
             if !self.port.read_ready().unwrap_or(false) {
                 return None;
@@ -223,7 +222,7 @@ pub(crate) fn copied<'buffer>(
     buffer: &'buffer mut [u8],
 ) -> Result<&'buffer [u8], SerialError> {
     let place = buffer.get_mut(..message.len()).ok_or(SerialError::TooLong)?;
-    // `copy_from_slice` would keep a path that panics where the compiler optimises for size.
+    // `copy_from_slice` would keep a panicking path when the compiler optimises for size.
     place.iter_mut().zip(message).for_each(|(place, byte)| *place = *byte);
     Ok(place)
 }

@@ -1,8 +1,8 @@
 //! A board whose plant, clock and link are played at the other end of the service port: by the
 //! simulator, for a co-simulation ("hardware in the loop").
 //!
-//! Requests to the node and stimuli ([`Request::Frame`], [`Request::Tick`]) come over one port and
-//! take effect in their order. What a turn has to tell is written at once.
+//! Requests to the node and stimuli ([`Request::Frame`], [`Request::Tick`]) arrive over one port
+//! and take effect in order. The output of a turn is written at once.
 //!
 //! Memory: the port, one request, `FRAMES` frames, and 512 bytes of input and output.
 
@@ -15,10 +15,10 @@ use crate::board::{
     Board, LinkErrorKind, RequestBuffer, RequestDecoder, SensorErrorKind, copied, write_whole,
 };
 
-/// Bytes that are read or written at once.
+/// Bytes read or written at a time.
 const CHUNK: usize = 256;
 
-/// A board in the loop, with room for `FRAMES` frames between two steps.
+/// A board in the loop, with capacity for `FRAMES` frames between two steps.
 #[derive(Debug)]
 pub struct InTheLoop<P, const FRAMES: usize> {
     port: P,
@@ -52,9 +52,9 @@ impl<P: Read + Write, const FRAMES: usize> InTheLoop<P, FRAMES> {
         &mut self.port
     }
 
-    /// The next message, as far as it has arrived.
+    /// Returns the next message, if it has arrived completely.
     fn message(&mut self) -> Option<Result<&[u8], SerialError>> {
-        // What the decoder returns borrows it, so the end of a message is found first.
+        // The decoder's result borrows it, so the end of a message is located first.
         loop {
             let byte = *self.input.get(self.unread.next()?)?;
             if byte == agent_core::wire::cobs::DELIMITER {
@@ -70,7 +70,7 @@ impl<P: Read + Write, const FRAMES: usize> InTheLoop<P, FRAMES> {
     }
 }
 
-/// What a message says to the board; the node gets the others.
+/// A message for the board; the node gets all others.
 enum Stimulus {
     Frame(heapless::Vec<u8, FRAME_LENGTH_MAX>),
     Tick(u32, Option<Numbers>),
@@ -137,7 +137,7 @@ impl<P: Read + Write, const FRAMES: usize> Board for InTheLoop<P, FRAMES> {
             match stimulus(message) {
                 None => return Some(copied(message, buffer)),
                 Some(Stimulus::Frame(frame)) => {
-                    // What a node has no room for is lost, as with a real receiver.
+                    // Frames beyond the capacity are lost, as with a real receiver.
                     let _ = self.frames.push_back(frame);
                 }
                 Some(Stimulus::Tick(periods, measurement)) => {

@@ -1,11 +1,11 @@
-//! Public keys as they are handed to a build.
+//! Decodes public keys passed to a build.
 
 use agent_core::package::signature::PUBLIC_KEY_LENGTH;
 
-/// The key in 64 hexadecimal digits, at compile time.
+/// Decodes a key from 64 hexadecimal digits, at compile time.
 ///
 /// # Panics
-/// Other digits, or another number of them; in a `const` that is an error of the compiler.
+/// If `digits` are not exactly 64 hexadecimal digits; in a `const` this is a compile error.
 #[must_use]
 pub const fn key_from_hex(digits: &str) -> [u8; PUBLIC_KEY_LENGTH] {
     let digits = digits.as_bytes();
@@ -33,7 +33,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn digits_become_bytes_in_their_order() {
+    fn digits_become_bytes_in_order() {
         let digits = "000102030405060708090a0b0c0d0e0fF0E0D0C0B0A090807060504030201000";
         let key = const {
             key_from_hex("000102030405060708090a0b0c0d0e0fF0E0D0C0B0A090807060504030201000")

@@ -1,14 +1,13 @@
 //! The board layer around one agent.
 //!
-//! The agent itself does no input and output: time, measurements and received frames are
-//! arguments, frames to send are return values. What remains for a board is [`board`]: read
-//! a [`Sensor`], move bytes over a [`Link`], wait for a [`Clock`]. A new board implements
-//! these three and changes nothing else; [`registers`] is one sensor that runs on every
-//! hardware abstraction layer that implements `embedded-hal`. The boards themselves are crates of their
-//! own, one folder each in `boards`; what they share below the traits is [`on_chip`].
+//! The agent itself performs no input or output: time, measurements and received frames are
+//! arguments, frames to send are return values. The rest is the board's ([`board`]): reading a
+//! [`Sensor`], moving bytes over a [`Link`], waiting for a [`Clock`]. A new board implements these
+//! three and changes nothing else; [`registers`] is a sensor for every hardware abstraction layer
+//! that implements `embedded-hal`. The boards themselves are separate crates, one folder each in
+//! `boards`; the code they share below the traits is in [`on_chip`].
 //!
-//! Everything here builds and is tested on the host too, since the hardware is a type
-//! parameter.
+//! The hardware is a type parameter, so everything here also builds and is tested on the host.
 #![no_std]
 #![deny(unsafe_code)]
 

@@ -1,38 +1,38 @@
-//! The one memory map, as the firmware sees it: the symbols of `memory.x`.
+//! The memory map as the firmware sees it: the symbols of `memory.x`.
 
 /// The addresses of the symbols that every `memory.x` defines, for [`memory_map!`](crate::memory_map).
 #[derive(Clone, Copy, Debug)]
 pub struct Symbols {
-    /// Where slot A and slot B begin.
+    /// Start of slot A and slot B.
     pub slots: [usize; 2],
-    /// How long each is. \[byte\]
+    /// Length of each slot. \[byte\]
     pub slot_length: usize,
-    /// Where the commit area begins.
+    /// Start of the commit area.
     pub commit: usize,
-    /// How long it is. \[byte\]
+    /// Length of the commit area. \[byte\]
     pub commit_length: usize,
 }
 
 /// A region of flash for weight packages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WeightsRegion {
-    /// Address of its first byte.
+    /// Address of the first byte.
     pub origin: usize,
-    /// How far its parts reach. \[byte\]
+    /// Length up to the end of the last part. \[byte\]
     pub length: usize,
-    /// Where the parts lie, from its first byte on.
+    /// Positions of the parts, relative to `origin`.
     pub layout: agent_core::store::Layout,
 }
 
 impl Symbols {
-    /// The region from its first part to the end of its last one.
+    /// Returns the region from its first part to the end of its last one.
     #[must_use]
     pub fn region(&self) -> WeightsRegion {
         let Self { slots: [a, b], slot_length, commit, commit_length } = *self;
         let origin = a.min(b).min(commit);
         let end = |start: usize, length: usize| start.wrapping_add(length);
         let length = end(a, slot_length).max(end(b, slot_length)).max(end(commit, commit_length));
-        // Addresses have 32 bits where firmware runs.
+        // Addresses have 32 bits on all firmware targets.
         let offset = |address: usize| address.wrapping_sub(origin) as u32;
         WeightsRegion {
             origin,
@@ -47,10 +47,10 @@ impl Symbols {
     }
 }
 
-/// The [`Symbols`] of the `memory.x` that the program is linked with.
+/// Returns the [`Symbols`] of the `memory.x` that the program is linked with.
 ///
-/// It declares them to the compiler, and so needs `unsafe` where it is used; nobody reads or writes
-/// through them.
+/// Declares the symbols as external, which requires `unsafe` at the call site; they are never read
+/// or written.
 #[macro_export]
 macro_rules! memory_map {
     () => {{

@@ -1,10 +1,10 @@
-//! What the boards share below the traits: memory that the linker knows, state that a program and its
-//! interrupts share, the operator's key, and what happens after a fault.
+//! Code that the boards share below the traits: memory defined by the linker, state shared by the
+//! program and its interrupts, the operator's key, and the reset after a fault.
 //!
-//! This is the only module of the library with `unsafe` code. A board adds its own for registers.
+//! This is the library's only module with `unsafe` code. Boards add their own for registers.
 //!
-//! Cost: none beyond what a board would write by itself.
-#![allow(unsafe_code, reason = "flash that is mapped into memory, and the painted stack")]
+//! Cost: none compared with code written for one board.
+#![allow(unsafe_code, reason = "reads memory-mapped flash and the painted stack")]
 
 use core::cell::RefCell;
 
@@ -14,9 +14,10 @@ use embedded_storage::nor_flash::NorFlashErrorKind;
 
 use crate::WeightsRegion;
 
-/// A region of flash that can be read at its addresses.
+/// A region of memory-mapped flash.
 ///
-/// Invariant: nothing else has the region, and it changes only through an exclusive borrow of this.
+/// Invariant: it has no other owner, and its contents change only through an exclusive borrow of
+/// this value.
 #[derive(Debug)]
 pub struct MappedRegion {
     origin: usize,
@@ -24,28 +25,28 @@ pub struct MappedRegion {
 }
 
 impl MappedRegion {
-    /// The region that `memory.x` reserves for weights.
+    /// Creates the region that `memory.x` reserves for weights.
     ///
     /// # Safety
-    /// The region is readable memory of this length, and this is the only value for it.
+    /// The region must be readable memory of this length, and this must be the only value for it.
     #[must_use]
     pub const unsafe fn new(region: &WeightsRegion) -> Self {
         Self { origin: region.origin, length: region.length }
     }
 
-    /// Its length. \[byte\]
+    /// Returns the length. \[byte\]
     #[must_use]
     pub const fn length(&self) -> usize {
         self.length
     }
 
-    /// The address at `offset` from its start.
+    /// Returns the address at `offset` from the start.
     #[must_use]
     pub const fn address(&self, offset: u32) -> usize {
         self.origin + offset as usize
     }
 
-    /// Its bytes.
+    /// Returns the bytes.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         let first = core::ptr::with_exposed_provenance(self.origin);
@@ -54,10 +55,10 @@ impl MappedRegion {
         unsafe { core::slice::from_raw_parts(first, self.length) }
     }
 
-    /// Copies the bytes at `offset`.
+    /// Copies the bytes at `offset` to `bytes`.
     ///
     /// # Errors
-    /// They do not lie within the region.
+    /// The range is not within the region.
     pub fn read(&self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
         let stored = self.bytes().get(offset as usize..).and_then(|rest| rest.get(..bytes.len()));
         let stored = stored.ok_or(NorFlashErrorKind::OutOfBounds)?;
@@ -65,8 +66,8 @@ impl MappedRegion {
         Ok(())
     }
 
-    /// Where each word of `bytes`, from `offset` on, belongs, for flash that takes 32 bits at once.
-    /// Bytes behind the last whole word are left out.
+    /// Returns the address and the value of each word of `bytes`, starting at `offset`, for flash
+    /// that is written 32 bits at a time. Bytes after the last whole word are ignored.
     pub fn words<'b>(
         &mut self,
         offset: u32,
@@ -79,27 +80,27 @@ impl MappedRegion {
     }
 }
 
-/// What an interrupt handler shares with the rest of the program, once it has been set up.
+/// State shared by an interrupt handler and the rest of the program, once initialised.
 pub struct Shared<T>(Mutex<RefCell<Option<T>>>);
 
 impl<T> Shared<T> {
-    /// Nothing yet.
+    /// Creates uninitialised state.
     #[must_use]
     pub const fn new() -> Self {
         Self(Mutex::new(RefCell::new(None)))
     }
 
-    /// Sets it up.
+    /// Sets the value.
     pub fn set(&self, value: T) {
         critical_section::with(|token| self.0.borrow(token).replace(Some(value)));
     }
 
-    /// Takes it away, until it is set again.
+    /// Takes the value; the state is uninitialised afterwards.
     pub fn take(&self) -> Option<T> {
         critical_section::with(|token| self.0.take(token))
     }
 
-    /// Uses it with interrupts off; `None` if there is nothing, or it is in use already.
+    /// Calls `act` with interrupts off; `None` if the value is not set or already in use.
     pub fn with<R>(&self, act: impl FnOnce(&mut T) -> R) -> Option<R> {
         critical_section::with(|token| {
             let mut value = self.0.borrow(token).try_borrow_mut().ok()?;
@@ -114,14 +115,14 @@ impl<T> Default for Shared<T> {
     }
 }
 
-/// The key that was compiled in is not a public key, so no package can be trusted.
+/// The compiled-in key is not a public key, so no package can be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InvalidKey;
 
-/// The key that packages have to be signed with, if the firmware was built for one.
+/// Returns the key that packages must be signed with, if the firmware was built with one.
 ///
 /// # Errors
-/// [`InvalidKey`]; a node must not take packages then.
+/// [`InvalidKey`]; a node must then refuse all packages.
 #[cfg(feature = "signature")]
 pub fn public_key() -> Result<Option<PublicKey>, InvalidKey> {
     const BYTES: [u8; 32] = crate::key_from_hex(env!(
@@ -132,17 +133,17 @@ pub fn public_key() -> Result<Option<PublicKey>, InvalidKey> {
     PublicKey::from_bytes(&BYTES).map(Some).map_err(|_| InvalidKey)
 }
 
-/// The key that packages have to be signed with, if the firmware was built for one.
+/// Returns the key that packages must be signed with, if the firmware was built with one.
 ///
 /// # Errors
-/// None without the feature `signature`.
+/// Never fails without the feature `signature`.
 #[cfg(not(feature = "signature"))]
 pub fn public_key() -> Result<Option<PublicKey>, InvalidKey> {
     Ok(None)
 }
 
-/// Bytes of the stack that still hold what cortex-m-rt, with its feature `paint-stack`, has painted
-/// them with.
+/// Returns the number of bytes at the end of the stack that still have the paint of cortex-m-rt's
+/// feature `paint-stack`.
 #[cfg(all(target_os = "none", target_arch = "arm"))]
 #[must_use]
 pub fn stack_unused() -> u32 {
@@ -154,15 +155,15 @@ pub fn stack_unused() -> u32 {
     }
     let (low, high) = (&raw const _stack_end, &raw const _stack_start);
     let mut word = low;
-    // SAFETY: all words between the two addresses are RAM. Nothing uses what is painted, and reading
-    // stops at the first word that has been written to.
+    // SAFETY: all words between the two addresses are RAM. Nothing uses the painted words, and
+    // reading stops at the first word that has been written to.
     while word < high && unsafe { word.read_volatile() } == PAINT {
         word = word.wrapping_add(1);
     }
     (word.addr() - low.addr()) as u32
 }
 
-/// Defines what follows a panic or a fault of the processor: a reset. The program needs the crates
+/// Defines handlers that reset the processor after a panic or a fault. The program needs the crates
 /// `cortex-m` and `cortex-m-rt`.
 #[macro_export]
 macro_rules! reset_on_fault {
@@ -186,16 +187,16 @@ mod tests {
 
     use super::*;
 
-    /// Eight bytes, aligned, and the region that they are.
+    /// Returns a region of eight aligned bytes.
     fn region(memory: &mut [u32; 2]) -> MappedRegion {
         let layout = Layout { slots: [0, 0], slot_length: 0, commit: 0, commit_length: 0 };
         let origin = memory.as_mut_ptr().expose_provenance();
-        // SAFETY: the borrow is exclusive, and no test uses the memory besides.
+        // SAFETY: the borrow is exclusive, and the test does not use the memory otherwise.
         unsafe { MappedRegion::new(&WeightsRegion { origin, length: 8, layout }) }
     }
 
     #[test]
-    fn bytes_are_read_within_the_region_only() {
+    fn only_bytes_within_the_region_are_read() {
         let mut memory = [u32::from_le_bytes([1, 2, 3, 4]), u32::from_le_bytes([5, 6, 7, 8])];
         let region = region(&mut memory);
         assert_eq!(region.bytes(), [1, 2, 3, 4, 5, 6, 7, 8]);
@@ -208,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn words_have_addresses_one_after_the_other() {
+    fn words_have_consecutive_addresses() {
         let mut memory = [0; 2];
         let mut region = region(&mut memory);
         let start = region.address(0);
@@ -220,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_shared_is_used_by_one_at_a_time() {
+    fn shared_state_has_one_user_at_a_time() {
         let shared = Shared::new();
         assert_eq!(shared.with(|value: &mut u8| *value), None);
         shared.set(1_u8);

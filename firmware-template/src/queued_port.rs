@@ -1,4 +1,4 @@
-//! A serial port whose interrupt does the work.
+//! A serial port driven by its interrupt.
 //!
 //! ```text
 //!           interrupt                             node
@@ -6,12 +6,12 @@
 //! sender   <----------           <-[ queue ]--            <----
 //! ```
 //!
-//! What arrives while a step runs waits in a queue; what is to be sent waits in the other one,
-//! so that neither direction holds up a step. A byte for which there is no room is lost: the
-//! messages carry a checksum, and the one that it belonged to is refused as a whole. A queue of
-//! `C` places holds `C - 1` bytes; between two steps `baud rate / 10 * period` bytes may arrive.
+//! Bytes received during a step wait in one queue and bytes to send in the other, so that neither
+//! direction delays a step. If a queue is full, bytes are lost: messages have a checksum, so a
+//! damaged message is refused as a whole. A queue of length `C` holds `C - 1` bytes; between two
+//! steps up to `baud rate / 10 * period` bytes can arrive.
 //!
-//! Memory: 24 bytes, and the queues, which are the board's.
+//! Memory: 24 bytes, plus the queues, which the board provides.
 
 use embedded_io::{Error, ErrorKind, ErrorType, Read, ReadReady, Write};
 use heapless::spsc::{Consumer, Producer, Queue};
@@ -29,8 +29,8 @@ pub struct QueuedEnd<'queue> {
     to_send: Consumer<'queue, u8>,
 }
 
-/// Both ends, over one queue for each direction. `wake` is called when there is something to
-/// send, as a rule to pend the interrupt.
+/// Creates both ends, with one queue per direction. `wake` is called when there is something to
+/// send, typically to pend the interrupt.
 pub fn queued_port<'queue, const RECEIVED: usize, const TO_SEND: usize>(
     received: &'queue mut Queue<u8, RECEIVED>,
     to_send: &'queue mut Queue<u8, TO_SEND>,
@@ -43,24 +43,24 @@ pub fn queued_port<'queue, const RECEIVED: usize, const TO_SEND: usize>(
 }
 
 impl QueuedEnd<'_> {
-    /// Hands over what has arrived; it is lost if there is no room.
+    /// Queues a received byte; it is lost if the queue is full.
     pub fn put(&mut self, byte: u8) {
         let _ = self.received.enqueue(byte);
     }
 
-    /// The next byte to send.
+    /// Returns the next byte to send.
     pub fn take(&mut self) -> Option<u8> {
         self.to_send.dequeue()
     }
 }
 
-/// There is no room for what is to be sent.
+/// The queue of bytes to send is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Full;
 
 impl core::fmt::Display for Full {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str("no room for what is to be sent")
+        f.write_str("the send queue is full")
     }
 }
 
@@ -83,7 +83,7 @@ impl ReadReady for QueuedPort<'_> {
 }
 
 impl Read for QueuedPort<'_> {
-    /// Never waits: 0 if nothing has arrived.
+    /// Never blocks: 0 if nothing has arrived.
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Full> {
         let mut length = 0;
         for place in buffer {
@@ -96,7 +96,7 @@ impl Read for QueuedPort<'_> {
 }
 
 impl Write for QueuedPort<'_> {
-    /// Never waits: an error if there is no room at all.
+    /// Never blocks: an error if the queue is full.
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Full> {
         let queued = bytes.iter().map_while(|&byte| self.to_send.enqueue(byte).ok()).count();
         if queued > 0 {
@@ -105,7 +105,7 @@ impl Write for QueuedPort<'_> {
         if queued == 0 && !bytes.is_empty() { Err(Full) } else { Ok(queued) }
     }
 
-    /// What is queued is on its way.
+    /// Queued bytes are sent by the interrupt.
     fn flush(&mut self) -> Result<(), Full> {
         Ok(())
     }
@@ -130,7 +130,7 @@ mod tests {
             (queued_port(a, b, wake), queued_port(c, d, wake));
         let (mut here, mut there) = (SerialLink::new(here), SerialLink::new(there));
 
-        here.send(&[1, 0, 3]).expect("room");
+        here.send(&[1, 0, 3]).expect("the queue has room");
         assert!(WOKEN.load(Ordering::Relaxed) > 0);
         let mut buffer = [0; 8];
         assert_eq!(there.poll(&mut buffer), Ok(None));
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn what_there_is_no_room_for_is_lost_and_said() {
+    fn overflow_is_lost_and_reported() {
         let mut queues = [const { Queue::<u8, 4>::new() }; 2];
         let [received, to_send] = &mut queues;
         let (mut port, mut end) = queued_port(received, to_send, || ());

@@ -1,11 +1,11 @@
-//! A link over a shared serial line: RS-485, a UART between two nodes, or a radio module that
-//! passes bytes through.
+//! A link over a shared serial line: RS-485, a UART between two nodes, or a transparent radio
+//! module.
 //!
 //! Frames travel as [`agent_core::wire::cobs`] encodes messages, so that a receiver that joins late finds
 //! the next one. Nothing here decides who may talk when; frames that collide fail their checksum
 //! and are lost, as the observer expects of a link.
 //!
-//! Memory: the port, and 90 bytes.
+//! Memory: the port and 90 bytes.
 
 use agent_core::wire::cobs::{Decoder, Encoder};
 use agent_core::wire::crc::CHECKSUM_LENGTH;
@@ -15,7 +15,7 @@ use embedded_io::{Read, ReadReady, Write};
 use crate::board::{copied, write_whole};
 use crate::{Link, LinkErrorKind};
 
-/// A link over `P`.
+/// A link over the port `P`.
 #[derive(Debug)]
 pub struct SerialLink<P> {
     port: P,

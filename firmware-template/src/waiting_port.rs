@@ -1,14 +1,15 @@
-//! A port that waits, made of one that does not: what a board in the loop needs of its service port.
+//! Makes a blocking port from a non-blocking one, as a board in the loop needs for its service
+//! port.
 //!
-//! In the loop nothing happens but what arrives, and what a turn says must not be lost. So reading
-//! waits for the first byte and writing for room, both by [`Clock::rest`]. [`Clock::elapsed`] is called
-//! for what a board does there besides counting: it feeds its watchdog.
+//! In the loop everything depends on received messages, and the output of a turn must not be lost.
+//! Reading therefore waits for the first byte and writing for space, both with [`Clock::rest`].
+//! [`Clock::elapsed`] is called because a board also feeds its watchdog there.
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 
 use crate::Clock;
 
-/// The port `P`, waiting by means of the clock `C`.
+/// The port `P`, which waits by means of the clock `C`.
 #[derive(Debug)]
 pub struct WaitingPort<P, C> {
     port: P,
@@ -16,7 +17,7 @@ pub struct WaitingPort<P, C> {
 }
 
 impl<P, C: Clock> WaitingPort<P, C> {
-    /// Joins the parts.
+    /// Creates a blocking port.
     pub const fn new(port: P, clock: C) -> Self {
         Self { port, clock }
     }
@@ -32,7 +33,7 @@ impl<P: ErrorType, C> ErrorType for WaitingPort<P, C> {
 }
 
 impl<P: Read + ReadReady, C: Clock> Read for WaitingPort<P, C> {
-    /// Waits until there is a byte.
+    /// Waits until a byte has arrived.
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, P::Error> {
         while !self.port.read_ready()? {
             self.wait();
@@ -43,7 +44,7 @@ impl<P: Read + ReadReady, C: Clock> Read for WaitingPort<P, C> {
 }
 
 impl<P: Write, C: Clock> Write for WaitingPort<P, C> {
-    /// Waits until there is room.
+    /// Waits until there is space.
     fn write(&mut self, bytes: &[u8]) -> Result<usize, P::Error> {
         loop {
             match self.port.write(bytes) {
@@ -70,8 +71,8 @@ mod tests {
     use super::*;
     use crate::{QueuedEnd, queued_port};
 
-    /// A clock whose rest is when the interrupt does its work: it takes what there is to send, and the
-    /// tenth time something arrives.
+    /// A clock whose `rest` does the interrupt's work: it takes bytes to send, and the tenth call
+    /// delivers received bytes.
     struct Interrupt<'q> {
         end: &'q RefCell<QueuedEnd<'q>>,
         rests: u32,

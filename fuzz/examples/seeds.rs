@@ -1,10 +1,10 @@
-//! Writes the real packages, frames and signatures that the fuzzers begin with into the corpus:
+//! Writes real packages, frames and signatures into the corpus as seeds for the fuzzers:
 //!
 //! ```sh
 //! cargo run --manifest-path fuzz/Cargo.toml --example seeds
 //! ```
 //!
-//! Their names begin with `seed-`; all other inputs in the corpus were found by the fuzzers.
+//! Their names start with `seed-`; the fuzzers found all other inputs in the corpus.
 
 use std::{fs, io, path::Path};
 

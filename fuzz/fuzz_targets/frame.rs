@@ -68,7 +68,7 @@ fuzz_target!(|data: &[u8]| {
     assert!(inbox.is_empty());
 });
 
-/// What holds for every frame that decodes from `bytes`, and for bytes that are none.
+/// Checks the properties of every frame that decodes from `bytes`, and of invalid bytes.
 fn check_decoding<const N: usize>(bytes: &[u8]) {
     let frame = match Frame::<N>::decode(bytes) {
         Ok(frame) => frame,
@@ -81,16 +81,16 @@ fn check_decoding<const N: usize>(bytes: &[u8]) {
             return assert!(!(5..=FRAME_LENGTH_MAX).contains(&found));
         }
         Err(FrameError::UnknownSender { .. } | FrameError::DuplicateSender { .. }) => {
-            panic!("decoding knows no neighbours")
+            panic!("decoding does not depend on neighbours")
         }
         Err(_) => return,
     };
     assert!(all_finite(&frame.estimate));
-    // There is one encoding for one frame.
+    // Each frame has exactly one encoding.
     let written = frame.encode();
     assert_eq!(Frame::<N>::decode(&written), Ok(frame));
     assert_eq!(written, bytes);
-    // A frame is nothing but itself.
+    // A frame with extra or missing bytes is refused.
     for cut in (0..written.len()).step_by(5) {
         assert!(Frame::<N>::decode(&written[..cut]).is_err());
     }
@@ -101,17 +101,17 @@ fn check_decoding<const N: usize>(bytes: &[u8]) {
     }
 }
 
-/// A simpler inbox and simpler holds.
+/// A simpler inbox with simpler holds.
 #[derive(Default)]
 struct Model {
     /// The newest frame of each sender, until the next step.
     waiting: BTreeMap<AgentId, Frame<N>>,
-    /// What is held of each sender, with the step in which it was taken over.
+    /// The held frame of each sender, with the step that took it over.
     held: BTreeMap<AgentId, (Frame<N>, Tick)>,
 }
 
 impl Model {
-    /// What the inbox has to say to `bytes`.
+    /// Returns the expected result of the inbox for `bytes`.
     fn receive(&mut self, bytes: &[u8]) -> Result<(), FrameError> {
         let frame = Frame::<N>::decode(bytes)?;
         let sender = frame.sender;
@@ -125,8 +125,8 @@ impl Model {
         Ok(())
     }
 
-    /// Takes over what waits, as far as it is newer, or the silence was long; returns how many
-    /// frames are dropped.
+    /// Takes over pending frames that are newer, or after a long silence; returns how many frames
+    /// are dropped.
     fn step(&mut self, now: Tick) -> u32 {
         let mut dropped = 0;
         for (sender, frame) in std::mem::take(&mut self.waiting) {
@@ -149,7 +149,7 @@ fn is_newer(frame: &Frame<N>, older: &Frame<N>) -> bool {
     ahead > 0 || frame.tick > older.tick
 }
 
-/// A step takes all frames or none, and leaves nothing behind that is not finite.
+/// A step takes all frames or none, and all results are finite.
 fn check_step(
     params: &AgentParams<'_, N>,
     state: &mut AgentState<N, 1, ParamBuffers>,
@@ -177,7 +177,7 @@ fn check_step(
             assert!(matches!(error, StepError::Diverged));
             assert_eq!(*state.estimate(), estimate);
             assert_eq!(state.neighbour_holds(), holds);
-            // Otherwise nothing else could be said about this agent.
+            // Without finite values nothing else can be checked on this agent.
             inbox.clear();
             model.waiting.clear();
         }

@@ -1,7 +1,7 @@
-//! Weight packages: `Package::decode`, `Package::encode` and `accept`.
+//! Fuzzes weight packages: `Package::decode`, `Package::encode` and `accept`.
 //!
-//! The input is a package. It is tried as it is, with header and checksums mended, and, if
-//! that decodes, with test vectors that are right, which leads past the last check of `accept`.
+//! The input is a package. It is tried unchanged, with header and checksums corrected and, if that
+//! decodes, with correct test vectors, which passes the last check of `accept`.
 #![no_main]
 
 use agent_core::StateVector;
@@ -14,7 +14,7 @@ use agent_core::package::{
     Capacity, InUse, NetworkPlace, Package, PackageError, Refusal, Requirements,
     SIGNATURE_BLOCK_LENGTH, accept, signature_block,
 };
-use fuzz::{Aligned, mend_package};
+use fuzz::{Aligned, correct_package};
 use libfuzzer_sys::fuzz_target;
 
 const ANY: Requirements<'static> =
@@ -23,7 +23,7 @@ const ANY: Requirements<'static> =
 fuzz_target!(|data: &[u8]| {
     let mut bytes = Aligned::new(data);
     check_all(&bytes);
-    mend_package(bytes.bytes_mut());
+    correct_package(bytes.bytes_mut());
     check_all(&bytes);
 });
 
@@ -44,7 +44,7 @@ fn check_all(bytes: &Aligned) {
     }
 }
 
-/// What holds for every package that decodes from `bytes`.
+/// Checks the properties of every package that decodes from `bytes`.
 fn check_package(package: &Package<'_>, bytes: &[u8]) {
     let numbers = [
         package.network.parameters(),
@@ -71,8 +71,8 @@ fn check_package(package: &Package<'_>, bytes: &[u8]) {
     let place = NetworkPlace::new(package, bytes).expect("it was decoded from there");
     assert_eq!(place.network(bytes).as_ref(), Some(&package.network));
 
-    // What is written decodes to the same package, and is written the same again. But for a signature
-    // it is what was read, since there is one encoding for one package.
+    // The encoded package decodes to the same package and encodes to the same bytes. Except for a
+    // signature they equal the input, because each package has exactly one encoding.
     let mut written = Aligned::new(&vec![0xaa; bytes.len()]);
     let length = package.encode(written.bytes_mut()).expect("as long as before");
     let written = Aligned::new(&written.bytes()[..length]);
@@ -85,19 +85,19 @@ fn check_package(package: &Package<'_>, bytes: &[u8]) {
     assert_eq!(again, written.bytes());
     assert!(package.encode(&mut vec![0; length - 1]).is_err());
 
-    // Nothing may follow but a signature, and nothing may be missing.
+    // Nothing but a signature may follow, and nothing may be missing.
     let signed = Aligned::new(&[&again[..], &signature_block(&[0x5a; 64])].concat());
     assert_eq!(Package::decode(signed.bytes()).as_ref(), Ok(package));
     for cut in [1, 4, SIGNATURE_BLOCK_LENGTH - 1] {
         let cut = &signed.bytes()[..signed.bytes().len() - cut];
         assert!(matches!(Package::decode(cut), Err(PackageError::Length { .. })));
     }
-    // Anywhere else in memory the numbers cannot be used in place.
+    // At any other address the numbers cannot be used in place.
     let shifted = Aligned::new(&[&[0], &again[..]].concat());
     assert_eq!(Package::decode(&shifted.bytes()[1..]), Err(PackageError::Alignment));
 }
 
-/// `accept` in a fresh scratch.
+/// Calls `accept` with new scratch memory.
 fn judge<'b, const N: usize>(
     bytes: &'b [u8],
     requirements: &Requirements<'_>,
@@ -106,7 +106,7 @@ fn judge<'b, const N: usize>(
     accept::<N>(bytes, requirements, &mut scratch)
 }
 
-/// `accept` gives what `decode` gives, or has a reason of its own.
+/// `accept` returns the result of `decode`, or refuses for a reason of its own.
 fn check_acceptance<const N: usize>(bytes: &[u8], package: &Package<'_>) {
     match judge::<N>(bytes, &ANY) {
         Ok(accepted) => {
@@ -115,7 +115,7 @@ fn check_acceptance<const N: usize>(bytes: &[u8], package: &Package<'_>) {
         }
         Err(Refusal::Dimension { .. }) => assert_ne!(package.dimension(), N),
         Err(Refusal::TestVector { .. }) => {
-            let Some(proved) = with_right_test_vectors::<N>(package, bytes.len()) else { return };
+            let Some(proved) = with_correct_test_vectors::<N>(package, bytes.len()) else { return };
             let accepted = judge::<N>(proved.bytes(), &ANY).expect("nothing else was wrong");
             check_accepted::<N>(proved.bytes(), &accepted);
         }
@@ -124,9 +124,9 @@ fn check_acceptance<const N: usize>(bytes: &[u8], package: &Package<'_>) {
     }
 }
 
-/// The package with the outputs that its network has for the inputs of its test vectors, if
-/// they are finite; `length` is that of the package's bytes.
-fn with_right_test_vectors<const N: usize>(
+/// Returns the package with the network's outputs for the inputs of its test vectors, if they are
+/// finite; `length` is the package's length in bytes.
+fn with_correct_test_vectors<const N: usize>(
     package: &Package<'_>,
     length: usize,
 ) -> Option<Aligned> {
@@ -145,12 +145,12 @@ fn with_right_test_vectors<const N: usize>(
     numbers.iter().all(|number| number.is_finite()).then(|| Aligned::new(&buffer[..length]))
 }
 
-/// What a node relies on once it has accepted a package.
+/// Checks what a node relies on after accepting a package.
 fn check_accepted<const N: usize>(bytes: &[u8], package: &Package<'_>) {
     assert_eq!(package.dimension(), N);
     assert!(package.test_vectors().count() > 0);
 
-    // The limits of a node, each as tight as can be, and one less.
+    // The limits of a node, each exactly sufficient, then one less.
     let (features, entries) = (package.features(), package.node.outer_law.gain.entries().len());
     let places = package.node.neighbours.len();
     let fits = Capacity { features, neighbours: places, gain_entries: entries };
@@ -175,7 +175,7 @@ fn check_accepted<const N: usize>(bytes: &[u8], package: &Package<'_>) {
     }
     assert!(matches!(after(package.node.agent ^ 1, package.version), Err(Refusal::Agent { .. })));
 
-    // The parameters make an agent, and the agent runs.
+    // The parameters form an agent, and it takes steps.
     let mut neighbours = vec![Neighbour { id: 0, weight: 1.0 }; places];
     let mut gain = vec![0.0; entries];
     let params = package.node.params::<N>(&mut neighbours, &mut gain).expect("was accepted");

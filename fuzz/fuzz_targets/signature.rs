@@ -1,4 +1,4 @@
-//! Keys and signatures from strangers: `PublicKey::from_bytes` and `verify`.
+//! Fuzzes untrusted keys and signatures: `PublicKey::from_bytes` and `verify`.
 //!
 //! The input is a public key, a signature and a message.
 #![no_main]
@@ -14,7 +14,7 @@ fuzz_target!(|data: &[u8]| {
     let Ok(key) = PublicKey::from_bytes(encoded) else { return };
     assert_eq!(key.as_bytes(), encoded);
     if verify(&key, message, signature) == Ok(()) {
-        // It is the only signature of the only message, as far as single bits go.
+        // A changed bit in signature or message is refused.
         for bit in 0..8 * SIGNATURE_LENGTH {
             let mut changed = *signature;
             changed[bit / 8] ^= 1 << (bit % 8);

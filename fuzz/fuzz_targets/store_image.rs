@@ -1,11 +1,11 @@
-//! The weight store on flash with any content.
+//! Fuzzes the weight store on flash with arbitrary contents.
 //!
-//! The input is an image of the flash, put together from arbitrary bytes, packages and
-//! records, and a sequence of calls, failures of flash and power, and reboots. Whatever comes:
-//! - no call panics, and none breaks the flash's rules;
-//! - what is in use after a load is whole and was accepted by the check;
-//! - what a call has returned `Ok` for survives a reboot, if nobody tampers with the flash;
-//! - in the end, on flash that works, a good package can be installed.
+//! The input is an image of the flash, assembled from arbitrary bytes, packages and records, and a
+//! sequence of calls, failures of flash and power, and reboots. In every case:
+//! - no call panics, and none violates the rules of the flash;
+//! - a package in use after a load is complete and was accepted by the check;
+//! - the effect of a call that returned `Ok` survives a reboot, unless the flash is tampered with;
+//! - in the end, on working flash, a valid package can be installed.
 #![no_main]
 
 use agent_core::store::{
@@ -17,11 +17,11 @@ use libfuzzer_sys::fuzz_target;
 use test_support::nor_flash::{Fault, SimulatedFlash, Tear};
 use test_support::store_model::{check, erased_flash, layout, length, package};
 
-/// A package with this number or a higher one is whole, and yet no check accepts it.
+/// Packages with this number or a higher one are intact but refused by every check.
 const UNWANTED: u16 = 200;
-/// The package that is installed in the end.
+/// The package installed at the end.
 const LAST: u16 = 0;
-/// Far enough away that no fault is ever due.
+/// So far away that no fault occurs.
 const NEVER: usize = usize::MAX;
 
 #[derive(Arbitrary, Debug)]
@@ -34,7 +34,7 @@ struct Input {
     calls: Vec<Call>,
 }
 
-/// Which kind of flash.
+/// The kind of flash.
 #[derive(Arbitrary, Debug)]
 enum Units {
     Bytes,
@@ -57,13 +57,13 @@ enum Piece {
     Record { place: u8, sequence: u16, in_use: u8, phase: u8, packages: [Recorded; 2] },
 }
 
-/// What a record says of a slot.
+/// A record's entry for a slot.
 #[derive(Arbitrary, Debug)]
 enum Recorded {
     Nothing,
-    /// The package that lies there, or would by its first bytes.
+    /// The package stored there, or indicated by its first bytes.
     Package,
-    /// So many bytes, with the right checksum.
+    /// This many bytes, with the correct checksum.
     Bytes(u8),
     Anything {
         length: u32,
@@ -88,13 +88,13 @@ enum Call {
     Activate,
     Confirm,
     Revert,
-    /// Everything up to the staged package.
+    /// All calls up to the staged package.
     Upload {
         number: u8,
         length: u8,
         chunk: u8,
     },
-    /// The power may fail once more, and cells may have forgotten what they held.
+    /// Power can fail once more, and cells can lose their contents.
     Reboot {
         energy: Option<u8>,
         forgotten: Option<(u16, u8)>,
@@ -151,7 +151,7 @@ fn run<const WRITE: usize, const ERASE: usize>(input: &Input, units: usize) {
 }
 
 impl Piece {
-    /// Puts it there with a debugger, as far as there is room.
+    /// Writes it directly to flash, as far as there is space.
     fn put<const WRITE: usize, const ERASE: usize>(
         &self,
         flash: &mut SimulatedFlash<WRITE, ERASE>,
@@ -165,14 +165,14 @@ impl Piece {
                 put(flash, layout.slots[usize::from(*slot)] as usize, &bytes);
             }
             Self::Record { place, sequence, in_use, phase, packages } => {
-                // As agent-core/src/store/record.rs describes it.
+                // As specified in agent-core/src/store/record.rs.
                 let mut record = [0; RECORD_LENGTH];
                 let sequence = lowest_sequence.wrapping_add((*sequence).into());
                 record[..4].copy_from_slice(&sequence.to_le_bytes());
                 record[4..7].copy_from_slice(&[1, in_use.wrapping_sub(1), *phase]);
                 for (recorded, slot) in packages.iter().zip([Slot::A, Slot::B]) {
                     if slot == Slot::B && *in_use == 0 {
-                        // No store writes such a record: while nothing is in use, it fills A.
+                        // The store never writes such a record: if nothing is in use, it fills A.
                         continue;
                     }
                     let start = 8 + 8 * slot as usize;
@@ -188,7 +188,7 @@ impl Piece {
 }
 
 impl Recorded {
-    /// Length and checksum.
+    /// Returns length and checksum.
     fn extent<F: MappedFlash>(&self, flash: &F, layout: &Layout, slot: Slot) -> [u8; 8] {
         let start = layout.slots[slot as usize] as usize;
         let bytes = &flash.mapped()[start..start + layout.slot_length as usize];
@@ -208,7 +208,7 @@ impl Recorded {
     }
 }
 
-/// Overwrites what there is from `offset` on with as many of `bytes` as fit.
+/// Overwrites the flash from `offset` on with as many of `bytes` as fit.
 fn put<const WRITE: usize, const ERASE: usize>(
     flash: &mut SimulatedFlash<WRITE, ERASE>,
     offset: usize,
@@ -219,7 +219,7 @@ fn put<const WRITE: usize, const ERASE: usize>(
     flash.overwrite(offset, &bytes[..bytes.len().min(room)]);
 }
 
-/// A length that a package can have and a slot can hold.
+/// Returns a length that is valid for a package and fits into a slot.
 fn length_in(layout: &Layout, length: u8) -> usize {
     usize::from(length).clamp(8, layout.slot_length as usize)
 }
@@ -229,20 +229,20 @@ fn accept(bytes: &[u8]) -> Result<u16, &'static str> {
     check(bytes).and_then(|number| if number < UNWANTED { Ok(number) } else { Err("unwanted") })
 }
 
-/// What is in use: the number of a package, or `None` for nothing.
+/// The package in use: its number, or `None`.
 type InUse = Option<u16>;
 
-/// A store and what is known of it.
+/// A store with the expected results.
 struct Run<const WRITE: usize, const ERASE: usize> {
     store: Store<SimulatedFlash<WRITE, ERASE>>,
     layout: Layout,
     /// Whether neither power nor flash can fail before the next reboot.
     is_sound: bool,
-    /// What is in use, once that has been loaded.
+    /// The package in use, once loaded.
     in_use: Option<InUse>,
-    /// What was in use before the trial, during one.
+    /// During a trial, what was in use before.
     way_back: Option<InUse>,
-    /// What can be in use after the next reboot, if it is known.
+    /// The packages that can be in use after the next reboot, if known.
     after_reboot: Option<Vec<InUse>>,
 }
 
@@ -268,7 +268,7 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
             }
             Call::Load => self.load(),
             Call::Salvage => {
-                // What is to be found was found at once.
+                // The package, if any, was found immediately.
                 let found = self.store.salvage(length, accept, |one, other| one > other);
                 assert!(found.is_none() || self.in_use.is_none());
             }
@@ -293,7 +293,7 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
         self
     }
 
-    /// Loads what is in use, or looks for it; it must be what was in use before a reboot.
+    /// Loads or salvages the package in use, which must match what was in use before a reboot.
     fn load(&mut self) {
         let loaded = self.store.load(accept);
         let mut found = loaded.in_use;
@@ -389,7 +389,7 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
     fn revert(&mut self) {
         match self.store.revert() {
             Ok(_) => {
-                // The package that failed is not named any more.
+                // The failed package is no longer recorded.
                 let spare = self.store.in_use().map_or(Slot::A, Slot::other);
                 assert_eq!(self.store.bytes(spare), None);
                 self.in_use = self.way_back.take();
@@ -400,18 +400,19 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
         }
     }
 
-    /// What is in use is whole and wanted, at any time, and the flash's rules are kept.
+    /// The package in use is always complete and accepted, and the rules of the flash are obeyed.
     fn check_what_is_in_use(&self) {
         if let Some(number) = self.in_use {
             let slot = self.store.in_use();
-            let bytes = slot.map(|slot| self.store.bytes(slot).expect("what is in use is there"));
+            let bytes =
+                slot.map(|slot| self.store.bytes(slot).expect("the package in use is recorded"));
             assert_eq!(bytes.map(accept), number.map(Ok));
             assert_eq!(self.store.is_on_trial(), self.way_back.is_some());
         }
         assert_eq!(self.store.flash().misuses, 0);
     }
 
-    /// On flash that works a good package can always be installed, and stays.
+    /// On working flash a valid package can always be installed, and stays.
     fn install_another(self) {
         let mut run = self.rebooted(None, None);
         run.load();

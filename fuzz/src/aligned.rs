@@ -1,6 +1,6 @@
-//! Bytes at an address that is known modulo four.
+//! Bytes with a known alignment modulo four.
 
-/// A copy of some bytes, as packages want them: beginning on a multiple of four.
+/// A copy of bytes, aligned to four bytes as packages require.
 #[derive(Clone, Debug)]
 pub struct Aligned {
     words: Vec<u32>,
@@ -8,7 +8,7 @@ pub struct Aligned {
 }
 
 impl Aligned {
-    /// A copy of `bytes`.
+    /// Creates a copy of `bytes`.
     #[must_use]
     pub fn new(bytes: &[u8]) -> Self {
         let mut aligned = Self { words: vec![0; bytes.len().div_ceil(4)], length: bytes.len() };
@@ -16,13 +16,13 @@ impl Aligned {
         aligned
     }
 
-    /// The bytes.
+    /// Returns the bytes.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &bytemuck::cast_slice(&self.words)[..self.length]
     }
 
-    /// The bytes, to be changed.
+    /// Returns the bytes, mutable.
     pub fn bytes_mut(&mut self) -> &mut [u8] {
         &mut bytemuck::cast_slice_mut(&mut self.words)[..self.length]
     }

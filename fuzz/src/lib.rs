@@ -1,8 +1,8 @@
-//! What the fuzz targets share: bytes at aligned addresses, headers and checksums that fit again,
-//! and real packages to begin with.
+//! Code shared by the fuzz targets: aligned bytes, corrected headers and checksums, and real
+//! packages as seeds.
 //!
-//! A fuzzer cannot guess a checksum, so every target tries its bytes twice: as they are, and with
-//! the checksums mended ([`mend_package`], [`mend_frame`]), which leads into what lies behind.
+//! A fuzzer cannot guess a checksum, so every target tries its bytes twice: unchanged, and with the
+//! checksums corrected ([`correct_package`], [`correct_frame`]), which reaches the code behind them.
 
 mod aligned;
 mod frames;
@@ -17,10 +17,10 @@ use agent_core::wire::crc::crc32;
 
 const CHECKSUM_LENGTH: usize = 4;
 
-/// Overwrites the header of a package with the one that its body asks for, and, if the old header's
-/// length leaves exactly a signature at the end, the signature's checksum, too. Bytes that are
-/// too few for a header stay as they are.
-pub fn mend_package(bytes: &mut [u8]) {
+/// Overwrites the header of a package with the one that matches its body and, if the old header's
+/// length leaves exactly a signature at the end, the signature's checksum. Fewer bytes than a
+/// header are left unchanged.
+pub fn correct_package(bytes: &mut [u8]) {
     let Some((header, rest)) = bytes.split_first_chunk_mut::<HEADER_LENGTH>() else { return };
     let [.., l0, l1, l2, l3, _, _, _, _] = *header;
     let stated = u32::from_le_bytes([l0, l1, l2, l3]) as usize;
@@ -31,11 +31,11 @@ pub fn mend_package(bytes: &mut [u8]) {
     covered[3] = FORMAT_VERSION;
     covered[4..].copy_from_slice(&(body.len() as u32).to_le_bytes());
     checksum.copy_from_slice(&crc32(&[covered, body]).to_le_bytes());
-    mend_frame(block);
+    correct_frame(block);
 }
 
-/// Overwrites the last four bytes with the checksum of those before them.
-pub fn mend_frame(bytes: &mut [u8]) {
+/// Overwrites the last four bytes with the checksum of the preceding ones.
+pub fn correct_frame(bytes: &mut [u8]) {
     if let Some((body, checksum)) = bytes.split_last_chunk_mut::<CHECKSUM_LENGTH>() {
         *checksum = crc32(&[body]).to_le_bytes();
     }

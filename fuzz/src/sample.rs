@@ -1,4 +1,4 @@
-//! Real packages, which a node accepts.
+//! Real packages that a node accepts.
 
 use agent_core::AgentId;
 use agent_core::StateVector;
@@ -24,18 +24,18 @@ fn entries(form: MatrixForm, size: usize) -> Vec<f32> {
     }
 }
 
-/// What distinguishes one real package from another.
+/// The properties in which real packages differ.
 #[derive(Clone, Debug)]
 pub struct SamplePackage {
     /// Its version.
     pub version: u32,
-    /// Whose it is.
+    /// The agent.
     pub agent: AgentId,
     /// The inner layers.
     pub layers: Vec<(u8, Activation)>,
-    /// How many outputs the agent measures.
+    /// Number of outputs.
     pub outputs: usize,
-    /// Its neighbours.
+    /// The neighbours.
     pub neighbours: Vec<AgentId>,
     /// MatrixForm of `K_1`.
     pub gain: MatrixForm,
@@ -48,7 +48,7 @@ pub struct SamplePackage {
 }
 
 impl SamplePackage {
-    /// The smallest that a node accepts.
+    /// Returns the smallest package that a node accepts.
     #[must_use]
     pub fn smallest() -> Self {
         Self {
@@ -64,15 +64,15 @@ impl SamplePackage {
         }
     }
 
-    /// The bytes of the unsigned package for a state of dimension `N`.
+    /// Encodes the unsigned package for state dimension `N`.
     ///
     /// # Panics
-    /// If the description is not one of a package.
+    /// If the properties do not describe a valid package.
     #[must_use]
     pub fn encode<const N: usize>(&self) -> Vec<u8> {
         let layers: Vec<Layer> =
             self.layers.iter().map(|&(width, activation)| Layer { width, activation }).collect();
-        let architecture = Architecture::new(N, &layers).expect("an architecture");
+        let architecture = Architecture::new(N, &layers).expect("the architecture is valid");
         let inner = numbers(architecture.parameter_count());
         let outer_weights = numbers(architecture.features() * N);
         let output_matrix = numbers(self.outputs * N);
@@ -108,7 +108,7 @@ impl SamplePackage {
                 0 => OnSwitch::Keep,
                 _ => OnSwitch::Replace,
             },
-            network: InnerNetwork::new(architecture, &inner[..]).expect("a network"),
+            network: InnerNetwork::new(architecture, &inner[..]).expect("the network is valid"),
             outer_weights: &outer_weights,
             node,
             broadcast_interval_min: 0.0,
@@ -137,13 +137,13 @@ impl SamplePackage {
         }
         let package = Package { test_vectors: &test_vectors, ..package };
         let mut buffer = vec![0; 1 << 20];
-        let length = package.encode(&mut buffer).expect("a package");
+        let length = package.encode(&mut buffer).expect("the package fits");
         buffer.truncate(length);
         buffer
     }
 }
 
-/// Numbers between -0.25 and 0.25 without a pattern that a network could hide behind.
+/// Returns pseudorandom numbers between -0.25 and 0.25.
 fn numbers(count: usize) -> Vec<f32> {
     (0..count).map(|index| ((index * 37 + 11) % 101) as f32 / 202.0 - 0.25).collect()
 }

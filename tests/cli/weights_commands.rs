@@ -71,7 +71,7 @@ fn from_samples_to_a_signed_package_that_nobody_can_change() {
     assert_eq!(next["version"], 3);
     folder.succeed("weights verify next.weights --in-use node1.weights");
     let error = folder.fail("weights verify node1.weights --in-use next.weights", 2);
-    assert!(error.contains("version 2, version 3 is in use"), "{error}");
+    assert!(error.contains("version 2, but version 3 is in use"), "{error}");
     // Only the operator can send a node back to it.
     let back = "weights sign node1.weights --key operator.key --replaces 3 --out back.weights";
     folder.succeed(back);

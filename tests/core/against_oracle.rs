@@ -1,9 +1,9 @@
-//! One step of every agent of a random network, against the oracle: each part of each
-//! equation within the bound that [`rounding`](crate::core::oracle::rounding) derives for single
-//! precision, and the trigger's decision wherever single precision can make it.
+//! Compares every step of every agent of a random network with the oracle: each part of each
+//! equation must be within the bound that [`rounding`](crate::core::oracle::rounding) derives for
+//! single precision, and the trigger's decision must match wherever single precision can make it.
 //!
-//! A network first runs by itself, so that its own held estimates, its neighbours' and its
-//! outer weights have moved; before each step the oracle is given the core's state, which is
+//! A network first runs on its own, so that its own and its neighbours' held estimates and its
+//! outer weights have changed; before each step the oracle is given the core's state, which is
 //! exact in double precision.
 
 use agent_core::agent::StepOutput;
@@ -83,7 +83,7 @@ fn oracle_state<const N: usize>(members: &[Member<'_, N>]) -> State {
     }
 }
 
-/// What is compared, stacked over the agents: in the order of [`NAMES`].
+/// The compared parts, stacked over the agents, in the order of [`NAMES`].
 type Parts = [DVector<f64>; 5];
 
 const NAMES: [&str; 5] = ["z", "e_3", "d/dt x_hat", "x_hat after the step", "d/dt W_hat"];
@@ -112,7 +112,7 @@ fn bound_parts(bounds: &Bounds) -> Parts {
     ]
 }
 
-/// What the core computed in the step that began in the state `before`.
+/// Returns the core's results for the step that started in the state `before`.
 fn core_parts<const N: usize>(
     before: &State,
     members: &[Member<'_, N>],
@@ -131,12 +131,12 @@ fn core_parts<const N: usize>(
     ]
 }
 
-/// What a run over many networks saw.
+/// Results over many networks.
 #[derive(Default)]
 struct Report {
-    /// The largest deviation of each part, as a share of its bound.
+    /// The largest deviation of each part, as a fraction of its bound.
     worst: [f64; 5],
-    /// The bounds' 2-norms relative to that of the values, of each part.
+    /// The bounds' 2-norms relative to those of the values, for each part.
     relative_bounds: [Vec<f64>; 5],
     decisions: usize,
     broadcasts: usize,
@@ -189,8 +189,8 @@ fn median(values: &mut [f64]) -> f64 {
     values[values.len() / 2]
 }
 
-/// Runs the network of one seed beside the oracle; `observe` gets the oracle's network, the
-/// state before a step, the measurement, and the core's results with their bounds.
+/// Runs the network of one seed beside the oracle; `observe` gets the oracle's network, the state
+/// before a step, the measurement, and the core's results with their bounds.
 fn run<const N: usize>(
     seed: u64,
     report: &mut Report,
@@ -222,7 +222,7 @@ fn run<const N: usize>(
             report.moved_holds += usize::from(block(&state.held) != block(&state.estimates));
             report.weights_in_layer +=
                 usize::from(agent.projection.excess(&vectorised(weights)) > 0.0);
-            // The trigger looks at the new estimate, and at `z` as it was over the step.
+            // The trigger uses the new estimate, and `z` as it was during the step.
             let estimate = stacked(members[index].state.estimate().iter());
             let (hold_error, consensus) = (block(&state.held) - estimate, block(&rates.consensus));
             let margin = drawn.trigger.margin(&hold_error, &consensus);
@@ -245,7 +245,7 @@ fn run<const N: usize>(
     }
 }
 
-/// Calls a function with each of the state dimensions that are tested.
+/// Calls a function with each of the tested state dimensions.
 macro_rules! each_dimension {
     ($call:ident, $($argument:expr),*) => {
         $call::<1>($($argument),*);
@@ -266,7 +266,7 @@ fn every_equation_agrees_with_the_oracle_to_single_precision() {
         each_dimension!(one, seed, &mut report);
     }
     report.print();
-    // The networks exercise what they are meant to.
+    // The networks cover the intended cases.
     assert!(report.broadcasts * 10 > report.decisions);
     assert!(report.broadcasts * 10 < report.decisions * 9);
     assert!(report.weights_in_layer * 10 > report.decisions * 3);
@@ -277,7 +277,8 @@ fn every_equation_agrees_with_the_oracle_to_single_precision() {
 
 #[test]
 fn the_bounds_are_narrow_enough_to_see_a_wrong_equation() {
-    /// What is changed, in how many of the 50 networks that must be noticed, and how.
+    /// The changed constant, the least number of the 50 networks in which it must be noticed, and
+    /// the change.
     type Change = (&'static str, usize, fn(&mut Network));
     const CHANGES: [Change; 8] = [
         ("K_1", 50, |network| network.gain *= 1.001),
@@ -294,7 +295,7 @@ fn the_bounds_are_narrow_enough_to_see_a_wrong_equation() {
                 agent.inner_network.layers.last_mut().unwrap().biases *= 1.001;
             }
         }),
-        // These two act in the boundary layer only, where not every network has an agent.
+        // These two act only in the boundary layer, where not every network has an agent.
         ("beta", 45, |network| {
             for agent in &mut network.agents {
                 agent.projection.layer *= 1.01;

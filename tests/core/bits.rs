@@ -1,5 +1,5 @@
-//! The visible state of an agent as bit patterns: equal values that differ in the
-//! sign of a zero are not the same here.
+//! The visible state of an agent as bit patterns: equal values that differ in the sign of a zero
+//! count as different here.
 
 use agent_core::agent::hold::{Hold, HoldSlots};
 use agent_core::agent::{AgentParams, AgentState, StepOutput};

@@ -1,5 +1,5 @@
-//! What goes wrong at run time: agents that are fed nonsense for a while are afterwards as good as
-//! ones that never were, what happened is counted exactly, and repeated frames change nothing.
+//! Run-time faults: agents that received invalid data for a while recover completely, every event
+//! is counted exactly, and repeated frames change nothing.
 
 use std::num::NonZeroU32;
 
@@ -25,27 +25,27 @@ pub(crate) const SETTINGS: HealthSettings = HealthSettings {
     telemetry_interval: 100,
 };
 
-/// Steps of a run before anything happens to it, and until it is judged afterwards.
+/// Steps of a run before a disturbance, and between its end and the comparison.
 const SETTLED: Tick = 1_000;
-/// Steps over which errors are judged.
+/// Steps over which errors are compared.
 const JUDGED: Tick = 3_000;
 
-/// Whether two error levels are the same. The runs part with the first disturbance: broadcasts fall on
-/// other steps, and outer weights begin anew. In 300 drawn cases the ratio was 0.97 to 1.07; outer
-/// weights that were left on their bound make it 1.8.
+/// Whether two error levels are equal. The runs diverge with the first disturbance: broadcasts fall
+/// on other steps, and outer weights are reset. In 300 random cases the ratio was 0.97 to 1.07;
+/// outer weights that stay on their bound make it 1.8.
 fn same_level(found: [f64; 3], expected: [f64; 3]) -> bool {
     let norm = |levels: [f64; 3]| levels.iter().map(|level| level * level).sum::<f64>().sqrt();
     close(norm(found), norm(expected), 0.2, 0.0)
 }
 
-/// A number that no sensor of this point gives: not a number, infinite, or huge.
+/// Returns a measurement that no sensor of this point gives: NaN, infinite, or huge.
 fn nonsense(draw: &mut Draw) -> f32 {
     let sizes = [f32::NAN, f32::INFINITY, 1e4, 1e9, 1e19, 1e30, 3e38];
     let value = sizes[draw.whole(0, sizes.len() - 1)];
     if draw.whole(0, 1) == 0 { -value } else { value }
 }
 
-/// A valid frame that no agent has sent: a huge estimate under any number.
+/// Returns a valid frame that no agent has sent: a huge estimate with an arbitrary sequence.
 fn huge_frame(draw: &mut Draw) -> Frame<3> {
     Frame {
         sender: draw.whole(0, 2) as u16,
@@ -58,7 +58,7 @@ fn huge_frame(draw: &mut Draw) -> Frame<3> {
     }
 }
 
-/// Feeds nonsense to agents and links for a while.
+/// Feeds invalid data to agents and links for a while.
 fn disturb(ring: &mut Ring, draw: &mut Draw) {
     for _ in 0..draw.whole(1, 300) {
         if draw.whole(0, 9) == 0 {
@@ -72,7 +72,7 @@ fn disturb(ring: &mut Ring, draw: &mut Draw) {
     }
 }
 
-/// A ring that has settled.
+/// Returns a ring in its steady state.
 fn settled(seed: u64, settings: &HealthSettings, guarded: bool) -> Ring {
     let mut ring = Ring::new(seed, settings);
     ring.guarded = guarded;
@@ -80,7 +80,7 @@ fn settled(seed: u64, settings: &HealthSettings, guarded: bool) -> Ring {
     ring
 }
 
-/// The error level of a ring after a disturbance, and that of one without, at the same time.
+/// Returns the error levels of a ring after a disturbance and of one without, at the same time.
 fn levels(seed: u64, guarded: bool) -> ([f64; 3], [f64; 3]) {
     let mut draw = Draw::new(!seed);
     let mut disturbed = settled(seed, &SETTINGS, guarded);
@@ -91,7 +91,7 @@ fn levels(seed: u64, guarded: bool) -> ([f64; 3], [f64; 3]) {
     (disturbed.error_level(JUDGED), calm.error_level(JUDGED))
 }
 
-/// A ring whose agents all took over a frame of 1e30, a second ago.
+/// Returns a ring whose agents all received a frame of 1e30 a second ago.
 fn carried_off(settings: &HealthSettings) -> Ring {
     let mut ring = settled(1, settings, false);
     for sender in [0, 1] {
@@ -103,7 +103,7 @@ fn carried_off(settings: &HealthSettings) -> Ring {
 }
 
 #[test]
-fn agents_that_were_carried_off_return_by_beginning_anew() {
+fn diverged_agents_recover_by_restarting() {
     let mut ring = carried_off(&SETTINGS);
     let mut calm = settled(1, &SETTINGS, false);
     calm.skip(SETTLED);
@@ -111,25 +111,26 @@ fn agents_that_were_carried_off_return_by_beginning_anew() {
     println!("{found:.4?}, undisturbed {expected:.4?}");
     assert!(same_level(found, expected));
     for agent in &ring.agents {
-        assert_eq!(agent.health.counters().restarts, 1, "one is enough");
+        assert_eq!(agent.health.counters().restarts, 1, "one restart is enough");
         assert!(agent.health.network_in_use());
     }
 }
 
 #[test]
-fn without_beginning_anew_they_never_return() {
-    // Nor fallen back: without the network no outer weights overflow, and feedback alone is enough.
+fn without_a_restart_they_never_recover() {
+    // The fallback is disabled too: without the network no outer weights overflow, and feedback
+    // alone recovers.
     let settings = HealthSettings { restart_after: None, fall_back: None, ..SETTINGS };
     let mut ring = carried_off(&settings);
     assert!(ring.error_level(JUDGED).iter().all(|&level| level > 1e20));
 }
 
 #[test]
-fn what_happened_is_counted_exactly() {
+fn every_event_is_counted_exactly() {
     let settings = HealthSettings { restart_after: None, fall_back: None, ..SETTINGS };
     let mut ring = settled(3, &settings, true);
     let before = ring.agents.iter().map(|agent| *agent.health.counters());
-    // The start is no trouble: the estimate begins and stays in the box.
+    // The start is harmless: the estimate starts and stays in the box.
     assert!(before.eq([HealthCounters::default(); 3]));
     let old = ring.agents[1].state.announcement(&ring.agents[1].params);
     ring.skip(100);
@@ -160,7 +161,7 @@ fn what_happened_is_counted_exactly() {
     };
     for (index, agent) in ring.agents.iter().enumerate() {
         let counters = *agent.health.counters();
-        // A copy that arrives together with a newer frame does not get past the inbox.
+        // A copy that arrives together with a newer frame is refused by the inbox.
         let copies = counters.frames_stale + counters.frames_refused;
         assert_eq!(copies, if index == 1 { 0 } else { 5 });
         let (frames_stale, frames_refused) = (counters.frames_stale, counters.frames_refused);
@@ -172,7 +173,7 @@ fn what_happened_is_counted_exactly() {
     }
 }
 
-/// Keeps count of an agent's steps outside the box beside the core, and of what follows.
+/// Counts an agent's steps outside the box independently of the core, and predicts the fallback.
 #[derive(Default)]
 pub(crate) struct Ledger {
     pub(crate) outside: Vec<bool>,
@@ -181,7 +182,7 @@ pub(crate) struct Ledger {
 }
 
 impl Ledger {
-    /// Whether the network is in use after one more step.
+    /// Returns whether the network is in use after one more step.
     pub(crate) fn enter(&mut self, outside: bool) -> bool {
         self.outside.push(outside);
         let steps = if self.left_out { 50 } else { 5 };
@@ -230,7 +231,7 @@ fn falls_back_and_returns(seed: u64) -> Result<u32, TestCaseError> {
 }
 
 #[test]
-fn falling_back_does_happen() {
+fn fallbacks_occur() {
     assert!((0..8).map(|seed| falls_back_and_returns(seed).unwrap()).sum::<u32>() > 8);
 }
 
@@ -238,14 +239,14 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 8, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn after_any_nonsense_errors_are_what_they_would_have_been(seed: u64, guarded: bool) {
+    fn after_any_disturbance_errors_are_as_without_it(seed: u64, guarded: bool) {
         let (found, expected) = levels(seed, guarded);
         println!("{found:.4?}, undisturbed {expected:.4?}");
         prop_assert!(same_level(found, expected), "{:?}, undisturbed {:?}", found, expected);
     }
 
     #[test]
-    fn the_same_nonsense_gives_the_same_bits(seed: u64, guarded: bool) {
+    fn the_same_disturbance_gives_the_same_bits(seed: u64, guarded: bool) {
         let run = || {
             let mut ring = settled(seed, &SETTINGS, guarded);
             disturb(&mut ring, &mut Draw::new(!seed));
@@ -257,7 +258,7 @@ proptest! {
     }
 
     #[test]
-    fn the_network_is_left_out_and_used_again_at_the_configured_steps(seed: u64) {
+    fn fallback_and_return_follow_the_configured_steps(seed: u64) {
         falls_back_and_returns(seed)?;
     }
 
@@ -271,7 +272,7 @@ proptest! {
             plain.step(|_, _| ());
             repeated.step(|_, _| ());
             prop_assert_eq!(plain.bits(), repeated.bits());
-            // Two steps old at least: copies of what is on the air now are the inbox's matter.
+            // At least two steps old: copies of frames still in transit are handled by the inbox.
             if !said.is_empty() {
                 let oldest = said.len().saturating_sub(200);
                 repeated.inject(&said[draw.whole(oldest, said.len() - 1)]);
@@ -283,21 +284,21 @@ proptest! {
     }
 }
 
-/// What ships does what the steps of this test's ring do, written independently: whatever happens,
-/// the same bits, the same counters, the same frames.
+/// The released step equals the independently written steps of this test's ring: the same bits,
+/// counters and frames in all cases.
 #[test]
-fn the_watched_step_that_ships_is_the_one_written_out_here() {
+fn the_released_step_equals_the_one_written_here() {
     let mut total = HealthCounters::default().to_array();
     for seed in 0..8 {
         let (mut shipped, mut oracle) = (Ring::new(seed, &SETTINGS), Ring::new(seed, &SETTINGS));
         let mut draw = Draw::new(seed);
         for tick in 0..1_500 {
-            // Every third hundred steps are disturbed.
+            // Every third block of a hundred steps is disturbed.
             let disturbed = tick / 100 % 3 == 2;
             if disturbed && draw.whole(0, 9) == 0 {
                 let mut frame = huge_frame(&mut draw);
                 if draw.whole(0, 1) == 0 {
-                    // Plausible, but of an agent that is not a neighbour.
+                    // Plausible, but from an agent that is not a neighbour.
                     (frame.sender, frame.estimate) = (99, StateVector::zeros());
                 }
                 shipped.inject(&frame);

@@ -1,4 +1,4 @@
-//! agent-core against its oracle, its laws, and what it refuses.
+//! Compares agent-core with its oracle, and checks its properties and refusals.
 
 mod against_oracle;
 pub(crate) mod bits;

@@ -1,5 +1,5 @@
-//! Laws that an agent obeys to the bit, whatever its parameters, measurements and frames:
-//! what must not change a result, and when it broadcasts.
+//! Properties of an agent that hold to the bit for all parameters, measurements and frames: changes
+//! that must not affect a result, and the times of broadcasts.
 
 use agent_core::StateVector;
 use agent_core::agent::hold::Hold;
@@ -17,19 +17,19 @@ use crate::core::random_network::{Draw, DrawnAgent, DrawnNetwork, Gain, step_all
 /// Steps of each run.
 const STEPS: u64 = 8;
 
-/// As many cases as asked for; the seed in the message reproduces a failure.
+/// Returns a configuration with this many cases; the seed in the message reproduces a failure.
 fn cases(cases: u32) -> ProptestConfig {
     ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() }
 }
 
-/// Biases and, for each input, a row of weights of one layer.
+/// Biases of one layer and, for each input, a row of weights.
 #[derive(Clone, Debug)]
 struct Dense {
     biases: Vec<f32>,
     rows: Vec<Vec<f32>>,
 }
 
-/// A drawn agent's inner network, layer by layer.
+/// Returns a random agent's inner network, layer by layer.
 fn dense_layers<const N: usize>(drawn: &DrawnAgent<N>) -> Vec<Dense> {
     let architecture = Architecture::new(N, &drawn.layers).unwrap();
     let mut rest = &drawn.inner_parameters[..];
@@ -44,7 +44,7 @@ fn dense_layers<const N: usize>(drawn: &DrawnAgent<N>) -> Vec<Dense> {
     layers.collect()
 }
 
-/// The network with these layers and the activations of a drawn agent.
+/// Returns the network with these layers and a random agent's activations.
 fn network<const N: usize>(drawn: &DrawnAgent<N>, dense: &[Dense]) -> InnerNetwork<Vec<f32>> {
     let layers: Vec<Layer> = drawn
         .layers
@@ -58,8 +58,8 @@ fn network<const N: usize>(drawn: &DrawnAgent<N>, dense: &[Dense]) -> InnerNetwo
     InnerNetwork::new(Architecture::new(N, &layers).unwrap(), parameters.collect()).unwrap()
 }
 
-/// Runs agent 0 of a drawn network beside a copy with capacity for `WIDE` features, arrays
-/// for its `PLACES` neighbours, and its network in a static buffer with room to spare.
+/// Runs agent 0 of a random network beside a copy with capacity for `WIDE` features, arrays for its
+/// `PLACES` neighbours, and its network in a larger static buffer.
 fn spare_capacity_run<const N: usize, const WIDE: usize, const PLACES: usize>(
     drawn: &DrawnNetwork<N>,
     draw: &mut Draw,
@@ -110,7 +110,7 @@ fn spare_capacity<const N: usize, const WIDE: usize>(
     }
 }
 
-/// Nodes without influence in the hidden layers, and the last layer in another order.
+/// Adds nodes without influence to the hidden layers, and reorders the last layer.
 fn rearranged_network<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
     let mut draw = Draw::new(seed);
     let drawn = draw.network::<N>();
@@ -143,8 +143,8 @@ fn rearranged_network<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
     Ok(())
 }
 
-/// Steps a network and decides about every broadcast anew, in single precision and in the
-/// order of the trigger's equation.
+/// Steps a network and decides every broadcast independently, in single precision and in the order
+/// of the trigger's equation.
 fn broadcasts_exactly_when_due<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
     let mut draw = Draw::new(seed);
     let drawn = draw.network::<N>();
@@ -178,7 +178,7 @@ fn broadcasts_exactly_when_due<const N: usize>(seed: u64) -> Result<(), TestCase
     Ok(())
 }
 
-/// The same network twice, its agents stepped in different orders.
+/// Runs the same network twice, stepping its agents in different orders.
 fn any_order_of_stepping<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
     let mut draw = Draw::new(seed);
     let drawn = draw.network::<N>();
@@ -196,8 +196,8 @@ fn any_order_of_stepping<const N: usize>(seed: u64) -> Result<(), TestCaseError>
     Ok(())
 }
 
-/// Agent 0 with neighbours of which some are never heard, beside one that does not have them.
-fn silent_neighbours_count_for_nothing<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
+/// Runs agent 0 with neighbours some of which are never heard, beside one without them.
+fn silent_neighbours_contribute_nothing<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
     let mut draw = Draw::new(seed);
     let full = draw.network::<N>();
     let mut reduced = full.clone();
@@ -236,12 +236,12 @@ fn silent_neighbours_count_for_nothing<const N: usize>(seed: u64) -> Result<(), 
     Ok(())
 }
 
-/// A new inner network between two steps: the derivative jumps by the difference of what the
-/// two networks contribute, and nothing else does.
+/// Replaces the inner network between two steps: only the derivative jumps, by the difference of
+/// the two networks' contributions.
 fn a_new_network_only_bends_the_estimate<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
     let mut draw = Draw::new(seed);
     let mut drawn = draw.network::<N>();
-    // Without the projection, the change of the outer weights has a plain bound.
+    // Without the projection, the change of the outer weights has a simple bound.
     for agent in &mut drawn.agents {
         agent.projection.radius = 1e6;
     }
@@ -287,14 +287,14 @@ fn a_new_network_only_bends_the_estimate<const N: usize>(seed: u64) -> Result<()
         size += f64::from(with_new.sample.derivative[component].abs());
         // Two sums of at most 21 terms in single precision: gamma_21 of their sizes.
         prop_assert!(close(jump, expected, 0.0, 21.0 * f64::from(f32::EPSILON) * size));
-        // Over the step, the estimate moves by the derivative times the step.
+        // During the step, the estimate moves by the derivative times the step.
         let start = f64::from(with_new.sample.estimate[component]);
         let moved = f64::from(new.state.estimate()[component]) - start;
         let rate = f64::from(with_new.sample.derivative[component]);
         let rounding = f64::from(f32::EPSILON) * (start.abs() + step_size * rate.abs());
         prop_assert!(close(moved, step_size * rate, 0.0, rounding));
     }
-    // The outer weights move by at most dt |Gamma| |sigma| |C^T e_3|, from where they were.
+    // The outer weights move by at most dt |Gamma| |sigma| |C^T e_3|.
     let gained = match &drawn.agents[0].outer_gain {
         Gain::Scalar(gain) => f64::from(*gain),
         Gain::Diagonal(entries) | Gain::Full(entries) => {
@@ -359,9 +359,9 @@ proptest! {
 
     #[test]
     fn a_neighbour_that_was_never_heard_contributes_nothing(seed: u64) {
-        silent_neighbours_count_for_nothing::<1>(seed)?;
-        silent_neighbours_count_for_nothing::<3>(seed)?;
-        silent_neighbours_count_for_nothing::<12>(seed)?;
+        silent_neighbours_contribute_nothing::<1>(seed)?;
+        silent_neighbours_contribute_nothing::<3>(seed)?;
+        silent_neighbours_contribute_nothing::<12>(seed)?;
     }
 
     #[test]

@@ -34,7 +34,7 @@ pub(crate) enum Gain {
 }
 
 impl Gain {
-    /// Borrows it in the core's form.
+    /// Returns the gain in the core's form.
     fn borrowed(&self) -> SymmetricMatrix<'_> {
         match self {
             Self::Scalar(gain) => SymmetricMatrix::Scalar(*gain),
@@ -85,32 +85,32 @@ impl Draw {
         Self(ChaCha8Rng::seed_from_u64(seed))
     }
 
-    /// A number in `[-size, size]`.
+    /// Returns a number in `[-size, size]`.
     pub(crate) fn signed(&mut self, size: f32) -> f32 {
         self.0.random_range(-size..=size)
     }
 
-    /// A number in `[low, high]` whose logarithm is uniform.
+    /// Returns a number in `[low, high]` whose logarithm is uniform.
     pub(crate) fn positive(&mut self, low: f32, high: f32) -> f32 {
         low * (high / low).powf(self.0.random_range(0.0..=1.0))
     }
 
-    /// A whole number in `low..=high`.
+    /// Returns an integer in `low..=high`.
     pub(crate) fn whole(&mut self, low: usize, high: usize) -> usize {
         self.0.random_range(low..=high)
     }
 
-    /// `count` numbers in `[-size, size]`.
+    /// Returns `count` numbers in `[-size, size]`.
     pub(crate) fn signed_many(&mut self, count: usize, size: f32) -> Vec<f32> {
         (0..count).map(|_| self.signed(size)).collect()
     }
 
-    /// A vector with components in `[-size, size]`.
+    /// Returns a vector with components in `[-size, size]`.
     pub(crate) fn vector<const N: usize>(&mut self, size: f32) -> StateVector<N> {
         StateVector::from_fn(|_, _| self.signed(size))
     }
 
-    /// Any order of `0..count`.
+    /// Returns a random order of `0..count`.
     pub(crate) fn order(&mut self, count: usize) -> Vec<usize> {
         let mut order: Vec<usize> = (0..count).collect();
         for last in (1..count).rev() {
@@ -119,7 +119,7 @@ impl Draw {
         order
     }
 
-    /// A symmetric, diagonally dominant matrix with its diagonal around `size`, row by row.
+    /// Returns a symmetric, diagonally dominant matrix with its diagonal around `size`, row by row.
     fn symmetric(&mut self, rows: usize, size: f32) -> Vec<f32> {
         let mut entries = vec![0.0; rows * rows];
         for row in 0..rows {
@@ -133,7 +133,7 @@ impl Draw {
         entries
     }
 
-    /// A connected graph: a random tree and every other edge with probability 0.4.
+    /// Returns a connected graph: a random tree and every other edge with probability 0.4.
     fn adjacency(&mut self, agents: usize) -> DMatrix<f32> {
         let mut adjacency = DMatrix::zeros(agents, agents);
         for agent in 1..agents {
@@ -149,7 +149,7 @@ impl Draw {
         adjacency
     }
 
-    /// One to four layers of 1 to 20 nodes.
+    /// Returns one to four layers of 1 to 20 nodes.
     fn layers(&mut self) -> Vec<Layer> {
         let count = self.whole(1, 4);
         (0..count)
@@ -160,8 +160,8 @@ impl Draw {
             .collect()
     }
 
-    /// The flat parameters for `layers` with `inputs` inputs of size `magnitude`, such that
-    /// the sums in front of the activations are about 1.
+    /// Returns the flat parameters for `layers` with `inputs` inputs of size `magnitude`, such that
+    /// the sums before the activations are about 1.
     fn inner_parameters(&mut self, inputs: usize, layers: &[Layer], magnitude: f32) -> Vec<f32> {
         let (mut parameters, mut inputs, mut magnitude) = (Vec::new(), inputs, magnitude);
         for layer in layers {
@@ -174,7 +174,7 @@ impl Draw {
         parameters
     }
 
-    /// Constants for which weights of the norm `norm` are inside the ball, or in the layer
+    /// Returns constants for which weights of the norm `norm` are inside the ball, or in the layer
     /// around it.
     fn projection(&mut self, norm: f32, step_size: f32) -> ProjectionParams {
         let in_layer = self.0.random_bool(0.6);
@@ -184,7 +184,7 @@ impl Draw {
         ProjectionParams {
             radius,
             boundary_layer: least * self.positive(1.05, 2.0),
-            // Euler's method shrinks the weights by about dt delta / (2 theta_0^2) a step.
+            // Euler's method shrinks the weights by about dt delta / (2 theta_0^2) per step.
             smoothing: self.positive(0.001, 0.1) * radius * radius / step_size,
             smoothness: self.whole(0, 7) as u8,
         }
@@ -202,8 +202,8 @@ impl Draw {
         let norm = outer_weights.iter().map(|weight| weight * weight).sum::<f32>().sqrt();
         let projection = self.projection(norm, step_size);
         let outputs = self.whole(1, N);
-        // A step moves the weights by a small part of the boundary layer: Euler's method
-        // could otherwise jump over the layer, and the operator's power of the depth explodes.
+        // A step moves the weights by a small part of the boundary layer: otherwise Euler's method
+        // could jump over the layer, and the operator's power of the depth would explode.
         let innovation = magnitude * (outputs * N) as f32;
         let size = self.positive(0.01, 0.3) * projection.boundary_layer
             / (step_size * innovation * (features as f32).sqrt());
@@ -226,7 +226,7 @@ impl Draw {
         }
     }
 
-    /// A network of 2 to 6 agents.
+    /// Returns a network of 2 to 6 agents.
     pub(crate) fn network<const N: usize>(&mut self) -> DrawnNetwork<N> {
         let count = self.whole(2, 6);
         let magnitude = self.positive(0.1, 10.0);
@@ -234,8 +234,8 @@ impl Draw {
         let size = self.positive(0.3, 300.0);
         let entries = self.symmetric(N, size);
         let gain = SMatrix::from_row_slice(&entries);
-        // Euler's method is stable below about 2 / |L (x) K_1|, and the network's term, about
-        // 20 for 20 features and weights up to 5, shall not carry an estimate away in a step.
+        // Euler's method is stable below about 2 / |L (x) K_1|, and the network's term, about 20
+        // for 20 features and weights up to 5, must not carry an estimate away in one step.
         let degree = adjacency.row_iter().map(|row| row.sum()).fold(0.0, f32::max);
         let rate = size * (2.0 * degree + N as f32) + 20.0 / magnitude;
         let step_size = self.positive(0.01, 1.0) / rate;
@@ -245,7 +245,7 @@ impl Draw {
         let (k_2, kappa) =
             (f64::from(self.positive(0.1, 100.0)), f64::from(self.positive(0.1, 10.0)));
         let phi_1 = Trigger::new(&adjacency_64, &gain_64, k_2, kappa, 1.0).phi_1;
-        // The hold error at which the trigger fires for z = 0, in steps' worth of change.
+        // The hold error at which the trigger fires for z = 0, in steps of change.
         let radius = f64::from(magnitude * self.positive(0.1, 100.0) * (step_size * size).min(1.0));
         let epsilon = count as f64 * phi_1 * radius.powi(2);
 
@@ -276,7 +276,7 @@ impl Draw {
         }
     }
 
-    /// A measurement for each agent.
+    /// Returns a measurement for each agent.
     pub(crate) fn measurements<const N: usize>(
         &mut self,
         network: &DrawnNetwork<N>,
@@ -287,12 +287,12 @@ impl Draw {
 }
 
 impl<const N: usize> DrawnAgent<N> {
-    /// `L`.
+    /// Returns `L`.
     pub(crate) fn features(&self) -> usize {
         self.outer_weights.len() / N
     }
 
-    /// The inner network with its parameters in a vector.
+    /// Returns the inner network with its parameters in a vector.
     pub(crate) fn inner_network(&self) -> InnerNetwork<Vec<f32>> {
         let architecture = Architecture::new(N, &self.layers).unwrap();
         InnerNetwork::new(architecture, self.inner_parameters.clone()).unwrap()
@@ -312,7 +312,7 @@ pub(crate) struct Member<'a, const N: usize> {
 }
 
 impl<const N: usize> DrawnNetwork<N> {
-    /// The parameters of one agent.
+    /// Returns the parameters of one agent.
     pub(crate) fn params(&self, agent: usize) -> AgentParams<'_, N> {
         let drawn = &self.agents[agent];
         AgentParams::new(
@@ -377,15 +377,15 @@ pub(crate) fn deliver<const N: usize>(
 }
 
 impl<const N: usize> Member<'_, N> {
-    /// One step that must succeed.
+    /// Takes one step, which must succeed.
     pub(crate) fn step(&mut self, tick: Tick, measurement: &[f32]) -> StepOutput<N> {
         let network = Some(&self.inner_network);
         self.state.step(&self.params, network, tick, measurement, &mut self.inbox).unwrap()
     }
 }
 
-/// One step of all agents in the given order, and the delivery of what they broadcast;
-/// returns the outputs by agent.
+/// Takes one step of all agents in the given order and delivers their broadcasts; returns the
+/// outputs by agent.
 pub(crate) fn step_all<const N: usize>(
     members: &mut [Member<'_, N>],
     order: &[usize],

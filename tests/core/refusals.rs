@@ -1,5 +1,5 @@
-//! Whatever is refused changes nothing: after every error of a step and of an inbox, state
-//! and inbox are what they were to the bit, and go on like a copy that never saw the error.
+//! Refusals change nothing: after every error of a step or an inbox, state and inbox are unchanged
+//! to the bit and continue like a copy that never saw the error.
 
 use agent_core::agent::inbox::Inbox;
 use agent_core::agent::{AgentParams, StepError};
@@ -13,7 +13,7 @@ use crate::core::random_network::{Draw, DrawnNetwork, Member, deliver, step_all}
 /// Steps before and after the errors.
 const STEPS: u64 = 4;
 
-/// A network that has run for a while, with a frame of every agent waiting everywhere.
+/// Returns a network that has run for a while, with a frame of every agent pending everywhere.
 fn warm<'a, const N: usize>(drawn: &'a DrawnNetwork<N>, draw: &mut Draw) -> Vec<Member<'a, N>> {
     let mut members = drawn.members();
     for tick in 0..STEPS {
@@ -29,7 +29,7 @@ fn warm<'a, const N: usize>(drawn: &'a DrawnNetwork<N>, draw: &mut Draw) -> Vec<
     members
 }
 
-/// `member` and a copy that saw no error take the same further steps.
+/// Checks that `member` and a copy that saw no error take the same further steps.
 fn go_on_alike<const N: usize>(
     mut member: Member<'_, N>,
     mut untouched: Member<'_, N>,
@@ -46,16 +46,16 @@ fn go_on_alike<const N: usize>(
     Ok(())
 }
 
-/// Whether the same variant of an error came out.
+/// Whether both are the same variant.
 fn same_kind(found: StepError, expected: StepError) -> bool {
     std::mem::discriminant(&found) == std::mem::discriminant(&expected)
 }
 
-/// Every error that a step has, one after the other, on every agent of a network.
+/// Provokes every error of a step, one after the other, on every agent of a network.
 fn refused_steps<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
     let mut draw = Draw::new(seed);
     let drawn = draw.network::<N>();
-    // The same agents with a gain that no single-precision estimate survives.
+    // The same agents with a gain so large that every single-precision estimate overflows.
     let mut violent = drawn.clone();
     violent.gain *= 1e33 / violent.gain.amax();
     for (index, member) in warm(&drawn, &mut draw).into_iter().enumerate() {
@@ -98,7 +98,7 @@ fn refused_steps<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
             (calm, own, STEPS, &bad[2], not_finite),
             (calm, Some(&wide), STEPS, &good, StepError::Features { expected, found }),
             (calm, Some(&deep), STEPS, &good, StepError::NetworkInputs { expected, found }),
-            // The outer weights overflow; the estimate; the estimate once the weights were
+            // The outer weights overflow; the estimate; the estimate after the weights were
             // planned.
             (calm, own, STEPS, &huge, StepError::Diverged),
             (&violent, None, STEPS, &huge, StepError::Diverged),
@@ -122,7 +122,7 @@ fn refused_steps<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
             }
             prop_assert_eq!(inbox.len(), waiting);
         }
-        // An inbox for another number of neighbours is left as it is, too.
+        // An inbox for another number of neighbours is unchanged too.
         let mut other = Inbox::new(vec![None; calm.neighbours().len() + 1]);
         let frame = Frame::<N> {
             sender: calm.neighbours()[0].id,
@@ -174,14 +174,14 @@ fn divergence_by_a_frame<const N: usize>(seed: u64) -> Result<(), TestCaseError>
     Ok(())
 }
 
-/// Everything that an inbox refuses, in the inbox of every agent of a network.
+/// Provokes every refusal of an inbox, for every agent of a network.
 fn refused_frames<const N: usize>(seed: u64, noise: &[u8]) -> Result<(), TestCaseError> {
     let mut draw = Draw::new(seed);
     let drawn = draw.network::<N>();
     for (index, member) in warm(&drawn, &mut draw).into_iter().enumerate() {
         let mut member = member;
         let neighbours = member.params.neighbours();
-        // Room for the last neighbour only, so that frames are refused for themselves.
+        // Slots for the last neighbour only, so that frames are refused for their contents.
         member.inbox.clear();
         for neighbour in &neighbours[..neighbours.len() - 1] {
             let frame = Frame::<N> {
@@ -216,7 +216,7 @@ fn refused_frames<const N: usize>(seed: u64, noise: &[u8]) -> Result<(), TestCas
         let own = Frame { sender: member.params.id(), ..valid };
         refused.push(own.encode().to_vec());
         if neighbours.len() > 1 {
-            // As old as the one that waits, or older.
+            // As old as the pending one, or older.
             for sequence in [3, 2] {
                 let again = Frame { sender: neighbours[0].id, sequence, tick: 3, ..valid };
                 refused.push(again.encode().to_vec());

@@ -1,4 +1,4 @@
-//! Three watched agents on a ring that observe a moving point, and what can be done to them.
+//! Three watched agents on a ring that observe a moving point, with ways to disturb them.
 
 use agent_core::agent::inbox::Inbox;
 use agent_core::agent::region::StateBox;
@@ -18,13 +18,13 @@ use nalgebra::SMatrix;
 use crate::core::bits::{StateBits, state_bits};
 use crate::core::random_network::{Draw, ParamBuffers};
 
-/// Features.
+/// Number of features.
 const FEATURES: usize = 5;
 /// \[s\]
 const STEP_SIZE: f32 = 1e-3;
-/// Each component moves within these limits.
+/// Limit of each component's motion.
 const LIMIT: f32 = 6.0;
-/// The box that counts as trained.
+/// The box of trained inputs.
 pub(crate) const BOX: StateBox<'static> = StateBox { low: &[-LIMIT; 3], high: &[LIMIT; 3] };
 
 /// Each agent hears the other two.
@@ -34,7 +34,7 @@ const NEIGHBOURS: [[Neighbour; 2]; 3] = [
     [Neighbour { id: 0, weight: 1.0 }, Neighbour { id: 1, weight: 1.0 }],
 ];
 
-/// An agent that sees one component, and what watches over it.
+/// An agent that measures one component, with its health monitoring.
 pub(crate) struct Watched {
     pub(crate) params: AgentParams<'static, 3>,
     pub(crate) health_params: HealthParams<3>,
@@ -49,7 +49,7 @@ pub(crate) struct Watched {
 pub(crate) struct Ring {
     pub(crate) agents: Vec<Watched>,
     pub(crate) tick: Tick,
-    /// Whether frames of implausible estimates are refused when they arrive.
+    /// Whether implausible frames are refused on arrival.
     pub(crate) guarded: bool,
     inner_network: InnerNetwork<Vec<f32>>,
     outer_weights: Vec<f32>,
@@ -60,7 +60,7 @@ pub(crate) struct Ring {
 }
 
 impl Ring {
-    /// The ring of a seed.
+    /// Creates the ring for a seed.
     pub(crate) fn new(seed: u64, settings: &HealthSettings) -> Self {
         let mut draw = Draw::new(seed);
         let layers =
@@ -122,19 +122,19 @@ impl Ring {
         }
     }
 
-    /// Where the point is.
+    /// Returns the position of the point.
     fn truth(&self) -> StateVector<3> {
         let time = self.tick as f32 * STEP_SIZE;
         let angle = self.rates * time + self.phases;
         self.amplitudes.component_mul(&angle.map(f32::sin))
     }
 
-    /// Puts a frame on the air, for every agent that listens to its sender.
+    /// Broadcasts a frame to every agent that listens to its sender.
     pub(crate) fn inject(&mut self, frame: &Frame<3>) {
         self.on_the_air.push(frame.encode());
     }
 
-    /// One step of every agent, whose measurement `disturb` may change.
+    /// Takes one step of every agent; `disturb` can change its measurement.
     pub(crate) fn step(&mut self, mut disturb: impl FnMut(usize, &mut f32)) {
         let (truth, tick) = (self.truth(), self.tick);
         let frames = std::mem::take(&mut self.on_the_air);
@@ -183,7 +183,7 @@ impl Ring {
         self.tick += 1;
     }
 
-    /// The same by way of [`WatchedAgent`], which [`Self::step`] is an independent copy of.
+    /// Like [`Self::step`], which is an independent copy, but with [`WatchedAgent`].
     pub(crate) fn step_as_shipped(&mut self, mut disturb: impl FnMut(usize, &mut f32)) {
         let (truth, tick) = (self.truth(), self.tick);
         let frames = std::mem::take(&mut self.on_the_air);
@@ -213,12 +213,12 @@ impl Ring {
         self.tick += 1;
     }
 
-    /// What has been broadcast and not yet received.
+    /// Returns the frames in transit.
     pub(crate) fn on_the_air(&self) -> &[FrameBytes] {
         &self.on_the_air
     }
 
-    /// Undisturbed steps.
+    /// Takes undisturbed steps.
     pub(crate) fn skip(&mut self, steps: Tick) {
         (0..steps).for_each(|_| self.step(|_, _| ()));
     }
@@ -229,7 +229,8 @@ impl Ring {
         error.iter().fold(0.0, |sum, &e| sum + f64::from(e) * f64::from(e)).sqrt()
     }
 
-    /// The root of the mean of `|e_1i|^2` of each agent over the next `steps` undisturbed steps.
+    /// Returns the root mean square of `|e_1i|` for each agent over the next `steps` undisturbed
+    /// steps.
     pub(crate) fn error_level(&mut self, steps: Tick) -> [f64; 3] {
         let mut sums = [0.0; 3];
         for _ in 0..steps {
@@ -241,7 +242,7 @@ impl Ring {
         sums.map(|sum| (sum / steps as f64).sqrt())
     }
 
-    /// The bits of every agent's state.
+    /// Returns the bits of every agent's state.
     pub(crate) fn bits(&self) -> Vec<StateBits> {
         self.agents.iter().map(|agent| state_bits(&agent.params, &agent.state)).collect()
     }

@@ -1,4 +1,4 @@
-//! Peers at the end of a socket that say what a test wants them to say.
+//! Scripted peers at the other end of a socket.
 
 use std::io::{Read as _, Write as _};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -13,10 +13,10 @@ use agent_core::service::{
 use agent_core::store::Slot;
 use agent_core::wire::cobs::Decoder;
 
-/// What a node says, with its numbers in vectors.
+/// A response with its numbers in vectors.
 pub(crate) type Message = Response<'static, Vec<f32>>;
 
-/// A connection, from the node's side.
+/// The node's end of a connection.
 pub(crate) struct Peer {
     socket: UnixStream,
     decoder: Decoder<256>,
@@ -24,19 +24,19 @@ pub(crate) struct Peer {
 }
 
 impl Peer {
-    /// Says something; whether the other end still listens.
+    /// Sends a message; returns whether the other end still listens.
     pub(crate) fn say(&mut self, message: &Message) -> bool {
         let mut bytes = Vec::new();
         send(message, |piece| bytes.extend_from_slice(piece));
         self.write(&bytes)
     }
 
-    /// Writes these bytes; whether the other end still listens.
+    /// Sends bytes; returns whether the other end still listens.
     pub(crate) fn write(&mut self, bytes: &[u8]) -> bool {
         self.socket.write_all(bytes).is_ok()
     }
 
-    /// The next request, once there is one; `None` at the end.
+    /// Waits for the next request; `None` at the end.
     pub(crate) fn request(&mut self) -> Option<Vec<u8>> {
         loop {
             for (index, &byte) in self.received.iter().enumerate() {
@@ -54,7 +54,7 @@ impl Peer {
     }
 }
 
-/// Lets `behave` talk to everybody who connects to this socket.
+/// Calls `behave` for every connection to this socket.
 pub(crate) fn listen(path: &Path, behave: impl Fn(&mut Peer) + Clone + Send + 'static) {
     let listener = UnixListener::bind(path).unwrap();
     std::thread::spawn(move || {
@@ -67,7 +67,7 @@ pub(crate) fn listen(path: &Path, behave: impl Fn(&mut Peer) + Clone + Send + 's
     });
 }
 
-/// Agent 1 of the paper's scenario, or so it says.
+/// Returns a status that claims to be agent 1 of the paper's scenario.
 pub(crate) fn status() -> Status {
     Status {
         protocol: PROTOCOL_VERSION,
@@ -101,7 +101,7 @@ pub(crate) fn status() -> Status {
     }
 }
 
-/// What a node tells of a step.
+/// Returns a node's report of a step.
 pub(crate) fn state(tick: u64) -> Message {
     let number = tick as f32;
     Response::State(State {
@@ -113,8 +113,8 @@ pub(crate) fn state(tick: u64) -> Message {
     })
 }
 
-/// Answers requests as a node with this status, until it has been subscribed to: then it tells so
-/// many states, with `pause` in between, and goes.
+/// Answers requests as a node with this status until a subscription, then sends `count` states with
+/// `pause` in between, and disconnects.
 pub(crate) fn tell_states(peer: &mut Peer, status: Status, count: u64, pause: Duration) {
     while let Some(request) = peer.request() {
         match receive::<Request<'_>>(&request) {

@@ -1,5 +1,5 @@
-//! Nodes that hang, die or talk nonsense: the run ends with an error that says which one it is, and
-//! nothing is left behind.
+//! Nodes that hang, crash or send invalid messages: the run ends with an error that names the node,
+//! and leaves nothing behind.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -32,7 +32,8 @@ fn failure(scenario: &Scenario, start: &mut Start<'_>) -> String {
     cosimulate(scenario, 0, setup, None, &Silent).unwrap_err().to_string()
 }
 
-/// An emulator that is a shell script, with its number and its pipes' folder in the file `trace`.
+/// An emulator that is a shell script; it writes its process id and its pipes' folder to the file
+/// `trace`.
 struct FakeQemu {
     folder: Folder,
 }
@@ -61,7 +62,7 @@ impl FakeQemu {
         }
     }
 
-    /// The error of a run in which this plays agent 2.
+    /// Returns the error of a run with this emulator as agent 2.
     fn failure(&self) -> String {
         let qemu = self.qemu();
         let start = &mut |index: usize, package: &PackageBytes| {
@@ -81,7 +82,7 @@ impl FakeQemu {
         assert!(!trace.is_empty());
         for line in trace.lines() {
             let (id, folder) = line.split_once(' ').unwrap();
-            // A process that has ended and been waited for has no entry.
+            // A process that has ended and has been waited for has no entry.
             assert!(!Path::new("/proc").join(id).exists(), "process {id} is left");
             assert!(!Path::new(folder).exists(), "{folder} is left");
         }
@@ -89,7 +90,7 @@ impl FakeQemu {
 }
 
 #[test]
-fn cosim_ends_with_a_node_that_never_begins() {
+fn cosim_ends_with_a_node_that_never_starts() {
     let begun = Instant::now();
     let error = FakeQemu::new("cosim-hangs", "exec sleep 1000").failure();
     assert!(error.starts_with("agent 2 (qemu): no opening of its channel within 0.6 s"), "{error}");
@@ -134,7 +135,7 @@ fn cosim_says_what_to_install_where_there_is_no_emulator() {
     assert!(error.contains("qemu-system-arm") && error.contains("cargo xtask test"), "{error}");
 }
 
-/// What a node says at first if it uses `package`.
+/// Returns the first message of a node that uses `package`.
 fn hello(package: &PackageBytes) -> Status {
     Status {
         protocol: PROTOCOL_VERSION,
@@ -168,8 +169,8 @@ fn hello(package: &PackageBytes) -> Status {
     }
 }
 
-/// The error of a run whose last node greets with `status`, says that it has done two things, then
-/// sends `rest`, and goes.
+/// Returns the error of a run whose last node greets with `status`, acknowledges two requests,
+/// sends `rest`, and disconnects.
 fn scripted(change: impl Fn(&mut Status), rest: &[u8]) -> String {
     use std::io::Write;
     let mut held = Vec::new();
@@ -189,7 +190,7 @@ fn scripted(change: impl Fn(&mut Status), rest: &[u8]) -> String {
         say(Response::Done);
         bytes.extend_from_slice(rest);
         there.write_all(&bytes).unwrap();
-        // With the rest said it goes; otherwise it stays and is silent.
+        // With `rest` sent it disconnects; otherwise it stays connected without sending.
         if !rest.is_empty() {
             there.shutdown(std::net::Shutdown::Write).unwrap();
         }
@@ -206,7 +207,7 @@ fn framed(response: &Response<'_, Vec<f32>>) -> Vec<u8> {
 }
 
 #[test]
-fn cosim_ends_with_a_node_that_talks_nonsense_in_the_middle() {
+fn cosim_ends_with_a_node_that_sends_invalid_messages() {
     let error = scripted(|_| {}, &[1, 2, 3, 4, 5, 6, 7, DELIMITER]);
     assert!(error.starts_with("agent 3 (script): it sends an unrecognised message: "), "{error}");
     let error = scripted(|_| {}, &framed(&Response::InUse { version: Some(2) }));
@@ -223,7 +224,7 @@ fn cosim_ends_with_a_node_that_talks_nonsense_in_the_middle() {
 }
 
 #[test]
-fn cosim_says_what_does_not_fit_the_firmware() {
+fn cosim_reports_what_the_firmware_cannot_hold() {
     let error = scripted(|status| status.firmware.features = 4, &[0]);
     assert!(error.contains("the agent has 5 features, the firmware has room for 4"), "{error}");
     let error = scripted(|status| status.firmware.dimension = 4, &[0]);
@@ -235,7 +236,7 @@ fn cosim_says_what_does_not_fit_the_firmware() {
 }
 
 #[test]
-fn cosim_refuses_scenarios_that_nodes_do_not_live() {
+fn cosim_refuses_scenarios_that_nodes_cannot_run() {
     let start = &mut |_, _: &PackageBytes| unreachable!();
     let mut watched = without_learning();
     let recommended = agent_core::health::HealthSettings::RECOMMENDED;

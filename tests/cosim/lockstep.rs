@@ -1,4 +1,4 @@
-//! Simulator and nodes in lockstep, the nodes being the firmware's own loop in threads.
+//! Simulator and nodes in lockstep, with the firmware's own loop in threads as nodes.
 
 use std::num::NonZeroU32;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use host_sim::signing::OperatorKey;
 
 use crate::cosim::loop_node::{self, Quirks};
 
-/// The paper's experiment in two seconds, with a short training.
+/// Returns the paper's experiment shortened to two seconds, with a short training.
 pub(crate) fn short_paper() -> Scenario {
     let mut scenario = Scenario::parse("paper", PAPER).unwrap();
     scenario.time.duration = 2.0;
@@ -33,7 +33,7 @@ pub(crate) fn short_paper() -> Scenario {
     scenario
 }
 
-/// Half a second of it, without learning.
+/// Returns half a second of it, without learning.
 pub(crate) fn without_learning() -> Scenario {
     let mut scenario = short_paper();
     scenario.time.duration = 0.5;
@@ -65,7 +65,7 @@ fn cosim_of_the_paper_with_a_learning_cycle_has_the_same_bits() {
     }
 }
 
-/// The package with another content, as a package of its own.
+/// Returns the package with changed content, as a separate package.
 fn changed(package: &PackageBytes, change: impl FnOnce(&mut Draft)) -> PackageBytes {
     let mut draft = Draft::copy(&package.package());
     change(&mut draft);
@@ -112,7 +112,7 @@ fn cosim_gives_a_board_that_lives_on_the_package_of_its_agent() {
     let mut scenario = short_paper();
     scenario.time.duration = 0.2;
     let start = &mut |index, package: &PackageBytes| {
-        // One has nothing, one has its package, one has something else.
+        // One has no package, one has its own, one has a different one.
         let own = match index {
             0 => None,
             1 => Some(package.clone()),
@@ -128,7 +128,7 @@ fn cosim_gives_a_board_that_lives_on_the_package_of_its_agent() {
 }
 
 #[test]
-fn cosim_says_which_node_has_the_wrong_package() {
+fn cosim_names_the_node_with_the_wrong_package() {
     let start = &mut |index, package: &PackageBytes| {
         let own = changed(package, |draft| draft.inner[0] = 0.25);
         let own = if index == 1 { &own } else { package };

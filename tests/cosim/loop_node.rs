@@ -1,4 +1,4 @@
-//! A node in a thread of its own: the firmware's loop at the other end of a socket, with its flash in
+//! A node in its own thread: the firmware's loop at the other end of a socket, with its flash in
 //! memory.
 
 use std::cell::Cell;
@@ -21,10 +21,10 @@ use host_sim::packages::PackageBytes;
 
 use test_support::nor_flash::{SimulatedError, SimulatedFlash, Tear};
 
-/// Room of the nodes here: the paper's agents, and a little more.
+/// Capacities of these nodes: slightly more than the paper's agents need.
 type TestNode<'m> = Node<'m, Flash, 3, 8, 2, 64>;
 
-/// The memory map that the project has.
+/// Returns the project's memory map.
 pub(crate) fn region() -> WeightsRegion {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../memory.x");
     MemoryMap::read(path.as_ref()).unwrap().weights().unwrap()
@@ -34,19 +34,18 @@ fn layout() -> Layout {
     region().layout()
 }
 
-/// How a node differs from what it should be.
+/// Differences between a node and a correct one.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Quirks {
-    /// What its flash holds in place of the package that it found there when it began.
+    /// The package in its flash after the start, in place of the one it loaded.
     pub(crate) uses: Option<PackageBytes>,
-    /// Good steps until a package on trial is confirmed.
+    /// Good steps before a package on trial is confirmed.
     pub(crate) good_steps: Option<u32>,
-    /// If there is one, it takes only packages that are signed with its private half.
+    /// If present, only packages signed with the matching private key are accepted.
     pub(crate) public_key: Option<PublicKey>,
 }
 
-/// Runs a node with `package` in its flash, until the other end of the socket that is returned is
-/// closed.
+/// Runs a node with `package` in its flash until the other end of the returned socket is closed.
 pub(crate) fn spawn(package: Option<&PackageBytes>, quirks: &Quirks) -> UnixStream {
     let (here, there) = UnixStream::pair().unwrap();
     let (flash, quirks) = (Flash::new(package, quirks.uses.as_ref()), quirks.clone());
@@ -54,8 +53,8 @@ pub(crate) fn spawn(package: Option<&PackageBytes>, quirks: &Quirks) -> UnixStre
     here
 }
 
-/// Runs nodes without a package, one for each connection to this socket, as a board on a desk is.
-/// Returns how often they have read something.
+/// Runs nodes without a package, one per connection to this socket, like a real board. Returns the
+/// count of their reads.
 pub(crate) fn serve(path: &std::path::Path) -> Arc<AtomicU64> {
     let listener = UnixListener::bind(path).unwrap();
     let reads = Arc::new(AtomicU64::new(0));
@@ -112,7 +111,7 @@ impl embedded_io::Read for Port {
             self.reads.fetch_add(1, Ordering::Relaxed);
             return Ok(length);
         }
-        // Nobody is there any more: the last thing that the node is asked is to let go of itself.
+        // The other end is closed: the last request makes the node stop.
         self.over.store(true, Ordering::Relaxed);
         let mut last = vec![0];
         send(&Request::Reset, |bytes| last.extend_from_slice(bytes));
@@ -131,7 +130,7 @@ impl embedded_io::Write for Port {
     }
 }
 
-/// Flash that can have other bytes than it seemed to have.
+/// Flash whose contents can change after loading.
 struct Flash {
     real: SimulatedFlash<8, 4096>,
     other: Vec<u8>,

@@ -1,5 +1,5 @@
-//! The real firmware in the real emulator. `cargo xtask test` builds the one, installs the other
-//! where it may, and then runs these.
+//! The released firmware in the real emulator. `cargo xtask test` builds the firmware, installs the
+//! emulator where it is allowed to, and then runs these tests.
 
 use std::collections::BTreeSet;
 
@@ -10,7 +10,7 @@ const FIRMWARE: &str = "QEMU_MPS2_AN386_FIRMWARE";
 
 fn cosim(folder: &Folder, arguments: &str) -> serde_json::Value {
     let firmware = std::env::var(FIRMWARE).unwrap_or_else(|_| {
-        panic!("{FIRMWARE} names the firmware: `cargo xtask firmware` builds it")
+        panic!("{FIRMWARE} must name the firmware; build it with `cargo xtask firmware`")
     });
     let told = folder.succeed(&format!("cosim --firmware {firmware} --format json {arguments}"));
     serde_json::from_str(&told).unwrap()
@@ -24,11 +24,11 @@ fn children() -> BTreeSet<String> {
 }
 
 #[test]
-#[ignore = "needs the firmware and QEMU; cargo xtask test runs it"]
+#[ignore = "requires the firmware and QEMU; run `cargo xtask test`"]
 fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
     let folder = Folder::new("cosim-qemu");
     let before = children();
-    // The paper's scenario with its learning cycle moved to the front.
+    // The paper's scenario with its learning cycle moved to the start.
     let mut text = host_sim::scenario::PAPER.to_owned();
     for (from, to) in [
         ("collect_from = 10.0", "collect_from = 0.2"),
@@ -57,8 +57,8 @@ fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
 }
 
 #[test]
-#[ignore = "needs the firmware and QEMU; cargo xtask test runs it"]
-fn cosim_in_qemu_goes_on_with_the_flash_that_was_kept() {
+#[ignore = "requires the firmware and QEMU; run `cargo xtask test`"]
+fn cosim_in_qemu_continues_with_kept_flash() {
     let folder = Folder::new("cosim-qemu-keep");
     let learns = "paper --keep flash --steps 300 --without-learning";
     let first = cosim(&folder, learns);
@@ -67,7 +67,7 @@ fn cosim_in_qemu_goes_on_with_the_flash_that_was_kept() {
     assert_eq!(agents, ["agent-1.flash", "agent-2.flash", "agent-3.flash"]);
     let second = cosim(&folder, learns);
     assert_eq!((&second["mismatches"], &second["digest"]), (&0.into(), &first["digest"]));
-    // Another scenario's nodes are not these.
+    // Nodes of another scenario are refused.
     let text = host_sim::scenario::PAPER.replace("epsilon = 3000.0", "epsilon = 2000.0");
     assert_ne!(text, host_sim::scenario::PAPER);
     folder.write("other.toml", &text);

@@ -1,4 +1,4 @@
-//! Nodes of a running co-simulation, and the commands that talk to them.
+//! Commands that talk to the nodes of a running co-simulation.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,12 +15,12 @@ use host_sim::service::{Address, Client, Line, Message};
 use crate::cli::command_line::{Folder, texts};
 use crate::cosim::loop_node::{self, Quirks};
 
-/// Runs the paper's scenario without learning beside `visit`, which finds its nodes at the sockets
-/// in the folder, and ends it then.
+/// Runs the paper's scenario without learning while `visit`, which finds the nodes at the sockets
+/// in the folder, is running.
 fn served(folder: &Folder, visit: impl FnOnce()) -> CosimReport {
     let mut scenario = Scenario::parse("paper", PAPER).unwrap();
     scenario.learning.clear();
-    // The visit ends it.
+    // Ends when `visit` returns.
     scenario.time.duration = 1e6;
     let stop = Arc::new(AtomicBool::new(false));
     let service = Service { folder: folder.path("nodes"), speed: 1.0, stop: stop.clone() };
@@ -53,7 +53,7 @@ impl Drop for End {
     }
 }
 
-/// Says one thing to a node and waits for the answer, without a word about what it is.
+/// Sends a request to a node and waits for any answer.
 fn ask(client: &mut Client, request: &Request<'_>) {
     let any = |message: &Message<'_>| message.is_answer().then_some(());
     client.ask(request, Duration::from_secs(10), &mut |_| {}, "an answer", any).unwrap();
@@ -80,7 +80,7 @@ fn cosim_nodes_are_recorded_trained_for_and_pushed_to_while_every_bit_agrees() {
         assert!(refused.contains("exists and is not empty"), "{refused}");
         assert!(told.contains("agent 1, package version 1"), "{told}");
         assert!(told.contains("x_hat") && told.contains("samples.csv: 499 samples"), "{told}");
-        // Half a second explains nothing, and is to do here.
+        // Half a second of samples explains nothing, but is enough here.
         let always = "[recipes.better]\nswitch_in = \"always\"";
         folder.write("always.toml", &PAPER.replace("[recipes.better]", always));
         let train = "train samples.csv --scenario always.toml --agent 1 --recipe better";
@@ -91,7 +91,7 @@ fn cosim_nodes_are_recorded_trained_for_and_pushed_to_while_every_bit_agrees() {
         assert!(warning.contains(&hash), "{warning}");
         let bytes = std::fs::read(folder.path("node.weights")).unwrap();
 
-        // What is known to be damaged is not sent at all.
+        // Files known to be damaged are not sent at all.
         let mut tampered = bytes.clone();
         tampered[bytes.len() / 2] ^= 4;
         std::fs::write(folder.path("tampered.weights"), &tampered).unwrap();
@@ -100,7 +100,7 @@ fn cosim_nodes_are_recorded_trained_for_and_pushed_to_while_every_bit_agrees() {
         assert_eq!((refused.status.code(), standard.as_str()), (Some(2), ""));
         assert!(error.contains("tampered.weights: ") && error.contains("checksum"), "{error}");
 
-        // Somebody's transfer breaks off; another goes on with it.
+        // One transfer breaks off; another continues it.
         let mut broken = client(&folder, 1);
         ask(&mut broken, &Request::Begin { length: bytes.len() as u32 });
         for (index, chunk) in bytes.chunks(CHUNK_LENGTH_MAX).take(5).enumerate() {
@@ -119,11 +119,11 @@ fn cosim_nodes_are_recorded_trained_for_and_pushed_to_while_every_bit_agrees() {
         let again = folder.succeed("push nodes/agent-1.sock node.weights --format json");
         let again: serde_json::Value = serde_json::from_str(&again).unwrap();
         assert_eq!((&again["version"], again["resumed_from"].is_null()), (&2.into(), true));
-        // It is not on trial again for having been pushed again.
+        // Pushing it again does not put it on trial again.
         assert_eq!(again["confirmed"], true);
         let again = folder.succeed("push nodes/agent-1.sock node.weights");
         assert!(again.contains("was there already; in use and confirmed"), "{again}");
-        // Some steps with it.
+        // Some steps with the new package.
         folder.succeed("monitor nodes/agent-1.sock --every 1 --count 50");
     });
     assert_eq!((&report.first_mismatch, report.mismatches), (&None, 0));
@@ -136,7 +136,7 @@ fn cosim_nodes_are_recorded_trained_for_and_pushed_to_while_every_bit_agrees() {
 }
 
 #[test]
-fn cosim_nodes_that_go_their_own_way_are_not_compared_any_more() {
+fn diverted_cosim_nodes_are_no_longer_compared() {
     let folder = Folder::new("cosim-reset");
     let report = served(&folder, || {
         let told = folder.succeed("monitor nodes/agent-3.sock --every 10 --count 3 --format json");
@@ -145,7 +145,7 @@ fn cosim_nodes_that_go_their_own_way_are_not_compared_any_more() {
         assert_eq!(lines.len(), 4, "{told}");
         assert_eq!(lines[1]["State"]["tick"].as_u64().unwrap() % 10, 0);
         assert_eq!(lines[1]["State"]["outer_weights"].as_array().unwrap().len(), 0);
-        // Time is not theirs to make, and what is no package is none.
+        // Nodes in the loop refuse to control time, and refuse bytes that are not a package.
         let mut client = client(&folder, 2);
         ask(&mut client, &Request::Tick { periods: 1, measurement: None });
         let refused = folder.fail("node nodes/agent-3.sock revert", 2);

@@ -1,4 +1,4 @@
-//! Co-simulations that are served: what clients, files and dying nodes can do to them.
+//! Served co-simulations: the effects of clients, files and crashing nodes.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
@@ -23,8 +23,8 @@ use crate::cli::command_line::{Folder, object, texts};
 use crate::cli::node_commands::{LONG, ended, signal, wait_until};
 use crate::cosim::loop_node::{self, Quirks};
 
-/// A served run of the paper's scenario beside `visit`, which gets the nodes' ends of their lines;
-/// and what was noticed.
+/// Runs the paper's scenario as a service while `visit` runs with the nodes' ends of their lines;
+/// returns the report and the notices.
 fn served(
     folder: &Folder,
     speed: f64,
@@ -77,7 +77,7 @@ fn the_death_of_a_node_ends_its_line_only() {
     let (report, notices) = served(&folder, 1.0, |lines| {
         folder.succeed("monitor nodes/agent-2.sock --every 1 --count 20");
         lines.lock().unwrap()[&1].shutdown(Shutdown::Both).unwrap();
-        // The others go on, and still hear what the simulated agent broadcasts in its place.
+        // The others continue, and still receive what the simulated agent broadcasts in its place.
         folder.succeed("monitor nodes/agent-1.sock --every 1 --count 200");
         folder.succeed("monitor nodes/agent-3.sock --every 1 --count 200");
         let error = folder.fail("node nodes/agent-2.sock", 1);
@@ -112,7 +112,7 @@ fn a_node_that_has_ended_is_started_again_by_a_reset() {
     assert!(notices.iter().any(|notice| notice == "StartedAgain { agent: 3 }"), "{notices:?}");
 }
 
-/// What the node says, message by message.
+/// Receives a node's messages.
 struct Listener {
     socket: UnixStream,
     decoder: Box<Decoder<4096>>,
@@ -138,7 +138,7 @@ impl Listener {
 #[test]
 fn a_client_that_asks_without_end_gets_one_answer_a_step() {
     let folder = Folder::new("serve-flood");
-    // So fast that there is never time left between two steps.
+    // So fast that no time is ever left between two steps.
     let (report, _) = served(&folder, 1e6, |_| {
         let mut socket = UnixStream::connect(folder.path("nodes/agent-1.sock")).unwrap();
         let mut requests = Vec::new();
@@ -172,7 +172,7 @@ fn what_is_not_a_socket_is_left_alone() {
         "{error}"
     );
     assert_eq!(std::fs::read(folder.path("nodes/agent-2.sock")).unwrap(), b"precious");
-    // Nothing was made before that was known.
+    // Nothing was created before the conflict was found.
     assert_eq!(std::fs::read_dir(folder.path("nodes")).unwrap().count(), 1);
 }
 
@@ -202,7 +202,7 @@ fn ctrl_c_ends_a_served_run_with_its_report() {
             assert_eq!((&report["mismatches"], &report["interrupted"]), (&0.into(), &false.into()));
             assert!(report["steps"].as_u64().unwrap() >= 5, "{report}");
         }
-        // Sockets, and what is said about them, are gone.
+        // The sockets and their description are gone.
         assert_eq!(std::fs::read_dir(folder.path("nodes")).unwrap().count(), 0);
     }
 }
@@ -214,7 +214,7 @@ fn ctrl_c_ends_a_run_that_is_not_served_with_what_is_known() {
         (1..=3).map(|agent| loop_node::serve(&folder.path(&format!("board-{agent}")))).collect();
     let boards = "--boards unix:board-1,unix:board-2,unix:board-3";
     let run = folder.start(&format!("cosim --without-learning --steps 100000000 {boards}"));
-    // A step is a read or two; all that comes before is far less.
+    // A step takes a read or two; everything before it takes far fewer.
     wait_until("steps are taken", || reads[2].load(Ordering::Relaxed) > 1000);
     signal(&run, Signal::SIGINT);
     let output = ended(run);
@@ -227,7 +227,7 @@ fn ctrl_c_ends_a_run_that_is_not_served_with_what_is_known() {
 #[test]
 fn a_host_that_is_killed_leaves_no_emulator_and_no_file() {
     let folder = Folder::new("serve-killed");
-    // It tells its number and the folder of its pipes.
+    // Writes its process id and the folder of its pipes.
     let script = "#!/bin/sh\nfor a; do case $a in *arg=fifo*) in=${a#*arg=fifo,arg=};; esac; done\n\
                   in=${in%%,*}\necho \"$$ ${in%/*}\" >> \"${0%/*}/trace\"\nexec sleep 1000\n";
     folder.write("qemu", script);
@@ -248,10 +248,10 @@ fn a_host_that_is_killed_leaves_no_emulator_and_no_file() {
     assert!(Path::new(pipes).exists(), "{trace}");
     run.kill().unwrap();
     run.wait().unwrap();
-    // Who waits for an orphan is not our business: a zombie has ended.
+    // Reaping an orphan is up to its new parent: a zombie counts as ended.
     wait_until("the emulator has ended", || state().is_empty() || state().contains(") Z "));
     wait_until("its folder is gone", || !Path::new(pipes).exists());
-    // The next run finds the sockets of the dead one and takes their place.
+    // The next run finds the sockets of the killed one and replaces them.
     let stderr = {
         let mut next = folder.start(&format!(
             "cosim --serve nodes --qemu ./none --firmware firmware --memory {memory}"

@@ -1,7 +1,7 @@
-//! The firmware of the board `stm32f405` on QEMU's `netduinoplus2`, as far as that models the chip: its
-//! clock control reads 0, I2C1 is not there, flash cannot be written and no watchdog bites. What works
-//! is the processor, both serial ports, the timer, and resets. `cargo xtask boot` builds the firmware
-//! and runs these.
+//! The firmware of the board `stm32f405` on QEMU's `netduinoplus2`, as far as that models the chip:
+//! its clock control reads 0, I2C1 is missing, flash cannot be written and the watchdog never
+//! resets. The processor, both serial ports, the timer, and resets work. `cargo xtask boot` builds
+//! the firmware and runs these tests.
 
 use std::convert::Infallible;
 use std::io::{ErrorKind, Read, Write};
@@ -28,10 +28,10 @@ mod fallback;
 const FIRMWARE: &str = "STM32F405_FIRMWARE";
 const IN_THE_LOOP: &str = "STM32F405_IN_THE_LOOP_FIRMWARE";
 
-/// Far longer than the emulator takes for anything here.
+/// Far longer than the emulator needs for any test.
 const TIMEOUT: Duration = Duration::from_secs(60);
 
-/// The emulator, and its ends of the serial ports.
+/// The emulator, with its ends of the serial ports.
 struct Emulated {
     process: Child,
     service: Messages,
@@ -46,10 +46,11 @@ impl Drop for Emulated {
 }
 
 impl Emulated {
-    /// Starts the firmware that the variable names; it runs once both ports are connected.
+    /// Starts the firmware named by the variable; it runs once both ports are connected.
     fn start(variable: &str, folder: &Path) -> Self {
-        let firmware = std::env::var(variable)
-            .unwrap_or_else(|_| panic!("{variable} names the firmware: run `cargo xtask boot`"));
+        let firmware = std::env::var(variable).unwrap_or_else(|_| {
+            panic!("{variable} must name the firmware; run `cargo xtask boot`")
+        });
         let (service, link) = (folder.join("service"), folder.join("link"));
         let mut command = Command::new("qemu-system-arm");
         command.args(["-machine", "netduinoplus2", "-display", "none", "-monitor", "none"]);
@@ -66,7 +67,7 @@ impl Emulated {
     }
 }
 
-/// The messages that arrive at a socket.
+/// The messages that arrive on a socket.
 struct Messages {
     socket: UnixStream,
     decoder: Decoder<512>,
@@ -87,7 +88,7 @@ impl Messages {
         Self { socket, decoder: Decoder::new(), unread: Vec::new() }
     }
 
-    /// The next message that arrived undamaged.
+    /// Returns the next undamaged message.
     fn next(&mut self) -> Vec<u8> {
         loop {
             while !self.unread.is_empty() {
@@ -101,12 +102,12 @@ impl Messages {
                 Ok(0) => panic!("the emulator has ended"),
                 Ok(length) => self.unread.extend_from_slice(&buffer[..length]),
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(error) => panic!("the node says nothing more: {error}"),
+                Err(error) => panic!("no more messages from the node: {error}"),
             }
         }
     }
 
-    /// The first message that `wanted` makes something of.
+    /// Returns the first message for which `wanted` returns a value.
     fn find<T>(&mut self, wanted: impl Fn(&Response<'_, Numbers>) -> Option<T>) -> T {
         loop {
             let message = self.next();
@@ -125,8 +126,8 @@ impl Messages {
 }
 
 #[test]
-#[ignore = "needs the firmware and QEMU; cargo xtask boot runs it"]
-fn stm32f405_in_qemu_says_hello_steps_and_broadcasts_without_crystal_and_sensor() {
+#[ignore = "requires the firmware and QEMU; run `cargo xtask boot`"]
+fn stm32f405_in_qemu_greets_steps_and_broadcasts_without_crystal_and_sensor() {
     let folder = tempfile::tempdir().unwrap();
     let mut board = Emulated::start(FIRMWARE, folder.path());
     let status = board.service.find(|response| match response {
@@ -135,15 +136,15 @@ fn stm32f405_in_qemu_says_hello_steps_and_broadcasts_without_crystal_and_sensor(
     });
     assert_eq!((status.tick, status.package.is_none()), (0, true));
     assert!(status.stack_unused.is_some_and(|unused| unused > 100_000), "{status:?}");
-    // The crystal's ready bit is not modelled: as on a board whose crystal is dead.
+    // The crystal's ready bit is not modelled: as on a board with a broken crystal.
     board.service.find(|response| match response {
         Response::Event(Event::BoardFault(BoardFault::Clock)) => Some(()),
         other => panic!("{other:?} instead of the fault of the clock"),
     });
-    // The agent that is built in tells its neighbours where it begins.
+    // The built-in agent broadcasts its first sample.
     let frame = Frame::<3>::decode(&board.link.next()).unwrap();
     assert_eq!((frame.sender, frame.sequence), (1, 0));
-    // The sensor's bus is not there: its waits end, and time goes on.
+    // The sensor's bus is missing: waits on it time out, and time continues.
     let state = board.service.find(|response| match response {
         Response::State(state) => Some(state.clone()),
         _ => None,
@@ -156,13 +157,13 @@ fn stm32f405_in_qemu_says_hello_steps_and_broadcasts_without_crystal_and_sensor(
         _ => None,
     });
     assert!(status.measurements_missing > 0 && status.tick > 0, "{status:?}");
-    // And again after a reset.
+    // The same after a reset.
     board.service.ask(&Request::Reset);
     board.service.find(|response| matches!(response, Response::Hello(_)).then_some(()));
 }
 
 #[test]
-#[ignore = "needs the firmware and QEMU; cargo xtask boot runs it"]
+#[ignore = "requires the firmware and QEMU; run `cargo xtask boot`"]
 fn stm32f405_in_qemu_steps_with_the_bits_of_the_host() {
     let subscription = Subscription { state_every: NonZeroU32::new(1), outer_weights: true };
     let ticks = (0..200).map(|step| {
@@ -198,7 +199,8 @@ fn stm32f405_in_qemu_steps_with_the_bits_of_the_host() {
     assert_eq!(told, expected);
 }
 
-/// What the node of the same board says on the host, but for its greeting and its answers.
+/// Returns the messages of a node of the same board on the host, except for its greeting and its
+/// answers.
 fn on_the_host(requests: &[Request<'_>]) -> Vec<Vec<u8>> {
     const UNIT: u32 = 4096;
     let mut input = Vec::new();
@@ -232,7 +234,7 @@ fn on_the_host(requests: &[Request<'_>]) -> Vec<Vec<u8>> {
     messages.filter(is_from_a_step).collect()
 }
 
-/// A port at whose other end everything has been said already.
+/// A port whose input is complete from the start.
 struct Memorised {
     input: Vec<u8>,
     output: Vec<u8>,

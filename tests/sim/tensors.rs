@@ -249,7 +249,7 @@ fn does_not_write_arrays_that_do_not_match_their_architecture() {
     let mut unsafe_outer = good;
     unsafe_outer.outer[1] = f32::INFINITY;
     for (arrays, message) in [
-        (short, "25 inner parameters, the architecture has 26; "),
+        (short, "25 inner parameters, expected 26; "),
         (unsafe_inner, "inner parameter 3 is not finite; "),
         (long, "7 outer weights, but the architecture has 6; "),
         (unsafe_outer, "outer weight 1 is not finite; "),

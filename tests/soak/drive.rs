@@ -1,4 +1,4 @@
-//! The driver: plant, clock, links, operators and bad luck for a network of nodes, each of them
+//! The driver: plant, clock, links, operators and faults for a network of nodes, each of them
 //! twice, with the same stimuli.
 
 use std::path::Path;
@@ -21,28 +21,28 @@ use super::report::Tally;
 use super::store::Package;
 use super::supply::{Supply, scenario};
 
-/// The first number of a fence: no tick of a node is as late.
+/// The first number of a fence: later than the tick of any node.
 const FENCES: u64 = 1 << 62;
 
-/// Alternating times of faults and of calm. \[steps\]
+/// Alternating periods with and without faults. \[steps\]
 #[derive(Clone, Debug)]
 pub(super) struct Course {
     pub(super) steps: u64,
-    /// Fault-free steps before, of which the second half says how large the error may be.
+    /// Fault-free steps at the start, whose second half determines the error bound.
     pub(super) calibration: u64,
     pub(super) faulty: u64,
-    /// Above the thousand steps for which a neighbour can be deaf to a node that began anew.
+    /// Above the thousand steps for which a neighbour can ignore a restarted node.
     pub(super) calm: u64,
-    /// The end of a calm time, in which the error has to be small again.
+    /// The end of a calm period, in which the error must be small again.
     pub(super) judged: u64,
-    /// How many times as frequent resets and the like are as in the long run.
+    /// Frequency of resets and other incidents relative to the long run.
     pub(super) incidents: f64,
 }
 
-/// How many times the largest error of fault-free running the error may be after faults.
+/// Largest permitted error after faults, relative to the largest in fault-free operation.
 const ERROR_FACTOR: f64 = 2.0;
 
-/// A node, twice, and what surrounds it.
+/// A node, twice, with its environment.
 struct Place {
     node: Peer,
     twin: Peer,
@@ -51,15 +51,15 @@ struct Place {
     links: Links,
     neighbours: Vec<usize>,
     sensor: Vec<f64>,
-    /// Periods that the node is still to miss, and how many it has missed.
+    /// Periods that the node still has to miss, and how many it has missed.
     pause: (u32, u32),
     stream: Vec<u8>,
-    /// When somebody last wanted an answer.
+    /// Time of the last request for an answer.
     asked: Instant,
     estimate: Option<Vec<f32>>,
 }
 
-/// A soak under way.
+/// A running soak test.
 pub(super) struct Soak {
     seed: u64,
     rng: ChaCha8Rng,
@@ -74,7 +74,7 @@ pub(super) struct Soak {
 }
 
 impl Soak {
-    /// Starts the nodes: of this firmware in an emulator, or without one their code in a thread.
+    /// Starts the nodes: the firmware in an emulator or, without one, the same code in a thread.
     pub(super) fn new(firmware: Option<&Path>, seed: u64) -> Result<Self, String> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let scenario = scenario();
@@ -127,10 +127,10 @@ impl Soak {
         format!("seed {}, step {}, agent {}: {error}", self.seed, self.step, index + 1)
     }
 
-    /// All of it.
+    /// Runs the whole course.
     ///
     /// # Errors
-    /// The first thing that is not as it should be, with seed, step and agent.
+    /// The first wrong behaviour, with seed, step and agent.
     pub(super) fn run(&mut self, course: &Course) -> Result<(), String> {
         let (calm, learning) = (Rates::calm(), Rates::learning());
         let mut largest = 0.0f64;
@@ -154,8 +154,9 @@ impl Soak {
                 if error > self.tally.bound {
                     let bound = self.tally.bound;
                     let calm = phase - course.faulty;
-                    let error =
-                        format!("its error is {error} after {calm} calm steps, above {bound}");
+                    let error = format!(
+                        "its error after {calm} calm steps is {error}, above the bound {bound}"
+                    );
                     return Err(self.told(index, &error));
                 }
                 self.tally.recoveries += u64::from(phase + 1 == cycle);
@@ -168,7 +169,8 @@ impl Soak {
         Ok(())
     }
 
-    /// The largest error of an agent's estimate, infinite if one tells none, and whose it is.
+    /// Returns the largest error of an agent's estimate, infinite if none was reported, and the
+    /// agent.
     fn error(&self) -> (f64, usize) {
         let mut worst = (0.0, 0);
         for (index, place) in self.places.iter().enumerate() {
@@ -223,7 +225,7 @@ impl Soak {
         Ok(())
     }
 
-    /// The bytes that are to reach a node before and for its next step.
+    /// Returns the bytes for a node before and for its next step.
     fn composed(&mut self, index: usize, rates: &Rates) -> Vec<u8> {
         let Self { rng, tally, supply, .. } = self;
         let Place { judge, operator, links, sensor, pause, .. } = &mut self.places[index];
@@ -256,13 +258,13 @@ impl Soak {
             }
         }
         let mut stream = disturbed(messages, &rates.message, rng, tally);
-        // The fence arrives unharmed, so that the end of what the node says is known.
+        // The fence arrives undamaged, so that the end of the node's output is known.
         stream.push(0);
         stream.extend(encoded(&Request::Samples { from: self.fences, most: 0 }));
         stream
     }
 
-    /// What both have said, if it is the same.
+    /// Returns the output of both, if it is the same.
     fn heard(&mut self, index: usize, end: End) -> Result<Said, String> {
         let Place { node, twin, asked, .. } = &mut self.places[index];
         let said = node.hear(end)?;
@@ -287,7 +289,7 @@ impl Soak {
         let said = self.heard(index, End::Hello)?;
         match &said.messages[..] {
             [greeting] => self.places[index].judge.rebooted(greeting),
-            more => Err(format!("it greets with {:?}", names(more))),
+            more => Err(format!("unexpected greeting: {:?}", names(more))),
         }
     }
 
@@ -301,7 +303,7 @@ impl Soak {
             }
             let said = self.heard(index, End::Done)?;
             if said.messages.len() != 1 {
-                return Err(format!("it resets with {:?}", names(&said.messages)));
+                return Err(format!("unexpected messages at a reset: {:?}", names(&said.messages)));
             }
             let place = &mut self.places[index];
             place.node.expect_reset();
@@ -313,7 +315,7 @@ impl Soak {
         Ok(())
     }
 
-    /// Lets the power of both fail, compares what their flash holds, and lets them begin anew.
+    /// Cuts the power of both, compares their flash, and restarts them.
     fn cycle_power(&mut self, index: usize) -> Result<(), String> {
         let Place { node, twin, asked, .. } = &mut self.places[index];
         *asked = Instant::now();
@@ -324,13 +326,13 @@ impl Soak {
         let differing = (0..flash.len()).filter(|&place| flash[place] != by_twin[place]);
         self.tally.mismatching_bytes += differing.clone().count() as u64;
         if let Some(place) = differing.min() {
-            return Err(format!("its flash is not its twin's, from byte {place:#x} on"));
+            return Err(format!("its flash differs from its twin's, first at byte {place:#x}"));
         }
         self.greeted(index)
     }
 }
 
-/// The first message that differs, for people.
+/// Describes the first message that differs.
 fn difference(node: &[Vec<u8>], twin: &[Vec<u8>]) -> String {
     let count = node.len().max(twin.len());
     let first = (0..count).find(|&place| {
@@ -344,7 +346,7 @@ fn difference(node: &[Vec<u8>], twin: &[Vec<u8>]) -> String {
     format!("message {first:?} of the node is {}; of its twin, {}", shown(node), shown(twin))
 }
 
-/// A message without what only a board knows.
+/// Returns a message without the fields that only a board has.
 fn common(message: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::new();
     match receive::<Message<'_>>(message) {
@@ -361,7 +363,7 @@ fn common(message: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// What the sensor makes of the exact value.
+/// Returns the sensor's measurement of the exact value.
 fn measured(exact: f32, rates: &Rates, rng: &mut impl Rng, tally: &mut Tally) -> Option<Numbers> {
     let rates = &rates.measurement;
     let mut value = exact;

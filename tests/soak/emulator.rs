@@ -1,4 +1,4 @@
-//! The firmware in QEMU, with its flash in a file that survives its resets and its violent ends.
+//! The firmware in QEMU, with its flash in a file that survives resets and kills.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -27,7 +27,7 @@ pub(super) struct Emulator {
 }
 
 impl Emulator {
-    /// Starts one with this package in its flash.
+    /// Starts an emulator with this package in its flash.
     pub(super) fn start(firmware: &Path, package: &PackageBytes) -> Result<(Self, Line), String> {
         let folder = tempfile::Builder::new().prefix("soak-").tempdir().map_err(said)?;
         let region = region();
@@ -47,7 +47,7 @@ impl Emulator {
         Ok((Self { process, firmware: firmware.to_owned(), flash, folder }, line))
     }
 
-    /// Kills it, and starts another with what its flash holds.
+    /// Kills the emulator, and starts another with the contents of its flash.
     pub(super) fn cycle_power(&mut self) -> Result<Line, String> {
         self.process.kill().map_err(said)?;
         self.process.wait().map_err(said)?;
@@ -69,7 +69,7 @@ impl Drop for Emulator {
     }
 }
 
-/// Where the weights' region lies in the file.
+/// Returns the offset of the weights region in the file.
 fn offset() -> u64 {
     u64::from(region().origin - FLASH_ORIGIN)
 }
@@ -106,10 +106,10 @@ fn connected(process: &mut Child, folder: &Path) -> Result<Line, String> {
         &std::sync::Arc::default(),
     )
     .map_err(|error| {
-        // Whatever holds this process is not made.
+        // The process has not been handed over yet, so it is killed here.
         let _ = process.kill();
         let _ = process.wait();
-        format!("the emulator does not open its pipes: {error}")
+        format!("the emulator did not open its pipes: {error}")
     })
 }
 

@@ -1,7 +1,7 @@
-//! What a node may say, from what reached it: exactly one answer to each request, in order, and the
-//! right one; steps as they were asked for; numbers that are finite; counters that only rise.
+//! Checks a node's output against its input: exactly one correct answer to each request, in order;
+//! steps as requested; finite numbers; counters that only rise.
 //!
-//! This knows nothing of the node's insides, and what it says about packages comes from
+//! The judge is independent of the node's code; its knowledge of packages comes from
 //! [`super::store`] and [`super::supply`].
 
 use std::collections::VecDeque;
@@ -21,12 +21,12 @@ use super::report::Tally;
 use super::store::{Answer, Package, Store};
 use super::supply::Supply;
 
-/// Good steps until a package on trial is confirmed.
+/// Good steps before a package on trial is confirmed.
 const GOOD_STEPS: u32 = 1_000;
-/// Samples that a node keeps.
+/// Number of samples that a node keeps.
 const SAMPLES: u32 = 64;
 
-/// What is known of a node from outside.
+/// The externally known state of a node.
 #[derive(Clone, Debug)]
 pub(super) struct Judge {
     /// From 0.
@@ -41,7 +41,7 @@ pub(super) struct Judge {
     taken_on_trial: u32,
 }
 
-/// What others have to know of what a node has said.
+/// The parts of a node's output that others need.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Told {
     pub(super) broadcasts: Vec<Vec<u8>>,
@@ -65,9 +65,9 @@ impl Judge {
         }
     }
 
-    /// What the node has to do when `stream` reaches it, against what it has said.
+    /// Checks the output `said` of a node against its input `stream`.
     ///
-    /// # Errors
+    /// The expected message and the one found.
     /// What it should have said and what it has.
     pub(super) fn judge(
         &mut self,
@@ -91,7 +91,7 @@ impl Judge {
         }
         match said.pop_front() {
             None => Ok(told),
-            Some(message) => Err(format!("it says {}, and nobody asked", name(&message))),
+            Some(message) => Err(format!("unsolicited message: {}", name(&message))),
         }
     }
 
@@ -121,7 +121,7 @@ impl Judge {
                     }
                 }
                 return match said.pop_front() {
-                    Some(Message::Status(status)) => self.scenario_builder(&status),
+                    Some(Message::Status(status)) => self.check_status(&status),
                     other => Err(instead("its status", other)),
                 };
             }
@@ -136,8 +136,8 @@ impl Judge {
                 self.subscription = subscription;
                 return answered(said, &Message::Done);
             }
-            // The driver sends it alone, and judges its answer itself.
-            Request::Reset => return Err("a reset in between".to_owned()),
+            // The driver sends it separately, and checks its answer itself.
+            Request::Reset => return Err("unexpected reset request".to_owned()),
             Request::Begin { length } => self.store.begin(length),
             Request::Chunk { offset, bytes } => self.store.chunk(offset, bytes),
             Request::Stage => self.store.stage(self.agent, supply),
@@ -176,7 +176,7 @@ impl Judge {
         Ok(())
     }
 
-    /// What comes before the state of a step, or before the answer to a start.
+    /// Handles the messages before the state of a step, or before the answer to a start.
     fn unasked(
         &mut self,
         said: &mut Said<'_>,
@@ -188,7 +188,10 @@ impl Judge {
                 Message::Broadcast { bytes } => {
                     let frame = Frame::<3>::decode(bytes).map_err(|error| error.to_string())?;
                     if usize::from(frame.sender) != self.agent + 1 {
-                        return Err(format!("it broadcasts as agent {}", frame.sender));
+                        return Err(format!(
+                            "its broadcast names agent {} as the sender",
+                            frame.sender
+                        ));
                     }
                     tally.event("broadcast");
                     told.broadcasts.push(bytes.to_vec());
@@ -204,7 +207,9 @@ impl Judge {
                 Message::Event(Event::Confirmed { tick, version }) => {
                     let due = self.store.is_on_trial() && self.taken_on_trial >= GOOD_STEPS;
                     if !due || *version != self.store.in_use.version || tick + 1 != self.next_tick {
-                        return Err(format!("version {version} is confirmed in tick {tick}"));
+                        return Err(format!(
+                            "unexpected confirmation of version {version} in tick {tick}"
+                        ));
                     }
                     self.store.way_back = None;
                     tally.event("confirmed by good steps");
@@ -248,14 +253,16 @@ impl Judge {
             return Ok(());
         }
         let Some(Message::State(state)) = said.pop_front() else {
-            return Err(format!("it does not tell its state in tick {tick}"));
+            return Err(format!("no state reported in tick {tick}"));
         };
         if state.tick != tick || !expected.contains(&state.outcome) {
-            return Err(format!("{state:?} after {measurement:?} in tick {tick}"));
+            return Err(format!(
+                "unexpected state in tick {tick} after {measurement:?}: {state:?}"
+            ));
         }
         if state.outcome == Outcome::Restarted || state.outcome == Outcome::Diverged {
             tally.event(if state.outcome == Outcome::Restarted {
-                "agent began anew"
+                "agent restarted"
             } else {
                 "step refused: it overflows"
             });
@@ -265,7 +272,7 @@ impl Judge {
         Ok(())
     }
 
-    /// It has begun anew, and says so.
+    /// Checks the greeting after a restart.
     pub(super) fn rebooted(&mut self, greeting: &[u8]) -> Result<(), String> {
         self.store.reboot();
         *self = Self {
@@ -277,13 +284,13 @@ impl Judge {
             ..self.clone()
         };
         match receive::<Message<'_>>(greeting) {
-            Some(Message::Hello(status)) => self.scenario_builder(&status),
+            Some(Message::Hello(status)) => self.check_status(&status),
             other => Err(instead("its greeting", other)),
         }
     }
 
-    /// Whether this is the node that all that happened has made.
-    fn scenario_builder(&mut self, status: &Status) -> Result<(), String> {
+    /// Checks that the status matches everything that has happened.
+    fn check_status(&mut self, status: &Status) -> Result<(), String> {
         let Some(package) = &status.package else { return Err("it has no package".to_owned()) };
         let store = &self.store;
         let found = (
@@ -299,12 +306,12 @@ impl Judge {
             store.upload.as_ref().map(super::store::Unfinished::received),
         );
         if found != expected {
-            return Err(format!("it has {found:?}, where {expected:?} should be"));
+            return Err(format!("its status is {found:?}, expected {expected:?}"));
         }
         let counts = (status.tick, status.messages_damaged, status.measurements_missing);
         let expected = (self.next_tick, self.messages_damaged, self.measurements_missing);
         if counts != expected {
-            return Err(format!("it counts {counts:?}, where {expected:?} has happened"));
+            return Err(format!("its counters are {counts:?}, expected {expected:?}"));
         }
         let sound = status.protocol == PROTOCOL_VERSION
             && status.refused_at_start == [None::<RefusalReport>; 2]
@@ -332,30 +339,30 @@ impl Judge {
 
     fn counters_rise(&mut self, counters: &[u32]) -> Result<(), String> {
         if self.counters.iter().zip(counters).any(|(before, now)| now < before) {
-            return Err(format!("counters fall from {:?} to {counters:?}", self.counters));
+            return Err(format!("counters decreased from {:?} to {counters:?}", self.counters));
         }
         self.counters = counters.to_vec();
         Ok(())
     }
 }
 
-/// The messages in the order in which they came.
+/// Parses the messages in order.
 ///
 /// # Errors
-/// The first that is none.
+/// The first invalid message.
 fn parsed(messages: &[Vec<u8>]) -> Result<Said<'_>, String> {
-    let parse = |bytes: &'_ Vec<u8>| format!("it sends what is no message: {bytes:02x?}");
+    let parse = |bytes: &'_ Vec<u8>| format!("unrecognised message: {bytes:02x?}");
     messages.iter().map(|bytes| receive(bytes).ok_or_else(|| parse(bytes))).collect()
 }
 
-/// What messages are, for people.
+/// Describes messages.
 pub(super) fn names(messages: &[Vec<u8>]) -> Vec<String> {
     parsed(messages).map_or_else(|error| vec![error], |said| said.iter().map(name).collect())
 }
 
 fn instead(expected: &str, found: Option<Message<'_>>) -> String {
     let found = found.map_or_else(|| "nothing".to_owned(), |message| name(&message));
-    format!("{expected} is due, and it says {found}")
+    format!("expected {expected}, found {found}")
 }
 
 fn answered(said: &mut Said<'_>, expected: &Message<'static>) -> Result<(), String> {

@@ -1,7 +1,8 @@
-//! The line to a node: what befalls the messages on it, and which of them a receiver can make out.
+//! The line to a node: disturbs the messages on it, and determines which of them a receiver can
+//! decode.
 //!
-//! [`heard`] decodes the stream by a second implementation of the framing, bit by bit, which shares
-//! nothing with the one that nodes run.
+//! [`heard`] decodes the stream with a second, bitwise implementation of the framing, which shares
+//! no code with the one on the node.
 
 use agent_core::service::{REQUEST_LENGTH_MAX, Request, send};
 use rand::{Rng, RngExt};
@@ -9,17 +10,17 @@ use rand::{Rng, RngExt};
 use super::rates::Message;
 use super::report::Tally;
 
-/// Most bytes of a message with its checksum that a node has room for.
+/// Longest message, including its checksum, that a node can hold.
 const ROOM: usize = REQUEST_LENGTH_MAX + 4;
 
-/// The request as it goes onto the line.
+/// Encodes and frames a request.
 pub(super) fn encoded(request: &Request<'_>) -> Vec<u8> {
     let mut bytes = Vec::new();
     send(request, |block| bytes.extend_from_slice(block));
     bytes
 }
 
-/// The stream that becomes of `messages`.
+/// Returns the stream for `messages` after random faults.
 pub(super) fn disturbed(
     mut messages: Vec<Vec<u8>>,
     rates: &Message,
@@ -38,7 +39,7 @@ pub(super) fn disturbed(
             tally.fault("noise between messages");
             let length = rng.random_range(1..=300);
             stream.extend((0..length).map(|_| rng.random::<u8>()));
-            // As a sender does that begins anew.
+            // As sent by a sender that restarts.
             stream.push(0);
         }
         if rng.random_bool(rates.lost) {
@@ -65,7 +66,7 @@ pub(super) fn disturbed(
     stream
 }
 
-/// The messages in `stream`; `None` for one that is damaged.
+/// Returns the messages in `stream`; `None` for a damaged one.
 pub(super) fn heard(stream: &[u8]) -> Vec<Option<Vec<u8>>> {
     let segments = stream.split(|&byte| byte == 0);
     segments.filter(|segment| !segment.is_empty()).map(message).collect()
@@ -86,7 +87,7 @@ fn message(segment: &[u8]) -> Option<Vec<u8>> {
     (checksum == crc32(&message).to_le_bytes()).then_some(message)
 }
 
-/// CRC-32 as its definition says: a division of polynomials over two elements.
+/// CRC-32 by its definition: polynomial division over the field with two elements.
 fn crc32(bytes: &[u8]) -> u32 {
     let divided = bytes.iter().fold(u32::MAX, |rest, &byte| {
         (0..8).fold(rest ^ u32::from(byte), |rest, _| {
@@ -97,7 +98,7 @@ fn crc32(bytes: &[u8]) -> u32 {
 }
 
 #[test]
-fn the_second_decoder_hears_what_was_sent_and_only_that() {
+fn the_second_decoder_finds_exactly_the_sent_messages() {
     let long = [&[0, 7][..], &[0xa5; 126]].concat();
     let requests = [
         Request::Query,

@@ -1,4 +1,4 @@
-//! What becomes of frames on their way to one node, and frames that nobody has sent.
+//! Disturbs frames on their way to a node, and adds frames that no agent has sent.
 
 use agent_core::StateVector;
 use agent_core::wire::frame::Frame;
@@ -8,18 +8,18 @@ use rand::{Rng, RngExt};
 use super::rates;
 use super::report::Tally;
 
-/// Steps that a frame is late at most.
+/// Longest delay of a frame. \[steps\]
 const DELAY_MAX: u64 = 30;
-/// Frames that somebody has kept to repeat them.
+/// Number of frames stored for replay.
 const KEPT: usize = 64;
 
-/// The way to one node.
+/// The links to one node.
 #[derive(Clone, Debug)]
 pub(super) struct Links {
-    /// The node that they lead to; agents' numbers are counted from 1.
+    /// The receiving node; agents are numbered from 1.
     agent: u16,
     neighbours: Vec<u16>,
-    /// When they arrive, and what arrives.
+    /// Arrival steps and bytes of frames in transit.
     under_way: Vec<(u64, Vec<u8>)>,
     old: Vec<Vec<u8>>,
 }
@@ -29,7 +29,7 @@ impl Links {
         Self { agent, neighbours, under_way: Vec::new(), old: Vec::new() }
     }
 
-    /// A neighbour broadcasts what is to arrive at `step`.
+    /// Sends a neighbour's broadcast, due at `step`.
     pub(super) fn send(
         &mut self,
         frame: &[u8],
@@ -71,7 +71,7 @@ impl Links {
         self.under_way.push((step + delay, frame));
     }
 
-    /// What arrives before the step.
+    /// Returns the frames that arrive before the step.
     pub(super) fn arrivals(
         &mut self,
         step: u64,
@@ -101,7 +101,7 @@ impl Links {
         }
         if rng.random_bool(rates.implausible) {
             let mut estimate = [0.0; 3];
-            // Trained boxes and their margins end far below.
+            // Far above trained boxes with their margins.
             estimate[rng.random_range(0..3)] = huge(rng, 6.0);
             foreign("frame that is not plausible", self.forged(neighbour, estimate, rng));
         }
@@ -117,7 +117,7 @@ impl Links {
         arrived.into_iter().map(|(_, frame)| frame).collect()
     }
 
-    /// With whatever sequence and tick.
+    /// Returns a frame with random sequence and tick.
     fn forged(&self, sender: u16, estimate: [f32; 3], rng: &mut impl Rng) -> Vec<u8> {
         let estimate = StateVector::from(estimate);
         let frame = Frame { sender, sequence: rng.random(), tick: rng.random(), estimate };
@@ -125,7 +125,7 @@ impl Links {
     }
 }
 
-/// A number of either sign between `10^least` and 1e38.
+/// Returns a number of either sign with a magnitude between `10^least` and 1e38.
 pub(super) fn huge(rng: &mut impl Rng, least: f32) -> f32 {
     let size = 10f32.powf(rng.random_range(least..38.0));
     if rng.random() { size } else { -size }

@@ -1,41 +1,43 @@
-//! Nodes under everything that can go wrong, for a long time: the firmware in emulators and its twin,
-//! the same code compiled for this machine, get the same bytes, have to say the same bytes, and
-//! have to keep what an independent judge knows that a node must keep.
+//! Runs nodes under all kinds of faults for a long time: the firmware in emulators and its twin,
+//! the same code compiled for this machine, receive the same bytes, must send the same bytes, and
+//! must satisfy an independent judge.
 //!
 //! ```text
-//!            plant, links, operators, bad luck: one seed
+//!            plant, links, operators, faults: one seed
 //!                    |  the same bytes  |
 //!         firmware in QEMU           twin in a thread
 //!                    |                  |
 //!                    +----- equal? -----+----> judge
 //! ```
 //!
-//! | module | what it is |
+//! | module | contents |
 //! | --- | --- |
 //! | `drive` | the driver: three nodes of the paper's scenario, step by step |
-//! | `rates` | how often what goes wrong |
-//! | `line`, `links` | messages to a node, frames between nodes, and what befalls them |
-//! | `operator`, `supply` | packages, good and bad, and whoever pushes them |
-//! | `judge`, `store` | what a node has to answer |
-//! | `peer`, `emulator`, `twin` | a node, and what it runs on |
-//! | `report` | the figures |
+//! | `rates` | probabilities of faults |
+//! | `line`, `links` | messages to a node, frames between nodes, and their faults |
+//! | `operator`, `supply` | valid and invalid packages, and their uploads |
+//! | `judge`, `store` | the expected answers |
+//! | `peer`, `emulator`, `twin` | a node and its platform |
+//! | `report` | the statistics |
 //!
-//! # What holds
-//! - Every byte of the firmware is its twin's, but for what only a board knows of itself (how much of
-//!   its stack it never used); and after every loss of power the content of the flash.
-//! - Every request that arrives whole gets exactly one answer, the right one, within the deadline.
-//! - Only packages that were made for the agent, not below the version in use, are ever staged. What
-//!   was confirmed is in use after every reset, what was on trial is not.
+//! # Checked properties
+//! - Every byte of the firmware equals its twin's, except for the fields that only a board has (how
+//!   much of its stack was never used); and so does the content of the flash after every power
+//!   loss.
+//! - Every request that arrives intact gets exactly one correct answer within the deadline.
+//! - Only packages that were made for the agent, with at least the version in use, are ever staged.
+//!   A confirmed package is in use after every reset, a package on trial is not.
 //! - Estimates, derivatives and outer weights are finite; counters only rise.
-//! - After faults have ended, the error of every estimate is below twice the largest of fault-free
-//!   running.
+//! - After faults have ended, the error of every estimate is below twice the largest in fault-free
+//!   operation.
 //!
-//! # What it does not do
-//! The power fails between two answers, not within a write to flash: `store::power_cuts` tears every
-//! single write. Nobody forges plausible frames with a neighbour's number: frames are not signed.
+//! # Limits
+//! The power fails between two answers, not within a write to flash: `store::power_cuts` tears
+//! every single write. Plausible frames with a neighbour's number are not forged, because frames
+//! are not signed.
 //!
-//! `cargo xtask soak` runs [`emulated`] on the firmware that it builds; as an ordinary test there is
-//! [`twins`], the same without the emulator.
+//! `cargo xtask soak` runs [`emulated`] on the firmware that it builds; [`twins`] is an ordinary
+//! test that does the same without the emulator.
 
 mod drive;
 mod emulator;
@@ -87,9 +89,9 @@ fn twins() {
     }
 }
 
-/// The judge himself: one right answer to each request passes, and nothing else does.
+/// The judge accepts exactly one correct answer to each request.
 #[test]
-fn the_judge_lets_nothing_wrong_pass() {
+fn the_judge_accepts_only_correct_answers() {
     let rng = &mut ChaCha8Rng::seed_from_u64(1);
     let mut supply = Supply::new(&supply::scenario(), rng);
     let factory = supply.factory(0);
@@ -126,12 +128,12 @@ fn the_judge_lets_nothing_wrong_pass() {
     }
 }
 
-/// For `cargo xtask soak`, which says by the environment what to run, and for how long.
+/// For `cargo xtask soak`, which passes firmware, length and seed in environment variables.
 #[test]
-#[ignore = "takes the firmware: cargo xtask soak"]
+#[ignore = "requires the firmware; run `cargo xtask soak`"]
 fn emulated() {
     let setting = |name: &str| {
-        std::env::var(name).unwrap_or_else(|_| panic!("{name} is not set; use cargo xtask soak"))
+        std::env::var(name).unwrap_or_else(|_| panic!("{name} is not set; run `cargo xtask soak`"))
     };
     let firmware = PathBuf::from(setting("SOAK_FIRMWARE"));
     let steps = setting("SOAK_STEPS").parse().unwrap();

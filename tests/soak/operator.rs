@@ -1,7 +1,7 @@
-//! Whoever pushes packages to one node, well or badly, and asks for whatever comes to mind.
+//! Pushes packages to one node, correctly or not, and sends arbitrary requests.
 //!
-//! It goes by what the node has answered, as people and programs do: a push that was cut goes on
-//! where the node says, and begins anew after a reset.
+//! It follows the node's answers, as people and programs do: an interrupted push continues where
+//! the node says, and restarts after a reset.
 
 use std::num::NonZeroU32;
 
@@ -16,17 +16,17 @@ use super::rates;
 use super::report::Tally;
 use super::supply::{Kind, Supply};
 
-/// How often a push is begun until it is given up.
+/// Number of attempts at a push.
 const TRIES: u32 = 4;
-/// Most chunks before the next step.
+/// Largest number of chunks before the next step.
 const CHUNKS: u32 = 4;
 
-/// A push under way.
+/// A push in progress.
 #[derive(Debug)]
 struct Push {
     bytes: Vec<u8>,
     tries: u32,
-    /// How many uploads had been judged before it began.
+    /// Number of uploads that were checked before it started.
     judged: u64,
 }
 
@@ -36,7 +36,7 @@ pub(super) struct Operator {
     push: Option<Push>,
 }
 
-/// What the operator needs to see and to draw from.
+/// What the operator reads and draws from.
 pub(super) struct Desk<'d, R> {
     /// From 0.
     pub(super) agent: usize,
@@ -48,7 +48,7 @@ pub(super) struct Desk<'d, R> {
 }
 
 impl Operator {
-    /// The requests before the next step, as they go onto the line.
+    /// Returns the requests before the next step, framed.
     pub(super) fn requests(&mut self, desk: &mut Desk<'_, impl Rng>) -> Vec<Vec<u8>> {
         let mut requests = Vec::new();
         let everything = Subscription { state_every: Some(NonZeroU32::MIN), outer_weights: true };
@@ -126,7 +126,7 @@ impl Operator {
     }
 }
 
-/// A chunk in place of the one that is due, which begins at `offset` and has these bytes.
+/// Returns a wrong chunk in place of the next one, which starts at `offset` and has these bytes.
 fn bad_chunk(
     package: &[u8],
     offset: u32,
@@ -155,7 +155,7 @@ fn bad_chunk(
         }
         3 => {
             due.resize(CHUNK_LENGTH_MAX, 0);
-            // Only what comes last can reach beyond.
+            // Only the last chunk can reach beyond the end.
             let place = offset.min(length.saturating_sub(rng.random_range(0..128)));
             ("chunk beyond the end", place, due)
         }
@@ -167,7 +167,7 @@ fn bad_chunk(
     }
 }
 
-/// Any request but a reset.
+/// Returns an arbitrary request other than a reset.
 fn any_request(rng: &mut impl Rng) -> Vec<u8> {
     encoded(&match rng.random_range(0..10) {
         0 => Request::Query,
@@ -196,11 +196,11 @@ fn any_request(rng: &mut impl Rng) -> Vec<u8> {
     })
 }
 
-/// A whole message that is no request.
+/// Returns an intact message that is not a request.
 fn unknown(rng: &mut impl Rng) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut encoder = Encoder::new(|block: &[u8]| bytes.extend_from_slice(block));
-    // There are fewer kinds of requests.
+    // There are fewer kinds of requests than this.
     encoder.extend(&[rng.random_range(20..=127), rng.random(), rng.random()]);
     encoder.finish();
     bytes

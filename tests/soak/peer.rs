@@ -1,5 +1,5 @@
-//! A node that can be talked to and whose power can fail: the firmware in an emulator, or its twin,
-//! the same code compiled for this machine, in a thread.
+//! A node with a line and a power supply: the firmware in an emulator, or its twin, the same code
+//! compiled for this machine, in a thread.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -12,18 +12,18 @@ use host_sim::service::{Line, Message};
 use super::emulator::Emulator;
 use super::twin::Twin;
 
-/// How long a node has for an answer.
+/// Time limit for an answer.
 pub(super) const DEADLINE: Duration = Duration::from_secs(20);
 
-/// Longest message of a node.
+/// Length of a node's longest message.
 const MESSAGE_MAX: usize = 4096;
 
-/// What the last message is that a node says for the time being.
+/// The last message to wait for.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum End {
     /// The answer to the fence with this number.
     Fence(u64),
-    /// That it resets.
+    /// The acknowledgement of a reset.
     Done,
     /// Its greeting.
     Hello,
@@ -39,7 +39,7 @@ impl End {
     }
 }
 
-/// What a node has said: the bytes, and the messages that they make.
+/// The output of a node: the bytes, and the messages in them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Said {
     pub(super) bytes: Vec<u8>,
@@ -60,13 +60,13 @@ pub(super) struct Peer {
 }
 
 impl Peer {
-    /// The node's code in a thread.
+    /// Starts the node's code in a thread.
     pub(super) fn twin(package: &PackageBytes) -> Self {
         let (twin, line) = Twin::start(package);
         Self::new(Body::Twin(twin), line)
     }
 
-    /// The firmware in an emulator.
+    /// Starts the firmware in an emulator.
     pub(super) fn emulated(
         firmware: &std::path::Path,
         package: &PackageBytes,
@@ -83,7 +83,7 @@ impl Peer {
         self.line.send(bytes, DEADLINE).map_err(|error| error.to_string())
     }
 
-    /// All that it says up to `end`.
+    /// Returns the output up to `end`.
     pub(super) fn hear(&mut self, end: End) -> Result<Said, String> {
         let deadline = Instant::now() + DEADLINE;
         let mut said = Said::default();
@@ -102,7 +102,7 @@ impl Peer {
             let left = deadline.saturating_duration_since(Instant::now());
             let received = self.line.receive(left).map_err(|error| {
                 format!(
-                    "{error} where {end:?} is due, after {:?}",
+                    "{error} while waiting for {end:?}, after {:?}",
                     super::judge::names(&said.messages)
                 )
             })?;
@@ -110,15 +110,15 @@ impl Peer {
         }
     }
 
-    /// It has said that it resets; its pipes close for a moment.
+    /// Prepares for a reset that the node has acknowledged; its pipes close for a moment.
     pub(super) fn expect_reset(&mut self) {
         self.line.expect_reset();
     }
 
-    /// Lets its power fail, and return.
+    /// Cuts the power and restores it.
     pub(super) fn cycle_power(&mut self) -> Result<(), String> {
         if !self.unread.is_empty() {
-            return Err(format!("{} bytes that nobody asked for", self.unread.len()));
+            return Err(format!("{} unsolicited bytes", self.unread.len()));
         }
         self.line = match &mut self.body {
             Body::Emulator(emulator) => emulator.cycle_power()?,
@@ -128,7 +128,7 @@ impl Peer {
         Ok(())
     }
 
-    /// What its flash held when its power failed last.
+    /// Returns the flash contents at the last power failure.
     pub(super) fn flash(&self) -> &[u8] {
         match &self.body {
             Body::Emulator(emulator) => emulator.flash(),

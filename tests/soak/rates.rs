@@ -1,8 +1,8 @@
-//! How often what goes wrong.
+//! Probabilities of faults.
 //!
-//! Each number is the probability of one fault at one occasion; the occasion is said with the group.
+//! Each number is the probability of one fault per occasion; the group names the occasion.
 
-/// All of them.
+/// All probabilities.
 #[derive(Clone, Debug)]
 pub(super) struct Rates {
     pub(super) message: Message,
@@ -15,21 +15,21 @@ pub(super) struct Rates {
 /// For every message on the line to a node.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Message {
-    /// One to three bytes of it change.
+    /// One to three of its bytes change.
     pub(super) flipped: f64,
-    /// Its end is missing, its delimiter included: it runs into the next one.
+    /// Its end, including the delimiter, is missing: it runs into the next one.
     pub(super) cut: f64,
     /// None of it arrives.
     pub(super) lost: f64,
     /// It arrives twice.
     pub(super) repeated: f64,
-    /// The one behind it overtakes it.
+    /// The next one overtakes it.
     pub(super) overtaken: f64,
-    /// Up to 300 bytes that are no message precede it.
+    /// Up to 300 bytes of noise precede it.
     pub(super) noise: f64,
 }
 
-/// For every frame on its way to one neighbour; those of strangers for every step of a node.
+/// For every frame on its way to one neighbour; foreign frames for every step of a node.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Frame {
     /// One bit changes.
@@ -42,15 +42,15 @@ pub(super) struct Frame {
     pub(super) repeated: f64,
     /// It arrives up to 30 steps late, behind later ones.
     pub(super) delayed: f64,
-    /// A whole frame comes from an agent that is no neighbour, or that the node is itself.
+    /// An intact frame comes from an agent that is not a neighbour, or from the node itself.
     pub(super) stranger: f64,
-    /// In a neighbour's name: an estimate that is not finite.
+    /// With a neighbour's number: an estimate that is not finite.
     pub(super) not_finite: f64,
-    /// In a neighbour's name: an estimate of 1e6 to 1e38.
+    /// With a neighbour's number: an estimate of 1e6 to 1e38.
     pub(super) implausible: f64,
-    /// Up to 120 bytes that are no frame.
+    /// Up to 120 bytes of noise.
     pub(super) noise: f64,
-    /// A frame from long ago is repeated.
+    /// An old frame is repeated.
     pub(super) old: f64,
 }
 
@@ -62,7 +62,7 @@ pub(super) struct Measurement {
     /// Between 1e3 and 1e38, of either sign.
     pub(super) huge: f64,
     pub(super) missing: f64,
-    /// None, or two to twelve components.
+    /// No component, or two to twelve.
     pub(super) other_length: f64,
 }
 
@@ -71,24 +71,24 @@ pub(super) struct Measurement {
 pub(super) struct Node {
     /// It misses up to 40 periods, and is told so.
     pub(super) pause: f64,
-    /// It is told that any number of periods has passed, up to 2^32 - 1.
+    /// It is told that an arbitrary number of periods has passed, up to 2^32 - 1.
     pub(super) clock_jump: f64,
     /// It is told that no period has passed.
     pub(super) no_period: f64,
-    /// It is asked to reset.
+    /// A reset is requested.
     pub(super) reset: f64,
-    /// Its power fails and returns: the emulator is killed and started again with the same flash.
+    /// A power cut: the emulator is killed and started again with the same flash.
     pub(super) power: f64,
 }
 
 /// For every step of a node.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Operator {
-    /// Somebody begins to push a package.
+    /// A push of a package starts.
     pub(super) push: f64,
-    /// The package is none that the node may take.
+    /// The package is one that the node must refuse.
     pub(super) bad_package: f64,
-    /// A chunk comes again, too early, beyond the end, or with other bytes than it should have.
+    /// A chunk is repeated, too early, beyond the end, or has wrong bytes.
     pub(super) bad_chunk: f64,
     /// A staged package is activated.
     pub(super) activate: f64,
@@ -96,14 +96,14 @@ pub(super) struct Operator {
     pub(super) confirm: f64,
     /// A package on trial is reverted.
     pub(super) revert: f64,
-    /// Somebody asks for the status.
+    /// The status is requested.
     pub(super) query: f64,
-    /// Any request at all, out of turn.
+    /// An arbitrary request at the wrong time.
     pub(super) any_request: f64,
 }
 
 impl Rates {
-    /// Nothing goes wrong and nobody pushes anything.
+    /// No faults and no pushes.
     pub(super) fn calm() -> Self {
         Self {
             message: Message::default(),
@@ -114,14 +114,14 @@ impl Rates {
         }
     }
 
-    /// Nothing goes wrong, while good packages are pushed and confirmed.
+    /// No faults, while valid packages are pushed and confirmed.
     pub(super) fn learning() -> Self {
         let operator =
             Operator { push: 0.01, activate: 0.05, confirm: 0.005, ..Operator::default() };
         Self { operator, ..Self::calm() }
     }
 
-    /// Everything goes wrong; incidents of nodes are so many times as frequent as in the long run.
+    /// All faults; incidents of nodes are `incidents` times as frequent as in the long run.
     pub(super) fn faulty(incidents: f64) -> Self {
         Self {
             message: Message {

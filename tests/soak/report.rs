@@ -1,4 +1,4 @@
-//! What a soak has been through, counted.
+//! Statistics of a soak test.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 use agent_core::service::receive;
 use host_sim::service::Message;
 
-/// Between two lines of progress.
+/// Interval between two lines of progress.
 const INTERVAL: Duration = Duration::from_secs(5);
 
-/// What has happened so far.
+/// Statistics so far.
 #[derive(Debug)]
 pub(super) struct Tally {
     begun: Instant,
@@ -25,10 +25,10 @@ pub(super) struct Tally {
     answers: BTreeMap<String, u64>,
     events: BTreeMap<&'static str, u64>,
     pub(super) longest_answer: Duration,
-    /// What a node never used of its stack. \[byte\]
+    /// Stack that a node never used. \[byte\]
     stack_unused: Option<u32>,
     pub(super) recoveries: u64,
-    /// The bound of the error after faults, and the largest that occurred.
+    /// The error bound after faults, and the largest error found.
     pub(super) bound: f64,
     pub(super) largest_error: f64,
 }
@@ -60,12 +60,12 @@ impl Tally {
         *self.faults.entry(kind).or_default() += 1;
     }
 
-    /// A push of a package of this kind has begun.
+    /// Counts the start of a push of a package of this kind.
     pub(super) fn push(&mut self, kind: &'static str) {
         *self.pushed.entry(kind).or_default() += 1;
     }
 
-    /// What came of a request that concerns packages.
+    /// Counts the result of a request about packages.
     pub(super) fn answer(&mut self, answer: String) {
         *self.answers.entry(answer).or_default() += 1;
     }
@@ -80,7 +80,7 @@ impl Tally {
         counts.chain(self.answers.get(name)).sum()
     }
 
-    /// Takes down what a node says of its stack, if it does.
+    /// Records a node's unused stack, if reported.
     pub(super) fn stack(&mut self, message: &[u8]) {
         if let Some(Message::Status(status) | Message::Hello(status)) = receive(message) {
             let least = self.stack_unused.into_iter().chain(status.stack_unused).min();
@@ -92,7 +92,7 @@ impl Tally {
         self.steps as f64 / self.begun.elapsed().as_secs_f64()
     }
 
-    /// Says how far it is, every few seconds.
+    /// Prints the progress every few seconds.
     pub(super) fn progress(&mut self, steps: u64) {
         if self.told.elapsed() < INTERVAL {
             return;
@@ -134,12 +134,12 @@ impl fmt::Display for Tally {
             line(f, name, count)?;
         }
         if let Some(bytes) = self.stack_unused {
-            line(f, "least of a stack that was never used [byte]", &bytes)?;
+            line(f, "least unused stack [byte]", &bytes)?;
         }
         line(f, "wrong acceptances", &self.wrong_acceptances)?;
-        line(f, "calm times in which the state recovered", &self.recoveries)?;
-        line(f, "largest error then", &format_args!("{:.4}", self.largest_error))?;
-        line(f, "its bound", &format_args!("{:.4}", self.bound))?;
+        line(f, "calm periods with recovery", &self.recoveries)?;
+        line(f, "largest error in them", &format_args!("{:.4}", self.largest_error))?;
+        line(f, "bound of that error", &format_args!("{:.4}", self.bound))?;
         line(
             f,
             "longest answer [ms]",

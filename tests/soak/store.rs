@@ -1,4 +1,4 @@
-//! What a node's store holds, as far as its answers tell, in a few lines of its own.
+//! A minimal model of a node's store, as far as its answers show it.
 
 use agent_core::service::{Problem, Upload};
 use agent_core::store::{Slot, StoreError};
@@ -43,11 +43,11 @@ pub(super) struct Store {
     pub(super) way_back: Option<Package>,
     pub(super) staged: Option<Package>,
     pub(super) upload: Option<Unfinished>,
-    /// How often a complete upload has been judged.
+    /// Number of complete uploads that have been checked.
     pub(super) judged: u64,
 }
 
-/// An answer: what it has to be, or that it has to be a refusal by the package's checks.
+/// The expected answer, or a refusal by the package's checks.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Answer {
     Exactly(Message<'static>),
@@ -61,7 +61,7 @@ fn answer(outcome: Outcome) -> Answer {
 }
 
 impl Store {
-    /// As it leaves the factory.
+    /// The state after leaving the factory.
     pub(super) fn new(in_use: Package) -> Self {
         Self { slot: Slot::A, in_use, way_back: None, staged: None, upload: None, judged: 0 }
     }
@@ -105,7 +105,7 @@ impl Store {
         Ok(Message::Upload(Upload { received: upload.received() }))
     }
 
-    /// Only bytes that were made for this agent may pass, and not below the version in use.
+    /// Accepts only bytes that were made for this agent, with at least the version in use.
     pub(super) fn stage(&mut self, agent: usize, supply: &Supply) -> Answer {
         let Some(upload) = &self.upload else { return answer(Err(StoreError::NoUpload)) };
         let (received, length) = (upload.received(), upload.length);
@@ -145,7 +145,7 @@ impl Store {
         }))
     }
 
-    /// What a reset leaves: uploads are forgotten and trials have failed.
+    /// The state after a reset: uploads are dropped and trials have failed.
     pub(super) fn reboot(&mut self) {
         self.upload = None;
         if self.is_on_trial() {

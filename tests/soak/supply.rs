@@ -1,7 +1,7 @@
-//! Packages to push: good ones with ever higher versions, and bad ones of every kind.
+//! Packages to push: valid ones with increasing versions, and invalid ones of every kind.
 //!
-//! What is good is known by its bytes: a package is valid for an agent if these very bytes were
-//! made for it here, with a version that is not below that of what is in use. No check of the
+//! Validity is known from the bytes: a package is valid for an agent if exactly these bytes were
+//! made for it here, with at least the version in use. The node's own checks are not involved.
 //! node's own has a say in it.
 
 use std::collections::BTreeMap;
@@ -17,33 +17,33 @@ use rand::{Rng, RngExt};
 
 use crate::sim::scenario_builder::{Described, network, picks};
 
-/// Bytes of a package before its body.
+/// Length of the header of a package.
 const HEADER: usize = 12;
 /// Variants of each agent's trained network.
 const VARIANTS: usize = 3;
 
-/// What is wrong with a package.
+/// The defect of a package.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Valid,
-    /// The valid one that is in use already.
+    /// Valid, but already in use.
     InUse,
     /// One bit differs.
     Flipped,
     /// The end is missing.
     Truncated,
-    /// There is more behind the end.
+    /// There are extra bytes at the end.
     Extended,
     OtherAgent,
     Older,
     OtherDimension,
-    /// It has more features than the node has room for.
+    /// More features than the node's capacity.
     TooLarge,
-    /// The body is random, and length and checksum are right.
+    /// A random body with correct length and checksum.
     RandomBody,
-    /// A test vector has another bit, and the checksum is right.
+    /// A test vector differs in one bit, with a correct checksum.
     OtherTestVector,
-    /// A weight is not a number, and the checksum is right.
+    /// A weight is NaN, with a correct checksum.
     NotFinite,
 }
 
@@ -79,13 +79,13 @@ impl Kind {
         }
     }
 
-    /// One that is not valid, or of no use.
+    /// Returns a kind that is invalid or useless.
     pub(super) fn any_bad(rng: &mut impl Rng) -> Self {
         Self::BAD[rng.random_range(0..Self::BAD.len())]
     }
 }
 
-/// The paper's experiment, long enough to learn from.
+/// Returns the paper's experiment, just long enough to learn from.
 pub(super) fn scenario() -> Scenario {
     let mut scenario = Scenario::parse("paper", PAPER).unwrap();
     scenario.time.duration = 7.001;
@@ -101,25 +101,25 @@ pub(super) fn scenario() -> Scenario {
     scenario
 }
 
-/// Makes packages.
+/// Creates packages.
 #[derive(Debug)]
 pub(super) struct Supply {
-    /// Of each agent, the trained network and variants of it.
+    /// For each agent, the trained network and variants of it.
     drafts: Vec<Vec<Draft>>,
-    /// All that was made for each agent, by version.
+    /// All packages made for each agent, by version.
     valid: Vec<BTreeMap<u32, Vec<u8>>>,
     other_dimension: Vec<u8>,
     too_large: Vec<u8>,
 }
 
 impl Supply {
-    /// Trains the agents of the scenario, shortly.
+    /// Trains the scenario's agents briefly.
     pub(super) fn new(scenario: &Scenario, rng: &mut impl Rng) -> Self {
         let options = RunOptions { seed: 0, learning: true, bounds: false };
         let result = run(scenario, options, &Silent).unwrap();
         let variants = result.trainings.iter().map(|training| {
             let mut draft = Draft::copy(&training.package.package());
-            // Room for all that the plant does, so that a package can prove itself.
+            // A box that contains the plant's whole motion, so that a package can be confirmed.
             for (low, high) in draft.low.iter_mut().zip(&mut draft.high) {
                 let width = *high - *low;
                 (*low, *high) = (*low - width, *high + width);
@@ -141,7 +141,7 @@ impl Supply {
             too_large: untrained(3, &[(6, "tanh"), (12, "tanh")]),
         };
         for agent in 0..supply.drafts.len() {
-            // An older one for the time before there is another.
+            // An older one, until another exists.
             supply.make(agent, 0, 1);
             supply.make(agent, 0, 2);
         }
@@ -155,19 +155,19 @@ impl Supply {
         bytes
     }
 
-    /// What an agent (from 0) starts with.
+    /// Returns an agent's initial package; agents are counted from 0.
     pub(super) fn factory(&self, agent: usize) -> PackageBytes {
         PackageBytes::new(&self.valid[agent][&2]).unwrap()
     }
 
-    /// The version of these bytes if they are a package made for this agent.
+    /// Returns the version of these bytes if they are a package made for this agent.
     pub(super) fn version_of(&self, agent: usize, bytes: &[u8]) -> Option<u32> {
-        // Where the version lies is not looked up: the newest come first.
+        // The version is not parsed: the newest packages are compared first.
         let mut newest_first = self.valid[agent].iter().rev();
         newest_first.find_map(|(&version, known)| (known == bytes).then_some(version))
     }
 
-    /// A package of this kind for an agent whose package in use has this version.
+    /// Returns a package of this kind for an agent whose package in use has this version.
     pub(super) fn package(
         &mut self,
         kind: Kind,
@@ -203,7 +203,7 @@ impl Supply {
             }
             Kind::OtherTestVector => {
                 let start = numbers(&bytes, |package| package.test_vectors);
-                // Not an input, but what is to come out for it, which takes up the end.
+                // Not an input but its expected output, which is at the end.
                 let bit = rng.random_range(0..8 * 4 * 3);
                 bytes[start.end - 1 - bit / 8] ^= 1 << (bit % 8);
                 reseal(&mut bytes);
@@ -220,7 +220,7 @@ impl Supply {
     }
 }
 
-/// A package of another network than the nodes have.
+/// Returns a package whose network differs in size from the nodes'.
 fn untrained(dimension: usize, layers: &[(u8, &str)]) -> Vec<u8> {
     let mut scenario_builder = Described::linear(dimension, "path", [(picks(dimension, [0]), 2)]);
     scenario_builder.network = network(layers, "2.0");
@@ -231,7 +231,7 @@ fn untrained(dimension: usize, layers: &[(u8, &str)]) -> Vec<u8> {
     initial(&scenario, &trigger, network, &inner, 0, 0).unwrap().as_bytes().to_vec()
 }
 
-/// Where these numbers lie in the package.
+/// Returns the range of these numbers in the package.
 fn numbers(
     bytes: &[u8],
     part: impl for<'p> Fn(&agent_core::package::Package<'p>) -> &'p [f32],
@@ -243,7 +243,7 @@ fn numbers(
     start..start + wanted.len()
 }
 
-/// Makes the checksum right again.
+/// Corrects the checksum.
 fn reseal(bytes: &mut [u8]) {
     let checksum = crc32(&[&bytes[..8], &bytes[HEADER..]]);
     bytes[8..HEADER].copy_from_slice(&checksum.to_le_bytes());

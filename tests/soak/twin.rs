@@ -20,9 +20,9 @@ use host_sim::service::Line;
 use crate::cosim::loop_node::region;
 use test_support::nor_flash::{SimulatedFlash, Tear};
 
-/// As strict as real flash, in the units of the emulated board.
+/// As strict as real flash, with the emulated board's word and erase sizes.
 type Flash = SimulatedFlash<4, 4096>;
-/// The sizes of the emulated board's firmware.
+/// With the sizes of the emulated board's firmware.
 type TwinNode<'m> = Node<'m, Flash, 3, 8, 4, 64>;
 type Loop<'s> = InTheLoop<Port<'s>, 8>;
 
@@ -34,14 +34,14 @@ pub(super) struct Twin {
 }
 
 impl Twin {
-    /// Starts one with this package in its flash.
+    /// Starts a twin with this package in its flash.
     pub(super) fn start(package: &PackageBytes) -> (Self, Line) {
         let region = region();
         let mut flash = Flash::new(region.length as usize, Tear::Prefix, 0);
         for segment in Image::of_package(&region, Slot::A, package).unwrap().segments() {
             let start = (segment.address - region.origin) as usize;
             for (place, word) in segment.bytes.chunks(4).enumerate() {
-                // What an image has of erased flash leaves it so.
+                // Erased parts of an image are not written.
                 if word != [ERASED; 4] {
                     flash.overwrite(start + 4 * place, word);
                 }
@@ -52,12 +52,12 @@ impl Twin {
         (Self { thread: Some(thread), socket, flash: content }, line)
     }
 
-    /// Ends it between two requests, and starts another with what its flash holds.
+    /// Stops it between two requests, and starts another with the contents of its flash.
     pub(super) fn cycle_power(&mut self) -> Result<Line, String> {
         let flash = self.end().ok_or("the twin has panicked")?;
         self.flash = flash.mapped().to_vec();
         if flash.misuses + flash.rewrites > 0 {
-            return Err("the flash was used as no flash can be".to_owned());
+            return Err("the rules of the flash were violated".to_owned());
         }
         let (thread, socket, line) = started(flash);
         (self.thread, self.socket) = (Some(thread), socket);
@@ -86,7 +86,8 @@ fn started(flash: Flash) -> (JoinHandle<Flash>, UnixStream, Line) {
     (std::thread::spawn(move || live(flash, &there)), here, line)
 }
 
-/// One life after another until the other end of the socket is closed; returns the flash.
+/// Runs the node, again after every reset, until the other end of the socket is closed; returns the
+/// flash.
 fn live(mut flash: Flash, socket: &UnixStream) -> Flash {
     let over = Cell::new(false);
     while !over.get() {
@@ -125,7 +126,7 @@ impl embedded_io::Read for Port<'_> {
         if length > 0 {
             return Ok(length);
         }
-        // The power has failed: a reset is how a node lets go of its flash, and changes nothing in it.
+        // Simulates a power failure: a reset makes the node release its flash without changing it.
         self.over.set(true);
         let mut last = vec![0];
         send(&Request::Reset, |bytes| last.extend_from_slice(bytes));

@@ -1,5 +1,5 @@
-//! A weight store whose flash forgets, is rewritten by others or comes from a factory, and the
-//! calls that it refuses.
+//! A weight store whose flash is corrupted, overwritten or factory-programmed, and the calls it
+//! refuses.
 
 use agent_core::store::{
     CheckedError, LayoutError, Loaded, MappedFlash, Part, RECORD_LENGTH, Refusal, Slot, Store,
@@ -13,7 +13,7 @@ const WORD: usize = 4;
 const UNIT: usize = 64;
 /// Erase units of a slot.
 const UNITS: usize = 2;
-/// Where slot B and the commit area begin.
+/// Start of slot B and of the commit area.
 const SLOT_B: usize = UNITS * UNIT;
 const COMMIT: usize = 2 * UNITS * UNIT;
 
@@ -23,7 +23,7 @@ fn new_flash() -> Flash {
     erased_flash(UNITS, Tear::Prefix, 0)
 }
 
-/// An opened store and what it loaded.
+/// Opens a store and loads the package in use.
 fn boot(flash: &mut Flash) -> (Store<&mut Flash>, Loaded<u16, &'static str>) {
     let mut store = Store::open(flash, layout(UNIT, UNITS)).unwrap();
     let loaded = store.load(check);
@@ -42,7 +42,7 @@ fn install<F: MappedFlash>(store: &mut Store<F>, number: u16) {
     store.confirm().unwrap();
 }
 
-/// Flash in which package 1 lies in slot A, and package 2 in slot B, in use.
+/// Returns flash with package 1 in slot A, and package 2 in slot B, in use.
 fn two_packages() -> Flash {
     let mut flash = new_flash();
     let (mut store, _) = boot(&mut flash);
@@ -52,20 +52,20 @@ fn two_packages() -> Flash {
     flash
 }
 
-/// What is found without the help of any record.
+/// Returns what is found without any record.
 fn salvaged(flash: &mut Flash) -> Option<(Slot, u16)> {
     let (mut store, loaded) = boot(flash);
     assert_eq!(loaded.in_use, None);
     store.salvage(length, check, newer)
 }
 
-/// Whether the first of two numbers of packages is the newer one.
+/// Whether the first of two package numbers is newer.
 fn newer(one: &u16, other: &u16) -> bool {
     one > other
 }
 
 #[test]
-fn every_flipped_bit_of_a_package_is_found_and_the_other_slot_steps_in() {
+fn every_flipped_bit_of_a_package_is_detected_and_the_other_slot_is_used() {
     let flash = two_packages();
     for bit in 0..70 * 8 {
         let mut flash = flash.clone();
@@ -75,7 +75,7 @@ fn every_flipped_bit_of_a_package_is_found_and_the_other_slot_steps_in() {
         assert_eq!(loaded.in_use, Some((Slot::A, 1)));
         assert_eq!(loaded.refusals, [None, Some(Refusal::Checksum)]);
         assert_eq!((store.in_use(), store.bytes(Slot::B)), (Some(Slot::A), None));
-        // The next package goes where the broken one lay.
+        // The next package replaces the damaged one.
         install(&mut store, 3);
         assert_eq!(store.in_use(), Some(Slot::B));
         assert_eq!(boot(&mut flash).1.in_use, Some((Slot::B, 3)));
@@ -96,8 +96,8 @@ fn every_flipped_bit_of_the_journal_leaves_a_working_package() {
         install(&mut store, 3);
         assert_eq!(boot(&mut flash).1.in_use.unwrap().1, 3);
     }
-    // Only the newest record, that of the confirmation, makes a difference: the one before it is
-    // that of the trial, which a boot ends.
+    // Only the newest record, the confirmation, matters: the one before it is that of the trial,
+    // which a boot ends.
     assert_eq!(flipped, [0, RECORD_LENGTH * 8, (2 * UNIT - RECORD_LENGTH) * 8]);
 }
 
@@ -110,7 +110,7 @@ fn a_package_that_the_check_refuses_is_not_used_and_not_overwritten_before_the_o
     let loaded = store.load(only_first);
     assert_eq!(loaded.in_use, Some((Slot::A, 1)));
     assert_eq!(loaded.refusals, [None, Some(Refusal::Check("no"))]);
-    // With a check that knows both again, so are both.
+    // With a check that accepts both again, both are loaded again.
     assert_eq!(boot(&mut flash).1.in_use, Some((Slot::B, 2)));
     let mut store = Store::open(&mut flash, layout(UNIT, UNITS)).unwrap();
     let loaded = store.load(|_| Err::<(), _>("never"));
@@ -119,14 +119,14 @@ fn a_package_that_the_check_refuses_is_not_used_and_not_overwritten_before_the_o
 }
 
 #[test]
-fn the_way_back_is_gone_and_the_package_that_failed_its_trial_stays_out() {
+fn a_failed_package_is_not_used_even_if_the_previous_one_is_lost() {
     let mut flash = two_packages();
     let (mut store, _) = boot(&mut flash);
     upload(&mut store, &package(3, 70));
     store.stage(check).unwrap();
     store.activate(check).unwrap();
     let on_trial = flash.clone();
-    // The boot that ends the trial, and every later one; the package is whole all the while.
+    // The boot that ends the trial, and every later one; the package itself stays intact.
     flash.overwrite(SLOT_B, &[0]);
     for _ in 0..3 {
         let (mut store, loaded) = boot(&mut flash);
@@ -137,13 +137,13 @@ fn the_way_back_is_gone_and_the_package_that_failed_its_trial_stays_out() {
     }
     install(&mut boot(&mut flash).0, 4);
     assert_eq!(boot(&mut flash).1.in_use.unwrap().1, 4);
-    // Also if the slot rots after the boot that ended the trial.
+    // Also if the slot is corrupted after the boot that ended the trial.
     let mut flash = on_trial;
     assert_eq!(boot(&mut flash).1.in_use, Some((Slot::B, 2)));
     flash.overwrite(SLOT_B, &[0]);
     assert_eq!(boot(&mut flash).1.in_use, None);
     assert_eq!(salvaged(&mut flash), None);
-    // And after a reversion without a reboot.
+    // And after a revert without a reboot.
     let mut flash = two_packages();
     let (mut store, _) = boot(&mut flash);
     upload(&mut store, &package(3, 70));
@@ -157,10 +157,10 @@ fn the_way_back_is_gone_and_the_package_that_failed_its_trial_stays_out() {
 }
 
 #[test]
-fn packages_prove_themselves_when_no_record_helps() {
-    // Nothing anywhere.
+fn packages_are_salvaged_without_a_record() {
+    // Empty flash.
     assert_eq!(salvaged(&mut new_flash()), None);
-    // The journal is lost: the newer of two, whichever slot it lies in, or the only one.
+    // The journal is lost: the newer of two packages, whichever slot it is in, or the only one.
     let mut flash = two_packages();
     flash.overwrite(COMMIT, &[0; 2 * UNIT]);
     assert_eq!(salvaged(&mut flash), Some((Slot::B, 2)));
@@ -175,7 +175,7 @@ fn packages_prove_themselves_when_no_record_helps() {
     flash.overwrite(0, &package(8, 60));
     flash.overwrite(SLOT_B, &package(9, 60));
     assert_eq!(salvaged(&mut flash), Some((Slot::B, 9)));
-    // What was salvaged is in use like any other, and not overwritten.
+    // A salvaged package is in use like any other, and not overwritten.
     let (mut store, _) = boot(&mut flash);
     store.salvage(length, check, newer).unwrap();
     assert_eq!(store.bytes(Slot::B), Some(&package(9, 60)[..]));
@@ -192,8 +192,8 @@ fn packages_prove_themselves_when_no_record_helps() {
 }
 
 #[test]
-fn what_was_never_confirmed_is_not_salvaged() {
-    // The first package of all, uploaded, and then one that failed its trial.
+fn unconfirmed_packages_are_not_salvaged() {
+    // The first package ever, uploaded, and then one that failed its trial.
     let mut flash = new_flash();
     let (mut store, _) = boot(&mut flash);
     upload(&mut store, &package(1, 70));
@@ -204,7 +204,7 @@ fn what_was_never_confirmed_is_not_salvaged() {
     store.stage(check).unwrap();
     store.activate(check).unwrap();
     assert_eq!(salvaged(&mut flash), None);
-    // One that was uploaded and staged, but not recorded, after all that was recorded was lost.
+    // One that was uploaded and staged but not recorded, after all records were lost.
     let mut flash = two_packages();
     flash.overwrite(0, &[0; 2 * SLOT_B]);
     let (mut store, loaded) = boot(&mut flash);
@@ -247,8 +247,8 @@ fn a_factory_image_boots_and_takes_updates() {
 }
 
 #[test]
-fn numbers_of_records_wrap() {
-    // Through the other half's record, whose number is near the end: a factory record, renumbered.
+fn record_numbers_wrap() {
+    // Via the other half's record, whose number is near the end: a factory record, renumbered.
     let bytes = package(1, 61);
     let mut record = factory_record(Slot::A, &bytes);
     record[..4].copy_from_slice(&(u32::MAX - 2).to_le_bytes());
@@ -264,8 +264,8 @@ fn numbers_of_records_wrap() {
 }
 
 #[test]
-fn a_torn_record_that_reads_as_whole_later_does_not_undo_what_came_after() {
-    // A journal of eight places in each half, so that the torn record stays where it is.
+fn a_torn_record_that_later_reads_as_valid_undoes_nothing() {
+    // A journal of eight entries per half, so that the torn record stays in place.
     type Wide = SimulatedFlash<WORD, 256>;
     fn open(flash: &mut Wide) -> Store<&mut Wide> {
         Store::open(flash, layout(256, 1)).unwrap()
@@ -290,7 +290,7 @@ fn a_torn_record_that_reads_as_whole_later_does_not_undo_what_came_after() {
 }
 
 #[test]
-fn an_upload_takes_repetitions_and_names_what_is_missing() {
+fn an_upload_accepts_repetitions_and_reports_gaps() {
     let mut flash = new_flash();
     let (mut store, _) = boot(&mut flash);
     assert_eq!(store.write(0, &[1]), Err(StoreError::NoUpload));
@@ -299,7 +299,7 @@ fn an_upload_takes_repetitions_and_names_what_is_missing() {
     assert_eq!(store.write(0, &bytes[..10]), Ok(10));
     assert_eq!(store.write(11, &bytes[11..20]), Err(StoreError::Gap { received: 10 }));
     assert_eq!(store.write(3, &bytes[3..9]), Ok(10));
-    // Across what lies in flash, what waits for its word, and what is new.
+    // Across flash, the buffered word, and new bytes.
     assert_eq!(store.write(3, &bytes[3..13]), Ok(13));
     for wrong in [4, 9, 12] {
         let mut repeated = bytes[..20].to_vec();
@@ -311,14 +311,15 @@ fn an_upload_takes_repetitions_and_names_what_is_missing() {
     let incomplete = StoreError::Incomplete { received: 13, length: 70 };
     assert_eq!(store.stage(check), Err(CheckedError::Store(incomplete)));
     assert_eq!(store.write(13, &bytes[13..]), Ok(70));
-    // The last word is full only once the package is staged; a repetition is fine before and after.
+    // The last word is complete only once the package is staged; repetitions are accepted before
+    // and after.
     assert_eq!(store.stage(|_| Err::<(), _>("no")), Err(CheckedError::Refused("no")));
     assert_eq!(store.write(50, &bytes[50..]), Ok(70));
     assert_eq!(store.stage(check), Ok(1));
     assert_eq!(store.bytes(Slot::A), Some(&bytes[..]));
     assert_eq!(store.flash().mapped()[70..SLOT_B], [0xff; SLOT_B - 70]);
-    // Units behind the package are left alone: one erasure for each that it entered, and the
-    // journal's first.
+    // Units after the package are untouched: one erasure for each unit entered, and the journal's
+    // first.
     assert_eq!(store.flash().erasures, 3);
 }
 
@@ -336,7 +337,7 @@ fn a_staged_package_that_has_changed_is_not_activated() {
 }
 
 #[test]
-fn nothing_is_done_before_the_slots_have_been_looked_at() {
+fn calls_are_refused_before_loading() {
     let mut flash = two_packages();
     let (mut store, _) = boot(&mut flash);
     upload(&mut store, &package(3, 70));
@@ -351,7 +352,7 @@ fn nothing_is_done_before_the_slots_have_been_looked_at() {
 }
 
 #[test]
-fn a_layout_that_does_not_fit_is_refused() {
+fn an_invalid_layout_is_refused() {
     let mut flash = new_flash();
     let short = agent_core::store::Layout { commit_length: 4 * UNIT as u32, ..layout(UNIT, UNITS) };
     let expected = LayoutError::OutOfRegion { part: Part::Commit, capacity: 6 * UNIT as u32 };
@@ -361,6 +362,6 @@ fn a_layout_that_does_not_fit_is_refused() {
 #[test]
 fn a_store_is_small() {
     let size = size_of::<Store<()>>();
-    println!("a store without its flash driver: {size} bytes");
+    println!("the store without its flash driver: {size} bytes");
     assert!(size < 200, "{size} bytes");
 }

@@ -1,8 +1,9 @@
-//! Random lives of a weight store: uploads in chunks of any size, lost, repeated and wrong ones,
-//! packages that are refused, trials that end well or not, writes that fail with and without a
-//! word, power cuts, reboots. What returned `Ok` survives; what is refused changes nothing.
+//! Random histories of a weight store: uploads in chunks of any size, with lost, repeated and wrong
+//! ones, refused packages, confirmed and reverted trials, writes that fail with and without an
+//! error, power cuts, reboots. Successful changes survive; refused calls change nothing.
 //!
-//! `STORE_HISTORIES` says how many lives (default [`HISTORIES`]); the seed of a life is its number.
+//! `STORE_HISTORIES` sets the number of histories (default [`HISTORIES`]); the seed of a history is
+//! its number.
 
 use std::ops::AddAssign;
 
@@ -18,12 +19,12 @@ use test_support::store_model::{
 };
 
 const HISTORIES: u64 = 50_000;
-/// Calls of one life.
+/// Calls per history.
 const CALLS: usize = 60;
 /// Erase units of a slot.
 const UNITS: usize = 3;
 
-/// How often what happened.
+/// Counts of events.
 #[derive(Clone, Copy, Debug, Default)]
 struct Tally {
     calls: u64,
@@ -55,7 +56,7 @@ impl AddAssign for Tally {
     }
 }
 
-/// An upload as its sender sees it.
+/// An upload as seen by its sender.
 #[derive(Clone, Debug)]
 struct Sent {
     number: u16,
@@ -63,7 +64,7 @@ struct Sent {
     received: usize,
 }
 
-/// One store between two reboots, and what it must be.
+/// A store between two reboots, with its model.
 struct Session<'a, F> {
     store: Store<F>,
     ledger: &'a mut Ledger,
@@ -75,7 +76,7 @@ struct Session<'a, F> {
 }
 
 impl<F: MappedFlash> Session<'_, F> {
-    /// Books a change that the model allows, or a refusal that it demands.
+    /// Records a change that the model allows, or a refusal that it requires.
     fn expect(
         &mut self,
         change: Change,
@@ -91,7 +92,7 @@ impl<F: MappedFlash> Session<'_, F> {
         }
     }
 
-    /// One call, more often than not one that makes sense.
+    /// Makes one call, usually a sensible one.
     fn call(&mut self) {
         self.tally.calls += 1;
         let now = self.ledger.now;
@@ -155,7 +156,7 @@ impl<F: MappedFlash> Session<'_, F> {
         };
         let (length, received) = (sent.bytes.len(), sent.received);
         let any = self.draw.random_range(0..=length);
-        // Mostly what comes next, at times something that has come, at times too far ahead.
+        // Usually the next bytes, sometimes repeated ones, sometimes ones too far ahead.
         let from = if self.draw.random_bool(0.8) { received } else { any };
         let size = self.draw.random_range(0..=(length - from).min(40));
         let mut chunk = sent.bytes[from..from + size].to_vec();
@@ -227,18 +228,18 @@ impl<F: MappedFlash> Session<'_, F> {
     }
 }
 
-/// How reading goes wrong in a life.
+/// How reading fails in a history.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Reading {
     Fine,
-    /// Some reads fail, and the next boot may read the same places.
+    /// Some reads fail, but the next boot may succeed.
     Transient,
-    /// Places of the journal that hold no record cannot be read until they are erased.
+    /// Journal entries without a record are unreadable until they are erased.
     Spoiled,
 }
 
-/// A boot at which reading fails, for a while: it may come to other results, but changes nothing
-/// that the next boot finds, unless the store takes a new package after it.
+/// Boots while some reads fail: the result may differ, but nothing that the next boot finds
+/// changes, unless the store accepts a new package in between.
 fn boot_in_doubt<const WRITE: usize, const ERASE: usize>(
     flash: &mut SimulatedFlash<WRITE, ERASE>,
     ledger: &mut Ledger,
@@ -256,7 +257,7 @@ fn boot_in_doubt<const WRITE: usize, const ERASE: usize>(
     let loaded = store.load(check).in_use.map(|(_, number)| number);
     assert_eq!(loaded, store.in_use().map(|slot| check(store.bytes(slot).unwrap()).unwrap()));
     if store.opening().unreadable_places == 0 {
-        // A second look has helped.
+        // The second attempt succeeded.
         ledger.reboot(Model::of(&store));
         return;
     }
@@ -281,12 +282,12 @@ fn boot_in_doubt<const WRITE: usize, const ERASE: usize>(
             ledger.installed(*number, loaded);
             assert_eq!(Model::of(&store), ledger.now);
         }
-        // A word that looks erased and is not, twice in a row.
+        // A word that looks erased but is not, twice in a row.
         Err(error) => panic!("{error}"),
     }
 }
 
-/// Lets a place of the journal that holds no record refuse to be read.
+/// Makes a journal entry without a record unreadable.
 fn spoil_a_place<const WRITE: usize, const ERASE: usize>(
     flash: &mut SimulatedFlash<WRITE, ERASE>,
     draw: &mut ChaCha8Rng,
@@ -304,9 +305,9 @@ fn live<const WRITE: usize, const ERASE: usize>(seed: u64) -> Tally {
     let tear = Tear::ALL[draw.random_range(0..3)];
     let mut flash: SimulatedFlash<WRITE, ERASE> = erased_flash(UNITS, tear, seed);
     let (mut ledger, mut number, mut tally) = (Ledger::default(), 0, Tally::default());
-    // Half of all lives know no faults, so that those of the others hide nothing.
+    // Half of all histories are free of faults, so that faults do not hide other errors.
     let faulty = draw.random_bool(0.5);
-    // An erasure that fails without a word is the only thing that a life can hide from the store.
+    // Only a silently failing erasure can go unnoticed by the store.
     let mut silent = false;
     let reading = match draw.random_range(0..4) {
         0 => Reading::Transient,
@@ -375,7 +376,7 @@ fn live<const WRITE: usize, const ERASE: usize>(seed: u64) -> Tally {
 }
 
 #[test]
-fn what_returned_ok_survives_whatever_happens() {
+fn successful_changes_survive_all_faults() {
     let histories =
         std::env::var("STORE_HISTORIES").map_or(HISTORIES, |text| text.parse().unwrap());
     let total = (0..histories)
@@ -388,13 +389,14 @@ fn what_returned_ok_survives_whatever_happens() {
                 3 => live::<8, 128>(seed),
                 _ => live::<32, 96>(seed),
             };
-            std::panic::catch_unwind(life).unwrap_or_else(|_| panic!("in the life of seed {seed}"))
+            std::panic::catch_unwind(life)
+                .unwrap_or_else(|_| panic!("in the history of seed {seed}"))
         })
         .reduce(Tally::default, |mut sum, tally| {
             sum += tally;
             sum
         });
-    println!("{histories} lives, seeds 0 to {}: {total:?}", histories.saturating_sub(1));
+    println!("{histories} histories, seeds 0 to {}: {total:?}", histories.saturating_sub(1));
     let enough = histories / 4;
     assert!(total.unread >= enough / 4 && total.blocked > 0 && total.overruled >= enough / 16);
     assert!(total.cuts >= enough && total.confirmed >= enough && total.reverted >= enough);

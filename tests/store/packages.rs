@@ -1,5 +1,5 @@
-//! Real packages in a weight store, as a node uses them: received in chunks, checked, tried,
-//! confirmed, and the network read in place at every step.
+//! Real packages in a weight store, as on a node: received in chunks, checked, tried, confirmed,
+//! with the network read in place in every step.
 
 use agent_core::StateVector;
 use agent_core::agent::AgentState;
@@ -16,9 +16,9 @@ use test_support::nor_flash::{SimulatedFlash, Tear};
 
 /// State dimension.
 const N: usize = 2;
-/// Features that the node has room for.
+/// The node's capacity for features.
 const FEATURES: usize = 4;
-/// Bytes of a frame's payload.
+/// Length of a chunk. \[byte\]
 const CHUNK: usize = 100;
 /// The repository's memory map.
 pub(crate) const LAYOUT: Layout =
@@ -44,14 +44,14 @@ pub(crate) fn package(version: u32) -> PackageBytes {
     Draft { version, ..Draft::copy(&initial.package()) }.seal().unwrap()
 }
 
-/// What a node keeps of the package that it works with.
+/// What a node keeps of the package in use.
 #[derive(Clone, Debug, PartialEq)]
 struct Running {
     in_use: InUse,
     place: NetworkPlace,
 }
 
-/// The check of a node that works with `in_use`.
+/// Returns the check of a node that uses `in_use`.
 fn check(in_use: Option<InUse>) -> impl FnMut(&[u8]) -> Result<Running, Refusal> {
     let mut scratch = Scratch::NEW;
     move |bytes| {
@@ -62,7 +62,7 @@ fn check(in_use: Option<InUse>) -> impl FnMut(&[u8]) -> Result<Running, Refusal>
     }
 }
 
-/// An opened store and what it loaded.
+/// Opens a store and loads the package in use.
 fn boot(flash: &mut Flash) -> (Store<&mut Flash>, Option<Running>) {
     let mut store = Store::open(flash, LAYOUT).unwrap();
     let loaded = store.load(check(None));
@@ -87,7 +87,7 @@ fn begin_trial(
     store.activate(check(in_use))
 }
 
-/// Flash with a confirmed package of version 1.
+/// Returns flash with a confirmed package of version 1.
 fn factory_fresh() -> Flash {
     let mut flash = new_flash();
     let (mut store, nothing) = boot(&mut flash);
@@ -97,8 +97,8 @@ fn factory_fresh() -> Flash {
     flash
 }
 
-/// The bits of the estimates over some steps of an agent with the parameters of the package in
-/// `bytes`, which gets its network from `network` at every step.
+/// Returns the bits of the estimates over some steps of an agent with the parameters of the package
+/// in `bytes`, whose network comes from `network` in every step.
 fn estimates<P: AsRef<[f32]>>(
     bytes: &[u8],
     network: impl Fn() -> InnerNetwork<P>,
@@ -122,7 +122,7 @@ fn estimates<P: AsRef<[f32]>>(
     (0..200).map(step).collect()
 }
 
-/// The same from the bytes in flash, by the place alone.
+/// The same from the bytes in flash, using only the location.
 fn estimates_from_flash(store: &Store<&mut Flash>, running: &Running) -> Vec<[u32; N]> {
     let bytes = store.bytes(store.in_use().unwrap()).unwrap();
     estimates(bytes, || running.place.network(bytes).unwrap())
@@ -137,7 +137,7 @@ fn estimates_from_memory(package: &PackageBytes) -> Vec<[u32; N]> {
 }
 
 #[test]
-fn a_new_network_works_from_flash_as_from_memory_and_stays_once_it_is_confirmed() {
+fn a_new_network_runs_from_flash_and_stays_once_confirmed() {
     let (old, new) = (package(1), package(2));
     let (from_old, from_new) = (estimates_from_memory(&old), estimates_from_memory(&new));
     assert_ne!(from_old, from_new);
@@ -146,7 +146,7 @@ fn a_new_network_works_from_flash_as_from_memory_and_stays_once_it_is_confirmed(
     let running = running.unwrap();
     assert_eq!((store.in_use(), running.in_use.version), (Some(Slot::A), 1));
     assert_eq!(estimates_from_flash(&store, &running), from_old);
-    // While the next one comes in, the node works on.
+    // While the next one is received, the node continues.
     upload(&mut store, new.as_bytes());
     assert_eq!(estimates_from_flash(&store, &running), from_old);
     store.stage(check(Some(running.in_use))).unwrap();
@@ -204,7 +204,7 @@ fn a_reboot_during_a_trial_brings_the_old_network_back() {
     assert_eq!(loaded, Some(running.clone()));
     assert_eq!(store.opening().trial_ended, Some(Ok(())));
     assert_eq!(estimates_from_flash(&store, &running), estimates_from_memory(&package(1)));
-    // The one that failed is not kept for anything; it can be sent again.
+    // The failed package is discarded; it can be sent again.
     assert_eq!(store.bytes(Slot::B), None);
     begin_trial(&mut store, package(2).as_bytes(), Some(running.in_use)).unwrap();
     store.confirm().unwrap();

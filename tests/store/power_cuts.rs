@@ -1,8 +1,8 @@
-//! The power fails at every byte that the weight store writes or erases, and again at every byte
-//! of what it does after the reboot: there is always a working package, and always the right one.
+//! Cuts the power at every byte that the weight store writes or erases, and again at every byte of
+//! its actions after the reboot: there is always a working package, and always the right one.
 //!
-//! By default, every byte is the place of a first cut, and every [`STRIDE`]-th one, beginning
-//! elsewhere for each first cut, that of a second; `STORE_CUTS=all` takes all pairs.
+//! By default every byte is the position of a first cut, and every [`STRIDE`]-th byte, with a
+//! different offset for each first cut, that of a second; `STORE_CUTS=all` tests all pairs.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -14,19 +14,19 @@ use test_support::store_model::{
     Change, Ledger, Model, check, erased_flash, layout, package, plain,
 };
 
-/// How many second cuts of one first cut are left out, plus one.
+/// Distance between the second cuts for one first cut.
 const STRIDE: usize = 37;
-/// Sizes of packages, in turns; no multiples of a word.
+/// Lengths of packages, in turn; none is a multiple of a word.
 const LENGTHS: [usize; 3] = [50, 41, 58];
-/// Chunks of an upload. \[byte\]
+/// Length of the chunks of an upload. \[byte\]
 const CHUNK: usize = 23;
 
-/// What to do with a package that is not the first.
+/// An action with a package other than the first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Deed {
     /// Upload, stage, activate, confirm.
     Install,
-    /// Upload, stage, activate, and go back.
+    /// Upload, stage, activate, and revert.
     Reject,
     /// Upload and stage.
     Stage,
@@ -34,11 +34,11 @@ enum Deed {
     Try,
     /// Upload half of it.
     Half,
-    /// Activate what is staged, and confirm.
+    /// Activate the staged package, and confirm.
     Finish,
 }
 
-/// A node: its flash, what is known of it, and the next package's number.
+/// A node: its flash, its expected state, and the next package's number.
 #[derive(Clone, Debug)]
 struct Node<const WRITE: usize, const ERASE: usize> {
     flash: SimulatedFlash<WRITE, ERASE>,
@@ -47,7 +47,7 @@ struct Node<const WRITE: usize, const ERASE: usize> {
 }
 
 impl<const WRITE: usize, const ERASE: usize> Node<WRITE, ERASE> {
-    /// Slots hold every package in at most so many units.
+    /// Every package fits into this many units.
     const UNITS: usize = 64_usize.div_ceil(ERASE);
 
     fn new(tear: Tear) -> Self {
@@ -55,7 +55,7 @@ impl<const WRITE: usize, const ERASE: usize> Node<WRITE, ERASE> {
         Self { flash, ledger: Ledger::default(), number: 0 }
     }
 
-    /// Boots and does `deeds`, until all is done or the power fails.
+    /// Boots and performs `deeds`, until all are done or the power fails.
     fn run(&mut self, deeds: &[Deed]) {
         let Self { flash, ledger, number } = self;
         let mut store = Store::open(flash, layout(ERASE, Self::UNITS)).unwrap();
@@ -75,7 +75,7 @@ impl<const WRITE: usize, const ERASE: usize> Node<WRITE, ERASE> {
         }
     }
 
-    /// Whether all of `deed` was done.
+    /// Returns whether all of `deed` was done.
     fn act(
         store: &mut Store<&mut SimulatedFlash<WRITE, ERASE>>,
         ledger: &mut Ledger,
@@ -115,11 +115,11 @@ impl<const WRITE: usize, const ERASE: usize> Node<WRITE, ERASE> {
     }
 }
 
-/// Cuts every deed from every state, and then the installation that follows. Returns how many
-/// runs were cut once and twice.
+/// Cuts every action from every state, and then the following installation. Returns how many runs
+/// were cut once and twice.
 fn cut_everywhere<const WRITE: usize, const ERASE: usize>(tear: Tear, stride: usize) -> [u64; 2] {
     use Deed::{Finish, Half, Install, Reject, Stage, Try};
-    // Enough installations that every place of the journal is the next one at some start.
+    // Enough installations that every journal entry is the next one at some start.
     let starts: [&[Deed]; 12] = [
         &[],
         &[Half],
@@ -160,7 +160,7 @@ fn cut_everywhere<const WRITE: usize, const ERASE: usize>(tear: Tear, stride: us
                 node.run(&[Install]);
                 assert_eq!(node.ledger.now.in_use, Some(node.number), "cuts {first}, {second}");
                 assert_eq!(node.flash.misuses, 0);
-                // Only a word that looks erased and is not can mislead the store.
+                // Only a word that looks erased but is not can mislead the store.
                 assert!(tear == Tear::Unseen || node.flash.rewrites == 0);
                 if !cut {
                     break;

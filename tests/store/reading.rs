@@ -1,4 +1,4 @@
-//! A weight store whose flash driver cannot read a place of the journal, for a while or for good.
+//! A weight store whose flash driver temporarily or permanently cannot read a journal entry.
 
 use agent_core::store::{Loaded, MappedFlash, Opening, RECORD_LENGTH, Slot, Store, StoreError};
 
@@ -6,7 +6,7 @@ use test_support::nor_flash::{SimulatedFlash, Tear};
 use test_support::store_model::{check, erased_flash, layout, length, package};
 
 const UNIT: usize = 64;
-/// Where the commit area begins: behind two slots of two units. Two places in each half.
+/// Start of the commit area: after two slots of two units. Two entries per half.
 const COMMIT: usize = 4 * UNIT;
 
 type Flash = SimulatedFlash<4, UNIT>;
@@ -26,7 +26,7 @@ fn install<F: MappedFlash>(store: &mut Store<F>, number: u16) -> Result<(), Stor
     Ok(())
 }
 
-/// Flash that so many packages were installed in, each with four records.
+/// Returns flash in which this many packages were installed, with four records each.
 fn installed(packages: u16) -> Flash {
     let mut flash: Flash = erased_flash(2, Tear::Prefix, 0);
     for number in 1..=packages {
@@ -35,11 +35,11 @@ fn installed(packages: u16) -> Flash {
     flash
 }
 
-/// The place of the newest record, and the one before.
+/// Returns the positions of the newest record and the one before.
 fn last_places(flash: &Flash) -> [usize; 2] {
     let sequence = |place: &usize| {
         let record = &flash.mapped()[COMMIT + place * RECORD_LENGTH..];
-        // An erased place comes first.
+        // An erased entry comes first.
         u32::from_le_bytes(record[..4].try_into().unwrap()).wrapping_add(1)
     };
     let mut places = [0, 1, 2, 3];
@@ -65,14 +65,14 @@ fn one_failed_read_is_repeated() {
 }
 
 #[test]
-fn a_journal_that_cannot_be_read_for_a_while_is_not_erased() {
+fn a_temporarily_unreadable_journal_is_not_erased() {
     let mut flash = installed(2);
     let before = flash.mapped().to_vec();
     flash.arm_reads(0, usize::MAX);
     let (mut store, loaded) = open(&mut flash);
     assert_eq!((loaded.in_use, store.opening().recorded), (None, false));
     assert_eq!(store.opening().unreadable_places, 4);
-    // Nothing says what to load, but packages prove themselves.
+    // No record says what to load, but packages can be salvaged.
     assert_eq!(store.salvage(length, check, |one, other| one > other), Some((Slot::B, 2)));
     store.flash().arm_reads(0, 0);
     assert_eq!(install(&mut store, 3), Err(unreadable(COMMIT)));
@@ -84,7 +84,7 @@ fn a_journal_that_cannot_be_read_for_a_while_is_not_erased() {
 }
 
 #[test]
-fn a_half_whose_only_record_cannot_be_read_is_not_erased() {
+fn a_half_with_an_unreadable_only_record_is_not_erased() {
     // The seventh record: that of the second confirmation.
     let mut flash = installed(2);
     let [newest, trial] = last_places(&flash);
@@ -94,7 +94,7 @@ fn a_half_whose_only_record_cannot_be_read_is_not_erased() {
     flash.arm_reads(place, 2);
     let (mut store, loaded) = open(&mut flash);
     assert_eq!(store.opening().unreadable_places, 1);
-    // What can be read ends with the trial.
+    // The readable records end with the trial.
     assert_eq!(loaded.in_use, Some((Slot::A, 1)));
     assert_eq!(store.opening().trial_ended, Some(Err(unreadable(newest))));
     for _ in 0..2 {
@@ -102,7 +102,7 @@ fn a_half_whose_only_record_cannot_be_read_is_not_erased() {
     }
     assert_eq!(flash.mapped(), before);
     assert_eq!(open(&mut flash).1.in_use, Some((Slot::B, 2)));
-    // If it never can be read again, it can be given up.
+    // If it is permanently unreadable, it can be given up.
     flash.spoil(newest, RECORD_LENGTH);
     let (mut store, _) = open(&mut flash);
     assert_eq!(install(&mut store, 3), Err(unreadable(newest)));
@@ -113,21 +113,21 @@ fn a_half_whose_only_record_cannot_be_read_is_not_erased() {
 }
 
 #[test]
-fn a_confirmation_that_cannot_be_read_for_a_while_is_not_undone() {
+fn a_temporarily_unreadable_confirmation_is_not_undone() {
     let mut flash = installed(1);
     let [newest, trial] = last_places(&flash);
     assert_eq!(newest / UNIT, trial / UNIT);
     flash.arm_reads((newest - COMMIT) / RECORD_LENGTH, 2);
     let (store, loaded) = open(&mut flash);
-    // What can be read ends with the trial of the first package of all.
+    // The readable records end with the trial of the first package.
     assert_eq!(loaded.in_use, None);
     assert_eq!(store.opening().trial_ended, Some(Err(unreadable(newest))));
     assert_eq!(open(&mut flash).1.in_use, Some((Slot::A, 1)));
 }
 
 #[test]
-fn a_record_whose_write_was_cut_stops_nothing_where_it_reads_as_an_error() {
-    // The newest, with one before it in its half: as after a torn one.
+fn an_interrupted_record_that_reads_as_an_error_blocks_nothing() {
+    // The newest record, with one before it in its half: as after a torn one.
     for packages in 2..6 {
         let mut flash = installed(packages);
         open(&mut flash).0.begin(70).unwrap();

@@ -1,16 +1,16 @@
-//! The boards of the template: a folder each in `firmware-template/boards`.
+//! The boards of the template: one folder each in `firmware-template/boards`.
 //!
-//! Every folder there with a `Cargo.toml` is a board, so that another one is a folder copied. What the
-//! tasks need to know about it stands in the folder:
+//! Every folder there with a `Cargo.toml` is a board, so copying a folder adds one. The tasks read
+//! its properties from the folder:
 //!
-//! | where | what |
+//! | file | property |
 //! | --- | --- |
 //! | `.cargo/config.toml`, `build.target` | the target |
-//! | `Cargo.toml`, `package.name` | the name of its program |
-//! | `Cargo.toml`, `[package.metadata.budget]` | most bytes of flash, static RAM and stack |
-//! | `memory.x` | its memory map |
+//! | `Cargo.toml`, `package.name` | the name of the program |
+//! | `Cargo.toml`, `[package.metadata.budget]` | limits for flash, static RAM and stack in bytes |
+//! | `memory.x` | the memory map |
 //!
-//! What they share, the profile and the folder to build in, is in `boards/.cargo/config.toml`.
+//! The shared profile and target folder are in `boards/.cargo/config.toml`.
 
 use std::{
     fs,
@@ -21,40 +21,40 @@ use toml_edit::{DocumentMut, Item, TableLike};
 
 use crate::step::{Failure, workspace};
 
-/// The board that this machine can emulate.
+/// The board that can be emulated.
 pub(crate) const EMULATED: &str = "qemu-mps2-an386";
 
 /// A board of the template.
 #[derive(Debug)]
 pub(crate) struct Board {
-    /// The name of its folder.
+    /// Name of the folder.
     pub(crate) name: String,
     pub(crate) folder: PathBuf,
-    /// The name of its package, and so of its program.
+    /// Name of the package, and therefore of the program.
     pub(crate) package: String,
     pub(crate) target: String,
     pub(crate) budget: Budget,
 }
 
-/// What a board's firmware may take. \[byte\]
+/// Limits for a board's firmware. \[byte\]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Budget {
     /// Code and constants.
     pub(crate) flash: u64,
     /// Static memory.
     pub(crate) ram: u64,
-    /// Stack, at worst.
+    /// Worst-case stack.
     pub(crate) stack: u64,
 }
 
 impl Board {
-    /// The board in this folder.
+    /// Reads the board in this folder.
     fn read(folder: PathBuf) -> Result<Self, Failure> {
         let manifest = read(&folder.join("Cargo.toml"))?;
         let config = read(&folder.join(".cargo/config.toml"))?;
         let text = |document: &DocumentMut, file: &str, path: &[&str]| {
             let found = get(document, path).and_then(Item::as_str).map(str::to_owned);
-            found.ok_or_else(|| missing(&folder.join(file), path, "a text"))
+            found.ok_or_else(|| missing(&folder.join(file), path, "a string"))
         };
         let bytes = |what: &str| {
             let path = ["package", "metadata", "budget", what];
@@ -69,34 +69,34 @@ impl Board {
         if !folder.join("memory.x").exists() {
             return Err(Failure::new(
                 format!("{}: no memory map", folder.join("memory.x").display()),
-                "copy the memory.x of a similar board and adapt it to the chip",
+                "copy the memory.x of a similar board and adapt it",
             ));
         }
         Ok(Self { name, folder, package, target, budget })
     }
 
-    /// Its memory map.
+    /// Returns the path of the memory map.
     pub(crate) fn memory_map(&self) -> PathBuf {
         self.folder.join("memory.x")
     }
 }
 
-/// The folder of all boards.
+/// Returns the folder of all boards.
 pub(crate) fn folder() -> PathBuf {
     workspace().join("firmware-template/boards")
 }
 
-/// Every board, in alphabetical order.
+/// Returns all boards, in alphabetical order.
 ///
 /// # Errors
-/// A folder of a board that is not complete.
+/// A board's folder is incomplete.
 pub(crate) fn all() -> Result<Vec<Board>, Failure> {
     all_in(&folder())
 }
 
 fn all_in(boards: &Path) -> Result<Vec<Board>, Failure> {
     let entries = fs::read_dir(boards).map_err(|error| {
-        Failure::new(format!("{}: {error}", boards.display()), "check out the whole repository")
+        Failure::new(format!("{}: {error}", boards.display()), "check out the complete repository")
     })?;
     let mut folders: Vec<PathBuf> = entries
         .filter_map(|entry| Some(entry.ok()?.path()))
@@ -106,10 +106,10 @@ fn all_in(boards: &Path) -> Result<Vec<Board>, Failure> {
     folders.into_iter().map(Board::read).collect()
 }
 
-/// The board of this name.
+/// Returns the board with this name.
 ///
 /// # Errors
-/// There is none, or a folder is not complete.
+/// There is no such board, or a folder is incomplete.
 pub(crate) fn find(name: &str) -> Result<Board, Failure> {
     let mut boards = all()?;
     match boards.iter().position(|board| board.name == name) {
@@ -118,13 +118,13 @@ pub(crate) fn find(name: &str) -> Result<Board, Failure> {
             let names: Vec<&str> = boards.iter().map(|board| board.name.as_str()).collect();
             Err(Failure::new(
                 format!("there is no board {name} in firmware-template/boards"),
-                format!("choose one of {}, or copy the folder of one", names.join(", ")),
+                format!("choose one of {}, or copy one of the folders", names.join(", ")),
             ))
         }
     }
 }
 
-/// The targets of these boards, each once.
+/// Returns the targets of these boards, without duplicates.
 pub(crate) fn targets(boards: &[Board]) -> Vec<&str> {
     let mut targets: Vec<&str> = boards.iter().map(|board| board.target.as_str()).collect();
     targets.sort_unstable();
@@ -132,10 +132,10 @@ pub(crate) fn targets(boards: &[Board]) -> Vec<&str> {
     targets
 }
 
-/// The settings that boards share, as in `boards/.cargo/config.toml`.
+/// Returns the settings shared by all boards, from `boards/.cargo/config.toml`.
 ///
 /// # Errors
-/// The file cannot be read, or has no profile.
+/// The file cannot be read or has no profile.
 pub(crate) fn shared_config() -> Result<DocumentMut, Failure> {
     let path = folder().join(".cargo/config.toml");
     let config = read(&path)?;
@@ -145,10 +145,11 @@ pub(crate) fn shared_config() -> Result<DocumentMut, Failure> {
     }
 }
 
-/// Arguments that make cargo's release profile that of the boards, for what is not in their folder.
+/// Returns arguments that give cargo's release profile the settings of the boards, for crates
+/// outside their folder.
 ///
 /// # Errors
-/// As [`shared_config`].
+/// As for [`shared_config`].
 pub(crate) fn profile() -> Result<Vec<String>, Failure> {
     let config = shared_config()?;
     let mut settings = Vec::new();
@@ -162,7 +163,7 @@ pub(crate) fn profile() -> Result<Vec<String>, Failure> {
     Ok(arguments)
 }
 
-/// `key = value` for all values in a table, with their full keys.
+/// Collects `key = value` for all values in a table, with their full keys.
 fn flatten(prefix: &str, table: &dyn TableLike, found: &mut Vec<String>) {
     for (key, item) in table.iter() {
         let key = format!("{prefix}.{key}");
@@ -180,12 +181,12 @@ fn get<'a>(document: &'a DocumentMut, path: &[&str]) -> Option<&'a Item> {
 /// Reads a TOML file.
 ///
 /// # Errors
-/// It cannot be read, or is not TOML.
+/// The file cannot be read or is invalid TOML.
 pub(crate) fn read(path: &Path) -> Result<DocumentMut, Failure> {
     let failed = |problem: String| {
         Failure::new(
             format!("{}: {problem}", path.display()),
-            "see how the other boards in firmware-template/boards have it",
+            "compare it with the other boards in firmware-template/boards",
         )
     };
     let text = fs::read_to_string(path).map_err(|error| failed(error.to_string()))?;
@@ -195,7 +196,7 @@ pub(crate) fn read(path: &Path) -> Result<DocumentMut, Failure> {
 fn missing(file: &Path, path: &[&str], kind: &str) -> Failure {
     Failure::new(
         format!("{}: {} is not {kind}", file.display(), path.join(".")),
-        "see how the other boards in firmware-template/boards have it",
+        "compare it with the other boards in firmware-template/boards",
     )
 }
 
@@ -203,7 +204,7 @@ fn missing(file: &Path, path: &[&str], kind: &str) -> Failure {
 mod tests {
     use super::*;
 
-    /// The message for a board whose files are these.
+    /// Returns the message for a board with these files.
     fn refusal(manifest: &str, config: Option<&str>, map: Option<&str>) -> String {
         let boards = std::env::temp_dir().join(format!(
             "boards-{}-{}",
@@ -227,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_is_a_board_and_says_what_it_lacks() {
+    fn an_incomplete_folder_reports_what_is_missing() {
         const MANIFEST: &str = "package.name = \"node\"\n[package.metadata.budget]\n\
                                 flash = 1\nram = 2\nstack = 3\n";
         const CONFIG: &str = "build.target = \"thumbv6m-none-eabi\"\n";
@@ -237,7 +238,7 @@ mod tests {
         let no_config = refusal(MANIFEST, None, Some(""));
         assert!(no_config.contains("mine/.cargo/config.toml: "), "{no_config}");
         let no_target = refusal(MANIFEST, Some("[build]\n"), Some(""));
-        assert!(no_target.ends_with("config.toml: build.target is not a text"), "{no_target}");
+        assert!(no_target.ends_with("config.toml: build.target is not a string"), "{no_target}");
         let no_budget = refusal(&MANIFEST.replace("ram = 2", ""), Some(CONFIG), Some(""));
         assert!(
             no_budget.ends_with("package.metadata.budget.ram is not a number of bytes"),
@@ -250,12 +251,12 @@ mod tests {
         let boards = all().unwrap();
         assert!(boards.iter().any(|board| board.name == EMULATED));
         for Board { name, package, .. } in &boards {
-            assert_eq!(name, package, "a package has the name of its folder");
+            assert_eq!(name, package, "the package has the name of its folder");
         }
     }
 
     #[test]
-    fn a_name_that_no_folder_has_is_refused_with_those_there_are() {
+    fn an_unknown_board_is_refused_with_the_known_ones() {
         let failure = find("stm32").unwrap_err();
         assert_eq!(failure.what, "there is no board stm32 in firmware-template/boards");
         assert!(failure.hint.contains("qemu-mps2-an386"), "{}", failure.hint);

@@ -1,4 +1,4 @@
-//! The firmware of the board `stm32f405` in QEMU, as far as that models the chip: `tests/cosim/stm32f405.rs`.
+//! Boots the firmware of the board `stm32f405` in QEMU: `tests/cosim/stm32f405.rs`.
 
 use crate::{
     boards,
@@ -12,14 +12,14 @@ use crate::{
 const BOARD: &str = "stm32f405";
 const MACHINE: &str = "netduinoplus2";
 
-/// What a boot there does not show.
-const NOT_EMULATED: &str = "the crystal and the PLL (the firmware goes on without them and says so), \
-                            I2C1 and so the sensor, writing flash, the watchdog, and time";
+/// Parts that are not tested there.
+const NOT_EMULATED: &str = "the crystal and the PLL (the firmware reports a fault and continues), \
+                            I2C1 and therefore the sensor, writing flash, the watchdog, and timing";
 
-/// Builds the firmware in both variants and boots it.
+/// Builds both variants of the firmware and boots them.
 ///
 /// # Errors
-/// It does not build, or does not do what it should.
+/// A build or a test fails.
 pub(crate) fn boot(debian: bool) -> Result<(), Failure> {
     emulate::find_emulators(debian)?;
     let board = boards::find(BOARD)?;
@@ -32,10 +32,10 @@ pub(crate) fn boot(debian: bool) -> Result<(), Failure> {
     tests.args(["cosim::stm32f405::stm32f405_in_qemu", "--", "--ignored"]);
     tests.env("STM32F405_FIRMWARE", program).env("STM32F405_IN_THE_LOOP_FIRMWARE", in_the_loop);
     let mut passed = false;
-    let hint = "tests/cosim/stm32f405.rs says what the firmware does first";
+    let hint = "see tests/cosim/stm32f405.rs for the expected behaviour";
     run_reading(&format!("{BOARD} on QEMU's {MACHINE}"), &mut tests, hint, |line| {
         passed |= line.starts_with("test result: ok. 2 passed");
     })?;
     println!("    not emulated by {MACHINE}: {NOT_EMULATED}");
-    if passed { Ok(()) } else { Err(Failure::new("boot: it did not run", hint)) }
+    if passed { Ok(()) } else { Err(Failure::new("boot: no test ran", hint)) }
 }

@@ -1,9 +1,9 @@
-//! Circles among the modules of a crate: there are to be none.
+//! Checks that the modules of each crate do not depend on each other in cycles.
 //!
-//! In every folder, the files and folders in it are the nodes of a graph, and one that names
-//! anything in another depends on it. What a `mod.rs` or `lib.rs` re-exports counts as where it
-//! comes from. The `mod.rs` itself is not a node of its own folder's graph: it is the front of what
-//! lies behind it. Code that is only compiled for tests does not count.
+//! In every folder, its files and folders are the nodes of a graph, and a node that names an item
+//! of another depends on it. A name that a `mod.rs` or `lib.rs` re-exports counts as its origin.
+//! The `mod.rs` itself is not a node of its own folder's graph, because it is the interface to the
+//! modules behind it. Code compiled only for tests is ignored.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -14,21 +14,21 @@ use proc_macro2::{Delimiter, TokenStream, TokenTree};
 
 use crate::step::Failure;
 
-/// The crates whose modules are checked.
+/// The crates to check.
 const SOURCES: [&str; 4] = ["agent-core/src", "host-sim/src", "firmware-template/src", "xtask/src"];
 
-/// A module's names from the crate's root on, which itself has none.
+/// A module's path from the crate root, which is empty for the root itself.
 type Module = Vec<String>;
 
 /// Checks every crate.
 ///
 /// # Errors
-/// A source that cannot be read, or a circle.
+/// A source cannot be read, or there is a cycle.
 pub(crate) fn check(root: &Path) -> Result<(), Failure> {
     let mut told = String::new();
     for source in SOURCES {
         let modules = Modules::read(&root.join(source)).map_err(|problem| {
-            Failure::new(format!("modules of {source}: {problem}"), "repair that file")
+            Failure::new(format!("modules of {source}: {problem}"), "fix that file")
         })?;
         for circle in modules.circles() {
             let _ = writeln!(told, "{source}: {circle}");
@@ -38,17 +38,17 @@ pub(crate) fn check(root: &Path) -> Result<(), Failure> {
         return Ok(());
     }
     Err(Failure::new(
-        format!("modules that depend on each other in a circle:\n{}", told.trim_end()),
-        "move what both sides need into a file of its own",
+        format!("modules that depend on each other in a cycle:\n{}", told.trim_end()),
+        "move the shared code into a separate module",
     ))
 }
 
-/// The modules of a crate, each in a file.
+/// The modules of a crate, one per file.
 #[derive(Default)]
 struct Modules {
-    /// The paths that each names, from the crate's root on.
+    /// The paths that each module names, from the crate root.
     named: BTreeMap<Module, BTreeSet<Vec<String>>>,
-    /// What each re-exports under a name: a path from the crate's root on.
+    /// The re-exports of each module under a name: a path from the crate root.
     exports: BTreeMap<(Module, String), Vec<String>>,
 }
 
@@ -67,7 +67,7 @@ impl Modules {
                 let Some(stem) = path.file_stem().and_then(|stem| stem.to_str()) else { continue };
                 let own = || [&module[..], &[stem.to_owned()]].concat();
                 if path.is_dir() {
-                    // Programs are crates of their own.
+                    // Binaries are separate crates.
                     if stem != "bin" {
                         rest.push((path.clone(), own()));
                     }
@@ -93,10 +93,10 @@ impl Modules {
         Ok(modules)
     }
 
-    /// The module that holds what `path` names.
+    /// Returns the module that contains the item at `path`.
     fn home(&self, path: &[String]) -> Module {
         let mut path = path.to_vec();
-        // A re-export may lead to another; more than a few of them would be a circle themselves.
+        // A re-export can refer to another one; a long chain would be a cycle itself.
         for _ in 0..8 {
             let depth = (0..=path.len())
                 .rev()
@@ -112,9 +112,10 @@ impl Modules {
         path
     }
 
-    /// The circles, one for each set of modules that depend on each other, in words.
+    /// Describes the cycles, one per set of modules that depend on each other.
     fn circles(&self) -> Vec<String> {
-        // For each folder: which of its children depends on which, and a pair of modules that shows it.
+        // For each folder: which of its children depends on which, and a pair of modules as an
+        // example.
         let mut graphs: BTreeMap<Module, BTreeMap<String, BTreeMap<String, String>>> =
             BTreeMap::new();
         for (module, paths) in &self.named {
@@ -140,7 +141,7 @@ fn circles_in(graph: &BTreeMap<String, BTreeMap<String, String>>) -> Vec<String>
         if done.contains(start) {
             continue;
         }
-        // The shortest way from a module back to itself.
+        // The shortest path from a module back to itself.
         let mut before: BTreeMap<&str, &str> = BTreeMap::new();
         let mut queue = vec![start.as_str()];
         let mut next = 0;
@@ -171,10 +172,10 @@ fn circles_in(graph: &BTreeMap<String, BTreeMap<String, String>>) -> Vec<String>
     circles
 }
 
-/// What one file names.
+/// The names used by one file.
 struct Scan<'m> {
     module: &'m Module,
-    /// Inline modules around the present place.
+    /// Number of enclosing inline modules.
     inner: usize,
     tests: Vec<Module>,
 }
@@ -184,7 +185,7 @@ impl<'m> Scan<'m> {
         Self { module, inner: 0, tests: Vec::new() }
     }
 
-    /// Notes what a file names and re-exports. Returns the modules that it declares for tests only.
+    /// Records what a file names and re-exports. Returns the modules it declares only for tests.
     fn file(mut self, tokens: TokenStream, modules: &mut Modules) -> Vec<Module> {
         modules.named.entry(self.module.clone()).or_default();
         self.tokens(tokens, modules);
@@ -202,7 +203,7 @@ impl<'m> Scan<'m> {
             match &tokens[at] {
                 TokenTree::Group(group) => self.tokens(group.stream(), modules),
                 TokenTree::Ident(word) if word == "mod" && is_brace(tokens.get(at + 2)) => {
-                    // An inline module: `super` in it is this file.
+                    // In an inline module, `super` is this file.
                     if let Some(TokenTree::Group(body)) = tokens.get(at + 2) {
                         self.inner += 1;
                         self.tokens(body.stream(), modules);
@@ -235,7 +236,7 @@ impl<'m> Scan<'m> {
         }
     }
 
-    /// The length of an item for tests only that these tokens begin with.
+    /// Returns the length of the test-only item at the start of these tokens.
     fn test_item(&mut self, tokens: &[TokenTree]) -> Option<usize> {
         let [TokenTree::Punct(hash), TokenTree::Group(attribute), rest @ ..] = tokens else {
             return None;
@@ -259,14 +260,14 @@ impl<'m> Scan<'m> {
             if let Some(name) = path.last() {
                 modules.exports.insert((self.module.clone(), name.clone()), path.clone());
             }
-            // A front that only passes something on does not depend on it.
+            // A module that only re-exports another does not depend on it.
             return;
         }
         modules.named.entry(self.module.clone()).or_default().insert(path);
     }
 
-    /// A path from the crate's root on; `None` for one into another crate. A path with neither
-    /// `crate` nor `super` nor `self` may be one of a child module, so it is tried as one.
+    /// Returns a path from the crate root; `None` for one into another crate. A path without
+    /// `crate`, `super` or `self` can start with a child module, so it is tried as one.
     fn absolute(&self, path: Vec<String>) -> Option<Vec<String>> {
         let mut names = path.into_iter().peekable();
         let mut base = match names.peek().map(String::as_str)? {
@@ -293,7 +294,7 @@ impl<'m> Scan<'m> {
     }
 }
 
-/// Every path in what stands behind `use`, or in a path of an expression.
+/// Returns every path after `use`, or in a path expression.
 fn use_tree(tokens: &[TokenTree]) -> Vec<Vec<String>> {
     let mut paths = Vec::new();
     let (mut prefix, mut renamed) = (Vec::new(), false);
@@ -326,7 +327,7 @@ fn is_anchor(word: &str) -> bool {
     matches!(word, "crate" | "super" | "self")
 }
 
-/// Whether what comes next goes on with a path.
+/// Whether the preceding tokens continue with a path.
 fn is_path(before: &[TokenTree]) -> bool {
     before.last().is_some_and(|token| is_punct(token, ':') || is_punct(token, '.'))
         && before.len() >= 2
@@ -349,7 +350,7 @@ fn is_brace(token: Option<&TokenTree>) -> bool {
     matches!(token, Some(TokenTree::Group(group)) if group.delimiter() == Delimiter::Brace)
 }
 
-/// Whether this ends a visibility: `pub`, or the parentheses of `pub(crate)`.
+/// Whether this token ends a visibility: `pub`, or the parentheses of `pub(crate)`.
 fn is_public(token: &TokenTree) -> bool {
     match token {
         TokenTree::Ident(word) => word == "pub",
@@ -379,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn there_are_no_circles() {
+    fn there_are_no_cycles() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
         if let Err(failure) = check(root) {
             panic!("{}", failure.what);
@@ -387,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn circles_are_found_in_every_spelling() {
+    fn cycles_are_found_in_every_spelling() {
         for there in [
             "use crate::b::B;",
             "use crate::{b::B, c};",
@@ -403,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn a_longer_circle_is_one() {
+    fn a_longer_cycle_is_found() {
         let files = [
             ("", "pub use c::C;"),
             ("a", "use crate::b::B;"),
@@ -419,7 +420,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_circle_is_none() {
+    fn acyclic_modules_are_accepted() {
         let b = ("b", "use crate::a;");
         for there in [
             "",
@@ -430,10 +431,10 @@ mod tests {
         ] {
             assert_eq!(circles(&[("", ""), ("a", there), b]), [""; 0], "{there}");
         }
-        // A front uses what lies behind it, and that uses the front.
+        // The interface uses a module behind it, which uses the interface.
         let front = [("", ""), ("a", "mod x; use x::X; struct Y;"), ("a::x", "use super::Y;")];
         assert_eq!(circles(&front), [""; 0]);
-        // Files for tests only.
+        // Files compiled only for tests.
         let tests = [("", ""), ("a", "#[cfg(test)] mod t;"), ("a::t", "use crate::b;"), b];
         assert_eq!(circles(&tests), [""; 0]);
     }

@@ -1,9 +1,9 @@
-//! A compiler for bare metal.
+//! Finds a compiler for bare metal.
 //!
-//! The active toolchain, if it has the targets. Otherwise Debian's compiler, which comes
-//! with the sources of `core` and `alloc` but not built for bare metal: they are built once,
-//! into a sysroot under the target folder, and a two-line `rustc` points the compiler there and
-//! to Debian's linker.
+//! This is the active toolchain, if it has the targets. Otherwise it is Debian's compiler, which
+//! includes the sources of `core` and `alloc` but not their bare-metal builds: these are built
+//! once, into a sysroot in the target folder, and a two-line `rustc` script selects that sysroot
+//! and Debian's linker.
 
 use std::{
     env, fs, io,
@@ -17,18 +17,18 @@ use crate::{
     step::{Failure, ask, run, target_folder},
 };
 
-/// Compiler, its cargo, its library sources, and the linker that it calls.
+/// Compiler, cargo, library sources, and linker.
 const PACKAGES: [&str; 4] = ["rustc-web", "cargo-web", "rust-web-src", "lld"];
 const RUSTC: &str = "/usr/bin/rustc";
 const CARGO: &str = "/usr/bin/cargo";
-/// What Debian's packages put where rustc looks for it.
+/// Debian's location of the libraries.
 const RUSTLIB: &str = "/usr/lib/rustlib";
-/// The linker, which the bare-metal targets know by Rust's name for it.
+/// The linker, for which the bare-metal targets use Rust's name.
 const LLD: &str = "/usr/bin/lld";
 const CRATES: [&str; 3] = ["core", "alloc", "compiler_builtins"];
 
-/// Every target that anything here is built for. The sysroot has all of them, whatever a task needs,
-/// so that no task throws away what another one has built.
+/// Every target that any task builds for. The sysroot always has all of them, so that no task
+/// discards another one's builds.
 const TARGETS: [&str; 4] = [
     "thumbv6m-none-eabi",
     "thumbv7em-none-eabihf",
@@ -36,17 +36,18 @@ const TARGETS: [&str; 4] = [
     "riscv32imac-unknown-none-elf",
 ];
 
-/// A compiler that has every target that was asked for.
+/// A compiler with all requested targets.
 #[derive(Debug)]
 pub(crate) struct Compiler {
     rustc: Option<PathBuf>,
 }
 
 impl Compiler {
-    /// Finds or makes a compiler for `targets`.
+    /// Finds or sets up a compiler for `targets`.
     ///
     /// # Errors
-    /// The active toolchain lacks a target and Debian's compiler may not or cannot be set up.
+    /// The active toolchain lacks a target, and Debian's compiler is not allowed or cannot be set
+    /// up.
     pub(crate) fn find(targets: &[&str], debian: bool) -> Result<Self, Failure> {
         let missing: Vec<&str> =
             targets.iter().copied().filter(|target| !active_toolchain_has(target)).collect();
@@ -66,10 +67,10 @@ impl Compiler {
         Ok(Self { rustc: Some(sysroot()?) })
     }
 
-    /// Makes `command`, a cargo call, compile with this compiler into a folder of its own,
-    /// so that nothing built for the host is thrown away.
+    /// Makes `command`, a call of cargo, use this compiler and a separate target folder, so that
+    /// the host's builds are kept.
     pub(crate) fn apply<'command>(&self, command: &'command mut Command) -> &'command mut Command {
-        // Flags meant for the host do not fit the targets, which have theirs in the workspace.
+        // Flags for the host are not valid for the targets, whose flags are in the workspace.
         command.env_remove("RUSTFLAGS").env_remove("CARGO_ENCODED_RUSTFLAGS");
         if let Some(rustc) = &self.rustc {
             command.env("RUSTC", rustc);
@@ -78,18 +79,18 @@ impl Compiler {
     }
 }
 
-/// Where the cross-builds go.
+/// Returns the target folder of the cross-builds.
 pub(crate) fn cross_folder() -> PathBuf {
     target_folder().join("cross")
 }
 
-/// The folder for programs of the active toolchain itself: its linker, LLVM's tools.
+/// Returns the folder of the active toolchain's own programs: its linker, LLVM's tools.
 pub(crate) fn toolchain_programs() -> Option<PathBuf> {
     let library = ask(active_rustc().args(["--print", "target-libdir"]))?;
     Some(Path::new(library.trim()).parent()?.join("bin"))
 }
 
-/// The triple of this machine.
+/// Returns the target triple of this machine.
 pub(crate) fn host() -> Option<String> {
     let answer = ask(active_rustc().arg("-vV"))?;
     Some(answer.lines().find_map(|line| line.strip_prefix("host: "))?.to_owned())
@@ -99,13 +100,13 @@ fn active_rustc() -> Command {
     Command::new(env::var_os("RUSTC").unwrap_or_else(|| "rustc".into()))
 }
 
-/// Whether the active toolchain can compile for `target`.
+/// Returns whether the active toolchain can compile for `target`.
 pub(crate) fn active_toolchain_has(target: &str) -> bool {
     ask(active_rustc().args(["--print", "target-libdir", "--target", target]))
         .is_some_and(|folder| library(Path::new(folder.trim()), "core").is_ok())
 }
 
-/// The compiled library of that name in `folder`.
+/// Returns the compiled library with that name in `folder`.
 fn library(folder: &Path, name: &str) -> io::Result<PathBuf> {
     let start = format!("lib{name}-");
     for entry in fs::read_dir(folder)? {
@@ -139,7 +140,7 @@ fn install() -> Result<(), Failure> {
     }
 }
 
-/// The version of Debian's compiler, as text and as numbers.
+/// Returns the version of Debian's compiler, as text and as numbers.
 fn release() -> Option<(String, Vec<u32>)> {
     let answer = ask(Command::new(RUSTC).arg("-vV"))?;
     let text = answer.lines().find_map(|line| line.strip_prefix("release: "))?;
@@ -154,13 +155,13 @@ fn numbers(version: &str) -> Vec<u32> {
     version.split('.').map_while(|part| part.parse().ok()).collect()
 }
 
-/// Where the sysroot for Debian's compiler is, once it has been built.
+/// Returns the folder of the sysroot for Debian's compiler.
 pub(crate) fn sysroot_folder() -> PathBuf {
     let (version, _) = release().unwrap_or_default();
     target_folder().join(format!("sysroot-{version}"))
 }
 
-/// Builds the sysroot, unless it is there already, and returns its `rustc`.
+/// Builds the sysroot, unless it exists, and returns its `rustc`.
 fn sysroot() -> Result<PathBuf, Failure> {
     let start = Instant::now();
     let prefix = sysroot_folder();
@@ -177,10 +178,10 @@ fn sysroot() -> Result<PathBuf, Failure> {
     let failed = |error: io::Error| {
         Failure::new(
             format!("sysroot {}: {error}", prefix.display()),
-            "delete the target folder and try again; see that the disk has 1 GB left",
+            "delete the target folder and try again; check that the disk has 1 GB free",
         )
     };
-    // What was compiled against an older sysroot does not fit the new one.
+    // Artifacts built with an older sysroot do not match the new one.
     for stale in [&prefix, &cross_folder()] {
         match fs::remove_dir_all(stale) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(failed(error)),
@@ -192,14 +193,14 @@ fn sysroot() -> Result<PathBuf, Failure> {
     run(
         "core and alloc for bare metal",
         &mut build_command(&scratch),
-        "see what the compiler says; Debian's packages must all have one version",
+        "see the compiler's error; all of Debian's packages must have the same version",
     )?;
     lay_out(&prefix, &scratch).map_err(failed)?;
     fs::write(&stamp, wanted).map_err(failed)?;
     Ok(rustc)
 }
 
-/// An empty crate, since cargo builds `core` only as somebody's dependency.
+/// Writes an empty crate, because cargo builds `core` only as a dependency.
 fn write_scratch_crate(folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder.join("src"))?;
     fs::write(folder.join("src/lib.rs"), "#![no_std]\n")?;
@@ -214,11 +215,11 @@ fn build_command(scratch: &Path) -> Command {
     let mut command = Command::new(CARGO);
     command
         .current_dir(scratch)
-        // This program runs inside the active toolchain's cargo, whose settings do not fit.
+        // This program runs inside the active toolchain's cargo, whose settings do not apply.
         .env_remove("CARGO_ENCODED_RUSTFLAGS")
         .env_remove("LD_LIBRARY_PATH")
         .env("RUSTC", RUSTC)
-        // Only for core itself, which no stable compiler accepts otherwise.
+        // Only to build core itself, which stable compilers otherwise refuse.
         .env("RUSTC_BOOTSTRAP", "1")
         // The firmware's link-time optimisation reads the bitcode.
         .env("RUSTFLAGS", "-Cembed-bitcode=yes")
@@ -232,7 +233,7 @@ fn build_command(scratch: &Path) -> Command {
     command
 }
 
-/// Moves what was built to where rustc looks for it, and links the rest of Debian's files.
+/// Moves the built libraries to where rustc looks for them, and links the rest of Debian's files.
 fn lay_out(prefix: &Path, scratch: &Path) -> io::Result<()> {
     let rustlib = prefix.join("lib/rustlib");
     for target in TARGETS {
@@ -245,7 +246,7 @@ fn lay_out(prefix: &Path, scratch: &Path) -> io::Result<()> {
         }
     }
     fs::remove_dir_all(scratch)?;
-    // The host's own libraries too, for build scripts and procedural macros.
+    // The host's own libraries are needed too, for build scripts and procedural macros.
     for entry in fs::read_dir(RUSTLIB)? {
         let entry = entry?;
         let link = rustlib.join(entry.file_name());
@@ -262,7 +263,7 @@ fn lay_out(prefix: &Path, scratch: &Path) -> io::Result<()> {
     call(Command::new("chmod").arg("755").arg(rustc))
 }
 
-/// Runs a command that prints nothing.
+/// Runs a command without output.
 fn call(command: &mut Command) -> io::Result<()> {
     if command.status()?.success() {
         return Ok(());

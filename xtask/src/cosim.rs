@@ -1,18 +1,18 @@
-//! The co-simulation with the firmware that users get, in the emulator that they use.
+//! Tests co-simulation with the released firmware in the emulator.
 
 use crate::{
     firmware,
     step::{Failure, cargo, run},
 };
 
-/// Where the tests find the firmware.
+/// The variable that tells the tests where the firmware is.
 const FIRMWARE: &str = "QEMU_MPS2_AN386_FIRMWARE";
 
-/// Builds the emulated board's firmware and runs the tests that need it; the emulator has been found
-/// by then.
+/// Builds the emulated board's firmware and runs the tests that need it; the emulator must already
+/// be installed.
 ///
 /// # Errors
-/// There is no firmware, or a test fails.
+/// The firmware does not build, or a test fails.
 pub(crate) fn test(debian: bool) -> Result<(), Failure> {
     let (_, program) = firmware::emulated(debian)?;
     let mut tests = cargo("test");
@@ -21,6 +21,6 @@ pub(crate) fn test(debian: bool) -> Result<(), Failure> {
     run(
         "co-simulation with the firmware",
         &mut tests,
-        "`host-sim cosim` shows the first difference, or which node failed",
+        "run `host-sim cosim` to see the first difference or the node that failed",
     )
 }

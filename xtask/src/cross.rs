@@ -1,4 +1,4 @@
-//! The node's crates on bare metal: they build, their machine code holds nothing that would
+//! Cross-builds the node's crates: they compile, their machine code contains nothing that could
 //! change the bits, and every board links with its own memory map.
 
 use std::{
@@ -20,7 +20,7 @@ use crate::{
 
 struct Target {
     triple: &'static str,
-    /// The core has fused multiply-add, so its absence has to be shown.
+    /// The core has fused multiply-add instructions, so their absence must be checked.
     fused: bool,
 }
 
@@ -36,10 +36,10 @@ pub(crate) fn triples() -> [&'static str; TARGETS.len()] {
     TARGETS.map(|target| target.triple)
 }
 
-/// A library whose machine code is read.
+/// A library whose machine code is inspected.
 struct Artifact {
     package: &'static str,
-    /// Which of the package's crates, and with what features, for cargo.
+    /// The crate of the package, and its features, for cargo.
     selection: &'static [&'static str],
     file: &'static str,
 }
@@ -47,7 +47,7 @@ struct Artifact {
 const ARTIFACTS: [Artifact; 2] = [
     Artifact {
         package: "agent-core",
-        // Features only add code: this has all that the library has without them.
+        // Features only add code: with them the library contains everything it has without them.
         selection: &["--lib", "--features", "signature"],
         file: "libagent_core.rlib",
     },
@@ -58,15 +58,15 @@ const ARTIFACTS: [Artifact; 2] = [
     },
 ];
 
-/// How a library is compiled for reading: name, arguments for rustc.
+/// How a library is compiled for inspection: name, arguments for rustc.
 type Variation = (&'static str, &'static [&'static str]);
 
-/// The boards' profile leaves all work to link-time optimisation, and a library then holds no
-/// machine code at all; both variations undo that.
+/// The boards' profile leaves code generation to link-time optimisation, so a library contains no
+/// machine code; both variations disable that.
 ///
-/// The optimised one is what runs, but holds neither generic nor small functions, which are
-/// left to whoever calls them. The complete one has every function that can be compiled here;
-/// what is fused or foreign is so in both, since rustc never contracts operations by itself.
+/// The optimised one is what runs, but lacks generic and small functions, which are compiled into
+/// their callers. The complete one has every function that can be compiled here; fused instructions
+/// and foreign calls appear in both, because rustc never contracts operations by itself.
 const VARIATIONS: [Variation; 2] = [
     ("optimised", &["-Clinker-plugin-lto=no", "-Cembed-bitcode=no"]),
     (
@@ -85,7 +85,7 @@ pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
     wanted.extend(boards::targets(&boards));
     let compiler = Compiler::find(&wanted, debian)?;
     let disassembler = Disassembler::find(debian)?;
-    // Features only add code, and without them the crates are built for every target by `emulate`.
+    // Features only add code, and `emulate` builds the crates without them for every target.
     let mut check = cargo("check");
     check.args(["--quiet", "--package", "agent-core", "--package", "firmware-template"]);
     check.args(["--features", "agent-core/signature"]).args(boards::profile()?);
@@ -93,7 +93,7 @@ pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
     run(
         "cross-check",
         compiler.apply(&mut check),
-        "the node's crates must compile without std; the error above names the line",
+        "see the error above; the node's crates must compile without std",
     )?;
     for target in TARGETS.iter().filter(|target| target.fused) {
         for variation in VARIATIONS {
@@ -112,7 +112,7 @@ pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
     for board in &boards {
         for in_the_loop in [true, false] {
             if in_the_loop && board.name == boards::EMULATED {
-                continue; // It always is.
+                continue; // Always in the loop.
             }
             let variant = Variant { in_the_loop, public_key: None };
             let program = firmware::build(&compiler, board, &variant)?;
@@ -126,8 +126,10 @@ pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
     project::check(&compiler, &boards)
 }
 
+/// Fails if `found` contains anything that changes bits.
+///
 /// # Errors
-/// Something was found that changes bits.
+/// Forbidden instructions or calls were found.
 fn allow(name: &str, found: &Findings) -> Result<(), Failure> {
     if found.forbidden.is_empty() {
         return Ok(());
@@ -139,10 +141,10 @@ fn allow(name: &str, found: &Findings) -> Result<(), Failure> {
     ))
 }
 
-/// Compiles and reads `artifact`; returns how many instructions it has.
+/// Compiles and inspects `artifact`; returns its number of instructions.
 ///
 /// # Errors
-/// A fused multiply-add, platform mathematics, or nothing to look at where there must be.
+/// A fused multiply-add, a call of platform mathematics, or no code where there must be some.
 fn inspect(
     compiler: &Compiler,
     disassembler: &Disassembler,
@@ -154,24 +156,24 @@ fn inspect(
     let mut build = cargo("rustc");
     build.args(["--quiet", "--target", target.triple]).args(boards::profile()?);
     build.args(["--package", artifact.package]).args(artifact.selection).arg("--").args(flags);
-    run(&name, compiler.apply(&mut build), "the error above names the line")?;
+    run(&name, compiler.apply(&mut build), "see the error above")?;
 
     let file = cross_folder().join(target.triple).join("release").join(artifact.file);
     let found = disassembler.read(&file)?;
     allow(&name, &found)?;
-    // Where everything is generic or small, the optimised code is all in the firmware.
+    // If everything is generic or small, all optimised code is in the firmware.
     let may_be_empty = variation == "optimised" && artifact.package != "agent-core";
     if found.instructions == 0 && !(may_be_empty && artifact.selection == ["--lib"]) {
         return Err(Failure::new(
-            format!("{name}: no instruction to look at"),
-            "see that the crate has code that is not generic, and how it is compiled",
+            format!("{name}: there are no instructions"),
+            "check that the crate has non-generic code and how it is compiled",
         ));
     }
     println!("    {} instructions", found.instructions);
     Ok(found.instructions)
 }
 
-/// A linker for Arm: GNU's, or the one that comes with Rust.
+/// A linker for Arm: GNU's, or the one included with Rust.
 struct Linker {
     program: PathBuf,
     flavor: &'static [&'static str],
@@ -193,19 +195,22 @@ impl Linker {
             packages::install(&[BINUTILS])?;
             return Ok(gnu);
         }
-        Err(Failure::new("nothing here links for Arm", format!("install {BINUTILS}")))
+        Err(Failure::new("no linker for Arm found", format!("install {BINUTILS}")))
     }
 
-    /// Links a file of any content with nothing but the board's memory map, whose assertions are
-    /// checked with that, and compares all symbols of the map with those of the board's program: so
-    /// it was linked with its own map and no other.
+    /// Links an arbitrary file with only the board's memory map, which checks the map's assertions,
+    /// and compares all symbols of the map with those of the board's program, to verify that it was
+    /// linked with its own map.
     fn check_map(&self, board: &Board, program: &Path) -> Result<(), Failure> {
         let map = board.memory_map();
         let script = cross_folder().join("memory-map.ld");
         let text =
             format!("INCLUDE \"{}\"\nSECTIONS {{ .data : {{ *(.data) }} > RAM }}\n", map.display());
         fs::write(&script, text).map_err(|error| {
-            Failure::new(format!("{}: {error}", script.display()), "free the disk")
+            Failure::new(
+                format!("{}: {error}", script.display()),
+                "check that the disk has free space",
+            )
         })?;
         let linked = cross_folder().join("memory-map.elf");
         run(
@@ -217,13 +222,13 @@ impl Linker {
                 .arg(&script)
                 .arg("-o")
                 .arg(&linked),
-            "the message names the assertion in memory.x that does not hold",
+            "the message names the failed assertion in memory.x",
         )?;
         let (wanted, found) = (weights_symbols(&linked)?, weights_symbols(program)?);
         if wanted.is_empty() || wanted != found {
             return Err(Failure::new(
                 format!(
-                    "{} is not linked with {}: it has {found:x?}, the map {wanted:x?}",
+                    "{} is not linked with {}: found {found:x?}, expected {wanted:x?}",
                     program.display(),
                     map.display()
                 ),
@@ -235,7 +240,7 @@ impl Linker {
     }
 }
 
-/// The symbols that a memory map defines, in alphabetical order.
+/// Returns the symbols that a memory map defines, in alphabetical order.
 fn weights_symbols(program: &Path) -> Result<Vec<(String, u64)>, Failure> {
     let failed =
         |reason: String| Failure::new(format!("{}: {reason}", program.display()), "build it again");

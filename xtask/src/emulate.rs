@@ -1,5 +1,5 @@
-//! The examination of `tests/on-target` on emulated processors: the same bits as on the host,
-//! within the budgets of instructions, and without a way to panic.
+//! Runs the program `tests/on-target` on emulated processors: it must compute the same bits as the
+//! host, stay within the instruction budgets, and be unable to panic.
 
 use std::{
     fmt::Write as _,
@@ -19,26 +19,26 @@ use crate::{
     step::{Failure, cargo, on_path, run},
 };
 
-/// Most instructions of a Cortex-M4F for the network of the paper's size and its outer weights.
+/// Instruction budget of a Cortex-M4F for the network of the paper's size and its outer weights.
 const FORWARD_M4F: u32 = 2_600;
-/// Most instructions of a Cortex-M4F for a step that broadcasts nothing.
+/// Instruction budget of a Cortex-M4F for a step without a broadcast.
 const STEP_M4F: u32 = 4_000;
-/// Most instructions of a Cortex-M4F for a whole turn of a node.
+/// Instruction budget of a Cortex-M4F for a complete turn of a node.
 const TURN_M4F: u32 = 12_000;
-/// A step of a Cortex-M0, which computes floats in software.
+/// Instruction budget of a Cortex-M0, which computes floats in software, for a step.
 const STEP_M0: u32 = 190_000;
 
-/// An emulated board and what runs on it.
+/// An emulated board and its build settings.
 struct Machine {
     emulator: &'static str,
     name: &'static str,
     core: &'static str,
     triple: &'static str,
-    /// Compiled for size, with another inlining and another order of instructions.
+    /// Compiled for size, with different inlining and instruction order.
     small: bool,
-    /// Whether the program's machine code is read.
+    /// Whether the program's machine code is inspected.
     inspected: bool,
-    /// Most instructions of a figure, as the program calls it.
+    /// Budgets of figures, by the program's name for them.
     budgets: &'static [(&'static str, u32)],
 }
 
@@ -85,14 +85,14 @@ const fn arm(name: &'static str, triple: &'static str) -> Machine {
 /// Debian's packages with the emulators.
 const PACKAGES: [&str; 2] = ["qemu-system-arm", "qemu-system-misc"];
 
-/// Longer than any machine takes, tenfold.
+/// Ten times longer than any machine takes.
 const TIMEOUT: Duration = Duration::from_secs(120);
 
-/// Runs the examination on every machine.
+/// Runs the program on every machine.
 ///
 /// # Errors
-/// A digest that is not the golden one, a budget that is exceeded, a machine that hangs, a way to
-/// panic, or anything that is missing for the examination.
+/// A digest differs from the golden one, a budget is exceeded, a machine hangs, the program can
+/// panic, or something required is missing.
 pub(crate) fn emulate(debian: bool) -> Result<(), Failure> {
     let compiler = Compiler::find(&cross::triples(), debian)?;
     let disassembler = Disassembler::find(debian)?;
@@ -113,10 +113,10 @@ pub(crate) fn emulate(debian: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Sees that there are emulators, or installs them where that is allowed.
+/// Checks that the emulators are installed, or installs them where that is allowed.
 ///
 /// # Errors
-/// There are none.
+/// The emulators are missing.
 pub(crate) fn find_emulators(debian: bool) -> Result<(), Failure> {
     if MACHINES.iter().all(|machine| on_path(machine.emulator)) {
         return Ok(());
@@ -126,7 +126,7 @@ pub(crate) fn find_emulators(debian: bool) -> Result<(), Failure> {
     }
     let programs = ["qemu-system-arm", "qemu-system-riscv32"].join(" or ");
     Err(Failure::new(
-        format!("there is no {programs}"),
+        format!("{programs} not found"),
         format!("install {} (or, on Debian: cargo xtask ... --debian)", PACKAGES.join(" ")),
     ))
 }
@@ -141,19 +141,19 @@ fn build(compiler: &Compiler, machine: &Machine) -> Result<PathBuf, Failure> {
     run(
         &format!("examination for {}", machine.core),
         compiler.apply(&mut build),
-        "the examination must build and link for every machine; the error above says why not",
+        "see the error above; the program must build and link for every machine",
     )?;
     Ok(cross_folder().join(machine.triple).join("release/on-target"))
 }
 
-/// Looks for what must not be in a node's program: ways to panic, and what would change the bits.
+/// Checks a node's program for panics and for code that would change the bits.
 fn inspect(disassembler: &Disassembler, machine: &Machine, program: &Path) -> Result<(), Failure> {
     let found = disassembler.read(program)?;
     let name = format!("machine code of the examination, {}", machine.core);
     if !found.panics.is_empty() {
         return Err(Failure::new(
-            format!("{name}: it can panic, it has {}", found.panics.join(", ")),
-            "see who calls these functions (objdump -d, addr2line -i) and let it return an \
+            format!("{name}: the program can panic: it contains {}", found.panics.join(", ")),
+            "find their callers (objdump -d, addr2line -i) and make them return an \
              Option or a Result instead",
         ));
     }
@@ -163,17 +163,17 @@ fn inspect(disassembler: &Disassembler, machine: &Machine, program: &Path) -> Re
             "write a * b + c instead of mul_add, a comparison instead of min and max",
         ));
     }
-    println!("{name}: {} instructions, none of which panics or fuses", found.instructions);
+    println!("{name}: {} instructions, none of them panicking or fused", found.instructions);
     Ok(())
 }
 
-/// Runs `program` and judges what it says; returns its part of the table.
+/// Runs `program` and evaluates its output; returns its part of the table.
 fn examine(machine: &Machine, program: &Path) -> Result<String, Failure> {
     let name = format!("{} ({})", machine.name, machine.core);
     let mut command = Command::new(machine.emulator);
     command
         .args(["-M", machine.name, "-nographic", "-monitor", "none", "-serial", "none"])
-        // The boards' clocks follow the instructions.
+        // The boards' clocks count instructions.
         .args(["-icount", "shift=6", "-semihosting-config", "enable=on,target=native"])
         .arg("-kernel")
         .arg(program)
@@ -184,13 +184,13 @@ fn examine(machine: &Machine, program: &Path) -> Result<String, Failure> {
     }
     println!("==> examination on {name}");
     let start = Instant::now();
-    let failed = |reason: String| Failure::new(format!("{name}: {reason}"), MEND);
+    let failed = |reason: String| Failure::new(format!("{name}: {reason}"), HINT);
     let child = command.spawn().map_err(|error| failed(error.to_string()))?;
     let (code, output) = wait(child, TIMEOUT).map_err(failed)?;
     print!("{output}");
     let report = Report::read(&output);
     if let Some(section) = report.wrong {
-        return Err(failed(format!("section {section} has another digest than on the host")));
+        return Err(failed(format!("the digest of section {section} differs from the host's")));
     }
     if code != Some(0) || report.sections == 0 {
         return Err(failed(format!("the examination ended with exit code {code:?}: {output}")));
@@ -201,22 +201,22 @@ fn examine(machine: &Machine, program: &Path) -> Result<String, Failure> {
             Some(found) => {
                 return Err(Failure::new(
                     format!(
-                        "{name}: {figure} takes up to {} instructions, more than {budget}",
+                        "{name}: {figure} takes up to {} instructions, exceeding {budget}",
                         found.largest
                     ),
-                    "see what has become slower in agent-core's machine code",
+                    "look for what became slower in agent-core's machine code",
                 ));
             }
-            None => return Err(failed(format!("it did not count instructions of {figure}"))),
+            None => return Err(failed(format!("no instruction count for {figure}"))),
         }
     }
     println!("<== examination on {name}: ok, {:.1} s", start.elapsed().as_secs_f64());
     Ok(report.to_string())
 }
 
-const MEND: &str = "`cargo test -p on-target` compares the host with the same digests";
+const HINT: &str = "run `cargo test -p on-target`, which compares the host with the same digests";
 
-/// Waits for the end of `child`, and no longer than `timeout`; returns exit code and output.
+/// Waits for `child` to exit, at most for `timeout`; returns exit code and output.
 fn wait(mut child: Child, timeout: Duration) -> Result<(Option<i32>, String), String> {
     let mut stdout = child.stdout.take().ok_or("its output cannot be read")?;
     let reader = thread::spawn(move || {
@@ -229,12 +229,12 @@ fn wait(mut child: Child, timeout: Duration) -> Result<(Option<i32>, String), St
             Ok(Some(status)) => break status,
             Ok(None) if start.elapsed() < timeout => thread::sleep(Duration::from_millis(20)),
             outcome => {
-                // One that ended in the meantime needs no end.
+                // If it has exited in the meantime, killing it fails harmlessly.
                 let _ = child.kill();
                 let _ = child.wait();
                 return Err(match outcome {
                     Err(error) => error.to_string(),
-                    _ => format!("it hangs: no end after {timeout:?}"),
+                    _ => format!("timed out after {timeout:?}"),
                 });
             }
         }
@@ -243,11 +243,11 @@ fn wait(mut child: Child, timeout: Duration) -> Result<(Option<i32>, String), St
     Ok((status.code(), output.map_err(|error| error.to_string())?))
 }
 
-/// What an examination printed.
+/// The output of the program.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Report {
     sections: usize,
-    /// The first section with another digest.
+    /// The first section whose digest differs.
     wrong: Option<String>,
     figures: Vec<Figure>,
 }
@@ -295,10 +295,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_hangs_is_ended() {
+    fn a_hanging_process_is_killed() {
         let start = |command: &mut Command| command.stdout(Stdio::piped()).spawn().unwrap();
         let hang = wait(start(Command::new("sleep").arg("60")), Duration::from_millis(50));
-        assert_eq!(hang, Err("it hangs: no end after 50ms".to_owned()));
+        assert_eq!(hang, Err("timed out after 50ms".to_owned()));
         let end = wait(start(Command::new("echo").arg("done")), Duration::from_secs(60));
         assert_eq!(end, Ok((Some(0), "done\n".to_owned())));
     }

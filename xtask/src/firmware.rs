@@ -1,4 +1,4 @@
-//! The firmware of the boards.
+//! Builds the firmware of the boards.
 
 use std::{
     fs,
@@ -14,25 +14,25 @@ use crate::{
     step::{Failure, cargo_in, run},
 };
 
-/// What `cargo xtask firmware` is asked for.
+/// Arguments of `cargo xtask firmware`.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Options {
-    /// Their names; `all` for every board.
+    /// Names of boards; `all` for every board.
     boards: Vec<String>,
     variant: Variant,
 }
 
-/// Which firmware of a board.
+/// Variant of a board's firmware.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Variant {
-    /// 64 hexadecimal digits; packages then have to be signed.
+    /// 64 hexadecimal digits; packages must then be signed.
     pub(crate) public_key: Option<String>,
-    /// The simulator plays plant, clock and link over the service port.
+    /// The simulator provides plant, clock and link over the service port.
     pub(crate) in_the_loop: bool,
 }
 
 impl Options {
-    /// Reads the arguments after the task; `None` if they are none.
+    /// Reads the arguments after the task; `None` if they are invalid.
     pub(crate) fn read(arguments: &[&str]) -> Option<Self> {
         let mut options = Self { boards: Vec::new(), variant: Variant::default() };
         let mut arguments = arguments.iter();
@@ -50,10 +50,10 @@ impl Options {
     }
 }
 
-/// Builds the firmware of the boards that were asked for, and prints where it is.
+/// Builds the firmware of the requested boards, and prints its paths.
 ///
 /// # Errors
-/// There is no such board or no compiler, or the build fails.
+/// There is no such board or compiler, or the build fails.
 pub(crate) fn firmware(options: &Options, debian: bool) -> Result<(), Failure> {
     let mut boards = Vec::new();
     for name in &options.boards {
@@ -72,7 +72,7 @@ pub(crate) fn firmware(options: &Options, debian: bool) -> Result<(), Failure> {
 /// Builds the firmware of the emulated board.
 ///
 /// # Errors
-/// As [`firmware`].
+/// As for [`firmware`].
 pub(crate) fn emulated(debian: bool) -> Result<(Board, PathBuf), Failure> {
     let board = boards::find(boards::EMULATED)?;
     let compiler = Compiler::find(&[&board.target], debian)?;
@@ -80,10 +80,10 @@ pub(crate) fn emulated(debian: bool) -> Result<(Board, PathBuf), Failure> {
     Ok((board, program))
 }
 
-/// Builds one firmware of one board and returns the program.
+/// Builds one variant of a board's firmware and returns the program's path.
 ///
 /// # Errors
-/// The build fails, or makes a program of nothing.
+/// The build fails, or the program is empty.
 pub(crate) fn build(
     compiler: &Compiler,
     board: &Board,
@@ -108,20 +108,20 @@ pub(crate) fn build(
         command.env("NODE_PUBLIC_KEY", key);
     }
     let built = build_with(compiler, board, &mut command, &format!("firmware for {name}"))?;
-    // Another variant would replace it.
+    // Copied, because another variant would overwrite it.
     let program = cross_folder().join("firmware").join(format!("{name}.elf"));
     let failed = |error| {
-        Failure::new(format!("{}: {error}", program.display()), "make sure that it can be written")
+        Failure::new(format!("{}: {error}", program.display()), "check that the file is writable")
     };
     fs::create_dir_all(cross_folder().join("firmware")).map_err(failed)?;
     fs::copy(&built, &program).map_err(failed)?;
     Ok(program)
 }
 
-/// Runs a build of a board's crate and returns the program, which is not empty.
+/// Runs a build of a board's crate and returns the path of the program, which is not empty.
 ///
 /// # Errors
-/// As [`build`].
+/// As for [`build`].
 pub(crate) fn build_with(
     compiler: &Compiler,
     board: &Board,
@@ -131,21 +131,21 @@ pub(crate) fn build_with(
     run(
         name,
         compiler.apply(command),
-        "the error above names the line; an undefined symbol the_firmware_has_a_path_that_panics \
-         means what it says",
+        "see the error above; an undefined symbol the_firmware_has_a_path_that_panics means \
+         that some code can panic",
     )?;
     let program = cross_folder().join(&board.target).join("release").join(&board.package);
     check_content(&program)?;
     Ok(program)
 }
 
-/// A program that was linked without its script has no sections in memory.
+/// Checks that the program is not empty: linked without its script it has no sections in memory.
 fn check_content(program: &Path) -> Result<(), Failure> {
     let failed = |problem: String| {
         Failure::new(
             format!("{}: {problem}", program.display()),
-            "let the board's Cargo.toml say `build = \"../build.rs\"`, which hands the linker its \
-             script, and its main.rs `#[entry]`",
+            "check that the board's Cargo.toml has `build = \"../build.rs\"`, which passes the linker \
+             its script, and that its main.rs has `#[entry]`",
         )
     };
     let bytes = fs::read(program).map_err(|error| failed(error.to_string()))?;
@@ -155,7 +155,7 @@ fn check_content(program: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Whether a program has no vector table or no code.
+/// Whether a program lacks a vector table or code.
 fn is_empty(bytes: &[u8]) -> Result<bool, String> {
     let file = object::File::parse(bytes).map_err(|error| error.to_string())?;
     let size = |name: &str| file.section_by_name(name).map_or(0, |section| section.size());
@@ -179,7 +179,7 @@ mod tests {
 
     #[test]
     fn a_program_without_code_is_empty() {
-        // An ELF header of 32 bits for Arm, and no sections.
+        // A 32-bit ELF header for Arm, without sections.
         let mut header = [0; 52];
         header[..7].copy_from_slice(&[0x7f, b'E', b'L', b'F', 1, 1, 1]);
         (header[16], header[18], header[20], header[40]) = (2, 40, 1, 52);

@@ -1,10 +1,11 @@
 //! Coverage-guided fuzzing on the stable toolchain.
 //!
-//! The targets are laid out for cargo-fuzz, but that needs a nightly compiler. All that the fuzzer
-//! itself needs is LLVM's coverage counters, which are stable code generation options, and
-//! libFuzzer, whose sources come with the crate libfuzzer-sys and want a C++ compiler. What is
-//! missing is the address sanitizer: in code without `unsafe` it has nothing to find, but it would
-//! also tell what `memcmp` compares. So a target cannot learn a long byte string that is compared
+//! The targets have cargo-fuzz's layout, but cargo-fuzz requires a nightly compiler. The fuzzer
+//! itself only needs LLVM's coverage counters, which are stable code generation options, and
+//! libFuzzer, whose sources are in the crate libfuzzer-sys and need a C++ compiler. The address
+//! sanitizer is not available: it would find nothing in code without `unsafe`, but it would also
+//! report the operands of `memcmp`. A target therefore cannot learn a long byte string that is
+//! compared as a slice; numbers and small arrays it can.
 //! as a slice; numbers and small arrays it can.
 
 use std::{
@@ -19,7 +20,7 @@ use crate::{
     step::{Failure, cargo, on_path, run, run_filtering, target_folder, workspace},
 };
 
-/// What tells libFuzzer where the program has been, and what it has compared with what.
+/// Flags that make the program report its coverage and its comparisons to libFuzzer.
 const COVERAGE: [&str; 6] = [
     "--cfg=fuzzing",
     "-Cpasses=sancov-module",
@@ -29,23 +30,23 @@ const COVERAGE: [&str; 6] = [
     "-Cllvm-args=-sanitizer-coverage-trace-compares",
 ];
 
-/// How long each target runs if nothing else is said. \[s\]
+/// Default running time of each target. \[s\]
 const SECONDS: u32 = 10;
 /// An input that takes longer is a finding. \[s\]
 const TIMEOUT: u32 = 60;
 /// An input that takes more memory is a finding. \[MB\]
 const MEMORY: u32 = 2048;
 
-/// What the command line asks for.
+/// Command-line arguments.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Options {
     seconds: u32,
-    /// All that there are, if none is named.
+    /// All targets, if none is named.
     targets: Vec<String>,
 }
 
 impl Options {
-    /// Reads `[--seconds N] [TARGET...]`; `None` if that is not what there is.
+    /// Reads `[--seconds N] [TARGET...]`; `None` if the arguments are invalid.
     pub(crate) fn read(arguments: &[&str]) -> Option<Self> {
         let mut options = Self { seconds: SECONDS, targets: vec![] };
         let mut arguments = arguments.iter();
@@ -68,13 +69,16 @@ impl Options {
 /// A finding, a target that does not exist, or no C++ compiler.
 pub(crate) fn fuzz(options: &Options, debian: bool) -> Result<(), Failure> {
     let failed = |error: io::Error| {
-        Failure::new(format!("fuzzing: {error}"), "see that fuzz/ is complete and target/ writable")
+        Failure::new(
+            format!("fuzzing: {error}"),
+            "check that fuzz/ is complete and target/ is writable",
+        )
     };
     let known = targets().map_err(failed)?;
     if let Some(unknown) = options.targets.iter().find(|target| !known.contains(target)) {
         return Err(Failure::new(
-            format!("there is no fuzz target {unknown}"),
-            format!("one of: {}", known.join(", ")),
+            format!("unknown fuzz target {unknown}"),
+            format!("choose one of: {}", known.join(", ")),
         ));
     }
     let chosen = if options.targets.is_empty() { &known } else { &options.targets };
@@ -82,7 +86,7 @@ pub(crate) fn fuzz(options: &Options, debian: bool) -> Result<(), Failure> {
     run(
         "fuzz targets",
         apply(&mut fuzz_cargo("build"), &host).arg("--bins"),
-        "the error above names the line",
+        "see the error above",
     )?;
     let programs = folder().join(&host).join("release");
     for target in chosen {
@@ -91,26 +95,26 @@ pub(crate) fn fuzz(options: &Options, debian: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Checks formatting and clippy's lints of the fuzz targets, in the same settings as [`fuzz`]
-/// builds them in, so that both share what they compile.
+/// Checks formatting and clippy's lints of the fuzz targets with the build settings of [`fuzz`], so
+/// that both share their artifacts.
 ///
 /// # Errors
-/// The first that is not clean, or no C++ compiler.
+/// A check fails, or there is no C++ compiler.
 pub(crate) fn lint(debian: bool) -> Result<(), Failure> {
     run(
         "formatting of the fuzz targets",
         fuzz_cargo("fmt").args(["--", "--check"]),
-        "cargo fmt --manifest-path fuzz/Cargo.toml",
+        "run `cargo fmt --manifest-path fuzz/Cargo.toml`",
     )?;
     let host = prepare(debian)?;
     run(
         "clippy on the fuzz targets",
         apply(&mut fuzz_cargo("clippy"), &host).args(["--all-targets", "--", "-D", "warnings"]),
-        "follow what clippy proposes, or allow the lint where it is wrong and say why",
+        "follow clippy's suggestion, or allow the lint with a reason",
     )
 }
 
-/// The names of all targets, in alphabetical order.
+/// Returns the names of all targets, in alphabetical order.
 fn targets() -> io::Result<Vec<String>> {
     let mut names = vec![];
     for entry in fs::read_dir(workspace().join("fuzz/fuzz_targets"))? {
@@ -125,7 +129,7 @@ fn targets() -> io::Result<Vec<String>> {
     Ok(names)
 }
 
-/// Sees to a C++ compiler; returns the triple of this machine.
+/// Makes sure that there is a C++ compiler; returns the triple of this machine.
 fn prepare(debian: bool) -> Result<String, Failure> {
     if env::var_os("CXX").is_none() && !on_path("c++") {
         if !packages::allowed(debian) {
@@ -136,7 +140,9 @@ fn prepare(debian: bool) -> Result<String, Failure> {
         }
         packages::install(&["g++"])?;
     }
-    host().ok_or_else(|| Failure::new("rustc does not tell its host", "see what `rustc -vV` says"))
+    host().ok_or_else(|| {
+        Failure::new("rustc does not report its host", "check the output of `rustc -vV`")
+    })
 }
 
 fn fuzz_cargo(task: &str) -> Command {
@@ -145,8 +151,8 @@ fn fuzz_cargo(task: &str) -> Command {
     command
 }
 
-/// Makes `command` compile with coverage. The target is named so that the flags are not for
-/// build scripts and procedural macros, too.
+/// Makes `command` compile with coverage. The target is named so that the flags do not apply to
+/// build scripts and procedural macros.
 fn apply<'command>(command: &'command mut Command, host: &str) -> &'command mut Command {
     command
         .env_remove("CARGO_ENCODED_RUSTFLAGS")
@@ -155,18 +161,18 @@ fn apply<'command>(command: &'command mut Command, host: &str) -> &'command mut 
         .args(["--quiet", "--release", "--target", host])
 }
 
-/// Where programs, findings and what is added to the corpora go.
+/// Returns the folder for programs, findings and additions to the corpora.
 fn folder() -> PathBuf {
     target_folder().join("fuzz")
 }
 
-/// Runs one target, from the committed corpus and what earlier runs have added to it.
+/// Runs one target, starting from the committed corpus and the additions of earlier runs.
 fn run_target(target: &str, program: &Path, seconds: u32) -> Result<(), Failure> {
     let added = folder().join("corpus").join(target);
     let findings = folder().join("findings").join(target);
     for folder in [&added, &findings] {
         fs::create_dir_all(folder).map_err(|error| {
-            Failure::new(format!("{}: {error}", folder.display()), "see that it can be written")
+            Failure::new(format!("{}: {error}", folder.display()), "check that it is writable")
         })?;
     }
     let mut command = Command::new(program);
@@ -175,12 +181,12 @@ fn run_target(target: &str, program: &Path, seconds: u32) -> Result<(), Failure>
         .arg(format!("-max_total_time={seconds}"))
         .arg(format!("-timeout={TIMEOUT}"))
         .arg(format!("-rss_limit_mb={MEMORY}"))
-        // libFuzzer puts a name right behind this.
+        // libFuzzer appends a file name directly.
         .arg(format!("-artifact_prefix={}/", findings.display()))
         .arg(&added)
         .arg(Path::new("fuzz/corpus").join(target));
     let mut finding = None;
-    run_filtering(&format!("fuzz target {target}"), &mut command, "see what it says", |line| {
+    run_filtering(&format!("fuzz target {target}"), &mut command, "see the output above", |line| {
         if let Some(path) = written_to(line) {
             finding = Some(path.to_owned());
         }
@@ -188,10 +194,10 @@ fn run_target(target: &str, program: &Path, seconds: u32) -> Result<(), Failure>
     })
     .map_err(|failure| match finding {
         Some(path) => Failure::new(
-            format!("fuzz target {target}: a finding, {path}"),
+            format!("fuzz target {target} failed: see {path}"),
             format!(
-                "repeat it with `{} {path}`; once it is mended, copy the input to \
-                 fuzz/corpus/{target}/ so that it stays so",
+                "reproduce it with `{} {path}`; after fixing it, copy the input to \
+                 fuzz/corpus/{target}/ as a regression test",
                 program.display()
             ),
         ),
@@ -199,13 +205,13 @@ fn run_target(target: &str, program: &Path, seconds: u32) -> Result<(), Failure>
     })
 }
 
-/// Where libFuzzer says that it has put the input that it stopped at.
+/// Returns where libFuzzer has written the input that it stopped at.
 fn written_to(line: &str) -> Option<&str> {
     line.split_once("Test unit written to ").map(|(_, path)| path.trim())
 }
 
-/// Whether a line is more than one of the thousands that tell of a new or a smaller input, or of
-/// the dictionary at the end.
+/// Whether to show a line: all but the thousands about new or smaller inputs, and the dictionary at
+/// the end.
 fn is_of_interest(line: &str) -> bool {
     let mut words = line.split_whitespace();
     let first = words.next().unwrap_or_default();

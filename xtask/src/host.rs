@@ -1,4 +1,4 @@
-//! What runs on the host: the tests of the whole workspace, and the lints.
+//! Tasks on the host: the tests of the whole workspace, and the lints.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use crate::{
     step::{Failure, cargo, cargo_in, run, run_reading},
 };
 
-/// How many tests ended in which way.
+/// Numbers of tests by result.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct TestCount {
     passed: usize,
@@ -16,7 +16,7 @@ pub(crate) struct TestCount {
 }
 
 impl TestCount {
-    /// Adds what a closing line of one test program says; other lines say nothing.
+    /// Adds the numbers from the closing line of a test program; other lines are ignored.
     fn add(&mut self, line: &str) {
         let Some((_, counts)) =
             line.strip_prefix("test result: ").and_then(|rest| rest.split_once(". "))
@@ -51,19 +51,19 @@ impl fmt::Display for TestCount {
 /// Runs the unit tests, integration tests, examples and doctests of every crate.
 ///
 /// # Errors
-/// A test failed, or none ran.
+/// A test failed, or no test ran.
 pub(crate) fn test() -> Result<TestCount, Failure> {
     let mut count = TestCount::default();
     run_reading(
         "tests on the host",
         cargo("test").args(["--workspace", "--no-fail-fast"]),
-        "read the failures above; `cargo test -p <crate> <name>` repeats one",
+        "see the failures above; `cargo test -p <crate> <name>` repeats a single test",
         |line| count.add(line),
     )?;
     if count.passed == 0 {
         return Err(Failure::new(
             "tests on the host: no test ran",
-            "see what `cargo test --workspace` does",
+            "check the output of `cargo test --workspace`",
         ));
     }
     Ok(count)
@@ -72,25 +72,25 @@ pub(crate) fn test() -> Result<TestCount, Failure> {
 /// Checks formatting, clippy's lints and the documentation.
 ///
 /// # Errors
-/// The first that is not clean.
+/// A check fails.
 pub(crate) fn lint() -> Result<(), Failure> {
-    run("formatting", cargo("fmt").args(["--all", "--", "--check"]), "cargo fmt --all")?;
+    run("formatting", cargo("fmt").args(["--all", "--", "--check"]), "run `cargo fmt --all`")?;
     for board in boards::all()? {
         run(
             &format!("formatting of {}", board.name),
             cargo_in(&board.folder, "fmt").args(["--", "--check"]),
-            "call cargo fmt in the board's folder",
+            "run `cargo fmt` in the board's folder",
         )?;
     }
     run(
         "clippy",
         cargo("clippy").args(["--workspace", "--all-targets", "--", "-D", "warnings"]),
-        "follow what clippy proposes, or allow the lint where it is wrong and say why",
+        "follow clippy's suggestion, or allow the lint with a reason",
     )?;
     run(
         "documentation",
         cargo("doc").args(["--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"),
-        "hint the links and code blocks named above",
+        "fix the links and code blocks named above",
     )
 }
 

@@ -1,4 +1,4 @@
-//! The program and what it needs outside of this project, below a prefix.
+//! Installs the program and its files outside of this project, below a prefix.
 //!
 //! ```text
 //! PREFIX/bin/host-sim
@@ -16,14 +16,14 @@ use crate::{
     step::{Failure, cargo, run, target_folder, workspace},
 };
 
-/// What `cargo xtask install` is asked for.
+/// Arguments of `cargo xtask install`.
 #[derive(Debug)]
 pub(crate) struct Options {
     prefix: Option<PathBuf>,
 }
 
 impl Options {
-    /// Reads the arguments after the task; `None` if they are wrong.
+    /// Reads the arguments after the task; `None` if they are invalid.
     pub(crate) fn read(arguments: &[&str]) -> Option<Self> {
         match *arguments {
             [] => Some(Self { prefix: None }),
@@ -38,7 +38,7 @@ impl Options {
 /// Builds and installs.
 ///
 /// # Errors
-/// Something does not build, holds a path of this machine, or cannot be written.
+/// A build fails, the program contains a path of this machine, or a file cannot be written.
 pub(crate) fn install(options: &Options, debian: bool) -> Result<(), Failure> {
     let prefix = match &options.prefix {
         Some(prefix) => prefix.clone(),
@@ -48,7 +48,7 @@ pub(crate) fn install(options: &Options, debian: bool) -> Result<(), Failure> {
     };
     let mut build = cargo("build");
     build.args(["--quiet", "--release", "--package", "host-sim", "--bin", "host-sim"]);
-    run("the program", &mut build, "the error above names the line")?;
+    run("the program", &mut build, "see the error above")?;
     let program = target_folder().join("release").join(program_name());
     check_paths(&program)?;
     let (board, firmware) = firmware::emulated(debian)?;
@@ -63,26 +63,27 @@ fn program_name() -> String {
     format!("host-sim{}", env::consts::EXE_SUFFIX)
 }
 
-/// A program that holds the path of this folder would look there for what belongs to others one day.
+/// Checks that the program does not contain the path of this folder, where it would look for other
+/// files later.
 fn check_paths(program: &Path) -> Result<(), Failure> {
     let bytes = fs::read(program).map_err(|error| failed(program, &error))?;
     let path = workspace().as_os_str().as_encoded_bytes();
     if bytes.windows(path.len()).any(|bytes| bytes == path) {
         let what = format!("{} holds the path {}", program.display(), workspace().display());
-        let hint = "remove env!(\"CARGO_MANIFEST_DIR\") and the like from its sources";
+        let hint = "remove env!(\"CARGO_MANIFEST_DIR\") and similar macros from its sources";
         return Err(Failure::new(what, hint));
     }
     Ok(())
 }
 
-/// Copies a file so that its place has the old one or the new one: a program may be running.
+/// Copies a file atomically, because the old program may be running.
 fn put(from: &Path, to: &Path) -> Result<(), Failure> {
     let folder = to.parent().unwrap_or(to);
     fs::create_dir_all(folder).map_err(|error| failed(folder, &error))?;
     let temporary = to.with_extension(format!("{}.partial", std::process::id()));
     let copied = fs::copy(from, &temporary).and_then(|_| fs::rename(&temporary, to));
     if let Err(error) = copied {
-        // Best effort: the error that is reported is the first one.
+        // Best effort: the first error is the one reported.
         let _ = fs::remove_file(&temporary);
         return Err(failed(to, &error));
     }
@@ -91,8 +92,5 @@ fn put(from: &Path, to: &Path) -> Result<(), Failure> {
 }
 
 fn failed(path: &Path, error: &io::Error) -> Failure {
-    Failure::new(
-        format!("{}: {error}", path.display()),
-        "make sure that it can be read and written",
-    )
+    Failure::new(format!("{}: {error}", path.display()), "check that it is readable and writable")
 }

@@ -1,13 +1,13 @@
-//! Reads machine code, to prove what is *not* in it.
+//! Inspects machine code for what must *not* be in it.
 //!
-//! Bits are equal on every target only if every operation rounds as IEEE 754 says and no
-//! other implementation of a function slips in. Two things would break that:
+//! Targets compute equal bits only if every operation rounds as IEEE 754 specifies and no other
+//! implementation of a function is used. Two things would break that:
 //!
-//! - a fused multiply-add, which rounds once where two operations round twice. On Arm these
-//!   are `vfma`, `vfms`, `vfnma`, `vfnms`. `vmla`, `vmls` and their negations are not fused:
-//!   they round the product, then the sum (Armv7-M Architecture Reference Manual, A7.7).
-//! - a function of the platform's mathematics library, which every platform rounds as it
-//!   likes. `fmin` and `fmax` belong there: which zero they return is not specified.
+//! - a fused multiply-add, which rounds once instead of twice. On Arm these are `vfma`, `vfms`,
+//!   `vfnma`, `vfnms`. `vmla`, `vmls` and their negations are not fused: they round the product,
+//!   then the sum (Armv7-M Architecture Reference Manual, A7.7).
+//! - a function of the platform's math library, which rounds differently on every platform. This
+//!   includes `fmin` and `fmax`, because it is unspecified which zero they return.
 
 use std::{
     path::{Path, PathBuf},
@@ -19,30 +19,31 @@ use crate::{
     step::{Failure, on_path},
 };
 
-/// The package with a disassembler and a linker for Arm.
+/// The Debian package with a disassembler and a linker for Arm.
 pub(crate) const BINUTILS: &str = "binutils-arm-none-eabi";
 
-/// Part of the name of all that panics in Rust's library, in either mangling.
+/// Part of the name of every panicking function in Rust's library, in both mangling schemes.
 const PANICKING: &str = "4core9panicking";
 
 const FUSED: [&str; 4] = ["vfma", "vfms", "vfnma", "vfnms"];
 
-/// Functions of the C library's `math.h`, without the suffix of their `float` variants.
-/// `sqrt`, which IEEE 754 prescribes to the last bit, is not among them.
+/// Functions of the C library's `math.h`, without the suffix of their `float` variants. `sqrt` is
+/// not among them, because IEEE 754 specifies it to the last bit.
 const PLATFORM_MATHEMATICS: &str = "acos acosh asin asinh atan atan2 atanh cbrt ceil copysign \
     cos cosh erf erfc exp exp10 exp2 expm1 fabs fdim floor fma fmax fmin fmod frexp hypot ilogb \
     j0 j1 jn ldexp lgamma llrint llround log log10 log1p log2 logb lrint lround modf nearbyint \
     nextafter pow remainder remquo rint round roundeven scalbn sin sincos sinh tan tanh tgamma \
     trunc y0 y1 yn";
 
-/// What was read.
+/// The result of an inspection.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(crate) struct Findings {
-    /// Instructions, all of them.
+    /// Number of instructions.
     pub(crate) instructions: usize,
-    /// Instructions and symbols that must not be there, each with the function it is in.
+    /// Forbidden instructions and symbols, each with its function.
     pub(crate) forbidden: Vec<String>,
-    /// Symbols of the library's panics. Only in a linked program do they mean that one is reached.
+    /// Symbols of the library's panics. Only in a linked program do they show that a panic is
+    /// reachable.
     pub(crate) panics: Vec<String>,
 }
 
@@ -51,10 +52,10 @@ pub(crate) struct Findings {
 pub(crate) struct Disassembler(PathBuf);
 
 impl Disassembler {
-    /// Finds one, or installs it where that is allowed.
+    /// Finds a disassembler, or installs one where that is allowed.
     ///
     /// # Errors
-    /// There is none.
+    /// There is no disassembler.
     pub(crate) fn find(debian: bool) -> Result<Self, Failure> {
         const GNU: &str = "arm-none-eabi-objdump";
         if on_path(GNU) {
@@ -70,12 +71,12 @@ impl Disassembler {
             return Ok(Self(GNU.into()));
         }
         Err(Failure::new(
-            "nothing here disassembles Arm code",
+            "no disassembler for Arm found",
             format!("rustup component add llvm-tools   (or install {BINUTILS})"),
         ))
     }
 
-    /// Reads an object, a library or a program.
+    /// Inspects an object, a library or a program.
     ///
     /// # Errors
     /// The disassembler failed.
@@ -83,7 +84,7 @@ impl Disassembler {
         Ok(findings(&self.listing(file)?))
     }
 
-    /// What the disassembler prints of an object, a library or a program: symbols and code.
+    /// Returns the disassembler's output for an object, a library or a program: symbols and code.
     ///
     /// # Errors
     /// The disassembler failed.
@@ -112,7 +113,7 @@ fn findings(listing: &str) -> Findings {
     for line in listing.lines() {
         let symbol = line.split_whitespace().next_back();
         if let Some(symbol) = symbol.filter(|name| name.contains(PANICKING)) {
-            // Names of the symbol table; those of the code itself end otherwise.
+            // Names in the symbol table; labels in the code end differently.
             if !symbol.ends_with([':', '>']) {
                 found.panics.push(symbol.to_owned());
             }
@@ -133,12 +134,12 @@ fn findings(listing: &str) -> Findings {
     found
 }
 
-/// `00000000         *UND*  00000000 .hidden name` of the symbol table.
+/// Parses `00000000         *UND*  00000000 .hidden name` of the symbol table.
 fn undefined_symbol(line: &str) -> Option<&str> {
     line.contains("*UND*").then(|| line.split_whitespace().next_back())?
 }
 
-/// `   1c:   vmul.f32   s0, s1, s2`; data among the code (`.word`) is none.
+/// Parses `   1c:   vmul.f32   s0, s1, s2`; `None` for data among the code (`.word`).
 fn mnemonic(line: &str) -> Option<&str> {
     let (address, rest) = line.trim_start().split_once(':')?;
     let is_address = !address.is_empty() && address.bytes().all(|byte| byte.is_ascii_hexdigit());

@@ -1,7 +1,7 @@
 //! Developer tasks, the same on a laptop and in CI: `cargo xtask help`.
 //!
-//! Every step prints the command that it runs and how long that took. A step that cannot run
-//! fails and says what to do about it; none is left out silently.
+//! Every step prints its command and its duration. A step that cannot run fails with a hint; none
+//! is skipped silently.
 #![forbid(unsafe_code)]
 
 mod boards;
@@ -37,44 +37,43 @@ Usage: cargo xtask <task> [--debian]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
 
 Tasks:
-  test    every test there is: the workspace on the host, doctests included, then `cross`,
-          `emulate`, `size`, `boot`, a co-simulation with the emulated board's firmware, and `soak`
-  cross   compile the node's libraries for bare metal, look for fused multiply-add and platform
-          mathematics in the machine code, build every board in firmware-template/boards and
-          a project with it, link the memory maps
-  emulate the examination in tests/on-target on emulated processors (QEMU): the bits that the
-          host computes, instructions within their budgets, no way to panic
-  firmware  build a board's firmware; with --public-key so that it takes only packages signed
-          with the private half (`weights keygen` prints the key), with --in-the-loop so that
-          a co-simulation plays plant, clock and link over the service port
-  new     copy a board (qemu-mps2-an386 if none is named) into a project of your own in the
-          folder PATH, which builds on its own; the node's crates stay in this checkout, or
-          are copied, too, with --copy-crates
-  install put the program at PREFIX/bin/host-sim and, for `host-sim cosim` outside of this project,
-          the emulated board's firmware and memory map in PREFIX/share/host-sim; PREFIX is
-          ~/.local if none is named
-  size    what the firmware of each board, or those named, takes of flash, RAM and stack,
-          against the budgets in its Cargo.toml
-  boot    the firmware of the board stm32f405 on QEMU's netduinoplus2, as far as that machine
-          goes: greeting, telemetry, steps with the host's bits, frames, a reset
-  soak    three nodes of the emulated board's firmware beside the same code on the host, for N
-          steps (20000), with packages pushed, messages and frames damaged, sensors failing,
-          resets and losses of power, all drawn from the seed S (1): every byte must be the
-          same, and right. `--steps 1000000` is the long form
-  lint    circles among modules, formatting, clippy and documentation; warnings are errors
-  fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (10)
+  test    run all tests: the workspace on the host, including doctests, then `cross`, `emulate`,
+          `size`, `boot`, a co-simulation with the emulated board's firmware, and `soak`
+  cross   compile the node's libraries for bare metal, check the machine code for fused
+          multiply-add and calls of platform math libraries, build every board in
+          firmware-template/boards and a project with it, and link the memory maps
+  emulate run tests/on-target on emulated processors (QEMU): the results must equal the host's
+          bit for bit, stay within the instruction budgets, and be unable to panic
+  firmware  build a board's firmware; with --public-key it accepts only packages signed with
+          the matching private key (`weights keygen` prints the public key), with --in-the-loop
+          a co-simulation provides plant, clock and link over the service port
+  new     copy a board (default: qemu-mps2-an386) into a separate project in the folder PATH;
+          the node's crates stay in this checkout, or are copied too with --copy-crates
+  install install the program as PREFIX/bin/host-sim and, for `host-sim cosim` outside of this
+          project, the emulated board's firmware and memory map in PREFIX/share/host-sim;
+          PREFIX defaults to ~/.local
+  size    measure flash, RAM and stack of the firmware of each board, or of those named, and
+          compare them with the budgets in its Cargo.toml
+  boot    boot the firmware of the board stm32f405 on QEMU's netduinoplus2 and check what that
+          machine supports: greeting, telemetry, steps with the host's bits, frames, a reset
+  soak    run three nodes of the emulated board's firmware and the same code on the host, for N
+          steps (default 20000), with package uploads, damaged messages and frames, sensor
+          failures, resets and power losses drawn from the seed S (default 1): every byte must
+          be correct and equal on both. `--steps 1000000` is the long run
+  lint    check module cycles, formatting, clippy and documentation; warnings are errors
+  fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (default 10)
           from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
-          long form. What a run adds to a corpus stays in target/fuzz/corpus, for the next.
-          This takes the stable toolchain and a C++ compiler (for libFuzzer), no cargo-fuzz;
+          long run. Additions to a corpus are kept in target/fuzz/corpus for later runs.
+          Requires the stable toolchain and a C++ compiler (for libFuzzer), but not cargo-fuzz;
           with cargo-fuzz and a nightly toolchain, `cargo +nightly fuzz run TARGET` adds the
           address sanitizer.
-  help    this text
+  help    print this text
 
 Boards are the folders in firmware-template/boards; CONTRIBUTING.md says how to add one.
-Bare-metal targets come from the active Rust toolchain (`rustup target add ...`). Where it
-has none, Debian's compiler packages take its place if --debian is given, if the environment
-has CI=true, or for root on Debian: what is missing is installed with apt-get.
-With CI=true, a Cargo.lock that is out of date is an error.";
+Bare-metal targets come from the active Rust toolchain (`rustup target add ...`). If it lacks
+them, Debian's compiler packages are used if --debian is given, if the environment has
+CI=true, or for root on Debian: missing packages are installed with apt-get.
+With CI=true, an outdated Cargo.lock is an error.";
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -134,7 +133,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Everything that runs code of this workspace.
+/// Runs everything that executes code of this workspace.
 fn test(debian: bool) -> Result<(), Failure> {
     let count = host::test()?;
     cross::cross(debian)?;
@@ -147,7 +146,7 @@ fn test(debian: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What a command line gets that is none.
+/// Prints the help after an invalid command line.
 fn usage() -> ExitCode {
     eprintln!("{HELP}");
     ExitCode::from(2)

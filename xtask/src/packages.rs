@@ -1,27 +1,27 @@
-//! Debian packages, where this machine has them.
+//! Installs Debian packages, on machines that have them.
 
 use std::{path::Path, process::Command};
 
 use crate::step::{Failure, ask, in_ci, on_path, run};
 
-/// Whether packages may be installed and used without asking: the user said so, this is
-/// continuous integration, or root runs this on Debian.
+/// Whether packages may be installed without asking: with `--debian`, in continuous integration, or
+/// as root on Debian.
 pub(crate) fn allowed(debian: bool) -> bool {
     on_path("apt-get")
         && (debian || in_ci() || (Path::new("/etc/debian_version").exists() && is_root()))
 }
 
-/// The installed version of a package.
+/// Returns the installed version of a package.
 pub(crate) fn version(package: &str) -> Option<String> {
     let format = "--showformat=${db:Status-Status} ${Version}";
     let answer = ask(Command::new("dpkg-query").args(["--show", format, package]))?;
     answer.strip_prefix("installed ").map(str::to_owned)
 }
 
-/// Installs `packages`, the newest that Debian offers.
+/// Installs the newest available versions of `packages`.
 ///
 /// # Errors
-/// This is not root, or apt-get failed.
+/// Not run as root, or apt-get failed.
 pub(crate) fn install(packages: &[&str]) -> Result<(), Failure> {
     if !is_root() {
         return Err(Failure::new(
@@ -32,8 +32,8 @@ pub(crate) fn install(packages: &[&str]) -> Result<(), Failure> {
             ),
         ));
     }
-    let hint = "see what apt-get says; the packages are in Debian 12 with its security updates";
-    // An old list may offer a compiler that is too old, so it is always renewed.
+    let hint = "see the output of apt-get; the packages are in Debian 12 with its security updates";
+    // An old list may offer a compiler that is too old, so it is always updated.
     run("package list", apt_get().args(["update"]), hint)?;
     run(
         "packages",

@@ -1,8 +1,8 @@
-//! A project of one's own: a copy of a board's folder that builds wherever it lies.
+//! Creates a separate project: a copy of a board's folder that builds anywhere.
 //!
-//! Two things in the folder point out of it, and are rewritten: paths in `Cargo.toml` (the node's
-//! crates, the build script), and the shared profile, which goes into `.cargo/config.toml`. The crates
-//! stay where they are, in this checkout, or are copied into the project.
+//! Two things in the folder refer to other folders and are rewritten: paths in `Cargo.toml` (the
+//! node's crates, the build script), and the shared profile, which is copied into
+//! `.cargo/config.toml`. The crates stay in this checkout, or are copied into the project.
 //!
 //! ```text
 //! PATH/Cargo.toml, Cargo.lock, memory.x, src, README.md   the board's
@@ -24,7 +24,7 @@ use crate::{
     step::{Failure, cargo_in, target_folder, workspace},
 };
 
-/// What `cargo xtask new` is asked for.
+/// Arguments of `cargo xtask new`.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Options {
     path: PathBuf,
@@ -33,7 +33,7 @@ pub(crate) struct Options {
 }
 
 impl Options {
-    /// Reads the arguments after the task; `None` if they are wrong.
+    /// Reads the arguments after the task; `None` if they are invalid.
     pub(crate) fn read(arguments: &[&str]) -> Option<Self> {
         let (mut path, mut board, mut copy_crates) = (None, boards::EMULATED, false);
         let mut arguments = arguments.iter();
@@ -49,10 +49,10 @@ impl Options {
     }
 }
 
-/// Makes a project.
+/// Creates a project.
 ///
 /// # Errors
-/// There is no such board, or the folder holds something already or cannot be written.
+/// There is no such board, or the folder is not empty or cannot be written.
 pub(crate) fn new(options: &Options) -> Result<(), Failure> {
     let Options { path, board, copy_crates } = options;
     let board = boards::find(board)?;
@@ -61,7 +61,7 @@ pub(crate) fn new(options: &Options) -> Result<(), Failure> {
         return Err(Failure::new(what, "name a folder that does not exist yet"));
     }
     make(path, &board, *copy_crates)?;
-    println!("{}: a node on {}; its README.md says how to go on", path.display(), board.name);
+    println!("{}: a node on {}; see its README.md for the next steps", path.display(), board.name);
     if !compiler::active_toolchain_has(&board.target) {
         println!(
             "note: the active toolchain cannot compile for {target} yet: rustup target add {target}",
@@ -77,11 +77,11 @@ pub(crate) fn new(options: &Options) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Makes projects and builds them: one of the emulated board with the crates copied, and one of each
-/// other board with its crates here.
+/// Creates projects and builds them: one for the emulated board with the crates copied, and one for
+/// each other board with the crates in this checkout.
 ///
 /// # Errors
-/// As [`new`], or one does not build.
+/// As for [`new`], or a build fails.
 pub(crate) fn check(compiler: &Compiler, boards: &[Board]) -> Result<(), Failure> {
     for board in boards {
         let path = target_folder().join("projects").join(&board.name);
@@ -92,7 +92,7 @@ pub(crate) fn check(compiler: &Compiler, boards: &[Board]) -> Result<(), Failure
             _ => {}
         }
         make(&path, board, board.name == boards::EMULATED)?;
-        // What it depends on has been built for the board itself.
+        // Its dependencies have been built for the board itself.
         let mut build = cargo_in(&path, "build");
         build.args(["--quiet", "--release", "--offline"]);
         firmware::build_with(
@@ -111,7 +111,7 @@ fn make(path: &Path, board: &Board, copy_crates: bool) -> Result<(), Failure> {
     let mut manifest = boards::read(&board.folder.join("Cargo.toml"))?;
     redirect(manifest.as_table_mut(), &board.folder, &crates);
     if copy_crates {
-        // They have a workspace of their own, whose settings they inherit.
+        // They are a separate workspace, whose settings they inherit.
         manifest["workspace"]["exclude"] = value(Array::from_iter(["crates"]));
     }
     write(&path.join("Cargo.toml"), &manifest.to_string())?;
@@ -122,7 +122,7 @@ fn make(path: &Path, board: &Board, copy_crates: bool) -> Result<(), Failure> {
     if copy_crates { copy_workspace(&path.join("crates")) } else { Ok(()) }
 }
 
-/// Copies the node's crates and what their manifests take from the workspace.
+/// Copies the node's crates and the parts of the workspace that their manifests use.
 fn copy_workspace(to: &Path) -> Result<(), Failure> {
     let top = workspace();
     copy_folder(&top.join("agent-core"), &to.join("agent-core"))?;
@@ -143,7 +143,7 @@ fn copy_workspace(to: &Path) -> Result<(), Failure> {
     write(&to.join("Cargo.toml"), &manifest.to_string())
 }
 
-/// Lets every path in a manifest that leads out of `folder` lead to the same place below `crates`.
+/// Redirects every path in a manifest that leads out of `folder` to the same place below `crates`.
 fn redirect(table: &mut dyn TableLike, folder: &Path, crates: &Path) {
     for (key, item) in table.iter_mut() {
         let is_path = ["path", "build"].contains(&key.get());
@@ -162,7 +162,7 @@ fn redirect(table: &mut dyn TableLike, folder: &Path, crates: &Path) {
     }
 }
 
-/// The part of a path below the workspace, without `..`.
+/// Returns the part of a path below the workspace, without `..`.
 fn below_workspace(path: &Path) -> Option<PathBuf> {
     let mut plain = PathBuf::new();
     for component in path.components() {
@@ -176,7 +176,7 @@ fn below_workspace(path: &Path) -> Option<PathBuf> {
     plain.strip_prefix(workspace()).ok().map(Path::to_owned)
 }
 
-/// Copies a folder with all below it, except for what was built there.
+/// Copies a folder recursively, except for build output.
 fn copy_folder(from: &Path, to: &Path) -> Result<(), Failure> {
     for entry in fs::read_dir(from).map_err(|error| failed(from, &error))? {
         let path = entry.map_err(|error| failed(from, &error))?.path();
@@ -202,10 +202,7 @@ fn write(path: &Path, text: &str) -> Result<(), Failure> {
 }
 
 fn failed(path: &Path, error: &io::Error) -> Failure {
-    Failure::new(
-        format!("{}: {error}", path.display()),
-        "make sure that it can be read and written",
-    )
+    Failure::new(format!("{}: {error}", path.display()), "check that it is readable and writable")
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
-//! What the firmware takes of a microcontroller, held against budgets: those in the `Cargo.toml` of
-//! each board.
+//! Measures the firmware's use of a microcontroller and checks it against the budgets in each
+//! board's `Cargo.toml`.
 
 use std::{fs, path::Path};
 
@@ -15,10 +15,11 @@ use crate::{
     step::{Failure, ask, run, target_folder},
 };
 
-/// Place of `Reset` in the vector table; what follows preempts it.
+/// Index of `Reset` in the vector table; the later entries preempt it.
 const RESET: usize = 1;
-/// What the processor itself puts on the stack for an exception, with and without a floating-point unit
-/// (Armv7-M Architecture Reference Manual, B1.5.6 and B1.5.7), aligned to 8 bytes. \[byte\]
+/// Stack used by the processor itself for an exception, with and without a floating-point unit
+/// (Armv7-M Architecture Reference Manual, B1.5.6 and B1.5.7), including alignment to 8 bytes.
+/// \[byte\]
 const EXCEPTION_FRAMES: [u32; 2] = [104 + 4, 32 + 4];
 
 /// One line of the table.
@@ -28,10 +29,10 @@ struct Figure {
     budget: u64,
 }
 
-/// Builds the firmware of the boards that are named, or of all, measures it, and prints the table.
+/// Builds the firmware of the named boards, or of all, measures it, and prints the table.
 ///
 /// # Errors
-/// A budget that is exceeded, and whatever stands in the way of measuring.
+/// A budget is exceeded, or a measurement fails.
 pub(crate) fn size(names: &[&str], debian: bool) -> Result<(), Failure> {
     let boards = match names {
         [] => boards::all()?,
@@ -47,7 +48,7 @@ pub(crate) fn size(names: &[&str], debian: bool) -> Result<(), Failure> {
             let what = format!("{}: {what}", board.name);
             if found > budget {
                 exceeded.get_or_insert_with(|| {
-                    format!("{what}: {found} bytes, the budget is {budget}")
+                    format!("{what}: {found} bytes exceed the budget of {budget}")
                 });
             }
             table += &format!("{what:36} {found:8} {budget:8}\n");
@@ -58,8 +59,8 @@ pub(crate) fn size(names: &[&str], debian: bool) -> Result<(), Failure> {
         None => Ok(()),
         Some(what) => Err(Failure::new(
             what,
-            "look for what has grown with `arm-none-eabi-nm --size-sort`; a budget, in the board's \
-             Cargo.toml, is only changed together with docs/performance.md",
+            "find what grew with `arm-none-eabi-nm --size-sort`; change a budget, in the board's \
+             Cargo.toml, only together with docs/performance.md",
         )),
     }
 }
@@ -73,14 +74,15 @@ fn measure(
     let graph = CallGraph::read(&disassembler.listing(program)?);
     let unbounded = |reason| {
         Failure::new(
-            format!("the stack of {} has no bound: {reason:?}", program.display()),
-            "let the function that is named call nothing that leads back to it, and give its \
+            format!("the stack of {} is unbounded: {reason:?}", program.display()),
+            "remove the recursion of the named function, or give its \
              frame a fixed size",
         )
     };
     let deepest = graph.deepest("Reset").map_err(unbounded)?;
     show(&board.name, "calls", &deepest);
-    // Interrupts have one priority, so one of them preempts the program and none another one.
+    // All interrupts have the same priority, so one of them can preempt the program but not another
+    // one.
     let handlers = vectors.iter().skip(RESET + 1).filter_map(|&vector| graph.at(vector.into()));
     let mut interrupt: Option<Deepest> = None;
     for handler in handlers {
@@ -91,7 +93,7 @@ fn measure(
     }
     let [with_unit, without] = EXCEPTION_FRAMES;
     let frame = if board.target.ends_with("hf") { with_unit } else { without };
-    // A board that takes no interrupts has one place for them, and nothing at it.
+    // A board without interrupts has a single empty entry for them.
     let interrupt = interrupt.filter(|deepest| deepest.path.len() > 1 || deepest.depth > 0);
     let preempted = interrupt.map_or(0, |deepest| {
         show(&board.name, "interrupt", &deepest);
@@ -102,7 +104,7 @@ fn measure(
         Figure { what: "flash", found: flash, budget: budget.flash },
         Figure { what: "static RAM", found: memory, budget: budget.ram },
         Figure {
-            what: "stack, at worst",
+            what: "stack, worst case",
             found: (deepest.depth + preempted).into(),
             budget: budget.stack,
         },
@@ -114,24 +116,24 @@ fn measure(
     Ok(figures)
 }
 
-/// Prints the deepest way down.
+/// Prints the deepest call path.
 fn show(board: &str, what: &str, deepest: &Deepest) {
-    println!("{board}: deepest {what}, with the bytes of their frames:");
+    println!("{board}: deepest {what}, with frame sizes in bytes:");
     for (name, frame) in &deepest.path {
         println!("    {frame:5}  {:#}", demangle(name));
     }
     for name in &deepest.indirect {
-        println!("    calls what a register says, and is counted without it: {:#}", demangle(name));
+        println!("    makes an indirect call, which is not counted: {:#}", demangle(name));
     }
 }
 
-/// What the linker made of the program. \[byte\]
+/// The contents of the linked program. \[byte\]
 struct Content {
     flash: u64,
     memory: u64,
-    /// What is left for the stack.
+    /// Space left for the stack.
     stack: u64,
-    /// The vector table, entry by entry.
+    /// The entries of the vector table.
     vectors: Vec<u32>,
 }
 
@@ -156,7 +158,7 @@ fn content(program: &Path) -> Result<Content, Failure> {
     }
     let symbol = |name: &str| {
         let symbol = file.symbol_by_name(name).map(|symbol| symbol.address());
-        symbol.ok_or_else(|| failed(format!("there is no {name}")))
+        symbol.ok_or_else(|| failed(format!("symbol {name} not found")))
     };
     let stack = symbol("_stack_start")?.saturating_sub(symbol("_stack_end")?);
     let table = file.section_by_name(".vector_table").and_then(|section| section.data().ok());
@@ -165,13 +167,14 @@ fn content(program: &Path) -> Result<Content, Failure> {
     Ok(Content { flash, memory, stack, vectors })
 }
 
-/// What a node never uses of its stack in the paper's experiment, with a package pushed at t = 20.
+/// Returns the stack that a node never uses in the paper's experiment, with a package pushed at t =
+/// 20.
 fn stack_unused(program: &Path) -> Result<u64, Failure> {
     println!("==> painted stack: the paper's experiment as a co-simulation");
-    // With the features that the tests are built with, so that nothing is compiled again.
+    // With the features of the test builds, so that nothing is compiled twice.
     let mut build = crate::step::cargo("build");
     build.args(["--quiet", "--workspace", "--bin", "host-sim"]);
-    run("host-sim", &mut build, "the error above names the line")?;
+    run("host-sim", &mut build, "see the error above")?;
     let name = format!("debug/host-sim{}", std::env::consts::EXE_SUFFIX);
     let mut command = std::process::Command::new(target_folder().join(name));
     command.current_dir(crate::step::workspace()).args(["cosim", "--format", "json"]);
@@ -183,8 +186,8 @@ fn stack_unused(program: &Path) -> Result<u64, Failure> {
     });
     figures.min().ok_or_else(|| {
         Failure::new(
-            "painted stack: the co-simulation says nothing of it",
-            "see what `cargo run --release -- cosim` says",
+            "painted stack: the co-simulation did not report it",
+            "check the output of `cargo run --release -- cosim`",
         )
     })
 }

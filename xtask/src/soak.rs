@@ -1,16 +1,16 @@
-//! The firmware under everything that can go wrong, for a long time, in emulators: `tests/soak/`.
+//! Runs the firmware under all kinds of faults, for a long time, in emulators: `tests/soak/`.
 
 use crate::{
     emulate, firmware,
     step::{Failure, cargo, run_reading},
 };
 
-/// Steps that continuous integration takes.
+/// Number of steps in continuous integration.
 const STEPS: u64 = 20_000;
-/// Any would do; always the same one makes a failure come again.
+/// Arbitrary but fixed, so that failures are reproducible.
 const SEED: u64 = 1;
 
-/// What `cargo xtask soak` is asked for.
+/// Arguments of `cargo xtask soak`.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Options {
     steps: u64,
@@ -24,7 +24,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Reads `[--steps N] [--seed S]`; `None` if that is not what there is.
+    /// Reads `[--steps N] [--seed S]`; `None` if the arguments are invalid.
     pub(crate) fn read(arguments: &[&str]) -> Option<Self> {
         let mut options = Self::default();
         let mut arguments = arguments.iter();
@@ -40,10 +40,10 @@ impl Options {
     }
 }
 
-/// Builds the emulated board's firmware and lets three nodes of it run.
+/// Builds the emulated board's firmware and runs three nodes of it.
 ///
 /// # Errors
-/// The first thing that a node does and should not, or anything that is missing for the soak.
+/// The first wrong behaviour of a node, or something required is missing.
 pub(crate) fn soak(options: &Options, debian: bool) -> Result<(), Failure> {
     emulate::find_emulators(debian)?;
     let (_, program) = firmware::emulated(debian)?;
@@ -54,13 +54,13 @@ pub(crate) fn soak(options: &Options, debian: bool) -> Result<(), Failure> {
         .env("SOAK_FIRMWARE", &program)
         .env("SOAK_STEPS", options.steps.to_string())
         .env("SOAK_SEED", options.seed.to_string());
-    let hint = "the line with the seed says in which step which node went wrong; the same seed and \
-                firmware go wrong there again";
+    let hint = "the line with the seed names the step and the node that failed; the same seed and \
+                firmware reproduce the failure";
     let mut passed = false;
     run_reading("soak", &mut command, hint, |line| {
         passed |= line.starts_with("test result: ok. 1 passed");
     })?;
-    if passed { Ok(()) } else { Err(Failure::new("soak: it did not run", "see tests/soak")) }
+    if passed { Ok(()) } else { Err(Failure::new("soak: no test ran", "see tests/soak")) }
 }
 
 #[cfg(test)]

@@ -1,18 +1,17 @@
-//! How much stack a program needs at worst: frames and calls, read off its machine code.
+//! Determines a program's worst-case stack from the frames and calls in its machine code.
 //!
-//! A frame is everything that a function subtracts from the stack pointer, whichever way it goes
-//! through the function, and so never less than what it really takes. The compiler's own figures
-//! (`-Zemit-stack-sizes`) say the same for every function of the firmware; they are not used
-//! because they need a compiler that is told to allow unstable options, and this reads the very
-//! program that is shipped.
+//! A frame is the sum of everything a function subtracts from the stack pointer on any path, so it
+//! is never less than what the function uses. The compiler's own figures (`-Zemit-stack-sizes`)
+//! agree for every function of the firmware; they are not used because they require unstable
+//! options, and because this reads the program that is actually shipped.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Frames and calls of every function.
+/// Frames and calls of all functions.
 #[derive(Debug, Default)]
 pub(crate) struct CallGraph {
     functions: BTreeMap<String, Function>,
-    /// Which function begins at an address.
+    /// Names of functions by start address.
     starts: BTreeMap<u64, String>,
 }
 
@@ -21,27 +20,27 @@ struct Function {
     /// \[byte\]
     frame: u32,
     callees: BTreeSet<String>,
-    /// It calls something that only a register knows.
+    /// Whether it makes an indirect call.
     indirect: bool,
-    /// It moves the stack pointer by what only a register knows.
+    /// Whether it moves the stack pointer by an amount in a register.
     dynamic: bool,
 }
 
-/// The deepest way down.
+/// The deepest call path.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Deepest {
     /// \[byte\]
     pub(crate) depth: u32,
-    /// The functions on the way with their frames, the first one first.
+    /// The functions on the path with their frames, outermost first.
     pub(crate) path: Vec<(String, u32)>,
-    /// Functions that call something that cannot be followed.
+    /// Functions with calls that cannot be followed.
     pub(crate) indirect: BTreeSet<String>,
 }
 
-/// Why there is no worst case.
+/// Why the stack is unbounded.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Unbounded {
-    /// A function calls itself, by way of these.
+    /// A function calls itself through these functions.
     Recursion(Vec<String>),
     /// The frame of this function has no fixed size.
     Dynamic(String),
@@ -50,7 +49,7 @@ pub(crate) enum Unbounded {
 }
 
 impl CallGraph {
-    /// Reads a disassembler's listing of Thumb code.
+    /// Parses a disassembler's listing of Thumb code.
     pub(crate) fn read(listing: &str) -> Self {
         let mut graph = Self::default();
         let constants = constants(listing);
@@ -82,15 +81,15 @@ impl CallGraph {
         graph
     }
 
-    /// The function that begins at an address, without the bit that says it is Thumb code.
+    /// Returns the function that starts at an address, ignoring the Thumb bit.
     pub(crate) fn at(&self, address: u64) -> Option<&str> {
         self.starts.get(&(address & !1)).map(String::as_str)
     }
 
-    /// The deepest way down from `entry`.
+    /// Returns the deepest call path from `entry`.
     ///
     /// # Errors
-    /// There is no bound.
+    /// The stack is unbounded.
     pub(crate) fn deepest(&self, entry: &str) -> Result<Deepest, Unbounded> {
         let mut known = BTreeMap::new();
         let mut indirect = BTreeSet::new();
@@ -175,7 +174,8 @@ impl Function {
                 self.indirect = true;
             }
             _ if base.starts_with('b') && !base.starts_with("bf") && !base.starts_with("bic") => {
-                // A jump to another function is a call whose frame has gone; counting both is safe.
+                // A jump to another function is a call after the frame has been freed; counting
+                // both is safe.
                 let target = operands.rsplit_once('<').map(|(_, target)| target);
                 let target = target.and_then(|target| target.strip_suffix('>'));
                 if let Some(target) = target
@@ -190,7 +190,7 @@ impl Function {
     }
 }
 
-/// The constants among the code, `606: .word 0x12345678`, by their addresses.
+/// Returns the constants in the code, `606: .word 0x12345678`, by address.
 fn constants(listing: &str) -> BTreeMap<u64, u32> {
     let constant = |line: &str| {
         let (address, rest) = line.trim_start().split_once(':')?;
@@ -201,14 +201,14 @@ fn constants(listing: &str) -> BTreeMap<u64, u32> {
     listing.lines().filter_map(constant).collect()
 }
 
-/// The address in the comment of `ldr r6, [pc, #8] @ (610 <f+0x10>)`.
+/// Parses the address in the comment of `ldr r6, [pc, #8] @ (610 <f+0x10>)`.
 fn loaded_from(line: &str) -> Option<u64> {
     let (_, comment) = line.rsplit_once('(').or_else(|| line.rsplit_once("@ 0x"))?;
     let digits = comment.split([' ', ')']).next()?;
     u64::from_str_radix(digits.trim_start_matches("0x"), 16).ok()
 }
 
-/// Mnemonic and operands of `   1c:   vmul.f32   s0, s1, s2`.
+/// Splits `   1c:   vmul.f32   s0, s1, s2` into mnemonic and operands.
 fn instruction(line: &str) -> Option<(&str, &str)> {
     let (address, rest) = line.trim_start().split_once(':')?;
     if address.is_empty() || !address.bytes().all(|byte| byte.is_ascii_hexdigit()) {
@@ -220,7 +220,7 @@ fn instruction(line: &str) -> Option<(&str, &str)> {
     (!mnemonic.starts_with(['.', '<'])).then_some((mnemonic, operands.trim()))
 }
 
-/// What `{r4, r5, r6, lr}` or `{d8-d15}` takes. \[byte\]
+/// Returns the size of `{r4, r5, r6, lr}` or `{d8-d15}`. \[byte\]
 fn register_bytes(operands: &str) -> u32 {
     let list = operands.split_once('{').map_or("", |(_, list)| list).trim_end_matches('}');
     let registers = list.split(',').map(str::trim).filter(|register| !register.is_empty());
@@ -239,7 +239,7 @@ fn register_bytes(operands: &str) -> u32 {
         .sum()
 }
 
-/// The last `#n` of the operands, without its sign.
+/// Returns the last `#n` of the operands, without its sign.
 fn constant(operands: &str) -> Option<u32> {
     let (_, number) = operands.rsplit_once('#')?;
     let number = number.trim_start_matches('-').trim_end_matches(['!', ']']).trim();
@@ -273,7 +273,7 @@ mod tests {
 ";
 
     #[test]
-    fn the_deepest_way_adds_up() {
+    fn the_deepest_path_adds_up() {
         let deepest = CallGraph::read(LISTING).deepest("main").unwrap();
         assert_eq!(deepest.depth, (16 + 16 + 256) + 4 + 8);
         let names: Vec<&str> = deepest.path.iter().map(|(name, _)| name.as_str()).collect();
@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn a_large_frame_of_a_small_core_comes_from_a_constant() {
+    fn a_large_frame_on_a_small_core_is_a_constant() {
         let listing = "
 10000400 <large>:
 10000400:\tpush\t{r4, lr}
@@ -303,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_bound_is_said() {
+    fn an_unbounded_stack_is_reported() {
         let loops = LISTING
             .replace("bl\t500 <left>", "bl\t600 <right>")
             .replace("602:\tbfi\tr0, r1, #0, #8", "602:\tbl\t500 <left>");

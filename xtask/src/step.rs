@@ -1,4 +1,4 @@
-//! Running commands: what is printed before and after, and what a failure says.
+//! Runs commands, reports their progress, and describes failures.
 
 use std::{
     env,
@@ -10,12 +10,12 @@ use std::{
     time::Instant,
 };
 
-/// Why a task ended, and what a person can do about it.
+/// Why a task failed, and what to do about it.
 #[derive(Debug)]
 pub(crate) struct Failure {
     /// What failed.
     pub(crate) what: String,
-    /// What mends it.
+    /// How to fix it.
     pub(crate) hint: String,
 }
 
@@ -25,22 +25,22 @@ impl Failure {
     }
 }
 
-/// The top folder of the workspace.
+/// Returns the root folder of the workspace.
 pub(crate) fn workspace() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap_or(Path::new("."))
 }
 
-/// Where cargo puts what it builds, absolute.
+/// Returns cargo's target folder, absolute.
 pub(crate) fn target_folder() -> PathBuf {
     workspace().join(env::var_os("CARGO_TARGET_DIR").unwrap_or_else(|| "target".into()))
 }
 
-/// Whether this is a run of continuous integration.
+/// Returns whether this is a run of continuous integration.
 pub(crate) fn in_ci() -> bool {
     env::var_os("CI").is_some_and(|value| !value.is_empty() && value != "false")
 }
 
-/// `cargo <task>` of the toolchain that runs this program, in the workspace.
+/// Creates `cargo <task>` with the toolchain that runs this program, in the workspace.
 pub(crate) fn cargo(task: &str) -> Command {
     let mut command = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     command.current_dir(workspace()).arg(task);
@@ -50,10 +50,10 @@ pub(crate) fn cargo(task: &str) -> Command {
     command
 }
 
-/// `cargo <task>` for the crate in `folder`, which is a workspace of its own.
+/// Creates `cargo <task>` for the crate in `folder`, which is a separate workspace.
 ///
-/// With CI=true its lock file must be up to date, unless the crate has just been copied and renamed:
-/// then the lock file still names the one that it was copied from.
+/// With CI=true its lock file must be up to date, unless the crate has just been copied and
+/// renamed: then the lock file still has the old name.
 pub(crate) fn cargo_in(folder: &Path, task: &str) -> Command {
     let mut command = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     command.current_dir(folder).arg(task);
@@ -63,7 +63,7 @@ pub(crate) fn cargo_in(folder: &Path, task: &str) -> Command {
     command
 }
 
-/// Whether the lock file in `folder` names the package there.
+/// Whether the lock file in `folder` contains the package there.
 fn is_locked(folder: &Path) -> bool {
     let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap_or_default();
     let manifest = read("Cargo.toml");
@@ -71,16 +71,15 @@ fn is_locked(folder: &Path) -> bool {
     name.is_some_and(|name| read("Cargo.lock").lines().any(|line| line == name))
 }
 
-/// Runs one step and lets its output through.
+/// Runs one step and passes its output through.
 ///
 /// # Errors
-/// The command cannot be started, or it ends with another status than 0; `hint` says what to
-/// do about that.
+/// The command cannot be started, or its exit status is not 0; `hint` says what to do about that.
 pub(crate) fn run(name: &str, command: &mut Command, hint: &str) -> Result<(), Failure> {
     run_reading(name, command, hint, |_| ())
 }
 
-/// As [`run`], and shows every line of the standard output to `read`.
+/// As [`run`], and passes every line of the standard output to `read`.
 ///
 /// # Errors
 /// As [`run`].
@@ -96,7 +95,8 @@ pub(crate) fn run_reading(
     })
 }
 
-/// As [`run`], and lets only those lines of the standard error output through that `keep` wants.
+/// As [`run`], and passes only those lines of the standard error output through that `keep`
+/// selects.
 ///
 /// # Errors
 /// As [`run`].
@@ -109,7 +109,7 @@ pub(crate) fn run_filtering(
     supervise(name, command, hint, Stream::Errors, keep)
 }
 
-/// Which of a command's outputs is read.
+/// The output of a command that is read.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Stream {
     Output,
@@ -152,25 +152,25 @@ fn supervise(
     Ok(())
 }
 
-/// Asks a command something: its standard output, or `None` if it cannot answer.
+/// Runs a command and returns its standard output, or `None` if it fails.
 pub(crate) fn ask(command: &mut Command) -> Option<String> {
     let output = command.stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// Whether a program of that name is on the search path.
+/// Returns whether a program with that name is on the search path.
 pub(crate) fn on_path(program: &str) -> bool {
     env::var_os("PATH")
         .is_some_and(|path| env::split_paths(&path).any(|folder| folder.join(program).is_file()))
 }
 
-/// The command as one would type it.
+/// Formats the command as one would type it.
 fn show(command: &Command) -> String {
     let variables = command
         .get_envs()
         .filter_map(|(name, value)| Some(format!("{}={}", quote(name), quote(value?))));
     let program = Path::new(command.get_program());
-    // cargo passes its own full path on; everything else is shown as it is called.
+    // cargo passes on its own full path; everything else is shown as called.
     let program = if program.ends_with("bin/cargo") && program != Path::new("/usr/bin/cargo") {
         OsStr::new("cargo")
     } else {

@@ -1,8 +1,7 @@
-//! Samples for the offline training of the inner network: pairs of the estimate and its
+//! Captures samples for the offline training of the inner network: pairs of the estimate and its
 //! derivative, `(x_hat, d/dt x_hat)`, the paper's input-output data.
 //!
-//! Memory: `8 N + 8` bytes a sample. Invariant: the ring holds the newest samples, in the
-//! order in which they were taken.
+//! Memory: `8 N + 8` bytes per sample. Invariant: the ring holds the newest samples, oldest first.
 
 use core::num::NonZeroU32;
 
@@ -11,7 +10,7 @@ use crate::{StateVector, Tick};
 /// One input-output pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample<const N: usize> {
-    /// When.
+    /// Tick at which the sample was taken.
     pub tick: Tick,
     /// `x_hat`, shape `[N]`.
     pub estimate: StateVector<N>,
@@ -19,20 +18,20 @@ pub struct Sample<const N: usize> {
     pub derivative: StateVector<N>,
 }
 
-/// The newest `CAPACITY` of every n-th sample, in a static buffer.
+/// Ring buffer of the newest `CAPACITY` samples, each `stride`-th tick sampled; fits in a `static`.
 #[derive(Clone, Debug, Default)]
 pub struct CaptureRing<const N: usize, const CAPACITY: usize> {
     samples: heapless::Deque<Sample<N>, CAPACITY>,
 }
 
 impl<const N: usize, const CAPACITY: usize> CaptureRing<N, CAPACITY> {
-    /// An empty ring.
+    /// Creates an empty ring.
     #[must_use]
     pub const fn new() -> Self {
         Self { samples: heapless::Deque::new() }
     }
 
-    /// Keeps `sample` if its tick is a multiple of `stride`; returns whether it did.
+    /// Stores `sample` if its tick is a multiple of `stride`; returns whether it did.
     #[inline]
     pub fn offer(&mut self, sample: &Sample<N>, stride: NonZeroU32) -> bool {
         let due = is_due(sample.tick, stride);
@@ -46,38 +45,38 @@ impl<const N: usize, const CAPACITY: usize> CaptureRing<N, CAPACITY> {
         due
     }
 
-    /// The samples, oldest first.
+    /// Returns the samples, oldest first.
     pub fn samples(&self) -> impl Iterator<Item = &Sample<N>> {
         self.samples.iter()
     }
 
-    /// How many samples there are.
+    /// Returns the number of samples.
     #[must_use]
     pub fn len(&self) -> usize {
         self.samples.len()
     }
 
-    /// Whether there is no sample.
+    /// Returns whether the ring is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.samples.is_empty()
     }
 
-    /// Forgets all samples.
+    /// Removes all samples.
     pub fn clear(&mut self) {
         self.samples.clear();
     }
 }
 
-/// Whether the sample of this tick is to be kept: every `stride`-th is, counted from tick 0,
-/// so that all nodes keep the same ones.
+/// Returns whether the sample at `tick` is kept. Strides are counted from tick 0, so that all nodes
+/// keep the same ticks.
 #[inline]
 #[must_use]
 pub fn is_due(tick: Tick, stride: NonZeroU32) -> bool {
     remainder(tick, stride) == 0
 }
 
-/// `tick % stride` without a division of 64 bits, which takes 900 bytes of code on a Cortex-M.
+/// `tick % stride` without a 64-bit division, which takes 900 bytes of code on a Cortex-M.
 #[inline]
 fn remainder(tick: Tick, stride: NonZeroU32) -> u32 {
     let (high, low) = ((tick >> 32) as u32, tick as u32);
@@ -106,7 +105,7 @@ mod tests {
 
     proptest::proptest! {
         #[test]
-        fn the_remainder_is_that_of_a_division(tick: u64, shift in 0u32..64, stride in 1u32..) {
+        fn remainder_matches_division(tick: u64, shift in 0u32..64, stride in 1u32..) {
             let stride = NonZeroU32::new(stride).unwrap();
             for tick in [tick, tick >> shift] {
                 assert_eq!(u64::from(remainder(tick, stride)), tick % u64::from(stride.get()));

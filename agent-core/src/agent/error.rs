@@ -1,12 +1,12 @@
-//! Why an agent does not take a step.
+//! Errors of [`AgentState::step`](crate::AgentState::step).
 
 use crate::Tick;
 
-/// Why a step was not taken.
+/// Why a step was refused.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum StepError {
-    /// Time did not advance, or cannot any further.
+    /// The tick does not advance, or is the last one.
     Tick {
         /// The tick of the last step; `None` if there was none.
         last: Option<Tick>,
@@ -25,31 +25,31 @@ pub enum StepError {
         /// Index of the output, from 0.
         output: usize,
     },
-    /// The state or the inbox was made for another number of neighbours.
+    /// The state or the inbox has slots for a different number of neighbours.
     Neighbours {
         /// Neighbours in the parameters.
         expected: usize,
-        /// Places in the state or the inbox.
+        /// Slots in the state or the inbox.
         found: usize,
     },
-    /// The network has another number of features than there are outer weights for.
+    /// The network's number of features differs from the rows of the outer weights.
     Features {
         /// Rows of the outer weights.
         expected: usize,
         /// Width of the network's last inner layer.
         found: usize,
     },
-    /// The network takes another number of inputs than the state has components.
+    /// The network's input dimension differs from the state dimension.
     NetworkInputs {
         /// The state dimension.
         expected: usize,
         /// Inputs of the network.
         found: usize,
     },
-    /// The estimate or the outer weights would not be finite any more.
+    /// The estimate or the outer weights would become infinite or NaN.
     ///
-    /// A sane next measurement ends it, unless the culprit is a frame with a huge estimate:
-    /// empty the inbox then, or the frame will be tried again.
+    /// The next plausible measurement resolves this, unless the cause is a frame with a huge
+    /// estimate: in that case clear the inbox, or the frame is tried again.
     Diverged,
 }
 
@@ -57,27 +57,27 @@ impl core::fmt::Display for StepError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match *self {
             Self::Tick { last: Some(last), found } => {
-                write!(f, "step {found} does not come after the last one, {last}")
+                write!(f, "step {found} is not after the last step, {last}")
             }
             Self::Tick { last: None, found } => {
-                write!(f, "step {found} has no successor")
+                write!(f, "step {found} is the last possible step")
             }
             Self::Outputs { expected, found } => {
-                write!(f, "{found} measured values, expected {expected}")
+                write!(f, "the measurement has {found} values, expected {expected}")
             }
             Self::MeasurementNotFinite { output } => {
                 write!(f, "the measurement of output {output} is not finite")
             }
             Self::Neighbours { expected, found } => {
-                write!(f, "places for {found} neighbours, expected {expected}")
+                write!(f, "slots for {found} neighbours, expected {expected}")
             }
             Self::Features { expected, found } => {
-                write!(f, "the network has {found} features, the outer weights {expected}")
+                write!(f, "the network has {found} features, expected {expected}")
             }
             Self::NetworkInputs { expected, found } => {
-                write!(f, "the network has {found} inputs, the state {expected} components")
+                write!(f, "the network has {found} inputs, expected {expected}")
             }
-            Self::Diverged => write!(f, "estimate or outer weights would overflow"),
+            Self::Diverged => write!(f, "the estimate or the outer weights would overflow"),
         }
     }
 }

@@ -1,20 +1,19 @@
-//! Received frames, checked, waiting for the next step.
+//! Holds received frames, already checked, until the next step.
 //!
-//! A link can deliver at any time; the observer takes notice at its next step. An inbox has
-//! one place for each neighbour, so it can be filled from a receive routine and needs no
-//! queue.
+//! A link can deliver at any time; the observer processes frames at its next step. An inbox has one
+//! slot per neighbour, so it can be filled from a receive routine and needs no queue.
 //!
-//! Memory: `4 N + 24` bytes a neighbour. Cost: the frame's length, and a search among the
-//! neighbours.
+//! Memory: `4 N + 24` bytes per neighbour. Cost: linear in the length of the frame, plus a search
+//! among the neighbours.
 //!
-//! A frame can carry any finite number. [`Inbox::accept_within`] also refuses an estimate that
-//! cannot be true; without it a single frame can make the receiver's step diverge.
+//! A frame can carry any finite number. [`Inbox::accept_within`] also refuses implausible
+//! estimates; without that check a single frame can make the receiver's step diverge.
 //!
-//! Whether a frame is newer than the sample that its receiver already holds is decided when the
-//! step takes it over, which is when the receiver's time is known: see [`crate::agent::hold`].
+//! Whether a frame is newer than the held sample is decided when the step takes it over, because
+//! only then is the receiver's time known: see [`crate::agent::hold`].
 //!
-//! Invariant: whatever arrives, an inbox holds at most one valid frame of each neighbour, and
-//! a refused one changes nothing.
+//! Invariant: whatever arrives, an inbox holds at most one valid frame per neighbour, and a refused
+//! frame changes nothing.
 
 use crate::Tick;
 use crate::agent::hold::{Hold, HoldSlots};
@@ -22,8 +21,23 @@ use crate::agent::region::Region;
 use crate::observer::feedback::Neighbour;
 use crate::wire::frame::{Frame, FrameError};
 
-/// Places for the next frame of each neighbour, in `S`: an array on the node, a vector on
-/// the host, one entry for each neighbour in the order of the agent's parameters.
+/// Slots for the next frame of each neighbour, in `S`: an array on the node, a vector on the host,
+/// one entry per neighbour in the order of the agent's parameters.
+///
+/// ```
+/// use agent_core::wire::frame::FrameError;
+/// use agent_core::{Frame, Inbox, Neighbour, StateVector};
+///
+/// let neighbours = [Neighbour { id: 2, weight: 1.0 }];
+/// let mut inbox = Inbox::<2, _>::new([None]);
+/// let frame = Frame { sender: 2, sequence: 0, tick: 0, estimate: StateVector::<2>::zeros() };
+/// assert_eq!(inbox.accept(&neighbours, &frame.encode()), Ok(()));
+/// assert_eq!(inbox.len(), 1);
+///
+/// let stranger = Frame { sender: 9, ..frame };
+/// let refusal = inbox.accept(&neighbours, &stranger.encode());
+/// assert_eq!(refusal, Err(FrameError::UnknownSender { sender: 9 }));
+/// ```
 #[derive(Clone, Debug)]
 pub struct Inbox<const N: usize, S> {
     pending: S,
@@ -31,31 +45,31 @@ pub struct Inbox<const N: usize, S> {
 }
 
 impl<const N: usize, S> Inbox<N, S> {
-    /// An inbox with these places, all of which have to be empty, for a `static`.
+    /// Creates an inbox with the given slots, which must all be empty, for a `static`.
     pub const fn blank(places: S) -> Self {
         Self { pending: places, count: 0 }
     }
 }
 
 impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
-    /// An empty inbox; what `places` hold is discarded.
+    /// Creates an empty inbox; any contents of `places` are discarded.
     pub fn new(mut places: S) -> Self {
         places.as_mut().fill(None);
         Self { pending: places, count: 0 }
     }
 
-    /// Decodes `bytes`, checks the frame against `neighbours`, and keeps it for the next step, in
-    /// place of an older one of the same sender that still waits.
+    /// Decodes `bytes`, checks the frame against `neighbours`, and keeps it for the next step. It
+    /// replaces an older pending frame of the same sender.
     ///
     /// # Errors
-    /// What [`Frame::decode`] refuses, and a sender that is unknown or already has this frame
-    /// or a newer one waiting.
+    /// Any error of [`Frame::decode`], an unknown sender, or a sender that already has this frame
+    /// or a newer one pending.
     pub fn accept(&mut self, neighbours: &[Neighbour], bytes: &[u8]) -> Result<(), FrameError> {
         self.keep(neighbours, &Frame::decode(bytes)?)
     }
 
-    /// Like [`Self::accept`] for frames whose estimate lies in `region` only: what a neighbour that
-    /// has diverged broadcasts, or that speaks of another plant, does not get in.
+    /// Like [`Self::accept`], but also refuses frames whose estimate is outside `region`, such as
+    /// those of a neighbour that has diverged or observes another plant.
     ///
     /// # Errors
     /// As for [`Self::accept`], and [`FrameError::Implausible`].
@@ -79,7 +93,7 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
         let pending = self.pending.as_mut().get_mut(place).ok_or(unknown)?;
         let sample = Hold::new(frame.estimate, frame.tick, frame.sequence);
         match pending {
-            // After a step that was refused, a frame can still wait when the next one comes.
+            // After a refused step, a frame can still be pending when the next one arrives.
             Some(waiting) if !sample.is_newer_than(waiting) => {
                 return Err(FrameError::DuplicateSender { sender });
             }
@@ -90,36 +104,36 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
         Ok(())
     }
 
-    /// Discards what waits and gives out the places, to be made as many as there are neighbours.
+    /// Discards pending frames and returns the slots, to be resized to the number of neighbours.
     pub fn places(&mut self) -> &mut S {
         self.clear();
         &mut self.pending
     }
 
-    /// How many frames wait.
+    /// Returns the number of pending frames.
     #[must_use]
     pub fn len(&self) -> usize {
         self.count
     }
 
-    /// Whether no frame waits.
+    /// Returns whether no frame is pending.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
 
-    /// Discards what waits.
+    /// Discards all pending frames.
     pub fn clear(&mut self) {
         self.pending.as_mut().fill(None);
         self.count = 0;
     }
 
-    /// Discards what waits with an estimate outside `region`.
+    /// Discards pending frames whose estimate is outside `region`.
     pub fn discard_outside(&mut self, region: &Region<N>) {
         self.count -= region.discard_outside(self.pending.as_mut());
     }
 
-    /// Discards what waits in places that are not to be kept.
+    /// Discards pending frames in slots for which `keep` returns false.
     pub(crate) fn keep_places(&mut self, keep: impl Fn(usize) -> bool) {
         for (place, waiting) in self.pending.as_mut().iter_mut().enumerate() {
             if !keep(place) && waiting.take().is_some() {
@@ -128,13 +142,13 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
         }
     }
 
-    /// The waiting frames, one place for each neighbour.
+    /// Returns the pending frames, one slot per neighbour.
     pub(crate) fn pending(&self) -> &[Option<Hold<N>>] {
         self.pending.as_ref()
     }
 
-    /// Moves every waiting frame into the place of its sender among `holds`, in the step `now`,
-    /// unless what is held there stays; returns how many frames are dropped for that reason.
+    /// Moves every pending frame into its sender's slot in `holds` at step `now`, unless the held
+    /// sample is newer; returns how many frames are dropped as stale.
     pub(crate) fn drain_into(
         &mut self,
         holds: &mut [Option<Hold<N>>],
@@ -162,7 +176,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_newer_frame_takes_the_place_of_one_that_waits() {
+    fn a_newer_frame_replaces_a_pending_one() {
         let mut inbox = Inbox::<2, _>::new([None; 2]);
         let with = |sequence| Frame { sequence, ..frame(9) }.encode();
         assert_eq!(inbox.accept(&NEIGHBOURS, &with(u32::MAX)), Ok(()));
@@ -226,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn an_estimate_that_cannot_be_true_is_refused_or_discarded() {
+    fn an_implausible_estimate_is_refused_or_discarded() {
         let region = Region::new([-5.0, -5.0].into(), [5.0, 5.0].into()).unwrap();
         let mut inbox = Inbox::<2, _>::new([None; 2]);
         let huge = Frame::<2> { estimate: [1.0, 1e30].into(), ..frame(9) }.encode();

@@ -1,4 +1,4 @@
-//! One whole agent: parameters, state, and the step that joins the modules.
+//! One agent: parameters, state, and the step that combines the observer's equations.
 //!
 //! A step at tick `k` (time `t_k = k dt`)
 //! 1. takes the frames that its neighbours broadcast at `t_k` into the held estimates,
@@ -7,25 +7,24 @@
 //! 4. evaluates `Trigger` at `t_(k+1)` and, if it fires, samples the estimate there and
 //!    returns the frame to broadcast.
 //!
-//! A frame that is returned by step `k` belongs to `t_(k+1)` and must be in the inbox of every
-//! neighbour before its step `k + 1`: then all ends of an edge hold the same sample over the
-//! same interval, as the paper's simultaneous broadcast asks, and the result does not depend
-//! on the order in which agents are stepped.
+//! A frame returned by step `k` belongs to `t_(k+1)` and must reach every neighbour's inbox before
+//! that neighbour's step `k + 1`. Then all ends of an edge hold the same sample over the same
+//! interval, as the paper's simultaneous broadcast requires, and the result does not depend on the
+//! order in which agents are stepped.
 //!
-//! Every step is one `dt`, also after ticks that were skipped because the node was late. The
-//! alternatives are worse: Euler's method over `k dt` leaves its region of stability, with the
-//! paper's gain from `k = 8` on; and `k` steps with the one measurement there is make a late node
-//! later. What is lost is the drift of the plant over the skipped ticks, as with measurements that
-//! were missed, and the feedback removes it at its own rate. [`crate::health`] counts the ticks.
+//! Every step advances by one `dt`, even after ticks that a late node skipped. The alternatives are
+//! worse: Euler's method over `k dt` leaves its region of stability (with the paper's gain from `k
+//! = 8` on), and `k` steps with a single measurement delay a late node further. The drift of the
+//! plant over the skipped ticks is lost, as with missed measurements, and the feedback corrects it
+//! at its own rate. [`crate::health`] counts the skipped ticks.
 //!
-//! An agent whose estimate nothing can be made of any more is [restarted](AgentState::restart);
-//! when, is the matter of [`crate::health`].
+//! An agent whose estimate is unusable is [restarted](AgentState::restart); [`crate::health`]
+//! decides when.
 //!
-//! Cost: that of the modules. Memory: [`AgentState`] takes `4 N (FEATURES + 5) + 8 FEATURES`
-//! bytes and the network's scratch, and `4 N + 28` bytes a neighbour.
+//! Cost: the sum of the modules'. Memory: [`AgentState`] takes `4 N (FEATURES + 5) + 8 FEATURES`
+//! bytes, the network's scratch, and `4 N + 28` bytes per neighbour.
 //!
-//! Invariants: every number in the state is finite; an error leaves state and inbox as they
-//! were before the call.
+//! Invariants: every number in the state is finite; an error leaves state and inbox unchanged.
 
 pub mod capture;
 mod error;
@@ -48,7 +47,34 @@ use crate::observer::outer_law::OuterWeights;
 use crate::wire::frame::Frame;
 use crate::{StateVector, Tick};
 
-/// What a step returns.
+/// Result of a step.
+///
+/// ```
+/// use agent_core::{AgentParams, AgentState, Inbox, InnerNetwork, StateVector};
+/// # use agent_core::{Neighbour, ObserverParams, OutputMatrix, OuterLawParams, ProjectionParams};
+/// # use agent_core::{SymmetricMatrix, TriggerParams};
+/// # let neighbours = [Neighbour { id: 2, weight: 1.0 }];
+/// # let observer = ObserverParams {
+/// #     output_matrix: OutputMatrix::new(&[StateVector::<2>::new(1.0, 0.0)])?,
+/// #     gain: SymmetricMatrix::Scalar(50.0).unfold(),
+/// #     neighbours: &neighbours,
+/// # };
+/// # let projection =
+/// #     ProjectionParams { radius: 9.0, boundary_layer: 1.0, smoothing: 0.1, smoothness: 1 };
+/// # let outer_law = OuterLawParams { gain: SymmetricMatrix::Scalar(1.0), projection };
+/// # let trigger =
+/// #     TriggerParams { hold_error_weight: 1e4, consensus_weight: 0.5, threshold: 10.0 };
+/// # let params = AgentParams::new(1, 1e-3, observer, outer_law, trigger)?;
+///
+/// const NO_NETWORK: Option<&InnerNetwork<&[f32]>> = None;
+/// let mut state = AgentState::<2, 1, _>::new(&params, StateVector::zeros(), &[0.0; 2], [None])?;
+/// let output = state.step(&params, NO_NETWORK, 0, &[10.0], &mut Inbox::new([None])).unwrap();
+/// // The estimate moved by 0.5, so the trigger fires. The frame is for the next tick.
+/// let frame = output.broadcast.unwrap();
+/// assert_eq!((frame.sender, frame.tick), (1, 1));
+/// assert_eq!(frame.estimate, *state.estimate());
+/// # Ok::<(), agent_core::math::parameter::ParameterError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepOutput<const N: usize> {
     /// The frame to broadcast, if the trigger fired.
@@ -57,10 +83,39 @@ pub struct StepOutput<const N: usize> {
     pub sample: Sample<N>,
 }
 
-/// Everything about an agent that changes.
+/// The mutable state of an agent.
 ///
-/// `FEATURES` is the capacity for the network's features (rows of the outer weights); `S`
-/// holds one place for each neighbour: an array on the node, a vector on the host.
+/// `FEATURES` is the capacity for the network's features (rows of the outer weights); `S` holds one
+/// slot per neighbour: an array on the node, a vector on the host.
+///
+/// ```
+/// use agent_core::{AgentParams, AgentState, Inbox, InnerNetwork, StateVector};
+/// # use agent_core::{Neighbour, ObserverParams, OutputMatrix, OuterLawParams, ProjectionParams};
+/// # use agent_core::{SymmetricMatrix, TriggerParams};
+/// # let neighbours = [Neighbour { id: 2, weight: 1.0 }];
+/// # let observer = ObserverParams {
+/// #     output_matrix: OutputMatrix::new(&[StateVector::<2>::new(1.0, 0.0)])?,
+/// #     gain: SymmetricMatrix::Scalar(50.0).unfold(),
+/// #     neighbours: &neighbours,
+/// # };
+/// # let projection =
+/// #     ProjectionParams { radius: 9.0, boundary_layer: 1.0, smoothing: 0.1, smoothness: 1 };
+/// # let outer_law = OuterLawParams { gain: SymmetricMatrix::Scalar(1.0), projection };
+/// # let trigger =
+/// #     TriggerParams { hold_error_weight: 1e4, consensus_weight: 0.5, threshold: 10.0 };
+/// # let params = AgentParams::new(1, 1e-3, observer, outer_law, trigger)?;
+///
+/// const NO_NETWORK: Option<&InnerNetwork<&[f32]>> = None;
+/// let mut state = AgentState::<2, 1, _>::new(&params, StateVector::zeros(), &[0.0; 2], [None])?;
+/// let mut inbox = Inbox::new([None]);
+///
+/// let output = state.step(&params, NO_NETWORK, 0, &[1.0], &mut inbox).unwrap();
+/// assert_eq!(output.sample.tick, 0);
+/// assert!(state.estimate()[0] > 0.0); // moved towards the measurement
+/// // Ticks must increase.
+/// assert!(state.step(&params, NO_NETWORK, 0, &[1.0], &mut inbox).is_err());
+/// # Ok::<(), agent_core::math::parameter::ParameterError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct AgentState<const N: usize, const FEATURES: usize, S> {
     last_tick: Option<Tick>,
@@ -78,7 +133,7 @@ pub struct AgentState<const N: usize, const FEATURES: usize, S> {
 }
 
 impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S> {
-    /// A state that knows nothing, for a `static`: it has to [begin](Self::begin) before its first step.
+    /// Creates an uninitialised state for a `static`; call [`Self::begin`] before the first step.
     #[must_use]
     pub const fn blank(neighbour_holds: S) -> Self {
         const { assert!(N >= 1) };
@@ -102,12 +157,12 @@ impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S>
 where
     S: HoldSlots<N>,
 {
-    /// An agent at tick 0 with the estimate `x_hat(0)` and the outer weights `W_hat(0)`, row by
-    /// row, shape `[L, N]`. It holds its initial estimate as its first sample, which
-    /// [`Self::announcement`] broadcasts; what `neighbour_holds` contain is discarded.
+    /// Creates an agent at tick 0 with the estimate `x_hat(0)` and the outer weights `W_hat(0)`,
+    /// row by row, shape `[L, N]`. Its first sample is the initial estimate, which
+    /// [`Self::announcement`] broadcasts; any contents of `neighbour_holds` are discarded.
     ///
     /// # Errors
-    /// A number that is not finite, or a length that does not fit.
+    /// A number that is not finite, or a wrong length.
     pub fn new(
         params: &AgentParams<'_, N>,
         estimate: StateVector<N>,
@@ -124,10 +179,10 @@ where
         Ok(state)
     }
 
-    /// Makes the state in place what [`Self::new`] makes it, with the places that it has.
+    /// Initialises the state in place as [`Self::new`] does, with the slots it already has.
     ///
     /// # Errors
-    /// As for [`Self::new`]; nothing is changed then.
+    /// As for [`Self::new`]; the state is then unchanged.
     pub fn begin(
         &mut self,
         params: &AgentParams<'_, N>,
@@ -152,14 +207,14 @@ where
         Ok(())
     }
 
-    /// The places for the neighbours' samples, to be made as many as there are neighbours before
-    /// [`Self::begin`].
+    /// Returns the slots for the neighbours' samples, to be resized to the number of neighbours
+    /// before [`Self::begin`].
     pub fn places(&mut self) -> &mut S {
         self.consensus_is_current = false;
         &mut self.neighbour_holds
     }
 
-    /// The agent's own last sample as a frame: the broadcast at `t_0`, or a repetition for a
+    /// Returns the agent's last sample as a frame: the broadcast at `t_0`, or a repetition for a
     /// neighbour that joined late.
     #[must_use]
     pub fn announcement(&self, params: &AgentParams<'_, N>) -> Frame<N> {
@@ -171,15 +226,15 @@ where
         }
     }
 
-    /// One step at `tick`: see the module's description.
+    /// Performs one step at `tick`: see the module documentation.
     ///
-    /// `network` is the inner network in use; another one from one step to the next is how a
-    /// newly trained one is switched in. Without one the observer runs on its feedback alone
-    /// and the outer weights rest. `measurement` is `y_i(t_k)`, shape `[m]`.
+    /// `network` is the inner network in use; passing a different one in the next step switches to
+    /// a newly trained network. With `None` the observer runs on feedback alone and the outer
+    /// weights stay constant. `measurement` is `y_i(t_k)`, shape `[m]`.
     ///
     /// # Errors
-    /// Input that does not fit or is not finite, or a result that would not be finite; state
-    /// and inbox are then as they were, frames still waiting.
+    /// Input of the wrong size or not finite, or a result that would not be finite. State and inbox
+    /// are then unchanged and frames stay pending.
     #[inline]
     pub fn step<P, I>(
         &mut self,
@@ -247,7 +302,7 @@ where
         Some(self.announcement(params))
     }
 
-    /// Holds the estimate as the agent's next sample.
+    /// Stores the estimate as the agent's next sample.
     #[inline]
     fn sample_estimate(&mut self, tick: Tick) {
         let sequence = self.own_hold.sequence().wrapping_add(1);
@@ -255,7 +310,7 @@ where
         self.consensus_is_current = false;
     }
 
-    /// `z_i` with the held estimates as they are once the inbox is emptied into them at `tick`.
+    /// Computes `z_i` with the held estimates as they are after the inbox is drained at `tick`.
     #[inline]
     fn consensus_with<I>(
         &self,
@@ -283,7 +338,7 @@ where
             .consensus_term(self.own_hold.estimate(), held.map(|hold| hold.map(Hold::estimate)))
     }
 
-    /// Refuses what a step cannot work with.
+    /// Checks the arguments of a step.
     #[inline]
     fn check<P, I>(
         &self,
@@ -332,7 +387,7 @@ where
     /// number of features.
     ///
     /// # Errors
-    /// A number that is not finite, or a length that does not fit; nothing is changed then.
+    /// A number that is not finite, or a wrong length; the weights are then unchanged.
     pub fn replace_outer_weights(
         &mut self,
         params: &AgentParams<'_, N>,
@@ -341,55 +396,55 @@ where
         self.outer_weights.replace(outer_weights, &params.outer_law)
     }
 
-    /// Drops the held samples of neighbours that do not stay in their place.
+    /// Drops the held samples of neighbours for which `stays` returns false.
     pub(crate) fn keep_neighbours(&mut self, stays: impl Fn(usize) -> bool) {
         for (place, hold) in self.neighbour_holds.as_mut().iter_mut().enumerate() {
             if !stays(place) {
                 *hold = None;
             }
         }
-        // The weights of the edges may differ, too.
+        // The weights of the edges may differ too.
         self.consensus_is_current = false;
     }
 
-    /// `x_hat_i`, at the tick after the last step.
+    /// Returns `x_hat_i` at the tick after the last step.
     #[must_use]
     pub fn estimate(&self) -> &StateVector<N> {
         &self.estimate
     }
 
-    /// `W_hat_i`, at the tick after the last step.
+    /// Returns `W_hat_i` at the tick after the last step.
     #[must_use]
     pub fn outer_weights(&self) -> &OuterWeights<N, FEATURES> {
         &self.outer_weights
     }
 
-    /// `z_i` of the last step.
+    /// Returns `z_i` of the last step.
     #[must_use]
     pub fn consensus_term(&self) -> &StateVector<N> {
         &self.consensus_term
     }
 
-    /// `e_3i` of the last step, shape `[m]`.
+    /// Returns `e_3i` of the last step, shape `[m]`.
     #[must_use]
     pub fn output_error(&self, params: &AgentParams<'_, N>) -> &[f32] {
         &self.output_error.as_slice()[..params.outputs().min(N)]
     }
 
-    /// The agent's own held sample, `x_tilde_i`.
+    /// Returns the agent's own held sample, `x_tilde_i`.
     #[must_use]
     pub fn own_hold(&self) -> &Hold<N> {
         &self.own_hold
     }
 
-    /// The neighbours' held samples, in the order of the parameters; `None` for one that has
-    /// not been heard yet.
+    /// Returns the neighbours' held samples, in the order of the parameters; `None` for a neighbour
+    /// that has not been heard yet.
     #[must_use]
     pub fn neighbour_holds(&self) -> &[Option<Hold<N>>] {
         self.neighbour_holds.as_ref()
     }
 
-    /// How many frames the last step dropped because it already held something as new.
+    /// Returns how many frames the last step dropped because the held sample was at least as new.
     #[must_use]
     pub fn stale_frames(&self) -> u32 {
         self.stale_frames

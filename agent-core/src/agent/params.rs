@@ -1,4 +1,4 @@
-//! What does not change about an agent.
+//! The immutable parameters of an agent.
 
 use nalgebra::SMatrix;
 
@@ -11,7 +11,30 @@ use crate::observer::projection::ProjectionParams;
 use crate::observer::trigger::{Trigger, TriggerParams};
 use crate::{AgentId, Tick};
 
-/// Everything about an agent that does not change, checked as a whole.
+/// All parameters of an agent, validated as a whole.
+///
+/// ```
+/// use agent_core::{AgentParams, StateVector};
+/// # use agent_core::{Neighbour, ObserverParams, OutputMatrix, OuterLawParams, ProjectionParams};
+/// # use agent_core::{SymmetricMatrix, TriggerParams};
+/// # let neighbours = [Neighbour { id: 2, weight: 1.0 }];
+/// # let observer = ObserverParams {
+/// #     output_matrix: OutputMatrix::new(&[StateVector::<2>::new(1.0, 0.0)])?,
+/// #     gain: SymmetricMatrix::Scalar(50.0).unfold(),
+/// #     neighbours: &neighbours,
+/// # };
+/// # let projection =
+/// #     ProjectionParams { radius: 9.0, boundary_layer: 1.0, smoothing: 0.1, smoothness: 1 };
+/// # let outer_law = OuterLawParams { gain: SymmetricMatrix::Scalar(1.0), projection };
+/// # let trigger =
+/// #     TriggerParams { hold_error_weight: 1e4, consensus_weight: 0.5, threshold: 10.0 };
+/// # let params = AgentParams::new(1, 1e-3, observer, outer_law, trigger)?;
+///
+/// // `params` describes agent 1, which measures one output and hears agent 2.
+/// assert_eq!((params.id(), params.outputs()), (1, 1));
+/// assert_eq!(params.neighbours()[0].id, 2);
+/// # Ok::<(), agent_core::math::parameter::ParameterError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct AgentParams<'a, const N: usize> {
     pub(super) id: AgentId,
@@ -23,10 +46,10 @@ pub struct AgentParams<'a, const N: usize> {
 }
 
 impl<'a, const N: usize> AgentParams<'a, N> {
-    /// Joins the parameters of agent `id`, which is stepped every `step_size` \[s\].
+    /// Creates the parameters of agent `id`, which is stepped every `step_size` \[s\].
     ///
     /// # Errors
-    /// The first parameter that is out of its range.
+    /// The first parameter outside its range.
     pub fn new(
         id: AgentId,
         step_size: f32,
@@ -42,9 +65,9 @@ impl<'a, const N: usize> AgentParams<'a, N> {
         Ok(Self { id, step_size, observer, outer_law, trigger, restart_silence })
     }
 
-    /// The same with another number of steps than [`RESTART_SILENCE`] until a neighbour that began
-    /// anew is heard again. Above the longest delay of the link, or a frame that was overtaken
-    /// can take the place of a newer one.
+    /// Sets the number of steps after which a restarted neighbour is heard again, in place of
+    /// [`RESTART_SILENCE`]. It must exceed the longest delay of the link; otherwise an overtaken
+    /// frame can replace a newer one.
     #[must_use]
     pub fn with_restart_silence(self, restart_silence: Tick) -> Self {
         Self { restart_silence, ..self }
@@ -81,19 +104,19 @@ impl<'a, const N: usize> AgentParams<'a, N> {
         }
     }
 
-    /// The agent's number.
+    /// Returns the agent's number.
     #[must_use]
     pub fn id(&self) -> AgentId {
         self.id
     }
 
-    /// `dt`. \[s\]
+    /// Returns `dt`. \[s\]
     #[must_use]
     pub fn step_size(&self) -> f32 {
         self.step_size
     }
 
-    /// `m`, how many outputs the agent measures.
+    /// Returns `m`, the number of outputs the agent measures.
     #[must_use]
     pub fn outputs(&self) -> usize {
         self.observer.output_matrix.outputs()
@@ -111,13 +134,13 @@ impl<'a, const N: usize> AgentParams<'a, N> {
         &self.observer.gain
     }
 
-    /// The operator that keeps the outer weights bounded.
+    /// Returns the parameters of the operator that bounds the outer weights.
     #[must_use]
     pub fn projection(&self) -> &ProjectionParams {
         &self.outer_law.projection
     }
 
-    /// The neighbours, in the order of an inbox's places.
+    /// Returns the neighbours, in the order of an inbox's slots.
     #[must_use]
     pub fn neighbours(&self) -> &'a [Neighbour] {
         self.observer.neighbours

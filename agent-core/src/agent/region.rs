@@ -1,24 +1,33 @@
-//! A box in state space with limits of its own: it outlives the package that it was copied from.
+//! Boxes in state space. [`StateBox`] borrows its limits from a package; [`Region`] owns them and
+//! outlives the package it was copied from.
 //!
-//! Memory: `8 N` bytes. Cost of asking: at most `2 N` comparisons. Invariants: the limits are
-//! finite, and no lower limit is above its upper one.
+//! Memory: `8 N` bytes. Cost of a query: at most `2 N` comparisons. Invariants: the limits are
+//! finite, and no lower limit exceeds its upper limit.
 
 use crate::StateVector;
 use crate::agent::hold::Hold;
 use crate::math::numeric::{components, components_mut};
 use crate::math::parameter::{ParameterError, finite, not_negative};
 
-/// A box in state space.
+/// A box in state space with borrowed limits.
+///
+/// ```
+/// use agent_core::StateBox;
+///
+/// let trained = StateBox { low: &[-1.0, -2.0], high: &[1.0, 2.0] };
+/// assert!(trained.contains(&[1.0, 0.0]));
+/// assert!(!trained.contains(&[1.0, 2.5]));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StateBox<'a> {
-    /// Least value of each component, shape `[n]`.
+    /// Lower limit of each component, shape `[n]`.
     pub low: &'a [f32],
-    /// Largest value of each component, shape `[n]`.
+    /// Upper limit of each component, shape `[n]`.
     pub high: &'a [f32],
 }
 
 impl StateBox<'_> {
-    /// Whether every component of `x` lies within its limits.
+    /// Returns whether every component of `x` is within its limits.
     #[inline]
     #[must_use]
     pub fn contains(&self, x: &[f32]) -> bool {
@@ -27,7 +36,17 @@ impl StateBox<'_> {
     }
 }
 
-/// All `x` with `low <= x <= high`, component by component.
+/// All `x` with `low <= x <= high`, componentwise.
+///
+/// ```
+/// use agent_core::{Region, StateVector};
+///
+/// let region = Region::new(StateVector::<1>::new(-1.0), StateVector::<1>::new(1.0))?;
+/// assert!(!region.contains(&StateVector::<1>::new(2.0)));
+/// // Wider by one and a half widths on each side: -4 to 4.
+/// assert!(region.widened(1.5)?.contains(&StateVector::<1>::new(4.0)));
+/// # Ok::<(), agent_core::math::parameter::ParameterError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Region<const N: usize> {
     low: StateVector<N>,
@@ -35,8 +54,10 @@ pub struct Region<const N: usize> {
 }
 
 impl<const N: usize> Region<N> {
+    /// Creates a region from its limits.
+    ///
     /// # Errors
-    /// A limit that is not finite, or a lower one above its upper one.
+    /// A limit that is not finite, or a lower limit above its upper limit.
     pub fn new(low: StateVector<N>, high: StateVector<N>) -> Result<Self, ParameterError> {
         finite("region.low", components(&low))?;
         finite("region.high", components(&high))?;
@@ -52,10 +73,10 @@ impl<const N: usize> Region<N> {
         Ok(Self { low, high })
     }
 
-    /// The same limits as those of a package.
+    /// Copies the limits of a package.
     ///
     /// # Errors
-    /// As for [`Self::new`], and a box of another dimension.
+    /// As for [`Self::new`], or a box of another dimension.
     pub fn copied(limits: &StateBox<'_>) -> Result<Self, ParameterError> {
         let copied = |parameter, limits: &[f32]| match <[f32; N]>::try_from(limits) {
             Ok(limits) => Ok(StateVector::from(limits)),
@@ -64,18 +85,18 @@ impl<const N: usize> Region<N> {
         Self::new(copied("region.low", limits.low)?, copied("region.high", limits.high)?)
     }
 
-    /// Every finite point.
+    /// Returns the region that contains every finite point.
     #[must_use]
     pub fn unlimited() -> Self {
         Self { low: StateVector::repeat(f32::MIN), high: StateVector::repeat(f32::MAX) }
     }
 
-    /// The region that reaches `margin` times its width further on either side. A component
-    /// without any width has no scale of its own and takes that of the widest one. A limit that
-    /// would overflow is the last finite number, which limits nothing.
+    /// Returns the region widened on both sides by `margin` times its width in each component. A
+    /// component of zero width has no scale and uses that of the widest one. A limit that would
+    /// overflow becomes the largest finite number, which excludes nothing.
     ///
     /// # Errors
-    /// A margin that is not finite or below 0.
+    /// A margin that is negative or not finite.
     pub fn widened(&self, margin: f32) -> Result<Self, ParameterError> {
         not_negative("region.margin", margin)?;
         let width = |low: f32, high: f32| limited(high - low);
@@ -93,13 +114,13 @@ impl<const N: usize> Region<N> {
         Ok(wider)
     }
 
-    /// Whether it is a single point.
+    /// Returns whether the region is a single point.
     #[must_use]
     pub fn is_point(&self) -> bool {
         self.limits().all(|(low, high)| low == high)
     }
 
-    /// The point in the middle.
+    /// Returns the midpoint.
     #[must_use]
     pub fn centre(&self) -> StateVector<N> {
         let mut centre = self.low;
@@ -109,13 +130,13 @@ impl<const N: usize> Region<N> {
         centre
     }
 
-    /// The lower and the upper limit of each component.
+    /// Returns the lower and the upper limit of each component.
     #[inline]
     fn limits(&self) -> impl Iterator<Item = (&f32, &f32)> {
         components(&self.low).iter().zip(components(&self.high))
     }
 
-    /// Empties the places of the samples outside; returns how many there were.
+    /// Clears the slots whose sample is outside; returns how many.
     pub(crate) fn discard_outside(&self, places: &mut [Option<Hold<N>>]) -> usize {
         let mut discarded = 0;
         for place in places {
@@ -127,7 +148,7 @@ impl<const N: usize> Region<N> {
         discarded
     }
 
-    /// Whether every component of `x` lies within its limits; never for one that is not a number.
+    /// Returns whether every component of `x` is within its limits; false for NaN.
     #[inline]
     #[must_use]
     pub fn contains(&self, x: &StateVector<N>) -> bool {
@@ -135,7 +156,7 @@ impl<const N: usize> Region<N> {
     }
 }
 
-/// The last finite number in place of an infinite one.
+/// Replaces an infinite limit by the largest finite number of its sign.
 #[inline(never)]
 fn limited(limit: f32) -> f32 {
     limit.clamp(f32::MIN, f32::MAX)
@@ -163,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn widening_goes_by_each_components_width() {
+    fn widening_scales_with_each_components_width() {
         let region = Region::<3>::new([-1.0, 2.0, 0.0].into(), [3.0, 2.0, 1.0].into()).unwrap();
         let expected = Region::new([-9.0, -6.0, -2.0].into(), [11.0, 10.0, 3.0].into());
         assert_eq!(region.widened(2.0), expected);
@@ -171,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_end_with_the_numbers() {
+    fn limits_saturate_at_the_largest_number() {
         let unlimited = Region::<2>::unlimited();
         for margin in [0.0, 1e-30, 10.0, f32::MAX] {
             assert_eq!(unlimited.widened(margin), Ok(unlimited));
@@ -190,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_what_is_no_region() {
+    fn refuses_invalid_limits() {
         let region = |low: f32, high: f32| Region::<1>::new([low].into(), [high].into());
         assert!(region(1.0, 0.5).is_err());
         assert!(region(f32::NAN, 1.0).is_err());

@@ -1,4 +1,4 @@
-//! Beginning anew in the middle of a run.
+//! Restarts an agent during a run.
 
 use super::AgentParams;
 use super::AgentState;
@@ -13,17 +13,17 @@ impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S>
 where
     S: HoldSlots<N>,
 {
-    /// Begins anew with the estimate `x_hat(t_(k+1))` and the outer weights `W_hat(t_(k+1))`, row
-    /// by row, shape `[L, N]`; `tick` is `k`, that of the last attempt at a step, whatever came of
-    /// it. Returns the frame to broadcast *in place of* the step's: receivers have to know the new
-    /// sample, since it is what this agent compares itself with. Its sequence goes on, so that
-    /// nobody takes it for an old one.
+    /// Restarts with the estimate `x_hat(t_(k+1))` and the outer weights `W_hat(t_(k+1))`, row by
+    /// row, shape `[L, N]`; `tick` is `k`, the tick of the last attempted step, whatever its
+    /// result. Returns the frame to broadcast *in place of* the step's frame: receivers need the
+    /// new sample, because this agent's trigger compares the estimate with it. The sequence
+    /// continues, so that neighbours do not take the frame for an old one.
     ///
-    /// What the neighbours broadcast stays: of one that has nothing new to say nothing would be
-    /// heard again. [`Self::forget_neighbours_outside`] drops what cannot be true.
+    /// The neighbours' samples are kept: a neighbour whose trigger does not fire would otherwise
+    /// remain unheard. [`Self::forget_neighbours_outside`] drops implausible ones.
     ///
     /// # Errors
-    /// A number that is not finite, or a length that does not fit; nothing is changed then.
+    /// A number that is not finite, or a wrong length; the state is then unchanged.
     pub fn restart(
         &mut self,
         params: &AgentParams<'_, N>,
@@ -43,8 +43,8 @@ where
         Ok(self.announcement(params))
     }
 
-    /// Drops the neighbours' held samples that lie outside `region`: their senders count as not
-    /// heard until their next frame.
+    /// Drops the neighbours' held samples outside `region`: their senders count as unheard until
+    /// their next frame.
     pub fn forget_neighbours_outside(&mut self, region: &Region<N>) {
         if region.discard_outside(self.neighbour_holds.as_mut()) > 0 {
             self.consensus_is_current = false;

@@ -1,10 +1,11 @@
-//! The bytes that nodes and laptops have always exchanged, and what a node takes and refuses.
+//! Golden bytes of everything that nodes and laptops exchange, and of what a node accepts and
+//! refuses.
 //!
-//! `bytes.txt` was written by the first implementation, which encoded and decoded by hand. Each line
-//! holds a name, the bytes of one frame, request, response or package, and a hash of what decoding
-//! makes of some thousand changed copies of them: every value of every byte, a byte too many or too
-//! few, integers written longer than they need. Nodes that are in use speak this, so the file only
-//! grows. A line for something new is printed by the failing test.
+//! `bytes.txt` was written by the first implementation, which encoded and decoded by hand. Each
+//! line has a name, the bytes of one frame, request, response or package, and a hash of the results
+//! of decoding some thousand modified copies: every value of every byte, one byte more or fewer,
+//! and overlong integers. Deployed nodes use this format, so the file only grows. A failing test
+//! prints the line for a new entry.
 
 extern crate std;
 
@@ -41,7 +42,8 @@ impl Hash {
     }
 }
 
-/// A hash of what `decode` makes of copies of `bytes` that are changed in the first `reach` bytes.
+/// Returns a hash of the results of `decode` on copies of `bytes` that are changed in the first
+/// `reach` bytes.
 fn verdicts(bytes: &[u8], reach: usize, decode: impl Fn(&[u8]) -> Vec<u8>) -> u64 {
     let mut hash = Hash(0xcbf2_9ce4_8422_2325);
     hash.add(&decode(bytes));
@@ -51,7 +53,7 @@ fn verdicts(bytes: &[u8], reach: usize, decode: impl Fn(&[u8]) -> Vec<u8>) -> u6
             changed[place] = value;
             hash.add(&decode(&changed));
         }
-        // An integer that ends here, written with one and with nine bytes more.
+        // An integer that ends here, written with one and with nine extra bytes.
         for zeros in [1, 9] {
             let longer = [&[bytes[place] | 0x80][..], &vec![0x80; zeros - 1], &[0]].concat();
             changed.splice(place..=place, longer.iter().copied());
@@ -66,7 +68,7 @@ fn verdicts(bytes: &[u8], reach: usize, decode: impl Fn(&[u8]) -> Vec<u8>) -> u6
     hash.0
 }
 
-/// The bytes between framing, as a receiver finds them.
+/// Returns the bytes inside the framing, as a receiver gets them.
 fn sent(message: &impl serde::Serialize) -> Vec<u8> {
     let mut decoder = Decoder::<4096>::new();
     let mut found = Vec::new();
@@ -80,12 +82,12 @@ fn sent(message: &impl serde::Serialize) -> Vec<u8> {
     found
 }
 
-/// What a node makes of a request: the request said again, or nothing.
+/// Decodes a request and encodes it again; empty if it is invalid.
 fn heard(bytes: &[u8]) -> Vec<u8> {
     receive::<Request<'_>>(bytes).map_or(vec![], |request| sent(&request))
 }
 
-/// What a node with three state components makes of a frame whose checksum matches.
+/// Decodes a frame with a matching checksum on a node with three state components.
 fn frame_taken(body: &[u8]) -> Vec<u8> {
     let frame = [body, &crc32(&[body]).to_le_bytes()].concat();
     match Frame::<3>::decode(&frame) {
@@ -100,7 +102,7 @@ fn frame_taken(body: &[u8]) -> Vec<u8> {
     }
 }
 
-/// What a node makes of a package with this body: the package written again, or what is wrong.
+/// Decodes a package with this body and encodes it again, or returns the error.
 fn package_taken(body: &[u8]) -> Vec<u8> {
     let header = crate::package::tests::header_of(body);
     let bytes = Aligned::new(&[&header[..], body].concat());
@@ -157,7 +159,7 @@ fn numbers(values: &[f32]) -> Numbers {
     Numbers::from_slice(values).unwrap()
 }
 
-/// One line for each kind of bytes.
+/// One line per entry.
 #[derive(Default)]
 struct Lines(Vec<String>);
 
@@ -229,7 +231,7 @@ impl Lines {
     }
 
     fn packages(&mut self) {
-        // The metadata are the first 40 to 70 bytes.
+        // The metadata is the first 40 to 70 bytes.
         const REACH: usize = 80;
         for (index, package) in packages(&Content::new()).iter().enumerate() {
             let bytes = encoded(package);
@@ -341,7 +343,7 @@ fn responses() -> Vec<Response<'static, Numbers>> {
     all
 }
 
-/// One package for each form of its metadata.
+/// One package per form of its metadata.
 fn packages(content: &Content) -> Vec<Package<'_>> {
     let plain = content.package();
     let mut other = plain.clone();
@@ -372,7 +374,7 @@ fn packages(content: &Content) -> Vec<Package<'_>> {
 }
 
 #[test]
-fn bytes_and_verdicts_are_those_of_the_first_implementation() {
+fn bytes_and_verdicts_match_the_first_implementation() {
     let mut lines = Lines::default();
     lines.requests();
     lines.responses();

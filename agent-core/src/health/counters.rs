@@ -1,4 +1,4 @@
-//! How often what happened.
+//! Counters of run-time faults.
 //!
 //! The tables below are the one place that lists the counters: their order is that of the messages,
 //! their names are the keys in JSON. A new one goes to the end, and changes
@@ -27,14 +27,14 @@ macro_rules! counters {
             pub const TABLE: [(&'static str, &'static str); $count] =
                 [$((stringify!($name), $text)),+];
 
-            /// All of them, in their order.
+            /// Returns the counters in order.
             #[inline]
             #[must_use]
             pub fn to_array(&self) -> [u32; $count] {
                 [$(self.$name),+]
             }
 
-            /// The counters with these values, in their order.
+            /// Creates the counters from their values in order.
             #[must_use]
             pub fn from_array(values: [u32; $count]) -> Self {
                 let [$($name),+] = values;
@@ -55,39 +55,39 @@ counters! {
     HealthCounters, COUNTERS:
     /// Steps that led to an estimate outside the box of trained inputs.
     outside_box: "steps outside the trained box",
-    /// Steps that led to an estimate outside the plausible region, and so outside the box.
-    implausible: "of them implausible",
-    /// Steps with the network after which the projection acts on the outer weights.
+    /// Steps whose estimate was outside the plausible region, and therefore outside the box.
+    implausible: "of these implausible",
+    /// Steps with the network after which the projection acted on the outer weights.
     projection_active: "steps with an active projection",
-    /// Steps that were refused because a result would not have been finite.
+    /// Steps refused because a result would not have been finite.
     diverged: "steps that would have overflowed",
-    /// Steps that were refused because a measurement was not finite.
+    /// Steps refused because a measurement was not finite.
     measurements_not_finite: "measurements not finite",
-    /// Steps that were refused for any other reason.
+    /// Steps refused for any other reason.
     steps_refused: "steps refused for other reasons",
-    /// Ticks between two attempts at a step.
+    /// Ticks between two attempted steps.
     skipped_ticks: "ticks skipped",
-    /// Broadcasts that came sooner after the last one than Theorem 2 allows.
+    /// Broadcasts sooner after the previous one than Theorem 2 allows.
     early_broadcasts: "broadcasts sooner than Theorem 2 allows",
-    /// Frames that were refused because their estimate was not finite.
+    /// Frames refused because their estimate was not finite.
     frames_not_finite: "frames not finite",
-    /// Frames that were refused because their estimate was outside the plausible region.
+    /// Frames refused because their estimate was outside the plausible region.
     frames_implausible: "implausible frames",
-    /// Frames that were refused for any other reason.
+    /// Frames refused for any other reason.
     frames_refused: "frames refused for other reasons",
-    /// Frames that a step dropped because the receiver already held something as new.
+    /// Frames dropped by a step because the held sample was at least as new.
     frames_stale: "frames out of date",
-    /// How often the inner network was left out.
-    fall_backs: "times the network was left out",
-    /// How often it was used again.
-    returns: "times it was used again",
-    /// How often the agent began anew.
-    restarts: "times begun anew",
+    /// Number of fallbacks to running without the inner network.
+    fall_backs: "fallbacks to feedback alone",
+    /// Number of returns to the inner network.
+    returns: "returns to the network",
+    /// Number of restarts of the agent.
+    restarts: "restarts",
 }
 
 impl HealthCounters {
-    /// Whether any counter differs. In a node's every turn, where `==` on fields or arrays would call
-    /// a `memcmp` that takes byte by byte: 5 instructions a byte, not 5 a counter.
+    /// Returns whether any counter differs. Called in every turn of a node, where `==` on fields or
+    /// arrays would call a bytewise `memcmp`: 5 instructions per byte instead of 5 per counter.
     #[inline]
     pub(super) fn differ_from(&self, other: &Self) -> bool {
         let pairs = self.to_array().into_iter().zip(other.to_array());
@@ -95,7 +95,7 @@ impl HealthCounters {
     }
 }
 
-// By way of the array: a loop takes a fifth of the code that one field after another does.
+// Via the array: a loop takes a fifth of the code that serialising field by field does.
 impl Serialize for HealthCounters {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         self.to_array().serialize(serializer)

@@ -1,53 +1,53 @@
-//! What goes wrong at run time: counted, reported in moderation, and what to do about it.
+//! Detects run-time faults, counts and reports them, and recommends what to do.
 //!
-//! [`Health`] looks at the outcome of every step and at every refused frame, changes neither, and
-//! gives two pieces of advice: whether the inner network is to be used
-//! ([`Health::network_in_use`]) and whether the agent is to begin anew ([`Advice`]).
+//! [`Health`] observes the outcome of every step and every refused frame without changing either,
+//! and makes two recommendations: whether to use the inner network ([`Health::network_in_use`]) and
+//! whether to restart the agent ([`Advice`]).
 //!
-//! | watched | how | counter |
+//! | fault | detected by | counter |
 //! | --- | --- | --- |
-//! | inputs unlike those of the training | `x_hat(t_(k+1))`, the next input of the network, outside [`StateBox`] | `outside_box` |
-//! | outer weights near their bound | the projection acts: `|W_hat|^2 > theta_0^2` after a step with the network, a step that was shortened onto the bound included | `projection_active` |
-//! | numbers that are none | refused by step and inbox | `measurements_not_finite`, `frames_not_finite` |
+//! | inputs unlike the training data | `x_hat(t_(k+1))`, the next input of the network, outside [`StateBox`] | `outside_box` |
+//! | outer weights near their bound | the projection acts: `|W_hat|^2 > theta_0^2` after a step with the network, including a step that was scaled back onto the bound | `projection_active` |
+//! | infinite or NaN inputs | refused by step and inbox | `measurements_not_finite`, `frames_not_finite` |
 //! | divergence | a step that would overflow; an estimate outside the plausible region | `diverged`, `implausible` |
 //! | broadcasts closer than Theorem 2 allows (`Zeno Bound`) | ticks between two samples | `early_broadcasts` |
-//! | a node that is late | ticks without a step | `skipped_ticks` |
+//! | a late node | ticks without a step | `skipped_ticks` |
 //!
 //! # The interval of Theorem 2
-//! On the trajectories that the bound `b` was computed for, the estimate moves at most
-//! `e_2i_max dt` a step, so the trigger fires after `j >= b / dt` steps at the earliest. The alarm
-//! is `j < floor(b / dt)`: neither the rounding of the quotient nor a late step, which moves the
-//! estimate by one `dt` while several ticks go by, can raise a false one; and a violation by less
-//! than one step is missed. Bounds below two steps leave nothing to watch.
+//! On the trajectories for which the bound `b` was computed, the estimate moves at most `e_2i_max
+//! dt` per step, so the trigger fires after `j >= b / dt` steps at the earliest. The alarm
+//! condition is `j < floor(b / dt)`. Neither the rounding of the quotient nor a late step, which
+//! moves the estimate by one `dt` while several ticks pass, can cause a false alarm; a violation by
+//! less than one step is missed. Bounds below two steps are not monitored.
 //!
-//! # Falling back
-//! After `after` unhealthy steps in a row the network is left out, after `return_after` healthy
-//! ones it is used again; what makes a step unhealthy is for [`FallBack`] to say. While the
-//! network is out the outer weights rest and the projection does not act, so that they count for
-//! nothing then; they return as they left. A step that was refused for its input says
-//! nothing about the network and neither ends nor prolongs a row.
+//! # Fallback
+//! After `after` consecutive unhealthy steps the observer runs without the network, and after
+//! `return_after` consecutive healthy ones it uses the network again; [`FallBack`] selects what
+//! makes a step unhealthy. During a fallback the outer weights stay constant and the projection
+//! does not act, so neither is considered; they resume unchanged. A step refused because of its
+//! input says nothing about the network: it neither interrupts nor extends a sequence.
 //!
-//! # Recovering
-//! A step that overflows is not taken: it does no harm by itself. But if the estimate is huge, or a
-//! held sample of a neighbour, the next step overflows again, and so on for ever. And a huge
-//! measurement that does not overflow throws the outer weights onto their bound, where they stay
-//! useless for a long time after the feedback, which shrinks an error by `1 - dt k` a step, has
-//! brought the estimate back. So an agent begins anew, with the centre of the trained box and the
-//! package's outer weights,
-//! - at once when a step leads outside the plausible region, which is the trained box widened by
-//!   [`HealthSettings::plausible_margin`] widths: the harm is done;
-//! - after [`HealthSettings::restart_after`] steps in a row that overflow.
+//! # Restart
+//! A step that overflows is not taken and does no harm by itself. But if the estimate or a
+//! neighbour's held sample is huge, all following steps overflow too. A huge measurement that does
+//! not overflow throws the outer weights onto their bound, where they stay useless long after the
+//! feedback, which shrinks an error by `1 - dt k` per step, has recovered the estimate. The agent
+//! therefore restarts from the centre of the trained box and the package's outer weights
+//! - immediately, when a step leaves the plausible region, which is the trained box widened by
+//!   [`HealthSettings::plausible_margin`] widths;
+//! - after [`HealthSettings::restart_after`] consecutive steps that overflow.
 //!
-//! Samples of neighbours outside the plausible region are dropped, or they would carry it off again.
-//! A network that was not trained has a box without limits, and so a plausible region without: then
-//! only overflows lead to a restart, and every finite frame is believed.
-//! [`Health::restart`] does all of it; `docs/decisions/0009-restarts.md` has the measurements.
+//! Neighbours' samples outside the plausible region are dropped; they would otherwise drive the
+//! estimate out again. An untrained network has an unbounded box and therefore an unbounded
+//! plausible region: then only overflows cause a restart, and every finite frame is accepted.
+//! [`Health::restart`] performs the restart; `docs/decisions/0009-restarts.md` has the
+//! measurements.
 //!
-//! Everything is a function of the steps' outcomes: nodes that see the same do the same.
+//! Everything is a function of the steps' outcomes: nodes with the same inputs behave identically.
 //!
-//! Memory: 176 bytes of state, `16 N + 28` of parameters. Cost a step: `2 N` comparisons for a healthy
-//! estimate and up to `4 N` for another. With `N = 3` a healthy step without a broadcast takes
-//! about 95 instructions of a Cortex-M4F, counted by hand in the machine code.
+//! Memory: 176 bytes of state, `16 N + 28` of parameters. Cost per step: `2 N` comparisons for a
+//! healthy estimate and up to `4 N` otherwise. With `N = 3` a healthy step without a broadcast
+//! takes about 95 instructions on a Cortex-M4F, counted by hand in the machine code.
 //!
 //! [`StateBox`]: crate::agent::region::StateBox
 
@@ -68,42 +68,51 @@ use crate::agent::{AgentParams, AgentState, StepError, StepOutput};
 use crate::math::parameter::ParameterError;
 use crate::wire::frame::{Frame, FrameError};
 
-/// What to do after a step.
+/// Recommendation after a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub enum Advice {
-    /// Go on; broadcast what the step returned.
+    /// Continue, and broadcast the frame returned by the step.
     Continue,
-    /// Call [`Health::restart`] and broadcast what it returns in place of the step's frame.
+    /// Call [`Health::restart`] and broadcast the frame it returns in place of the step's.
     Restart,
 }
 
-/// What an agent's health has been so far.
+/// The health record of an agent.
+///
+/// ```
+/// use agent_core::wire::frame::FrameError;
+/// use agent_core::Health;
+///
+/// let mut health = Health::new();
+/// assert!(health.network_in_use());
+/// health.frame_refused(&FrameError::Checksum);
+/// assert_eq!(health.counters().frames_refused, 1);
+/// ```
 #[derive(Clone, Debug, Default)]
 pub struct Health {
     counters: HealthCounters,
-    /// Tick of the last attempt at a step.
+    /// Tick of the last attempted step.
     last_tick: Option<Tick>,
     /// Tick of the agent's last sample; the first belongs to tick 0.
     last_broadcast: Tick,
     fallen_back: bool,
-    /// Steps in a row towards falling back, or towards returning.
+    /// Consecutive steps towards a fallback, or towards the return.
     row: u32,
-    /// Steps in a row that overflowed; `u32::MAX` if the estimate is implausible.
+    /// Consecutive overflowing steps; `u32::MAX` if the estimate is implausible.
     overflows: u32,
     last_report: Option<Tick>,
     reported: HealthCounters,
 }
 
 impl Health {
-    /// The health of an agent that has not taken a step.
+    /// Creates the record of an agent that has not taken a step.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Takes notice of the attempt at a step at `tick`, of what came of it, and of the state that
-    /// it left.
+    /// Records the attempted step at `tick`, its outcome, and the resulting state.
     #[inline]
     pub fn observe<const N: usize, const FEATURES: usize, S>(
         &mut self,
@@ -115,7 +124,8 @@ impl Health {
     where
         S: HoldSlots<N>,
     {
-        // Whether the step was unhealthy, and for how many steps in a row the agent is lost.
+        // Whether the step was unhealthy, and for how many consecutive steps the agent has been
+        // unusable.
         let (unhealthy, lost) = match outcome {
             Ok(output) => {
                 self.notice_time(tick);
@@ -128,7 +138,7 @@ impl Health {
             Err(StepError::Diverged) => {
                 self.notice_time(tick);
                 count(&mut self.counters.diverged);
-                // A kind that was not chosen is no sign of health either.
+                // A kind that is not selected does not count as healthy either.
                 let unhealthy = params.fall_back.is_some_and(|f| f.diverged).then_some(true);
                 (unhealthy, self.overflows.saturating_add(1))
             }
@@ -152,7 +162,7 @@ impl Health {
         }
     }
 
-    /// Whether the step was unhealthy, and whether the agent is lost.
+    /// Returns whether the step was unhealthy and whether the agent is unusable.
     #[inline]
     fn notice_state<const N: usize, const FEATURES: usize, S>(
         &mut self,
@@ -223,7 +233,7 @@ impl Health {
         }
     }
 
-    /// Takes notice of a frame that the inbox refused.
+    /// Records a frame that the inbox refused.
     pub fn frame_refused(&mut self, error: &FrameError) {
         count(match error {
             FrameError::NotFinite { .. } => &mut self.counters.frames_not_finite,
@@ -232,19 +242,19 @@ impl Health {
         });
     }
 
-    /// Whether the next step is to be taken with the inner network.
+    /// Returns whether to pass the inner network to the next step.
     #[inline]
     #[must_use]
     pub fn network_in_use(&self) -> bool {
         !self.fallen_back
     }
 
-    /// Lets the agent begin anew after the attempt at a step at `tick`: see the module's
-    /// description. `outer_weights` are the package's, row by row, shape `[L, N]`. Returns the
-    /// frame to broadcast in place of the step's.
+    /// Restarts the agent after the attempted step at `tick`: see the module documentation.
+    /// `outer_weights` are the package's, row by row, shape `[L, N]`. Returns the frame to
+    /// broadcast in place of the step's.
     ///
     /// # Errors
-    /// Outer weights that do not fit; nothing is changed then.
+    /// Outer weights of the wrong size or not finite; nothing is changed then.
     pub fn restart<const N: usize, const FEATURES: usize, S, I>(
         &mut self,
         params: &HealthParams<N>,
@@ -267,14 +277,14 @@ impl Health {
         Ok(frame)
     }
 
-    /// What has been counted so far.
+    /// Returns the counters.
     #[must_use]
     pub fn counters(&self) -> &HealthCounters {
         &self.counters
     }
 
-    /// The counters, if they are to be reported now: something has changed since the last report,
-    /// which lies at least [`HealthSettings::telemetry_interval`] ticks back.
+    /// Returns the counters if a report is due: something has changed since the last report, and at
+    /// least [`HealthSettings::telemetry_interval`] ticks have passed.
     pub fn due<const N: usize>(
         &mut self,
         params: &HealthParams<N>,

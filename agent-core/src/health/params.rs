@@ -1,4 +1,4 @@
-//! What does not change about the watch over an agent.
+//! Parameters and settings of health monitoring.
 
 use core::num::NonZeroU32;
 
@@ -8,41 +8,61 @@ use crate::agent::region::Region;
 use crate::agent::region::StateBox;
 use crate::math::parameter::{ParameterError, not_negative, positive};
 
-/// When the inner network is left out, and when it is used again.
+/// When to fall back to feedback alone, and when to return to the inner network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FallBack {
-    /// Unhealthy steps in a row until the network is left out.
+    /// Consecutive unhealthy steps before the fallback.
     pub after: NonZeroU32,
-    /// Healthy steps in a row until it is used again.
+    /// Consecutive healthy steps before the return.
     pub return_after: NonZeroU32,
-    /// Whether a step is unhealthy that leads outside the box of trained inputs.
+    /// Treat a step as unhealthy if its estimate is outside the box of trained inputs.
     pub outside_box: bool,
-    /// Whether a step is unhealthy after which the projection acts on the outer weights.
+    /// Treat a step as unhealthy if the projection acts on the outer weights after it.
     pub projection_active: bool,
-    /// Whether a step is unhealthy that would have overflowed.
+    /// Treat a step as unhealthy if it would have overflowed.
     pub diverged: bool,
 }
 
-/// What the user of an agent chooses.
+/// User settings of health monitoring.
+///
+/// ```
+/// use core::num::NonZeroU32;
+///
+/// use agent_core::HealthSettings;
+/// use agent_core::health::FallBack;
+///
+/// let after = NonZeroU32::new(100).unwrap();
+/// let settings = HealthSettings {
+///     fall_back: Some(FallBack {
+///         after,
+///         return_after: after,
+///         outside_box: true,
+///         projection_active: false,
+///         diverged: true,
+///     }),
+///     ..HealthSettings::RECOMMENDED
+/// };
+/// assert_eq!(settings.restart_after, NonZeroU32::new(10));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HealthSettings {
-    /// When to leave the inner network out; `None` for never.
+    /// When to fall back to feedback alone; `None` for never.
     pub fall_back: Option<FallBack>,
-    /// How far the plausible region reaches beyond the box of trained inputs on either side, in
-    /// widths of the box. Above 0. Larger than any excursion of the plant: an agent whose plant
-    /// really is outside would begin anew again and again.
+    /// Distance by which the plausible region extends beyond the box of trained inputs on each
+    /// side, in widths of the box. Above 0, and larger than any excursion of the plant: an agent
+    /// whose plant really is outside would restart repeatedly.
     pub plausible_margin: f32,
-    /// After how many steps in a row that overflow the agent begins anew; outside the plausible
-    /// region it does so at once. `None` for never, in either case.
+    /// Number of consecutive overflowing steps before a restart; outside the plausible region the
+    /// agent restarts immediately. `None` disables both.
     pub restart_after: Option<NonZeroU32>,
-    /// Least time between two reports. \[steps\]
+    /// Minimum time between two reports. \[steps\]
     pub telemetry_interval: u32,
 }
 
 impl HealthSettings {
-    /// What does no harm to a plant that its network was trained for, and ends what no plant does:
-    /// docs/decisions/0009-restarts.md has the measurements. The network is never left out;
-    /// reports come at most every 1,000 steps.
+    /// Settings that do not affect a plant the network was trained for, and that stop divergence:
+    /// docs/decisions/0009-restarts.md has the measurements. The fallback is disabled; reports are
+    /// at least 1,000 steps apart.
     pub const RECOMMENDED: Self = Self {
         fall_back: None,
         plausible_margin: 10.0,
@@ -51,8 +71,33 @@ impl HealthSettings {
     };
 }
 
-/// Everything about the watch that does not change, checked as a whole. It owns what it needs of
-/// the package, whose memory may be written to while the agent runs.
+/// Validated parameters of health monitoring. They contain copies of the package's values, because
+/// the package's memory may be overwritten while the agent runs.
+///
+/// ```
+/// use agent_core::{AgentParams, HealthParams, HealthSettings, StateBox, StateVector};
+/// # use agent_core::{Neighbour, ObserverParams, OutputMatrix, OuterLawParams, ProjectionParams};
+/// # use agent_core::{SymmetricMatrix, TriggerParams};
+/// # let neighbours = [Neighbour { id: 2, weight: 1.0 }];
+/// # let observer = ObserverParams {
+/// #     output_matrix: OutputMatrix::new(&[StateVector::<2>::new(1.0, 0.0)])?,
+/// #     gain: SymmetricMatrix::Scalar(50.0).unfold(),
+/// #     neighbours: &neighbours,
+/// # };
+/// # let projection =
+/// #     ProjectionParams { radius: 9.0, boundary_layer: 1.0, smoothing: 0.1, smoothness: 1 };
+/// # let outer_law = OuterLawParams { gain: SymmetricMatrix::Scalar(1.0), projection };
+/// # let trigger =
+/// #     TriggerParams { hold_error_weight: 1e4, consensus_weight: 0.5, threshold: 10.0 };
+/// # let params = AgentParams::new(1, 1e-3, observer, outer_law, trigger)?;
+///
+/// let trained = StateBox { low: &[-1.0; 2], high: &[3.0; 2] };
+/// let health = HealthParams::new(&params, &trained, 2.5e-3, &HealthSettings::RECOMMENDED)?;
+/// assert_eq!(health.start_estimate(), StateVector::<2>::new(1.0, 1.0));
+/// // 2.5 ms are two whole steps of 1 ms.
+/// assert_eq!(health.interval_min(), 2);
+/// # Ok::<(), agent_core::math::parameter::ParameterError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct HealthParams<const N: usize> {
     pub(super) trained: Region<N>,
@@ -67,16 +112,16 @@ pub struct HealthParams<const N: usize> {
 }
 
 impl<const N: usize> HealthParams<N> {
-    /// The watch over the agent with these parameters. `trained_box` and
-    /// `broadcast_interval_min` \[s\] are the package's; an interval of 0 is not watched.
+    /// Creates the parameters for the agent `params`. `trained_box` and `broadcast_interval_min`
+    /// \[s\] come from the package; an interval of 0 is not monitored.
     ///
-    /// Whatever [`accept`](crate::package::accept) takes is taken here. The plausible region of a box
-    /// that is a single point has no limits, because nothing says how far from it is far; that of a
-    /// box without limits, which is what a network has that was not trained, has none either.
+    /// Every package that [`accept`](crate::package::accept) accepts is valid here. If the box is a
+    /// single point it has no scale, and if the network is untrained its box is unbounded; in both
+    /// cases the plausible region is unbounded.
     ///
     /// # Errors
-    /// A box that is not finite or not of the dimension `N`; a setting that is out of its range; a
-    /// fall-back for no reason.
+    /// A box that is not finite or not of dimension `N`, a setting outside its range, or a fallback
+    /// with no kind of unhealthy step selected.
     pub fn new(
         agent: &AgentParams<'_, N>,
         trained_box: &StateBox<'_>,
@@ -112,19 +157,20 @@ impl<const N: usize> HealthParams<N> {
         })
     }
 
-    /// Where estimates are believed: for [`Inbox::accept_within`](crate::agent::inbox::Inbox::accept_within).
+    /// Returns the region for [`Inbox::accept_within`](crate::agent::inbox::Inbox::accept_within).
     #[must_use]
     pub fn plausible_region(&self) -> &Region<N> {
         &self.plausible
     }
 
-    /// The centre of the trained box: where an agent begins that knows nothing of the state.
+    /// Returns the centre of the trained box: the initial estimate without prior knowledge of the
+    /// state.
     #[must_use]
     pub fn start_estimate(&self) -> StateVector<N> {
         self.trained.centre()
     }
 
-    /// Theorem 2's bound, rounded down; 0 if it is not watched. \[steps\]
+    /// Returns Theorem 2's bound, rounded down; 0 if it is not monitored. \[steps\]
     #[must_use]
     pub fn interval_min(&self) -> u32 {
         self.interval_min

@@ -1,4 +1,4 @@
-//! When a package on trial has proved itself.
+//! Decides when a package on trial can be confirmed.
 
 use core::num::NonZeroU32;
 
@@ -6,10 +6,9 @@ use super::HealthCounters;
 
 /// Counts the good steps of a package that [`crate::store`] has on trial.
 ///
-/// A step is good if it was taken and the agent's health noticed nothing: estimate inside the
-/// trained box, projection at rest, no overflow, no restart. A step that was refused for its
-/// measurement is no step of the package: it counts neither way. Anything else that is noticed
-/// starts the count anew.
+/// A step is good if it was taken and no health counter changed: the estimate is in the trained
+/// box, the projection is inactive, and there was no overflow and no restart. A step refused
+/// because of its measurement is ignored. Any other fault resets the count.
 #[derive(Clone, Debug)]
 pub struct Probation {
     needed: NonZeroU32,
@@ -18,15 +17,15 @@ pub struct Probation {
 }
 
 impl Probation {
-    /// The trial of a package that takes `needed` good steps in a row to be confirmed, of an agent
-    /// with these counters.
+    /// Creates the trial of a package that needs `needed` consecutive good steps, for an agent with
+    /// the given counters.
     #[must_use]
     pub fn new(needed: NonZeroU32, counters: &HealthCounters) -> Self {
         Self { needed, good: 0, faults: faults(counters) }
     }
 
-    /// Takes notice of an attempt at a step, after [`super::Health::observe`] has; `taken` says
-    /// whether it was taken. Returns whether the package can be confirmed.
+    /// Records an attempted step, after [`super::Health::observe`]; `taken` says whether it was
+    /// taken. Returns whether the package can be confirmed.
     pub fn observe(&mut self, taken: bool, counters: &HealthCounters) -> bool {
         let faults = faults(counters);
         if faults != self.faults {
@@ -38,14 +37,14 @@ impl Probation {
         self.good >= self.needed.get()
     }
 
-    /// Good steps in a row so far.
+    /// Returns the number of consecutive good steps so far.
     #[must_use]
     pub fn good_steps(&self) -> u32 {
         self.good
     }
 }
 
-/// Everything that a package can be to blame for.
+/// Returns the sum of the counters that a package can be responsible for.
 fn faults(counters: &HealthCounters) -> u32 {
     [
         counters.outside_box,
@@ -72,7 +71,7 @@ mod tests {
         assert!(!probation.observe(true, &counters));
         assert_eq!(probation.good_steps(), 0);
         assert!(!probation.observe(true, &counters));
-        // Sensor trouble and foreign frames are none of the package's.
+        // Sensor faults and foreign frames are not caused by the package.
         counters.measurements_not_finite += 1;
         counters.frames_refused += 1;
         assert!(!probation.observe(false, &counters));

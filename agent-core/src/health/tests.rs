@@ -1,4 +1,5 @@
-//! Counters, rows of steps, restarts, and reports, on an agent that estimates a number.
+//! Tests of counters, sequences of steps, restarts and reports, with an agent that estimates one
+//! number.
 
 use core::num::NonZeroU32;
 
@@ -35,8 +36,8 @@ const SETTINGS: HealthSettings = HealthSettings {
     telemetry_interval: 10,
 };
 
-/// An agent, what watches over it, and the tick of its next step. A step of 1/16 s with a gain of
-/// 16 / s takes the estimate to the measurement in one go.
+/// An agent with its health monitoring, and the tick of its next step. A step of 1/16 s with a gain
+/// of 16 / s moves the estimate onto the measurement in one step.
 struct Rig {
     agent: AgentParams<'static, 1>,
     params: HealthParams<1>,
@@ -84,8 +85,8 @@ impl Rig {
         }
     }
 
-    /// A step with a network whose one feature is 1/2 + the logistic function of 0, and the
-    /// measurement that leads to the estimate `next`.
+    /// Takes a step with a network whose only feature is 1/2 + logistic(0), and with the
+    /// measurement that gives the estimate `next`.
     fn step_to(&mut self, next: f32) -> Result<StepOutput<1>, StepError> {
         let layer = Layer { width: 1, activation: Activation::Logistic };
         let network =
@@ -124,15 +125,15 @@ fn a_healthy_agent_counts_nothing() {
 }
 
 #[test]
-fn the_network_is_left_out_and_used_again_at_the_configured_steps() {
+fn fallback_and_return_follow_the_configured_steps() {
     let mut rig = Rig::new(&SETTINGS, 0.0);
-    // Two steps outside and one inside are no row of three.
+    // Two steps outside and one inside are not three in a row.
     let outside = [(5.0, true), (5.0, true), (1.0, true), (5.0, true), (5.0, true), (5.0, false)];
     for (next, in_use) in outside {
         rig.step_to(next).unwrap();
         assert_eq!(rig.health.network_in_use(), in_use);
     }
-    // Nor does a step that was refused for its input end a row or count in it.
+    // A step refused because of its input neither interrupts nor extends a sequence.
     for (next, in_use) in
         [(1.0, false), (5.0, false), (1.0, false), (f32::NAN, false), (1.0, true), (5.0, true)]
     {
@@ -163,7 +164,7 @@ fn the_projection_counts_only_while_the_network_is_used() {
 }
 
 #[test]
-fn only_the_kinds_that_were_chosen_lead_to_falling_back() {
+fn only_selected_kinds_cause_a_fallback() {
     let fall_back = Some(FallBack { outside_box: false, ..FALL_BACK });
     for (fall_back, outside) in [(None, 5), (fall_back, 5)] {
         let mut rig = Rig::new(&HealthSettings { fall_back, ..SETTINGS }, 0.0);
@@ -176,9 +177,9 @@ fn only_the_kinds_that_were_chosen_lead_to_falling_back() {
 }
 
 #[test]
-fn intervals_are_rounded_so_that_none_is_reported_falsely() {
+fn rounded_intervals_cause_no_false_alarm() {
     let interval = |seconds| Rig::new(&SETTINGS, seconds).params.interval_min();
-    // At 16 steps a second.
+    // At 16 steps per second.
     let cases = [(0.0, 0), (0.06, 0), (0.0625, 1), (0.2499, 3), (0.25, 4), (1e30, u32::MAX)];
     for (seconds, steps) in cases {
         assert_eq!(interval(seconds), steps, "{seconds}");
@@ -204,7 +205,7 @@ fn every_refusal_has_its_counter() {
     }
     rig.tick += 4;
     rig.step_to(1.0).unwrap();
-    // The same tick once more is refused, and is no tick that was skipped.
+    // Repeating a tick is refused and does not count as skipped.
     rig.tick -= 1;
     assert!(rig.step_to(1.0).is_err());
     let sender = 9;
@@ -236,7 +237,7 @@ fn every_refusal_has_its_counter() {
 }
 
 #[test]
-fn counters_stay_where_they_end() {
+fn counters_saturate() {
     let mut rig = Rig::new(&SETTINGS, 0.0);
     rig.health.counters.frames_refused = u32::MAX - 1;
     rig.health.counters.skipped_ticks = u32::MAX - 1;
@@ -251,7 +252,7 @@ fn counters_stay_where_they_end() {
 }
 
 #[test]
-fn a_lost_agent_begins_anew_and_its_frames_go_on() {
+fn an_unusable_agent_restarts_and_its_sequence_continues() {
     let mut rig = Rig::new(&SETTINGS, 0.0);
     rig.step_to(40.0).unwrap();
     assert_eq!(rig.advice, Advice::Continue, "outside the box, inside the plausible region");
@@ -279,7 +280,7 @@ fn a_lost_agent_begins_anew_and_its_frames_go_on() {
 }
 
 #[test]
-fn only_a_row_of_overflows_is_a_reason_to_begin_anew() {
+fn only_consecutive_overflows_cause_a_restart() {
     let mut rig = Rig::new(&HealthSettings { fall_back: None, ..SETTINGS }, 0.0);
     let (go_on, anew) = (Advice::Continue, Advice::Restart);
     let max = f32::MAX;
@@ -304,7 +305,7 @@ fn only_a_row_of_overflows_is_a_reason_to_begin_anew() {
 }
 
 #[test]
-fn a_restart_keeps_what_neighbours_said_and_may_be_refused() {
+fn a_restart_keeps_neighbours_samples_and_can_be_refused() {
     let mut rig = Rig::new(&SETTINGS, 0.0);
     rig.hear(3, 0, 2.0);
     rig.step_to(1.0).unwrap();
@@ -318,7 +319,7 @@ fn a_restart_keeps_what_neighbours_said_and_may_be_refused() {
     }
     rig.restart();
     assert_eq!(rig.state.neighbour_holds(), [held]);
-    // Time does not go back, and does not end either.
+    // Time neither goes back nor passes the last tick.
     let weights = &WEIGHTS;
     let late = rig.state.restart(&rig.agent, 0, [1.0].into(), weights).unwrap();
     assert_eq!(late.tick, 1);
@@ -327,7 +328,7 @@ fn a_restart_keeps_what_neighbours_said_and_may_be_refused() {
 }
 
 #[test]
-fn without_a_limit_nobody_is_told_to_begin_anew() {
+fn without_a_limit_no_restart_is_advised() {
     let mut rig = Rig::new(&HealthSettings { restart_after: None, ..SETTINGS }, 0.0);
     rig.hear(3, 0, 1e38);
     for _ in 0..20 {
@@ -339,11 +340,11 @@ fn without_a_limit_nobody_is_told_to_begin_anew() {
 }
 
 #[test]
-fn reports_are_rare_and_only_about_news() {
+fn reports_are_rate_limited_and_need_a_change() {
     let mut rig = Rig::new(&SETTINGS, 0.0);
     let mut reports = [None; 60];
     for (tick, report) in (0..).zip(&mut reports) {
-        // Something happens at ticks 3 to 20 and at 45.
+        // Refusals occur at ticks 3 to 20 and at 45.
         if (3..=20).contains(&tick) || tick == 45 {
             rig.health.frame_refused(&FrameError::Checksum);
         }
@@ -357,7 +358,7 @@ fn reports_are_rare_and_only_about_news() {
 }
 
 #[test]
-fn refuses_settings_that_make_no_sense() {
+fn refuses_invalid_settings() {
     let agent = agent();
     let with = |limits: &StateBox<'_>, interval, settings: &HealthSettings| {
         HealthParams::new(&agent, limits, interval, settings)
@@ -391,7 +392,7 @@ fn a_box_of_one_point_and_one_without_limits_make_every_finite_estimate_plausibl
             rig.step_to(next).unwrap();
             assert_eq!(rig.advice, Advice::Continue);
         }
-        // What overflows is still a reason to begin anew, with the centre.
+        // An overflow still causes a restart from the centre.
         for advice in [Advice::Continue, Advice::Restart] {
             assert_eq!(rig.step_to(f32::MAX), Err(StepError::Diverged));
             assert_eq!(rig.advice, advice);
@@ -399,7 +400,7 @@ fn a_box_of_one_point_and_one_without_limits_make_every_finite_estimate_plausibl
         assert_eq!(rig.restart().estimate[0], 0.5 * limits.low[0] + 0.5 * limits.high[0]);
         let expected = HealthCounters {
             outside_box: outside,
-            // So large an error throws the outer weights onto their bound.
+            // An error this large throws the outer weights onto their bound.
             projection_active: 2,
             diverged: 2,
             restarts: 1,
@@ -410,7 +411,7 @@ fn a_box_of_one_point_and_one_without_limits_make_every_finite_estimate_plausibl
 }
 
 #[test]
-fn each_name_in_the_table_is_that_of_its_field() {
+fn table_names_match_the_fields() {
     let counters =
         HealthCounters { outside_box: 1, frames_stale: 12, restarts: 15, ..<_>::default() };
     let values = counters.to_array();

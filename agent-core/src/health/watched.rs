@@ -1,14 +1,16 @@
-//! A step of an agent that is watched: the one order in which [`Inbox`], [`AgentState`] and
-//! [`Health`] work together, on a node, in the simulator, and in the on-target tests.
+//! A step of an agent with health monitoring: the single place that defines the order in which
+//! [`Inbox`], [`AgentState`] and [`Health`] work together on a node, in the simulator, and in the
+//! on-target tests.
 //!
-//! A frame goes through the plausible region, and a refusal is counted. A step is taken with the
-//! network unless [`Health`] has left it out, [`Health`] hears what came of it, and an agent whose
-//! estimate is unusable is restarted; what it broadcasts is then the frame of the restart.
+//! A frame must be in the plausible region, and every refusal is counted. A step uses the network
+//! unless [`Health`] has fallen back, [`Health`] observes the outcome, and an agent whose estimate
+//! is unusable is restarted; the restart's frame then replaces the step's.
 //!
-//! [`WatchedAgent`] borrows its parts, because they live in different places: parameters in flash
-//! or on the heap, the state in a `static`. It is five references, made for one step.
+//! [`WatchedAgent`] borrows its parts, because they are stored in different places: parameters in
+//! flash or on the heap, the state in a `static`. It consists of five references and is created for
+//! one step.
 //!
-//! Cost: that of the parts. No memory.
+//! Cost: the sum of the parts'. No memory.
 
 use super::{Advice, Health, HealthParams};
 use crate::Tick;
@@ -19,35 +21,35 @@ use crate::agent::{AgentParams, AgentState, StepError, StepOutput};
 use crate::observer::network::InnerNetwork;
 use crate::wire::frame::{Frame, FrameError};
 
-/// An agent and its watch, for as long as one step takes.
+/// An agent and its health monitoring, borrowed for one step.
 #[derive(Debug)]
 pub struct WatchedAgent<'a, const N: usize, const FEATURES: usize, S, I> {
-    /// What does not change about the agent.
+    /// Parameters of the agent.
     pub params: &'a AgentParams<'a, N>,
-    /// What does not change about the watch.
+    /// Parameters of the health monitoring.
     pub health_params: &'a HealthParams<N>,
-    /// What the steps change.
+    /// State of the agent.
     pub state: &'a mut AgentState<N, FEATURES, S>,
-    /// The frames that wait for the next step.
+    /// Frames pending for the next step.
     pub inbox: &'a mut Inbox<N, I>,
-    /// What the watch has noticed.
+    /// The health record.
     pub health: &'a mut Health,
 }
 
-/// What an attempt at a step led to.
+/// Outcome of an attempted step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum WatchedStep<const N: usize> {
     /// The step was taken.
     Taken(StepOutput<N>),
-    /// The step was refused; the state is as it was before.
+    /// The step was refused; the state is unchanged.
     Refused(StepError),
-    /// The agent was lost and has been restarted. There is nothing to learn from what led there,
-    /// so there is no sample.
+    /// The estimate was unusable and the agent has been restarted. There is no sample, because the
+    /// data that led to a restart is not useful for training.
     Restarted(Frame<N>),
 }
 
 impl<const N: usize> WatchedStep<N> {
-    /// The frame to broadcast, if there is one.
+    /// Returns the frame to broadcast, if any.
     #[inline]
     #[must_use]
     pub fn broadcast(&self) -> Option<&Frame<N>> {
@@ -58,7 +60,7 @@ impl<const N: usize> WatchedStep<N> {
         }
     }
 
-    /// Estimate and derivative for training, if the step was taken.
+    /// Returns estimate and derivative for training, if the step was taken.
     #[inline]
     #[must_use]
     pub fn sample(&self) -> Option<&Sample<N>> {
@@ -72,10 +74,10 @@ impl<const N: usize> WatchedStep<N> {
 impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
     WatchedAgent<'_, N, FEATURES, S, I>
 {
-    /// Keeps a received frame for the next step, if its estimate is plausible.
+    /// Keeps a received frame for the next step if its estimate is plausible.
     ///
     /// # Errors
-    /// As for [`Inbox::accept_within`]; the refusal has been counted.
+    /// As for [`Inbox::accept_within`]; the refusal is counted.
     #[inline]
     pub fn receive(&mut self, bytes: &[u8]) -> Result<(), FrameError> {
         let region = self.health_params.plausible_region();
@@ -84,11 +86,11 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
             .inspect_err(|error| self.health.frame_refused(error))
     }
 
-    /// Attempts the step at `tick` with `measurement`, shape `[m]`. `network` is the one in the
-    /// package, which is left out while [`Health`] says so; `outer_weights` are the package's, row by
-    /// row, shape `[L, N]`, for a restart.
+    /// Attempts the step at `tick` with `measurement`, shape `[m]`. `network` is the package's
+    /// network, which is not used during a fallback; `outer_weights` are the package's, row by row,
+    /// shape `[L, N]`, for a restart.
     ///
-    /// If a restart is due and `outer_weights` do not fit, the outcome is that of the step.
+    /// If a restart is due and `outer_weights` are invalid, the outcome is that of the step.
     #[inline]
     pub fn step<P: AsRef<[f32]>>(
         &mut self,
@@ -100,8 +102,8 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
         self.step_observed(network, outer_weights, tick, measurement, |_, _| ())
     }
 
-    /// Like [`Self::step`]; calls `observe` with the state that a step left and with the step's
-    /// output, before a restart can replace it.
+    /// Like [`Self::step`], but calls `observe` with the resulting state and the step's output
+    /// before a restart can replace them.
     #[inline]
     pub fn step_observed<P: AsRef<[f32]>>(
         &mut self,

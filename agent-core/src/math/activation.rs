@@ -2,39 +2,48 @@
 //!
 //! `tanh(x)`, the logistic `1 / (1 + exp(-x))` and the Gaussian `exp(-x^2)`: the functions
 //! phi of equation `Phi func`, which [`crate::observer::network`] applies to every node. They are
-//! built from nothing but IEEE 754 binary32 addition, subtraction, multiplication, division,
-//! comparison and bit casts, in one fixed order and without fused multiply-add, so a
+//! built only from IEEE 754 binary32 addition, subtraction, multiplication, division,
+//! comparison and bit casts, in a fixed order and without fused multiply-add, so a
 //! desktop's vector unit, an M4F and a soft-float M0 agree to the last bit.
+//!
+//! ```
+//! use agent_core::Activation;
+//!
+//! let mut values = [-1.0, 0.0, 1.0];
+//! Activation::Tanh.apply(&mut values);
+//! assert_eq!(values[1], 0.0);
+//! assert_eq!(values[0], -values[2]); // odd to the bit
+//! ```
 //!
 //! # Equations
 //!
 //! - `tanh`, `a = |x| < 0.55`: `a - a (t P(t))` with `t = a^2`.
 //! - `tanh`, `a >= 0.55`: `1 - 2 / (m + 2)` with `m = expm1(2 a)`. Start from
 //!   `expm1(z) = z + z^2 Q(z)` at `z = a / 4`; three times `expm1(2 v) = m (m + 2)`,
-//!   `m = expm1(v)`, lead to `2 a`. The sign of `x` is put back at the end.
+//!   `m = expm1(v)`, lead to `2 a`. The sign of `x` is restored at the end.
 //! - `exp(y) = 2^k (1 + (r + r^2 R(r)))`, `k` the integer nearest to `y / ln 2` and
 //!   `r = y - k ln 2`.
 //! - logistic: `s / (s + s exp(-x))` with `s = 2^-64`. The scale keeps `exp(-x)` from
 //!   overflowing while the quotient is still a subnormal number.
 //! - Gaussian: `exp(-(h^2 + l))` with `h` the upper 12 bits of `|x|` and
-//!   `l = (|x| - h)(|x| + h)`, so that `h^2` is exact and the rounding of `x^2`, which the
-//!   exponential would multiply by up to 87, does not happen.
+//!   `l = (|x| - h)(|x| + h)`, so that `h^2` is exact. This avoids the rounding error of
+//!   `x^2`, which the exponential would multiply by up to 87.
 //!
 //! P, Q and R have degree 3, 4 and 4. `agent-core/scripts/fit_activations.py` fits them and
 //! prints every constant of this file.
 //!
 //! # Cost
 //!
-//! Arithmetic operations for one value, divisions included, without loads:
+//! Arithmetic operations per value, including divisions but not loads:
 //!
-//! | function | operations | divisions | besides |
+//! | function | operations | divisions | other |
 //! | --- | --- | --- | --- |
-//! | `tanh` | 10 below 0.55, 21 from there on (31 in a vector) | 1 (0 below 0.55) | 1 comparison, sign |
+//! | `tanh` | 10 below 0.55, 21 above (31 in a vector) | 1 (0 below 0.55) | 1 comparison, sign |
 //! | logistic | 22 | 1 | 2 comparisons, 2 integer operations |
 //! | Gaussian | 26 | 0 | 1 comparison, 3 integer operations |
 //!
-//! No memory, no table, no branch that a compiler must keep: `apply` becomes vector code on
-//! x86-64, and on a Cortex-M it branches on `a < 0.55` and computes one form only.
+//! No memory, no table, no unavoidable branch: `apply` becomes vector code on x86-64, and on a
+//! Cortex-M it branches on `a < 0.55` and computes only one form.
 //!
 //! # Invariants
 //!
@@ -47,12 +56,12 @@
 //!   processors: callers refuse input that is not finite, as
 //!   [`InnerNetwork::new`](crate::observer::network::InnerNetwork::new) does with parameters.
 //!
-//! Why `tanh` never decreases: from 0.55 on every operation is a rounded, monotone function
-//! of one that is monotone (the coefficients of Q are all positive), and so is their
-//! composition, whatever is rounded; an overflow to infinity ends in exactly 1, so nothing
-//! is clamped. Below 0.55 and in the exponential, the last operation adds a small
-//! correction to an argument; the rounding of the correction is smaller than the step of
-//! the argument. The seams are left to the measurement.
+//! Why `tanh` never decreases: from 0.55 on every operation is a rounded monotone function
+//! (the coefficients of Q are all positive), and so is their composition, however it is
+//! rounded; an overflow to infinity gives exactly 1, so no clamping is needed. Below 0.55
+//! and in the exponential, the last operation adds a small correction to an argument; the
+//! rounding of the correction is smaller than the step of the argument. The seams are
+//! verified by measurement.
 //!
 //! # Measured errors
 //!
@@ -65,7 +74,7 @@
 //! | logistic | 2.481 | -16.636 |
 //! | Gaussian | 1.030 | ±9.1365 |
 //!
-//! `docs/decisions/0001-software-activations.md` compares them with other ways.
+//! `docs/decisions/0001-software-activations.md` compares them with alternatives.
 
 #[cfg(test)]
 mod laws;
@@ -77,7 +86,7 @@ use core::f32::consts::LOG2_E;
 use serde::{Deserialize, Serialize};
 
 /// Where `tanh` changes its form: just above atanh(1/2) = 0.5493, so that `1 - 2 / (m + 2)`
-/// never has to answer in the finer binade below 1/2. Chosen, not fitted.
+/// never gives a result in the finer binade below 1/2. Chosen, not fitted.
 const TANH_SMALL_BELOW: f32 = 0.55;
 
 /// P of the module's equations, lowest degree first: minimax in the relative error of
@@ -93,17 +102,17 @@ const TANH_LARGE: [f32; 5] =
 /// 0.05 * 2^-24 (`fit_activations.py`, `EXP`).
 const EXP: [f32; 5] = [0.499_999_97, 0.166_665_23, 0.041_668_11, 0.008_369_166, 0.001_383_803_1];
 
-/// 1.5 * 2^23. Floats of this size are spaced by one: adding it rounds the other summand to
-/// the nearest integer and leaves that integer in the low bits.
+/// 1.5 * 2^23. Floats of this size are spaced by one: adding it to a number rounds that to the
+/// nearest integer and leaves the integer in the low bits.
 const ROUNDER: f32 = 12_582_912.0;
 
-/// ln 2 rounded to 16 bits: its product with any k that occurs (8 bits) is exact.
+/// ln 2 rounded to 16 bits: its product with any occurring k (8 bits) is exact.
 const LN2_HIGH: f32 = 0.693_145_75;
 
 /// ln 2 - [`LN2_HIGH`].
 const LN2_LOW: f32 = 0.000_001_428_606_8;
 
-/// exp(-104) < 2^-150, half of the smallest subnormal: it and all below round to 0.
+/// exp(-104) < 2^-150, half of the smallest subnormal: smaller results round to 0.
 const EXP_LIMIT: f32 = 104.0;
 
 /// The same limit for exp(-x^2): 10.2^2 = 104.04.
@@ -112,7 +121,7 @@ const GAUSSIAN_LIMIT: f32 = 10.2;
 /// exp(-20) < 2^-25: from here on 1 + exp(-x) is 1.
 const LOGISTIC_SATURATION: f32 = 20.0;
 
-/// What is added to an exponent to store it (IEEE 754, binary32).
+/// Bias of the stored exponent (IEEE 754, binary32).
 const EXPONENT_BIAS: u32 = 127;
 
 /// Stored bits of the significand (IEEE 754, binary32).
@@ -126,7 +135,7 @@ const SCALE_EXPONENT: u32 = 64;
 /// 2^-64.
 const SCALE: f32 = f32::from_bits((EXPONENT_BIAS - SCALE_EXPONENT) << SIGNIFICAND_BITS);
 
-/// The bit of the sign.
+/// The sign bit.
 const SIGN: u32 = 1 << 31;
 
 /// Clears the lower 12 of the 24 significand bits.
@@ -189,9 +198,8 @@ activations! {
     Gaussian: "gaussian", gaussian, gaussian_in_place,
 }
 
-// Plain loops: the compiler turns these, and not hand-made groups of four, into vector code
-// without shuffles. Each is a function of its own, so that its constants, and no others, stay in
-// registers.
+// Plain loops: the compiler turns these, unlike manual groups of four, into vector code without
+// shuffles. Each is a separate function, so that only its own constants are in registers.
 
 #[inline(never)]
 fn tanh_in_place(values: &mut [f32]) {
@@ -217,16 +225,16 @@ fn gaussian_in_place(values: &mut [f32]) {
 
 /// Hyperbolic tangent: odd, never decreasing, in [-1, 1].
 ///
-/// Error, cost and what becomes of infinities and NaN: see the [module](self).
+/// Errors, cost, infinities and NaN: see the [module](self).
 #[inline]
 #[must_use]
 pub fn tanh(x: f32) -> f32 {
     f32::from_bits(tanh_bits(x.to_bits()))
 }
 
-/// [`tanh`] from bit pattern to bit pattern. Sign and comparison are matters of integers (positive
-/// floats are in the order of their bits), which spares moves between two kinds of registers, and
-/// a call where floats are compared in software.
+/// [`tanh`] on bit patterns. Sign and comparison use integers (positive floats are in the order of
+/// their bits), which avoids moves between register files, and a call on targets that compare floats
+/// in software.
 #[inline(always)]
 fn tanh_bits(x: u32) -> u32 {
     let magnitude = f32::from_bits(x & !SIGN);
@@ -254,21 +262,21 @@ fn tanh_large(magnitude: f32) -> f32 {
 /// Logistic sigmoid `1 / (1 + exp(-x))`: never decreasing, in [0, 1].
 ///
 /// The error is relative for negative `x` too, down to the subnormal numbers.
-/// Error, cost and what becomes of infinities and NaN: see the [module](self).
+/// Errors, cost, infinities and NaN: see the [module](self).
 #[inline]
 #[must_use]
 pub fn logistic(x: f32) -> f32 {
     // Comparisons that are false for NaN let it through.
     let x = if x < -EXP_LIMIT { -EXP_LIMIT } else { x };
     let x = if x > LOGISTIC_SATURATION { LOGISTIC_SATURATION } else { x };
-    // -0.0 is the neutral element of addition: the compiler drops it, as it could not 0.0.
+    // -0.0 is the neutral element of addition, so the compiler can drop it; 0.0 is not.
     SCALE / (SCALE + exp_scaled(-x, -0.0, EXPONENT_BIAS - SCALE_EXPONENT))
 }
 
 /// Gaussian `exp(-x^2)`: even, never increasing with `|x|`, in [0, 1].
 ///
 /// Subnormal results (from |x| = 9.35 on) lose digits one by one; 0 from |x| = 10.2 on.
-/// Error, cost and what becomes of infinities and NaN: see the [module](self).
+/// Errors, cost, infinities and NaN: see the [module](self).
 #[inline]
 #[must_use]
 pub fn gaussian(x: f32) -> f32 {
@@ -295,15 +303,15 @@ fn exp_scaled(high: f32, tail: f32, biased_one: u32) -> f32 {
     significand * power
 }
 
-// Written out, since a loop stays one where the compiler optimises for size.
+// Written out, because the compiler keeps a loop when it optimises for size.
 
-/// The polynomial with these coefficients, lowest degree first, at `v`.
+/// Evaluates the polynomial with these coefficients, lowest degree first, at `v`.
 #[inline(always)]
 fn cubic([c0, c1, c2, c3]: [f32; 4], v: f32) -> f32 {
     ((c3 * v + c2) * v + c1) * v + c0
 }
 
-/// The same with one degree more.
+/// The same with one more degree.
 #[inline(always)]
 fn quartic([c0, c1, c2, c3, c4]: [f32; 5], v: f32) -> f32 {
     cubic([c1, c2, c3, c4], v) * v + c0

@@ -1,7 +1,7 @@
 //! Arithmetic that gives the same bits on every target: ordered sums, activations, symmetric
-//! matrices, and the ranges of parameters.
+//! matrices, and range checks.
 //!
-//! Knows nothing of the rest of the crate.
+//! Depends on no other module of the crate.
 
 pub mod activation;
 pub mod numeric;

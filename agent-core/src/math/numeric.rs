@@ -1,33 +1,33 @@
-//! Sums and a square root whose bits the source alone decides.
+//! Sums and a square root whose results are fixed by the source, bit for bit.
 //!
-//! nalgebra stores the vectors and matrices; its products are not used, because a feature
-//! that some other crate switches on can hand them to a fused or differently ordered kernel.
-//! Here every sum starts from zero and adds its terms in ascending order.
+//! nalgebra stores the vectors and matrices. Its products are not used, because a feature enabled
+//! by another crate can route them to a fused or reordered kernel. Here every sum starts at zero
+//! and adds its terms in ascending order.
 
 use micromath::F32Ext;
 use nalgebra::{ArrayStorage, SMatrix, SVector};
 
-/// The zero vector. A constant, since an array of so many zeros would be filled in a loop.
+/// The zero vector. A constant, because an array expression of this size would be filled in a loop.
 #[inline(always)]
 pub(crate) const fn zeros<const N: usize>() -> SVector<f32, N> {
     const { SVector::from_array_storage(ArrayStorage([[0.0; N]])) }
 }
 
-/// The components of a vector, for loops without nalgebra's iterators.
+/// Returns the components of a vector, for loops without nalgebra's iterators.
 #[inline(always)]
 pub(crate) fn components<const N: usize>(vector: &SVector<f32, N>) -> &[f32; N] {
     let [column] = &vector.data.0;
     column
 }
 
-/// The same to be changed.
+/// Mutable version of [`components`].
 #[inline(always)]
 pub(crate) fn components_mut<const N: usize>(vector: &mut SVector<f32, N>) -> &mut [f32; N] {
     let [column] = &mut vector.data.0;
     column
 }
 
-/// The inner product of two vectors, terms in ascending order.
+/// Returns the inner product of two vectors, adding terms in ascending order.
 #[inline]
 #[must_use]
 pub fn dot<const N: usize>(a: &SVector<f32, N>, b: &SVector<f32, N>) -> f32 {
@@ -39,7 +39,7 @@ pub fn dot<const N: usize>(a: &SVector<f32, N>, b: &SVector<f32, N>) -> f32 {
     sum
 }
 
-/// `matrix * vector`, each component's terms in ascending order of the column.
+/// Returns `matrix * vector`, adding each component's terms in ascending order of the column.
 #[inline]
 #[must_use]
 pub fn product<const R: usize, const C: usize>(
@@ -56,7 +56,7 @@ pub fn product<const R: usize, const C: usize>(
     result
 }
 
-/// `accumulator + factor * vector`, in place.
+/// Adds `factor * vector` to `accumulator`, in place.
 #[inline]
 pub fn add_scaled<const N: usize>(
     accumulator: &mut SVector<f32, N>,
@@ -69,7 +69,7 @@ pub fn add_scaled<const N: usize>(
     }
 }
 
-/// `minuend - subtrahend`.
+/// Returns `minuend - subtrahend`.
 #[inline]
 #[must_use]
 pub fn difference<const N: usize>(
@@ -84,18 +84,18 @@ pub fn difference<const N: usize>(
     result
 }
 
-/// Whether every component is a finite number.
+/// Returns whether every component is finite.
 #[inline]
 #[must_use]
 pub fn all_finite<const N: usize>(vector: &SVector<f32, N>) -> bool {
     components(vector).iter().all(|value| value.is_finite())
 }
 
-/// The square root of a positive number, to within 1 ulp for every normal argument.
+/// Returns the square root of a positive number, to within 1 ulp for every normal argument.
 ///
-/// micromath's estimate (relative error below 6.1e-2, from the exponent's bits) starts three
-/// steps of Newton's iteration, each of which squares the relative error and halves it:
-/// 6.1e-2, 1.9e-3, 1.8e-6, below half an ulp. Zero, negative and subnormal arguments give 0.
+/// Three steps of Newton's iteration refine micromath's estimate, whose relative error is below
+/// 6.1e-2 (from the exponent's bits). Each step squares the relative error and halves it: 6.1e-2,
+/// 1.9e-3, 1.8e-6, below half an ulp. Zero, negative and subnormal arguments give 0.
 #[must_use]
 pub fn square_root(x: f32) -> f32 {
     if x < f32::MIN_POSITIVE {
@@ -131,7 +131,7 @@ mod tests {
 
     #[test]
     fn sums_keep_their_order() {
-        // 1 is lost beside 2^24 unless it is added last.
+        // Beside 2^24, 1 is lost unless it is added last.
         let a = SVector::<f32, 3>::new(16_777_216.0, 1.0, -16_777_216.0);
         assert_eq!(dot(&a, &SVector::repeat(1.0)), 0.0);
         let b = SVector::<f32, 3>::new(16_777_216.0, -16_777_216.0, 1.0);
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn finiteness_sees_every_component() {
+    fn finiteness_checks_every_component() {
         assert!(all_finite(&SVector::<f32, 3>::new(1.0, -2.0, f32::MAX)));
         for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             for place in 0..3 {

@@ -1,39 +1,39 @@
-//! What can be wrong with a parameter.
+//! Errors in parameters, and the range checks that report them.
 
 use crate::AgentId;
 
-/// Why parameters, or a state made from them, are refused.
+/// Why parameters, or a state created from them, are invalid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum ParameterError {
     /// A number is outside its range, or not finite.
     OutOfRange {
-        /// Its name.
+        /// Name of the parameter.
         parameter: &'static str,
         /// Its value.
         value: f32,
-        /// The range, in words.
+        /// The expected range, in words.
         expected: &'static str,
     },
     /// A sequence has the wrong length.
     Length {
-        /// Its name.
+        /// Name of the parameter.
         parameter: &'static str,
-        /// The length that fits.
+        /// The required length.
         expected: usize,
         /// The length given.
         found: usize,
     },
     /// A matrix that must be symmetric is not.
     NotSymmetric {
-        /// Its name.
+        /// Name of the parameter.
         parameter: &'static str,
         /// Row of one of the two entries that differ, from 0.
         row: usize,
         /// Column of that entry, from 0.
         column: usize,
     },
-    /// The agent lists itself as its neighbour.
+    /// The agent lists itself as a neighbour.
     OwnNeighbour {
         /// The agent.
         id: AgentId,
@@ -65,21 +65,21 @@ impl core::fmt::Display for ParameterError {
 
 impl core::error::Error for ParameterError {}
 
-// Functions of their own, since each check makes an error of six words.
+// Separate functions, because every check builds an error of six words.
 
-/// `value` if it is finite and above zero.
+/// Checks that `value` is finite and above zero.
 #[inline(never)]
 pub(crate) fn positive(parameter: &'static str, value: f32) -> Result<(), ParameterError> {
     in_range(parameter, value, value > 0.0, "a finite number above 0")
 }
 
-/// `value` if it is finite and not below zero.
+/// Checks that `value` is finite and not negative.
 #[inline(never)]
 pub(crate) fn not_negative(parameter: &'static str, value: f32) -> Result<(), ParameterError> {
     in_range(parameter, value, value >= 0.0, "a finite number, 0 or above")
 }
 
-/// Every one of `values` finite.
+/// Checks that every value is finite.
 #[inline(never)]
 pub(crate) fn finite(parameter: &'static str, values: &[f32]) -> Result<(), ParameterError> {
     values.iter().try_for_each(|&value| in_range(parameter, value, true, "a finite number"))

@@ -1,10 +1,10 @@
-//! Symmetric matrices as they are written down: most are a multiple of the identity or
-//! diagonal, so a form of their own spares the zeros.
+//! Symmetric matrices in compact form: most gains are diagonal or a multiple of the identity, so
+//! their zeros are not stored.
 //!
-//! Both gains have such a form: `Gamma` of the outer weights' law uses it in every step, `K_1`
-//! of the observer travels in it and is unfolded once.
+//! Both gains use this form: the outer law applies `Gamma` in every step, and `K_1` of the observer
+//! is transmitted in it and expanded once.
 //!
-//! Invariants: none until [`SymmetricMatrix::validate`] has been asked.
+//! Invariants: none until [`SymmetricMatrix::validate`] has succeeded.
 
 use nalgebra::SMatrix;
 use serde::{Deserialize, Serialize};
@@ -60,11 +60,11 @@ impl MatrixForm {
 /// A symmetric matrix, shape `[size, size]`; which size, its user knows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SymmetricMatrix<'a> {
-    /// This multiple of the identity.
+    /// A multiple of the identity.
     Scalar(f32),
-    /// The diagonal; zero elsewhere.
+    /// The diagonal; all other entries are zero.
     Diagonal(&'a [f32]),
-    /// All entries, row by row.
+    /// All entries, in row-major order.
     Full(&'a [f32]),
 }
 
@@ -80,8 +80,8 @@ impl SymmetricMatrix<'_> {
     }
 
     /// # Errors
-    /// A wrong number of entries for `size`, an entry that is not finite, a full matrix that is
-    /// not symmetric. `parameter` is what the error calls the matrix.
+    /// A wrong number of entries for `size`, an entry that is not finite, or a full matrix that is
+    /// not symmetric.
     pub fn validate(&self, parameter: &'static str, size: usize) -> Result<(), ParameterError> {
         let length = |expected: usize, found: usize| match expected == found {
             true => Ok(()),
@@ -105,9 +105,11 @@ impl SymmetricMatrix<'_> {
         }
     }
 
+    /// Checks that the diagonal is positive.
+    ///
     /// # Errors
-    /// An entry of the diagonal that is not above 0. Whether a full matrix is positive definite
-    /// is for the host to prove, which has room for a factorisation.
+    /// A diagonal entry that is not above 0. Whether a full matrix is positive definite is checked
+    /// on the host, which has memory for a factorisation.
     pub fn validate_diagonal(
         &self,
         parameter: &'static str,
@@ -122,7 +124,7 @@ impl SymmetricMatrix<'_> {
         Ok(())
     }
 
-    /// The numbers that the form consists of.
+    /// Returns the stored entries.
     #[must_use]
     pub fn entries(&self) -> &[f32] {
         match self {
@@ -131,7 +133,7 @@ impl SymmetricMatrix<'_> {
         }
     }
 
-    /// An entry of the matrix; 0 where the form has none.
+    /// Returns an entry of the matrix; 0 where none is stored.
     fn entry(&self, row: usize, column: usize, size: usize) -> f32 {
         let place = match self {
             Self::Full(_) => row * size + column,
@@ -142,7 +144,7 @@ impl SymmetricMatrix<'_> {
         self.entries().get(place).copied().unwrap_or(0.0)
     }
 
-    /// The whole matrix; entries that the form does not have are zero.
+    /// Returns the full matrix; entries that are not stored are zero.
     #[must_use]
     pub fn unfold<const N: usize>(&self) -> SMatrix<f32, N, N> {
         let mut matrix = SMatrix::from([[0.0; N]; N]);
@@ -154,7 +156,7 @@ impl SymmetricMatrix<'_> {
         matrix
     }
 
-    /// `matrix * vector` into `result`, terms in ascending order of the column.
+    /// Writes `matrix * vector` to `result`, adding terms in ascending order of the column.
     #[inline]
     pub fn apply(&self, vector: &[f32], result: &mut [f32]) {
         match *self {
@@ -220,7 +222,7 @@ mod tests {
         assert!(Full(&[1.0; 3]).validate("gain", 2).is_err());
         assert!(Scalar(f32::NAN).validate("gain", 2).is_err());
         assert!(Full(&[1.0, f32::INFINITY, f32::INFINITY, 1.0]).validate("gain", 2).is_err());
-        // A negative off the diagonal is nothing to object to.
+        // A negative entry off the diagonal is allowed.
         assert!(Full(&[1.0, -0.5, -0.5, 1.0]).validate_diagonal("gain", 2).is_ok());
         assert!(Full(&[1.0, 0.5, 0.5, -1.0]).validate_diagonal("gain", 2).is_err());
         assert!(Diagonal(&[1.0, 0.0]).validate_diagonal("gain", 2).is_err());

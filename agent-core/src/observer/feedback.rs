@@ -3,14 +3,14 @@
 //! `d/dt x_hat_i = W_hat_i^T sigma(Phi_hat_i(x_hat_i)) + K_1 (z_i - C_i^T e_3i)`
 //! `z_i = sum_j a_ij (x_tilde_j - x_tilde_i)`, `y_hat_i = C_i x_hat_i`, `e_3i = y_hat_i - y_i`.
 //!
-//! The feed-forward (the network's term, of which there may one day be more) comes from
-//! outside; this module computes the feedback: output error, consensus term, and their way
-//! into the state derivative.
+//! The feed-forward (at present only the network's term) comes from outside; this module computes
+//! the feedback: the output error, the consensus term, and their contribution to the state
+//! derivative.
 //!
-//! Cost: `2 m N` for the output error and its return to state space, `2 N^2` for the gain,
-//! `3 N` for each neighbour whenever a held estimate changes.
+//! Cost: `2 m N` operations for the output error and its mapping to state space, `2 N^2` for the
+//! gain, and `3 N` per neighbour whenever a held estimate changes.
 //!
-//! Invariants: `K_1` is symmetric; neighbours are distinct and none is the agent itself; a
+//! Invariants: `K_1` is symmetric; neighbours are distinct and do not include the agent itself; a
 //! neighbour that has not been heard yet contributes nothing.
 
 use nalgebra::SMatrix;
@@ -20,14 +20,29 @@ use crate::math::parameter::{ParameterError, finite, positive};
 use crate::math::symmetric::SymmetricMatrix;
 use crate::{AgentId, StateVector};
 
-/// `C_i`, the output matrix: which combinations of the state the agent measures.
+/// `C_i`, the output matrix: maps the state to the agent's measurements.
+///
+/// ```
+/// use agent_core::{OutputMatrix, StateVector};
+///
+/// // Measures the second of three state components.
+/// let matrix = OutputMatrix::new(&[StateVector::<3>::new(0.0, 1.0, 0.0)])?;
+/// assert_eq!(matrix.outputs(), 1);
+///
+/// let mut error = StateVector::zeros();
+/// let estimate = StateVector::<3>::new(7.0, 5.0, 8.0);
+/// let innovation = matrix.output_error(&estimate, &[4.0], &mut error);
+/// assert_eq!(error[0], 1.0);
+/// assert_eq!(innovation, StateVector::<3>::new(0.0, 1.0, 0.0));
+/// # Ok::<(), agent_core::math::parameter::ParameterError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct OutputMatrix<const N: usize> {
     rows: heapless::Vec<StateVector<N>, N>,
 }
 
 impl<const N: usize> OutputMatrix<N> {
-    /// The matrix with these rows, shape `[m, N]`, `1 <= m <= N`.
+    /// Creates the matrix from its rows, shape `[m, N]`, `1 <= m <= N`.
     ///
     /// # Errors
     /// A wrong number of rows, or an entry that is not finite.
@@ -37,7 +52,7 @@ impl<const N: usize> OutputMatrix<N> {
         Self::of(heapless::Vec::from_slice(rows).map_err(|_| length)?)
     }
 
-    /// The same of rows of which there are not too many.
+    /// Creates the matrix from at most `N` rows.
     pub(crate) fn of(rows: heapless::Vec<StateVector<N>, N>) -> Result<Self, ParameterError> {
         if rows.is_empty() {
             let parameter = "output_matrix";
@@ -47,19 +62,19 @@ impl<const N: usize> OutputMatrix<N> {
         Ok(Self { rows })
     }
 
-    /// `m`, how many outputs there are.
+    /// Returns `m`, the number of outputs.
     #[must_use]
     pub fn outputs(&self) -> usize {
         self.rows.len()
     }
 
-    /// The rows, one for each output.
+    /// Returns the rows, one per output.
     #[must_use]
     pub fn rows(&self) -> &[StateVector<N>] {
         &self.rows
     }
 
-    /// `e_3 = C x_hat - y`, shape `[m]`, written into `error`, and `C^T e_3`, shape `[N]`,
+    /// Writes `e_3 = C x_hat - y`, shape `[m]`, to `error` and returns `C^T e_3`, shape `[N]`,
     /// which drives both the observer and the outer weights.
     #[inline]
     #[must_use]
@@ -79,7 +94,14 @@ impl<const N: usize> OutputMatrix<N> {
     }
 }
 
-/// One edge of the communication graph, seen from one of its ends.
+/// One edge of the communication graph, as seen from one end.
+///
+/// ```
+/// use agent_core::Neighbour;
+///
+/// let neighbour = Neighbour { id: 2, weight: 0.5 };
+/// assert!(neighbour.weight > 0.0);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Neighbour {
     /// The agent at the other end.
@@ -88,21 +110,42 @@ pub struct Neighbour {
     pub weight: f32,
 }
 
-/// What the feedback needs to know.
+/// Parameters of the feedback.
+///
+/// ```
+/// use agent_core::{Neighbour, ObserverParams, OutputMatrix, StateVector, SymmetricMatrix};
+///
+/// let params = ObserverParams {
+///     output_matrix: OutputMatrix::new(&[StateVector::<2>::new(1.0, 0.0)])?,
+///     gain: SymmetricMatrix::Scalar(50.0).unfold(),
+///     neighbours: &[Neighbour { id: 2, weight: 0.5 }, Neighbour { id: 3, weight: 1.0 }],
+/// };
+/// assert!(params.validate(1).is_ok());
+/// assert!(params.validate(2).is_err()); // an agent is not its own neighbour
+///
+/// // Agent 3 has not been heard yet and contributes nothing.
+/// let own = StateVector::<2>::new(1.0, 1.0);
+/// let heard = StateVector::<2>::new(3.0, 1.0);
+/// let term = params.consensus_term(&own, [Some(&heard), None].into_iter());
+/// assert_eq!(term, StateVector::<2>::new(1.0, 0.0));
+/// # Ok::<(), agent_core::math::parameter::ParameterError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObserverParams<'a, const N: usize> {
     /// `C_i`, shape `[m, N]`.
     pub output_matrix: OutputMatrix<N>,
     /// `K_1`, symmetric, shape `[N, N]`. \[1/s\]
     pub gain: SMatrix<f32, N, N>,
-    /// The neighbours with the weights of their edges, in the order in which they are summed.
+    /// The neighbours and their edge weights, in summation order.
     pub neighbours: &'a [Neighbour],
 }
 
 impl<const N: usize> ObserverParams<'_, N> {
+    /// Checks the gain and the neighbours of agent `own`.
+    ///
     /// # Errors
-    /// A gain that is not finite or not symmetric, a neighbour that is listed twice or is the
-    /// agent `own` itself, a weight that is not above 0.
+    /// A gain that is not finite or not symmetric, a neighbour that is repeated or is `own`, or a
+    /// weight that is not above 0.
     pub fn validate(&self, own: AgentId) -> Result<(), ParameterError> {
         SymmetricMatrix::Full(self.gain.data.0.as_flattened()).validate("observer.gain", N)?;
         for (index, neighbour) in self.neighbours.iter().enumerate() {
@@ -118,8 +161,8 @@ impl<const N: usize> ObserverParams<'_, N> {
         Ok(())
     }
 
-    /// `z_i`, from the agent's own held estimate and its neighbours', in the order of
-    /// [`Self::neighbours`]; `None` for one not heard yet.
+    /// Returns `z_i` from the agent's own held estimate and its neighbours', given in the order of
+    /// [`Self::neighbours`]; `None` for a neighbour that has not been heard yet.
     #[inline]
     #[must_use]
     pub fn consensus_term<'h>(

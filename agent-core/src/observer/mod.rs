@@ -1,7 +1,8 @@
 //! The equations of the observer, one file each: network (`Phi func`), feedback (`Observer i`),
 //! adaptation (`What_i Dot`) with its projection, and trigger (`Trigger`).
 //!
-//! Knows [`math`](crate::math) only. Every function is pure or changes the state it is given.
+//! Depends on [`math`](crate::math) only. Every function is pure or changes only the state passed
+//! to it.
 
 pub mod feedback;
 pub mod network;

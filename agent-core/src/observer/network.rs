@@ -4,26 +4,24 @@
 //! `q = 1..=ell` (equation `Phi func`, with the activation after the affine map); the
 //! outputs of the last inner layer are the features `sigma` that the outer weights combine.
 //!
-//! Cost: one multiplication and one addition for every weight, one activation for every
-//! node. Memory: the parameters, wherever they live, and [`Scratch`].
+//! Cost: one multiplication and one addition per weight, one activation per node. Memory: the
+//! parameters, wherever they are stored, and [`Scratch`].
 //!
-//! Invariants: an [`InnerNetwork`] always holds exactly the parameters that its
-//! [`Architecture`] asks for, all finite. Every sum starts from the bias and adds the
-//! inputs in ascending order, whatever the width, so the bits depend on neither padding nor
-//! vector length.
+//! Invariants: an [`InnerNetwork`] always has exactly the parameters its [`Architecture`] requires,
+//! all finite. Every sum starts with the bias and adds the inputs in ascending order, whatever the
+//! width, so the bits depend on neither padding nor vector length.
 //!
-//! The parameters are one flat sequence, layer after layer: first the `width` biases, then
-//! the weights row by row, one row of `width` weights for each input of the layer
-//! (`W_q` of the paper in row-major order).
+//! The parameters are one flat sequence, layer by layer: first the `width` biases, then the weights
+//! in row-major order, one row of `width` weights per input of the layer (`W_q` of the paper).
 
 use serde::{Deserialize, Serialize};
 
 use crate::INPUTS_MAX;
 use crate::math::activation::Activation;
 
-/// Most inner layers that a network can have.
+/// Largest number of inner layers.
 pub const INNER_LAYERS_MAX: usize = 8;
-/// Most nodes that an inner layer can have.
+/// Largest number of nodes in an inner layer.
 pub const LAYER_WIDTH_MAX: usize = 64;
 
 /// One inner layer.
@@ -31,27 +29,37 @@ pub const LAYER_WIDTH_MAX: usize = 64;
 pub struct Layer {
     /// Nodes, 1 to [`LAYER_WIDTH_MAX`].
     pub width: u8,
-    /// What every node applies to its weighted sum.
+    /// Activation applied to every node's weighted sum.
     pub activation: Activation,
 }
 
 impl Layer {
-    /// What stands in the places that a network does not need.
+    /// Fills the unused entries of [`Architecture`].
     const NONE: Self = Self { width: 0, activation: Activation::Tanh };
 }
 
 /// Input dimension and inner layers of a network.
 ///
-/// 18 bytes without a loop to copy them: a node makes a network of it in every step.
+/// 18 bytes, copied without a loop, because a node builds a network from it in every step.
+///
+/// ```
+/// use agent_core::{Activation, Architecture, Layer};
+///
+/// let layer = |width| Layer { width, activation: Activation::Tanh };
+/// let architecture = Architecture::new(3, &[layer(10), layer(5)])?;
+/// assert_eq!(architecture.features(), 5);
+/// assert_eq!(architecture.parameter_count(), (3 + 1) * 10 + (10 + 1) * 5);
+/// # Ok::<(), agent_core::observer::network::NetworkError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Architecture {
     inputs: u8,
     count: u8,
-    /// The first `count` are the layers, the rest is [`Layer::NONE`].
+    /// The first `count` entries are the layers; the rest are [`Layer::NONE`].
     layers: [Layer; INNER_LAYERS_MAX],
 }
 
-/// Why a network cannot be built.
+/// Why a network is invalid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum NetworkError {
@@ -72,9 +80,9 @@ pub enum NetworkError {
         /// The width given.
         found: usize,
     },
-    /// The number of parameters is not what the architecture asks for.
+    /// The number of parameters does not match the architecture.
     ParameterCount {
-        /// What the architecture asks for.
+        /// The number the architecture requires.
         expected: usize,
         /// The number given.
         found: usize,
@@ -99,7 +107,7 @@ impl core::fmt::Display for NetworkError {
                 write!(f, "inner layer {layer} has {found} nodes, expected 1 to {LAYER_WIDTH_MAX}")
             }
             Self::ParameterCount { expected, found } => {
-                write!(f, "{found} inner parameters, the architecture has {expected}")
+                write!(f, "{found} inner parameters, expected {expected}")
             }
             Self::NotFinite { index } => write!(f, "inner parameter {index} is not finite"),
         }
@@ -109,7 +117,7 @@ impl core::fmt::Display for NetworkError {
 impl core::error::Error for NetworkError {}
 
 impl Architecture {
-    /// A network from `inputs` state components through `layers`.
+    /// Creates an architecture with `inputs` state components and the inner `layers`.
     ///
     /// # Errors
     /// [`NetworkError::Inputs`], [`NetworkError::LayerCount`] or [`NetworkError::Width`].
@@ -133,31 +141,31 @@ impl Architecture {
         Ok(Self { inputs: inputs_checked, count: layers.len() as u8, layers: places })
     }
 
-    /// State components that enter the first layer.
+    /// Returns the number of inputs, which is the state dimension.
     #[must_use]
     pub fn inputs(&self) -> usize {
         usize::from(self.inputs)
     }
 
-    /// The inner layers, first to last.
+    /// Returns the inner layers, first to last.
     #[must_use]
     pub fn layers(&self) -> &[Layer] {
         self.layers.get(..usize::from(self.count)).unwrap_or_default()
     }
 
-    /// Width of the last inner layer: the paper's L, rows of the outer weights.
+    /// Returns the width of the last inner layer: the paper's L, the rows of the outer weights.
     #[must_use]
     pub fn features(&self) -> usize {
         self.layers().last().map_or(0, |layer| usize::from(layer.width))
     }
 
-    /// Length of the flat parameter sequence.
+    /// Returns the length of the flat parameter sequence.
     #[must_use]
     pub fn parameter_count(&self) -> usize {
         self.shapes().map(|(inputs, layer)| (inputs + 1) * usize::from(layer.width)).sum()
     }
 
-    /// `(inputs, layer)` of each layer, first to last.
+    /// Returns `(inputs, layer)` for each layer, first to last.
     pub fn shapes(&self) -> impl Iterator<Item = (usize, Layer)> + '_ {
         self.layers().iter().scan(self.inputs(), |inputs, &layer| {
             let shape = (*inputs, layer);
@@ -167,8 +175,23 @@ impl Architecture {
     }
 }
 
-/// The inner network with its parameters in `S`: a flash slice, a static buffer, or a heap
+/// The inner network with its parameters stored in `S`: a flash slice, a static buffer, or a heap
 /// vector on the host.
+///
+/// ```
+/// use agent_core::observer::network::Scratch;
+/// use agent_core::{Activation, Architecture, InnerNetwork, Layer};
+///
+/// let layers = [Layer { width: 1, activation: Activation::Tanh }];
+/// let architecture = Architecture::new(2, &layers)?;
+/// // One bias, then one weight per input.
+/// let network = InnerNetwork::new(architecture, [0.0, 1.0, -1.0])?;
+///
+/// let mut scratch = Scratch::NEW;
+/// assert_eq!(network.features(&[4.0, 4.0], &mut scratch), Some(&[0.0][..]));
+/// assert_eq!(network.features(&[4.0], &mut scratch), None); // the wrong length
+/// # Ok::<(), agent_core::observer::network::NetworkError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct InnerNetwork<S> {
     architecture: Architecture,
@@ -176,7 +199,7 @@ pub struct InnerNetwork<S> {
 }
 
 impl<S: AsRef<[f32]>> InnerNetwork<S> {
-    /// Joins parameters to their architecture.
+    /// Creates a network from an architecture and its parameters.
     ///
     /// # Errors
     /// [`NetworkError::ParameterCount`] or [`NetworkError::NotFinite`].
@@ -192,26 +215,26 @@ impl<S: AsRef<[f32]>> InnerNetwork<S> {
         }
     }
 
-    /// Joins parameters that were found finite before, and as many as the architecture asks for.
+    /// Creates a network from parameters whose count and finiteness have already been checked.
     pub(crate) fn verified(architecture: Architecture, parameters: S) -> Self {
         Self { architecture, parameters }
     }
 
-    /// Widths and activations.
+    /// Returns the widths and activations.
     #[must_use]
     pub fn architecture(&self) -> &Architecture {
         &self.architecture
     }
 
-    /// The flat parameter sequence.
+    /// Returns the flat parameter sequence.
     #[must_use]
     pub fn parameters(&self) -> &[f32] {
         self.parameters.as_ref()
     }
 
-    /// `sigma(Phi_hat(x))`, shape `[L]`, computed in `scratch`.
+    /// Computes `sigma(Phi_hat(x))`, shape `[L]`, in `scratch`.
     ///
-    /// `None` if `x` does not have the length that the architecture asks for.
+    /// Returns `None` if `x` does not have the length the architecture requires.
     pub fn features<'s>(&self, x: &[f32], scratch: &'s mut Scratch) -> Option<&'s [f32]> {
         if x.len() != self.architecture.inputs() {
             return None;
@@ -225,7 +248,7 @@ impl<S: AsRef<[f32]>> InnerNetwork<S> {
         for layer in self.architecture.layers() {
             let width = usize::from(layer.width);
             let (own, rest) = parameters.split_at_checked(width * (inputs + 1))?;
-            // Never so: an architecture has no wider layer.
+            // Unreachable: `Architecture` bounds the width.
             if width > target.len() || inputs > source.len() {
                 return None;
             }
@@ -240,7 +263,7 @@ impl<S: AsRef<[f32]>> InnerNetwork<S> {
     }
 }
 
-/// Where the network keeps the outputs of two layers while it is evaluated.
+/// Working memory for the outputs of two layers during evaluation.
 #[derive(Clone, Debug)]
 pub struct Scratch {
     first: [f32; LAYER_WIDTH_MAX],
@@ -248,16 +271,16 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// An empty scratch, for a `static`.
+    /// Empty scratch memory, for a `static`.
     pub const NEW: Self = Self { first: [0.0; LAYER_WIDTH_MAX], second: [0.0; LAYER_WIDTH_MAX] };
 }
 
-/// `outputs = biases + weights^T inputs` for the layer whose parameters come first; `None` if there
-/// are too few.
+/// Computes `outputs = biases + weights^T inputs` for the first layer in `parameters`; `None` if
+/// there are too few.
 ///
 /// Up to twelve sums at a time stay in registers and give a vector unit independent lanes; each
-/// adds in the same order as a plain loop would. The paper's widths have a function each, in which
-/// rows follow one another without a gap; any other width will do.
+/// adds in the same order as a plain loop. The paper's widths each have their own function, in
+/// which rows are contiguous; all other widths share [`wide`].
 #[inline(always)]
 fn affine(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
     match outputs.len() {
@@ -268,8 +291,8 @@ fn affine(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()>
     Some(())
 }
 
-/// A layer of `WIDTH` nodes, in one block. A function of its own for every width: inlined side by
-/// side they would compete for registers.
+/// A layer of `WIDTH` nodes, in one block. Not inlined: inlined side by side, the widths would
+/// compete for registers.
 #[inline(never)]
 fn narrow<const WIDTH: usize>(parameters: &[f32], inputs: &[f32], outputs: &mut [f32; WIDTH]) {
     let Some((biases, rows)) = parameters.split_first_chunk::<WIDTH>() else { return };
@@ -297,7 +320,8 @@ fn wide(parameters: &[f32], inputs: &[f32], outputs: &mut [f32]) -> Option<()> {
     Some(())
 }
 
-/// The first `LANES` of `outputs`, in a layer whose rows have `width` weights; returns `LANES`.
+/// Computes the first `LANES` of `outputs` in a layer whose rows have `width` weights; returns
+/// `LANES`.
 #[inline(always)]
 fn block<const LANES: usize>(
     parameters: &[f32],
@@ -315,7 +339,7 @@ fn block<const LANES: usize>(
     Some(LANES)
 }
 
-/// `sums + row * input`.
+/// Adds `row * input` to `sums`.
 #[inline(always)]
 fn add_row<const LANES: usize>(sums: &mut [f32; LANES], row: &[f32; LANES], input: f32) {
     for lane in 0..LANES {

@@ -3,15 +3,15 @@
 //! `d/dt omega = proj(mu, omega)`, `mu = -vec(Gamma sigma e_3^T C)`, `omega = vec(W_hat)`.
 //!
 //! Row `l` of `mu` is `-(Gamma sigma)_l (C^T e_3)^T`, and the projection subtracts a multiple of
-//! `omega` itself, so a step of Euler's method is one multiply-add a weight and direction.
+//! `omega`, so an Euler step costs one multiply-add per weight and direction.
 //!
 //! In continuous time the projection keeps `|omega| <= omega_bar`. A step of finite length can
-//! overshoot, by much if a measurement is an outlier; so a step whose result would lie outside
-//! is shortened radially onto the bound. It removes the outward part that the operator
-//! would have removed, and touches nothing while the operator alone suffices.
+//! overshoot, considerably so after an outlier, so a step that would leave the ball is scaled back
+//! radially onto its boundary. This removes the outward part that the operator would have removed,
+//! and has no effect while the operator alone suffices.
 //!
 //! Cost: `N L` operations for `W_hat^T sigma`, `4 N L` for the update, and for `Gamma sigma` one
-//! operation a feature (scalar or diagonal gain) or `L^2` (full). Memory: `4 N L` bytes.
+//! operation per feature (scalar or diagonal gain) or `L^2` (full). Memory: `4 N L` bytes.
 //!
 //! Invariants: `|W_hat| <= omega_bar` at all times, up to rounding; a step either replaces all
 //! weights by finite numbers or changes none.
@@ -22,7 +22,17 @@ use crate::math::parameter::{ParameterError, finite};
 use crate::math::symmetric::SymmetricMatrix;
 use crate::observer::projection::ProjectionParams;
 
-/// Constants of the law.
+/// Parameters of the adaptation law.
+///
+/// ```
+/// use agent_core::{OuterLawParams, ProjectionParams, SymmetricMatrix};
+///
+/// let projection =
+///     ProjectionParams { radius: 9.0, boundary_layer: 1.0, smoothing: 0.1, smoothness: 1 };
+/// let law = OuterLawParams { gain: SymmetricMatrix::Diagonal(&[3.0; 5]), projection };
+/// assert!(law.validate(5).is_ok());
+/// assert!(law.validate(4).is_err()); // the gain has one row per feature
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OuterLawParams<'a> {
     /// `Gamma`, symmetric and positive definite, shape `[L, L]`. \[1/s^2\]
@@ -32,9 +42,11 @@ pub struct OuterLawParams<'a> {
 }
 
 impl OuterLawParams<'_> {
+    /// Checks the gain and the projection.
+    ///
     /// # Errors
-    /// A gain of another size than `features`, or one that is not symmetric with a positive
-    /// diagonal; a constant of the projection that is out of its range.
+    /// A gain of a size other than `features`, or one that is not symmetric with a positive
+    /// diagonal; a projection parameter outside its range.
     pub fn validate(&self, features: usize) -> Result<(), ParameterError> {
         const GAIN: &str = "outer_law.gain";
         self.gain.validate(GAIN, features)?;
@@ -42,8 +54,8 @@ impl OuterLawParams<'_> {
         self.projection.validate()
     }
 
-    /// The squared norm of weights that can be a start: of as many rows as the gain asks for, and
-    /// within the bound.
+    /// Returns the squared norm of initial weights, checking that their rows match the gain and
+    /// that they are within the bound.
     pub(crate) fn validate_weights<const N: usize>(
         &self,
         rows: &[[f32; N]],
@@ -74,26 +86,27 @@ pub struct OuterWeights<const N: usize, const FEATURES: usize> {
 }
 
 impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
-    /// No weights.
+    /// Returns weights without rows.
     pub(crate) const fn none() -> Self {
         Self { rows: heapless::Vec::new(), gained_features: [0.0; FEATURES], norm_squared: 0.0 }
     }
 
-    /// Weights from their entries, row by row: shape `[L, N]`, `1 <= L <= FEATURES`.
+    /// Creates the weights from their entries in row-major order: shape `[L, N]`, `1 <= L <=
+    /// FEATURES`.
     ///
     /// # Errors
-    /// A length that is not a multiple of `N`, no row or too many, an entry that is not finite, a
-    /// norm above the law's bound, a gain of another size than `L`.
+    /// A length that is not a multiple of `N`, no rows or too many, an entry that is not finite, a
+    /// norm above the law's bound, or a gain of a size other than `L`.
     pub fn new(entries: &[f32], law: &OuterLawParams) -> Result<Self, ParameterError> {
         let mut weights = Self::none();
         weights.replace(entries, law)?;
         Ok(weights)
     }
 
-    /// Makes the weights in place what [`Self::new`] makes them.
+    /// Replaces the weights in place, as [`Self::new`] creates them.
     ///
     /// # Errors
-    /// As for [`Self::new`]; nothing is changed then.
+    /// As for [`Self::new`]; the weights are then unchanged.
     pub(crate) fn replace(
         &mut self,
         entries: &[f32],
@@ -116,26 +129,26 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
         let norm_squared = law.validate_weights(rows)?;
         self.rows.clear();
         for row in rows {
-            // There is room for all.
+            // The capacity was checked above.
             let _ = self.rows.push(StateVector::from(*row));
         }
         self.norm_squared = norm_squared;
         Ok(())
     }
 
-    /// The rows, one for each feature, shape `[L]` of `[N]`.
+    /// Returns the rows, one per feature, shape `[L]` of `[N]`.
     #[must_use]
     pub fn rows(&self) -> &[StateVector<N>] {
         &self.rows
     }
 
-    /// The squared Frobenius norm.
+    /// Returns the squared Frobenius norm.
     #[must_use]
     pub fn norm_squared(&self) -> f32 {
         self.norm_squared
     }
 
-    /// `W_hat^T sigma`, shape `[N]`; features in ascending order.
+    /// Returns `W_hat^T sigma`, shape `[N]`, adding features in ascending order.
     #[inline]
     #[must_use]
     pub fn combine(&self, features: &[f32]) -> StateVector<N> {
@@ -147,8 +160,8 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
         sum
     }
 
-    /// Prepares one step of Euler's method: `W_hat + dt proj(mu, W_hat)` with
-    /// `innovation = C^T e_3`. `None`, and nothing changed, if a new weight would not be finite.
+    /// Plans one Euler step, `W_hat + dt proj(mu, W_hat)` with `innovation = C^T e_3`, without
+    /// changing the weights. `None` if a new weight would not be finite.
     #[inline]
     #[must_use]
     pub fn plan_step(
@@ -195,7 +208,7 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
         Some(planned)
     }
 
-    /// Carries out what [`Self::plan_step`] prepared.
+    /// Applies a step planned by [`Self::plan_step`].
     #[inline]
     pub fn commit(&mut self, planned: &PlannedStep<N>) {
         for (row, &gained) in self.rows.iter_mut().zip(&self.gained_features) {
@@ -211,18 +224,18 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     }
 }
 
-/// A step of the outer weights that has been checked and not yet carried out.
+/// A step of the outer weights that has been checked but not yet applied.
 #[derive(Clone, Copy, Debug)]
 pub struct PlannedStep<const N: usize> {
     direction: StateVector<N>,
     shrink: f32,
-    /// Leads back to the bound a step that would cross it.
+    /// Scales a step that would cross the bound back onto it.
     scale: Option<f32>,
     norm_squared: f32,
 }
 
 impl<const N: usize> PlannedStep<N> {
-    /// A weight of row `l` after the step: `w - dt (Gamma sigma)_l (C^T e_3)_j - dt c w`.
+    /// Returns a weight of row `l` after the step: `w - dt (Gamma sigma)_l (C^T e_3)_j - dt c w`.
     #[inline(always)]
     fn weight(&self, weight: f32, gained: f32, direction: f32) -> f32 {
         let moved = weight + -gained * direction;
@@ -277,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn an_outlier_leads_to_the_bound_and_no_further() {
+    fn an_outlier_stops_at_the_bound() {
         let bound = PROJECTION.bound();
         let mut weights = OuterWeights::<2, 4>::new(&[1.0, 2.0, -1.0, 0.5], &LAW).unwrap();
         for innovation in [1e5, -3e8, 1e12] {
@@ -290,7 +303,7 @@ mod tests {
                 (norm_squared - weights.norm_squared()).abs() <= 4.0 * f32::EPSILON * norm_squared
             );
         }
-        // Small steps afterwards lead back inside.
+        // Small steps afterwards return inside.
         for _ in 0..20_000 {
             let outward = weights.rows()[0] * 1e-2;
             let planned = weights.plan_step(&LAW, 1e-3, &[1.0, 0.0], &outward).unwrap();

@@ -19,24 +19,38 @@
 use crate::math::numeric::square_root;
 use crate::math::parameter::ParameterError;
 
-/// Constants of the operator.
+/// Parameters of the projection operator.
+///
+/// ```
+/// use agent_core::ProjectionParams;
+///
+/// let params = ProjectionParams { radius: 9.0, boundary_layer: 1.0, smoothing: 0.1, smoothness: 1 };
+/// assert!(params.validate().is_ok());
+/// assert_eq!(params.bound(), 10.0);
+///
+/// // Inside the ball the operator changes nothing, and `theta^T mu` is not evaluated.
+/// assert_eq!(params.correction(80.0, || unreachable!()), 0.0);
+/// assert!(params.correction(90.0, || 1.0) > 0.0);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProjectionParams {
-    /// `theta_0`, radius of the ball in which the operator is the identity. 1e-15 to 1e15, as is
-    /// `beta`, so that no square of theirs overflows or vanishes.
+    /// `theta_0`, radius of the ball in which the operator is the identity. 1e-15 to 1e15, like
+    /// `beta`, so that their squares neither overflow nor underflow.
     pub radius: f32,
     /// `beta`, thickness of the layer around it; in continuous time the argument stays within
     /// `theta_0 + beta`, the paper's bound `omega_bar`. 1e-15 to 1e15.
     pub boundary_layer: f32,
-    /// `delta` of the operator, which rounds its corner. Above 0.
+    /// `delta` of the operator, which smooths its corner. Above 0.
     pub smoothing: f32,
     /// `m`: the operator is this many times continuously differentiable. 0 to 7.
     pub smoothness: u8,
 }
 
 impl ProjectionParams {
+    /// Checks the ranges of the parameters.
+    ///
     /// # Errors
-    /// A constant that is out of its range.
+    /// A parameter outside its range.
     pub fn validate(&self) -> Result<(), ParameterError> {
         for (parameter, value) in [
             ("projection.radius", self.radius),
@@ -58,14 +72,14 @@ impl ProjectionParams {
         Ok(())
     }
 
-    /// The bound on the argument, `omega_bar = theta_0 + beta`.
+    /// Returns the bound on the argument, `omega_bar = theta_0 + beta`.
     #[must_use]
     pub fn bound(&self) -> f32 {
         self.radius + self.boundary_layer
     }
 
-    /// The factor `c` in `proj(mu, theta) = mu - c theta`, from `theta^T theta` and, only if it
-    /// is needed, `theta^T mu`.
+    /// Returns the factor `c` in `proj(mu, theta) = mu - c theta` from `theta^T theta` and,
+    /// evaluated only in the boundary layer, `theta^T mu`.
     #[inline]
     #[must_use]
     pub fn correction(&self, norm_squared: f32, outward: impl FnOnce() -> f32) -> f32 {
@@ -73,7 +87,7 @@ impl ProjectionParams {
         if excess > 0.0 { self.boundary_correction(excess, outward()) } else { 0.0 }
     }
 
-    /// The factor inside the boundary layer; `excess` is `p(theta)`, `outward` `theta^T mu`.
+    /// Returns the factor in the boundary layer; `excess` is `p(theta)`, `outward` is `theta^T mu`.
     fn boundary_correction(&self, excess: f32, outward: f32) -> f32 {
         let depth = excess / (self.boundary_layer * (self.boundary_layer + 2.0 * self.radius));
         let mut eta_1_scaled = depth;
@@ -82,8 +96,8 @@ impl ProjectionParams {
         }
         let delta_squared = self.smoothing * self.smoothing;
         let root = square_root(outward * outward + delta_squared);
-        // Where theta^T mu is negative the two terms of eta_2 cancel; the second form is the
-        // same number without the cancellation, and is never negative.
+        // For negative theta^T mu the two terms of eta_2 cancel; the second form gives the same
+        // number without cancellation and is never negative.
         let eta_2 = if outward < 0.0 { delta_squared / (root - outward) } else { outward + root };
         0.5 * eta_1_scaled * eta_2 / (self.radius * self.radius)
     }

@@ -6,7 +6,7 @@
 //! carry its constants only; the others are for comparison in simulation.
 //!
 //! `phi_1 = k_2/2 + kappa/2 |L (x) K_1|^2` and `phi_2 = k_2 / (4 |L (x) I|^2)` need the whole
-//! graph, so whoever designs the network computes them; an agent is given the results.
+//! graph, so they are computed on the host; an agent is given the results.
 //!
 //! Cost: `4 N + 2` operations. No memory.
 
@@ -64,6 +64,8 @@ pub struct TriggerParams {
 }
 
 impl TriggerParams {
+    /// Checks the ranges of the constants.
+    ///
     /// # Errors
     /// A constant that is not finite or has the wrong sign.
     pub fn validate(&self) -> Result<(), ParameterError> {
@@ -72,7 +74,19 @@ impl TriggerParams {
         positive("trigger.threshold", self.threshold)
     }
 
-    /// Whether the agent must broadcast now.
+    /// Returns whether the agent must broadcast now.
+    ///
+    /// ```
+    /// use agent_core::{StateVector, TriggerParams};
+    ///
+    /// let trigger = TriggerParams { hold_error_weight: 100.0, consensus_weight: 0.5, threshold: 1.0 };
+    /// let agreement = StateVector::<1>::zeros();
+    /// // Without disagreement it fires at a hold error of sqrt(1 / 100).
+    /// assert!(trigger.fires(&StateVector::<1>::new(0.11), &agreement));
+    /// assert!(!trigger.fires(&StateVector::<1>::new(0.09), &agreement));
+    /// // Disagreement with the neighbours raises that limit.
+    /// assert!(!trigger.fires(&StateVector::<1>::new(0.11), &StateVector::<1>::new(1.0)));
+    /// ```
     #[inline]
     #[must_use]
     pub fn fires<const N: usize>(

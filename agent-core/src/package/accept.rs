@@ -1,9 +1,9 @@
-//! What a package must pass before it may become active: the same code on node and host.
+//! The checks a package must pass before it can become active, identical on node and host.
 //!
 //! In this order: header and checksum, signature where the node has a public key, format of the
-//! body, finiteness; then dimension, sizes, parameters and version; last the test vectors,
-//! which must come out to the bit. A package that passes computes on this very processor what it
-//! computed where it was made.
+//! body, finiteness; then dimension, sizes, parameters and version; finally the test vectors, which
+//! must match bit for bit. A package that passes computes on this processor exactly what it
+//! computed where it was created.
 
 use super::{Envelope, Package, PackageError};
 use crate::AgentId;
@@ -13,21 +13,21 @@ use crate::math::parameter::{ParameterError, finite, not_negative, positive};
 use crate::observer::network::Scratch;
 use crate::package::signature::{PublicKey, verify};
 
-/// What a node demands of a package.
+/// A node's requirements on packages.
 #[derive(Clone, Copy, Debug)]
 pub struct Requirements<'k> {
-    /// If there is a key, only packages signed with its private half are accepted.
+    /// If present, only packages signed with the matching private key are accepted.
     pub public_key: Option<&'k PublicKey>,
-    /// The package in use, if there is one.
+    /// The package in use, if any.
     pub in_use: Option<InUse>,
-    /// What the node's buffers hold.
+    /// Sizes of the node's buffers.
     pub capacity: Capacity,
 }
 
-/// What matters of the package in use.
+/// Identity of the package in use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InUse {
-    /// Whose package it is.
+    /// Agent of the package.
     pub agent: AgentId,
     /// Its version.
     pub version: u32,
@@ -36,51 +36,51 @@ pub struct InUse {
 /// Sizes of a node's static buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Capacity {
-    /// Features `L` that there are outer weights for.
+    /// Largest number of features `L`.
     pub features: usize,
-    /// Places for neighbours.
+    /// Largest number of neighbours.
     pub neighbours: usize,
-    /// Places for entries of `Gamma`.
+    /// Largest number of stored entries of `Gamma`.
     pub gain_entries: usize,
 }
 
 impl Capacity {
-    /// No limit but those of the format: a host's.
+    /// Limited only by the format; for a host.
     pub const UNLIMITED: Self =
         Self { features: usize::MAX, neighbours: usize::MAX, gain_entries: usize::MAX };
 }
 
-/// Why a node does not accept a package.
+/// Why a node refuses a package.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Refusal {
-    /// The bytes are no package.
+    /// The bytes are not a package.
     Package(PackageError),
-    /// The node has a public key and the package no signature.
+    /// The node has a public key and the package is not signed.
     Unsigned,
-    /// The signature is not by the node's key, or not of this package.
+    /// The signature was made with another key or for another package.
     Signature,
     /// The package is for a state of another dimension.
     Dimension {
-        /// The node's.
+        /// Dimension of the node.
         expected: usize,
-        /// The package's.
+        /// Dimension of the package.
         found: usize,
     },
-    /// The package needs more of something than the node has.
+    /// The package exceeds a buffer of the node.
     Capacity {
-        /// Of what.
+        /// What exceeds its buffer.
         what: &'static str,
-        /// How much there is.
+        /// Size of the buffer.
         capacity: usize,
-        /// How much it needs.
+        /// Size the package needs.
         found: usize,
     },
-    /// A parameter is out of its range.
+    /// A parameter is outside its range.
     Parameter(ParameterError),
-    /// Neighbours are not listed in ascending order, each once.
+    /// Neighbours are repeated or not in ascending order.
     NeighbourOrder {
-        /// The first that is out of order.
+        /// The first neighbour out of order.
         id: AgentId,
     },
     /// The box of trained inputs has a lower limit above the upper one.
@@ -88,23 +88,23 @@ pub enum Refusal {
         /// Index of the component, from 0.
         component: usize,
     },
-    /// The package is another agent's.
+    /// The package is for another agent.
     Agent {
-        /// The agent that the node is.
+        /// The node's agent.
         expected: AgentId,
-        /// The agent that the package is for.
+        /// The package's agent.
         found: AgentId,
     },
     /// The package is older than the one in use.
     Older {
         /// The version in use.
         in_use: u32,
-        /// The package's.
+        /// Version of the package.
         found: u32,
     },
-    /// The package proves nothing: it has no test vectors.
+    /// The package has no test vectors, so it cannot be checked.
     NoTestVectors,
-    /// A test vector came out differently.
+    /// A test vector does not match.
     TestVector {
         /// Its index, from 0.
         index: usize,
@@ -115,10 +115,12 @@ impl core::fmt::Display for Refusal {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match *self {
             Self::Package(error) => write!(f, "{error}"),
-            Self::Unsigned => write!(f, "the package is not signed, and this node asks for it"),
-            Self::Signature => write!(f, "the signature does not fit the package and the key"),
+            Self::Unsigned => {
+                write!(f, "the package is not signed, but this node requires a signature")
+            }
+            Self::Signature => write!(f, "the signature does not match the package and the key"),
             Self::Dimension { expected, found } => {
-                write!(f, "the package is for {found} state components, the node for {expected}")
+                write!(f, "the package is for {found} state components, the node has {expected}")
             }
             Self::Capacity { what, capacity, found } => {
                 write!(f, "the package has {found} {what}, the node has room for {capacity}")
@@ -131,14 +133,14 @@ impl core::fmt::Display for Refusal {
                 write!(f, "the box of trained inputs is empty in component {component}")
             }
             Self::Agent { expected, found } => {
-                write!(f, "the package is for agent {found}, this is agent {expected}")
+                write!(f, "the package is for agent {found}, this node is agent {expected}")
             }
             Self::Older { in_use, found } => {
-                write!(f, "the package has version {found}, version {in_use} is in use")
+                write!(f, "the package has version {found}, but version {in_use} is in use")
             }
             Self::NoTestVectors => write!(f, "the package has no test vectors"),
             Self::TestVector { index } => {
-                write!(f, "test vector {index} comes out with other bits")
+                write!(f, "test vector {index} does not match bit for bit")
             }
         }
     }
@@ -158,7 +160,7 @@ impl From<ParameterError> for Refusal {
     }
 }
 
-/// The package in `bytes`, if a node of state dimension `N` with these requirements may use it.
+/// Decodes the package in `bytes` and checks it for a node with state dimension `N`.
 ///
 /// # Errors
 /// The first check that fails; see [`Refusal`].
@@ -228,7 +230,7 @@ fn check_identity(package: &Package<'_>, requirements: &Requirements<'_>) -> Res
     if package.node.agent != in_use.agent {
         return Err(Refusal::Agent { expected: in_use.agent, found: package.node.agent });
     }
-    // Only what is signed can be trusted to ask for an exception.
+    // An exception is honoured only if it is signed.
     let replaces = package.replaces.filter(|_| requirements.public_key.is_some());
     if package.version < in_use.version && replaces.is_none_or(|newest| newest < in_use.version) {
         return Err(Refusal::Older { in_use: in_use.version, found: package.version });
@@ -256,8 +258,8 @@ fn check_test_vectors<const N: usize>(
     Ok(())
 }
 
-/// `W_hat^T sigma` as [`crate::observer::outer_law::OuterWeights::combine`] computes it, from weights in
-/// place.
+/// Computes `W_hat^T sigma` as [`crate::observer::outer_law::OuterWeights::combine`] does, from
+/// weights in place.
 fn combine<const N: usize>(outer_weights: &[f32], features: &[f32]) -> StateVector<N> {
     let mut output = zeros();
     for (row, &feature) in outer_weights.as_chunks::<N>().0.iter().zip(features) {
@@ -274,8 +276,9 @@ fn same_bits(found: &[f32], expected: &[f32]) -> bool {
 }
 
 impl Package<'_> {
-    /// `sigma(Phi_hat(x))`, shape `[L]`, and `W_hat^T sigma`, shape `[N]`, for the package's own
-    /// weights: what a test vector holds. `None` if the network has another dimension than `N`.
+    /// Computes the contents of a test vector with the package's own weights: `sigma(Phi_hat(x))`,
+    /// shape `[L]`, and `W_hat^T sigma`, shape `[N]`. `None` if the network has a dimension other
+    /// than `N`.
     pub fn evaluate<'s, const N: usize>(
         &self,
         input: &StateVector<N>,

@@ -1,4 +1,4 @@
-//! From bytes to a package.
+//! Decodes packages.
 
 use super::wire::{CONSTANTS, Counts, Metadata};
 use super::{
@@ -11,35 +11,35 @@ use crate::observer::projection::ProjectionParams;
 use crate::observer::trigger::TriggerParams;
 use crate::wire::codec;
 
-/// Numbers are words of this many bytes, at addresses that are multiples of it.
+/// Bytes in a number, and its alignment.
 pub(super) const WORD: usize = size_of::<f32>();
 
 #[cfg(target_endian = "big")]
 compile_error!("packages are used in place and their numbers are little-endian");
 
 impl<'a> Package<'a> {
-    /// The package that `bytes` hold, which must begin at an address that is a multiple of four.
+    /// Decodes the package in `bytes`, which must start at an address that is a multiple of four.
     ///
     /// # Errors
-    /// Whatever [`PackageError`] lists.
+    /// Any [`PackageError`].
     pub fn decode(bytes: &'a [u8]) -> Result<Self, PackageError> {
         Self::from_envelope(&Envelope::open(bytes)?)
     }
 
-    /// The package in bytes that were decoded before and have not changed since; see
+    /// Decodes a package from bytes that were decoded before and have not changed since; see
     /// [`Envelope::open_unchanged`].
     ///
     /// # Errors
-    /// Whatever [`PackageError`] lists, but for checksums.
+    /// Any [`PackageError`] except for checksums.
     pub fn decode_unchanged(bytes: &'a [u8]) -> Result<Self, PackageError> {
         Self::from_envelope(&Envelope::open_unchanged(bytes)?)
     }
 
-    /// The package in an envelope.
+    /// Decodes the package in an envelope.
     ///
     /// # Errors
-    /// What [`PackageError`] lists about bodies.
-    // Apart from its callers, so that what only decoding needs is off the stack in what follows.
+    /// Any [`PackageError`] about the body.
+    // Separate from its callers, so that the stack used only for decoding is free again afterwards.
     #[inline(never)]
     pub fn from_envelope(envelope: &Envelope<'a>) -> Result<Self, PackageError> {
         let (metadata, rest) =
@@ -69,7 +69,7 @@ impl<'a> Package<'a> {
     }
 }
 
-/// The words that follow the metadata: `rest` after at most three zero bytes.
+/// Returns the words after the metadata: `rest` without at most three zero bytes of padding.
 fn numbers<'a>(body: &[u8], rest: &'a [u8]) -> Result<&'a [f32], PackageError> {
     let end_of_metadata = HEADER_LENGTH + (body.len() - rest.len());
     let padding = end_of_metadata.next_multiple_of(WORD) - end_of_metadata;
@@ -80,16 +80,16 @@ fn numbers<'a>(body: &[u8], rest: &'a [u8]) -> Result<&'a [f32], PackageError> {
     bytemuck::try_cast_slice(words).map_err(|_| PackageError::Alignment)
 }
 
-/// Takes the next `count` of `numbers`.
+/// Takes the next `count` numbers.
 #[inline(never)]
 fn take<'a>(numbers: &mut &'a [f32], count: usize) -> &'a [f32] {
-    // There are as many as are asked for in all.
+    // The caller has checked the total count.
     let (taken, rest) = numbers.split_at_checked(count).unwrap_or_default();
     *numbers = rest;
     taken
 }
 
-/// Deals out the numbers, which are finite and as many as `counts` say.
+/// Assembles the package from the numbers, which are finite and match `counts`.
 fn assemble<'a>(
     metadata: &Metadata<'a>,
     architecture: Architecture,

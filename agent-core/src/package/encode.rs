@@ -1,21 +1,21 @@
-//! From a package to bytes.
+//! Encodes packages.
 
 use super::decode::WORD;
 use super::envelope::header;
 use super::wire::{Counts, Metadata};
 use super::{HEADER_LENGTH, Package, TEST_VECTORS_MAX, test_vector_length};
 
-/// Why a package cannot be written.
+/// Why a package cannot be encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum EncodeError {
     /// The buffer is too small, or the package too long for its header.
     Space,
-    /// The numbers do not fit the architecture, or are too many.
+    /// The numbers do not match the architecture, or there are too many.
     Counts {
-        /// How many the metadata ask for.
+        /// The count that the metadata requires.
         expected: usize,
-        /// How many there are.
+        /// The count found.
         found: usize,
     },
 }
@@ -23,9 +23,9 @@ pub enum EncodeError {
 impl core::fmt::Display for EncodeError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match *self {
-            Self::Space => write!(f, "no space for the package"),
+            Self::Space => write!(f, "the buffer is too small for the package"),
             Self::Counts { expected, found } => {
-                write!(f, "the package would hold {found} numbers, its metadata ask for {expected}")
+                write!(f, "the package has {found} numbers, but its metadata requires {expected}")
             }
         }
     }
@@ -34,10 +34,10 @@ impl core::fmt::Display for EncodeError {
 impl core::error::Error for EncodeError {}
 
 impl Package<'_> {
-    /// Writes the unsigned package to the beginning of `buffer`; returns its length.
+    /// Encodes the unsigned package at the start of `buffer`; returns its length.
     ///
     /// # Errors
-    /// See [`EncodeError`]. Whether a node would accept the package is not asked.
+    /// See [`EncodeError`]. This does not check whether a node would accept the package.
     pub fn encode(&self, buffer: &mut [u8]) -> Result<usize, EncodeError> {
         let body = buffer.get_mut(HEADER_LENGTH..).ok_or(EncodeError::Space)?;
         let length = self.encode_body(body)?;
@@ -80,7 +80,7 @@ impl Package<'_> {
             replaces: self.replaces,
             agent: self.node.agent,
             outer_weights_on_switch: self.outer_weights_on_switch,
-            // Within the bounds of an architecture and its number of outputs.
+            // Bounded by the architecture and its number of outputs.
             inputs: architecture.inputs() as u8,
             layers: architecture.layers().iter().copied().collect(),
             outputs: self.node.outputs(self.dimension()) as u8,
@@ -93,7 +93,7 @@ impl Package<'_> {
         })
     }
 
-    /// All numbers, in the order of the format.
+    /// Returns all numbers in the order of the format.
     fn numbers(&self) -> impl Iterator<Item = f32> + '_ {
         let (projection, trigger) = (&self.node.outer_law.projection, &self.node.trigger);
         let constants = [

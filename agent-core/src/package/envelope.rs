@@ -1,6 +1,6 @@
 //! Header, checksum and signature around a package's body.
 //!
-//! | bytes | what |
+//! | bytes | contents |
 //! | --- | --- |
 //! | 0..3 | [`MAGIC`] |
 //! | 3 | [`FORMAT_VERSION`] |
@@ -9,38 +9,38 @@
 //! | 12.. | the body |
 //! | then, if signed | Ed25519 signature of all bytes before it, 64 bytes, and its CRC-32 |
 //!
-//! Signing changes no byte that was there before. The signature has a checksum of its own, so
-//! that a node without a public key refuses a damaged one, too.
+//! Signing does not change the bytes before the signature. The signature has its own checksum, so
+//! that a node without a public key also refuses a damaged one.
 //!
-//! Invariant: of two byte strings that differ in one bit at most one is an envelope.
+//! Invariant: of two byte strings that differ in one bit, at most one is an envelope.
 
 use super::{FORMAT_VERSION, PackageError};
 use crate::package::signature::SIGNATURE_LENGTH;
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 
-/// What every package starts with: observer weight package.
+/// Magic number of every package: observer weight package.
 pub const MAGIC: [u8; 3] = *b"OWP";
-/// Bytes before the body. \[bytes\]
+/// Length of the header. \[bytes\]
 pub const HEADER_LENGTH: usize = 12;
-/// Signature and its checksum. \[bytes\]
+/// Length of a signature with its checksum. \[bytes\]
 pub const SIGNATURE_BLOCK_LENGTH: usize = SIGNATURE_LENGTH + CHECKSUM_LENGTH;
 
-/// The part of the header that its checksum covers.
+/// Length of the part of the header that its checksum covers.
 const COVERED_LENGTH: usize = HEADER_LENGTH - CHECKSUM_LENGTH;
 
-/// A package's bytes, taken apart and found undamaged; the body has not been looked into.
+/// The undamaged parts of a package; the body has not been decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Envelope<'a> {
     /// The body.
     pub body: &'a [u8],
-    /// What a signature signs: header and body.
+    /// The bytes that are signed: header and body.
     pub signed_part: &'a [u8],
-    /// The signature, if there is one. Nobody has verified it yet.
+    /// The signature, if any. It has not been verified yet.
     pub signature: Option<&'a [u8; SIGNATURE_LENGTH]>,
 }
 
 impl<'a> Envelope<'a> {
-    /// Takes `bytes` apart, which must be a package and nothing but it.
+    /// Splits `bytes`, which must be exactly one package.
     ///
     /// # Errors
     /// [`PackageError::Length`], [`PackageError::Magic`], [`PackageError::FormatVersion`],
@@ -49,8 +49,8 @@ impl<'a> Envelope<'a> {
         Self::split(bytes, true)
     }
 
-    /// Takes apart what was opened before and has not changed since, as a checksum over all of it
-    /// has shown: those in it are not computed again.
+    /// Splits a package that was opened before and has not changed since, as a checksum over all of
+    /// it has shown; its own checksums are not computed again.
     ///
     /// # Errors
     /// [`PackageError::Length`], [`PackageError::Magic`] or [`PackageError::FormatVersion`].
@@ -99,9 +99,8 @@ impl<'a> Envelope<'a> {
 }
 
 impl Envelope<'_> {
-    /// The length of the package that `bytes` begin with, whatever follows it: for a slot of
-    /// flash of which nobody knows what was written to it. With a signature if there is an
-    /// undamaged one.
+    /// Returns the length of the package at the start of `bytes`, whatever follows it, for a flash
+    /// slot with unknown contents. Includes the signature if there is an undamaged one.
     #[must_use]
     pub fn length_in(bytes: &[u8]) -> Option<usize> {
         let (_, rest) = bytes.split_first_chunk::<{ MAGIC.len() + 1 }>()?;
@@ -114,7 +113,7 @@ impl Envelope<'_> {
     }
 }
 
-/// The header of a package with this body.
+/// Returns the header of a package with this body.
 pub(super) fn header(body: &[u8]) -> Option<[u8; HEADER_LENGTH]> {
     let length = u32::try_from(body.len()).ok()?.to_le_bytes();
     let mut header = [0; HEADER_LENGTH];
@@ -126,7 +125,7 @@ pub(super) fn header(body: &[u8]) -> Option<[u8; HEADER_LENGTH]> {
     Some(header)
 }
 
-/// What follows the body of a signed package.
+/// Returns the bytes that follow the body of a signed package.
 #[must_use]
 pub fn signature_block(signature: &[u8; SIGNATURE_LENGTH]) -> [u8; SIGNATURE_BLOCK_LENGTH] {
     let mut block = [0; SIGNATURE_BLOCK_LENGTH];

@@ -1,35 +1,35 @@
-//! Why bytes are no package.
+//! Errors in the bytes of a package.
 
 use super::{FORMAT_VERSION, TEST_VECTORS_MAX};
 use crate::observer::network::NetworkError;
 
-/// Why bytes are no package.
+/// Why bytes are not a package.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum PackageError {
-    /// There are more or fewer bytes than the header says, or fewer than a header has.
+    /// The length does not match the header, or is less than a header.
     Length {
-        /// How many there should be, without a signature.
+        /// The expected length, without a signature.
         expected: usize,
-        /// How many there are.
+        /// The length found.
         found: usize,
     },
-    /// They do not start as a package does.
+    /// The bytes do not start with [`MAGIC`](super::MAGIC).
     Magic,
-    /// The package has another format.
+    /// The package has another format version.
     FormatVersion {
-        /// Version of its format.
+        /// The format version found.
         found: u8,
     },
-    /// The checksum does not match: bytes were changed.
+    /// The checksum does not match: the package is damaged.
     Checksum,
-    /// The signature's checksum does not match: bytes of the signature were changed.
+    /// The signature's checksum does not match: the signature is damaged.
     SignatureChecksum,
-    /// The checksum matches and yet the body does not follow the format.
+    /// The checksum matches, but the body does not follow the format.
     Malformed,
-    /// The bytes begin at an address that is not a multiple of four.
+    /// The bytes start at an address that is not a multiple of four.
     Alignment,
-    /// The number of outputs is not between 1 and the state's dimension.
+    /// The number of outputs is not between 1 and the state dimension.
     Outputs {
         /// The number given.
         found: usize,
@@ -39,11 +39,11 @@ pub enum PackageError {
         /// The number given.
         found: usize,
     },
-    /// The metadata ask for another number of numbers.
+    /// The count of numbers does not match the metadata.
     NumberCount {
-        /// What they ask for.
+        /// The count that the metadata requires.
         expected: usize,
-        /// What there is.
+        /// The count found.
         found: usize,
     },
     /// A number is infinite or not a number.
@@ -51,9 +51,9 @@ pub enum PackageError {
         /// Its index among all numbers of the body, from 0.
         index: usize,
     },
-    /// A mean squared error of the training is infinite or not a number.
+    /// A mean squared training error is infinite or NaN.
     TrainingErrorNotFinite,
-    /// The network cannot be.
+    /// The network is invalid.
     Network(NetworkError),
 }
 
@@ -61,9 +61,9 @@ impl core::fmt::Display for PackageError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match *self {
             Self::Length { expected, found } => {
-                write!(f, "{found} bytes, but the package should have {expected}")
+                write!(f, "invalid package length: {found} bytes, expected {expected}")
             }
-            Self::Magic => write!(f, "the bytes do not start as a weight package does"),
+            Self::Magic => write!(f, "not a weight package"),
             Self::FormatVersion { found } => {
                 write!(f, "the package has format version {found}, expected {FORMAT_VERSION}")
             }
@@ -72,15 +72,15 @@ impl core::fmt::Display for PackageError {
                 write!(f, "the signature's checksum does not match: the signature is damaged")
             }
             Self::Malformed => write!(f, "the package's body does not follow the format"),
-            Self::Alignment => write!(f, "the package does not begin on a multiple of four"),
+            Self::Alignment => write!(f, "the package does not start at a multiple of four bytes"),
             Self::Outputs { found } => {
-                write!(f, "{found} outputs, expected 1 to the number of state components")
+                write!(f, "{found} outputs, expected 1 to the state dimension")
             }
             Self::TestVectors { found } => {
                 write!(f, "{found} test vectors, expected at most {TEST_VECTORS_MAX}")
             }
             Self::NumberCount { expected, found } => {
-                write!(f, "the body has {found} numbers, its metadata ask for {expected}")
+                write!(f, "the body has {found} numbers, but its metadata requires {expected}")
             }
             Self::NotFinite { index } => write!(f, "number {index} of the body is not finite"),
             Self::TrainingErrorNotFinite => write!(f, "a training error is not finite"),

@@ -1,24 +1,23 @@
-//! Weight packages: everything that makes one firmware binary a certain agent, as bytes that
-//! can be stored, sent and flashed, and that prove themselves before they are used.
+//! Weight packages: everything that turns one firmware binary into a particular agent, as bytes
+//! that can be stored, sent and flashed, and that are checked before use.
 //!
-//! | part | what it is |
+//! | part | contents |
 //! | --- | --- |
 //! | [`Envelope`] | header, checksum, signature: whether the bytes arrived as they were made |
 //! | [`Package`] | the content: network, outer weights, node parameters, provenance |
-//! | [`accept`] | what a node checks before a package may become active |
+//! | [`accept`] | the checks before a package can become active |
 //!
-//! `docs/format.md` specifies every byte. In short: twelve bytes of header, a body of
-//! postcard-encoded metadata followed by all numbers as aligned little-endian words, and
-//! possibly a signature. The words are used where they lie: a package in memory-mapped flash
-//! costs no RAM, neither stored nor in use.
+//! `docs/format.md` specifies every byte. In short: a header of twelve bytes, a body of
+//! postcard-encoded metadata followed by all numbers as aligned little-endian words, and optionally
+//! a signature. The words are used in place: a package in memory-mapped flash needs no RAM, either
+//! stored or in use.
 //!
-//! Cost: decoding is linear in the length of the bytes, checksum included; acceptance adds one
-//! evaluation of the network for each of at most [`TEST_VECTORS_MAX`] test vectors, and a
-//! signature's verification.
+//! Cost: decoding is linear in the length, including the checksum; acceptance adds one evaluation
+//! of the network for each of at most [`TEST_VECTORS_MAX`] test vectors, and the verification of a
+//! signature.
 //!
-//! Invariants: any byte string decodes to a package or to an error; a decoded package holds
-//! finite numbers only, as many as its metadata ask for, and a network that fits its
-//! architecture.
+//! Invariants: any byte string decodes to a package or to an error; a decoded package contains only
+//! finite numbers, as many as its metadata requires, and a network that matches its architecture.
 
 mod accept;
 mod decode;
@@ -49,43 +48,53 @@ use crate::observer::network::InnerNetwork;
 use crate::observer::outer_law::OuterLawParams;
 use crate::observer::trigger::TriggerParams;
 
-/// Version of the format that this crate writes and reads.
+/// Version of the format that this crate reads and writes.
 pub const FORMAT_VERSION: u8 = 1;
 
-/// Most test vectors that a package can carry: enough to light up every node of a layer, few
-/// enough that a node checks them between two steps.
+/// Largest number of test vectors in a package: enough to exercise every node of a layer, few
+/// enough that a node can check them between two steps.
 pub const TEST_VECTORS_MAX: usize = 8;
 
-/// The content of a package. All slices lie in the bytes that it was decoded from.
+/// The contents of a package. All slices borrow the bytes it was decoded from.
+///
+/// ```
+/// use agent_core::Package;
+/// use agent_core::package::PackageError;
+///
+/// // Any bytes decode to a package or to an error.
+/// let header = *b"OWP\x01\0\0\0\0\0\0\0\0";
+/// assert_eq!(Package::decode(&header), Err(PackageError::Checksum));
+/// assert_eq!(Package::decode(b"not a package"), Err(PackageError::Magic));
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Package<'a> {
-    /// Rises with every package for the same agent; an older one is refused.
+    /// Increases with every package for the same agent; older packages are refused.
     pub version: u32,
-    /// If there is one, the package may take the place of any version up to this one although
-    /// it is itself older. Counts only if the package is signed.
+    /// If present, the package may replace any version up to this one although its own version is
+    /// lower. Honoured only if the package is signed.
     pub replaces: Option<u32>,
-    /// What becomes of the adapted outer weights when the package is switched in.
+    /// Whether the adapted outer weights are kept when the package is activated.
     pub outer_weights_on_switch: OnSwitch,
     /// The inner network.
     pub network: InnerNetwork<&'a [f32]>,
-    /// `W_hat` to start from, row by row, shape `[L, n]`.
+    /// Initial `W_hat`, row by row, shape `[L, n]`.
     pub outer_weights: &'a [f32],
-    /// What makes the node this agent.
+    /// The agent's parameters.
     pub node: AgentConfig<'a>,
-    /// Time between broadcasts that Theorem 2 guarantees on the trajectories that the network
-    /// was trained on; 0 where none is known. \[s\]
+    /// Minimum time between broadcasts that Theorem 2 guarantees on the training trajectories; 0 if
+    /// unknown. \[s\]
     pub broadcast_interval_min: f32,
-    /// The inputs that the network was trained on.
+    /// The region of the training inputs.
     pub trained_box: StateBox<'a>,
-    /// Where the network comes from.
+    /// Origin of the network.
     pub provenance: Provenance<'a>,
-    /// Inputs with the exact outputs for them, one after another: `n` numbers of input, `L`
-    /// features, `n` numbers of `W_hat^T sigma`.
+    /// Inputs with their exact outputs, concatenated: `n` numbers of input, `L` features, `n`
+    /// numbers of `W_hat^T sigma`.
     pub test_vectors: &'a [f32],
 }
 
-/// Everything about an agent but its network: what a node needs to run the observer on its
-/// feedback alone.
+/// The parameters of an agent without its network: all a node needs to run the observer on feedback
+/// alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AgentConfig<'a> {
     /// The agent's number.
@@ -94,9 +103,9 @@ pub struct AgentConfig<'a> {
     pub output_matrix: &'a [f32],
     /// `K_1`, shape `[n, n]`. \[1/s\]
     pub gain: SymmetricMatrix<'a>,
-    /// Numbers of the neighbours, ascending.
+    /// Numbers of the neighbours, in ascending order.
     pub neighbours: NeighbourIds<'a>,
-    /// `a_ij`, one for each neighbour.
+    /// `a_ij`, one per neighbour.
     pub edge_weights: &'a [f32],
     /// `Gamma` and the projection.
     pub outer_law: OuterLawParams<'a>,
@@ -106,10 +115,10 @@ pub struct AgentConfig<'a> {
     pub step_size: f32,
 }
 
-/// What becomes of the outer weights that an agent has adapted when another package takes over.
+/// Whether an agent's adapted outer weights survive the switch to another package.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum OnSwitch {
-    /// They go on, as in the paper; the package's own are for a node that starts with it.
+    /// They are kept, as in the paper; the package's own are for a node that starts with it.
     Keep,
     /// They are replaced by the package's, because inner and outer layers were trained together.
     Replace,
@@ -120,7 +129,7 @@ pub enum OnSwitch {
 pub struct NeighbourIds<'a>(&'a [[u8; 2]]);
 
 impl<'a> NeighbourIds<'a> {
-    /// The numbers in `bytes`; `None` if their count is odd.
+    /// Creates the list from `bytes`; `None` if their length is odd.
     #[must_use]
     pub fn new(bytes: &'a [u8]) -> Option<Self> {
         match bytes.as_chunks() {
@@ -129,19 +138,19 @@ impl<'a> NeighbourIds<'a> {
         }
     }
 
-    /// How many there are.
+    /// Returns the number of neighbours.
     #[must_use]
     pub fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// Whether there is none.
+    /// Returns whether there are no neighbours.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// One after another.
+    /// Returns the agent numbers in order.
     pub fn iter(&self) -> impl Iterator<Item = AgentId> + Clone + 'a {
         self.0.iter().map(|&pair| AgentId::from_le_bytes(pair))
     }
@@ -151,65 +160,65 @@ impl<'a> NeighbourIds<'a> {
     }
 }
 
-/// Where a network comes from. Nothing depends on it but people.
+/// Origin of a network, for documentation only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Provenance<'a> {
-    /// Hash of the scenario that it was trained for; see the host's documentation.
+    /// Hash of the training scenario; see the host's documentation.
     pub scenario_hash: [u8; 8],
-    /// How it was trained.
+    /// Description of the training.
     pub recipe: &'a str,
     /// Seed of the training.
     pub seed: u64,
-    /// Samples that it was trained on; 0 for a network that is not trained.
+    /// Number of training samples; 0 for an untrained network.
     pub samples: u32,
-    /// Mean squared errors, if it was trained.
+    /// Mean squared errors, if trained.
     pub errors: Option<TrainingErrors>,
-    /// Major, minor and patch version of the tool that made the package.
+    /// Major, minor and patch version of the tool that created the package.
     pub tool_version: [u8; 3],
 }
 
 /// Mean squared errors after training. \[squared state unit/s^2\]
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainingErrors {
-    /// Over the samples that the network was trained on.
+    /// On the training samples.
     pub training: f32,
-    /// Over samples that were held back from training.
+    /// On samples held out from training.
     pub held_out: f32,
 }
 
 impl TrainingErrors {
-    /// Whether both are numbers.
+    /// Returns whether both are finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {
         self.training.is_finite() && self.held_out.is_finite()
     }
 }
 
-/// One test vector of a package.
+/// A test vector of a package.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TestVector<'a> {
     /// `x_hat`, shape `[n]`.
     pub input: &'a [f32],
-    /// `sigma(Phi_hat(x_hat))`, shape `[L]`, to the bit.
+    /// `sigma(Phi_hat(x_hat))`, shape `[L]`, exact to the bit.
     pub features: &'a [f32],
-    /// `W_hat^T sigma` with the package's outer weights, shape `[n]`, to the bit.
+    /// `W_hat^T sigma` with the package's outer weights, shape `[n]`, exact to the bit.
     pub output: &'a [f32],
 }
 
 impl<'a> Package<'a> {
-    /// `n`, components of the state.
+    /// Returns `n`, the state dimension.
     #[must_use]
     pub fn dimension(&self) -> usize {
         self.network.architecture().inputs()
     }
 
-    /// `L`, width of the last inner layer.
+    /// Returns `L`, the width of the last inner layer.
     #[must_use]
     pub fn features(&self) -> usize {
         self.network.architecture().features()
     }
 
-    /// The test vectors, one after another.
+    /// Returns the test vectors in order.
     pub fn test_vectors(&self) -> impl Iterator<Item = TestVector<'a>> + '_ {
         let (n, features) = (self.dimension(), self.features());
         let length = test_vector_length(n, features).max(1);
@@ -222,23 +231,25 @@ impl<'a> Package<'a> {
 }
 
 impl AgentConfig<'_> {
-    /// `m`, how many outputs the agent of a state with `dimension` components measures.
+    /// Returns `m`, the number of outputs the agent measures, for a state of `dimension`
+    /// components.
     #[must_use]
     pub fn outputs(&self, dimension: usize) -> usize {
         self.output_matrix.len() / dimension.max(1)
     }
 
-    /// The neighbours with the weights of their edges.
+    /// Returns the neighbours with their edge weights.
     pub fn neighbours(&self) -> impl Iterator<Item = Neighbour> + '_ {
         let weights = self.edge_weights.iter();
         self.neighbours.iter().zip(weights).map(|(id, &weight)| Neighbour { id, weight })
     }
 
-    /// The agent's parameters, copied into memory of the caller: they outlive what is borrowed here.
-    /// `neighbours` needs a place for each neighbour, `gain` one for each entry of `Gamma`.
+    /// Copies the agent's parameters into the caller's memory, so that they outlive the package.
+    /// `neighbours` needs one entry per neighbour, `gain` one per stored entry of `Gamma`.
     ///
     /// # Errors
-    /// What [`AgentParams::new`] refuses, matrices of another shape, or too few places.
+    /// Any error of [`AgentParams::new`], a matrix of the wrong shape, or a buffer that is too
+    /// short.
     pub fn params<'b, const N: usize>(
         &self,
         neighbours: &'b mut [Neighbour],
@@ -263,7 +274,7 @@ impl AgentConfig<'_> {
         self.joined(neighbours, self.outer_law.gain.form().matrix(gain))
     }
 
-    /// The agent's parameters with neighbours and `Gamma` that have been put somewhere.
+    /// Creates the agent's parameters from neighbours and `Gamma` that are already stored.
     fn joined<'b, const N: usize>(
         &self,
         neighbours: &'b [Neighbour],
@@ -294,7 +305,7 @@ impl AgentConfig<'_> {
     }
 }
 
-/// Numbers in one test vector.
+/// Numbers per test vector.
 const fn test_vector_length(dimension: usize, features: usize) -> usize {
     2 * dimension + features
 }

@@ -1,9 +1,9 @@
-//! Where a network and `Gamma` lie, for a node that cannot hold on to a reference.
+//! Locations of a network and `Gamma` within a package, for a node that cannot keep references.
 //!
-//! A node writes one slot of its flash while it works from the other, and no safe reference into
-//! a flash can outlive a write to it. So a node keeps the place, and turns it into a network
-//! anew for every step, which costs some 30 operations and checks nothing but that the bytes reach
-//! that far.
+//! A node writes one slot of its flash while it runs from the other, and no safe reference into
+//! flash can outlive a write to it. The node therefore stores the location and builds the network
+//! from it in every step, which costs some 30 operations and checks only that the bytes are long
+//! enough.
 
 use core::ops::Range;
 
@@ -15,58 +15,57 @@ use crate::math::symmetric::SymmetricMatrix;
 use crate::observer::feedback::Neighbour;
 use crate::observer::network::{Architecture, InnerNetwork};
 
-/// The inner network of a package that has been decoded, as a place in its bytes.
+/// Location of a decoded package's inner network in the package's bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NetworkPlace {
     architecture: Architecture,
-    /// Where the inner parameters begin, from the first byte of the package.
+    /// Offset of the inner parameters from the first byte of the package.
     start: usize,
     end: usize,
 }
 
 impl NetworkPlace {
-    /// The place of `package`'s network in `bytes`, from which it was decoded; `None` if it was
-    /// not.
+    /// Locates the network of `package` in `bytes`; `None` if it was not decoded from them.
     #[must_use]
     pub fn new(package: &Package<'_>, bytes: &[u8]) -> Option<Self> {
         let Range { start, end } = range_in(bytes, package.network.parameters())?;
         Some(Self { architecture: package.network.architecture().clone(), start, end })
     }
 
-    /// The network, in the same bytes.
+    /// Returns the network in the same bytes.
     #[inline]
     #[must_use]
     pub fn network<'a>(&self, bytes: &'a [u8]) -> Option<InnerNetwork<&'a [f32]>> {
-        // A place has the length of the parameters that were joined to its architecture.
+        // The length is that of the parameters that were checked with this architecture.
         let parameters = self.parameters(bytes)?;
         Some(InnerNetwork::verified(self.architecture.clone(), parameters))
     }
 
-    /// The network's parameters, in the same bytes.
+    /// Returns the network's parameters in the same bytes.
     #[inline]
     #[must_use]
     pub fn parameters<'a>(&self, bytes: &'a [u8]) -> Option<&'a [f32]> {
         bytemuck::try_cast_slice(bytes.get(self.start..self.end)?).ok()
     }
 
-    /// The package's outer weights, row by row, shape `[L, n]`, in the same bytes: they follow the
-    /// network's parameters.
+    /// Returns the package's outer weights in the same bytes, row by row, shape `[L, n]`: they
+    /// follow the network's parameters.
     #[must_use]
     pub fn outer_weights<'a>(&self, bytes: &'a [u8]) -> Option<&'a [f32]> {
         let length = WORD * self.architecture.features() * self.architecture.inputs();
         bytemuck::try_cast_slice(bytes.get(self.end..)?.get(..length)?).ok()
     }
 
-    /// Widths and activations.
+    /// Returns the widths and activations.
     #[must_use]
     pub fn architecture(&self) -> &Architecture {
         &self.architecture
     }
 }
 
-/// An agent's parameters without a reference into its package: the neighbours are copied, in
-/// `NEIGHBOURS` places, and `Gamma`, which may have `L^2` entries, is found again in the package's
-/// bytes. [`AgentParams`] are made of it for every step; that copies them and checks nothing.
+/// An agent's parameters without references into its package. Up to `NEIGHBOURS` neighbours are
+/// copied; `Gamma`, which can have `L^2` entries, is located in the package's bytes.
+/// [`AgentParams`] are built from it in every step, by copying and without checks.
 #[derive(Clone, Debug)]
 pub struct ParamsPlace<const N: usize, const NEIGHBOURS: usize> {
     /// Without neighbours.
@@ -77,19 +76,19 @@ pub struct ParamsPlace<const N: usize, const NEIGHBOURS: usize> {
 
 #[derive(Clone, Debug)]
 enum GainPlace {
-    /// Not in a package.
+    /// Not stored in a package.
     Elsewhere(SymmetricMatrix<'static>),
-    /// These bytes of the package.
+    /// At this byte range of the package.
     Diagonal(Range<usize>),
-    /// These bytes of the package.
+    /// At this byte range of the package.
     Full(Range<usize>),
 }
 
 impl<const N: usize, const NEIGHBOURS: usize> ParamsPlace<N, NEIGHBOURS> {
-    /// The parameters in `package`, which was decoded from `bytes`.
+    /// Locates the parameters of `package`, which was decoded from `bytes`.
     ///
     /// # Errors
-    /// What [`AgentConfig::params`] refuses, too many neighbours, or a package that was decoded
+    /// Any error of [`AgentConfig::params`], too many neighbours, or a package that was decoded
     /// from other bytes.
     pub fn new(package: &Package<'_>, bytes: &[u8]) -> Result<Self, ParameterError> {
         let place = |entries: &[f32]| {
@@ -108,7 +107,7 @@ impl<const N: usize, const NEIGHBOURS: usize> ParamsPlace<N, NEIGHBOURS> {
         Self::with_gain(&package.node, outer_gain)
     }
 
-    /// The parameters of an agent that is built into the firmware.
+    /// Creates the parameters of an agent that is built into the firmware.
     ///
     /// # Errors
     /// As for [`Self::new`].
@@ -131,8 +130,8 @@ impl<const N: usize, const NEIGHBOURS: usize> ParamsPlace<N, NEIGHBOURS> {
         Ok(Self { params, neighbours, outer_gain })
     }
 
-    /// The parameters; `bytes` are those of the package, or nothing for an agent that is built in.
-    /// `None` if they do not reach as far as `Gamma`.
+    /// Returns the parameters; `bytes` are those of the package, or empty for a built-in agent.
+    /// `None` if they do not contain `Gamma`.
     #[inline(always)] // A call would copy the parameters twice.
     #[must_use]
     pub fn params<'a>(&'a self, bytes: &'a [u8]) -> Option<AgentParams<'a, N>> {
@@ -145,20 +144,20 @@ impl<const N: usize, const NEIGHBOURS: usize> ParamsPlace<N, NEIGHBOURS> {
         Some(self.params.relocated(&self.neighbours, outer_gain))
     }
 
-    /// The neighbours, in the order of an inbox's places.
+    /// Returns the neighbours, in the order of an inbox's slots.
     #[must_use]
     pub fn neighbours(&self) -> &[Neighbour] {
         &self.neighbours
     }
 
-    /// `dt`. \[s\]
+    /// Returns `dt`. \[s\]
     #[must_use]
     pub fn step_size(&self) -> f32 {
         self.params.step_size()
     }
 }
 
-/// Where `numbers` lie in `bytes`; `None` if they do not.
+/// Returns the range of `numbers` within `bytes`; `None` if they are not part of them.
 fn range_in(bytes: &[u8], numbers: &[f32]) -> Option<Range<usize>> {
     let start = numbers.as_ptr().addr().checked_sub(bytes.as_ptr().addr())?;
     let end = start + WORD * numbers.len();

@@ -1,41 +1,40 @@
-//! Who a package of weights comes from: Ed25519 signatures (RFC 8032).
+//! Authenticates weight packages with Ed25519 signatures (RFC 8032).
 //!
-//! A checksum tells damage, not intent; whoever can write to a node's flash can compute one.
-//! A node that holds its operator's [`PublicKey`] takes nothing but what was signed with the
-//! private key, which never leaves the host. Everything here is public data, so that nothing
-//! has to run in constant time.
+//! A checksum detects damage but not manipulation, because anyone who can write to a node's flash
+//! can compute one. A node that has its operator's [`PublicKey`] accepts only packages signed with
+//! the private key, which never leaves the host. All data here is public, so constant-time code is
+//! not needed.
 //!
-//! What is refused, beyond what the equation refuses:
+//! Refused in addition to what the equation refuses:
 //!
-//! | what | why |
+//! | input | reason |
 //! | --- | --- |
-//! | a key that is no point, or not in its one canonical encoding | RFC 8032, 5.1.3 |
+//! | a key that is not a point, or not canonically encoded | RFC 8032, 5.1.3 |
 //! | a key of small order | signatures can be made for it without any private key |
 //! | `S` not below the order `L` of the group | anyone could turn a signature into another (RFC 8032, 5.1.7) |
-//! | an `R` that is no point, not canonical, or of small order | no signer makes one |
+//! | an `R` that is not a point, not canonical, or of small order | no signer produces one |
 //!
-//! The equation is the one with the cofactor, `8 S B = 8 R + 8 k A`, which RFC 8032 prefers.
-//! Verifiers without the cofactor differ from it only in signatures that the owner of the
-//! private key made so on purpose.
+//! The equation is the cofactored one, `8 S B = 8 R + 8 k A`, which RFC 8032 prefers. Verifiers
+//! without the cofactor differ only on signatures that the owner of the private key crafted for
+//! that purpose.
 //!
-//! The verifier comes with the cargo feature `signature`. Without it a [`PublicKey`] cannot
-//! exist, so that an `Option<&PublicKey>` is always `None` and code for it is left out.
+//! The cargo feature `signature` enables the verifier. Without it a [`PublicKey`] cannot be
+//! constructed, so an `Option<&PublicKey>` is always `None` and its code is eliminated.
 //!
-//! Cost on a Cortex-M4, opt-level `s`: 17.5 kB of flash, 6.1 kB of stack, 1.66 million
-//! instructions and 157 more per byte of the message; `docs/decisions/0006-signatures.md`
-//! has the measurement. Invariant: no panic, whatever key, message (below 512 MiB) and
-//! signature are.
+//! Cost on a Cortex-M4, opt-level `s`: 17.5 kB of flash, 6.1 kB of stack, 1.66 million instructions
+//! plus 157 per byte of the message; `docs/decisions/0006-signatures.md` has the measurement.
+//! Invariant: no panic for any key, signature, and message below 512 MiB.
 
-/// Bytes in a signature: `R`, then `S`, little-endian.
+/// Length of a signature in bytes: `R`, then `S`, little-endian.
 pub const SIGNATURE_LENGTH: usize = 64;
 
-/// Bytes in a public key: a compressed point of the curve.
+/// Length of a public key in bytes: a compressed point of the curve.
 pub const PUBLIC_KEY_LENGTH: usize = 32;
 
-/// Whose signatures count: a canonical point that is not of small order.
+/// The key that packages must be signed with: a canonical point that is not of small order.
 ///
-/// Its constructor `from_bytes` comes with the cargo feature `signature`; there is no value of
-/// this type without it.
+/// Its constructor `from_bytes` requires the cargo feature `signature`; without it the type has no
+/// values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PublicKey(Encoded);
 
@@ -44,30 +43,30 @@ type Encoded = [u8; PUBLIC_KEY_LENGTH];
 #[cfg(not(feature = "signature"))]
 type Encoded = core::convert::Infallible;
 
-/// Why bytes are no public key.
+/// Why bytes are not a public key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum PublicKeyError {
-    /// They encode no point of the curve, or not in the canonical way.
+    /// They do not encode a point of the curve, or not canonically.
     NotAPoint,
-    /// The point is one of the eight for which signatures can be made without a private key.
+    /// The point is one of the eight for which signatures can be forged without a private key.
     SmallOrder,
 }
 
 impl core::fmt::Display for PublicKeyError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
-            Self::NotAPoint => "the bytes are no Ed25519 public key",
-            Self::SmallOrder => "anyone could sign for this public key",
+            Self::NotAPoint => "not an Ed25519 public key",
+            Self::SmallOrder => "weak public key: anyone could sign for it",
         })
     }
 }
 
 impl core::error::Error for PublicKeyError {}
 
-/// The signature is not one of this message by the owner of this key.
+/// The signature was not made for this message with this key.
 ///
-/// Why is not said: changed bytes, another key and a forgery look alike.
+/// Changed bytes, another key and a forgery cannot be told apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SignatureMismatch;
 
@@ -80,7 +79,7 @@ impl core::fmt::Display for SignatureMismatch {
 impl core::error::Error for SignatureMismatch {}
 
 impl PublicKey {
-    /// The key that `bytes` encode.
+    /// Decodes a public key.
     ///
     /// # Errors
     /// [`PublicKeyError::NotAPoint`] or [`PublicKeyError::SmallOrder`].
@@ -93,7 +92,7 @@ impl PublicKey {
         }
     }
 
-    /// The encoded point.
+    /// Returns the encoded point.
     #[must_use]
     pub fn as_bytes(&self) -> &[u8; PUBLIC_KEY_LENGTH] {
         #[cfg(feature = "signature")]
@@ -105,10 +104,10 @@ impl PublicKey {
     }
 }
 
-/// Checks that the owner of `key` signed `message`, all of it, and gave `signature`.
+/// Checks that `signature` was made for the whole of `message` by the owner of `key`.
 ///
 /// # Errors
-/// [`SignatureMismatch`] if not; the message is then to be treated as a stranger's.
+/// [`SignatureMismatch`] if not; the message is then untrusted.
 pub fn verify(
     key: &PublicKey,
     message: &[u8],
@@ -132,7 +131,7 @@ mod tests {
     use super::*;
     use ed25519_dalek::{Signer, SigningKey, VerifyingKey};
 
-    /// The number that `digits`, hexadecimal, spell; most significant byte first.
+    /// Decodes hexadecimal digits, most significant byte first.
     fn hex<const LENGTH: usize>(digits: &str) -> [u8; LENGTH] {
         assert_eq!(digits.len(), 2 * LENGTH, "{digits}");
         core::array::from_fn(|i| u8::from_str_radix(&digits[2 * i..2 * i + 2], 16).unwrap())
@@ -201,7 +200,7 @@ mod tests {
         "c7176a703d4dd84fba3c0b760d10670f2a2053fa2c39ccc64ec7fd7792ac037a",
         "c7176a703d4dd84fba3c0b760d10670f2a2053fa2c39ccc64ec7fd7792ac03fa",
     ];
-    /// What encodes no point, or one in another than the canonical way.
+    /// Encodings of no point, or non-canonical ones.
     const NOT_A_POINT: [&str; 8] = [
         // y = p and y = p + 1, which stand for 0 and 1, with either sign.
         "edffffffffffffffffffffffffffffffffffffffffffffffffffffffffffff7f",
@@ -233,7 +232,7 @@ mod tests {
         }
     }
 
-    /// A key, a message and the signature, made by the independent signer.
+    /// Returns a key, a message and its signature from the independent signer.
     fn signed(seed: u64) -> (PublicKey, [u8; 40], [u8; SIGNATURE_LENGTH]) {
         let mut bytes = Bytes(seed);
         let signer = SigningKey::from_bytes(&bytes.array());
@@ -243,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn vectors_of_the_standard() {
+    fn accepts_the_vectors_of_the_standard() {
         for (private, public, message, signature) in RFC_8032 {
             let signature = hex(signature);
             let key = PublicKey::from_bytes(&hex(public)).unwrap();
@@ -291,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_can_make_a_second_signature_by_adding_the_order() {
+    fn adding_the_order_to_a_signature_is_refused() {
         let (key, message, mut signature) = signed(3);
         assert!(verify(&key, &message, &signature).is_ok());
         // S + 14 L is the last that fits into 32 bytes for every S below L.
@@ -308,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_that_anyone_can_sign_for_are_refused() {
+    fn weak_keys_are_refused() {
         for key in SMALL_ORDER {
             let refused = PublicKey::from_bytes(&hex(key));
             assert_eq!(refused, Err(PublicKeyError::SmallOrder), "{key}");
@@ -320,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn commitments_that_no_signer_makes_are_refused() {
+    fn commitments_that_no_signer_produces_are_refused() {
         let (key, message, mut signature) = signed(4);
         for commitment in SMALL_ORDER.iter().chain(&NOT_A_POINT) {
             signature[..32].copy_from_slice(&hex::<32>(commitment));
@@ -332,7 +331,7 @@ mod tests {
         }
     }
 
-    /// Lengths 0 to 383 meet the hash's blocks of 128 bytes at every offset.
+    /// Lengths 0 to 383 reach every offset in the hash's blocks of 128 bytes.
     #[test]
     fn agrees_with_an_independent_implementation() {
         let mut bytes = Bytes(5);
@@ -358,7 +357,7 @@ mod tests {
 
     /// About half of all byte strings are points.
     #[test]
-    fn agrees_on_what_a_key_is() {
+    fn agrees_on_valid_keys() {
         let mut bytes = Bytes(6);
         let mut points = 0;
         for _ in 0..400 {

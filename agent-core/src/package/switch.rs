@@ -1,5 +1,5 @@
-//! Going on with another package, between two steps: the paper's `T_p`, at which the piecewise
-//! continuous `Phi_hat` jumps while the estimate goes on.
+//! Switches to another package between two steps: the paper's `T_p`, at which the piecewise
+//! continuous `Phi_hat` jumps while the estimate stays continuous.
 
 use super::{OnSwitch, Package};
 use crate::agent::hold::HoldSlots;
@@ -13,13 +13,13 @@ where
     S: HoldSlots<N>,
 {
     /// Prepares the next step for `package`, whose parameters are `new`, after steps with the
-    /// neighbours `old`. The estimate goes on. The adapted outer weights go on, too, unless the
-    /// package says otherwise or has another number of features. A sample or a waiting frame in the
-    /// place of a neighbour that is another one from now on is dropped.
+    /// neighbours `old`. The estimate is kept. The adapted outer weights are kept too, unless the
+    /// package replaces them or has another number of features. Samples and pending frames are
+    /// dropped from slots whose neighbour changes.
     ///
     /// # Errors
-    /// Outer weights that do not fit, or another number of neighbours than there are places for
-    /// (make a new state then); nothing is changed in either case.
+    /// Invalid outer weights, or a number of neighbours that differs from the number of slots
+    /// (create a new state in that case); nothing is changed in either case.
     pub fn switch<I>(
         &mut self,
         old: &[Neighbour],

@@ -1,4 +1,4 @@
-//! What a package's bytes must be, and what a node must refuse.
+//! Tests of the bytes of a package and of what a node must refuse.
 
 extern crate std;
 
@@ -13,7 +13,7 @@ use crate::observer::network::{Architecture, Layer, NetworkError, Scratch};
 use crate::wire::frame::Frame;
 use proptest::prelude::*;
 
-/// A package's bytes, beginning on a multiple of four.
+/// A package's bytes, aligned to four bytes.
 pub(crate) struct Aligned {
     words: Vec<u32>,
     length: usize,
@@ -31,7 +31,7 @@ impl Aligned {
     }
 }
 
-/// What a package borrows: agent 7 of a plant with two states, with two neighbours.
+/// The data a package borrows: agent 7 of a plant with two states and two neighbours.
 #[derive(Clone)]
 pub(crate) struct Content {
     pub(crate) inner: [f32; 9],
@@ -156,7 +156,7 @@ fn every_single_bit_flip_and_every_truncation_is_refused() {
         let whole = copy.length;
         for length in 0..whole {
             copy.length = length;
-            // Without its signature a signed package is the unsigned one.
+            // Without its signature, a signed package equals the unsigned one.
             assert_eq!(Package::decode(copy.bytes()).is_ok(), length == unsigned.length);
         }
     }
@@ -171,7 +171,7 @@ fn an_unchanged_package_is_decoded_without_its_checksums() {
         let copy = Aligned::new(bytes);
         assert_eq!(Package::decode_unchanged(copy.bytes()), Package::decode(copy.bytes()));
         let mut damaged = bytes.to_vec();
-        // The header's checksum and, if there is one, the signature's.
+        // The header's checksum and, if present, the signature's.
         damaged[8] ^= 1;
         *damaged.last_mut().unwrap() ^= 1;
         let damaged = Aligned::new(&damaged);
@@ -179,7 +179,7 @@ fn an_unchanged_package_is_decoded_without_its_checksums() {
         if bytes.len() > unsigned.length {
             assert_eq!(Package::decode_unchanged(damaged.bytes()), Ok(content.package()));
         }
-        // All else is refused as ever.
+        // Everything else is still refused.
         let cut = Aligned::new(&bytes[..bytes.len() - 1]);
         let refused = Package::decode_unchanged(cut.bytes());
         assert!(matches!(refused, Err(PackageError::Length { .. })));
@@ -187,7 +187,7 @@ fn an_unchanged_package_is_decoded_without_its_checksums() {
 }
 
 #[test]
-fn a_package_is_found_at_the_beginning_of_a_slot() {
+fn a_package_is_found_at_the_start_of_a_slot() {
     let unsigned = encoded(&Content::new().package());
     let signed = [unsigned.bytes(), &signature_block(&[0x5a; 64])].concat();
     for (package, rest) in [(unsigned.bytes(), 0xff), (&signed, 0xff), (unsigned.bytes(), 0)] {
@@ -202,7 +202,7 @@ fn a_package_is_found_at_the_beginning_of_a_slot() {
 }
 
 #[test]
-fn the_place_of_the_numbers_is_a_multiple_of_four() {
+fn numbers_are_aligned_to_four_bytes() {
     for recipe in ["", "a", "ab", "abc", "abcd"] {
         let content = Content::new();
         let mut package = content.package();
@@ -210,18 +210,18 @@ fn the_place_of_the_numbers_is_a_multiple_of_four() {
         let bytes = encoded(&package);
         let decoded = Package::decode(bytes.bytes()).unwrap();
         assert_eq!(decoded, package);
-        // Anywhere else in memory the words cannot be used in place.
+        // At any other address the words cannot be used in place.
         let shifted = Aligned::new(&[&[0], bytes.bytes()].concat());
         assert_eq!(Package::decode(&shifted.bytes()[1..]), Err(PackageError::Alignment));
     }
 }
 
-/// The header that makes a package of `body`.
+/// Returns the header of a package with this `body`.
 pub(crate) fn header_of(body: &[u8]) -> [u8; HEADER_LENGTH] {
     envelope::header(body).unwrap()
 }
 
-/// `package` with its body changed, under a checksum that matches again.
+/// Returns `package` with its body changed and a matching checksum.
 fn resealed(package: &Package<'_>, change: impl FnOnce(&mut Vec<u8>)) -> Aligned {
     let mut body = Envelope::open(encoded(package).bytes()).unwrap().body.to_vec();
     change(&mut body);
@@ -249,9 +249,9 @@ fn each_defect_of_the_bytes_has_its_own_error() {
         Package::decode(resealed(&package, change).bytes()).map(|p| p.version).unwrap_err()
     };
     assert_eq!(body(&|b| b.clear()), PackageError::Malformed);
-    assert_eq!(body(&|b| b[3] = 2), PackageError::Malformed); // no such case of OnSwitch
+    assert_eq!(body(&|b| b[3] = 2), PackageError::Malformed); // not a variant of OnSwitch
     assert_eq!(body(&|b| b.push(0)), PackageError::Malformed);
-    // Version 5, written with a byte too many; one of the padding's goes for it.
+    // Version 5, encoded with a superfluous byte that replaces one of the padding.
     let longer = |b: &mut Vec<u8>| {
         b[0] = 0x85;
         b.insert(1, 0);
@@ -352,13 +352,13 @@ fn an_older_package_or_one_for_another_agent_is_refused() {
     assert_eq!(offered(&package, 7, 5), Ok(5));
     let older = Err(Refusal::Older { in_use: 6, found: 5 });
     assert_eq!(offered(&package, 7, 6), older);
-    // Without a signature anybody could ask for the exception.
+    // Without a signature, anyone could request the exception.
     assert_eq!(offered(&Package { replaces: Some(9), ..package.clone() }, 7, 6), older);
     assert_eq!(offered(&package, 8, 1), Err(Refusal::Agent { expected: 8, found: 7 }));
 }
 
 #[test]
-fn a_network_that_computes_something_else_is_refused() {
+fn a_network_with_other_results_is_refused() {
     let mut content = Content::new();
     // One unit in the last place of one bias.
     content.inner[1] = f32::from_bits(content.inner[1].to_bits() + 1);
@@ -372,7 +372,7 @@ fn a_network_that_computes_something_else_is_refused() {
 }
 
 #[test]
-fn parameters_come_out_as_they_went_in() {
+fn parameters_survive_the_round_trip() {
     let content = Content::new();
     let package = content.package();
     let (mut neighbours, mut gain) = ([Neighbour { id: 0, weight: 1.0 }; 4], [0.0; 9]);
@@ -386,7 +386,7 @@ fn parameters_come_out_as_they_went_in() {
 }
 
 #[test]
-fn an_agent_goes_on_with_another_package() {
+fn an_agent_switches_to_another_package() {
     let places = || ([Neighbour { id: 0, weight: 1.0 }; 2], [0.0; 1]);
     let content = Content::new();
     let package = content.package();
@@ -406,7 +406,7 @@ fn an_agent_goes_on_with_another_package() {
     inbox.accept(old.neighbours(), &from(3, 1)).unwrap();
     let (estimate, adapted) = (*state.estimate(), state.outer_weights().rows().to_vec());
 
-    // Neighbour 4 in the place of neighbour 3.
+    // Neighbour 4 replaces neighbour 3.
     let other = Content { neighbours: [4, 0, 9, 1], ..content.clone() };
     let mut other = other.package();
     let (mut neighbours, mut gain) = places();
@@ -420,7 +420,7 @@ fn an_agent_goes_on_with_another_package() {
     assert_eq!(state.outer_weights().rows()[2].as_slice(), &content.outer_weights[4..]);
     state.step(&new, Some(&other.network), 1, &[0.4], &mut inbox).unwrap();
 
-    // Places for another number of neighbours cannot be made from these.
+    // The slots do not match another number of neighbours.
     let one = Content { neighbours: [3, 0, 9, 1], ..content.clone() };
     let mut one = one.package();
     one.node.neighbours = NeighbourIds::new(&[3, 0]).unwrap();
@@ -433,7 +433,7 @@ fn an_agent_goes_on_with_another_package() {
 }
 
 #[test]
-fn the_specification_shows_these_very_bytes() {
+fn the_specification_shows_the_same_bytes() {
     let specification = include_str!("../../../docs/format.md");
     let (_, example) = specification.split_once("```text\n0000").unwrap();
     let (example, _) = example.split_once("```").unwrap();
@@ -449,13 +449,13 @@ fn the_specification_shows_these_very_bytes() {
 }
 
 #[test]
-fn a_network_is_found_again_at_its_place() {
+fn a_network_is_located_in_its_package() {
     let bytes = encoded(&Content::new().package());
     let package = Package::decode(bytes.bytes()).unwrap();
     let place = NetworkPlace::new(&package, bytes.bytes()).unwrap();
     assert_eq!(place.network(bytes.bytes()).unwrap(), package.network);
     assert_eq!(place.network(&bytes.bytes()[..80]), None);
-    // Elsewhere there is no such package.
+    // Other bytes do not contain the package.
     assert_eq!(NetworkPlace::new(&package, &[]), None);
 }
 
@@ -465,7 +465,7 @@ proptest! {
         body in prop::collection::vec(any::<u8>(), 0..300),
         place in 0usize..80, byte: u8,
     ) {
-        // Neither as they are, nor under a header that fits; nor a package with a changed byte.
+        // Raw, under a matching header, and a package with one byte changed.
         let headed = [&envelope::header(&body).unwrap()[..], &body].concat();
         let content = Content::new();
         let changed = resealed(&content.package(), |b| b[place] = byte);

@@ -1,4 +1,4 @@
-//! The metadata of a package as postcard writes them, and how many numbers follow from them.
+//! The postcard form of a package's metadata, and the counts of numbers that follow from it.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +7,7 @@ use crate::AgentId;
 use crate::math::symmetric::MatrixForm;
 use crate::observer::network::{Architecture, INNER_LAYERS_MAX, Layer};
 
-/// Everything in a body that is not one of its numbers.
+/// The contents of a body except for its numbers.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Metadata<'a> {
     pub(super) version: u32,

@@ -1,8 +1,8 @@
-//! What a node and a laptop say to each other: requests to the node, and its responses.
+//! The messages between a node and a laptop: requests to the node, and its responses.
 //!
-//! One request gets one answer ([`Response::is_answer`]), but for [`Request::Samples`], whose
-//! answer has several parts, and the two that only a node in the loop takes. What a node says
-//! without being asked comes in between.
+//! Each request gets one answer ([`Response::is_answer`]), except for [`Request::Samples`], whose
+//! answer has several parts, and the two requests for a node in the loop. Unsolicited responses can
+//! arrive in between.
 //!
 //! | request | answer |
 //! | --- | --- |
@@ -14,17 +14,18 @@
 //! | [`Samples`](Request::Samples) | any number of [`Sample`](Response::Sample), then [`SamplesEnd`](Response::SamplesEnd) |
 //! | any of them | [`Refused`](Response::Refused) |
 //!
-//! # A package reaches a node
-//! `Begin`, `Chunk` until everything has been received, `Stage` (the node verifies the package),
-//! `Activate` (it is used from the next step on, on trial), `Confirm` or enough good steps. Every
-//! answer to a chunk says how much has been received; after a broken connection `Query` says it.
-//! Repeating a chunk does no harm. docs/decisions/0007-weight-store.md says what a loss of power does.
+//! # How a package reaches a node
+//! `Begin`, then `Chunk` until everything has been received, `Stage` (the node verifies the
+//! package), `Activate` (it is used from the next step on, on trial), `Confirm` or enough good
+//! steps. Every answer to a chunk reports how much has been received; after a broken connection
+//! `Query` reports it. Repeating a chunk does no harm. docs/decisions/0007-weight-store.md
+//! describes the effects of power loss.
 //!
 //! # On the wire
-//! Each message is encoded by postcard and framed by [`crate::wire::cobs`]. Both enumerations only grow
-//! at their ends; [`PROTOCOL_VERSION`] changes when that is not enough.
+//! Each message is encoded by postcard and framed by [`crate::wire::cobs`]. Both enumerations are
+//! only extended at their ends; any other change requires a new [`PROTOCOL_VERSION`].
 //!
-//! Invariant: any bytes are a request or none; no request makes a node panic.
+//! Invariant: any bytes decode to a request or to `None`; no request makes a node panic.
 
 mod problem;
 mod request;
@@ -41,33 +42,33 @@ use serde::{Deserialize, Serialize};
 use crate::wire::cobs::Encoder;
 use crate::wire::codec;
 
-/// Version of the messages that this crate writes and reads.
+/// Version of the messages that this crate reads and writes.
 pub const PROTOCOL_VERSION: u8 = 1;
 
-/// Most bytes of a package that one [`Request::Chunk`] carries.
+/// Largest number of package bytes in a [`Request::Chunk`].
 pub const CHUNK_LENGTH_MAX: usize = 128;
 
-/// Most bytes of an encoded request, before it is framed: room for a chunk, or for a frame, or for a
+/// Length of the longest encoded request before framing, in bytes: room for a chunk, a frame or a
 /// measurement, with the fields around them.
 pub const REQUEST_LENGTH_MAX: usize = CHUNK_LENGTH_MAX + 12;
 
-/// How much of an upload there is.
+/// Progress of an upload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Upload {
-    /// Bytes that have been received; the sender goes on from here.
+    /// Bytes received so far; the sender continues from here.
     pub received: u32,
 }
 
-/// Frames and sends `message`: `sink` gets the bytes for the stream, piece by piece.
+/// Encodes and frames `message`; passes the bytes to `sink` piece by piece.
 pub fn send(message: &impl Serialize, sink: impl FnMut(&[u8])) {
     let mut encoder = Encoder::new(sink);
-    // Nothing that a message consists of fails: its sequences know their lengths.
+    // Encoding cannot fail, because all sequences know their lengths.
     let _ = postcard::serialize_with_flavor(message, &mut encoder);
     encoder.finish();
 }
 
-/// The message that `bytes` hold, and nothing but it, a [`Request`] or a [`Response`]; `None` if
-/// they hold none, or not in its one encoding.
+/// Decodes a message, a [`Request`] or a [`Response`]; `None` if `bytes` are not exactly one
+/// message in canonical form.
 ///
 /// `bytes` are what [`crate::wire::cobs::Decoder`] returned.
 #[must_use]

@@ -1,40 +1,40 @@
-//! Why a node does not do what it is asked.
+//! Errors that a node reports for requests.
 
 use serde::{Deserialize, Serialize};
 
 use crate::package::{PackageError, Refusal};
 use crate::store::{CheckedError, StoreError};
 
-/// Why a node does not do what it is asked.
+/// Why a node refuses a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Problem {
-    /// The request is none that the node knows.
+    /// The request is not known to the node.
     Unknown,
-    /// The request is for a node in the loop, and this one has a sensor and a clock.
+    /// The request is for a node in the loop, but this one has its own sensor and clock.
     NotInTheLoop,
-    /// There is no package in use.
+    /// No package is in use.
     NoPackage,
-    /// The estimate is not finite, or has another number of components than the state.
+    /// The estimate is not finite or has the wrong number of components.
     Estimate,
-    /// The store refuses.
+    /// The store refused the request.
     Store(StoreError),
-    /// The package is refused.
+    /// The package was refused.
     Package(RefusalReport),
 }
 
 impl core::fmt::Display for Problem {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
-            Self::Unknown => write!(f, "the node does not know this request"),
+            Self::Unknown => write!(f, "unknown request"),
             Self::NotInTheLoop => {
-                write!(f, "the node has its own sensor and clock, it is not in the loop")
+                write!(f, "the node is not in the loop: it has its own sensor and clock")
             }
             Self::NoPackage => write!(f, "the node has no package in use"),
             Self::Estimate => {
-                write!(f, "the estimate is not finite or not of the node's state dimension")
+                write!(f, "the estimate is not finite or does not have the node's state dimension")
             }
             Self::Store(error) => write!(f, "{error}"),
-            Self::Package(report) => write!(f, "the package is refused: {report}"),
+            Self::Package(report) => write!(f, "package refused: {report}"),
         }
     }
 }
@@ -56,18 +56,18 @@ impl From<CheckedError<Refusal>> for Problem {
     }
 }
 
-/// A [`Refusal`] as it fits into a message: which check failed, and its numbers.
+/// A [`Refusal`] in the form of a message: the check that failed, and its numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RefusalReport {
-    /// The check.
+    /// The check that failed.
     pub kind: RefusalKind,
-    /// What the node expected, where that is a number; otherwise 0.
+    /// The expected number; 0 if there is none.
     pub expected: u32,
-    /// What the package has, or the index of what is wrong in it; where that is no number, 0.
+    /// The number found, or the index of the invalid item; 0 if there is none.
     pub found: u32,
 }
 
-/// The check that a package has failed: the variants of [`Refusal`] and [`PackageError`].
+/// The check that failed: the variants of [`Refusal`] and [`PackageError`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[expect(missing_docs, reason = "they are those of the other enumerations")]
 pub enum RefusalKind {
@@ -95,9 +95,9 @@ pub enum RefusalKind {
     Older,
     NoTestVectors,
     TestVector,
-    /// The slot's bytes are not the recorded ones.
+    /// The slot's bytes differ from the recorded ones.
     Slot,
-    /// A check that this version does not know.
+    /// A check that is unknown to this version.
     Other,
 }
 
@@ -106,7 +106,7 @@ impl RefusalReport {
         Self { kind, expected, found }
     }
 
-    /// A slot whose bytes are not the recorded ones.
+    /// A slot whose bytes differ from the recorded ones.
     pub const SLOT: Self = Self::new(RefusalKind::Slot, 0, 0);
 }
 
@@ -170,36 +170,38 @@ impl core::fmt::Display for RefusalReport {
         use RefusalKind as Kind;
         let Self { kind, expected, found } = *self;
         match kind {
-            Kind::Length => write!(f, "{found} bytes, expected {expected}"),
-            Kind::Magic => write!(f, "no weight package"),
-            Kind::FormatVersion => write!(f, "its format has version {found}"),
+            Kind::Length => write!(f, "its length is {found} bytes, expected {expected}"),
+            Kind::Magic => write!(f, "not a weight package"),
+            Kind::FormatVersion => write!(f, "its format version is {found}"),
             Kind::Checksum => write!(f, "its checksum does not match"),
             Kind::SignatureChecksum => write!(f, "its signature's checksum does not match"),
             Kind::Malformed => write!(f, "its body does not follow the format"),
-            Kind::Alignment => write!(f, "it does not begin at a multiple of four bytes"),
-            Kind::Outputs => write!(f, "{found} outputs are not between 1 and the state's"),
-            Kind::TestVectorCount => write!(f, "{found} test vectors are too many"),
-            Kind::NumberCount => write!(f, "{found} numbers, expected {expected}"),
+            Kind::Alignment => write!(f, "it does not start at a multiple of four bytes"),
+            Kind::Outputs => write!(f, "it has {found} outputs, expected 1 to the state dimension"),
+            Kind::TestVectorCount => write!(f, "it has too many test vectors: {found}"),
+            Kind::NumberCount => write!(f, "it has {found} numbers, expected {expected}"),
             Kind::NotFinite => write!(f, "number {found} is not finite"),
             Kind::TrainingErrorNotFinite => write!(f, "a training error is not finite"),
-            Kind::Network => write!(f, "there is no such network"),
-            Kind::Unsigned => write!(f, "it is not signed, and this node asks for it"),
-            Kind::Signature => write!(f, "its signature does not fit the node's key"),
+            Kind::Network => write!(f, "its network is invalid"),
+            Kind::Unsigned => write!(f, "it is not signed, but this node requires a signature"),
+            Kind::Signature => write!(f, "its signature does not match the node's key"),
             Kind::Dimension => {
-                write!(f, "it is for {found} state components, the node for {expected}")
+                write!(f, "it is for {found} state components, the node has {expected}")
             }
-            Kind::Capacity => write!(f, "it needs {found} places where the node has {expected}"),
+            Kind::Capacity => {
+                write!(f, "it needs {found} entries, the node has room for {expected}")
+            }
             Kind::Parameter => {
-                write!(f, "a parameter is out of its range (`weights verify` names it)")
+                write!(f, "a parameter is out of range (run `weights verify` to see which)")
             }
             Kind::NeighbourOrder => write!(f, "neighbour {found} is out of order"),
             Kind::EmptyBox => write!(f, "the trained box is empty in component {found}"),
-            Kind::Agent => write!(f, "it is for agent {found}, this is agent {expected}"),
-            Kind::Older => write!(f, "it has version {found}, version {expected} is in use"),
+            Kind::Agent => write!(f, "it is for agent {found}, this node is agent {expected}"),
+            Kind::Older => write!(f, "it has version {found}, but version {expected} is in use"),
             Kind::NoTestVectors => write!(f, "it has no test vectors"),
-            Kind::TestVector => write!(f, "test vector {found} comes out with other bits"),
-            Kind::Slot => write!(f, "the bytes in its slot are not the recorded ones"),
-            Kind::Other => write!(f, "a check that this version does not know"),
+            Kind::TestVector => write!(f, "test vector {found} does not match bit for bit"),
+            Kind::Slot => write!(f, "the bytes in its slot differ from the recorded ones"),
+            Kind::Other => write!(f, "it failed a check that is unknown to this version"),
         }
     }
 }

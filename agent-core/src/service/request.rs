@@ -1,4 +1,4 @@
-//! What a node is asked.
+//! Requests to a node.
 
 use core::num::NonZeroU32;
 
@@ -7,68 +7,67 @@ use serde::{Deserialize, Serialize};
 use crate::Tick;
 pub use crate::wire::frame::Numbers;
 
-/// What a node is asked or told.
+/// A request to a node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Request<'a> {
-    /// Who are you, and how are you?
+    /// Report the node's identity and status.
     Query,
-    /// A package of this length follows, into the slot that is not in use.
+    /// Start the upload of a package of this length into the slot that is not in use.
     Begin {
-        /// Its length. \[byte\]
+        /// Length of the package. \[byte\]
         length: u32,
     },
     /// A part of the package.
     Chunk {
-        /// Where it belongs. \[byte\]
+        /// Offset in the package. \[byte\]
         offset: u32,
         /// At most [`super::CHUNK_LENGTH_MAX`] bytes.
         bytes: &'a [u8],
     },
-    /// The package is complete: verify it, and keep it for its activation.
+    /// The package is complete: verify it and keep it for activation.
     Stage,
     /// Use the staged package from the next step on, on trial.
     Activate,
-    /// The trial has succeeded.
+    /// Confirm the package on trial.
     Confirm,
-    /// The trial has failed: use what was in use before, from the next step on.
+    /// End the trial: return to what was in use before, from the next step on.
     Revert,
-    /// Begin anew as after switching on.
+    /// Restart as after power-on.
     Reset,
-    /// What to tell without being asked.
+    /// Select the unsolicited reports.
     Subscribe(Subscription),
-    /// The samples that the node has kept for training, oldest first.
+    /// Return the samples kept for training, oldest first.
     Samples {
-        /// Not those before this tick.
+        /// Skip samples before this tick.
         from: Tick,
-        /// Not more than these; the answer says how to go on.
+        /// Largest number of samples; the answer tells where to continue.
         most: u8,
     },
-    /// Go on from this estimate of the state, as if switched on with it.
+    /// Continue from this estimate of the state, as if started with it.
     StartAt {
         /// `x_hat`, shape `[n]`.
         estimate: Numbers,
     },
-    /// A frame has arrived from a neighbour. Only for a node in the loop, and without an answer.
+    /// A frame has arrived from a neighbour. Only for a node in the loop; not answered.
     Frame {
-        /// The frame as it was broadcast.
+        /// The frame as broadcast.
         bytes: &'a [u8],
     },
-    /// It is time for a step. Only for a node in the loop; what the node then has to tell follows,
-    /// a [`State`](super::Response::State) last.
+    /// Attempt a step. Only for a node in the loop; answered by the node's reports, the last being
+    /// a [`State`](super::Response::State).
     Tick {
-        /// Sampling periods that have begun since the last one: 1, or more if the node is to believe
-        /// that it was late.
+        /// Sampling periods since the previous request: 1, or more to simulate a late node.
         periods: u32,
-        /// `y_i`, shape `[m]`; `None` if the sensor is to have failed.
+        /// `y_i`, shape `[m]`; `None` to simulate a failed sensor.
         measurement: Option<Numbers>,
     },
 }
 
-/// What a node tells without being asked, beside events.
+/// Unsolicited reports, in addition to events.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Subscription {
-    /// A state with every so many ticks; `None` for none.
+    /// Interval between reported states; `None` for none. \[ticks\]
     pub state_every: Option<NonZeroU32>,
-    /// Whether a state comes with the outer weights.
+    /// Whether states include the outer weights.
     pub outer_weights: bool,
 }

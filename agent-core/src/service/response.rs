@@ -1,4 +1,4 @@
-//! What a node says.
+//! Responses of a node.
 
 use serde::{Deserialize, Serialize, Serializer};
 
@@ -8,55 +8,55 @@ use crate::health::{BoardErrors, HealthCounters, WatchedStep};
 use crate::store::Slot;
 use crate::{AgentId, StateVector, Tick};
 
-/// What a node says. `V` holds numbers: [`Rows`] on the node, a vector on the host.
+/// A response of a node. `V` holds numbers: [`Rows`] on the node, a vector on the host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Response<'a, V> {
     /// Answers a query.
     Status(Status),
-    /// The node has just begun, and this is how it found itself. Nobody asked.
+    /// The node has just started, with this status. Unsolicited.
     Hello(Status),
-    /// How much of an upload there is.
+    /// Progress of an upload.
     Upload(Upload),
-    /// The package has been verified and waits for its activation.
+    /// The package has been verified and can be activated.
     Staged {
-        /// Its version.
+        /// Version of the package.
         version: u32,
     },
-    /// Which package is in use from the next step on.
+    /// The package in use from the next step on.
     InUse {
-        /// Its version; `None` if it is none.
+        /// Version of the package; `None` if none is in use.
         version: Option<u32>,
     },
-    /// What was asked for has been done.
+    /// The request has been carried out.
     Done,
-    /// What was asked for has not been done, and nothing has changed.
+    /// The request was refused; nothing has changed.
     Refused(Problem),
     /// A sample for training.
     Sample {
-        /// When it was taken.
+        /// Tick at which it was taken.
         tick: Tick,
         /// `x_hat`, shape `[n]`.
         estimate: V,
         /// `d/dt x_hat`, shape `[n]`. \[state unit/s\]
         derivative: V,
     },
-    /// There are no more samples to this request.
+    /// The end of the samples for this request.
     SamplesEnd {
-        /// Where the next request goes on.
+        /// Tick from which the next request continues.
         next: Tick,
     },
-    /// What the last step did. Nobody asked, but somebody has subscribed.
+    /// Result of the last step. Unsolicited, by subscription.
     State(State<V>),
-    /// What has been noticed so far. Nobody asked.
+    /// The health counters. Unsolicited.
     Health {
-        /// When.
+        /// Tick of the report.
         tick: Tick,
-        /// How often what happened.
+        /// The counters.
         counters: HealthCounters,
     },
-    /// Something that happens once. Nobody asked.
+    /// A single event. Unsolicited.
     Event(Event),
-    /// What the node has broadcast to its neighbours; only a node in the loop says so.
+    /// A frame broadcast to the neighbours; only from a node in the loop.
     Broadcast {
         /// The frame.
         bytes: &'a [u8],
@@ -72,7 +72,7 @@ pub enum Response<'a, V> {
 }
 
 impl<V> Response<'_, V> {
-    /// Whether this answers a request, or is a part of the answer.
+    /// Returns whether this answers a request, fully or in part.
     #[must_use]
     pub fn is_answer(&self) -> bool {
         match self {
@@ -94,14 +94,14 @@ impl<V> Response<'_, V> {
     }
 }
 
-/// Something that happens once.
+/// A single event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Event {
-    /// The package on trial has proved itself, and the store knows.
+    /// The package on trial has been confirmed in the store.
     Confirmed {
-        /// From which tick on.
+        /// First tick of the confirmed package.
         tick: Tick,
-        /// Its version.
+        /// Version of the package.
         version: u32,
     },
     /// Something on the board does not work, and the node goes on without it. Told after every greeting
@@ -109,11 +109,11 @@ pub enum Event {
     BoardFault(BoardFault),
 }
 
-/// What may not work on a board whose node works.
+/// Faults of a board whose node still works.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum BoardFault {
     /// The crystal or the PLL did not start: the chip runs from its internal oscillator, slower and
-    /// less accurately, and its sampling periods are as inaccurate.
+    /// less accurate, and so are its sampling periods.
     Clock,
 }
 
@@ -122,28 +122,28 @@ pub enum BoardFault {
 pub struct State<V> {
     /// The tick `k` of the step.
     pub tick: Tick,
-    /// What came of it.
+    /// Outcome of the step.
     pub outcome: Outcome,
     /// `x_hat(t_(k+1))`, shape `[n]`; empty if the node has no package.
     pub estimate: V,
     /// `d/dt x_hat(t_k)`, shape `[n]`; empty if no step was taken. \[state unit/s\]
     pub derivative: V,
-    /// `W_hat(t_(k+1))`, row by row, shape `[L, n]`; empty if nobody subscribed to it.
+    /// `W_hat(t_(k+1))`, row by row, shape `[L, n]`; empty unless subscribed.
     pub outer_weights: V,
 }
 
-/// What came of an attempt at a step.
+/// Outcome of an attempted step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Outcome {
     /// The step was taken.
     Stepped,
-    /// The agent was lost and has begun anew.
+    /// The estimate was unusable and the agent has been restarted.
     Restarted,
-    /// There is no package, and so no agent.
+    /// No package is in use, so there is no agent.
     NoPackage,
-    /// The sensor did not deliver.
+    /// The sensor delivered no measurement.
     NoMeasurement,
-    /// The measurement had another number of components than the agent measures.
+    /// The measurement has the wrong number of components.
     MeasurementLength,
     /// A measurement was infinite or not a number.
     MeasurementNotFinite,
@@ -174,52 +174,51 @@ impl<const N: usize> From<&WatchedStep<N>> for Outcome {
     }
 }
 
-/// Who a node is, and how it is.
+/// Identity and status of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Status {
     /// [`PROTOCOL_VERSION`](super::PROTOCOL_VERSION) of the node. Always the first field.
     pub protocol: u8,
-    /// What was compiled into the node.
+    /// Properties of the firmware.
     pub firmware: Firmware,
     /// The tick of the next step, if none is skipped.
     pub tick: Tick,
-    /// The package in use; without one a node observes nothing, or is the agent that is built into
-    /// its firmware.
+    /// The package in use; without one a node is idle, or runs the agent built into its firmware.
     pub package: Option<PackageStatus>,
-    /// Whether a package waits for its activation.
+    /// Whether a staged package can be activated.
     pub staged: bool,
     /// The unfinished upload.
     pub upload: Option<Upload>,
-    /// Why the packages in slot A and slot B were refused when the node began, if they were.
+    /// Why the packages in slot A and slot B were refused when the node started, if they were.
     pub refused_at_start: [Option<RefusalReport>; 2],
     /// Bytes of the stack that have never been used, if the board can tell.
     pub stack_unused: Option<u32>,
-    /// Samples that are kept for training.
+    /// Number of samples kept for training.
     pub samples: u32,
-    /// Messages that arrived damaged.
+    /// Number of messages that arrived damaged.
     pub messages_damaged: u32,
-    /// Times that the sensor did not deliver.
+    /// Number of missing measurements.
     pub measurements_missing: u32,
-    /// Frames that could not be handed to the link.
+    /// Number of frames that the link did not accept.
     pub broadcasts_lost: u32,
-    /// What else has been noticed.
+    /// The health counters.
     pub health: HealthCounters,
 }
 
-/// What was compiled into a node.
+/// Properties of a node's firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Firmware {
     /// Major, minor and patch version.
     pub version: [u8; 3],
-    /// `n`, components of the state.
+    /// `n`, the state dimension.
     pub dimension: u8,
-    /// Most features `L` that there is room for.
+    /// Largest number of features `L`.
     pub features: u8,
-    /// Most neighbours that there is room for.
+    /// Largest number of neighbours.
     pub neighbours: u8,
-    /// Whether packages have to be signed.
+    /// Whether packages must be signed.
     pub signed_only: bool,
-    /// A sample in so many ticks is kept for training.
+    /// Interval between samples kept for training. \[ticks\]
     pub sample_stride: u32,
 }
 
@@ -228,26 +227,26 @@ pub struct Firmware {
 pub struct PackageStatus {
     /// The agent that the node is.
     pub agent: AgentId,
-    /// The package's version.
+    /// Version of the package.
     pub version: u32,
-    /// CRC-32 of its bytes, by which a file can be recognised.
+    /// CRC-32 of its bytes, to match it with a file.
     pub checksum: u32,
-    /// `dt`, which makes times of ticks. \[s\]
+    /// `dt`, the length of a tick. \[s\]
     pub step_size: f32,
-    /// Where it lies.
+    /// Slot of the package.
     pub slot: Slot,
-    /// If it is on trial, how many good steps in a row it has taken and how many it takes.
+    /// During a trial: consecutive good steps so far, and the number needed.
     pub trial: Option<(u32, u32)>,
-    /// Whether the network is in use; it is left out while it has fallen back.
+    /// Whether the network is in use; false during a fallback.
     pub network_in_use: bool,
 }
 
-/// Vectors of the state space that are sent as one sequence of numbers.
+/// Vectors in state space, serialised as one sequence of numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rows<'a, const N: usize>(pub &'a [StateVector<N>]);
 
 impl<'a, const N: usize> Rows<'a, N> {
-    /// One vector.
+    /// Creates rows from a single vector.
     #[must_use]
     pub fn one(vector: &'a StateVector<N>) -> Self {
         Self(core::slice::from_ref(vector))

@@ -15,7 +15,7 @@ use crate::store::{Slot, StoreError};
 use crate::wire::cobs::Decoder;
 use crate::wire::frame::FRAME_LENGTH_MAX;
 
-/// The bytes between framing, as a receiver finds them.
+/// Returns the bytes inside the framing, as a receiver gets them.
 fn sent(message: &impl serde::Serialize) -> Vec<u8> {
     let mut decoder = Decoder::<4096>::new();
     let mut found = Vec::new();
@@ -139,30 +139,30 @@ fn board_errors_are_a_new_kind_of_message_at_the_end() {
 }
 
 #[test]
-fn rows_are_sent_as_the_numbers_that_they_hold() {
+fn rows_are_sent_as_one_sequence_of_numbers() {
     let rows = [StateVector::<2>::new(1.0, 2.0), StateVector::<2>::new(3.0, 4.0)];
     assert_eq!(sent(&Rows(&rows)), sent(&Numbers::from_slice(&[1.0, 2.0, 3.0, 4.0]).unwrap()));
     assert_eq!(sent(&Rows::one(&rows[1])), sent(&Numbers::from_slice(&[3.0, 4.0]).unwrap()));
 }
 
 #[test]
-fn the_wire_format_of_requests_stays() {
+fn the_wire_format_of_requests_is_stable() {
     assert_eq!(sent(&Request::Query), [0]);
     assert_eq!(sent(&Request::Chunk { offset: 300, bytes: &[7] }), [2, 0xac, 0x02, 1, 7]);
     assert_eq!(sent(&Request::Tick { periods: 1, measurement: None }), [12, 1, 0]);
 }
 
 #[test]
-fn a_refusal_keeps_its_numbers_and_its_words() {
+fn a_refusal_keeps_its_numbers_and_text() {
     let report = RefusalReport::from(&Refusal::Agent { expected: 1, found: 2 });
-    assert_eq!(std::format!("{report}"), "it is for agent 2, this is agent 1");
+    assert_eq!(std::format!("{report}"), "it is for agent 2, this node is agent 1");
 }
 
 proptest! {
     #[test]
     fn arbitrary_bytes_are_a_request_or_none(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
         if let Some(request) = receive::<Request<'_>>(&bytes) {
-            // There is one encoding for one request.
+            // Each request has exactly one encoding.
             prop_assert_eq!(sent(&request), bytes);
         }
     }

@@ -1,66 +1,66 @@
-//! Why the store refuses something.
+//! Errors of the store.
 
 use embedded_storage::nor_flash::NorFlashErrorKind;
 use serde::{Deserialize, Serialize};
 
-/// Why a call is refused. Nothing has changed then, but for what the variants say.
+/// Why a call is refused. Nothing has changed, except as the variants describe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum StoreError {
-    /// The flash driver reports an error. An unfinished upload that it hit is dropped.
+    /// The flash driver reports an error. The affected upload, if any, is dropped.
     Flash(#[serde(with = "flash_kind")] NorFlashErrorKind),
-    /// What was written reads differently. An unfinished upload that it hit is dropped.
+    /// Data reads back differently from what was written. The affected upload, if any, is dropped.
     Verify {
-        /// Where, from the start of the region. \[byte\]
+        /// Offset from the start of the region. \[byte\]
         offset: u32,
     },
-    /// A place of the journal cannot be read and may hold the newest record, and to record
-    /// anything it would have to be erased. Another boot may read it; if none does,
+    /// A journal entry cannot be read and may be the newest record, and recording anything would
+    /// require erasing it. Another boot may be able to read it; if none can,
     /// [`Store::forget_unreadable`](super::Store::forget_unreadable) gives it up.
     Unreadable {
-        /// Where, from the start of the region. \[byte\]
+        /// Offset from the start of the region. \[byte\]
         offset: u32,
     },
-    /// Nobody has looked yet at what lies in the slots: [`Store::load`](super::Store::load) first.
+    /// The slots have not been loaded yet: call [`Store::load`](super::Store::load) first.
     NotLoaded,
-    /// A package is on trial, and what lies in the other slot is the way back.
+    /// A package is on trial, and the other slot holds the one to revert to.
     OnTrial,
     /// No package is on trial.
     NotOnTrial,
-    /// A package of this length is empty or too long.
+    /// The package is empty or too long.
     Length {
         /// The length. \[byte\]
         found: u32,
-        /// What a slot holds. \[byte\]
+        /// Length of a slot. \[byte\]
         maximum: u32,
     },
     /// There is no upload.
     NoUpload,
-    /// The bytes do not continue what has been received.
+    /// The bytes do not continue the upload.
     Gap {
-        /// How many bytes have been; the sender goes on from here.
+        /// Bytes received so far; the sender continues from here.
         received: u32,
     },
-    /// The bytes would exceed the length that was announced.
+    /// The bytes exceed the announced length.
     PastEnd {
-        /// That length. \[byte\]
+        /// The announced length. \[byte\]
         length: u32,
     },
-    /// Bytes that were received before are repeated, but changed: another package.
+    /// A repeated part of the upload differs from what was received: it is another package.
     Conflict {
-        /// Where the repetition began. \[byte\]
+        /// Start of the repetition. \[byte\]
         offset: u32,
     },
     /// The upload is not complete.
     Incomplete {
-        /// How many bytes have been received; the sender goes on from here.
+        /// Bytes received so far; the sender continues from here.
         received: u32,
-        /// How many there are to be.
+        /// The announced length.
         length: u32,
     },
-    /// No package waits for its activation.
+    /// No package is staged.
     NothingStaged,
-    /// The staged package is no longer what was staged.
+    /// The staged package has changed since it was staged.
     Damaged,
 }
 
@@ -68,26 +68,33 @@ impl core::fmt::Display for StoreError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match *self {
             Self::Flash(kind) => write!(f, "flash: {kind}"),
-            Self::Verify { offset } => write!(f, "flash at {offset:#x} reads not as written"),
-            Self::Unreadable { offset } => {
-                write!(f, "the journal at {offset:#x} cannot be read and may be the newest record")
+            Self::Verify { offset } => {
+                write!(f, "flash at {offset:#x} does not read back as written")
             }
-            Self::NotLoaded => write!(f, "the slots have not been looked at yet"),
+            Self::Unreadable { offset } => {
+                write!(
+                    f,
+                    "the journal entry at {offset:#x} is unreadable and may be the newest record"
+                )
+            }
+            Self::NotLoaded => write!(f, "the slots have not been loaded yet"),
             Self::OnTrial => write!(f, "a package is on trial"),
             Self::NotOnTrial => write!(f, "no package is on trial"),
             Self::Length { found, maximum } => {
-                write!(f, "a package of {found} bytes, expected 1 to {maximum}")
+                write!(f, "invalid package length: {found} bytes, expected 1 to {maximum}")
             }
-            Self::NoUpload => write!(f, "there is no upload"),
-            Self::Gap { received } => write!(f, "a gap: the next byte is {received}"),
-            Self::PastEnd { length } => write!(f, "more than the {length} bytes announced"),
+            Self::NoUpload => write!(f, "no upload is in progress"),
+            Self::Gap { received } => write!(f, "gap in the upload: expected byte {received}"),
+            Self::PastEnd { length } => {
+                write!(f, "the upload exceeds the announced {length} bytes")
+            }
             Self::Conflict { offset } => {
-                write!(f, "the bytes at {offset} differ from those received before")
+                write!(f, "the bytes at {offset} differ from those received earlier")
             }
             Self::Incomplete { received, length } => {
-                write!(f, "{received} of {length} bytes have been received")
+                write!(f, "the upload is incomplete: {received} of {length} bytes received")
             }
-            Self::NothingStaged => write!(f, "no package waits for its activation"),
+            Self::NothingStaged => write!(f, "no package is staged"),
             Self::Damaged => write!(f, "the staged package is damaged"),
         }
     }
@@ -95,13 +102,13 @@ impl core::fmt::Display for StoreError {
 
 impl core::error::Error for StoreError {}
 
-/// Why a package does not get on, by the store's rules or by the caller's check.
+/// Why a package was refused: by the store's rules or by the caller's check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum CheckedError<E> {
-    /// The store refuses the call.
+    /// The store refused the call.
     Store(StoreError),
-    /// The check refuses the package.
+    /// The check refused the package.
     Refused(E),
 }
 
@@ -115,7 +122,7 @@ impl<E: core::fmt::Display> core::fmt::Display for CheckedError<E> {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             Self::Store(error) => write!(f, "{error}"),
-            Self::Refused(error) => write!(f, "the package is refused: {error}"),
+            Self::Refused(error) => write!(f, "package refused: {error}"),
         }
     }
 }
@@ -126,16 +133,16 @@ impl<E: core::error::Error> core::error::Error for CheckedError<E> {}
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Refusal<E> {
-    /// The slot's bytes are not the recorded ones.
+    /// The slot's bytes differ from the recorded ones.
     Checksum,
-    /// The check refuses them.
+    /// The check refused the package.
     Check(E),
 }
 
 impl<E: core::fmt::Display> core::fmt::Display for Refusal<E> {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
-            Self::Checksum => write!(f, "its bytes are not the recorded ones"),
+            Self::Checksum => write!(f, "its bytes differ from the recorded ones"),
             Self::Check(error) => write!(f, "{error}"),
         }
     }
@@ -143,7 +150,7 @@ impl<E: core::fmt::Display> core::fmt::Display for Refusal<E> {
 
 impl<E: core::error::Error> core::error::Error for Refusal<E> {}
 
-/// How a message carries what a flash driver says: postcard knows nothing of the foreign type.
+/// Serialises the flash driver's error, whose type postcard cannot handle.
 mod flash_kind {
     use embedded_storage::nor_flash::NorFlashErrorKind;
     use serde::{Deserialize, Deserializer, Serializer};
@@ -151,7 +158,7 @@ mod flash_kind {
     const KINDS: [NorFlashErrorKind; 2] =
         [NorFlashErrorKind::NotAligned, NorFlashErrorKind::OutOfBounds];
 
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks for it")]
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "required by serde")]
     pub(super) fn serialize<S: Serializer>(
         kind: &NorFlashErrorKind,
         serializer: S,

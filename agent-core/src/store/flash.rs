@@ -1,4 +1,4 @@
-//! The border to the flash driver.
+//! The interface to the flash driver.
 
 use embedded_storage::nor_flash::{NorFlash, NorFlashError, ReadNorFlash};
 
@@ -6,15 +6,17 @@ use super::StoreError;
 
 /// NOR flash that can also be read in place.
 ///
-/// The store expects what [`NorFlash`] promises: erased bytes are 0xFF, a word is written once
-/// between two erasures, a cut write leaves only its own words undefined and a cut erasure only
-/// its own units. A driver that erases to another value must invert what it reads and writes.
+/// The store relies on the guarantees of [`NorFlash`]: erased bytes are 0xFF, a word is written
+/// once between two erasures, an interrupted write leaves only its own words undefined, and an
+/// interrupted erasure only its own units. A driver whose flash erases to another value must invert
+/// reads and writes.
 pub trait MappedFlash: NorFlash {
-    /// The whole region, offset 0 first: what [`ReadNorFlash::read`] would read, also right after
-    /// a write or an erasure. A driver in front of which there is a cache must invalidate it.
+    /// Returns the whole region from offset 0, with the contents that [`ReadNorFlash::read`]
+    /// returns, also right after a write or an erasure. A driver for cached flash must invalidate
+    /// the cache.
     ///
-    /// The first byte must lie at an address that is a multiple of 4, since the numbers of a
-    /// package are used in place as words of 32 bits. Where it does not, packages are refused.
+    /// The first byte must be at an address that is a multiple of 4, because the numbers of a
+    /// package are used in place as 32-bit words. Otherwise packages are refused.
     fn mapped(&self) -> &[u8];
 }
 
@@ -24,27 +26,27 @@ impl<F: MappedFlash> MappedFlash for &mut F {
     }
 }
 
-/// The largest word that can be written. \[byte\]
+/// Largest supported write size. \[byte\]
 pub(super) const WORD_LENGTH_MAX: usize = super::RECORD_LENGTH;
 
-/// Erases the unit that begins at `offset`.
+/// Erases the unit that starts at `offset`.
 pub(super) fn erase_unit<F: NorFlash>(flash: &mut F, offset: u32) -> Result<(), StoreError> {
     flash.erase(offset, offset.wrapping_add(F::ERASE_SIZE as u32)).map_err(driver_error)
 }
 
-/// The `length` bytes at `offset`, if the region has them.
+/// Returns the `length` bytes at `offset`; `None` if they exceed the region.
 pub(super) fn bytes_at<F: MappedFlash>(flash: &F, offset: u32, length: u32) -> Option<&[u8]> {
     let (offset, length) = (usize::try_from(offset).ok()?, usize::try_from(length).ok()?);
     flash.mapped().get(offset..)?.get(..length)
 }
 
-/// What a driver's error says to someone who does not know the driver.
-#[expect(clippy::needless_pass_by_value, reason = "it goes into `map_err`")]
+/// Converts a driver's error to its portable kind.
+#[expect(clippy::needless_pass_by_value, reason = "passed to `map_err`")]
 pub(super) fn driver_error<E: NorFlashError>(error: E) -> StoreError {
     StoreError::Flash(error.kind())
 }
 
-/// Refuses to compile for flash whose units the formats here do not fit.
+/// Fails to compile for flash whose write or erase size is not supported.
 pub(super) const fn assert_units<F: NorFlash>() {
     assert!(F::WRITE_SIZE >= 1 && WORD_LENGTH_MAX.is_multiple_of(F::WRITE_SIZE));
     assert!(<F as ReadNorFlash>::READ_SIZE >= 1 && WORD_LENGTH_MAX.is_multiple_of(F::READ_SIZE));

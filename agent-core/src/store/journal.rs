@@ -5,23 +5,23 @@
 //! half 1  | record 3 | record 4 | record 5 | torn | record 6 | torn |
 //! ```
 //!
-//! The valid record with the highest number counts, whatever lies around it. The next one goes
-//! behind everything that was ever written into the half of the newest, or, if that half is full
-//! or refuses the write, to the start of the other half, which is erased just before.
+//! The valid record with the highest number counts, whatever surrounds it. The next record goes
+//! after the last written entry in the newest record's half or, if that half is full or refuses the
+//! write, to the start of the other half, which is erased first.
 //!
-//! Invariants: the half that holds the newest record is never erased, so there is no instant
-//! without one; no word is written twice, for a place counts as free only if it and all behind it
-//! is erased; a number that a torn place may hold is not given out again, since what reads as torn
-//! now may read as whole one day.
+//! Invariants: the half with the newest record is never erased, so a record exists at every
+//! instant; no word is written twice, because an entry counts as free only if it and all following
+//! entries are erased; a number that a torn entry may contain is not reused, because an entry that
+//! reads as torn now may read as valid later.
 //!
-//! # Places that cannot be read
-//! What the driver refuses to read, twice in a row, is not taken for torn: it may be the newest
-//! record behind a disturbance that passes. Until a record has been appended, everything is
-//! therefore in doubt, and a half is erased only if no such place in it can be the newest record:
-//! if a record was found, and one in that half too, which is then older. (A half is filled in one
-//! go, so that its records are all older or all newer than those of the other.) Behind the newest
-//! record that was found, appending is allowed: flash with error correction reports words that
-//! way whose write was cut, and a node must get on after that.
+//! # Unreadable entries
+//! An entry that the driver fails to read twice in a row is not treated as torn: it may be the
+//! newest record, affected by a transient fault. Until a record has been appended, the contents are
+//! in doubt, and a half is erased only if no unreadable entry in it can be the newest record: a
+//! record was found, and that half contains one too, which is then older. (A half is filled
+//! completely before the other, so its records are either all older or all newer.) Appending after
+//! the newest record found is allowed: flash with error correction reports interrupted writes as
+//! unreadable, and a node must be able to continue.
 //!
 //!
 //! Cost: opening reads the commit area once; appending writes [`RECORD_LENGTH`] bytes, at most
@@ -47,7 +47,7 @@ impl Half {
         }
     }
 
-    /// This half's of two things.
+    /// Returns the element that belongs to this half.
     fn of<T>(self, [first, second]: &mut [T; 2]) -> &mut T {
         match self {
             Self::First => first,
@@ -56,31 +56,31 @@ impl Half {
     }
 }
 
-/// The newest record, and where the next one goes.
+/// The newest record, and where the next one is written.
 #[derive(Clone, Debug)]
 pub(super) struct Journal {
-    /// The last number that was, or may have been, given out.
+    /// The last sequence number that was, or may have been, used.
     sequence: u32,
     newest: Option<(Half, Contents)>,
-    /// The first free place in the half of the newest record.
+    /// Index of the first free entry in the newest record's half.
     next_place: u32,
-    /// Places that hold something and yet no record.
+    /// Entries that are neither free nor valid.
     torn: u32,
-    /// Places that could not be read, and the first of them.
+    /// Number of unreadable entries, and the first of them.
     unreadable: u32,
     first_unreadable: Option<u32>,
-    /// A place that could not be read, may hold the newest record, and would be erased next.
+    /// An unreadable entry that may be the newest record and would be erased next.
     blocked_by: Option<u32>,
-    /// Whether the last write failed or a place could not be read, so that flash may hold a newer
-    /// record than is known here.
+    /// Whether the last write failed or an entry was unreadable, so that flash may contain a newer
+    /// record than known here.
     in_doubt: bool,
 }
 
-/// How many numbers are left out for each place that is torn or cannot be read. More than were
-/// spent in a row on writes that failed.
+/// Sequence numbers skipped for each torn or unreadable entry. More than were used in a row by
+/// failed writes.
 const SKIPPED_NUMBERS: u32 = 0x1_0000;
 
-/// What a place holds.
+/// Contents of an entry.
 enum Place {
     Free,
     Torn,
@@ -101,10 +101,10 @@ impl Journal {
             blocked_by: None,
             in_doubt: false,
         };
-        // Of each half: the first place that could not be read, and whether it has a record.
+        // For each half: the first unreadable entry, and whether it contains a record.
         let mut seen = [(None, false); 2];
         for half in [Half::First, Half::Second] {
-            // The place behind the last that is not free.
+            // The entry after the last one that is not free.
             let mut end = 0;
             let mut holds_newest = false;
             let (first_unreadable, has_record) = half.of(&mut seen);
@@ -132,8 +132,8 @@ impl Journal {
                 journal.next_place = end;
             }
         }
-        // Whatever these places hold or were to become, their numbers were not higher, even if
-        // numbers were left out before each of them.
+        // Whatever these entries contain, their numbers are not higher, even if numbers were
+        // skipped before each of them.
         let unknown = journal.torn.wrapping_add(journal.unreadable);
         journal.sequence = journal.sequence.wrapping_add(unknown.wrapping_mul(SKIPPED_NUMBERS));
         journal.in_doubt = journal.unreadable > 0;
@@ -149,38 +149,38 @@ impl Journal {
         journal
     }
 
-    /// What the newest record says.
+    /// Returns the contents of the newest record.
     pub(super) fn newest(&self) -> Option<Contents> {
         self.newest.map(|(_, contents)| contents)
     }
 
-    /// Whether the newest record in flash names, or may name, bytes in `slot`. Without any record
-    /// everything is in doubt.
+    /// Returns whether the newest record in flash names, or may name, bytes in `slot`. Without any
+    /// record this is in doubt for all slots.
     pub(super) fn may_name(&self, slot: Slot) -> bool {
         self.in_doubt || self.newest().is_none_or(|newest| newest.package(slot).is_some())
     }
 
-    /// How many places could not be read when the journal was.
+    /// Returns the number of unreadable entries found.
     pub(super) fn unreadable(&self) -> u32 {
         self.unreadable
     }
 
-    /// The first of them.
+    /// Returns the offset of the first unreadable entry.
     pub(super) fn first_unreadable(&self) -> Option<u32> {
         self.first_unreadable
     }
 
-    /// Takes what could not be read for torn.
+    /// Treats unreadable entries as torn from now on.
     pub(super) fn forget_unreadable(&mut self) {
         self.blocked_by = None;
     }
 
-    /// How many places held something and yet no record when the journal was read.
+    /// Returns the number of entries found neither free nor valid.
     pub(super) fn torn(&self) -> u32 {
         self.torn
     }
 
-    /// Makes `contents` survive a reboot. After an error they may or may not.
+    /// Writes `contents` durably. After an error they may or may not survive a reboot.
     pub(super) fn append<F: MappedFlash>(
         &mut self,
         flash: &mut F,
@@ -204,8 +204,8 @@ impl Journal {
         {
             return Ok(());
         }
-        // A place can look free and still refuse a write, after one that was cut before it
-        // changed any bit that can be read. An erasure heals that.
+        // An entry can look free and still refuse a write, if an earlier write was interrupted
+        // before it changed any readable bit. An erasure repairs that.
         let half = self.newest.map_or(Half::First, |(half, _)| half.other());
         if let Some(offset) = self.blocked_by {
             return Err(StoreError::Unreadable { offset });
@@ -230,7 +230,7 @@ impl Journal {
     ) -> Result<(), StoreError> {
         self.sequence = self.sequence.wrapping_add(1);
         if self.newest.is_some_and(|(newest, _)| newest == half) {
-            // Spent, whatever becomes of it.
+            // Used up, whether or not the write succeeds.
             self.next_place = place.wrapping_add(1);
         }
         let offset = place_offset(layout, half, place);
@@ -241,13 +241,13 @@ impl Journal {
         }
         self.newest = Some((half, contents));
         self.next_place = place.wrapping_add(1);
-        // It has a higher number than whatever could not be read.
+        // Its number is higher than that of any unreadable entry.
         self.blocked_by = None;
         Ok(())
     }
 }
 
-/// Where a place begins. The layout has been validated, so nothing wraps.
+/// Returns the offset of an entry. The layout has been validated, so nothing wraps.
 fn place_offset(layout: &Layout, half: Half, place: u32) -> u32 {
     let start = match half {
         Half::First => layout.commit,
@@ -256,7 +256,7 @@ fn place_offset(layout: &Layout, half: Half, place: u32) -> u32 {
     start.wrapping_add(place.wrapping_mul(RECORD_LENGTH as u32))
 }
 
-/// The bytes of a place; a second look if the first one fails.
+/// Reads an entry; tries again once if that fails.
 fn read_record<F: MappedFlash>(
     flash: &mut F,
     offset: u32,

@@ -1,17 +1,18 @@
-//! Where slots and journal lie.
+//! Positions of the slots and the journal in flash.
 
 use super::{RECORD_LENGTH, Slot};
 
-/// Where things lie. Offsets count from the start of the region that the flash driver covers.
+/// Positions of the slots and the journal. Offsets count from the start of the flash driver's
+/// region.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
     /// Offsets of slot A and slot B. \[byte\]
     pub slots: [u32; 2],
-    /// Length of either slot. \[byte\]
+    /// Length of each slot. \[byte\]
     pub slot_length: u32,
     /// Offset of the commit area. \[byte\]
     pub commit: u32,
-    /// Length of the commit area, whose halves are erased in turns. \[byte\]
+    /// Length of the commit area, whose halves are erased alternately. \[byte\]
     pub commit_length: u32,
 }
 
@@ -24,40 +25,41 @@ pub enum Part {
     Commit,
 }
 
-/// Why a layout is refused.
+/// Why a layout is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum LayoutError {
-    /// A part does not begin and end with an erase unit, or a half of the commit area does not.
+    /// A part, or a half of the commit area, does not start and end at an erase unit.
     Unaligned {
         /// Which part.
         part: Part,
-        /// What its offset and length are to be multiples of, of the commit area twice. \[byte\]
+        /// Required alignment of offset and length; twice this for the commit area's length.
+        /// \[byte\]
         erase_size: u32,
     },
-    /// A slot does not begin at a multiple of 4 bytes, as the numbers of a package must that are
-    /// used in place.
+    /// A slot does not start at a multiple of 4 bytes, which is required to use a package's numbers
+    /// in place.
     UnalignedPackage {
         /// Which slot.
         part: Part,
     },
-    /// A part is too short to hold anything.
+    /// A part is too short.
     TooShort {
         /// Which part.
         part: Part,
     },
-    /// A part ends behind the region.
+    /// A part ends beyond the region.
     OutOfRegion {
         /// Which part.
         part: Part,
-        /// How long the region is. \[byte\]
+        /// Length of the region. \[byte\]
         capacity: u32,
     },
     /// Two parts overlap.
     Overlap {
-        /// One of them.
+        /// The first part.
         first: Part,
-        /// The other one.
+        /// The second part.
         second: Part,
     },
 }
@@ -75,17 +77,20 @@ impl core::fmt::Display for LayoutError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match *self {
             Self::Unaligned { part: Part::Commit, erase_size } => {
-                write!(f, "the halves of the commit area are not erase units of {erase_size} bytes")
+                write!(
+                    f,
+                    "the halves of the commit area are not multiples of the erase size, {erase_size} bytes"
+                )
             }
             Self::Unaligned { part, erase_size } => {
-                write!(f, "{part} does not consist of erase units of {erase_size} bytes")
+                write!(f, "{part} is not aligned to the erase size, {erase_size} bytes")
             }
             Self::UnalignedPackage { part } => {
-                write!(f, "{part} does not begin at a multiple of {PACKAGE_ALIGNMENT} bytes")
+                write!(f, "{part} does not start at a multiple of {PACKAGE_ALIGNMENT} bytes")
             }
-            Self::TooShort { part } => write!(f, "{part} is too short to hold anything"),
+            Self::TooShort { part } => write!(f, "{part} is too short"),
             Self::OutOfRegion { part, capacity } => {
-                write!(f, "{part} ends behind the region of {capacity} bytes")
+                write!(f, "{part} ends beyond the region of {capacity} bytes")
             }
             Self::Overlap { first, second } => write!(f, "{first} and {second} overlap"),
         }
@@ -94,15 +99,15 @@ impl core::fmt::Display for LayoutError {
 
 impl core::error::Error for LayoutError {}
 
-/// What the offset of a slot must be a multiple of: the size of a package's numbers. \[byte\]
+/// Required alignment of a slot: the size of a package's numbers. \[byte\]
 const PACKAGE_ALIGNMENT: u32 = size_of::<f32>() as u32;
 
 impl Layout {
-    /// Whether everything lies apart, inside a region of `capacity` bytes, on erase units of
-    /// `erase_size` bytes, and the slots on multiples of 4 bytes.
+    /// Checks that all parts are disjoint, inside a region of `capacity` bytes, and aligned to
+    /// erase units of `erase_size` bytes, and the slots also to 4 bytes.
     ///
     /// # Errors
-    /// The first thing that does not.
+    /// The first violation found.
     pub fn validate(&self, erase_size: u32, capacity: u32) -> Result<(), LayoutError> {
         let [a, b] = self.slots;
         let parts = [
@@ -127,7 +132,7 @@ impl Layout {
         let [a, b, commit] = parts;
         for (one, other) in [(a, b), (a, commit), (b, commit)] {
             let ((first, start, length, _), (second, other_start, other_length, _)) = (one, other);
-            // Both ends are known not to overflow.
+            // Neither end overflows, as checked above.
             if start < other_start.wrapping_add(other_length)
                 && other_start < start.wrapping_add(length)
             {
@@ -137,17 +142,17 @@ impl Layout {
         Ok(())
     }
 
-    /// Where a slot begins.
+    /// Returns the offset of a slot.
     pub(super) fn slot(&self, slot: Slot) -> u32 {
         slot.of(self.slots)
     }
 
-    /// Length of a half of the commit area.
+    /// Returns the length of a half of the commit area.
     pub(super) fn half_length(&self) -> u32 {
         self.commit_length / 2
     }
 
-    /// How many records fit into a half of the commit area.
+    /// Returns the number of records that fit into a half of the commit area.
     pub(super) fn places(&self) -> u32 {
         self.half_length() / RECORD_LENGTH as u32
     }
@@ -157,14 +162,14 @@ impl Layout {
 mod tests {
     use super::*;
 
-    /// The default board's.
+    /// The default board's layout.
     const LAYOUT: Layout =
         Layout { slots: [0, 0x7000], slot_length: 0x7000, commit: 0xe000, commit_length: 0x2000 };
     const A: Part = Part::Slot(Slot::A);
     const B: Part = Part::Slot(Slot::B);
 
     #[test]
-    fn the_default_boards_layout_is_fine_in_any_order() {
+    fn the_default_boards_layout_is_valid_in_any_order() {
         assert_eq!(LAYOUT.validate(4096, 0x10000), Ok(()));
         assert_eq!(LAYOUT.places(), 128);
         let turned = Layout { slots: [0x9000, 0x2000], commit: 0, ..LAYOUT };

@@ -1,4 +1,4 @@
-//! What the store knows, and how a record says it.
+//! The state of the store, and its encoding as a record.
 //!
 //! | offset | field | encoding |
 //! | --- | --- | --- |
@@ -12,35 +12,35 @@
 //! | 24 | reserved | 0 |
 //! | 28 | checksum | `u32`, CRC-32 of the 28 bytes before |
 //!
-//! All little-endian. A record says everything, so that one valid record is enough. Its length
-//! is a multiple of every supported word, so that no two records share one. Bytes of erased and
-//! of zeroed flash are no records.
+//! All little-endian. Each record is complete, so one valid record is enough. Its length is a
+//! multiple of every supported word, so no two records share a word. Erased or zeroed flash is not
+//! a valid record.
 
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 
 use super::Slot;
 
-/// Bytes of a record in flash.
+/// Length of a record in bytes.
 pub const RECORD_LENGTH: usize = 32;
 
-/// Version of the record format that this crate writes and reads.
+/// Version of the record format that this crate reads and writes.
 pub const FORMAT: u8 = 1;
 
 const BODY_LENGTH: usize = RECORD_LENGTH - CHECKSUM_LENGTH;
 const NO_SLOT: u8 = 0xff;
 
-/// How far the newest package has come.
+/// Progress of the newest package.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Phase {
-    /// What is in use has proved itself; what lies in the other slot is only a reserve.
+    /// The package in use is confirmed; the other slot holds a spare.
     Confirmed,
-    /// The same, and the package in the other slot waits for its activation.
+    /// The same, and the package in the other slot is staged.
     Staged,
-    /// What is in use is on trial, and the package in the other slot is the way back.
+    /// The package in use is on trial; the other slot holds the one to revert to.
     Trial,
 }
 
-/// A package as it lies at the beginning of its slot.
+/// Length and checksum of a package at the start of its slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Extent {
     /// At least 1. \[byte\]
@@ -49,17 +49,17 @@ pub(super) struct Extent {
     pub(super) checksum: u32,
 }
 
-/// What both slots hold and what it is for.
+/// Contents and purpose of both slots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Contents {
     pub(super) in_use: Option<Slot>,
     pub(super) phase: Phase,
-    /// In slot A and slot B.
+    /// The packages in slot A and slot B.
     pub(super) packages: [Option<Extent>; 2],
 }
 
 impl Extent {
-    /// Of these bytes, unless there are none, or more than any flash has.
+    /// Describes `bytes`; `None` if they are empty or longer than any flash.
     pub(super) fn of(bytes: &[u8]) -> Option<Self> {
         let length = u32::try_from(bytes.len()).ok().filter(|&length| length > 0)?;
         Some(Self { length, checksum: crc32(&[bytes]) })
@@ -67,21 +67,21 @@ impl Extent {
 }
 
 impl Contents {
-    /// No package anywhere.
+    /// No packages.
     pub(super) const NOTHING: Self =
         Self { in_use: None, phase: Phase::Confirmed, packages: [None; 2] };
 
-    /// The package recorded in a slot.
+    /// Returns the package recorded in a slot.
     pub(super) fn package(&self, slot: Slot) -> Option<Extent> {
         slot.of(self.packages)
     }
 
-    /// The slot that is not in use, where the next package goes.
+    /// Returns the slot that is not in use, where the next package goes.
     pub(super) fn spare(&self) -> Slot {
         self.in_use.map_or(Slot::A, Slot::other)
     }
 
-    /// The same, but for what lies in `slot`.
+    /// Returns the same contents with `package` in `slot`.
     pub(super) fn with_package(self, slot: Slot, package: Option<Extent>) -> Self {
         let mut contents = self;
         let [a, b] = &mut contents.packages;
@@ -89,25 +89,25 @@ impl Contents {
         contents
     }
 
-    /// The same with the spare slot empty.
+    /// Returns the same contents with the spare slot empty.
     pub(super) fn without_spare(self) -> Self {
         Self { phase: Phase::Confirmed, ..self.with_package(self.spare(), None) }
     }
 
-    /// The same after a trial that was not passed: what was in use before is so again, if there
-    /// was anything. The package on trial is not named any more, so that nothing falls back to it.
+    /// Returns the contents after a failed trial: what was in use before is in use again, if
+    /// anything. The package on trial is removed, so that nothing falls back to it.
     pub(super) fn reverted(self) -> Self {
         let before = self.in_use.map(Slot::other).filter(|&slot| self.package(slot).is_some());
         let failed = self.in_use.map_or(self, |failed| self.with_package(failed, None));
         Self { in_use: before, phase: Phase::Confirmed, ..failed }
     }
 
-    /// What is left of this after a reboot.
+    /// Returns the contents after a reboot.
     pub(super) fn rebooted(self) -> Self {
         if self.phase == Phase::Trial { self.reverted() } else { self }
     }
 
-    /// The record of this with a sequence number.
+    /// Encodes a record with a sequence number.
     pub(super) fn encode(&self, sequence: u32) -> [u8; RECORD_LENGTH] {
         let in_use = match self.in_use {
             Some(Slot::A) => 0,
@@ -134,8 +134,8 @@ impl Contents {
         record
     }
 
-    /// Sequence number and contents of a record, if the bytes are one of this format and name
-    /// what they say is in use, staged or on trial.
+    /// Decodes sequence number and contents; `None` if the bytes are not a record of this format,
+    /// or if a slot that is in use, staged or on trial is empty.
     pub(super) fn decode(record: &[u8; RECORD_LENGTH]) -> Option<(u32, Self)> {
         let (body, checksum) = record.split_last_chunk::<CHECKSUM_LENGTH>()?;
         if crc32(&[body]) != u32::from_le_bytes(*checksum) {
@@ -177,10 +177,9 @@ impl Contents {
     }
 }
 
-/// The record that a factory image carries at the start of its commit area: `package` lies at the
-/// start of `slot`, is in use and confirmed, and the other slot is empty. All else in the commit
-/// area must be erased, since a record left there could be newer. Without bytes in `package`
-/// nothing is in use.
+/// Returns the record for the start of a factory image's commit area: `package` is at the start of
+/// `slot`, in use and confirmed, and the other slot is empty. The rest of the commit area must be
+/// erased, because a leftover record could be newer. If `package` is empty, nothing is in use.
 #[must_use]
 pub fn factory_record(slot: Slot, package: &[u8]) -> [u8; RECORD_LENGTH] {
     let extent = Extent::of(package);
@@ -204,7 +203,7 @@ mod tests {
         }
     }
 
-    /// The record after `change`, with a checksum that matches again.
+    /// Returns the record after `change`, with a matching checksum.
     fn resealed(change: impl FnOnce(&mut [u8; RECORD_LENGTH])) -> [u8; RECORD_LENGTH] {
         let mut record = contents().encode(7);
         change(&mut record);
@@ -214,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn the_format_is_what_the_table_says() {
+    fn the_format_matches_the_table() {
         let record = contents().encode(0x0a0b_0c0d);
         let body = [
             0x0d, 0x0c, 0x0b, 0x0a, 1, 1, 2, 0, 4, 3, 2, 1, 0x44, 0x33, 0x22, 0x11, 0x98, 0x08, 0,
@@ -225,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn no_flipped_bit_no_erased_and_no_zeroed_flash_is_a_record() {
+    fn flipped_bits_and_erased_or_zeroed_flash_are_not_records() {
         let record = contents().encode(7);
         for bit in 0..RECORD_LENGTH * 8 {
             let mut flipped = record;
@@ -237,17 +236,17 @@ mod tests {
     }
 
     #[test]
-    fn a_record_that_contradicts_itself_is_none() {
+    fn a_contradictory_record_is_invalid() {
         let decode = |record| Contents::decode(&record);
         assert_eq!(decode(resealed(|_| ())), Some((7, contents())));
         // Another format, unknown slot, unknown phase.
         assert_eq!(decode(resealed(|record| record[4] = 2)), None);
         assert_eq!(decode(resealed(|record| record[5] = 2)), None);
         assert_eq!(decode(resealed(|record| record[6] = 3)), None);
-        // No package in the slot that is in use; nothing in use and yet on trial.
+        // No package in the slot in use; nothing in use but on trial.
         assert_eq!(decode(resealed(|record| record[16..20].fill(0))), None);
         assert_eq!(decode(resealed(|record| record[5] = NO_SLOT)), None);
-        // Staged, and no package there; without one in the way back a trial is fine.
+        // Staged without a package; a trial needs no package to revert to.
         let emptied = |phase| {
             resealed(|record| {
                 record[6] = phase;

@@ -1,11 +1,11 @@
-//! A package on its way into a slot, in chunks of any size.
+//! Writes a package into a slot, in chunks of any size.
 //!
-//! Each erase unit is erased just before its first word is written, even if it looks erased: an
-//! erasure that was cut can look finished and not be. Whole words go straight from the chunk to
-//! the flash and are read back; the rest of a chunk waits for its word to become full.
+//! Each erase unit is erased just before its first word is written, even if it looks erased,
+//! because an interrupted erasure can look complete. Whole words go straight from the chunk to
+//! flash and are read back; the rest of a chunk is buffered until its word is complete.
 //!
-//! Memory: one word of 32 bytes. Cost of a chunk: its bytes once written, once compared and once in
-//! the checksum, and an erasure for each unit that it enters.
+//! Memory: one word of 32 bytes. Cost of a chunk: its bytes are written once, compared once and
+//! added to the checksum once, plus an erasure for each unit it enters.
 
 use super::flash::{MappedFlash, WORD_LENGTH_MAX, bytes_at, driver_error, erase_unit};
 use super::record::Extent;
@@ -16,15 +16,15 @@ use crate::wire::crc::Checksum;
 #[derive(Clone, Debug)]
 pub(super) struct Upload {
     pub(super) slot: Slot,
-    /// Where the slot begins in the region.
+    /// Offset of the slot in the region.
     start: u32,
-    /// How many bytes there are to be.
+    /// Announced length in bytes.
     pub(super) length: u32,
-    /// How many have come.
+    /// Bytes received.
     pub(super) received: u32,
-    /// The checksum of those.
+    /// Checksum of the bytes received.
     checksum: Checksum,
-    /// How many lie in flash, whole words.
+    /// Bytes written to flash, in whole words.
     written: u32,
     /// The first `received - written` bytes of the next word.
     word: [u8; WORD_LENGTH_MAX],
@@ -36,12 +36,13 @@ impl Upload {
         Self { slot, start, length, received: 0, checksum: Checksum::new(), written: 0, word }
     }
 
-    /// What has been received, for the record.
+    /// Returns length and checksum of the received bytes, for the record.
     pub(super) fn extent(&self) -> Extent {
         Extent { length: self.received, checksum: self.checksum.clone().finish() }
     }
 
-    /// Which of `bytes`, to lie at `offset`, are new; the others must be what has come before.
+    /// Returns the part of `bytes`, starting at `offset`, that is new; the rest must match what was
+    /// received before.
     pub(super) fn unseen<'a, F: MappedFlash>(
         &self,
         flash: &F,
@@ -56,7 +57,7 @@ impl Upload {
             return Err(past_end);
         }
         let (old, new) = bytes.split_at_checked(repeated as usize).unwrap_or((bytes, &[]));
-        // Up to `written` they lie in flash, the others in the word that is not yet full.
+        // Up to `written` they are in flash, the others in the incomplete word.
         let in_flash = self.written.saturating_sub(offset);
         let (first, second) = old.split_at_checked(in_flash as usize).unwrap_or((old, &[]));
         let from = offset.max(self.written).wrapping_sub(self.written);
@@ -68,19 +69,19 @@ impl Upload {
         Ok(new)
     }
 
-    /// Takes the next bytes. After an error the slot's content is undefined.
+    /// Appends the next bytes. After an error the slot's contents are undefined.
     pub(super) fn append<F: MappedFlash>(
         &mut self,
         flash: &mut F,
         bytes: &[u8],
     ) -> Result<(), StoreError> {
-        // A repetition brings nothing new, and may come when the last word is already filled up.
+        // A repetition has nothing new, and may arrive when the last word is already padded.
         if bytes.is_empty() {
             return Ok(());
         }
         let mut rest = bytes;
         let waiting = self.received.saturating_sub(self.written) as usize;
-        // What the caller has counted fits into 32 bits.
+        // Fits into 32 bits, as checked by the caller.
         self.received = self.received.wrapping_add(bytes.len() as u32);
         self.checksum.update(bytes);
         if waiting > 0 {
@@ -110,7 +111,7 @@ impl Upload {
         Ok(())
     }
 
-    /// Writes the last word, filled up with the value of erased flash.
+    /// Writes the last word, padded with the value of erased flash.
     pub(super) fn finish<F: MappedFlash>(&mut self, flash: &mut F) -> Result<(), StoreError> {
         let waiting = self.received.saturating_sub(self.written) as usize;
         if waiting == 0 {
@@ -125,7 +126,7 @@ impl Upload {
         self.program(flash, word.get(..F::WRITE_SIZE).unwrap_or_default())
     }
 
-    /// Writes whole words that lie within one erase unit, and reads them back.
+    /// Writes whole words within one erase unit, and reads them back.
     fn program<F: MappedFlash>(&mut self, flash: &mut F, words: &[u8]) -> Result<(), StoreError> {
         let offset = self.start.wrapping_add(self.written);
         if self.written.is_multiple_of(F::ERASE_SIZE as u32) {

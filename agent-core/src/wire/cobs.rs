@@ -1,55 +1,54 @@
-//! Messages on a stream of bytes, as between a node and a laptop: where one begins and ends, and
-//! whether it arrived as it was sent.
+//! Frames messages on a byte stream, such as a serial line between a node and a laptop, and detects
+//! damage.
 //!
-//! A message is followed by its CRC-32 (four bytes, least significant first); all of that is
-//! encoded by COBS (consistent overhead byte stuffing, Cheshire and Baker 1999), after which no
-//! byte is 0; a byte 0 ends it. Whoever joins late, or has lost bytes, is in step again after the
-//! next 0. Two zeros with nothing in between say nothing, so a sender may begin with one.
+//! A message is followed by its CRC-32 (four bytes, least significant first). Both are encoded with
+//! COBS (consistent overhead byte stuffing, Cheshire and Baker 1999), which removes every 0 byte,
+//! and a 0 byte ends the message. A receiver that joins late or has lost bytes resynchronises at
+//! the next 0. Empty messages are ignored, so a sender may start with a 0.
 //!
-//! The encoder needs no memory for the message, only for one block of COBS, and the decoder only
-//! for the longest message that it takes. Neither has a path that panics, which is why this is not
-//! the crate `cobs`.
+//! The encoder buffers one COBS block and the decoder one message of the longest length it accepts.
+//! Neither can panic, which is why the crate `cobs` is not used.
 //!
-//! Cost: about 25 operations a byte, the checksum's included. Memory: 264 bytes while a message
-//! is encoded; `CAPACITY + 12` bytes of decoder.
+//! Cost: about 25 operations per byte, including the checksum. Memory: 264 bytes while a message is
+//! encoded; `CAPACITY + 12` bytes for the decoder.
 
 use postcard::ser_flavors::Flavor;
 
 use crate::wire::crc::{CHECKSUM_LENGTH, Checksum, crc32};
 
-/// Ends every message, and is nowhere else.
+/// Ends every message and occurs nowhere else.
 pub const DELIMITER: u8 = 0;
 
-/// Bytes of data in the longest block of COBS.
+/// Bytes of data in the longest COBS block.
 const BLOCK_LENGTH_MAX: u8 = 254;
 
-/// Most bytes that a message of `length` bytes takes on the stream, checksum and delimiter
-/// included.
+/// Returns the largest number of bytes that a message of `length` bytes takes on the stream,
+/// including checksum and delimiter.
 #[must_use]
 pub const fn encoded_length_max(length: usize) -> usize {
     let data = length + CHECKSUM_LENGTH;
     data + data / BLOCK_LENGTH_MAX as usize + 1 + 1
 }
 
-/// Encodes one message piece by piece into `sink`, which gets one block at a time.
+/// Encodes one message piece by piece and passes each block to `sink`.
 #[derive(Debug)]
 pub struct Encoder<S> {
     sink: S,
     checksum: Checksum,
-    /// A place for the block's code, then its data.
+    /// Room for the block's code, then its data.
     block: [u8; BLOCK_LENGTH_MAX as usize + 1],
     /// Bytes of data in the block, at most [`BLOCK_LENGTH_MAX`].
     length: u8,
 }
 
 impl<S: FnMut(&[u8])> Encoder<S> {
-    /// Begins a message.
+    /// Starts a message.
     pub fn new(sink: S) -> Self {
         let block = [0; BLOCK_LENGTH_MAX as usize + 1];
         Self { sink, checksum: Checksum::new(), block, length: 0 }
     }
 
-    /// Takes the message's next bytes.
+    /// Appends the next bytes of the message.
     #[inline(never)]
     pub fn extend(&mut self, bytes: &[u8]) {
         self.checksum.update(bytes);
@@ -83,7 +82,7 @@ impl<S: FnMut(&[u8])> Encoder<S> {
         self.length = length;
     }
 
-    /// A block shorter than the longest stands for its data and a zero.
+    /// A block shorter than the longest stands for its data followed by a zero.
     fn end_block(&mut self) {
         let code = self.length.wrapping_add(1);
         if let Some(block) = self.block.get_mut(..usize::from(code)) {
@@ -96,7 +95,7 @@ impl<S: FnMut(&[u8])> Encoder<S> {
     }
 }
 
-/// What postcard writes goes into the message.
+/// Lets postcard serialise into the message.
 impl<S: FnMut(&[u8])> Flavor for &mut Encoder<S> {
     type Output = ();
 
@@ -116,22 +115,22 @@ impl<S: FnMut(&[u8])> Flavor for &mut Encoder<S> {
     }
 }
 
-/// What arrived was no message. The stream is in step again.
+/// Why received bytes are not a message. The decoder is synchronised again afterwards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SerialError {
-    /// It was longer than the decoder has room for.
+    /// The message exceeds the decoder's capacity.
     TooLong,
-    /// It ended within a block, or before a checksum.
+    /// The message ended within a block or before its checksum.
     Incomplete,
-    /// Its checksum does not match.
+    /// The checksum does not match.
     Checksum,
 }
 
 impl core::fmt::Display for SerialError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
-            Self::TooLong => "the message is too long for the receiver",
+            Self::TooLong => "the message exceeds the receiver's buffer",
             Self::Incomplete => "the message is incomplete",
             Self::Checksum => "the message's checksum does not match",
         })
@@ -144,11 +143,11 @@ impl core::error::Error for SerialError {}
 #[derive(Clone, Debug)]
 pub struct Decoder<const CAPACITY: usize> {
     message: heapless::Vec<u8, CAPACITY>,
-    /// Bytes that the block still has to bring.
+    /// Bytes of data that the current block still lacks.
     missing: u8,
-    /// Whether a zero belongs before the next block.
+    /// Whether a zero precedes the next block.
     zero_due: bool,
-    /// Something has come since the last delimiter.
+    /// Whether any byte has arrived since the last delimiter.
     begun: bool,
     overflowed: bool,
 }
@@ -160,15 +159,15 @@ impl<const CAPACITY: usize> Default for Decoder<CAPACITY> {
 }
 
 impl<const CAPACITY: usize> Decoder<CAPACITY> {
-    /// A decoder at the beginning of a stream.
+    /// Creates a decoder at the start of a stream.
     #[must_use]
     pub const fn new() -> Self {
         let message = heapless::Vec::new();
         Self { message, missing: 0, zero_due: false, begun: false, overflowed: false }
     }
 
-    /// Takes the next byte of the stream; at the end of a message, returns it without its
-    /// checksum, or what is wrong with it.
+    /// Takes the next byte of the stream. At the end of a message, returns it without its checksum,
+    /// or the error found.
     #[inline]
     pub fn push(&mut self, byte: u8) -> Option<Result<&[u8], SerialError>> {
         if byte == DELIMITER {
@@ -232,7 +231,7 @@ mod tests {
     fn encoded(message: &[u8]) -> Vec<u8> {
         let mut stream = Vec::new();
         let mut encoder = Encoder::new(|block: &[u8]| stream.extend_from_slice(block));
-        // In pieces, as a serializer brings them.
+        // In pieces, as a serialiser writes them.
         message.chunks(7).for_each(|piece| encoder.extend(piece));
         encoder.finish();
         stream
@@ -248,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_looks_as_the_description_says() {
+    fn a_message_is_encoded_as_documented() {
         // CRC-32 of the nine digits, least significant byte first, is 26 39 f4 cb.
         let expected = [&[14][..], b"123456789", &[0x26, 0x39, 0xf4, 0xcb, 0]].concat();
         assert_eq!(encoded(b"123456789"), expected);
@@ -259,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn a_late_listener_is_in_step_after_a_zero() {
+    fn a_late_listener_synchronises_at_a_zero() {
         let stream = [&encoded(b"lost")[3..], &[0, 0], &encoded(b"heard")].concat();
         let found = decoded::<16>(&stream);
         assert!(found[0].is_err());
@@ -301,7 +300,7 @@ mod tests {
             prop_assert_eq!(found, Ok(messages));
         }
 
-        /// What noise can do at worst is to spoil the message that it hits.
+        /// Noise spoils at most the message it hits.
         #[test]
         fn noise_ends_at_the_next_delimiter(noise in prop::collection::vec(any::<u8>(), 0..700)) {
             let stream = [&noise[..], &[0], &encoded(b"after")].concat();

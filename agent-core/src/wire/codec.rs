@@ -1,18 +1,18 @@
-//! What frames, packages and messages are written in: postcard's wire format
-//! (<https://postcard.jamesmunns.com/wire-format>), restricted to one byte string for one value.
+//! The encoding of frames, packages and messages: postcard's wire format
+//! (<https://postcard.jamesmunns.com/wire-format>), restricted to one byte string per value.
 //!
-//! postcard also reads integers that are written longer than they need to be. Here what was read is
-//! written again and compared, so that every value has exactly one encoding on processors of any
-//! word length, and nothing that was ignored can differ between two copies of it.
+//! postcard also accepts integers with superfluous continuation bytes. Here every decoded value is
+//! encoded again and compared, so that each value has exactly one encoding on processors of any
+//! word length and no ignored byte can differ between two copies.
 //!
-//! Cost: linear in the length. Invariant: any bytes can be read, without a panic.
+//! Cost: linear in the length. Invariant: decoding never panics, whatever the bytes.
 
 use postcard::ser_flavors::Flavor;
 use serde::{Deserialize, Serialize};
 
-/// The value at the beginning of `bytes`, and the bytes behind it; `None` if they hold none, or
-/// not as it is written.
-// One copy of each, whatever the optimiser thinks of its callers.
+/// Decodes the value at the start of `bytes` and returns it with the remaining bytes; `None` if the
+/// bytes are invalid or not in their canonical form.
+// One copy of each, even where the optimiser would inline.
 #[inline(never)]
 pub(crate) fn take<'a, T>(bytes: &'a [u8]) -> Option<(T, &'a [u8])>
 where
@@ -23,12 +23,12 @@ where
     (unmatched.len() == rest.len()).then_some((value, rest))
 }
 
-/// The value that `bytes` hold, and nothing but it.
+/// Decodes the value that `bytes` hold; `None` if bytes are left over.
 pub(crate) fn whole<'a, T: Serialize + Deserialize<'a>>(bytes: &'a [u8]) -> Option<T> {
     take(bytes).and_then(|(value, rest)| rest.is_empty().then_some(value))
 }
 
-/// What remains of the expected bytes while they are written again.
+/// The bytes still to be matched while the value is encoded again.
 struct Expected<'a>(&'a [u8]);
 
 impl<'a> Flavor for Expected<'a> {
@@ -60,7 +60,7 @@ mod tests {
 
     use super::*;
 
-    /// A value of each type that the formats here are made of.
+    /// One value of each type that the formats use.
     type Mixed<'a> =
         (u64, Option<u16>, bool, &'a str, [u8; 3], f32, heapless::Vec<(u8, u32), 4>, &'a [u8]);
 
@@ -70,7 +70,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_was_written_is_read(
+        fn decoding_undoes_encoding(
             integer: u64, shift in 0u32..64, optional: Option<u16>, flag: bool,
             text in "\\PC{0,8}", bits: u32,
             pairs in prop::collection::vec(any::<(u8, u32)>(), 0..4),
@@ -88,7 +88,7 @@ mod tests {
             prop_assert_eq!(take::<Mixed<'_>>(&stream).map(|(_, rest)| rest.to_vec()), Some(std::vec![9]));
         }
 
-        /// Whatever is read is what would be written.
+        /// Every decoded value encodes to the same bytes.
         #[test]
         fn only_the_shortest_encoding_is_taken(bytes in prop::collection::vec(
             prop_oneof![Just(0), Just(1), Just(0x80), Just(0xff), any::<u8>()], 0..30)) {
@@ -100,7 +100,7 @@ mod tests {
         }
 
         #[test]
-        fn text_is_what_the_standard_library_takes(
+        fn text_is_valid_utf8_and_nothing_else(
             bytes in prop::collection::vec(prop_oneof![any::<u8>(), 0..0x80u8, 0xc0..=0xf4u8], 0..6),
             text: String,
         ) {
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_too_long_or_out_of_range_is_refused() {
+    fn missing_overlong_and_out_of_range_values_are_refused() {
         assert_eq!(whole::<u64>(&[0xac, 0x02]), Some(300));
         assert_eq!(whole::<u64>(&[]), None);
         assert_eq!(whole::<u64>(&[0x80]), None);

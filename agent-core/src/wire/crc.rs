@@ -1,18 +1,18 @@
-//! The checksum of frames, packages, records and messages: CRC-32 (ISO-HDLC, the one of
-//! Ethernet), by the crate `crc`.
+//! The checksum of frames, packages, records and messages: CRC-32 (ISO-HDLC, as used by Ethernet),
+//! from the crate `crc`.
 //!
-//! Any change of up to 32 bits in a row is found, and any single bit; 1 of 4 billion other
-//! changes is not. Cost and memory: docs/decisions/0011-small-firmware.md.
+//! It detects every change of a single bit and every burst of up to 32 bits; it misses 1 in 4
+//! billion other changes. Cost and memory: docs/decisions/0011-small-firmware.md.
 
 use ::crc::{CRC_32_ISO_HDLC, Crc, Digest, Table};
 
-/// Bytes in a checksum.
+/// Length of a checksum in bytes.
 pub const CHECKSUM_LENGTH: usize = 4;
 
 /// One table of 1 KiB, in flash.
 static ALGORITHM: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 
-/// The checksum of all `parts`, one after another.
+/// Returns the checksum of the concatenated `parts`.
 // One copy of the loop, which the optimiser unrolls.
 #[inline(never)]
 #[must_use]
@@ -22,23 +22,23 @@ pub fn crc32(parts: &[&[u8]]) -> u32 {
     checksum.finish()
 }
 
-/// The checksum of bytes that come piece by piece.
+/// Computes the checksum of bytes that arrive in pieces.
 #[derive(Clone)]
 pub(crate) struct Checksum(Digest<'static, u32, Table<1>>);
 
 impl Checksum {
-    /// That of no byte.
+    /// Starts with no bytes.
     pub(crate) fn new() -> Self {
         Self(ALGORITHM.digest())
     }
 
-    /// Takes the next bytes.
+    /// Appends the next bytes.
     #[inline]
     pub(crate) fn update(&mut self, bytes: &[u8]) {
         self.0.update(bytes);
     }
 
-    /// The checksum of all bytes so far.
+    /// Returns the checksum of all bytes so far.
     pub(crate) fn finish(self) -> u32 {
         self.0.finalize()
     }

@@ -1,23 +1,23 @@
-//! What an agent broadcasts.
+//! The frame that an agent broadcasts, and its wire format.
 //!
-//! On the wire a frame is a postcard encoding of header and payload, followed by its CRC-32
+//! On the wire, a frame is the postcard encoding of header and payload, followed by its CRC-32
 //! (ISO-HDLC, little-endian):
 //!
 //! | field | type | encoding |
 //! | --- | --- | --- |
 //! | version | `u8` | one byte, [`VERSION`] |
 //! | sender | `u16` | variable-length integer |
-//! | sequence | `u32` | variable-length integer, rising by one with every broadcast from 0 |
+//! | sequence | `u32` | variable-length integer, counts broadcasts from 0 |
 //! | tick | `u64` | variable-length integer, the step at which the sample was taken |
 //! | payload kind | enum | variable-length integer: 0 is an estimate |
 //! | estimate | `[f32]` | length as a variable-length integer, then little-endian words |
 //! | checksum | `u32` | four bytes |
 //!
-//! Further kinds of payload can follow; a receiver refuses the ones that it does not know.
-//! How frames are delimited, and whether they are encrypted, is for the layers below.
+//! More kinds of payload can be added; a receiver refuses kinds it does not know. Delimiting and
+//! encryption are left to the layers below.
 //!
-//! Cost: linear in the length. Invariant: decoding either gives a frame with a finite
-//! estimate of the right dimension, or an error; it never panics, whatever the bytes.
+//! Cost: linear in the length. Invariant: decoding gives either a frame with a finite estimate of
+//! the right dimension or an error; it never panics, whatever the bytes.
 
 use serde::{Deserialize, Serialize};
 
@@ -27,75 +27,87 @@ use crate::wire::codec;
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 use crate::{AgentId, StateVector, Tick};
 
-/// Version of the format that this crate writes and reads.
+/// Version of the format that this crate reads and writes.
 pub const VERSION: u8 = 1;
 
-/// The longest encoded frame, in bytes: version, the longest variable-length integers of the
-/// header, payload kind and length, the longest estimate, checksum.
+/// Length of the longest encoded frame, in bytes: version, longest variable-length integers of the
+/// header, payload kind and length, longest estimate, checksum.
 pub const FRAME_LENGTH_MAX: usize = 1 + 3 + 5 + 10 + 1 + 1 + 4 * INPUTS_MAX + CHECKSUM_LENGTH;
 
-/// Components of a state or of a measurement.
+/// The components of a state or of a measurement.
 pub type Numbers = heapless::Vec<f32, INPUTS_MAX>;
 
 /// An encoded frame.
 pub type FrameBytes = heapless::Vec<u8, FRAME_LENGTH_MAX>;
 
-/// One broadcast of one agent.
+/// One broadcast of an agent.
+///
+/// ```
+/// use agent_core::wire::frame::FrameError;
+/// use agent_core::{Frame, StateVector};
+///
+/// let frame = Frame { sender: 2, sequence: 7, tick: 300, estimate: StateVector::<2>::zeros() };
+/// let mut bytes = frame.encode();
+/// assert_eq!(Frame::decode(&bytes), Ok(frame));
+///
+/// bytes[1] ^= 1;
+/// assert_eq!(Frame::<2>::decode(&bytes), Err(FrameError::Checksum));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame<const N: usize> {
-    /// Who broadcasts.
+    /// The agent that broadcasts.
     pub sender: AgentId,
-    /// How many broadcasts of this agent came before.
+    /// Number of earlier broadcasts by this agent.
     pub sequence: u32,
-    /// When the sample was taken.
+    /// Tick at which the sample was taken.
     pub tick: Tick,
     /// `x_hat_i(t_k)`, shape `[N]`.
     pub estimate: StateVector<N>,
 }
 
-/// Why received bytes are refused, or a frame is.
+/// Why received bytes or a decoded frame were refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FrameError {
-    /// Too few bytes for any frame, or more than any frame has.
+    /// Shorter than any frame, or longer than the longest.
     Length {
-        /// How many there are.
+        /// The length in bytes.
         found: usize,
     },
-    /// The checksum does not match: the bytes were changed on their way.
+    /// The checksum does not match: the bytes were changed in transit.
     Checksum,
-    /// The checksum matches and yet the bytes are no frame of this version.
+    /// The checksum matches, but the bytes are not a frame of this version.
     Malformed,
-    /// The frame is of another version.
+    /// The frame has another version.
     Version {
-        /// Its version.
+        /// Version of the frame.
         found: u8,
     },
-    /// The estimate has another dimension than this agent's.
+    /// The estimate has another dimension than the receiver's.
     Dimension {
-        /// What this agent expects.
+        /// Dimension that the receiver expects.
         expected: usize,
-        /// What the frame has.
+        /// Dimension of the frame.
         found: usize,
     },
     /// A component of the estimate is infinite or not a number.
     NotFinite {
-        /// Who sent it.
+        /// The sender.
         sender: AgentId,
     },
     /// The sender is not a neighbour.
     UnknownSender {
-        /// Who sent it.
+        /// The sender.
         sender: AgentId,
     },
-    /// The estimate lies outside the region in which the receiver believes it.
+    /// The estimate is outside the receiver's plausible region.
     Implausible {
-        /// Who sent it.
+        /// The sender.
         sender: AgentId,
     },
-    /// This sender already has this frame, or a newer one, waiting for the next step.
+    /// This sender already has this frame, or a newer one, pending for the next step.
     DuplicateSender {
-        /// Who sent it.
+        /// The sender.
         sender: AgentId,
     },
 }
@@ -103,11 +115,11 @@ pub enum FrameError {
 impl core::fmt::Display for FrameError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match *self {
-            Self::Length { found } => write!(f, "{found} bytes are no frame"),
+            Self::Length { found } => write!(f, "invalid frame length: {found} bytes"),
             Self::Checksum => write!(f, "the frame's checksum does not match"),
-            Self::Malformed => write!(f, "the bytes are no frame of version {VERSION}"),
+            Self::Malformed => write!(f, "invalid frame of version {VERSION}"),
             Self::Version { found } => {
-                write!(f, "the frame is of version {found}, expected {VERSION}")
+                write!(f, "the frame has version {found}, expected {VERSION}")
             }
             Self::Dimension { expected, found } => {
                 write!(f, "the frame's estimate has {found} components, expected {expected}")
@@ -120,7 +132,7 @@ impl core::fmt::Display for FrameError {
                 write!(f, "the estimate from agent {sender} is outside the plausible region")
             }
             Self::DuplicateSender { sender } => {
-                write!(f, "agent {sender} already has a frame waiting")
+                write!(f, "agent {sender} already has this frame or a newer one pending")
             }
         }
     }
@@ -129,14 +141,14 @@ impl core::fmt::Display for FrameError {
 impl core::error::Error for FrameError {}
 
 impl<const N: usize> Frame<N> {
-    /// The bytes to broadcast.
+    /// Returns the bytes to broadcast.
     #[must_use]
     pub fn encode(&self) -> FrameBytes {
         const { assert!(N >= 1 && N <= INPUTS_MAX, "the state dimension is 1 to 12") };
         encode(self.sender, self.sequence, self.tick, self.estimate.as_slice())
     }
 
-    /// The frame that `bytes` hold, and nothing but it.
+    /// Decodes a frame from `bytes`, which must contain nothing else.
     ///
     /// # Errors
     /// [`FrameError::Length`], [`FrameError::Checksum`], [`FrameError::Malformed`],
@@ -155,7 +167,7 @@ impl<const N: usize> Frame<N> {
     }
 }
 
-/// What follows the version; `V` holds numbers.
+/// The fields after the version; `V` holds numbers.
 #[derive(Serialize, Deserialize)]
 struct Body<V> {
     sender: AgentId,
@@ -164,13 +176,13 @@ struct Body<V> {
     payload: Payload<V>,
 }
 
-/// What a frame is there for.
+/// The kinds of payload.
 #[derive(Serialize, Deserialize)]
 enum Payload<V> {
     Estimate(V),
 }
 
-// One function for every dimension.
+// One function for all dimensions.
 fn encode(sender: AgentId, sequence: u32, tick: Tick, estimate: &[f32]) -> FrameBytes {
     let body = Body { sender, sequence, tick, payload: Payload::Estimate(estimate) };
     let mut buffer = [0; FRAME_LENGTH_MAX];
@@ -183,7 +195,7 @@ fn encode(sender: AgentId, sequence: u32, tick: Tick, estimate: &[f32]) -> Frame
     bytes
 }
 
-/// Takes `bytes` apart; the components may be anything.
+/// Decodes `bytes` without checking the components.
 fn decode(bytes: &[u8]) -> Result<Body<Numbers>, FrameError> {
     let length = FrameError::Length { found: bytes.len() };
     if bytes.len() > FRAME_LENGTH_MAX {
@@ -210,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn the_wire_format_is_what_the_table_says() {
+    fn the_wire_format_matches_the_table() {
         let bytes = frame().encode();
         // version, sender, sequence 300 and tick 70000 as variable-length integers, kind,
         // length, three words.
@@ -245,7 +257,7 @@ mod tests {
         }
     }
 
-    /// The frame's body after `change`, with a checksum that matches again.
+    /// Returns the frame's body after `change`, with a matching checksum.
     fn resealed(change: impl FnOnce(&mut FrameBytes)) -> FrameBytes {
         let mut bytes = frame().encode();
         bytes.truncate(bytes.len() - CHECKSUM_LENGTH);
@@ -267,7 +279,7 @@ mod tests {
         assert_eq!(decode(&resealed(|b| b[7] = 1)), Err(FrameError::Malformed));
         assert_eq!(decode(&resealed(|b| b.push(0).unwrap())), Err(FrameError::Malformed));
         assert_eq!(decode(&resealed(|b| b.truncate(b.len() - 1))), Err(FrameError::Malformed));
-        // The sender 2, written with a byte too many.
+        // The sender 2, encoded with a superfluous byte.
         let longer = resealed(|b| {
             b[1] = 0x82;
             b.insert(2, 0).unwrap();

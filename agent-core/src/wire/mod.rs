@@ -1,6 +1,6 @@
-//! Bytes on a radio or a serial line: frames, framing, checksums.
+//! Bytes on a radio or a serial line: frames, framing, and checksums.
 //!
-//! Knows [`math`](crate::math) only.
+//! Depends on [`math`](crate::math) only.
 
 pub mod cobs;
 pub(crate) mod codec;

@@ -10,7 +10,7 @@ use super::load::Verified;
 use super::{Event, Next, Node, Request, Response, Rows, respond};
 use crate::board::Board;
 
-/// The answer to a request, and what follows from it.
+/// The answer to a request, and what to do next.
 type Answer<'a, const N: usize> = Result<(Response<'a, Rows<'a, N>>, Next), Problem>;
 
 impl<
@@ -21,7 +21,8 @@ impl<
     const SAMPLES: usize,
 > Node<'_, F, N, FEATURES, NEIGHBOURS, SAMPLES>
 {
-    /// Does what is asked for, and answers. Its stack is not to add to a turn's.
+    /// Carries out a request and answers it. Not inlined, so that its stack is not added to a
+    /// turn's.
     #[inline(never)]
     pub(super) fn answer<B: Board>(&mut self, board: &mut B, bytes: &[u8]) -> Next {
         let answer = match receive::<Request<'_>>(bytes) {
@@ -104,7 +105,7 @@ impl<
         Ok((Response::InUse { version }, Next::Switch))
     }
 
-    /// Goes on from another estimate, and lets the neighbours know.
+    /// Restarts from another estimate and informs the neighbours.
     fn start<B: Board>(&mut self, board: &mut B, estimate: &[f32]) -> Answer<'static, N> {
         if self.memory.session.is_none() {
             return Err(Problem::NoPackage);
@@ -117,7 +118,7 @@ impl<
         }
     }
 
-    /// Sends at most `most` samples from the tick `from` on; returns where to go on.
+    /// Sends at most `most` samples from the tick `from` on; returns where to continue.
     fn send_samples<B: Board>(&self, board: &mut B, from: Tick, most: u8) -> Tick {
         let mut next = from;
         let samples = self.memory.samples.samples().filter(|sample| sample.tick >= from);
@@ -135,7 +136,7 @@ impl<
 
     /// Confirms the package on trial.
     pub(super) fn confirm<B: Board>(&mut self, board: &mut B, tick: Tick) {
-        // A journal that cannot be written may be so later.
+        // If the journal cannot be written now, a later attempt may succeed.
         if self.store.confirm().is_ok()
             && let Some(package) = &self.in_use
         {

@@ -1,4 +1,4 @@
-//! Which package is in use, and what a session takes from it.
+//! Loads the package in use and prepares a session with it.
 
 use agent_core::StateVector;
 use agent_core::agent::AgentParams;
@@ -24,11 +24,11 @@ impl<
     const SAMPLES: usize,
 > Node<'_, F, N, FEATURES, NEIGHBOURS, SAMPLES>
 {
-    /// `Gamma` stays in the package and needs no place.
+    /// `Gamma` stays in the package and needs no buffer.
     const CAPACITY: Capacity =
         Capacity { features: FEATURES, neighbours: NEIGHBOURS, gain_entries: usize::MAX };
 
-    /// Takes what the flash holds into use, after all checks.
+    /// Loads the package in flash, after all checks.
     pub(super) fn load(&mut self) {
         let Self { store, memory, settings, .. } = self;
         let requirements = Requirements {
@@ -51,7 +51,7 @@ impl<
         self.in_use = found.and_then(|(slot, package)| package.in_slot(slot, store));
     }
 
-    /// Lets the upload become the staged package, if it passes all checks.
+    /// Stages the uploaded package if it passes all checks.
     pub(super) fn stage_upload(&mut self) -> Result<Verified, store::CheckedError<Refusal>> {
         let Self { store, memory, settings, in_use, .. } = self;
         let requirements = Requirements {
@@ -62,19 +62,19 @@ impl<
         store.stage(|bytes| verified::<N>(bytes, &requirements, &mut memory.scratch))
     }
 
-    /// Prepares the agent for what is in use. There is no session if nothing is in use and nothing
-    /// is built in.
+    /// Prepares the agent for the package in use or the built-in agent; without either there is no
+    /// session.
     #[inline(never)]
     pub(super) fn begin_session(&mut self) {
         let old = self.memory.session.take().map(|session| session.params);
         self.memory.session = self.session_after(old.as_ref().map_or(&[], ParamsPlace::neighbours));
     }
 
-    /// The next session, of an agent that had the neighbours `old`.
+    /// Creates the next session, for an agent that had the neighbours `old`.
     fn session_after(&mut self, old: &[Neighbour]) -> Option<Session<N, NEIGHBOURS>> {
         let slot = self.in_use.map(|package| package.slot);
         let bytes = slot.and_then(|slot| self.store.bytes(slot)).unwrap_or_default();
-        // Loading, activating or reverting has just compared the bytes with a checksum.
+        // Loading, activating or reverting has just verified the checksum of the bytes.
         let package = Package::decode_unchanged(bytes).ok();
         let place = match &package {
             Some(package) => ParamsPlace::new(package, bytes),
@@ -108,8 +108,8 @@ impl<
         Some(Session { params: place, health_params, network })
     }
 
-    /// Lets the agent go on from this estimate and tells its neighbours; returns whether it could,
-    /// `None` if there is no agent.
+    /// Restarts the agent from this estimate and informs its neighbours; returns whether this
+    /// succeeded, `None` without an agent.
     pub(super) fn start_at<B: Board>(
         &mut self,
         board: &mut B,
@@ -139,7 +139,7 @@ impl<
 impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize>
     Agent<N, FEATURES, NEIGHBOURS>
 {
-    /// Begins as after switching on; returns whether it could.
+    /// Initialises the agent as after power-on; returns whether this succeeded.
     fn begin(
         &mut self,
         params: &AgentParams<'_, N>,
@@ -153,7 +153,7 @@ impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize>
             && self.state.begin(params, estimate, outer_weights).is_ok()
     }
 
-    /// Tells the neighbours the first sample, unless they know it.
+    /// Sends the first sample to the neighbours, unless they already have it.
     pub(super) fn announce<B: Board>(
         &mut self,
         params: &AgentParams<'_, N>,
@@ -171,20 +171,20 @@ impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize>
 }
 
 impl<const N: usize, const NEIGHBOURS: usize> Session<N, NEIGHBOURS> {
-    /// The bytes of the package in use; none for the built-in agent.
+    /// Returns the bytes of the package in use; empty for the built-in agent.
     #[inline]
     pub(super) fn bytes<'s, F: MappedFlash>(&self, store: &'s Store<F>) -> &'s [u8] {
         self.network.as_ref().and_then(|(slot, _)| store.bytes(*slot)).unwrap_or_default()
     }
 
-    /// The outer weights that the package in use brings along, in its bytes.
+    /// Returns the outer weights of the package in use, from its bytes.
     pub(super) fn outer_weights<'b>(&self, bytes: &'b [u8]) -> &'b [f32] {
         let package = self.network.as_ref().and_then(|(_, place)| place.outer_weights(bytes));
         package.unwrap_or(&[0.0; N])
     }
 }
 
-/// What is left of a package once it has been verified.
+/// The properties of a verified package that are kept.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Verified {
     agent: agent_core::AgentId,
@@ -198,7 +198,7 @@ impl Verified {
         Self { agent, version: package.version, step_size }
     }
 
-    /// `None` if nothing is recorded in the slot.
+    /// Returns `None` if no package is recorded in the slot.
     pub(super) fn in_slot<F: MappedFlash>(
         self,
         slot: store::Slot,
@@ -209,7 +209,7 @@ impl Verified {
     }
 }
 
-/// All that a package has to pass.
+/// Performs all checks of a package.
 #[inline(never)]
 pub(super) fn verified<const N: usize>(
     bytes: &[u8],

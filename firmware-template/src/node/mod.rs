@@ -1,7 +1,7 @@
-//! A whole node above its board: an agent, its weight packages, and what it says and is told.
+//! A complete node above its board: an agent, its weight packages, and the service protocol.
 //!
-//! [`Node::poll`] does one piece of work that is due: a step if the board says that a period has
-//! begun, or else one request. [`Node::run`] polls and rests in turn.
+//! [`Node::poll`] does one piece of pending work: a step if a period has begun, or else one
+//! request. [`Node::run`] polls and rests alternately.
 //!
 //! ```text
 //!            frames                     requests
@@ -11,16 +11,16 @@
 //!                   one session: one package in use
 //! ```
 //!
-//! A session lasts as long as one package is in use. It begins by copying what the package says
-//! about the agent into RAM; the network and its outer weights stay in flash and are found anew for
-//! every step, since no reference may outlive a write to flash. A package is switched in between
-//! two sessions, and so between two steps.
+//! A session lasts as long as one package is in use. At its start the package's agent parameters
+//! are copied to RAM; the network and its outer weights stay in flash and are located again in
+//! every step, because no reference can outlive a write to flash. Packages are switched between two
+//! sessions, and therefore between two steps.
 //!
-//! Without a package that proves itself a node steps nothing and says so, unless it has a
-//! [`Settings::fallback`]: then it is the observer without a network.
+//! Without a valid package a node takes no steps and reports that, unless it has a
+//! [`Settings::fallback`]: then it runs the observer without a network.
 //!
-//! Memory: see docs/performance.md. Invariants: whatever arrives from outside, the node goes on;
-//! only a package that passed [`agent_core::package::accept`] is ever in use.
+//! Memory: see docs/performance.md. Invariants: the node keeps running whatever it receives; only a
+//! package that passed [`agent_core::package::accept`] is ever in use.
 
 mod answer;
 mod errors;
@@ -48,34 +48,34 @@ use agent_core::store::{Layout, LayoutError, MappedFlash, Slot, Store};
 use crate::board::{Board, RequestBuffer};
 use errors::Counts;
 
-/// What the user of a node chooses.
+/// User settings of a node.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// Where slots and journal lie in the flash.
+    /// Positions of slots and journal in flash.
     pub layout: Layout,
-    /// If there is a key, only packages signed with its private half are accepted.
+    /// If present, only packages signed with the matching private key are accepted.
     pub public_key: Option<PublicKey>,
-    /// How the agent is watched.
+    /// Settings of the health monitoring.
     pub health: HealthSettings,
-    /// Good steps in a row after which a package on trial is confirmed.
+    /// Consecutive good steps needed to confirm a package on trial.
     pub good_steps: NonZeroU32,
-    /// One sample in so many ticks is kept for training.
+    /// Interval between samples kept for training. \[ticks\]
     pub sample_stride: NonZeroU32,
-    /// What the node says without being asked, until somebody asks for something else.
+    /// The initial unsolicited reports, until a request changes them.
     pub subscription: Subscription,
-    /// The agent that the node is while it has no package; `None` if its package is to say.
+    /// The agent to run while there is no package; `None` to wait for a package.
     pub fallback: Option<AgentConfig<'static>>,
-    /// Tells how many bytes of the stack have never been used, if the board can.
+    /// Returns how many bytes of the stack have never been used, if the board can tell.
     pub stack_unused: Option<fn() -> u32>,
     /// Version of the firmware: major, minor, patch.
     pub version: [u8; 3],
 }
 
-/// Samples held from neighbours, in as many places as the agent has neighbours.
+/// Samples held from neighbours, one slot per neighbour of the agent.
 type Holds<const N: usize, const NEIGHBOURS: usize> = heapless::Vec<Option<Hold<N>>, NEIGHBOURS>;
 
-/// Most of what a node needs, to be placed in a `static`: `N` state components, and room for
-/// `FEATURES` features, `NEIGHBOURS` neighbours, and `SAMPLES` samples for training.
+/// Most of a node's memory, for a `static`: `N` is the state dimension, with capacities for
+/// `FEATURES` features, `NEIGHBOURS` neighbours and `SAMPLES` training samples.
 #[derive(Debug)]
 pub struct Memory<
     const N: usize,
@@ -86,14 +86,14 @@ pub struct Memory<
     agent: Agent<N, FEATURES, NEIGHBOURS>,
     session: Option<Session<N, NEIGHBOURS>>,
     samples: CaptureRing<N, SAMPLES>,
-    /// Where packages are tried out.
+    /// Working memory for checking packages.
     scratch: Scratch,
 }
 
 impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize, const SAMPLES: usize>
     Memory<N, FEATURES, NEIGHBOURS, SAMPLES>
 {
-    /// Memory of nothing.
+    /// Creates empty memory.
     #[must_use]
     pub const fn new() -> Self {
         let agent = Agent {
@@ -114,7 +114,7 @@ impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize, const SAMPL
     }
 }
 
-/// A node; its numbers are those of its [`Memory`].
+/// A node; its const parameters are those of its [`Memory`].
 #[derive(Debug)]
 pub struct Node<
     'm,
@@ -138,18 +138,18 @@ pub struct Node<
     board_fault: Option<BoardFault>,
 }
 
-/// What the observer changes.
+/// The observer's mutable data.
 #[derive(Debug)]
 struct Agent<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize> {
     state: AgentState<N, FEATURES, Holds<N, NEIGHBOURS>>,
     inbox: Inbox<N, Holds<N, NEIGHBOURS>>,
-    /// Whether there is an agent at all.
+    /// Whether an agent has been initialised.
     begun: bool,
-    /// Whether the neighbours know the first sample.
+    /// Whether the neighbours have the first sample.
     announced: bool,
 }
 
-/// What is known of the package in use.
+/// Properties of the package in use.
 #[derive(Clone, Copy, Debug)]
 struct InUsePackage {
     agent: agent_core::AgentId,
@@ -168,36 +168,36 @@ struct Session<const N: usize, const NEIGHBOURS: usize> {
     network: Option<(Slot, NetworkPlace)>,
 }
 
-/// What a call of [`Node::poll`] led to.
+/// Result of [`Node::poll`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub enum Progress {
-    /// Something was done, and more may be due.
+    /// Some work was done, and more may be pending.
     Worked,
-    /// Nothing is due: wait for a period or for a byte at the service port.
+    /// Nothing is pending: wait for a period or for a byte at the service port.
     Idle,
-    /// The node has been told to reset: let go of it, and make another one.
+    /// A reset was requested: drop this node and create another one.
     Reset,
 }
 
-/// What [`Node::poll`] does next.
+/// The next action of [`Node::poll`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Due {
     Greeting,
-    /// Another package is in use.
+    /// Start a session with another package.
     Session,
-    /// A turn, if a period has begun, or else a request.
+    /// A turn if a period has begun, or else a request.
     Turn,
-    /// A request, if there is one, or else a turn: after every turn, so that a node that is late
-    /// can still be told what to do.
+    /// A request if there is one, or else a turn. Follows every turn, so that a late node still
+    /// answers requests.
     Request,
 }
 
-/// What follows from a request.
+/// Action after a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Next {
     Continue,
-    /// Another package is in use.
+    /// Switch to another package.
     Switch,
     Reset,
 }
@@ -211,12 +211,12 @@ impl<
     const SAMPLES: usize,
 > Node<'m, F, N, FEATURES, NEIGHBOURS, SAMPLES>
 {
-    /// The node as it finds itself after a reset: with the package in use that its flash holds. What
-    /// `memory` held before is forgotten.
+    /// Creates a node as after a reset, with the package that is in use according to its flash. Any
+    /// earlier contents of `memory` are discarded.
     ///
     /// # Errors
-    /// A layout that does not fit the flash.
-    #[inline(never)] // The stack is to be free again of what opening the store takes.
+    /// A layout that does not match the flash.
+    #[inline(never)] // Frees the stack that opening the store takes.
     pub fn new(
         flash: F,
         settings: Settings,
@@ -227,11 +227,11 @@ impl<
         Ok(node)
     }
 
-    /// As [`new`](Self::new), in its place, which takes less stack: packages are checked when nothing
-    /// of the node is on it any more.
+    /// Like [`new`](Self::new), but in place, which takes less stack: packages are checked when the
+    /// node itself is not on the stack.
     ///
     /// # Errors
-    /// A layout that does not fit the flash.
+    /// A layout that does not match the flash.
     pub fn new_in(
         place: &'m mut MaybeUninit<Self>,
         flash: F,
@@ -243,7 +243,7 @@ impl<
         Ok(node)
     }
 
-    #[inline(never)] // The stack is to be free again of the node.
+    #[inline(never)] // Frees the node's stack.
     fn write_to(
         place: &'m mut MaybeUninit<Self>,
         flash: F,
@@ -253,7 +253,7 @@ impl<
         Ok(place.write(Self::open(flash, settings, memory)?))
     }
 
-    /// The node with no package in use yet.
+    /// Creates the node without loading a package.
     fn open(
         flash: F,
         settings: Settings,
@@ -279,12 +279,12 @@ impl<
         })
     }
 
-    /// Lets the node tell of something that does not work on its board.
+    /// Makes the node report a fault of its board.
     pub fn report(&mut self, fault: BoardFault) {
         self.board_fault = Some(fault);
     }
 
-    /// Lets the node work until it is told to reset: then let go of it, and make another one.
+    /// Runs the node until a reset is requested: then drop it and create another one.
     pub fn run<B: Board>(&mut self, board: &mut B) {
         loop {
             match self.poll(board) {
@@ -295,11 +295,11 @@ impl<
         }
     }
 
-    /// Does one piece of work that is due, if there is one, and never waits: says hello, takes a
-    /// package into use, takes a step, or answers a request.
+    /// Does one piece of pending work, if any, without waiting: sends the greeting, loads a
+    /// package, takes a step, or answers a request.
     ///
-    /// An asynchronous main calls this instead of [`run`](Self::run) and waits when nothing is due.
-    /// [`Clock::rest`](crate::Clock::rest) is not called, so such a board leaves it empty:
+    /// An asynchronous main loop calls this instead of [`run`](Self::run) and waits when nothing is
+    /// pending. [`Clock::rest`](crate::Clock::rest) is not called, so such a board leaves it empty:
     ///
     /// ```
     /// # use agent_core::store::MappedFlash;
@@ -309,7 +309,7 @@ impl<
     /// async fn node_task<F: MappedFlash>(mut node: Node<'_, F, 3, 8, 4, 64>, mut board: impl Board) {
     ///     loop {
     ///         match node.poll(&mut board) {
-    ///             // Other tasks get their turn between two pieces of work.
+    ///             // Let other tasks run between two pieces of work.
     ///             Progress::Worked => other_tasks().await,
     ///             // A ticker at the package's period, or a byte at the service port.
     ///             Progress::Idle => period_or_byte().await,
@@ -319,8 +319,9 @@ impl<
     /// }
     /// ```
     ///
-    /// The longest piece of work is to check a package or to erase a sector of flash, then a step:
-    /// `docs/performance.md` has the times. What must not wait for them belongs into an interrupt.
+    /// The longest pieces of work are checking a package and erasing a sector of flash, then a
+    /// step: `docs/performance.md` has the times. Work that cannot wait for them belongs in an
+    /// interrupt.
     pub fn poll<B: Board>(&mut self, board: &mut B) -> Progress {
         match self.due {
             Due::Greeting => {
@@ -372,7 +373,7 @@ impl<
     }
 
     fn hello<B: Board>(&self, board: &mut B) {
-        // Ends whatever a receiver may still hold of the time before the reset.
+        // Ends any message that was interrupted by the reset.
         board.respond(&[agent_core::wire::cobs::DELIMITER]);
         respond::<B, N>(board, &Response::Hello(self.status()));
         self.tell_faults(board);
@@ -424,20 +425,20 @@ impl<
         }
     }
 
-    /// The flash driver, for whoever looks at a node from outside.
+    /// Returns the flash driver, for inspection.
     #[must_use]
     pub fn flash(&self) -> &F {
         self.store.flash()
     }
 
-    /// Gives the flash driver back, as a reset does.
+    /// Consumes the node and returns the flash driver, as after a reset.
     #[must_use]
     pub fn into_flash(self) -> F {
         self.store.into_flash()
     }
 }
 
-/// Sends a response. One function for all of them, so that the encoder exists once.
+/// Sends a response. One function for all responses, so that the encoder exists once.
 #[inline(never)]
 fn respond<B: Board, const N: usize>(board: &mut B, response: &Response<'_, Rows<'_, N>>) {
     send(response, |bytes| board.respond(bytes));

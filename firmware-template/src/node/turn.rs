@@ -1,4 +1,4 @@
-//! One turn: what has arrived, one step, what there is to tell.
+//! One turn: received frames, one step, and reports.
 
 use agent_core::Tick;
 use agent_core::agent::capture::Sample;
@@ -18,10 +18,10 @@ impl<
     const SAMPLES: usize,
 > Node<'_, F, N, FEATURES, NEIGHBOURS, SAMPLES>
 {
-    /// The turn of the newest of the `periods` that have begun.
+    /// Takes a turn for the newest of the `periods` that have begun.
     #[inline(never)]
     pub(super) fn turn<B: Board>(&mut self, board: &mut B, periods: u32) {
-        // The last tick has no successor; a node gets there after 10^8 years.
+        // No tick follows the last one, which a node reaches after 10^8 years.
         let tick = self.next_tick.saturating_add(Tick::from(periods.max(1)) - 1);
         self.next_tick = tick.saturating_add(1);
         let step = self.step(board, tick);
@@ -40,11 +40,11 @@ impl<
         self.tell(board, tick, outcome, sample);
     }
 
-    /// Takes what has arrived, takes the step, and broadcasts what it returns.
+    /// Accepts received frames, takes the step, and broadcasts its frame.
     ///
     /// # Errors
-    /// Why there was no attempt at a step.
-    #[inline(always)] // What it returns would be copied.
+    /// Why no step was attempted.
+    #[inline(always)] // Otherwise its result would be copied.
     fn step<B: Board>(&mut self, board: &mut B, tick: Tick) -> Result<WatchedStep<N>, Outcome> {
         let Self { memory, store, health, counts, .. } = self;
         let Memory { agent, session, .. } = &mut **memory;
@@ -60,12 +60,12 @@ impl<
             health,
         };
         let mut buffer = [0; FRAME_LENGTH_MAX];
-        // Not more than can be of use, so that a flood does not hold up the step.
+        // A limited number, so that a flood does not delay the step.
         for _ in 0..2 * NEIGHBOURS {
             let Some(frame) = board.frame(&mut buffer) else { break };
             match frame {
                 Ok(bytes) => {
-                    // A refusal has been counted.
+                    // Refusals are counted.
                     let _ = watched.receive(bytes);
                 }
                 Err(kind) => {

@@ -93,7 +93,7 @@ mod tests {
         assert_eq!(
             table(&[of(Some(calm)), of(Some(counters)), of(None)]),
             "Health\n  agent 2: steps outside the trained box: 40, \
-             times the network was left out: 2, times it was used again: 1\n\n"
+             fallbacks to feedback alone: 2, returns to the network: 1\n\n"
         );
         let many = vec![of(Some(counters)); 15];
         let text = table(&many);

@@ -1,15 +1,14 @@
-//! The whole network of agents in double precision, written from the paper's equations in
-//! the stacked form that its analysis uses, with Kronecker products and block-diagonal
-//! matrices:
+//! The whole network of agents in double precision, written from the paper's equations in the
+//! stacked form of its analysis, with Kronecker products and block-diagonal matrices:
 //!
 //! `z = -(L (x) I_n) x_tilde`                                          (`z Ensemble`)
 //! `d/dt x_hat = W_hat^T sigma(Phi_hat(x_hat)) + (I_N (x) K_1)(z - C^T e_3)` (`Observer i`)
 //! `e_3 = C x_hat - y`, `C = diag(C_1, ..., C_N)`                       (`e3i`, `BMI`)
 //! `d/dt omega_i = proj(mu_i, omega_i)`                                 (`What_i Dot`)
 //!
-//! (`z Ensemble` is stated for `e_1 + e_2 = x_tilde - 1_N (x) x_0`; the Laplacian takes the
-//! constant away.) Nothing here is shared with the code under test: other data structures,
-//! another order of summation, another precision, the standard library's functions.
+//! (`z Ensemble` is stated for `e_1 + e_2 = x_tilde - 1_N (x) x_0`; the Laplacian removes the
+//! constant.) Nothing is shared with the code under test: data structures, order of summation and
+//! precision differ, and the functions are the standard library's.
 
 pub(crate) mod inner_network;
 pub(crate) mod projection;
@@ -20,7 +19,7 @@ use nalgebra::{DMatrix, DVector};
 use inner_network::InnerNetwork;
 use projection::Projection;
 
-/// What one agent does not share with the others.
+/// The part of an agent that differs from the others.
 #[derive(Clone, Debug)]
 pub(crate) struct Agent {
     /// `C_i`, shape `[m, n]`.
@@ -50,7 +49,7 @@ pub(crate) struct Network {
     pub(crate) outer_gain: DMatrix<f64>,
 }
 
-/// Everything that changes, stacked over the agents.
+/// The state of all agents, stacked.
 #[derive(Clone, Debug)]
 pub(crate) struct State {
     /// `x_hat`, shape `[n N]`.
@@ -61,7 +60,7 @@ pub(crate) struct State {
     pub(crate) outer_weights: Vec<DMatrix<f64>>,
 }
 
-/// What the equations give for a state and a measurement.
+/// The results of the equations for a state and a measurement.
 #[derive(Clone, Debug)]
 pub(crate) struct Rates {
     /// `z`, shape `[n N]`.
@@ -118,7 +117,7 @@ fn spectral_norm(matrix: &DMatrix<f64>) -> f64 {
 }
 
 impl Network {
-    /// The network of these agents on the graph `adjacency` with `K_1 = gain`.
+    /// Creates the network of these agents on the graph `adjacency` with `K_1 = gain`.
     pub(crate) fn new(agents: Vec<Agent>, adjacency: &DMatrix<f64>, gain: &DMatrix<f64>) -> Self {
         let dimension = gain.nrows();
         Self {
@@ -131,7 +130,7 @@ impl Network {
         }
     }
 
-    /// `sigma(Phi_hat(x_hat))`, one agent's features below the other's.
+    /// `sigma(Phi_hat(x_hat))`, the agents' features stacked.
     fn features(&self, estimates: &DVector<f64>) -> DVector<f64> {
         let features = self.agents.iter().enumerate().flat_map(|(index, agent)| {
             let estimate = estimates.rows(index * self.dimension, self.dimension).into_owned();
@@ -151,7 +150,7 @@ impl Network {
         let estimates =
             outer_weights.transpose() * &features + &self.gain * (&consensus - &innovation);
 
-        // -Gamma sigma e_3^T C of the whole network; its diagonal blocks are the agents'.
+        // -Gamma sigma e_3^T C of the whole network; its diagonal blocks belong to the agents.
         let directions = -(&self.outer_gain * &features) * innovation.transpose();
         let (mut first, mut blocks, mut rates) = (0, Vec::new(), Vec::new());
         for (index, (agent, weights)) in self.agents.iter().zip(&state.outer_weights).enumerate() {
@@ -186,7 +185,7 @@ pub(crate) struct Trigger {
 }
 
 impl Trigger {
-    /// The constants for a graph and a gain.
+    /// Creates the constants for a graph and a gain.
     pub(crate) fn new(
         adjacency: &DMatrix<f64>,
         gain: &DMatrix<f64>,
@@ -205,7 +204,7 @@ impl Trigger {
         }
     }
 
-    /// `phi_1 |e_2i|^2 - phi_2 |z_i|^2 - epsilon / N`: the agent broadcasts where this is not
+    /// `phi_1 |e_2i|^2 - phi_2 |z_i|^2 - epsilon / N`: the agent broadcasts if this is not
     /// negative.
     pub(crate) fn margin(&self, hold_error: &DVector<f64>, consensus: &DVector<f64>) -> f64 {
         self.phi_1 * hold_error.norm_squared()

@@ -4,7 +4,7 @@
 
 use nalgebra::DVector;
 
-/// The constants of the operator, under the names of its paper.
+/// The constants of the operator, with the names of its paper.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Projection {
     /// `theta_0`.

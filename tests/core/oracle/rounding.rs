@@ -1,14 +1,14 @@
-//! How far a correct evaluation of the equations in single precision can be from the exact
-//! one: a running error analysis, with every entry's bound from the sizes of its own terms.
+//! Bounds the deviation of a correct single-precision evaluation of the equations from the exact
+//! one: a running error analysis, in which every entry's bound follows from the sizes of its own
+//! terms.
 //!
-//! With the unit roundoff `u = 2^-24`, a sum of products in which a term passes through at
-//! most `k` rounded operations is off by at most `gamma_k = k u / (1 - k u)` times the sum of
-//! the terms' absolute values, in whatever order it is formed; an error that is already in a
-//! factor is carried on by the absolute value of the other one. An activation carries it on
-//! by its slope there and its largest curvature (Taylor), and adds [`ACTIVATION_ULP`] units
-//! in the last place. Products of two errors are left out; [`SECOND_ORDER`] makes up for
-//! them. The bounds are attained only if every rounding goes the same way; what is observed
-//! is a small part of them.
+//! With the unit roundoff `u = 2^-24`, a sum of products in which a term passes through at most `k`
+//! rounded operations is off by at most `gamma_k = k u / (1 - k u)` times the sum of the terms'
+//! absolute values, in whatever order it is formed. An error in one factor is multiplied by the
+//! absolute value of the other. An activation multiplies it by its slope and adds its largest
+//! curvature (Taylor) and [`ACTIVATION_ULP`] units in the last place. Products of two errors are
+//! omitted; [`SECOND_ORDER`] compensates for them. The bounds are attained only if every rounding
+//! goes in the same direction; observed errors are a small fraction of them.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -18,11 +18,11 @@ use super::{Network, Rates, State, Trigger, block_diagonal, vectorised};
 /// The unit roundoff of single precision with rounding to nearest.
 pub(crate) const UNIT: f64 = 0.5 * f32::EPSILON as f64;
 
-/// Units in the last place by which an activation function may be off.
+/// Largest error of an activation function, in units in the last place.
 const ACTIVATION_ULP: f64 = 6.0;
 
-/// What is allowed for products of two errors, which the analysis leaves out. They are below
-/// one part in a hundred as long as the relative errors are.
+/// Allowance for products of two errors, which the analysis omits. They are below one part in a
+/// hundred as long as the relative errors are.
 const SECOND_ORDER: f64 = 1.01;
 
 /// `gamma_k`.
@@ -31,7 +31,7 @@ fn gamma(operations: usize) -> f64 {
     sum / (1.0 - sum)
 }
 
-/// The largest admissible deviations, with the shapes of what they belong to.
+/// The largest admissible deviations, with the shapes of the values they bound.
 #[derive(Clone, Debug)]
 pub(crate) struct Bounds {
     /// Of `z`.
@@ -46,7 +46,7 @@ pub(crate) struct Bounds {
     pub(crate) outer_weights: Vec<DVector<f64>>,
 }
 
-/// The features' bound, one agent's below the other's.
+/// The features' bounds, stacked over the agents.
 fn features(network: &Network, state: &State) -> DVector<f64> {
     let mut all = Vec::new();
     for (index, agent) in network.agents.iter().enumerate() {
@@ -72,7 +72,7 @@ fn features(network: &Network, state: &State) -> DVector<f64> {
 }
 
 impl Bounds {
-    /// The bounds for one step of length `step_size` \[s\].
+    /// Computes the bounds for one step of length `step_size` \[s\].
     pub(crate) fn new(
         network: &Network,
         state: &State,
@@ -103,7 +103,7 @@ impl Bounds {
         let next_estimates =
             step_size * (&estimates + UNIT * rates.estimates.abs()) + UNIT * next.abs();
 
-        // |Gamma sigma e_3^T C|, carried on from both of its factors.
+        // |Gamma sigma e_3^T C|, with the errors of both factors.
         let gained = network.outer_gain.abs() * rates.features.abs();
         let gained_bound =
             network.outer_gain.abs() * (gamma(widest) * rates.features.abs() + &features);
@@ -133,8 +133,8 @@ impl Bounds {
     }
 }
 
-/// The bound for one agent's `omega(t + dt) - omega(t)`, divided by `dt`, when the entries of
-/// its `mu` are off by `mu_bound`.
+/// The bound for one agent's `omega(t + dt) - omega(t)`, divided by `dt`, if the entries of its
+/// `mu` are off by `mu_bound`.
 fn weight_change(
     projection: &super::projection::Projection,
     omega: &DVector<f64>,
@@ -147,9 +147,9 @@ fn weight_change(
     let outward_bound = omega.abs().dot(&(gamma(terms + 2) * mu.abs() + mu_bound));
     let excess = projection.excess(omega);
     let excess_bound = gamma(terms + 2) * (omega.norm_squared() + projection.radius.powi(2));
-    // The factor of omega does not decrease in either argument, so its largest and smallest
-    // values are at two corners. `p` enters through m + 1 quotients, each with about four
-    // roundings; eta_2 and the last factors take about ten.
+    // The factor of omega is non-decreasing in both arguments, so its extreme values are at two
+    // corners. `p` enters through m + 1 quotients with about four roundings each; eta_2 and the
+    // last factors have about ten.
     let factor = 2.0 * projection.coefficient(excess, outward);
     let corner = |sign: f64| {
         2.0 * projection.coefficient(excess + sign * excess_bound, outward + sign * outward_bound)
@@ -165,9 +165,9 @@ fn weight_change(
         + gamma(2) / step_size * (omega.abs() + step_size * moved)
 }
 
-/// Where the trigger's inequality is too close to an equality for single precision to
-/// decide it: the largest deviation of its margin, for a hold error formed by one rounded
-/// subtraction and a consensus term that is off by `consensus_bound`.
+/// The band in which the trigger's inequality is too close to an equality for single precision to
+/// decide: the largest deviation of its margin, for a hold error formed by one rounded subtraction
+/// and a consensus term that is off by `consensus_bound`.
 pub(crate) fn trigger_band(
     trigger: &Trigger,
     hold_error: &DVector<f64>,

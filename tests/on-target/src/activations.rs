@@ -1,18 +1,17 @@
 //! The activations.
 //!
-//! NaN is left out: the core refuses it before it gets here, and its payload differs between
-//! processors.
+//! NaN is not tested: the core refuses it earlier, and its payload differs between processors.
 
 use agent_core::math::activation::Activation;
 
 use crate::digest::Digest;
 
-/// A prime: the sweep meets every residue of the low bits. About 1,000 floats of either sign.
+/// A prime: the sweep covers every residue of the low bits. About 1,000 floats of each sign.
 const SWEEP_STRIDE: u32 = 2_130_001;
 
 const INFINITY_BITS: u32 = 0x7f80_0000;
 
-/// Floats at which something changes; what is next to them is taken, too.
+/// Floats at which the behaviour changes; their neighbours are tested too.
 const CRITICAL: [f32; 16] = [
     f32::from_bits(1),
     f32::MIN_POSITIVE,
@@ -32,7 +31,7 @@ const CRITICAL: [f32; 16] = [
     f32::MAX,
 ];
 
-/// As many floats on each side of a critical one.
+/// Number of tested floats on each side of a critical one.
 const AROUND: u32 = 2;
 
 #[inline(never)]

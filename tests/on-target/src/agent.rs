@@ -1,4 +1,4 @@
-//! An agent as a node runs it, through everything that can happen to it.
+//! An agent as on a node, with every kind of fault.
 
 use agent_core::health::{HealthCounters, WatchedStep};
 use agent_core::observer::network::Scratch;
@@ -11,26 +11,26 @@ use crate::meter::{Figure, Figures, Meter};
 use crate::node::{N, Node, ParamBuffers};
 use crate::package;
 
-/// Steps of the run.
+/// Number of steps.
 const STEPS: u32 = 3_000;
 
-/// A measurement that is none.
+/// The measurement is NaN.
 const NOT_A_NUMBER: core::ops::Range<u32> = 700..703;
-/// A measurement far off, which leads outside the trained box and then back.
+/// The measurement is an outlier, which leads outside the trained box and back.
 const OUTLIER: core::ops::Range<u32> = 1_100..1_110;
-/// A measurement with which the step would overflow.
+/// The step would overflow with this measurement.
 const OVERFLOW: core::ops::Range<u32> = 1_600..1_607;
-/// Ticks that pass without a step.
+/// Ticks without a step.
 const LATE: core::ops::Range<u32> = 2_000..2_009;
-/// An estimate that cannot be true any more.
+/// The estimate is implausible.
 const IMPLAUSIBLE: core::ops::Range<u32> = 2_400..2_401;
 
 /// From here on the outer weights are so large that the projection acts on them.
 const LARGE_WEIGHTS: u32 = 2_700;
-/// The package's, whose norm is 11.6, times this are above the 19 where that begins.
+/// Scales the package's outer weights, whose norm is 11.6, above the 19 where that starts.
 const ENLARGEMENT: f32 = 1.6875;
 
-/// What the agent measures at `tick`.
+/// Returns the measurement at `tick`.
 fn measurement(tick: u32) -> f32 {
     let y = scaled(triangle(tick, 1_500), 10);
     if NOT_A_NUMBER.contains(&tick) {
@@ -46,7 +46,7 @@ fn measurement(tick: u32) -> f32 {
     }
 }
 
-/// What neighbour `id` says at `tick`, if it says something: both do at their own pace.
+/// Returns the broadcast of neighbour `id` at `tick`, if any: both have their own pace.
 fn frame(id: u16, tick: u32) -> Option<FrameBytes> {
     let period = 7 + 6 * u32::from(id);
     let sequence = tick / period;
@@ -61,7 +61,7 @@ fn frame(id: u16, tick: u32) -> Option<FrameBytes> {
     ];
     let mut frame = Frame { sender: id, sequence, tick: tick.into(), estimate: estimate.into() };
     match sequence % 40 {
-        // Nobody's, one that cannot be true, and one from the past.
+        // From an unknown sender, implausible, and from the past.
         17 => frame.sender = 99,
         23 => frame.estimate[1] = 1e30,
         31 => (frame.sequence, frame.tick) = (0, 0),
@@ -110,7 +110,7 @@ pub(crate) fn digest(meter: &mut impl Meter, figures: &mut Figures) -> Result<u6
     Ok(digest.finish())
 }
 
-/// A run in which something never happens does not show that it gives the same bits.
+/// A fault that never occurs is not tested: returns the first one missing.
 fn what_did_not_happen(counters: &HealthCounters) -> Option<&'static str> {
     let HealthCounters {
         outside_box,
@@ -132,7 +132,7 @@ fn what_did_not_happen(counters: &HealthCounters) -> Option<&'static str> {
         (implausible, "the run has no implausible estimate"),
         (projection_active, "the projection never acts"),
         (diverged, "the run has no divergence"),
-        (measurements_not_finite, "the run has no measurement that is none"),
+        (measurements_not_finite, "the run has no measurement that is not finite"),
         (skipped_ticks, "the run has no late step"),
         (frames_implausible, "the run has no implausible frame"),
         (frames_refused, "the run has no refused frame"),
@@ -145,7 +145,7 @@ fn what_did_not_happen(counters: &HealthCounters) -> Option<&'static str> {
     .find_map(|(count, missing)| (count == 0).then_some(missing))
 }
 
-/// Everything that the node lets be seen.
+/// Adds the visible state of the node.
 fn add(digest: &mut Digest, node: &Node<'_>, step: &WatchedStep<N>, broadcast: &[u8]) {
     digest.number(match step {
         WatchedStep::Taken(_) => 0,

@@ -1,6 +1,6 @@
 //! FNV-1a, 64 bits: one number for a sequence of results.
 
-/// A digest in the making.
+/// A digest under construction.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Digest(u64);
 
@@ -17,7 +17,7 @@ impl Digest {
         self.bytes(&number.to_le_bytes());
     }
 
-    /// Bit patterns, so that zeros of different sign differ.
+    /// Adds bit patterns, so that zeros of different sign differ.
     pub(crate) fn floats<'f>(&mut self, values: impl IntoIterator<Item = &'f f32>) {
         values.into_iter().for_each(|value| self.number(value.to_bits()));
     }

@@ -1,9 +1,9 @@
-//! What every processor has to compute.
+//! The digests that every processor must compute.
 //!
-//! The first run on an x86-64 host printed these numbers; an intended change of results prints
-//! the new ones in the failure of `cargo test -p on-target`.
+//! The first run on an x86-64 host printed these numbers; after an intended change of results, the
+//! failure of `cargo test -p on-target` prints the new ones.
 
-/// Every section with its digest, in the order in which they run.
+/// Every section with its digest, in execution order.
 pub const DIGESTS: [(&str, u64); 5] = [
     ("activations", 0x4d98_62c8_32f1_0227),
     ("network", 0xdd77_0492_c179_ad7b),

@@ -1,22 +1,23 @@
-//! The bit-exactness examination: what `agent-core` computes, hashed, so that a PC, an emulated
-//! processor and a chip can be held against the same constants.
+//! The bit-exactness examination: hashes the results of `agent-core`, so that a PC, an emulated
+//! processor and a chip can be compared with the same constants.
 //!
-//! [`examine`] runs every section and reports its digest beside the golden one of
-//! [`golden::DIGESTS`]. Whatever differs in a single bit anywhere, in a sum, a comparison or an
-//! encoded frame, changes the digest of its section.
+//! [`examine`] runs every section and reports its digest together with the golden one of
+//! [`golden::DIGESTS`]. A difference in a single bit of a sum, a comparison or an encoded frame
+//! changes the digest of its section.
 //!
-//! | section | what is in it |
+//! | section | contents |
 //! | --- | --- |
 //! | `activations` | every activation: special values, seams, a sweep over all floats |
 //! | `network` | the package's network, and one with other widths and activations |
 //! | `agent` | an agent as a node runs it: frames, trigger, adaptation, faults, restart |
 //! | `package` | acceptance and refusal of a weight package, checksums |
-//! | `turn` | a whole node of the firmware template: all that it broadcasts and tells |
+//! | `turn` | a whole node of the firmware template: all its broadcasts and messages |
 //!
-//! Inputs come from integers alone, and the weights from a package that the host's training
-//! made (`fixtures/agent1.weights`, agent 1 of `host-sim run paper`, seed 0).
+//! All inputs are derived from integers, and the weights from a package trained on the host
+//! (`fixtures/agent1.weights`, agent 1 of `host-sim run paper`, seed 0).
 //!
-//! On the way a [`Meter`] counts the instructions of what a node does again and again; a host has
+//! A [`Meter`] counts the instructions of a node's frequent operations; a host has no such counter
+//! and passes [`NoMeter`].
 //! no such counter and passes [`NoMeter`].
 #![no_std]
 #![forbid(unsafe_code)]
@@ -34,28 +35,28 @@ mod turn;
 
 pub use meter::{Figure, Figures, Meter, NoMeter, Statistics};
 
-/// The outcome of one section.
+/// The result of one section.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Section {
     /// Its name.
     pub name: &'static str,
     /// FNV-1a, 64 bits, of every result in it.
     pub digest: u64,
-    /// What the digest has to be.
+    /// The expected digest.
     pub golden: u64,
 }
 
-/// What an examination can fail on before anything has been compared.
+/// Why the examination cannot be run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Unusable {
-    /// What could not be set up.
+    /// The part that could not be set up.
     pub what: &'static str,
 }
 
-/// Runs every section and shows its outcome to `report`; returns what the meter counted.
+/// Runs every section and passes its result to `report`; returns the instruction counts.
 ///
 /// # Errors
-/// The embedded package is refused or does not fit: then nothing can be examined.
+/// The embedded package is refused or does not match: then nothing can be examined.
 pub fn examine(
     meter: &mut impl Meter,
     mut report: impl FnMut(&Section),
@@ -89,10 +90,10 @@ mod tests {
                 wrong.push(std::format!("{} {:#018x}", section.name, section.digest));
             }
         });
-        assert_eq!(wrong, [""; 0], "sections with other digests than the golden ones");
+        assert_eq!(wrong, [""; 0], "sections whose digests differ from the golden ones");
         assert_eq!(sections, golden::DIGESTS.len());
         for (figure, statistics) in outcome.unwrap().iter() {
-            assert!(statistics.count > 3, "{} is hardly ever counted", figure.name());
+            assert!(statistics.count > 3, "{} is rarely counted", figure.name());
         }
     }
 }

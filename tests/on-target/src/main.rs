@@ -5,8 +5,8 @@
 //! instructions <figure> <mean> <largest> <how often>
 //! ```
 //!
-//! On bare metal over semihosting, with instructions counted; on a host to the standard output.
-//! The exit code is 0 if every digest is the golden one.
+//! On bare metal it prints over semihosting and counts instructions; on a host it prints to
+//! standard output. The exit code is 0 if all digests equal the golden ones.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]

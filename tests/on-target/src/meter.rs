@@ -1,18 +1,18 @@
-//! Instructions, counted where the machine can.
+//! Counts instructions where the machine can.
 
-/// Counts the instructions that something takes.
+/// A counter of instructions.
 pub trait Meter {
-    /// Runs `work`; the number is 0 where nothing counts.
+    /// Runs `work`; the count is 0 on a machine without a counter.
     fn count<R>(&mut self, work: impl FnOnce() -> R) -> (R, u32);
 
-    /// Begins to count where the work is not a function's.
+    /// Starts counting, for work that is not a function.
     fn start(&mut self);
 
-    /// What has been counted since then.
+    /// Returns the count since [`start`](Self::start).
     fn stop(&mut self) -> u32;
 }
 
-/// Counts nothing.
+/// A counter that counts nothing.
 #[derive(Clone, Copy, Debug)]
 pub struct NoMeter;
 
@@ -28,12 +28,12 @@ impl Meter for NoMeter {
     }
 }
 
-/// What is counted.
+/// A measured operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Figure {
     /// The inner network 3-12-12-12-5 and the outer weights, 5 x 3.
     Forward,
-    /// A step that broadcasts nothing, network and health included.
+    /// A step without a broadcast, including network and health.
     Step,
     /// A step whose trigger fires, with the encoded frame.
     Broadcast,
@@ -41,9 +41,9 @@ pub enum Figure {
     Frame,
     /// The acceptance of a package without a signature.
     Package,
-    /// A turn of a node: two frames received, a step, a broadcast, state and health told.
+    /// A turn of a node: two frames received, a step, a broadcast, reports of state and health.
     Turn,
-    /// The same with the outer weights told, too, as in a co-simulation.
+    /// The same with the outer weights reported too, as in a co-simulation.
     WholeTurn,
 }
 
@@ -59,7 +59,7 @@ impl Figure {
         Self::WholeTurn,
     ];
 
-    /// One word.
+    /// Returns its name, a single word.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -77,10 +77,10 @@ impl Figure {
 /// Mean and largest number of instructions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Statistics {
-    /// How often it was done.
+    /// Number of measurements.
     pub count: u32,
     sum: u64,
-    /// Most instructions.
+    /// Largest number of instructions.
     pub max: u32,
 }
 
@@ -97,7 +97,7 @@ impl Figures {
         }
     }
 
-    /// Every figure with its statistics.
+    /// Returns every figure with its statistics.
     pub fn iter(&self) -> impl Iterator<Item = (Figure, &Statistics)> {
         Figure::ALL.into_iter().zip(&self.0)
     }
@@ -112,7 +112,7 @@ impl Statistics {
         self.max = self.max.max(instructions);
     }
 
-    /// Mean number of instructions, rounded down.
+    /// Returns the mean number of instructions, rounded down.
     #[must_use]
     pub fn mean(&self) -> u32 {
         (self.sum / u64::from(self.count.max(1))) as u32

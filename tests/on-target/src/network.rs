@@ -15,7 +15,7 @@ use crate::package;
 /// Inputs of the package's network.
 const INPUTS: u32 = 200;
 
-/// A network of other widths: blocks of every size, and what is left over.
+/// A network of other widths: blocks of every size, with remainders.
 const WIDTHS: [(u8, Activation); 4] = [
     (7, Activation::Logistic),
     (29, Activation::Tanh),
@@ -23,10 +23,10 @@ const WIDTHS: [(u8, Activation); 4] = [
     (18, Activation::Tanh),
 ];
 
-/// Parameters of that network with four inputs.
+/// Number of parameters of that network with four inputs.
 const PARAMETERS: usize = 5 * 7 + 8 * 29 + 30 * 3 + 4 * 18;
 
-/// A function of its own, whose instructions are what a node takes.
+/// Not inlined, so that its instructions are those on a node.
 #[inline(never)]
 fn forward(
     network: &InnerNetwork<&[f32]>,
@@ -57,7 +57,7 @@ fn paper_sized(
 ) -> Result<(), Unusable> {
     let package = package::package(scratch)?;
     let outer_weights = OuterWeights::new(package.outer_weights, &package.node.outer_law)
-        .map_err(|_| Unusable { what: "the package's outer weights do not fit" })?;
+        .map_err(|_| Unusable { what: "the package's outer weights are invalid" })?;
     let mut draw = Draw::new(0x0bad_5eed);
     for _ in 0..INPUTS {
         let x = StateVector::from([draw.float(3), draw.float(8), draw.float(1)]);

@@ -1,4 +1,4 @@
-//! A node: everything between a measurement and the bytes to broadcast.
+//! A node: everything from the measurement to the broadcast bytes.
 
 use core::num::NonZeroU32;
 
@@ -35,7 +35,7 @@ const SETTINGS: HealthSettings = HealthSettings {
     telemetry_interval: 100,
 };
 
-/// Where the parameters live that a package's bytes only describe.
+/// Buffers for the parameters that a package's bytes only describe.
 #[derive(Debug)]
 pub(crate) struct ParamBuffers {
     neighbours: [Neighbour; NEIGHBOURS],
@@ -47,7 +47,7 @@ impl ParamBuffers {
         Self { neighbours: [Neighbour { id: 0, weight: 0.0 }; NEIGHBOURS], gain: [0.0] };
 }
 
-/// A node that works from the embedded package.
+/// A node that uses the embedded package.
 #[derive(Debug)]
 pub(crate) struct Node<'a> {
     pub(crate) params: AgentParams<'a, N>,
@@ -68,23 +68,23 @@ impl<'a> Node<'a> {
         let params = package
             .node
             .params::<N>(&mut places.neighbours, &mut places.gain)
-            .map_err(|_| Unusable { what: "the package's parameters do not fit" })?;
+            .map_err(|_| Unusable { what: "the package's parameters are invalid" })?;
         let state = AgentState::new(
             &params,
             StateVector::zeros(),
             package.outer_weights,
             [None; NEIGHBOURS],
         )
-        .map_err(|_| Unusable { what: "the package's agent does not fit" })?;
+        .map_err(|_| Unusable { what: "the package's agent is invalid" })?;
         let health_params = HealthParams::new(
             &params,
             &package.trained_box,
             package.broadcast_interval_min,
             &SETTINGS,
         )
-        .map_err(|_| Unusable { what: "the package's box does not fit" })?;
+        .map_err(|_| Unusable { what: "the package's box is invalid" })?;
         let network = NetworkPlace::new(&package, package::bytes())
-            .ok_or(Unusable { what: "the package has no place" })?;
+            .ok_or(Unusable { what: "the package cannot be located" })?;
         Ok(Self {
             params,
             state,
@@ -96,7 +96,7 @@ impl<'a> Node<'a> {
         })
     }
 
-    /// Replaces the outer weights by the package's times `factor`.
+    /// Replaces the outer weights by the package's multiplied by `factor`.
     pub(crate) fn enlarge_outer_weights(&mut self, factor: f32) -> Result<(), Unusable> {
         let mut entries = [0.0; FEATURES * N];
         for (entry, original) in entries.iter_mut().zip(self.outer_weights) {
@@ -104,7 +104,7 @@ impl<'a> Node<'a> {
         }
         self.state
             .replace_outer_weights(&self.params, &entries)
-            .map_err(|_| Unusable { what: "the enlarged outer weights do not fit" })
+            .map_err(|_| Unusable { what: "the enlarged outer weights are invalid" })
     }
 
     fn watched(&mut self) -> Watched<'_> {
@@ -112,14 +112,14 @@ impl<'a> Node<'a> {
         WatchedAgent { params, health_params, state, inbox, health }
     }
 
-    /// A received frame. A function of its own, whose instructions are what a node takes.
+    /// Receives a frame. Not inlined, so that its instructions are those on a node.
     #[inline(never)]
     pub(crate) fn receive(&mut self, bytes: &[u8]) -> Result<(), FrameError> {
         self.watched().receive(bytes)
     }
 
-    /// A step; what is to be broadcast is left in `broadcast`. A function of its own, whose
-    /// instructions are what a node takes.
+    /// Takes a step and writes the broadcast, if any, to `broadcast`. Not inlined, so that its
+    /// instructions are those on a node.
     #[inline(never)]
     pub(crate) fn step(
         &mut self,

@@ -13,7 +13,7 @@ use crate::node::{FEATURES, N, NEIGHBOURS};
 /// Bytes of the fixture.
 pub(crate) const LENGTH: usize = 2_096;
 
-/// Numbers are used in place, so a package begins at a multiple of four.
+/// Numbers are used in place, so a package is aligned to four bytes.
 #[repr(C, align(4))]
 pub(crate) struct Aligned(pub(crate) [u8; LENGTH]);
 
@@ -21,10 +21,10 @@ pub(crate) const FIXTURE: Aligned = Aligned(*include_bytes!("../fixtures/agent1.
 
 static PLACED: Aligned = FIXTURE;
 
-/// Where the header keeps the checksum, which covers everything else.
+/// Position of the checksum, which covers everything else, in the header.
 const CHECKSUM: core::ops::Range<usize> = HEADER_LENGTH - 4..HEADER_LENGTH;
 
-/// Every how many bits of the package one is flipped; a prime.
+/// Distance between the flipped bits of the package; a prime.
 const FLIP_STRIDE: usize = 499;
 
 const REQUIREMENTS: Requirements<'static> = Requirements {
@@ -33,18 +33,18 @@ const REQUIREMENTS: Requirements<'static> = Requirements {
     capacity: Capacity { features: FEATURES, neighbours: NEIGHBOURS, gain_entries: 1 },
 };
 
-/// The embedded package's bytes.
+/// Returns the embedded package's bytes.
 pub(crate) fn bytes() -> &'static [u8] {
     &PLACED.0
 }
 
-/// The embedded package.
+/// Returns the embedded package.
 pub(crate) fn package(scratch: &mut Scratch) -> Result<Package<'static>, Unusable> {
     accept::<N>(bytes(), &REQUIREMENTS, scratch)
         .map_err(|_| Unusable { what: "the embedded package is refused" })
 }
 
-/// A function of its own, whose instructions are what a node takes.
+/// Not inlined, so that its instructions are those on a node.
 #[inline(never)]
 fn is_accepted(bytes: &[u8], scratch: &mut Scratch) -> Result<u32, Refusal> {
     accept::<N>(bytes, &REQUIREMENTS, scratch).map(|package| package.version)
@@ -71,8 +71,8 @@ pub(crate) fn digest(meter: &mut impl Meter, figures: &mut Figures) -> Result<u6
         }
     }
 
-    // Damage that the checksum finds, then the same with a checksum that fits again, so that the
-    // inner checks are reached: the format, the parameters' ranges, the test vectors.
+    // Damage that the checksum detects, then the same with a matching checksum, so that the inner
+    // checks are reached: the format, the parameters' ranges, the test vectors.
     let mut copy = Aligned(FIXTURE.0);
     for bit in (0..8 * LENGTH).step_by(FLIP_STRIDE) {
         let flip = 1 << (bit % 8);
@@ -93,7 +93,7 @@ pub(crate) fn digest(meter: &mut impl Meter, figures: &mut Figures) -> Result<u6
     Ok(digest.finish())
 }
 
-/// A number for every way in which an acceptance can end.
+/// Returns a number for every result of acceptance.
 fn outcome(accepted: &Result<u32, Refusal>) -> u32 {
     match accepted {
         Ok(version) => *version,

@@ -1,5 +1,5 @@
-//! A whole node of the firmware template, with all that it receives and tells: one turn after
-//! another, until it is told to reset.
+//! A complete node of the firmware template with its inputs and outputs: one turn after another,
+//! until a reset is requested.
 
 use core::num::NonZeroU32;
 
@@ -21,14 +21,14 @@ use crate::meter::{Figure, Figures, Meter};
 use crate::node::N;
 use crate::package;
 
-/// Turns that are taken.
+/// Number of turns.
 const TURNS: u32 = 400;
-/// Room of the node.
+/// Capacities of the node.
 const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 2;
 const SAMPLES: usize = 8;
 
-/// What a node says in a turn at most, its greeting included. \[byte\]
+/// Largest output of a node in a turn, including its greeting. \[byte\]
 const SAID: usize = 1024;
 /// Length of a slot, of the journal's halves, and of an erase unit. \[byte\]
 const UNIT: usize = 4096;
@@ -39,7 +39,7 @@ const LAYOUT: Layout = Layout {
     commit_length: 2 * UNIT as u32,
 };
 
-/// Flash as a programmer leaves it: a package in slot A, and no record of it.
+/// Flash as programmed at the factory: a package in slot A, without a record of it.
 #[repr(C, align(4))]
 struct Rom([u8; 4 * UNIT]);
 
@@ -53,7 +53,7 @@ static ROM: Rom = {
     rom
 };
 
-/// A driver that writes nothing; nothing here asks it to.
+/// A driver that ignores writes; none are made here.
 struct ReadOnly;
 
 impl ErrorType for ReadOnly {
@@ -94,25 +94,25 @@ impl MappedFlash for ReadOnly {
     }
 }
 
-/// Counts from the beginning of a period until everything has been told.
+/// Counts from the start of a period until all reports have been sent.
 struct Bench<'b, M> {
     meter: &'b mut M,
     figures: &'b mut Figures,
     figure: Figure,
     digest: Digest,
     turn: u32,
-    /// What the neighbours say before this turn, made before it is counted.
+    /// The neighbours' frames for this turn, encoded before counting starts.
     frames: [FrameBytes; NEIGHBOURS],
     received: usize,
     broadcast: bool,
-    /// What the node has said, hashed when it is not counted any more.
+    /// The node's output, hashed after counting has stopped.
     said: [u8; SAID],
     length: usize,
     is_counted: bool,
 }
 
 impl<M> Bench<'_, M> {
-    /// What a link or a port does that has a buffer.
+    /// Buffers bytes, as a link or a port does.
     #[inline]
     fn hear(&mut self, bytes: &[u8]) {
         let room = self.said.get_mut(self.length..).unwrap_or_default();
@@ -207,7 +207,7 @@ impl<M: Meter> Board for Bench<'_, M> {
     }
 }
 
-/// What neighbour `id` says before every turn.
+/// Returns the frame of neighbour `id` before a turn.
 fn frame(id: u16, turn: u32) -> FrameBytes {
     let phase = turn + 100 * u32::from(id);
     let estimate = [
@@ -226,7 +226,7 @@ pub(crate) fn digest(meter: &mut impl Meter, figures: &mut Figures) -> Result<u6
     run(meter, figures, Figure::WholeTurn, true, digest).map(Digest::finish)
 }
 
-/// Takes all turns, with or without the outer weights in what the node tells.
+/// Takes all turns, with or without the outer weights in the node's reports.
 fn run(
     meter: &mut impl Meter,
     figures: &mut Figures,

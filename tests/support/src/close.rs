@@ -1,8 +1,8 @@
-//! What the integration tests share: the comparison of floating-point numbers.
+//! Comparison of floating-point numbers in tests.
 
-/// Whether `found` is within `atol + rtol |expected|` of `expected`.
+/// Returns whether `found` is within `atol + rtol |expected|` of `expected`.
 ///
-/// Equal infinities are close; a number that is not one is close to nothing.
+/// Equal infinities are close; NaN is not close to anything.
 #[must_use]
 pub fn close(found: f64, expected: f64, rtol: f64, atol: f64) -> bool {
     found == expected || (found - expected).abs() <= atol + rtol * expected.abs()
@@ -21,7 +21,7 @@ mod tests {
     }
 
     #[test]
-    fn infinity_and_absent_numbers_are_not_close_by_accident() {
+    fn infinity_and_nan_are_not_close_by_accident() {
         assert!(close(f64::INFINITY, f64::INFINITY, 0.0, 0.0));
         assert!(!close(f64::INFINITY, 1.0, 1.0, 1.0));
         assert!(!close(f64::NAN, f64::NAN, 1.0, 1.0));

@@ -1,8 +1,8 @@
-//! For tests, fuzzing, and authors of boards: NOR flash in memory that is as strict as the
-//! strictest part, a model of what the weight store must do, and a comparison of numbers.
+//! Support for tests, fuzzing and authors of boards: a NOR flash in memory that is as strict as the
+//! strictest device, a model of the weight store, and a comparison of numbers.
 //!
-//! A board's own flash driver can be held against [`nor_flash::SimulatedFlash`]: what the store
-//! does on one, it must do on the other.
+//! A board's flash driver can be compared with [`nor_flash::SimulatedFlash`]: the store must behave
+//! the same on both.
 
 mod close;
 pub mod nor_flash;

@@ -1,5 +1,5 @@
-//! NOR flash in memory, as strict as the strictest part: access is aligned, a word is written once
-//! between two erasures, and the power can fail at any byte.
+//! NOR flash in memory, as strict as the strictest device: access is aligned, a word is written
+//! once between two erasures, and the power can fail at any byte.
 
 use std::cell::Cell;
 
@@ -9,14 +9,14 @@ use embedded_storage::nor_flash::{
     check_write,
 };
 
-/// What a word or an erase unit is left as when the power fails while it is written or erased.
+/// State of a word or an erase unit after the power fails during its write or erasure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tear {
-    /// Done up to the byte at which the power failed.
+    /// Complete up to the byte at which the power failed.
     Prefix,
-    /// The word, or the whole unit, holds garbage.
+    /// The word, or the whole unit, contains garbage.
     Garbage,
-    /// The word, or the whole unit, reads as erased but is not: it takes no write.
+    /// The word, or the whole unit, reads as erased but is not: writes fail.
     Unseen,
 }
 
@@ -25,16 +25,16 @@ impl Tear {
     pub const ALL: [Self; 3] = [Self::Prefix, Self::Garbage, Self::Unseen];
 }
 
-/// What a write or an erasure does instead of its work, without any loss of power.
+/// Failure of a write or an erasure without power loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// It reports an error and has done nothing.
+    /// Reports an error and has done nothing.
     Nothing,
-    /// It reports an error and has done everything.
+    /// Reports an error but has done everything.
     Everything,
-    /// It reports an error and has torn its first word or its first unit.
+    /// Reports an error and has torn its first word or its first unit.
     Torn,
-    /// It reports none and has torn its first word or its first unit.
+    /// Reports success but has torn its first word or its first unit.
     Silent,
 }
 
@@ -43,13 +43,13 @@ pub enum Fault {
 pub enum SimulatedError {
     /// Not aligned, or out of bounds.
     Arguments(NorFlashErrorKind),
-    /// The bytes cannot be read, now or until they are erased.
+    /// The bytes are unreadable, temporarily or until they are erased.
     Unreadable,
-    /// A word was to be written again without an erasure in between.
+    /// A word was written twice without an erasure in between.
     Rewritten,
     /// The power failed, now or before.
     PowerLost,
-    /// The armed [`Fault`] was due.
+    /// The armed [`Fault`] occurred.
     Fault,
 }
 
@@ -66,32 +66,33 @@ impl NorFlashError for SimulatedError {
 #[derive(Clone, Debug)]
 pub struct SimulatedFlash<const WRITE: usize, const ERASE: usize> {
     bytes: Vec<u8>,
-    /// Whether each word has been written, wholly or not, since it was erased.
+    /// Whether each word has been written, completely or not, since it was erased.
     written: Vec<bool>,
-    /// Whether each word refuses to be read until it is erased.
+    /// Whether each word is unreadable until it is erased.
     unreadable: Vec<bool>,
     tear: Tear,
-    /// How many more bytes can be written and erased before the power fails.
+    /// Number of bytes that can be written and erased before the power fails.
     energy: Cell<Option<usize>>,
-    /// What befalls so many writes and erasures after so many others.
+    /// Number of writes and erasures before the fault, number of failures, and the fault.
     fault: Cell<Option<(usize, usize, Fault)>>,
-    /// How many more reads succeed before how many fail.
+    /// Number of reads that succeed before failing, and number of failures.
     read_fault: Cell<(usize, usize)>,
     noise: u64,
     /// Whether the power has failed; every call fails until [`Self::power_on`].
     pub power_lost: bool,
-    /// How many bytes have been written and erased.
+    /// Number of bytes written and erased.
     pub spent: usize,
-    /// How many calls of `erase` there were.
+    /// Number of calls of `erase`.
     pub erasures: usize,
-    /// How many writes of a word that is not erased were refused.
+    /// Number of refused writes to words that are not erased.
     pub rewrites: usize,
-    /// How many calls broke the rules of units and bounds.
+    /// Number of calls that violated alignment or bounds.
     pub misuses: usize,
 }
 
 impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
-    /// Creates erased flash of `capacity` bytes; `seed` decides what [`Tear::Garbage`] looks like.
+    /// Creates erased flash of `capacity` bytes; `seed` determines the garbage of
+    /// [`Tear::Garbage`].
     #[must_use]
     pub fn new(capacity: usize, tear: Tear, seed: u64) -> Self {
         Self {
@@ -111,36 +112,36 @@ impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
         }
     }
 
-    /// Switches the power on, to fail after so many bytes, or not.
+    /// Switches the power on, to fail after `energy` bytes, or never.
     pub fn power_on(&mut self, energy: Option<usize>) {
         self.power_lost = false;
         self.energy.set(energy);
     }
 
-    /// Lets the power fail after so many bytes.
+    /// Makes the power fail after `energy` bytes.
     pub fn drain(&self, energy: usize) {
         self.energy.set(Some(energy));
     }
 
-    /// Lets `count` writes and erasures go wrong after `others`.
+    /// Makes `count` writes and erasures fail after `others` successful ones.
     pub fn arm(&self, others: usize, count: usize, fault: Fault) {
         self.fault.set(Some((others, count, fault)));
     }
 
-    /// Lets `count` reads fail after `others`.
+    /// Makes `count` reads fail after `others` successful ones.
     pub fn arm_reads(&self, others: usize, count: usize) {
         self.read_fault.set((others, count));
     }
 
-    /// Lets `length` bytes refuse to be read until they are erased, as error correction does with
-    /// words that it cannot correct.
+    /// Makes `length` bytes unreadable until they are erased, as error correction does with words
+    /// that it cannot correct.
     pub fn spoil(&mut self, offset: usize, length: usize) {
         let words = offset / WRITE..(offset + length).div_ceil(WRITE);
         self.unreadable[words.clone()].fill(true);
         self.written[words].fill(true);
     }
 
-    /// Puts bytes there as a debugger does, or as cells that forget.
+    /// Overwrites bytes, like a debugger or failing cells.
     pub fn overwrite(&mut self, offset: usize, bytes: &[u8]) {
         self.bytes[offset..offset + bytes.len()].copy_from_slice(bytes);
         let words = offset / WRITE..(offset + bytes.len()).div_ceil(WRITE);
@@ -157,14 +158,14 @@ impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
         })
     }
 
-    /// The splitmix64 generator: any will do.
+    /// The splitmix64 generator; any other would do.
     fn noise(&mut self) -> u8 {
         self.noise = self.noise.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mixed = (self.noise ^ (self.noise >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         ((mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb) >> 56) as u8
     }
 
-    /// How many of `length` bytes the energy lasts for, and what goes wrong apart from that.
+    /// Returns how many of `length` bytes the energy lasts for, and any other fault.
     fn effort(&mut self, length: usize) -> (usize, Option<Fault>) {
         let done = self.energy.get().map_or(length, |energy| energy.min(length));
         self.energy.set(self.energy.get().map(|energy| energy - done));
@@ -184,7 +185,7 @@ impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
         (done, fault.filter(|_| !self.power_lost))
     }
 
-    /// Writes the first `done` bytes; `torn` says whether the word behind them is torn.
+    /// Writes the first `done` bytes; `torn` says whether the following word is torn.
     fn write_some(&mut self, offset: usize, bytes: &[u8], done: usize, torn: bool) {
         let whole = if torn && self.tear != Tear::Prefix { done - done % WRITE } else { done };
         for (place, byte) in self.bytes[offset..].iter_mut().zip(&bytes[..whole]) {
@@ -202,7 +203,8 @@ impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
         }
     }
 
-    /// Erases the first `done` bytes from `start` on; `torn` likewise of the unit behind them.
+    /// Erases the first `done` bytes from `start` on; `torn` says whether the following unit is
+    /// torn.
     fn erase_some(&mut self, start: usize, done: usize, torn: bool) {
         let whole = if torn && self.tear != Tear::Prefix { done - done % ERASE } else { done };
         self.bytes[start..start + whole].fill(0xff);
@@ -216,7 +218,8 @@ impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
         }
     }
 
-    /// How far an operation of `length` bytes gets, whether it is torn there, what it reports.
+    /// Returns how far an operation of `length` bytes gets, whether it is torn there, and its
+    /// result.
     fn course(&mut self, length: usize) -> (usize, bool, Result<(), SimulatedError>) {
         match self.effort(length) {
             (done, _) if done < length => (done, true, Err(SimulatedError::PowerLost)),
@@ -314,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn simulated_reads_fail_when_they_are_told_to() {
+    fn armed_reads_fail() {
         let mut flash = SimulatedFlash::<4, 16>::new(64, Tear::Prefix, 0);
         flash.arm_reads(1, 2);
         let outcomes = [0; 4].map(|_| flash.read(0, &mut [0]).is_ok());

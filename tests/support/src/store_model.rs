@@ -1,11 +1,11 @@
-//! What a weight store must do, in a few lines, and packages for it.
+//! A minimal model of the weight store, and packages for it.
 
 use agent_core::store::{CheckedError, Layout, MappedFlash, Store, StoreError};
 use agent_core::wire::crc::crc32;
 
 use crate::nor_flash::{SimulatedFlash, Tear};
 
-/// A package that proves itself: length, number, filling, checksum.
+/// Returns a self-checking package: length, number, filling, checksum.
 #[must_use]
 pub fn package(number: u16, length: usize) -> Vec<u8> {
     let length_field = u16::try_from(length).unwrap().to_le_bytes();
@@ -15,7 +15,7 @@ pub fn package(number: u16, length: usize) -> Vec<u8> {
     bytes
 }
 
-/// The number of a package whose checksum matches.
+/// Returns the number of a package whose checksum matches.
 pub fn check(bytes: &[u8]) -> Result<u16, &'static str> {
     let (body, checksum) = bytes.split_last_chunk::<4>().ok_or("too short")?;
     if crc32(&[body]) != u32::from_le_bytes(*checksum) {
@@ -24,14 +24,14 @@ pub fn check(bytes: &[u8]) -> Result<u16, &'static str> {
     Ok(u16::from_le_bytes([*body.get(2).ok_or("too short")?, *body.get(3).ok_or("too short")?]))
 }
 
-/// The length of the package at the start of these bytes, if there is one.
+/// Returns the length of the package at the start of these bytes, if there is one.
 #[must_use]
 pub fn length(bytes: &[u8]) -> Option<u32> {
     let (length, _) = bytes.split_first_chunk::<2>()?;
     Some(u32::from(u16::from_le_bytes(*length))).filter(|&length| length >= 8)
 }
 
-/// Two slots of `units` erase units each, and a commit area of two units.
+/// Returns a layout with two slots of `units` erase units each, and a commit area of two units.
 #[must_use]
 pub fn layout(erase_size: usize, units: usize) -> Layout {
     let (erase_size, slot_length) = (erase_size as u32, (erase_size * units) as u32);
@@ -43,7 +43,7 @@ pub fn layout(erase_size: usize, units: usize) -> Layout {
     }
 }
 
-/// Erased flash for such a layout.
+/// Returns erased flash for such a layout.
 #[must_use]
 pub fn erased_flash<const WRITE: usize, const ERASE: usize>(
     units: usize,
@@ -53,16 +53,16 @@ pub fn erased_flash<const WRITE: usize, const ERASE: usize>(
     SimulatedFlash::new(ERASE * (2 * units + 2), tear, seed)
 }
 
-/// What a store holds, in numbers of packages.
+/// The contents of a store, as package numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Model {
     /// The package in use.
     pub in_use: Option<u16>,
-    /// A complete upload that waits for its activation.
+    /// The staged package.
     pub staged: Option<u16>,
     /// During a trial: what was in use before.
     pub way_back: Option<Option<u16>>,
-    /// What was in use before what is, if that has proved itself, and what steps in for it.
+    /// The confirmed package's predecessor, which is used if the confirmed one is lost.
     pub reserve: Option<u16>,
 }
 
@@ -77,7 +77,7 @@ pub enum Change {
     Activate,
     /// The package on trial is kept.
     Confirm,
-    /// The package before is used again.
+    /// The previous package is used again.
     Revert,
 }
 
@@ -109,12 +109,12 @@ impl Model {
         }
     }
 
-    /// What a store says of itself; every package that it names must be whole.
+    /// Returns the contents reported by a store; every package it names must be intact.
     pub fn of<F: MappedFlash>(store: &Store<F>) -> Self {
         let number = |slot| check(store.bytes(slot).unwrap()).unwrap();
         for slot in [agent_core::store::Slot::A, agent_core::store::Slot::B] {
             if let Some(bytes) = store.bytes(slot) {
-                assert_eq!(check(bytes).map(|_| ()), Ok(()), "{slot} is named and not whole");
+                assert_eq!(check(bytes).map(|_| ()), Ok(()), "{slot} is named but damaged");
             }
         }
         let spare = store.in_use().map_or(agent_core::store::Slot::A, |slot| slot.other());
@@ -129,16 +129,16 @@ impl Model {
     }
 }
 
-/// What a store is known to hold, and what a reboot may find after calls that failed.
+/// The known contents of a store, and the contents possible after failed calls.
 #[derive(Clone, Debug, Default)]
 pub struct Ledger {
-    /// What the last successful change left.
+    /// Contents after the last successful change.
     pub now: Model,
-    /// What calls would have led to that failed since the last success.
+    /// Contents that calls that failed since the last success would have led to.
     attempted: Vec<Model>,
 }
 
-/// Whether the flash and not the caller is the reason.
+/// Whether the error was caused by the flash, not by the caller.
 #[must_use]
 pub fn is_flash_error(error: StoreError) -> bool {
     use StoreError::{Flash, Unreadable, Verify};
@@ -146,7 +146,7 @@ pub fn is_flash_error(error: StoreError) -> bool {
 }
 
 impl Ledger {
-    /// Books the outcome of a change; `Ok` is final, an error of the flash leaves both open.
+    /// Records the outcome of a change; `Ok` is final, a flash error leaves both outcomes possible.
     pub fn book(&mut self, change: Change, outcome: Result<(), StoreError>) {
         match outcome {
             Ok(()) => {
@@ -160,13 +160,13 @@ impl Ledger {
         }
     }
 
-    /// Books that whatever was before, a package was installed behind another.
+    /// Records the installation of a package after `before`, whatever the state was.
     pub fn installed(&mut self, number: u16, before: Option<u16>) {
         self.now = Model { in_use: Some(number), reserve: before, ..Model::default() };
         self.attempted.clear();
     }
 
-    /// Books a reboot, after which `found` was there.
+    /// Records a reboot that found `found`.
     pub fn reboot(&mut self, found: Model) {
         let attempted = self.attempted.drain(..);
         let possible: Vec<_> =
@@ -176,7 +176,7 @@ impl Ledger {
     }
 }
 
-/// An outcome without what the check made of the package.
+/// Returns an outcome without the check's result.
 pub fn plain<T>(outcome: Result<T, CheckedError<&'static str>>) -> Result<(), StoreError> {
     outcome.map(|_| ()).map_err(|error| match error {
         CheckedError::Store(error) => error,

@@ -1,12 +1,11 @@
-//! The laws and bounds that the module documents, on a sample of all floats and on every
-//! float near the points where something changes. `examples/activation_error.rs` walks
-//! all of them.
+//! Checks the documented properties and bounds on a sample of all floats, and on every float
+//! near the points where the behaviour changes. `examples/activation_error.rs` checks all floats.
 
 use super::laws::{Symmetry, law};
 use super::*;
 use core::f32::consts::LN_2;
 
-/// A prime, so that a sweep meets every residue of the low bits: about 10^6 floats.
+/// A prime, so that a sweep covers every residue of the low bits: about 10^6 floats.
 const SWEEP_STRIDE: usize = 4_099;
 
 /// Floats on each side of a critical point.
@@ -85,7 +84,7 @@ fn every_seam_obeys_the_laws() {
         for point in [9.01, 17.33, 87.34, 88.73, 103.97, 9.346, 10.197] {
             check_around(activation, point);
         }
-        // Where the exponential goes on to the next k: x, and x^2, halfway between two
+        // Where the exponential switches to the next k: x, and x^2, halfway between two
         // multiples of ln 2.
         for k in 0u8..=150 {
             let seam = (f32::from(k) + 0.5) * LN_2;
@@ -105,7 +104,7 @@ fn limits_are_exact_and_nan_stays_nan() {
     assert_eq!(logistic(0.0).to_bits(), 0.5f32.to_bits());
     assert_eq!(gaussian(f32::INFINITY).to_bits(), 0.0f32.to_bits());
     assert_eq!(gaussian(0.0).to_bits(), 1.0f32.to_bits());
-    // A NaN whose payload lies in the bits that the Gaussian's split clears, too.
+    // Also a NaN whose payload is in the bits that the Gaussian's split clears.
     for nan in [f32::NAN, -f32::NAN, f32::from_bits(INFINITY_BITS + 1)] {
         for activation in Activation::ALL {
             assert!(activation.value(nan).is_nan(), "{activation:?}");
@@ -138,13 +137,13 @@ fn apply_gives_the_bits_of_the_scalar_functions() {
     }
 }
 
-/// Inputs that a golden hash covers.
+/// Number of inputs of a golden hash.
 const GOLDEN_SAMPLES: usize = 100_000;
 
-/// Bits of a float in (-128, 128), where the functions vary: exponents and signs of all
-/// kinds come in turn.
+/// Returns the bits of a float in (-128, 128), where the functions vary, with all exponents and
+/// signs in turn.
 fn sample_bits(index: usize) -> u32 {
-    /// Of 2^32 / golden ratio, odd: consecutive multiples fill the range evenly.
+    /// 2^32 / golden ratio, made odd: consecutive multiples fill the range evenly.
     const STEP: u32 = 0x9e37_79b9;
     const BELOW_128: u32 = 0x4300_0000;
     let index = u32::try_from(index).expect("the samples are few");
@@ -163,7 +162,7 @@ fn fnv1a(words: impl Iterator<Item = u32>) -> u64 {
 
 #[test]
 fn fnv1a_gives_the_published_hash() {
-    // "foob", of the test vectors that the algorithm's authors publish.
+    // "foob", from the test vectors of the algorithm's authors.
     assert_eq!(fnv1a(core::iter::once(u32::from_le_bytes(*b"foob"))), 0xdd12_0e79_0c25_12af);
 }
 

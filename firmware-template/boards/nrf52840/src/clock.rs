@@ -1,4 +1,4 @@
-//! The timer that counts periods, and the watchdog.
+//! The period timer, and the watchdog.
 
 use firmware_template::{Clock, Periods};
 use nrf52840_hal as hal;
@@ -8,12 +8,12 @@ use hal::wdt::{Watchdog, WatchdogHandle, count, handles};
 
 /// Frequency of TIMER1. \[Hz\]
 const TIMER_FREQUENCY: f32 = 16e6;
-/// How often the processor wakes if there is nothing to sample: 0.1 s. \[tick\]
+/// Wake-up interval of the processor when there is nothing to sample: 0.1 s. \[tick\]
 const HEARTBEAT: u32 = 1_600_000;
-/// 8 s, far above the 0.6 s that the pages of a slot take to erase. \[1/32768 s\]
+/// 8 s, far above the 0.6 s needed to erase the pages of a slot. \[1/32768 s\]
 const WATCHDOG_PERIOD: u32 = 8 * 32_768;
 
-/// Starts the watchdog, or finds the one that has outlived a reset.
+/// Starts the watchdog, or recovers one that survived a reset.
 pub(crate) fn watchdog(wdt: pac::WDT) -> Option<WatchdogHandle<handles::Hdl0>> {
     let parts = match Watchdog::try_new(wdt) {
         Ok(mut watchdog) => {
@@ -28,7 +28,7 @@ pub(crate) fn watchdog(wdt: pac::WDT) -> Option<WatchdogHandle<handles::Hdl0>> {
     Some(handle)
 }
 
-/// TIMER1, a counter of 32 bits, and the watchdog that is fed with it.
+/// TIMER1, a 32-bit counter, and the watchdog that is fed with it.
 pub(crate) struct Timer {
     timer: TIMER1,
     watchdog: Option<WatchdogHandle<handles::Hdl0>>,
@@ -36,10 +36,10 @@ pub(crate) struct Timer {
 }
 
 impl Timer {
-    /// Lets the counter run.
+    /// Starts the counter.
     pub(crate) fn new(timer: TIMER1, watchdog: Option<WatchdogHandle<handles::Hdl0>>) -> Self {
         timer.bitmode.write(|w| w.bitmode()._32bit());
-        // SAFETY: 16 MHz, undivided.
+        // SAFETY: 16 MHz, without prescaling.
         timer.prescaler.write(|w| unsafe { w.prescaler().bits(0) });
         timer.intenset.write(|w| w.compare0().set());
         timer.tasks_start.write(|w| w.tasks_start().set_bit());
@@ -66,12 +66,12 @@ impl Clock for Timer {
         self.periods.elapsed(now)
     }
 
-    /// An interrupt that comes before the instruction sets the event that it waits for, so none
-    /// is slept through.
+    /// An interrupt that arrives before the wait instruction sets the event that it waits for, so
+    /// none is missed.
     fn rest(&mut self) {
-        // SAFETY: every value is one that this register takes.
+        // SAFETY: every value is valid for this register.
         self.timer.cc[0].write(|w| unsafe { w.bits(self.periods.next()) });
-        // What comes before the register is set does not wake.
+        // A time before the register is set does not wake the processor.
         if !self.periods.is_due(self.now()) {
             cortex_m::asm::wfe();
         }
@@ -80,9 +80,9 @@ impl Clock for Timer {
 
 #[interrupt]
 fn TIMER1() {
-    // SAFETY: only this touches the event, and `Timer` is not disturbed by it.
+    // SAFETY: only this handler accesses the event, and `Timer` does not depend on it.
     let timer = unsafe { &*TIMER1::ptr() };
     timer.events_compare[0].reset();
-    // The bus takes its time, and the interrupt would come again.
+    // The bus write is delayed, and the interrupt would fire again.
     let _ = timer.events_compare[0].read();
 }

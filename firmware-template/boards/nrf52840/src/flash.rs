@@ -1,4 +1,4 @@
-//! The chip's own flash.
+//! Driver for the internal flash.
 
 use agent_core::store::MappedFlash;
 use embedded_storage::nor_flash::{
@@ -8,8 +8,8 @@ use firmware_template::WeightsRegion;
 use firmware_template::on_chip::MappedRegion;
 use nrf52840_hal::pac::NVMC;
 
-/// The chip's own flash. The HAL's driver is not used: it borrows the region exclusively, so that
-/// nobody could read a package in place.
+/// The internal flash. The HAL's driver is not used, because it borrows the region exclusively and
+/// packages could not be read in place.
 pub(crate) struct Flash {
     nvmc: NVMC,
     region: MappedRegion,
@@ -17,9 +17,9 @@ pub(crate) struct Flash {
 
 impl Flash {
     /// # Safety
-    /// The region is flash, in whole pages, and nobody else may have it.
+    /// The region must be flash, in whole pages, with no other owner.
     pub(crate) unsafe fn new(nvmc: NVMC, region: &WeightsRegion) -> Self {
-        // SAFETY: the caller promises it.
+        // SAFETY: guaranteed by the caller.
         Self { nvmc, region: unsafe { MappedRegion::new(region) } }
     }
 
@@ -56,7 +56,7 @@ impl NorFlash for Flash {
         self.nvmc.config.write(|w| w.wen().een());
         for page in (from..to).step_by(Self::ERASE_SIZE) {
             let address = self.region.address(page) as u32;
-            // SAFETY: the page lies in the region that is ours.
+            // SAFETY: the page is in the region, which this driver owns.
             self.nvmc.erasepage().write(|w| unsafe { w.bits(address) });
             self.finish();
         }
@@ -69,8 +69,8 @@ impl NorFlash for Flash {
         let words = self.region.words(offset, bytes);
         self.nvmc.config.write(|w| w.wen().wen());
         for (place, word) in words {
-            // SAFETY: the word lies in the region that is ours, aligned; nothing borrows from it,
-            // since `self` is borrowed exclusively.
+            // SAFETY: the word is aligned and in the region, which this driver owns; nothing borrows
+            // from it, because `self` is borrowed exclusively.
             unsafe { place.write_volatile(word) };
             self.finish();
         }

@@ -1,30 +1,31 @@
-//! A node on an nRF52840 whose neighbours are in the air, wired as on Nordic's nRF52840 DK.
+//! A node on an nRF52840 that reaches its neighbours by radio, wired as on Nordic's nRF52840 DK.
 //!
-//! **Compiled and linked by CI, never run there**: no emulator at hand models the radio. The lines
-//! to check first on a real board are the constants below and the table.
+//! **CI builds and links this board but does not run it**: no available emulator models the radio.
+//! On real hardware, first check the constants below and the table.
 //!
-//! | what | where |
+//! | function | hardware |
 //! | --- | --- |
 //! | service port | UART, TX P0.06, RX P0.08 (the DK's USB port), 115,200 baud |
 //! | link between nodes | IEEE 802.15.4 radio, channel 26, broadcast data frames in network 0x4453 |
 //! | sensor | TMP117 on TWIM0 at address 0x48, SDA P0.26, SCL P0.27, 400 kHz: `y` is the temperature in degrees C |
-//! | clock | TIMER1, which runs freely at 16 MHz |
-//! | weights | the last 64 KiB of flash, as the board's memory map says |
+//! | clock | TIMER1, free-running at 16 MHz |
+//! | weights | the last 64 KiB of flash, as in the board's memory map |
 //!
-//! **The link.** To send, the radio waits for a frame that is just arriving (at most 4.3 ms), then
-//! tries up to 4 times to find the channel free, listening for up to 2.6 ms between two tries; the
-//! frame itself takes about 2 ms. A step that broadcasts thus lasts 2 ms as a rule and 30 ms at worst:
-//! choose the sampling period for that, and `epsilon` for the 250 kbit/s that all nodes share.
+//! **The link.** Before sending, the radio waits for a frame that is being received (at most 4.3
+//! ms), then tries up to 4 times to find the channel free, listening for up to 2.6 ms between two
+//! tries; the frame itself takes about 2 ms. A step that broadcasts usually takes 2 ms and at worst
+//! 30 ms: choose the sampling period accordingly, and `epsilon` for the 250 kbit/s shared by all
+//! nodes.
 //!
-//! **Flash.** While a page is erased (85 ms) or a word written (41 us; product specification, NVMC
-//! electrical specification), the processor stands still. Its clock goes on, so ticks stay true.
+//! **Flash.** While a page is erased (85 ms) or a word is written (41 us; product specification,
+//! NVMC electrical specification), the processor is halted. The timer keeps running, so ticks stay
+//! correct.
 //!
-//! **What goes wrong.** A panic, a fault and a node that is told to reset all end in a reset. The
-//! watchdog does the same if the loop stands still for 8 s; it is fed once for each pass of the
-//! loop and nowhere else.
+//! **Faults.** A panic, a processor fault and a reset request all reset the chip. So does the watchdog
+//! if the main loop stops for 8 s; it is fed only there, once per iteration.
 #![no_std]
 #![no_main]
-#![allow(unsafe_code, reason = "registers, and interrupts that are let in")]
+#![allow(unsafe_code, reason = "accesses registers and unmasks interrupts")]
 
 mod clock;
 mod flash;
@@ -57,9 +58,9 @@ use flash::Flash;
 use radio::RadioLink;
 use uart::{SERVICE, Uart};
 
-/// State components of the plant.
+/// State dimension of the plant.
 const N: usize = 3;
-/// Room for features, neighbours, samples for training.
+/// Capacities for features, neighbours and training samples.
 const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 4;
 const SAMPLES: usize = 64;
@@ -77,15 +78,15 @@ static REGISTERS: [Register; 1] = [Register {
 /// A conversion every 15.5 ms, without averaging, where the sensor's own default is one a second.
 static SET_UP: [SetUp; 1] = [SetUp { register: 1, value: RegisterValue::BigEndian(0) }];
 
-/// How long what is queued for the service port may take to leave, before a reset. \[cycle\]
+/// Time allowed for sending the service port's queue before a reset. \[cycle\]
 const FLUSH_DELAY_CYCLES: u32 = 64_000_000 / 10;
 
-/// The radio needs the crystal, nothing here a clock that runs on while the chip sleeps.
+/// The radio needs the crystal; nothing here needs a clock that runs during sleep.
 type ClocksForRadio = Clocks<ExternalOscillator, Internal, LfOscStopped>;
 
 type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, SAMPLES>;
 
-/// The board on its own feet.
+/// The board with its own sensor, link and clock.
 #[cfg(not(feature = "in-the-loop"))]
 type ThisBoard = firmware_template::Hardware<
     RegisterSensor<'static, Twim<pac::TWIM0>, 1>,
@@ -94,17 +95,17 @@ type ThisBoard = firmware_template::Hardware<
     QueuedPort<'static>,
 >;
 
-/// The board whose plant, clock and link are played over the service port.
+/// The board in the loop: plant, clock and link come over the service port.
 #[cfg(feature = "in-the-loop")]
 type ThisBoard = firmware_template::InTheLoop<
     firmware_template::WaitingPort<QueuedPort<'static>, Timer>,
     { 2 * NEIGHBOURS },
 >;
 
-/// Bytes that wait in one direction.
+/// The queue of bytes in one direction.
 type Bytes = Queue<u8, 2048>;
 
-// What is large lies here and not on the stack, where it would stay as long as `main` does.
+// Large data is static: on the stack it would stay as long as `main` runs.
 static MEMORY: ConstStaticCell<Memory<N, FEATURES, NEIGHBOURS, SAMPLES>> =
     ConstStaticCell::new(Memory::new());
 static QUEUES: ConstStaticCell<[Bytes; 2]> = ConstStaticCell::new([const { Bytes::new() }; 2]);
@@ -123,13 +124,13 @@ fn main() -> ! {
     SCB::sys_reset()
 }
 
-/// What [`hardware`] sets up.
+/// The parts that [`hardware`] sets up.
 struct Parts {
     board: &'static mut ThisBoard,
     flash: pac::NVMC,
 }
 
-/// Sets the board up in its place. Out of line, so that the stack is free again of what that takes.
+/// Sets up the board in its static. Not inlined, so that its stack is free again afterwards.
 #[inline(never)]
 fn hardware() -> Option<Parts> {
     let chip = pac::Peripherals::take()?;
@@ -151,12 +152,12 @@ fn hardware() -> Option<Parts> {
     let bus = Twim::new(chip.TWIM0, bus, twim::Frequency::K400);
     let sensor = RegisterSensor::new(bus, SENSOR, &REGISTERS).ok()?.with_set_up(&SET_UP);
 
-    // Two bytes of the number that the factory gave this chip.
+    // Two bytes of the chip's factory-programmed number.
     let address = chip.FICR.deviceid[0].read().bits() as u16;
     let link = RadioLink::new(Radio::init(chip.RADIO, clocks), address);
     let clock = Timer::new(chip.TIMER1, watchdog);
     for interrupt in [Interrupt::TIMER1, Interrupt::UARTE0_UART0, Interrupt::RADIO] {
-        // SAFETY: what the handlers use is in place, and nothing relies on their being masked.
+        // SAFETY: everything the handlers use is set up, and nothing relies on their being masked.
         unsafe { NVIC::unmask(interrupt) };
     }
     #[cfg(not(feature = "in-the-loop"))]
@@ -169,26 +170,26 @@ fn hardware() -> Option<Parts> {
     Some(Parts { board: BOARD.init(board), flash: chip.NVMC })
 }
 
-/// The node above it, in its place; `None` if it cannot be trusted with packages.
+/// Creates the node in its static; `None` if the public key is invalid.
 #[inline(never)]
 fn node(flash: pac::NVMC) -> Option<&'static mut ThisNode> {
     let region = memory_map!().region();
-    // Once a second, at the period of 0.1 s that a package for this link might have.
+    // Once a second, for a typical period of 0.1 s on this link.
     let state_every = NonZeroU32::new(10).filter(|_| !cfg!(feature = "in-the-loop"));
     let settings = Settings {
         layout: region.layout,
-        // No signature would do for a key that is not one, so nothing must be taken without one.
+        // With an invalid key no signature can be verified, so the node must not start.
         public_key: on_chip::public_key().ok()?,
         health: HealthSettings::RECOMMENDED,
         good_steps: const { NonZeroU32::new(100).unwrap() },
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every, outer_weights: false },
-        // Which agent this is, its package says.
+        // The package determines which agent this is.
         fallback: None,
         stack_unused: Some(on_chip::stack_unused),
         version: [0, 1, 0],
     };
-    // SAFETY: memory.x gives this region to nothing else, and this is the only call.
+    // SAFETY: memory.x reserves this region, and this is the only call.
     let flash = unsafe { Flash::new(flash, &region) };
     ThisNode::new_in(NODE.uninit(), flash, settings, MEMORY.take()).ok()
 }

@@ -1,8 +1,9 @@
 //! The link: IEEE 802.15.4 data frames to all nodes of one network.
 //!
-//! The radio listens whenever it does not send. Its interrupt puts each whole frame into a queue of
-//! [`FRAMES`] and has it listening again within microseconds; the next frame needs 160 us of preamble,
-//! so none is lost between two calls. Lost is what arrives while this node sends or erases flash.
+//! The radio listens whenever it is not sending. Its interrupt puts each complete frame into a
+//! queue of [`FRAMES`] and restarts reception within microseconds; the next frame starts with a
+//! preamble of 160 us, so none is lost between two calls. Frames that arrive while this node sends
+//! or erases flash are lost.
 
 use core::ptr::NonNull;
 
@@ -18,20 +19,20 @@ use static_cell::{ConstStaticCell, StaticCell};
 
 /// 2,480 MHz, above the usual channels of wireless networks.
 const CHANNEL: Channel = Channel::_26;
-/// The network that all nodes of one plant share.
+/// The network shared by all nodes of one plant.
 const PAN: u16 = 0x4453;
-/// Received frames that wait for a step.
+/// Length of the queue of received frames.
 const FRAMES: usize = 2 * crate::NEIGHBOURS;
-/// How often the radio looks for a free channel before a frame is given up.
+/// Number of attempts to find the channel free before a frame is dropped.
 const TRIES: u32 = 4;
 
-/// Where the receiver is for the interrupt, while the link does not have it.
+/// Holds the receiver for the interrupt, while the link does not use it.
 static RECEIVER: Shared<&'static mut Receiver> = Shared::new();
 static RECEIVER_PLACE: StaticCell<Receiver> = StaticCell::new();
 static BUFFER: ConstStaticCell<[u8; Receiver::BUFFER]> = ConstStaticCell::new([0; _]);
 
-/// The start of a data frame from a short address to all of one network, without acknowledgement
-/// (IEEE 802.15.4-2006, 7.2): frame control, sequence number, network, destination, source.
+/// The header of an unacknowledged data frame from a short address to all of one network (IEEE
+/// 802.15.4-2006, 7.2): frame control, sequence number, network, destination, source.
 struct Header;
 
 impl Header {
@@ -45,7 +46,7 @@ impl Header {
         [c0, c1, sequence, p0, p1, e0, e1, s0, s1]
     }
 
-    /// What such a frame of our network carries.
+    /// Returns the payload of a frame of our network.
     fn strip(bytes: &[u8]) -> Option<&[u8]> {
         let (header, content) = bytes.split_first_chunk::<{ Self::LENGTH }>()?;
         let [c0, c1, _, p0, p1, e0, e1, _, _] = *header;
@@ -56,10 +57,10 @@ impl Header {
 
 const _: () = assert!(Header::LENGTH + FRAME_LENGTH_MAX <= Packet::CAPACITY as usize);
 
-/// What the interrupt does for the link.
+/// The interrupt's part of the link.
 struct Receiver {
     radio: RADIO,
-    /// Where the radio writes: length, content, link quality.
+    /// Receive buffer: length, content, link quality.
     buffer: NonNull<[u8; Receiver::BUFFER]>,
     frames: Deque<Vec<u8, FRAME_LENGTH_MAX>, FRAMES>,
     /// Why the last frame was lost of those since the link was polled.
@@ -71,14 +72,15 @@ unsafe impl Send for Receiver {}
 
 impl Receiver {
     const BUFFER: usize = 128;
-    /// Of the frame check sequence, which the length counts and the radio keeps. \[byte\]
+    /// Length of the frame check sequence, which the length field includes but the radio does not
+    /// store. \[byte\]
     const CHECK: usize = 2;
 
-    /// Begins to listen; the radio must not be sending.
+    /// Starts listening; the radio must not be sending.
     fn listen(&mut self) {
         self.radio.events_end.reset();
         self.radio.events_framestart.reset();
-        // SAFETY: the buffer is as long as the longest frame, and lives for ever.
+        // SAFETY: the buffer is as long as the longest frame, and static.
         self.radio.packetptr.write(|w| unsafe { w.bits(self.buffer.as_ptr() as u32) });
         self.radio.shorts.write(|w| w.rxready_start().set_bit());
         cortex_m::asm::dmb();
@@ -90,9 +92,9 @@ impl Receiver {
         }
     }
 
-    /// Stops listening, once a frame that is arriving has done so.
+    /// Stops listening, after any frame that is being received.
     fn stop(&mut self) {
-        // 127 bytes of 32 us each, at 64 cycles a microsecond and some cycles for each look.
+        // 127 bytes of 32 us each, at 64 cycles per microsecond and some cycles per poll.
         for _ in 0..127 * 32 * 64 / 8 {
             let arriving = self.radio.events_framestart.read().events_framestart().bit_is_set();
             if !arriving || self.radio.events_end.read().events_end().bit_is_set() {
@@ -100,7 +102,7 @@ impl Receiver {
             }
         }
         self.take();
-        // A receiver that is still starting would not hear that it is to stop.
+        // A receiver that is still starting would ignore the stop task.
         while self.radio.state.read().state().is_rx_ru() {}
         self.radio.shorts.reset();
         self.radio.tasks_stop.write(|w| w.tasks_stop().set_bit());
@@ -108,7 +110,7 @@ impl Receiver {
         cortex_m::asm::dmb();
     }
 
-    /// Puts a frame that has arrived into the queue; returns whether one had.
+    /// Moves a received frame into the queue; returns whether there was one.
     fn take(&mut self) -> bool {
         if self.radio.events_end.read().events_end().bit_is_clear() {
             return false;
@@ -116,7 +118,7 @@ impl Receiver {
         self.radio.events_end.reset();
         cortex_m::asm::dmb();
         if self.radio.crcstatus.read().crcstatus().bit_is_set() {
-            // SAFETY: the radio has ended its frame and is not started again while this borrows.
+            // SAFETY: the radio has finished its frame and is not restarted during this borrow.
             let [length, content @ ..] = unsafe { self.buffer.as_ref() };
             let length = usize::from(*length).checked_sub(Self::CHECK);
             let frame = length.and_then(|length| Header::strip(content.get(..length)?));
@@ -142,21 +144,21 @@ fn RADIO() {
     });
 }
 
-/// The link through the radio: the HAL sets it up and sends, the interrupt receives.
+/// The radio link: the HAL sets up the radio and sends, the interrupt receives.
 pub(crate) struct RadioLink {
     radio: Radio<'static>,
     packet: Packet,
     address: u16,
     sequence: u8,
-    /// State of the generator of waiting times, different on each node.
+    /// State of the random back-off generator, different on each node.
     random: u32,
 }
 
 impl RadioLink {
     pub(crate) fn new(mut radio: Radio<'static>, address: u16) -> Self {
         radio.set_channel(CHANNEL);
-        // SAFETY: the HAL's radio and this one take turns: the interrupt is masked while the HAL
-        // sends, and the HAL is only asked to send.
+        // SAFETY: the HAL's radio and this one are never used at the same time: the interrupt is
+        // masked while the HAL sends, and the HAL only sends.
         let registers = unsafe { pac::Peripherals::steal() }.RADIO;
         registers.intenset.write(|w| w.end().set());
         let buffer = NonNull::from(BUFFER.take());
@@ -172,7 +174,7 @@ impl RadioLink {
         Self { radio, packet: Packet::new(), address, sequence: 0, random }
     }
 
-    /// 1 to 8 times the 320 us that IEEE 802.15.4 counts waiting times in. \[cycle\]
+    /// Returns a random back-off time: 1 to 8 times the 320 us unit of IEEE 802.15.4. \[cycle\]
     fn waiting_time(&mut self) -> u32 {
         // A linear congruential generator with the constants of Numerical Recipes.
         self.random = self.random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -191,8 +193,8 @@ impl Link for RadioLink {
             return Err(LinkErrorKind::NotSent);
         }
         self.packet.copy_from_slice(&bytes);
-        // The interrupt would come for ever if it found no receiver, so it is masked. The others
-        // go on: sending takes milliseconds.
+        // Without a receiver the interrupt would fire endlessly, so it is masked. The others stay
+        // enabled: sending takes milliseconds.
         NVIC::mask(Interrupt::RADIO);
         let receiver = RECEIVER.take().ok_or(LinkErrorKind::NotSent)?;
         let mut sent = false;
@@ -208,7 +210,7 @@ impl Link for RadioLink {
             }
         }
         RECEIVER.set(receiver);
-        // SAFETY: it was so before, and what the handler uses is in place.
+        // SAFETY: it was unmasked before, and everything the handler uses is set up.
         unsafe { NVIC::unmask(Interrupt::RADIO) };
         if sent { Ok(()) } else { Err(LinkErrorKind::NotSent) }
     }

@@ -6,8 +6,8 @@ use nrf52840_hal::pac::{UART0, interrupt};
 
 pub(crate) static SERVICE: Shared<Uart> = Shared::new();
 
-/// What the interrupt does for the service port. The plain UART rather than the one with DMA: its
-/// receiver keeps six bytes by itself, and needs no buffer that is full before anybody hears of it.
+/// The interrupt's part of the service port. Uses the plain UART rather than the one with DMA: its
+/// receiver buffers six bytes and signals every byte, instead of only a full buffer.
 pub(crate) struct Uart {
     uart: UART0,
     end: QueuedEnd<'static>,
@@ -16,7 +16,7 @@ pub(crate) struct Uart {
 
 impl Uart {
     pub(crate) fn new(uart: UART0, transmit: u32, receive: u32, end: QueuedEnd<'static>) -> Self {
-        // SAFETY: the pins are ones that this chip has, and the peripheral is not yet enabled.
+        // SAFETY: the pins exist on this chip, and the peripheral is not enabled yet.
         unsafe {
             uart.psel.txd.write(|w| w.bits(transmit));
             uart.psel.rxd.write(|w| w.bits(receive));
@@ -42,7 +42,7 @@ impl Uart {
             && let Some(byte) = self.end.take()
         {
             self.sending = true;
-            // SAFETY: every value is one that this register takes.
+            // SAFETY: every value is valid for this register.
             self.uart.txd.write(|w| unsafe { w.txd().bits(byte) });
         }
     }

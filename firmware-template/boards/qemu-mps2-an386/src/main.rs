@@ -1,22 +1,22 @@
-//! A node on Arm's MPS2 board with the AN386 image, a Cortex-M4F, as QEMU models it.
+//! A node on Arm's MPS2 board with the AN386 image, a Cortex-M4F, as modelled by QEMU.
 //!
-//! The node is in the loop: whoever started QEMU plays plant, clock and link, and says by the
-//! semihosting command line over what:
+//! The node is in the loop: the program that started QEMU provides plant, clock and link, and
+//! selects the channel with the semihosting command line:
 //!
 //! | arguments | channel |
 //! | --- | --- |
 //! | `node fifo IN OUT` | two named pipes, opened in this order; the faster one |
 //! | `node uart` | UART 0, as with a real board |
 //!
-//! The board's RAM at 0x2100_0000 stands for flash. Started with a file behind it, QEMU keeps the
-//! file's content over resets and restarts, as flash does.
+//! The board's RAM at 0x2100_0000 serves as flash. If QEMU backs it with a file, the contents
+//! survive resets and restarts, as those of flash do.
 //!
-//! Nothing here can panic: the panic handler calls a function that does not exist, so a path to it
-//! would not link. With signatures checked the verifier's own paths remain, which
-//! docs/decisions/0006-signatures.md names; then the handler resets the board.
+//! Optimised builds cannot panic: the panic handler calls an undefined function, so any call of it
+//! would fail to link. With signature verification the verifier's own panics remain, listed in
+//! docs/decisions/0006-signatures.md; the handler then resets the board.
 #![no_std]
 #![no_main]
-#![allow(unsafe_code, reason = "registers, and a region of memory that the linker knows")]
+#![allow(unsafe_code, reason = "accesses registers and a memory region defined by the linker")]
 
 use core::convert::Infallible;
 use core::num::NonZeroU32;
@@ -34,22 +34,22 @@ use embedded_storage::nor_flash::{
 use firmware_template::{InTheLoop, Memory, Node, Settings, WeightsRegion, memory_map, on_chip};
 use static_cell::{ConstStaticCell, StaticCell};
 
-/// State components of the paper's plant.
+/// State dimension of the paper's plant.
 const N: usize = 3;
-/// Room for features, neighbours, samples for training.
+/// Capacities for features, neighbours and training samples.
 const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 4;
 const SAMPLES: usize = 64;
 
-/// The plant is gone.
+/// The other end has closed the channel.
 const EXIT_SUCCESS: usize = 0;
-/// The command line names no channel, or one that cannot be opened.
+/// The command line names no channel, or the channel cannot be opened.
 const EXIT_NO_CHANNEL: usize = 2;
 /// memory.x does not describe flash that the store can use.
 const EXIT_LAYOUT: usize = 3;
-/// Somebody has taken the memory; there is nobody else.
+/// The static memory is already taken; unreachable.
 const EXIT_MEMORY: usize = 5;
-/// What was compiled in as public key is not one.
+/// The compiled-in public key is invalid.
 const EXIT_KEY: usize = 4;
 
 type Loop = InTheLoop<Port, { 2 * NEIGHBOURS }>;
@@ -62,9 +62,9 @@ static LOOP: StaticCell<Loop> = StaticCell::new();
 #[cortex_m_rt::entry]
 fn main() -> ! {
     let region = memory_map!().region();
-    // SAFETY: memory.x gives this region to nobody else, and this is the only call.
+    // SAFETY: memory.x reserves this region, and this is the only call.
     let flash = unsafe { RamFlash::new(&region) };
-    // No signature would do for a key that is not one, so nothing must be taken without one.
+    // With an invalid key no signature can be verified, so the node must not start.
     let Ok(public_key) = on_chip::public_key() else { exit(EXIT_KEY) };
     let settings = Settings {
         layout: region.layout,
@@ -73,7 +73,7 @@ fn main() -> ! {
         good_steps: NonZeroU32::new(1_000).unwrap_or(NonZeroU32::MIN),
         sample_stride: NonZeroU32::new(20).unwrap_or(NonZeroU32::MIN),
         subscription: Subscription { state_every: None, outer_weights: false },
-        // Which agent this is, its package says.
+        // The package determines which agent this is.
         fallback: None,
         stack_unused: Some(on_chip::stack_unused),
         version: [0, 1, 0],
@@ -85,26 +85,26 @@ fn main() -> ! {
     let mut node = LoopNode::new(flash, settings, memory);
     let Ok(node) = &mut node else { exit(EXIT_LAYOUT) };
     node.run(board);
-    // The emulator would keep them open over the reset.
+    // The emulator would keep them open across the reset.
     board.port().close();
     SCB::sys_reset()
 }
 
-/// The board, placed where it stays. Out of line, so that the stack is free again of what it is
-/// copied from.
+/// Places the board in its static. Not inlined, so that the stack of the copy is free again
+/// afterwards.
 #[inline(never)]
 fn in_the_loop(port: Port) -> Option<&'static mut Loop> {
     LOOP.try_init_with(|| Loop::new(port))
 }
 
-/// Whoever plays the plant.
+/// The channel to the program that provides the plant.
 enum Port {
     Pipes { input: File, output: File },
     Uart(Uart),
 }
 
 impl Port {
-    /// What the command line asks for.
+    /// Opens the channel named on the command line.
     fn open() -> Option<Self> {
         let mut buffer = [0; COMMAND_LINE];
         let line = command_line(&mut buffer)?;
@@ -136,7 +136,7 @@ impl Read for Port {
         match self {
             Self::Uart(uart) => Ok(uart.read(buffer)),
             Self::Pipes { input, .. } => match input.read(buffer) {
-                // The other end is gone, and with it the plant.
+                // The other end is gone, and the plant with it.
                 0 => exit(EXIT_SUCCESS),
                 length => Ok(length),
             },
@@ -160,32 +160,32 @@ impl Write for Port {
     }
 }
 
-/// Longest command line.
+/// Length of the longest command line.
 const COMMAND_LINE: usize = 256;
 
-/// The semihosting command line, up to its end.
+/// Returns the semihosting command line, up to its terminator.
 fn command_line(buffer: &mut [u8; COMMAND_LINE]) -> Option<&[u8]> {
-    // SAFETY: GET_CMDLINE (0x15) writes at most as many bytes as its second argument says, and the
-    // buffer has them.
+    // SAFETY: GET_CMDLINE (0x15) writes at most as many bytes as its second argument says, which is
+    // the length of the buffer.
     let failed = unsafe { syscall!(GET_CMDLINE, buffer.as_mut_ptr(), buffer.len()) };
     let end = buffer.iter().position(|&byte| byte == 0)?;
     buffer.get(..end).filter(|_| failed == 0)
 }
 
-/// A file of the host.
+/// A file on the host.
 struct File(usize);
 
 impl File {
     fn open(path: &[u8], mode: usize) -> Option<Self> {
         let mut name = [0; COMMAND_LINE];
         name.get_mut(..path.len())?.iter_mut().zip(path).for_each(|(place, byte)| *place = *byte);
-        // SAFETY: OPEN (0x01) reads the name up to its terminating zero, which lies in the buffer:
-        // the command line that the path is a part of is shorter than it.
+        // SAFETY: OPEN (0x01) reads the name up to its terminating zero, which is in the buffer:
+        // the path is part of the command line, which is shorter than the buffer.
         let handle = unsafe { syscall!(OPEN, name.as_ptr(), mode, path.len()) };
         (handle != usize::MAX).then_some(Self(handle))
     }
 
-    /// How many bytes were read; 0 at the end.
+    /// Returns how many bytes were read; 0 at the end.
     fn read(&mut self, buffer: &mut [u8]) -> usize {
         // SAFETY: READ (0x06) writes at most as many bytes as its third argument says.
         let missing = unsafe { syscall!(READ, self.0, buffer.as_mut_ptr(), buffer.len()) };
@@ -193,11 +193,12 @@ impl File {
     }
 
     fn close(&mut self) {
-        // SAFETY: CLOSE (0x02) takes a handle that OPEN returned; the host refuses one it has closed.
+        // SAFETY: CLOSE (0x02) takes a handle that OPEN returned; the host refuses one that is
+        // already closed.
         unsafe { syscall!(CLOSE, self.0) };
     }
 
-    /// How many bytes were written.
+    /// Returns how many bytes were written.
     fn write(&mut self, bytes: &[u8]) -> usize {
         // SAFETY: WRITE (0x05) reads as many bytes as its third argument says.
         let missing = unsafe { syscall!(WRITE, self.0, bytes.as_ptr(), bytes.len()) };
@@ -205,15 +206,15 @@ impl File {
     }
 }
 
-/// Ends the emulator with this status.
+/// Ends the emulator with this exit status.
 fn exit(status: usize) -> ! {
-    /// ADP_Stopped_ApplicationExit, the reason that comes with a status.
+    /// ADP_Stopped_ApplicationExit, the reason code that goes with an exit status.
     const APPLICATION_EXIT: usize = 0x20026;
-    /// SYS_EXIT_EXTENDED, where a processor of 32 bits says both.
+    /// SYS_EXIT_EXTENDED, which passes both on a 32-bit processor.
     const EXIT_EXTENDED: usize = 0x20;
     let arguments = [APPLICATION_EXIT, status];
     loop {
-        // SAFETY: it reads the two words.
+        // SAFETY: the call reads the two words.
         unsafe { cortex_m_semihosting::syscall(EXIT_EXTENDED, &arguments) };
     }
 }
@@ -228,26 +229,26 @@ impl Uart {
     const INTERRUPT: *mut u32 = 0x4000_400c as *mut u32;
     const BAUD_DIVIDER: *mut u32 = 0x4000_4010 as *mut u32;
 
-    /// Transmitter and receiver on, interrupt when something has been received.
+    /// Enables transmitter, receiver and the receive interrupt.
     const ENABLE: u32 = 0b1011;
     const TRANSMIT_FULL: u32 = 1;
     const RECEIVE_FULL: u32 = 2;
-    /// The least that the hardware takes; QEMU does not wait for bits.
+    /// The hardware's minimum; QEMU does not simulate bit times.
     const DIVIDER: u32 = 16;
     /// UART 0's receive interrupt, in the vector table of the AN386 image.
     const IRQ: Irq = Irq(0);
 
     fn new() -> Self {
-        // A pending interrupt wakes the core though it is not taken, so no handler is needed.
+        // A pending interrupt wakes the core even if it is masked, so no handler is needed.
         cortex_m::interrupt::disable();
         write(Self::BAUD_DIVIDER, Self::DIVIDER);
         write(Self::CONTROL, Self::ENABLE);
-        // SAFETY: the interrupt is masked by PRIMASK for good, so no code runs through it.
+        // SAFETY: PRIMASK masks the interrupt permanently, so no handler runs.
         unsafe { NVIC::unmask(Self::IRQ) };
         Self(())
     }
 
-    /// Waits for the first byte, and takes what has come with it.
+    /// Waits for the first byte, and takes all bytes received so far.
     fn read(&mut self, buffer: &mut [u8]) -> usize {
         let mut length = 0;
         for place in buffer {
@@ -277,7 +278,7 @@ impl Uart {
 #[derive(Clone, Copy)]
 struct Irq(u16);
 
-// SAFETY: the number is one of the board's, and always the same.
+// SAFETY: the number is one of the board's and constant.
 unsafe impl cortex_m::interrupt::InterruptNumber for Irq {
     fn number(self) -> u16 {
         self.0
@@ -301,11 +302,11 @@ struct RamFlash {
 
 impl RamFlash {
     /// # Safety
-    /// Nobody else may have the region.
+    /// The region must have no other owner.
     unsafe fn new(region: &WeightsRegion) -> Self {
         let first = core::ptr::with_exposed_provenance_mut(region.origin);
-        // SAFETY: memory.x places the region in RAM of this length; it is ours as the caller says,
-        // and any content is a valid `u8`.
+        // SAFETY: memory.x places the region in RAM of this length; the caller guarantees that it
+        // has no other owner, and any content is a valid `u8`.
         Self { bytes: unsafe { core::slice::from_raw_parts_mut(first, region.length) } }
     }
 }
@@ -331,7 +332,7 @@ impl ReadNorFlash for RamFlash {
 
 impl NorFlash for RamFlash {
     const WRITE_SIZE: usize = 4;
-    /// As memory.x says; a board with real flash takes it from the data sheet.
+    /// As in memory.x; for real flash it is in the data sheet.
     const ERASE_SIZE: usize = 4096;
 
     fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
@@ -355,13 +356,13 @@ impl MappedFlash for RamFlash {
     }
 }
 
-/// No interrupt is ever taken, so the vector table has one place, which the linker script asks for.
-/// The script names no others: see device.x.
+/// No interrupt is ever taken, so the vector table has the single entry that the linker script
+/// requires. The script names no others: see device.x.
 #[unsafe(link_section = ".vector_table.interrupts")]
 #[unsafe(no_mangle)]
 static __INTERRUPTS: [usize; 1] = [0];
 
-/// With the verifier in, or without optimisation, there are paths that panic.
+/// With the verifier, or without optimisation, some paths can panic.
 #[cfg(any(feature = "signature", debug_assertions))]
 #[panic_handler]
 fn panic(_: &core::panic::PanicInfo<'_>) -> ! {

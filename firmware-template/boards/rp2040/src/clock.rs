@@ -1,4 +1,4 @@
-//! The timer that counts periods, and the watchdog that is fed with it.
+//! The period timer, and the watchdog that is fed with it.
 
 use firmware_template::{Clock, Periods};
 use hal::Watchdog;
@@ -7,17 +7,17 @@ use rp2040_hal as hal;
 
 /// Frequency of the timer. \[Hz\]
 const TIMER_FREQUENCY: f32 = 1e6;
-/// How often the processor wakes if there is nothing to sample: 0.1 s. \[tick\]
+/// Wake-up interval of the processor when there is nothing to sample: 0.1 s. \[tick\]
 const HEARTBEAT: u32 = 100_000;
 
-/// The lower half of the timer, a counter of 32 bits, and its first alarm.
+/// The lower half of the timer, a 32-bit counter, and its first alarm.
 pub(crate) struct Timer {
     watchdog: Watchdog,
     periods: Periods,
 }
 
 impl Timer {
-    /// The timer, which the HAL has started.
+    /// Creates the timer, which the HAL has started.
     pub(crate) fn new(_: hal::Timer, watchdog: Watchdog) -> Self {
         registers().inte().write(|w| w.alarm_0().set_bit());
         Self { watchdog, periods: Periods::new(HEARTBEAT) }
@@ -28,9 +28,10 @@ impl Timer {
     }
 }
 
-/// The timer's registers, each of which has one user: the HAL none, the interrupt one bit of its own.
+/// The timer's registers, each with a single user: the HAL uses none, the interrupt one bit of its
+/// own.
 fn registers() -> &'static hal::pac::timer::RegisterBlock {
-    // SAFETY: the address is the timer's.
+    // SAFETY: this is the timer's address.
     unsafe { &*TIMER::ptr() }
 }
 
@@ -46,12 +47,12 @@ impl Clock for Timer {
         self.periods.elapsed(now)
     }
 
-    /// An interrupt that comes before the instruction sets the event that it waits for, so none
-    /// is slept through.
+    /// An interrupt that arrives before the wait instruction sets the event that it waits for, so
+    /// none is missed.
     fn rest(&mut self) {
-        // SAFETY: every value is one that this register takes.
+        // SAFETY: every value is valid for this register.
         registers().alarm0().write(|w| unsafe { w.bits(self.periods.next()) });
-        // What comes before the register is set does not wake.
+        // A time before the register is set does not wake the processor.
         if !self.periods.is_due(self.now()) {
             cortex_m::asm::wfe();
         }

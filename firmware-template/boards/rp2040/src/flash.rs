@@ -1,5 +1,5 @@
-//! The flash chip that the program itself runs from. While it is erased or written nothing can be read
-//! from it, so that is done by the boot ROM, called from RAM, with interrupts off.
+//! Driver for the flash chip that the program runs from. It cannot be read while it is erased or
+//! written, so the boot ROM does that, called from RAM with interrupts disabled.
 
 use core::cell::UnsafeCell;
 
@@ -11,11 +11,11 @@ use firmware_template::WeightsRegion;
 use firmware_template::on_chip::MappedRegion;
 use rp2040_hal::rom_data;
 
-/// Where the flash chip begins in memory.
+/// Start of the mapped flash.
 const START: usize = 0x1000_0000;
-/// What is written at once. \[byte\]
+/// Length of a write. \[byte\]
 const PAGE: usize = 256;
-/// Words of the second-stage boot loader.
+/// Length of the second-stage boot loader in words.
 const BOOT2: usize = 64;
 
 /// The region for weights.
@@ -36,26 +36,27 @@ struct Rom {
 /// A copy of the second-stage boot loader, which maps the chip into memory again.
 struct Loader(UnsafeCell<[u32; BOOT2]>);
 
-// SAFETY: it is written once, by `Flash::new`, and only executed afterwards.
+// SAFETY: written once, by `Flash::new`, and only executed afterwards.
 unsafe impl Sync for Loader {}
 
 static LOADER: Loader = Loader(UnsafeCell::new([0; BOOT2]));
 
-/// What to do with the chip, at an offset from its start.
+/// A change of the flash, at an offset from its start.
 enum Change<'a> {
-    /// A sector.
+    /// Erase a sector.
     Erase,
     Program(&'a [u8; PAGE]),
 }
 
 impl Flash {
     /// # Safety
-    /// The region is flash, in whole sectors, and nothing else has it; there is one value of this type,
-    /// and the second core sleeps.
+    /// The region must be flash, in whole sectors, with no other owner; there must be only one value of
+    /// this type, and the second core must sleep.
     pub(crate) unsafe fn new(region: &WeightsRegion) -> Self {
         let loader = core::ptr::with_exposed_provenance::<u32>(START);
         for word in 0..BOOT2 {
-            // SAFETY: the loader fills the first 256 bytes of flash, and only this writes to the copy.
+            // SAFETY: the loader occupies the first 256 bytes of flash, and only this code writes
+            // to the copy.
             unsafe { LOADER.0.get().cast::<u32>().add(word).write(loader.add(word).read()) };
         }
         let rom = Rom {
@@ -65,36 +66,39 @@ impl Flash {
             program: rom_data::flash_range_program::ptr(),
             flush: rom_data::flash_flush_cache::ptr(),
         };
-        // SAFETY: the caller promises it.
+        // SAFETY: guaranteed by the caller.
         Self { region: unsafe { MappedRegion::new(region) }, rom }
     }
 
-    /// Does it at this offset in the region.
+    /// Carries out `change` at `offset` in the region.
     fn change(&mut self, offset: u32, change: &Change<'_>) {
         let place = (self.region.address(offset) - START) as u32;
         critical_section::with(|_| {
-            // SAFETY: the place lies in the region that is ours; nothing borrows from it, since `self`
-            // is borrowed exclusively; no interrupt comes, and the second core sleeps.
+            // SAFETY: the address is in the region, which this driver owns; nothing borrows from
+            // it, because `self` is borrowed exclusively; interrupts are disabled, and the second
+            // core sleeps.
             unsafe { change_from_ram(&self.rom, place, change) };
         });
     }
 }
 
-/// The change itself. It calls nothing in flash and reads no constant there: the disassembly has but
-/// calls of registers.
+/// Carries out the change. It neither calls functions nor reads constants in flash: the disassembly
+/// contains only calls through registers.
 ///
 /// # Safety
-/// Nothing else reads flash meanwhile, and `place` is the start of a sector or a page in it.
+/// Nothing else may read flash meanwhile, and `place` must be the start of a sector or of a page in
+/// it.
 #[inline(never)]
 #[unsafe(link_section = ".data.change_from_ram")]
 unsafe fn change_from_ram(rom: &Rom, place: u32, change: &Change<'_>) {
-    /// The command that erases a sector, and the block that the ROM could erase at once instead.
+    /// The command that erases a sector, and the size of block that the ROM may erase at once
+    /// instead.
     const ERASE_BLOCK: u32 = 1 << 16;
     const BLOCK_COMMAND: u8 = 0xd8;
-    // The copy is Thumb code, which the lowest bit of its address says.
+    // The copy is Thumb code, so the lowest bit of its address is set.
     let loader = LOADER.0.get().cast::<u8>().wrapping_add(1);
-    // SAFETY: the loader returns to its caller, as the ROM's functions do, and the order of the calls is
-    // that of the data sheet; the caller promises the rest.
+    // SAFETY: the loader returns to its caller, as the ROM's functions do, and the calls are in the
+    // order of the data sheet; the caller guarantees the rest.
     unsafe {
         let loader: unsafe extern "C" fn() = core::mem::transmute(loader);
         (rom.connect)();
@@ -130,7 +134,7 @@ impl NorFlash for Flash {
     const WRITE_SIZE: usize = 4;
     const ERASE_SIZE: usize = 4096;
 
-    /// With interrupts let in between two sectors.
+    /// Enables interrupts between two sectors.
     fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
         check_erase(self, from, to)?;
         for sector in (from..to).step_by(Self::ERASE_SIZE) {
@@ -139,7 +143,7 @@ impl NorFlash for Flash {
         Ok(())
     }
 
-    /// Whole pages, with ones where nothing is to change.
+    /// Writes whole pages, padded with ones where nothing changes.
     fn write(&mut self, mut offset: u32, mut bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
         check_write(self, offset, bytes.len())?;
         while !bytes.is_empty() {

@@ -1,9 +1,9 @@
 //! A node on an RP2040, wired as on the Raspberry Pi Pico.
 //!
-//! **Compiled and linked by CI, never run there**: no emulator at hand models this chip. The lines to
-//! check first on a real board are the constants below and the table.
+//! **CI builds and links this board but does not run it**: no available emulator models this chip.
+//! On real hardware, first check the constants below and the table.
 //!
-//! | what | where |
+//! | function | hardware |
 //! | --- | --- |
 //! | service port | UART0, TX GP0, RX GP1, 115,200 baud |
 //! | link between nodes | UART1, TX GP8, RX GP9, 1 Mbaud, for an RS-485 transceiver that turns around by itself |
@@ -11,21 +11,22 @@
 //! | clock | the timer, which runs freely at 1 MHz |
 //! | weights | the last 64 KiB of the flash chip, as memory.x says |
 //!
-//! **Floating point.** This core has none, and the boot ROM's routines take subnormal numbers for zero:
-//! the HAL's feature `disable-intrinsics` leaves the compiler's own, whose bits are those of every other
-//! processor. A step takes about 170,000 instructions, 1.4 ms at 125 MHz.
+//! **Floating point.** This core has no FPU, and the boot ROM's routines flush subnormal numbers to
+//! zero: the HAL's feature `disable-intrinsics` selects the compiler's routines, whose bits equal
+//! those of every other processor. A step takes about 170,000 instructions, 1.4 ms at 125 MHz.
 //!
-//! **Flash.** While a sector is erased (45 ms, at most 400 ms) or a page written (0.4 ms, at most 3 ms;
-//! data sheet of the W25Q16JV), the program stands still with interrupts off. Its clock goes on, so ticks
-//! stay true. The serial ports keep 32 bytes by themselves; what comes beyond that is lost.
+//! **Flash.** While a sector is erased (45 ms, at most 400 ms) or a page is written (0.4 ms, at
+//! most 3 ms; data sheet of the W25Q16JV), the program is halted with interrupts disabled. The
+//! timer keeps running, so ticks stay correct. The serial ports buffer 32 bytes in hardware;
+//! further bytes are lost.
 //!
-//! **What goes wrong.** A panic, a fault and a node that is told to reset all end in a reset. The
-//! watchdog does the same if the loop stands still for 8 s, also in the HAL's waits for the crystal and
-//! for the I2C bus. Without its crystal this board does not work: its ring oscillator may run at half
-//! or twice its speed, at which no serial port is understood.
+//! **Faults.** A panic, a processor fault and a reset request all reset the chip. So does the watchdog
+//! if the main loop stops for 8 s, including the HAL's waits for the crystal and the I2C bus. Without
+//! its crystal this board does not work: the ring oscillator can run at half or twice its nominal
+//! frequency, too inaccurate for a serial port.
 #![no_std]
 #![no_main]
-#![allow(unsafe_code, reason = "flash, registers, and interrupts that are let in")]
+#![allow(unsafe_code, reason = "accesses flash and registers, and unmasks interrupts")]
 
 mod clock;
 mod flash;
@@ -55,9 +56,9 @@ use clock::Timer;
 use flash::Flash;
 use uart::{LINK, SERVICE, Uart};
 
-/// State components of the plant.
+/// State dimension of the plant.
 const N: usize = 3;
-/// Room for features, neighbours, samples for training.
+/// Capacities for features, neighbours and training samples.
 const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 4;
 const SAMPLES: usize = 64;
@@ -77,15 +78,14 @@ static SET_UP: [SetUp; 1] = [SetUp { register: 1, value: RegisterValue::BigEndia
 
 /// Frequency of the crystal. \[Hz\]
 const CRYSTAL: u32 = 12_000_000;
-/// Almost the longest that there is, and far above the 2.8 s that the sectors of a slot take to erase.
-/// \[ms\]
+/// Close to the maximum, and far above the 2.8 s needed to erase the sectors of a slot. \[ms\]
 const WATCHDOG_PERIOD: u32 = 8_000;
 const SERVICE_BAUD: u32 = 115_200;
 const LINK_BAUD: u32 = 1_000_000;
-/// How long what is queued for the service port may take to leave, before a reset. \[cycle\]
+/// Time allowed for sending the service port's queue before a reset. \[cycle\]
 const FLUSH_DELAY_CYCLES: u32 = 125_000_000 / 10;
 
-/// What the flash chip on this board is read with.
+/// The boot loader for the flash chip on this board.
 #[unsafe(link_section = ".boot2")]
 #[used]
 static BOOT2: [u8; 256] = rp2040_boot2::BOOT_LOADER_W25Q080;
@@ -95,7 +95,7 @@ type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, SAMPLES>;
 /// The pins of the sensor's bus.
 type BusPins = (Pin<Gpio4, FunctionI2C, PullUp>, Pin<Gpio5, FunctionI2C, PullUp>);
 
-/// The board on its own feet.
+/// The board with its own sensor, link and clock.
 #[cfg(not(feature = "in-the-loop"))]
 type ThisBoard = firmware_template::Hardware<
     RegisterSensor<'static, I2C<pac::I2C0, BusPins>, 1>,
@@ -104,17 +104,17 @@ type ThisBoard = firmware_template::Hardware<
     QueuedPort<'static>,
 >;
 
-/// The board whose plant, clock and link are played over the service port.
+/// The board in the loop: plant, clock and link come over the service port.
 #[cfg(feature = "in-the-loop")]
 type ThisBoard = firmware_template::InTheLoop<
     firmware_template::WaitingPort<QueuedPort<'static>, Timer>,
     { 2 * NEIGHBOURS },
 >;
 
-/// Bytes that wait in one direction.
+/// The queue of bytes in one direction.
 type Bytes = Queue<u8, 2048>;
 
-// What is large lies here and not on the stack, where it would stay as long as `main` does.
+// Large data is static: on the stack it would stay as long as `main` runs.
 static MEMORY: ConstStaticCell<Memory<N, FEATURES, NEIGHBOURS, SAMPLES>> =
     ConstStaticCell::new(Memory::new());
 static QUEUES: ConstStaticCell<[Bytes; 4]> = ConstStaticCell::new([const { Bytes::new() }; 4]);
@@ -132,7 +132,7 @@ fn main() -> ! {
     SCB::sys_reset()
 }
 
-/// Sets the board up in its place. Out of line, so that the stack is free again of what that takes.
+/// Sets up the board in its static. Not inlined, so that its stack is free again afterwards.
 #[inline(never)]
 fn hardware() -> Option<&'static mut ThisBoard> {
     let mut chip = pac::Peripherals::take()?;
@@ -182,7 +182,7 @@ fn hardware() -> Option<&'static mut ThisBoard> {
     let sensor = RegisterSensor::new(bus, SENSOR, &REGISTERS).ok()?.with_set_up(&SET_UP);
     let clock = Timer::new(hal::Timer::new(chip.TIMER, resets, &clocks), watchdog);
     for interrupt in [Interrupt::TIMER_IRQ_0, Interrupt::UART0_IRQ, Interrupt::UART1_IRQ] {
-        // SAFETY: what the handlers use is in place, and nothing relies on their being masked.
+        // SAFETY: everything the handlers use is set up, and nothing relies on their being masked.
         unsafe { NVIC::unmask(interrupt) };
     }
     #[cfg(not(feature = "in-the-loop"))]
@@ -198,27 +198,27 @@ fn hardware() -> Option<&'static mut ThisBoard> {
     Some(BOARD.init(board))
 }
 
-/// The node above it, in its place; `None` if it cannot be trusted with packages.
+/// Creates the node in its static; `None` if the public key is invalid.
 #[inline(never)]
 fn node() -> Option<&'static mut ThisNode> {
     let region = memory_map!().region();
-    // Once a second, at the period of 0.01 s.
+    // Once a second, at a period of 0.01 s.
     let state_every = NonZeroU32::new(100).filter(|_| !cfg!(feature = "in-the-loop"));
     let settings = Settings {
         layout: region.layout,
-        // No signature would do for a key that is not one, so nothing must be taken without one.
+        // With an invalid key no signature can be verified, so the node must not start.
         public_key: on_chip::public_key().ok()?,
         health: HealthSettings::RECOMMENDED,
         good_steps: const { NonZeroU32::new(100).unwrap() },
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every, outer_weights: false },
-        // Which agent this is, its package says.
+        // The package determines which agent this is.
         fallback: None,
         stack_unused: Some(on_chip::stack_unused),
         version: [0, 1, 0],
     };
-    // SAFETY: memory.x gives this region to nothing else, this is the only call, and the second core is
-    // never started.
+    // SAFETY: memory.x reserves this region, this is the only call, and the second core is never
+    // started.
     let flash = unsafe { Flash::new(&region) };
     ThisNode::new_in(NODE.uninit(), flash, settings, MEMORY.take()).ok()
 }

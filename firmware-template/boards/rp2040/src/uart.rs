@@ -1,5 +1,5 @@
-//! The serial ports: their interrupts fill and empty the queues. The HAL sets them up; afterwards only
-//! their registers are needed.
+//! The serial ports: their interrupts fill and empty the queues. The HAL sets them up; afterwards
+//! only their registers are needed.
 
 use core::ops::Deref;
 
@@ -11,18 +11,18 @@ use rp2040_hal as hal;
 pub(crate) static SERVICE: Shared<Uart<UART0>> = Shared::new();
 pub(crate) static LINK: Shared<Uart<UART1>> = Shared::new();
 
-/// What an interrupt does for a serial port.
+/// The interrupt's part of a serial port.
 pub(crate) struct Uart<U> {
     registers: U,
     end: QueuedEnd<'static>,
 }
 
 impl<U: Deref<Target = uart0::RegisterBlock>> Uart<U> {
-    /// The errors that come with a received byte: framing, parity, break, overrun.
+    /// The error flags of a received byte: framing, parity, break, overrun.
     const ERRORS: u16 = 0b1111 << 8;
 
-    /// Lets a port that has been set up interrupt: when bytes have arrived, also fewer than the FIFO
-    /// waits for, and when there is room to send.
+    /// Enables the interrupts of a configured port: when bytes have arrived, even fewer than the
+    /// FIFO threshold, and when there is space to send.
     pub(crate) fn new(registers: U, end: QueuedEnd<'static>) -> Self {
         registers.uartimsc().write(|w| w.rxim().set_bit().rtim().set_bit().txim().set_bit());
         Self { registers, end }
@@ -30,7 +30,7 @@ impl<U: Deref<Target = uart0::RegisterBlock>> Uart<U> {
 
     fn serve(&mut self) {
         let registers = &self.registers;
-        // Before the FIFO is filled, so that its next emptying is not missed.
+        // Cleared before the FIFO is filled, so that its next emptying is not missed.
         registers.uarticr().write(|w| w.txic().clear_bit_by_one());
         while registers.uartfr().read().rxfe().bit_is_clear() {
             let received = registers.uartdr().read().bits() as u16;
@@ -40,7 +40,7 @@ impl<U: Deref<Target = uart0::RegisterBlock>> Uart<U> {
         }
         while registers.uartfr().read().txff().bit_is_clear() {
             let Some(byte) = self.end.take() else { break };
-            // SAFETY: every value is one that this register takes.
+            // SAFETY: every value is valid for this register.
             registers.uartdr().write(|w| unsafe { w.data().bits(byte) });
         }
     }

@@ -1,5 +1,5 @@
-//! The I2C bus, with an end to every wait. The HAL, which sets the bus up, waits for its flags as long
-//! as it takes; a bus that is stuck would then stop the node, which can do without a measurement.
+//! The I2C bus with timeouts. The HAL, which sets up the bus, waits indefinitely for its flags; a
+//! stuck bus would then stop the node, although it can run without a measurement.
 
 use embedded_hal::i2c::{
     Error, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation, SevenBitAddress,
@@ -17,11 +17,11 @@ pub(crate) struct Bus {
 /// Why a transfer ended early.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum BusError {
-    /// A flag did not come.
+    /// A flag was not set in time.
     Timeout,
-    /// Nothing acknowledged.
+    /// No device acknowledged.
     NoAcknowledge,
-    /// A misplaced start or stop, or another master.
+    /// A misplaced start or stop condition, or another master.
     Bus,
 }
 
@@ -36,11 +36,11 @@ impl Error for BusError {
 }
 
 impl Bus {
-    /// How often a flag is looked at: at 168 MHz and at least 8 cycles a look almost 1 ms, 40 times as
-    /// long as a byte takes.
+    /// Number of times a flag is polled: at 168 MHz and at least 8 cycles per poll almost 1 ms, 40
+    /// times as long as a byte takes.
     const LOOKS: u32 = 20_000;
 
-    /// The bus that the HAL has set up.
+    /// Creates the bus from the one that the HAL has set up.
     pub(crate) fn new(bus: i2c::I2c<I2C1>) -> Self {
         let (registers, _) = bus.release();
         Self { registers }
@@ -63,7 +63,8 @@ impl Bus {
         Err(BusError::Timeout)
     }
 
-    /// Addresses the device; a single byte to read is not acknowledged, which has to be said now.
+    /// Addresses the device; if only a single byte is read, it must not be acknowledged, which is
+    /// configured here.
     fn start(&mut self, address: u8, reads: bool, acknowledge: bool) -> Result<(), BusError> {
         self.registers.cr1().modify(|_, w| w.start().set_bit().ack().bit(acknowledge));
         self.wait(|status| status.sb().bit_is_set())?;
@@ -75,7 +76,7 @@ impl Bus {
     }
 
     fn send(&mut self, byte: u8) {
-        // SAFETY: every value is one that this register takes.
+        // SAFETY: every value is valid for this register.
         self.registers.dr().write(|w| unsafe { w.bits(byte.into()) });
     }
 
@@ -103,7 +104,7 @@ impl Bus {
         self.registers.cr1().modify(|_, w| w.stop().set_bit());
     }
 
-    /// Resets the peripheral, which keeps its settings but forgets the transfer.
+    /// Resets the peripheral, keeping its settings but aborting the transfer.
     fn recover(&mut self) {
         self.stop();
         let registers = &self.registers;
@@ -114,7 +115,7 @@ impl Bus {
         );
         registers.cr1().modify(|_, w| w.swrst().set_bit());
         registers.cr1().reset();
-        // SAFETY: the values were in these registers before.
+        // SAFETY: the values were read from these registers.
         unsafe {
             registers.cr2().write(|w| w.bits(cr2));
             registers.ccr().write(|w| w.bits(ccr));
@@ -136,7 +137,7 @@ impl Bus {
                 Operation::Read(buffer) => {
                     self.start(address, true, buffer.len() > 1)?;
                     self.read_bytes(buffer)?;
-                    // Reading ends with a stop; only writing goes on with another start.
+                    // A read ends with a stop; only a write can be followed by another start.
                     stopped = true;
                 }
             }
@@ -153,7 +154,7 @@ impl ErrorType for Bus {
 }
 
 impl I2c<SevenBitAddress> for Bus {
-    /// A read ends with a stop, also before another operation.
+    /// A read ends with a stop, even before another operation.
     fn transaction(
         &mut self,
         address: SevenBitAddress,

@@ -1,4 +1,4 @@
-//! What the node is until it gets a package.
+//! The built-in agent that runs until a package arrives.
 
 use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::observer::outer_law::OuterLawParams;
@@ -6,8 +6,8 @@ use agent_core::observer::projection::ProjectionParams;
 use agent_core::observer::trigger::TriggerParams;
 use agent_core::package::{AgentConfig, NeighbourIds};
 
-/// Agent 1 of the paper, which measures the first state component and hears agents 2 and 3: what
-/// the node is until it gets a package. The numbers are those of host-sim's scenario `paper`.
+/// Agent 1 of the paper, which measures the first state component and receives from agents 2 and 3.
+/// The numbers are those of host-sim's scenario `paper`.
 pub(crate) fn fallback() -> Option<AgentConfig<'static>> {
     Some(AgentConfig {
         agent: 1,
@@ -15,7 +15,7 @@ pub(crate) fn fallback() -> Option<AgentConfig<'static>> {
         gain: SymmetricMatrix::Diagonal(&[134.86, 263.23, 263.23]),
         neighbours: NeighbourIds::new(&[2, 0, 3, 0])?,
         edge_weights: &[1.0, 1.0],
-        // Without a network there is nothing to adapt.
+        // Without a network, no outer weights are adapted.
         outer_law: OuterLawParams {
             gain: SymmetricMatrix::Scalar(3.0),
             projection: ProjectionParams {

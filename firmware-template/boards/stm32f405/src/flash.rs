@@ -1,4 +1,4 @@
-//! The chip's own flash.
+//! Driver for the internal flash.
 
 use agent_core::store::MappedFlash;
 use embedded_storage::nor_flash::{
@@ -8,34 +8,34 @@ use firmware_template::WeightsRegion;
 use firmware_template::on_chip::MappedRegion;
 use stm32f4xx_hal::pac::FLASH;
 
-/// The chip's own flash, sectors 5 to 11. The HAL's driver is not used: it writes 8 bits at once,
-/// which doubles the time that the processor stands still, it leaves errors standing that then
-/// fail every later operation, and it does not clear the cache.
+/// The internal flash, sectors 5 to 11. The HAL's driver is not used: it writes 8 bits at a time,
+/// which doubles the time the processor is halted, it leaves error flags set that make every later
+/// operation fail, and it does not clear the cache.
 pub(crate) struct Flash {
     flash: FLASH,
     region: MappedRegion,
 }
 
 impl Flash {
-    /// What opens the control register (RM0090, 3.6.1).
+    /// Unlocks the control register (RM0090, 3.6.1).
     const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
-    /// The errors in the status register: PGSERR, PGPERR, PGAERR, WRPERR, OPERR.
+    /// The error flags in the status register: PGSERR, PGPERR, PGAERR, WRPERR, OPERR.
     const ERRORS: u32 = 0b1111_0010;
-    /// With them its end of operation; all are cleared by writing 1.
+    /// The error flags and end of operation; all are cleared by writing 1.
     const STATUS: u32 = Self::ERRORS | 1;
-    /// Where sector 5 begins, the first of 128 KiB (3.4, table 5).
+    /// Start of sector 5, the first of 128 KiB (3.4, table 5).
     const SECTOR_5: usize = 0x0802_0000;
 
     /// # Safety
-    /// The region is flash, in whole sectors of 128 KiB, and nobody else may have it.
+    /// The region must be flash, in whole sectors of 128 KiB, with no other owner.
     pub(crate) unsafe fn new(flash: FLASH, region: &WeightsRegion) -> Self {
-        // SAFETY: the caller promises it.
+        // SAFETY: guaranteed by the caller.
         Self { flash, region: unsafe { MappedRegion::new(region) } }
     }
 
-    /// Does something to the flash that `begin` begins, and waits for its end.
+    /// Performs the flash operation that `begin` starts, and waits for its end.
     fn operate(&mut self, begin: impl FnOnce(&FLASH)) -> Result<(), NorFlashErrorKind> {
-        // SAFETY: every value is one that this register takes.
+        // SAFETY: every value is valid for this register.
         self.flash.sr().write(|w| unsafe { w.bits(Self::STATUS) });
         begin(&self.flash);
         // Also tells the compiler that memory has changed.
@@ -46,14 +46,14 @@ impl Flash {
         if failed { Err(NorFlashErrorKind::Other) } else { Ok(()) }
     }
 
-    /// Opens the flash for `change`, and locks it again.
+    /// Unlocks the flash for `change`, and locks it again.
     fn unlocked(
         &mut self,
         change: impl FnOnce(&mut Self) -> Result<(), NorFlashErrorKind>,
     ) -> Result<(), NorFlashErrorKind> {
         for key in Self::KEYS {
-            // SAFETY: the keys in their order are what this register takes while it is locked,
-            // as it is outside this function.
+            // SAFETY: this register takes the keys in this order while it is locked, as it always
+            // is outside this function.
             self.flash.keyr().write(|w| unsafe { w.key().bits(key) });
         }
         let outcome = change(self);
@@ -61,7 +61,7 @@ impl Flash {
         outcome
     }
 
-    /// Makes the cache forget what was erased; writing goes through it.
+    /// Clears the caches of erased contents; writes go through them.
     fn clear_cache(&mut self) {
         let acr = self.flash.acr();
         acr.modify(|_, w| w.dcen().clear_bit());
@@ -100,10 +100,10 @@ impl NorFlash for Flash {
             for sector in sectors {
                 let sector = (first + sector) as u8;
                 flash.operate(|flash| {
-                    // The register's value after a reset would lock it.
+                    // The register's reset value would lock it.
                     let cr = flash.cr();
                     cr.write(|w| w.lock().clear_bit().psize().psize32().ser().set_bit());
-                    // SAFETY: the sector lies in the region that is ours.
+                    // SAFETY: the sector is in the region, which this driver owns.
                     cr.modify(|_, w| unsafe { w.snb().bits(sector).strt().set_bit() });
                 })?;
             }
@@ -120,8 +120,8 @@ impl NorFlash for Flash {
             for (place, word) in words {
                 flash.operate(|flash| {
                     flash.cr().write(|w| w.lock().clear_bit().psize().psize32().pg().set_bit());
-                    // SAFETY: the word lies in the region that is ours, aligned; nothing borrows
-                    // from it, since `self` is borrowed exclusively.
+                    // SAFETY: the word is aligned and in the region, which this driver owns; nothing
+                    // borrows from it, because `self` is borrowed exclusively.
                     unsafe { place.write_volatile(word) };
                 })?;
             }

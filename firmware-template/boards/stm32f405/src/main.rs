@@ -1,33 +1,33 @@
 //! A node on an STM32F405, wired as on Adafruit's Feather STM32F405 Express.
 //!
-//! CI runs it in QEMU as far as that models the chip; README.md says what is not modelled. The lines to
-//! check first on a real board are the constants below and the table.
+//! CI runs it in QEMU as far as QEMU models the chip; README.md lists what is not modelled. On real
+//! hardware, first check the constants below and the table.
 //!
-//! | what | where |
+//! | function | hardware |
 //! | --- | --- |
 //! | service port | USART3, TX PB10, RX PB11, 115,200 baud |
 //! | link between nodes | USART6, TX PC6, RX PC7, 1 Mbaud, driver enable PB8, for an RS-485 transceiver |
 //! | sensor | LSM303AGR on I2C1, SCL PB6, SDA PB7, 400 kHz: `y` is the acceleration along x in m/s^2 |
-//! | clock | TIM2, which runs freely at 84 MHz, or at 16 MHz without the crystal |
-//! | weights | flash sectors 8 to 11, as the board's memory map says |
+//! | clock | TIM2, free-running at 84 MHz, or at 16 MHz without the crystal |
+//! | weights | flash sectors 8 to 11, as in the board's memory map |
 //!
-//! **Nothing waits but [`Clock::rest`].** Both ports are queues that their interrupts fill and
-//! empty, so no byte is lost while a step runs. A sample takes 0.25 ms of the bus and the processor.
+//! **Only [`Clock::rest`] waits.** Both ports are queues that their interrupts fill and empty, so
+//! no byte is lost during a step. A sample takes 0.25 ms of bus and processor time.
 //!
-//! **Flash.** While a sector is erased (1 s, at most 2 s) or a word written (16 us, at most 0.1 ms;
-//! data sheet DS8626, flash memory programming, 32 bits at once, 2.7 to 3.6 V), the processor waits
-//! as soon as it fetches code. One upload erases one sector: the node misses the steps of that
-//! time, and what it is sent meanwhile. Its clock goes on, so ticks stay true. Whoever uploads
-//! waits for each answer, so nothing of the upload is lost.
+//! **Flash.** While a sector is erased (1 s, at most 2 s) or a word is written (16 us, at most 0.1
+//! ms; data sheet DS8626, flash memory programming, 32 bits at once, 2.7 to 3.6 V), the processor
+//! stalls when it fetches code. One upload erases one sector: the node misses the steps during that
+//! time, and all messages sent to it. The timer keeps running, so ticks stay correct. The uploader
+//! waits for each answer, so no part of the upload is lost.
 //!
-//! **What goes wrong.** A panic, a fault and a node that is told to reset all end in a reset. The
-//! independent watchdog does the same if the loop stands still for 8 s, whatever it hangs in; it is fed
-//! once for each pass of the loop and nowhere else. Without its crystal the node runs on the chip's
-//! own oscillator and tells so (`clock.rs`). A sensor that fails, or a bus that is stuck, costs a
-//! measurement (`bus.rs`), and the sensor is set up again with the next sample.
+//! **Faults.** A panic, a processor fault and a reset request all reset the chip. So does the
+//! independent watchdog if the main loop stops for 8 s, for whatever reason; it is fed only there,
+//! once per iteration. Without its crystal the node runs on the chip's internal oscillator and
+//! reports a fault (`clock.rs`). A failed sensor or a stuck bus costs one measurement (`bus.rs`),
+//! and the sensor is set up again for the next sample.
 #![no_std]
 #![no_main]
-#![allow(unsafe_code, reason = "flash, and interrupts that are let in")]
+#![allow(unsafe_code, reason = "accesses flash and unmasks interrupts")]
 
 mod bus;
 mod clock;
@@ -55,26 +55,26 @@ use clock::Timer;
 use flash::Flash;
 use uart::{LINK, SERVICE, Uart};
 
-/// State components of the plant.
+/// State dimension of the plant.
 const N: usize = 3;
-/// Room for features, neighbours, samples for training.
+/// Capacities for features, neighbours and training samples.
 const FEATURES: usize = 8;
 const NEIGHBOURS: usize = 4;
 const SAMPLES: usize = 64;
 
-/// Above the longest erasure, also where the watchdog's own oscillator runs at 47 kHz instead of
-/// 32 (DS8626, LSI oscillator). \[ms\]
+/// Above the longest erasure, even if the watchdog's own oscillator runs at 47 kHz instead of 32
+/// (DS8626, LSI oscillator). \[ms\]
 const WATCHDOG_PERIOD: u32 = 8_000;
 
 const SERVICE_BAUD: u32 = 115_200;
 const LINK_BAUD: u32 = 1_000_000;
-/// How long what is queued for the service port may take to leave, before a reset: the longest at
-/// 168 MHz. \[cycle\]
+/// Time allowed for sending the service port's queue before a reset: the longest at 168 MHz.
+/// \[cycle\]
 const FLUSH_DELAY_CYCLES: u32 = 168_000_000 / 10;
 
 type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, SAMPLES>;
 
-/// The board on its own feet.
+/// The board with its own sensor, link and clock.
 #[cfg(not(feature = "in-the-loop"))]
 type ThisBoard = firmware_template::Hardware<
     sensor::Accelerometer,
@@ -83,17 +83,17 @@ type ThisBoard = firmware_template::Hardware<
     QueuedPort<'static>,
 >;
 
-/// The board whose plant, clock and link are played over the service port.
+/// The board in the loop: plant, clock and link come over the service port.
 #[cfg(feature = "in-the-loop")]
 type ThisBoard = firmware_template::InTheLoop<
     firmware_template::WaitingPort<QueuedPort<'static>, Timer>,
     { 2 * NEIGHBOURS },
 >;
 
-/// Bytes that wait in one direction.
+/// The queue of bytes in one direction.
 type Bytes = Queue<u8, 2048>;
 
-// What is large lies here and not on the stack, where it would stay as long as `main` does.
+// Large data is static: on the stack it would stay as long as `main` runs.
 static MEMORY: ConstStaticCell<Memory<N, FEATURES, NEIGHBOURS, SAMPLES>> =
     ConstStaticCell::new(Memory::new());
 static QUEUES: ConstStaticCell<[Bytes; 4]> = ConstStaticCell::new([const { Bytes::new() }; 4]);
@@ -111,14 +111,14 @@ fn main() -> ! {
     SCB::sys_reset()
 }
 
-/// What [`hardware`] sets up.
+/// The parts that [`hardware`] sets up.
 struct Parts {
     board: &'static mut ThisBoard,
     flash: pac::FLASH,
     fault: Option<BoardFault>,
 }
 
-/// Sets the board up in its place. Out of line, so that the stack is free again of what that takes.
+/// Sets up the board in its static. Not inlined, so that its stack is free again afterwards.
 #[inline(never)]
 fn hardware() -> Option<Parts> {
     let (chip, core) = (pac::Peripherals::take()?, cortex_m::Peripherals::take()?);
@@ -141,7 +141,7 @@ fn hardware() -> Option<Parts> {
     let sensor = sensor::Accelerometer::new(bus::Bus::new(bus), core.SYST.delay(&rcc.clocks));
     let clock = Timer::new(chip.TIM2, &mut rcc, watchdog);
     for interrupt in [Interrupt::TIM2, Interrupt::USART3, Interrupt::USART6] {
-        // SAFETY: what the handlers use is in place, and nothing relies on their being masked.
+        // SAFETY: everything the handlers use is set up, and nothing relies on their being masked.
         unsafe { NVIC::unmask(interrupt) };
     }
     #[cfg(not(feature = "in-the-loop"))]
@@ -158,15 +158,15 @@ fn hardware() -> Option<Parts> {
     Some(Parts { board: BOARD.init(board), flash: chip.FLASH, fault })
 }
 
-/// The node above it, in its place; `None` if it cannot be trusted with packages.
+/// Creates the node in its static; `None` if the public key is invalid.
 #[inline(never)]
 fn node(flash: pac::FLASH, fault: Option<BoardFault>) -> Option<&'static mut ThisNode> {
     let region = memory_map!().region();
-    // Once a second, at the period of 1 ms.
+    // Once a second, at a period of 1 ms.
     let state_every = NonZeroU32::new(1_000).filter(|_| !cfg!(feature = "in-the-loop"));
     let settings = Settings {
         layout: region.layout,
-        // No signature would do for a key that is not one, so nothing must be taken without one.
+        // With an invalid key no signature can be verified, so the node must not start.
         public_key: on_chip::public_key().ok()?,
         health: HealthSettings::RECOMMENDED,
         good_steps: const { NonZeroU32::new(1_000).unwrap() },
@@ -176,7 +176,7 @@ fn node(flash: pac::FLASH, fault: Option<BoardFault>) -> Option<&'static mut Thi
         stack_unused: Some(on_chip::stack_unused),
         version: [0, 1, 0],
     };
-    // SAFETY: memory.x gives this region to nothing else, and this is the only call.
+    // SAFETY: memory.x reserves this region, and this is the only call.
     let flash = unsafe { Flash::new(flash, &region) };
     let node = ThisNode::new_in(NODE.uninit(), flash, settings, MEMORY.take()).ok()?;
     if let Some(fault) = fault {

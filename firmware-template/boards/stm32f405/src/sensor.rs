@@ -10,19 +10,19 @@ use stm32f4xx_hal as hal;
 
 use crate::bus::{Bus, BusError};
 
-/// The accelerometer of an LSM303AGR: 1,344 samples a second, +-2 g, 4 mg a count.
+/// The accelerometer of an LSM303AGR: 1,344 samples per second, +-2 g, 4 mg per count.
 pub(crate) struct Accelerometer {
     device: Lsm303agr<I2cInterface<Bus>, MagOneShot>,
     delay: SysDelay,
-    /// Whether the device has been set up, and no error has occurred since.
+    /// Whether the device has been set up without an error since.
     ready: bool,
 }
 
 impl Accelerometer {
-    /// Standard gravity, by definition (CGPM 1901), of a thousandth of a g. \[m/s^2\]
+    /// Standard gravity (CGPM 1901) per thousandth of a g. \[m/s^2\]
     const MILLIGRAVITY: f32 = 9.806_65e-3;
 
-    /// Sets nothing up yet: that is done with the first sample.
+    /// Creates the sensor; the device is set up with the first sample.
     pub(crate) fn new(bus: Bus, delay: SysDelay) -> Self {
         Self { device: Lsm303agr::new_with_i2c(bus), delay, ready: false }
     }

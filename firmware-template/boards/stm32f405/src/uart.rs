@@ -12,23 +12,23 @@ use stm32f4xx_hal as hal;
 pub(crate) static SERVICE: Shared<Uart<USART3>> = Shared::new();
 pub(crate) static LINK: Shared<Uart<USART6>> = Shared::new();
 
-/// What an interrupt does for a serial port.
+/// The interrupt's part of a serial port.
 pub(crate) struct Uart<U: Instance> {
     serial: Serial<U>,
     end: QueuedEnd<'static>,
-    /// Turns an RS-485 transceiver to sending.
+    /// Switches an RS-485 transceiver to sending.
     driver: Option<AnyPin<Output>>,
 }
 
 impl<U: Instance> Uart<U> {
-    /// Hands everything to the interrupt, whose place is `place`.
+    /// Hands the port to its interrupt, through `place`.
     pub(crate) fn begin(
         place: &Shared<Self>,
         serial: Result<Serial<U>, serial::config::InvalidConfig>,
         end: QueuedEnd<'static>,
         driver: Option<AnyPin<Output>>,
     ) {
-        // The baud rates above are ones that the hardware has.
+        // The hardware supports the baud rates above.
         if let Ok(mut serial) = serial {
             serial.listen(Event::RxNotEmpty);
             place.set(Self { serial, end, driver });
@@ -47,13 +47,13 @@ impl<U: Instance> Uart<U> {
             match self.serial.read() {
                 Ok(byte) => self.end.put(byte),
                 Err(hal::nb::Error::WouldBlock) => break,
-                // The HAL has taken the damaged byte, and with it the error.
+                // The HAL has consumed the damaged byte and its error.
                 Err(hal::nb::Error::Other(_)) => (),
             }
         }
     }
 
-    /// Sends what there is room for. QEMU always has room, and never interrupts to say so.
+    /// Sends as many bytes as there is space for. QEMU always has space, and never interrupts.
     fn send(&mut self) {
         loop {
             let flags = self.serial.flags();
@@ -64,7 +64,7 @@ impl<U: Instance> Uart<U> {
                 if let Some(driver) = &mut self.driver {
                     driver.set_high();
                 }
-                // There is room, as the flag said.
+                // There is space, as the flag showed.
                 let _ = self.serial.write(byte);
                 self.serial.listen(Event::TxEmpty);
                 continue;

@@ -5,7 +5,7 @@ use cortex_m::peripheral::syst::SystClkSource;
 
 use super::counter::Clock;
 
-/// SysTick counts 24 bits down.
+/// SysTick counts down 24 bits.
 const RANGE: u32 = 1 << 24;
 
 pub(super) struct SysTick;
@@ -15,7 +15,7 @@ fn start() -> ! {
     super::run()
 }
 
-/// The clock, once.
+/// Returns the clock, once.
 pub(super) fn clock() -> Option<SysTick> {
     let mut peripherals = cortex_m::Peripherals::take()?;
     peripherals.SYST.set_clock_source(SystClkSource::Core);
@@ -26,7 +26,7 @@ pub(super) fn clock() -> Option<SysTick> {
 }
 
 impl Clock for SysTick {
-    // One place in the program: an emulator counts wrongly where it first meets a device.
+    // Not inlined: an emulator counts wrongly where it first accesses a device.
     #[inline(never)]
     fn now(&self) -> u32 {
         SYST::get_current()
@@ -39,7 +39,7 @@ impl Clock for SysTick {
     #[inline(never)]
     #[allow(unsafe_code)]
     fn spin(iterations: u32) {
-        // SAFETY: counts a register down to zero and touches nothing else.
+        // SAFETY: counts a register down to zero and accesses nothing else.
         unsafe {
             core::arch::asm!(
                 "2: subs {left}, {left}, #1",

@@ -1,27 +1,27 @@
-//! Instructions from a clock that an emulator drives by them.
+//! Counts instructions with a clock that an emulator derives from them.
 //!
-//! `qemu-system-* -icount shift=6` lets 64 ns of virtual time go by with every instruction, and
-//! every clock on the board follows. How many ticks that are differs, so the counter times two
-//! loops of a known length: their difference gives ticks for an instruction, whatever the call
-//! costs. A third loop has to come out right, or the counter is not used. On a chip, where
-//! instructions take one clock cycle or more, the third loop shows cycles to be none.
+//! `qemu-system-* -icount shift=6` advances virtual time by 64 ns per instruction, and every clock
+//! on the board follows. The number of ticks differs between clocks, so the counter times two loops
+//! of known length: their difference gives the ticks per instruction, independently of the
+//! overhead. A third loop must be predicted correctly, or the counter is not used. On a chip, where
+//! an instruction takes one clock cycle or more, the third loop fails.
 
 use core::hint::black_box;
 use core::sync::atomic::{Ordering, compiler_fence};
 
 use on_target::Meter;
 
-/// A clock whose ticks are exact multiples of instructions, or nearly.
+/// A clock whose ticks are approximately a multiple of instructions.
 pub(super) trait Clock {
-    /// Now, in ticks modulo the clock's range.
+    /// Returns the time, in ticks modulo the clock's range.
     fn now(&self) -> u32;
-    /// Ticks from one time to another.
+    /// Returns the ticks between two times.
     fn between(start: u32, end: u32) -> u32;
-    /// Runs a loop of exactly two instructions, `iterations` times; above 0.
+    /// Runs a loop of exactly two instructions `iterations` times, at least once.
     fn spin(iterations: u32);
 }
 
-/// Iterations of the loops that are timed, and of the one that is to be predicted.
+/// Iterations of the timed loops, and of the predicted one.
 const SHORT: u32 = 1_000;
 const LONG: u32 = 501_000;
 const PROOF: u32 = 3_333;
@@ -29,23 +29,23 @@ const PROOF: u32 = 3_333;
 /// Instructions of one iteration.
 const ITERATION: u32 = 2;
 
-/// How far the prediction may be off: the ends of an interval fall between ticks. \[instructions\]
+/// Tolerance of the prediction: the ends of an interval fall between ticks. \[instructions\]
 const TOLERANCE: u32 = 2;
 
 pub(super) struct Counter<C> {
     clock: C,
-    /// Ticks that go by while nothing is done.
+    /// Ticks of an empty measurement.
     overhead: u32,
     /// Ticks for [`Self::INSTRUCTIONS`].
     ticks: u32,
-    /// When counting began.
+    /// Start of the measurement.
     started: u32,
 }
 
 impl<C: Clock> Counter<C> {
     const INSTRUCTIONS: u32 = (LONG - SHORT) * ITERATION;
 
-    /// A counter over `clock`; `None` if that does not count instructions.
+    /// Creates a counter with `clock`; `None` if that does not count instructions.
     pub(super) fn calibrated(clock: C) -> Option<Self> {
         let mut counter = Self { clock, overhead: 0, ticks: Self::INSTRUCTIONS, started: 0 };
         counter.overhead = counter.time(|| ()).1;
@@ -70,7 +70,7 @@ impl<C: Clock> Counter<C> {
         let scaled = u64::from(ticks) * u64::from(Self::INSTRUCTIONS);
         let ticks = u64::from(self.ticks);
         let instructions = (scaled + ticks / 2).checked_div(ticks).unwrap_or(0);
-        // The black box keeps the division from drifting into the next interval.
+        // The black box keeps the division out of the next interval.
         black_box(instructions as u32)
     }
 }

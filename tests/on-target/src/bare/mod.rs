@@ -1,4 +1,4 @@
-//! The examination without an operating system.
+//! Runs the examination without an operating system.
 
 #[cfg_attr(target_arch = "arm", path = "cortex_m.rs")]
 #[cfg_attr(target_arch = "riscv32", path = "riscv.rs")]
@@ -17,7 +17,7 @@ const MISMATCH: i32 = 1;
 const UNUSABLE: i32 = 2;
 const PANIC: i32 = 101;
 
-/// What the runtime crates start once memory is set up.
+/// Called by the runtime crates once memory is set up.
 fn run() -> ! {
     let Some(mut counter) = board::clock().and_then(Counter::calibrated) else {
         Line::new().text("instructions cannot be counted").print();
@@ -56,7 +56,7 @@ fn run() -> ! {
     }
 }
 
-/// Nothing here panics, and `cargo xtask emulate` shows that nothing can.
+/// Never called: `cargo xtask emulate` verifies that nothing can panic.
 #[panic_handler]
 fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
     exit(PANIC)

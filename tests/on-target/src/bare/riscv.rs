@@ -11,14 +11,14 @@ fn start() -> ! {
     super::run()
 }
 
-/// The clock, which runs from reset on.
+/// Returns the clock, which runs from reset on.
 #[allow(clippy::unnecessary_wraps)] // another board's clock can be missing
 pub(super) fn clock() -> Option<CycleCounter> {
     Some(CycleCounter)
 }
 
 impl Clock for CycleCounter {
-    // One place in the program: an emulator counts wrongly where it first meets a device.
+    // Not inlined: an emulator counts wrongly where it first accesses a device.
     #[inline(never)]
     fn now(&self) -> u32 {
         mcycle::read() as u32
@@ -31,7 +31,7 @@ impl Clock for CycleCounter {
     #[inline(never)]
     #[allow(unsafe_code)]
     fn spin(iterations: u32) {
-        // SAFETY: counts a register down to zero and touches nothing else.
+        // SAFETY: counts a register down to zero and accesses nothing else.
         unsafe {
             core::arch::asm!(
                 "2: addi {left}, {left}, -1",

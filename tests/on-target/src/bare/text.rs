@@ -5,7 +5,7 @@ use semihosting::io::{Write, stdout};
 /// Longest line. \[bytes\]
 const LENGTH: usize = 120;
 
-/// A line in the making; what does not fit is cut off.
+/// A line under construction; text beyond its length is cut off.
 pub(super) struct Line {
     bytes: [u8; LENGTH],
     length: usize,
@@ -51,7 +51,8 @@ impl Line {
         self
     }
 
-    /// Shows the line on the host's console. A console that fails loses it: the exit code stays.
+    /// Prints the line to the host's console. If the console fails, the line is lost but the exit
+    /// code remains.
     pub(super) fn print(mut self) {
         self.byte(b'\n');
         if let (Ok(mut console), Some(line)) = (stdout(), self.bytes.get(..self.length)) {
