@@ -249,7 +249,7 @@ impl Board {
             PushError::Service(ServiceError::Unexpected { found, expected }) => {
                 Fault::Unexpected { found, expected }
             }
-            PushError::Service(ServiceError::Nonsense(bytes)) => Fault::Nonsense(bytes),
+            PushError::Service(ServiceError::Unrecognised(bytes)) => Fault::Nonsense(bytes),
             PushError::Service(ServiceError::Protocol { found }) => Fault::Protocol { found },
             PushError::Service(ServiceError::Garbage { .. }) => {
                 self.line_fault(LineError::Silent, "answer")
@@ -430,7 +430,7 @@ fn is_done(message: &Message<'_>) -> bool {
 
 fn heard(bytes: &[u8]) -> Result<Message<'_>, Fault> {
     understood(bytes).map_err(|error| match error {
-        ServiceError::Nonsense(bytes) => Fault::Nonsense(bytes),
+        ServiceError::Unrecognised(bytes) => Fault::Nonsense(bytes),
         ServiceError::Protocol { found } => Fault::Protocol { found },
         other => Fault::Nonsense(other.to_string()),
     })

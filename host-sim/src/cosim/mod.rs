@@ -50,7 +50,7 @@ use std::time::{Duration, Instant};
 use agent_core::health::HealthSettings;
 use serde::Serialize;
 
-use crate::engine::{Progress, RunError, RunOptions, run_accompanied};
+use crate::engine::{Progress, RunError, RunOptions, run_observed};
 use crate::files::output::OutputError;
 use crate::packages::PackageBytes;
 use crate::scenario::{Record, Scenario};
@@ -301,7 +301,7 @@ pub fn cosimulate(
     let mut lockstep = Lockstep::new(setup, relay);
     let options = RunOptions { seed, learning: true, bounds: false };
     let result =
-        run_accompanied(&scenario, &mut lockstep, options, progress).map_err(
+        run_observed(&scenario, &mut lockstep, options, progress).map_err(
             |error| match error {
                 RunError::RunObserver(error) => match error.downcast::<NodeError>() {
                     Ok(error) if matches!(error.fault, Fault::Interrupted) => {
