@@ -1,4 +1,4 @@
-//! The engine on the paper's network, nothing recorded: agent-steps per second on one thread.
+//! The engine on the paper's network, without recording: agent-steps per second on one thread.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;

@@ -1,11 +1,9 @@
-//! One Levenberg–Marquardt iteration on the paper's network against one dense JᵀJ, all on one
-//! core and in one run.
+//! One Levenberg–Marquardt iteration on the paper's network, compared with one dense JᵀJ, on one core.
 //!
 //! `cargo bench -p host-sim --bench levenberg_marquardt`
 //!
-//! The dense products are the part of an iteration that a solver with an explicit Jacobian
-//! cannot avoid: J of 12,600 × 425 (4,200 samples, 3 outputs) times its transpose, without
-//! computing J.
+//! The dense products are a lower bound for solvers with an explicit Jacobian: J of 12,600 × 425
+//! (4,200 samples, 3 outputs) times its transpose, without computing J.
 
 use agent_core::math::activation::Activation;
 use agent_core::observer::network::{Architecture, Layer};
@@ -59,7 +57,7 @@ fn problem() -> (NetworkProblem, Vec<f64>) {
     (problem, start)
 }
 
-/// Normal equations, damped solution, error of the new point on all three sets.
+/// Normal equations, damped solution, and the error of the new point on all three sets.
 #[divan::bench]
 fn iteration(bencher: Bencher<'_, '_>) {
     let (mut problem, start) = problem();
@@ -95,7 +93,7 @@ fn iteration_cost_of_all_sets(bencher: Bencher<'_, '_>) {
     });
 }
 
-/// 25 epochs, division and start included.
+/// 25 epochs, including division and initial parameters.
 #[divan::bench(sample_count = 5)]
 fn training_of_25_epochs(bencher: Bencher<'_, '_>) {
     let dataset = dataset();

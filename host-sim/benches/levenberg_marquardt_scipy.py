@@ -1,10 +1,10 @@
-"""Seconds that SciPy's Levenberg-Marquardt takes for an iteration of the benchmark's size.
+"""Measures SciPy's Levenberg-Marquardt on a problem of the benchmark's size, in seconds per iteration.
 
     pip install numpy scipy
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python3 host-sim/benches/levenberg_marquardt_scipy.py
 
 The network has the paper's shape (3-12-12-12-5, tanh, then fixed outer weights to 3 outputs): 425
-parameters, 4,200 samples, 12,600 residuals. The Jacobian is analytic. An iteration is what happens
+parameters, 4,200 samples, 12,600 residuals. The Jacobian is analytic. An iteration is the time
 between two evaluations of the Jacobian.
 """
 
@@ -45,7 +45,7 @@ def jacobian(parameters):
     activations = forward(parameters)
     samples = len(x)
     blocks, end = [], len(parameters)
-    # delta[s, o, node]: derivative of output o by the weighted sum of a node.
+    # delta[s, o, node]: derivative of output o with respect to the weighted sum of a node.
     delta = outer.T[None] * (1 - activations[-1] ** 2)[:, None, :]
     for layer in reversed(range(len(shapes))):
         m, n = shapes[layer]
@@ -72,4 +72,4 @@ def timed_jacobian(parameters):
 
 least_squares(residuals, start, timed_jacobian, method="lm", max_nfev=12)
 iterations = np.diff(starts)
-print(f"SciPy, seconds an iteration: median {np.median(iterations):.3f} of {len(iterations)}")
+print(f"SciPy, seconds per iteration: median {np.median(iterations):.3f} of {len(iterations)}")

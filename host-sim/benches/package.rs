@@ -1,5 +1,5 @@
-//! Everything that a node checks of a paper-sized package (2,096 bytes, 425 + 15 parameters,
-//! four test vectors), on the host: `cargo bench -p host-sim --bench package`.
+//! Cost on the host of all of a node's checks on a package of the paper's size (2,096 bytes, 425 + 15
+//! parameters, four test vectors): `cargo bench -p host-sim --bench package`.
 
 use agent_core::observer::network::Scratch;
 use agent_core::package::{Capacity, Package, Requirements, accept};
@@ -13,7 +13,7 @@ fn main() {
     divan::main();
 }
 
-/// What agent 1 of the paper switches in.
+/// The package that agent 1 of the paper switches in.
 fn paper_sized() -> PackageBytes {
     let scenario = Scenario::parse("paper.toml", PAPER).expect("the built-in scenario is valid");
     let options = RunOptions { seed: 0, learning: true, bounds: false };
@@ -26,22 +26,22 @@ fn check(bencher: Bencher<'_, '_>, package: &PackageBytes, requirements: &Requir
     bencher.bench_local(|| {
         accept::<3>(black_box(package.as_bytes()), requirements, &mut scratch)
             .map(|package| package.version)
-            .expect("a good package")
+            .expect("a valid package")
     });
 }
 
-const ANYONE: Requirements<'static> =
+const UNRESTRICTED: Requirements<'static> =
     Requirements { public_key: None, in_use: None, capacity: Capacity::UNLIMITED };
 
 #[divan::bench]
 fn acceptance_unsigned(bencher: Bencher<'_, '_>) {
-    check(bencher, &paper_sized(), &ANYONE);
+    check(bencher, &paper_sized(), &UNRESTRICTED);
 }
 
 #[divan::bench]
 fn acceptance_signed(bencher: Bencher<'_, '_>) {
     let key = OperatorKey::generate().expect("random numbers");
-    let requirements = Requirements { public_key: Some(key.public_key()), ..ANYONE };
+    let requirements = Requirements { public_key: Some(key.public_key()), ..UNRESTRICTED };
     check(bencher, &paper_sized().signed(&key), &requirements);
 }
 
@@ -49,6 +49,6 @@ fn acceptance_signed(bencher: Bencher<'_, '_>) {
 fn decoding(bencher: Bencher<'_, '_>) {
     let package = paper_sized();
     bencher.bench_local(|| {
-        Package::decode(black_box(package.as_bytes())).expect("a good package").version
+        Package::decode(black_box(package.as_bytes())).expect("a valid package").version
     });
 }

@@ -8,12 +8,12 @@ fn main() {
     divan::main();
 }
 
-/// Steps of one sample: enough to hide the clock.
+/// Steps per sample: enough to hide the cost of reading the clock.
 const STEPS: u32 = 1000;
 
 fn run(bencher: Bencher, name: &str, integrator: Integrator) {
     let text = built_in(name).expect("a built-in scenario");
-    let scenario = Scenario::parse(name, text).expect("built-in scenarios are sound");
+    let scenario = Scenario::parse(name, text).expect("built-in scenarios are valid");
     let step_size = scenario.time.step_size;
     bencher.counter(divan::counter::ItemsCount::new(STEPS)).bench_local(|| {
         let (mut stepper, mut x) = (Stepper::new(integrator), scenario.initial_state.clone());
@@ -26,7 +26,7 @@ fn run(bencher: Bencher, name: &str, integrator: Integrator) {
     });
 }
 
-/// Nanoseconds a step are microseconds a sample.
+/// Nanoseconds per step equal microseconds per sample.
 #[divan::bench(args = ["paper", "lorenz", "pendulum", "duffing", "expressions"])]
 fn euler_1000_steps(bencher: Bencher, name: &str) {
     run(bencher, name, Integrator::Euler);

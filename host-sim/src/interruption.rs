@@ -16,7 +16,7 @@ use crate::terminal;
 static STOP: LazyLock<Arc<Stop>> = LazyLock::new(Arc::default);
 /// Number of the first signal received.
 static SIGNAL: AtomicI32 = AtomicI32::new(0);
-/// An [`Again`], or [`END`].
+/// A [`SecondSignal`], or [`END`].
 static RESPONSE: AtomicU8 = AtomicU8::new(END);
 
 /// No command is listening: the first signal ends the process.
@@ -31,10 +31,10 @@ const TERMINATE: i32 = 15;
 
 /// What a second signal does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Again {
+pub enum SecondSignal {
     /// Ends the process at once.
     Exit,
-    /// Nothing: the command is about to remove processes and files, which takes little time.
+    /// Is ignored: the command is removing processes and files, which takes little time.
     Wait,
 }
 
@@ -103,32 +103,32 @@ fn handle_signals() -> Result<(), ctrlc::Error> {
 }
 
 fn received(signal: i32) {
-    let again = STOP.is_requested();
+    let is_second = STOP.is_requested();
     match RESPONSE.load(Ordering::Relaxed) {
         WAIT => {}
-        EXIT if !again => {}
+        EXIT if !is_second => {}
         _ => {
             temporary::remove_all();
             std::process::exit(128 + signal);
         }
     }
-    if !again {
+    if !is_second {
         SIGNAL.store(signal, Ordering::Relaxed);
         STOP.request();
     }
 }
 
 /// Makes signals set a flag instead of ending the process.
-pub fn listen(again: Again) {
-    let response = match again {
-        Again::Exit => EXIT,
-        Again::Wait => WAIT,
+pub fn listen(second: SecondSignal) {
+    let response = match second {
+        SecondSignal::Exit => EXIT,
+        SecondSignal::Wait => WAIT,
     };
     RESPONSE.store(response, Ordering::Relaxed);
     install();
 }
 
-/// Whether a signal has been received.
+/// Returns whether a signal has been received.
 #[must_use]
 pub fn requested() -> bool {
     STOP.is_requested()
@@ -144,7 +144,7 @@ pub fn signal() -> Option<Signal> {
     })
 }
 
-/// What signals ask to stop.
+/// Returns the stop request that signals set.
 #[must_use]
 pub fn stop() -> &'static Arc<Stop> {
     &STOP

@@ -1,7 +1,7 @@
-//! Words that were meant.
+//! Spelling suggestions.
 
-/// The candidate at the least distance, of those at most `most` away, if no other is as near. The
-/// distance counts letters more, less, other or swapped with their neighbour.
+/// Returns the nearest candidate at a distance of at most `most`, unless two are equally near. The
+/// distance counts insertions, deletions, substitutions and swaps of adjacent letters.
 pub(crate) fn nearest<'c>(
     candidates: impl IntoIterator<Item = &'c str>,
     distance: impl Fn(&str) -> usize,

@@ -18,14 +18,14 @@ impl Stop {
         self.requested.store(true, Ordering::Release);
     }
 
-    /// Whether the stop has been requested.
+    /// Returns whether the stop has been requested.
     #[must_use]
     pub fn is_requested(&self) -> bool {
         self.requested.load(Ordering::Acquire)
     }
 
-    /// Whether the stop was requested at least `time` ago: work in progress may use this long to
-    /// finish cleanly.
+    /// Returns whether the stop was requested at least `time` ago, the time that work in progress
+    /// has to finish cleanly.
     #[must_use]
     pub fn is_requested_for(&self, time: Duration) -> bool {
         self.is_requested() && self.since.get().is_none_or(|since| since.elapsed() >= time)
@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_under_way_has_its_time() {
+    fn work_in_progress_has_time_to_finish() {
         let stop = Stop::default();
         assert!(!stop.is_requested() && !stop.is_requested_for(Duration::ZERO));
         stop.request();

@@ -13,7 +13,7 @@ use crate::report::columns::aligned;
 use crate::report::tables::{number, percent};
 use crate::scenario::Scenario;
 
-/// An agent, as JSON has it.
+/// An agent's results in the JSON report.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct AgentReport {
     pub(super) agent: usize,
@@ -31,18 +31,18 @@ pub(super) struct AgentReport {
     pub(super) broadcasts_untrained: Option<u64>,
     pub(super) mean_interval: Option<f64>,
     pub(super) min_interval: Option<f64>,
-    /// Of an agent that was watched.
+    /// Present only if the agent's health was monitored.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) health: Option<HealthReport>,
 }
 
-/// Up to this many agents get a line each on the terminal.
+/// Number of agents listed individually on the terminal.
 const LINES: usize = 20;
 
-/// A column of errors: its heading and the error of an agent.
+/// A column of errors: its heading and how to get an agent's error.
 type Errors<'a> = (&'a str, fn(&AgentReport) -> Option<f64>);
 
-/// The table. `name` is what the run itself is called.
+/// Returns the table as text; `name` is the column heading of the run itself.
 pub(super) fn text(
     scenario: &Scenario,
     agents: &[AgentReport],
@@ -97,7 +97,7 @@ fn rmse(agent: &AgentReport) -> Option<f64> {
     agent.rmse
 }
 
-/// Best, median and worst error of all agents, in each run.
+/// Returns the best, median and worst error over all agents, for each run.
 fn spread(agents: &[AgentReport], errors: &[Errors<'_>]) -> String {
     let headings = [["", "RMSE of all"], ["", "best"], ["", "median"], ["", "worst"]];
     let row = |(name, error): &Errors<'_>| {
@@ -110,7 +110,7 @@ fn spread(agents: &[AgentReport], errors: &[Errors<'_>]) -> String {
     aligned(&headings, &rows)
 }
 
-/// Writes what JSON has on each agent, except its health.
+/// Writes the fields of the JSON report for each agent, except its health.
 pub(super) fn write_csv(path: &Path, agents: &[AgentReport]) -> Result<(), OutputError> {
     let header = [
         "agent",

@@ -1,14 +1,14 @@
-//! What a run's errors are compared with: the same observers without any network, and with the
-//! network as it starts.
+//! Baseline runs, which a run's errors are compared with: the same observers without a network, and
+//! with the initial network.
 //!
 //! | run | network | outer law | learning |
 //! | --- | --- | --- | --- |
 //! | *no network* | none: feedback and consensus alone | no | no |
-//! | *untrained* | the scenario's own, as it starts | yes | no |
+//! | *untrained* | the scenario's initial one | yes | no |
 //! | the run itself | the scenario's own, or given packages | yes | as the scenario says |
 //!
-//! Baselines record nothing and run in parallel with the run itself, whose bits they cannot change.
-//! One that fails is reported with the reason, and the run itself goes on.
+//! Baselines record nothing and run in parallel with the run itself, without affecting its result.
+//! If a baseline fails, the reason is reported and the run itself continues.
 
 use clap::ValueEnum;
 use serde::Serialize;
@@ -19,29 +19,29 @@ use crate::report::tables::change_percent;
 use crate::scenario::{Record, Scenario};
 use crate::warning::{Warning, WarningCode};
 
-/// Which baselines are run.
+/// Which baselines to run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Choice {
-    /// Without a network, and with the untrained one
+    /// Without a network, and with the untrained network
     All,
     /// Only the run itself
     None,
 }
 
-/// A run to compare with.
+/// A baseline run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Baseline {
-    /// The observer on its feedback alone.
+    /// The observer with feedback and consensus only.
     NoNetwork,
-    /// The scenario's own network as it starts, adapted by the outer law only.
+    /// The scenario's initial network; only the outer law adapts it.
     Untrained,
 }
 
 impl Baseline {
-    /// Both, in the order of tables.
+    /// Both baselines, in table order.
     pub(super) const ALL: [Self; 2] = [Self::NoNetwork, Self::Untrained];
 
-    /// What it is called in tables, figures and messages.
+    /// Returns its name in tables, figures and messages.
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::NoNetwork => "no network",
@@ -49,7 +49,7 @@ impl Baseline {
         }
     }
 
-    /// The scenario of this baseline.
+    /// Returns the scenario of this baseline.
     pub(super) fn scenario(self, scenario: &Scenario) -> Scenario {
         let mut scenario = scenario.clone();
         scenario.record = NOTHING;
@@ -63,7 +63,7 @@ impl Baseline {
         scenario
     }
 
-    /// Runs it.
+    /// Runs the baseline.
     pub(super) fn run(
         self,
         scenario: &Scenario,
@@ -75,13 +75,13 @@ impl Baseline {
     }
 }
 
-/// Of a run that is for comparison only.
+/// Recording settings of a run made for comparison only.
 pub(super) const NOTHING: Record = Record { trace_stride: None, events: false, samples: false };
 
-/// How a baseline ended.
+/// The outcome of a baseline.
 #[derive(Debug)]
 pub(super) enum Outcome {
-    /// It was not asked for, or there is nothing to compare.
+    /// Not requested, or there is nothing to compare.
     NotRun,
     /// The run itself is this baseline.
     Itself,
@@ -104,8 +104,8 @@ pub(super) struct Baselines {
     outcomes: [Outcome; 2],
 }
 
-/// Which baselines are worth comparing with a run of `scenario` (after `--without-learning` and
-/// `--weights`), and which of them it is itself.
+/// Which baselines to run beside a scenario (after `--without-learning` and `--weights`), and whether
+/// the run is itself one of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Plan {
     pub(super) runs: [bool; 2],
@@ -120,12 +120,12 @@ impl Plan {
         Self { runs: [compared, compared && trained], itself: compared && !trained }
     }
 
-    /// How many baselines are run.
+    /// Returns the number of baselines to run.
     pub(super) fn count(self) -> u64 {
         self.runs.into_iter().map(u64::from).sum()
     }
 
-    /// Runs the baselines, in parallel. `progress` makes one for each run.
+    /// Runs the baselines in parallel. `progress` is called once per run.
     pub(super) fn carry_out<P: Progress>(
         self,
         scenario: &Scenario,
@@ -146,14 +146,14 @@ impl Plan {
     }
 }
 
-/// Whether an agent starts with a package from outside.
+/// Returns whether any agent starts with a package given by the user.
 pub(super) fn has_packages(scenario: &Scenario) -> bool {
     scenario.agents.iter().any(|agent| agent.package.is_some())
 }
 
 impl Baselines {
-    /// What a baseline measured of each agent; `itself` is what the run measured. `None` if it was
-    /// not run or failed.
+    /// Returns a baseline's statistics for each agent, or `None` if it was not run or failed. `itself`
+    /// holds the statistics of the run itself.
     pub(super) fn agents<'s>(
         &'s self,
         baseline: Baseline,
@@ -166,12 +166,12 @@ impl Baselines {
         }
     }
 
-    /// Whether a baseline has a column of its own in tables: it was run, even if it failed.
+    /// Returns whether a baseline has its own column in tables: it was run, even if it failed.
     pub(super) fn is_shown(&self, baseline: Baseline) -> bool {
         matches!(self.outcomes[baseline as usize], Outcome::Done(_) | Outcome::Failed(_))
     }
 
-    /// A warning for each baseline that failed.
+    /// Returns a warning for each baseline that failed.
     pub(super) fn warnings(&self) -> Vec<Warning> {
         let failed = |baseline: Baseline| match &self.outcomes[baseline as usize] {
             Outcome::Failed(error) => Some(Warning::new(
@@ -186,7 +186,7 @@ impl Baselines {
         Baseline::ALL.into_iter().filter_map(failed).collect()
     }
 
-    /// How each ended, for JSON.
+    /// Returns how each baseline ended, for JSON.
     pub(super) fn states(&self) -> States {
         let [no_network, untrained] = self.outcomes.each_ref().map(|outcome| match outcome {
             Outcome::NotRun => State { status: "not_run", reason: None },
@@ -198,7 +198,7 @@ impl Baselines {
     }
 }
 
-/// How the baselines ended, as JSON has it.
+/// How the baselines ended, in the JSON report.
 #[derive(Debug, Serialize)]
 pub(super) struct States {
     no_network: State,
@@ -211,21 +211,21 @@ struct State {
     reason: Option<String>,
 }
 
-/// An agent's errors against those of the baselines.
+/// An agent's results compared with the baselines'.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Comparison {
     pub(super) rmse_no_network: Option<f64>,
     pub(super) rmse_untrained: Option<f64>,
     pub(super) broadcasts_no_network: Option<u64>,
     pub(super) broadcasts_untrained: Option<u64>,
-    /// Against no network. \[%\]
+    /// Relative to no network. \[%\]
     pub(super) change_no_network: Option<f64>,
-    /// Against the untrained network. \[%\]
+    /// Relative to the untrained network. \[%\]
     pub(super) change_untrained: Option<f64>,
 }
 
 impl Comparison {
-    /// Of the agent with this index.
+    /// Compares the agent with this index.
     pub(super) fn new(baselines: &Baselines, itself: &[AgentStatistics], index: usize) -> Self {
         let [no_network, untrained] = Baseline::ALL.map(|baseline| {
             baselines.agents(baseline, itself).and_then(|agents| agents.get(index))
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn baselines_are_those_that_say_something() {
+    fn only_meaningful_baselines_are_planned() {
         let (all, none) = (Some(Choice::All), Some(Choice::None));
         let unchanged = |_: &mut Scenario| ();
         let no_learning = |scenario: &mut Scenario| scenario.learning.clear();
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn without_learning_the_seed_of_the_papers_runs_does_not_matter() {
+    fn without_learning_the_paper_scenario_does_not_depend_on_the_seed() {
         let scenario = paper(0.5);
         for baseline in Baseline::ALL {
             let digest = |seed| baseline.run(&scenario, seed, &Silent).unwrap().digest;

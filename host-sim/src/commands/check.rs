@@ -1,4 +1,4 @@
-//! `check`: what a scenario shows without a run.
+//! `check`: design checks of a scenario, without running it.
 
 use std::path::PathBuf;
 
@@ -17,9 +17,9 @@ use crate::warning::Warning;
 /// Arguments of `check`.
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
-    /// The scenario, a TOML file, or the name of a built-in one
+    /// Scenario: a TOML file or the name of a built-in scenario
     scenario: PathBuf,
-    /// How results are printed on standard output
+    /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -46,7 +46,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Ok(())
     } else {
         let name = &scenario.name;
-        let problem = format!("a run of scenario {name} would be unstable; see the step above");
+        let problem = format!("scenario {name} would be unstable; see the step above");
         Err(CommandError::new(ErrorCode::Unstable, problem))
     };
     match arguments.format {
@@ -70,7 +70,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
 
 fn text(scenario: &Scenario, design: &DesignChecks, warnings: &[Warning]) -> String {
     let mut text = format!(
-        "Scenario {}: {} agents, a state of {} components, {} steps\n",
+        "Scenario {}: {} agents, {} state components, {} steps\n",
         scenario.name,
         scenario.agents.len(),
         scenario.dimension(),
@@ -83,7 +83,7 @@ fn text(scenario: &Scenario, design: &DesignChecks, warnings: &[Warning]) -> Str
     };
     if let Some(bound) = design.ultimate_bound {
         text += &format!(
-            "  Theorem 1, if rho is at least chi_bar_max (a run estimates it): ultimately \
+            "  Theorem 1, if rho is at least chi_bar_max (which a run estimates): ultimate bound \
              |e_1| <= {}\n",
             significant(bound.ultimate().sqrt(), 4)
         );

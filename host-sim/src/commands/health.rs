@@ -1,4 +1,4 @@
-//! What the watch over the agents has counted, for people and for programs.
+//! Health counters of agents, as text and JSON.
 
 use std::fmt::Write;
 
@@ -9,10 +9,10 @@ use serde::{Serialize, Serializer};
 
 use crate::engine::statistics::AgentStatistics;
 
-/// Up to this many agents have a line each.
+/// Number of agents listed individually.
 const LINES: usize = 12;
 
-/// Counters as one object, a field each.
+/// Counters as a JSON object, with one field per counter.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HealthReport(pub(super) HealthCounters);
 
@@ -22,13 +22,13 @@ impl Serialize for HealthReport {
     }
 }
 
-/// The name of each counter, what it says to people, and how much it is.
+/// Returns each counter's JSON name, description and value.
 fn named(counters: &HealthCounters) -> impl Iterator<Item = (&'static str, &'static str, u32)> {
     let rows = HealthCounters::TABLE.into_iter().zip(counters.to_array());
     rows.map(|((name, text), count)| (name, text, count))
 }
 
-/// What has been counted, on one line.
+/// Returns the nonzero counters on one line.
 #[cfg(unix)]
 pub(super) fn line(counters: &HealthCounters) -> String {
     counted(HealthCounters::TABLE.into_iter().zip(counters.to_array()))
@@ -48,7 +48,7 @@ fn counted(counts: impl Iterator<Item = ((&'static str, &'static str), u32)>) ->
     if parts.is_empty() { "nothing to report".to_owned() } else { parts.join(", ") }
 }
 
-/// A line for each agent that has something to tell; nothing at all if none was watched.
+/// Returns a line for each agent with nonzero counters, or nothing if no agent was monitored.
 pub(super) fn table(agents: &[AgentStatistics]) -> String {
     let watched = agents.iter().enumerate();
     let watched: Vec<_> = watched.filter_map(|(i, agent)| Some((i + 1, agent.health?))).collect();
@@ -56,14 +56,14 @@ pub(super) fn table(agents: &[AgentStatistics]) -> String {
         return String::new();
     }
     let mut text = String::from("Health\n");
-    let told = |(_, counters): &&(usize, HealthCounters)| *counters != HealthCounters::default();
-    for (agent, counters) in watched.iter().filter(told).take(LINES) {
+    let nonzero = |(_, counters): &&(usize, HealthCounters)| *counters != HealthCounters::default();
+    for (agent, counters) in watched.iter().filter(nonzero).take(LINES) {
         let counted = named(counters).filter(|(_, _, count)| *count > 0);
         let parts: Vec<_> = counted.map(|(_, what, count)| format!("{what}: {count}")).collect();
         // Writing into a string cannot fail.
         let _ = writeln!(text, "  agent {agent}: {}", parts.join(", "));
     }
-    match watched.iter().filter(told).count() {
+    match watched.iter().filter(nonzero).count() {
         0 => text.push_str("  nothing to report\n"),
         count if count > LINES => {
             let _ = writeln!(text, "  and {} more agents, with --format json", count - LINES);
@@ -85,13 +85,13 @@ mod tests {
     }
 
     #[test]
-    fn only_what_happened_is_told() {
-        let calm = HealthCounters::default();
-        let counters = HealthCounters { outside_box: 40, fall_backs: 2, returns: 1, ..calm };
+    fn only_nonzero_counters_are_printed() {
+        let zero = HealthCounters::default();
+        let counters = HealthCounters { outside_box: 40, fall_backs: 2, returns: 1, ..zero };
         assert_eq!(table(&[of(None), of(None)]), "");
-        assert_eq!(table(&[of(None), of(Some(calm))]), "Health\n  nothing to report\n\n");
+        assert_eq!(table(&[of(None), of(Some(zero))]), "Health\n  nothing to report\n\n");
         assert_eq!(
-            table(&[of(Some(calm)), of(Some(counters)), of(None)]),
+            table(&[of(Some(zero)), of(Some(counters)), of(None)]),
             "Health\n  agent 2: steps outside the trained box: 40, \
              fallbacks to feedback alone: 2, returns to the network: 1\n\n"
         );
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn every_counter_is_a_field_of_its_own() {
+    fn every_counter_has_its_own_field() {
         let counters = HealthCounters { restarts: 3, ..HealthCounters::default() };
         let value = serde_json::to_value(HealthReport(counters)).unwrap();
         let fields = value.as_object().unwrap();

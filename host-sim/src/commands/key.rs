@@ -1,4 +1,4 @@
-//! Private keys on the command line, and where their passphrases come from.
+//! Keys given on the command line, and the passphrases of encrypted ones.
 
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -13,28 +13,28 @@ use crate::signing::EitherKey;
 use crate::signing::{KeyFileError, OperatorKey};
 use crate::terminal::one_line;
 
-/// The passphrase's variable.
+/// Environment variable that holds the passphrase.
 const VARIABLE: &str = "HOST_SIM_PASSPHRASE";
 
-/// Longest file with a passphrase. \[byte\]
+/// Maximum size of a passphrase file. \[byte\]
 const FILE_MAX: u64 = 64 << 10;
 
-/// Where the passphrase of an encrypted private key comes from.
+/// Source of the passphrase of an encrypted private key.
 #[derive(Debug, Args)]
 pub(super) struct Passphrase {
-    /// File whose first line is the passphrase of an encrypted private key [default: the variable
-    /// HOST_SIM_PASSPHRASE, else the terminal is asked]
+    /// File whose first line is the passphrase of an encrypted private key [default: the environment
+    /// variable HOST_SIM_PASSPHRASE, else a prompt]
     #[arg(long, value_name = "FILE")]
     passphrase_file: Option<PathBuf>,
 }
 
 impl Passphrase {
-    /// The private key in the file `path`.
+    /// Reads the private key in the file `path`.
     pub(super) fn key(&self, path: &Path) -> Result<OperatorKey, CommandError> {
         Ok(OperatorKey::read_encrypted(path, &mut |path| self.passphrase(path))?)
     }
 
-    /// The private or public key in the file `path`.
+    /// Reads the private or public key in the file `path`.
     #[cfg(unix)]
     pub(super) fn either_key(&self, path: &Path) -> Result<EitherKey, CommandError> {
         Ok(EitherKey::read(path, &mut |path| self.passphrase(path))?)
@@ -64,6 +64,6 @@ fn first_line(path: &Path) -> std::io::Result<Zeroizing<String>> {
     let bytes = Zeroizing::new(read_limited(path, FILE_MAX)?);
     let line = bytes.split(|&byte| byte == b'\n').next().unwrap_or_default();
     let line = line.strip_suffix(b"\r").unwrap_or(line);
-    let text = std::str::from_utf8(line).map_err(|_| std::io::Error::other("it is not UTF-8"))?;
+    let text = std::str::from_utf8(line).map_err(|_| std::io::Error::other("not valid UTF-8"))?;
     Ok(Zeroizing::new(text.to_owned()))
 }

@@ -1,10 +1,11 @@
-//! What the command line does.
+//! The command line.
 //!
-//! Standard output carries results: text for people, or one JSON object with
-//! `--format json`, also for errors. Messages go to standard error; so does progress, and only to a
-//! terminal. Exit codes: 0 done; 2 bad usage, bad input, or refused; 1 anything else; 128 and the
-//! number of the signal that ended it. A reader that closes the output (`head`) does not
-//! change the exit code; messages that cannot be written are lost, and nothing else is.
+//! Results go to standard output: as text, or as one JSON object with `--format json`, which also
+//! covers errors. Messages go to standard error, and so does progress if that is a terminal.
+//!
+//! Exit codes: 0 success; 2 bad usage, bad input or refusal; 1 any other failure; 128 plus the signal
+//! number after a signal. A reader that closes the output early (`head`) does not change the exit
+//! code. Messages that cannot be written are dropped.
 
 mod agent_table;
 mod baselines;
@@ -53,7 +54,7 @@ use progress::ProgressBars;
 
 /// Simulates distributed, event-triggered state estimation with deep networks.
 ///
-/// Without a command: reproduce.
+/// Without a command, `reproduce` is run.
 #[derive(Debug, Parser)]
 #[command(name = "host-sim", version, args_conflicts_with_subcommands = true)]
 struct CommandLine {
@@ -65,63 +66,63 @@ struct CommandLine {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Runs both of the paper's simulations and sets the results beside the paper's
+    /// Run both of the paper's simulations and compare the results with the published ones
     Reproduce(reproduce::Arguments),
-    /// Runs a scenario file
+    /// Run a scenario
     Run(run::Arguments),
-    /// Tells what there is to know of a scenario without running it: gain, step, trigger, bounds
+    /// Check a scenario without running it: gain, step, trigger, bounds
     ///
-    /// Ends with 0, also with warnings; with 1 where a run would be meaningless, as with a step that
-    /// is too long for the observer; with 2 on bad input.
+    /// Exits with 0 even if there are warnings, with 1 if a run would be meaningless (for example if
+    /// the step is too long for the observer), and with 2 on bad input.
     Check(check::Arguments),
-    /// Runs a scenario together with emulated or real nodes and compares every bit
+    /// Run a scenario together with emulated or real nodes and compare every bit
     #[cfg(unix)]
     Cosim(cosim::Arguments),
-    /// Shows what a running node tells, and records its samples for `train`
+    /// Show a running node's messages, and record its samples for `train`
     #[cfg(unix)]
     Monitor(monitor::Arguments),
-    /// Brings a weight package into a running node
+    /// Send a weight package to a running node
     #[cfg(unix)]
     Push(push::Arguments),
-    /// Asks a running node for its status, or to confirm, revert or reset
+    /// Query a running node's status, or make it confirm, revert or reset
     #[cfg(unix)]
     Node(node::Arguments),
-    /// Trains a network on recorded samples and writes a weight package
+    /// Train a network on recorded samples and write a weight package
     Train(train::Arguments),
-    /// Looks at weight packages, checks, signs, converts and places them
+    /// Inspect, verify, sign, convert and place weight packages
     #[command(subcommand)]
     Weights(weights::Command),
-    /// Writes a weight package into a chip through probe-rs and reads it back
+    /// Write a weight package to a chip through probe-rs and verify it
     Flash(weights::FlashArguments),
-    /// Prints a built-in scenario, as a file to start from; without a name, lists them
+    /// Print a built-in scenario to start from, or list their names
     Scenario(scenario::Arguments),
 }
 
 /// How results are printed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 enum Format {
-    /// Tables for people.
+    /// Text for people
     #[default]
     Text,
-    /// One JSON object.
+    /// One JSON object
     Json,
 }
 
-/// What every command that runs something takes.
+/// Options of every command that runs or trains something.
 #[derive(Clone, Debug, Args)]
 struct Common {
-    /// Seed of all that is random
+    /// Random seed
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// How results are printed on standard output
+    /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
-    /// Threads to use, 0 for one a core; the results are the same bits for any number
+    /// Number of threads, 0 for one per core; results do not depend on it, to the last bit
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=1024))]
     threads: u16,
 }
 
-/// Parses the arguments of the process and does what they ask.
+/// Parses the process's arguments and runs the command.
 #[must_use]
 pub fn main() -> ExitCode {
     interruption::install();
@@ -173,7 +174,7 @@ fn with_threads(
     pool.install(command)
 }
 
-/// Prints `value` as one JSON object on a line of its own.
+/// Prints `value` as one JSON object on its own line.
 fn print_json(value: &impl Serialize) -> Result<(), CommandError> {
     terminal::print_json(value).map_err(CommandError::Output)
 }
@@ -183,8 +184,8 @@ fn print_text(text: &str) -> Result<(), CommandError> {
     terminal::print(text).map_err(CommandError::Output)
 }
 
-/// Prints a result that says what `outcome` is: the error is then not printed again, and a
-/// failure to print matters only after a success.
+/// Prints a result that includes the error of `outcome`, which is then not printed again. A failure
+/// to print is reported only if `outcome` is a success.
 fn print_outcome(
     result: &impl Serialize,
     outcome: Result<(), CommandError>,
@@ -204,21 +205,21 @@ fn print_outcome(
     }
 }
 
-/// The built-in scenario of that name, or the one in the file `path`. A built-in name is that of the
-/// scenario whatever lies in the current folder; `./NAME` is the file.
+/// Loads the built-in scenario of that name, or the file `path`. A built-in name takes precedence over
+/// a file of the same name; `./NAME` refers to the file.
 fn load_scenario(path: &Path) -> Result<Scenario, CommandError> {
     let Some((name, text)) = path.to_str().and_then(|name| Some((name, built_in(name)?))) else {
         return Ok(Scenario::load(path)?);
     };
     if path.is_file() {
         terminal::note(format_args!(
-            "{name} is the built-in scenario; write ./{name} for the file of that name"
+            "using the built-in scenario {name}; write ./{name} to use the file of that name"
         ));
     }
     Ok(Scenario::parse(name, text)?)
 }
 
-/// The index, from 0, of the agent that the command line calls `number`, from 1.
+/// Converts an agent number from the command line, from 1, to an index, from 0.
 fn agent_index(scenario: &Scenario, number: usize) -> Result<usize, CommandError> {
     let agents = scenario.agents.len();
     number.checked_sub(1).filter(|&index| index < agents).ok_or_else(|| {
@@ -227,7 +228,7 @@ fn agent_index(scenario: &Scenario, number: usize) -> Result<usize, CommandError
     })
 }
 
-/// The scenario's network, without which there is no package.
+/// Returns the scenario's network, which a package requires.
 fn network_of(scenario: &Scenario) -> Result<&Network, CommandError> {
     scenario.network.as_ref().ok_or_else(|| {
         let name = &scenario.name;
@@ -236,7 +237,7 @@ fn network_of(scenario: &Scenario) -> Result<&Network, CommandError> {
     })
 }
 
-/// One of several runs that go on at the same time and share the progress bars.
+/// The progress of one of several concurrent runs that share the progress bars.
 struct SharedProgress<'p> {
     bars: &'p ProgressBars,
     done: &'p AtomicU64,
@@ -251,11 +252,11 @@ impl<'p> SharedProgress<'p> {
 }
 
 impl Progress for SharedProgress<'_> {
-    fn stepped(&self, tick: u64, _steps: u64) {
+    fn step(&self, tick: u64, _steps: u64) {
         let before = self.own.swap(tick, Ordering::Relaxed);
         let advanced = tick.saturating_sub(before);
         let done = self.done.fetch_add(advanced, Ordering::Relaxed) + advanced;
-        self.bars.stepped(done, self.total);
+        self.bars.step(done, self.total);
     }
 
     fn epoch(&self, agent: usize, cycle: usize, report: &EpochReport) {

@@ -1,4 +1,4 @@
-//! `monitor`: what a running node tells, on the terminal and into a file.
+//! `monitor`: shows a running node's messages and records its samples.
 
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
@@ -13,59 +13,59 @@ use serde::Serialize;
 use super::board_report::{BoardReport, errors_line, fault_line};
 use super::node::{RETRY_POLICY, connect, text};
 use super::{CommandError, ErrorCode, Format, health, load_scenario, print_json, print_text};
-use crate::interruption::{self, Again};
+use crate::interruption::{self, SecondSignal};
 use crate::packages::{PackageBytes, RecordingSource};
-use crate::service::client::understood;
+use crate::service::client::decode;
 use crate::service::nodes_file::NodesFile;
 use crate::service::push::{done, in_use, status_and};
 use crate::service::record::{RecordCounts, Recorder, step_size};
 use crate::service::record_file::RecordFile;
 use crate::service::{Address, Client, LineError, Message, RetryPolicy, ServiceError};
 
-/// Between two states, by default. \[steps\]
+/// Default interval between states. \[steps\]
 const EVERY: NonZeroU32 = NonZeroU32::new(500).unwrap();
 
-/// Between two lines while every step is recorded.
+/// Interval between lines while every step is recorded.
 const LINE: Duration = Duration::from_millis(500);
 
-/// Between two requests for the node's own samples.
+/// Interval between requests for the node's own samples.
 const SAMPLES: Duration = Duration::from_millis(200);
 
 /// Arguments of `monitor`.
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
-    /// The node: unix:PATH or serial:/dev/tty...[@BAUD]
+    /// Node: unix:PATH or serial:/dev/tty...[@BAUD]
     endpoint: Address,
-    /// Records samples and outer weights for `train`, until Ctrl-C
+    /// Record samples and outer weights for `train`, until Ctrl-C
     #[arg(long, value_name = "FILE.csv")]
     record: Option<PathBuf>,
-    /// With --record: adds to a recording of the same agent
+    /// With --record: append to a recording of the same agent
     #[arg(long, requires = "record")]
     append: bool,
-    /// With --record: the scenario of the node, to be named in the file [default: the one that
+    /// With --record: the node's scenario, to be noted in the file [default: the one that
     /// `cosim --serve` runs]
     #[arg(long, requires = "record")]
     scenario: Option<PathBuf>,
-    /// With --record: the package in use, whose recipe is to be named in the file
+    /// With --record: the package in use, whose recipe is noted in the file
     #[arg(long, requires = "record")]
     package: Option<PathBuf>,
-    /// A state with every so many steps [default: 500; with --record, 1]. A recording takes the
-    /// sample of every step with 1, and with more those that the node keeps itself
-    #[arg(long)]
+    /// Report the state every N steps [default: 500; with --record, 1]. With 1, the sample of every
+    /// step is recorded; with more, the samples that the node keeps itself are recorded
+    #[arg(long, value_name = "N")]
     every: Option<NonZeroU32>,
-    /// Ends after so many states
-    #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
+    /// Exit after N states
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
-    /// Text, or the node's messages as one JSON object a line
+    /// Output format: text, or one JSON object per message and line
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
 
-/// How long saying good-bye may take, also after Ctrl-C.
-const GOOD_BYE: RetryPolicy = RetryPolicy { timeout: Duration::from_millis(400), tries: 1 };
+/// How long unsubscribing may take, also after Ctrl-C.
+const UNSUBSCRIBE: RetryPolicy = RetryPolicy { timeout: Duration::from_millis(400), tries: 1 };
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
-    interruption::listen(Again::Exit);
+    interruption::listen(SecondSignal::Exit);
     let mut node = connect(&arguments.endpoint)?;
     let mut board = BoardReport::default();
     let before = status_and(&mut node, RETRY_POLICY, &mut |message| board.hear(message))?;
@@ -106,11 +106,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
     subscribe(&mut node, monitor.subscription, RETRY_POLICY)?;
     let listened = monitor.listen(&mut node);
-    // What has been recorded is worth something, however it ended.
+    // Keep the recorded samples even after an error.
     let saved = monitor.finish();
-    // The node may be gone.
-    node.set_grace(GOOD_BYE.timeout);
-    let _ = subscribe(&mut node, Subscription::default(), GOOD_BYE);
+    // Best effort: the node may no longer be reachable.
+    node.set_grace(UNSUBSCRIBE.timeout);
+    let _ = subscribe(&mut node, Subscription::default(), UNSUBSCRIBE);
     listened?;
     saved
 }
@@ -121,10 +121,10 @@ fn subscribe(
     retry_policy: RetryPolicy,
 ) -> Result<(), ServiceError> {
     let request = Request::Subscribe(subscription);
-    node.request(&request, retry_policy, &mut |_| {}, "that it is done", done)
+    node.request(&request, retry_policy, &mut |_| {}, "a confirmation", done)
 }
 
-/// The recording of a node that is as `before`.
+/// Opens the recording of a node whose status is `before`.
 fn recorder(
     arguments: &Arguments,
     path: &Path,
@@ -134,7 +134,7 @@ fn recorder(
     let Some(package) = before.package else {
         return Err(CommandError::new(
             ErrorCode::Node,
-            "the node has no package, and so nothing to record; push one first".to_owned(),
+            "the node has no package, so there is nothing to record; push one first".to_owned(),
         ));
     };
     let step = step_size(package.step_size);
@@ -144,7 +144,7 @@ fn recorder(
     Ok(Recorder::new(file, step, stride.into()))
 }
 
-/// Where the samples come from, as far as anything here knows.
+/// Returns what is known about the origin of the samples.
 fn source(
     arguments: &Arguments,
     before: &Status,
@@ -159,7 +159,7 @@ fn source(
         let package = PackageBytes::load(path)?;
         if in_use(before, package.as_bytes()).is_none() {
             return Err(CommandError::usage(format!(
-                "{}: is not the package that the node uses; give that one as --package, or none",
+                "{}: not the package in use on the node; give the one in use as --package, or leave it out",
                 path.display()
             ))
             .about(path));
@@ -183,32 +183,32 @@ fn source(
 
 struct Monitor<'a> {
     arguments: &'a Arguments,
-    /// `dt`, if there is a package that tells it. \[s\]
+    /// `dt`, known only with a package. \[s\]
     step: Option<f64>,
-    /// Who the node was at the beginning.
+    /// The node's agent at the start.
     agent: Option<AgentId>,
     subscription: Subscription,
-    /// Whether there is a state with every step.
+    /// Whether every step is reported.
     all_steps: bool,
     recorder: Option<Recorder>,
     states: u64,
-    /// Messages that arrived damaged, or that this program does not know.
+    /// Number of messages that were damaged or not recognised.
     unreadable: u64,
     last_line: Option<Instant>,
-    /// From which tick on the node is asked for samples.
+    /// First tick of the next request for samples.
     next_sample: Tick,
-    /// Why nothing is printed any more: a recording goes on without.
+    /// Why printing has stopped, while the recording continues.
     lost_output: Option<std::io::Error>,
 }
 
 impl Monitor<'_> {
-    /// Until the end is asked for, or the wanted states have come.
+    /// Handles messages until interrupted or until the requested number of states has arrived.
     fn listen(&mut self, node: &mut Client) -> Result<(), CommandError> {
         let mut last_samples = Instant::now();
         while !interruption::requested() && self.arguments.count.is_none_or(|n| self.states < n) {
             match node.next(SAMPLES) {
-                Ok(Ok(bytes)) => self.hear(node, &bytes)?,
-                // The next one will come.
+                Ok(Ok(bytes)) => self.handle(node, &bytes)?,
+                // Damaged; wait for the next message.
                 Ok(Err(_)) => self.unreadable += 1,
                 Err(LineError::Silent | LineError::Interrupted) => {}
                 Err(error) => return Err(ServiceError::from(error).into()),
@@ -216,7 +216,7 @@ impl Monitor<'_> {
             if let Some(recorder) = &mut self.recorder {
                 recorder.write_if_due()?;
             }
-            // Samples are of use only once their outer weights are known.
+            // Samples are useful only once their outer weights are known.
             let wanted = self.recorder.is_some() && !self.all_steps && self.states > 0;
             if wanted && last_samples.elapsed() >= SAMPLES {
                 last_samples = Instant::now();
@@ -227,11 +227,11 @@ impl Monitor<'_> {
         Ok(())
     }
 
-    fn hear(&mut self, node: &mut Client, bytes: &[u8]) -> Result<(), CommandError> {
-        let message = match understood(bytes) {
+    fn handle(&mut self, node: &mut Client, bytes: &[u8]) -> Result<(), CommandError> {
+        let message = match decode(bytes) {
             Ok(message) => message,
-            // A newer node may know more messages.
-            Err(ServiceError::Nonsense(_)) => {
+            // A newer node may send messages that this version does not know.
+            Err(ServiceError::Unrecognised(_)) => {
                 self.unreadable += 1;
                 return Ok(());
             }
@@ -246,7 +246,7 @@ impl Monitor<'_> {
                 return Ok(());
             }
             (Message::State(state), _) => return self.state(state, &message),
-            (Message::Hello(status), _) => self.began_again(node, status)?,
+            (Message::Hello(status), _) => self.handle_reset(node, status)?,
             _ => {}
         }
         let json = self.arguments.format == Format::Json;
@@ -254,7 +254,7 @@ impl Monitor<'_> {
         let line = match &message {
             message if json => return self.print(|| print_json(message)),
             Message::Event(Event::Confirmed { tick, version }) => {
-                format!("{}  version {version} has proved itself\n", time(tick))
+                format!("{}  version {version} confirmed\n", time(tick))
             }
             Message::Event(Event::BoardFault(fault)) => fault_line(*fault),
             Message::BoardErrors { tick, counters } => {
@@ -269,14 +269,14 @@ impl Monitor<'_> {
         self.print(|| print_text(&line))
     }
 
-    /// The node has been reset: what it was told is forgotten, and its ticks begin again.
-    fn began_again(&mut self, node: &mut Client, status: &Status) -> Result<(), CommandError> {
+    /// Subscribes again after a reset of the node, whose ticks restart at 0.
+    fn handle_reset(&mut self, node: &mut Client, status: &Status) -> Result<(), CommandError> {
         let package = status.package;
         if let Some(recorder) = &mut self.recorder {
             if package.map(|package| package.agent) != self.agent {
                 return Err(CommandError::new(ErrorCode::Node,
-                    "the node is another agent since it was reset, so the recording ends; record it \
-                     into another file"
+                    "the node runs a different agent since its reset, so the recording ends; record \
+                     the new agent to another file"
                         .to_owned(),
                 ));
             }
@@ -299,7 +299,7 @@ impl Monitor<'_> {
             if self.all_steps {
                 recorder.state(state)?;
             } else {
-                recorder.accompany(state);
+                recorder.observe(state);
             }
             if self.all_steps && self.last_line.is_some_and(|last| last.elapsed() < LINE) {
                 return Ok(());
@@ -323,7 +323,7 @@ impl Monitor<'_> {
         self.print(|| print_text(&line))
     }
 
-    /// Prints, unless the output is gone while a recording goes on: that is worth more.
+    /// Prints, and keeps recording if standard output fails.
     fn print(
         &mut self,
         print: impl FnOnce() -> Result<(), CommandError>,
@@ -340,7 +340,7 @@ impl Monitor<'_> {
         }
     }
 
-    /// Without a package the length of a step is not known.
+    /// Formats the time, or the tick if the step size is unknown.
     fn time(&self, tick: Tick) -> String {
         match self.step {
             Some(step) => format!("t = {:9.3} s", tick as f64 * step),
@@ -348,7 +348,7 @@ impl Monitor<'_> {
         }
     }
 
-    /// Writes what is left of a recording, and says what is in it.
+    /// Finishes the recording and prints its summary.
     fn finish(&mut self) -> Result<(), CommandError> {
         let json = self.arguments.format == Format::Json;
         let (Some(path), Some(recorder)) = (&self.arguments.record, self.recorder.take()) else {
@@ -361,13 +361,13 @@ impl Monitor<'_> {
         if counts.samples == 0 {
             let left_out = match counts.bad {
                 0 => String::new(),
-                bad => format!(" ({bad} were not finite or of another length)"),
+                bad => format!(" ({bad} were not finite or had the wrong length)"),
             };
             return Err(CommandError::new(
                 ErrorCode::Node,
                 format!(
-                    "{}: not written, since no sample came{left_out}; see that the node steps, and record \
-                 longer",
+                    "{}: not written, because no samples were received{left_out}; check that the node is \
+                 stepping, and record for longer",
                     path.display()
                 ),
             ).about(path));
@@ -380,7 +380,7 @@ impl Monitor<'_> {
             None => print_text(&report.text()),
         };
         match printed {
-            // The recording is there; a closed pipe is not an error, as for other commands.
+            // As for other commands, a closed pipe is not an error.
             Err(CommandError::Output(error)) if error.kind() == std::io::ErrorKind::BrokenPipe => {
                 Ok(())
             }
@@ -389,7 +389,7 @@ impl Monitor<'_> {
     }
 }
 
-/// What is in a recording, and what is not.
+/// Summary of a recording.
 #[derive(Serialize)]
 struct RecordReport {
     file: String,
@@ -403,8 +403,8 @@ impl RecordReport {
     fn text(&self) -> String {
         let RecordCounts { samples, lost, bad, not_stepped, resets } = self.counts;
         let left_out = [
-            (lost, "lost on the way"),
-            (bad, "left out, not finite or of another length"),
+            (lost, "lost in transit"),
+            (bad, "skipped (not finite or wrong length)"),
             (not_stepped, "missing because the node took no step"),
             (self.unreadable, "messages that could not be read"),
         ];
@@ -413,7 +413,7 @@ impl RecordReport {
             text += &format!(", {count} {what}");
         }
         if resets > 0 {
-            text += &format!(", {} pieces, since the node was reset", resets + 1);
+            text += &format!(", {} segments, because the node was reset", resets + 1);
         }
         text + "\n"
     }
@@ -422,10 +422,10 @@ impl RecordReport {
 fn outcome_text(outcome: Outcome) -> &'static str {
     match outcome {
         Outcome::Stepped => "a step",
-        Outcome::Restarted => "was lost and has restarted",
+        Outcome::Restarted => "restarted after an unusable estimate",
         Outcome::NoPackage => "no package",
         Outcome::NoMeasurement => "no measurement",
-        Outcome::MeasurementLength => "a measurement of another length",
+        Outcome::MeasurementLength => "a measurement of the wrong length",
         Outcome::MeasurementNotFinite => "a measurement that is not finite",
         Outcome::Diverged => "would have overflowed",
         Outcome::Refused => "no step",

@@ -1,4 +1,4 @@
-//! `node`: small requests to a running node.
+//! `node`: simple requests to a running node.
 
 use std::time::Duration;
 
@@ -8,42 +8,42 @@ use clap::{Args, ValueEnum};
 use super::board_report::BoardReport;
 use super::health;
 use super::{CommandError, Format, print_json, print_text};
-use crate::interruption::{self, Again};
+use crate::interruption::{self, SecondSignal};
 use crate::service::address::AddressError;
 use crate::service::push::{self, done};
 use crate::service::{Address, Client, Message, RetryPolicy};
 
-/// How long a node may take for an answer, and how often it is asked: erasing flash takes a while.
+/// Timeout and number of tries of a request; erasing flash takes time.
 pub(super) const RETRY_POLICY: RetryPolicy =
     RetryPolicy { timeout: Duration::from_secs(3), tries: 3 };
 
 /// Arguments of `node`.
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
-    /// The node: unix:PATH or serial:/dev/tty...[@BAUD]
+    /// Node: unix:PATH or serial:/dev/tty...[@BAUD]
     endpoint: Address,
-    /// What it is to do
+    /// Request to the node
     #[arg(value_enum, default_value_t)]
     action: Action,
-    /// How its status is printed on standard output
+    /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 enum Action {
-    /// Say how it is
+    /// Print its status
     #[default]
     Status,
-    /// Keep the package that is on trial
+    /// Confirm the package on trial
     Confirm,
-    /// Go back to the package before the one on trial
+    /// Return to the package in use before the one on trial
     Revert,
-    /// Begin anew, as after switching on
+    /// Restart, as after power-on
     Reset,
 }
 
-/// A client with the node at `address`, in step.
+/// Connects to the node at `address`, and delimits the first message.
 pub(super) fn connect(address: &Address) -> Result<Client, AddressError> {
     let mut client = Client::new(address.connect(interruption::stop())?);
     client.prepare_delimiter();
@@ -51,20 +51,26 @@ pub(super) fn connect(address: &Address) -> Result<Client, AddressError> {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
-    interruption::listen(Again::Exit);
+    interruption::listen(SecondSignal::Exit);
     let mut client = connect(&arguments.endpoint)?;
     let node = &mut client;
     match arguments.action {
         Action::Status => {}
         Action::Confirm => {
-            node.request(&Request::Confirm, RETRY_POLICY, &mut |_| {}, "that it is done", done)?;
+            node.request(&Request::Confirm, RETRY_POLICY, &mut |_| {}, "a confirmation", done)?;
         }
         Action::Revert => {
             let in_use = |m: &Message<'_>| matches!(m, Message::InUse { .. }).then_some(());
-            node.request(&Request::Revert, RETRY_POLICY, &mut |_| {}, "what is in use", in_use)?;
+            node.request(
+                &Request::Revert,
+                RETRY_POLICY,
+                &mut |_| {},
+                "the package in use",
+                in_use,
+            )?;
         }
         Action::Reset => {
-            node.request(&Request::Reset, RETRY_POLICY, &mut |_| {}, "that it is done", done)?;
+            node.request(&Request::Reset, RETRY_POLICY, &mut |_| {}, "a confirmation", done)?;
         }
     }
     let mut board = BoardReport::default();
@@ -75,7 +81,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-/// A node's status for people.
+/// Formats a node's status.
 pub(super) fn text(address: &Address, status: &Status) -> String {
     let firmware = &status.firmware;
     let [major, minor, patch] = firmware.version;
@@ -89,12 +95,11 @@ pub(super) fn text(address: &Address, status: &Status) -> String {
     );
     match &status.package {
         None => {
-            // Samples come of steps, and without a package only a built-in agent takes any.
+            // Only steps produce samples, and without a package only a built-in agent steps.
             text += if status.samples > 0 {
-                "  no package in use: it runs the agent built into its firmware, without a network\n"
+                "  no package in use: running the agent built into the firmware, without a network\n"
             } else {
-                "  no package in use: it observes nothing, unless an agent is built into its \
-                 firmware\n"
+                "  no package in use: not observing, unless an agent is built into the firmware\n"
             };
             text += &format!("  next step: tick {}\n", status.tick);
         }
@@ -108,25 +113,25 @@ pub(super) fn text(address: &Address, status: &Status) -> String {
                 package.version,
                 package.checksum,
                 package.slot,
-                if package.network_in_use { "" } else { ", network left out" },
+                if package.network_in_use { "" } else { ", network not in use" },
             );
             let seconds = status.tick as f64 * f64::from(package.step_size);
             text += &format!("  next step: tick {} (t = {seconds:.3} s)\n", status.tick);
         }
     }
     if status.staged {
-        text += "  a package waits for its activation\n";
+        text += "  a package is waiting to be activated\n";
     }
     if let Some(upload) = status.upload {
         text += &format!("  an unfinished upload has {} bytes\n", upload.received);
     }
     for (slot, refusal) in ["A", "B"].iter().zip(status.refused_at_start) {
         if let Some(refusal) = refusal {
-            text += &format!("  the package in slot {slot} was refused at the start: {refusal}\n");
+            text += &format!("  the package in slot {slot} was refused at start-up: {refusal}\n");
         }
     }
     if let Some(bytes) = status.stack_unused {
-        text += &format!("  {bytes} bytes of the stack have never been used\n");
+        text += &format!("  {bytes} bytes of stack never used\n");
     }
     let counts = [
         ("samples kept", status.samples),

@@ -1,4 +1,4 @@
-//! The files that a run leaves behind.
+//! The files a run writes.
 
 use std::path::Path;
 
@@ -11,10 +11,10 @@ use crate::files::output::OutputError;
 use crate::report::csv::{EpochRow, write_epochs, write_events, write_traces};
 use crate::scenario::{LearningCycle, Scenario, Window};
 
-/// Length of the window that an event figure shows, in steps: as many as the paper's.
+/// Length of the event figure's window, as in the paper. \[steps\]
 const EVENT_WINDOW: f64 = 500.0;
 
-/// Names of all files that [`tables`], with this suffix, and [`packages`] may write.
+/// Returns the names of all files that [`tables`], with this suffix, and [`packages`] may write.
 pub(super) fn planned(scenario: &Scenario, suffix: &str, learning: bool) -> Vec<String> {
     let mut names: Vec<_> =
         ["traces", "events", "training"].map(|stem| format!("{stem}{suffix}.csv")).into();
@@ -28,13 +28,13 @@ pub(super) fn planned(scenario: &Scenario, suffix: &str, learning: bool) -> Vec<
     names
 }
 
-/// Names of the files of figures with these stems.
+/// Returns the file names of figures with these stems.
 pub(super) fn pictures<'s>(stems: impl IntoIterator<Item = &'s str>) -> Vec<String> {
     stems.into_iter().flat_map(|stem| [format!("{stem}.svg"), format!("{stem}.png")]).collect()
 }
 
-/// Writes traces, broadcast times and training of a run as `NAMEsuffix.csv` in `folder`, as far
-/// as they were recorded.
+/// Writes the recorded traces, broadcast times and training of a run as `NAMEsuffix.csv` in
+/// `folder`.
 pub(super) fn tables(
     folder: &Path,
     suffix: &str,
@@ -85,7 +85,7 @@ pub(super) fn packages(
     Ok(())
 }
 
-/// Ticks of all broadcasts, an entry for each agent.
+/// Returns the ticks of all broadcasts, one entry per agent.
 pub(super) fn events_of(run: &RunResult) -> Vec<&[u64]> {
     run.agents.iter().map(|agent| agent.events.as_slice()).collect()
 }
@@ -106,15 +106,15 @@ fn epochs(run: &RunResult) -> Vec<EpochRow> {
     rows.collect()
 }
 
-/// Marks start and end of collection of every cycle, and the switch of those in which a network was
-/// switched in, in ascending order; agents that learn at the same times share their marks.
+/// Returns markers for the start and end of each cycle's collection and for each switch that took
+/// place, in ascending order and without duplicates.
 pub(super) fn markers(scenario: &Scenario, trainings: &[TrainingRecord]) -> Vec<Marker<'static>> {
     let switched =
         |cycle| trainings.iter().any(|training| training.cycle == cycle && training.switched_in);
     markers_of(scenario, switched)
 }
 
-/// The marks; `switched` tells whether a cycle, from 1, switched a network in.
+/// Returns the markers; `switched` returns whether a cycle, from 1, switched a network in.
 fn markers_of(scenario: &Scenario, switched: impl Fn(usize) -> bool) -> Vec<Marker<'static>> {
     let mut times: Vec<(f64, Marker<'static>)> = Vec::new();
     for (cycle, LearningCycle { collect, apply_at, .. }) in (1..).zip(&scenario.learning) {
@@ -135,8 +135,8 @@ fn markers_of(scenario: &Scenario, switched: impl Fn(usize) -> bool) -> Vec<Mark
     times.into_iter().map(|(_, marker)| marker).collect()
 }
 
-/// Errors of baselines, in the order of [`Baseline::ALL`], as an error figure shows them: over the
-/// evaluation window.
+/// Returns the errors of baselines over the evaluation window, in the order of [`Baseline::ALL`], for
+/// an error figure.
 pub(super) fn references(
     scenario: &Scenario,
     baselines: [Option<&[AgentStatistics]>; 2],
@@ -149,8 +149,8 @@ pub(super) fn references(
     references.collect()
 }
 
-/// The window that the event figure shows: around the first switch, or where the evaluation
-/// begins.
+/// Returns the window of the event figure: around the first switch, or around the start of the
+/// evaluation if there is none.
 pub(super) fn event_window(scenario: &Scenario) -> Window {
     let centre = scenario.learning.first().map_or(scenario.evaluation.from, |c| c.apply_at);
     let length = (EVENT_WINDOW * scenario.time.step_size).min(scenario.time.duration);

@@ -1,9 +1,8 @@
 //! Progress bars on the terminal: one for the steps of the simulation, one for the epochs of the
 //! training that reported last.
 //!
-//! The bars go to standard error, so that results can be piped, and are not drawn if that is not a
-//! terminal. They are drawn at most ten times a second; a report that is not drawn costs a few
-//! atomic operations. Reports may come from any thread.
+//! The bars are drawn on standard error, at most ten times a second, and only if it is a terminal. An
+//! update that is not drawn costs a few atomic operations. Any thread may send updates.
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
@@ -16,13 +15,13 @@ const ENDLESS: &str = "{prefix:12} {human_pos} steps  {elapsed} elapsed";
 const BYTES: &str = "{prefix:12} [{bar:32}] {percent:>3} %  {bytes} of {total_bytes}";
 const EPOCHS: &str = "{prefix:12} {msg}  ({human_pos} epochs in total)";
 
-/// The two bars.
+/// The two progress bars.
 #[derive(Debug)]
 pub(super) struct ProgressBars {
     bars: MultiProgress,
     steps: ProgressBar,
     epochs: ProgressBar,
-    /// Whether the run has no last step.
+    /// Whether the number of steps is unlimited.
     endless: bool,
 }
 
@@ -65,7 +64,7 @@ impl ProgressBars {
     }
 
     /// Reports that the run has reached `tick` of `steps`.
-    pub(super) fn stepped(&self, tick: u64, steps: u64) {
+    pub(super) fn step(&self, tick: u64, steps: u64) {
         if !self.endless && self.steps.length() != Some(steps) {
             self.steps.set_length(steps);
         }
@@ -73,7 +72,7 @@ impl ProgressBars {
     }
 
     /// Reports that `bytes` of `total` bytes have been sent.
-    pub(super) fn pushed(&self, bytes: u64, total: u64) {
+    pub(super) fn transferred(&self, bytes: u64, total: u64) {
         if self.steps.length() != Some(total) {
             self.steps.set_style(style(BYTES));
             self.steps.set_length(total);
@@ -130,7 +129,7 @@ mod tests {
                 let bars = &bars;
                 scope.spawn(move || (1..=25).for_each(|number| bars.epoch(agent, 1, number, 0.5)));
             }
-            bars.stepped(512, 40_000);
+            bars.step(512, 40_000);
         });
         assert_eq!(bars.epochs.position(), 100);
         assert_eq!((bars.steps.position(), bars.steps.length()), (512, Some(40_000)));
@@ -140,7 +139,7 @@ mod tests {
     fn endless_run_has_no_length() {
         let mut bars = ProgressBars::hidden();
         bars.endless = true;
-        bars.stepped(512, 1 << 40);
+        bars.step(512, 1 << 40);
         assert_eq!((bars.steps.position(), bars.steps.length()), (512, Some(0)));
     }
 }

@@ -1,4 +1,4 @@
-//! `push`: a weight package into a running node.
+//! `push`: sends a weight package to a running node.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -10,35 +10,35 @@ use serde::Serialize;
 use super::node::{RETRY_POLICY, connect};
 use super::{CommandError, ErrorCode, Format, print_json, print_text};
 use crate::commands::progress::ProgressBars;
-use crate::interruption::{self, Again};
+use crate::interruption::{self, SecondSignal};
 use crate::packages::{PackageBytes, PackageFileError, bytes};
 use crate::service::push::{Progress, PushError};
 use crate::service::{Address, Client, LineError, ServiceError, hint, push};
 use crate::terminal;
 
-/// Between two looks at how a trial goes on.
-const LOOK: Duration = Duration::from_millis(200);
+/// Interval between queries of a trial's progress.
+const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Arguments of `push`.
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
-    /// The node: unix:PATH or serial:/dev/tty...[@BAUD]
+    /// Node: unix:PATH or serial:/dev/tty...[@BAUD]
     endpoint: Address,
-    /// The package
+    /// Weight package
     package: PathBuf,
-    /// Leaves the package waiting in the node, verified and not in use
+    /// Leave the verified package on the node without activating it
     #[arg(long, conflicts_with_all = ["activate", "confirm", "wait_confirmed"])]
     no_activate: bool,
-    /// Has it used from the next step on, on trial [the default]
+    /// Activate the package on trial, from the next step on [the default]
     #[arg(long)]
     activate: bool,
-    /// Ends its trial at once: the package stays in use
+    /// Confirm the package at once, without a trial
     #[arg(long)]
     confirm: bool,
-    /// Waits until the node has confirmed it by itself, after enough good steps
+    /// Wait until the node has confirmed the package itself, after enough good steps
     #[arg(long)]
     wait_confirmed: bool,
-    /// How the result is printed on standard output
+    /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -48,7 +48,7 @@ struct Report {
     package: String,
     bytes: usize,
     version: u32,
-    /// Where the transfer went on; `null` if the package was there already.
+    /// Offset at which the transfer started; `null` if the node already had the package.
     resumed_from: Option<usize>,
     activated: bool,
     confirmed: bool,
@@ -56,7 +56,7 @@ struct Report {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
-    interruption::listen(Again::Exit);
+    interruption::listen(SecondSignal::Exit);
     let start = Instant::now();
     let package = read(arguments)?;
     let refused = |error| failure(arguments, error);
@@ -96,37 +96,35 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-/// The file, unless it is known to be damaged: whether it is a package for this node, the node says.
+/// Reads the file and rejects a damaged package. The node checks whether it suits this node.
 fn read(arguments: &Arguments) -> Result<Vec<u8>, CommandError> {
     let path = &arguments.package;
     let bytes = bytes::read_file(path)?;
     match PackageBytes::new(&bytes) {
         Ok(_) => Ok(bytes),
-        // A node may know more formats than this program.
+        // The node may support newer formats than this program.
         Err(error @ PackageError::FormatVersion { .. }) => {
-            terminal::warning(format_args!("{}: {error}; sent as it is", path.display()));
+            terminal::warning(format_args!("{}: {error}; sending it unchecked", path.display()));
             Ok(bytes)
         }
         Err(error) => Err(PackageFileError::Package { path: path.clone(), error }.into()),
     }
 }
 
-/// What a person is told about a push that has failed.
+/// Converts the error of a failed push, adding the file and a hint.
 fn failure(arguments: &Arguments, error: PushError) -> CommandError {
     match error {
         PushError::Service(ServiceError::Refused(problem)) => {
             let (path, hint) = (&arguments.package, hint::of_refusal(problem));
             let text = format!(
-                "{}: the node refuses: {problem}; what was in use stays in use; {hint}",
+                "{}: refused by the node: {problem}; the package in use is unchanged; {hint}",
                 path.display()
             );
             CommandError::new(ErrorCode::PackageRefused, text).about(path)
         }
         PushError::Service(ServiceError::Line(LineError::Interrupted)) => CommandError::new(
             ErrorCode::Interrupted,
-            "interrupted; what was in use stays in use, and the same push goes on where this one \
-             ended"
-                .to_owned(),
+            "interrupted; the package in use is unchanged; repeat the push to resume it".to_owned(),
         ),
         error => error.into(),
     }
@@ -140,17 +138,17 @@ fn transfer(
 ) -> Result<(Client, u32), PushError> {
     let bars = ProgressBars::new("pushing");
     let mut first = Some(first);
-    let mut again = || first.take().map_or_else(|| connect(&arguments.endpoint), Ok);
+    let mut reconnect = || first.take().map_or_else(|| connect(&arguments.endpoint), Ok);
     let total = package.len() as u64;
     let progress = &mut |progress| match progress {
         Progress::From(byte) => *resumed_from = Some(byte),
-        Progress::Received(bytes) => bars.pushed(bytes as u64, total),
+        Progress::Received(bytes) => bars.transferred(bytes as u64, total),
         Progress::Verifying => bars.finish(),
     };
-    push::transfer_over(&mut again, package, RETRY_POLICY, progress, interruption::stop())
+    push::transfer_over(&mut reconnect, package, RETRY_POLICY, progress, interruption::stop())
 }
 
-/// Waits for the end of the trial.
+/// Waits until the trial ends.
 fn wait(node: &mut Client, package: &[u8]) -> Result<(), CommandError> {
     let bars = ProgressBars::new("on trial");
     loop {
@@ -158,36 +156,36 @@ fn wait(node: &mut Client, package: &[u8]) -> Result<(), CommandError> {
         let Some(used) = push::in_use(&status, package) else {
             return Err(CommandError::new(
                 ErrorCode::Node,
-                "the node has gone back to another package before the trial's end; see its health \
-                 with `host-sim node ENDPOINT`"
+                "the node reverted to another package during the trial; check its health with \
+                 `host-sim node ENDPOINT`"
                     .to_owned(),
             ));
         };
         let Some((good, needed)) = used.trial else { return Ok(()) };
-        bars.stepped(good.into(), needed.into());
+        bars.step(good.into(), needed.into());
         if interruption::requested() {
             return Err(CommandError::new(
                 ErrorCode::Interrupted,
                 "interrupted; the package is in use and still on trial".to_owned(),
             ));
         }
-        std::thread::sleep(LOOK);
+        std::thread::sleep(POLL_INTERVAL);
     }
 }
 
 fn text(arguments: &Arguments, report: &Report) -> String {
-    let way = match report.resumed_from {
-        None => "was there already".to_owned(),
+    let transfer = match report.resumed_from {
+        None => "already on the node".to_owned(),
         Some(0) => format!("pushed, {} bytes", report.bytes),
-        Some(byte) => format!("pushed, {} bytes, gone on from byte {byte}", report.bytes),
+        Some(byte) => format!("pushed, {} bytes, resumed at byte {byte}", report.bytes),
     };
     let state = match (report.activated, report.confirmed) {
         (_, true) => "in use and confirmed",
         (true, false) => "in use from the next step on, on trial",
-        (false, false) => "verified, and waits for its activation",
+        (false, false) => "verified, waiting to be activated",
     };
     format!(
-        "{}: version {} {way}; {state}\n{}, {:.2} s\n",
+        "{}: version {} {transfer}; {state}\n{}, {:.2} s\n",
         arguments.endpoint, report.version, report.package, report.elapsed_s
     )
 }

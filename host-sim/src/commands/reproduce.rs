@@ -1,4 +1,4 @@
-//! `reproduce`: both of the paper's simulations, Table 1 and Figures 1 to 3.
+//! `reproduce`: runs both of the paper's simulations and writes Table 1 and Figures 1 to 3.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicU64;
@@ -29,14 +29,14 @@ use crate::warning::Warning;
 /// Arguments of `reproduce`.
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
-    /// How the inner networks are trained
+    /// Training recipe of the inner networks
     #[arg(long, default_value = "better", value_parser = ["paper", "better"])]
     recipe: String,
-    /// How many seeds to learn with, from --seed on: more than one gives median and range of each
-    /// agent's errors and broadcasts
+    /// Number of seeds to learn with, starting at --seed; with more than one, the median and range
+    /// of each agent's errors and broadcasts are reported
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     seeds: u64,
-    /// Folder for figures and tables
+    /// Output folder for figures and tables
     #[arg(long, default_value = "out")]
     out: PathBuf,
     #[command(flatten)]
@@ -50,7 +50,7 @@ struct Report<'a> {
     elapsed_s: f64,
     agents: Vec<AgentReport>,
     trainings: Vec<TrainingSummary>,
-    /// With several seeds.
+    /// Present with several seeds.
     seeds: Option<seeds::Report>,
     checks: ChecksReport,
     warnings: &'a [Warning],
@@ -63,7 +63,7 @@ struct AgentReport {
     rmse_without: Option<f64>,
     rmse_with: Option<f64>,
     change_percent_no_network: Option<f64>,
-    /// Against the untrained network.
+    /// Relative to the untrained network.
     change_percent: Option<f64>,
     explained_variance: Option<f64>,
     mean_interval_no_network: Option<f64>,
@@ -74,7 +74,7 @@ struct AgentReport {
     broadcasts_with: u64,
 }
 
-/// The paper's two simulations, and the one without a network.
+/// The paper's two simulations, and one without a network.
 struct Runs {
     no_network: RunResult,
     without: RunResult,
@@ -90,8 +90,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let seed = arguments.common.seed;
     let end = seed.checked_add(arguments.seeds).ok_or_else(|| {
         let problem =
-            format!("--seed {seed}: there are not {} seeds from there on", arguments.seeds);
-        CommandError::usage(problem + "; write a smaller one")
+            format!("--seed {seed}: fewer than {} seeds remain after it", arguments.seeds);
+        CommandError::usage(problem + "; choose a smaller one")
     })?;
     let mut planned = output::planned(&scenario, "_without", false);
     planned.extend(output::planned(&scenario, "_with", false));
@@ -165,7 +165,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-/// The runs of the first seed, and the learned ones of the others, all in parallel.
+/// Runs all simulations of the first seed and the learning ones of the others, in parallel.
 fn simulate(
     scenario: &Scenario,
     seeds: std::ops::Range<u64>,
@@ -238,7 +238,7 @@ fn write_tables(
     Ok(())
 }
 
-/// Name of each figure's files, and what it shows.
+/// File stem and description of each figure.
 const FIGURES: [(&str, &str); 4] = [
     ("figure1", "estimation errors, inner networks held constant"),
     ("figure2", "estimation errors, inner networks trained once"),

@@ -1,4 +1,4 @@
-//! `run`: any scenario.
+//! `run`: runs a scenario.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicU64;
@@ -29,22 +29,22 @@ use crate::warning::Warning;
 /// Arguments of `run`.
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
-    /// The scenario, a TOML file, or the name of a built-in one; `host-sim scenario paper` prints
+    /// Scenario: a TOML file or the name of a built-in scenario; `host-sim scenario paper` prints
     /// one to start from
     scenario: PathBuf,
-    /// A weight package for the agent that it names, in place of the scenario's own network; once
-    /// for each package
+    /// Weight package for the agent it names, instead of the scenario's network; can be given
+    /// several times
     #[arg(long, value_name = "PACKAGE")]
     weights: Vec<PathBuf>,
-    /// Leaves the scenario's learning cycles out
+    /// Skip the scenario's learning cycles
     #[arg(long)]
     without_learning: bool,
-    /// What the errors are compared with: all is the observer without a network, and with the
-    /// network as it starts [default: all where there is learning or a package, none elsewhere]
+    /// Baselines to compare the errors with: the observer without a network and with the untrained
+    /// network, or none [default: all if there is learning or a package, else none]
     #[arg(long, value_enum)]
     baselines: Option<Choice>,
-    /// Folder for figures and tables [default: out/NAME, with the scenario's name, or
-    /// out/NAME-without-learning]
+    /// Output folder for figures and tables [default: out/NAME or out/NAME-without-learning, where
+    /// NAME is the scenario's name]
     #[arg(long)]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -131,7 +131,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-/// Hands each package to its agent.
+/// Assigns each package to its agent.
 fn give_packages(scenario: &mut Scenario, files: &[PathBuf]) -> Result<(), CommandError> {
     for file in files {
         let package = PackageBytes::load(file)?;
@@ -140,33 +140,33 @@ fn give_packages(scenario: &mut Scenario, files: &[PathBuf]) -> Result<(), Comma
         let place = agent.checked_sub(1).and_then(|index| scenario.agents.get_mut(index));
         let place = place.ok_or_else(|| {
             CommandError::usage(format!(
-                "{}: is for agent {agent}, scenario {} has agents 1 to {agents}",
+                "{}: package for agent {agent}, but scenario {} has agents 1 to {agents}",
                 file.display(),
                 scenario.name
             ))
             .about(file)
         })?;
         if place.package.replace(package).is_some() {
-            let problem = format!("{}: a second package for agent {agent}", file.display());
-            return Err(CommandError::usage(problem + "; give one for each").about(file));
+            let problem = format!("{}: second package for agent {agent}", file.display());
+            return Err(CommandError::usage(problem + "; give at most one per agent").about(file));
         }
     }
     Ok(())
 }
 
-/// Which agents start with a package from outside.
+/// Lists the agents that start with a given package.
 fn packages_in_use(scenario: &Scenario) -> String {
     let agents = scenario.agents.iter().enumerate();
     let lines = agents.filter_map(|(index, agent)| {
         let bytes = agent.package.as_ref()?;
         let package = bytes.package();
         let (version, recipe) = (package.version, one_line(package.provenance.recipe));
-        Some(format!("Agent {} starts with its package, version {version} ({recipe})\n", index + 1))
+        Some(format!("Agent {} starts with package version {version} ({recipe})\n", index + 1))
     });
     lines.collect()
 }
 
-/// What a run of this scenario is called next to its baselines.
+/// Returns the name of the run beside its baselines.
 fn name_of(scenario: &Scenario) -> &'static str {
     if !scenario.learning.is_empty() {
         "learned"
@@ -179,7 +179,7 @@ fn name_of(scenario: &Scenario) -> &'static str {
     }
 }
 
-/// The run and its baselines, in parallel.
+/// Runs the scenario and its baselines in parallel.
 fn simulate(
     scenario: &Scenario,
     seed: u64,
@@ -227,7 +227,7 @@ fn agent_reports(
         .collect()
 }
 
-/// Writes everything.
+/// Writes all tables, figures and packages.
 fn write_files(
     out: &Path,
     scenario: &Scenario,

@@ -10,7 +10,7 @@ use crate::scenario::BUILT_IN;
 /// Arguments of `scenario`.
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
-    /// Name of the scenario; without one, all names are listed
+    /// Name of the scenario [default: list all names]
     name: Option<String>,
 }
 
@@ -19,7 +19,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         None => {
             let mut list = String::new();
             for (name, text) in BUILT_IN {
-                // Every file says in its first line what it is.
+                // The first line of every file describes it.
                 let first = text.lines().next().unwrap_or_default().trim_start_matches("# ");
                 let more = if first.ends_with('.') { "" } else { " ..." };
                 // Writing into a string cannot fail.
@@ -31,7 +31,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             let Some((_, text)) = BUILT_IN.iter().find(|(name, _)| name == wanted) else {
                 let names: Vec<_> = BUILT_IN.iter().map(|(name, _)| *name).collect();
                 return Err(CommandError::usage(format!(
-                    "there is no built-in scenario {wanted:?}; choose one of {}",
+                    "unknown built-in scenario {wanted:?}; choose one of {}",
                     names.join(", ")
                 )));
             };

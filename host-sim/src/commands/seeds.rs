@@ -1,8 +1,8 @@
-//! The same run with several seeds: median and range for each agent.
+//! Runs with several seeds: median and range for each agent.
 //!
-//! A single run says little about broadcasts: the step in which a trigger fires depends on the last
-//! bit of everything before it, so counts vary by a few percent between equivalent runs. Medians and
-//! ranges over seeds separate that from an effect.
+//! The step in which a trigger fires is sensitive to rounding, so broadcast counts vary by a few
+//! percent between equivalent runs. Medians and ranges over seeds separate this variation from real
+//! effects.
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ use crate::report::columns::aligned;
 use crate::report::tables::{change_percent, number, percent};
 use crate::scenario::{Scenario, Time};
 
-/// What one agent did with one seed.
+/// Results of one agent with one seed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Measured {
     rmse: Option<f64>,
@@ -27,7 +27,7 @@ pub(super) struct Measured {
     mean_interval: Option<f64>,
 }
 
-/// What all agents did with one seed.
+/// Results of all agents with one seed.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct SeedRun {
     seed: u64,
@@ -45,11 +45,11 @@ impl SeedRun {
     }
 }
 
-/// Runs `scenario`, learning included, with each of these seeds, in parallel; nothing is recorded.
-/// `progress` makes one for each run. The result does not depend on the number of threads.
+/// Runs `scenario` with learning for each seed, in parallel and without recording. `progress` is
+/// called once per run. The result does not depend on the number of threads.
 ///
 /// # Errors
-/// That of the first seed whose run fails.
+/// Returns the error of the first seed whose run fails.
 pub(super) fn run_all<P: Progress>(
     scenario: &Scenario,
     seeds: std::ops::Range<u64>,
@@ -67,7 +67,7 @@ pub(super) fn run_all<P: Progress>(
     runs.into_iter().collect()
 }
 
-/// Median, smallest and largest of some values.
+/// Median and range of a set of values.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct Spread {
     pub(super) median: f64,
@@ -76,7 +76,8 @@ pub(super) struct Spread {
 }
 
 impl Spread {
-    /// `None` without values. The median of an even number is the mean of the two in the middle.
+    /// Returns the median and range, or `None` without values. The median of an even number of values
+    /// is the mean of the middle two.
     pub(super) fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
         let mut values: Vec<f64> = values.collect();
         values.sort_by(f64::total_cmp);
@@ -86,7 +87,7 @@ impl Spread {
     }
 }
 
-/// The learned runs of all seeds.
+/// Spreads over the learning runs of all seeds.
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
     first: u64,
@@ -99,15 +100,15 @@ struct AgentSpreads {
     agent: usize,
     rmse: Option<Spread>,
     change_percent_no_network: Option<Spread>,
-    /// Against the untrained network.
+    /// Relative to the untrained network.
     change_percent: Option<Spread>,
     broadcasts: Option<Spread>,
     mean_interval: Option<Spread>,
 }
 
 impl Report {
-    /// Of runs in the order of their seeds; `no_network` and `untrained` are what errors are
-    /// compared with, the same for every seed.
+    /// Summarises runs in the order of their seeds. `no_network` and `untrained` are the baselines,
+    /// which are the same for every seed.
     pub(super) fn new(
         runs: &[SeedRun],
         no_network: &[AgentStatistics],
@@ -136,7 +137,7 @@ impl Report {
         }
     }
 
-    /// Two tables for the terminal.
+    /// Formats two tables for the terminal.
     pub(super) fn text(&self) -> String {
         let last = self.first + (self.count as u64).saturating_sub(1);
         let levels = |group: &'static str| ["median", "min", "max"].map(|level| [group, level]);
@@ -150,7 +151,7 @@ impl Report {
             [entries(agent.broadcasts, whole), entries(agent.mean_interval, number)].concat()
         });
         format!(
-            "Seeds {} to {last}, {} runs; those without learning are the same for each\n\n\
+            "Seeds {} to {last}, {} runs; the runs without learning do not depend on the seed\n\n\
              {errors}\n{broadcasts}\n",
             self.first, self.count,
         )
@@ -168,12 +169,12 @@ fn entries(spread: Option<Spread>, entry: impl Fn(Option<f64>) -> String) -> Vec
     (0..3).map(|index| entry(levels.map(|levels| levels[index]))).collect()
 }
 
-/// A count, or half of one.
+/// Formats a count, which may be a half after taking the median.
 fn whole(value: Option<f64>) -> String {
     value.map_or_else(|| "-".to_owned(), |value| value.to_string())
 }
 
-/// Writes what each agent did with each seed.
+/// Writes the results of each agent with each seed.
 pub(super) fn write_csv(path: &Path, runs: &[SeedRun]) -> Result<(), OutputError> {
     let header = ["seed", "agent", "rmse [state unit]", "broadcasts", "mean_interval [s]"];
     let rows = runs.iter().flat_map(|run| {
@@ -193,7 +194,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_spread_is_median_and_ends() {
+    fn a_spread_is_the_median_and_the_range() {
         let of = |values: &[f64]| Spread::of(values.iter().copied());
         assert_eq!(of(&[]), None);
         assert_eq!(of(&[3.0, 1.0, 2.0]), Some(Spread { median: 2.0, min: 1.0, max: 3.0 }));
@@ -201,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn the_tables_have_a_line_for_each_agent() {
+    fn the_tables_have_one_line_per_agent() {
         let run = |seed, rmse, broadcasts| SeedRun {
             seed,
             agents: vec![Measured { rmse: Some(rmse), broadcasts, mean_interval: Some(0.005) }],
@@ -211,7 +212,7 @@ mod tests {
         let runs = [run(3, 0.1, 100), run(4, 0.3, 105)];
         let text = Report::new(&runs, &[before], &[]).text();
         let expected = "\
-Seeds 3 to 4, 2 runs; those without learning are the same for each
+Seeds 3 to 4, 2 runs; the runs without learning do not depend on the seed
 
             RMSE, learned      change against no network [%]
 agent  median     min     max     median       min       max

@@ -1,4 +1,4 @@
-//! What a person reads on the terminal after a run.
+//! Training quality in reports.
 
 use std::fmt;
 
@@ -7,12 +7,12 @@ use serde::Serialize;
 use crate::learning::quality::Quality;
 use crate::training::StopReason;
 
-/// Share of the smoothed targets' variance that a network explains, in text and JSON.
+/// Share of the smoothed targets' variance explained by a network, in text and JSON.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct ExplainedVariance {
     training: Option<f64>,
     validation: Option<f64>,
-    /// In the last 15 % of the samples' time.
+    /// On the last 15 % of the samples in time.
     last: Option<f64>,
 }
 
@@ -37,7 +37,7 @@ impl fmt::Display for ExplainedVariance {
     }
 }
 
-/// What ended a training.
+/// Returns what stopped a training.
 pub(super) fn reason(stop: StopReason) -> &'static str {
     match stop {
         StopReason::Goal => "its goal",

@@ -1,4 +1,4 @@
-//! `train`: from recorded samples to a weight package.
+//! `train`: trains a network on recorded samples and writes a weight package.
 
 use std::fmt::Write;
 use std::ops::ControlFlow;
@@ -17,7 +17,7 @@ use super::{
 use crate::analysis::TriggerConstants;
 use crate::commands::progress::ProgressBars;
 use crate::files::output::OutputFile;
-use crate::interruption::{self, Again};
+use crate::interruption::{self, SecondSignal};
 use crate::learning::agent_config;
 use crate::learning::trained::{INITIAL_VERSION, Prepared, Trained, TrainedError, TrainingTask};
 use crate::packages::recording_source::{RecordingSource, SourceScenario};
@@ -31,27 +31,27 @@ use crate::warning::{Warning, WarningCode};
 /// Arguments of `train`.
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
-    /// Recorded samples, a CSV file with the columns time, xhat1.., dxhat1.. and perhaps w1_1..;
-    /// `run` writes such files if the scenario has record.samples = true
+    /// Recorded samples: a CSV file with the columns time, xhat1.., dxhat1.. and optionally w1_1..;
+    /// `run` writes such files if the scenario sets record.samples = true
     data: PathBuf,
-    /// The scenario that describes agent, network and recipe: a file, or a built-in one's name
+    /// Scenario that describes agent, network and recipe: a file or the name of a built-in scenario
     #[arg(long)]
     scenario: PathBuf,
-    /// The agent that the package is for, from 1
+    /// Number of the agent that the package is for, from 1
     #[arg(long)]
     agent: usize,
-    /// The package to write
+    /// Package file to write
     #[arg(long)]
     out: PathBuf,
-    /// Recipe of the scenario [default: that of the agent's first learning cycle]
+    /// Training recipe of the scenario [default: that of the agent's first learning cycle]
     #[arg(long)]
     recipe: Option<String>,
-    /// Package that is in use now: its outer weights are taken where the samples have none, and
-    /// the new package gets the next version
+    /// Package currently in use: provides outer weights if the samples have none, and the version
+    /// to increment
     #[arg(long)]
     base: Option<PathBuf>,
-    /// Version of the package [default: one more than that of --base or of the file that is
-    /// replaced, else 2]
+    /// Version of the package [default: one more than that of --base or of the replaced file, else
+    /// 2]
     #[arg(long)]
     package_version: Option<u32>,
     /// Private key to sign the package with
@@ -84,7 +84,7 @@ struct Report<'a> {
     samples: usize,
     epochs: usize,
     stopped_by: &'static str,
-    /// The signal that ended the training early; `null` if none did.
+    /// Signal that interrupted the training, or `null`.
     stopped: Option<&'static str>,
     smoothing_window_s: f64,
     decimation: usize,
@@ -98,11 +98,11 @@ struct Report<'a> {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
-    // While the terminal is asked for a passphrase, Ctrl-C ends the program.
+    // While prompting for a passphrase, Ctrl-C ends the program.
     let key = arguments.sign.as_deref().map(|path| arguments.passphrase.key(path)).transpose()?;
     let start = Instant::now();
-    // A second Ctrl-C does not wait for the epoch to end.
-    interruption::listen(Again::Exit);
+    // A second Ctrl-C exits without waiting for the end of the epoch.
+    interruption::listen(SecondSignal::Exit);
     let scenario = load_scenario(&arguments.scenario)?;
     let about = |error: SimulationOnly| CommandError::from(error).about(&arguments.scenario);
     scenario.trigger.check_for_nodes().map_err(about)?;
@@ -114,10 +114,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     if let (Some(base), Some(path)) = (&base, &arguments.base) {
         let node = agent_config(&scenario, &TriggerConstants::new(&scenario), index);
         if let Some(parameter) = node.first_difference(&base.package().node) {
-            let problem = format!("{}: has another {parameter} than agent", path.display());
+            let problem = format!("{}: its {parameter} differs from that of", path.display());
             let number = arguments.agent;
             return Err(CommandError::usage(format!(
-                "{problem} {number} of the scenario; give the package of this agent as --base"
+                "{problem} agent {number} in the scenario; give a package of this agent as --base"
             ))
             .about(path));
         }
@@ -128,7 +128,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         recording.outer_weights = Some(base.package().outer_weights.to_vec());
     }
     let version = version(arguments, base.as_ref())?;
-    // Before the work: what cannot be written need not be trained.
+    // Check the output path before training.
     let output = OutputFile::prepare(&arguments.out, PackageBytes::KIND)?;
     let task = TrainingTask {
         scenario: &scenario,
@@ -139,8 +139,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         seed: arguments.common.seed,
         version,
     };
-    let of_these = |error: TrainedError| match error {
-        // Not the samples are wrong, but the result.
+    let with_file = |error: TrainedError| match error {
+        // The result is wrong, not the samples.
         TrainedError::NotFinite { .. } | TrainedError::Size { .. } | TrainedError::Draft(_) => {
             CommandError::from(error)
         }
@@ -149,21 +149,21 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             CommandError::usage(format!("{}: {error}", path.display())).about(path)
         }
     };
-    let mut prepared = task.prepare(&recording).map_err(of_these)?;
+    let mut prepared = task.prepare(&recording).map_err(with_file)?;
     prepared.warnings.extend(elsewhere.into_iter().chain(dense(arguments, &scenario, &recording)));
-    let told = prepared.warnings.len();
+    let printed = prepared.warnings.len();
     prepared.warnings.iter().for_each(warn);
-    let mut trained = train(&task, prepared).map_err(of_these)?;
-    // An interrupted training packs the best network so far, whatever it explains; the other
-    // warnings say what.
+    let mut trained = train(&task, prepared).map_err(with_file)?;
+    // An interrupted training packs the best network so far, even if it explains little; the other
+    // warnings report that.
     let interrupted = trained.report.stop == StopReason::Callback;
     if interrupted {
         trained.warnings.retain(|warning| warning.code != WarningCode::NotSwitchedIn);
     }
-    trained.warnings[told..].iter().for_each(warn);
+    trained.warnings[printed..].iter().for_each(warn);
     if !trained.accepted && !interrupted {
-        let problem = "not packed, because the network explains no more than a constant does; see \
-                       the warnings above";
+        let problem = "not written, because the network explains no more than a constant; see the \
+                       warnings above";
         let text = format!("{}: {problem}", arguments.out.display());
         return Err(CommandError::new(ErrorCode::NotPacked, text).about(&arguments.out));
     }
@@ -177,32 +177,32 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-/// Whether samples are closer together than a node can take them.
+/// Warns if samples are closer together than a node could record them.
 fn dense(arguments: &Arguments, scenario: &Scenario, recording: &Recording) -> Option<Warning> {
     let (interval, step) = (recording.interval, scenario.time.step_size);
     (interval < 0.5 * step).then(|| {
         let text = format!(
-            "{}: samples are {interval:e} s apart, and a step of the scenario takes {step:e} s; check \
-             the unit of time in the header",
+            "{}: samples are {interval:e} s apart, but the scenario's step is {step:e} s; check the \
+             time unit in the header",
             arguments.data.display(),
         );
         Warning::new(WarningCode::DenseSamples, text)
     })
 }
 
-/// Whether the file says that its samples are of another agent or scenario.
+/// Checks that the samples are not from another agent or scenario, as far as the file says.
 fn check_source(
     arguments: &Arguments,
     scenario: &Scenario,
 ) -> Result<Option<Warning>, CommandError> {
-    // Reading the samples reports what cannot be read.
+    // Errors are reported when the samples are read.
     let source = RecordingSource::read(&arguments.data).unwrap_or_default();
     let (name, hash, step) = (scenario.name.as_str(), scenario.hash, scenario.time.step_size);
     let scenario = SourceScenario { name, hash, step };
     Ok(source.check(&arguments.data, arguments.agent, &scenario)?)
 }
 
-/// The recipe, and the learning cycle (from 0) that it belongs to.
+/// Returns the recipe and the learning cycle, from 0, that it belongs to.
 fn recipe<'s>(
     arguments: &Arguments,
     scenario: &'s Scenario,
@@ -223,7 +223,7 @@ fn recipe<'s>(
         let names: Vec<_> = scenario.recipes.iter().map(|recipe| recipe.name.as_str()).collect();
         CommandError::usage(match names[..] {
             [] => format!("scenario {} has no recipe; add [recipes.NAME]", scenario.name),
-            _ => format!("choose one of the recipes with --recipe: {}", names.join(", ")),
+            _ => format!("choose a recipe with --recipe: {}", names.join(", ")),
         })
     })?;
     Ok((recipe, own.unwrap_or(0)))
@@ -233,7 +233,7 @@ fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, Co
     if let Some(version) = arguments.package_version {
         return Ok(version);
     }
-    // Only a regular file is read; whether it may be replaced is checked later.
+    // Whether the file may be replaced is checked later.
     let replaced =
         if arguments.out.is_file() { PackageBytes::load(&arguments.out).ok() } else { None };
     let before = base
@@ -248,12 +248,12 @@ fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, Co
     }
 }
 
-/// Trains until it is done or interrupted, which keeps the best network so far.
+/// Trains until done or interrupted; an interruption keeps the best network so far.
 fn train(task: &TrainingTask<'_>, prepared: Prepared<'_, '_>) -> Result<Trained, TrainedError> {
     let bars = ProgressBars::new("training");
     let total = task.recipe.trainer.trainer().epochs_max() as u64;
     let mut report_epoch = |epoch: &EpochReport| {
-        bars.stepped(epoch.epoch as u64, total);
+        bars.step(epoch.epoch as u64, total);
         bars.epoch(task.agent + 1, task.cycle + 1, epoch.epoch, epoch.train);
         if interruption::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
@@ -320,8 +320,8 @@ fn text(arguments: &Arguments, report: &Report<'_>) -> String {
     let seconds = intervals * report.interval_s;
     let mut text = format!(
         "Read {} samples, one every {:.6} s, {seconds:.3} s in all, {}\n{}\
-         Trained on {} of them after averaging over {} s and keeping every {}., {} epochs, \
-         stopped by {}{kept}\n\
+         Trained on {} of them (averaged over {} s, decimated by {}), {} epochs, stopped by \
+         {}{kept}\n\
          Mean squared error: training {}, validation {}, test {}\n\
          Variance explained: {}\n",
         report.recorded_samples,
@@ -363,32 +363,32 @@ fn gaps(report: &Report<'_>) -> String {
     }
 }
 
-/// What was left out, and how even the rest is: a line for each that there is.
+/// Returns one line for each irregularity of the samples.
 fn regularity(report: &Report<'_>) -> String {
     let mut text = String::new();
     // Writing into a string cannot fail.
     if report.repeated_samples > 0 {
-        let _ = writeln!(text, "Left out {} lines that repeat a sample", report.repeated_samples);
+        let _ = writeln!(text, "Skipped {} repeated samples", report.repeated_samples);
     }
     if report.uneven_intervals > 0 {
         let _ = writeln!(
             text,
-            "Sampling is uneven: {} intervals differ by more than a quarter, by up to {:.3e} s; they \
-             are taken for equal",
+            "Sampling is uneven: {} intervals deviate by more than a quarter, by up to {:.3e} s; they \
+             are treated as equal",
             report.uneven_intervals, report.largest_jitter_s
         );
     }
     if report.samples_left_out > 0 {
         let _ = writeln!(
             text,
-            "Left out {} samples: {} of {} pieces between gaps are shorter than the smoothing window",
+            "Skipped {} samples: {} of {} segments between gaps are shorter than the smoothing window",
             report.samples_left_out, report.pieces_left_out, report.pieces
         );
     }
     if report.windows_left_out > 0 {
         let _ = writeln!(
             text,
-            "Left out {} smoothing windows that miss more than half of their samples",
+            "Skipped {} smoothing windows with more than half of their samples missing",
             report.windows_left_out
         );
     }

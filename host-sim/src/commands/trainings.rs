@@ -1,4 +1,4 @@
-//! How trainings went, as text and JSON.
+//! Training results, as text and JSON.
 
 use std::fmt::Write;
 
@@ -9,15 +9,15 @@ use crate::engine::TrainingRecord;
 use crate::number::significant;
 use crate::report::tables::DIGITS;
 
-/// Up to this many trainings get a line each.
+/// Number of trainings listed individually.
 const LINES: usize = 12;
 
-/// One training, as JSON has it. Errors are mean squared errors of the packaged network. \[squared state unit/s^2\]
+/// A training in the JSON report. Errors are mean squared errors of the packaged network. \[squared state unit/s^2\]
 #[derive(Debug, Serialize)]
 pub(super) struct TrainingSummary {
     agent: usize,
     cycle: usize,
-    /// After cleaning and thinning.
+    /// Number of samples after cleaning and decimation.
     samples: usize,
     epochs: usize,
     stopped_by: &'static str,
@@ -46,19 +46,19 @@ impl TrainingSummary {
     }
 }
 
-/// All trainings of a run.
+/// Summarises all trainings of a run.
 pub(super) fn summaries(records: &[TrainingRecord]) -> Vec<TrainingSummary> {
     records.iter().map(TrainingSummary::new).collect()
 }
 
-/// Share of the variance that the last training of `agent`, from 1, explains on its validation
-/// samples; without any, on those that it was trained on.
+/// Returns the share of variance explained by the last training of `agent`, from 1, on its validation
+/// samples, or on its training samples if there are none.
 pub(super) fn explained(records: &[TrainingRecord], agent: usize) -> Option<f64> {
     let quality = &records.iter().rfind(|record| record.agent == agent)?.quality;
     quality.validation.unwrap_or(quality.training).explained
 }
 
-/// How each training went, a line each.
+/// Returns one line per training.
 pub(super) fn text(trainings: &[TrainingSummary]) -> String {
     if trainings.is_empty() {
         return String::new();

@@ -1,4 +1,4 @@
-//! Versions of packages: which one is next, and that no two commands give the same one away.
+//! Package versions: choosing the next one without races between commands.
 
 use std::fs::{File, TryLockError};
 use std::path::Path;
@@ -9,29 +9,30 @@ use crate::files::output::OutputFile;
 use crate::packages::PackageBytes;
 use crate::signing::OperatorKey;
 
-/// How long another training may take to write its package; a run holds its folder to its end.
+/// How long to wait for a folder that another command has locked. A training holds it only to write
+/// its package, but a run holds it until its end.
 const LOCK_WAIT: Duration = Duration::from_secs(2);
 
-/// The version after `version`.
+/// Returns the version after `version`.
 ///
 /// # Errors
-/// There is none after the largest.
+/// Returns an error if `version` is the largest one.
 pub(super) fn after(version: u32, of: &Path) -> Result<u32, CommandError> {
     version.checked_add(1).ok_or_else(|| {
         CommandError::usage(format!(
-            "{}: has version {version}, the largest there is; nodes take none after it. Give an \
-             older version with --package-version, and sign the package with --replaces {version}",
+            "{}: version {version} is the largest possible, so nodes accept no later one; choose an \
+             older version with --package-version and sign the package with --replaces {version}",
             of.display()
         ))
         .about(of)
     })
 }
 
-/// Writes `package`, signed with `key`, to `out`. If a package has come to lie there since its
-/// version was chosen, it gets the next one, unless `chosen` by the user; returns what was written.
+/// Writes `package`, signed with `key`, to `out`, and returns it as written. If a package of the same
+/// or a later version is there by now, the version is increased, unless the user has `chosen` one.
 ///
 /// # Errors
-/// As [`OutputFile::write`], and versions that are used up.
+/// As [`OutputFile::write`] and [`after`].
 pub(super) fn save(
     mut package: PackageBytes,
     chosen: Option<u32>,
@@ -40,9 +41,9 @@ pub(super) fn save(
     output: OutputFile,
 ) -> Result<PackageBytes, CommandError> {
     let _lock = lock(out)?;
-    // An empty file, as `mktemp` makes one, has no version.
-    let filled = std::fs::metadata(out).is_ok_and(|there| there.is_file() && there.len() > 0);
-    if chosen.is_none() && filled {
+    // An empty file, as created by `mktemp`, has no version.
+    let nonempty = std::fs::metadata(out).is_ok_and(|there| there.is_file() && there.len() > 0);
+    if chosen.is_none() && nonempty {
         let there = PackageBytes::load(out)?;
         let (there, own) = (there.package().version, package.package().version);
         if there >= own {
@@ -56,11 +57,11 @@ pub(super) fn save(
     Ok(package)
 }
 
-/// Keeps other trainings from writing into the folder of `path` while the value lives. Where folders
-/// cannot be locked, nothing is.
+/// Locks the folder of `path` against other trainings until the value is dropped. Returns `None` on
+/// file systems that cannot lock folders.
 ///
 /// # Errors
-/// [`ErrorCode::FolderInUse`](super::ErrorCode) if another command does not let go of it in [`LOCK_WAIT`].
+/// [`ErrorCode::FolderInUse`](super::ErrorCode) if another command holds the lock for longer than [`LOCK_WAIT`].
 fn lock(path: &Path) -> Result<Option<File>, CommandError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let folder = folder.unwrap_or(Path::new("."));
@@ -83,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_that_another_run_holds_is_told_and_not_waited_for_without_end() {
+    fn waiting_for_a_locked_folder_ends_with_an_error() {
         let folder = tempfile::tempdir().unwrap();
         let held = File::open(folder.path()).unwrap();
         held.try_lock().unwrap();

@@ -1,4 +1,4 @@
-//! What a person should know before a run takes its time, and after it.
+//! Warnings before and after a run.
 
 use super::{CommandError, ErrorCode};
 use crate::analysis::GainVerdict;
@@ -10,23 +10,23 @@ use crate::scenario::{Agent, Scenario, Window};
 use crate::terminal;
 use crate::warning::{Warning, WarningCode};
 
-/// An agent that broadcasts in more than this share of the steps saves little.
+/// Share of steps with a broadcast above which the event trigger saves little.
 const FREQUENT: f64 = 0.25;
 
-/// Prints warnings, a line each, on standard error.
+/// Prints warnings on standard error, one per line.
 pub(super) fn print(warnings: &[Warning]) {
     for warning in warnings {
         terminal::warning(warning);
     }
 }
 
-/// Warnings as lines of a report.
+/// Formats warnings as lines of a report.
 pub(super) fn lines(warnings: &[Warning]) -> String {
     let lines: String = warnings.iter().map(|warning| format!("warning: {warning}\n")).collect();
     if lines.is_empty() { lines } else { lines + "\n" }
 }
 
-/// Warnings about `scenario` that need no run.
+/// Returns the warnings about `scenario` that do not need a run.
 pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let mut warn = |code, text: String| warnings.push(Warning::new(code, text));
@@ -49,13 +49,13 @@ pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning>
         let Window { from, to } = scenario.evaluation;
         let text = if scenario.time.tick(to) > scenario.time.tick(last) {
             format!(
-                "the evaluation window begins at {from} s, before the last network is switched in \
-                 at {last} s, so errors with and without it are mixed; write evaluation.from = {last}"
+                "the evaluation window starts at {from} s, before the last network is switched in \
+                 at {last} s, so it mixes errors with and without that network; set evaluation.from = {last}"
             )
         } else {
             format!(
                 "the evaluation window ends at {to} s, before the last network is switched in at \
-                 {last} s, so errors say nothing about it; write evaluation.from = {last} and \
+                 {last} s, so it does not cover that network; set evaluation.from = {last} and \
                  evaluation.to = {}",
                 scenario.time.duration
             )
@@ -76,20 +76,20 @@ pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning>
         && scenario.learning.is_empty()
         && !scenario.agents.iter().any(trained)
     {
-        let text = "no agent's network is trained, so [health] has no box of trained inputs and \
-                    counts no step outside it; add [[learning]], or give packages with --weights";
+        let text = "no agent has a trained network, so [health] cannot count steps outside the trained \
+                    box; add [[learning]], or give packages with --weights";
         warnings.push(Warning::new(WarningCode::HealthUntrained, text));
     }
     warnings
 }
 
-/// When the last network is switched in; `None` if none is. \[s\]
+/// Returns the time at which the last network is switched in, if any. \[s\]
 fn last_switch(scenario: &Scenario) -> Option<f64> {
     let within = |time: &f64| scenario.time.tick(*time) < scenario.steps();
     scenario.learning.iter().map(|cycle| cycle.apply_at).filter(within).reduce(f64::max)
 }
 
-/// Warnings about a run of `scenario`, beside those that were given before it.
+/// Returns the warnings about a run of `scenario` that are not already in `before`.
 pub(super) fn after(
     scenario: &Scenario,
     run: &RunResult,
@@ -103,7 +103,7 @@ pub(super) fn after(
         warn(WarningCode::UnstableRun, text);
     }
     let steps = scenario.steps().max(1) as f64;
-    // The announcement at t = 0 is not the trigger's.
+    // The first broadcast, at t = 0, is not caused by the trigger.
     let shares = run.agents.iter().map(|agent| (agent.broadcasts().max(1) - 1) as f64 / steps);
     let event = scenario.trigger.departure().is_none();
     let frequent: Vec<(usize, f64)> =
@@ -111,7 +111,7 @@ pub(super) fn after(
     if let Some(worst) = frequent.iter().copied().reduce(|a, b| if b.1 > a.1 { b } else { a }) {
         let others = match frequent.len() {
             1 => String::new(),
-            count => format!(" ({count} agents broadcast in more than a quarter)"),
+            count => format!(" ({count} agents broadcast in more than a quarter of the steps)"),
         };
         let text = format!(
             "agent {} broadcast in {:.0} % of the steps{others}, so the event trigger saves little; \
@@ -133,9 +133,9 @@ pub(super) fn after(
             String::new()
         };
         let text = format!(
-            "design.rho = {rho} is below chi_bar_max, which this run puts at about {}{alone}, so \
+            "design.rho = {rho} is below chi_bar_max, which this run estimates at about {}{alone}, so \
              Theorem 1 does not apply; raise design.rho, and design.gain as `host-sim check` then \
-             says, or do without the bound",
+             suggests, or ignore the bound",
             significant(lumped.estimate, 3),
         );
         warn(WarningCode::RhoTooSmall, text);
@@ -143,32 +143,31 @@ pub(super) fn after(
     warnings
 }
 
-/// Warnings of trainings. All agents have the scenario's outer weights, so that what these cannot
-/// learn is said once.
+/// Removes repeated warnings about outer weights, which are the same for all agents.
 fn without_repetition(warnings: impl Iterator<Item = Warning>, before: &[Warning]) -> Vec<Warning> {
     let is_outer = |warning: &Warning| warning.code == WarningCode::OuterWeights;
-    let mut told = before.iter().any(is_outer);
-    warnings.filter(|warning| !is_outer(warning) || !std::mem::replace(&mut told, true)).collect()
+    let mut seen = before.iter().any(is_outer);
+    warnings.filter(|warning| !is_outer(warning) || !std::mem::replace(&mut seen, true)).collect()
 }
 
-/// How a run was unstable; `None` if it was not.
+/// Describes how a run was unstable, or returns `None` if it was stable.
 pub(super) fn unstable_run(checks: &Checks) -> Option<String> {
     let growth = checks.growth.filter(|_| checks.unbounded())?;
     let hint = if checks.design.step.is_stable() {
-        "lower design.gain, [outer_law] gain or time.step, or look at the plant".to_owned()
+        "lower design.gain, [outer_law] gain or time.step, or check the plant".to_owned()
     } else {
         checks.design.step.describe()
     };
     Some(format!(
         "the error grew without bound: |e_1| of all agents was {} at t = 0 and {} over the last \
-         tenth of the run, the state no larger than {}; {hint}",
+         tenth of the run, while the state stayed within {}; {hint}",
         significant(growth.initial, 3),
         significant(growth.last, 3),
         significant(growth.plant, 3),
     ))
 }
 
-/// How a command ends after a run with these checks.
+/// Returns an error if the run was unstable.
 pub(super) fn outcome(checks: &Checks) -> Result<(), CommandError> {
     unstable_run(checks).map_or(Ok(()), |text| Err(CommandError::new(ErrorCode::Unstable, text)))
 }
@@ -199,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn the_built_in_scenarios_warn_of_rho_only() {
+    fn the_built_in_scenarios_warn_only_about_rho() {
         for (name, text) in BUILT_IN {
             let scenario = Scenario::parse(name, text).unwrap();
             assert_eq!(before_run(&scenario), [], "{name}");
@@ -209,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn each_weakness_has_its_warning() {
+    fn each_design_problem_has_its_own_warning() {
         let blind =
             changed("output_matrix = [[0.0, 1.0, 0.0]]", "output_matrix = [[1.0, 0.0, 0.0]]");
         assert_eq!(codes(&blind), [WarningCode::StateNotCovered]);
@@ -224,15 +223,15 @@ mod tests {
         assert!(long[0].text.contains("set time.step below 0.00233 s"), "{long:?}");
         let early = changed("from = 20.0", "from = 19.0");
         assert_eq!(codes(&early), [WarningCode::WindowBeforeSwitch]);
-        assert!(early[0].text.ends_with("write evaluation.from = 20"), "{early:?}");
+        assert!(early[0].text.ends_with("set evaluation.from = 20"), "{early:?}");
         let over = changed("from = 20.0\n# [s]\nto = 40.0", "from = 5.0\nto = 20.0");
         assert_eq!(codes(&over), [WarningCode::WindowBeforeSwitch]);
-        let hint = "write evaluation.from = 20 and evaluation.to = 40";
+        let hint = "set evaluation.from = 20 and evaluation.to = 40";
         assert!(over[0].text.ends_with(hint), "{over:?}");
     }
 
     #[test]
-    fn a_step_that_is_too_long_makes_an_unstable_run() {
+    fn a_step_that_is_too_long_is_reported_as_unstable() {
         let text = PAPER.replacen("step = 0.001", "step = 0.004", 1);
         let mut scenario = Scenario::parse("paper.toml", &text).unwrap();
         scenario.learning.clear();
@@ -247,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn a_watch_without_anything_trained_sees_little() {
+    fn monitoring_without_a_trained_network_is_warned_about() {
         let text = format!("{PAPER}\n[health]\n");
         let mut scenario = Scenario::parse("paper.toml", &text).unwrap();
         assert_eq!(before_run(&scenario), []);

@@ -8,7 +8,7 @@ use tempfile::TempDir;
 use super::fault::Fault;
 use super::process::Process;
 use crate::packages::PackageBytes;
-use crate::service::client::{name, understood};
+use crate::service::client::{decode, name};
 use crate::service::push::{self, PushError};
 use crate::service::{Client, Line, LineError, Message, RetryPolicy, ServiceError};
 
@@ -249,7 +249,7 @@ impl Board {
             PushError::Service(ServiceError::Unexpected { found, expected }) => {
                 Fault::Unexpected { found, expected }
             }
-            PushError::Service(ServiceError::Nonsense(bytes)) => Fault::Nonsense(bytes),
+            PushError::Service(ServiceError::Unrecognised(bytes)) => Fault::Nonsense(bytes),
             PushError::Service(ServiceError::Protocol { found }) => Fault::Protocol { found },
             PushError::Service(ServiceError::Garbage { .. }) => {
                 self.line_fault(LineError::Silent, "answer")
@@ -351,7 +351,7 @@ impl Board {
         loop {
             // Until it has begun, what comes may be anything.
             if let Ok(bytes) = self.raw(deadline, "greeting")? {
-                match understood(&bytes) {
+                match decode(&bytes) {
                     Ok(Message::Hello(status) | Message::Status(status)) => return Ok(status),
                     Err(ServiceError::Protocol { found }) => return Err(Fault::Protocol { found }),
                     _ => {}
@@ -429,8 +429,8 @@ fn is_done(message: &Message<'_>) -> bool {
 }
 
 fn heard(bytes: &[u8]) -> Result<Message<'_>, Fault> {
-    understood(bytes).map_err(|error| match error {
-        ServiceError::Nonsense(bytes) => Fault::Nonsense(bytes),
+    decode(bytes).map_err(|error| match error {
+        ServiceError::Unrecognised(bytes) => Fault::Nonsense(bytes),
         ServiceError::Protocol { found } => Fault::Protocol { found },
         other => Fault::Nonsense(other.to_string()),
     })

@@ -50,7 +50,7 @@ use std::time::{Duration, Instant};
 use agent_core::health::HealthSettings;
 use serde::Serialize;
 
-use crate::engine::{Progress, RunError, RunOptions, run_accompanied};
+use crate::engine::{Progress, RunError, RunOptions, run_observed};
 use crate::files::output::OutputError;
 use crate::packages::PackageBytes;
 use crate::scenario::{Record, Scenario, SimulationOnly};
@@ -305,20 +305,16 @@ pub fn cosimulate(
     let mut lockstep = Lockstep::new(setup, relay);
     let options = RunOptions { seed, learning: true, bounds: false };
     let result =
-        run_accompanied(&scenario, &mut lockstep, options, progress).map_err(
-            |error| match error {
-                RunError::RunObserver(error) => match error.downcast::<NodeError>() {
-                    Ok(error) if matches!(error.fault, Fault::Interrupted) => {
-                        CosimError::Interrupted
-                    }
-                    Ok(error) => CosimError::Node(*error),
-                    Err(error) => error
-                        .downcast::<CosimError>()
-                        .map_or_else(|error| CosimError::Run(RunError::RunObserver(error)), |e| *e),
-                },
-                error => CosimError::Run(error),
+        run_observed(&scenario, &mut lockstep, options, progress).map_err(|error| match error {
+            RunError::RunObserver(error) => match error.downcast::<NodeError>() {
+                Ok(error) if matches!(error.fault, Fault::Interrupted) => CosimError::Interrupted,
+                Ok(error) => CosimError::Node(*error),
+                Err(error) => error
+                    .downcast::<CosimError>()
+                    .map_or_else(|error| CosimError::Run(RunError::RunObserver(error)), |e| *e),
             },
-        )?;
+            error => CosimError::Run(error),
+        })?;
     let elapsed_s = lockstep.begun.map_or(0.0, |begun| (Instant::now() - begun).as_secs_f64());
     lockstep.ask_for_stacks()?;
     let boards: Vec<_> = lockstep.nodes.iter().map(|node| node.report.clone()).collect();

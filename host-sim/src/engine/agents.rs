@@ -1,5 +1,4 @@
-//! One agent of the network as the engine steps it: the core's parameters and state, its
-//! inbox, and what is measured of it.
+//! A simulated agent: the core's parameters and state, its inbox, and its statistics.
 
 use agent_core::agent::capture::Sample;
 use agent_core::agent::hold::Hold;
@@ -29,7 +28,7 @@ pub(super) type SimulatedState<const N: usize> = AgentState<N, LAYER_WIDTH_MAX, 
 
 pub(super) type SimulatedInbox<const N: usize> = Inbox<N, HeldPlaces<N>>;
 
-/// What the core's parameters borrow: on a node it would be static buffers.
+/// Buffers that the core's parameters borrow; static on a node.
 pub(super) struct ParamBuffers {
     neighbours: Vec<Neighbour>,
     outer_gain: Vec<f32>,
@@ -43,7 +42,7 @@ impl ParamBuffers {
         }
     }
 
-    /// The core's parameters of this node.
+    /// Returns the core's parameters of this agent.
     pub(super) fn params<const N: usize>(
         &mut self,
         node: &AgentConfig<'_>,
@@ -52,7 +51,7 @@ impl ParamBuffers {
     }
 }
 
-/// Norms that Theorem 2's bounding constant needs.
+/// Norms for Theorem 2's bounding constant.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct GainNorms {
     /// `|K_1|`.
@@ -61,34 +60,34 @@ pub(super) struct GainNorms {
     pub(super) gain_output: f64,
 }
 
-/// One agent.
+/// A simulated agent.
 pub(super) struct SimulatedAgent<'s, const N: usize> {
     params: AgentParams<'s, N>,
     state: SimulatedState<N>,
     inbox: SimulatedInbox<N>,
     network: Option<SharedNetwork>,
-    /// What is in use, as the rule against older packages asks.
+    /// The package in use, for the check against older packages.
     in_use: Option<InUse>,
-    /// `C_i` in double precision, `m` rows: what the plant's sensor does.
+    /// `C_i` in double precision, `m` rows: the sensor model.
     sensor: Vec<[f64; N]>,
     measurement: [f32; N],
     norms: Option<(GainNorms, Box<Scratch>)>,
-    /// How the agent is watched, if it is.
+    /// Health monitoring settings, if it is monitored.
     health: Option<HealthSettings>,
-    /// Its watch, from the first package on.
+    /// Its health monitor, from the first package on.
     watch: Option<Watch<N>>,
     pub(super) statistics: AgentStatistics,
-    /// Of the last step, if there is something to learn from it.
+    /// Sample of the last step, if it is usable for training.
     pub(super) last_sample: Option<Sample<N>>,
-    /// What the last step broadcast.
+    /// Frame broadcast by the last step.
     pub(super) outgoing: Option<FrameBytes>,
     pub(super) failure: Option<StepError>,
-    /// What came of the last step, in the words of a node.
+    /// Outcome of the last step, as reported by a node.
     outcome: Outcome,
 }
 
 impl<'s, const N: usize> SimulatedAgent<'s, N> {
-    /// The agent with these parameters, on its feedback alone until a package is loaded.
+    /// Creates an agent, which uses feedback and consensus only until a package is loaded.
     pub(super) fn new(
         params: AgentParams<'s, N>,
         agent: &scenario::Agent,
@@ -124,8 +123,8 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         })
     }
 
-    /// Takes delivery, measures, and steps the core. A failure is kept for the engine to find,
-    /// because agents are stepped in parallel.
+    /// Receives frames, measures, and steps the core. A failure is stored for the engine, because
+    /// agents are stepped in parallel.
     #[inline]
     pub(super) fn step(&mut self, tick: Tick, truth: &[f64; N], link: &impl Link, index: usize) {
         let Self { params, state, inbox, watch, network, norms, statistics, .. } = self;
@@ -139,7 +138,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         let mut refused = 0;
         let is_watched = watch.is_some();
         let step = match watch {
-            // The paper's agent: no region, no restart.
+            // The paper's agent: without a trained box or restarts.
             None => {
                 link.deliver(index, tick, |bytes| {
                     refused += u64::from(inbox.accept(params.neighbours(), bytes).is_err());
@@ -155,7 +154,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             Some(watch) => {
                 let network_in_use = watch.network_in_use();
                 let (mut agent, outer_weights) = watch.agent(params, state, inbox);
-                // A node drops a frame that it cannot use and goes on; so does its simulation.
+                // Like a node, drop unusable frames and continue.
                 link.deliver(index, tick, |bytes| {
                     refused += u64::from(agent.receive(bytes).is_err());
                 });
@@ -179,34 +178,34 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         .filter(|&error| !is_watched || !is_recoverable(error));
     }
 
-    /// Calls `hear` with `sigma_i` at the estimate, shape `[L]`, and `W_hat_i` row by row, shape
-    /// `[L, N]`; `None` if the agent runs on its feedback alone.
-    pub(super) fn with_features(&mut self, hear: impl FnOnce(Option<(&[f32], &[f32])>)) {
+    /// Calls `use_features` with `sigma_i` at the estimate, shape `[L]`, and `W_hat_i`, row-major,
+    /// shape `[L, N]`; with `None` if the agent does not use a network.
+    pub(super) fn with_features(&mut self, use_features: impl FnOnce(Option<(&[f32], &[f32])>)) {
         let network_in_use = self.watch.as_ref().is_none_or(Watch::network_in_use);
         let network = self.network.as_ref().filter(|_| network_in_use);
         let (Some(network), Some((_, scratch))) = (network, &mut self.norms) else {
-            return hear(None);
+            return use_features(None);
         };
         let weights: Vec<f32> =
             self.state.outer_weights().rows().iter().flat_map(|row| row.iter().copied()).collect();
         match network.features(self.state.estimate().as_slice(), scratch) {
-            Some(features) => hear(Some((features, &weights))),
-            None => hear(None),
+            Some(features) => use_features(Some((features, &weights))),
+            None => use_features(None),
         }
     }
 
-    /// `x_hat` at the tick after the last step.
+    /// Returns `x_hat` at the tick after the last step.
     #[inline]
     pub(super) fn estimate(&self) -> &[f32] {
         self.state.estimate().as_slice()
     }
 
-    /// `W_hat`, row by row.
+    /// Returns `W_hat`, row-major.
     pub(super) fn outer_weights(&self) -> Vec<f32> {
         self.state.outer_weights().rows().iter().flat_map(|row| row.iter().copied()).collect()
     }
 
-    /// What the last step took and did.
+    /// Returns inputs and results of the last step.
     pub(super) fn last_step(&self) -> AgentStep<'_> {
         AgentStep {
             measurement: &self.measurement[..self.sensor.len()],
@@ -218,15 +217,14 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         }
     }
 
-    /// Takes a package into use, between two steps and with the checks of a node. The agent's
-    /// parameters stay as they are: whoever calls has seen that the package has the same.
+    /// Switches to a package between two steps, after the checks of a node. The agent's parameters are
+    /// not changed: the caller has checked that those in the package are equal.
     pub(super) fn load(&mut self, bytes: &PackageBytes) -> Result<(), Refusal> {
         self.load_after(bytes, self.in_use)
     }
 
-    /// Goes back to a package, which may be older than the one in use; otherwise as
-    /// [`Self::load`].
-    pub(super) fn go_back(&mut self, bytes: &PackageBytes) -> Result<(), Refusal> {
+    /// Like [`Self::load`], but allows a package older than the one in use.
+    pub(super) fn revert(&mut self, bytes: &PackageBytes) -> Result<(), Refusal> {
         self.load_after(bytes, None)
     }
 
@@ -245,14 +243,14 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         Ok(())
     }
 
-    /// What was measured of it.
+    /// Returns the agent's statistics.
     pub(super) fn finish(mut self) -> AgentStatistics {
         self.statistics.health = self.watch.as_ref().map(Watch::counters);
         self.statistics
     }
 }
 
-/// Norms after a step, for the bounds of the theorems; 0 if they are not asked for.
+/// Norms after a step, for the theorems' bounds; 0 if not requested.
 #[derive(Default)]
 struct Bounds {
     /// `e_2i_max` of Theorem 2.

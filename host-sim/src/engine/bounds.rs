@@ -1,20 +1,19 @@
-//! What the theorems bound, measured along a run. The memory does not grow with the run's length.
+//! Measures the quantities that the theorems bound. Memory does not grow with the length of the run.
 
 use crate::analysis::{LumpedSamples, UltimateBound};
 use crate::scenario::Scenario;
 
-/// What was measured.
+/// Measurements for the theorems' bounds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bounds {
-    /// How many states of plant and agents were examined: at the beginning of every step, and the
-    /// last one.
+    /// Number of states of plant and agents examined: at the start of every step, and the final one.
     pub states: u64,
-    /// The error against Theorem 1's bound; `None` where the theorem says nothing
+    /// The error relative to Theorem 1's bound; `None` if the theorem does not apply
     /// (`k_2 <= 1/kappa`).
     pub ultimate: Option<BoundShare>,
-    /// How the error went on.
+    /// Growth of the error.
     pub growth: Growth,
-    /// What Theorem 1's premise on `rho` is judged by.
+    /// Samples for checking Theorem 1's premise on `rho`.
     pub lumped: LumpedSamples,
 }
 
@@ -23,10 +22,10 @@ pub struct Bounds {
 pub struct BoundShare {
     /// The bound.
     pub bound: UltimateBound,
-    /// The largest share, at any time but 0 where the bound is the error itself, as without a
+    /// The largest share; excluding t = 0 if the bound equals the error there, as it does without a
     /// network.
     pub largest: f64,
-    /// When it occurred. \[s\]
+    /// Time of the largest share. \[s\]
     pub largest_at: f64,
     /// The largest share in the evaluation window.
     pub largest_evaluated: f64,
@@ -34,13 +33,13 @@ pub struct BoundShare {
     pub error_evaluated: f64,
 }
 
-/// Whether the error, all agents stacked, stayed in proportion to what there is to estimate.
+/// Growth of the error, all agents stacked, relative to the state.
 ///
-/// An observer that does nothing has an error no larger than the state. So an error is out of
-/// proportion if it is more than [`Growth::FAR`] times the larger of the initial error and the
-/// largest state. It counts as growing without bound if, in addition, it is more than twice as large
-/// in the last tenth of the run as around the middle, or the step is known to be too long. The root
-/// mean square over a tenth smooths oscillations.
+/// An observer that always estimates zero has an error no larger than the state. So an error is
+/// excessive if it is more than [`Growth::FAR`] times the larger of the initial error and the largest
+/// state. It counts as growing without bound if, in addition, it is more than twice as large in the
+/// last tenth of the run as around the middle, or the step is known to be too long. The root mean
+/// square over a tenth smooths oscillations.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Growth {
     /// `|e_1(0)|`. \[state unit\]
@@ -54,11 +53,11 @@ pub struct Growth {
 }
 
 impl Growth {
-    /// How many times the size of what is estimated an error must be to be out of proportion.
+    /// Ratio of error to state from which on an error is excessive.
     pub const FAR: f64 = 10.0;
 
-    /// Whether the error grew without bound. `stable_step`: whether the step is short enough for the
-    /// observer itself.
+    /// Returns whether the error grew without bound. `stable_step` tells whether the step is short
+    /// enough for the observer itself.
     #[must_use]
     pub fn without_bound(&self, stable_step: bool) -> bool {
         if !self.last.is_finite() {
@@ -94,7 +93,7 @@ impl RootMeanSquare {
     }
 }
 
-/// Measures along the run.
+/// Takes the measurements during a run.
 pub(super) struct BoundsMeter<'s> {
     scenario: &'s Scenario,
     measured: Bounds,
@@ -120,7 +119,7 @@ impl<'s> BoundsMeter<'s> {
             growth: Growth::default(),
             lumped: LumpedSamples::new(scenario),
         };
-        // In integers that overflow for no run.
+        // Ordered to avoid overflow.
         let part = |tenths: u64| steps / 10 * tenths + steps % 10 * tenths / 10;
         Self {
             scenario,
@@ -132,7 +131,7 @@ impl<'s> BoundsMeter<'s> {
         }
     }
 
-    /// Whether the lumped uncertainty is sampled at `tick`.
+    /// Returns whether the lumped uncertainty is sampled at `tick`.
     #[inline]
     pub(super) fn samples_lumped(&self, tick: u64) -> bool {
         self.measured.lumped.is_due(tick)
@@ -142,7 +141,7 @@ impl<'s> BoundsMeter<'s> {
         &mut self.measured.lumped
     }
 
-    /// Takes `|e_1|^2`, all agents stacked, and `x_0` at `tick` into account.
+    /// Records `|e_1|^2`, all agents stacked, and `x_0` at `tick`.
     #[inline]
     pub(super) fn note(&mut self, tick: u64, squared: f64, truth: &[f64]) {
         let measured = &mut self.measured;
@@ -158,7 +157,7 @@ impl<'s> BoundsMeter<'s> {
             let at = self.scenario.time.at(tick);
             let part = squared / share.bound.at(at);
             let trivial = tick == 0 && share.bound.weight_error == 0.0;
-            // Also where the share is not a number.
+            // NaN counts as the largest.
             if !trivial && (part > share.largest || part.is_nan()) {
                 (share.largest, share.largest_at) = (part, at);
             }
@@ -195,13 +194,13 @@ mod tests {
     }
 
     #[test]
-    fn errors_that_stay_in_proportion_do_not_count_as_growth() {
+    fn bounded_errors_do_not_count_as_growth() {
         // The state has norm 5, the three agents' errors together start at 8.
         for error in [
             &(|_: f64| 8.0) as &dyn Fn(f64) -> f64,
             &|t| 8.0 * libm::exp(-9.0 * t),
             &|t| 8.0 + 40.0 * t,
-            // Large, but from the middle on no larger.
+            // Large, but not growing from the middle on.
             &|t| 8.0 + 1e3 * t.min(0.4),
             // A burst in the middle.
             &|t| if (0.5..0.6).contains(&t) { 1e9 } else { 1.0 },
@@ -212,14 +211,14 @@ mod tests {
     }
 
     #[test]
-    fn errors_that_grow_are_found() {
+    fn growing_errors_are_detected() {
         for error in
             [&(|t: f64| libm::exp(12.0 * t)) as &dyn Fn(f64) -> f64, &|t| 1e3 * t, &|_| f64::NAN]
         {
             let found = growth(error);
             assert!(found.without_bound(true), "{found:?}");
         }
-        // Large for long: only where the step is too long anyway.
+        // Large from early on: counts only if the step is too long.
         let large = growth(|t| 8.0 + 1e3 * t.min(0.1));
         assert_eq!((large.without_bound(true), large.without_bound(false)), (false, true));
         let found = growth(|_| 8.0);

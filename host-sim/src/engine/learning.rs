@@ -1,9 +1,9 @@
 //! Learning cycles: collecting samples, training inner networks, switching them in.
 //!
-//! A cycle collects `(x_hat, d/dt x_hat)` of its agents over a window, takes a copy of the
-//! outer weights where the window ends, and switches the trained network in at its time. The
-//! training itself takes no simulated time; all jobs that are ready run in parallel, each on
-//! its own seed, so the result does not depend on how many threads there are.
+//! A cycle collects `(x_hat, d/dt x_hat)` of its agents over a window, copies the outer weights at the
+//! end of the window, and switches the trained network in at the configured time. Training takes no
+//! simulated time. All jobs that are ready run in parallel, each with its own seed, so the result does
+//! not depend on the number of threads.
 
 use std::ops::ControlFlow;
 
@@ -30,7 +30,7 @@ struct Job {
     targets: Vec<f64>,
     outer_weights: Option<Vec<f32>>,
     trained: bool,
-    /// The trained network, if it is to be switched in.
+    /// The trained network, if accepted.
     package: Option<PackageBytes>,
 }
 
@@ -63,8 +63,8 @@ impl<'s> Learning<'s> {
         Self { scenario, seed, jobs: jobs.collect() }
     }
 
-    /// What to switch in before the step at `tick`; trains all jobs whose samples are complete
-    /// when the first of them is due.
+    /// Returns the packages to switch in before the step at `tick`. When one is due, trains all jobs
+    /// whose samples are complete.
     pub(super) fn switches_due(
         &mut self,
         tick: Tick,
@@ -78,7 +78,7 @@ impl<'s> Learning<'s> {
             records = jobs
                 .into_par_iter()
                 .map(|job| train(scenario, seed, job, progress))
-                // All of them first, so that the error of the first job is the one that is told.
+                // Collect all results, so that the error of the first job is reported.
                 .collect::<Vec<_>>()
                 .into_iter()
                 .collect::<Result<_, _>>()?;
@@ -90,8 +90,8 @@ impl<'s> Learning<'s> {
         Ok((switches.collect(), records))
     }
 
-    /// Takes in what the agents did in the step at `tick`: `samples(i)` of agent `i` and, where
-    /// a window ends, its outer weights.
+    /// Collects `sample(i)` of each learning agent `i` in the step at `tick` and, at the end of a
+    /// window, its outer weights.
     pub(super) fn collect<const N: usize>(
         &mut self,
         tick: Tick,

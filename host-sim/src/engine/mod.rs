@@ -2,15 +2,15 @@
 //! frames over a [`link::Link`].
 //!
 //! Step `k` runs from `t_k = k dt` to `t_(k+1)`:
-//! 1. networks whose time has come are switched in,
-//! 2. every agent takes the frames of `t_k`, measures `x_0(t_k)`, and takes its step,
-//! 3. samples, errors and traces of `t_k` are noted,
-//! 4. broadcasts of `t_(k+1)` go to the link, agents in ascending order,
+//! 1. networks that are due are switched in,
+//! 2. every agent receives the frames of `t_k`, measures `x_0(t_k)`, and takes its step,
+//! 3. samples, errors and traces of `t_k` are recorded,
+//! 4. broadcasts of `t_(k+1)` are sent over the link, in ascending order of agents,
 //! 5. the plant is integrated to `t_(k+1)`.
 //!
-//! A run is a pure function of scenario, seed and link: agents only read what the link holds
-//! from the tick before, so they can be stepped in parallel and in any order, and the bits are
-//! the same whatever the number of threads.
+//! A run is a pure function of scenario, seed and link. Agents only read frames sent in the previous
+//! tick, so they can be stepped in parallel, and the result is the same to the last bit for any number
+//! of threads.
 
 mod agents;
 pub mod bounds;
@@ -40,52 +40,52 @@ use failure::step_hint;
 use statistics::AgentStatistics;
 use traces::Traces;
 
-pub use run::{run, run_accompanied, run_over};
+pub use run::{run, run_observed, run_over};
 pub use run_observer::{RunObserver, RunObserverError};
 
-/// Hears how a run goes on; every method does nothing by default.
+/// Receives progress reports of a run; the methods do nothing by default.
 pub trait Progress: Sync {
     /// Reports that the run has reached `tick` of `steps`.
-    fn stepped(&self, tick: u64, steps: u64) {
+    fn step(&self, tick: u64, steps: u64) {
         let _ = (tick, steps);
     }
 
-    /// Training of `agent` in `cycle` (both from 1) has finished an epoch.
+    /// Reports that training of `agent` in `cycle`, both from 1, has finished an epoch.
     fn epoch(&self, agent: usize, cycle: usize, report: &EpochReport) {
         let _ = (agent, cycle, report);
     }
 }
 
-/// A [`Progress`] that says nothing.
+/// A [`Progress`] that ignores all reports.
 #[derive(Clone, Copy, Debug)]
 pub struct Silent;
 
 impl Progress for Silent {}
 
-/// What a run is asked for beyond its scenario.
+/// Options of a run beyond its scenario.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RunOptions {
-    /// Seed of all that is random.
+    /// Random seed.
     pub seed: u64,
     /// Whether learning cycles are carried out.
     pub learning: bool,
-    /// Whether the quantities that the theorems bound are measured.
+    /// Whether to measure the quantities that the theorems bound.
     pub bounds: bool,
 }
 
-/// What a run returns.
+/// The results of a run.
 #[derive(Clone, Debug)]
 pub struct RunResult {
-    /// Of each agent.
+    /// Statistics of each agent.
     pub agents: Vec<AgentStatistics>,
-    /// Of each training, in the order of cycles and agents.
+    /// All trainings, in the order of cycles and agents.
     pub trainings: Vec<TrainingRecord>,
     /// Rows of `x_0` and all `x_hat_i`; empty if the scenario records none.
     pub traces: Traces,
-    /// What the theorems bound; `None` if it was not asked for.
+    /// Measurements for the theorems' bounds; `None` if not requested.
     pub bounds: Option<Bounds>,
-    /// A hash of every broadcast and of the final state of every agent: two runs did the same
-    /// if and only if (but for chance) these agree.
+    /// A hash of every broadcast and of the final state of every agent. Equal digests mean, except for
+    /// hash collisions, that two runs behaved identically.
     pub digest: u64,
 }
 
@@ -96,9 +96,9 @@ pub struct TrainingRecord {
     pub agent: usize,
     /// The learning cycle, from 1.
     pub cycle: usize,
-    /// Samples that were left after cleaning and decimation.
+    /// Number of samples after cleaning and decimation.
     pub samples: usize,
-    /// How it went.
+    /// The course of the training.
     pub report: TrainingReport,
     /// How well the trained network fits its samples.
     pub quality: Quality,
@@ -108,7 +108,7 @@ pub struct TrainingRecord {
     pub warnings: Vec<Warning>,
     /// The trained network.
     pub package: PackageBytes,
-    /// What it was trained on, if the scenario records samples.
+    /// Its training samples, if the scenario records them.
     pub recording: Option<Recording>,
 }
 
@@ -116,35 +116,35 @@ pub struct TrainingRecord {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RunError {
-    /// A parameter that the core refuses.
+    /// The core refuses a parameter.
     #[error("agent {agent}: {}; change this key in the scenario", InScenario(*.error))]
     Parameter {
         /// The agent, from 1.
         agent: usize,
-        /// What the core says.
+        /// The core's error.
         error: ParameterError,
     },
-    /// The scenario's network does not become a package.
+    /// The scenario's network cannot be packed.
     #[error("agent {agent}: {error}; change this in the scenario")]
     Package {
         /// The agent, from 1.
         agent: usize,
-        /// Why.
+        /// The reason.
         error: DraftError,
     },
-    /// The agent refuses a package as a node would.
+    /// The agent refuses a package, as a node would.
     #[error(
-        "agent {agent} refuses its package: {refusal}; give it the package of this scenario and agent, or train again"
+        "agent {agent} refuses its package: {refusal}; use a package for this scenario and agent, or train again"
     )]
     Refused {
         /// The agent, from 1.
         agent: usize,
-        /// What it says.
+        /// The refusal.
         refusal: Refusal,
     },
-    /// A package was made for a node with another parameter.
+    /// A parameter in a package differs from the scenario.
     #[error(
-        "the package of agent {agent} has another {parameter} than the scenario; train it for \
+        "the {parameter} in the package of agent {agent} differs from the scenario; train a package for \
          this scenario, or leave it out"
     )]
     PackageNode {
@@ -153,51 +153,51 @@ pub enum RunError {
         /// The parameter.
         parameter: &'static str,
     },
-    /// A package has other layers than the network that the agent is to learn.
+    /// The layers of a package differ from the network to be trained.
     #[error(
-        "the package of agent {agent} has other layers than [network], which the agent is to \
-         learn; give [network] the same layers, or run without learning"
+        "the layers in the package of agent {agent} differ from [network], which the agent trains; \
+         give [network] the same layers, or run without learning"
     )]
     PackageLayers {
         /// The agent, from 1.
         agent: usize,
     },
-    /// A package for an agent of a scenario without a network.
+    /// An agent has a package, but the scenario has no network.
     #[error(
-        "agent {agent} has a package, but the scenario no network; add [network] and [outer_law]"
+        "agent {agent} has a package, but the scenario has no network; add [network] and [outer_law]"
     )]
     PackageWithoutNetwork {
         /// The agent, from 1.
         agent: usize,
     },
-    /// An agent that is not watched, or could not go on if it were, did not take its step.
+    /// An agent could not take its step, and health monitoring is off or cannot recover it.
     #[error(
-        "agent {agent} at t = {time}: {error}, |x_0| is {plant_norm:.3e} by then; {}",
+        "agent {agent} at t = {time}: {error} (|x_0| = {plant_norm:.3e}); {}",
         step_hint(*plant_norm, step)
     )]
     Step {
         /// The agent, from 1.
         agent: usize,
-        /// When. \[s\]
+        /// Time of the step. \[s\]
         time: f64,
         /// `|x_0|` at that time. \[state unit\]
         plant_norm: f64,
         /// Whether the step is short enough for the observer itself.
         step: StepCheck,
-        /// What the core says.
+        /// The core's error.
         error: StepError,
     },
     /// An expression of plant or disturbance has no finite value.
     #[error(transparent)]
     Expression(Box<RateFault>),
-    /// The plant's state is not finite any more in single precision, in which agents measure it.
+    /// The plant's state is no longer finite in single precision, in which agents measure it.
     #[error("the plant diverged at t = {time}; lower time.step or change the plant's parameters")]
     PlantDiverged {
-        /// When. \[s\]
+        /// Time of the divergence. \[s\]
         time: f64,
     },
-    /// There is no initial network.
-    #[error("the initial inner network: {0}")]
+    /// The initial network cannot be created.
+    #[error("cannot create the initial inner network: {0}")]
     InitialNetwork(TrainingError),
     /// A network could not be trained.
     #[error("training of agent {agent} in learning cycle {cycle}: {error}")]
@@ -206,12 +206,12 @@ pub enum RunError {
         agent: usize,
         /// The learning cycle, from 1.
         cycle: usize,
-        /// What the trainer says.
+        /// The trainer's error.
         error: TrainedError,
     },
-    /// A learning cycle names a recipe that there is not.
+    /// A learning cycle names an unknown recipe.
     #[error(
-        "learning cycle {cycle} names the recipe {recipe:?}; add [recipes.{recipe}] to the scenario"
+        "learning cycle {cycle} names the unknown recipe {recipe:?}; add [recipes.{recipe}] to the scenario"
     )]
     Recipe {
         /// The learning cycle, from 1.
@@ -219,7 +219,7 @@ pub enum RunError {
         /// The name.
         recipe: String,
     },
-    /// Who went along with the run ended it.
+    /// The run observer ended the run.
     #[error(transparent)]
     RunObserver(RunObserverError),
     /// A learning cycle without a network.

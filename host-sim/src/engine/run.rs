@@ -1,4 +1,4 @@
-//! The loop over steps.
+//! The main loop of a run.
 
 use std::ops::ControlFlow;
 
@@ -21,18 +21,17 @@ use crate::plant::Stepper;
 use crate::scenario::{Network, Scenario};
 use crate::training::{Dataset, TrainingError};
 
-/// From this many agents on, a step is shared among threads: below it, the cost of waking a
-/// thread exceeds that of stepping the agents it would take over.
+/// Minimum number of agents per thread: for fewer, waking a thread costs more than stepping them.
 const AGENTS_PER_THREAD: usize = 32;
 
-/// Steps between two reports of progress.
+/// Steps between progress reports.
 const PROGRESS_STRIDE: Tick = 512;
 
-/// Runs `scenario` over the link that it describes.
+/// Runs `scenario` over the link it describes.
 ///
 /// # Errors
-/// A parameter or network that the core refuses, a training that fails, a plant or an agent
-/// that diverges.
+/// If the core refuses a parameter or a network, a training fails, or the plant or an agent
+/// diverges.
 pub fn run(
     scenario: &Scenario,
     options: RunOptions,
@@ -41,14 +40,14 @@ pub fn run(
     run_over(scenario, ScenarioLink::new(scenario, options.seed), options, progress)
 }
 
-/// Runs `scenario` over the link that it describes, beside `run_observer`.
+/// Runs `scenario` over the link it describes, and reports every step to `run_observer`.
 ///
 /// # Errors
-/// As [`run`], and those of the run_observer.
+/// As [`run`], and those of the observer.
 ///
 /// # Panics
 /// As [`run_over`].
-pub fn run_accompanied(
+pub fn run_observed(
     scenario: &Scenario,
     run_observer: &mut dyn RunObserver,
     options: RunOptions,
@@ -64,7 +63,7 @@ pub fn run_accompanied(
 /// As [`run`].
 ///
 /// # Panics
-/// If the state dimension is not 1 to 12; a loaded scenario's always is.
+/// If the state dimension is not 1 to 12, which a loaded scenario guarantees.
 pub fn run_over(
     scenario: &Scenario,
     link: impl Link,
@@ -85,7 +84,7 @@ fn run_any(
     with_dimension!(
         n,
         run_fixed(scenario, link, run_observer, options, progress),
-        else panic!("a state of {n} components, expected 1 to 12")
+        else panic!("{n} state components, expected 1 to 12")
     )
 }
 
@@ -157,8 +156,8 @@ fn build_agents<'s, const N: usize>(
     agents.collect()
 }
 
-/// The package that each agent starts with: the one that the scenario names, or one made of the
-/// scenario's own network. Without a network there are none.
+/// Returns the package that each agent starts with: the one given in the scenario, or one created from
+/// the scenario's network. Empty without a network.
 fn start_packages(
     scenario: &Scenario,
     trigger: &TriggerConstants,
@@ -184,7 +183,7 @@ fn start_packages(
     packages.collect()
 }
 
-/// A package from outside has to be for this very agent of this scenario.
+/// Checks that a given package is for this agent of this scenario.
 fn check_start(
     scenario: &Scenario,
     network: &Network,
@@ -203,13 +202,13 @@ fn check_start(
     Ok(())
 }
 
-/// The inner parameters that every agent without a package of its own starts with.
+/// Returns the initial inner parameters of every agent without a given package.
 fn initial_parameters(
     scenario: &Scenario,
     network: &Network,
     seed: u64,
 ) -> Result<Vec<f32>, RunError> {
-    // Nothing is recorded yet: let every state component range over [-1, 1].
+    // No samples are recorded yet, so assume that every state component ranges over [-1, 1].
     let n = scenario.dimension();
     let corners = [vec![-1.0; n], vec![1.0; n]].concat();
     let parameters = Dataset::new(n, corners.clone(), corners)
@@ -253,7 +252,7 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
         run_observer.begin(&agents.collect::<Vec<_>>()).map_err(RunError::RunObserver)
     }
 
-    /// Switches in what the learning cycles and the run_observer want to have in use from `tick` on.
+    /// Switches in the packages of learning cycles and of the observer before the step at `tick`.
     fn switch(
         &mut self,
         tick: Tick,
@@ -267,7 +266,7 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
         }
         for Switch { agent: index, package, back } in switches {
             let agent = &mut self.agents[index];
-            let switched = if back { agent.go_back(&package) } else { agent.load(&package) };
+            let switched = if back { agent.revert(&package) } else { agent.load(&package) };
             switched.map_err(|refusal| RunError::Refused { agent: index + 1, refusal })?;
         }
         Ok(ControlFlow::Continue(()))
@@ -315,20 +314,20 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
                 time.step_size,
                 &mut self.truth,
             );
-            // Beyond single precision no agent can measure it.
+            // Agents measure in single precision.
             if !self.truth.iter().all(|&x| (x as f32).is_finite()) {
                 return Err(plant_error(scenario, &mut plant, tick, &before));
             }
             if tick.is_multiple_of(PROGRESS_STRIDE) {
-                progress.stepped(tick, steps);
+                progress.step(tick, steps);
             }
         }
         self.note(steps, false);
-        progress.stepped(steps, steps);
+        progress.step(steps, steps);
         Ok(trainings)
     }
 
-    /// Notes errors and traces of `tick`, before its step is taken.
+    /// Records errors and traces of `tick`, before its step.
     #[inline]
     fn note(&mut self, tick: Tick, evaluated: bool) {
         let truth = &self.truth;
@@ -356,7 +355,7 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
         }
     }
 
-    /// Samples what Theorem 1's premise on `rho` is judged by.
+    /// Takes samples for checking Theorem 1's premise on `rho`.
     #[inline(never)]
     fn sample_lumped(&mut self, tick: Tick) {
         let Some(bounds) = &mut self.bounds else { return };
@@ -399,7 +398,7 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
         }
     }
 
-    /// Hands the broadcasts of `tick` to the link.
+    /// Sends the broadcasts of `tick` over the link.
     #[inline]
     fn send_broadcasts(&mut self, tick: Tick) {
         let keep = self.scenario.record.events;
@@ -413,7 +412,7 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
     }
 
     fn finish(mut self, mut trainings: Vec<TrainingRecord>) -> RunResult {
-        // They were carried out in the order of time, and the agents of a cycle may be in any.
+        // They are in time order, and the agents of a cycle may be listed in any order.
         trainings.sort_by_key(|training| (training.cycle, training.agent));
         for agent in &self.agents {
             for value in agent.estimate().iter().chain(&agent.outer_weights()) {

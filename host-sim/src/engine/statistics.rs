@@ -1,4 +1,4 @@
-//! What a run measures of each agent while it goes on.
+//! Statistics of each agent, updated during a run.
 
 use agent_core::Tick;
 use agent_core::health::HealthCounters;
@@ -16,20 +16,20 @@ pub struct AgentStatistics {
     last_broadcast: Tick,
     broadcasts: u64,
     min_interval: Option<Tick>,
-    /// Received frames that the agent refused.
+    /// Number of received frames that the agent refused.
     pub frames_refused: u64,
-    /// What went wrong; `None` for an agent that was not watched.
+    /// Health counters; `None` if the agent was not monitored.
     pub health: Option<HealthCounters>,
-    /// Largest `e_2i_max` of Theorem 2 that occurred; 0 if it was not asked for. \[state unit/s\]
+    /// Largest `e_2i_max` of Theorem 2; 0 if not requested. \[state unit/s\]
     pub hold_error_rate_max: f64,
-    /// Largest `|W_hat_i|` (Frobenius) that occurred; 0 if it was not asked for.
+    /// Largest `|W_hat_i|` (Frobenius); 0 if not requested.
     pub outer_weights_norm_max: f64,
     /// Ticks of all broadcasts, if the scenario records events.
     pub events: Vec<Tick>,
 }
 
 impl AgentStatistics {
-    /// Takes the squared norm of `e_1i` at one step of the evaluation window into account.
+    /// Records the squared norm of `e_1i` at one step of the evaluation window.
     #[inline]
     pub fn error(&mut self, squared: f64) {
         self.sum_squared += squared;
@@ -37,7 +37,7 @@ impl AgentStatistics {
         self.max_squared = self.max_squared.max(squared);
     }
 
-    /// Takes a broadcast at `tick` into account.
+    /// Records a broadcast at `tick`.
     #[inline]
     pub fn broadcast(&mut self, tick: Tick, keep_event: bool) {
         if self.broadcasts == 0 {
@@ -53,32 +53,32 @@ impl AgentStatistics {
         }
     }
 
-    /// How often the agent broadcast, the one at `t = 0` included.
+    /// Returns the number of broadcasts, including the one at `t = 0`.
     #[must_use]
     pub fn broadcasts(&self) -> u64 {
         self.broadcasts
     }
 
-    /// Root mean square of `|e_1i|` over the evaluation window; `None` if it holds no step.
+    /// Returns the root mean square of `|e_1i|` over the evaluation window; `None` if it has no steps.
     #[must_use]
     pub fn rmse(&self) -> Option<f64> {
         (self.samples > 0).then(|| (self.sum_squared / self.samples as f64).sqrt())
     }
 
-    /// Maximum of `|e_1i|` over the evaluation window; `None` if it holds no step.
+    /// Returns the maximum of `|e_1i|` over the evaluation window; `None` if it has no steps.
     #[must_use]
     pub fn max_error(&self) -> Option<f64> {
         (self.samples > 0).then(|| self.max_squared.sqrt())
     }
 
-    /// Mean time between broadcasts; `None` with fewer than two. \[s\]
+    /// Returns the mean time between broadcasts; `None` with fewer than two. \[s\]
     #[must_use]
     pub fn mean_interval(&self, time: &Time) -> Option<f64> {
         let intervals = self.broadcasts.checked_sub(1).filter(|&intervals| intervals > 0)?;
         Some(time.at(self.last_broadcast - self.first_broadcast) / intervals as f64)
     }
 
-    /// Shortest time between broadcasts; `None` with fewer than two. \[s\]
+    /// Returns the shortest time between broadcasts; `None` with fewer than two. \[s\]
     #[must_use]
     pub fn min_interval(&self, time: &Time) -> Option<f64> {
         self.min_interval.map(|ticks| time.at(ticks))

@@ -1,4 +1,4 @@
-//! What a run writes down of plant and agents, step by step.
+//! Recorded traces of plant and agents.
 
 /// True state and every agent's estimate, one row every `trace_stride` steps.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -11,7 +11,7 @@ pub struct Traces {
 }
 
 impl Traces {
-    /// Empty traces with room for `rows`.
+    /// Creates empty traces with room for `rows`.
     #[must_use]
     pub fn with_capacity(dimension: usize, agents: usize, rows: usize) -> Self {
         Self {
@@ -35,50 +35,50 @@ impl Traces {
         estimates.for_each(|estimate| self.estimates.extend_from_slice(estimate));
     }
 
-    /// How many rows there are.
+    /// Returns the number of rows.
     #[must_use]
     pub fn rows(&self) -> usize {
         self.time.len()
     }
 
-    /// `n`.
+    /// Returns `n`, the number of state components.
     #[must_use]
     pub fn dimension(&self) -> usize {
         self.dimension
     }
 
-    /// `N`.
+    /// Returns `N`, the number of agents.
     #[must_use]
     pub fn agents(&self) -> usize {
         self.agents
     }
 
-    /// Time of each row. \[s\]
+    /// Returns the time of each row. \[s\]
     #[must_use]
     pub fn time(&self) -> &[f64] {
         &self.time
     }
 
-    /// `x_0` in a row, shape `[n]`.
+    /// Returns `x_0` in a row, shape `[n]`.
     #[must_use]
     pub fn truth(&self, row: usize) -> &[f64] {
         &self.truth[row * self.dimension..][..self.dimension]
     }
 
-    /// `x_hat_i` in a row, agents from 0, shape `[n]`.
+    /// Returns `x_hat_i` in a row, agents from 0, shape `[n]`.
     #[must_use]
     pub fn estimate(&self, row: usize, agent: usize) -> &[f32] {
         &self.estimates[(row * self.agents + agent) * self.dimension..][..self.dimension]
     }
 
-    /// `|e_1i|` in a row, agents from 0.
+    /// Returns `|e_1i|` in a row, agents from 0.
     #[must_use]
     pub fn error(&self, row: usize, agent: usize) -> f64 {
         squared_error(self.estimate(row, agent), self.truth(row)).sqrt()
     }
 }
 
-/// `|x_hat - x_0|^2`.
+/// Returns `|x_hat - x_0|^2`.
 #[inline]
 #[must_use]
 pub fn squared_error(estimate: &[f32], truth: &[f64]) -> f64 {

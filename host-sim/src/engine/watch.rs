@@ -1,4 +1,4 @@
-//! The watch over one agent, as a node's firmware keeps it: [`agent_core::health`].
+//! Health monitoring of an agent, as in a node's firmware: [`agent_core::health`].
 
 use agent_core::agent::hold::HoldSlots;
 use agent_core::agent::inbox::Inbox;
@@ -8,17 +8,17 @@ use agent_core::math::parameter::ParameterError;
 use agent_core::observer::trigger::Trigger;
 use agent_core::package::Package;
 
-/// What watches over an agent from its first package on.
+/// The health monitor of an agent, from its first package on.
 #[derive(Clone, Debug)]
 pub(super) struct Watch<const N: usize> {
     params: HealthParams<N>,
-    /// The outer weights of the package in use, row by row, shape `[L, N]`: those of a restart.
+    /// The outer weights of the package in use, row-major, shape `[L, N]`, used by restarts.
     outer_weights: Vec<f32>,
     health: Health,
 }
 
 impl<const N: usize> Watch<N> {
-    /// The watch over an agent that uses `package`; goes on from the one `before`.
+    /// Creates the monitor of an agent that uses `package`, continuing the counters of `before`.
     pub(super) fn new(
         agent: &AgentParams<'_, N>,
         package: &Package<'_>,
@@ -35,7 +35,7 @@ impl<const N: usize> Watch<N> {
         })
     }
 
-    /// The agent with these parts, watched, and the outer weights of a restart.
+    /// Returns the agent with its monitor, and the outer weights used by restarts.
     pub(super) fn agent<'a, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>(
         &'a mut self,
         params: &'a AgentParams<'a, N>,
@@ -55,8 +55,8 @@ impl<const N: usize> Watch<N> {
     }
 }
 
-/// Whether a watched agent goes on after a step that was refused for this reason: it is in the
-/// numbers, not in how the agent was set up.
+/// Returns whether a monitored agent continues after this error: it was caused by the data, not by the
+/// configuration.
 pub(super) fn is_recoverable(error: StepError) -> bool {
     matches!(error, StepError::MeasurementNotFinite { .. } | StepError::Diverged)
 }

@@ -1,5 +1,5 @@
-//! 64-bit FNV-1a: identifies content, with the same result on every machine. Not for hash tables,
-//! and no protection against forgery.
+//! 64-bit FNV-1a hash, which identifies content with the same result on every machine. It does not
+//! protect against forgery.
 
 /// A hash in progress.
 #[derive(Clone, Copy, Debug)]

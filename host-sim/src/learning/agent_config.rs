@@ -9,11 +9,11 @@ use crate::packages::OwnedAgentConfig;
 use crate::packages::node::{OwnedSymmetric, row_major};
 use crate::scenario::{OuterGain, Scenario};
 
-/// Stands in where there is no network, and so no outer weights to adapt.
-const RESTING_PROJECTION: ProjectionParams =
+/// Placeholder for agents without a network, which have no outer weights to adapt.
+const UNUSED_PROJECTION: ProjectionParams =
     ProjectionParams { radius: 1.0, boundary_layer: 1.0, smoothing: 1.0, smoothness: 0 };
 
-/// Agent `index` (from 0) of a scenario, whose trigger has these constants.
+/// Returns the configuration of agent `index`, from 0, with these trigger constants.
 #[must_use]
 pub fn agent_config(
     scenario: &Scenario,
@@ -29,7 +29,7 @@ pub fn agent_config(
         neighbours: edges.iter().flat_map(|edge| agent_id(edge.agent).to_le_bytes()).collect(),
         edge_weights: edges.iter().map(|edge| edge.weight as f32).collect(),
         outer_gain: law.map_or(OwnedSymmetric::scalar(1.0), |law| outer_gain(&law.gain)),
-        projection: law.map_or(RESTING_PROJECTION, |law| ProjectionParams {
+        projection: law.map_or(UNUSED_PROJECTION, |law| ProjectionParams {
             radius: (law.bound - law.boundary_layer) as f32,
             boundary_layer: law.boundary_layer as f32,
             smoothing: law.smoothing as f32,
@@ -54,10 +54,10 @@ fn outer_gain(gain: &OuterGain) -> OwnedSymmetric {
     }
 }
 
-/// The number by which agent `index` (from 0) goes on the air.
+/// Returns the identifier of agent `index`, from 0, in messages.
 ///
 /// # Panics
-/// If there is no such number; a scenario has at most 1,000 agents.
+/// If the index does not fit; a scenario has at most 1,000 agents.
 #[must_use]
 pub fn agent_id(index: usize) -> AgentId {
     AgentId::try_from(index + 1).expect("a scenario has at most 1,000 agents")

@@ -1,5 +1,5 @@
-//! Recorded samples prepared for training: averaged and thinned, with the smoothed pairs that a
-//! network is judged by.
+//! Prepares recorded samples for training: averages and decimates them, and provides the smoothed
+//! pairs for judging a network.
 
 use crate::packages::Recording;
 use crate::scenario::Recipe;
@@ -8,33 +8,33 @@ use crate::training::{Averaging, Dataset, Smoothed, Smoothing, SmoothingError};
 /// Cleaned samples of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cleaned {
-    /// What a network is trained on, in the order of time.
+    /// Training data, in time order.
     pub data: Dataset,
-    /// Smoothed pairs, in the order of time: the same as `data`, unless the recipe asks for raw
-    /// samples that carry chatter, by which no network should be judged.
+    /// Smoothed pairs for judging a network, in time order: the same as `data`, unless the recipe
+    /// trains on raw samples, whose chatter would distort the judgement.
     pub judged: Dataset,
-    /// Of each row of `judged`, the row of `data` that it belongs to.
+    /// For each row of `judged`, the corresponding row of `data`.
     rows: Vec<usize>,
-    /// Length of the averaging window in use; 0 for none. \[s\]
+    /// Length of the averaging window, 0 for none. \[s\]
     pub window: f64,
-    /// Every how many averages one was kept.
+    /// Decimation: one in this many averages is kept.
     pub stride: usize,
-    /// Period of the signal, if it rises above its chatter. \[s\]
+    /// Period of the signal, if it can be distinguished from chatter. \[s\]
     pub period: Option<f64>,
-    /// What was left out because of gaps.
+    /// Samples skipped because of gaps.
     pub cleaning: Cleaning,
 }
 
-/// What was left out of a recording with gaps.
+/// What was skipped in a recording with gaps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cleaning {
-    /// Pieces between gaps that are too long for a smoothing window to bridge.
+    /// Segments between gaps that are too long for a smoothing window to bridge.
     pub pieces: usize,
-    /// Pieces that are too short for a window.
+    /// Segments skipped because they are shorter than a window.
     pub pieces_left_out: usize,
-    /// Recorded samples in those.
+    /// Recorded samples in skipped segments.
     pub samples_left_out: usize,
-    /// Windows in which too many samples are missing.
+    /// Windows skipped because too many samples are missing.
     pub windows_left_out: usize,
 }
 
@@ -49,16 +49,16 @@ impl Cleaning {
     }
 }
 
-/// Longest gap that is filled to find out how long to average. \[samples\]
+/// Longest gap that is interpolated when choosing the window. \[samples\]
 const FILLED_MAX: u64 = 8;
 
 impl Cleaned {
-    /// Averages and thins `recording` as `recipe` says or, where it says nothing, as the samples' own
-    /// spectrum suggests. A window bridges short gaps; a piece between two long gaps that is shorter
-    /// than the window is left out.
+    /// Averages and decimates `recording` with the settings of `recipe` or, by default, settings
+    /// derived from the samples' spectrum. A window bridges short gaps; a segment between long gaps
+    /// that is shorter than the window is skipped.
     ///
     /// # Errors
-    /// If no window fits between any two gaps.
+    /// If no window fits between two gaps.
     pub fn new(recording: &Recording, recipe: &Recipe) -> Result<Self, SmoothingError> {
         let pieces: Vec<Dataset> = recording.pieces().collect();
         let interval = recording.interval;
@@ -73,7 +73,7 @@ impl Cleaned {
             smoothing.apply_with_gaps(&recording.samples, &recording.ticks(), interval)?;
         let cleaning = Cleaning::of(&smoothed);
         let data = smoothed.data;
-        // A window of less than a step averages nothing.
+        // A window shorter than a step does not average.
         let raw = smoothing.half_width(interval)? == 0 && averaging.window > 0.0;
         let judged =
             if raw { judge_raw(&pieces, averaging.window, interval, stride) } else { None };
@@ -81,7 +81,7 @@ impl Cleaned {
         Ok(Self { data, judged, rows, window, stride, period: averaging.period, cleaning })
     }
 
-    /// The judged samples that belong to the rows of `data` for which `chosen` is true.
+    /// Returns the judged samples whose row of `data` is `chosen`.
     #[must_use]
     pub fn judged_in(&self, chosen: &[bool]) -> Option<Dataset> {
         let belongs = |&index: &usize| chosen.get(self.rows[index]).copied().unwrap_or(false);
@@ -89,8 +89,8 @@ impl Cleaned {
     }
 }
 
-/// The pieces between long gaps; short gaps are filled by linear interpolation. Only for choosing a
-/// window: single lost samples would leave pieces too short to show a slow signal.
+/// Returns the segments between long gaps, with short gaps filled by linear interpolation. Only for
+/// choosing a window: without filling, lost samples would leave segments too short for a slow signal.
 fn filled(recording: &Recording) -> Vec<Dataset> {
     let n = recording.samples.dimension();
     let (inputs, targets) = (recording.samples.inputs(), recording.samples.targets());
@@ -120,8 +120,8 @@ fn filled(recording: &Recording) -> Vec<Dataset> {
     pieces
 }
 
-/// Smoothed pairs for raw samples of which every `stride`-th is trained on, and the row of each
-/// among those; `None` if no window fits.
+/// Returns smoothed pairs for every `stride`-th raw sample, and the row of each in the training data;
+/// `None` if no window fits.
 fn judge_raw(
     pieces: &[Dataset],
     window: f64,
@@ -157,7 +157,7 @@ mod tests {
     use crate::packages::Timing;
     use crate::scenario::{PAPER, Scenario};
 
-    /// A slow wave whose derivative carries chatter, up to half as large.
+    /// A slow wave whose derivative has chatter of up to half its amplitude.
     fn recording(gaps: &[usize]) -> Recording {
         let wave = |s: usize| libm::sin(0.01 * s as f64);
         let chatter = |s: usize| f64::from((s as u32).wrapping_mul(0x9e37_79b9)) / 4.3e9 - 0.5;
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn the_samples_choose_their_window() {
+    fn the_window_is_derived_from_the_samples() {
         let cleaned = Cleaned::new(&recording(&[]), &recipe(None, None)).unwrap();
         assert!(cleaned.window > 0.02 && cleaned.window < 2.0, "{cleaned:?}");
         assert_eq!(cleaned.data, cleaned.judged);
@@ -194,7 +194,7 @@ mod tests {
 
     #[test]
     fn raw_samples_are_judged_without_their_chatter() {
-        // Half a step is no window either.
+        // A window of half a step does not average, either.
         for (gaps, stride, window) in
             [(&[][..], 1, 0.0), (&[1001, 1010], 3, 0.0), (&[], 1, 0.005 - 1e-9)]
         {
@@ -203,7 +203,7 @@ mod tests {
             let pieces: Vec<_> = recording.pieces().collect();
             let kept = pieces.iter().map(|p| p.len().div_ceil(stride as usize)).sum::<usize>();
             assert_eq!(cleaned.data.len(), kept);
-            // The chatter of half a unit is gone, and each row is beside its own sample.
+            // The chatter is removed, and each row corresponds to its sample.
             for (index, &row) in cleaned.rows.iter().enumerate() {
                 let (x, y) = (cleaned.judged.inputs()[index], cleaned.judged.targets()[index]);
                 assert!((x - cleaned.data.inputs()[row]).abs() < 0.05, "{index}");
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_beyond_counting_are_gaps() {
+    fn extremely_long_gaps_are_supported() {
         let mut recording = recording(&[1000, 2000]);
         recording.timing.missing = vec![u64::MAX; 2];
         let cleaned = Cleaned::new(&recording, &recipe(Some(0.0), Some(1))).unwrap();

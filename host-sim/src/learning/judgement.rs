@@ -1,25 +1,25 @@
-//! Warnings about samples and about the networks trained on them.
+//! Warnings about samples and about networks trained on them.
 
 use super::quality::{LAST_SHARE, Quality};
 use crate::training::{Dataset, Scaling};
 use crate::warning::{Warning, WarningCode};
 
-/// An input whose centre lies this many standard deviations from 0 is rounded by about 1/4000 of
-/// its deviation in single precision, which shows in the estimate.
+/// Warning threshold for the distance of an input's centre from 0, in standard deviations: beyond it,
+/// single precision rounds the input by more than about 1/4000 of its deviation.
 const OFFSET_MAX: f64 = 4000.0;
 
-/// A network that explains less than this share of the targets' variance explains nothing.
+/// Share of the targets' variance below which a network counts as explaining nothing.
 const EXPLAINED_MIN: f64 = 0.05;
 
-/// What is known before training.
+/// Samples and settings known before training.
 pub(super) struct Samples<'a> {
     /// The samples to train on.
     pub(super) train: &'a Dataset,
     /// Their scaling.
     pub(super) scaling: &'a Scaling,
-    /// `W_hat`, row by row, shape `[L, n]`.
+    /// `W_hat`, row-major, shape `[L, n]`.
     pub(super) outer_weights: &'a [f32],
-    /// Inner parameters to train.
+    /// Number of inner parameters to train.
     pub(super) parameters: usize,
     /// Length of the averaging window. \[s\]
     pub(super) window: f64,
@@ -28,14 +28,14 @@ pub(super) struct Samples<'a> {
 }
 
 impl Samples<'_> {
-    /// Warnings about training on them.
+    /// Returns the warnings about training on these samples.
     pub(super) fn warnings(&self) -> Vec<Warning> {
         let mut warnings: Vec<Warning> =
             outer_weights(self.outer_weights, self.train.dimension()).into_iter().collect();
         for input in self.scaling.constant_inputs() {
             let text = format!(
-                "xhat{0} does not vary in the samples, so the network gives it no weight and \
-                 cannot learn what depends on it; record while component {0} moves",
+                "xhat{0} does not vary in the samples, so the network ignores it; record while \
+                 component {0} varies",
                 input + 1
             );
             warnings.push(Warning::new(WarningCode::ConstantInput, text));
@@ -44,17 +44,17 @@ impl Samples<'_> {
             let Some(offset) = offset.filter(|&offset| offset > OFFSET_MAX) else { continue };
             let digits = libm::log10(16_777_216.0 / offset);
             let text = format!(
-                "xhat{} lies {offset:.0} of its standard deviations from 0: single precision \
-                 leaves {digits:.1} digits of its variation; subtract a constant where it is \
-                 measured",
+                "xhat{} is {offset:.0} standard deviations away from 0, so single precision \
+                 leaves only {digits:.1} digits of its variation; subtract a constant from the \
+                 measurement",
                 input + 1
             );
             warnings.push(Warning::new(WarningCode::InputResolution, text));
         }
         if let Some(period) = self.period.filter(|&period| self.window >= period) {
             let text = format!(
-                "smoothing_window, {} s, is longer than the period of the signal, about \
-                 {period:.3} s, which it averages away; write less than {:.3}, or leave it out",
+                "smoothing_window is {} s, longer than the signal's period of about {period:.3} s, so \
+                 it averages the signal away; set less than {:.3}, or leave it out",
                 self.window,
                 0.25 * period
             );
@@ -63,8 +63,8 @@ impl Samples<'_> {
         let numbers = self.train.len() * self.train.dimension();
         if numbers < self.parameters {
             let text = format!(
-                "{} training samples of {} components are fewer numbers than the network's {} \
-                 inner parameters; record longer, or make the network smaller",
+                "{} training samples of {} components have fewer values than the network's {} inner \
+                 parameters; record longer, or use a smaller network",
                 self.train.len(),
                 self.train.dimension(),
                 self.parameters
@@ -75,15 +75,16 @@ impl Samples<'_> {
     }
 }
 
-/// Warns of outer weights, row by row, shape `[L, n]`, that leave the inner network nothing to
-/// learn.
+/// Returns a warning if outer weights, row-major, shape `[L, n]`, keep the inner network from
+/// learning.
 #[must_use]
 pub fn outer_weights<T: Copy + Default + PartialEq>(
     outer_weights: &[T],
     n: usize,
 ) -> Option<Warning> {
     let zero = |w: &T| *w == T::default();
-    let hint = "write network.outer = { random = 5.0 }, about the size of the state's derivative";
+    let hint =
+        "set network.outer = { random = 5.0 }, with about the magnitude of the state's derivative";
     let warn = |problem: String| Some(Warning::new(WarningCode::OuterWeights, problem));
     if outer_weights.iter().all(zero) {
         return warn(format!(
@@ -94,8 +95,8 @@ pub fn outer_weights<T: Copy + Default + PartialEq>(
     let first = rows.next();
     if outer_weights.len() > n && rows.all(|row| Some(row) == first) {
         return warn(format!(
-            "all rows of the outer weights are equal, so training cannot tell the components of \
-             the state apart; {hint}"
+            "all rows of the outer weights are equal, so training cannot distinguish the state's \
+             components; {hint}"
         ));
     }
     let blind = (0..n).find(|&c| outer_weights.iter().skip(c).step_by(n).all(zero))?;
@@ -105,13 +106,13 @@ pub fn outer_weights<T: Copy + Default + PartialEq>(
     ))
 }
 
-/// Warnings about a trained network; `accepted` if it is used.
+/// Returns the warnings about a trained network; `accepted` if it is used.
 pub(super) fn judgement(quality: &Quality, accepted: bool, recipe: &str) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let training = quality.training.explained;
     if !training.is_some_and(|share| share >= EXPLAINED_MIN) {
         let text = format!(
-            "the trained network explains next to nothing of the smoothed targets' variance ({}); \
+            "the trained network explains almost none of the smoothed targets' variance ({}); \
              record longer while the plant moves, or change network.outer, network.layers or \
              the recipe",
             percent(training)
@@ -121,8 +122,8 @@ pub(super) fn judgement(quality: &Quality, accepted: bool, recipe: &str) -> Vec<
     let validation = quality.validation.map(|fit| fit.explained);
     if let Some(share) = validation.filter(|share| share.is_some_and(|share| share < 0.0)) {
         let text = format!(
-            "on the validation samples the trained network explains {}: it is worse than a \
-             constant; record longer, raise weight_decay or make the network smaller",
+            "on the validation samples, the trained network is worse than a constant (explained \
+             variance {}); record longer, raise weight_decay or use a smaller network",
             percent(share)
         );
         warnings.push(Warning::new(WarningCode::WorseThanConstant, text));
@@ -133,9 +134,10 @@ pub(super) fn judgement(quality: &Quality, accepted: bool, recipe: &str) -> Vec<
             format!(" and {} on the validation samples", percent(share))
         });
         let text = format!(
-            "the trained network is not used, because a constant does as well: it explains {last} \
-             of the smoothed targets' variance in the last {} % of the samples' time{validation}; \
-             record longer, or write switch_in = \"always\" in [recipes.{recipe}] to use it anyway",
+            "the trained network is not used, because it is no better than a constant: it explains \
+             {last} of the smoothed targets' variance in the last {} % of the samples' \
+             time{validation}; record longer, or set switch_in = \"always\" in [recipes.{recipe}] \
+             to use it anyway",
             100.0 * LAST_SHARE,
         );
         warnings.push(Warning::new(WarningCode::NotSwitchedIn, text));
@@ -144,7 +146,7 @@ pub(super) fn judgement(quality: &Quality, accepted: bool, recipe: &str) -> Vec<
 }
 
 fn percent(share: Option<f64>) -> String {
-    // Targets that do not vary leave nothing to explain.
+    // Constant targets have no variance to explain.
     share.map_or("nothing".to_owned(), |share| format!("{:.1} %", 100.0 * share))
 }
 
@@ -158,18 +160,18 @@ mod tests {
     }
 
     #[test]
-    fn outer_weights_that_leave_nothing_to_learn_are_reported() {
-        let told = |weights: &[f32], n| outer_weights(weights, n).map(|warning| warning.text);
-        assert!(told(&[0.0; 6], 2).unwrap().contains("all outer weights are 0"));
-        assert!(told(&[1.0, 2.0, 1.0, 2.0], 2).unwrap().contains("rows of the outer weights"));
-        assert!(told(&[1.0, 0.0, 3.0, 0.0], 2).unwrap().contains("component 2 are all 0"));
-        assert_eq!(told(&[1.0, 2.0, 2.0, 1.0], 2), None);
+    fn outer_weights_that_prevent_learning_are_reported() {
+        let warning = |weights: &[f32], n| outer_weights(weights, n).map(|warning| warning.text);
+        assert!(warning(&[0.0; 6], 2).unwrap().contains("all outer weights are 0"));
+        assert!(warning(&[1.0, 2.0, 1.0, 2.0], 2).unwrap().contains("rows of the outer weights"));
+        assert!(warning(&[1.0, 0.0, 3.0, 0.0], 2).unwrap().contains("component 2 are all 0"));
+        assert_eq!(warning(&[1.0, 2.0, 2.0, 1.0], 2), None);
         // One feature is one row.
-        assert_eq!(told(&[1.0, 2.0], 2), None);
+        assert_eq!(warning(&[1.0, 2.0], 2), None);
     }
 
     #[test]
-    fn each_weakness_of_samples_has_its_warning() {
+    fn each_problem_of_samples_has_its_own_warning() {
         let wave = |s: usize| libm::sin(0.3 * s as f64);
         let data = |offset: f64, size: f64| {
             let inputs = (0..40).flat_map(|s| [offset + wave(s), size * wave(s + 5)]).collect();
@@ -194,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn a_network_that_explains_nothing_is_reported_and_left_out() {
+    fn a_network_that_explains_nothing_is_reported_and_not_used() {
         let quality = |training, validation, last| Quality {
             training: Fit { error: 1.0, explained: Some(training) },
             validation: Some(Fit { error: 1.0, explained: Some(validation) }),

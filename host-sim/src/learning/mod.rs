@@ -1,4 +1,4 @@
-//! From scenarios and recorded samples to weight packages.
+//! Creates weight packages from scenarios and recorded samples.
 //!
 //! | module | purpose |
 //! | --- | --- |
@@ -6,9 +6,9 @@
 //! | [`cleaning`] | recorded samples prepared for training |
 //! | [`judgement`] | warnings about samples and trained networks |
 //! | [`quality`] | how well a trained network fits the samples |
-//! | [`trained`] | the whole way: from recorded samples to a package |
+//! | [`trained`] | training a package from recorded samples |
 //!
-//! A learning cycle of the simulator and the command `train` both go this way.
+//! Shared by the simulator's learning cycles and the command `train`.
 
 pub mod agent_config;
 pub mod cleaning;

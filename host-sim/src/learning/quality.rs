@@ -1,5 +1,5 @@
-//! How well a trained network fits the samples: the network in the package, in single precision,
-//! evaluated by the core's own code.
+//! How well the network in a package fits the samples, evaluated in single precision by the core's
+//! own code.
 //!
 //! ```text
 //! error = (1/(S n)) Σ_s ‖f̂(x_s) − y_s‖²
@@ -7,10 +7,10 @@
 //! ```
 //!
 //! τ_c is the standard deviation of component c over the training samples, so that the explained
-//! share does not depend on the units of the components. A component that is constant there is
-//! judged by its size, with 0 in place of ȳ_c.
+//! share does not depend on the units of the components. For a component that is constant in the
+//! training samples, ȳ_c is replaced by 0.
 //!
-//! Cost: one forward pass a sample.
+//! Cost: one forward pass per sample.
 
 use agent_core::StateVector;
 use agent_core::observer::network::Scratch;
@@ -18,36 +18,36 @@ use agent_core::observer::network::Scratch;
 use crate::packages::{PackageBytes, with_dimension};
 use crate::training::{Dataset, Scaling};
 
-/// A network against a set of samples.
+/// The fit of a network to a set of samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fit {
     /// Mean squared error. \[squared state unit/s^2\]
     pub error: f64,
-    /// Explained share of the smoothed targets' variance, at most 1; a constant explains 0. `None` if
-    /// the targets do not vary, or there are none.
+    /// Explained share of the smoothed targets' variance: at most 1, and 0 for a constant. `None` if
+    /// the targets do not vary or there are none.
     pub explained: Option<f64>,
 }
 
-/// A trained network against its samples.
+/// The fit of a trained network to its samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quality {
-    /// The samples that it was trained on.
+    /// On the training samples.
     pub training: Fit,
-    /// Those that ended the training.
+    /// On the validation samples, which determine when training stops.
     pub validation: Option<Fit>,
-    /// Those held back.
+    /// On the test samples.
     pub test: Option<Fit>,
-    /// Share explained in the last [`LAST_SHARE`] of all samples' time, training samples included.
+    /// Share explained in the last [`LAST_SHARE`] of all samples in time, including training samples.
     pub last: Option<f64>,
 }
 
 impl Quality {
-    /// Whether the network explains more than a constant at the end of the samples and, if there
-    /// are any, on the validation samples. Otherwise it is not switched in.
+    /// Returns whether the network explains more than a constant at the end of the samples and on the
+    /// validation samples, if any. Otherwise it is not switched in.
     ///
-    /// The constant is the mean over the end alone, because that is where the network is used next.
-    /// This catches networks trained on a moment or on chatter; it may refuse one that helps, if the
-    /// disturbance of its plant is as large as the drift.
+    /// The constant is the mean over the end only, because the network is used from there on. This
+    /// rejects networks trained on too short a time or on chatter. It may also reject a useful
+    /// network if the plant's disturbance is as large as its drift.
     #[must_use]
     pub fn explains(&self) -> bool {
         let validation = self.validation.and_then(|fit| fit.explained);
@@ -55,14 +55,14 @@ impl Quality {
     }
 }
 
-/// Which part of the samples, the last in time, decides whether the network is used.
+/// The share of samples, the last in time, that decides whether the network is used.
 pub const LAST_SHARE: f64 = 0.15;
 
-/// `f_hat` of a package for each input of `samples`, shape `[samples][n]`; not a number where the
-/// core refuses the input.
+/// Returns `f_hat` for each input of `samples`, shape `[samples][n]`; NaN where the core rejects the
+/// input.
 ///
 /// # Panics
-/// If the samples have another dimension than the package.
+/// If the dimensions of samples and package differ.
 #[must_use]
 pub fn estimates(package: &PackageBytes, samples: &Dataset) -> Vec<f64> {
     let n = package.architecture().inputs();
@@ -83,7 +83,7 @@ fn estimates_of<const N: usize>(bytes: &PackageBytes, samples: &Dataset) -> Vec<
     estimates
 }
 
-/// Mean squared error of `estimates` against the targets of `samples`.
+/// Returns the mean squared error of `estimates` relative to the targets of `samples`.
 #[must_use]
 pub fn mean_squared_error(samples: &Dataset, estimates: &[f64]) -> f64 {
     let pairs = estimates.iter().zip(samples.targets());
@@ -91,7 +91,7 @@ pub fn mean_squared_error(samples: &Dataset, estimates: &[f64]) -> f64 {
     sum / estimates.len() as f64
 }
 
-/// Share of the variance of the targets of `samples` that `estimates` explain.
+/// Returns the share of the targets' variance that `estimates` explain.
 #[must_use]
 pub fn explained(samples: &Dataset, estimates: &[f64], scaling: &Scaling) -> Option<f64> {
     let n = samples.dimension();
@@ -108,7 +108,7 @@ pub fn explained(samples: &Dataset, estimates: &[f64], scaling: &Scaling) -> Opt
             variance += (y - mean) * (y - mean);
         }
     }
-    // Targets that do not vary beyond rounding leave nothing to explain.
+    // Targets that vary only by rounding have no variance to explain.
     (variance > 1e-24 * estimates.len() as f64).then_some(1.0 - unexplained / variance)
 }
 
@@ -133,7 +133,7 @@ mod tests {
             let mean = |c| samples.targets().iter().skip(c).step_by(2).sum::<f64>() / 100.0;
             let means: Vec<f64> = [mean(0), mean(1)].into_iter().cycle().take(200).collect();
             assert!(share(&means).abs() < 1e-12, "{scale:?}");
-            // Half of the signal leaves a quarter of its power.
+            // Half of the amplitude leaves a quarter of the power unexplained.
             let half: Vec<f64> =
                 samples.targets().iter().zip(&means).map(|(y, m)| 0.5 * (y + m)).collect();
             assert!((share(&half) - 0.75).abs() < 1e-12, "{scale:?}");
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn targets_that_do_not_vary_leave_nothing_to_explain() {
+    fn constant_targets_have_no_variance_to_explain() {
         let still = Dataset::new(1, vec![1.0; 9], vec![0.0; 9]).unwrap();
         assert_eq!(explained(&still, &[0.0; 9], &Scaling::of(&still)), None);
         // A constant other than 0 has to be learned.

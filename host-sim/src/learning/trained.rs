@@ -1,5 +1,4 @@
-//! From recorded samples to a package: the same way for a simulated agent's learning cycle and
-//! for a file of samples from anywhere.
+//! Trains a package on recorded samples, from a simulated agent's learning cycle or from a file.
 
 use std::ops::ControlFlow;
 use std::sync::atomic::AtomicBool;
@@ -19,18 +18,18 @@ use crate::training::{
 };
 use crate::warning::Warning;
 
-/// What is trained for whom.
+/// A training task.
 #[derive(Clone, Copy, Debug)]
 pub struct TrainingTask<'s> {
     /// The scenario that describes agent and network.
     pub scenario: &'s Scenario,
     /// Its network.
     pub network: &'s Network,
-    /// How.
+    /// How to train.
     pub recipe: &'s Recipe,
     /// The agent, from 0.
     pub agent: usize,
-    /// The learning cycle, from 0: a part of the training's seed.
+    /// The learning cycle, from 0, which contributes to the training's seed.
     pub cycle: usize,
     /// Seed of the run.
     pub seed: u64,
@@ -38,69 +37,69 @@ pub struct TrainingTask<'s> {
     pub version: u32,
 }
 
-/// A task with its samples, ready to be carried out.
+/// A task with its samples, ready for training.
 #[derive(Debug)]
 pub struct Prepared<'t, 's> {
     task: &'t TrainingTask<'s>,
     recording: &'t Recording,
     cleaned: Cleaned,
-    /// `W_hat` that the network is trained for, row by row, shape `[L, n]`.
+    /// `W_hat` that the network is trained for, row-major, shape `[L, n]`.
     outer_weights: Vec<f32>,
-    /// The scaling that the samples to train on ask for.
+    /// Scaling derived from the training samples.
     scaling: Scaling,
-    /// Warnings about these samples, known before training.
+    /// Warnings about the samples.
     pub warnings: Vec<Warning>,
 }
 
-/// A trained package and how it came about.
+/// A trained package and its training results.
 #[derive(Clone, Debug)]
 pub struct Trained {
     /// The package.
     pub package: PackageBytes,
-    /// Samples that were left after cleaning and decimation.
+    /// Number of samples after cleaning and decimation.
     pub samples: usize,
-    /// Length of the averaging window; 0 for none. \[s\]
+    /// Length of the averaging window, 0 for none. \[s\]
     pub smoothing_window: f64,
-    /// Every how many averages one was used.
+    /// Decimation: one in this many averages was used.
     pub decimation: usize,
-    /// What cleaning left out.
+    /// What cleaning skipped.
     pub cleaning: Cleaning,
-    /// How training went.
+    /// The course of the training.
     pub report: TrainingReport,
     /// How well the network in the package fits the samples.
     pub quality: Quality,
-    /// Whether it is to be used: it explains something ([`Quality::explains`]), or the recipe says
+    /// Whether to use the network: it explains something ([`Quality::explains`]), or the recipe sets
     /// `switch_in = "always"`.
     pub accepted: bool,
     /// Warnings about samples and network.
     pub warnings: Vec<Warning>,
 }
 
-/// Why there is no trained package.
+/// Why training failed.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TrainedError {
     /// The samples cannot be cleaned.
-    #[error("the samples cannot be smoothed: {0}; record more, or shorten smoothing_window")]
+    #[error("cannot smooth the samples: {0}; record more, or shorten smoothing_window")]
     Smoothing(#[from] SmoothingError),
     /// The network cannot be trained.
-    #[error("{0}; change samples or recipe")]
+    #[error("{0}; change the samples or the recipe")]
     Training(#[from] TrainingError),
-    /// The trained network does not become a package.
+    /// The trained network cannot be packed.
     #[error("{0}")]
     Draft(#[from] DraftError),
-    /// The trained network does not become a package, because of the size of the samples.
-    #[error("{error}; the samples' largest value is {largest:.0e}: {}", unit(*largest))]
+    /// The trained network cannot be packed because of the samples' magnitude.
+    #[error("{error}; the largest value in the samples is {largest:.0e}: {}", unit(*largest))]
     Size {
-        /// What the network lacks.
+        /// Why it cannot be packed.
         error: DraftError,
         /// The largest magnitude in the samples.
         largest: f64,
     },
-    /// The error of the trained network is not a number.
+    /// The error of the trained network is not finite.
     #[error(
-        "the mean squared error of the trained network is {error}, so there is nothing to pack; the \
-         samples' largest value is {largest:.0e}: {}",
+        "the mean squared error of the trained network is {error}, so it is unusable; the largest value \
+         in the samples is {largest:.0e}: {}",
         unit(*largest)
     )]
     NotFinite {
@@ -111,15 +110,15 @@ pub enum TrainedError {
     },
 }
 
-/// Magnitudes that single precision handles, squares included.
+/// Magnitudes whose squares single precision can represent.
 const SIZES: std::ops::RangeInclusive<f64> = 1e-15..=1e15;
 
-/// What to do about samples whose largest magnitude is this.
+/// Returns advice for samples of this largest magnitude.
 fn unit(largest: f64) -> &'static str {
     if largest < *SIZES.start() {
-        "write the samples in a smaller unit, in which values are about 1"
+        "use a smaller unit for the samples, so that values are about 1"
     } else if largest > *SIZES.end() {
-        "write the samples in a larger unit, in which values are about 1"
+        "use a larger unit for the samples, so that values are about 1"
     } else {
         "train with less noise, for fewer epochs or with another seed"
     }
@@ -132,11 +131,11 @@ impl From<DataError> for TrainedError {
 }
 
 impl<'s> TrainingTask<'s> {
-    /// Cleans and examines the samples; outer weights that the recording does not have are the
-    /// scenario's.
+    /// Cleans and checks the samples. If the recording has no outer weights, those of the scenario are
+    /// used.
     ///
     /// # Errors
-    /// Samples that cannot be cleaned or divided.
+    /// If the samples cannot be cleaned or divided.
     pub fn prepare<'t>(
         &'t self,
         recording: &'t Recording,
@@ -160,7 +159,7 @@ impl<'s> TrainingTask<'s> {
         Ok(Prepared { task: self, recording, cleaned, outer_weights, scaling, warnings })
     }
 
-    /// Prepares and carries out.
+    /// Prepares the samples and trains.
     ///
     /// # Errors
     /// See [`TrainedError`].
@@ -172,8 +171,8 @@ impl<'s> TrainingTask<'s> {
         self.prepare(recording)?.carry_out(progress)
     }
 
-    /// A seed of its own for every agent in every cycle of a run: the run's seed and the place of
-    /// the task, mixed so that neighbouring tasks start far apart.
+    /// Returns a distinct seed for every agent and cycle of a run: the run's seed mixed with both, so
+    /// that neighbouring tasks get very different seeds.
     fn task_seed(&self) -> u64 {
         let place = (self.cycle as u64) << 32 | self.agent as u64;
         self.seed ^ place.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15)
@@ -181,8 +180,8 @@ impl<'s> TrainingTask<'s> {
 }
 
 impl Prepared<'_, '_> {
-    /// Trains, packs, and judges the network in the package. `progress` can end the training with
-    /// the best network so far.
+    /// Trains and packs the network, and evaluates it as packed. `progress` can stop the training,
+    /// which keeps the best network so far.
     ///
     /// # Errors
     /// See [`TrainedError`].
@@ -193,7 +192,7 @@ impl Prepared<'_, '_> {
         self.carry_out_until(progress, None)
     }
 
-    /// As [`Self::carry_out`]; once `stop` is true, training ends in the middle of an epoch.
+    /// Like [`Self::carry_out`], but training also stops within an epoch once `stop` is true.
     ///
     /// # Errors
     /// See [`TrainedError`].
@@ -232,8 +231,8 @@ impl Prepared<'_, '_> {
             samples: u32::try_from(self.cleaned.data.len()).unwrap_or(u32::MAX),
             errors: None,
         };
-        // The quality reported is that of the package, in single precision.
-        let quality = self.quality(&draft.seal().map_err(|error| self.unpacked(error))?)?;
+        // The reported quality is that of the packed network, in single precision.
+        let quality = self.quality(&draft.seal().map_err(|error| self.packing_error(error))?)?;
         let held_out = quality.test.or(quality.validation);
         draft.errors = held_out.and_then(|held_out| {
             let (training, held_out) = (quality.training.error as f32, held_out.error as f32);
@@ -256,8 +255,8 @@ impl Prepared<'_, '_> {
         })
     }
 
-    /// Why a draft of the trained network does not become a package.
-    fn unpacked(&self, error: DraftError) -> TrainedError {
+    /// Converts the error of packing the trained network.
+    fn packing_error(&self, error: DraftError) -> TrainedError {
         let largest = largest(&self.recording.samples);
         match error {
             _ if SIZES.contains(&largest) => TrainedError::Draft(error),
@@ -265,7 +264,7 @@ impl Prepared<'_, '_> {
         }
     }
 
-    /// The quality of the network in `package` on the samples that it was trained on.
+    /// Returns the quality of the network in `package` on its samples.
     fn quality(&self, package: &PackageBytes) -> Result<Quality, TrainedError> {
         let (data, judged) = (&self.cleaned.data, &self.cleaned.judged);
         let parts = divide_at_random(data.len(), self.task.recipe.split, self.task.task_seed())?;
@@ -292,15 +291,15 @@ impl Prepared<'_, '_> {
     }
 }
 
-/// The last [`LAST_SHARE`] of `count` rows, at least one.
+/// Returns the last [`LAST_SHARE`] of `count` rows, at least one.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "between 0 and count")]
 fn last_rows(count: usize) -> Vec<usize> {
     let last = (count as f64 * LAST_SHARE).ceil() as usize;
     (count - last.clamp(1, count)..count).collect()
 }
 
-/// The package that agent `index` (from 0) starts with: the scenario's own network, not trained
-/// on anything, and so without limits to what it may be asked.
+/// Returns the initial package of agent `index`, from 0: the scenario's untrained network, whose
+/// trained box is unlimited.
 ///
 /// # Errors
 /// See [`DraftError`].
@@ -333,16 +332,16 @@ pub fn initial(
     draft.seal()
 }
 
-/// Version of a package that was not trained.
+/// Version of an untrained package.
 pub const INITIAL_VERSION: u32 = 1;
 
-/// The largest magnitude of all inputs and targets.
+/// Returns the largest magnitude of all inputs and targets.
 fn largest(samples: &Dataset) -> f64 {
     let values = samples.inputs().iter().chain(samples.targets());
     values.fold(0.0, |largest: f64, value| largest.max(value.abs()))
 }
 
-/// Least and largest value of each input.
+/// Returns the smallest and largest value of each input.
 fn limits(samples: &Dataset) -> (Vec<f32>, Vec<f32>) {
     let n = samples.dimension();
     let column = |i: usize| samples.inputs().iter().skip(i).step_by(n);
@@ -373,7 +372,7 @@ mod tests {
     use crate::scenario::PAPER;
 
     #[test]
-    fn samples_of_the_wrong_size_are_called_so() {
+    fn samples_of_unsuitable_magnitude_are_reported() {
         let scenario = Scenario::parse("paper.toml", PAPER).unwrap();
         let network = scenario.network.as_ref().unwrap();
         let mut recipe = scenario.recipe("better").unwrap().clone();
@@ -401,9 +400,8 @@ mod tests {
         let error = task.carry_out(&recording, &mut |_| ControlFlow::Continue(())).unwrap_err();
         let message = error.to_string();
         assert!(
-            message.ends_with(
-                "1e-42: write the samples in a smaller unit, in which values are about 1"
-            ),
+            message
+                .ends_with("1e-42: use a smaller unit for the samples, so that values are about 1"),
             "{message}"
         );
         assert!(unit(1e37).contains("a larger unit") && unit(1.0).contains("less noise"));

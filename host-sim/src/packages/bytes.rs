@@ -1,4 +1,4 @@
-//! A package's bytes: they begin on a multiple of four, as in a node's flash, and can be shared.
+//! The bytes of a package: aligned to four bytes, as in a node's flash, and shared.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::files::input::{is_too_large, read_limited};
 use crate::files::output::{FileKind, OutputError, write_whole};
 use crate::signing::OperatorKey;
 
-/// Longest file that is read as a package: beyond the largest network of all. \[bytes\]
+/// Maximum size of a package file: more than the largest network needs. \[bytes\]
 const LENGTH_MAX: u64 = 1 << 20;
 
 /// Bytes that decode as a package.
@@ -22,12 +22,12 @@ pub struct PackageBytes {
     place: NetworkPlace,
 }
 
-/// Why a package file cannot be used.
+/// Why a package file cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PackageFileError {
     /// The file cannot be read.
-    #[error("{}: cannot be read: {error}; give the path of a weight package", path.display())]
+    #[error("{}: cannot read: {error}; give the path of a weight package", path.display())]
     Read {
         /// The file.
         path: PathBuf,
@@ -36,27 +36,27 @@ pub enum PackageFileError {
     },
     /// The file is too long for any package.
     #[error(
-        "{}: has more than {LENGTH_MAX} bytes, which no package has; give the path of a weight package",
+        "{}: larger than {LENGTH_MAX} bytes, so not a weight package; give the path of a weight package",
         path.display()
     )]
     TooLong {
         /// The file.
         path: PathBuf,
     },
-    /// It is no package.
+    /// The file is not a valid package.
     #[error("{}: {error}; copy it again, or train again", path.display())]
     Package {
         /// The file.
         path: PathBuf,
-        /// What the core says.
+        /// The core's error.
         error: PackageError,
     },
 }
 
-/// The content of a file that may be a package.
+/// Returns the content of a file that may be a package.
 ///
 /// # Errors
-/// A file that cannot be read, or that is longer than any package.
+/// If the file cannot be read or is longer than any package.
 pub fn read_file(path: &Path) -> Result<Vec<u8>, PackageFileError> {
     let path = path.to_owned();
     read_limited(&path, LENGTH_MAX).map_err(|error| match is_too_large(&error) {
@@ -66,14 +66,14 @@ pub fn read_file(path: &Path) -> Result<Vec<u8>, PackageFileError> {
 }
 
 impl PackageBytes {
-    /// The kind of its files.
+    /// The file kind of packages.
     pub const KIND: FileKind =
         FileKind { name: "a weight package", recognises: |bytes| Self::new(bytes).is_ok() };
 
-    /// Takes a copy of `bytes` if they decode as a package.
+    /// Copies `bytes` if they are a valid package.
     ///
     /// # Errors
-    /// What [`Package::decode`] refuses, but for the alignment, which the copy has.
+    /// As [`Package::decode`], except for the alignment, which the copy ensures.
     pub fn new(bytes: &[u8]) -> Result<Self, PackageError> {
         let mut words = vec![0u32; bytes.len().div_ceil(4)];
         bytemuck::cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
@@ -84,7 +84,7 @@ impl PackageBytes {
         Ok(Self { words: words.into(), length, place })
     }
 
-    /// Reads a file.
+    /// Reads a package file.
     ///
     /// # Errors
     /// See [`PackageFileError`].
@@ -93,8 +93,8 @@ impl PackageBytes {
             .map_err(|error| PackageFileError::Package { path: path.to_owned(), error })
     }
 
-    /// Writes the file whole, or leaves what was there; another package is replaced, anything else
-    /// is not.
+    /// Writes the file atomically. An existing package is replaced; a file of another kind is
+    /// refused.
     ///
     /// # Errors
     /// See [`OutputError`].
@@ -102,32 +102,32 @@ impl PackageBytes {
         write_whole(path, Self::KIND, |file| file.write_all(self.as_bytes()))
     }
 
-    /// The bytes.
+    /// Returns the bytes.
     #[must_use]
     pub fn as_bytes(&self) -> &[u8] {
         &bytemuck::cast_slice(&self.words)[..self.length]
     }
 
-    /// The package that they hold.
+    /// Decodes the package.
     ///
     /// # Panics
-    /// Never: they were decoded when this was made.
+    /// Never: the bytes were decoded on creation.
     #[must_use]
     pub fn package(&self) -> Package<'_> {
         Package::decode(self.as_bytes()).expect("bytes that decoded before")
     }
 
-    /// The inner network with its parameters in place.
+    /// Returns the inner network, which shares the parameters in these bytes.
     ///
     /// # Panics
-    /// Never: the place was found when this was made.
+    /// Never: the parameters were located on creation.
     #[must_use]
     pub fn network(&self) -> InnerNetwork<PackageParameters> {
         let parameters = PackageParameters(self.clone());
         InnerNetwork::new(self.architecture().clone(), parameters).expect("a decoded network")
     }
 
-    /// The same package with a signature by this key, in place of any other.
+    /// Returns the package with a signature by this key, replacing any other.
     ///
     /// # Panics
     /// Never: signing changes no byte of the package.
@@ -139,21 +139,21 @@ impl PackageBytes {
         Self::new(&bytes).expect("a package with a signature of the right length")
     }
 
-    /// The same package under another version, without its signature and its permission to replace
-    /// newer ones, both of which hold for one version only.
+    /// Returns the package with another version, without its signature and its permission to replace
+    /// newer ones, which are valid for one version only.
     ///
     /// # Panics
-    /// Never: every version has the same length.
+    /// Never: the buffer has room for any version.
     #[must_use]
     pub fn renumbered(&self, version: u32) -> Self {
         let package = Package { version, replaces: None, ..self.package() };
-        // Without a signature it is not longer; a number may take a few bytes more.
+        // Removing the signature shortens it; the version may take a few bytes more.
         let mut buffer = vec![0; self.length + 64];
         let length = package.encode(&mut buffer).expect("a package that was encoded before");
         Self::new(&buffer[..length]).expect("a package that decoded under another version")
     }
 
-    /// Whether there is a signature by the private half of `key`.
+    /// Returns whether the package has a valid signature by the private half of `key`.
     #[must_use]
     pub fn is_signed_by(&self, key: &PublicKey) -> bool {
         Envelope::open(self.as_bytes()).is_ok_and(|envelope| {
@@ -163,13 +163,13 @@ impl PackageBytes {
         })
     }
 
-    /// Whether there is a signature, by whomever.
+    /// Returns whether the package has a signature, valid or not.
     #[must_use]
     pub fn is_signed(&self) -> bool {
         Envelope::open(self.as_bytes()).is_ok_and(|envelope| envelope.signature.is_some())
     }
 
-    /// Widths and activations.
+    /// Returns widths and activations of the layers.
     #[must_use]
     pub fn architecture(&self) -> &Architecture {
         self.place.architecture()
@@ -187,7 +187,7 @@ impl std::fmt::Debug for PackageBytes {
     }
 }
 
-/// The inner parameters in a package, kept alive by whoever works with them.
+/// The inner parameters in a package, shared with it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PackageParameters(PackageBytes);
 

@@ -1,8 +1,8 @@
-//! Everything that goes into a package, and the making of it.
+//! The content of a package, and creating packages from it.
 //!
-//! The test vectors are computed here, by the core's own code: the exact bits that every node has
-//! to reproduce. Their inputs lie inside the box that the network was trained on, where no
-//! activation is saturated more than in use.
+//! The test vectors are computed here by the core's own code; every node must reproduce them bit for
+//! bit. Their inputs are inside the trained box, where activations are not saturated more than in
+//! operation.
 
 use agent_core::StateVector;
 use agent_core::agent::region::StateBox;
@@ -15,7 +15,7 @@ use agent_core::package::{
 use super::check::check;
 use super::{OwnedAgentConfig, PackageBytes, with_dimension};
 
-/// Test vectors in a package that is made here: as many as the patterns of [`test_inputs`].
+/// Number of test vectors, one per pattern of [`test_inputs`].
 const TEST_VECTORS: usize = 4;
 
 /// The content of a package, owned.
@@ -31,68 +31,68 @@ pub struct Draft {
     pub architecture: Architecture,
     /// Their parameters, in the core's flat order.
     pub inner: Vec<f32>,
-    /// `W_hat` to start from, row by row, shape `[L, n]`.
+    /// Initial `W_hat`, row-major, shape `[L, n]`.
     pub outer_weights: Vec<f32>,
-    /// What makes the node this agent.
+    /// The node's agent configuration.
     pub node: OwnedAgentConfig,
     /// See [`Package::broadcast_interval_min`]. \[s\]
     pub broadcast_interval_min: f32,
-    /// Least value of each input that the network was trained on.
+    /// Smallest training value of each input.
     pub low: Vec<f32>,
-    /// Largest value of each input that the network was trained on.
+    /// Largest training value of each input.
     pub high: Vec<f32>,
     /// Hash of the scenario.
     pub scenario_hash: u64,
-    /// How the network was trained.
+    /// Name of the training recipe.
     pub recipe: String,
     /// Seed of the training.
     pub seed: u64,
-    /// Samples that it was trained on.
+    /// Number of training samples.
     pub samples: u32,
     /// Errors after training.
     pub errors: Option<TrainingErrors>,
 }
 
-/// Why a draft does not become a package.
+/// Why a draft cannot be packed.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DraftError {
-    /// The network cannot be.
-    #[error("the network cannot go into a package: {0}")]
+    /// The network is invalid.
+    #[error("cannot pack the network: {0}")]
     Network(NetworkError),
     /// A number of the network is infinite or not a number.
     #[error(
-        "{what} {} is not a finite number in single precision; train with less noise, a shorter \
-         training or another seed, or repair the network", index + 1
+        "{what} {} is not finite in single precision; train with less noise, for fewer epochs or with \
+         another seed, or correct the network", index + 1
     )]
     NotFinite {
-        /// Which of its numbers.
+        /// The kind of number.
         what: &'static str,
         /// Its index, from 0, in the core's order.
         index: usize,
     },
-    /// An input for a test vector, or what comes out for it, is not finite.
-    #[error("the network's output overflows for inputs inside the box that it was trained on")]
+    /// An input or output of a test vector is not finite.
+    #[error("the network's output overflows for inputs inside the trained box")]
     TestVector,
-    /// The numbers do not fit each other.
-    #[error("the package cannot be written: {0}")]
+    /// The sizes do not match.
+    #[error("cannot encode the package: {0}")]
     Encode(EncodeError),
     /// The package does not decode.
-    #[error("the package cannot be used: {0}")]
+    #[error("invalid package: {0}")]
     Package(PackageError),
     /// A node would refuse the package.
-    #[error("no node would accept the package: {}", super::parameter::refusal(.0))]
+    #[error("a node would refuse the package: {}", super::parameter::refusal(.0))]
     Refused(Refusal),
     /// A number of the node is too large for single precision.
-    #[error("{what} is not a finite number in single precision")]
+    #[error("{what} is not finite in single precision")]
     NodeNotFinite {
-        /// Which, by the scenario's keys.
+        /// Its scenario key.
         what: &'static str,
     },
 }
 
 impl Draft {
-    /// A package of an existing one's content, to be changed.
+    /// Copies the content of an existing package.
     #[must_use]
     pub fn copy(package: &Package<'_>) -> Self {
         let provenance = &package.provenance;
@@ -115,7 +115,7 @@ impl Draft {
         }
     }
 
-    /// Makes the package and lets the core's acceptance have its say.
+    /// Encodes the package and checks it with the core's acceptance.
     ///
     /// # Errors
     /// See [`DraftError`].
@@ -158,13 +158,14 @@ impl Draft {
         package.test_vectors = &test_vectors;
         let bytes = encode(&package).map_err(DraftError::Encode)?;
         let bytes = PackageBytes::new(&bytes).map_err(DraftError::Package)?;
-        let anyone = Requirements { public_key: None, in_use: None, capacity: Capacity::UNLIMITED };
-        check(&bytes, &anyone).map_err(DraftError::Refused)?;
+        let requirements =
+            Requirements { public_key: None, in_use: None, capacity: Capacity::UNLIMITED };
+        check(&bytes, &requirements).map_err(DraftError::Refused)?;
         Ok(bytes)
     }
 }
 
-/// Major, minor and patch version of this program.
+/// Returns the major, minor and patch version of this program.
 fn tool_version() -> [u8; 3] {
     let part = |text: &str| text.parse().unwrap_or(u8::MAX);
     [
@@ -175,7 +176,7 @@ fn tool_version() -> [u8; 3] {
 }
 
 fn encode(package: &Package<'_>) -> Result<Vec<u8>, EncodeError> {
-    // Metadata and node data are small beside the weights; whatever is not used goes again.
+    // An upper bound; truncated below.
     let numbers = package.network.parameters().len()
         + package.outer_weights.len()
         + package.test_vectors.len();
@@ -208,8 +209,8 @@ fn test_vector<const N: usize>(package: &Package<'_>, input: &[f32]) -> Option<V
     Some([input, features, output.as_slice()].concat())
 }
 
-/// The box's centre, and the corners of the box of half its size in which components lie
-/// low or high by different patterns. Where a box has no limits, [-1, 1] takes its place.
+/// Returns the centre of the trained box and corners of the centred box of half its size, in different
+/// patterns of low and high components. Unlimited components use [-1, 1].
 fn test_inputs(trained: &StateBox<'_>) -> [Vec<f32>; TEST_VECTORS] {
     std::array::from_fn(|pattern| {
         let limits = trained.low.iter().zip(trained.high).enumerate();

@@ -1,18 +1,18 @@
-//! Weight packages on the host: making them, and checking them exactly as a node does.
+//! Weight packages on the host: creating them, and checking them exactly as a node does.
 //!
 //! | module | purpose |
 //! | --- | --- |
 //! | [`bytes`] | a package's bytes, aligned and shared, in memory and in files |
-//! | [`node`] | what makes a node an agent |
-//! | [`parameter`] | what the core refuses, in the words of a scenario |
-//! | [`draft`] | everything that goes into a package, and the making of it |
+//! | [`node`] | an agent's configuration, owned |
+//! | [`parameter`] | the core's parameter errors, in terms of scenario keys |
+//! | [`draft`] | the content of a package, and creating packages |
 //! | [`check`] | the node's own acceptance, for any state dimension |
 //! | [`recording`] | recorded samples, in memory and in files |
-//! | [`refusal`] | what to do about a package that is refused |
-//! | [`summary`] | a package in a few words |
-//! | [`recording_source`] | where a recording comes from, according to its file |
+//! | [`refusal`] | hints for refused packages |
+//! | [`summary`] | a one-line summary of a package |
+//! | [`recording_source`] | the origin of a recording, noted in its file |
 //!
-//! The simulated agents load these very bytes. The format is agent-core's; see `docs/format.md`.
+//! Simulated agents load the same bytes as nodes. The format is agent-core's; see `docs/format.md`.
 
 pub mod bytes;
 pub mod check;

@@ -1,4 +1,4 @@
-//! What makes a node an agent, in the core's precision: the numbers of an [`AgentConfig`], owned.
+//! An agent's configuration in the core's precision, owned.
 
 use agent_core::AgentId;
 use agent_core::math::symmetric::{MatrixForm, SymmetricMatrix};
@@ -62,7 +62,7 @@ impl OwnedSymmetric {
 }
 
 impl OwnedAgentConfig {
-    /// The first number, if any, that is not finite in single precision, by the scenario's keys.
+    /// Returns the scenario key of the first number that is not finite in single precision, if any.
     #[must_use]
     pub fn not_finite(&self) -> Option<&'static str> {
         let finite = |numbers: &[f32]| numbers.iter().all(|number| number.is_finite());
@@ -71,23 +71,23 @@ impl OwnedAgentConfig {
         let checked = [
             ("agents.output_matrix", finite(&self.output_matrix)),
             ("design.gain", finite(self.gain.borrow().entries())),
-            ("a weight of an edge in [graph]", finite(&self.edge_weights)),
+            ("an edge weight in [graph]", finite(&self.edge_weights)),
             ("outer_law.gain", finite(gain.entries())),
             ("outer_law.bound", projection.radius.is_finite()),
             ("outer_law.boundary_layer", projection.boundary_layer.is_finite()),
             ("outer_law.smoothing", projection.smoothing.is_finite()),
             (
-                "phi_1, which grows with the square of design.gain,",
+                "phi_1 (which grows with the square of design.gain)",
                 trigger.hold_error_weight.is_finite(),
             ),
-            ("phi_2, which grows with design.gain,", trigger.consensus_weight.is_finite()),
-            ("design.epsilon by the number of agents", trigger.threshold.is_finite()),
+            ("phi_2 (which grows with design.gain)", trigger.consensus_weight.is_finite()),
+            ("design.epsilon divided by the number of agents", trigger.threshold.is_finite()),
             ("time.step", self.step_size.is_finite()),
         ];
         checked.iter().find(|(_, finite)| !finite).map(|(what, _)| *what)
     }
 
-    /// Takes a copy of what `node` borrows.
+    /// Copies the configuration that `node` borrows.
     #[must_use]
     pub fn copy(node: &AgentConfig<'_>) -> Self {
         let owned = |matrix: SymmetricMatrix<'_>| OwnedSymmetric {
@@ -107,7 +107,7 @@ impl OwnedAgentConfig {
         }
     }
 
-    /// The first parameter, if any, in which a node differs from this one.
+    /// Returns the first parameter that differs from `node`'s, if any.
     #[must_use]
     pub fn first_difference(&self, node: &AgentConfig<'_>) -> Option<&'static str> {
         let other = Self::copy(node);
@@ -125,17 +125,17 @@ impl OwnedAgentConfig {
         same.iter().find(|(_, same)| !same).map(|(name, _)| *name)
     }
 
-    /// The content as a package holds it.
+    /// Returns the borrowed form used in packages.
     ///
     /// # Panics
-    /// Never: every neighbour has two bytes.
+    /// Never: every neighbour takes two bytes.
     #[must_use]
     pub fn node(&self) -> AgentConfig<'_> {
         AgentConfig {
             agent: self.agent,
             output_matrix: &self.output_matrix,
             gain: self.gain.borrow(),
-            neighbours: NeighbourIds::new(&self.neighbours).expect("two bytes a neighbour"),
+            neighbours: NeighbourIds::new(&self.neighbours).expect("two bytes per neighbour"),
             edge_weights: &self.edge_weights,
             outer_law: OuterLawParams {
                 gain: self.outer_gain.borrow(),
@@ -147,7 +147,7 @@ impl OwnedAgentConfig {
     }
 }
 
-/// The entries of `matrix`, row by row, in single precision.
+/// Returns the entries of `matrix`, row-major, in single precision.
 pub(crate) fn row_major(matrix: &DMatrix<f64>) -> Vec<f32> {
     matrix.transpose().iter().map(|&entry| entry as f32).collect()
 }

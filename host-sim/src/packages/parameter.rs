@@ -1,11 +1,11 @@
-//! A parameter that the core refuses, in the words of a scenario file.
+//! The core's parameter errors, in terms of scenario keys.
 
 use core::fmt;
 
 use agent_core::math::parameter::ParameterError;
 use agent_core::package::Refusal;
 
-/// Displays what the core refuses with the scenario's keys in place of the core's names.
+/// Displays a parameter error with the scenario's keys instead of the core's names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InScenario(pub ParameterError);
 
@@ -32,24 +32,24 @@ impl fmt::Display for InScenario {
     }
 }
 
-/// The core's name of a norm that it computes.
+/// The core's name for the norm of the outer weights.
 const NORM: &str = "norm of outer_weights";
 
-/// The scenario's key for a parameter of the core, or the keys that it is computed from.
+/// Returns the scenario key of a core parameter, or the keys it is computed from.
 fn key(parameter: &'static str) -> &'static str {
     match parameter {
         "observer.gain" => "design.gain",
         "observer.neighbours" => "the list of neighbours in [graph]",
-        "observer.neighbours.weight" => "a weight of an edge in [graph]",
+        "observer.neighbours.weight" => "an edge weight in [graph]",
         "output_matrix" => "agents.output_matrix",
         "step_size" => "time.step",
-        "projection.radius" => "outer_law.bound without outer_law.boundary_layer",
+        "projection.radius" => "outer_law.bound minus outer_law.boundary_layer",
         "projection.boundary_layer" => "outer_law.boundary_layer",
         "projection.smoothing" => "outer_law.smoothing",
         "projection.smoothness" => "outer_law.smoothness",
-        "trigger.hold_error_weight" => "phi_1, which design.gain, design.kappa and design.k2 make,",
-        "trigger.consensus_weight" => "phi_2, which design.gain, design.kappa and design.k2 make,",
-        "trigger.threshold" => "design.epsilon by the number of agents",
+        "trigger.hold_error_weight" => "phi_1 (from design.gain, design.kappa and design.k2)",
+        "trigger.consensus_weight" => "phi_2 (from design.gain, design.kappa and design.k2)",
+        "trigger.threshold" => "design.epsilon divided by the number of agents",
         other => other,
     }
 }
@@ -67,14 +67,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_keys_are_those_of_a_scenario() {
+    fn errors_name_scenario_keys() {
         let out = |parameter, value| {
             let expected = "1e-15 to 1e15";
             InScenario(ParameterError::OutOfRange { parameter, value, expected }).to_string()
         };
         assert_eq!(
             out("projection.radius", 1e38),
-            "outer_law.bound without outer_law.boundary_layer is 1e38, expected 1e-15 to 1e15"
+            "outer_law.bound minus outer_law.boundary_layer is 1e38, expected 1e-15 to 1e15"
         );
         assert_eq!(out("step_size", 0.0), "time.step is 0e0, expected 1e-15 to 1e15");
         assert_eq!(

@@ -1,5 +1,4 @@
-//! Where a recording comes from: comment lines at the head of its file, which readers of CSV files
-//! can leave out.
+//! The origin of a recording, as comment lines at the head of its CSV file.
 //!
 //! ```text
 //! # recorded by host-sim 0.1.0
@@ -10,8 +9,8 @@
 //! # step: 0.001 s
 //! ```
 //!
-//! What is not known is left out. `train` refuses samples of another agent or of another step, and
-//! warns of another scenario: its recipes may have been changed on purpose since.
+//! Unknown fields are omitted. `train` refuses samples from another agent or with another step, and
+//! warns if the scenario differs, because recipes may have been changed on purpose.
 
 use std::fmt::Write;
 use std::fs::File;
@@ -21,17 +20,17 @@ use std::path::Path;
 use super::RecordingError;
 use crate::warning::{Warning, WarningCode};
 
-/// Most bytes of comments that are looked at. \[byte\]
+/// Maximum length of the comments. \[byte\]
 const HEAD_MAX: u64 = 1 << 14;
 
-/// Where a recording comes from, as far as that is known.
+/// The origin of a recording, as far as known.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RecordingSource {
     /// The agent, from 1.
     pub agent: Option<u64>,
-    /// Version and checksum of the package in use at the beginning.
+    /// Version and checksum of the package in use at the start.
     pub package: Option<(u32, u32)>,
-    /// How its network was trained.
+    /// Training recipe of its network.
     pub recipe: Option<String>,
     /// Name of the scenario.
     pub scenario: Option<String>,
@@ -42,7 +41,7 @@ pub struct RecordingSource {
 }
 
 impl RecordingSource {
-    /// The lines at the head of the file.
+    /// Returns the comment lines for the head of the file.
     #[must_use]
     pub fn head(&self) -> String {
         let mut text = format!("# recorded by host-sim {}\n", env!("CARGO_PKG_VERSION"));
@@ -70,11 +69,11 @@ impl RecordingSource {
         text
     }
 
-    /// What the lines at the head of a file say. Lines that are not understood are ignored, and a
-    /// pipe, whose content can be read only once, says nothing.
+    /// Reads the comments at the head of a file. Unknown lines are ignored. For a pipe, which can be
+    /// read only once, nothing is known.
     ///
     /// # Errors
-    /// A file that cannot be read.
+    /// If the file cannot be read.
     pub fn read(path: &Path) -> std::io::Result<Self> {
         let mut source = Self::default();
         if !std::fs::metadata(path)?.is_file() {
@@ -121,10 +120,11 @@ impl RecordingSource {
         }
     }
 
-    /// Whether these samples, read from `path`, are for `agent` (from 1) of this scenario.
+    /// Checks that these samples, read from `path`, are for `agent`, from 1, of this scenario. Returns
+    /// a warning if the scenario differs.
     ///
     /// # Errors
-    /// Samples of another agent, or with another step.
+    /// If the agent or the step differs.
     pub fn check(
         &self,
         path: &Path,
@@ -136,16 +136,16 @@ impl RecordingSource {
         };
         if let Some(own) = self.agent.filter(|&own| own != agent as u64) {
             return wrong(
-                format!("these are samples of agent {own}, not of agent {agent}"),
+                format!("samples of agent {own}, not of agent {agent}"),
                 format!("give --agent {own}, or a recording of agent {agent}"),
             );
         }
-        // The node has the step in single precision.
+        // The node stores the step in single precision.
         let step = scenario.step as f32;
         if let Some(own) = self.step.filter(|&own| own as f32 != step) {
             return wrong(
                 format!(
-                    "recorded with a step of {own} s, and scenario {} has {step} s",
+                    "recorded with a step of {own} s, but scenario {} has {step} s",
                     scenario.name
                 ),
                 "give the scenario of the node, or record again".to_owned(),
@@ -153,12 +153,12 @@ impl RecordingSource {
         }
         let other = self.scenario_hash.filter(|&hash| hash != scenario.hash);
         Ok(other.map(|hash| {
-            let name = self.scenario.as_deref().unwrap_or("of another text");
+            let name = self.scenario.as_deref().unwrap_or("(unnamed)");
             Warning::new(
                 WarningCode::OtherScenario,
                 format!(
-                    "{}: recorded with scenario {name} (hash {hash:#018x}), and this is {} (hash \
-                     {:#018x}); fine if only its recipes were changed, otherwise give the other one",
+                    "{}: recorded with scenario {name} (hash {hash:#018x}), but this is {} (hash \
+                     {:#018x}); ignore this if only recipes were changed, otherwise give the former",
                     path.display(),
                     scenario.name,
                     scenario.hash
@@ -168,7 +168,7 @@ impl RecordingSource {
     }
 }
 
-/// The scenario that samples are to be for.
+/// The scenario that samples are used for.
 #[derive(Clone, Copy, Debug)]
 pub struct SourceScenario<'s> {
     /// Its name.
@@ -179,7 +179,7 @@ pub struct SourceScenario<'s> {
     pub step: f64,
 }
 
-/// The text on one line, without anything that a terminal would act on.
+/// Replaces control characters by spaces.
 fn plain(text: &str) -> String {
     text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn a_head_reads_back_as_it_was_written() {
+    fn a_head_round_trips() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("samples.csv");
         for source in [source(), RecordingSource::default()] {
@@ -216,7 +216,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn a_pipe_is_left_to_the_reader_of_the_samples() {
+    fn a_pipe_is_not_consumed() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("pipe");
         let made = std::process::Command::new("mkfifo").arg(&path).status().unwrap();
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_with_control_characters_stays_on_its_line() {
+    fn a_name_with_control_characters_stays_on_one_line() {
         let source = RecordingSource { recipe: Some("a\n# agent: 3\u{1b}[2J".into()), ..source() };
         let head = source.head();
         assert!(
@@ -243,17 +243,17 @@ mod tests {
     }
 
     #[test]
-    fn another_agent_and_another_step_are_refused_another_scenario_is_told() {
+    fn a_different_agent_or_step_is_refused_and_a_different_scenario_warned_about() {
         let scenario = |hash, step| SourceScenario { name: "paper", hash, step };
         let own = scenario(0xfedc_ba98_7654_3210, 1e-3);
         let path = Path::new("samples.csv");
         assert_eq!(source().check(path, 2, &own).unwrap(), None);
         let error = source().check(path, 1, &own).unwrap_err().to_string();
-        let expected = "samples.csv: these are samples of agent 2, not of agent 1; give --agent 2";
+        let expected = "samples.csv: samples of agent 2, not of agent 1; give --agent 2";
         assert!(error.starts_with(expected), "{error}");
         let other = scenario(own.hash, 2e-3);
         let error = source().check(path, 2, &other).unwrap_err().to_string();
-        assert!(error.contains("a step of 0.001 s, and scenario paper has 0.002 s"), "{error}");
+        assert!(error.contains("a step of 0.001 s, but scenario paper has 0.002 s"), "{error}");
         let warning = source().check(path, 2, &scenario(1, 1e-3)).unwrap().unwrap();
         assert_eq!(warning.code, WarningCode::OtherScenario);
         assert!(warning.text.contains("scenario my, own (hash 0xfedcba9876543210)"), "{warning}");

@@ -1,31 +1,29 @@
-//! What to do about a package that a node refuses, or would refuse.
+//! Hints for packages that a node refuses or would refuse.
 
 use agent_core::package::Refusal;
 use agent_core::service::{RefusalKind, RefusalReport};
 
-/// The hint for a package that fails this check.
+/// Returns the hint for a package that fails this check.
 #[must_use]
 pub fn hint(kind: RefusalKind) -> &'static str {
     use RefusalKind as Kind;
     match kind {
         Kind::Older => {
             "give it a newer version with `host-sim weights renumber`, or sign it with --replaces to \
-             go back on purpose"
+             allow going back"
         }
         Kind::Unsigned | Kind::Signature => {
-            "sign it with the private half of the node's key (`host-sim weights sign`)"
+            "sign it with the private key that matches the node's public key (`host-sim weights sign`)"
         }
-        Kind::Agent | Kind::Dimension => {
-            "give the package of this agent, from the scenario that the node is part of"
-        }
-        Kind::Capacity => "train a smaller network, or build the firmware with more room",
+        Kind::Agent | Kind::Dimension => "use a package for this agent, from the node's scenario",
+        Kind::Capacity => "train a smaller network, or build the firmware with a larger capacity",
         Kind::Parameter | Kind::NeighbourOrder | Kind::EmptyBox => {
             "correct the scenario and train again"
         }
         Kind::FormatVersion | Kind::Other => "build firmware and host-sim from the same source",
         Kind::TestVector => {
-            "this processor computes other bits than the one that made it: build firmware and \
-             host-sim from the same source, without fast-math options"
+            "this processor computes different bits: build firmware and host-sim from the same \
+             source, without fast-math options"
         }
         Kind::Length | Kind::Magic | Kind::Checksum | Kind::SignatureChecksum | Kind::Slot => {
             "copy the file again, or train again"
@@ -34,7 +32,7 @@ pub fn hint(kind: RefusalKind) -> &'static str {
     }
 }
 
-/// The check that this refusal is about.
+/// Returns the check that a refusal is about.
 #[must_use]
 pub fn kind(refusal: &Refusal) -> RefusalKind {
     RefusalReport::from(refusal).kind

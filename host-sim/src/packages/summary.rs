@@ -1,4 +1,4 @@
-//! A package in a few words.
+//! A one-line summary of a package.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::PackageBytes;
 
-/// What tells a package from others of its network, in reports.
+/// Identifies a package in reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct PackageSummary {
     /// Length of the package, signature included. \[bytes\]

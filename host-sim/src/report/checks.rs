@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::theorems::{AgentCheck, Checks, DesignChecks, Status};
 use crate::number::significant;
 
-/// Up to this many agents get a line each.
+/// Number of agents listed individually.
 const LINES: usize = 12;
 
 /// Formats the checks that do not need a run, line by line.
@@ -126,7 +126,7 @@ pub struct DesignReport {
     eigenvalue_uncertainty: f64,
     k1: f64,
     solution: bool,
-    /// Factor that makes the gain a solution; null if it is one, or no factor helps.
+    /// Factor that makes the gain a solution; null if it already is one or no factor helps.
     gain_factor: Option<f64>,
     /// Null if agents do not use the event trigger, like the two below.
     phi1: Option<f64>,

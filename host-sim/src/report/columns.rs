@@ -40,7 +40,7 @@ pub fn aligned(headings: &[[&str; 2]], rows: &[Vec<String>]) -> String {
     lines.join("\n") + "\n"
 }
 
-/// Blanks between columns.
+/// Spaces between columns.
 const GAP: usize = 2;
 
 /// Columns that share the first line of their headings.

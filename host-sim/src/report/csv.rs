@@ -13,7 +13,7 @@ use crate::files::table::write_table;
 ///
 /// `names` are the names of the state's components, shape `[n]`. The columns are `time`, `NAME`
 /// (true state), `agentI.NAMEhat` (estimate of agent I) and `agentI.error`. Names of states contain
-/// neither dots nor blanks, so headers are unique; the unit distinguishes a state called `time`
+/// neither dots nor spaces, so headers are unique; the unit distinguishes a state called `time`
 /// from the time.
 ///
 /// # Errors

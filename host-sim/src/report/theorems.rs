@@ -228,7 +228,7 @@ impl Checks {
             .unwrap_or_else(not_measured)
     }
 
-    /// Whether the error grew without bound.
+    /// Returns whether the error grew without bound.
     #[must_use]
     pub fn unbounded(&self) -> bool {
         self.growth.is_some_and(|growth| growth.without_bound(self.design.step.is_stable()))

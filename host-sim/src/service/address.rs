@@ -1,4 +1,4 @@
-//! Where a node is found.
+//! Addresses of nodes.
 
 use std::fmt;
 use std::io;
@@ -15,24 +15,23 @@ use rustix::net::{AddressFamily, SocketAddrUnix, SocketType};
 use super::Line;
 use crate::stop::Stop;
 
-/// Bits per second of a serial line, by default.
+/// Default baud rate of a serial line. \[bit/s\]
 pub const BAUD: u32 = 115_200;
 
-/// How long a server may take to accept us. \[s\]
-const ADMISSION: Duration = Duration::from_secs(3);
+/// How long to wait for a server to accept the connection.
+const ACCEPT_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// Connects to a socket. If so many others wait there that there is no room, this waits so long, unless
-/// `stop` is requested.
+/// Connects to a socket. If its backlog is full, waits up to `wait`, unless `stop` is requested.
 ///
 /// # Errors
-/// What the system says; [`io::ErrorKind::WouldBlock`] if there is still no room then.
+/// The system's error; [`io::ErrorKind::WouldBlock`] if the backlog is still full.
 pub fn connect(path: &Path, wait: Duration, stop: &Stop) -> io::Result<UnixStream> {
     let address = SocketAddrUnix::new(path)?;
     let deadline = Instant::now() + wait;
     loop {
         let socket = rustix::net::socket(AddressFamily::UNIX, SocketType::STREAM, None)?;
         rustix::io::fcntl_setfd(&socket, FdFlags::CLOEXEC)?;
-        // A connection that waits in the system cannot be interrupted.
+        // A blocking connect could not be interrupted.
         rustix::io::ioctl_fionbio(&socket, true)?;
         match rustix::net::connect(&socket, &address) {
             Ok(()) => return Ok(UnixStream::from(socket)),
@@ -46,12 +45,12 @@ pub fn connect(path: &Path, wait: Duration, stop: &Stop) -> io::Result<UnixStrea
     }
 }
 
-/// Where a node is found.
+/// The address of a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Address {
-    /// A Unix socket, such as the co-simulation offers.
+    /// A Unix socket, as served by co-simulation.
     Socket(PathBuf),
-    /// A serial line and its bits per second.
+    /// A serial line and its baud rate.
     Serial(PathBuf, u32),
 }
 
@@ -59,24 +58,24 @@ pub enum Address {
 #[derive(Debug, thiserror::Error)]
 #[error("{address}: {error}; {hint}")]
 pub struct AddressError {
-    /// Where it should be.
+    /// The address.
     pub address: Address,
     /// The system's error.
     #[source]
     pub error: io::Error,
-    /// What to do about it.
+    /// What to do.
     hint: String,
 }
 
 impl Address {
-    /// A line to the node, until `stop` is requested.
+    /// Connects to the node; the line is usable until `stop` is requested.
     ///
     /// # Errors
     /// The system's error.
     pub fn connect(&self, stop: &Arc<Stop>) -> Result<Line, AddressError> {
         let line = match self {
             Self::Socket(path) => {
-                let socket = connect(path, ADMISSION, stop);
+                let socket = connect(path, ACCEPT_TIMEOUT, stop);
                 socket.and_then(|socket| Line::over_socket(socket, stop))
             }
             Self::Serial(path, baud) => Line::over_serial(path, *baud, stop),
@@ -88,29 +87,29 @@ impl Address {
         match self {
             Self::Socket(path) => {
                 let kind = std::fs::metadata(path).map(|metadata| metadata.file_type());
-                let serve = "start `host-sim cosim --serve FOLDER`, or name a socket in its folder";
+                let serve = "start `host-sim cosim --serve FOLDER`, or give a socket in that folder";
                 match kind {
                     Ok(kind) if kind.is_char_device() => {
-                        format!("this is a device: write serial:{}[@BAUD]", path.display())
+                        format!("this is a device; use serial:{}[@BAUD]", path.display())
                     }
                     Ok(kind) if kind.is_dir() => {
-                        format!("this is a folder: write {}", path.join("agent-1.sock").display())
+                        format!("this is a folder; use {}", path.join("agent-1.sock").display())
                     }
-                    Ok(kind) if !kind.is_socket() => format!("this is not a socket: {serve}"),
+                    Ok(kind) if !kind.is_socket() => format!("this is not a socket; {serve}"),
                     Ok(_) if error.kind() == io::ErrorKind::WouldBlock => {
-                        "too many clients wait there; check that its process is still running"
+                        "too many clients are waiting; check that the server is still running"
                             .to_owned()
                     }
-                    Ok(_) => format!("nothing listens at this socket any more: {serve}"),
+                    Ok(_) => format!("nothing is listening on this socket; {serve}"),
                     Err(_) => serve.to_owned(),
                 }
             }
             Self::Serial(_, _) if error.kind() == io::ErrorKind::ResourceBusy => {
-                "end the other program, or wait until it has ended".to_owned()
+                "stop the other program, or wait until it has finished".to_owned()
             }
             Self::Serial(_, _) => {
-                "connect the board, and make sure that no other program has the line open and that \
-                 you may use it (on Linux, the group dialout)"
+                "check that the board is connected, that no other program is using the line, and that \
+                 you have permission to use it (on Linux, the group dialout)"
                     .to_owned()
             }
         }
@@ -136,17 +135,17 @@ impl FromStr for Address {
                 None => (line, BAUD),
                 Some((path, baud)) => {
                     let baud = baud.parse().ok().filter(|&baud| baud > 0);
-                    (path, baud.ok_or("write bits per second behind @, as in @115200")?)
+                    (path, baud.ok_or("expected a baud rate after @, as in @115200")?)
                 }
             };
             if path.is_empty() {
-                return Err("write the line's device, as in serial:/dev/ttyUSB0".to_owned());
+                return Err("expected a device, as in serial:/dev/ttyUSB0".to_owned());
             }
             return Ok(Self::Serial(path.into(), baud));
         }
         let path = text.strip_prefix("unix:").unwrap_or(text);
         if path.is_empty() {
-            return Err("write unix:PATH or serial:/dev/tty...[@BAUD]".to_owned());
+            return Err("expected unix:PATH or serial:/dev/tty...[@BAUD]".to_owned());
         }
         Ok(Self::Socket(path.into()))
     }
@@ -157,7 +156,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_are_read_and_written() {
+    fn addresses_round_trip() {
         let socket = |path: &str| Address::Socket(path.into());
         assert_eq!("unix:out/agent-1.sock".parse(), Ok(socket("out/agent-1.sock")));
         assert_eq!("out/agent-1.sock".parse(), Ok(socket("out/agent-1.sock")));
@@ -172,19 +171,19 @@ mod tests {
     }
 
     #[test]
-    fn a_node_that_is_not_there_is_reported_with_a_mend() {
+    fn a_missing_node_is_reported_with_a_hint() {
         let error = socket_error("no/such.sock");
         assert!(error.starts_with("unix:no/such.sock: ") && error.contains("--serve"), "{error}");
     }
 
     #[test]
-    fn a_socket_that_lets_nobody_in_does_not_hold_us() {
+    fn connecting_to_a_full_socket_does_not_block() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("full.sock");
         let listener = rustix::net::socket(AddressFamily::UNIX, SocketType::STREAM, None).unwrap();
         rustix::net::bind(&listener, &SocketAddrUnix::new(&path).unwrap()).unwrap();
         rustix::net::listen(&listener, 1).unwrap();
-        // As many as there is room for, whatever the system makes of the 1.
+        // Fill the backlog; its actual size depends on the system.
         let mut held = Vec::new();
         let error = loop {
             match connect(&path, Duration::ZERO, &Stop::default()) {

@@ -1,4 +1,4 @@
-//! Messages on a line: requests, their answers, and what comes unasked.
+//! Client of the service protocol: requests, answers and unsolicited messages.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -9,85 +9,86 @@ use agent_core::wire::cobs::{Decoder, SerialError};
 use super::hint::{of_garbage, of_refusal};
 use super::{Line, LineError, Message};
 
-/// Longest message of a node: a state with the outer weights of the widest network, and room.
+/// Maximum length of a message: more than a state with the outer weights of the widest network.
+/// \[byte\]
 const MESSAGE_MAX: usize = 4096;
 
-/// Messages to and from one node.
+/// A client of one node.
 #[derive(Debug)]
 pub struct Client {
     line: Line,
     decoder: Box<Decoder<MESSAGE_MAX>>,
-    /// What has been received and not been asked for: messages, or damage.
-    heard: VecDeque<Result<Vec<u8>, SerialError>>,
+    /// Received messages, or framing errors, that have not been read.
+    pending: VecDeque<Result<Vec<u8>, SerialError>>,
     unsent: Vec<u8>,
-    /// Bytes that have been received in all.
+    /// Total number of received bytes.
     bytes: u64,
-    /// Messages that arrived as they were sent.
-    whole: u64,
-    /// Messages that arrived damaged.
+    /// Number of intact messages.
+    intact: u64,
+    /// Number of damaged messages.
     damaged: u64,
-    /// How often two neighbouring bits in a received byte differ, in all.
+    /// Total number of differing adjacent bits within received bytes.
     changes: u64,
-    /// Requests that were not answered in time: their answers may still come.
+    /// Number of requests that timed out, whose answers may still arrive.
     overdue: u32,
 }
 
-/// How long an answer is waited for, and how often it is asked for.
+/// Timeout and number of tries of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RetryPolicy {
-    /// The time for one answer.
+    /// Timeout of one try.
     pub timeout: Duration,
-    /// How often the request is sent, at least once.
+    /// Number of tries, at least 1.
     pub tries: u32,
 }
 
-/// Why a request has no answer.
+/// Why a request failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ServiceError {
-    /// Bytes do not flow.
+    /// The line failed.
     #[error("{0}{hint}", hint = line_hint(.0))]
     Line(#[from] LineError),
-    /// Bytes flow that are not messages.
+    /// The received bytes are not messages.
     #[error(
-        "no answer that can be read: {bytes} bytes have arrived, with {damaged} damaged messages and \
-         {whole} whole ones; {hint}"
+        "no readable answer: received {bytes} bytes with {damaged} damaged and {intact} intact \
+         messages; {hint}"
     )]
     Garbage {
-        /// Bytes that have been received.
+        /// Number of received bytes.
         bytes: u64,
-        /// Damaged messages in them.
+        /// Number of damaged messages.
         damaged: u64,
-        /// Whole messages in them.
-        whole: u64,
-        /// What to do about it.
+        /// Number of intact messages.
+        intact: u64,
+        /// What to do.
         hint: String,
     },
-    /// The node speaks another version of the protocol.
+    /// The node uses another version of the protocol.
     #[error(
-        "the node's firmware speaks version {found} of the protocol, this program version \
+        "the node's firmware uses protocol version {found}, but this program uses version \
          {PROTOCOL_VERSION}; build both from the same source"
     )]
     Protocol {
         /// Its version.
         found: u8,
     },
-    /// The node does not do it.
-    #[error("the node refuses: {0}; {hint}", hint = of_refusal(*.0))]
+    /// The node refused the request.
+    #[error("refused by the node: {0}; {hint}", hint = of_refusal(*.0))]
     Refused(Problem),
-    /// A message that is not known.
+    /// An unknown message.
     #[error(
-        "the node sends an unknown message: {0}; build firmware and host-sim from the same source"
+        "received an unrecognised message: {0}; build firmware and host-sim from the same source"
     )]
-    Nonsense(String),
-    /// A message that does not belong here.
+    Unrecognised(String),
+    /// An unexpected message.
     #[error(
-        "the node sends {found}, where {expected} is expected; make sure that no other program talks to it, and try again"
+        "received {found} instead of {expected}; check that no other program is using the node, and try again"
     )]
     Unexpected {
-        /// What came.
+        /// The message received.
         found: String,
-        /// What should have.
+        /// The message expected.
         expected: &'static str,
     },
 }
@@ -96,34 +97,34 @@ fn line_hint(error: &LineError) -> &'static str {
     match error {
         LineError::Interrupted => "",
         LineError::Silent => {
-            "; check that the board is on and that no other program talks to it, and try again"
+            "; check that the board is running and that no other program is using it, and try again"
         }
         LineError::Closed => {
-            "; check that the board is on, or that its co-simulation still runs: if that has reported \
-             the end of the node, `host-sim node ENDPOINT reset` starts it again"
+            "; check that the board or its co-simulation is still running; if the co-simulation has \
+             reported that the node stopped, restart it with `host-sim node ENDPOINT reset`"
         }
-        LineError::System(_) => "; connect the board again, and try again",
+        LineError::System(_) => "; reconnect the board, and try again",
     }
 }
 
 impl Client {
-    /// A client at the beginning.
+    /// Creates a client on this line.
     #[must_use]
     pub fn new(line: Line) -> Self {
         Self {
             line,
             decoder: Box::new(Decoder::new()),
-            heard: VecDeque::new(),
+            pending: VecDeque::new(),
             unsent: Vec::new(),
             bytes: 0,
-            whole: 0,
+            intact: 0,
             damaged: 0,
             changes: 0,
             overdue: 0,
         }
     }
 
-    /// Bytes that have been received, and messages among them that were damaged.
+    /// Returns the number of received bytes and of damaged messages.
     #[must_use]
     pub fn received(&self) -> (u64, u64) {
         (self.bytes, self.damaged)
@@ -139,17 +140,17 @@ impl Client {
         self.line.expect_reset();
     }
 
-    /// Prepares a request; [`Self::flush`] sends it.
+    /// Queues a request; [`Self::flush`] sends it.
     pub fn prepare(&mut self, request: &Request<'_>) {
         send(request, |bytes| self.unsent.extend_from_slice(bytes));
     }
 
-    /// Ends whatever the receiver may hold of an earlier message.
+    /// Queues a delimiter, which ends any partial message at the receiver.
     pub fn prepare_delimiter(&mut self) {
         self.unsent.push(agent_core::wire::cobs::DELIMITER);
     }
 
-    /// Sends what has been prepared.
+    /// Sends everything queued.
     ///
     /// # Errors
     /// See [`LineError`].
@@ -159,16 +160,16 @@ impl Client {
         sent
     }
 
-    /// The next message as it was framed, or what is wrong with it.
+    /// Returns the next message, or its framing error.
     ///
     /// # Errors
-    /// [`LineError::Silent`] if none is complete in time, and the others.
+    /// [`LineError::Silent`] if no message is complete in time; see [`LineError`].
     pub fn next(&mut self, timeout: Duration) -> Result<Result<Vec<u8>, SerialError>, LineError> {
         let deadline = Instant::now() + timeout;
         loop {
-            // A node that sends without end does not keep us from ending.
+            // Check even if the node sends continuously.
             self.line.check_interruption()?;
-            if let Some(message) = self.heard.pop_front() {
+            if let Some(message) = self.pending.pop_front() {
                 return Ok(message);
             }
             let received = self.line.receive(deadline.saturating_duration_since(Instant::now()))?;
@@ -176,41 +177,41 @@ impl Client {
             for byte in received {
                 self.changes += u64::from(((byte ^ (byte >> 1)) & 0x7f).count_ones());
                 if let Some(message) = self.decoder.push(byte) {
-                    let count = if message.is_ok() { &mut self.whole } else { &mut self.damaged };
+                    let count = if message.is_ok() { &mut self.intact } else { &mut self.damaged };
                     *count += 1;
-                    self.heard.push_back(message.map(<[u8]>::to_vec));
+                    self.pending.push_back(message.map(<[u8]>::to_vec));
                 }
             }
-            if self.heard.is_empty() && Instant::now() >= deadline {
+            if self.pending.is_empty() && Instant::now() >= deadline {
                 return Err(LineError::Silent);
             }
         }
     }
 
-    /// What a silence means: that nothing comes, or nothing that can be read.
-    fn silence(&self, error: ServiceError) -> ServiceError {
-        let unread = self.damaged > 0 || self.whole == 0 && self.bytes > 0;
+    /// Converts a timeout to [`ServiceError::Garbage`] if unreadable bytes were received.
+    fn explain_silence(&self, error: ServiceError) -> ServiceError {
+        let unread = self.damaged > 0 || self.intact == 0 && self.bytes > 0;
         match error {
             ServiceError::Line(LineError::Silent) if unread => ServiceError::Garbage {
                 bytes: self.bytes,
                 damaged: self.damaged,
-                whole: self.whole,
+                intact: self.intact,
                 hint: of_garbage(self.line.baud(), self.changes as f64 / self.bytes.max(1) as f64),
             },
             other => other,
         }
     }
 
-    /// Asks, and waits for the answer; hands what comes in between to `unasked`. Damaged messages
-    /// are left out: what they were has to be asked for again.
+    /// Sends a request and waits for the answer. Other messages are passed to `unsolicited`; damaged
+    /// ones are ignored.
     ///
     /// # Errors
-    /// See [`ServiceError`]; `answer` returns nothing for a message that is not the answer.
+    /// See [`ServiceError`]. `answer` returns `None` for a message that is not the answer.
     pub fn ask<T>(
         &mut self,
         request: &Request<'_>,
         timeout: Duration,
-        unasked: &mut dyn FnMut(&Message<'_>),
+        unsolicited: &mut dyn FnMut(&Message<'_>),
         expected: &'static str,
         answer: impl Fn(&Message<'_>) -> Option<T>,
     ) -> Result<T, ServiceError> {
@@ -219,16 +220,16 @@ impl Client {
         let deadline = Instant::now() + timeout;
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
-            // Whatever comes, the time for an answer ends.
+            // The timeout holds even if other messages keep arriving.
             let next = if left.is_zero() { Err(LineError::Silent) } else { self.next(left) };
             let next = next.inspect_err(|error| {
                 let silent = matches!(error, LineError::Silent);
                 self.overdue = self.overdue.saturating_add(u32::from(silent));
             });
             let Ok(bytes) = next? else { continue };
-            let message = match understood(&bytes) {
+            let message = match decode(&bytes) {
                 // A newer node may tell more without being asked.
-                Err(ServiceError::Nonsense(_)) if !may_be_answer(&bytes) => continue,
+                Err(ServiceError::Unrecognised(_)) if !may_be_answer(&bytes) => continue,
                 message => message?,
             };
             if let Some(answer) = answer(&message) {
@@ -236,18 +237,18 @@ impl Client {
             }
             match message {
                 Message::Refused(problem) => return Err(ServiceError::Refused(problem)),
-                // The answer to a request that has been repeated since.
+                // A late answer to a request that has been repeated.
                 message if message.is_answer() && self.overdue > 0 => self.overdue -= 1,
                 message if message.is_answer() => {
                     return Err(ServiceError::Unexpected { found: name(&message), expected });
                 }
-                message => unasked(&message),
+                message => unsolicited(&message),
             }
         }
     }
 
-    /// Asks up to `tries` times, for requests that may be lost and do no harm if they are carried out
-    /// twice; otherwise as [`Self::ask`].
+    /// Like [`Self::ask`], but repeats the request up to `tries` times. The request must be
+    /// idempotent.
     ///
     /// # Errors
     /// See [`ServiceError`].
@@ -255,30 +256,30 @@ impl Client {
         &mut self,
         request: &Request<'_>,
         retry_policy: RetryPolicy,
-        unasked: &mut dyn FnMut(&Message<'_>),
+        unsolicited: &mut dyn FnMut(&Message<'_>),
         expected: &'static str,
         answer: impl Fn(&Message<'_>) -> Option<T>,
     ) -> Result<T, ServiceError> {
         let mut tries_left = retry_policy.tries;
         loop {
             tries_left = tries_left.saturating_sub(1);
-            match self.ask(request, retry_policy.timeout, unasked, expected, &answer) {
+            match self.ask(request, retry_policy.timeout, unsolicited, expected, &answer) {
                 Err(ServiceError::Line(LineError::Silent)) if tries_left > 0 => {
                     self.prepare_delimiter();
                 }
-                done => return done.map_err(|error| self.silence(error)),
+                done => return done.map_err(|error| self.explain_silence(error)),
             }
         }
     }
 }
 
-/// The message in these bytes.
+/// Decodes a message.
 ///
 /// # Errors
 /// [`ServiceError::Protocol`] if it is the status of a node that speaks another version, otherwise
-/// [`ServiceError::Nonsense`].
-pub fn understood(bytes: &[u8]) -> Result<Message<'_>, ServiceError> {
-    // In every version a status and a greeting begin with their kind and the version.
+/// [`ServiceError::Unrecognised`].
+pub fn decode(bytes: &[u8]) -> Result<Message<'_>, ServiceError> {
+    // In every version, a status and a greeting start with their kind and the version.
     if let &[0 | 1, found, ..] = bytes
         && found != PROTOCOL_VERSION
     {
@@ -288,7 +289,11 @@ pub fn understood(bytes: &[u8]) -> Result<Message<'_>, ServiceError> {
         let shown = bytes.len().min(16);
         let more = if bytes.len() > shown { ".." } else { "" };
         let bytes_shown: Vec<_> = bytes[..shown].iter().map(|b| format!("{b:02x}")).collect();
-        ServiceError::Nonsense(format!("{} bytes, {}{more}", bytes.len(), bytes_shown.join(" ")))
+        ServiceError::Unrecognised(format!(
+            "{} bytes, {}{more}",
+            bytes.len(),
+            bytes_shown.join(" ")
+        ))
     })
 }
 
@@ -302,18 +307,20 @@ fn may_be_answer(bytes: &[u8]) -> bool {
 #[must_use]
 pub fn name(message: &Message<'_>) -> String {
     match message {
-        Message::Status(_) => "its status".to_owned(),
-        Message::Hello(_) => "its greeting after a reset".to_owned(),
-        Message::Upload(upload) => format!("that it has received {} bytes", upload.received),
-        Message::Staged { version } => format!("that it has verified version {version}"),
-        Message::InUse { version: Some(version) } => format!("that version {version} is in use"),
-        Message::InUse { version: None } => "that no package is in use".to_owned(),
-        Message::Done => "that something is done".to_owned(),
+        Message::Status(_) => "a status".to_owned(),
+        Message::Hello(_) => "a greeting after a reset".to_owned(),
+        Message::Upload(upload) => format!("an upload progress of {} bytes", upload.received),
+        Message::Staged { version } => format!("the verification of version {version}"),
+        Message::InUse { version: Some(version) } => {
+            format!("a report that version {version} is in use")
+        }
+        Message::InUse { version: None } => "a report that no package is in use".to_owned(),
+        Message::Done => "a confirmation".to_owned(),
         Message::Refused(problem) => format!("a refusal ({problem})"),
         Message::Sample { tick, .. } => format!("a sample of tick {tick}"),
         Message::SamplesEnd { .. } => "the end of samples".to_owned(),
         Message::State(state) => format!("the state of tick {}", state.tick),
-        Message::Health { .. } => "its health".to_owned(),
+        Message::Health { .. } => "health counters".to_owned(),
         Message::Event(_) => "an event".to_owned(),
         Message::Broadcast { .. } => "a frame".to_owned(),
         Message::BoardErrors { .. } => "what its sensor and link have reported".to_owned(),
@@ -340,7 +347,7 @@ mod tests {
         framed
     }
 
-    /// What asking for the status ends with at a peer that sends `bytes` again and again.
+    /// Returns the error of a status request to a peer that keeps sending `bytes`.
     fn status_of(bytes: Vec<u8>) -> ServiceError {
         let (here, mut there) = UnixStream::pair().unwrap();
         there.set_nonblocking(true).unwrap();
@@ -363,8 +370,8 @@ mod tests {
     }
 
     #[test]
-    fn a_node_of_another_protocol_version_is_told_apart() {
-        // A status with fields that this version does not know, and one that seems to fit.
+    fn another_protocol_version_is_reported() {
+        // A status with unknown fields, and one that happens to fit.
         for message in [&[0, 2][..], &[0, 2, 1, 2, 3, 4, 5, 6, 7], &[1, 9]] {
             let error = status_of(framed(message));
             let found = message[1];
@@ -374,17 +381,17 @@ mod tests {
     }
 
     #[test]
-    fn garbage_without_end_is_told_as_such_when_the_time_is_over() {
+    fn endless_garbage_is_reported_after_the_timeout() {
         let mut seed = 1u32;
         let garbage = (0..4000).map(|_| {
             seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             (seed >> 24) as u8
         });
         let error = status_of(garbage.collect());
-        let ServiceError::Garbage { bytes, damaged, whole, .. } = error else { panic!("{error}") };
-        assert!(bytes > 4000 && damaged > 0 && whole == 0, "{error}");
+        let ServiceError::Garbage { bytes, damaged, intact, .. } = error else { panic!("{error}") };
+        assert!(bytes > 4000 && damaged > 0 && intact == 0, "{error}");
         assert!(error.to_string().contains("baud rate"), "{error}");
-        // Without a delimiter in it there is not even a damaged message.
+        // Without a delimiter, not even a damaged message is received.
         let error = status_of(vec![0x55; 4000]);
         assert!(matches!(error, ServiceError::Garbage { damaged: 0, .. }), "{error}");
     }
@@ -393,16 +400,16 @@ mod tests {
     fn what_a_newer_node_tells_without_being_asked_is_skipped() {
         // A kind of message and an event that this version does not know.
         for message in [&[100, 1, 2][..], &[11, 100, 1]] {
-            assert!(matches!(understood(message), Err(ServiceError::Nonsense(_))));
+            assert!(matches!(decode(message), Err(ServiceError::Unrecognised(_))));
             let error = status_of(framed(message));
             assert!(matches!(error, ServiceError::Line(LineError::Silent)), "{error}");
         }
         // What is no answer where one may be is not skipped: an upload without its length.
         let error = status_of(framed(&[2]));
-        assert!(matches!(error, ServiceError::Nonsense(_)), "{error}");
+        assert!(matches!(error, ServiceError::Unrecognised(_)), "{error}");
         // Every kind of message that this version knows is told apart in the same way.
         for (message, is_answer) in [(&[5][..], true), (&[8, 0], true), (&[11, 1, 0], false)] {
-            assert!(understood(message).is_ok_and(|known| known.is_answer() == is_answer));
+            assert!(decode(message).is_ok_and(|known| known.is_answer() == is_answer));
             assert_eq!(may_be_answer(message), is_answer);
         }
     }
@@ -412,7 +419,7 @@ mod tests {
         // Unsolicited: postcard's `Health` with 15 counters.
         let mut health = vec![10, 0];
         health.extend([0; 15]);
-        assert!(understood(&health).is_ok_and(|message| !message.is_answer()));
+        assert!(decode(&health).is_ok_and(|message| !message.is_answer()));
         let error = status_of(framed(&health));
         assert!(matches!(error, ServiceError::Line(LineError::Silent)), "{error}");
     }

@@ -1,11 +1,10 @@
-//! Bytes to and from a node, over pipes, a socket or a serial line.
+//! A byte connection to a node, over pipes, a socket or a serial line.
 //!
-//! Nothing here waits longer than it is told to, however much the other end sends, and every wait
-//! ends soon after its [`Stop`] is requested. What has been received and not
-//! been asked for is bounded.
+//! No wait exceeds its timeout, however much the other end sends, and every wait ends soon after its
+//! [`Stop`] is requested. The receive buffer is bounded.
 //!
-//! A serial line is opened exclusively: it is locked against other programs that lock it (as our own
-//! commands do), and closed to those that do not, as far as the system allows it.
+//! A serial line is opened exclusively: it is locked against other programs that use locks (as all
+//! commands here do) and, if the system supports it, against all others.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
@@ -21,16 +20,16 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 use crate::stop::Stop;
 
-/// Longest wait between two looks at whether the stop is requested. \[ms\]
+/// Interval for polling the stop request. \[ms\]
 const SLICE: u16 = 100;
 
-/// Most bytes that are read at once.
+/// Size of one read. \[byte\]
 const CHUNK: usize = 4096;
 
-/// Most bytes that are kept while the other end does not read. \[byte\]
+/// Limit of the receive buffer while sending. \[byte\]
 const RECEIVED_MAX: usize = 1 << 16;
 
-/// Two descriptors that never block.
+/// A connection over two nonblocking descriptors.
 #[derive(Debug)]
 pub struct Line {
     input: File,
@@ -38,25 +37,25 @@ pub struct Line {
     received: Vec<u8>,
     /// Ends every wait.
     stop: Arc<Stop>,
-    /// How long a wait goes on after the stop is requested.
+    /// How long waits continue after the stop is requested.
     grace: Duration,
-    /// Where it is a serial line: what keeps others out, and bits per second.
+    /// For a serial line: its lock and baud rate.
     lock: Option<(File, u32)>,
-    /// Whether this is a pair of pipes, which a node closes and opens again when it resets.
+    /// Whether this is a pair of pipes, which a node closes and reopens on a reset.
     pipes: bool,
-    /// The other end of a pipe may not have opened it yet: then an end of file means nothing.
+    /// `false` while the other end may not have opened its pipe, so that end of file is ignored.
     opened: bool,
 }
 
-/// Why nothing more comes, or nothing can be sent.
+/// Why sending or receiving failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LineError {
     /// Nothing happened in time.
     #[error("no answer")]
     Silent,
-    /// The other end has gone.
-    #[error("the connection has been closed at the other end")]
+    /// The other end closed the connection.
+    #[error("the connection was closed by the other end")]
     Closed,
     /// The stop was requested.
     #[error("interrupted")]
@@ -67,7 +66,7 @@ pub enum LineError {
 }
 
 impl Line {
-    /// The line over a connected socket, until `stop` is requested.
+    /// Creates a line over a connected socket; `stop` ends its waits.
     ///
     /// # Errors
     /// The system's error.
@@ -77,13 +76,13 @@ impl Line {
         Ok(Self::new(File::from(OwnedFd::from(socket)), output, false, stop))
     }
 
-    /// The serial line `path` with `baud` bits per second, eight data bits, no parity. No other program can
-    /// use it meanwhile.
+    /// Opens the serial line `path` exclusively, with `baud` bits per second, eight data bits and no
+    /// parity.
     ///
     /// # Errors
-    /// What the system says; [`io::ErrorKind::ResourceBusy`] if another program has the line.
+    /// The system's error; [`io::ErrorKind::ResourceBusy`] if another program uses the line.
     pub fn over_serial(path: &Path, baud: u32, stop: &Arc<Stop>) -> io::Result<Self> {
-        // Locked before anything is set, which would disturb the one who uses it.
+        // Lock before changing settings, which would disturb another user of the line.
         let lock = OpenOptions::new()
             .read(true)
             .write(true)
@@ -98,25 +97,25 @@ impl Line {
         let port = serial2::SerialPort::open(path, baud)?;
         port.discard_buffers()?;
         let mut line = Self::over_port(port, stop)?;
-        // Best effort: where a terminal does not know this, the lock holds among our own commands.
+        // Best effort: if not supported, the lock still excludes other commands of this program.
         let _ = rustix::termios::ioctl_tiocexcl(&lock);
         line.lock = Some((lock, baud));
         Ok(line)
     }
 
-    /// The line over an open serial port.
+    /// Creates a line over an open serial port.
     ///
     /// # Errors
     /// The system's error.
     pub fn over_port(port: serial2::SerialPort, stop: &Arc<Stop>) -> io::Result<Self> {
-        // The crate opens ports so that they do not block.
+        // `serial2` opens ports in nonblocking mode.
         let descriptor = OwnedFd::from(port);
         let output = File::from(descriptor.try_clone()?);
         Ok(Self::new(File::from(descriptor), output, false, stop))
     }
 
-    /// The line over two named pipes: the node reads from `to_node`, and opens it first, and writes
-    /// to `from_node`. `alive` says whether it makes sense to wait on.
+    /// Creates a line over two named pipes. The node reads from `to_node`, which it opens first, and
+    /// writes to `from_node`. Waiting ends once `alive` returns `false`.
     ///
     /// # Errors
     /// [`LineError::Silent`] if the node does not open its pipe in time or is not alive.
@@ -132,7 +131,7 @@ impl Line {
         let output = loop {
             match OpenOptions::new().write(true).custom_flags(O_NONBLOCK).open(to_node) {
                 Ok(output) => break output,
-                // It is not open for reading.
+                // Not yet open for reading.
                 Err(error) if error.raw_os_error() == Some(nix::libc::ENXIO) => {
                     if stop.is_requested() {
                         return Err(LineError::Interrupted);
@@ -161,30 +160,32 @@ impl Line {
         }
     }
 
-    /// Lets waits go on for so long after the stop is requested.
+    /// Sets how long waits continue after the stop is requested.
     pub fn set_grace(&mut self, grace: Duration) {
         self.grace = grace;
     }
 
-    /// Bits per second, if it is a serial line.
+    /// Returns the baud rate of a serial line.
     #[must_use]
     pub fn baud(&self) -> Option<u32> {
         self.lock.as_ref().map(|(_, baud)| *baud)
     }
 
-    /// What ends its waits.
+    /// Returns the stop request that ends its waits.
     #[must_use]
     pub fn stop(&self) -> &Arc<Stop> {
         &self.stop
     }
 
+    /// Checks for a stop request.
+    ///
     /// # Errors
-    /// [`LineError::Interrupted`] if the stop is requested, and the time of grace is over.
+    /// [`LineError::Interrupted`] if the stop is requested and the grace period is over.
     pub(super) fn check_interruption(&self) -> Result<(), LineError> {
         if self.stop.is_requested_for(self.grace) { Err(LineError::Interrupted) } else { Ok(()) }
     }
 
-    /// The node has said that it resets: that it closes its pipes now is not its end.
+    /// Announces a reset of the node, so that closing its pipes does not count as the end.
     pub fn expect_reset(&mut self) {
         self.opened = !self.pipes;
     }
@@ -199,25 +200,25 @@ impl Line {
             match self.output.write(bytes) {
                 Ok(length) => {
                     bytes = &bytes[length..];
-                    // A slow reader is not an excuse for going on for ever.
+                    // The timeout holds for a slow reader, too.
                     if !bytes.is_empty() && Instant::now() >= deadline {
                         return Err(LineError::Silent);
                     }
                 }
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                     self.wait(PollFlags::POLLOUT, deadline)?;
-                    // A node that waits for us to read would never read.
+                    // Keep reading: the node may block until its output is read.
                     if self.received.len() < RECEIVED_MAX {
                         self.read_available()?;
                     }
                 }
-                Err(error) => self.broken(error)?,
+                Err(error) => self.convert(error)?,
             }
         }
         Ok(())
     }
 
-    /// The next bytes, at least one.
+    /// Receives at least one byte.
     ///
     /// # Errors
     /// See [`LineError`].
@@ -232,11 +233,11 @@ impl Line {
         }
     }
 
-    /// Takes what is there.
+    /// Reads available bytes.
     fn read_available(&mut self) -> Result<(), LineError> {
         let mut buffer = [0; CHUNK];
         match self.input.read(&mut buffer) {
-            // A pipe is open from the first byte on.
+            // The other end has not opened its pipe yet.
             Ok(0) if !self.opened => std::thread::sleep(Duration::from_millis(1)),
             Ok(0) if self.received.is_empty() => return Err(LineError::Closed),
             Ok(length) => {
@@ -244,17 +245,17 @@ impl Line {
                 self.received.extend_from_slice(&buffer[..length]);
             }
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-            Err(error) => self.broken(error)?,
+            Err(error) => self.convert(error)?,
         }
         Ok(())
     }
 
-    /// What an error means, unless it means nothing.
-    fn broken(&self, error: io::Error) -> Result<(), LineError> {
+    /// Converts a system error; interrupted calls are ignored.
+    fn convert(&self, error: io::Error) -> Result<(), LineError> {
         match error.kind() {
             io::ErrorKind::Interrupted => Ok(()),
             io::ErrorKind::BrokenPipe | io::ErrorKind::ConnectionReset => Err(LineError::Closed),
-            // What a pseudo-terminal says when its other end has gone.
+            // A pseudo-terminal whose other end was closed.
             _ if error.raw_os_error() == Some(nix::libc::EIO) => Err(LineError::Closed),
             _ => Err(error.into()),
         }
@@ -269,7 +270,7 @@ impl Line {
             }
             let milliseconds = u16::try_from(left.as_millis()).unwrap_or(SLICE).clamp(1, SLICE);
             let mut descriptors = Vec::with_capacity(2);
-            // What there is no room for is left where it is.
+            // With a full buffer, leave further bytes in the system.
             if self.received.len() < RECEIVED_MAX {
                 descriptors.push(PollFd::new(self.input.as_fd(), PollFlags::POLLIN));
             }
@@ -288,7 +289,7 @@ impl Line {
 impl Drop for Line {
     fn drop(&mut self) {
         if let Some((lock, _)) = &self.lock {
-            // Best effort: the terminal may be gone, and is free again then anyway.
+            // Best effort: a disconnected terminal is unlocked anyway.
             let _ = rustix::termios::ioctl_tiocnxcl(lock);
         }
     }
@@ -301,7 +302,7 @@ mod tests {
     const SHORT: Duration = Duration::from_millis(20);
 
     #[test]
-    fn a_silent_peer_and_a_gone_one_are_told_apart() {
+    fn a_silent_peer_is_distinguished_from_a_closed_one() {
         let (here, mut there) = UnixStream::pair().unwrap();
         let mut line = Line::over_socket(here, &Arc::default()).unwrap();
         assert!(matches!(line.receive(SHORT), Err(LineError::Silent)));
@@ -309,11 +310,11 @@ mod tests {
         assert_eq!(line.receive(SHORT).unwrap(), b"hello");
         drop(there);
         assert!(matches!(line.receive(SHORT), Err(LineError::Closed)));
-        assert!(matches!(line.send(b"anybody?", SHORT), Err(LineError::Closed)));
+        assert!(matches!(line.send(b"hello?", SHORT), Err(LineError::Closed)));
     }
 
     #[test]
-    fn a_peer_that_does_not_read_ends_the_wait() {
+    fn sending_to_a_peer_that_does_not_read_times_out() {
         let (here, _there) = UnixStream::pair().unwrap();
         let mut line = Line::over_socket(here, &Arc::default()).unwrap();
         let much = vec![7; 1 << 22];
@@ -321,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_flooding_peer_sends_is_bounded() {
+    fn the_receive_buffer_is_bounded() {
         let (here, mut there) = UnixStream::pair().unwrap();
         let mut line = Line::over_socket(here, &Arc::default()).unwrap();
         let flood = std::thread::spawn(move || {
@@ -330,7 +331,7 @@ mod tests {
                 sent += CHUNK;
             }
         });
-        // It never reads, so this does not get away, and what it sends meanwhile is kept.
+        // The peer never reads, so this times out; received bytes are buffered meanwhile.
         assert!(matches!(line.send(&vec![7; 1 << 22], SHORT), Err(LineError::Silent)));
         assert!(line.received.len() < RECEIVED_MAX + CHUNK, "{}", line.received.len());
         drop(line);
@@ -342,7 +343,7 @@ mod tests {
     fn a_serial_line_belongs_to_one_program_at_a_time() {
         use std::os::fd::AsRawFd;
         let (_master, terminal) = serial2::SerialPort::pair().unwrap();
-        // The name of the terminal, which is what commands are given.
+        // The device name of the terminal, as given to commands.
         let path = format!("/proc/self/fd/{}", terminal.as_raw_fd());
         let path = std::fs::read_link(path).unwrap();
         let first = Line::over_serial(&path, 115_200, &Arc::default()).unwrap();

@@ -1,14 +1,14 @@
-//! Talking to a running node over its service port.
+//! Communicates with a running node over its service port.
 //!
 //! | module | purpose |
 //! | --- | --- |
-//! | [`mod@line`] | bytes to and from a node, with a deadline for everything |
-//! | [`address`] | where a node is found: a socket or a serial line |
-//! | [`hint`] | what to do about refusals and garbage |
-//! | [`client`] | messages on a line: requests, their answers, and what comes unasked |
-//! | [`nodes_file`] | what the nodes in a folder of sockets are part of |
-//! | [`push`] | a weight package into a node |
-//! | [`record`], [`record_file`] | a node's samples, for training, and the file that they are written into |
+//! | [`mod@line`] | byte connection to a node, with timeouts |
+//! | [`address`] | addresses of nodes: sockets and serial lines |
+//! | [`hint`] | hints for refusals and unreadable input |
+//! | [`client`] | requests, answers and unsolicited messages |
+//! | [`nodes_file`] | describes the nodes in a folder of sockets |
+//! | [`push`] | sends a weight package to a node |
+//! | [`record`], [`record_file`] | records a node's samples for training |
 //!
 //! The messages are agent-core's: [`agent_core::service`].
 
@@ -27,5 +27,5 @@ pub use line::{Line, LineError};
 
 use agent_core::service::Response;
 
-/// What a node says, with its numbers in vectors.
+/// A message from a node, with owned vectors.
 pub type Message<'a> = Response<'a, Vec<f32>>;

@@ -1,5 +1,4 @@
-//! What the nodes in a folder of sockets are part of: `nodes.json` beside the sockets, for those who
-//! talk to a node and want to know which scenario it is.
+//! `nodes.json`, which describes the scenario of the nodes in a folder of sockets to their clients.
 
 use std::path::{Path, PathBuf};
 
@@ -11,10 +10,10 @@ use crate::files::output::{FileKind, OutputError, write_whole};
 /// Name of the file.
 pub const NAME: &str = "nodes.json";
 
-/// Longest file that is read. \[byte\]
+/// Maximum size of the file. \[byte\]
 const LENGTH_MAX: u64 = 1 << 14;
 
-/// What the nodes in a folder are part of.
+/// Describes the run that serves the nodes in a folder.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodesFile {
     /// Name of the scenario.
@@ -23,7 +22,7 @@ pub struct NodesFile {
     pub scenario_hash: String,
     /// Seed of the run.
     pub seed: u64,
-    /// Number of the process that serves the nodes.
+    /// Id of the process that serves the nodes.
     pub process: u32,
 }
 
@@ -34,7 +33,7 @@ impl NodesFile {
         recognises: |bytes| serde_json::from_slice::<Self>(bytes).is_ok(),
     };
 
-    /// Of a run of this process.
+    /// Describes a run of this process.
     #[must_use]
     pub fn new(scenario: &str, hash: u64, seed: u64) -> Self {
         Self {
@@ -45,21 +44,21 @@ impl NodesFile {
         }
     }
 
-    /// The one in this folder, if there is one that can be read.
+    /// Reads the file in this folder, if it exists and is valid.
     #[must_use]
     pub fn read(folder: &Path) -> Option<Self> {
         let bytes = read_limited(&folder.join(NAME), LENGTH_MAX).ok()?;
         serde_json::from_slice(&bytes).ok()
     }
 
-    /// Whether there is something in this folder that is not such a file and would be overwritten.
+    /// Returns whether the name is taken in this folder by something other than such a file.
     #[must_use]
     pub fn is_occupied(folder: &Path) -> bool {
         let there = std::fs::symlink_metadata(folder.join(NAME));
         there.is_ok_and(|there| !there.is_file() || Self::read(folder).is_none())
     }
 
-    /// Writes it into this folder.
+    /// Writes the file into this folder and returns its path.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -72,7 +71,7 @@ impl NodesFile {
         Ok(path)
     }
 
-    /// The hash of the scenario's text.
+    /// Returns the hash of the scenario's text.
     #[must_use]
     pub fn hash(&self) -> Option<u64> {
         u64::from_str_radix(self.scenario_hash.strip_prefix("0x")?, 16).ok()
@@ -84,7 +83,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_reads_back_and_replaces_only_its_own_kind() {
+    fn the_file_round_trips_and_other_files_are_detected() {
         let folder = tempfile::tempdir().unwrap();
         assert!(!NodesFile::is_occupied(folder.path()));
         let file = NodesFile::new("paper", 0x12, 3);

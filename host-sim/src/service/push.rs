@@ -1,9 +1,9 @@
-//! A weight package into a node: begin, chunks, staging, activation.
+//! Sends a weight package to a node: begin, chunks, staging, activation.
 //!
-//! The bytes are sent as they are; whether they are a package is the node's to say. Whatever is lost
-//! on the way is asked for again, and a transfer that was broken off goes on where the node says
-//! that it is. Before it does, the last piece that the node has is sent once more: the node
-//! notices if it had begun with another package, and then the transfer starts over.
+//! The bytes are sent unchanged, and the node decides whether they are a valid package. Lost requests
+//! are repeated, and an interrupted transfer resumes at the position reported by the node. Before
+//! resuming, the last chunk is sent again: if the node detects that the upload was of another
+//! package, the transfer starts over.
 
 use std::time::Duration;
 
@@ -17,26 +17,26 @@ use super::{Client, LineError, Message, RetryPolicy, ServiceError};
 use crate::packages::PackageBytes;
 use crate::stop::Stop;
 
-/// Why a package is not in use.
+/// Why a push failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PushError {
-    /// The node cannot be talked to, or does not do what it is asked.
+    /// Communication failed, or the node refused a request.
     #[error(transparent)]
     Service(ServiceError),
     /// The node cannot be reached.
     #[error(transparent)]
     Address(#[from] AddressError),
-    /// Another push to the node is under way.
+    /// Another push to the node is in progress.
     #[error(
-        "another push to this node is under way ({0}); wait until it has ended, and push again"
+        "another push to this node is in progress ({0}); wait until it has finished, and push again"
     )]
     Another(StoreError),
-    /// The node's flash does not do what it should.
-    #[error("the node's flash fails: {problem}; {hint}", problem = .0, hint = of_refusal(Problem::Store(*.0)))]
+    /// The node's flash failed.
+    #[error("the node's flash failed: {problem}; {hint}", problem = .0, hint = of_refusal(Problem::Store(*.0)))]
     Flash(StoreError),
-    /// No node takes a file of this length.
-    #[error("not a weight package: {found} bytes; give the path of one")]
+    /// A package cannot have this length.
+    #[error("not a weight package: {found} bytes; give the path of a weight package")]
     Length {
         /// Its length.
         found: usize,
@@ -49,7 +49,7 @@ impl From<ServiceError> for PushError {
             return Self::Service(error);
         };
         match problem {
-            // A transfer of ours is sent from its first byte to its last, without a gap.
+            // This client sends all bytes in order, so only another one can cause these.
             StoreError::NoUpload
             | StoreError::Gap { .. }
             | StoreError::PastEnd { .. }
@@ -66,36 +66,36 @@ impl From<ServiceError> for PushError {
 }
 
 impl PushError {
-    /// Whether it makes sense to connect again and go on.
+    /// Returns whether reconnecting and resuming may help.
     #[must_use]
     pub fn is_broken_line(&self) -> bool {
         matches!(self, Self::Service(ServiceError::Line(LineError::Closed | LineError::Silent)))
     }
 }
 
-/// How a push goes on.
+/// Progress of a push.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
-    /// It begins, or goes on from this byte.
+    /// The transfer starts or resumes at this byte.
     From(usize),
-    /// The node has so many bytes.
+    /// The node has received this many bytes.
     Received(usize),
-    /// The node verifies it.
+    /// The node is verifying the package.
     Verifying,
 }
 
-/// The checksum by which a node names what it has in use.
+/// Returns the checksum by which a node identifies its package.
 #[must_use]
 pub fn checksum(package: &[u8]) -> u32 {
     crc32(&[package])
 }
 
-/// How often a broken connection is made again, and how long is waited before.
+/// Number of reconnections, and the pause before each.
 const RECONNECTIONS: u32 = 10;
 const RECONNECTION_PAUSE: Duration = Duration::from_millis(500);
 
-/// As [`transfer`], over connections that may break: then `connect` makes another, and the transfer
-/// goes on, unless `stop` is requested. Returns the connection, too.
+/// Like [`transfer`], but reconnects with `connect` after a broken connection and resumes, unless
+/// `stop` is requested. Also returns the connection.
 ///
 /// # Errors
 /// See [`PushError`].
@@ -128,7 +128,7 @@ pub fn transfer_over(
     }
 }
 
-/// Asks for the node's status.
+/// Requests the node's status.
 ///
 /// # Errors
 /// See [`ServiceError`].
@@ -152,8 +152,8 @@ pub fn status_and(
     })
 }
 
-/// Brings the package into the node, from the first byte or from where an earlier transfer ended,
-/// and has it verified. Returns its version. What is in use stays in use.
+/// Transfers the package to the node, from the start or from where an earlier transfer ended, and has
+/// it verified. Returns its version. The package in use does not change.
 ///
 /// # Errors
 /// See [`PushError`].
@@ -169,7 +169,7 @@ pub fn transfer(
     let received = before.upload.map_or(0, |upload| upload.received as usize);
     if (1..=package.len()).contains(&received) {
         match send_and_stage(client, package, received, retry_policy, progress) {
-            // It was another package, or none that could be gone on with.
+            // The upload was of another package, or cannot be resumed.
             Err(ServiceError::Refused(problem)) if !is_flash(problem) => {}
             done => return Ok(done?),
         }
@@ -178,13 +178,13 @@ pub fn transfer(
     Ok(send_and_stage(client, package, 0, retry_policy, progress)?)
 }
 
-/// Whether sending everything again would not help, but wear the flash.
+/// Returns whether the flash failed, so that sending everything again would only wear it.
 fn is_flash(problem: Problem) -> bool {
     let Problem::Store(error) = problem else { return false };
     matches!(PushError::from(ServiceError::Refused(Problem::Store(error))), PushError::Flash(_))
 }
 
-const UPLOAD: &str = "how much it has received";
+const UPLOAD: &str = "the upload progress";
 
 fn uploaded(message: &Message<'_>) -> Option<u32> {
     match message {
@@ -193,7 +193,7 @@ fn uploaded(message: &Message<'_>) -> Option<u32> {
     }
 }
 
-/// Sends what is missing when `received` bytes have been, and has it verified.
+/// Sends the bytes after `received`, and has the package verified.
 fn send_and_stage(
     client: &mut Client,
     package: &[u8],
@@ -206,7 +206,7 @@ fn send_and_stage(
     while offset < package.len() {
         let end = package.len().min(offset + CHUNK_LENGTH_MAX);
         let chunk = Request::Chunk { offset: offset as u32, bytes: &package[offset..end] };
-        // What an earlier chunk brought is no answer to this one.
+        // Ignore late answers to earlier chunks.
         let arrived = |m: &Message<'_>| uploaded(m).filter(|&received| received as usize >= end);
         client.request(&chunk, retry_policy, &mut |_| {}, UPLOAD, arrived)?;
         offset = end;
@@ -217,10 +217,10 @@ fn send_and_stage(
         Message::Staged { version } => Some(*version),
         _ => None,
     };
-    let expected = "whether it has verified the package";
+    let expected = "the result of the verification";
     match client.request(&Request::Stage, retry_policy, &mut |_| {}, expected, staged) {
-        // The answer to the first try may have been lost: then it has been staged, and which version
-        // that is, is in the bytes that the node has verified.
+        // The answer to the first try may have been lost; then the package is staged, and its version
+        // is known from the verified bytes.
         Err(ServiceError::Refused(Problem::Store(StoreError::NoUpload)))
             if status(client, retry_policy)?.staged =>
         {
@@ -230,7 +230,7 @@ fn send_and_stage(
     }
 }
 
-/// Lets the node use what it has verified from its next step on, on trial. Returns the version.
+/// Activates the verified package on trial, from the node's next step on. Returns its version.
 ///
 /// # Errors
 /// See [`PushError`].
@@ -243,7 +243,7 @@ pub fn activate(
         Message::InUse { version } => *version,
         _ => None,
     };
-    let expected = "which package is in use";
+    let expected = "the package in use";
     match client.request(&Request::Activate, retry_policy, &mut |_| {}, expected, in_use) {
         // The answer to the first try may have been lost.
         Err(error @ ServiceError::Refused(Problem::Store(StoreError::NothingStaged))) => {
@@ -256,25 +256,25 @@ pub fn activate(
     }
 }
 
-/// Ends the trial of what is in use: it stays.
+/// Confirms the package in use, which ends its trial.
 ///
 /// # Errors
 /// See [`ServiceError`].
 pub fn confirm(client: &mut Client, retry_policy: RetryPolicy) -> Result<(), ServiceError> {
-    match client.request(&Request::Confirm, retry_policy, &mut |_| {}, "that it is done", done) {
-        // It has confirmed it itself, or the answer to the first try was lost.
+    match client.request(&Request::Confirm, retry_policy, &mut |_| {}, "a confirmation", done) {
+        // The node confirmed it itself, or the answer to the first try was lost.
         Err(ServiceError::Refused(Problem::Store(StoreError::NotOnTrial))) => Ok(()),
         done => done,
     }
 }
 
-/// Whether the answer is that it has been done.
+/// Recognises [`Message::Done`].
 #[must_use]
 pub fn done(message: &Message<'_>) -> Option<()> {
     matches!(message, Message::Done).then_some(())
 }
 
-/// The package in use, if its bytes are these.
+/// Returns the status of the package in use, if it has these bytes.
 #[must_use]
 pub fn in_use(status: &Status, package: &[u8]) -> Option<PackageStatus> {
     status.package.filter(|used| used.checksum == checksum(package))

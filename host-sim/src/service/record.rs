@@ -1,15 +1,13 @@
-//! A node's samples `(x_hat, d/dt x_hat)`, for training, written as they come.
+//! Records a node's samples `(x_hat, d/dt x_hat)` for training.
 //!
-//! A state that a node tells holds `x_hat` *after* its step and the derivative *of* the step. So a
-//! sample is made of two states in a row, and a recording of states needs every one of them. Where
-//! the line is too slow for that, the node's own samples take their place: it keeps one in so many
-//! steps, and is asked for them.
+//! A reported state has `x_hat` *after* its step and the derivative *of* the step. So a sample is
+//! combined from two consecutive states, which requires the state of every step. If the line is too
+//! slow for that, the node's own samples, kept at a fixed stride, are requested instead.
 //!
-//! Whatever a node tells, a file of samples comes out: what is not finite, or of another length, is
-//! left out and counted, and after a reset the samples go on behind a gap in time, as a piece of
-//! their own.
+//! Samples that are not finite or have the wrong length are skipped and counted. After a reset, the
+//! recording continues as a new segment after a gap in time.
 //!
-//! Memory: one sample and the lines that have not been written, 64 KiB at most.
+//! Memory: one sample and the unwritten lines, at most 64 KiB.
 
 use agent_core::Tick;
 use agent_core::service::State;
@@ -17,42 +15,42 @@ use serde::Serialize;
 
 use super::record_file::{RecordError, RecordFile};
 
-/// Shortest time between two pieces of a recording. \[s\]
+/// Shortest gap between two segments of a recording. \[s\]
 const PIECE_GAP: f64 = 1.0;
 
-/// What has been recorded, and what has been left out.
+/// Counts of recorded and skipped samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct RecordCounts {
-    /// Samples in the file that this recording wrote.
+    /// Samples written by this recording.
     pub samples: u64,
-    /// Samples that were lost on the way.
+    /// Samples lost in transit.
     pub lost: u64,
-    /// Samples that were left out since they were not finite, or not of the right length.
+    /// Samples skipped because they were not finite or had the wrong length.
     pub bad: u64,
-    /// Steps that the node did not take, and so told no sample of.
+    /// Steps that the node did not take, which have no sample.
     pub not_stepped: u64,
-    /// Resets of the node, after each of which a new piece begins.
+    /// Resets of the node, each of which starts a new segment.
     pub resets: u64,
 }
 
-/// Makes samples of what a node tells, and writes them.
+/// Converts a node's messages to samples and writes them.
 #[derive(Debug)]
 pub struct Recorder {
     file: RecordFile,
     counts: RecordCounts,
     /// Ticks between two samples.
     stride: u64,
-    /// Ticks between the last sample of a piece and the first of the next.
+    /// Ticks between the last sample of a segment and the first of the next.
     piece_gap: u64,
     /// `dt`. \[s\]
     step: f64,
-    /// `x_hat` at the beginning of a tick.
+    /// `x_hat` at the start of a tick.
     before: Option<(Tick, Vec<f32>)>,
-    /// The newest tick of a state.
+    /// Tick of the newest state.
     newest: Option<Tick>,
-    /// The piece that is being recorded.
+    /// The current segment.
     piece: Option<Piece>,
-    /// The place in time of the last sample, in ticks since the first piece's zero.
+    /// Position of the last sample in time, in ticks since the zero of the first segment.
     last_place: Option<u64>,
     outer_weights: Vec<f32>,
 }
@@ -60,15 +58,15 @@ pub struct Recorder {
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     first: Tick,
-    /// Where the first sample is placed in time, in ticks.
+    /// Position of the first sample in time. \[ticks\]
     place: u64,
     last: Tick,
-    /// Ticks since the last sample whose absence has been counted already.
-    explained: u64,
+    /// Ticks since the last sample whose missing samples have already been counted.
+    accounted: u64,
 }
 
 impl Recorder {
-    /// A recording into `file` of samples that come every `stride` ticks, of `step` \[s\] each.
+    /// Creates a recorder of samples every `stride` ticks, of `step` \[s\] each, into `file`.
     #[must_use]
     pub fn new(file: RecordFile, step: f64, stride: u64) -> Self {
         let stride = stride.max(1);
@@ -88,18 +86,18 @@ impl Recorder {
         }
     }
 
-    /// What has been recorded so far.
+    /// Returns the counts so far.
     #[must_use]
     pub fn counts(&self) -> RecordCounts {
         self.counts
     }
 
-    /// Takes a state: a sample with the state before it, and its outer weights.
+    /// Records a state, which forms a sample with the previous state, and its outer weights.
     ///
     /// # Errors
-    /// See [`RecordError`], as with all methods here.
+    /// See [`RecordError`].
     pub fn state(&mut self, state: &State<Vec<f32>>) -> Result<(), RecordError> {
-        self.look_for_reset(state.tick);
+        self.detect_reset(state.tick);
         self.weights(state);
         let before = self.before.replace((state.tick.saturating_add(1), state.estimate.clone()));
         let Some((_, estimate)) = before.filter(|(tick, _)| *tick == state.tick) else {
@@ -107,15 +105,15 @@ impl Recorder {
         };
         if state.derivative.is_empty() {
             self.counts.not_stepped += 1;
-            self.explain();
+            self.account();
             return Ok(());
         }
         self.sample(state.tick, &estimate, &state.derivative)
     }
 
-    /// Takes of a state only what does not belong to a sample.
-    pub fn accompany(&mut self, state: &State<Vec<f32>>) {
-        self.look_for_reset(state.tick);
+    /// Takes only outer weights and resets from a state, not a sample.
+    pub fn observe(&mut self, state: &State<Vec<f32>>) {
+        self.detect_reset(state.tick);
         self.weights(state);
     }
 
@@ -126,21 +124,21 @@ impl Recorder {
         }
     }
 
-    /// Ticks never go back but in a reset, whose greeting may have been lost.
-    fn look_for_reset(&mut self, tick: Tick) {
+    /// Detects a reset whose greeting was lost: only then do ticks decrease.
+    fn detect_reset(&mut self, tick: Tick) {
         if self.newest.is_some_and(|newest| tick < newest) {
             self.reset();
         }
         self.newest = Some(tick);
     }
 
-    /// The node has begun again: what comes now does not follow on what came before.
+    /// Starts a new segment after a reset of the node.
     pub fn reset(&mut self) {
         self.counts.resets += 1;
         (self.before, self.newest, self.piece) = (None, None, None);
     }
 
-    /// Takes a sample; one that was taken before is left out.
+    /// Records a sample, unless it is already recorded.
     ///
     /// # Errors
     /// See [`RecordError`].
@@ -161,22 +159,22 @@ impl Recorder {
         let in_time = self.file.last_time().is_none_or(|last| time > last);
         if !fits || !in_time || !numbers().all(|number| number.is_finite()) {
             self.counts.bad += 1;
-            self.explain();
+            self.account();
             return Ok(());
         }
         self.file.push(time, estimate, derivative, &self.outer_weights)?;
         self.counts.samples += 1;
         self.last_place = Some(place);
         let piece =
-            self.piece.get_or_insert(Piece { first: tick, place, last: tick, explained: 0 });
+            self.piece.get_or_insert(Piece { first: tick, place, last: tick, accounted: 0 });
         let missing = ((tick - piece.last) / self.stride).saturating_sub(1);
-        let lost = missing.saturating_sub(piece.explained);
+        let lost = missing.saturating_sub(piece.accounted);
         self.counts.lost = self.counts.lost.saturating_add(lost);
-        (piece.last, piece.explained) = (tick, 0);
+        (piece.last, piece.accounted) = (tick, 0);
         Ok(())
     }
 
-    /// Where the sample of this tick is placed in time, in ticks.
+    /// Returns the position of this tick's sample in time. \[ticks\]
     fn place(&self, tick: Tick) -> u64 {
         match (&self.piece, self.last_place) {
             (Some(piece), _) => piece.place.saturating_add(tick.saturating_sub(piece.first)),
@@ -185,20 +183,20 @@ impl Recorder {
         }
     }
 
-    /// That there is no sample of a tick has been counted.
-    fn explain(&mut self) {
+    /// Notes that a missing sample has been counted.
+    fn account(&mut self) {
         if let Some(piece) = &mut self.piece {
-            piece.explained = piece.explained.saturating_add(1);
+            piece.accounted = piece.accounted.saturating_add(1);
         }
     }
 
-    /// The tick from which on the next sample is wanted.
+    /// Returns the earliest tick of the next sample.
     #[must_use]
     pub fn next_tick(&self) -> Tick {
         self.piece.map_or(0, |piece| piece.last.saturating_add(1))
     }
 
-    /// Writes what waits, if it has waited long enough.
+    /// Writes buffered lines if they are due.
     ///
     /// # Errors
     /// See [`RecordError`].
@@ -206,7 +204,7 @@ impl Recorder {
         self.file.flush_if_due(&self.outer_weights)
     }
 
-    /// Writes what is left.
+    /// Writes the remaining lines and returns the counts.
     ///
     /// # Errors
     /// See [`RecordError`].
@@ -216,11 +214,11 @@ impl Recorder {
     }
 }
 
-/// `dt` as the scenario has it, of the single precision that a node has: the number with the fewest
-/// digits that a node would have rounded to the same. \[s\]
+/// Recovers the scenario's `dt` from a node's single precision: the number with the fewest digits that
+/// rounds to the same. \[s\]
 #[must_use]
 pub fn step_size(on_node: f32) -> f64 {
-    // The shortest decimal that is this f32 is what somebody wrote.
+    // The shortest decimal that parses to this f32 is most likely the one in the scenario.
     on_node.to_string().parse().unwrap_or_else(|_| f64::from(on_node))
 }
 
@@ -253,7 +251,7 @@ mod tests {
         Recorder::new(file, step_size(1e-3), 1)
     }
 
-    /// When the samples in the file were taken, in steps.
+    /// Returns the times of the samples in the file, in steps.
     fn times(path: &Path) -> Vec<u64> {
         let text = std::fs::read_to_string(path).unwrap();
         let rows = text.lines().filter(|line| line.starts_with(|c: char| c.is_ascii_digit()));
@@ -262,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn states_in_a_row_become_samples_and_a_missing_one_a_gap() {
+    fn consecutive_states_form_samples_and_a_missing_state_a_gap() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("samples.csv");
         let mut recorder = recorder(&path, false);
@@ -270,9 +268,9 @@ mod tests {
             recorder.state(&state(tick)).unwrap();
         }
         let counts = recorder.finish().unwrap();
-        // The estimate is that of the state before, the derivative that of the state.
+        // A sample has the previous state's estimate and this state's derivative.
         assert_eq!(times(&path), [11, 12, 13, 17, 18, 19]);
-        // 14 and 15 are lost, and 16 has no state before it.
+        // 14 and 15 are lost, and 16 has no previous state.
         assert_eq!(counts, RecordCounts { samples: 6, lost: 3, ..RecordCounts::default() });
         let read = Recording::load(&path, 2, 2).unwrap();
         assert_eq!((read.samples.len(), read.gaps.clone()), (6, vec![3]));
@@ -281,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_or_of_another_length_is_skipped_and_the_rest_kept() {
+    fn invalid_samples_are_skipped_and_the_rest_kept() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("samples.csv");
         let mut recorder = recorder(&path, false);
@@ -299,7 +297,7 @@ mod tests {
             recorder.state(&state).unwrap();
         }
         let counts = recorder.finish().unwrap();
-        // 9 begins at the infinite estimate of 8.
+        // 9 starts at the infinite estimate of 8.
         let expected = [1, 2, 3, 4, 6, 7, 8, 10, 12, 13, 15, 16, 17, 18, 19];
         assert_eq!(times(&path), expected);
         let counted = RecordCounts { samples: 15, bad: 3, not_stepped: 1, ..counts };
@@ -309,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reset_begins_a_new_piece_and_time_goes_on() {
+    fn a_reset_starts_a_new_segment_later_in_time() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("samples.csv");
         let mut recorder = recorder(&path, false);
@@ -317,7 +315,7 @@ mod tests {
             ticks.for_each(|tick| recorder.state(&state(tick)).unwrap());
         };
         take(500..506);
-        // The greeting after this reset has been lost.
+        // The greeting after this reset is lost.
         take(0..5);
         recorder.reset();
         (0..3).for_each(|tick| recorder.state(&state(tick)).unwrap());
@@ -328,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_is_added_to_and_never_replaced() {
+    fn a_recording_is_appended_to_and_never_replaced() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("samples.csv");
         let record = |append, ticks: std::ops::Range<Tick>| {
@@ -339,7 +337,7 @@ mod tests {
         record(false, 0..4);
         let refused = RecordFile::open(&path, false, &source()).unwrap_err().to_string();
         assert!(refused.contains("--append"), "{refused}");
-        // A line that was cut by a loss of power.
+        // A line cut off by a power failure.
         let mut text = std::fs::read_to_string(&path).unwrap();
         text += "0.004,1.0,0.";
         std::fs::write(&path, text).unwrap();
@@ -349,11 +347,11 @@ mod tests {
         assert_eq!((read.gaps, read.outer_weights), (vec![3], Some(vec![9.0; 4])));
         let other = RecordingSource { agent: Some(2), ..source() };
         let refused = RecordFile::open(&path, true, &other).unwrap_err().to_string();
-        assert!(refused.contains("of agent 1, and this is agent 2"), "{refused}");
+        assert!(refused.contains("of agent 1, not of agent 2"), "{refused}");
     }
 
     #[test]
-    fn a_recording_goes_behind_a_link_and_never_onto_a_disk() {
+    fn a_recording_follows_links_and_refuses_disks() {
         let folder = tempfile::tempdir().unwrap();
         let (link, path) = (folder.path().join("link.csv"), folder.path().join("behind.csv"));
         std::os::unix::fs::symlink("behind.csv", &link).unwrap();
@@ -365,7 +363,7 @@ mod tests {
         assert_eq!(times(&path), [1, 2, 3]);
         assert!(link.symlink_metadata().unwrap().is_symlink());
 
-        // Whatever disk there is, if there is one.
+        // Any disk, if there is one.
         let disks = std::fs::read_dir("/dev").unwrap().filter_map(Result::ok);
         let is_disk = |path: &std::path::PathBuf| {
             use std::os::unix::fs::FileTypeExt;
@@ -378,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_disk_is_told() {
+    fn a_full_disk_is_reported() {
         let full = Path::new("/dev/full");
         if !full.exists() {
             return;
@@ -390,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_left_without_samples() {
+    fn without_samples_the_file_is_removed() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("samples.csv");
         let counts = recorder(&path, false).finish().unwrap();

@@ -1,8 +1,8 @@
-//! The file of a recording: what is written into it is whole lines, soon after they came, and
-//! whatever happens then, they stay.
+//! The file of a recording: complete lines, written soon after the samples arrive, so that they
+//! survive a crash.
 //!
-//! The outer weights that belong to the samples stand in the last line of what is written at a time;
-//! a reader takes the last ones. A write that fails is taken back, so that no half line is left.
+//! Outer weights are written in the last line of each write; a reader uses the last ones. A failed
+//! write is truncated, so that no partial line is left.
 
 use std::fs::{File, OpenOptions};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
@@ -13,89 +13,89 @@ use std::time::{Duration, Instant};
 use crate::files::output::{OutputError, destination};
 use crate::packages::RecordingSource;
 
-/// How long a sample may wait until it is written.
+/// How long a sample may be buffered.
 const WAIT: Duration = Duration::from_millis(250);
 
-/// Bytes that may wait. \[byte\]
+/// Size of the buffer. \[byte\]
 const WAITING_MAX: usize = 1 << 16;
 
-/// Longest line of a recording that can be added to. \[byte\]
+/// Maximum length of a line when appending. \[byte\]
 const LINE_MAX: u64 = 1 << 16;
 
-/// Why nothing can be recorded, or no more.
+/// Why recording failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordError {
-    /// The file has something in it.
+    /// The file exists and is not empty.
     #[error(
-        "{}: exists and is not empty; name another file, or add to this recording with --append",
+        "{}: exists and is not empty; choose another file, or append to this recording with --append",
         path.display()
     )]
     Exists {
         /// The file.
         path: PathBuf,
     },
-    /// The file is not one that can be recorded into.
-    #[error("{}: {problem}; name another file", path.display())]
+    /// The file cannot be used for this recording.
+    #[error("{}: {problem}; choose another file", path.display())]
     Other {
         /// The file.
         path: PathBuf,
         /// What is wrong.
         problem: String,
     },
-    /// It cannot be written.
+    /// The file cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
 }
 
-/// What is in a line besides the time.
+/// Columns of a line other than the time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Columns {
     dimension: usize,
-    /// Outer weights.
+    /// Number of outer weights.
     weights: usize,
 }
 
-/// A recording that is being written.
+/// A recording in progress.
 #[derive(Debug)]
 pub struct RecordFile {
-    /// As it was named.
+    /// The path as given.
     path: PathBuf,
-    /// Behind all links.
+    /// The path with links resolved.
     place: PathBuf,
     file: File,
-    /// Whether it is a file that can be cut, not a device.
+    /// Whether it is a regular file, which can be truncated.
     regular: bool,
     created: bool,
-    /// Its length up to the last whole line. \[byte\]
+    /// Length up to the last complete line. \[byte\]
     length: u64,
     columns: Option<Columns>,
     head: String,
-    /// Whole lines that have not been written.
+    /// Complete lines that are not yet written.
     waiting: Vec<u8>,
-    /// The newest sample as a line, but for its outer weights.
+    /// The line of the newest sample, without outer weights.
     newest: Option<String>,
     last_time: Option<f64>,
     written: Instant,
 }
 
 impl RecordFile {
-    /// Makes the file, or opens an empty one; with `append`, opens one that was recorded before, from
-    /// the same agent.
+    /// Creates the file or opens an empty one; with `append`, also opens an earlier recording of the
+    /// same agent.
     ///
     /// # Errors
-    /// See [`RecordError`]; nothing has changed then.
+    /// See [`RecordError`]; the file is then unchanged.
     pub fn open(path: &Path, append: bool, source: &RecordingSource) -> Result<Self, RecordError> {
         let failed = |error| OutputError::Write { path: path.to_owned(), error };
         let other = |problem: &str| RecordError::Other {
             path: path.to_owned(),
             problem: problem.to_owned(),
         };
-        // Opening a pipe waits for a reader.
+        // Opening a pipe would wait for a reader.
         if std::fs::metadata(path).is_ok_and(|metadata| metadata.file_type().is_fifo()) {
-            return Err(other("this is a pipe, and a recording needs a file"));
+            return Err(other("is a pipe, but a recording needs a file"));
         }
-        // A link is written through, also to what is not there yet; a disk is refused.
+        // Follows links, also to missing files, and refuses disks.
         let place = destination(path)?.unwrap_or_else(|| path.to_owned());
         let mut options = OpenOptions::new();
         options.write(true);
@@ -123,7 +123,7 @@ impl RecordFile {
         };
         if opened.regular {
             if opened.file.try_lock().is_err() {
-                return Err(other("another program records into it"));
+                return Err(other("another program is recording to it"));
             }
             match metadata.len() {
                 0 => {}
@@ -134,7 +134,7 @@ impl RecordFile {
         Ok(opened)
     }
 
-    /// Reads what an earlier recording has left, and cuts off a line that it did not finish.
+    /// Reads an earlier recording, and removes a partial line at its end.
     fn continue_from(&mut self, source: &RecordingSource) -> Result<(), RecordError> {
         let path = self.path.clone();
         let failed = |error| OutputError::Write { path: path.clone(), error };
@@ -143,12 +143,12 @@ impl RecordFile {
         if let (Some(own), Some(agent)) = (own.agent, source.agent)
             && own != agent
         {
-            return Err(other(format!("is a recording of agent {own}, and this is agent {agent}")));
+            return Err(other(format!("is a recording of agent {own}, not of agent {agent}")));
         }
         if let (Some(own), Some(step)) = (own.step, source.step)
             && own as f32 != step as f32
         {
-            return Err(other(format!("has a step of {own} s, and the node one of {step} s")));
+            return Err(other(format!("has a step of {own} s, but the node's is {step} s")));
         }
         let mut reader = BufReader::new(&self.file);
         let (mut line, mut length, mut columns, mut last_time) = (Vec::new(), 0, None, None);
@@ -167,9 +167,10 @@ impl RecordFile {
                 continue;
             }
             if columns.is_none() {
-                columns = Some(Columns::of_header(text.trim_end()).ok_or_else(|| {
-                    other("is not a recording that monitor has written".to_owned())
-                })?);
+                columns =
+                    Some(Columns::of_header(text.trim_end()).ok_or_else(|| {
+                        other("not a recording of `host-sim monitor`".to_owned())
+                    })?);
                 continue;
             }
             let time = text.split(',').next().and_then(|time| time.parse::<f64>().ok());
@@ -179,26 +180,26 @@ impl RecordFile {
             }
         }
         if columns.is_none() {
-            return Err(other("is not a recording that monitor has written".to_owned()));
+            return Err(other("not a recording of `host-sim monitor`".to_owned()));
         }
         self.file.set_len(length).map_err(failed)?;
         (self.length, self.columns, self.last_time) = (length, columns, last_time);
         Ok(())
     }
 
-    /// Components of the state, once there is a sample.
+    /// Returns the number of state components, once there is a sample.
     #[must_use]
     pub fn dimension(&self) -> Option<usize> {
         self.columns.map(|columns| columns.dimension)
     }
 
-    /// When the last sample was taken. \[s\]
+    /// Returns the time of the last sample. \[s\]
     #[must_use]
     pub fn last_time(&self) -> Option<f64> {
         self.last_time
     }
 
-    /// Adds a sample of finite numbers. Its outer weights are those of the whole recording, row by row.
+    /// Adds a sample of finite numbers. The outer weights, row-major, apply to the whole recording.
     ///
     /// # Errors
     /// The system's error.
@@ -226,7 +227,7 @@ impl RecordFile {
         if self.waiting.len() >= WAITING_MAX { self.flush(outer_weights) } else { Ok(()) }
     }
 
-    /// The newest line is complete with these outer weights, or empty fields for them.
+    /// Completes the newest line with these outer weights, or with empty fields.
     fn end_line(&mut self, outer_weights: &[f32]) {
         let (Some(line), Some(columns)) = (self.newest.take(), self.columns) else { return };
         self.waiting.extend_from_slice(line.as_bytes());
@@ -241,7 +242,7 @@ impl RecordFile {
         self.waiting.push(b'\n');
     }
 
-    /// Writes what waits, if it has waited long enough.
+    /// Writes buffered lines if they are due.
     ///
     /// # Errors
     /// The system's error.
@@ -265,7 +266,7 @@ impl RecordFile {
         let mut write = write;
         if let Err(error) = write() {
             if self.regular {
-                // Best effort: without it, the last line is not whole.
+                // Best effort: otherwise a partial line is left.
                 let _ = self.file.set_len(self.length);
             }
             return Err(OutputError::Write { path: self.path.clone(), error }.into());
@@ -274,14 +275,14 @@ impl RecordFile {
         Ok(())
     }
 
-    /// Writes what is left, and removes a file that was made for nothing.
+    /// Writes the remaining lines and syncs the file. An empty file is removed on drop.
     ///
     /// # Errors
     /// The system's error.
     pub fn finish(&mut self, outer_weights: &[f32]) -> Result<(), RecordError> {
         self.flush(outer_weights)?;
         if self.regular {
-            // Some disks notice only now that they are full.
+            // Some file systems report a full disk only here.
             let synced = self.file.sync_data();
             synced.map_err(|error| OutputError::Write { path: self.path.clone(), error })?;
         }
@@ -292,7 +293,7 @@ impl RecordFile {
 impl Drop for RecordFile {
     fn drop(&mut self) {
         if self.created && self.regular && self.length == 0 {
-            // Best effort: an empty file does no harm.
+            // Best effort: an empty file is harmless.
             let _ = std::fs::remove_file(&self.place);
         }
     }

@@ -1,4 +1,4 @@
-//! What emulated nodes of `cosim` have besides their firmware: a key, and flash that outlives them.
+//! The signing key and the persistent flash of emulated nodes.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -15,18 +15,18 @@ use crate::learning::agent_config;
 use crate::scenario::Scenario;
 use crate::signing::{EitherKey, OperatorKey};
 
-/// What the nodes' firmware asks of packages.
+/// Whether the nodes' firmware requires signed packages.
 pub(super) enum Signing {
-    /// Nothing.
+    /// Signatures are not required.
     None,
-    /// Signatures, which co-simulation makes itself.
+    /// Signatures are required, and co-simulation signs packages itself.
     Private(Box<OperatorKey>),
-    /// Signatures that only the holder of the private key can make: nodes wait for their first package.
+    /// Signatures are required, and only the public key is known: nodes wait for their first package.
     Public(PublicKey),
 }
 
 impl Signing {
-    /// With the key in this file, if there is one: a private or a public one.
+    /// Reads the private or public key from `path`, if given.
     pub(super) fn read(path: Option<&Path>, passphrase: &Passphrase) -> Result<Self, CommandError> {
         let Some(path) = path else { return Ok(Self::None) };
         Ok(match passphrase.either_key(path)? {
@@ -50,23 +50,23 @@ impl Signing {
         }
     }
 
-    /// Whether nodes begin without a package.
+    /// Returns whether nodes start without a package.
     pub(super) fn is_public_only(&self) -> bool {
         matches!(self, Self::Public(_))
     }
 }
 
-/// The flash of each node, a file each.
+/// A folder with one flash file per node.
 pub(super) struct FlashFolder {
     folder: PathBuf,
-    /// Removed at the end, if it is not to be kept.
+    /// Set if the folder is removed at the end.
     temporary: Option<TempDir>,
-    /// Keeps other runs out.
+    /// Locks the folder against other runs.
     _lock: Option<File>,
 }
 
 impl FlashFolder {
-    /// A folder that is gone after the run.
+    /// Creates a folder that is removed after the run.
     pub(super) fn temporary() -> Result<Self, CommandError> {
         let made = tempfile::Builder::new().prefix("host-sim-flash-").tempdir();
         let made =
@@ -74,15 +74,15 @@ impl FlashFolder {
         Ok(Self { folder: made.path().to_owned(), temporary: Some(made), _lock: None })
     }
 
-    /// A folder that stays, and may be there already.
+    /// Opens a folder that is kept, and creates it if necessary.
     pub(super) fn kept(folder: &Path) -> Result<Self, CommandError> {
         let failed = |error| OutputError::Write { path: folder.to_owned(), error };
         std::fs::create_dir_all(folder).map_err(failed)?;
         let lock = File::open(folder).map_err(failed)?;
         if lock.try_lock().is_err() {
             return Err(CommandError::usage(format!(
-                "{}: another run uses the flash in this folder; wait for its end, or name another \
-                 folder with --keep",
+                "{}: another run is using the flash in this folder; wait for it to finish, or \
+                 choose another folder with --keep",
                 folder.display()
             ))
             .about(folder));
@@ -90,17 +90,17 @@ impl FlashFolder {
         Ok(Self { folder: folder.to_owned(), temporary: None, _lock: Some(lock) })
     }
 
-    /// The flash of an agent, from 0.
+    /// Returns the flash file of the agent with this index, from 0.
     pub(super) fn file(&self, index: usize) -> PathBuf {
         self.folder.join(format!("agent-{}.flash", index + 1))
     }
 
-    /// What is to be removed if this process is killed.
+    /// Returns the folder to remove if this process is killed.
     pub(super) fn removed(&self) -> Option<&Path> {
         self.temporary.as_ref().map(TempDir::path)
     }
 
-    /// Lets simulated agents start with the packages that their nodes have kept.
+    /// Gives simulated agents the packages stored in their nodes' flash.
     pub(super) fn take_over(
         &self,
         scenario: &mut Scenario,
@@ -117,15 +117,15 @@ impl FlashFolder {
                 CommandError::usage(format!("{}: {problem}", file.display())).about(&file)
             };
             let found = qemu.package_in(&file, key).map_err(|error| {
-                usage(format!("{error}; name another folder with --keep, or remove this file"))
+                usage(format!("{error}; choose another folder with --keep, or remove this file"))
             })?;
             let Some(package) = found else { continue };
             let node = agent_config(scenario, &TriggerConstants::new(scenario), index);
             if let Some(parameter) = node.first_difference(&package.package().node) {
                 return Err(usage(format!(
-                    "the package in it has another {parameter} than agent {} of scenario {}; run the \
-                     scenario that it was kept from, name another folder with --keep, or remove this \
-                     file",
+                    "the {parameter} of its package differs from that of agent {} in scenario {}; run the \
+                     scenario it was created with, choose another folder with --keep, or remove \
+                     this file",
                     index + 1,
                     scenario.name
                 )));

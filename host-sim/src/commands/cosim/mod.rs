@@ -1,4 +1,4 @@
-//! `cosim`: a scenario together with nodes that are really there.
+//! `cosim`: runs a scenario together with emulated or real nodes.
 
 mod emulated;
 
@@ -24,7 +24,7 @@ use crate::cosim::fault::{Fault, NodeError};
 use crate::cosim::firmware::{self, Firmware};
 use crate::cosim::qemu::{Channel, PROGRAM, Qemu};
 use crate::cosim::{CosimReport, Notice, Service, Setup, board::Board, cosimulate};
-use crate::interruption::{self, Again};
+use crate::interruption::{self, SecondSignal};
 use crate::memory_map::MemoryMap;
 use crate::packages::PackageBytes;
 use crate::scenario::Scenario;
@@ -35,48 +35,48 @@ use crate::warning::{Warning, WarningCode};
 /// Arguments of `cosim`.
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
-    /// The scenario, a TOML file or the name of a built-in one
+    /// Scenario: a TOML file or the name of a built-in scenario
     #[arg(default_value = "paper")]
     scenario: PathBuf,
-    /// What the nodes run on, one for all or one for each agent: qemu (pipes, the fastest),
-    /// qemu-uart (its serial line), serial:/dev/tty...[@BAUD] (a real board), unix:PATH
+    /// Boards, one for all agents or one per agent: qemu (pipes, fastest), qemu-uart (emulated
+    /// serial line), serial:/dev/tty...[@BAUD] (real board), unix:PATH
     #[arg(long, value_delimiter = ',', default_value = "qemu")]
     boards: Vec<Endpoint>,
-    /// How many steps to take [default: all of the scenario; with --serve, no end]
+    /// Number of steps [default: the whole scenario; with --serve, unlimited]
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..=ENDLESS))]
     steps: Option<u64>,
-    /// Recipe of the scenario for all its learning cycles [default: what each cycle names]
+    /// Training recipe for all learning cycles [default: the one each cycle names]
     #[arg(long)]
     recipe: Option<String>,
-    /// Leaves the scenario's learning cycles out
+    /// Skip the scenario's learning cycles
     #[arg(long)]
     without_learning: bool,
-    /// What emulated nodes run [default: what `cargo xtask firmware --board qemu-mps2-an386` builds in
-    /// the project that the current folder lies in, else what `cargo xtask install` has installed]
+    /// Firmware of emulated nodes [default: the one built by `cargo xtask firmware --board
+    /// qemu-mps2-an386` in the current project, else the one installed by `cargo xtask install`]
     #[arg(long, value_name = "ELF")]
     firmware: Option<PathBuf>,
-    /// The memory map that it was linked with [default: memory.x of the project or the installation]
+    /// Memory map the firmware was linked with [default: memory.x of the project or installation]
     #[arg(long, value_name = "MEMORY.X")]
     memory: Option<PathBuf>,
-    /// The emulator
+    /// Emulator program
     #[arg(long, default_value = PROGRAM)]
     qemu: PathBuf,
-    /// How long a node may take for an answer [s]
+    /// How long to wait for a node's reply [s]
     #[arg(long, default_value_t = 10.0, value_parser = timeout)]
     timeout: f64,
-    /// Goes on in real time and offers every node at FOLDER/agent-N.sock, to `monitor`, `push` and
+    /// Run in real time and serve every node at FOLDER/agent-N.sock, for `monitor`, `push` and
     /// `node`
     #[arg(long, value_name = "FOLDER")]
     serve: Option<PathBuf>,
-    /// With --serve: how much faster than real time
+    /// With --serve: speed relative to real time
     #[arg(long, default_value_t = 1.0, requires = "serve", value_parser = speed)]
     speed: f64,
-    /// Keeps the flash of emulated nodes in this folder: the next run goes on with what it holds
-    /// [default: erased, with the scenario's packages]
+    /// Keep the flash of emulated nodes in this folder, for the next run to start from [default:
+    /// erased flash, holding the scenario's packages]
     #[arg(long, value_name = "FOLDER")]
     keep: Option<PathBuf>,
-    /// Firmware that takes signed packages only: with the operator's private key all packages are
-    /// signed with it; with the public key nodes wait until signed ones are pushed
+    /// Use firmware that accepts only signed packages. Given the operator's private key, all
+    /// packages are signed with it; given the public key, nodes wait for signed packages to be pushed
     #[arg(long, value_name = "KEY.pem")]
     key: Option<PathBuf>,
     #[command(flatten)]
@@ -85,27 +85,27 @@ pub(super) struct Arguments {
     pub(super) common: Common,
 }
 
-/// A time that a person can wait, and a node can keep. \[s\]
+/// Parses a timeout. \[s\]
 fn timeout(text: &str) -> Result<f64, String> {
     number_in(text, 1e-3, 1e6)
 }
 
-/// From a step in some minutes to faster than any emulator is.
+/// Parses a speed, relative to real time.
 fn speed(text: &str) -> Result<f64, String> {
     number_in(text, 1e-3, 1e6)
 }
 
-/// A number from `low` to `high`.
+/// Parses a number from `low` to `high`.
 fn number_in(text: &str, low: f64, high: f64) -> Result<f64, String> {
     let number = text.parse().ok().filter(|number| (low..=high).contains(number));
-    number.ok_or_else(|| format!("write a number from {low} to {high}"))
+    number.ok_or_else(|| format!("expected a number from {low} to {high}"))
 }
 
-/// Steps of a run that is to have no end: so many days that nobody sees it.
+/// Number of steps of an unlimited run: years, even at the shortest step.
 const ENDLESS: u64 = 1 << 40;
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
-    interruption::listen(Again::Wait);
+    interruption::listen(SecondSignal::Wait);
     let mut scenario = scenario(arguments)?;
     let endpoints =
         for_agents(&arguments.boards, scenario.agents.len()).map_err(CommandError::usage)?;
@@ -113,7 +113,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     if !step.is_stable() {
         warnings::print(&[Warning::new(WarningCode::UnstableStep, step.describe())]);
     }
-    // What can be refused is refused before anything is built.
+    // Reject bad input before building firmware.
     crate::cosim::prepared(&scenario)?;
     let timeout = Duration::from_secs_f64(arguments.timeout);
     let signing = Signing::read(arguments.key.as_deref(), &arguments.passphrase)?;
@@ -141,7 +141,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 .connect(interruption::stop())
                 .map(|line| Board::new(line, &address.to_string(), true))
                 .map_err(|error| Fault::Start(error.to_string())),
-            (_, None) => Err(Fault::Start("there is no emulator".to_owned())),
+            (_, None) => Err(Fault::Start("the emulator is not running".to_owned())),
         };
         let board_name = || endpoints[index].to_string();
         board.map_err(|fault| NodeError { agent: index + 1, board: board_name(), fault })
@@ -161,10 +161,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let quiet = arguments.common.format == Format::Json;
     let notice = &mut |notice: &Notice<'_>| {
         if !(quiet && matches!(notice, Notice::Reachable)) {
-            let told = told(arguments, endpoints.len(), notice);
+            let text = notice_text(arguments, endpoints.len(), notice);
             let is_warning = matches!(notice, Notice::Ended(_) | Notice::Late { .. });
             bars.suspended(|| {
-                if is_warning { terminal::warning(&told) } else { terminal::note(&told) }
+                if is_warning { terminal::warning(&text) } else { terminal::note(&text) }
             });
         }
     };
@@ -181,21 +181,18 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Format::Json => print_outcome(&report, outcome),
         Format::Text => {
             let printed = print_text(&text(&scenario, arguments, &report));
-            // Mismatches count, whether anyone reads of them or not.
+            // Mismatches take precedence over a failure to print.
             outcome.and(printed)
         }
     }
 }
 
-/// Whether it went well: equal bits, and every node to the end.
+/// Returns an error if a step differed, a node ended early, or the run was interrupted.
 fn outcome(report: &CosimReport, wanted: u64) -> Result<(), CommandError> {
     if let Some(first) = &report.first_mismatch {
         return Err(CommandError::new(
             ErrorCode::Mismatches,
-            format!(
-                "{} steps of nodes differ from the simulated ones, first {first}",
-                report.mismatches
-            ),
+            format!("{} node steps differ from the simulation; first {first}", report.mismatches),
         ));
     }
     let ended = report.boards.iter().filter(|board| board.ended.is_some());
@@ -204,7 +201,7 @@ fn outcome(report: &CosimReport, wanted: u64) -> Result<(), CommandError> {
         return Err(CommandError::new(
             ErrorCode::Node,
             format!(
-                "these agents' nodes have ended and were not started again: {}; see above why",
+                "the nodes of these agents stopped and were not restarted: {}; see the reasons above",
                 ended.join(", ")
             ),
         ));
@@ -212,38 +209,37 @@ fn outcome(report: &CosimReport, wanted: u64) -> Result<(), CommandError> {
     if report.interrupted {
         return Err(CommandError::new(
             ErrorCode::Interrupted,
-            format!("interrupted after {} of {wanted} steps, all equal until then", report.steps),
+            format!("interrupted after {} of {wanted} steps, all of them equal", report.steps),
         ));
     }
     Ok(())
 }
 
-/// What a notice says to people.
-fn told(arguments: &Arguments, agents: usize, notice: &Notice<'_>) -> String {
+/// Returns the text of a notice.
+fn notice_text(arguments: &Arguments, agents: usize, notice: &Notice<'_>) -> String {
     match notice {
         Notice::Reachable => served(arguments, agents),
         Notice::Ended(error) => {
-            let again = arguments.serve.as_ref().map_or(String::new(), |folder| {
+            let restart = arguments.serve.as_ref().map_or(String::new(), |folder| {
                 let socket = folder.join(format!("agent-{}.sock", error.agent));
                 format!(
-                    "\nThe others go on; `host-sim node {} reset` starts it again",
+                    "\nThe other nodes continue; restart this one with `host-sim node {} reset`",
                     shell_word(&socket)
                 )
             });
-            format!("{error}{again}")
+            format!("{error}{restart}")
         }
         Notice::StartedAgain { agent } => {
-            format!("Agent {agent} has been started again, with what its flash holds")
+            format!("Agent {agent} was restarted from the contents of its flash")
         }
         Notice::Late { share } => format!(
-            "real time is not kept, only {:.0} % of the speed that was asked for; choose a lower \
-             --speed, or fewer nodes",
+            "running at only {:.0} % of the requested speed; choose a lower --speed, or fewer nodes",
             share * 100.0
         ),
     }
 }
 
-/// How to talk to the nodes.
+/// Returns how to reach the nodes.
 fn served(arguments: &Arguments, agents: usize) -> String {
     let Some(folder) = &arguments.serve else { return String::new() };
     let socket = shell_word(&folder.join("agent-1.sock"));
@@ -260,7 +256,7 @@ fn scenario(arguments: &Arguments) -> Result<Scenario, CommandError> {
         if scenario.recipe(recipe).is_none() {
             let names: Vec<_> = scenario.recipes.iter().map(|r| r.name.as_str()).collect();
             return Err(CommandError::usage(format!(
-                "--recipe {recipe}: scenario {} has the recipes {}",
+                "--recipe {recipe}: not a recipe of scenario {}; choose one of {}",
                 scenario.name,
                 names.join(", ")
             )));
@@ -313,20 +309,20 @@ fn text(scenario: &Scenario, arguments: &Arguments, report: &CosimReport) -> Str
             let _ = writeln!(text, "Agent {agent} is not compared {parted}");
         }
         if let Some(ended) = &board.ended {
-            let _ = writeln!(text, "Agent {agent} has ended {ended}");
+            let _ = writeln!(text, "Agent {agent} stopped {ended}");
         }
         if board.restarts > 0 {
-            let _ = writeln!(text, "Agent {agent} was started again: {}", board.restarts);
+            let _ = writeln!(text, "Agent {agent} was restarted, times: {}", board.restarts);
         }
     }
     if let Some(share) = report.real_time_kept.filter(|share| *share < 1.0) {
         let share = share * 100.0;
-        let _ = writeln!(text, "Real time was not kept: {share:.1} % of the speed asked for");
+        let _ = writeln!(text, "Ran at {share:.1} % of the requested speed");
     }
     let _ = writeln!(
         text,
-        "\nEstimate, outer weights, derivative, outcome, trigger and frame compared in every step, bit for \
-         bit: {}\n\
+        "\nEstimate, outer weights, derivative, outcome, trigger and frame, compared bit for bit in every \
+         step: {}\n\
          {} steps in {:.2} s, {:.0} a second ({:.0} round trips)\n\
          Scenario {}, seed {}, digest {}",
         match report.mismatches {

@@ -5,7 +5,7 @@ use serde::{Serialize, Serializer};
 /// Declares the codes, each with its name in JSON and the exit code that goes with it.
 macro_rules! error_codes {
     ($($(#[doc = $doc:literal])* $variant:ident = $name:literal, $exit:literal;)*) => {
-        /// What an error is about. Scripts can rely on the names; `docs/errors.md` explains each.
+        /// The kind of an error. The names are stable; `docs/errors.md` explains each.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub(in crate::commands) enum ErrorCode {
             $($(#[doc = $doc])* $variant,)*
@@ -23,7 +23,7 @@ macro_rules! error_codes {
                 }
             }
 
-            /// How the process ends.
+            /// Returns the exit code of the process.
             pub(in crate::commands) fn exit(self) -> u8 {
                 match self {
                     $(Self::$variant => $exit,)*
@@ -38,11 +38,11 @@ error_codes! {
     Usage = "usage", 2;
     /// A scenario cannot be read.
     Scenario = "invalid-scenario", 2;
-    /// A package file cannot be read as one.
+    /// A file is not a valid package.
     Package = "invalid-package", 2;
     /// A node would refuse the package, or has refused it.
     PackageRefused = "package-refused", 2;
-    /// A network does not become a package.
+    /// A network cannot be packed.
     Network = "invalid-network", 2;
     /// Samples cannot be read.
     Samples = "invalid-samples", 2;
@@ -50,9 +50,9 @@ error_codes! {
     Key = "invalid-key", 2;
     /// A memory map cannot be read.
     MemoryMap = "invalid-memory-map", 2;
-    /// A package does not fit into flash, or not in this format.
+    /// A package does not fit into flash, or into the requested format.
     Image = "invalid-image", 2;
-    /// Something else is where a file is to be written.
+    /// The output path holds something that must not be replaced.
     OutputRefused = "output-refused", 2;
     /// A file cannot be written.
     OutputFailed = "output-failed", 1;
@@ -64,11 +64,11 @@ error_codes! {
     Random = "no-randomness", 1;
     /// Threads cannot be started.
     Threads = "no-threads", 1;
-    /// The simulation cannot go on.
+    /// The simulation cannot continue.
     Run = "run-failed", 1;
     /// An expression of the plant or the disturbance is not defined where it was evaluated.
     Expression = "expression-undefined", 1;
-    /// The estimates grew without bound, or would.
+    /// The estimates grow without bound, or would in a run.
     Unstable = "unstable", 1;
     /// The plant's state grew without bound.
     Diverged = "plant-diverged", 1;
@@ -78,23 +78,23 @@ error_codes! {
     NotPacked = "not-packed", 1;
     /// A figure cannot be drawn.
     Figure = "figure-failed", 1;
-    /// probe-rs is not there.
+    /// probe-rs is not installed.
     ProbeRs = "probe-rs-missing", 1;
     /// The chip was not flashed, or reads back differently.
     Flash = "flash-failed", 1;
-    /// There is no firmware for emulated nodes.
+    /// The firmware for emulated nodes cannot be built or found.
     Firmware = "firmware-failed", 1;
-    /// A node's steps differ from the simulated ones.
+    /// A node's steps differ from the simulation.
     Mismatches = "mismatches", 1;
-    /// A node cannot go on.
+    /// A node cannot continue.
     Node = "node-failed", 1;
-    /// A node does not do what it is asked.
+    /// A node refuses a request.
     NodeRefused = "node-refused", 2;
-    /// Another push to the node is under way.
+    /// Another push to the node is in progress.
     AnotherPush = "another-push", 1;
     /// A node cannot be reached or does not answer.
     Unreachable = "node-unreachable", 1;
-    /// A signal asked for the end.
+    /// A signal interrupted the command.
     Interrupted = "interrupted", 1;
 }
 
@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_list_of_codes_is_complete_and_true() {
+    fn the_documented_codes_are_complete_and_correct() {
         let text = include_str!("../../../../docs/errors.md");
         let row = |line: &str| {
             let mut cells = line.strip_prefix("| `")?.split('|');
@@ -123,6 +123,6 @@ mod tests {
         let mut names: Vec<_> = codes.into_iter().map(|(code, _)| code).collect();
         names.sort();
         names.dedup();
-        assert_eq!(names.len(), ErrorCode::ALL.len(), "a code twice");
+        assert_eq!(names.len(), ErrorCode::ALL.len(), "duplicate code");
     }
 }

@@ -1,4 +1,4 @@
-//! What the library's errors are about.
+//! Error codes and file names of the library's errors.
 
 use std::path::{Path, PathBuf};
 
@@ -307,7 +307,7 @@ mod nodes {
         use crate::commands::CommandError;
 
         #[test]
-        fn what_a_node_refuses_ends_as_a_refusal() {
+        fn a_refusal_by_a_node_is_reported_as_refused() {
             let code = |error: ServiceError| {
                 let code = CommandError::from(error).code();
                 (code.as_str(), code.exit())
@@ -317,7 +317,7 @@ mod nodes {
         }
 
         #[test]
-        fn errors_of_cosim_about_a_file_name_it() {
+        fn cosim_errors_about_a_file_name_the_file() {
             let path = || PathBuf::from("file");
             let output = OutputError::Write { path: path(), error: std::io::Error::other("full") };
             for (error, code) in [
@@ -335,7 +335,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_of_the_disk_and_refusals_are_told_apart_wherever_they_come_from() {
+    fn write_errors_and_refusals_have_different_codes_for_every_source() {
         let path = || PathBuf::from("file");
         let full = || std::io::Error::other("full");
         let write = || OutputError::Write { path: path(), error: full() };

@@ -1,7 +1,7 @@
-//! How a command's error reaches people and scripts: a code, a text, a file, a line.
+//! Errors of commands: code, text, file and line, for people and scripts.
 //!
-//! An error of the library becomes one by [`Reported`]: what it is about is told beside the error
-//! itself, here in `library` or in the module of the one command that meets it.
+//! Library errors are converted through [`Reported`], which is implemented in `library` or in the
+//! module of the only command that reports the error.
 
 mod code;
 mod library;
@@ -23,39 +23,39 @@ use crate::terminal;
 /// Why a command failed.
 #[derive(Debug)]
 pub(super) enum CommandError {
-    /// The command line or something that it names cannot be used, or is refused: exit code 2.
+    /// The command line or a file it names is invalid or refused: exit code 2.
     BadInput(Box<ErrorReport>),
-    /// Anything else: exit code 1.
+    /// Any other failure: exit code 1.
     Failed(Box<ErrorReport>),
     /// Standard output cannot be written: exit code 1.
     Output(io::Error),
 }
 
-/// An error as JSON has it.
+/// An error in the JSON report.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct ErrorReport {
     code: ErrorCode,
     text: String,
-    /// Returns the path of the file.
+    /// Path of the file concerned.
     file: Option<String>,
-    /// The line in that file, from 1.
+    /// Line in that file, from 1.
     line: Option<u64>,
-    /// Whether a result that has been printed says it, too.
+    /// Whether an already printed result contains this error.
     #[serde(skip)]
     printed: bool,
 }
 
 /// An error of the library that commands report.
 pub(super) trait Reported: fmt::Display {
-    /// What it is about.
+    /// Returns the error's code.
     fn code(&self) -> ErrorCode;
 
-    /// Returns the path of the file.
+    /// Returns the path of the file concerned.
     fn file(&self) -> Option<PathBuf> {
         None
     }
 
-    /// The line in that file, from 1.
+    /// Returns the line in that file, from 1.
     fn line(&self) -> Option<u64> {
         None
     }
@@ -85,8 +85,8 @@ impl ErrorReport {
         }
     }
 
-    /// Prints it on standard output, as the one JSON object there. If that fails, the text on
-    /// standard error has to do.
+    /// Prints the error on standard output, as its only JSON object. A failure is ignored: the text
+    /// is also printed on standard error.
     fn print(self) {
         #[derive(Serialize)]
         struct Printed {
@@ -97,39 +97,39 @@ impl ErrorReport {
 }
 
 impl CommandError {
-    /// An error with this code.
+    /// Creates an error with this code.
     pub(super) fn new(code: ErrorCode, text: impl Into<String>) -> Self {
         ErrorReport::new(code, text.into()).into_error()
     }
 
-    /// Something on the command line cannot be used.
+    /// Creates an error about the command line.
     pub(super) fn usage(text: impl Into<String>) -> Self {
         Self::new(ErrorCode::Usage, text)
     }
 
-    /// The package at `path` is one that a node refuses.
+    /// Creates an error about the package at `path`, which a node would refuse.
     pub(super) fn refused(path: &Path, refusal: &Refusal) -> Self {
         Self::unfit(path, &refusal.to_string(), hint(kind(refusal)))
     }
 
-    /// The package at `path` is one that a node refuses, for this reason.
+    /// Creates an error about the package at `path`, which a node would refuse for this reason.
     pub(super) fn unfit(path: &Path, refusal: &str, hint: &str) -> Self {
         let path_shown = path.display();
         let text = format!("{path_shown}: a node would refuse it: {refusal}; {hint}");
         Self::new(ErrorCode::PackageRefused, text).about(path)
     }
 
-    /// Another command is writing into the folder `path`.
+    /// Creates an error about the folder `path`, which another command is writing to.
     pub(super) fn folder_in_use(path: &Path) -> Self {
         let text = format!(
-            "{}: another command is writing its results into this folder; wait for its end, or \
-             name another folder with --out",
+            "{}: another command is writing to this folder; wait for it to finish, or choose \
+             another folder with --out",
             path.display()
         );
         Self::new(ErrorCode::FolderInUse, text).about(path)
     }
 
-    /// The same, about this file.
+    /// Sets the file concerned.
     pub(super) fn about(mut self, path: &Path) -> Self {
         if let Self::BadInput(report) | Self::Failed(report) = &mut self {
             report.file = Some(path.display().to_string());
@@ -137,7 +137,7 @@ impl CommandError {
         self
     }
 
-    /// The same, with `prefix` in front of its text.
+    /// Prepends `prefix` to the text.
     pub(super) fn within(mut self, prefix: &str) -> Self {
         if let Self::BadInput(report) | Self::Failed(report) = &mut self {
             report.text = format!("{prefix}: {}", report.text);
@@ -145,7 +145,7 @@ impl CommandError {
         self
     }
 
-    /// The same, as one that a printed result tells already.
+    /// Marks the error as part of a result that is already printed.
     pub(super) fn printed(mut self) -> Self {
         if let Self::BadInput(report) | Self::Failed(report) = &mut self {
             report.printed = true;
@@ -153,10 +153,10 @@ impl CommandError {
         self
     }
 
-    /// The same, with the folder `from` called `to` in text and file.
+    /// Replaces the folder `from` by `to` in text and file.
     pub(super) fn renamed(mut self, from: &Path, to: &Path) -> Self {
         if let Self::BadInput(report) | Self::Failed(report) = &mut self {
-            // With the separator behind it, which an empty path has not.
+            // With a trailing separator, except for an empty path.
             let shown = |folder: &Path| folder.join("").display().to_string();
             let (from, to) = (shown(from), shown(to));
             report.text = report.text.replace(&from, &to);
@@ -165,7 +165,7 @@ impl CommandError {
         self
     }
 
-    /// What it is about.
+    /// Returns the error's code.
     pub(super) fn code(&self) -> ErrorCode {
         match self {
             Self::BadInput(report) | Self::Failed(report) => report.code,
@@ -173,7 +173,7 @@ impl CommandError {
         }
     }
 
-    /// As JSON has it.
+    /// Returns the error in its JSON form.
     pub(super) fn report(&self) -> ErrorReport {
         match self {
             Self::BadInput(report) | Self::Failed(report) => (**report).clone(),
@@ -194,7 +194,7 @@ impl fmt::Display for CommandError {
 /// Prints an error, with `json` also on standard output, and returns the exit code.
 pub(super) fn report(error: &CommandError, json: bool) -> ExitCode {
     match error {
-        // The reader has closed the pipe, as `head` does: nothing is wrong.
+        // The reader closed the pipe, as `head` does.
         CommandError::Output(error) if error.kind() == io::ErrorKind::BrokenPipe => {
             return ExitCode::SUCCESS;
         }
@@ -209,7 +209,7 @@ pub(super) fn report(error: &CommandError, json: bool) -> ExitCode {
     ExitCode::from(error.code().exit())
 }
 
-/// What clap has to say: help and version are results, everything else is bad usage.
+/// Prints clap's help and version as results, and anything else as a usage error.
 pub(super) fn bad_usage(problem: &clap::Error, json: bool) -> ExitCode {
     if !problem.use_stderr() {
         return match terminal::print(&problem.render().to_string()) {
@@ -227,7 +227,7 @@ pub(super) fn bad_usage(problem: &clap::Error, json: bool) -> ExitCode {
     ExitCode::from(ErrorCode::Usage.exit())
 }
 
-/// Whether the command line asks for JSON, also one that is wrong in other places.
+/// Returns whether the command line requests JSON, even if it is otherwise invalid.
 pub(super) fn json_wanted(arguments: impl Iterator<Item = OsString>) -> bool {
     let is_json = |formats: &str| formats.split(',').any(|format| format == "json");
     let mut is_format = false;
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn a_staged_file_is_called_by_its_place() {
+    fn a_staged_file_is_reported_by_its_final_path() {
         let staged =
             CommandError::usage("out/.stage/a.csv: no").about(Path::new("out/.stage/a.csv"));
         let report = staged.renamed(Path::new("out/.stage"), Path::new("out")).report();

@@ -1,4 +1,4 @@
-//! `run.json`: what a folder of results holds, and how it was made.
+//! `run.json`: lists a run's result files and how they were produced.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -12,28 +12,28 @@ use crate::files::output::FileKind;
 use crate::packages::PackageBytes;
 use crate::scenario::Scenario;
 
-/// The manifest's name.
+/// Name of the manifest file.
 pub(super) const NAME: &str = "run.json";
 
-/// Longest file that is read as one: names of the files of tens of thousands of agents. \[byte\]
+/// Maximum size of a manifest: enough for tens of thousands of agents. \[byte\]
 const BYTES_MAX: u64 = FileKind::BYTES_MAX;
 
-/// What a run leaves besides its results.
+/// Describes a run and its result files.
 #[derive(Debug, Deserialize, PartialEq, Serialize)]
 pub(super) struct Manifest {
     /// Version of this program.
     host_sim: String,
     /// Name of the scenario.
     scenario: String,
-    /// Hash of its text, hexadecimal, as packages hold it.
+    /// Hash of its text as in packages, hexadecimal.
     scenario_hash: String,
-    /// Seed of all that is random.
+    /// Random seed.
     seed: u64,
     /// The command line.
     command: Vec<String>,
-    /// Whether all files are those of this run; if not, it was ended while they were put there.
+    /// Whether all files are from this run; `false` if it was interrupted while moving them here.
     pub(super) complete: bool,
-    /// Names of the files in the folder, sorted; this one is not among them.
+    /// Names of the result files, sorted, without the manifest itself.
     pub(super) files: BTreeSet<String>,
 }
 
@@ -51,18 +51,18 @@ impl Manifest {
         }
     }
 
-    /// The kind of its files.
+    /// The file kind of manifests.
     pub(super) const KIND: FileKind =
         FileKind { name: "a run's manifest", recognises: |bytes| Self::parse(bytes).is_some() };
 
     fn parse(bytes: &[u8]) -> Option<Self> {
         let mut manifest: Self = serde_json::from_slice(bytes).ok()?;
-        // What is not a plain name of a file in this very folder is never touched.
+        // Security: only plain names of files in this folder are ever touched.
         manifest.files.retain(|name| is_plain(name));
         Some(manifest)
     }
 
-    /// The manifest in `folder`, if there is one.
+    /// Reads the manifest in `folder`, if there is one.
     pub(super) fn read(folder: &Path) -> Option<Self> {
         let path = folder.join(NAME);
         let is_file = fs::symlink_metadata(&path).is_ok_and(|found| found.is_file());
@@ -77,13 +77,13 @@ impl Manifest {
     }
 }
 
-/// Whether `name` is that of a result in the folder itself.
+/// Returns whether `name` is that of a result directly in the folder.
 fn is_plain(name: &str) -> bool {
     let letter = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
     !name.starts_with('.') && name.chars().all(letter) && kind_of(name).is_some()
 }
 
-/// The kind of a result, by its name.
+/// Returns the kind of a result, determined by its name.
 pub(super) fn kind_of(name: &str) -> Option<FileKind> {
     match Path::new(name).extension()?.to_str()? {
         "csv" => Some(FileKind::TABLE),
@@ -107,12 +107,12 @@ mod tests {
             .iter()
             .map(|&name| name.to_owned())
             .collect();
-        let sound = manifest.files.clone();
+        let valid = manifest.files.clone();
         let hostile = ["../x.csv", "/etc/x.csv", "a/b.csv", "..", ".hidden.csv", "notes.txt", ""];
         let hostile = hostile.iter().chain(&["a\\b.csv", "C:x.csv", "x.csv\u{0}", "other.json"]);
         manifest.files.extend(hostile.map(|&name| name.to_owned()));
         let text = serde_json::to_vec(&manifest).unwrap();
-        assert_eq!(Manifest::parse(&text).unwrap().files, sound);
+        assert_eq!(Manifest::parse(&text).unwrap().files, valid);
         assert!(Manifest::parse(&text[..text.len() - 1]).is_none());
         assert!(Manifest::parse(b"{\"files\": [\"traces.csv\"]}").is_none());
     }

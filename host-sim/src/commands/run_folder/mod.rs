@@ -1,10 +1,9 @@
-//! The folder that a run's results go to: all of one run, or all of the run before.
+//! The folder of a run's results, which are replaced as a whole.
 //!
-//! The results are written into a hidden folder inside and put in their places together, at the end.
-//! The manifest, [`manifest::NAME`], names them: the next run into this folder replaces exactly these
-//! files and removes those of them that it does not write itself. Other files are left alone; one
-//! that has the name of a result and is something else is refused before the run. Meanwhile the
-//! folder is locked for other runs; the lock ends with the process, however that ends.
+//! The results are written to a hidden subfolder and moved into place together at the end. The
+//! manifest, [`manifest::NAME`], lists them: the next run replaces exactly these files and removes
+//! those that it does not write. Other files are left alone; if one has the name of a planned result,
+//! the run is refused before it starts. The folder is locked until the process ends.
 
 mod manifest;
 
@@ -17,7 +16,7 @@ use manifest::{Manifest, kind_of};
 
 use super::CommandError;
 use crate::files::output::temporary::{Temporary, is_temporary, uninterrupted};
-use crate::files::output::{OutputError, destination, make_folder, resemble};
+use crate::files::output::{OutputError, copy_attributes, destination, make_folder};
 use crate::scenario::Scenario;
 use crate::terminal;
 
@@ -27,14 +26,14 @@ pub(super) struct RunFolder {
     path: PathBuf,
     /// Where the results are written.
     stage: Temporary,
-    /// Names of the files of the run before.
+    /// File names of the previous run.
     before: BTreeSet<String>,
-    /// Held, not used.
+    /// Held until the end of the run.
     _lock: Option<File>,
 }
 
 impl RunFolder {
-    /// Makes and locks the folder for a run that will write files of these names.
+    /// Creates and locks the folder for a run that may write files with the planned names.
     pub(super) fn claim(path: &Path, planned: &[String]) -> Result<Self, CommandError> {
         make_folder(path)?;
         let lock = lock(path)?;
@@ -48,18 +47,18 @@ impl RunFolder {
         Ok(Self { path: path.to_owned(), stage, before, _lock: lock })
     }
 
-    /// Where the results of this run are to be written, until [`Self::publish`].
+    /// Returns the folder to write results to, until [`Self::publish`].
     pub(super) fn stage(&self) -> &Path {
         self.stage.path()
     }
 
-    /// An error about a staged file, with the place where the file was to go.
+    /// Replaces the path of a staged file in an error by its final path.
     pub(super) fn placed(&self, error: CommandError) -> CommandError {
         error.renamed(self.stage(), &self.path)
     }
 
-    /// Puts all that has been written in its place, and removes what is left of the run before.
-    /// Returns the names, and a line about what else is in the folder, if anything is.
+    /// Moves the results into place and removes those of the previous run. Returns their names, and a
+    /// line listing any other files in the folder.
     pub(super) fn publish(
         self,
         scenario: &Scenario,
@@ -71,12 +70,12 @@ impl RunFolder {
             check(&self.path, name, &self.before)?;
         }
         let mut manifest = Manifest::new(scenario, seed);
-        uninterrupted(|| self.put_in_place(&mut manifest, &files))?;
+        uninterrupted(|| self.move_into_place(&mut manifest, &files))?;
         let others = others(&self.path, &files);
         Ok((files.into_iter().collect(), others))
     }
 
-    fn put_in_place(
+    fn move_into_place(
         &self,
         manifest: &mut Manifest,
         files: &BTreeSet<String>,
@@ -90,7 +89,7 @@ impl RunFolder {
                 .and_then(|()| fs::rename(&staged, place(manifest::NAME)))
                 .map_err(|error| named(manifest::NAME, error))
         };
-        // Both runs' files first: if the power fails from here on, the next run knows them all.
+        // List both runs' files first, so that the next run knows them all after a power failure.
         manifest.files = files.union(&self.before).cloned().collect();
         write(manifest)?;
         for name in files {
@@ -105,7 +104,7 @@ impl RunFolder {
     }
 }
 
-/// Locks the folder itself, so that no lock file can be left behind.
+/// Locks the folder itself, which leaves no lock file behind.
 fn lock(path: &Path) -> Result<Option<File>, CommandError> {
     let locked = File::open(path).map_err(TryLockError::Error).and_then(|folder| {
         folder.try_lock()?;
@@ -116,7 +115,7 @@ fn lock(path: &Path) -> Result<Option<File>, CommandError> {
         Err(TryLockError::WouldBlock) => Err(CommandError::folder_in_use(path)),
         Err(TryLockError::Error(error)) => {
             terminal::warning(format_args!(
-                "{}: cannot be locked ({error}); make sure that no other run writes into it",
+                "{}: cannot lock the folder ({error}); make sure that no other run writes to it",
                 path.display()
             ));
             Ok(None)
@@ -124,7 +123,7 @@ fn lock(path: &Path) -> Result<Option<File>, CommandError> {
     }
 }
 
-/// Refuses a name where something is that is not a result, nor one of the run `before`.
+/// Refuses a name that is taken by something other than a result or a file of the previous run.
 fn check(folder: &Path, name: &str, before: &BTreeSet<String>) -> Result<(), OutputError> {
     let path = folder.join(name);
     let Some(kind) = kind_of(name) else { return Ok(()) };
@@ -143,7 +142,7 @@ fn check(folder: &Path, name: &str, before: &BTreeSet<String>) -> Result<(), Out
     }
 }
 
-/// Moves a staged file to its place; a link that is there is written through.
+/// Moves a staged file to its final path; an existing symlink is followed.
 fn install(staged: &Path, place: &Path) -> Result<(), OutputError> {
     let failed = |error| OutputError::Write { path: place.to_owned(), error };
     let target = match fs::symlink_metadata(place) {
@@ -151,8 +150,8 @@ fn install(staged: &Path, place: &Path) -> Result<(), OutputError> {
         _ => place.to_owned(),
     };
     if let Ok(before) = fs::metadata(&target) {
-        // A result that cannot be given back to its owner is still a result.
-        let _ = resemble(staged, &before);
+        // Best effort: the result is valid even if its owner cannot be restored.
+        let _ = copy_attributes(staged, &before);
     }
     match fs::rename(staged, &target) {
         // A link into another file system.
@@ -163,7 +162,7 @@ fn install(staged: &Path, place: &Path) -> Result<(), OutputError> {
     }
 }
 
-/// Removes a file of the run before, if it still is one.
+/// Removes a result of the previous run, if it still is one.
 fn remove_result(path: &Path) -> io::Result<()> {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let is_file = fs::symlink_metadata(path).is_ok_and(|found| found.is_file());
@@ -173,11 +172,11 @@ fn remove_result(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Removes what runs that were killed have left in a folder that is locked: no other run uses it.
+/// Removes the leftovers of killed runs from a locked folder.
 fn remove_stages(folder: &Path) {
     for name in names_in(folder).unwrap_or_default().iter().filter(|name| is_temporary(name)) {
         let path = folder.join(name);
-        // Best effort: it is hidden, and harmless.
+        // Best effort: a leftover is hidden and harmless.
         let is_folder = fs::symlink_metadata(&path).is_ok_and(|found| found.is_dir());
         let _ = if is_folder { fs::remove_dir_all(path) } else { fs::remove_file(path) };
     }
@@ -188,8 +187,8 @@ fn names_in(folder: &Path) -> io::Result<BTreeSet<String>> {
     names.map(|name| name.map(|name| name.to_string_lossy().into_owned())).collect()
 }
 
-/// A line that tells which files in the folder are not of this run, if there are any: they are left
-/// alone, but must not be mistaken for results of it.
+/// Returns a line listing the files that are not from this run, so that they are not mistaken for its
+/// results.
 fn others(folder: &Path, files: &BTreeSet<String>) -> String {
     let mut others = names_in(folder).unwrap_or_default();
     others.retain(|name| !files.contains(name) && name != manifest::NAME && !is_temporary(name));
@@ -197,9 +196,9 @@ fn others(folder: &Path, files: &BTreeSet<String>) -> String {
         0 => String::new(),
         1..=12 => {
             let names: Vec<_> = others.iter().map(|name| terminal::one_line(name)).collect();
-            format!("Not of this run: {}\n", names.join(", "))
+            format!("Not from this run: {}\n", names.join(", "))
         }
-        count => format!("Not of this run: {count} other files there\n"),
+        count => format!("Not from this run: {count} other files\n"),
     }
 }
 

@@ -46,13 +46,13 @@ fn table(content: &str) -> String {
 }
 
 #[test]
-fn a_run_replaces_exactly_what_the_run_before_wrote() {
+fn a_run_replaces_exactly_the_files_of_the_previous_run() {
     let folder = Folder::new("replaces");
     folder.write("notes.txt", "mine");
     folder.write("extra.csv", &table("mine"));
     assert_eq!(
         folder.run(&["a.csv", "b.csv"], "1").unwrap(),
-        "Not of this run: extra.csv, notes.txt\n"
+        "Not from this run: extra.csv, notes.txt\n"
     );
     folder.run(&["b.csv", "c.csv"], "2").unwrap();
     assert_eq!(folder.names(), ["b.csv", "c.csv", "extra.csv", "notes.txt", "run.json"]);
@@ -65,7 +65,7 @@ fn a_run_replaces_exactly_what_the_run_before_wrote() {
 }
 
 #[test]
-fn what_is_not_a_result_is_found_before_the_run_and_stays() {
+fn a_file_that_is_not_a_result_is_refused_before_the_run_and_kept() {
     let folder = Folder::new("foreign");
     folder.write("a.csv", "price list\n");
     let error = folder.run(&["a.csv"], "1").unwrap_err().to_string();
@@ -83,7 +83,7 @@ fn what_is_not_a_result_is_found_before_the_run_and_stays() {
 }
 
 #[test]
-fn a_second_run_at_once_fails_at_once() {
+fn a_concurrent_run_into_the_same_folder_fails() {
     let folder = Folder::new("lock");
     let first = RunFolder::claim(&folder.0, &[]).unwrap();
     let error = RunFolder::claim(&folder.0, &[]).unwrap_err();
@@ -93,7 +93,7 @@ fn a_second_run_at_once_fails_at_once() {
 }
 
 #[test]
-fn a_manifest_reaches_nothing_outside_and_nothing_else() {
+fn a_manifest_cannot_affect_other_files() {
     let folder = Folder::new("hostile");
     let inner = Folder(folder.0.join("run"));
     fs::create_dir_all(&inner.0).unwrap();
@@ -111,7 +111,7 @@ fn a_manifest_reaches_nothing_outside_and_nothing_else() {
 }
 
 #[test]
-fn what_a_killed_run_left_is_removed() {
+fn leftovers_of_a_killed_run_are_removed() {
     let folder = Folder::new("killed");
     fs::create_dir(folder.0.join(".host-sim-1-1.partial")).unwrap();
     folder.write(".host-sim-1-1.partial/a.csv", "half");
@@ -122,7 +122,7 @@ fn what_a_killed_run_left_is_removed() {
 
 #[cfg(unix)]
 #[test]
-fn a_result_behind_a_link_goes_behind_the_link() {
+fn a_symlinked_result_is_written_through_the_link() {
     let folder = Folder::new("link");
     fs::create_dir(folder.0.join("disk")).unwrap();
     folder.write("disk/real.csv", &table("old"));

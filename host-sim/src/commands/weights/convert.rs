@@ -1,4 +1,4 @@
-//! `weights import` and `weights export`: networks from and for other tools.
+//! `weights import` and `weights export`: exchanging networks with other tools.
 
 use std::path::{Path, PathBuf};
 
@@ -24,12 +24,12 @@ use crate::tensors::{self, Activations, ActivationsSource, NetworkArrays};
 /// Arguments of `weights export`.
 #[derive(Debug, Args)]
 pub(in crate::commands) struct Export {
-    /// The package
+    /// Weight package
     package: PathBuf,
-    /// The file to write: .npz for NumPy and MATLAB's Python bridge, .safetensors for PyTorch and JAX
+    /// File to write: .npz for NumPy and MATLAB's Python bridge, .safetensors for PyTorch and JAX
     #[arg(long)]
     out: PathBuf,
-    /// How the result is printed on standard output
+    /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -37,29 +37,29 @@ pub(in crate::commands) struct Export {
 /// Arguments of `weights import`.
 #[derive(Debug, Args)]
 pub(in crate::commands) struct Import {
-    /// Arrays layer1.weight, layer1.bias .. and outer.weight in a .npz or .safetensors file
+    /// A .npz or .safetensors file with arrays layer1.weight, layer1.bias .. and outer.weight
     arrays: PathBuf,
-    /// The package to write
+    /// Package file to write
     #[arg(long)]
     out: PathBuf,
-    /// Package of the same node: gives everything but the network, and the version to follow
+    /// Package of the same node: provides everything but the network, and the version to increment
     #[arg(long, required_unless_present = "scenario", conflicts_with_all = ["scenario", "agent"])]
     base: Option<PathBuf>,
-    /// The scenario that describes the node, instead of --base
+    /// Scenario that describes the node, instead of --base
     #[arg(long, requires = "agent")]
     scenario: Option<PathBuf>,
-    /// The agent in the scenario, from 1
+    /// Number of the agent in the scenario, from 1
     #[arg(long)]
     agent: Option<usize>,
-    /// What the layers apply: one for all, or one a layer, with commas [default: what the file
-    /// says, else tanh]
+    /// Activations: one for all layers, or one per layer, separated by commas [default: those in
+    /// the file, else tanh]
     #[arg(long, value_parser = activation, value_delimiter = ',')]
     activations: Vec<Activation>,
     /// Version of the package [default: one more than that of --base, else 2]
     #[arg(long)]
     package_version: Option<u32>,
-    /// Keep the outer weights that the node has adapted when the package is switched in, instead
-    /// of replacing them by the imported ones
+    /// Keep the node's adapted outer weights when the package is switched in, instead of replacing
+    /// them by the imported ones
     #[arg(long)]
     keep_outer_weights: bool,
     /// Private key to sign the package with
@@ -67,7 +67,7 @@ pub(in crate::commands) struct Import {
     sign: Option<PathBuf>,
     #[command(flatten)]
     passphrase: Passphrase,
-    /// How the result is printed on standard output
+    /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -76,7 +76,7 @@ fn activation(name: &str) -> Result<Activation, String> {
     let found = Activation::NAMES.iter().find(|(known, _)| *known == name);
     found.map(|&(_, activation)| activation).ok_or_else(|| {
         let names = Activation::NAMES.map(|(known, _)| known).join(", ");
-        format!("there is no activation {name:?}; choose one of {names}")
+        format!("unknown activation {name:?}; choose one of {names}")
     })
 }
 
@@ -106,7 +106,7 @@ pub(super) fn export(arguments: &Export) -> Result<(), CommandError> {
         Format::Json => print_json(&report),
         Format::Text => print_text(&format!(
             "Written to {}: {} inner and {} outer parameters\n\
-             Back again: host-sim weights import {} --base {} --out NEW.weights\n",
+             To convert back: host-sim weights import {} --base {} --out NEW.weights\n",
             report.out,
             report.inner_parameters,
             report.outer_parameters,
@@ -142,7 +142,7 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
     draft.inner = arrays.inner;
     draft.outer_weights = arrays.outer;
     let package =
-        draft.seal().map_err(|error| no_package(&arguments.arrays, &error.to_string()))?;
+        draft.seal().map_err(|error| unsuitable(&arguments.arrays, &error.to_string()))?;
     let output = OutputFile::prepare(&arguments.out, PackageBytes::KIND)?;
     let chosen = arguments.package_version;
     let package = versions::save(package, chosen, key.as_ref(), &arguments.out, output)?;
@@ -162,17 +162,17 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
         Format::Text => print_text(&format!(
             "Written to {}: {}, {}\n\
              Activations: {}; {}\n\
-             Outer weights that the node has adapted: {}\n",
+             Outer weights adapted by the node: {}\n",
             report.package,
             report.summary,
             if report.signed { "signed" } else { "not signed" },
             match import.activations {
-                ActivationsSource::File => "as the file says",
-                ActivationsSource::Caller => "as given",
+                ActivationsSource::File => "from the file",
+                ActivationsSource::Caller => "from --activations",
                 ActivationsSource::Assumed =>
-                    "those of the node's network, or tanh; give --activations if that is wrong",
+                    "assumed to be those of the node's network, else tanh; if wrong, give --activations",
             },
-            report.largest_rounding.map_or("every value as it was in the file".to_owned(), |e| {
+            report.largest_rounding.map_or("every value unchanged".to_owned(), |e| {
                 format!("rounding to single precision changed values by up to {e:.1e}")
             }),
             match draft.on_switch {
@@ -184,7 +184,7 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
     }
 }
 
-/// Where nobody says what the layers apply, the network that is replaced does, if it has as many.
+/// Uses the activations of the replaced network, if it has the same number of layers.
 fn take_activations(arrays: &mut NetworkArrays, replaced: &Architecture) {
     let mut layers = arrays.architecture.layers().to_vec();
     if layers.len() != replaced.layers().len() {
@@ -198,13 +198,13 @@ fn take_activations(arrays: &mut NetworkArrays, replaced: &Architecture) {
     }
 }
 
-fn no_package(arrays: &Path, problem: &str) -> CommandError {
+fn unsuitable(arrays: &Path, problem: &str) -> CommandError {
     let file = arrays.display();
-    CommandError::usage(format!("{file}: {problem}; change the arrays, or the node to import for"))
+    CommandError::usage(format!("{file}: {problem}; change the arrays, or import for another node"))
         .about(arrays)
 }
 
-/// The network has to fit the node's state and gains.
+/// Checks that the network fits the node's state and gains.
 fn check_fit(
     arguments: &Import,
     draft: &Draft,
@@ -212,20 +212,21 @@ fn check_fit(
 ) -> Result<(), CommandError> {
     let (n, found) = (draft.low.len(), arrays.architecture.inputs());
     if found != n {
-        let problem = format!("the network has {found} inputs, the node's state {n} components");
-        return Err(no_package(&arguments.arrays, &problem));
+        let problem =
+            format!("the network has {found} inputs, but the node's state has {n} components");
+        return Err(unsuitable(&arguments.arrays, &problem));
     }
     let (gain, features) = (draft.node.node().outer_law.gain, arrays.architecture.features());
     if gain.validate("the node's outer gain", features).is_err() {
         let problem = format!(
-            "the last inner layer has {features} nodes, and the node's outer gain another size"
+            "the last inner layer has {features} nodes, which the node's outer gain does not fit"
         );
-        return Err(no_package(&arguments.arrays, &problem));
+        return Err(unsuitable(&arguments.arrays, &problem));
     }
     Ok(())
 }
 
-/// The package without its network yet.
+/// Returns the package without its network.
 fn draft(arguments: &Import) -> Result<Draft, CommandError> {
     let base = arguments.base.as_deref().map(PackageBytes::load).transpose()?;
     let mut draft = match (&base, &arguments.scenario, arguments.agent) {
@@ -247,7 +248,7 @@ fn draft(arguments: &Import) -> Result<Draft, CommandError> {
     draft.samples = 0;
     draft.seed = 0;
     draft.errors = None;
-    // Known only of the network that was trained here.
+    // Known only for networks trained by this program.
     draft.broadcast_interval_min = 0.0;
     Ok(draft)
 }

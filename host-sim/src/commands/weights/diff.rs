@@ -1,4 +1,4 @@
-//! `weights diff`: in what two packages differ.
+//! `weights diff`: compares two packages.
 
 use std::path::PathBuf;
 
@@ -13,11 +13,11 @@ use crate::packages::PackageBytes;
 /// Arguments of `weights diff`.
 #[derive(Debug, Args)]
 pub(in crate::commands) struct Arguments {
-    /// One package
+    /// First package
     first: PathBuf,
-    /// The other
+    /// Second package
     second: PathBuf,
-    /// How the result is printed on standard output
+    /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -27,9 +27,9 @@ struct Report {
     first: String,
     second: String,
     identical: bool,
-    /// Facts that differ.
+    /// Fields that differ.
     differences: Vec<Difference>,
-    /// Inner parameters, if both have as many.
+    /// Change of the inner parameters, if both packages have the same number.
     inner_parameters: Option<Change>,
 }
 
@@ -40,7 +40,7 @@ struct Difference {
     second: Value,
 }
 
-/// How far two sequences of numbers are apart.
+/// Difference between two sequences of numbers.
 #[derive(Serialize)]
 struct Change {
     changed: usize,
@@ -100,7 +100,7 @@ fn change(first: &[f32], second: &[f32]) -> Option<Change> {
 
 fn text(report: &Report) -> String {
     if report.identical {
-        return format!("{} and {} are the same bytes\n", report.first, report.second);
+        return format!("{} and {} are identical\n", report.first, report.second);
     }
     let mut text = format!("{} -> {}\n", report.first, report.second);
     for Difference { fact, first, second } in &report.differences {
@@ -112,7 +112,7 @@ fn text(report: &Report) -> String {
             change.changed, change.of, change.largest, change.root_mean_square
         );
     } else if report.differences.is_empty() {
-        text += "  only test vectors or signature differ\n";
+        text += "  only the test vectors or the signature differ\n";
     }
     text
 }

@@ -1,8 +1,8 @@
-//! `weights evaluate`: what a package would have done on a recording, before it is pushed.
+//! `weights evaluate`: evaluates a package on a recording, before it is pushed.
 //!
-//! For every sample the network's output `f_hat = W_hat^T sigma(Phi_hat(x_hat))`, by the node's own
-//! code in single precision, is held against the recorded derivative of the estimate, beside what
-//! no network (zero) and a constant (the mean) would have left.
+//! For every sample, the network's output `f_hat = W_hat^T sigma(Phi_hat(x_hat))`, computed by the
+//! node's own code in single precision, is compared with the recorded derivative of the estimate. The
+//! errors without a network (zero) and with a constant (the mean) are given for comparison.
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -20,25 +20,25 @@ use crate::training::{Dataset, Smoothing};
 /// Arguments of `weights evaluate`.
 #[derive(Debug, Args)]
 pub(in crate::commands) struct Arguments {
-    /// The package
+    /// Weight package
     package: PathBuf,
-    /// Recorded samples of its agent, as `train` takes them
+    /// Recorded samples of its agent, in the format of `train`
     samples: PathBuf,
-    /// Averages inputs and derivatives over so long a window first, as a recipe's smoothing_window
-    /// does: a derivative with the chatter of the consensus in it is explained by no network [s]
+    /// Window over which to average inputs and derivatives first, as a recipe's smoothing_window: a
+    /// network cannot explain the consensus chatter in a raw derivative [s]
     #[arg(long, default_value_t = 0.0, value_parser = window)]
     smoothing_window: f64,
-    /// Uses the package's own outer weights, even if the node would keep those of the recording
+    /// Use the package's outer weights, even if the node would keep those of the recording
     #[arg(long)]
     own_outer_weights: bool,
-    /// How the result is printed on standard output
+    /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
 
 fn window(text: &str) -> Result<f64, String> {
     let number = text.parse().ok().filter(|number| (0.0..1e9).contains(number));
-    number.ok_or_else(|| "write a number of seconds, 0 or above and below 1e9".to_owned())
+    number.ok_or_else(|| "expected a number of seconds, at least 0 and below 1e9".to_owned())
 }
 
 #[derive(Serialize)]
@@ -54,20 +54,20 @@ struct Report {
     smoothing_window_s: f64,
     outside_box: usize,
     outside_box_share: f64,
-    /// Samples for which the network's output is not finite; they are in no other figure.
+    /// Number of samples with a non-finite network output, which are excluded from all errors.
     not_finite: usize,
     components: Vec<Component>,
     total: Component,
 }
 
-/// Mean squares of what is left of the recorded derivative.
+/// Mean squared errors of the recorded derivative.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 struct Component {
     /// With the package's network. [(state unit/s)²]
     mse: f64,
-    /// Its root. [state unit/s]
+    /// Square root of `mse`. [state unit/s]
     rms: f64,
-    /// Without any network.
+    /// Without a network.
     mse_without: f64,
     /// With the best constant.
     mse_constant: f64,
@@ -134,7 +134,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-/// The network's output for every sample, row by row, shape `[samples, n]`.
+/// Returns the network's output for every sample, row-major, shape `[samples, n]`.
 fn outputs(package: &Package<'_>, data: &Dataset) -> Vec<f32> {
     let mut scratch = Scratch::NEW;
     let mut outputs = Vec::with_capacity(data.inputs().len());
@@ -156,7 +156,7 @@ fn output<const N: usize>(
     package.evaluate(&input, scratch).map(|(_, output)| output.as_slice().to_vec())
 }
 
-/// The errors of each component, over the samples whose outputs are finite.
+/// Returns the errors of each component over the samples with finite outputs.
 fn components(data: &Dataset, outputs: &[f32]) -> Vec<Component> {
     let n = data.dimension();
     let rows = || {
@@ -184,8 +184,8 @@ fn components(data: &Dataset, outputs: &[f32]) -> Vec<Component> {
 fn text(report: &Report) -> String {
     let mut text = format!(
         "{}: agent {}, version {}, on {} samples of {}\n\
-         {} samples ({:.1} %) lie outside the box that it was trained on\n\
-         Outer weights: those of the {}\n\n\
+         {} samples ({:.1} %) are outside the trained box\n\
+         Outer weights: from the {}\n\n\
          Mean squared error of the derivative [(state unit/s)^2]\n\
          component   this package   no network   a constant   explained\n",
         report.package,
@@ -213,14 +213,14 @@ fn text(report: &Report) -> String {
     if report.not_finite > 0 {
         let _ = writeln!(
             text,
-            "The output is not finite for {} samples, which are not in the table",
+            "The output is not finite for {} samples, which the table excludes",
             report.not_finite
         );
     }
     if report.total.mse >= report.total.mse_without {
-        text += "No network would have done better: do not push this package\n";
+        text += "Worse than without a network: do not push this package\n";
     } else if report.total.mse >= report.total.mse_constant {
-        text += "A constant would have done better: train on a longer or richer recording\n";
+        text += "Worse than a constant: train on a longer or richer recording\n";
     }
     text
 }

@@ -1,4 +1,4 @@
-//! `weights image` and `flash`: packages into flash memory.
+//! `weights image` and `flash`: placing packages in flash memory.
 
 use std::path::{Path, PathBuf};
 
@@ -11,23 +11,23 @@ use crate::commands::{CommandError, Format, print_json, print_text};
 use crate::files::output::write_whole;
 use crate::flash::{FlashTarget, ProbeRs};
 use crate::image::{self, Image, ImageError, ImageFormat, Part, ToolUse, Uf2Family, commands_for};
-use crate::interruption::{self, Again};
+use crate::interruption::{self, SecondSignal};
 use crate::memory_map::MemoryMap;
 use crate::packages::PackageBytes;
 use crate::packages::check::check;
 use crate::signing::read_public_key;
 use crate::terminal;
 
-/// Where in which memory.
+/// Slot and memory map.
 #[derive(Debug, Args)]
 struct Place {
-    /// The slot to fill: a or b
+    /// Slot to write: a or b
     #[arg(long, value_parser = slot)]
     slot: Slot,
-    /// The board's memory map
+    /// Memory map of the board
     #[arg(long)]
     memory: PathBuf,
-    /// The node's public key: the package must be signed with its private half
+    /// Public key of the node, which the package's signature must match
     #[arg(long)]
     key: Option<PathBuf>,
 }
@@ -35,57 +35,58 @@ struct Place {
 /// Arguments of `weights image`.
 #[derive(Debug, Args)]
 pub(in crate::commands) struct Arguments {
-    /// The package
+    /// Weight package
     package: PathBuf,
     #[command(flatten)]
     place: Place,
-    /// Format of the image; with `json` besides, the result is printed as JSON [default: what
-    /// --out ends in, else hex]
+    /// Format of the image; add `json` to print the result as JSON [default: that of --out's
+    /// extension, else hex]
     #[arg(long, value_enum, value_delimiter = ',')]
     format: Vec<OutputFormat>,
-    /// Family of the chip, for uf2: rp2040, rp2350-arm-s, rp2350-riscv, nrf52840, stm32f4 or a number
+    /// Chip family, for uf2: rp2040, rp2350-arm-s, rp2350-riscv, nrf52840, stm32f4 or a number
     #[arg(long)]
     family: Option<Uf2Family>,
-    /// The chip, as probe-rs calls it: the memory map is held against its flash, if that is known
+    /// Chip, by its probe-rs name: checks the memory map against its flash, if known
     #[arg(long)]
     chip: Option<String>,
-    /// The file to write [default: the package's name with .slot-a.bin or so]
+    /// File to write [default: the package's name with e.g. .slot-a.bin]
     #[arg(long)]
     out: Option<PathBuf>,
 }
 
-/// Format of the image, or of what is printed about it.
+/// Format of the image or of the printed result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum OutputFormat {
-    /// Bytes from the slot's address to the end of the weights; blanks what lies between
+    /// Raw bytes from the slot's address to the end of the weights region; overwrites everything in
+    /// between
     Bin,
     /// Intel HEX
     Hex,
     /// Blocks for a USB bootloader
     Uf2,
-    /// What is printed: text
+    /// Printed result: text
     Text,
-    /// What is printed: one JSON object
+    /// Printed result: one JSON object
     Json,
 }
 
 /// Arguments of `flash`.
 #[derive(Debug, Args)]
 pub(in crate::commands) struct FlashArguments {
-    /// The package
+    /// Weight package
     package: PathBuf,
     #[command(flatten)]
     place: Place,
-    /// The chip, as probe-rs calls it (`probe-rs chip list`)
+    /// Chip, by its probe-rs name (`probe-rs chip list`)
     #[arg(long)]
     chip: Option<String>,
-    /// The debug probe, as `probe-rs list` names it; needed if there are several
+    /// Debug probe, as named by `probe-rs list`; required if there are several
     #[arg(long)]
     probe: Option<String>,
-    /// The program probe-rs [default: the one on PATH]
+    /// probe-rs program [default: the one on PATH]
     #[arg(long)]
     probe_rs: Option<PathBuf>,
-    /// How the result is printed on standard output
+    /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -94,11 +95,11 @@ fn slot(name: &str) -> Result<Slot, String> {
     match name {
         "a" | "A" => Ok(Slot::A),
         "b" | "B" => Ok(Slot::B),
-        _ => Err("there are the slots a and b".to_owned()),
+        _ => Err("expected a or b".to_owned()),
     }
 }
 
-/// The image of a package that a node would accept.
+/// Creates the image of a package, after checking that a node would accept it.
 fn image(path: &Path, place: &Place) -> Result<Image, CommandError> {
     let region = MemoryMap::read(&place.memory)?.weights()?;
     let key = place.key.as_deref().map(read_public_key).transpose()?;
@@ -116,7 +117,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         slot: String,
         segments: Vec<Segment>,
         commands: Vec<Command>,
-        /// What a tool may do besides.
+        /// Side effects of flashing tools.
         notes: Vec<String>,
     }
     #[derive(Serialize)]
@@ -129,7 +130,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     struct Command {
         tool: &'static str,
         command: Option<String>,
-        /// Where there is no command: the formats that the tool takes.
+        /// Formats the tool requires, if there is no command.
         needs: Vec<String>,
     }
     let (format, printed) = formats(arguments)?;
@@ -201,7 +202,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     print_text(&text)
 }
 
-/// What a boot loader of this family makes of the image if it has no flash there.
+/// Returns a warning if this chip family has no flash where the image is placed.
 fn contradiction(image: &Image, family: Uf2Family) -> Result<Option<String>, CommandError> {
     let Some(part) = Part::of_family(family) else { return Ok(None) };
     match image.check_part(&part, true) {
@@ -213,34 +214,33 @@ fn contradiction(image: &Image, family: Uf2Family) -> Result<Option<String>, Com
     }
 }
 
-/// What a tool may erase besides the image.
+/// Returns notes on what tools may erase besides the image.
 fn notes(image: &Image, format: image::Format) -> Vec<String> {
     let mut notes = Vec::new();
     if image.gap_holds_other_slot() {
         match format {
             image::Format::Bin => notes.push(
-                "A bin file has no holes: this one blanks the other slot; hex and uf2 have a hole \
-                 there."
+                "A bin file cannot have gaps, so this one erases the other slot; hex and uf2 leave it \
+                 alone."
                     .to_owned(),
             ),
             image::Format::Hex => notes.push(
-                "OpenOCD and st-flash fill the hole of a hex file: with them, the other slot is \
-                 blanked."
+                "OpenOCD and st-flash fill the gap in a hex file, which erases the other slot."
                     .to_owned(),
             ),
             image::Format::Uf2 => {}
         }
     }
     notes.push(format!(
-        "OpenOCD, st-flash, dfu-util, picotool and boot loaders erase whole sectors of the chip. \
-         Where those are larger than the {} bytes of _weights_erase_size, what else lies in them is \
-         lost; probe-rs puts it back. --chip holds the map against the chip.",
+        "OpenOCD, st-flash, dfu-util, picotool and boot loaders erase whole sectors of the chip. If \
+         these are larger than _weights_erase_size ({} bytes), their other contents are lost; \
+         probe-rs restores them. --chip checks the map against the chip.",
         image.region().erase_size
     ));
     notes
 }
 
-/// The image's format and how the result is printed.
+/// Returns the image's format and the format of the printed result.
 fn formats(arguments: &Arguments) -> Result<(image::Format, Format), CommandError> {
     let (mut image, mut printed) = (None, None);
     for format in &arguments.format {
@@ -252,7 +252,7 @@ fn formats(arguments: &Arguments) -> Result<(image::Format, Format), CommandErro
             OutputFormat::Json => printed.replace(Format::Json).is_some(),
         };
         if twice {
-            let problem = "--format: give one of bin, hex and uf2, and text or json besides";
+            let problem = "--format: give one of bin, hex and uf2, and optionally text or json";
             return Err(CommandError::usage(problem.to_owned()));
         }
     }
@@ -261,8 +261,8 @@ fn formats(arguments: &Arguments) -> Result<(image::Format, Format), CommandErro
         match (image, of_name) {
             (Some(asked), Some((out, Some(named)))) if asked != named => {
                 return Err(CommandError::usage(format!(
-                "{}: ends as a {named} file does, and --format says {asked}; give one of both, or \
-                 another name",
+                "{}: the extension means {named}, but --format is {asked}; give only one of them, \
+                 or another name",
                 out.display()
             )).about(out));
             }
@@ -270,8 +270,8 @@ fn formats(arguments: &Arguments) -> Result<(image::Format, Format), CommandErro
             (None, Some((_, Some(named)))) => named,
             (None, Some((out, None))) => {
                 return Err(CommandError::usage(format!(
-                "{}: its ending does not say what file to write; give --format bin, hex or uf2, or \
-                 a name with .bin, .hex or .uf2",
+                "{}: unknown extension; give --format bin, hex or uf2, or a name ending in .bin, \
+                 .hex or .uf2",
                 out.display()
             )).about(out));
             }
@@ -288,7 +288,7 @@ pub(in crate::commands) fn flash(arguments: &FlashArguments) -> Result<(), Comma
         bytes: usize,
         verified: bool,
     }
-    interruption::listen(Again::Exit);
+    interruption::listen(SecondSignal::Exit);
     let image = image(&arguments.package, &arguments.place)?;
     if let Some(part) = arguments.chip.as_deref().and_then(Part::of_chip) {
         image.check_part(&part, false)?;
@@ -309,7 +309,7 @@ pub(in crate::commands) fn flash(arguments: &FlashArguments) -> Result<(), Comma
     match arguments.format {
         Format::Json => print_json(&report),
         Format::Text => print_text(&format!(
-            "Flashed {} into {}: {} bytes, read back and found equal\n",
+            "Flashed {} into {}: {} bytes, verified\n",
             report.package, report.slot, report.bytes
         )),
     }

@@ -1,4 +1,4 @@
-//! What is in a package, for people and as JSON.
+//! The contents of a package, as text and JSON.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -10,7 +10,7 @@ use serde::Serialize;
 use crate::packages::{PackageBytes, PackageSummary};
 use crate::terminal;
 
-/// A package, told.
+/// The contents of a package.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Facts {
     pub(super) format_version: u8,
@@ -49,7 +49,7 @@ pub(super) struct Facts {
     pub(super) held_out_error: Option<f32>,
     pub(super) tool_version: String,
     pub(super) test_vectors: usize,
-    /// Bytes beyond inner and outer parameters, test vectors and signature.
+    /// Bytes other than parameters, test vectors and signature.
     pub(super) overhead_bytes: usize,
 }
 
@@ -196,14 +196,14 @@ impl Facts {
             "shortest interval [s]",
             match self.broadcast_interval_min_s {
                 0.0 => "not known".to_owned(),
-                interval => format!("{interval} by Theorem 2, on the training's trajectory"),
+                interval => format!("{interval} by Theorem 2, on the training trajectory"),
             },
         );
         let unlimited = self.trained_low.iter().all(|&low| low == f32::MIN);
         line(
             "trained inputs",
             match (self.samples, unlimited) {
-                (0, true) => "none: not trained on anything".to_owned(),
+                (0, true) => "none: not trained".to_owned(),
                 _ => {
                     let limits = self.trained_low.iter().zip(&self.trained_high);
                     let limits: Vec<_> = limits.map(|(l, h)| format!("[{l:.4}, {h:.4}]")).collect();

@@ -1,4 +1,4 @@
-//! `weights`: looking at packages, checking, signing, converting and placing them.
+//! `weights`: inspecting, verifying, signing, converting and placing packages.
 
 mod convert;
 mod diff;
@@ -22,37 +22,37 @@ use crate::signing::{OperatorKey, fingerprint};
 
 pub(super) use image::{FlashArguments, flash};
 
-/// What can be done with packages.
+/// Subcommands of `weights`.
 #[derive(Debug, Subcommand)]
 pub(super) enum Command {
-    /// Says what is in a package
+    /// Show the contents of a package
     Inspect(Inspect),
-    /// Checks a package as a node would
+    /// Check a package as a node would
     Verify(verify::Arguments),
-    /// Says in what two packages differ
+    /// Compare two packages
     Diff(diff::Arguments),
-    /// Says what a package would have done on a recording, before it is pushed
+    /// Evaluate a package on a recording, before pushing it
     Evaluate(evaluate::Arguments),
-    /// Gives a package a new version
+    /// Give a package a new version
     Renumber(renumber::Arguments),
-    /// Signs a package
+    /// Sign a package
     Sign(Sign),
-    /// Makes a pair of keys for signing
+    /// Generate a key pair for signing
     Keygen(Keygen),
-    /// Makes a package of a network trained elsewhere (.npz or .safetensors)
+    /// Create a package from a network trained elsewhere (.npz or .safetensors)
     Import(convert::Import),
-    /// Writes a package's network for other tools (.npz or .safetensors)
+    /// Export a package's network for other tools (.npz or .safetensors)
     Export(convert::Export),
-    /// Makes a flash image of a package, for any flasher
+    /// Create a flash image of a package, for any flashing tool
     Image(image::Arguments),
 }
 
 /// Arguments of `weights inspect`.
 #[derive(Debug, Args)]
 pub(super) struct Inspect {
-    /// The package
+    /// Weight package
     package: PathBuf,
-    /// How the result is printed on standard output
+    /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -60,24 +60,24 @@ pub(super) struct Inspect {
 /// Arguments of `weights sign`.
 #[derive(Debug, Args)]
 pub(super) struct Sign {
-    /// The package
+    /// Weight package
     package: PathBuf,
-    /// The private key, as `weights keygen` or OpenSSL writes it
+    /// Private key, as written by `weights keygen` or OpenSSL
     #[arg(long)]
     key: PathBuf,
     #[command(flatten)]
     passphrase: Passphrase,
-    /// Replaces the signature by another key, if there is one
+    /// Replace an existing signature by another key
     #[arg(long)]
     replace_signature: bool,
-    /// Lets the package take the place of any version up to this one although it is older: how
-    /// to go back to a network that worked
+    /// Let the package replace any version up to this one, even if it is older: for going back to
+    /// an earlier network
     #[arg(long, value_name = "VERSION")]
     replaces: Option<u32>,
-    /// Where the signed package goes [default: in place of the package]
+    /// File to write [default: overwrite the package]
     #[arg(long)]
     out: Option<PathBuf>,
-    /// How the result is printed on standard output
+    /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -85,10 +85,10 @@ pub(super) struct Sign {
 /// Arguments of `weights keygen`.
 #[derive(Debug, Args)]
 pub(super) struct Keygen {
-    /// The private key goes to OUT.key, which must not exist yet, the public one to OUT.pub
+    /// Write the private key to OUT.key, which must not exist, and the public key to OUT.pub
     #[arg(long)]
     out: PathBuf,
-    /// How the result is printed on standard output
+    /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -123,7 +123,7 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
         package: String,
         bytes: usize,
         key_fingerprint: String,
-        /// There was a signature by another key.
+        /// Whether a signature by another key was replaced.
         replaced_signature: bool,
     }
     let mut bytes = PackageBytes::load(&arguments.package)?;
@@ -131,8 +131,7 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
     let replaced_signature = bytes.is_signed() && !bytes.is_signed_by(key.public_key());
     if replaced_signature && !arguments.replace_signature {
         return Err(CommandError::usage(format!(
-            "{}: is signed with another key than {}; give --replace-signature if that is to be \
-             replaced",
+            "{}: already signed with a key other than {}; give --replace-signature to replace it",
             arguments.package.display(),
             fingerprint(key.public_key())
         ))
@@ -141,7 +140,7 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
     if arguments.replaces.is_some() {
         bytes = Draft { replaces: arguments.replaces, ..Draft::copy(&bytes.package()) }.seal()?;
     }
-    // Nothing is signed that the operator's own nodes would refuse.
+    // Do not sign a package that nodes would refuse.
     check(&bytes, &verify::requirements(None, None))
         .map_err(|refusal| CommandError::refused(&arguments.package, &refusal))?;
     let signed = bytes.signed(&key);
@@ -180,12 +179,12 @@ fn keygen(arguments: &Keygen) -> Result<(), CommandError> {
     };
     let (private, public) = (with_ending(".key"), with_ending(".pub"));
     if public.symlink_metadata().is_ok() {
-        let problem = format!("{}: exists already", public.display());
+        let problem = format!("{}: already exists", public.display());
         return Err(
             CommandError::usage(problem + "; choose another name, or move it away").about(&public)
         );
     }
-    // The pair is there as a whole, or not at all.
+    // Write both keys or neither.
     drop(OutputFile::prepare(&public, FileKind::NEW)?);
     let key = OperatorKey::generate()?;
     key.write_new(&private)?;
@@ -203,7 +202,7 @@ fn keygen(arguments: &Keygen) -> Result<(), CommandError> {
     match arguments.format {
         Format::Json => print_json(&report),
         Format::Text => print_text(&format!(
-            "Private key: {} (for you alone: keep a safe copy, give it to no one)\n\
+            "Private key: {} (keep it secret and back it up)\n\
              Public key:  {} (for nodes and for `weights verify --key`)\n\
              Fingerprint: {}\n\
              For firmware (cargo xtask firmware --public-key): {}\n",
@@ -215,7 +214,7 @@ fn keygen(arguments: &Keygen) -> Result<(), CommandError> {
     }
 }
 
-/// The name of a file with another ending: `node1.weights` and `.slot-a.bin` give
+/// Replaces the extension of a file name: `node1.weights` and `.slot-a.bin` give
 /// `node1.slot-a.bin`.
 fn renamed(path: &Path, ending: &str) -> PathBuf {
     let mut name = path.with_extension("").into_os_string();

@@ -1,4 +1,4 @@
-//! `weights renumber`: an old package under a new version.
+//! `weights renumber`: gives a package a new version.
 
 use std::path::PathBuf;
 
@@ -12,15 +12,15 @@ use crate::shell::shell_word;
 /// Arguments of `weights renumber`.
 #[derive(Debug, Args)]
 pub(in crate::commands) struct Arguments {
-    /// The package
+    /// Weight package
     package: PathBuf,
-    /// Its new version: one above that of the package in use, for nodes to take it
+    /// New version; nodes accept it if it is above that of the package in use
     #[arg(long, visible_alias = "package-version")]
     version: u32,
-    /// Where the renumbered package goes [default: in place of the package]
+    /// File to write [default: overwrite the package]
     #[arg(long)]
     out: Option<PathBuf>,
-    /// How the result is printed on standard output
+    /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -31,7 +31,7 @@ struct Report {
     #[serde(flatten)]
     summary: PackageSummary,
     version_before: u32,
-    /// It had a signature, which is of the old version.
+    /// Whether the package had a signature, which is valid only for the old version.
     signature_dropped: bool,
 }
 
@@ -51,7 +51,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Format::Text => {
             let PackageSummary { bytes, agent, version } = report.summary;
             let mut text = format!(
-                "Written to {}: agent {agent}, version {version} (it was {}), {bytes} bytes, not \
+                "Written to {}: agent {agent}, version {version} (was {}), {bytes} bytes, not \
                  signed\n",
                 report.package, report.version_before
             );

@@ -1,4 +1,4 @@
-//! `weights verify`: everything that a node would check, by the node's own code.
+//! `weights verify`: runs all of a node's checks on a package, with the node's own code.
 
 use std::path::PathBuf;
 
@@ -16,34 +16,34 @@ use crate::signing::{fingerprint, read_public_key};
 /// Arguments of `weights verify`.
 #[derive(Debug, Args)]
 pub(in crate::commands) struct Arguments {
-    /// The package
+    /// Weight package
     package: PathBuf,
-    /// The node's public key: the package must be signed with its private half
+    /// Public key of the node, which the package's signature must match
     #[arg(long)]
     key: Option<PathBuf>,
-    /// The package that the node has in use: this one must be for the same agent and not older
+    /// Package in use on the node: the new one must be for the same agent and not older
     #[arg(long)]
     in_use: Option<PathBuf>,
-    /// The board's memory map: the package must fit a slot
+    /// Memory map of the board: the package must fit into a slot
     #[arg(long)]
     memory: Option<PathBuf>,
     #[command(flatten)]
     capacity: Sizes,
-    /// How the result is printed on standard output
+    /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
 
-/// What the node's firmware has room for; without them, there is room for everything.
+/// Capacity of the node's firmware; unlimited by default.
 #[derive(Debug, Args)]
 struct Sizes {
-    /// Features (nodes of the last inner layer) that the firmware has room for
+    /// Maximum number of features (nodes of the last inner layer) supported by the firmware
     #[arg(long)]
     features: Option<usize>,
-    /// Neighbours that the firmware has room for
+    /// Maximum number of neighbours supported by the firmware
     #[arg(long)]
     neighbours: Option<usize>,
-    /// Entries of the outer gain that the firmware has room for
+    /// Maximum number of outer gain entries supported by the firmware
     #[arg(long)]
     gain_entries: Option<usize>,
 }
@@ -67,7 +67,7 @@ struct Report {
     agent: Option<u16>,
     version: Option<u32>,
     signed: Option<bool>,
-    /// The signature was held against a key; without `--key` it is not.
+    /// Whether the signature was checked against a key (`--key`).
     signature_checked: bool,
     key_fingerprint: Option<String>,
     test_vectors: Option<usize>,
@@ -98,7 +98,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-/// What a node with this key and this package in use demands.
+/// Returns the requirements of a node with this key and this package in use.
 pub(super) fn requirements<'k>(
     key: Option<&'k PublicKey>,
     in_use: Option<&PackageBytes>,
@@ -113,7 +113,7 @@ pub(super) fn requirements<'k>(
     }
 }
 
-/// What a node says to the package: the inner error is its refusal, the outer one that something
+/// Checks the package. The inner error is the node's refusal; the outer error means that a file
 /// cannot be read.
 fn examine(arguments: &Arguments) -> Result<Result<Report, CommandError>, CommandError> {
     let key = arguments.key.as_deref().map(read_public_key).transpose()?;
@@ -139,7 +139,7 @@ fn examine(arguments: &Arguments) -> Result<Result<Report, CommandError>, Comman
     if let Some(slot) = slot_length.filter(|&slot| length as u64 > u64::from(slot)) {
         return Ok(Err(CommandError::unfit(
             &arguments.package,
-            &format!("the package has {length} bytes, a slot {slot}"),
+            &format!("the package has {length} bytes, but a slot has {slot}"),
             "train a smaller network, or give the node larger slots in memory.x",
         )));
     }
@@ -159,7 +159,7 @@ fn examine(arguments: &Arguments) -> Result<Result<Report, CommandError>, Comman
 fn text(arguments: &Arguments, report: &Report) -> String {
     let mut text = match (report.signature_checked, report.signed) {
         (false, Some(true)) => format!(
-            "{}: a node would accept it if the signature is right, which was NOT checked\n",
+            "{}: a node would accept it if the signature is valid, which was NOT checked\n",
             report.package
         ),
         (false, _) => {
@@ -170,15 +170,15 @@ fn text(arguments: &Arguments, report: &Report) -> String {
     let mut passed = |what: &str| text += &format!("  ok   {what}\n");
     passed("header, length and checksum");
     if let Some(fingerprint) = &report.key_fingerprint {
-        passed(&format!("signature by the key {fingerprint}"));
+        passed(&format!("signature by key {fingerprint}"));
     }
     passed("architecture, sizes and numbers");
-    passed("parameters in their ranges, K1 symmetric");
+    passed("parameters in range, K1 symmetric");
     if arguments.in_use.is_some() {
         passed("same agent, not older than the package in use");
     }
     if arguments.memory.is_some() {
-        passed("fits a slot");
+        passed("fits into a slot");
     }
     if let Some(count) = report.test_vectors {
         passed(&format!("{count} test vectors, bit for bit"));

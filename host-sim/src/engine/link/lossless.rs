@@ -1,4 +1,4 @@
-//! The paper's link: every broadcast reaches all neighbours at once and unharmed.
+//! The paper's link: every broadcast reaches all neighbours immediately and intact.
 
 use agent_core::Tick;
 
@@ -9,7 +9,7 @@ use crate::graph::Graph;
 #[derive(Clone, Debug)]
 pub struct Lossless {
     neighbours: Vec<Vec<usize>>,
-    /// The last broadcast of each agent, and when it was made.
+    /// The last broadcast of each agent, and its tick.
     last: Vec<(Option<Tick>, Vec<u8>)>,
 }
 

@@ -1,11 +1,10 @@
-//! What carries frames from agent to agent: one file a model.
+//! Link models, which carry frames between agents: one file per model.
 //!
-//! The engine hands over encoded frames and takes back encoded frames; what happens to them
-//! in between is the link's matter. Links that lose, delay or reorder wrap another one behind
-//! the same trait.
+//! A link receives encoded frames from the engine and delivers encoded frames. Links that lose, delay
+//! or reorder frames wrap another link behind the same trait.
 //!
-//! A new model is a file here, a variant of [`ScenarioLink`], and a variant of
-//! [`LinkModel`](crate::scenario::LinkModel) with the keys that it reads from `[link]`.
+//! To add a model, add a file here, a variant of [`ScenarioLink`], and a variant of
+//! [`LinkModel`](crate::scenario::LinkModel) with its keys of `[link]`.
 
 mod lossless;
 
@@ -20,15 +19,15 @@ use crate::scenario::{LinkModel, Scenario};
 /// The engine calls [`Link::send`] for the broadcasts of one tick in ascending order of the
 /// sender, then [`Link::deliver`] once for each receiver, possibly from several threads.
 pub trait Link: Sync {
-    /// Takes the frame that `sender` (from 0) broadcast at `tick`.
+    /// Sends the frame that `sender`, from 0, broadcast at `tick`.
     fn send(&mut self, sender: usize, tick: Tick, frame: &[u8]);
 
-    /// Hands to `accept` every frame that reaches `receiver` (from 0) in time for its step at
+    /// Calls `accept` with every frame that reaches `receiver`, from 0, in time for its step at
     /// `tick`.
     fn deliver(&self, receiver: usize, tick: Tick, accept: impl FnMut(&[u8]));
 }
 
-/// The link that a scenario describes.
+/// The link described by a scenario.
 #[derive(Clone, Debug)]
 pub enum ScenarioLink {
     /// See [`Lossless`].
@@ -36,7 +35,7 @@ pub enum ScenarioLink {
 }
 
 impl ScenarioLink {
-    /// Creates the link of a run. `seed` is the run's, for models that draw random numbers.
+    /// Creates the link of a run. `seed` is the run's seed, for models that draw random numbers.
     #[must_use]
     pub fn new(scenario: &Scenario, _seed: u64) -> Self {
         match scenario.link {

@@ -138,7 +138,7 @@ impl OutputFile {
                 let mode = before.as_ref().map(place::mode);
                 let (temporary, file) = Temporary::file(folder, mode).map_err(failed)?;
                 if let Some(before) = &before {
-                    place::resemble(&file, before)
+                    place::copy_attributes(&file, before)
                         .map_err(|_| OutputError::Owner { path: path.to_owned() })?;
                 }
                 Target::File { temporary, file, place, made }
@@ -237,8 +237,8 @@ pub fn destination(path: &Path) -> Result<Option<PathBuf>, OutputError> {
 ///
 /// # Errors
 /// The system's error, usually because the owner is another user.
-pub fn resemble(new: &Path, before: &fs::Metadata) -> io::Result<()> {
-    place::resemble(&File::open(new)?, before)
+pub fn copy_attributes(new: &Path, before: &fs::Metadata) -> io::Result<()> {
+    place::copy_attributes(&File::open(new)?, before)
 }
 
 /// Creates a folder for results, and its parents.

@@ -159,7 +159,7 @@ pub(super) fn mode(_: &Metadata) -> u32 {
 
 /// Copies owner and mode of the previous file to `file`.
 #[cfg(unix)]
-pub(super) fn resemble(file: &File, before: &Metadata) -> io::Result<()> {
+pub(super) fn copy_attributes(file: &File, before: &Metadata) -> io::Result<()> {
     use std::os::unix::fs::{MetadataExt, fchown};
     let own = file.metadata()?;
     let owner = (own.uid() != before.uid()).then_some(before.uid());
@@ -172,6 +172,6 @@ pub(super) fn resemble(file: &File, before: &Metadata) -> io::Result<()> {
 }
 
 #[cfg(not(unix))]
-pub(super) fn resemble(file: &File, before: &Metadata) -> io::Result<()> {
+pub(super) fn copy_attributes(file: &File, before: &Metadata) -> io::Result<()> {
     file.set_permissions(before.permissions())
 }

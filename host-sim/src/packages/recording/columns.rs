@@ -1,12 +1,12 @@
-//! The header of a file of samples: which column is what, and in which unit time is.
+//! The header of a sample file: the meaning of each column, and the unit of time.
 
 use super::source::Refusal;
 
-/// Where each quantity stands in a line.
+/// The columns of each quantity.
 #[derive(Debug)]
 pub(super) struct Columns {
     pub(super) time: usize,
-    /// What a time is multiplied by to be in seconds; `None` where the header names no unit.
+    /// Factor that converts a time to seconds; `None` if the header has no unit.
     pub(super) time_scale: Option<f64>,
     pub(super) estimate: Vec<usize>,
     pub(super) derivative: Vec<usize>,
@@ -14,31 +14,34 @@ pub(super) struct Columns {
 }
 
 impl Columns {
-    /// A problem and a hint if one is missing or in a unit that is not known.
+    /// Finds the columns, or returns a problem and a hint.
     pub(super) fn find(
         headers: &[String],
         dimension: usize,
         features: usize,
     ) -> Result<Self, Refusal> {
         let expected = format!(
-            "name the columns time, xhat1 to xhat{dimension}, dxhat1 to dxhat{dimension}, for the \
-             {dimension} state components of the scenario"
+            "use the columns time, xhat1 to xhat{dimension} and dxhat1 to dxhat{dimension} for the \
+             scenario's {dimension} state components"
         );
         if headers.iter().all(|name| name.trim().parse::<f64>().is_ok()) {
-            return Err(("the first line holds numbers, not names".to_owned(), expected));
+            return Err((
+                "the first line has numbers instead of column names".to_owned(),
+                expected,
+            ));
         }
         let names: Vec<Name> = headers.iter().map(|header| Name::of(header)).collect();
         let find = |name: &str| -> Result<usize, Refusal> {
             let mut places = names.iter().enumerate().filter(|(_, found)| found.word == name);
             match (places.next(), places.next()) {
                 (Some((place, _)), None) => Ok(place),
-                (None, _) => Err((format!("there is no column {name}"), expected.clone())),
-                _ => Err((format!("there are two columns {name}"), expected.clone())),
+                (None, _) => Err((format!("missing column {name}"), expected.clone())),
+                _ => Err((format!("duplicate column {name}"), expected.clone())),
             }
         };
         let too_many = format!("xhat{}", dimension + 1);
         if names.iter().any(|name| name.word == too_many) {
-            return Err((format!("there is a column {too_many}"), expected));
+            return Err((format!("unexpected column {too_many}"), expected));
         }
         let time = match find("time") {
             Err(missing) if names.iter().all(|name| name.word != "time") => {
@@ -64,9 +67,9 @@ impl Columns {
                 .map(|i| find(&format!("w{}_{}", i / dimension + 1, i % dimension + 1)))
                 .collect::<Result<_, _>>()?,
             found => {
-                let problem = format!("there are {found} columns of outer weights");
+                let problem = format!("{found} columns of outer weights");
                 let hint = format!(
-                    "write w1_1 to w{features}_{dimension} for the scenario's network, or none"
+                    "use w1_1 to w{features}_{dimension} for the scenario's network, or none"
                 );
                 return Err((problem, hint));
             }
@@ -75,13 +78,13 @@ impl Columns {
     }
 }
 
-/// A header, split: `Time (ms)` is `time` and `(ms)`.
+/// A column header split into name and unit: `Time (ms)` is `time` and `(ms)`.
 struct Name {
     word: String,
     unit: String,
 }
 
-/// What separates a name from its unit.
+/// Characters that separate a name from its unit.
 const SEPARATORS: &[char] = &[' ', '\t', '_', '/', '.', '-', ':', ','];
 
 impl Name {
@@ -97,7 +100,7 @@ impl Name {
         let digits = behind.strip_prefix('_').unwrap_or(behind);
         let length = digits.find(|c: char| !c.is_ascii_digit()).unwrap_or(digits.len());
         let (index, unit) = if is_time { ("", behind) } else { digits.split_at(length) };
-        // `timeout` is not the time, `xhat` not a component; `timeMs` is.
+        // `timeMs` is a time; `timeout` is not, and `xhat` alone is not a component.
         let camel =
             is_time && header.as_bytes()[..stem.len()].last().is_some_and(u8::is_ascii_lowercase);
         let separate = match unit.chars().next() {
@@ -112,7 +115,7 @@ impl Name {
     }
 }
 
-/// What a unit of time is in seconds.
+/// Returns a unit of time in seconds.
 fn seconds(unit: &str) -> Option<f64> {
     // The micro sign and the Greek letter look the same.
     Some(match unit.to_lowercase().replace('\u{b5}', "\u{3bc}").as_str() {
@@ -128,19 +131,19 @@ fn seconds(unit: &str) -> Option<f64> {
     })
 }
 
-/// What `unit`, as it stands behind the name, makes of a time; `None` if it is not there.
+/// Returns the factor that converts a time in this unit to seconds; `None` without a unit.
 fn time_scale(header: &str, unit: &str) -> Result<Option<f64>, Refusal> {
     let refused = || {
         if header.contains('\u{fffd}') {
             let problem = format!("the unit of {header:?} is not UTF-8");
-            return (problem, "save the file as UTF-8, or write us for microseconds".to_owned());
+            return (problem, "save the file as UTF-8, or use us for microseconds".to_owned());
         }
-        let problem = format!("the unit of time in {header:?} is not known");
-        (problem, "write `time [s]`, or [ms], [us], [ns], [min], [h]".to_owned())
+        let problem = format!("unknown unit of time in {header:?}");
+        (problem, "use `time [s]`, or [ms], [us], [ns], [min], [h]".to_owned())
     };
     let is_bracket = |c: char| "[](){}<>".contains(c);
     let inner = match unit.find(is_bracket) {
-        // Between name and brackets may stand what time it is.
+        // Words such as `since start` may precede the brackets.
         Some(at) => {
             let qualifiers = ["since", "start", "elapsed", "of", "the", "from", "relative", "run"];
             let mut words = unit[..at].split(SEPARATORS).filter(|word| !word.is_empty());
@@ -159,7 +162,7 @@ fn time_scale(header: &str, unit: &str) -> Result<Option<f64>, Refusal> {
     seconds(inner).map(Some).ok_or_else(refused)
 }
 
-/// Refuses a derivative by another unit of time than the second; nothing is scaled silently.
+/// Refuses derivatives per any unit of time but the second; they are never scaled.
 fn check_rate(header: &str, unit: &str) -> Result<(), Refusal> {
     let unit = unit.trim_matches(|c: char| "[](){}<> ".contains(c));
     let denominator = unit.rsplit_once('/').or_else(|| unit.rsplit_once(" per ")).or_else(|| {
@@ -169,8 +172,8 @@ fn check_rate(header: &str, unit: &str) -> Result<(), Refusal> {
     let Some((_, by)) = denominator else { return Ok(()) };
     match seconds(by.trim()) {
         Some(factor) if factor != 1.0 => Err((
-            format!("{header:?} is by {}", by.trim()),
-            "write derivatives by the second".to_owned(),
+            format!("{header:?} is per {}", by.trim()),
+            "use derivatives per second".to_owned(),
         )),
         _ => Ok(()),
     }
@@ -188,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn units_of_time_in_every_usual_spelling() {
+    fn accepts_common_spellings_of_time_units() {
         for (factor, spellings) in [
             (
                 1.0,
@@ -247,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn a_unit_that_is_not_known_is_refused() {
+    fn unknown_time_units_are_refused() {
         for spelling in [
             "time [m]",
             "time (ticks)",
@@ -265,12 +268,12 @@ mod tests {
             assert!(problem.contains("unit of"), "{spelling}: {problem}");
         }
         for spelling in ["timeout", "times", "tempo", "lifetime"] {
-            assert_eq!(scale(spelling), Err("there is no column time".to_owned()), "{spelling}");
+            assert_eq!(scale(spelling), Err("missing column time".to_owned()), "{spelling}");
         }
     }
 
     #[test]
-    fn derivatives_are_by_the_second_or_refused() {
+    fn derivatives_must_be_per_second() {
         for (unit, accepted) in [
             ("", true),
             (" [V/s]", true),
@@ -291,7 +294,7 @@ mod tests {
             let found = Columns::find(&headers, 1, 0);
             assert_eq!(found.is_ok(), accepted, "{unit}");
             if let Err((problem, hint)) = found {
-                assert!(problem.contains(unit) && hint.contains("by the second"), "{problem}");
+                assert!(problem.contains(unit) && hint.contains("per second"), "{problem}");
             }
         }
     }

@@ -1,17 +1,16 @@
-//! Recorded samples `(x_hat, d/dt x_hat)` of one agent, in memory and as a CSV file: what a
-//! network is trained on, whether a simulated agent recorded it or a real one.
+//! Recorded samples `(x_hat, d/dt x_hat)` of a simulated or real agent, in memory and as a CSV file.
 //!
-//! | column | what |
+//! | column | meaning |
 //! | --- | --- |
-//! | `time [s]` | when, at a fixed interval; where samples are missing, the recording has a gap; `[ms]`, `[us]`, `[ns]`, `[min]`, `[h]` are converted, without a unit it is seconds |
-//! | `xhat1` .. | the estimate, one column a component |
+//! | `time [s]` | sampling time, at a fixed interval; missing samples are gaps; `[ms]`, `[us]`, `[ns]`, `[min]` and `[h]` are converted, and the default is seconds |
+//! | `xhat1` .. | the estimate, one column per component |
 //! | `dxhat1` .. | its derivative |
-//! | `w1_1` .. (may be left out) | `W_hat`, row (feature) and column (component); where rows leave them empty, the last that does not counts |
+//! | `w1_1` .. (optional) | `W_hat`, row (feature) and column (component); the last nonempty line counts |
 //!
-//! Lines that begin with `#` are comments; at the head of a file they say where it comes from
-//! ([`super::recording_source`]). Units stand behind the names, as in `time (ms)`, `time_ms`, `xhat1 [V]`; only that of time is
-//! converted, and one that is not known is refused. Columns can come in any order, separated by
-//! commas, semicolons, tabs or bars, and others are ignored.
+//! Lines starting with `#` are comments; at the head of the file they state its origin
+//! ([`super::recording_source`]). Units follow the names, as in `time (ms)`, `time_ms` or `xhat1 [V]`;
+//! only units of time are converted, and unknown ones are refused. Columns can be in any order,
+//! separated by commas, semicolons, tabs or bars; other columns are ignored.
 
 mod columns;
 mod source;
@@ -27,50 +26,49 @@ use columns::Columns;
 pub use timing::Timing;
 use timing::timing;
 
-/// Samples of one agent, and what belongs to them.
+/// Recorded samples of one agent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recording {
-    /// `(x_hat, d/dt x_hat)` as recorded, in the order of time.
+    /// `(x_hat, d/dt x_hat)` as recorded, in time order.
     pub samples: Dataset,
-    /// Where a gap precedes a sample: its index. Between gaps samples are equidistant.
+    /// Indices of the samples that follow a gap. Between gaps, samples are equidistant.
     pub gaps: Vec<usize>,
-    /// When the first was taken. \[s\]
+    /// Time of the first sample. \[s\]
     pub start: f64,
     /// Time between two samples. \[s\]
     pub interval: f64,
-    /// What is missing in the gaps, and how regular the rest is.
+    /// Missing samples and regularity.
     pub timing: Timing,
-    /// `W_hat` that the network is to be trained for, row by row, shape `[L, n]`; `None` if the
-    /// recording does not have it.
+    /// `W_hat` to train the network for, row-major, shape `[L, n]`; `None` if not recorded.
     pub outer_weights: Option<Vec<f32>>,
 }
 
-/// Why a file of samples cannot be used.
+/// Why a sample file cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 #[error("{}{}: {problem}; {hint}", path.display(), line.map_or(String::new(), |l| format!(":{l}")))]
 pub struct RecordingError {
     /// The file.
     pub path: PathBuf,
-    /// Line, from 1, if it is about one.
+    /// The line concerned, from 1, if any.
     pub line: Option<u64>,
     /// What is wrong.
     pub problem: String,
-    /// What to do about it.
+    /// How to correct it.
     pub hint: String,
 }
 
-/// From here on, a time without a unit is the Unix time of another unit than the second. \[s\]
+/// Larger times without a unit are taken for Unix times that are not in seconds. \[s\]
 const UNIX_SECONDS_MAX: f64 = 1e11;
 
-/// A longer gap counts as one of so many samples: more than any window has, and few enough that
-/// the ticks of a million such gaps are still counts.
+/// Upper limit of the missing samples counted per gap: more than any window has, and low enough that
+/// the ticks after a million such gaps do not overflow.
 const MISSING_MAX: u64 = 1 << 40;
 
 impl Recording {
-    /// The samples between gaps, one data set for each piece.
+    /// Returns the segments between gaps, one data set each.
     ///
     /// # Panics
-    /// If a gap is not inside the samples; a loaded recording's are.
+    /// If a gap is outside the samples, which cannot happen for a loaded recording.
     pub fn pieces(&self) -> impl Iterator<Item = Dataset> + '_ {
         let starts = [0].into_iter().chain(self.gaps.iter().copied());
         let ends = self.gaps.iter().copied().chain([self.samples.len()]);
@@ -93,7 +91,7 @@ impl Recording {
     /// `features` features.
     ///
     /// # Errors
-    /// The first thing that is wrong, with file, line and hint.
+    /// Returns the first problem, with file, line and hint.
     pub fn load(path: &Path, dimension: usize, features: usize) -> Result<Self, RecordingError> {
         let wrong = |line: Option<u64>, problem: String, hint: &str| RecordingError {
             path: path.to_owned(),
@@ -102,7 +100,7 @@ impl Recording {
             hint: hint.to_owned(),
         };
         let (head, content) = source::open(path).map_err(|error| {
-            wrong(None, format!("cannot be read: {error}"), "give the path of a CSV file")
+            wrong(None, format!("cannot read: {error}"), "give the path of a CSV file")
         })?;
         source::check_text(&head).map_err(|(problem, hint)| wrong(None, problem, &hint))?;
         let delimiter = source::delimiter(&source::first_line(&head))
@@ -117,15 +115,17 @@ impl Recording {
             match error.kind() {
                 csv::ErrorKind::UnequalLengths { expected_len, len, .. } => wrong(
                     line,
-                    format!("has {len} fields, the header {expected_len}"),
-                    "give every line as many fields as the header",
+                    format!("{len} fields, but the header has {expected_len}"),
+                    "use the same number of fields in every line",
                 ),
                 csv::ErrorKind::Io(error) if is_too_large(error) => wrong(
                     None,
-                    format!("cannot be read: {error}"),
-                    "record less, or save it to files of less than 4 GiB with a line for each sample",
+                    format!("cannot read: {error}"),
+                    "record less, or split it into files below 4 GiB with one line per sample",
                 ),
-                _ => wrong(line, format!("cannot be read: {error}"), "write lines of a CSV file"),
+                _ => {
+                    wrong(line, format!("cannot read: {error}"), "check that the file is valid CSV")
+                }
             }
         };
         let start = reader.position().clone();
@@ -157,8 +157,8 @@ impl Recording {
             if columns.time_scale.is_none() && time.abs() > UNIX_SECONDS_MAX {
                 return Err(wrong(
                     line(),
-                    format!("the time {time:e} s is not one since 1970"),
-                    "write its unit into the header, as in `time [ms]`",
+                    format!("time {time:e} s is not plausible in seconds"),
+                    "state the unit in the header, as in `time [ms]`",
                 ));
             }
             let time = columns.time_scale.map_or(time, |scale| scaled(time, scale));
@@ -177,8 +177,8 @@ impl Recording {
                 if !same {
                     return Err(wrong(
                         line(),
-                        format!("is not after the line before: {before} s, then {time} s"),
-                        "write samples at a fixed interval, in the order of time",
+                        format!("time not increasing: {before} s, then {time} s"),
+                        "write samples at a fixed interval, in time order",
                     ));
                 }
                 inputs.truncate(first);
@@ -194,7 +194,7 @@ impl Recording {
             }
         }
         if times.len() < 2 {
-            let problem = format!("{} samples, at least 2 are needed", times.len());
+            let problem = format!("{} samples, expected at least 2", times.len());
             return Err(wrong(None, problem, "record more samples"));
         }
         let (interval, gaps, mut timing) = timing(&times);
@@ -204,7 +204,7 @@ impl Recording {
         Ok(Self { samples, gaps, start: times[0], interval, timing, outer_weights })
     }
 
-    /// When each sample was taken, counted in intervals from the first.
+    /// Returns the time of each sample, in intervals since the first.
     #[must_use]
     pub fn ticks(&self) -> Vec<u64> {
         let mut ticks: Vec<u64> = (0..self.samples.len() as u64).collect();
@@ -222,13 +222,13 @@ impl Recording {
     }
 }
 
-/// `time` in seconds. What has an exact inverse is divided by it: 3 ms are the number that `0.003`
-/// stands for.
+/// Returns `time` in seconds. Divides by the inverse where it is exact, so that 3 ms equals the number
+/// parsed from `0.003`.
 fn scaled(time: f64, scale: f64) -> f64 {
     if scale < 1.0 { time / (1.0 / scale).round() } else { time * scale }
 }
 
-/// What to do about a field that is not a finite number.
+/// Returns a hint for a field that is not a finite number.
 fn number_hint(text: &str, is_time: bool) -> &'static str {
     let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     let decimal_comma =
@@ -236,21 +236,20 @@ fn number_hint(text: &str, is_time: bool) -> &'static str {
             digits(whole) && rest.split(['e', 'E']).next().is_some_and(digits)
         });
     if decimal_comma {
-        return "write decimal points in place of decimal commas";
+        return "use decimal points instead of decimal commas";
     }
     let is_date = text.starts_with(|c: char| c.is_ascii_digit())
         && (text.contains(':') || text.matches(['-', '/']).count() == 2);
     if is_time && is_date {
-        return "write times in seconds, not as dates or times of day";
+        return "use times in seconds, not dates or times of day";
     }
     if text.contains('\u{fffd}') {
         return "save the file as UTF-8, with a finite number here";
     }
-    "write a finite number, or leave the line out and with it the sample"
+    "use a finite number, or delete the line"
 }
 
-/// Writes `samples` as a CSV file; `time` of each, and the outer weights that belong to them, row by
-/// row, or none.
+/// Writes `samples` as a CSV file, with the `time` of each and the outer weights, row-major, if any.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -303,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_reads_back_as_it_was_written() {
+    fn a_recording_round_trips() {
         let inputs = vec![0.1, 1.0 / 3.0, -2e-8, 4.0, 5.0, 6.5];
         let targets = vec![1.5, -0.25, 1e9, 3.0, 2.0, 1.0];
         let recording = Recording {
@@ -323,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_come_in_any_order_and_others_are_ignored() {
+    fn columns_can_be_in_any_order_and_others_are_ignored() {
         let text = "note,dxhat1 [V/s],Time,xhat1\nhello,2,0.5,1\n,4,0.6,3\n";
         let file = File::new("order.csv", text);
         let read = Recording::load(&file.0, 1, 4).unwrap();
@@ -335,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_sample_is_a_gap_and_jitter_is_none() {
+    fn a_missing_sample_is_a_gap_but_jitter_is_not() {
         let text = "time,xhat1,dxhat1\n0,1,2\n1.1,1,2\n2,1,2\n4,3,4\n5,3,4\n9,5,6\n";
         let file = File::new("gap.csv", text);
         let read = Recording::load(&file.0, 1, 4).unwrap();
@@ -345,32 +344,29 @@ mod tests {
     #[test]
     fn every_mistake_is_reported_with_its_line() {
         let cases = [
-            ("time,xhat1\n0,1\n", "1: there is no column dxhat1"),
-            ("time,xhat1,dxhat1,xhat1\n", "1: there are two columns xhat1"),
-            ("time,xhat1,dxhat1,xhat2\n", "1: there is a column xhat2"),
-            ("time,xhat1,dxhat1,w1_1\n", "1: there are 1 columns of outer weights"),
+            ("time,xhat1\n0,1\n", "1: missing column dxhat1"),
+            ("time,xhat1,dxhat1,xhat1\n", "1: duplicate column xhat1"),
+            ("time,xhat1,dxhat1,xhat2\n", "1: unexpected column xhat2"),
+            ("time,xhat1,dxhat1,w1_1\n", "1: 1 columns of outer weights"),
             ("time,xhat1,dxhat1\n0,1,2\n1,x,2\n", "3: \"xhat1\" is \"x\""),
             ("time,xhat1,dxhat1\n0,1,2\n1,NaN,2\n", "3: \"xhat1\" is \"NaN\""),
-            ("time,xhat1,dxhat1\n0,1,2\n1,2\n", "3: has 2 fields, the header 3"),
-            ("time,xhat1,dxhat1\n0,1,2\n1,2,3\n0.5,1,2\n", "4: is not after"),
-            ("time [m],xhat1,dxhat1\n0,1,2\n1,2,3\n", "1: the unit of time in \"time [m]\""),
-            ("time,xhat1,dxhat1\n0,1,2\n0,1,3\n", "3: is not after"),
+            ("time,xhat1,dxhat1\n0,1,2\n1,2\n", "3: 2 fields, but the header has 3"),
+            ("time,xhat1,dxhat1\n0,1,2\n1,2,3\n0.5,1,2\n", "4: time not increasing"),
+            ("time [m],xhat1,dxhat1\n0,1,2\n1,2,3\n", "1: unknown unit of time in \"time [m]\""),
+            ("time,xhat1,dxhat1\n0,1,2\n0,1,3\n", "3: time not increasing"),
             ("time,xhat1,dxhat1\n\n\n0,1,2\n\n1,x,2\n", "6: \"xhat1\" is \"x\""),
-            ("time,xhat1,dxhat1\r\n\r\n\r\n0,1,2\r\n\r\n1,2\r\n", "6: has 2 fields"),
-            ("\n\ntime,xhat1\n", "3: there is no column dxhat1"),
-            ("0,1,2\n1,2,3\n", "1: the first line holds numbers, not names"),
-            ("time xhat1 dxhat1\n0 1 2\n", "1: has columns separated by blanks"),
-            (
-                "time;xhat1;dxhat1\n0;1;2\n1;1,5;2\n",
-                "3: \"xhat1\" is \"1,5\"; write decimal points",
-            ),
+            ("time,xhat1,dxhat1\r\n\r\n\r\n0,1,2\r\n\r\n1,2\r\n", "6: 2 fields"),
+            ("\n\ntime,xhat1\n", "3: missing column dxhat1"),
+            ("0,1,2\n1,2,3\n", "1: the first line has numbers instead of column names"),
+            ("time xhat1 dxhat1\n0 1 2\n", "1: columns are separated by spaces"),
+            ("time;xhat1;dxhat1\n0;1;2\n1;1,5;2\n", "3: \"xhat1\" is \"1,5\"; use decimal points"),
             (
                 "time,xhat1,dxhat1\n2024-01-01 12:00:00,1,2\n",
-                "2: \"time\" is \"2024-01-01 12:00:00\"; write times in seconds, not as dates",
+                "2: \"time\" is \"2024-01-01 12:00:00\"; use times in seconds, not dates",
             ),
             (
                 "time,xhat1,dxhat1\n1700000000000,1,2\n",
-                "2: the time 1.7e12 s is not one since 1970; write its unit",
+                "2: time 1.7e12 s is not plausible in seconds; state the unit",
             ),
             ("<!DOCTYPE html>\n<html>", ": is an HTML or XML page"),
             ("{\"time\": [0, 1]}", ": is JSON"),
@@ -380,7 +376,7 @@ mod tests {
             ("PK\u{3}\u{4}...", ": is a zip archive, as .xlsx"),
             ("PAR1...", ": is a Parquet file"),
             ("", ": is empty"),
-            ("time,xhat1,dxhat1\n0,1,2\n", ": 1 samples, at least 2"),
+            ("time,xhat1,dxhat1\n0,1,2\n", ": 1 samples, expected at least 2"),
         ];
         for (text, expected) in cases {
             let file = File::new("wrong.csv", text);
@@ -393,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn separators_marks_and_line_ends_do_not_matter() {
+    fn separators_byte_order_marks_and_line_ends_do_not_matter() {
         let text = "time [s],\"xhat1 [a, b]\",dxhat1,note\n0,\"1\",2,x\n0.5,3,-4e-1,y\n";
         let expected = {
             let file = File::new("plain.csv", text);
@@ -422,7 +418,7 @@ mod tests {
     }
 
     #[test]
-    fn times_in_other_units_are_those_in_seconds() {
+    fn times_are_converted_to_seconds() {
         let with = |header: &str, times: [&str; 3]| {
             let [a, b, c] = times;
             let text = format!("{header},xhat1,dxhat1\n{a},1,2\n{b},3,4\n{c},5,6\n");
@@ -437,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sample_that_is_there_twice_counts_once() {
+    fn a_repeated_sample_counts_once() {
         let text = "time,xhat1,dxhat1\n0,1,2\n1,3,4\n1,3,4\n3,5,6\n4,7,8\n5,7,8\n";
         let file = File::new("twice.csv", text);
         let read = Recording::load(&file.0, 1, 0).unwrap();
@@ -448,9 +444,9 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn devices_that_never_end_are_refused() {
+    fn endless_devices_are_refused() {
         for (device, problem) in
-            [("/dev/zero", "binary data"), ("/dev/null", "is empty"), ("/", "cannot be read")]
+            [("/dev/zero", "binary data"), ("/dev/null", "is empty"), ("/", "cannot read")]
         {
             let message = Recording::load(Path::new(device), 1, 2).unwrap_err().to_string();
             assert!(message.contains(device) && message.contains(problem), "{message}");

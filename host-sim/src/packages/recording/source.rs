@@ -1,5 +1,4 @@
-//! A file of samples before it is read as a table: what kind of file it is, and how its columns are
-//! separated.
+//! Examines a sample file before it is parsed: its kind, and the separator of its columns.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
@@ -7,22 +6,22 @@ use std::path::Path;
 
 use crate::files::input::Limited;
 
-/// Longest file that is read. \[byte\]
+/// Maximum size of a file. \[byte\]
 const FILE_MAX: u64 = 4 << 30;
 
-/// Most that is read of a pipe or a device, which may never end: millions of samples. \[byte\]
+/// Maximum length read from a pipe or device, which may be endless: millions of samples. \[byte\]
 const STREAM_MAX: u64 = 256 << 20;
 
-/// Longest line. \[byte\]
+/// Maximum length of a line. \[byte\]
 const LINE_MAX: usize = 1 << 20;
 
-/// Bytes that the header's line must end in.
+/// Number of bytes in which the header line must end.
 const HEAD: usize = 64 << 10;
 
 /// A problem and a hint.
 pub(super) type Refusal = (String, String);
 
-/// The beginning of the file at `path`, and a reader of all of it.
+/// Returns the beginning of the file at `path`, and a reader of the whole file.
 pub(super) fn open(path: &Path) -> io::Result<(Vec<u8>, impl Read)> {
     let mut file = File::open(path)?;
     let limit = if file.metadata()?.is_file() { FILE_MAX } else { STREAM_MAX };
@@ -31,13 +30,13 @@ pub(super) fn open(path: &Path) -> io::Result<(Vec<u8>, impl Read)> {
     Ok((head.clone(), content(head, file, limit)))
 }
 
-/// All of a file of which `head` has been read already, up to `limit` bytes.
+/// Returns a reader of a whole file whose `head` has been read, up to `limit` bytes.
 fn content(head: Vec<u8>, rest: impl Read, limit: u64) -> impl Read {
     let inner = Limited::new(io::Cursor::new(head).chain(rest), limit);
     ShortLines { inner, length: 0 }
 }
 
-/// A reader that fails at a line that is too long, before a parser keeps all of it.
+/// A reader that fails at a line that is too long, before a parser buffers it.
 struct ShortLines<R> {
     inner: R,
     /// Bytes since the last line end.
@@ -50,7 +49,7 @@ impl<R: Read> Read for ShortLines<R> {
         for line in buffer[..read].split_inclusive(|byte| matches!(byte, b'\n' | b'\r')) {
             self.length += line.len();
             if self.length > LINE_MAX {
-                let problem = format!("a line has more than {} MiB", LINE_MAX >> 20);
+                let problem = format!("line longer than {} MiB", LINE_MAX >> 20);
                 return Err(io::Error::new(io::ErrorKind::FileTooLarge, problem));
             }
             if line.ends_with(b"\n") || line.ends_with(b"\r") {
@@ -61,7 +60,7 @@ impl<R: Read> Read for ShortLines<R> {
     }
 }
 
-/// Refuses what is not text, by the first bytes of the file.
+/// Refuses a file whose first bytes are not text.
 pub(super) fn check_text(head: &[u8]) -> Result<(), Refusal> {
     let refused = |problem: &str, hint: &str| Err((problem.to_owned(), hint.to_owned()));
     const EXPORT: &str = "export the table as CSV";
@@ -70,11 +69,11 @@ pub(super) fn check_text(head: &[u8]) -> Result<(), Refusal> {
         (&[0x28, 0xB5, 0x2F, 0xFD], "is compressed (zstd)", "`unzstd FILE` unpacks it"),
         (b"BZh", "is compressed (bzip2)", "`bunzip2 FILE` unpacks it"),
         (b"\xFD7zXZ", "is compressed (xz)", "`unxz FILE` unpacks it"),
-        (b"PK\x03\x04", "is a zip archive, as .xlsx, .ods and .npz files are", EXPORT),
+        (b"PK\x03\x04", "is a zip archive, like .xlsx, .ods and .npz files", EXPORT),
         (b"\xD0\xCF\x11\xE0", "is an old Excel file", EXPORT),
         (b"PAR1", "is a Parquet file", EXPORT),
         (b"\x89HDF", "is an HDF5 file", EXPORT),
-        (b"MATLAB 5.0", "is a MATLAB file", "write it with writetable in MATLAB"),
+        (b"MATLAB 5.0", "is a MATLAB file", "export it with writetable in MATLAB"),
         (b"SQLite format", "is a database", EXPORT),
     ];
     for (magic, problem, hint) in known {
@@ -99,13 +98,13 @@ pub(super) fn check_text(head: &[u8]) -> Result<(), Refusal> {
         Some(b'<') => refused("is an HTML or XML page", "download the CSV file itself"),
         Some(b'{' | b'[') => refused("is JSON", "write the samples as CSV"),
         _ if head.len() == HEAD && !head.iter().any(|byte| matches!(byte, b'\n' | b'\r')) => {
-            refused("has no line end in its first 64 KiB", "write one line for each sample")
+            refused("has no line end in its first 64 KiB", "write one line per sample")
         }
         _ => Ok(()),
     }
 }
 
-/// The first line that is neither blank nor a comment.
+/// Returns the first line that is neither blank nor a comment.
 pub(super) fn first_line(head: &[u8]) -> String {
     let text = head.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(head);
     let lines = text.split(|byte| matches!(byte, b'\n' | b'\r')).map(<[u8]>::trim_ascii);
@@ -113,10 +112,10 @@ pub(super) fn first_line(head: &[u8]) -> String {
     String::from_utf8_lossy(first.unwrap_or_default()).into_owned()
 }
 
-/// What separates the columns of a header that must hold at least three.
+/// Returns the separator of a header with at least three columns.
 ///
 /// # Errors
-/// A separator that is not supported, or none at all.
+/// If columns are separated by spaces, which is not supported.
 pub(super) fn delimiter(header: &str) -> Result<u8, Refusal> {
     let columns = |delimiter: u8| {
         let mut reader = csv::ReaderBuilder::new()
@@ -125,24 +124,24 @@ pub(super) fn delimiter(header: &str) -> Result<u8, Refusal> {
             .from_reader(header.as_bytes());
         reader.records().next().and_then(Result::ok).map_or(0, |record| record.len())
     };
-    // A comma may stand in a unit or a note; a column more counts, not that there is one.
+    // A unit or note may contain a comma, so the separator with the most columns is chosen.
     let best = [b',', b';', b'\t', b'|'].into_iter().max_by_key(|&d| (columns(d), d == b','));
     match best.filter(|&delimiter| columns(delimiter) >= 3) {
         Some(delimiter) => Ok(delimiter),
         None if header.split_whitespace().count() >= 3 => Err((
-            "has columns separated by blanks".to_owned(),
-            "separate columns by commas, semicolons or tabs".to_owned(),
+            "columns are separated by spaces".to_owned(),
+            "separate columns with commas, semicolons or tabs".to_owned(),
         )),
-        // What is missing is said by name.
+        // The missing columns are reported by name later.
         None => Ok(b','),
     }
 }
 
-/// The line, from 1, of the record that a reader begins to look for at `byte`, on `line`: blank
-/// lines and comments are passed over. A file that cannot be read a second time gives `line`.
+/// Returns the line, from 1, of the record that follows `byte`, on `line`, after blank lines and
+/// comments. Returns `line` if the file cannot be read a second time.
 pub(super) fn line_of(path: &Path, byte: u64, line: u64) -> u64 {
     let blanks = || -> io::Result<u64> {
-        // Opening a named pipe a second time would wait for another writer.
+        // Opening a named pipe again would wait for another writer.
         if !std::fs::metadata(path)?.is_file() {
             return Ok(0);
         }
@@ -171,7 +170,7 @@ pub(super) fn line_of(path: &Path, byte: u64, line: u64) -> u64 {
 mod tests {
     use super::*;
 
-    /// The same bytes without end.
+    /// Repeats the same bytes forever.
     struct Endless(&'static [u8], usize);
 
     impl Read for Endless {
@@ -185,10 +184,10 @@ mod tests {
     }
 
     #[test]
-    fn text_without_end_and_lines_without_end_are_refused() {
+    fn endless_files_and_lines_are_refused() {
         for (text, problem) in [
             (&b"1,2,3\r\n"[..], "larger than 3000000 bytes"),
-            (b"1,2,3,", "a line has more than 1 MiB"),
+            (b"1,2,3,", "line longer than 1 MiB"),
         ] {
             let mut bytes = Vec::new();
             let mut reader = content(b"time,xhat1,dxhat1\n".to_vec(), Endless(text, 0), 3_000_000);

@@ -1,34 +1,34 @@
-//! When samples were taken: the interval, what is missing, how even it is.
+//! Timing of samples: interval, gaps and jitter.
 
-/// From this many intervals on, the time between two samples is a gap: a sample is missing. What
-/// is less is jitter of the clock that wrote the times.
+/// Time between two samples, in intervals, from which on it is a gap. Smaller deviations are jitter of
+/// the recording clock.
 const GAP: f64 = 1.5;
 
-/// Jitter, as a share of the interval, that is not reported.
+/// Largest jitter that is not reported, as a share of the interval.
 const EVEN: f64 = 0.25;
 
 /// How regular the samples of a recording are.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Timing {
-    /// Samples that are missing in each gap, at least 1; as many entries as there are gaps.
+    /// Number of missing samples in each gap, at least 1; one entry per gap.
     pub missing: Vec<u64>,
-    /// Intervals that differ from the usual one by more than a quarter of it, and are not gaps.
+    /// Number of intervals, other than gaps, that deviate by more than a quarter.
     pub uneven: usize,
-    /// Largest difference of an interval from the usual one, gaps left out. \[s\]
+    /// Largest deviation of an interval, excluding gaps. \[s\]
     pub jitter: f64,
-    /// Lines that repeat the sample before them, and were left out.
+    /// Number of skipped lines that repeat the previous sample.
     pub repeated: usize,
 }
 
 impl Timing {
-    /// Samples that are missing in all gaps.
+    /// Returns the number of missing samples in all gaps.
     #[must_use]
     pub fn missing_samples(&self) -> u64 {
         self.missing.iter().fold(0, |sum, &missing| sum.saturating_add(missing))
     }
 }
 
-/// The time between two samples \[s\], the samples that a gap precedes, and how regular they are.
+/// Returns the interval \[s\], the indices of samples that follow a gap, and the regularity.
 ///
 /// `times` \[s\], at least two, ascending.
 pub(super) fn timing(times: &[f64]) -> (f64, Vec<usize>, Timing) {
@@ -38,7 +38,7 @@ pub(super) fn timing(times: &[f64]) -> (f64, Vec<usize>, Timing) {
     let median = sorted[sorted.len() / 2];
     let after_gap = steps.iter().enumerate().filter(|&(_, &step)| step >= GAP * median);
     let gaps: Vec<usize> = after_gap.map(|(index, _)| index + 1).collect();
-    // Without gaps the mean is what rounded times mean.
+    // The mean, excluding gaps, averages out the rounding of times.
     let regular: Vec<f64> = steps.iter().copied().filter(|&step| step < GAP * median).collect();
     let sum = regular.iter().fold(0.0, |sum, step| sum + step);
     let interval = sum / regular.len() as f64;
@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_missing_is_counted() {
+    fn missing_samples_are_counted() {
         let times = [0.0, 1.0, 2.0, 4.0, 5.0, 9.0, 10.0];
         let (interval, gaps, timing) = timing(&times);
         assert_eq!((interval, gaps), (1.0, vec![3, 5]));
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn jitter_is_told_apart_from_gaps() {
+    fn jitter_is_distinguished_from_gaps() {
         let times = [0.0, 1.0, 2.0, 3.25, 4.0, 5.0, 5.5, 6.5, 7.5];
         let (interval, gaps, timing) = timing(&times);
         assert!(gaps.is_empty());
