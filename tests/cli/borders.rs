@@ -62,10 +62,7 @@ fn recordings_in_other_formats_train_the_same_package() {
     }
     folder.write("other.csv", &lines.join("\n").replace("time [s]", "time (ticks)"));
     let error = folder.fail(&format!("train other.csv {TRAIN}"), 2);
-    assert!(
-        error.contains("other.csv:1: the unit of time in \"time (ticks)\" is not known"),
-        "{error}"
-    );
+    assert!(error.contains("other.csv:1: unknown unit of time in \"time (ticks)\""), "{error}");
 }
 
 #[test]
@@ -103,10 +100,10 @@ fn image_format_follows_the_file_extension() {
     folder.succeed(&format!("{image} --out x.img --format bin"));
     for (arguments, part) in [
         ("--out y.uf2", "requires the family of the chip"),
-        ("--out y.bin --format hex", "y.bin: ends as a bin file does, and --format says hex"),
-        ("--out y.hex --format uf2 --family 17", "ends as a hex file does, and --format says uf2"),
-        ("--out y.elf", "y.elf: its ending does not say what file to write; give --format"),
-        ("--out y", "its ending does not say"),
+        ("--out y.bin --format hex", "y.bin: the extension means bin, but --format is hex"),
+        ("--out y.hex --format uf2 --family 17", "the extension means hex, but --format is uf2"),
+        ("--out y.elf", "y.elf: unknown extension; give --format"),
+        ("--out y", "unknown extension"),
     ] {
         let error = folder.fail(&format!("{image} {arguments}"), 2);
         assert!(error.contains(part), "{arguments}: {error}");
@@ -198,7 +195,7 @@ fn signatures_are_checked_and_not_replaced_silently() {
     let checked = json(&folder, "weights verify node1.weights --key one.pub");
     assert_eq!(checked["signature_checked"], true);
     let error = folder.fail("weights verify node1.weights --key two.pub", 2);
-    assert!(error.contains("the private half of the node's key"), "{error}");
+    assert!(error.contains("the private key that matches the node's public key"), "{error}");
     let error = folder.fail(&sign("two"), 2);
     assert!(
         error.contains("signed with another key") && error.contains("--replace-signature"),
@@ -268,7 +265,7 @@ fn renumbering_keeps_provenance_and_drops_the_signature() {
     folder.succeed("weights sign node1.weights --key one.key");
     let before = json(&folder, "weights inspect node1.weights");
     let text = folder.succeed("weights renumber node1.weights --version 7 --out seven.weights");
-    assert!(text.contains("version 7 (it was 2)") && text.contains("Sign it again"), "{text}");
+    assert!(text.contains("version 7 (was 2)") && text.contains("Sign it again"), "{text}");
     let after = json(&folder, "weights inspect seven.weights");
     assert_eq!((&after["version"], &after["signed"]), (&7.into(), &false.into()));
     for (fact, value) in before.as_object().unwrap() {
@@ -298,7 +295,10 @@ fn rejects_a_successor_of_the_largest_version() {
         "weights import net.npz --base last.weights --out new.weights".to_owned(),
     ] {
         let error = folder.fail(&command, 2);
-        assert!(error.contains("last.weights: has version 4294967295, the largest"), "{error}");
+        assert!(
+            error.contains("last.weights: version 4294967295 is the largest possible"),
+            "{error}"
+        );
     }
     assert!(!folder.path("new.weights").exists());
 }
@@ -363,7 +363,7 @@ fn evaluates_a_package_with_the_nodes_code() {
     assert!(tests_close(number(&report["total"]["mse"]), total));
     let text = folder
         .succeed(&format!("weights evaluate node1.weights {SAMPLES} --smoothing-window 0.02"));
-    assert!(text.contains("0 samples (0.0 %) lie outside the box"), "{text}");
+    assert!(text.contains("0 samples (0.0 %) are outside the trained box"), "{text}");
     assert!(text.lines().filter(|line| line.contains(" %")).count() > n, "{text}");
 
     // Shifted by more than the width of the box, all samples are outside.
@@ -420,7 +420,7 @@ fn rejects_absurd_numbers_with_their_range() {
         let option =
             format!("weights evaluate node1.weights {SAMPLES} --smoothing-window={number}");
         let error = refused(&folder, &option);
-        assert!(error.contains("0 or above and below 1e9"), "{error}");
+        assert!(error.contains("at least 0 and below 1e9"), "{error}");
     }
 }
 
@@ -439,7 +439,7 @@ fn errors_about_oversized_nodes_name_the_scenario_keys() {
     let text = fs::read_to_string(folder.path("mine.toml")).unwrap();
     let bound = text.lines().find(|line| line.starts_with("bound = ")).expect("a bound").to_owned();
     for (lines, part) in [
-        ("bound = 1e38".to_owned(), "outer_law.bound without outer_law.boundary_layer is 9.5e37"),
+        ("bound = 1e38".to_owned(), "outer_law.bound minus outer_law.boundary_layer is 9.5e37"),
         (format!("{bound}\nsmoothing = 1e-39"), "outer_law.smoothing is 1e-39"),
     ] {
         folder.write("large.toml", &text.replacen(&bound, &lines, 1));

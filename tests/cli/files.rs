@@ -106,7 +106,7 @@ fn commands_do_not_overwrite_files_of_other_kinds() {
         let images = ["image.bin", "image.hex", "image.uf2"];
         for file in files.iter().chain(&images).filter(|file| **file != own) {
             let error = folder.fail(&format!("{image} --format {format} --out {file}"), 2);
-            let other_ending = format!("--format says {}", &format[..3]);
+            let other_ending = format!("--format is {}", &format[..3]);
             assert!(
                 error.contains("refusing to overwrite") || error.contains(&other_ending),
                 "{error}"
@@ -283,7 +283,7 @@ fn output_folder_contains_exactly_one_run() {
     // Without learning, the packages of the previous run are removed; a user's file is kept.
     folder.write("out/mine.txt", "mine\n");
     let text = folder.succeed("run mine.toml --out out --without-learning");
-    assert!(text.contains("Not of this run: mine.txt\n"), "{text}");
+    assert!(text.contains("Not from this run: mine.txt\n"), "{text}");
     assert!(!names(&folder, "out").iter().any(|name| name.ends_with(".weights")));
     // By default it uses another folder.
     folder.succeed("run mine.toml");
@@ -476,7 +476,7 @@ fn built_in_names_take_precedence_over_files() {
     folder.write("paper", &short().text());
     let (report, said) = listed(folder.run(run));
     assert_eq!(report["scenario"], "paper");
-    assert!(said.contains("write ./paper for the file"), "{said}");
+    assert!(said.contains("write ./paper to use the file"), "{said}");
     let (report, said) = listed(folder.run("run ./paper --format json --out other"));
     assert_eq!((&report["scenario"], said.as_str()), (&"scenario_builder".into(), ""));
     let error = folder.fail("run papper", 2);

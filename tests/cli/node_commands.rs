@@ -96,7 +96,7 @@ fn what_a_node_told_before_it_went_is_kept() {
     let (standard, error) = texts(&output);
     assert_eq!(output.status.code(), Some(1), "{error}");
     assert!(standard.contains("samples.csv: 49 samples"), "{standard}");
-    assert!(error.contains("closed at the other end"), "{error}");
+    assert!(error.contains("closed by the other end"), "{error}");
     assert_eq!(recorded(&folder.path("samples.csv")), 49);
 }
 
@@ -174,7 +174,7 @@ fn a_node_of_another_version_and_garbage_are_told_apart() {
         }
     });
     let error = folder.fail("node other", 1);
-    assert!(error.contains("version 2 of the protocol, this program version 1"), "{error}");
+    assert!(error.contains("protocol version 2, but this program uses version 1"), "{error}");
     listen(&folder.path("garbage"), |peer| {
         let bytes: Vec<u8> = (0..997u32).map(|i| (i * i % 251) as u8).collect();
         while peer.write(&bytes) {}
@@ -223,10 +223,10 @@ fn push_says_what_to_do_about_each_refusal() {
             "other",
             StoreError::Conflict { offset: 128 },
             1,
-            "another push to this node is under way",
+            "another push to this node is in progress",
         ),
-        ("flash", StoreError::Flash(NorFlashErrorKind::Other), 1, "the node's flash fails"),
-        ("trial", StoreError::OnTrial, 2, "decide about the package on trial"),
+        ("flash", StoreError::Flash(NorFlashErrorKind::Other), 1, "the node's flash failed"),
+        ("trial", StoreError::OnTrial, 2, "end the trial of the current package"),
     ];
     for (name, problem, code, expected) in cases {
         listen(&folder.path(name), move |peer| {
@@ -277,7 +277,7 @@ fn a_node_without_a_package_counts_in_ticks() {
     (without.package, without.samples, without.tick) = (None, 4, 1000);
     listen(&folder.path("node"), move |peer| tell_states(peer, without, 9, Duration::ZERO));
     let told = folder.succeed("monitor node --count 4 --every 1");
-    assert!(told.contains("runs the agent built into its firmware"), "{told}");
+    assert!(told.contains("running the agent built into the firmware"), "{told}");
     assert!(told.contains("tick         3  x_hat") && !told.contains("t = "), "{told}");
 }
 

@@ -211,7 +211,7 @@ fn cosim_ends_with_a_node_that_sends_invalid_messages() {
     let error = scripted(|_| {}, &[1, 2, 3, 4, 5, 6, 7, DELIMITER]);
     assert!(error.starts_with("agent 3 (script): it sends an unrecognised message: "), "{error}");
     let error = scripted(|_| {}, &framed(&Response::InUse { version: Some(2) }));
-    let expected = "agent 3 (script): it sends that version 2 is in use, where a state after its \
+    let expected = "agent 3 (script): it sends a report that version 2 is in use, where a state after its \
                     step is expected";
     assert!(error.starts_with(expected), "{error}");
     let error = scripted(

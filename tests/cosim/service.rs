@@ -110,7 +110,7 @@ fn cosim_nodes_are_recorded_trained_for_and_pushed_to_while_every_bit_agrees() {
         drop(broken);
         let pushed = folder.succeed("push nodes/agent-1.sock node.weights --confirm");
         assert!(
-            pushed.contains("version 2 pushed") && pushed.contains("from byte 640"),
+            pushed.contains("version 2 pushed") && pushed.contains("resumed at byte 640"),
             "{pushed}"
         );
         assert!(pushed.contains("in use and confirmed"), "{pushed}");

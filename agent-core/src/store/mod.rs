@@ -39,7 +39,7 @@
 //!
 //! # Cost
 //! Opening reads the commit area; loading reads the package in use (and the other one if the first
-//! is refused). Memory: less than 200 bytes plus the driver. No call erases more than the units
+//! is refused). Memory: less than 220 bytes plus the driver. No call erases more than the units
 //! that its bytes touch and one half of the commit area. [`Store::bytes`] only slices, and can be
 //! called in every step.
 

@@ -7,7 +7,6 @@
 //! Invariant: the same bits on every machine, as in [`super::elementary`].
 
 use super::elementary::{exp_of_negative, tanh};
-use super::propagation::BATCH;
 use agent_core::math::activation::Activation;
 use pulp::{Simd, WithSimd};
 
@@ -61,6 +60,11 @@ impl WithSimd for Activate<'_> {
         }
     }
 }
+
+/// Number of samples propagated together. Sums over samples are taken batch by batch, so this
+/// number affects the bits. With 64, the panels of a 12-wide layer fit the second-level cache and a
+/// strip of them the first.
+pub(super) const BATCH: usize = 64;
 
 /// `sensitivities[p][o] *= φ'(pre_activation[p])`, where `values` is φ(pre_activation).
 pub(super) struct ApplySlopes<'a> {

@@ -14,16 +14,12 @@
 //! Invariants: quantity-major rows with one f64 for each of [`BATCH`] samples, so that a vector
 //! holds neighbouring samples and each sample's sums run in the order above.
 
+pub(super) use super::activation::BATCH;
 use super::activation::{Activate, ApplySlopes};
 use super::panel_product::{PanelProduct, Store, round_up};
 use agent_core::math::activation::Activation;
 use agent_core::observer::network::{Architecture, LAYER_WIDTH_MAX};
 use pulp::Arch;
-
-/// Number of samples propagated together. Sums over samples are taken batch by batch, so this
-/// number affects the bits. With 64, the panels of a 12-wide layer fit the second-level cache and a
-/// strip of them the first.
-pub(super) const BATCH: usize = 64;
 
 /// Row length of weights as the left factor of a product: the largest number of inputs of a node,
 /// plus the bias, in whole cache lines.

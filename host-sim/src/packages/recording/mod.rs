@@ -373,7 +373,7 @@ mod tests {
             ("t\0i\0m\0e\0,\0x\0h\0", ": is UTF-16; save it as UTF-8"),
             ("\0t\0i\0m\0e\0,\0x\0h", ": is UTF-16; save it as UTF-8"),
             ("time,xhat1,dxhat1\n\0\0\0", ": is binary data"),
-            ("PK\u{3}\u{4}...", ": is a zip archive, as .xlsx"),
+            ("PK\u{3}\u{4}...", ": is a zip archive, like .xlsx"),
             ("PAR1...", ": is a Parquet file"),
             ("", ": is empty"),
             ("time,xhat1,dxhat1\n0,1,2\n", ": 1 samples, expected at least 2"),
