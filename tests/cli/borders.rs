@@ -198,7 +198,7 @@ fn signatures_are_checked_and_not_replaced_silently() {
     assert!(error.contains("the private key that matches the node's public key"), "{error}");
     let error = folder.fail(&sign("two"), 2);
     assert!(
-        error.contains("signed with another key") && error.contains("--replace-signature"),
+        error.contains("signed with a key other than") && error.contains("--replace-signature"),
         "{error}"
     );
     assert_eq!(fs::read(folder.path("node1.weights")).unwrap(), signed);

@@ -180,7 +180,7 @@ fn a_node_of_another_version_and_garbage_are_told_apart() {
         while peer.write(&bytes) {}
     });
     let error = folder.fail("node garbage", 1);
-    assert!(error.contains("damaged messages") && error.contains("baud rate"), "{error}");
+    assert!(error.contains("damaged and") && error.contains("baud rate"), "{error}");
     let error = folder.fail("node /dev/null", 1);
     assert!(error.contains("write serial:/dev/null"), "{error}");
 }

@@ -214,7 +214,7 @@ fn mistakes_on_the_command_line_say_what_to_do() {
         ),
         ("weights inspect mine.toml", "mine.toml"),
         ("weights sign out/agent1_cycle1.weights --key operator.pub", "operator.pub"),
-        ("weights keygen --out operator", "exists already"),
+        ("weights keygen --out operator", "already exists"),
         (
             "run mine.toml --weights out/agent1_cycle1.weights --weights out/agent1_cycle1.weights",
             "second",

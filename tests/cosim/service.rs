@@ -122,7 +122,7 @@ fn cosim_nodes_are_recorded_trained_for_and_pushed_to_while_every_bit_agrees() {
         // Pushing it again does not put it on trial again.
         assert_eq!(again["confirmed"], true);
         let again = folder.succeed("push nodes/agent-1.sock node.weights");
-        assert!(again.contains("was there already; in use and confirmed"), "{again}");
+        assert!(again.contains("already on the node; in use and confirmed"), "{again}");
         // Some steps with the new package.
         folder.succeed("monitor nodes/agent-1.sock --every 1 --count 50");
     });
