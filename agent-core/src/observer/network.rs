@@ -236,31 +236,41 @@ impl<S: AsRef<[f32]>> InnerNetwork<S> {
     ///
     /// Returns `None` if `x` does not have the length the architecture requires.
     pub fn features<'s>(&self, x: &[f32], scratch: &'s mut Scratch) -> Option<&'s [f32]> {
-        if x.len() != self.architecture.inputs() {
-            return None;
-        }
-        let (mut source, mut target) = (&mut scratch.first, &mut scratch.second);
-        let mut parameters = self.parameters.as_ref();
-        let mut inputs = x.len();
-        for (place, component) in source.iter_mut().zip(x) {
-            *place = *component;
-        }
-        for layer in self.architecture.layers() {
-            let width = usize::from(layer.width);
-            let (own, rest) = parameters.split_at_checked(width * (inputs + 1))?;
-            // Unreachable: `Architecture` bounds the width.
-            if width > target.len() || inputs > source.len() {
-                return None;
-            }
-            let outputs = &mut target[..width];
-            affine(own, &source[..inputs], outputs)?;
-            layer.activation.apply(outputs);
-            parameters = rest;
-            inputs = width;
-            core::mem::swap(&mut source, &mut target);
-        }
-        source.get(..inputs)
+        features(&self.architecture, self.parameters.as_ref(), x, scratch)
     }
+}
+
+/// Evaluates a network. Not generic, so that it is compiled in this crate and at its optimisation
+/// level, whatever the level of the firmware that calls it.
+#[inline(never)]
+fn features<'s>(
+    architecture: &Architecture,
+    mut parameters: &[f32],
+    x: &[f32],
+    scratch: &'s mut Scratch,
+) -> Option<&'s [f32]> {
+    if x.len() != architecture.inputs() {
+        return None;
+    }
+    let (mut source, mut target) = (&mut scratch.first, &mut scratch.second);
+    // The outputs of the layer before in `source`; the first layer reads `x` itself.
+    let mut width_before = None;
+    for layer in architecture.layers() {
+        let width = usize::from(layer.width);
+        let inputs = match width_before {
+            None => x,
+            Some(width) => source.get(..width)?,
+        };
+        let (own, rest) = parameters.split_at_checked(width * (inputs.len() + 1))?;
+        // Present: `Architecture` bounds the width.
+        let outputs = target.get_mut(..width)?;
+        affine(own, inputs, outputs)?;
+        layer.activation.apply(outputs);
+        parameters = rest;
+        width_before = Some(width);
+        core::mem::swap(&mut source, &mut target);
+    }
+    source.get(..width_before?)
 }
 
 /// Working memory for the outputs of two layers during evaluation.

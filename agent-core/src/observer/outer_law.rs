@@ -17,7 +17,9 @@
 //! weights by finite numbers or changes none.
 
 use crate::StateVector;
-use crate::math::numeric::{add_scaled, components, components_mut, dot, square_root, zeros};
+use crate::math::numeric::{
+    add_scaled, components, components_mut, dot, for_each, square_root, unrolled, zeros,
+};
 use crate::math::parameter::{ParameterError, finite};
 use crate::math::symmetric::SymmetricMatrix;
 use crate::observer::projection::ProjectionParams;
@@ -154,9 +156,7 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     pub fn combine(&self, features: &[f32]) -> StateVector<N> {
         let mut sum = zeros();
         let rows = self.rows.iter().zip(features);
-        for (row, &feature) in rows {
-            add_scaled(&mut sum, feature, row);
-        }
+        for_each(rows, |(row, &feature)| add_scaled(&mut sum, feature, row));
         sum
     }
 
@@ -191,10 +191,10 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
         for (row, &gained) in self.rows.iter().zip(gained) {
             let (row, direction) = (components(row), components(&direction));
             let mut sum = 0.0;
-            for lane in 0..N {
+            unrolled!(lane < N, {
                 let weight = planned.weight(row[lane], gained, direction[lane]);
                 sum += weight * weight;
-            }
+            });
             planned.norm_squared += sum;
         }
         if !planned.norm_squared.is_finite() {
@@ -213,9 +213,9 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     pub fn commit(&mut self, planned: &PlannedStep<N>) {
         for (row, &gained) in self.rows.iter_mut().zip(&self.gained_features) {
             let (row, direction) = (components_mut(row), components(&planned.direction));
-            for lane in 0..N {
+            unrolled!(lane < N, {
                 row[lane] = planned.weight(row[lane], gained, direction[lane]);
-            }
+            });
             if let Some(scale) = planned.scale {
                 row.iter_mut().for_each(|weight| *weight *= scale);
             }
