@@ -182,7 +182,7 @@ fn a_node_of_another_version_and_garbage_are_told_apart() {
     let error = folder.fail("node garbage", 1);
     assert!(error.contains("damaged and") && error.contains("baud rate"), "{error}");
     let error = folder.fail("node /dev/null", 1);
-    assert!(error.contains("write serial:/dev/null"), "{error}");
+    assert!(error.contains("use serial:/dev/null"), "{error}");
 }
 
 /// A package file of the paper's agent 1, in this folder.
