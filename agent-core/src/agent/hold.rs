@@ -137,9 +137,9 @@ mod tests {
     fn older_looking_samples_wait_for_silence_on_the_receivers_clock() {
         // The sender's clock is far ahead of the receiver's.
         let held = hold(1_000_000, 500).taken_over(40);
-        let anew = hold(0, 0);
-        assert!(!anew.replaces(&held, 50, 10));
-        assert!(anew.replaces(&held, 51, 10));
-        assert!(!anew.replaces(&held, 39, 10));
+        let restarted = hold(0, 0);
+        assert!(!restarted.replaces(&held, 50, 10));
+        assert!(restarted.replaces(&held, 51, 10));
+        assert!(!restarted.replaces(&held, 39, 10));
     }
 }

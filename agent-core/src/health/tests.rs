@@ -282,16 +282,21 @@ fn an_unusable_agent_restarts_and_its_sequence_continues() {
 #[test]
 fn only_consecutive_overflows_cause_a_restart() {
     let mut rig = Rig::new(&HealthSettings { fall_back: None, ..SETTINGS }, 0.0);
-    let (go_on, anew) = (Advice::Continue, Advice::Restart);
+    let (go_on, restart) = (Advice::Continue, Advice::Restart);
     let max = f32::MAX;
-    for (next, advice) in
-        [(max, go_on), (1.0, go_on), (max, go_on), (f32::NAN, go_on), (max, anew), (max, anew)]
-    {
+    for (next, advice) in [
+        (max, go_on),
+        (1.0, go_on),
+        (max, go_on),
+        (f32::NAN, go_on),
+        (max, restart),
+        (max, restart),
+    ] {
         let _ = rig.step_to(next);
         assert_eq!(rig.advice, advice);
     }
     rig.restart();
-    for advice in [go_on, anew] {
+    for advice in [go_on, restart] {
         assert_eq!(rig.step_to(max), Err(StepError::Diverged));
         assert_eq!(rig.advice, advice);
     }

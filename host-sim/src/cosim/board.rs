@@ -332,7 +332,7 @@ impl Board {
         Err(Fault::Unexpected { found: "another answer".to_owned(), expected: "a status" })
     }
 
-    /// Lets it begin anew, as after switching on.
+    /// Resets it, as a power cycle does.
     ///
     /// # Errors
     /// See [`Fault`].

@@ -66,7 +66,7 @@ pub enum Fault {
     Nonsense(String),
     /// What it sends does not belong here.
     #[error(
-        "it sends {found}, where {expected} is expected; see that nobody else talks to it and that \
+        "it sends {found}, where {expected} is expected; check that no other program uses it and that \
          it does not reset on its own"
     )]
     Unexpected {

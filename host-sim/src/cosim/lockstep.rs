@@ -277,7 +277,7 @@ impl RunObserver for Lockstep<'_> {
 
 impl Drop for Lockstep<'_> {
     fn drop(&mut self) {
-        // All at once, so that nobody waits for one after the other.
+        // All at once, so that their waits overlap.
         self.nodes.iter_mut().for_each(|node| node.board.terminate());
     }
 }

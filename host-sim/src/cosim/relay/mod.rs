@@ -99,7 +99,7 @@ impl Relay {
         Ok(Self { sockets, told, step, pace: Pace::default(), stop: service.stop.clone() })
     }
 
-    /// Whether somebody wants the run to end.
+    /// Whether a stop was requested.
     pub(super) fn is_over(&self, stop: &Stop) -> bool {
         stop.is_requested() || self.stop.load(Ordering::Relaxed)
     }
