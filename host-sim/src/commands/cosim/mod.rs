@@ -229,7 +229,7 @@ fn notice_text(arguments: &Arguments, agents: usize, notice: &Notice<'_>) -> Str
             });
             format!("{error}{restart}")
         }
-        Notice::StartedAgain { agent } => {
+        Notice::Restarted { agent } => {
             format!("Agent {agent} was restarted from the contents of its flash")
         }
         Notice::Late { share } => format!(
