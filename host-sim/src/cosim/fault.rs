@@ -136,7 +136,9 @@ fn quoted(text: &str) -> String {
     if text.is_empty() {
         "; find out why it exited, and try again".to_owned()
     } else {
-        format!(" with the output:\n{text}\n; fix the cause, or use firmware that runs on this board")
+        format!(
+            " with the output:\n{text}\n; fix the cause, or use firmware that runs on this board"
+        )
     }
 }
 

@@ -170,7 +170,8 @@ impl<'s> Lockstep<'s> {
                 sender.report.parted.is_some() && !sender.frames_agree
             });
             if let Some(neighbour) = deviating {
-                let reason = format!("its neighbour {} deviates from the simulation", neighbour + 1);
+                let reason =
+                    format!("its neighbour {} deviates from the simulation", neighbour + 1);
                 self.nodes[index].stop_comparing(tick, &reason);
             }
         }

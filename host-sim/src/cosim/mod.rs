@@ -44,7 +44,7 @@ mod socket;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use agent_core::health::HealthSettings;
 use serde::Serialize;

@@ -237,7 +237,8 @@ impl Qemu {
         }
         let origin = u64::from(self.region.origin).checked_sub(FLASH_ORIGIN.into());
         let origin = origin.filter(|_| self.region.end() <= u64::from(FLASH_ORIGIN) + FLASH_LENGTH);
-        let origin = origin.ok_or_else(|| wrong("the memory map places WEIGHTS outside this flash"))?;
+        let origin =
+            origin.ok_or_else(|| wrong("the memory map places WEIGHTS outside this flash"))?;
         let mut bytes = vec![0; self.region.length as usize];
         file.read_exact_at(&mut bytes, origin)?;
         let found = package_in_use(FlashCopy::new(&bytes), &self.region, key);

@@ -36,7 +36,9 @@ pub(super) struct Served {
 /// Side effect of a request.
 enum Effect {
     None,
-    Switched { back: bool },
+    Switched {
+        back: bool,
+    },
     /// The node deviates from the simulation, for this reason.
     Deviates(&'static str),
 }
