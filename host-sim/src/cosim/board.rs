@@ -123,8 +123,8 @@ impl Board {
         }
     }
 
-    /// Waits for the node to start, ensures that it runs this package, and starts it at this estimate.
-    /// Returns the frames it broadcasts.
+    /// Waits for the node to start, ensures that it runs this package, and starts it at this
+    /// estimate. Returns the frames it broadcasts.
     ///
     /// # Errors
     /// See [`Fault`].

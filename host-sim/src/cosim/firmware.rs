@@ -1,8 +1,8 @@
 //! Finds the firmware and the memory map of emulated nodes, in this order:
 //!
 //! 1. The files given on the command line.
-//! 2. The project that contains the current folder, whose firmware is built. No other project is ever
-//!    built; in particular, this program does not remember where it was built itself.
+//! 2. The project that contains the current folder, whose firmware is built. No other project is
+//! ever    built; in particular, this program does not remember where it was built itself.
 //! 3. The files installed beside this program by `cargo xtask install`, in `../share/host-sim`.
 
 use std::io::{BufRead, BufReader};
@@ -48,9 +48,9 @@ enum Source {
     Share(PathBuf),
 }
 
-/// Finds firmware and memory map; the project's firmware is built. With a `key`, the firmware accepts
-/// only packages signed with it. `say` is called with each line of the build's output, and `stop` ends
-/// the build.
+/// Finds firmware and memory map; the project's firmware is built. With a `key`, the firmware
+/// accepts only packages signed with it. `say` is called with each line of the build's output, and
+/// `stop` ends the build.
 ///
 /// # Errors
 /// See [`FirmwareError`].

@@ -1,8 +1,8 @@
 //! The run observer that steps nodes along with the simulated agents.
 //!
-//! Inputs are sent to all nodes before the first result is received, so that they compute in parallel.
-//! A node gets the frames broadcast by its neighbours' nodes, not those of the simulated agents, so an
-//! error propagates through the nodes as in a real network.
+//! Inputs are sent to all nodes before the first result is received, so that they compute in
+//! parallel. A node gets the frames broadcast by its neighbours' nodes, not those of the simulated
+//! agents, so an error propagates through the nodes as in a real network.
 
 use std::ops::ControlFlow;
 use std::time::Instant;

@@ -22,8 +22,9 @@
 //! | `relay`, `socket` | serve nodes to clients during a run |
 //! | [`fault`] | failures of a node |
 //!
-//! A node in the loop gets measurements and time by message instead of from a sensor and a clock. So a
-//! co-simulation, like any run, is a pure function of scenario and seed, regardless of the nodes' speed.
+//! A node in the loop gets measurements and time by message instead of from a sensor and a clock.
+//! So a co-simulation, like any run, is a pure function of scenario and seed, regardless of the
+//! nodes' speed.
 //!
 //! Health monitoring ([`agent_core::health`]) uses the recommended settings on nodes, and therefore
 //! also on the simulated agents.
@@ -154,8 +155,8 @@ pub struct CosimReport {
     pub elapsed_s: f64,
     /// Steps per second, each with a round trip to every node. \[1/s\]
     pub steps_per_s: f64,
-    /// Whether a stop was requested before the last step; `false` for a run that serves clients, where
-    /// this is the normal end.
+    /// Whether a stop was requested before the last step; `false` for a run that serves clients,
+    /// where this is the normal end.
     pub interrupted: bool,
     /// For a run that serves clients: achieved fraction of the requested speed, at most 1.
     pub real_time_kept: Option<f64>,
@@ -230,8 +231,8 @@ pub enum CosimError {
     /// The scenario's health settings differ from the nodes'.
     #[error(
         "scenario {scenario} has its own [health], but nodes in the loop use the recommended settings; \
-         remove [health], or set plausible_margin = {margin:?}, restart_after = {restart}, \
-         fall_back_after = 0 there",
+         remove [health], or set its plausible_margin = {margin:?}, restart_after = {restart}, \
+         fall_back_after = 0",
         margin = HealthSettings::RECOMMENDED.plausible_margin,
         restart = HealthSettings::RECOMMENDED.restart_after.map_or(0, |steps| steps.get()),
     )]

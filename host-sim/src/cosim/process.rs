@@ -1,8 +1,8 @@
 //! A child process that never outlives this one.
 //!
-//! A process that is killed cannot end its children. So a small shell guards each child: it reads from
-//! a pipe that only this process holds open, and if the pipe closes without a message, it kills the
-//! child and removes its folder.
+//! A process that is killed cannot end its children. So a small shell guards each child: it reads
+//! from a pipe that only this process holds open, and if the pipe closes without a message, it
+//! kills the child and removes its folder.
 
 use std::collections::VecDeque;
 use std::io::{self, Read, Write};

@@ -1,8 +1,8 @@
 //! Emulated nodes: one QEMU process each, with the flash in a file.
 //!
-//! The firmware keeps its weights in the board's memory at [`FLASH_ORIGIN`]. That memory is backed by a
-//! file, so its contents survive resets, as in a real flash. Initially the file is erased, with the
-//! start package in slot A.
+//! The firmware keeps its weights in the board's memory at [`FLASH_ORIGIN`]. That memory is backed
+//! by a file, so its contents survive resets, as in a real flash. Initially the file is erased,
+//! with the start package in slot A.
 //!
 //! Semihosting arguments select the node's channel: `node fifo IN OUT` or `node uart`.
 
@@ -79,8 +79,9 @@ impl Qemu {
         self.start_in(channel, folder, &flash, false, None)
     }
 
-    /// Starts a node with the flash in this file. A missing file is created, with `package` in it; an
-    /// existing one is used as it is. If this process is killed, the folder `temporary` is removed.
+    /// Starts a node with the flash in this file. A missing file is created, with `package` in it;
+    /// an existing one is used as it is. If this process is killed, the folder `temporary` is
+    /// removed.
     ///
     /// # Errors
     /// See [`Fault`]; nothing but the flash is then left behind.

@@ -12,7 +12,8 @@ use agent_core::service::{REQUEST_LENGTH_MAX, Response, State, Subscription, sen
 use agent_core::wire::cobs::{Decoder, Encoder};
 use serde::Serialize;
 
-/// Limit of a client's unsent output; beyond it, new messages are dropped, as on a slow line. \[byte\]
+/// Limit of a client's unsent output; beyond it, new messages are dropped, as on a slow line.
+/// \[byte\]
 const UNSENT_MAX: usize = 1 << 16;
 
 /// How long messages may be dropped before a client that does not read is disconnected.
@@ -50,8 +51,8 @@ impl Client {
         }
     }
 
-    /// Returns the next request. Damaged ones are ignored, as on a node. Reads only when no request is
-    /// queued, so that a client which sends too fast is slowed down.
+    /// Returns the next request. Damaged ones are ignored, as on a node. Reads only when no request
+    /// is queued, so that a client which sends too fast is slowed down.
     pub(super) fn request(&mut self) -> Option<Vec<u8>> {
         if self.requests.is_empty() {
             let mut buffer = [0; 1024];

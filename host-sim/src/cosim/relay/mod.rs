@@ -1,20 +1,20 @@
-//! Serves the nodes of a running co-simulation to clients, over one socket per node, as if they were
-//! real boards.
+//! Serves the nodes of a running co-simulation to clients, over one socket per node, as if they
+//! were real boards.
 //!
-//! Between two steps, the relay forwards requests of clients to the nodes, and the answers back: one
-//! request per node, its clients taking turns, and more only while there is time until the next step.
-//! So a client that floods a node with requests does not slow down the others. A client that does not
-//! read loses messages, and eventually its connection. The relay handles two things itself: the node
-//! always reports everything to the co-simulation, whatever its clients subscribe to, and time and
-//! frames come only from the simulator.
+//! Between two steps, the relay forwards requests of clients to the nodes, and the answers back:
+//! one request per node, its clients taking turns, and more only while there is time until the next
+//! step. So a client that floods a node with requests does not slow down the others. A client that
+//! does not read loses messages, and eventually its connection. The relay handles two things
+//! itself: the node always reports everything to the co-simulation, whatever its clients subscribe
+//! to, and time and frames come only from the simulator.
 //!
-//! A node that exits or hangs is stopped. The others continue, with the simulated agent in its place,
-//! and a reset request restarts it.
+//! A node that exits or hangs is stopped. The others continue, with the simulated agent in its
+//! place, and a reset request restarts it.
 //!
-//! A package activated by a client is also switched in for the simulated agent before the next step, so
-//! that comparing continues. Comparing stops for a node that a client resets or starts at another
-//! estimate, and for a node that receives frames from such a node which the simulated neighbour did not
-//! send.
+//! A package activated by a client is also switched in for the simulated agent before the next
+//! step, so that comparing continues. Comparing stops for a node that a client resets or starts at
+//! another estimate, and for a node that receives frames from such a node which the simulated
+//! neighbour did not send.
 
 mod client;
 mod node_socket;

@@ -158,7 +158,7 @@ impl NodeSocket {
             Some(request) => request,
         };
         let exchange = node.board.exchange(&request)?;
-        // In the node's order: what it tells comes before the end of its answer.
+        // In the node's order: unsolicited messages precede the end of the answer.
         for client in &mut self.clients {
             exchange.unsolicited.iter().for_each(|bytes| client.forward(bytes));
         }

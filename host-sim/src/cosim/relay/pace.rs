@@ -26,8 +26,8 @@ impl Pace {
         *self.next_step.get_or_insert_with(Instant::now)
     }
 
-    /// Starts `now` a step that was due at `due`. Returns the achieved fraction of the speed if a notice
-    /// is due.
+    /// Starts `now` a step that was due at `due`. Returns the achieved fraction of the speed if a
+    /// notice is due.
     pub(super) fn advance(&mut self, due: Instant, step: Duration, now: Instant) -> Option<f64> {
         self.started.get_or_insert(now);
         self.steps += 1;
