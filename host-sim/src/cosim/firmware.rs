@@ -2,7 +2,7 @@
 //!
 //! 1. The files given on the command line.
 //! 2. The project that contains the current folder, whose firmware is built. No other project is
-//! ever    built; in particular, this program does not remember where it was built itself.
+//!    ever built; in particular, this program does not remember where it was built itself.
 //! 3. The files installed beside this program by `cargo xtask install`, in `../share/host-sim`.
 
 use std::io::{BufRead, BufReader};
