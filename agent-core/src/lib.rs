@@ -6,7 +6,6 @@
 //! bits on every target: it uses only single-precision IEEE additions, subtractions,
 //! multiplications, divisions and comparisons, in the order the source fixes, never fused and never
 //! from a platform's math library.
-//! platform's mathematical library.
 //!
 //! # Modules, bottom up
 //! Each module depends only on those above it in this table.
@@ -21,11 +20,11 @@
 //! | [`store`] | packages in flash, safe against power loss at any instant | |
 //! | [`health`] | run-time faults: counters, fallback, restart | `Zeno Bound` |
 //! | [`service`] | requests and responses between a node and a laptop | |
+//!
 //! Parameters ([`agent::AgentParams`]) are immutable and can be placed in flash; all mutable data
 //! is in the state ([`agent::AgentState`]). Time, measurements and frames are arguments, and the
 //! frame to broadcast is a return value: nothing here touches a peripheral, except that [`store`]
 //! writes through the flash driver it is given.
-//! [`store`] writes through the flash driver that it is given.
 #![no_std]
 #![forbid(unsafe_code)]
 

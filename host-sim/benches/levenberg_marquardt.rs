@@ -1,4 +1,5 @@
-//! One Levenberg–Marquardt iteration on the paper's network, compared with one dense JᵀJ, on one core.
+//! One Levenberg–Marquardt iteration on the paper's network, compared with one dense JᵀJ, on one
+//! core.
 //!
 //! `cargo bench -p host-sim --bench levenberg_marquardt`
 //!

@@ -1,5 +1,5 @@
-//! Cost on the host of all of a node's checks on a package of the paper's size (2,096 bytes, 425 + 15
-//! parameters, four test vectors): `cargo bench -p host-sim --bench package`.
+//! Cost on the host of all of a node's checks on a package of the paper's size (2,096 bytes, 425 +
+//! 15 parameters, four test vectors): `cargo bench -p host-sim --bench package`.
 
 use agent_core::observer::network::Scratch;
 use agent_core::package::{Capacity, Package, Requirements, accept};

@@ -267,7 +267,7 @@ fn a_push_that_is_interrupted_says_so_and_no_more() {
     let output = ended(push);
     let (_, error) = texts(&output);
     assert_eq!(output.status.code(), Some(1), "{error}");
-    assert!(error.contains("interrupted") && !error.contains("board is on"), "{error}");
+    assert!(error.contains("interrupted") && !error.contains("board is running"), "{error}");
 }
 
 #[test]

@@ -93,7 +93,7 @@ impl FakeQemu {
 fn cosim_ends_with_a_node_that_never_starts() {
     let begun = Instant::now();
     let error = FakeQemu::new("cosim-hangs", "exec sleep 1000").failure();
-    assert!(error.starts_with("agent 2 (qemu): no opening of its channel within 0.6 s"), "{error}");
+    assert!(error.starts_with("agent 2 (qemu): no connection within 0.6 s"), "{error}");
     assert!(error.contains("--timeout"), "{error}");
     assert!(begun.elapsed() < Duration::from_secs(5));
 }
@@ -109,10 +109,13 @@ fn cosim_ends_with_a_node_that_opens_its_channel_and_says_nothing() {
 fn cosim_ends_with_a_node_that_dies() {
     let script = "exec 3<\"$in\" 4>\"$out\"; echo 'no such machine' >&2; exit 3";
     let error = FakeQemu::new("cosim-dies", script).failure();
-    assert!(error.starts_with("agent 2 (qemu): its process has ended (exit status: 3)"), "{error}");
+    assert!(
+        error.starts_with("agent 2 (qemu): the process has exited (exit status: 3)"),
+        "{error}"
+    );
     assert!(error.contains("no such machine"), "{error}");
     let error = FakeQemu::new("cosim-dies-early", "echo 'bad option'; exit 1").failure();
-    assert!(error.contains("(exit status: 1) and says:\nbad option"), "{error}");
+    assert!(error.contains("(exit status: 1) with the output:\nbad option"), "{error}");
 }
 
 #[test]
@@ -120,7 +123,7 @@ fn cosim_ends_with_a_node_that_prints_garbage() {
     let script = "exec 3<\"$in\" 4>\"$out\"; while printf 'garbage\\000' >&4; do sleep 0.02; done";
     let error = FakeQemu::new("cosim-garbage", script).failure();
     assert!(error.starts_with("agent 2 (qemu): no greeting within 0.6 s, only "), "{error}");
-    assert!(error.contains("messages that cannot be read"), "{error}");
+    assert!(error.contains("unreadable messages"), "{error}");
 }
 
 #[test]
@@ -209,16 +212,16 @@ fn framed(response: &Response<'_, Vec<f32>>) -> Vec<u8> {
 #[test]
 fn cosim_ends_with_a_node_that_sends_invalid_messages() {
     let error = scripted(|_| {}, &[1, 2, 3, 4, 5, 6, 7, DELIMITER]);
-    assert!(error.starts_with("agent 3 (script): it sends an unrecognised message: "), "{error}");
+    assert!(error.starts_with("agent 3 (script): received an unrecognised message: "), "{error}");
     let error = scripted(|_| {}, &framed(&Response::InUse { version: Some(2) }));
-    let expected = "agent 3 (script): it sends a report that version 2 is in use, where a state after its \
-                    step is expected";
+    let expected = "agent 3 (script): received a report that version 2 is in use instead of a \
+                    state after its step";
     assert!(error.starts_with(expected), "{error}");
     let error = scripted(
         |_| {},
         &framed(&Response::Health { tick: 0, counters: HealthCounters::default() }),
     );
-    assert!(error.starts_with("agent 3 (script): the connection is closed"), "{error}");
+    assert!(error.starts_with("agent 3 (script): the connection was closed"), "{error}");
     let error = scripted(|_| {}, &[]);
     assert!(error.starts_with("agent 3 (script): no state after its step within 0.6"), "{error}");
 }
@@ -226,13 +229,13 @@ fn cosim_ends_with_a_node_that_sends_invalid_messages() {
 #[test]
 fn cosim_reports_what_the_firmware_cannot_hold() {
     let error = scripted(|status| status.firmware.features = 4, &[0]);
-    assert!(error.contains("the agent has 5 features, the firmware has room for 4"), "{error}");
+    assert!(error.contains("the agent has 5 features, but the firmware has room for 4"), "{error}");
     let error = scripted(|status| status.firmware.dimension = 4, &[0]);
-    assert!(error.contains("3 state components, the firmware has room for 4"), "{error}");
+    assert!(error.contains("3 state components, but the firmware has room for 4"), "{error}");
     let error = scripted(|status| status.protocol = 9, &[0]);
-    assert!(error.contains("version 9 of the protocol"), "{error}");
+    assert!(error.contains("protocol version 9"), "{error}");
     let error = scripted(|status| status.firmware.signed_only = true, &[0]);
-    assert!(error.contains("signed packages only"), "{error}");
+    assert!(error.contains("accepts only signed packages"), "{error}");
 }
 
 #[test]

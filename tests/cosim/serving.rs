@@ -89,9 +89,9 @@ fn the_death_of_a_node_ends_its_line_only() {
         assert_eq!((board.compared, &board.parted, &board.ended), (report.steps, &None, &None));
     }
     let dead = &report.boards[1];
-    assert!(dead.ended.as_ref().unwrap().contains("the connection is closed"), "{dead:?}");
+    assert!(dead.ended.as_ref().unwrap().contains("the connection was closed"), "{dead:?}");
     assert!(dead.compared >= 20 && dead.compared < report.steps, "{dead:?}");
-    let death = "agent 2 (thread): the connection is closed";
+    let death = "agent 2 (thread): the connection was closed";
     assert_eq!(notices.iter().filter(|notice| notice.starts_with(death)).count(), 1, "{notices:?}");
 }
 
@@ -109,7 +109,7 @@ fn a_node_that_has_ended_is_started_again_by_a_reset() {
     });
     let board = &report.boards[2];
     assert_eq!((board.restarts, &board.ended, report.mismatches), (1, &None, 0));
-    assert!(notices.iter().any(|notice| notice == "StartedAgain { agent: 3 }"), "{notices:?}");
+    assert!(notices.iter().any(|notice| notice == "Restarted { agent: 3 }"), "{notices:?}");
 }
 
 /// Receives a node's messages.
@@ -167,10 +167,7 @@ fn what_is_not_a_socket_is_left_alone() {
     folder.write("nodes/agent-2.sock", "precious");
     let boards = "--boards unix:a,unix:b,unix:c";
     let error = folder.fail(&format!("cosim --serve nodes --without-learning {boards}"), 2);
-    assert!(
-        error.contains("agent-2.sock: there is something here that is not a socket"),
-        "{error}"
-    );
+    assert!(error.contains("agent-2.sock: not a socket"), "{error}");
     assert_eq!(std::fs::read(folder.path("nodes/agent-2.sock")).unwrap(), b"precious");
     // Nothing was created before the conflict was found.
     assert_eq!(std::fs::read_dir(folder.path("nodes")).unwrap().count(), 1);
@@ -261,5 +258,5 @@ fn a_host_that_is_killed_leaves_no_emulator_and_no_file() {
         next.wait().unwrap();
         line
     };
-    assert!(stderr.contains("there is no such program"), "{stderr}");
+    assert!(stderr.contains("program not found"), "{stderr}");
 }

@@ -1,4 +1,5 @@
-//! What a run measured for each agent, next to its baselines: a table for the terminal, and a CSV file.
+//! What a run measured for each agent, next to its baselines: a table for the terminal, and a CSV
+//! file.
 
 use std::path::Path;
 

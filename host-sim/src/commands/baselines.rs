@@ -104,8 +104,8 @@ pub(super) struct Baselines {
     outcomes: [Outcome; 2],
 }
 
-/// Which baselines to run beside a scenario (after `--without-learning` and `--weights`), and whether
-/// the run is itself one of them.
+/// Which baselines to run beside a scenario (after `--without-learning` and `--weights`), and
+/// whether the run is itself one of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Plan {
     pub(super) runs: [bool; 2],
@@ -152,8 +152,8 @@ pub(super) fn has_packages(scenario: &Scenario) -> bool {
 }
 
 impl Baselines {
-    /// Returns a baseline's statistics for each agent, or `None` if it was not run or failed. `itself`
-    /// holds the statistics of the run itself.
+    /// Returns a baseline's statistics for each agent, or `None` if it was not run or failed.
+    /// `itself` holds the statistics of the run itself.
     pub(super) fn agents<'s>(
         &'s self,
         baseline: Baseline,

@@ -1,5 +1,4 @@
-//! What a node tells about its board: what does not work there, and what its sensor and its link have
-//! reported.
+//! A node's report on its board: faults, and errors of its sensor and link.
 
 use agent_core::Tick;
 use agent_core::health::BoardErrors;
@@ -9,15 +8,15 @@ use serde::Serialize;
 use super::health;
 use crate::service::Message;
 
-/// What has been heard since a status was asked for.
+/// Messages about the board received with a status.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct BoardReport {
     faults: Vec<BoardFault>,
-    /// When, and what has failed; `None` if nothing has, or the node does not tell.
+    /// Error counts and their tick; `None` without errors, or if the node does not report them.
     errors: Option<(Tick, BoardErrors)>,
 }
 
-/// A node's status with what it tells about its board, for programs.
+/// A node's status and board report, for JSON.
 #[derive(Serialize)]
 pub(super) struct StatusReport<'a> {
     #[serde(flatten)]
@@ -27,10 +26,10 @@ pub(super) struct StatusReport<'a> {
 }
 
 impl BoardReport {
-    /// Takes notice of a message, if it is about the board.
-    pub(super) fn hear(&mut self, message: &Message<'_>) {
+    /// Records a message if it is about the board.
+    pub(super) fn record(&mut self, message: &Message<'_>) {
         match message {
-            // A request that was repeated is answered twice.
+            // A repeated request is answered twice.
             Message::Event(Event::BoardFault(fault)) if !self.faults.contains(fault) => {
                 self.faults.push(*fault);
             }
@@ -39,20 +38,20 @@ impl BoardReport {
         }
     }
 
-    /// The messages that say the same.
+    /// Returns messages with the same contents.
     pub(super) fn messages(&self) -> impl Iterator<Item = Message<'static>> {
         let fault = |fault: &BoardFault| Message::Event(Event::BoardFault(*fault));
         let errors = |(tick, counters)| Message::BoardErrors { tick, counters };
         self.faults.iter().map(fault).chain(self.errors.map(errors))
     }
 
-    /// Together with `status`.
+    /// Adds the report to `status`.
     pub(super) fn with<'a>(&'a self, status: &'a Status) -> StatusReport<'a> {
         let board_errors = self.errors.map_or_else(BoardErrors::default, |(_, errors)| errors);
         StatusReport { status, board_faults: &self.faults, board_errors }
     }
 
-    /// Lines to follow those of a status; none if all is well.
+    /// Returns lines to append to a status; empty without faults or errors.
     pub(super) fn text(&self) -> String {
         let faults = self.faults.iter().map(|fault| format!("  {}", fault_line(*fault)));
         let errors = self.errors.iter().map(|(_, errors)| format!("  {}", errors_line(errors)));
@@ -60,18 +59,18 @@ impl BoardReport {
     }
 }
 
-/// What does not work, as a line.
+/// Formats a fault as a line.
 pub(super) fn fault_line(fault: BoardFault) -> String {
     let text = match fault {
         BoardFault::Clock => {
-            "the crystal or the PLL did not start; the chip runs from its internal oscillator, and \
-             sampling periods are only as accurate as that"
+            "the crystal or the PLL did not start; the chip runs from its internal oscillator, which \
+             limits the accuracy of sampling periods"
         }
     };
     format!("board fault: {text}\n")
 }
 
-/// What has failed, as a line.
+/// Formats error counts as a line.
 pub(super) fn errors_line(errors: &BoardErrors) -> String {
     format!("board errors: {}\n", health::board_line(errors))
 }
@@ -81,16 +80,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_last_counts_count_and_a_fault_is_told_once() {
+    fn the_latest_counts_apply_and_a_fault_is_reported_once() {
         let mut report = BoardReport::default();
         assert_eq!(report.text(), "");
         let fault = Message::Event(Event::BoardFault(BoardFault::Clock));
         for count in [2, 3] {
             let counters = BoardErrors { sensor_bus: count, ..BoardErrors::default() };
-            report.hear(&fault);
-            report.hear(&Message::BoardErrors { tick: 7, counters });
+            report.record(&fault);
+            report.record(&Message::BoardErrors { tick: 7, counters });
         }
-        report.hear(&Message::Done);
+        report.record(&Message::Done);
         let counters = BoardErrors { sensor_bus: 3, ..BoardErrors::default() };
         let told: Vec<_> = report.messages().collect();
         assert_eq!(told, [fault, Message::BoardErrors { tick: 7, counters }]);

@@ -34,13 +34,13 @@ pub(super) fn line(counters: &HealthCounters) -> String {
     counted(HealthCounters::TABLE.into_iter().zip(counters.to_array()))
 }
 
-/// What sensor and link have reported, on one line.
+/// Returns the errors reported by sensor and link, on one line.
 #[cfg(unix)]
 pub(super) fn board_line(errors: &BoardErrors) -> String {
     counted(BoardErrors::TABLE.into_iter().zip(errors.to_array()))
 }
 
-/// The counts above 0, on one line.
+/// Returns the nonzero counts, on one line.
 #[cfg(unix)]
 fn counted(counts: impl Iterator<Item = ((&'static str, &'static str), u32)>) -> String {
     let counts = counts.filter(|(_, count)| *count > 0);

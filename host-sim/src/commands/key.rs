@@ -22,8 +22,8 @@ const FILE_MAX: u64 = 64 << 10;
 /// Source of the passphrase of an encrypted private key.
 #[derive(Debug, Args)]
 pub(super) struct Passphrase {
-    /// File whose first line is the passphrase of an encrypted private key [default: the environment
-    /// variable HOST_SIM_PASSPHRASE, else a prompt]
+    /// File whose first line is the passphrase of an encrypted private key [default: the
+    /// environment variable HOST_SIM_PASSPHRASE, else a prompt]
     #[arg(long, value_name = "FILE")]
     passphrase_file: Option<PathBuf>,
 }

@@ -3,9 +3,9 @@
 //! Results go to standard output: as text, or as one JSON object with `--format json`, which also
 //! covers errors. Messages go to standard error, and so does progress if that is a terminal.
 //!
-//! Exit codes: 0 success; 2 bad usage, bad input or refusal; 1 any other failure; 128 plus the signal
-//! number after a signal. A reader that closes the output early (`head`) does not change the exit
-//! code. Messages that cannot be written are dropped.
+//! Exit codes: 0 success; 2 bad usage, bad input or refusal; 1 any other failure; 128 plus the
+//! signal number after a signal. A reader that closes the output early (`head`) does not change the
+//! exit code. Messages that cannot be written are dropped.
 
 mod agent_table;
 mod baselines;
@@ -72,8 +72,8 @@ enum Command {
     Run(run::Arguments),
     /// Check a scenario without running it: gain, step, trigger, bounds
     ///
-    /// Exits with 0 even if there are warnings, with 1 if a run would be meaningless (for example if
-    /// the step is too long for the observer), and with 2 on bad input.
+    /// Exits with 0 even if there are warnings, with 1 if a run would be meaningless (for example
+    /// if the step is too long for the observer), and with 2 on bad input.
     Check(check::Arguments),
     /// Run a scenario together with emulated or real nodes and compare every bit
     #[cfg(unix)]
@@ -205,8 +205,8 @@ fn print_outcome(
     }
 }
 
-/// Loads the built-in scenario of that name, or the file `path`. A built-in name takes precedence over
-/// a file of the same name; `./NAME` refers to the file.
+/// Loads the built-in scenario of that name, or the file `path`. A built-in name takes precedence
+/// over a file of the same name; `./NAME` refers to the file.
 fn load_scenario(path: &Path) -> Result<Scenario, CommandError> {
     let Some((name, text)) = path.to_str().and_then(|name| Some((name, built_in(name)?))) else {
         return Ok(Scenario::load(path)?);

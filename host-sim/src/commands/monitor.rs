@@ -68,7 +68,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     interruption::listen(SecondSignal::Exit);
     let mut node = connect(&arguments.endpoint)?;
     let mut board = BoardReport::default();
-    let before = status_and(&mut node, RETRY_POLICY, &mut |message| board.hear(message))?;
+    let before = status_and(&mut node, RETRY_POLICY, &mut |message| board.record(message))?;
     let default = if arguments.record.is_some() { NonZeroU32::MIN } else { EVERY };
     let every = arguments.every.unwrap_or(default);
     let all_steps = every == NonZeroU32::MIN;

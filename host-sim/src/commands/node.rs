@@ -74,7 +74,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         }
     }
     let mut board = BoardReport::default();
-    let status = push::status_and(node, RETRY_POLICY, &mut |message| board.hear(message))?;
+    let status = push::status_and(node, RETRY_POLICY, &mut |message| board.record(message))?;
     match arguments.format {
         Format::Json => print_json(&board.with(&status)),
         Format::Text => print_text(&(text(&arguments.endpoint, &status) + &board.text())),

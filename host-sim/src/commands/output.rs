@@ -65,8 +65,8 @@ pub(super) fn tables(
     Ok(())
 }
 
-/// Writes the package of every training, if nodes have the scenario's trigger, and, where they were
-/// recorded, the samples that it was trained on.
+/// Writes the package of every training, if nodes support the scenario's trigger, and its training
+/// samples, if recorded.
 pub(super) fn packages(
     folder: &Path,
     scenario: &Scenario,
@@ -135,8 +135,8 @@ fn markers_of(scenario: &Scenario, switched: impl Fn(usize) -> bool) -> Vec<Mark
     times.into_iter().map(|(_, marker)| marker).collect()
 }
 
-/// Returns the errors of baselines over the evaluation window, in the order of [`Baseline::ALL`], for
-/// an error figure.
+/// Returns the errors of baselines over the evaluation window, in the order of [`Baseline::ALL`],
+/// for an error figure.
 pub(super) fn references(
     scenario: &Scenario,
     baselines: [Option<&[AgentStatistics]>; 2],

@@ -1,8 +1,8 @@
 //! Progress bars on the terminal: one for the steps of the simulation, one for the epochs of the
 //! training that reported last.
 //!
-//! The bars are drawn on standard error, at most ten times a second, and only if it is a terminal. An
-//! update that is not drawn costs a few atomic operations. Any thread may send updates.
+//! The bars are drawn on standard error, at most ten times a second, and only if it is a terminal.
+//! An update that is not drawn costs a few atomic operations. Any thread may send updates.
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 

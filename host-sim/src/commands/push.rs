@@ -96,7 +96,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-/// Reads the file and rejects a damaged package. The node checks whether it suits this node.
+/// Reads the file and rejects a damaged package. The node checks whether the package is for it.
 fn read(arguments: &Arguments) -> Result<Vec<u8>, CommandError> {
     let path = &arguments.package;
     let bytes = bytes::read_file(path)?;

@@ -76,8 +76,8 @@ pub(super) struct Spread {
 }
 
 impl Spread {
-    /// Returns the median and range, or `None` without values. The median of an even number of values
-    /// is the mean of the middle two.
+    /// Returns the median and range, or `None` without values. The median of an even number of
+    /// values is the mean of the middle two.
     pub(super) fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
         let mut values: Vec<f64> = values.collect();
         values.sort_by(f64::total_cmp);

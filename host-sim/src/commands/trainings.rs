@@ -12,7 +12,8 @@ use crate::report::tables::DIGITS;
 /// Number of trainings listed individually.
 const LINES: usize = 12;
 
-/// A training in the JSON report. Errors are mean squared errors of the packaged network. \[squared state unit/s^2\]
+/// A training in the JSON report. Errors are mean squared errors of the packaged network. \[squared
+/// state unit/s^2\]
 #[derive(Debug, Serialize)]
 pub(super) struct TrainingSummary {
     agent: usize,
@@ -51,8 +52,8 @@ pub(super) fn summaries(records: &[TrainingRecord]) -> Vec<TrainingSummary> {
     records.iter().map(TrainingSummary::new).collect()
 }
 
-/// Returns the share of variance explained by the last training of `agent`, from 1, on its validation
-/// samples, or on its training samples if there are none.
+/// Returns the share of variance explained by the last training of `agent`, from 1, on its
+/// validation samples, or on its training samples if there are none.
 pub(super) fn explained(records: &[TrainingRecord], agent: usize) -> Option<f64> {
     let quality = &records.iter().rfind(|record| record.agent == agent)?.quality;
     quality.validation.unwrap_or(quality.training).explained

@@ -28,8 +28,9 @@ pub(super) fn after(version: u32, of: &Path) -> Result<u32, CommandError> {
     })
 }
 
-/// Writes `package`, signed with `key`, to `out`, and returns it as written. If a package of the same
-/// or a later version is there by now, the version is increased, unless the user has `chosen` one.
+/// Writes `package`, signed with `key`, to `out`, and returns it as written. If a package of the
+/// same or a later version is there by now, the version is increased, unless the user has `chosen`
+/// one.
 ///
 /// # Errors
 /// As [`OutputFile::write`] and [`after`].
@@ -61,7 +62,8 @@ pub(super) fn save(
 /// file systems that cannot lock folders.
 ///
 /// # Errors
-/// [`ErrorCode::FolderInUse`](super::ErrorCode) if another command holds the lock for longer than [`LOCK_WAIT`].
+/// [`ErrorCode::FolderInUse`](super::ErrorCode) if another command holds the lock for longer than
+/// [`LOCK_WAIT`].
 fn lock(path: &Path) -> Result<Option<File>, CommandError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let folder = folder.unwrap_or(Path::new("."));

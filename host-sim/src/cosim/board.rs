@@ -1,4 +1,4 @@
-//! A node in the loop: the messages that co-simulation exchanges with it, and what it runs on.
+//! A node in the loop: the messages exchanged with it, and the process that runs it.
 
 use std::time::{Duration, Instant};
 
@@ -12,103 +12,103 @@ use crate::service::client::{decode, name};
 use crate::service::push::{self, PushError};
 use crate::service::{Client, Line, LineError, Message, RetryPolicy, ServiceError};
 
-/// How long a node has for everything that is not said otherwise.
+/// Default timeout for a node's reply.
 pub const TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Between two looks at whether the node's process still runs.
+/// Interval for checking whether the node's process is still running.
 const SLICE: Duration = Duration::from_millis(100);
 
-/// How long a process that has closed its line may take to end.
+/// How long to wait for a process to exit after it has closed its line.
 const END: Duration = Duration::from_secs(1);
 
-/// A node and the line to it.
+/// A node and its connection.
 #[derive(Debug)]
 pub struct Board {
     client: Client,
     /// Name, for messages.
     label: String,
-    /// Where it is an emulator: its process.
+    /// The emulator's process, if there is one.
     process: Option<Process>,
-    /// Whether it has a flash of its own, with whatever package in it, and a life before this.
-    lives_on: bool,
+    /// Whether its flash persists, so that it may already be running and have another package.
+    persistent: bool,
     timeout: Duration,
     /// Removed at the end, after the process.
     _folder: Option<TempDir>,
 }
 
-/// What a node did in a turn.
+/// What a node sent in a step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Turn {
-    /// What it told of it.
+    /// Its state after the step.
     pub state: Option<agent_core::service::State<Vec<f32>>>,
-    /// The frames that it broadcast.
+    /// The frames it broadcast.
     pub frames: Vec<Vec<u8>>,
-    /// What else it said, as it was framed.
-    pub unasked: Vec<Vec<u8>>,
+    /// Other messages, without framing.
+    pub unsolicited: Vec<Vec<u8>>,
 }
 
-/// What a node said to a request.
+/// A node's answer to a request.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Exchange {
-    /// The answer as it was framed, in its parts.
+    /// The messages of the answer, without framing.
     pub answers: Vec<Vec<u8>>,
-    /// The frames that it broadcast meanwhile.
+    /// Frames broadcast in the meantime.
     pub frames: Vec<Vec<u8>>,
-    /// What else it said, as it was framed.
-    pub unasked: Vec<Vec<u8>>,
+    /// Other messages, without framing.
+    pub unsolicited: Vec<Vec<u8>>,
 }
 
 impl Board {
-    /// The node at the end of a line, called `label`. If it `lives_on`, it has a package of its
-    /// own, which is replaced if it is another.
+    /// Creates a board on this line, called `label` in messages. If its flash is `persistent`, a
+    /// different package in it is replaced.
     #[must_use]
-    pub fn new(line: Line, label: &str, lives_on: bool) -> Self {
+    pub fn new(line: Line, label: &str, persistent: bool) -> Self {
         Self {
             client: Client::new(line),
             label: label.to_owned(),
             process: None,
-            lives_on,
+            persistent,
             timeout: TIMEOUT,
             _folder: None,
         }
     }
 
-    /// The same with a process that runs it and a folder with what the process needs.
+    /// Attaches the process that runs the node, and the folder with its files.
     #[must_use]
     pub fn with_process(mut self, process: Process, folder: TempDir) -> Self {
         (self.process, self._folder) = (Some(process), Some(folder));
         self
     }
 
-    /// What it runs on.
+    /// Returns the name used in messages.
     #[must_use]
     pub fn label(&self) -> &str {
         &self.label
     }
 
-    /// Lets what is under way go on for so long after a signal has asked for the end.
+    /// Sets how long waits continue after a stop request.
     pub fn set_grace(&mut self, grace: Duration) {
         self.client.set_grace(grace);
     }
 
-    /// Gives it this long for an answer.
+    /// Sets the timeout for replies.
     pub fn set_timeout(&mut self, timeout: Duration) {
         self.timeout = timeout;
     }
 
-    /// Ends its process at once, if it has one.
+    /// Kills its process, if there is one.
     pub fn kill(&mut self) {
         if let Some(process) = &mut self.process {
             process.kill();
         }
     }
 
-    /// Lets it go on with what its flash holds, and tell everything of every step. Returns how it is.
+    /// Continues with the contents of its flash, and subscribes to every step. Returns its status.
     ///
     /// # Errors
     /// See [`Fault`].
     pub fn rejoin(&mut self) -> Result<Status, Fault> {
-        let status = if self.lives_on { self.greet()? } else { self.hello()? };
+        let status = if self.persistent { self.greet()? } else { self.hello()? };
         if status.protocol != PROTOCOL_VERSION {
             return Err(Fault::Protocol { found: status.protocol });
         }
@@ -116,15 +116,15 @@ impl Board {
         Ok(status)
     }
 
-    /// Tells its process to end, without waiting, if it has one.
+    /// Terminates its process, if there is one, without waiting.
     pub fn terminate(&mut self) {
         if let Some(process) = &mut self.process {
             process.terminate();
         }
     }
 
-    /// Waits for it to have begun, sees that it is this agent with this package, and lets it begin at
-    /// this estimate. Returns the frames that it broadcasts meanwhile.
+    /// Waits for the node to start, ensures that it runs this package, and starts it at this
+    /// estimate. Returns the frames it broadcasts.
     ///
     /// # Errors
     /// See [`Fault`].
@@ -133,14 +133,14 @@ impl Board {
         package: &PackageBytes,
         estimate: &[f32],
     ) -> Result<Vec<Vec<u8>>, Fault> {
-        let mut status = if self.lives_on { self.greet()? } else { self.hello()? };
+        let mut status = if self.persistent { self.greet()? } else { self.hello()? };
         check_firmware(&status, package)?;
         let right = |status: &Status| {
             let checksum = push::checksum(package.as_bytes());
             let agent = package.package().node.agent;
             status.package.is_some_and(|used| (used.agent, used.checksum) == (agent, checksum))
         };
-        if self.lives_on {
+        if self.persistent {
             if !right(&status) {
                 self.replace(package.as_bytes())?;
             }
@@ -154,18 +154,18 @@ impl Board {
         self.start_at(estimate)
     }
 
-    /// Lets it tell everything of every step.
+    /// Subscribes to the state and outer weights of every step.
     ///
     /// # Errors
     /// See [`Fault`].
     pub fn subscribe(&mut self) -> Result<(), Fault> {
         let state_every = Some(core::num::NonZeroU32::MIN);
         let subscription = Subscription { state_every, outer_weights: true };
-        self.ask(&Request::Subscribe(subscription), "tell its states", is_done)?;
+        self.ask(&Request::Subscribe(subscription), "report its states", is_done)?;
         Ok(())
     }
 
-    /// Lets it begin at this estimate. Returns the frames that it broadcasts.
+    /// Starts it at this estimate. Returns the frames it broadcasts.
     ///
     /// # Errors
     /// See [`Fault`].
@@ -174,7 +174,7 @@ impl Board {
         self.ask(&Request::StartAt { estimate }, "start", is_done)
     }
 
-    /// Hands it the frames of its neighbours and its measurement: time for a step.
+    /// Sends the neighbours' frames and the measurement, which triggers a step.
     ///
     /// # Errors
     /// See [`Fault`].
@@ -192,7 +192,7 @@ impl Board {
         sent.map_err(|error| self.line_fault(error, "readiness to receive"))
     }
 
-    /// What it does then.
+    /// Receives the results of the step.
     ///
     /// # Errors
     /// See [`Fault`].
@@ -200,11 +200,11 @@ impl Board {
         const EXPECTED: &str = "a state after its step";
         let mut turn = Turn::default();
         let deadline = Instant::now() + self.timeout;
-        let mut said = 0;
+        let mut count = 0;
         loop {
             let bytes = self.message(deadline, "state after its step")?;
-            said = counted(said)?;
-            match heard(&bytes)? {
+            count = counted(count)?;
+            match decoded(&bytes)? {
                 Message::State(state) => {
                     turn.state = Some(state);
                     return Ok(turn);
@@ -216,19 +216,19 @@ impl Board {
                 message if message.is_answer() => {
                     return Err(Fault::Unexpected { found: name(&message), expected: EXPECTED });
                 }
-                _ => turn.unasked.push(bytes),
+                _ => turn.unsolicited.push(bytes),
             }
         }
     }
 
-    /// Hands over a package between two steps: it is in use from the next one on, on trial.
+    /// Sends a package and activates it on trial, from the next step on.
     ///
     /// # Errors
     /// See [`Fault`].
     pub fn push(&mut self, package: &[u8]) -> Result<(), Fault> {
         let retry_policy = RetryPolicy { timeout: self.timeout, tries: 1 };
         let client = &mut self.client;
-        // The next package would be refused while one is on trial; the simulated agent has none.
+        // A package is refused while another is on trial; simulated agents have no trials.
         let pushed = push::status(client, retry_policy)
             .and_then(|status| match status.package.and_then(|used| used.trial) {
                 Some(_) => push::confirm(client, retry_policy),
@@ -237,7 +237,7 @@ impl Board {
             .map_err(PushError::from)
             .and_then(|()| push::transfer(client, package, retry_policy, &mut |_| {}))
             .and_then(|_| push::activate(client, package, retry_policy));
-        pushed.map(|_| ()).map_err(|error| self.push_fault("take a package", error))
+        pushed.map(|_| ()).map_err(|error| self.push_fault("accept a package", error))
     }
 
     fn push_fault(&mut self, request: &'static str, error: PushError) -> Fault {
@@ -249,7 +249,7 @@ impl Board {
             PushError::Service(ServiceError::Unexpected { found, expected }) => {
                 Fault::Unexpected { found, expected }
             }
-            PushError::Service(ServiceError::Unrecognised(bytes)) => Fault::Nonsense(bytes),
+            PushError::Service(ServiceError::Unrecognised(bytes)) => Fault::Unrecognised(bytes),
             PushError::Service(ServiceError::Protocol { found }) => Fault::Protocol { found },
             PushError::Service(ServiceError::Garbage { .. }) => {
                 self.line_fault(LineError::Silent, "answer")
@@ -261,14 +261,14 @@ impl Board {
         }
     }
 
-    /// Puts another package into a flash that lives on, for good.
+    /// Replaces the package in a persistent flash permanently.
     fn replace(&mut self, package: &[u8]) -> Result<(), Fault> {
         self.push(package)?;
         self.ask(&Request::Confirm, "confirm its package", is_done)?;
         Ok(())
     }
 
-    /// Asks for what it has to do, and returns the frames that it broadcasts meanwhile.
+    /// Sends a request that must succeed, and returns the frames broadcast in the meantime.
     fn ask(
         &mut self,
         request: &Request<'_>,
@@ -277,7 +277,7 @@ impl Board {
     ) -> Result<Vec<Vec<u8>>, Fault> {
         let exchange = self.exchange(request)?;
         for answer in &exchange.answers {
-            match heard(answer)? {
+            match decoded(answer)? {
                 Message::Refused(problem) => {
                     return Err(Fault::Refused { request: what, problem });
                 }
@@ -290,7 +290,7 @@ impl Board {
         Ok(exchange.frames)
     }
 
-    /// Asks, and returns all that it says up to the end of the answer.
+    /// Sends a request, and returns all messages up to the end of the answer.
     ///
     /// # Errors
     /// See [`Fault`].
@@ -300,11 +300,11 @@ impl Board {
         sent.map_err(|error| self.line_fault(error, "readiness to receive"))?;
         let mut exchange = Exchange::default();
         let deadline = Instant::now() + self.timeout;
-        let mut said = 0;
+        let mut count = 0;
         loop {
             let bytes = self.message(deadline, "answer")?;
-            said = counted(said)?;
-            match heard(&bytes)? {
+            count = counted(count)?;
+            match decoded(&bytes)? {
                 Message::Broadcast { bytes } => exchange.frames.push(bytes.to_vec()),
                 message @ Message::Hello(_) => {
                     return Err(Fault::Unexpected { found: name(&message), expected: "an answer" });
@@ -314,25 +314,25 @@ impl Board {
                     exchange.answers.push(bytes);
                     return Ok(exchange);
                 }
-                _ => exchange.unasked.push(bytes),
+                _ => exchange.unsolicited.push(bytes),
             }
         }
     }
 
-    /// Asks how it is.
+    /// Requests its status.
     ///
     /// # Errors
     /// See [`Fault`].
     pub fn status(&mut self) -> Result<Status, Fault> {
         for answer in &self.exchange(&Request::Query)?.answers {
-            if let Message::Status(status) = heard(answer)? {
+            if let Message::Status(status) = decoded(answer)? {
                 return Ok(status);
             }
         }
-        Err(Fault::Unexpected { found: "another answer".to_owned(), expected: "a status" })
+        Err(Fault::Unexpected { found: "a different answer".to_owned(), expected: "a status" })
     }
 
-    /// Resets it, as a power cycle does.
+    /// Resets the node, as after power-on.
     ///
     /// # Errors
     /// See [`Fault`].
@@ -349,7 +349,7 @@ impl Board {
     pub fn hello(&mut self) -> Result<Status, Fault> {
         let deadline = Instant::now() + self.timeout;
         loop {
-            // Until it has begun, what comes may be anything.
+            // Before the greeting, anything may be received.
             if let Ok(bytes) = self.raw(deadline, "greeting")? {
                 match decode(&bytes) {
                     Ok(Message::Hello(status) | Message::Status(status)) => return Ok(status),
@@ -360,23 +360,23 @@ impl Board {
         }
     }
 
-    /// The status of a node that may have begun long ago, or be about to.
+    /// Requests the status of a node that may be running already, or still be starting.
     fn greet(&mut self) -> Result<Status, Fault> {
         let second = Duration::from_secs(1);
         let tries = u32::try_from(self.timeout.as_secs()).unwrap_or(u32::MAX).max(1);
         let retry_policy = RetryPolicy { timeout: self.timeout.min(second), tries };
         self.client.prepare_delimiter();
         push::status(&mut self.client, retry_policy)
-            .map_err(|error| self.push_fault("tell its status", error.into()))
+            .map_err(|error| self.push_fault("report its status", error.into()))
     }
 
-    /// The next message that arrived as it was sent.
+    /// Receives the next message; a damaged one is an error.
     fn message(&mut self, deadline: Instant, expected: &'static str) -> Result<Vec<u8>, Fault> {
         let message = self.raw(deadline, expected)?;
-        message.map_err(|error| Fault::Nonsense(error.to_string()))
+        message.map_err(|error| Fault::Unrecognised(error.to_string()))
     }
 
-    /// The next message, or what is wrong with it; whatever else comes, not after the deadline.
+    /// Receives the next message, or its framing error, before the deadline.
     fn raw(
         &mut self,
         deadline: Instant,
@@ -419,29 +419,29 @@ impl Board {
     fn end_of_process(&mut self, time: Duration) -> Option<Fault> {
         let process = self.process.as_mut()?;
         let status = process.ends_within(time)?;
-        Some(Fault::Ended { status: status.to_string(), said: process.said() })
+        Some(Fault::Ended { status: status.to_string(), output: process.output() })
     }
 }
 
-/// Whether the answer is that it has been done.
+/// Returns whether the message is [`Message::Done`].
 fn is_done(message: &Message<'_>) -> bool {
     matches!(message, Message::Done)
 }
 
-fn heard(bytes: &[u8]) -> Result<Message<'_>, Fault> {
+fn decoded(bytes: &[u8]) -> Result<Message<'_>, Fault> {
     decode(bytes).map_err(|error| match error {
-        ServiceError::Unrecognised(bytes) => Fault::Nonsense(bytes),
+        ServiceError::Unrecognised(bytes) => Fault::Unrecognised(bytes),
         ServiceError::Protocol { found } => Fault::Protocol { found },
-        other => Fault::Nonsense(other.to_string()),
+        other => Fault::Unrecognised(other.to_string()),
     })
 }
 
-/// Most messages that a node has to say between two of the simulator's. \[1\]
+/// Maximum number of messages from a node between two messages of the simulator.
 const MESSAGES_MAX: usize = 1024;
 
-/// One more message of so many.
-fn counted(said: usize) -> Result<usize, Fault> {
-    if said < MESSAGES_MAX { Ok(said + 1) } else { Err(Fault::Flood { messages: said }) }
+/// Counts a message, up to the maximum.
+fn counted(count: usize) -> Result<usize, Fault> {
+    if count < MESSAGES_MAX { Ok(count + 1) } else { Err(Fault::Flood { messages: count }) }
 }
 
 fn check_firmware(status: &Status, package: &PackageBytes) -> Result<(), Fault> {
@@ -466,8 +466,8 @@ fn check_firmware(status: &Status, package: &PackageBytes) -> Result<(), Fault> 
     Ok(())
 }
 
-/// Components as a message carries them.
+/// Converts components to the form used in messages.
 fn numbers(values: &[f32]) -> Numbers {
-    // A state has as many components as there is room for, or fewer.
+    // The capacity suffices for every state.
     Numbers::from_slice(values).unwrap_or_default()
 }

@@ -1,4 +1,4 @@
-//! What a node did, held against what the simulated agent did: bit for bit.
+//! Compares a node's steps with the simulated agent's, bit for bit.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::board::Turn;
 use crate::engine::run_observer::AgentStep;
 
-/// Where node and simulator differ.
+/// A difference between node and simulator.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Mismatch {
     /// The agent, from 1.
@@ -18,11 +18,11 @@ pub struct Mismatch {
     pub tick: Tick,
     /// What differs.
     pub quantity: &'static str,
-    /// Which component, row or byte of it, from 0; for outer weights, row by row.
+    /// Index of the component or byte, from 0; row-major for outer weights.
     pub component: Option<usize>,
-    /// What the node has. A number is followed by its bits.
+    /// Value on the node; a number is followed by its bits.
     pub node: String,
-    /// What the simulator has.
+    /// Value in the simulator.
     pub simulator: String,
 }
 
@@ -40,8 +40,8 @@ impl fmt::Display for Mismatch {
 /// A quantity, its component, and both values.
 type Difference = (&'static str, Option<usize>, String, String);
 
-/// The first difference between a node's turn at `tick` and the simulated agent's step; `agent`
-/// from 0.
+/// Returns the first difference between a node's step at `tick` and the simulated one; `agent` is
+/// numbered from 0.
 #[must_use]
 pub fn first_mismatch(
     agent: usize,
@@ -51,14 +51,14 @@ pub fn first_mismatch(
 ) -> Option<Mismatch> {
     let difference = match &turn.state {
         Some(state) => of_state(tick, state, step),
-        None => Some(("state", None, "not told".to_owned(), format!("of tick {tick}"))),
+        None => Some(("state", None, "not reported".to_owned(), format!("of tick {tick}"))),
     };
     let broadcast = step.broadcast;
     let difference = difference.or_else(|| of_frames(&turn.frames, broadcast));
     difference.map(|difference| mismatch(agent, tick, difference))
 }
 
-/// The first difference between the frames that announce a node and the simulated agent.
+/// Returns the first difference between the initial broadcasts of a node and the simulated agent.
 #[must_use]
 pub fn announcement_mismatch(
     agent: usize,
@@ -147,47 +147,47 @@ mod tests {
             derivative: vec![0.0, -3.0],
             outer_weights: vec![0.5; 4],
         };
-        Turn { state: Some(state), frames: vec![vec![1, 2, 3]], unasked: Vec::new() }
+        Turn { state: Some(state), frames: vec![vec![1, 2, 3]], unsolicited: Vec::new() }
     }
 
     #[test]
-    fn equal_bits_are_no_mismatch() {
+    fn equal_bits_are_not_a_mismatch() {
         assert_eq!(first_mismatch(0, 7, &turn(), &step(Some(&FRAME))), None);
     }
 
     #[test]
     fn every_difference_is_named_precisely() {
-        let told = |change: fn(&mut State<Vec<f32>>)| {
+        let difference = |change: fn(&mut State<Vec<f32>>)| {
             let mut turn = turn();
             change(turn.state.as_mut().unwrap());
             first_mismatch(1, 7, &turn, &step(Some(&FRAME))).unwrap().to_string()
         };
         let on = "agent 2, tick 7: ";
         assert_eq!(
-            told(|state| state.tick = 8),
+            difference(|state| state.tick = 8),
             format!("{on}tick is 8 on the node and 7 in the simulator")
         );
         assert_eq!(
-            told(|state| state.outcome = Outcome::Diverged),
+            difference(|state| state.outcome = Outcome::Diverged),
             format!("{on}outcome is Diverged on the node and Stepped in the simulator")
         );
-        // Minus zero is another number here.
+        // Negative zero differs from zero.
         assert_eq!(
-            told(|state| state.derivative[0] = -0.0),
+            difference(|state| state.derivative[0] = -0.0),
             format!(
                 "{on}derivative[0] is -0e0 (0x80000000) on the node and 0e0 (0x00000000) in the \
                  simulator"
             )
         );
         assert_eq!(
-            told(|state| state.estimate[1] = f32::from_bits(2.0f32.to_bits() + 1)),
+            difference(|state| state.estimate[1] = f32::from_bits(2.0f32.to_bits() + 1)),
             format!(
                 "{on}estimate[1] is 2.0000002e0 (0x40000001) on the node and 2e0 (0x40000000) in \
                  the simulator"
             )
         );
         assert_eq!(
-            told(|state| state.outer_weights.clear()),
+            difference(|state| state.outer_weights.clear()),
             format!("{on}outer weights is 0 numbers on the node and 4 numbers in the simulator")
         );
         let mut other = turn();

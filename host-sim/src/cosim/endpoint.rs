@@ -1,4 +1,4 @@
-//! What nodes run on, as a command line names it.
+//! What nodes run on, as given on the command line.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,12 +8,11 @@ use crate::service::Address;
 /// What a node runs on.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Endpoint {
-    /// An emulator that is started for it, with two pipes: the fastest way.
+    /// An emulator started for the node, over two pipes, which is fastest.
     Qemu,
-    /// An emulator that is started for it, with the serial line that a real board has, too.
+    /// An emulator started for the node, over a serial line like a real board's.
     QemuUart,
-    /// Something that runs already: a real board on a serial line, or an emulator of one's own behind
-    /// a socket.
+    /// A running node: a real board on a serial line, or a separate emulator behind a socket.
     At(Address),
 }
 
@@ -27,7 +26,7 @@ impl FromStr for Endpoint {
             _ if text.starts_with("serial:") || text.starts_with("unix:") => {
                 text.parse().map(Self::At)
             }
-            _ => Err("there are qemu, qemu-uart, serial:/dev/tty...[@BAUD] and unix:PATH".into()),
+            _ => Err("expected qemu, qemu-uart, serial:/dev/tty...[@BAUD] or unix:PATH".into()),
         }
     }
 }
@@ -42,10 +41,10 @@ impl fmt::Display for Endpoint {
     }
 }
 
-/// One endpoint for each of `agents` agents, from a list of one for all or one for each.
+/// Returns one endpoint per agent, from a list of one for all or one for each.
 ///
 /// # Errors
-/// Another number of them, or something that runs already for more than one agent.
+/// If the number does not match, or a running node is given for more than one agent.
 pub fn for_agents(list: &[Endpoint], agents: usize) -> Result<Vec<Endpoint>, String> {
     let endpoints = match list {
         [one] => vec![one.clone(); agents],
@@ -53,7 +52,7 @@ pub fn for_agents(list: &[Endpoint], agents: usize) -> Result<Vec<Endpoint>, Str
         list => {
             let found = list.len();
             return Err(format!(
-                "{found} boards for {agents} agents; name one for all, or one for each, \
+                "{found} boards for {agents} agents; give one for all, or one for each, \
                  separated by commas"
             ));
         }
@@ -61,7 +60,7 @@ pub fn for_agents(list: &[Endpoint], agents: usize) -> Result<Vec<Endpoint>, Str
     for (index, endpoint) in endpoints.iter().enumerate() {
         let shared = matches!(endpoint, Endpoint::At(_)) && endpoints[..index].contains(endpoint);
         if shared {
-            return Err(format!("{endpoint} is one board; name another for each agent"));
+            return Err(format!("{endpoint} is one board; give a separate one for each agent"));
         }
     }
     Ok(endpoints)
@@ -72,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_board_stands_for_all_that_can_be_started() {
+    fn an_emulated_board_can_be_given_once_for_all_agents() {
         let list = |text: &str| -> Vec<Endpoint> {
             text.split(',').map(|entry| entry.parse().unwrap()).collect()
         };

@@ -1,8 +1,8 @@
-//! What can go wrong with a node in the loop.
+//! Failures of a node in the loop.
 
 use agent_core::service::{PROTOCOL_VERSION, Problem};
 
-/// A node that cannot go on, and so a co-simulation that cannot.
+/// A failed node, which ends the co-simulation.
 #[derive(Debug, thiserror::Error)]
 #[error("agent {agent} ({board}): {fault}")]
 pub struct NodeError {
@@ -10,141 +10,142 @@ pub struct NodeError {
     pub agent: usize,
     /// What the node runs on.
     pub board: String,
-    /// What is wrong.
+    /// The failure.
     #[source]
     pub fault: Fault,
 }
 
-/// What is wrong with a node.
+/// A node's failure.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Fault {
-    /// It says nothing.
+    /// The node does not reply.
     #[error(
         "no {expected} within {seconds} s{}; {}",
-        if *damaged > 0 { format!(", only {damaged} messages that cannot be read") } else { String::new() },
+        if *damaged > 0 { format!(", only {damaged} unreadable messages") } else { String::new() },
         if *damaged > 0 {
-            "see that firmware and host-sim are of the same version, and that the speed of a serial \
-             line is right (serial:PATH@BAUD)"
+            "check that firmware and host-sim have the same version, and the baud rate of a serial line \
+             (serial:PATH@BAUD)"
         } else {
-            "if it is only slow, allow more with --timeout; otherwise see that the firmware is for \
-             this board and works on its own"
+            "if the node is slow, raise --timeout; otherwise check that the firmware is for this board \
+             and runs on its own"
         }
     )]
     Silent {
-        /// What was waited for.
+        /// The expected message.
         expected: &'static str,
-        /// How long. \[s\]
+        /// The timeout. \[s\]
         seconds: f64,
-        /// Messages that came and could not be read.
+        /// Number of unreadable messages.
         damaged: u64,
     },
-    /// Its process has ended.
-    #[error("its process has ended ({status}){}", quoted(.said))]
+    /// The node's process has exited.
+    #[error("the process has exited ({status}){}", quoted(.output))]
     Ended {
-        /// How.
+        /// Its exit status.
         status: String,
-        /// The end of what it has written to its console.
-        said: String,
+        /// The end of its console output.
+        output: String,
     },
-    /// The line to it is closed.
-    #[error("the connection is closed at the other end; see what has become of the board")]
+    /// The connection was closed.
+    #[error("the connection was closed by the other end; check that the board is still running")]
     Closed,
-    /// It says more than any node has to say.
+    /// The node sends more messages than any node should.
     #[error(
-        "it has sent {messages} messages in place of an answer; see that its firmware is for this board, \
+        "received {messages} messages instead of an answer; check that the firmware is for this board, \
          and reset it"
     )]
     Flood {
-        /// How many messages.
+        /// Number of messages.
         messages: usize,
     },
-    /// What it sends is no message.
+    /// An unknown message.
     #[error(
-        "it sends an unrecognised message: {0}; build firmware and host-sim from the same source"
+        "received an unrecognised message: {0}; build firmware and host-sim from the same source"
     )]
-    Nonsense(String),
-    /// What it sends does not belong here.
+    Unrecognised(String),
+    /// An unexpected message.
     #[error(
-        "it sends {found}, where {expected} is expected; check that no other program uses it and that \
-         it does not reset on its own"
+        "received {found} instead of {expected}; check that no other program is using the node and that \
+         it does not reset by itself"
     )]
     Unexpected {
-        /// What came.
+        /// The message received.
         found: String,
-        /// What should have.
+        /// The message expected.
         expected: &'static str,
     },
-    /// It does not do what it is asked.
-    #[error("it refuses to {request}: {problem}; {}", hint(*problem))]
+    /// The node refused a request.
+    #[error("the node refused to {request}: {problem}; {}", hint(*problem))]
     Refused {
-        /// What it was asked.
+        /// The request.
         request: &'static str,
-        /// Why.
+        /// The reason.
         problem: Problem,
     },
-    /// It speaks another version of the protocol.
+    /// The node uses another version of the protocol.
     #[error(
-        "its firmware speaks version {found} of the protocol, this program version \
+        "the node's firmware uses protocol version {found}, but this program uses version \
          {PROTOCOL_VERSION}; build both from the same source"
     )]
     Protocol {
         /// Its version.
         found: u8,
     },
-    /// Its firmware has no room for the agent.
+    /// The firmware's capacity is too small for the agent.
     #[error(
-        "the agent has {needed} {what}, the firmware has room for {room}; run a scenario that fits, \
+        "the agent has {needed} {what}, but the firmware has room for {room}; run a scenario that fits, \
          or build the firmware with other capacities"
     )]
     Capacity {
-        /// Of what.
+        /// The limited quantity.
         what: &'static str,
-        /// How many there are.
+        /// The agent's number.
         needed: usize,
-        /// How many fit.
+        /// The firmware's capacity.
         room: usize,
     },
-    /// Its firmware takes only signed packages.
+    /// The firmware accepts only signed packages.
     #[error(
-        "its firmware takes signed packages only, and those of a co-simulation are not; build it \
-         without a public key"
+        "the firmware accepts only signed packages, but those of this co-simulation are unsigned; build \
+         it without a public key"
     )]
     SignedOnly,
-    /// It does not run the package that its flash was written with.
+    /// The node does not run the package written to its flash.
     #[error(
-        "it does not use the package that was written into its flash{}; build the firmware with \
-         the memory map that co-simulation uses (--memory)",
+        "the node does not use the package written to its flash{}; build the firmware with the memory \
+         map used here (--memory)",
         refusal.as_ref().map_or(String::new(), |refusal| format!(" ({refusal})"))
     )]
     Package {
-        /// Why, if it says so.
+        /// The reason, if reported.
         refusal: Option<String>,
     },
-    /// It cannot be started.
+    /// The node cannot be started.
     #[error("{0}")]
     Start(String),
-    /// Somebody asked for the end.
+    /// A stop was requested.
     #[error("interrupted")]
     Interrupted,
     /// The system reported an error.
-    #[error("{0}; reconnect the board and start again")]
+    #[error("{0}; reconnect the board and try again")]
     System(std::io::Error),
 }
 
 fn quoted(text: &str) -> String {
     if text.is_empty() {
-        "; see what has ended it, and start again".to_owned()
+        "; find out why it exited, and try again".to_owned()
     } else {
-        format!(" and says:\n{text}\n; fix that, or give a firmware that runs on this board")
+        format!(
+            " with the output:\n{text}\n; fix the cause, or use firmware that runs on this board"
+        )
     }
 }
 
 fn hint(problem: Problem) -> &'static str {
     match problem {
         Problem::NotInTheLoop => {
-            "use firmware that is built for the loop, as `cargo xtask firmware` does for the \
-             emulated board"
+            "use firmware built for the loop, as `cargo xtask firmware` builds for the emulated board"
         }
         Problem::Package(_) | Problem::Store(_) | Problem::NoPackage => {
             "erase the board's weights, or flash it with a package of this scenario"

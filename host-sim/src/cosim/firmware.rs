@@ -1,10 +1,9 @@
-//! Where the firmware and the memory map of emulated nodes come from.
+//! Finds the firmware and the memory map of emulated nodes, in this order:
 //!
-//! 1. What the command line names.
-//! 2. The project that the current folder lies in, whose firmware is built. Nothing else is ever
-//!    built: this program keeps no path of where it was built itself.
-//! 3. The folder beside the installed program that `cargo xtask install` fills,
-//!    `../share/host-sim`.
+//! 1. The files given on the command line.
+//! 2. The project that contains the current folder, whose firmware is built. No other project is
+//!    ever built; in particular, this program does not remember where it was built itself.
+//! 3. The files installed beside this program by `cargo xtask install`, in `../share/host-sim`.
 
 use std::io::{BufRead, BufReader};
 use std::os::unix::process::CommandExt;
@@ -19,20 +18,20 @@ use nix::unistd::Pid;
 use super::qemu::MACHINE;
 use crate::stop::Stop;
 
-/// Firmware and map of an emulated board.
+/// Firmware and memory map of an emulated board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Firmware {
     /// The program, an ELF file.
     pub program: PathBuf,
-    /// The memory map that it was linked with.
+    /// The memory map it was linked with.
     pub memory: PathBuf,
 }
 
-/// Why there is no firmware.
+/// Why the firmware is not available.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FirmwareError {
-    /// What was asked for is not there.
+    /// A file was not found.
     #[error("{0}")]
     NotFound(String),
     /// The project's firmware cannot be built.
@@ -43,14 +42,14 @@ pub enum FirmwareError {
     Interrupted,
 }
 
-/// Where firmware and map come from.
+/// Source of firmware and memory map.
 enum Source {
     Project(PathBuf),
     Share(PathBuf),
 }
 
-/// Finds both; builds the firmware if it is the project's. With a `key` it takes only
-/// packages that are signed with it. `say` is called with each line that the build prints, and
+/// Finds firmware and memory map; the project's firmware is built. With a `key`, the firmware
+/// accepts only packages signed with it. `say` is called with each line of the build's output, and
 /// `stop` ends the build.
 ///
 /// # Errors
@@ -65,7 +64,7 @@ pub fn find(
     if let Some(program) = program.filter(|program| !program.is_file()) {
         let problem = format!("{}: no such file", program.display());
         return Err(FirmwareError::NotFound(format!(
-            "{problem}; name the firmware's ELF file, or leave --firmware out to have it built"
+            "{problem}; give the firmware's ELF file, or leave out --firmware to build it"
         )));
     }
     if let (Some(program), Some(memory)) = (program, memory) {
@@ -82,8 +81,8 @@ pub fn find(
         (None, Source::Project(project)) => build(project, key, say, stop)?,
         (None, Source::Share(_)) if key.is_some() => {
             return Err(FirmwareError::NotFound(
-                "the installed firmware takes any package; give one that was built with the key as \
-                 --firmware, or change into the project"
+                "the installed firmware accepts unsigned packages; give firmware built with the key as \
+                 --firmware, or change to the project's folder"
                     .to_owned(),
             ));
         }
@@ -92,7 +91,7 @@ pub fn find(
     Ok(Firmware { program, memory })
 }
 
-/// The name of the installed firmware, as `cargo xtask install` gives it.
+/// Returns the file name of the firmware installed by `cargo xtask install`.
 fn installed_name() -> String {
     format!("qemu-{MACHINE}.elf")
 }
@@ -100,26 +99,26 @@ fn installed_name() -> String {
 fn source() -> Result<Source, FirmwareError> {
     let current = std::env::current_dir().map_err(|error| {
         FirmwareError::NotFound(format!(
-            "the current folder cannot be found: {error}; change into one"
+            "cannot find the current folder: {error}; change to an existing folder"
         ))
     })?;
     if let Some(project) = project_around(&current) {
         return Ok(Source::Project(project));
     }
-    // Links to the program are followed, so that the folder is that of the installation.
+    // Follow links to the program, to find the folder of the installation.
     let program = std::env::current_exe().and_then(std::fs::canonicalize);
     let share = program.ok().and_then(|program| share_beside(&program));
     share.map(Source::Share).ok_or_else(|| {
         FirmwareError::NotFound(
             "no firmware for emulated nodes: this folder is not in the project, and no firmware is \
-             installed beside this program; give --firmware ELF and --memory MEMORY.X, change into \
-             the project, or run `cargo xtask install` there"
+             installed beside this program; give --firmware ELF and --memory MEMORY.X, change to the \
+             project's folder, or run `cargo xtask install` there"
                 .to_owned(),
         )
     })
 }
 
-/// The project that `folder` lies in.
+/// Returns the project that contains `folder`.
 fn project_around(folder: &Path) -> Option<PathBuf> {
     let is_project = |folder: &&Path| {
         let files = ["Cargo.toml", "memory.x", "firmware-template/Cargo.toml", "xtask/Cargo.toml"];
@@ -128,11 +127,11 @@ fn project_around(folder: &Path) -> Option<PathBuf> {
     folder.ancestors().find(is_project).map(Path::to_owned)
 }
 
-/// The installed files of the program at this path, if there are any.
+/// Returns the folder of the files installed with the program at this path, if any.
 fn share_beside(program: &Path) -> Option<PathBuf> {
     let share = program.parent()?.parent()?.join("share").join("host-sim");
-    let is_whole = share.join(installed_name()).is_file() && share.join("memory.x").is_file();
-    is_whole.then_some(share)
+    let is_complete = share.join(installed_name()).is_file() && share.join("memory.x").is_file();
+    is_complete.then_some(share)
 }
 
 /// Builds the project's firmware.
@@ -157,7 +156,7 @@ fn build(
         .current_dir(project)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
-        // A group of its own: when the end is asked for, the compilers are told, too.
+        // In a separate process group, so that a stop also reaches the compilers.
         .process_group(0)
         .spawn()
         .map_err(|error| failed(format!("cannot be started: {error}")))?;
@@ -176,24 +175,24 @@ fn build(
     let status = wait(&mut build, stop)?;
     let firmware = reader.join().ok().flatten();
     if !status.success() {
-        return Err(failed(format!("fails ({status})")));
+        return Err(failed(format!("failed ({status})")));
     }
     let firmware = firmware.map(|path| project.join(path));
-    firmware.ok_or_else(|| failed("does not say where the firmware is".to_owned()))
+    firmware.ok_or_else(|| failed("did not report the path of the firmware".to_owned()))
 }
 
-/// Waits for the build's end, or ends it when a signal asks for it.
+/// Waits for the build to finish, and ends it if a stop is requested.
 fn wait(build: &mut Child, stop: &Stop) -> Result<std::process::ExitStatus, FirmwareError> {
     loop {
         let ended = build.try_wait().map_err(|error| {
-            FirmwareError::Build(format!("the build of the firmware is lost: {error}"))
+            FirmwareError::Build(format!("cannot wait for the firmware build: {error}; try again"))
         })?;
         if let Some(status) = ended {
             return Ok(status);
         }
         if stop.is_requested() {
             if let Ok(group) = i32::try_from(build.id()) {
-                // It may end by itself at this very moment.
+                // It may just have exited.
                 let _ = killpg(Pid::from_raw(group), Signal::SIGTERM);
             }
             let _ = build.wait();
@@ -213,14 +212,14 @@ mod tests {
     }
 
     #[test]
-    fn a_project_is_found_from_below_only() {
+    fn a_project_is_found_only_from_inside() {
         let folder = tempfile::tempdir().unwrap();
         let project = folder.path().join("project");
         for file in ["Cargo.toml", "memory.x", "firmware-template/Cargo.toml"] {
             touch(&project.join(file));
         }
         std::fs::create_dir_all(project.join("tests/deep")).unwrap();
-        assert_eq!(project_around(&project), None, "half a project");
+        assert_eq!(project_around(&project), None, "incomplete project");
         touch(&project.join("xtask/Cargo.toml"));
         assert_eq!(project_around(&project.join("tests/deep")), Some(project.clone()));
         assert_eq!(project_around(folder.path()), None);
@@ -232,13 +231,13 @@ mod tests {
         let share = folder.path().join("share/host-sim");
         let program = folder.path().join("bin/host-sim");
         touch(&share.join("memory.x"));
-        assert_eq!(share_beside(&program), None, "half an installation");
+        assert_eq!(share_beside(&program), None, "incomplete installation");
         touch(&share.join("qemu-mps2-an386.elf"));
         assert_eq!(share_beside(&program), Some(share));
     }
 
     #[test]
-    fn named_files_need_neither() {
+    fn given_files_need_neither() {
         let folder = tempfile::tempdir().unwrap();
         let (program, memory) = (folder.path().join("node.elf"), folder.path().join("memory.x"));
         let error = find(Some(&program), Some(&memory), None, |_| {}, &Stop::default())

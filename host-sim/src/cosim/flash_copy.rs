@@ -1,4 +1,4 @@
-//! The flash of a node that is switched off, looked at by the node's own code.
+//! Reads the flash of a node that is not running, with the node's own code.
 
 use agent_core::package::signature::PublicKey;
 use agent_core::package::{Capacity, Envelope, PackageError, Refusal, Requirements};
@@ -11,7 +11,7 @@ use crate::memory_map::WeightsRegion;
 use crate::packages::PackageBytes;
 use crate::packages::check::check;
 
-/// A copy of a flash. What the store writes into it, the end of a trial say, goes no further.
+/// A copy of a flash, so that writes by the store, such as ending a trial, are discarded.
 #[derive(Debug)]
 pub(super) struct FlashCopy {
     words: Vec<u32>,
@@ -59,7 +59,7 @@ impl ReadNorFlash for FlashCopy {
     }
 }
 
-// As the emulated board has it.
+// Sizes of the emulated board.
 impl NorFlash for FlashCopy {
     const WRITE_SIZE: usize = 4;
     const ERASE_SIZE: usize = 4096;
@@ -81,10 +81,10 @@ impl MappedFlash for FlashCopy {
     }
 }
 
-/// The package that a node with this flash uses after a reset, if there is one.
+/// Returns the package that a node with this flash uses after a reset, if any.
 ///
 /// # Errors
-/// A memory map that does not fit the flash.
+/// If the memory map does not fit the flash.
 pub(super) fn package_in_use(
     flash: FlashCopy,
     region: &WeightsRegion,
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn the_package_of_a_node_that_is_switched_off_is_found() {
+    fn the_package_of_a_stopped_node_is_found() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../memory.x");
         let region = MemoryMap::read(path.as_ref()).unwrap().weights().unwrap();
         let mut bytes = vec![ERASED; region.length as usize];
@@ -147,7 +147,7 @@ mod tests {
                 bytes[start..start + segment.bytes.len()].copy_from_slice(&segment.bytes);
             }
             assert_eq!(found(&bytes, None), Some(package.clone()));
-            // Firmware with a key takes only what is signed.
+            // Firmware with a key accepts only signed packages.
             let signed_only = found(&bytes, Some(key.public_key()));
             assert_eq!(signed_only, accepted.then_some(package));
         }

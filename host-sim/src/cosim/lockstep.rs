@@ -1,8 +1,8 @@
-//! The run_observer of a run that takes nodes along, step by step.
+//! The run observer that steps nodes along with the simulated agents.
 //!
-//! All nodes are fed before the first is listened to, so that they work at the same time. A node
-//! gets the frames that its neighbours' nodes have broadcast, not those of the simulated agents:
-//! the nodes are a network of their own, and whatever goes wrong in it goes on.
+//! Inputs are sent to all nodes before the first result is received, so that they compute in
+//! parallel. A node gets the frames broadcast by its neighbours' nodes, not those of the simulated
+//! agents, so an error propagates through the nodes as in a real network.
 
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -23,15 +23,15 @@ use crate::packages::PackageBytes;
 pub(super) struct Lockstep<'s> {
     setup: Setup<'s>,
     pub(super) nodes: Vec<LoopNode>,
-    /// What each node began with, as its flash holds it.
+    /// Initial package of each node, as stored in its flash.
     packages: Vec<PackageBytes>,
     pub(super) relay: Option<Relay>,
     pub(super) first_mismatch: Option<Mismatch>,
     pub(super) steps: u64,
-    /// Whether a signal asked for the end of a run that is not served.
+    /// Whether a run without clients was interrupted.
     pub(super) interrupted: bool,
-    /// When all nodes had begun.
-    pub(super) begun: Option<Instant>,
+    /// When all nodes had started.
+    pub(super) started: Option<Instant>,
 }
 
 impl<'s> Lockstep<'s> {
@@ -44,7 +44,7 @@ impl<'s> Lockstep<'s> {
             first_mismatch: None,
             steps: 0,
             interrupted: false,
-            begun: None,
+            started: None,
         }
     }
 
@@ -53,34 +53,33 @@ impl<'s> Lockstep<'s> {
         NodeError { agent: index + 1, board, fault }
     }
 
-    /// What a fault means: the end of the node where others can still talk to the rest, otherwise the
-    /// end of the run.
+    /// Handles a fault: it ends the node if the run serves clients, and the run otherwise.
     fn fault(&mut self, index: usize, tick: Tick, fault: Fault) -> Result<(), NodeError> {
         let Some(relay) = &mut self.relay else { return Err(self.named(index, fault)) };
         let node = &mut self.nodes[index];
         if matches!(fault, Fault::Interrupted) {
-            // The run ends in front of the next step.
-            node.stop_comparing(tick, "the run was ended in the middle of its step");
+            // The run ends before the next step.
+            node.stop_comparing(tick, "the run was interrupted during its step");
             return Ok(());
         }
         node.end(tick, &fault);
         relay.end_node(index);
         let error = self.named(index, fault);
-        self.setup.tell(&Notice::Ended(&error));
+        self.setup.notify(&Notice::Ended(&error));
         Ok(())
     }
 
-    fn noted(&mut self, index: usize, mismatch: Option<Mismatch>) {
+    fn record(&mut self, index: usize, mismatch: Option<Mismatch>) {
         let mismatch = self.nodes[index].note(mismatch);
         if self.first_mismatch.is_none() {
             self.first_mismatch = mismatch;
         }
     }
 
-    /// Starts all nodes before the first is waited for.
+    /// Starts all nodes before waiting for the first.
     fn start(&mut self, agents: &[AgentStart<'_>]) -> Result<(), NodeError> {
         for (index, agent) in agents.iter().enumerate() {
-            // Scenarios without a network have been refused before.
+            // `prepared` refuses scenarios without a network.
             let Some(package) = agent.package else { continue };
             let package = self.setup.signed(package);
             let board = self.setup.board(index, &package)?;
@@ -91,8 +90,8 @@ impl<'s> Lockstep<'s> {
         Ok(())
     }
 
-    /// Starts a node that has ended again, with what its flash holds.
-    fn start_again(&mut self, index: usize, tick: Tick) -> Result<Status, NodeError> {
+    /// Restarts a node from the contents of its flash.
+    fn restart(&mut self, index: usize, tick: Tick) -> Result<Status, NodeError> {
         let mut board = self.setup.board(index, &self.packages[index])?;
         let rejoined = board.rejoin();
         let node = &mut self.nodes[index];
@@ -109,8 +108,8 @@ impl<'s> Lockstep<'s> {
         }
     }
 
-    /// Asks every node, at the end, what it never used of its stack.
-    pub(super) fn ask_for_stacks(&mut self) -> Result<(), NodeError> {
+    /// Queries the unused stack of every node at the end.
+    pub(super) fn query_stacks(&mut self) -> Result<(), NodeError> {
         for index in 0..self.nodes.len() {
             let node = &mut self.nodes[index];
             if node.has_ended() {
@@ -118,7 +117,7 @@ impl<'s> Lockstep<'s> {
             }
             match node.board.status() {
                 Ok(status) => node.report.stack_unused = status.stack_unused,
-                // The run has its result, whatever a node still has to say.
+                // Ignored: the run already has its result.
                 Err(_) if self.relay.is_some() || self.interrupted => {}
                 Err(fault) => return Err(self.named(index, fault)),
             }
@@ -147,8 +146,8 @@ impl<'s> Lockstep<'s> {
         Ok(())
     }
 
-    /// Compares what a node did, and passes it on.
-    fn took_turn(&mut self, index: usize, tick: Tick, turn: Turn, agent: &AgentStep<'_>) {
+    /// Compares a node's step, and forwards it to clients.
+    fn handle_turn(&mut self, index: usize, tick: Tick, turn: Turn, agent: &AgentStep<'_>) {
         let node = &mut self.nodes[index];
         let mismatch = first_mismatch(index, tick, &turn, agent);
         let expected = agent.broadcast;
@@ -156,22 +155,23 @@ impl<'s> Lockstep<'s> {
         node.report.broadcasts += turn.frames.len() as u64;
         node.report.compared += u64::from(node.report.parted.is_none());
         if let Some(relay) = &mut self.relay {
-            relay.pass_on(index, &turn);
+            relay.forward(index, &turn);
         }
         node.frames = turn.frames;
-        self.noted(index, mismatch);
+        self.record(index, mismatch);
     }
 
-    /// A node that was fed with what no simulated agent broadcast goes its own way, too.
-    fn part_with_neighbours(&mut self, tick: Tick) {
+    /// Stops comparing nodes that received frames no simulated agent broadcast.
+    fn propagate_deviations(&mut self, tick: Tick) {
         for index in 0..self.nodes.len() {
             let neighbours = &self.nodes[index].neighbours;
-            let strange = neighbours.iter().copied().find(|&neighbour| {
+            let deviating = neighbours.iter().copied().find(|&neighbour| {
                 let sender = &self.nodes[neighbour];
                 sender.report.parted.is_some() && !sender.frames_agree
             });
-            if let Some(neighbour) = strange {
-                let reason = format!("its neighbour {} goes its own way", neighbour + 1);
+            if let Some(neighbour) = deviating {
+                let reason =
+                    format!("its neighbour {} deviates from the simulation", neighbour + 1);
                 self.nodes[index].stop_comparing(tick, &reason);
             }
         }
@@ -184,24 +184,24 @@ impl RunObserver for Lockstep<'_> {
         for (index, agent) in agents.iter().enumerate().take(self.nodes.len()) {
             let (node, package) = (&mut self.nodes[index], &self.packages[index]);
             if self.setup.erased {
-                let waits = node.board.rejoin();
-                waits.map_err(|fault| self.named(index, fault))?;
-                self.nodes[index].stop_comparing(0, "it waits for a package");
+                let rejoined = node.board.rejoin();
+                rejoined.map_err(|fault| self.named(index, fault))?;
+                self.nodes[index].stop_comparing(0, "it is waiting for a package");
                 continue;
             }
-            let begun = node.board.begin(package, agent.estimate);
-            let frames = begun.map_err(|fault| self.named(index, fault))?;
+            let started = node.board.begin(package, agent.estimate);
+            let frames = started.map_err(|fault| self.named(index, fault))?;
             let announcement = agent.announcement;
             let mismatch = announcement_mismatch(index, &frames, announcement);
             self.nodes[index].report.broadcasts += frames.len() as u64;
             self.nodes[index].frames = frames;
-            self.noted(index, mismatch);
+            self.record(index, mismatch);
         }
         if let Some(relay) = &mut self.relay {
             relay.begin(self.packages.iter().filter(|_| !self.setup.erased));
-            self.setup.tell(&Notice::Reachable);
+            self.setup.notify(&Notice::Reachable);
         }
-        self.begun = Some(Instant::now());
+        self.started = Some(Instant::now());
         Ok(())
     }
 
@@ -211,7 +211,7 @@ impl RunObserver for Lockstep<'_> {
         switches: &mut Vec<Switch>,
     ) -> Result<ControlFlow<()>, RunObserverError> {
         match &self.relay {
-            // For a run that is served it is the end that was meant.
+            // The normal end of a run that serves clients.
             Some(relay) if relay.is_over(&self.setup.stop) => return Ok(ControlFlow::Break(())),
             None if self.setup.stop.is_requested() => {
                 self.interrupted = true;
@@ -231,36 +231,36 @@ impl RunObserver for Lockstep<'_> {
             }
         }
         let Some(relay) = &mut self.relay else { return Ok(ControlFlow::Continue(())) };
-        relay.learned(switches);
+        relay.record_switches(switches);
         let between = relay.between_steps(tick, &mut self.nodes, switches, &self.setup.stop);
         for (index, fault) in between.faults {
             self.fault(index, tick, fault)?;
         }
         for restart in between.restarts {
-            let started = self.start_again(restart.node, tick);
+            let started = self.restart(restart.node, tick);
             let Some(relay) = &mut self.relay else { break };
             match started {
                 Ok(status) => {
-                    relay.started_again(&restart, status);
-                    self.setup.tell(&Notice::StartedAgain { agent: restart.node + 1 });
+                    relay.restarted(&restart, status);
+                    self.setup.notify(&Notice::Restarted { agent: restart.node + 1 });
                 }
-                Err(error) => self.setup.tell(&Notice::Ended(&error)),
+                Err(error) => self.setup.notify(&Notice::Ended(&error)),
             }
         }
         if let Some(share) = between.late {
-            self.setup.tell(&Notice::Late { share });
+            self.setup.notify(&Notice::Late { share });
         }
         Ok(ControlFlow::Continue(()))
     }
 
     fn after_step(&mut self, tick: Tick, agents: &[AgentStep<'_>]) -> Result<(), RunObserverError> {
-        self.part_with_neighbours(tick);
+        self.propagate_deviations(tick);
         self.feed(tick, agents)?;
         for (index, agent) in agents.iter().enumerate() {
             let simulated = agent.broadcast;
             if !self.nodes[index].has_ended() {
                 match self.nodes[index].board.turn() {
-                    Ok(turn) => self.took_turn(index, tick, turn, agent),
+                    Ok(turn) => self.handle_turn(index, tick, turn, agent),
                     Err(fault) => self.fault(index, tick, fault)?,
                 }
             }
@@ -277,7 +277,7 @@ impl RunObserver for Lockstep<'_> {
 
 impl Drop for Lockstep<'_> {
     fn drop(&mut self) {
-        // All at once, so that their waits overlap.
+        // Terminate all before waiting for the first.
         self.nodes.iter_mut().for_each(|node| node.board.terminate());
     }
 }

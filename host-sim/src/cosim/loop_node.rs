@@ -1,4 +1,4 @@
-//! A node of a run, and what is known of it.
+//! A node in the loop with its state in the co-simulation.
 
 use agent_core::Tick;
 
@@ -7,44 +7,44 @@ use super::board::Board;
 use super::compare::Mismatch;
 use super::fault::Fault;
 
-/// A node and what is known of it.
+/// A node in the loop.
 #[derive(Debug)]
 pub(super) struct LoopNode {
     pub(super) board: Board,
     pub(super) neighbours: Vec<usize>,
-    /// What it broadcast for the coming tick.
+    /// Its broadcasts for the next tick.
     pub(super) frames: Vec<Vec<u8>>,
-    /// Whether those are what the simulated agent broadcast.
+    /// Whether these equal the simulated agent's broadcasts.
     pub(super) frames_agree: bool,
     pub(super) report: BoardReport,
 }
 
 impl LoopNode {
-    /// A node that has broadcast nothing yet.
+    /// Creates a node without broadcasts.
     pub(super) fn new(board: Board, neighbours: Vec<usize>, report: BoardReport) -> Self {
         Self { board, neighbours, frames: Vec::new(), frames_agree: true, report }
     }
 
-    /// From here on it is not compared.
+    /// Stops comparing the node from this tick on.
     pub(super) fn stop_comparing(&mut self, tick: Tick, reason: &str) {
         if self.report.parted.is_none() {
             self.report.parted = Some(format!("from tick {tick} on, because {reason}"));
         }
     }
 
-    /// Whether it takes steps no more.
+    /// Returns whether the node has stopped stepping.
     pub(super) fn has_ended(&self) -> bool {
         self.report.ended.is_some()
     }
 
-    /// It takes no more steps. To its neighbours, the simulated agent stands in for it.
+    /// Ends the node. The simulated agent takes its place for its neighbours.
     pub(super) fn end(&mut self, tick: Tick, fault: &Fault) {
-        self.stop_comparing(tick, "it has ended");
+        self.stop_comparing(tick, "it has stopped");
         self.report.ended = Some(format!("at tick {tick}: {fault}"));
         self.board.kill();
     }
 
-    /// It has broadcast what no simulated agent has.
+    /// Records broadcasts that the simulated agent did not make.
     pub(super) fn broadcast_alone(&mut self, frames: Vec<Vec<u8>>) {
         if !frames.is_empty() {
             self.report.broadcasts += frames.len() as u64;
@@ -53,7 +53,7 @@ impl LoopNode {
         }
     }
 
-    /// Counts a mismatch, unless the node is not compared any more, and returns one that counts.
+    /// Counts and returns a mismatch, if the node is still being compared.
     pub(super) fn note(&mut self, mismatch: Option<Mismatch>) -> Option<Mismatch> {
         if self.report.parted.is_some() {
             return None;

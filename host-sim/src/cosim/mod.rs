@@ -1,5 +1,5 @@
-//! Co-simulation: the simulator plays plant and links for nodes that are really there, emulated or on
-//! a desk, and holds every bit that they compute against its own agents.
+//! Co-simulation: simulates plant and links for emulated or real nodes, and compares every bit they
+//! compute with the simulated agents.
 //!
 //! ```text
 //!                       y_i, frames of the neighbours' nodes
@@ -11,23 +11,23 @@
 //!
 //! | module | purpose |
 //! | --- | --- |
-//! | [`endpoint`] | what nodes run on, as a command line names it |
-//! | [`board`] | one node: the messages that are exchanged with it |
-//! | [`qemu`], [`process`] | emulated nodes, and processes that end with their holder |
-//! | [`firmware`] | where the firmware of emulated nodes comes from |
-//! | `flash_copy` | what a node that is switched off has in its flash |
-//! | [`compare`] | what a node did against what the simulated agent did |
-//! | `loop_node` | a node of a run, and what is known of it |
-//! | `lockstep` | the run observer that does all this |
-//! | `relay`, `socket` | nodes of a running co-simulation, offered to others |
-//! | [`fault`] | what can go wrong with a node |
+//! | [`endpoint`] | what nodes run on, as given on the command line |
+//! | [`board`] | a node: the messages exchanged with it |
+//! | [`qemu`], [`process`] | emulated nodes, and child processes that never outlive this one |
+//! | [`firmware`] | finds or builds the firmware of emulated nodes |
+//! | `flash_copy` | reads the flash of a node that is not running |
+//! | [`compare`] | compares a node's steps with the simulated ones |
+//! | `loop_node` | a node with its state in the co-simulation |
+//! | `lockstep` | the run observer that steps the nodes |
+//! | `relay`, `socket` | serve nodes to clients during a run |
+//! | [`fault`] | failures of a node |
 //!
-//! A node in the loop has no sensor and no clock: it gets measurements and time by message, and
-//! takes its step between two of them. So the co-simulation is a pure function of scenario and seed,
-//! as any run is, however fast or slow the nodes are.
+//! A node in the loop gets measurements and time by message instead of from a sensor and a clock.
+//! So a co-simulation, like any run, is a pure function of scenario and seed, regardless of the
+//! nodes' speed.
 //!
-//! Nodes are watched ([`agent_core::health`]) with the recommended settings, so the simulated agents
-//! are, too.
+//! Health monitoring ([`agent_core::health`]) uses the recommended settings on nodes, and therefore
+//! also on the simulated agents.
 
 pub mod board;
 pub mod compare;
@@ -45,7 +45,7 @@ mod socket;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use agent_core::health::HealthSettings;
 use serde::Serialize;
@@ -62,27 +62,27 @@ use fault::{Fault, NodeError};
 use lockstep::Lockstep;
 use relay::Relay;
 
-/// Starts the node of an agent, from 0, whose flash is to hold this package.
+/// Starts the node of an agent, from 0, with this package in its flash.
 pub type Start<'s> = dyn FnMut(usize, &PackageBytes) -> Result<Board, NodeError> + 's;
 
-/// What a co-simulation needs beyond its scenario.
+/// Settings of a co-simulation beyond its scenario.
 pub struct Setup<'s> {
-    /// How nodes are started, and started again.
+    /// Starts or restarts a node.
     pub start: &'s mut Start<'s>,
-    /// How long a node may take for an answer.
+    /// Timeout for replies of nodes.
     pub timeout: Duration,
-    /// Signs every package that goes into a node, for firmware that asks for it.
+    /// Signs every package for a node, if its firmware requires signatures.
     pub signer: Option<&'s OperatorKey>,
     /// Whether nodes start with erased flash and wait for packages.
     pub erased: bool,
-    /// Called with what happens meanwhile.
+    /// Called with notices during the run.
     pub notice: Option<&'s mut dyn FnMut(&Notice<'_>)>,
-    /// Ends the run in front of the next step, and every wait for a node.
+    /// Ends the run before the next step, and ends every wait for a node.
     pub stop: Arc<Stop>,
 }
 
 impl<'s> Setup<'s> {
-    /// Nodes that need no signatures, without notices.
+    /// Creates settings without signatures or notices.
     pub fn new(start: &'s mut Start<'s>, timeout: Duration, stop: &Arc<Stop>) -> Self {
         let stop = stop.clone();
         Self { start, timeout, signer: None, erased: false, notice: None, stop }
@@ -99,95 +99,95 @@ impl<'s> Setup<'s> {
         self.signer.map_or_else(|| package.clone(), |key| package.signed(key))
     }
 
-    fn tell(&mut self, notice: &Notice<'_>) {
+    fn notify(&mut self, notice: &Notice<'_>) {
         if let Some(listener) = &mut self.notice {
             listener(notice);
         }
     }
 }
 
-/// How long a step that is under way may go on after the stop is requested.
+/// How long a step in progress may continue after a stop is requested.
 const GRACE: Duration = Duration::from_millis(400);
 
-/// Something that happens while others can talk to the nodes.
+/// An event of a run that serves clients.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum Notice<'n> {
-    /// All nodes have begun: they can be talked to.
+    /// All nodes have started and accept clients.
     Reachable,
-    /// A node takes no more steps; the others go on.
+    /// A node has stopped; the others continue.
     Ended(&'n NodeError),
-    /// A node that had ended has been started again.
-    StartedAgain {
+    /// A stopped node was restarted.
+    Restarted {
         /// The agent, from 1.
         agent: usize,
     },
-    /// The run is slower than it was asked to be.
+    /// The run is slower than requested.
     Late {
-        /// How much of the speed that was asked for is kept, below 1.
+        /// Achieved fraction of the requested speed, below 1.
         share: f64,
     },
 }
 
-/// A co-simulation in real time, whose nodes others can talk to.
+/// Settings of a run in real time that serves clients.
 #[derive(Clone, Debug)]
 pub struct Service {
-    /// Where the sockets go, `agent-1.sock` and so on.
+    /// Folder of the sockets, `agent-1.sock` and so on.
     pub folder: PathBuf,
-    /// How much faster than real time it goes; above 0.
+    /// Speed relative to real time, above 0.
     pub speed: f64,
-    /// Becomes true when the run is to end before the next step, without any wait being cut short.
+    /// Ends the run before the next step once set, without interrupting a wait.
     pub stop: Arc<AtomicBool>,
 }
 
-/// What a co-simulation returns.
+/// Results of a co-simulation.
 #[derive(Clone, Debug, Serialize)]
 pub struct CosimReport {
-    /// Steps that every node took.
+    /// Number of steps of each node.
     pub steps: u64,
-    /// How many nodes there are.
+    /// Number of nodes.
     pub nodes: usize,
-    /// Steps of nodes, all nodes together, that differ in anything from the simulated ones.
+    /// Number of steps, over all nodes, that differ from the simulation.
     pub mismatches: u64,
-    /// The first of them.
+    /// The first difference.
     pub first_mismatch: Option<Mismatch>,
-    /// From the start of the first step to the end of the last, training included. \[s\]
+    /// Time from the start of the first step to the end of the last, including training. \[s\]
     pub elapsed_s: f64,
-    /// Steps per second; each of them is a round trip to every node. \[1/s\]
+    /// Steps per second, each with a round trip to every node. \[1/s\]
     pub steps_per_s: f64,
-    /// Whether the stop was requested before the last step; not so for a run that is served,
-    /// which ends like that.
+    /// Whether a stop was requested before the last step; `false` for a run that serves clients,
+    /// where this is the normal end.
     pub interrupted: bool,
-    /// For a run that is served: how much of the speed that was asked for was kept, at most 1.
+    /// For a run that serves clients: achieved fraction of the requested speed, at most 1.
     pub real_time_kept: Option<f64>,
     /// The digest of the simulated run, in hexadecimal.
     pub digest: String,
-    /// Of each node.
+    /// Results of each node.
     pub boards: Vec<BoardReport>,
 }
 
-/// What became of one node.
+/// Results of one node.
 #[derive(Clone, Debug, Serialize)]
 pub struct BoardReport {
     /// The agent, from 1.
     pub agent: usize,
-    /// What it ran on.
+    /// What the node ran on.
     pub board: String,
-    /// Steps that were compared.
+    /// Number of compared steps.
     pub compared: u64,
-    /// How many of them differ.
+    /// Number of these that differ.
     pub mismatches: u64,
-    /// Frames that it broadcast.
+    /// Number of frames broadcast.
     pub broadcasts: u64,
-    /// Packages that were switched in between two steps.
+    /// Number of packages switched in.
     pub switches: u64,
-    /// Since when it is not compared any more and why, if so.
+    /// When and why comparing stopped, if it did.
     pub parted: Option<String>,
-    /// When and why it took no more steps, if so and if it was not started again.
+    /// When and why the node stopped, if it did and was not restarted.
     pub ended: Option<String>,
-    /// How often it was started again.
+    /// Number of restarts.
     pub restarts: u64,
-    /// What it never used of its stack, if it can tell. \[byte\]
+    /// Stack never used, if the node reports it. \[byte\]
     pub stack_unused: Option<u32>,
 }
 
@@ -209,30 +209,30 @@ impl BoardReport {
     }
 }
 
-/// Why a co-simulation has no result.
+/// Why a co-simulation failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CosimError {
-    /// A node cannot go on.
+    /// A node failed.
     #[error(transparent)]
     Node(#[from] NodeError),
-    /// The simulation cannot go on.
+    /// The simulation failed.
     #[error(transparent)]
     Run(RunError),
-    /// Somebody asked for the end.
+    /// A stop was requested.
     #[error("interrupted; nothing is left running")]
     Interrupted,
-    /// A node without a network has no package, and so does not know which agent it is.
+    /// The scenario has no network, so there is no package to tell a node which agent it is.
     #[error("scenario {scenario} has no network; add [network] and [outer_law]")]
     NoNetwork {
         /// Its name.
         scenario: String,
     },
-    /// Nodes are watched in another way than the scenario says.
+    /// The scenario's health settings differ from the nodes'.
     #[error(
-        "scenario {scenario} has its own [health], and nodes in the loop are watched with the \
-         recommended settings; remove [health], or write there plausible_margin = {margin:?}, \
-         restart_after = {restart}, fall_back_after = 0",
+        "scenario {scenario} has its own [health], but nodes in the loop use the recommended settings; \
+         remove [health], or set its plausible_margin = {margin:?}, restart_after = {restart}, \
+         fall_back_after = 0",
         margin = HealthSettings::RECOMMENDED.plausible_margin,
         restart = HealthSettings::RECOMMENDED.restart_after.map_or(0, |steps| steps.get()),
     )]
@@ -240,11 +240,11 @@ pub enum CosimError {
         /// Its name.
         scenario: String,
     },
-    /// Nodes do not have the scenario's trigger.
+    /// The nodes' firmware does not have the scenario's trigger.
     #[error(transparent)]
     Trigger(#[from] SimulationOnly),
-    /// There is something else where a node's socket would be.
-    #[error("{}: {what}; it is left as it is: name another folder with --serve", path.display())]
+    /// The path of a node's socket is taken.
+    #[error("{}: {what}; refusing to replace it; choose another folder with --serve", path.display())]
     Occupied {
         /// The socket.
         path: PathBuf,
@@ -254,8 +254,8 @@ pub enum CosimError {
     /// A file cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
-    /// Nodes cannot be offered to others.
-    #[error("{}: {error}; name another folder with --serve, with a short path", path.display())]
+    /// Clients cannot be served.
+    #[error("{}: {error}; choose another folder with a short path with --serve", path.display())]
     Serve {
         /// The folder or the socket.
         path: PathBuf,
@@ -265,7 +265,7 @@ pub enum CosimError {
     },
 }
 
-/// The scenario as its nodes live it: watched with the recommended settings; nothing is written down.
+/// Returns the scenario with the nodes' health settings and without recording.
 ///
 /// # Errors
 /// [`CosimError::NoNetwork`], [`CosimError::Health`] or [`CosimError::Trigger`].
@@ -275,7 +275,7 @@ pub fn prepared(scenario: &Scenario) -> Result<Scenario, CosimError> {
         return Err(CosimError::NoNetwork { scenario: name() });
     }
     scenario.trigger.check_for_nodes()?;
-    // How often there are reports is of no consequence for the agent.
+    // The interval of reports does not affect the agent.
     let telemetry_interval = HealthSettings::RECOMMENDED.telemetry_interval;
     let differs = |own: HealthSettings| {
         HealthSettings { telemetry_interval, ..own } != HealthSettings::RECOMMENDED
@@ -289,10 +289,10 @@ pub fn prepared(scenario: &Scenario) -> Result<Scenario, CosimError> {
     Ok(scenario)
 }
 
-/// Runs a scenario together with its nodes; `service` offers them to others meanwhile.
+/// Runs a scenario together with its nodes, and serves them to clients if `service` is given.
 ///
 /// # Errors
-/// See [`CosimError`]. Whatever happens, no process, pipe or socket is left behind.
+/// See [`CosimError`]. In any case, no process, pipe or socket is left behind.
 pub fn cosimulate(
     scenario: &Scenario,
     seed: u64,
@@ -315,8 +315,8 @@ pub fn cosimulate(
             },
             error => CosimError::Run(error),
         })?;
-    let elapsed_s = lockstep.begun.map_or(0.0, |begun| (Instant::now() - begun).as_secs_f64());
-    lockstep.ask_for_stacks()?;
+    let elapsed_s = lockstep.started.map_or(0.0, |started| started.elapsed().as_secs_f64());
+    lockstep.query_stacks()?;
     let boards: Vec<_> = lockstep.nodes.iter().map(|node| node.report.clone()).collect();
     let steps = lockstep.steps;
     Ok(CosimReport {

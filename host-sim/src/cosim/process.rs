@@ -1,8 +1,8 @@
-//! A process that ends with the one who holds it, however that one ends.
+//! A child process that never outlives this one.
 //!
-//! A process that is told to end can end its children, one that is killed cannot. So a small shell
-//! stands guard: it reads from a pipe that only this process holds open, and if the pipe ends without
-//! a word, it kills the process that it guards and removes its folder.
+//! A process that is killed cannot end its children. So a small shell guards each child: it reads
+//! from a pipe that only this process holds open, and if the pipe closes without a message, it
+//! kills the child and removes its folder.
 
 use std::collections::VecDeque;
 use std::io::{self, Read, Write};
@@ -16,17 +16,17 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
-/// How long a process may take to end when it is told to.
+/// How long a process may take to exit after SIGTERM.
 const GRACE: Duration = Duration::from_secs(1);
 
-/// Bytes of its console that are shown when it has ended.
+/// Length of the console output that is kept. \[byte\]
 const TAIL: usize = 2000;
 
-/// What the guard does: its arguments are the files and folders to be removed.
+/// Script of the guard; its arguments are the files and folders to remove.
 const GUARD: &str =
     "read -r id || exit 0; read -r end && exit 0; kill -KILL \"$id\"; rm -rf -- \"$@\"";
 
-/// A running process. Dropping it ends it and waits for its end.
+/// A running process. Dropping it ends the process and waits for it.
 #[derive(Debug)]
 pub struct Process {
     child: Child,
@@ -35,15 +35,15 @@ pub struct Process {
 }
 
 impl Process {
-    /// Starts `command`; of what it writes to its outputs, the end is kept. If this process is
-    /// killed, `folders` are removed.
+    /// Starts `command` and keeps the end of its output. If this process is killed, `folders` are
+    /// removed.
     ///
     /// # Errors
     /// The system's error.
     pub fn start(command: &mut Command, folders: &[&Path]) -> io::Result<Self> {
         let (console, output) = Console::open()?;
         let absolute = folders.iter().map(std::path::absolute).collect::<io::Result<Vec<_>>>()?;
-        // The guard is there first, so that there is no time without it.
+        // Start the guard first, so that the child is always guarded.
         let mut guard = Command::new("/bin/sh")
             .args(["-c", GUARD, "sh"])
             .args(absolute)
@@ -57,13 +57,13 @@ impl Process {
             .stdin(Stdio::null())
             .stdout(output.try_clone()?)
             .stderr(output)
-            // Ctrl-C is for us; we end it in good order.
+            // Not in the terminal's process group: Ctrl-C is handled here.
             .process_group(0)
             .spawn();
         let child = match child {
             Ok(child) => child,
             Err(error) => {
-                // Its pipe ends before it knows of any process, so it ends, too.
+                // The pipe closes before the guard knows of a process, so it exits.
                 drop(guard.stdin.take());
                 let _ = guard.wait();
                 return Err(error);
@@ -71,7 +71,7 @@ impl Process {
         };
         let mut process = Self { child, guard, console };
         let id = process.id();
-        // If this fails, dropping the process ends it.
+        // If this fails, the drop ends the process.
         process.tell_guard(&format!("{id}\n"))?;
         Ok(process)
     }
@@ -83,7 +83,7 @@ impl Process {
         }
     }
 
-    /// Ends it at once, and waits for its end.
+    /// Kills the process and waits for it.
     pub fn kill(&mut self) {
         if self.ended().is_none() {
             self.signal(Signal::SIGKILL);
@@ -91,18 +91,18 @@ impl Process {
         }
     }
 
-    /// Its number.
+    /// Returns the process id.
     #[must_use]
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    /// How it has ended, if it has.
+    /// Returns the exit status if the process has exited.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         self.child.try_wait().ok().flatten()
     }
 
-    /// How it has ended, if it does so in this time.
+    /// Waits up to `time` for the exit status.
     pub fn ends_within(&mut self, time: Duration) -> Option<ExitStatus> {
         let deadline = Instant::now() + time;
         loop {
@@ -114,14 +114,14 @@ impl Process {
         }
     }
 
-    /// The end of what it has written.
+    /// Returns the end of its output.
     #[must_use]
-    pub fn said(&mut self) -> String {
+    pub fn output(&mut self) -> String {
         let ended = self.ended().is_some();
         self.console.tail(ended)
     }
 
-    /// Tells it to end, without waiting.
+    /// Sends SIGTERM, without waiting.
     pub fn terminate(&mut self) {
         if self.ended().is_none() {
             self.signal(Signal::SIGTERM);
@@ -130,15 +130,13 @@ impl Process {
 
     fn signal(&self, signal: Signal) {
         if let Ok(id) = i32::try_from(self.child.id()) {
-            // It may end by itself at this very moment; it is not waited for yet, so the number is
-            // still its own.
+            // It may just have exited; but it has not been waited for, so the id is still valid.
             let _ = kill(Pid::from_raw(id), signal);
         }
     }
 }
 
-/// The end of what a process writes to its outputs: what is before it is forgotten, however much
-/// it is.
+/// Keeps the end of a process's output, in bounded memory.
 #[derive(Debug)]
 struct Console {
     tail: Arc<Mutex<VecDeque<u8>>>,
@@ -146,7 +144,7 @@ struct Console {
 }
 
 impl Console {
-    /// The console, and where the process is to write.
+    /// Creates a console, and the pipe for the process to write to.
     fn open() -> io::Result<(Self, io::PipeWriter)> {
         let (mut input, output) = io::pipe()?;
         let tail = Arc::new(Mutex::new(VecDeque::new()));
@@ -156,16 +154,16 @@ impl Console {
             while let Ok(length @ 1..) = input.read(&mut buffer) {
                 let mut tail = kept.lock().unwrap_or_else(PoisonError::into_inner);
                 tail.extend(&buffer[..length]);
-                let forgotten = tail.len().saturating_sub(TAIL);
-                tail.drain(..forgotten);
+                let excess = tail.len().saturating_sub(TAIL);
+                tail.drain(..excess);
             }
         })?;
         Ok((Self { tail, reader }, output))
     }
 
-    /// The end; all of it, if the process has `ended`.
+    /// Returns the end of the output; complete if the process has `ended`.
     fn tail(&self, ended: bool) -> String {
-        // A child of the process may hold its outputs open for longer.
+        // A child of the process may keep its output open for longer.
         let deadline = Instant::now() + GRACE;
         while ended && !self.reader.is_finished() && Instant::now() < deadline {
             std::thread::sleep(Duration::from_millis(1));
@@ -195,55 +193,55 @@ mod tests {
         Process::start(Command::new("sh").args(["-c", script]), &[]).unwrap()
     }
 
-    fn is_there(id: u32) -> bool {
+    fn exists(id: u32) -> bool {
         kill(Pid::from_raw(i32::try_from(id).unwrap()), None).is_ok()
     }
 
     #[test]
-    fn a_process_ends_with_its_holder() {
+    fn dropping_a_process_ends_it() {
         let process = start("exec sleep 1000");
         let id = process.id();
-        assert!(is_there(id));
+        assert!(exists(id));
         drop(process);
-        assert!(!is_there(id));
+        assert!(!exists(id));
     }
 
     #[test]
-    fn a_process_that_does_not_listen_is_killed() {
+    fn a_process_that_ignores_sigterm_is_killed() {
         let mut process = start("trap '' TERM; echo ready; while :; do sleep 0.01; done");
-        while process.said() != "ready" {
+        while process.output() != "ready" {
             std::thread::sleep(Duration::from_millis(1));
         }
         let id = process.id();
         drop(process);
-        assert!(!is_there(id));
+        assert!(!exists(id));
     }
 
     #[test]
-    fn what_it_said_and_how_it_ended_are_known() {
+    fn output_and_exit_status_are_reported() {
         let mut process = start("echo fine; echo wrong >&2; exit 3");
         let status = process.ends_within(Duration::from_secs(10)).unwrap();
-        assert_eq!((status.code(), process.said().as_str()), (Some(3), "fine\nwrong"));
+        assert_eq!((status.code(), process.output().as_str()), (Some(3), "fine\nwrong"));
     }
 
     #[test]
-    fn of_endless_output_only_the_end_is_kept() {
+    fn only_the_end_of_long_output_is_kept() {
         let script = "head -c 10000000 /dev/zero | tr '\\0' x; echo; echo the end";
         let mut process = start(script);
         assert!(process.ends_within(Duration::from_secs(60)).unwrap().success());
-        let said = process.said();
-        assert!(said.ends_with("x\nthe end") && said.len() < TAIL, "{} bytes", said.len());
+        let output = process.output();
+        assert!(output.ends_with("x\nthe end") && output.len() < TAIL, "{} bytes", output.len());
     }
 
     #[test]
-    fn a_process_whose_holder_is_killed_is_killed_and_its_folder_removed() {
+    fn the_guard_kills_the_process_and_removes_its_folder() {
         let folder = tempfile::tempdir().unwrap();
         let guarded = folder.path().join("guarded");
         std::fs::create_dir(&guarded).unwrap();
         let script = "trap '' TERM; while :; do sleep 0.01; done";
         let mut process =
             Process::start(Command::new("sh").args(["-c", script]), &[&guarded]).unwrap();
-        // What the system does for a holder that is killed: its end of the pipe is closed.
+        // When this process is killed, the system closes its end of the pipe.
         drop(process.guard.stdin.take());
         assert!(process.guard.wait().unwrap().success());
         let status = process.ends_within(Duration::from_secs(10)).unwrap();

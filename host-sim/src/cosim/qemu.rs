@@ -1,11 +1,10 @@
-//! Emulated nodes: a QEMU process each, with its flash in a file.
+//! Emulated nodes: one QEMU process each, with the flash in a file.
 //!
-//! The firmware keeps its weights in the memory of the board that starts at [`FLASH_ORIGIN`]. A file
-//! stands for that memory, so what a node writes there survives its resets, as in a real flash. The
-//! file is written like a flash at the factory: erased, with the start package in slot A.
+//! The firmware keeps its weights in the board's memory at [`FLASH_ORIGIN`]. That memory is backed
+//! by a file, so its contents survive resets, as in a real flash. Initially the file is erased,
+//! with the start package in slot A.
 //!
-//! The node gets to know over what it is to talk from its semihosting arguments: `node fifo IN OUT`,
-//! or `node uart`.
+//! Semihosting arguments select the node's channel: `node fifo IN OUT` or `node uart`.
 
 use std::fs::File;
 use std::io::{self, ErrorKind};
@@ -32,47 +31,47 @@ use crate::packages::PackageBytes;
 use crate::service::{Line, LineError};
 use crate::stop::Stop;
 
-/// The emulator's program.
+/// Name of the emulator program.
 pub const PROGRAM: &str = "qemu-system-arm";
 
-/// The board that is emulated.
+/// The emulated board.
 pub const MACHINE: &str = "mps2-an386";
 
-/// Where the memory begins that the file stands for.
+/// Start of the memory backed by the file.
 pub const FLASH_ORIGIN: u32 = 0x2100_0000;
 
-/// How long it is: all that the board has there. \[byte\]
+/// Length of that memory on the board. \[byte\]
 pub const FLASH_LENGTH: u64 = 16 << 20;
 
-/// How the host reaches the node.
+/// Connection between host and node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Channel {
-    /// Two named pipes that the node opens by semihosting.
+    /// Two named pipes, which the node opens through semihosting.
     Pipes,
-    /// The board's serial line, which is a socket here.
+    /// The board's serial line, connected to a socket.
     Uart,
 }
 
-/// How emulated nodes are started.
+/// Starts emulated nodes.
 #[derive(Clone, Debug)]
 pub struct Qemu {
-    /// The emulator: a path, or a name to be looked for on `PATH`.
+    /// The emulator: a path, or a name to find on `PATH`.
     pub program: PathBuf,
-    /// What it runs.
+    /// The firmware, an ELF file.
     pub firmware: PathBuf,
-    /// Where the firmware looks for its weights.
+    /// The firmware's weights region.
     pub region: WeightsRegion,
-    /// How long it may take to begin.
+    /// Timeout for starting.
     pub timeout: Duration,
     /// Ends every wait for a node.
     pub stop: Arc<Stop>,
 }
 
 impl Qemu {
-    /// Starts a node with `package` in its flash, which is gone with it.
+    /// Starts a node with `package` in its flash, which is removed with the node.
     ///
     /// # Errors
-    /// See [`Fault`]; nothing is left behind then.
+    /// See [`Fault`]; nothing is then left behind.
     pub fn start(&self, channel: Channel, package: &PackageBytes) -> Result<Board, Fault> {
         let folder = Self::folder()?;
         let flash = folder.path().join("flash");
@@ -80,12 +79,12 @@ impl Qemu {
         self.start_in(channel, folder, &flash, false, None)
     }
 
-    /// Starts a node with the flash in this file. One that is not there is made, with `package` in
-    /// it; a node on one that is there goes on with what it finds. If this process is killed, the
-    /// folder `temporary` is removed.
+    /// Starts a node with the flash in this file. A missing file is created, with `package` in it;
+    /// an existing one is used as it is. If this process is killed, the folder `temporary` is
+    /// removed.
     ///
     /// # Errors
-    /// See [`Fault`]; nothing is left behind then but the flash.
+    /// See [`Fault`]; nothing but the flash is then left behind.
     pub fn start_on(
         &self,
         channel: Channel,
@@ -94,18 +93,18 @@ impl Qemu {
         temporary: Option<&Path>,
     ) -> Result<Board, Fault> {
         let folder = Self::folder()?;
-        let lives_on = flash.exists();
-        if !lives_on {
+        let persistent = flash.exists();
+        if !persistent {
             self.write_flash(flash, package)?;
         }
-        self.start_in(channel, folder, flash, lives_on, temporary)
+        self.start_in(channel, folder, flash, persistent, temporary)
     }
 
     fn folder() -> Result<TempDir, Fault> {
         let folder = tempfile::Builder::new().prefix("host-sim-node-").tempdir();
         folder.map_err(|error| {
             let place = std::env::temp_dir();
-            let hint = "free the disk, or set TMPDIR to a folder that can be written to";
+            let hint = "free some disk space, or set TMPDIR to a writable folder";
             Fault::Start(format!("{}: {error}; {hint}", place.display()))
         })
     }
@@ -115,7 +114,7 @@ impl Qemu {
         channel: Channel,
         folder: TempDir,
         flash: &Path,
-        lives_on: bool,
+        persistent: bool,
         temporary: Option<&Path>,
     ) -> Result<Board, Fault> {
         let mut command = Command::new(&self.program);
@@ -129,8 +128,8 @@ impl Qemu {
             .arg(&self.firmware);
         let removed: Vec<_> = [Some(folder.path()), temporary].into_iter().flatten().collect();
         match channel {
-            Channel::Pipes => self.start_with_pipes(command, &folder, &removed, lives_on),
-            Channel::Uart => self.start_with_uart(command, &folder, &removed, lives_on),
+            Channel::Pipes => self.start_with_pipes(command, &folder, &removed, persistent),
+            Channel::Uart => self.start_with_uart(command, &folder, &removed, persistent),
         }
         .map(|(board, process)| board.with_process(process, folder))
     }
@@ -140,7 +139,7 @@ impl Qemu {
         mut command: Command,
         folder: &TempDir,
         removed: &[&Path],
-        lives_on: bool,
+        persistent: bool,
     ) -> Result<(Board, Process), Fault> {
         let (input, output) = (folder.path().join("in"), folder.path().join("out"));
         for pipe in [&input, &output] {
@@ -154,8 +153,8 @@ impl Qemu {
         let mut process = self.spawn(&mut command, removed)?;
         let alive = || process.ended().is_none();
         match Line::over_pipes(&input, &output, self.timeout, alive, &self.stop) {
-            Ok(line) => Ok((Board::new(line, "qemu", lives_on), process)),
-            Err(LineError::Silent) => Err(self.not_begun(&mut process)),
+            Ok(line) => Ok((Board::new(line, "qemu", persistent), process)),
+            Err(LineError::Silent) => Err(self.not_started(&mut process)),
             Err(LineError::Interrupted) => Err(Fault::Interrupted),
             Err(LineError::System(error)) => Err(Fault::System(error)),
             Err(LineError::Closed) => Err(Fault::Closed),
@@ -167,9 +166,9 @@ impl Qemu {
         mut command: Command,
         folder: &TempDir,
         removed: &[&Path],
-        lives_on: bool,
+        persistent: bool,
     ) -> Result<(Board, Process), Fault> {
-        // The emulator connects to us, so that no byte is lost before we do.
+        // QEMU connects to this socket before it starts, so that no byte is lost.
         let path = folder.path().join("uart");
         let listener = UnixListener::bind(&path).map_err(Fault::System)?;
         listener.set_nonblocking(true).map_err(Fault::System)?;
@@ -181,7 +180,7 @@ impl Qemu {
             match listener.accept() {
                 Ok((socket, _)) => {
                     let line = Line::over_socket(socket, &self.stop).map_err(Fault::System)?;
-                    return Ok((Board::new(line, "qemu-uart", lives_on), process));
+                    return Ok((Board::new(line, "qemu-uart", persistent), process));
                 }
                 Err(error) if error.kind() == ErrorKind::WouldBlock => {}
                 Err(error) => return Err(Fault::System(error)),
@@ -190,7 +189,7 @@ impl Qemu {
                 return Err(Fault::Interrupted);
             }
             if process.ended().is_some() || Instant::now() >= deadline {
-                return Err(self.not_begun(&mut process));
+                return Err(self.not_started(&mut process));
             }
             std::thread::sleep(Duration::from_millis(2));
         }
@@ -201,32 +200,32 @@ impl Qemu {
             let program = self.program.display();
             Fault::Start(if error.kind() == ErrorKind::NotFound {
                 format!(
-                    "{program}: there is no such program; install QEMU (on Debian `apt-get install \
-                     --no-install-recommends qemu-system-arm`; `cargo xtask test` does so where it \
-                     may), or name it with --qemu PATH"
+                    "{program}: program not found; install QEMU (on Debian `apt-get install \
+                     --no-install-recommends qemu-system-arm`; `cargo xtask test` does so if \
+                     permitted), or give its path with --qemu PATH"
                 )
             } else {
-                format!("{program}: cannot be started: {error}; name another with --qemu PATH")
+                format!("{program}: cannot start: {error}; give another program with --qemu PATH")
             })
         })
     }
 
-    fn not_begun(&self, process: &mut Process) -> Fault {
+    fn not_started(&self, process: &mut Process) -> Fault {
         match process.ended() {
-            Some(status) => Fault::Ended { status: status.to_string(), said: process.said() },
+            Some(status) => Fault::Ended { status: status.to_string(), output: process.output() },
             None => Fault::Silent {
-                expected: "opening of its channel",
+                expected: "connection",
                 seconds: self.timeout.as_secs_f64(),
                 damaged: 0,
             },
         }
     }
 
-    /// The package that a node with the flash in this file would use after a reset, if there is one;
-    /// with `key`, only one that is signed with its private half.
+    /// Returns the package that a node with the flash in this file would use after a reset, if any.
+    /// With `key`, it must be signed with the private half.
     ///
     /// # Errors
-    /// What the system says, or that the file is not the flash of this board.
+    /// The system's error, or that the file is not the flash of this board.
     pub fn package_in(
         &self,
         flash: &Path,
@@ -235,27 +234,27 @@ impl Qemu {
         let file = File::open(flash)?;
         let wrong = |what: &str| io::Error::new(ErrorKind::InvalidData, what.to_owned());
         if file.metadata()?.len() != FLASH_LENGTH {
-            return Err(wrong("this is not the flash of a node that was kept"));
+            return Err(wrong("not the flash of an emulated node"));
         }
         let origin = u64::from(self.region.origin).checked_sub(FLASH_ORIGIN.into());
         let origin = origin.filter(|_| self.region.end() <= u64::from(FLASH_ORIGIN) + FLASH_LENGTH);
-        let origin = origin.ok_or_else(|| wrong("the memory map has its weights elsewhere"))?;
+        let origin =
+            origin.ok_or_else(|| wrong("the memory map places WEIGHTS outside this flash"))?;
         let mut bytes = vec![0; self.region.length as usize];
         file.read_exact_at(&mut bytes, origin)?;
         let found = package_in_use(FlashCopy::new(&bytes), &self.region, key);
         found.map_err(|error| wrong(&error.to_string()))
     }
 
-    /// The memory as a factory would write it, with or without a package. It is made whole or not at
-    /// all.
+    /// Writes an erased flash with an optional package, atomically.
     fn write_flash(&self, path: &Path, package: Option<&PackageBytes>) -> Result<(), Fault> {
         let offset = |address: u64| address.checked_sub(FLASH_ORIGIN.into());
         let origin = offset(self.region.origin.into());
         let end = offset(self.region.end()).filter(|&end| end <= FLASH_LENGTH);
         let (Some(origin), Some(_)) = (origin, end) else {
             return Err(Fault::Start(format!(
-                "WEIGHTS at {:#010x} is not in the memory of {MACHINE} that stands for flash, \
-                 {FLASH_ORIGIN:#010x} to {:#010x}; give the memory map of that board with --memory",
+                "WEIGHTS at {:#010x} is outside the flash of {MACHINE}, {FLASH_ORIGIN:#010x} to {:#010x}; \
+                 give the memory map of that board with --memory",
                 self.region.origin,
                 u64::from(FLASH_ORIGIN) + FLASH_LENGTH
             )));
@@ -275,14 +274,14 @@ impl Qemu {
         };
         write().map_err(|error| {
             Fault::Start(format!(
-                "{}: {error}; free the disk, or set TMPDIR to a folder with more room",
+                "{}: {error}; free some disk space, or set TMPDIR to a folder with more space",
                 path.display()
             ))
         })
     }
 }
 
-/// A path as a part of one of QEMU's options, where a comma is written twice.
+/// Escapes a path for one of QEMU's options, where commas are doubled.
 fn option(path: &Path) -> String {
     path.display().to_string().replace(',', ",,")
 }

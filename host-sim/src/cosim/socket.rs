@@ -1,4 +1,4 @@
-//! A node's socket in a folder: made where nothing else is, and removed by the one who made it.
+//! A node's listening socket, which never replaces other files and is removed on drop.
 
 use std::fs::Metadata;
 use std::io::ErrorKind;
@@ -11,44 +11,42 @@ use super::CosimError;
 use crate::service::address::connect;
 use crate::stop::Stop;
 
-/// A socket that others can connect to. Dropping it removes it, unless something else has taken its
-/// place.
+/// A listening socket. Dropping it removes its file, unless that has been replaced.
 #[derive(Debug)]
 pub(super) struct Socket {
     path: PathBuf,
     listener: UnixListener,
-    /// Device and number of the file, by which it is recognised.
+    /// Device and inode of the file, which identify it.
     identity: Option<(u64, u64)>,
 }
 
 impl Socket {
-    /// Whether a socket can be made here. Returns whether one that no process listens at has to be removed
-    /// before.
+    /// Checks that a socket can be created here. Returns whether a stale one must be removed first.
     ///
     /// # Errors
-    /// [`CosimError::Occupied`] if there is anything else.
+    /// [`CosimError::Occupied`] if the path is taken.
     pub(super) fn check(path: &Path) -> Result<bool, CosimError> {
         let occupied = |what| CosimError::Occupied { path: path.to_owned(), what };
-        // A link is not followed: what it points to is not ours.
+        // Links are not followed: their targets belong to someone else.
         let metadata = match std::fs::symlink_metadata(path) {
             Ok(metadata) => metadata,
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
             Err(error) => return Err(CosimError::Serve { path: path.to_owned(), error }),
         };
         if !metadata.file_type().is_socket() {
-            return Err(occupied("there is something here that is not a socket"));
+            return Err(occupied("not a socket"));
         }
         match connect(path, Duration::ZERO, &Stop::default()) {
-            // What a run that was killed has left behind.
+            // Left behind by a killed run.
             Err(error) if error.kind() == ErrorKind::ConnectionRefused => Ok(true),
-            _ => Err(occupied("another program serves this socket")),
+            _ => Err(occupied("another program is listening on this socket")),
         }
     }
 
-    /// Makes a socket.
+    /// Creates the socket.
     ///
     /// # Errors
-    /// As [`Socket::check`], and what the system says.
+    /// As [`Socket::check`], and the system's errors.
     pub(super) fn bind(path: PathBuf) -> Result<Self, CosimError> {
         let stale = Self::check(&path)?;
         let bound = || {
@@ -68,7 +66,7 @@ impl Socket {
         }
     }
 
-    /// The next client that waits to be accepted.
+    /// Accepts the next waiting client.
     pub(super) fn accept(&self) -> Option<UnixStream> {
         self.listener.accept().ok().map(|(socket, _)| socket)
     }
@@ -101,15 +99,15 @@ mod tests {
         std::fs::create_dir(path("folder")).unwrap();
         for name in ["file", "link", "folder"] {
             let error = Socket::bind(path(name)).unwrap_err().to_string();
-            assert!(error.contains("not a socket; it is left as it is"), "{error}");
+            assert!(error.contains("not a socket; refusing to replace it"), "{error}");
         }
         assert_eq!(std::fs::read(path("link")).unwrap(), b"precious");
 
         let live = UnixListener::bind(path("live")).unwrap();
         let error = Socket::bind(path("live")).unwrap_err().to_string();
-        assert!(error.contains("another program serves this socket"), "{error}");
+        assert!(error.contains("another program is listening on this socket"), "{error}");
         drop(live);
-        // Now no process listens any more, as after a run that was killed.
+        // No process is listening now, as after a killed run.
         let ours = Socket::bind(path("live")).unwrap();
         assert!(UnixStream::connect(path("live")).is_ok() && ours.accept().is_some());
         drop(ours);
@@ -117,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_taken_the_place_of_a_socket_stays() {
+    fn a_file_that_replaced_the_socket_is_kept() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("agent-1.sock");
         let ours = Socket::bind(path.clone()).unwrap();

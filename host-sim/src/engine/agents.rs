@@ -217,8 +217,8 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         }
     }
 
-    /// Switches to a package between two steps, after the checks of a node. The agent's parameters are
-    /// not changed: the caller has checked that those in the package are equal.
+    /// Switches to a package between two steps, after the checks of a node. The agent's parameters
+    /// are not changed: the caller has checked that those in the package are equal.
     pub(super) fn load(&mut self, bytes: &PackageBytes) -> Result<(), Refusal> {
         self.load_after(bytes, self.in_use)
     }

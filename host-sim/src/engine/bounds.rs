@@ -1,4 +1,5 @@
-//! Measures the quantities that the theorems bound. Memory does not grow with the length of the run.
+//! Measures the quantities that the theorems bound. Memory does not grow with the length of the
+//! run.
 
 use crate::analysis::{LumpedSamples, UltimateBound};
 use crate::scenario::Scenario;
@@ -6,7 +7,8 @@ use crate::scenario::Scenario;
 /// Measurements for the theorems' bounds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bounds {
-    /// Number of states of plant and agents examined: at the start of every step, and the final one.
+    /// Number of states of plant and agents examined: at the start of every step, and the final
+    /// one.
     pub states: u64,
     /// The error relative to Theorem 1's bound; `None` if the theorem does not apply
     /// (`k_2 <= 1/kappa`).
@@ -36,10 +38,10 @@ pub struct BoundShare {
 /// Growth of the error, all agents stacked, relative to the state.
 ///
 /// An observer that always estimates zero has an error no larger than the state. So an error is
-/// excessive if it is more than [`Growth::FAR`] times the larger of the initial error and the largest
-/// state. It counts as growing without bound if, in addition, it is more than twice as large in the
-/// last tenth of the run as around the middle, or the step is known to be too long. The root mean
-/// square over a tenth smooths oscillations.
+/// excessive if it is more than [`Growth::FAR`] times the larger of the initial error and the
+/// largest state. It counts as growing without bound if, in addition, it is more than twice as
+/// large in the last tenth of the run as around the middle, or the step is known to be too long.
+/// The root mean square over a tenth smooths oscillations.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Growth {
     /// `|e_1(0)|`. \[state unit\]

@@ -1,9 +1,9 @@
 //! Learning cycles: collecting samples, training inner networks, switching them in.
 //!
-//! A cycle collects `(x_hat, d/dt x_hat)` of its agents over a window, copies the outer weights at the
-//! end of the window, and switches the trained network in at the configured time. Training takes no
-//! simulated time. All jobs that are ready run in parallel, each with its own seed, so the result does
-//! not depend on the number of threads.
+//! A cycle collects `(x_hat, d/dt x_hat)` of its agents over a window, copies the outer weights at
+//! the end of the window, and switches the trained network in at the configured time. Training
+//! takes no simulated time. All jobs that are ready run in parallel, each with its own seed, so the
+//! result does not depend on the number of threads.
 
 use std::ops::ControlFlow;
 
@@ -63,8 +63,8 @@ impl<'s> Learning<'s> {
         Self { scenario, seed, jobs: jobs.collect() }
     }
 
-    /// Returns the packages to switch in before the step at `tick`. When one is due, trains all jobs
-    /// whose samples are complete.
+    /// Returns the packages to switch in before the step at `tick`. When one is due, trains all
+    /// jobs whose samples are complete.
     pub(super) fn switches_due(
         &mut self,
         tick: Tick,

@@ -8,9 +8,9 @@
 //! 4. broadcasts of `t_(k+1)` are sent over the link, in ascending order of agents,
 //! 5. the plant is integrated to `t_(k+1)`.
 //!
-//! A run is a pure function of scenario, seed and link. Agents only read frames sent in the previous
-//! tick, so they can be stepped in parallel, and the result is the same to the last bit for any number
-//! of threads.
+//! A run is a pure function of scenario, seed and link. Agents only read frames sent in the
+//! previous tick, so they can be stepped in parallel, and the result is the same to the last bit
+//! for any number of threads.
 
 mod agents;
 pub mod bounds;
@@ -84,8 +84,8 @@ pub struct RunResult {
     pub traces: Traces,
     /// Measurements for the theorems' bounds; `None` if not requested.
     pub bounds: Option<Bounds>,
-    /// A hash of every broadcast and of the final state of every agent. Equal digests mean, except for
-    /// hash collisions, that two runs behaved identically.
+    /// A hash of every broadcast and of the final state of every agent. Equal digests mean, except
+    /// for hash collisions, that two runs behaved identically.
     pub digest: u64,
 }
 

@@ -156,8 +156,8 @@ fn build_agents<'s, const N: usize>(
     agents.collect()
 }
 
-/// Returns the package that each agent starts with: the one given in the scenario, or one created from
-/// the scenario's network. Empty without a network.
+/// Returns the package that each agent starts with: the one given in the scenario, or one created
+/// from the scenario's network. Empty without a network.
 fn start_packages(
     scenario: &Scenario,
     trigger: &TriggerConstants,

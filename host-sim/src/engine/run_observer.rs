@@ -1,4 +1,5 @@
-//! Observes a run step by step, with the inputs and results of every agent, and can switch packages.
+//! Observes a run step by step, with the inputs and results of every agent, and can switch
+//! packages.
 //!
 //! Without an observer, the cost is one comparison per step.
 

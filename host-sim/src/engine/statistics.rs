@@ -59,7 +59,8 @@ impl AgentStatistics {
         self.broadcasts
     }
 
-    /// Returns the root mean square of `|e_1i|` over the evaluation window; `None` if it has no steps.
+    /// Returns the root mean square of `|e_1i|` over the evaluation window; `None` if it has no
+    /// steps.
     #[must_use]
     pub fn rmse(&self) -> Option<f64> {
         (self.samples > 0).then(|| (self.sum_squared / self.samples as f64).sqrt())

@@ -55,8 +55,8 @@ impl<const N: usize> Watch<N> {
     }
 }
 
-/// Returns whether a monitored agent continues after this error: it was caused by the data, not by the
-/// configuration.
+/// Returns whether a monitored agent continues after this error: it was caused by the data, not by
+/// the configuration.
 pub(super) fn is_recoverable(error: StepError) -> bool {
     matches!(error, StepError::MeasurementNotFinite { .. } | StepError::Diverged)
 }

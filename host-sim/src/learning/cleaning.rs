@@ -90,7 +90,8 @@ impl Cleaned {
 }
 
 /// Returns the segments between long gaps, with short gaps filled by linear interpolation. Only for
-/// choosing a window: without filling, lost samples would leave segments too short for a slow signal.
+/// choosing a window: without filling, lost samples would leave segments too short for a slow
+/// signal.
 fn filled(recording: &Recording) -> Vec<Dataset> {
     let n = recording.samples.dimension();
     let (inputs, targets) = (recording.samples.inputs(), recording.samples.targets());
@@ -120,8 +121,8 @@ fn filled(recording: &Recording) -> Vec<Dataset> {
     pieces
 }
 
-/// Returns smoothed pairs for every `stride`-th raw sample, and the row of each in the training data;
-/// `None` if no window fits.
+/// Returns smoothed pairs for every `stride`-th raw sample, and the row of each in the training
+/// data; `None` if no window fits.
 fn judge_raw(
     pieces: &[Dataset],
     window: f64,

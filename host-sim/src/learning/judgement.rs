@@ -4,8 +4,8 @@ use super::quality::{LAST_SHARE, Quality};
 use crate::training::{Dataset, Scaling};
 use crate::warning::{Warning, WarningCode};
 
-/// Warning threshold for the distance of an input's centre from 0, in standard deviations: beyond it,
-/// single precision rounds the input by more than about 1/4000 of its deviation.
+/// Warning threshold for the distance of an input's centre from 0, in standard deviations: beyond
+/// it, single precision rounds the input by more than about 1/4000 of its deviation.
 const OFFSET_MAX: f64 = 4000.0;
 
 /// Share of the targets' variance below which a network counts as explaining nothing.

@@ -2,7 +2,7 @@
 //!
 //! | module | purpose |
 //! | --- | --- |
-//! | [`agent_config`] | an agent's configuration, from a scenario |
+//! | [`mod@agent_config`] | an agent's configuration, from a scenario |
 //! | [`cleaning`] | recorded samples prepared for training |
 //! | [`judgement`] | warnings about samples and trained networks |
 //! | [`quality`] | how well a trained network fits the samples |

@@ -23,8 +23,8 @@ use crate::training::{Dataset, Scaling};
 pub struct Fit {
     /// Mean squared error. \[squared state unit/s^2\]
     pub error: f64,
-    /// Explained share of the smoothed targets' variance: at most 1, and 0 for a constant. `None` if
-    /// the targets do not vary or there are none.
+    /// Explained share of the smoothed targets' variance: at most 1, and 0 for a constant. `None`
+    /// if the targets do not vary or there are none.
     pub explained: Option<f64>,
 }
 
@@ -37,13 +37,14 @@ pub struct Quality {
     pub validation: Option<Fit>,
     /// On the test samples.
     pub test: Option<Fit>,
-    /// Share explained in the last [`LAST_SHARE`] of all samples in time, including training samples.
+    /// Share explained in the last [`LAST_SHARE`] of all samples in time, including training
+    /// samples.
     pub last: Option<f64>,
 }
 
 impl Quality {
-    /// Returns whether the network explains more than a constant at the end of the samples and on the
-    /// validation samples, if any. Otherwise it is not switched in.
+    /// Returns whether the network explains more than a constant at the end of the samples and on
+    /// the validation samples, if any. Otherwise it is not switched in.
     ///
     /// The constant is the mean over the end only, because the network is used from there on. This
     /// rejects networks trained on too short a time or on chatter. It may also reject a useful
@@ -58,8 +59,8 @@ impl Quality {
 /// The share of samples, the last in time, that decides whether the network is used.
 pub const LAST_SHARE: f64 = 0.15;
 
-/// Returns `f_hat` for each input of `samples`, shape `[samples][n]`; NaN where the core rejects the
-/// input.
+/// Returns `f_hat` for each input of `samples`, shape `[samples][n]`; NaN where the core rejects
+/// the input.
 ///
 /// # Panics
 /// If the dimensions of samples and package differ.

@@ -68,8 +68,8 @@ pub struct Trained {
     pub report: TrainingReport,
     /// How well the network in the package fits the samples.
     pub quality: Quality,
-    /// Whether to use the network: it explains something ([`Quality::explains`]), or the recipe sets
-    /// `switch_in = "always"`.
+    /// Whether to use the network: it explains something ([`Quality::explains`]), or the recipe
+    /// sets `switch_in = "always"`.
     pub accepted: bool,
     /// Warnings about samples and network.
     pub warnings: Vec<Warning>,
@@ -131,8 +131,8 @@ impl From<DataError> for TrainedError {
 }
 
 impl<'s> TrainingTask<'s> {
-    /// Cleans and checks the samples. If the recording has no outer weights, those of the scenario are
-    /// used.
+    /// Cleans and checks the samples. If the recording has no outer weights, those of the scenario
+    /// are used.
     ///
     /// # Errors
     /// If the samples cannot be cleaned or divided.
@@ -171,8 +171,8 @@ impl<'s> TrainingTask<'s> {
         self.prepare(recording)?.carry_out(progress)
     }
 
-    /// Returns a distinct seed for every agent and cycle of a run: the run's seed mixed with both, so
-    /// that neighbouring tasks get very different seeds.
+    /// Returns a distinct seed for every agent and cycle of a run: the run's seed mixed with both,
+    /// so that neighbouring tasks get very different seeds.
     fn task_seed(&self) -> u64 {
         let place = (self.cycle as u64) << 32 | self.agent as u64;
         self.seed ^ place.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15)
@@ -350,9 +350,9 @@ fn limits(samples: &Dataset) -> (Vec<f32>, Vec<f32>) {
     ((0..n).map(low).collect(), (0..n).map(high).collect())
 }
 
-/// Theorem 2 on the recorded trajectory: the hold error has to grow from 0 to the trigger's
-/// radius, and grows no faster than the estimate moves. 0, for not known, if agents have another
-/// trigger, or if not every step was recorded: a faster one may lie in between. \[s\]
+/// Returns the bound of Theorem 2 on the recorded trajectory: the hold error grows from 0 to the
+/// trigger's radius, no faster than the estimate moves. Returns 0 (not known) with another trigger,
+/// or unless every step was recorded, because faster ones may be missing. \[s\]
 fn interval_bound(scenario: &Scenario, trigger: &TriggerConstants, recording: &Recording) -> f32 {
     let every_step = recording.interval < 1.5 * scenario.time.step_size;
     let applies = scenario.trigger.departure().is_none();

@@ -139,8 +139,8 @@ impl PackageBytes {
         Self::new(&bytes).expect("a package with a signature of the right length")
     }
 
-    /// Returns the package with another version, without its signature and its permission to replace
-    /// newer ones, which are valid for one version only.
+    /// Returns the package with another version, without its signature and its permission to
+    /// replace newer ones, which are valid for one version only.
     ///
     /// # Panics
     /// Never: the buffer has room for any version.

@@ -1,8 +1,8 @@
 //! The content of a package, and creating packages from it.
 //!
-//! The test vectors are computed here by the core's own code; every node must reproduce them bit for
-//! bit. Their inputs are inside the trained box, where activations are not saturated more than in
-//! operation.
+//! The test vectors are computed here by the core's own code; every node must reproduce them bit
+//! for bit. Their inputs are inside the trained box, where activations are not saturated more than
+//! in operation.
 
 use agent_core::StateVector;
 use agent_core::agent::region::StateBox;
@@ -209,8 +209,8 @@ fn test_vector<const N: usize>(package: &Package<'_>, input: &[f32]) -> Option<V
     Some([input, features, output.as_slice()].concat())
 }
 
-/// Returns the centre of the trained box and corners of the centred box of half its size, in different
-/// patterns of low and high components. Unlimited components use [-1, 1].
+/// Returns the centre of the trained box and corners of the centred box of half its size, in
+/// different patterns of low and high components. Unlimited components use [-1, 1].
 fn test_inputs(trained: &StateBox<'_>) -> [Vec<f32>; TEST_VECTORS] {
     std::array::from_fn(|pattern| {
         let limits = trained.low.iter().zip(trained.high).enumerate();

@@ -69,8 +69,8 @@ impl RecordingSource {
         text
     }
 
-    /// Reads the comments at the head of a file. Unknown lines are ignored. For a pipe, which can be
-    /// read only once, nothing is known.
+    /// Reads the comments at the head of a file. Unknown lines are ignored. For a pipe, which can
+    /// be read only once, nothing is known.
     ///
     /// # Errors
     /// If the file cannot be read.
@@ -120,8 +120,8 @@ impl RecordingSource {
         }
     }
 
-    /// Checks that these samples, read from `path`, are for `agent`, from 1, of this scenario. Returns
-    /// a warning if the scenario differs.
+    /// Checks that these samples, read from `path`, are for `agent`, from 1, of this scenario.
+    /// Returns a warning if the scenario differs.
     ///
     /// # Errors
     /// If the agent or the step differs.

@@ -202,8 +202,8 @@ impl Client {
         }
     }
 
-    /// Sends a request and waits for the answer. Other messages are passed to `unsolicited`; damaged
-    /// ones are ignored.
+    /// Sends a request and waits for the answer. Other messages are passed to `unsolicited`;
+    /// damaged ones are ignored.
     ///
     /// # Errors
     /// See [`ServiceError`]. `answer` returns `None` for a message that is not the answer.
@@ -228,7 +228,7 @@ impl Client {
             });
             let Ok(bytes) = next? else { continue };
             let message = match decode(&bytes) {
-                // A newer node may tell more without being asked.
+                // A newer node may send other unsolicited messages.
                 Err(ServiceError::Unrecognised(_)) if !may_be_answer(&bytes) => continue,
                 message => message?,
             };
@@ -276,8 +276,8 @@ impl Client {
 /// Decodes a message.
 ///
 /// # Errors
-/// [`ServiceError::Protocol`] if it is the status of a node that speaks another version, otherwise
-/// [`ServiceError::Unrecognised`].
+/// [`ServiceError::Protocol`] if it is the status of a node with another protocol version,
+/// otherwise [`ServiceError::Unrecognised`].
 pub fn decode(bytes: &[u8]) -> Result<Message<'_>, ServiceError> {
     // In every version, a status and a greeting start with their kind and the version.
     if let &[0 | 1, found, ..] = bytes
@@ -297,8 +297,8 @@ pub fn decode(bytes: &[u8]) -> Result<Message<'_>, ServiceError> {
     })
 }
 
-/// Whether a message that is not understood may answer a request, by its kind: those of
-/// [`Message::is_answer`], which stay.
+/// Returns whether a message that cannot be decoded may be an answer, judging by its kind: the
+/// kinds of [`Message::is_answer`] are fixed.
 fn may_be_answer(bytes: &[u8]) -> bool {
     matches!(bytes, [] | [0 | 2..=8, ..])
 }
@@ -323,7 +323,7 @@ pub fn name(message: &Message<'_>) -> String {
         Message::Health { .. } => "health counters".to_owned(),
         Message::Event(_) => "an event".to_owned(),
         Message::Broadcast { .. } => "a frame".to_owned(),
-        Message::BoardErrors { .. } => "what its sensor and link have reported".to_owned(),
+        Message::BoardErrors { .. } => "errors of sensor and link".to_owned(),
     }
 }
 
@@ -397,17 +397,17 @@ mod tests {
     }
 
     #[test]
-    fn what_a_newer_node_tells_without_being_asked_is_skipped() {
-        // A kind of message and an event that this version does not know.
+    fn unknown_unsolicited_messages_are_skipped() {
+        // An unknown kind of message and an unknown event.
         for message in [&[100, 1, 2][..], &[11, 100, 1]] {
             assert!(matches!(decode(message), Err(ServiceError::Unrecognised(_))));
             let error = status_of(framed(message));
             assert!(matches!(error, ServiceError::Line(LineError::Silent)), "{error}");
         }
-        // What is no answer where one may be is not skipped: an upload without its length.
+        // An invalid message of an answer's kind is not skipped: an upload without its length.
         let error = status_of(framed(&[2]));
         assert!(matches!(error, ServiceError::Unrecognised(_)), "{error}");
-        // Every kind of message that this version knows is told apart in the same way.
+        // The kinds agree with `is_answer` for every known message.
         for (message, is_answer) in [(&[5][..], true), (&[8, 0], true), (&[11, 1, 0], false)] {
             assert!(decode(message).is_ok_and(|known| known.is_answer() == is_answer));
             assert_eq!(may_be_answer(message), is_answer);

@@ -48,9 +48,9 @@ fn of_store(error: StoreError) -> &'static str {
 /// Common baud rates. \[bit/s\]
 const RATES: [u32; 9] = [9600, 19_200, 38_400, 57_600, BAUD, 230_400, 460_800, 921_600, 1_000_000];
 
-/// Returns the hint for received bytes that are not messages, on a serial line of `baud` bits per second
-/// or another connection. `changes` is the average number of differing adjacent bits per byte: 3.5 in
-/// noise, and much less if each bit of a slower sender is read several times.
+/// Returns the hint for received bytes that are not messages, on a serial line of `baud` bits per
+/// second or another connection. `changes` is the average number of differing adjacent bits per
+/// byte: 3.5 in noise, and much less if each bit of a slower sender is read several times.
 #[must_use]
 pub fn of_garbage(baud: Option<u32>, changes: f64) -> String {
     let Some(baud) = baud else {

@@ -1,7 +1,7 @@
 //! A byte connection to a node, over pipes, a socket or a serial line.
 //!
-//! No wait exceeds its timeout, however much the other end sends, and every wait ends soon after its
-//! [`Stop`] is requested. The receive buffer is bounded.
+//! No wait exceeds its timeout, however much the other end sends, and every wait ends soon after
+//! its [`Stop`] is requested. The receive buffer is bounded.
 //!
 //! A serial line is opened exclusively: it is locked against other programs that use locks (as all
 //! commands here do) and, if the system supports it, against all others.
@@ -76,8 +76,8 @@ impl Line {
         Ok(Self::new(File::from(OwnedFd::from(socket)), output, false, stop))
     }
 
-    /// Opens the serial line `path` exclusively, with `baud` bits per second, eight data bits and no
-    /// parity.
+    /// Opens the serial line `path` exclusively, with `baud` bits per second, eight data bits and
+    /// no parity.
     ///
     /// # Errors
     /// The system's error; [`io::ErrorKind::ResourceBusy`] if another program uses the line.
@@ -114,8 +114,8 @@ impl Line {
         Ok(Self::new(File::from(descriptor), output, false, stop))
     }
 
-    /// Creates a line over two named pipes. The node reads from `to_node`, which it opens first, and
-    /// writes to `from_node`. Waiting ends once `alive` returns `false`.
+    /// Creates a line over two named pipes. The node reads from `to_node`, which it opens first,
+    /// and writes to `from_node`. Waiting ends once `alive` returns `false`.
     ///
     /// # Errors
     /// [`LineError::Silent`] if the node does not open its pipe in time or is not alive.

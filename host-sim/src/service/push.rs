@@ -1,9 +1,9 @@
 //! Sends a weight package to a node: begin, chunks, staging, activation.
 //!
-//! The bytes are sent unchanged, and the node decides whether they are a valid package. Lost requests
-//! are repeated, and an interrupted transfer resumes at the position reported by the node. Before
-//! resuming, the last chunk is sent again: if the node detects that the upload was of another
-//! package, the transfer starts over.
+//! The bytes are sent unchanged, and the node decides whether they are a valid package. Lost
+//! requests are repeated, and an interrupted transfer resumes at the position reported by the node.
+//! Before resuming, the last chunk is sent again: if the node detects that the upload was of
+//! another package, the transfer starts over.
 
 use std::time::Duration;
 
@@ -136,24 +136,24 @@ pub fn status(client: &mut Client, retry_policy: RetryPolicy) -> Result<Status, 
     status_and(client, retry_policy, &mut |_| {})
 }
 
-/// Asks a node how it is; hands what it tells before its answer to `unasked`: what does not work on
-/// its board, and what its sensor and its link have reported.
+/// Requests a node's status, and passes messages before the answer, such as faults of its board and
+/// errors of sensor and link, to `unsolicited`.
 ///
 /// # Errors
 /// See [`ServiceError`].
 pub fn status_and(
     client: &mut Client,
     retry_policy: RetryPolicy,
-    unasked: &mut dyn FnMut(&Message<'_>),
+    unsolicited: &mut dyn FnMut(&Message<'_>),
 ) -> Result<Status, ServiceError> {
-    client.request(&Request::Query, retry_policy, unasked, "its status", |m| match m {
+    client.request(&Request::Query, retry_policy, unsolicited, "a status", |m| match m {
         Message::Status(status) => Some(*status),
         _ => None,
     })
 }
 
-/// Transfers the package to the node, from the start or from where an earlier transfer ended, and has
-/// it verified. Returns its version. The package in use does not change.
+/// Transfers the package to the node, from the start or from where an earlier transfer ended, and
+/// has it verified. Returns its version. The package in use does not change.
 ///
 /// # Errors
 /// See [`PushError`].
@@ -219,8 +219,8 @@ fn send_and_stage(
     };
     let expected = "the result of the verification";
     match client.request(&Request::Stage, retry_policy, &mut |_| {}, expected, staged) {
-        // The answer to the first try may have been lost; then the package is staged, and its version
-        // is known from the verified bytes.
+        // The answer to the first try may have been lost; then the package is staged, and its
+        // version is known from the verified bytes.
         Err(ServiceError::Refused(Problem::Store(StoreError::NoUpload)))
             if status(client, retry_policy)?.staged =>
         {

@@ -214,8 +214,8 @@ impl Recorder {
     }
 }
 
-/// Recovers the scenario's `dt` from a node's single precision: the number with the fewest digits that
-/// rounds to the same. \[s\]
+/// Recovers the scenario's `dt` from a node's single precision: the number with the fewest digits
+/// that rounds to the same. \[s\]
 #[must_use]
 pub fn step_size(on_node: f32) -> f64 {
     // The shortest decimal that parses to this f32 is most likely the one in the scenario.

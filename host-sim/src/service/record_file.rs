@@ -80,8 +80,8 @@ pub struct RecordFile {
 }
 
 impl RecordFile {
-    /// Creates the file or opens an empty one; with `append`, also opens an earlier recording of the
-    /// same agent.
+    /// Creates the file or opens an empty one; with `append`, also opens an earlier recording of
+    /// the same agent.
     ///
     /// # Errors
     /// See [`RecordError`]; the file is then unchanged.

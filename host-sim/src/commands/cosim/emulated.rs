@@ -21,7 +21,8 @@ pub(super) enum Signing {
     None,
     /// Signatures are required, and co-simulation signs packages itself.
     Private(Box<OperatorKey>),
-    /// Signatures are required, and only the public key is known: nodes wait for their first package.
+    /// Signatures are required, and only the public key is known: nodes wait for their first
+    /// package.
     Public(PublicKey),
 }
 

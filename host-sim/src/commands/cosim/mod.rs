@@ -76,7 +76,8 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FOLDER")]
     keep: Option<PathBuf>,
     /// Use firmware that accepts only signed packages. Given the operator's private key, all
-    /// packages are signed with it; given the public key, nodes wait for signed packages to be pushed
+    /// packages are signed with it; given the public key, nodes wait for signed packages to be
+    /// pushed
     #[arg(long, value_name = "KEY.pem")]
     key: Option<PathBuf>,
     #[command(flatten)]
@@ -229,7 +230,7 @@ fn notice_text(arguments: &Arguments, agents: usize, notice: &Notice<'_>) -> Str
             });
             format!("{error}{restart}")
         }
-        Notice::StartedAgain { agent } => {
+        Notice::Restarted { agent } => {
             format!("Agent {agent} was restarted from the contents of its flash")
         }
         Notice::Late { share } => format!(
@@ -312,7 +313,7 @@ fn text(scenario: &Scenario, arguments: &Arguments, report: &CosimReport) -> Str
             let _ = writeln!(text, "Agent {agent} stopped {ended}");
         }
         if board.restarts > 0 {
-            let _ = writeln!(text, "Agent {agent} was restarted, times: {}", board.restarts);
+            let _ = writeln!(text, "Agent {agent} restarts: {}", board.restarts);
         }
     }
     if let Some(share) = report.real_time_kept.filter(|share| *share < 1.0) {
@@ -323,7 +324,7 @@ fn text(scenario: &Scenario, arguments: &Arguments, report: &CosimReport) -> Str
         text,
         "\nEstimate, outer weights, derivative, outcome, trigger and frame, compared bit for bit in every \
          step: {}\n\
-         {} steps in {:.2} s, {:.0} a second ({:.0} round trips)\n\
+         {} steps in {:.2} s, {:.0} per second ({:.0} round trips)\n\
          Scenario {}, seed {}, digest {}",
         match report.mismatches {
             0 if report.boards.iter().all(|board| board.compared == 0) => {

@@ -2,8 +2,8 @@
 //!
 //! The results are written to a hidden subfolder and moved into place together at the end. The
 //! manifest, [`manifest::NAME`], lists them: the next run replaces exactly these files and removes
-//! those that it does not write. Other files are left alone; if one has the name of a planned result,
-//! the run is refused before it starts. The folder is locked until the process ends.
+//! those that it does not write. Other files are left alone; if one has the name of a planned
+//! result, the run is refused before it starts. The folder is locked until the process ends.
 
 mod manifest;
 
@@ -57,8 +57,8 @@ impl RunFolder {
         error.renamed(self.stage(), &self.path)
     }
 
-    /// Moves the results into place and removes those of the previous run. Returns their names, and a
-    /// line listing any other files in the folder.
+    /// Moves the results into place and removes those of the previous run. Returns their names, and
+    /// a line listing any other files in the folder.
     pub(super) fn publish(
         self,
         scenario: &Scenario,
@@ -187,8 +187,8 @@ fn names_in(folder: &Path) -> io::Result<BTreeSet<String>> {
     names.map(|name| name.map(|name| name.to_string_lossy().into_owned())).collect()
 }
 
-/// Returns a line listing the files that are not from this run, so that they are not mistaken for its
-/// results.
+/// Returns a line listing the files that are not from this run, so that they are not mistaken for
+/// its results.
 fn others(folder: &Path, files: &BTreeSet<String>) -> String {
     let mut others = names_in(folder).unwrap_or_default();
     others.retain(|name| !files.contains(name) && name != manifest::NAME && !is_temporary(name));

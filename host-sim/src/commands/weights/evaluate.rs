@@ -1,8 +1,8 @@
 //! `weights evaluate`: evaluates a package on a recording, before it is pushed.
 //!
 //! For every sample, the network's output `f_hat = W_hat^T sigma(Phi_hat(x_hat))`, computed by the
-//! node's own code in single precision, is compared with the recorded derivative of the estimate. The
-//! errors without a network (zero) and with a constant (the mean) are given for comparison.
+//! node's own code in single precision, is compared with the recorded derivative of the estimate.
+//! The errors without a network (zero) and with a constant (the mean) are given for comparison.
 
 use std::fmt::Write;
 use std::path::PathBuf;

@@ -1,6 +1,6 @@
-//! A client of a relay: requests that wait for their turn, and what waits to be written.
+//! A client of a relay, with its queued requests and unsent output.
 //!
-//! Cost: 1 KiB of requests and 64 KiB of what waits for it, at most.
+//! Memory: at most 1 KiB of requests and 64 KiB of output.
 
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
@@ -12,46 +12,47 @@ use agent_core::service::{REQUEST_LENGTH_MAX, Response, State, Subscription, sen
 use agent_core::wire::cobs::{Decoder, Encoder};
 use serde::Serialize;
 
-/// Bytes that wait for a client; of more, the newest messages are lost, as on a slow line.
+/// Limit of a client's unsent output; beyond it, new messages are dropped, as on a slow line.
+/// \[byte\]
 const UNSENT_MAX: usize = 1 << 16;
 
-/// How long a client may leave what waits for it unread while more is lost.
+/// How long messages may be dropped before a client that does not read is disconnected.
 const UNREAD_MAX: Duration = Duration::from_secs(5);
 
 type RequestDecoder = Decoder<{ REQUEST_LENGTH_MAX + agent_core::wire::crc::CHECKSUM_LENGTH }>;
 
-/// What the relay itself says.
+/// A message from the relay itself.
 pub(super) type Reply<'a> = Response<'a, Vec<f32>>;
 
-/// Somebody at a socket.
+/// A client connected to a socket.
 pub(super) struct Client {
     socket: UnixStream,
     decoder: RequestDecoder,
-    /// Requests that have arrived and wait for their turn.
+    /// Received requests that are not yet handled.
     requests: VecDeque<Vec<u8>>,
     unsent: Vec<u8>,
-    /// Since when messages are lost because it does not read.
-    losing_since: Option<Instant>,
+    /// Since when messages are dropped because the client does not read.
+    dropping_since: Option<Instant>,
     pub(super) subscription: Subscription,
     pub(super) gone: bool,
 }
 
 impl Client {
-    /// Somebody at this socket, which does not block.
+    /// Creates a client on this nonblocking socket.
     pub(super) fn new(socket: UnixStream) -> Self {
         Self {
             socket,
             decoder: RequestDecoder::new(),
             requests: VecDeque::new(),
             unsent: Vec::new(),
-            losing_since: None,
+            dropping_since: None,
             subscription: Subscription::default(),
             gone: false,
         }
     }
 
-    /// The next request. Damaged ones are left out, as they are on a node. More is read only when
-    /// nothing waits, so that a client that asks faster than it is answered has to wait itself.
+    /// Returns the next request. Damaged ones are ignored, as on a node. Reads only when no request
+    /// is queued, so that a client which sends too fast is slowed down.
     pub(super) fn request(&mut self) -> Option<Vec<u8>> {
         if self.requests.is_empty() {
             let mut buffer = [0; 1024];
@@ -71,14 +72,14 @@ impl Client {
         self.requests.pop_front()
     }
 
-    /// Says something of our own.
-    pub(super) fn say(&mut self, message: &impl Serialize) {
+    /// Sends a message of the relay.
+    pub(super) fn send(&mut self, message: &impl Serialize) {
         let mut framed = Vec::new();
         send(message, |bytes| framed.extend_from_slice(bytes));
         self.queue(&framed);
     }
 
-    /// Sends on what a node said.
+    /// Forwards a node's message.
     pub(super) fn forward(&mut self, message: &[u8]) {
         let mut framed = Vec::new();
         let mut encoder = Encoder::new(|bytes: &[u8]| framed.extend_from_slice(bytes));
@@ -87,15 +88,15 @@ impl Client {
         self.queue(&framed);
     }
 
-    /// Tells a state as far as it has been subscribed to.
-    pub(super) fn tell(&mut self, state: &State<Vec<f32>>) {
+    /// Sends a state, according to the client's subscription.
+    pub(super) fn send_state(&mut self, state: &State<Vec<f32>>) {
         let every = self.subscription.state_every;
         if every.is_some_and(|every| is_due(state.tick, every)) {
             let mut state = state.clone();
             if !self.subscription.outer_weights {
                 state.outer_weights.clear();
             }
-            self.say(&Reply::State(state));
+            self.send(&Reply::State(state));
         }
     }
 
@@ -103,12 +104,12 @@ impl Client {
         if self.unsent.len() + framed.len() <= UNSENT_MAX {
             self.unsent.extend_from_slice(framed);
         } else {
-            let since = *self.losing_since.get_or_insert_with(Instant::now);
+            let since = *self.dropping_since.get_or_insert_with(Instant::now);
             self.gone |= since.elapsed() > UNREAD_MAX;
         }
     }
 
-    /// Writes what the socket takes of what waits.
+    /// Writes as much unsent output as the socket accepts.
     pub(super) fn write_out(&mut self) {
         if self.unsent.is_empty() {
             return;
@@ -116,7 +117,7 @@ impl Client {
         match self.socket.write(&self.unsent) {
             Ok(length) => {
                 self.unsent.drain(..length);
-                self.losing_since = None;
+                self.dropping_since = None;
             }
             Err(error) if error.kind() == ErrorKind::WouldBlock => {}
             Err(_) => self.gone = true,
@@ -131,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_client_that_does_not_read_costs_little_and_is_sent_away() {
+    fn a_client_that_does_not_read_is_bounded_and_disconnected() {
         let (here, there) = UnixStream::pair().unwrap();
         here.set_nonblocking(true).unwrap();
         let mut client = Client::new(here);
@@ -140,15 +141,15 @@ mod tests {
             client.write_out();
         }
         assert!(client.unsent.len() <= UNSENT_MAX && !client.gone);
-        // It has lost messages for too long.
-        client.losing_since = Instant::now().checked_sub(2 * UNREAD_MAX);
+        // Messages have been dropped for too long.
+        client.dropping_since = Instant::now().checked_sub(2 * UNREAD_MAX);
         client.forward(&[1; 100]);
         assert!(client.gone);
         drop(there);
     }
 
     #[test]
-    fn requests_wait_with_the_client_that_sends_too_many() {
+    fn a_client_that_sends_too_many_requests_is_slowed_down() {
         let (here, mut there) = UnixStream::pair().unwrap();
         here.set_nonblocking(true).unwrap();
         let mut requests = Vec::new();
@@ -160,7 +161,7 @@ mod tests {
         let mut count = 0;
         while let Some(request) = client.request() {
             assert!(matches!(receive(&request), Some(Request::Query)));
-            // What is read at a time: 1 KiB of messages of 7 bytes.
+            // One read is 1 KiB, and a message has 7 bytes.
             assert!(client.requests.len() < 150, "{}", client.requests.len());
             count += 1;
         }

@@ -1,20 +1,20 @@
-//! Nodes of a running co-simulation, offered to others: a socket for each, at which anybody can talk
-//! to the node as if it were on a desk.
+//! Serves the nodes of a running co-simulation to clients, over one socket per node, as if they
+//! were real boards.
 //!
-//! Between two steps the relay hands requests of clients to the nodes, and their answers back: one
-//! request a node, of its clients in turn, and more only while there is time left until the next
-//! step. So a client that asks without end does not slow the others down, and one that does not read loses what
-//! it does not read, and then its connection. Two things the relay keeps to itself: the node goes on to tell
-//! everything to the co-simulation, whatever its clients subscribe to, and time and frames come from
-//! the simulator only.
+//! Between two steps, the relay forwards requests of clients to the nodes, and the answers back:
+//! one request per node, its clients taking turns, and more only while there is time until the next
+//! step. So a client that floods a node with requests does not slow down the others. A client that
+//! does not read loses messages, and eventually its connection. The relay handles two things
+//! itself: the node always reports everything to the co-simulation, whatever its clients subscribe
+//! to, and time and frames come only from the simulator.
 //!
-//! A node that dies or hangs takes no more steps; the others go on, with the simulated agent in its
-//! place. A request to reset it starts it again.
+//! A node that exits or hangs is stopped. The others continue, with the simulated agent in its
+//! place, and a reset request restarts it.
 //!
-//! A package that a client has activated is switched in for the simulated agent, too, before the next
-//! step: the comparison goes on. A node that a client resets, or lets begin elsewhere, is not
-//! compared any more, nor is one that hears frames of such a node which its simulated neighbour
-//! did not send.
+//! A package activated by a client is also switched in for the simulated agent before the next
+//! step, so that comparing continues. Comparing stops for a node that a client resets or starts at
+//! another estimate, and for a node that receives frames from such a node which the simulated
+//! neighbour did not send.
 
 mod client;
 mod node_socket;
@@ -42,15 +42,15 @@ use crate::scenario::Scenario;
 use crate::service::nodes_file::{self, NodesFile};
 use crate::stop::Stop;
 
-/// Longest rest between two looks at the clients.
-const REST: Duration = Duration::from_millis(5);
+/// Interval for polling clients.
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
-/// The sockets and the pace.
+/// The sockets and the pacing.
 pub(super) struct Relay {
     sockets: Vec<NodeSocket>,
-    /// The file that says what they are part of.
-    told: PathBuf,
-    /// One step in real time.
+    /// The file that describes the run.
+    nodes_file: PathBuf,
+    /// Duration of a step in real time.
     step: Duration,
     pace: Pace,
     stop: Arc<AtomicBool>,
@@ -59,15 +59,15 @@ pub(super) struct Relay {
 /// What happened between two steps.
 #[derive(Default)]
 pub(super) struct Between {
-    /// Nodes, from 0, that cannot go on.
+    /// Nodes, from 0, that failed.
     pub(super) faults: Vec<(usize, Fault)>,
-    /// Nodes that are to be started again.
+    /// Nodes to restart.
     pub(super) restarts: Vec<Restart>,
-    /// How much of the speed is kept, if that is to be told.
+    /// Achieved fraction of the speed, if a notice is due.
     pub(super) late: Option<f64>,
 }
 
-/// A client wants a node to be started again.
+/// A client's request to restart a node.
 pub(super) struct Restart {
     /// The node, from 0.
     pub(super) node: usize,
@@ -86,62 +86,62 @@ impl Relay {
             .map_err(|error| CosimError::Serve { path: folder.clone(), error })?;
         let path = |agent| folder.join(format!("agent-{agent}.sock"));
         let agents = 1..=scenario.agents.len();
-        // Nothing is touched before all places are known to be free.
+        // Check all paths before changing anything.
         agents.clone().try_for_each(|agent| Socket::check(&path(agent)).map(|_| ()))?;
         if NodesFile::is_occupied(folder) {
-            let what = "there is something here that is not about nodes";
+            let what = "not a list of served nodes";
             return Err(CosimError::Occupied { path: folder.join(nodes_file::NAME), what });
         }
         let sockets = agents.map(|agent| Socket::bind(path(agent)).map(NodeSocket::new));
         let sockets = sockets.collect::<Result<_, CosimError>>()?;
-        let told = NodesFile::new(&scenario.name, scenario.hash, seed).write(folder)?;
+        let nodes_file = NodesFile::new(&scenario.name, scenario.hash, seed).write(folder)?;
         let step = Duration::from_secs_f64(scenario.time.step_size / service.speed);
-        Ok(Self { sockets, told, step, pace: Pace::default(), stop: service.stop.clone() })
+        Ok(Self { sockets, nodes_file, step, pace: Pace::default(), stop: service.stop.clone() })
     }
 
-    /// Whether a stop was requested.
+    /// Returns whether the run should end.
     pub(super) fn is_over(&self, stop: &Stop) -> bool {
         stop.is_requested() || self.stop.load(Ordering::Relaxed)
     }
 
-    /// The nodes have begun with these packages.
+    /// Records the initial packages of the nodes.
     pub(super) fn begin<'p>(&mut self, packages: impl Iterator<Item = &'p PackageBytes>) {
-        for (door, package) in self.sockets.iter_mut().zip(packages) {
-            door.in_use = Some(package.clone());
+        for (socket, package) in self.sockets.iter_mut().zip(packages) {
+            socket.in_use = Some(package.clone());
         }
     }
 
-    /// A node takes no more steps: its clients hear no more of it.
+    /// Disconnects the clients of a stopped node.
     pub(super) fn end_node(&mut self, index: usize) {
         self.sockets[index].clients.clear();
     }
 
-    /// A node has been started again: the one who wanted it gets an answer, and all a greeting.
-    pub(super) fn started_again(&mut self, restart: &Restart, status: Status) {
-        let door = &mut self.sockets[restart.node];
-        (door.in_use, door.before) = (None, None);
-        if let Some(client) = door.clients.get_mut(restart.client) {
-            client.say(&Reply::Done);
+    /// Answers the request to restart a node, and sends a greeting to all its clients.
+    pub(super) fn restarted(&mut self, restart: &Restart, status: Status) {
+        let socket = &mut self.sockets[restart.node];
+        (socket.in_use, socket.before) = (None, None);
+        if let Some(client) = socket.clients.get_mut(restart.client) {
+            client.send(&Reply::Done);
         }
-        for client in &mut door.clients {
-            client.say(&Reply::Hello(status));
+        for client in &mut socket.clients {
+            client.send(&Reply::Hello(status));
             client.write_out();
         }
     }
 
-    /// How much of the speed that was asked for has been kept, at most 1.
+    /// Returns the achieved fraction of the requested speed, at most 1.
     pub(super) fn real_time_kept(&self) -> f64 {
         self.pace.kept(self.step)
     }
 
-    /// A learning cycle has switched packages in.
-    pub(super) fn learned(&mut self, switches: &[Switch]) {
+    /// Records packages switched in by learning cycles.
+    pub(super) fn record_switches(&mut self, switches: &[Switch]) {
         for switch in switches {
             self.sockets[switch.agent].switched(Some(switch.package.clone()));
         }
     }
 
-    /// Waits until it is time for the step at `tick`, and serves clients meanwhile.
+    /// Serves clients until the step at `tick` is due.
     pub(super) fn between_steps(
         &mut self,
         tick: Tick,
@@ -153,19 +153,19 @@ impl Relay {
         let due = self.pace.due();
         loop {
             let mut busy = false;
-            for (index, (door, node)) in self.sockets.iter_mut().zip(&mut *nodes).enumerate() {
+            for (index, (socket, node)) in self.sockets.iter_mut().zip(&mut *nodes).enumerate() {
                 if between.faults.iter().any(|(ended, _)| *ended == index) {
                     continue;
                 }
                 if node.has_ended() {
                     if between.restarts.is_empty()
-                        && let Some(client) = door.wants_restart()
+                        && let Some(client) = socket.restart_requested()
                     {
                         between.restarts.push(Restart { node: index, client });
                     }
                     continue;
                 }
-                match door.serve(tick, node) {
+                match socket.serve(tick, node) {
                     Ok(served) => {
                         busy |= served.request;
                         switches.extend(served.switch.map(|(package, back)| Switch {
@@ -181,24 +181,24 @@ impl Relay {
             if left.is_zero() || self.is_over(stop) || !between.restarts.is_empty() {
                 break;
             }
-            // Where there is time left, the next request is not kept waiting.
+            // Sleep only if there was no request.
             if !busy {
-                std::thread::sleep(left.min(REST));
+                std::thread::sleep(left.min(POLL_INTERVAL));
             }
         }
         between.late = self.pace.advance(due, self.step, Instant::now());
         between
     }
 
-    /// Tells the clients of a node what it did in its turn.
-    pub(super) fn pass_on(&mut self, index: usize, turn: &Turn) {
-        let door = &mut self.sockets[index];
-        for client in &mut door.clients {
-            for bytes in &turn.unasked {
+    /// Forwards the results of a node's step to its clients.
+    pub(super) fn forward(&mut self, index: usize, turn: &Turn) {
+        let socket = &mut self.sockets[index];
+        for client in &mut socket.clients {
+            for bytes in &turn.unsolicited {
                 client.forward(bytes);
             }
             if let Some(state) = &turn.state {
-                client.tell(state);
+                client.send_state(state);
             }
             client.write_out();
         }
@@ -208,6 +208,6 @@ impl Relay {
 impl Drop for Relay {
     fn drop(&mut self) {
         // Best effort: the run is over.
-        let _ = std::fs::remove_file(&self.told);
+        let _ = std::fs::remove_file(&self.nodes_file);
     }
 }

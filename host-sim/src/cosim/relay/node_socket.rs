@@ -1,4 +1,4 @@
-//! One node's socket, its clients, and what is known of the node's packages.
+//! A node's socket and clients, and the node's packages.
 
 use agent_core::Tick;
 use agent_core::service::{Problem, Request, receive};
@@ -10,38 +10,41 @@ use crate::cosim::socket::Socket;
 use crate::packages::PackageBytes;
 use crate::service::Message;
 
-/// Most clients of a node at a time; others are sent away.
+/// Maximum number of clients of a node; further ones are disconnected.
 const CLIENTS_MAX: usize = 16;
 
-/// One node's socket, and what is known of its packages.
+/// A node's socket and clients, and the node's packages.
 pub(super) struct NodeSocket {
     socket: Socket,
     pub(super) clients: Vec<Client>,
-    /// Whose turn it is.
+    /// Index of the client whose turn it is.
     next: usize,
     uploaded: Vec<u8>,
     pub(super) in_use: Option<PackageBytes>,
     pub(super) before: Option<PackageBytes>,
 }
 
-/// What one pass over the clients of a node has done.
+/// Result of serving a node's clients once.
 #[derive(Default)]
 pub(super) struct Served {
-    /// Whether there was a request.
+    /// Whether a request was handled.
     pub(super) request: bool,
-    /// The package that the agent is to use, and whether it goes back to it.
+    /// The package to switch the simulated agent to, and whether it is a revert.
     pub(super) switch: Option<(PackageBytes, bool)>,
 }
 
-/// What a request has done to a node, beyond its answer.
+/// Side effect of a request.
 enum Effect {
     None,
-    Switched { back: bool },
-    Parted(&'static str),
+    Switched {
+        back: bool,
+    },
+    /// The node deviates from the simulation, for this reason.
+    Deviates(&'static str),
 }
 
 impl NodeSocket {
-    /// No clients, and nothing known of the node's packages.
+    /// Creates a socket without clients and with unknown packages.
     pub(super) fn new(socket: Socket) -> Self {
         Self {
             socket,
@@ -53,8 +56,8 @@ impl NodeSocket {
         }
     }
 
-    /// Lets those in who wait at the socket.
-    fn let_in(&mut self) {
+    /// Accepts waiting clients.
+    fn accept(&mut self) {
         while let Some(socket) = self.socket.accept() {
             if self.clients.len() < CLIENTS_MAX && socket.set_nonblocking(true).is_ok() {
                 self.clients.push(Client::new(socket));
@@ -62,10 +65,9 @@ impl NodeSocket {
         }
     }
 
-    /// Hands one request of the next client that has one to the node, and writes out what waits for
-    /// any of them.
+    /// Handles one request, the clients taking turns, and writes unsent output of all clients.
     pub(super) fn serve(&mut self, tick: Tick, node: &mut LoopNode) -> Result<Served, Fault> {
-        self.let_in();
+        self.accept();
         let clients = self.clients.len();
         let mut served = Served::default();
         for index in (0..clients).map(|offset| (self.next + offset) % clients) {
@@ -74,7 +76,7 @@ impl NodeSocket {
             served.request = true;
             match self.carry_out(index, &request, node)? {
                 Effect::None => {}
-                Effect::Parted(reason) => node.stop_comparing(tick, reason),
+                Effect::Deviates(reason) => node.stop_comparing(tick, reason),
                 Effect::Switched { back } => match &self.in_use {
                     Some(package) if self.is_of_agent(package) => {
                         node.report.switches += 1;
@@ -82,7 +84,7 @@ impl NodeSocket {
                             served.switch = Some((package.clone(), back));
                         }
                     }
-                    Some(_) => node.stop_comparing(tick, "its package has other parameters"),
+                    Some(_) => node.stop_comparing(tick, "its package has different parameters"),
                     None => node.stop_comparing(tick, "it uses an unknown package"),
                 },
             }
@@ -93,10 +95,10 @@ impl NodeSocket {
         Ok(served)
     }
 
-    /// The client, if there is one, that wants the node started again. It is the only thing that can
-    /// be asked of a node that has ended: a client that asks for anything else is disconnected.
-    pub(super) fn wants_restart(&mut self) -> Option<usize> {
-        self.let_in();
+    /// Returns the client that requests a restart of a stopped node, if any. Clients with any other
+    /// request are disconnected.
+    pub(super) fn restart_requested(&mut self) -> Option<usize> {
+        self.accept();
         let mut wanted = None;
         for (index, client) in self.clients.iter_mut().enumerate() {
             match client.request().map(|bytes| is_reset(&bytes)) {
@@ -111,17 +113,17 @@ impl NodeSocket {
         wanted
     }
 
-    /// Whether a package is for the agent with the parameters that it has been simulated with.
+    /// Returns whether a package is for this agent with the simulated parameters.
     fn is_of_agent(&self, package: &PackageBytes) -> bool {
         self.before.as_ref().is_none_or(|before| before.package().node == package.package().node)
     }
 
-    /// The node has taken this package into use, or an unknown one.
+    /// Records a switch to this package, or to an unknown one.
     pub(super) fn switched(&mut self, package: Option<PackageBytes>) {
         self.before = std::mem::replace(&mut self.in_use, package);
     }
 
-    /// Hands one request of a client to the node, and the answer back.
+    /// Forwards a client's request to the node, and the answer back.
     fn carry_out(
         &mut self,
         client: usize,
@@ -131,34 +133,34 @@ impl NodeSocket {
         let asking = &mut self.clients[client];
         let request = match receive::<Request<'_>>(bytes) {
             None => {
-                asking.say(&Reply::Refused(Problem::Unknown));
+                asking.send(&Reply::Refused(Problem::Unknown));
                 return Ok(Effect::None);
             }
             Some(Request::Subscribe(subscription)) => {
                 asking.subscription = subscription;
-                asking.say(&Reply::Done);
+                asking.send(&Reply::Done);
                 return Ok(Effect::None);
             }
             Some(Request::Frame { .. } | Request::Tick { .. }) => {
-                asking.say(&Reply::Refused(Problem::NotInTheLoop));
+                asking.send(&Reply::Refused(Problem::NotInTheLoop));
                 return Ok(Effect::None);
             }
             Some(Request::Reset) => {
                 let status = node.board.reset()?;
                 node.board.subscribe()?;
-                asking.say(&Reply::Done);
+                asking.send(&Reply::Done);
                 for client in &mut self.clients {
-                    client.say(&Reply::Hello(status));
+                    client.send(&Reply::Hello(status));
                 }
                 (self.in_use, self.before) = (None, None);
-                return Ok(Effect::Parted("it has been reset"));
+                return Ok(Effect::Deviates("it was reset"));
             }
             Some(request) => request,
         };
         let exchange = node.board.exchange(&request)?;
-        // In the node's order: what it tells comes before the end of its answer.
+        // In the node's order: unsolicited messages precede the end of the answer.
         for client in &mut self.clients {
-            exchange.unasked.iter().for_each(|bytes| client.forward(bytes));
+            exchange.unsolicited.iter().for_each(|bytes| client.forward(bytes));
         }
         for answer in &exchange.answers {
             self.clients[client].forward(answer);
@@ -168,11 +170,11 @@ impl NodeSocket {
         Ok(self.effect(&request, answer.as_ref()))
     }
 
-    /// What a request that got this answer has done.
+    /// Returns the side effect of a request with this answer.
     fn effect(&mut self, request: &Request<'_>, answer: Option<&Message<'_>>) -> Effect {
         match (request, answer) {
             (Request::Begin { length }, Some(Message::Upload(_))) => {
-                // The node has accepted this length, so it is that of a slot at most.
+                // The node has accepted this length, so it is at most that of a slot.
                 self.uploaded = vec![0; *length as usize];
             }
             (Request::Chunk { offset, bytes }, Some(Message::Upload(_))) => {
@@ -192,7 +194,7 @@ impl NodeSocket {
                 return Effect::Switched { back: true };
             }
             (Request::StartAt { .. }, Some(Message::Done)) => {
-                return Effect::Parted("it has been told to begin elsewhere");
+                return Effect::Deviates("it was started at another estimate");
             }
             _ => {}
         }

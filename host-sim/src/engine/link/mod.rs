@@ -1,10 +1,10 @@
 //! Link models, which carry frames between agents: one file per model.
 //!
-//! A link receives encoded frames from the engine and delivers encoded frames. Links that lose, delay
-//! or reorder frames wrap another link behind the same trait.
+//! A link receives encoded frames from the engine and delivers encoded frames. Links that lose,
+//! delay or reorder frames wrap another link behind the same trait.
 //!
 //! To add a model, add a file here, a variant of [`ScenarioLink`], and a variant of
-//! [`LinkModel`](crate::scenario::LinkModel) with its keys of `[link]`.
+//! [`LinkModel`] with its keys of `[link]`.
 
 mod lossless;
 

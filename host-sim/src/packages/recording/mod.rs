@@ -1,4 +1,5 @@
-//! Recorded samples `(x_hat, d/dt x_hat)` of a simulated or real agent, in memory and as a CSV file.
+//! Recorded samples `(x_hat, d/dt x_hat)` of a simulated or real agent, in memory and as a CSV
+//! file.
 //!
 //! | column | meaning |
 //! | --- | --- |
@@ -8,9 +9,9 @@
 //! | `w1_1` .. (optional) | `W_hat`, row (feature) and column (component); the last nonempty line counts |
 //!
 //! Lines starting with `#` are comments; at the head of the file they state its origin
-//! ([`super::recording_source`]). Units follow the names, as in `time (ms)`, `time_ms` or `xhat1 [V]`;
-//! only units of time are converted, and unknown ones are refused. Columns can be in any order,
-//! separated by commas, semicolons, tabs or bars; other columns are ignored.
+//! ([`super::recording_source`]). Units follow the names, as in `time (ms)`, `time_ms` or `xhat1
+//! [V]`; only units of time are converted, and unknown ones are refused. Columns can be in any
+//! order, separated by commas, semicolons, tabs or bars; other columns are ignored.
 
 mod columns;
 mod source;
@@ -60,8 +61,8 @@ pub struct RecordingError {
 /// Larger times without a unit are taken for Unix times that are not in seconds. \[s\]
 const UNIX_SECONDS_MAX: f64 = 1e11;
 
-/// Upper limit of the missing samples counted per gap: more than any window has, and low enough that
-/// the ticks after a million such gaps do not overflow.
+/// Upper limit of the missing samples counted per gap: more than any window has, and low enough
+/// that the ticks after a million such gaps do not overflow.
 const MISSING_MAX: u64 = 1 << 40;
 
 impl Recording {
@@ -222,8 +223,8 @@ impl Recording {
     }
 }
 
-/// Returns `time` in seconds. Divides by the inverse where it is exact, so that 3 ms equals the number
-/// parsed from `0.003`.
+/// Returns `time` in seconds. Divides by the inverse where it is exact, so that 3 ms equals the
+/// number parsed from `0.003`.
 fn scaled(time: f64, scale: f64) -> f64 {
     if scale < 1.0 { time / (1.0 / scale).round() } else { time * scale }
 }
@@ -249,7 +250,8 @@ fn number_hint(text: &str, is_time: bool) -> &'static str {
     "use a finite number, or delete the line"
 }
 
-/// Writes `samples` as a CSV file, with the `time` of each and the outer weights, row-major, if any.
+/// Writes `samples` as a CSV file, with the `time` of each and the outer weights, row-major, if
+/// any.
 ///
 /// # Errors
 /// If the file cannot be written.

@@ -1,7 +1,7 @@
 //! Timing of samples: interval, gaps and jitter.
 
-/// Time between two samples, in intervals, from which on it is a gap. Smaller deviations are jitter of
-/// the recording clock.
+/// Time between two samples, in intervals, from which on it is a gap. Smaller deviations are jitter
+/// of the recording clock.
 const GAP: f64 = 1.5;
 
 /// Largest jitter that is not reported, as a share of the interval.
