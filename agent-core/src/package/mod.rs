@@ -27,6 +27,7 @@ mod error;
 mod place;
 pub mod signature;
 mod switch;
+mod trial_limits;
 mod wire;
 
 pub use accept::{Capacity, InUse, Refusal, Requirements, accept};
@@ -34,6 +35,7 @@ pub use encode::EncodeError;
 pub use envelope::{Envelope, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH, signature_block};
 pub use error::PackageError;
 pub use place::{NetworkPlace, ParamsPlace};
+pub use trial_limits::TrialLimits;
 
 use serde::{Deserialize, Serialize};
 
