@@ -142,6 +142,11 @@ impl<S: Sensor, L: Link, C: Clock, P: Read + ReadReady + Write> Hardware<S, L, C
     pub const fn new(sensor: S, link: L, clock: C, port: P) -> Self {
         Self { sensor, link, clock, port, decoder: RequestDecoder::new() }
     }
+
+    /// Returns the clock: an asynchronous main loop asks it when the next period begins.
+    pub const fn clock(&mut self) -> &mut C {
+        &mut self.clock
+    }
 }
 
 impl<S: Sensor, L: Link, C: Clock, P: Read + ReadReady + Write> Board for Hardware<S, L, C, P> {

@@ -27,6 +27,7 @@ mod fallback;
 /// The environment variables that name the firmware's ELF files.
 const FIRMWARE: &str = "STM32F405_FIRMWARE";
 const IN_THE_LOOP: &str = "STM32F405_IN_THE_LOOP_FIRMWARE";
+const EMBASSY: &str = "STM32F405_EMBASSY_FIRMWARE";
 
 /// Far longer than the emulator needs for any test.
 const TIMEOUT: Duration = Duration::from_secs(60);
@@ -128,8 +129,19 @@ impl Messages {
 #[test]
 #[ignore = "requires the firmware and QEMU; run `cargo xtask boot`"]
 fn stm32f405_in_qemu_greets_steps_and_broadcasts_without_crystal_and_sensor() {
+    greets_steps_and_broadcasts(FIRMWARE);
+}
+
+#[test]
+#[ignore = "requires the firmware and QEMU; run `cargo xtask boot`"]
+fn stm32f405_in_qemu_does_the_same_as_a_task_of_embassy() {
+    greets_steps_and_broadcasts(EMBASSY);
+}
+
+/// Checks the firmware named by the variable from its greeting to its reset.
+fn greets_steps_and_broadcasts(variable: &str) {
     let folder = tempfile::tempdir().unwrap();
-    let mut board = Emulated::start(FIRMWARE, folder.path());
+    let mut board = Emulated::start(variable, folder.path());
     let status = board.service.find(|response| match response {
         Response::Hello(status) => Some(*status),
         other => panic!("{other:?} before the greeting"),

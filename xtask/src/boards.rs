@@ -7,6 +7,7 @@
 //! | --- | --- |
 //! | `.cargo/config.toml`, `build.target` | the target |
 //! | `Cargo.toml`, `package.name` | the name of the program |
+//! | `Cargo.toml`, `[features]` | besides `signature` and `in-the-loop`: further variants of the program |
 //! | `Cargo.toml`, `[package.metadata.budget]` | limits for flash, static RAM and stack in bytes |
 //! | `memory.x` | the memory map |
 //!
@@ -33,8 +34,13 @@ pub(crate) struct Board {
     /// Name of the package, and therefore of the program.
     pub(crate) package: String,
     pub(crate) target: String,
+    /// Features of its own, each a variant of the program.
+    pub(crate) features: Vec<String>,
     pub(crate) budget: Budget,
 }
+
+/// Features that every board may have.
+const SHARED_FEATURES: [&str; 3] = ["default", "signature", "in-the-loop"];
 
 /// Limits for a board's firmware. \[byte\]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,7 +78,10 @@ impl Board {
                 "copy the memory.x of a similar board and adapt it",
             ));
         }
-        Ok(Self { name, folder, package, target, budget })
+        let features = get(&manifest, &["features"]).and_then(Item::as_table_like);
+        let names = features.into_iter().flat_map(TableLike::iter).map(|(name, _)| name);
+        let own = names.filter(|name| !SHARED_FEATURES.contains(name)).map(str::to_owned);
+        Ok(Self { features: own.collect(), name, folder, package, target, budget })
     }
 
     /// Returns the path of the memory map.
@@ -253,6 +262,11 @@ mod tests {
         for Board { name, package, .. } in &boards {
             assert_eq!(name, package, "the package has the name of its folder");
         }
+        let features = |name: &str| {
+            boards.iter().find(|board| board.name == name).map(|board| board.features.join(" "))
+        };
+        assert_eq!(features("stm32f405").as_deref(), Some("embassy"));
+        assert_eq!(features("nrf52840").as_deref(), Some(""));
     }
 
     #[test]

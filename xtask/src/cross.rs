@@ -110,11 +110,7 @@ pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
     }
     let linker = Linker::find(debian)?;
     for board in &boards {
-        for in_the_loop in [true, false] {
-            if in_the_loop && board.name == boards::EMULATED {
-                continue; // Always in the loop.
-            }
-            let variant = Variant { in_the_loop, public_key: None };
+        for variant in Variant::all(board) {
             let program = firmware::build(&compiler, board, &variant)?;
             let found = disassembler.read(&program)?;
             allow(&format!("machine code of {}", board.name), &found)?;

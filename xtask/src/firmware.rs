@@ -29,6 +29,23 @@ pub(crate) struct Variant {
     pub(crate) public_key: Option<String>,
     /// The simulator provides plant, clock and link over the service port.
     pub(crate) in_the_loop: bool,
+    /// A feature of the board's own.
+    pub(crate) feature: Option<String>,
+}
+
+impl Variant {
+    /// Returns the variants that run without a key.
+    pub(crate) fn all(board: &Board) -> Vec<Self> {
+        let in_the_loop = Self { in_the_loop: true, ..Self::default() };
+        let with = |feature: &String| Self { feature: Some(feature.clone()), ..Self::default() };
+        let mut variants: Vec<Self> = board.features.iter().map(with).collect();
+        if board.name != boards::EMULATED {
+            variants.push(in_the_loop); // That board is always in the loop.
+        }
+        // Last, so that its program remains.
+        variants.push(Self::default());
+        variants
+    }
 }
 
 impl Options {
@@ -43,6 +60,7 @@ impl Options {
                     options.variant.public_key = Some((*arguments.next()?).to_owned());
                 }
                 "--in-the-loop" => options.variant.in_the_loop = true,
+                "--feature" => options.variant.feature = Some((*arguments.next()?).to_owned()),
                 _ => return None,
             }
         }
@@ -91,13 +109,16 @@ pub(crate) fn build(
 ) -> Result<PathBuf, Failure> {
     let mut features = Vec::new();
     let mut name = board.name.clone();
-    for (feature, is_on) in
-        [("signature", variant.public_key.is_some()), ("in-the-loop", variant.in_the_loop)]
+    for feature in [
+        variant.public_key.as_ref().map(|_| "signature"),
+        variant.in_the_loop.then_some("in-the-loop"),
+        variant.feature.as_deref(),
+    ]
+    .into_iter()
+    .flatten()
     {
-        if is_on {
-            features.push(feature);
-            name = format!("{name}-{feature}");
-        }
+        features.push(feature);
+        name = format!("{name}-{feature}");
     }
     let mut command = cargo_in(&board.folder, "build");
     command.args(["--quiet", "--release"]);
@@ -169,10 +190,21 @@ mod tests {
     #[test]
     fn boards_and_variants_are_read_in_any_order() {
         let boards = vec!["a".to_owned(), "b".to_owned()];
-        let variant = Variant { public_key: Some("00".to_owned()), in_the_loop: true };
-        let arguments = ["--public-key", "00", "--board", "a", "--in-the-loop", "--board", "b"];
+        let variant = Variant {
+            public_key: Some("00".to_owned()),
+            in_the_loop: true,
+            feature: Some("c".to_owned()),
+        };
+        let arguments = "--public-key 00 --board a --in-the-loop --feature c --board b";
+        let arguments: Vec<&str> = arguments.split(' ').collect();
         assert_eq!(Options::read(&arguments), Some(Options { boards, variant }));
-        for wrong in [&[][..], &["--board"], &["--in-the-loop"], &["--board", "a", "b"]] {
+        for wrong in [
+            &[][..],
+            &["--board"],
+            &["--in-the-loop"],
+            &["--board", "a", "b"],
+            &["--board", "a", "--feature"],
+        ] {
             assert_eq!(Options::read(wrong), None, "{wrong:?}");
         }
     }

@@ -30,7 +30,8 @@ use step::Failure;
 const HELP: &str = "\
 Usage: cargo xtask <task> [--debian]
        cargo xtask size [BOARD...] [--debian]
-       cargo xtask firmware --board BOARD|all [--public-key HEX] [--in-the-loop] [--debian]
+       cargo xtask firmware --board BOARD|all [--public-key HEX] [--in-the-loop]
+                            [--feature FEATURE] [--debian]
        cargo xtask new PATH [--board BOARD] [--copy-crates]
        cargo xtask install [--prefix PREFIX] [--debian]
        cargo xtask soak [--steps N] [--seed S] [--debian]
@@ -46,7 +47,8 @@ Tasks:
           bit for bit, stay within the instruction budgets, and be unable to panic
   firmware  build a board's firmware; with --public-key it accepts only packages signed with
           the matching private key (`weights keygen` prints the public key), with --in-the-loop
-          a co-simulation provides plant, clock and link over the service port
+          a co-simulation provides plant, clock and link over the service port, with --feature it
+          has a feature of that board, such as `embassy` of the stm32f405
   new     copy a board (default: qemu-mps2-an386) into a separate project in the folder PATH;
           the node's crates stay in this checkout, or are copied too with --copy-crates
   install install the program as PREFIX/bin/host-sim and, for `host-sim cosim` outside of this

@@ -75,6 +75,17 @@ impl Timer {
         Self { timer, frequency: ticks as f32, watchdog, periods }
     }
 
+    /// Returns the time until the next period begins. \[us\]
+    #[cfg(feature = "embassy")]
+    pub(crate) fn until_next(&self) -> u64 {
+        let now = self.now();
+        if self.periods.is_due(now) {
+            return 0;
+        }
+        let ticks = self.periods.next().wrapping_sub(now);
+        u64::from(ticks) * 1_000_000 / (self.frequency as u64)
+    }
+
     fn now(&self) -> u32 {
         self.timer.cnt().read().bits()
     }

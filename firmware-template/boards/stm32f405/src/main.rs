@@ -34,7 +34,14 @@ mod clock;
 mod fallback;
 mod flash;
 mod sensor;
+#[cfg(feature = "embassy")]
+mod tasks;
 mod uart;
+
+#[cfg(all(feature = "embassy", feature = "in-the-loop"))]
+compile_error!(
+    "in the loop, the node waits for the simulator, so it cannot be a task; choose one of the features"
+);
 
 use core::num::NonZeroU32;
 
@@ -74,10 +81,16 @@ const FLUSH_DELAY_CYCLES: u32 = 168_000_000 / 10;
 
 type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, SAMPLES>;
 
+/// What the sensor's driver waits with.
+#[cfg(not(feature = "embassy"))]
+type Delay = hal::timer::SysDelay;
+#[cfg(feature = "embassy")]
+type Delay = embassy_time::Delay;
+
 /// The board with its own sensor, link and clock.
 #[cfg(not(feature = "in-the-loop"))]
 type ThisBoard = firmware_template::Hardware<
-    sensor::Accelerometer,
+    sensor::Accelerometer<Delay>,
     firmware_template::SerialLink<QueuedPort<'static>>,
     Timer,
     QueuedPort<'static>,
@@ -102,10 +115,13 @@ static NODE: StaticCell<ThisNode> = StaticCell::new();
 
 #[entry]
 fn main() -> ! {
-    if let Some(Parts { board, flash, fault }) = hardware()
-        && let Some(node) = node(flash, fault)
+    if let Some(parts) = hardware()
+        && let Some(node) = node(parts.flash, parts.fault)
     {
-        node.run(board);
+        #[cfg(feature = "embassy")]
+        tasks::run(node, parts.board, parts.led);
+        #[cfg(not(feature = "embassy"))]
+        node.run(parts.board);
     }
     cortex_m::asm::delay(FLUSH_DELAY_CYCLES);
     SCB::sys_reset()
@@ -116,6 +132,8 @@ struct Parts {
     board: &'static mut ThisBoard,
     flash: pac::FLASH,
     fault: Option<BoardFault>,
+    #[cfg(feature = "embassy")]
+    led: hal::gpio::PC1<hal::gpio::Output>,
 }
 
 /// Sets up the board in its static. Not inlined, so that its stack is free again afterwards.
@@ -138,7 +156,11 @@ fn hardware() -> Option<Parts> {
     let usart = chip.USART6.serial(pins, LINK_BAUD.bps(), &mut rcc);
     Uart::begin(&LINK, usart, end, Some(gpiob.pb8.into_push_pull_output().erase()));
     let bus = hal::i2c::I2c::new(chip.I2C1, (gpiob.pb6, gpiob.pb7), 400.kHz(), &mut rcc);
-    let sensor = sensor::Accelerometer::new(bus::Bus::new(bus), core.SYST.delay(&rcc.clocks));
+    #[cfg(not(feature = "embassy"))]
+    let delay: Delay = core.SYST.delay(&rcc.clocks);
+    #[cfg(feature = "embassy")]
+    let delay: Delay = tasks::start_time(core.SYST, rcc.clocks.sysclk().raw());
+    let sensor = sensor::Accelerometer::new(bus::Bus::new(bus), delay);
     let clock = Timer::new(chip.TIM2, &mut rcc, watchdog);
     for interrupt in [Interrupt::TIM2, Interrupt::USART3, Interrupt::USART6] {
         // SAFETY: everything the handlers use is set up, and nothing relies on their being masked.
@@ -155,7 +177,13 @@ fn hardware() -> Option<Parts> {
         ThisBoard::new(firmware_template::WaitingPort::new(service, clock))
     };
     let fault = (!crystal_is_ready).then_some(BoardFault::Clock);
-    Some(Parts { board: BOARD.init(board), flash: chip.FLASH, fault })
+    Some(Parts {
+        board: BOARD.init(board),
+        flash: chip.FLASH,
+        fault,
+        #[cfg(feature = "embassy")]
+        led: gpioc.pc1.into_push_pull_output(),
+    })
 }
 
 /// Creates the node in its static; `None` if the public key is invalid.

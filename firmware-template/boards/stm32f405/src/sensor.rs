@@ -1,29 +1,28 @@
 //! The accelerometer.
 
+use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::Error as _;
 use firmware_template::{Sensor, SensorErrorKind};
-use hal::timer::SysDelay;
 use lsm303agr::interface::I2cInterface;
 use lsm303agr::mode::MagOneShot;
 use lsm303agr::{AccelMode, AccelOutputDataRate, Lsm303agr};
-use stm32f4xx_hal as hal;
 
 use crate::bus::{Bus, BusError};
 
 /// The accelerometer of an LSM303AGR: 1,344 samples per second, +-2 g, 4 mg per count.
-pub(crate) struct Accelerometer {
+pub(crate) struct Accelerometer<D> {
     device: Lsm303agr<I2cInterface<Bus>, MagOneShot>,
-    delay: SysDelay,
+    delay: D,
     /// Whether the device has been set up without an error since.
     ready: bool,
 }
 
-impl Accelerometer {
+impl<D: DelayNs> Accelerometer<D> {
     /// Standard gravity (CGPM 1901) per thousandth of a g. \[m/s^2\]
     const MILLIGRAVITY: f32 = 9.806_65e-3;
 
     /// Creates the sensor; the device is set up with the first sample.
-    pub(crate) fn new(bus: Bus, delay: SysDelay) -> Self {
+    pub(crate) fn new(bus: Bus, delay: D) -> Self {
         Self { device: Lsm303agr::new_with_i2c(bus), delay, ready: false }
     }
 
@@ -46,7 +45,7 @@ fn kind(error: &lsm303agr::Error<BusError>) -> SensorErrorKind {
     }
 }
 
-impl Sensor for Accelerometer {
+impl<D: DelayNs> Sensor for Accelerometer<D> {
     type Error = SensorErrorKind;
 
     fn outputs(&self) -> usize {

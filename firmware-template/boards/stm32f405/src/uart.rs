@@ -86,6 +86,8 @@ impl<U: Instance> Uart<U> {
 #[interrupt]
 fn USART3() {
     Uart::serve(&SERVICE);
+    #[cfg(feature = "embassy")]
+    crate::tasks::SERVICE_INPUT.signal(());
 }
 
 #[interrupt]
