@@ -14,13 +14,16 @@ use std::{
 
 use crate::{
     packages,
-    step::{Failure, ask, run, target_folder},
+    step::{Failure, ask, cargo_in, run, target_folder},
 };
 
 /// Compiler, cargo, library sources, and linker.
 const PACKAGES: [&str; 4] = ["rustc-web", "cargo-web", "rust-web-src", "lld"];
 const RUSTC: &str = "/usr/bin/rustc";
 const CARGO: &str = "/usr/bin/cargo";
+/// Debian's clippy. Called by path, because cargo would find that of the active toolchain.
+const CLIPPY: &str = "/usr/bin/cargo-clippy";
+const CLIPPY_PACKAGE: &str = "rust-web-clippy";
 /// Debian's location of the libraries.
 const RUSTLIB: &str = "/usr/lib/rustlib";
 /// The linker, for which the bare-metal targets use Rust's name.
@@ -76,6 +79,28 @@ impl Compiler {
             command.env("RUSTC", rustc);
         }
         command.env("CARGO_TARGET_DIR", cross_folder())
+    }
+
+    /// Creates `cargo clippy` with this compiler for the crate in `folder`, which is a separate
+    /// workspace.
+    ///
+    /// # Errors
+    /// Debian's clippy is needed and cannot be installed.
+    pub(crate) fn clippy_in(&self, folder: &Path) -> Result<Command, Failure> {
+        let mut command = cargo_in(folder, "clippy");
+        if self.rustc.is_some() {
+            // It reads the libraries' metadata, so both are of the same version.
+            if packages::version(CLIPPY_PACKAGE) != packages::version(PACKAGES[0]) {
+                packages::install(&[CLIPPY_PACKAGE])?;
+            }
+            let arguments = command;
+            command = Command::new(CLIPPY);
+            command.current_dir(folder).args(arguments.get_args());
+            command.env("CARGO", CARGO).env("SYSROOT", sysroot_folder());
+            command.env_remove("LD_LIBRARY_PATH");
+        }
+        self.apply(&mut command);
+        Ok(command)
     }
 }
 

@@ -62,7 +62,8 @@ Tasks:
           steps (default 20000), with package uploads, damaged messages and frames, sensor
           failures, resets and power losses drawn from the seed S (default 1): every byte must
           be correct and equal on both. `--steps 1000000` is the long run
-  lint    check module cycles, formatting, clippy and documentation; warnings are errors
+  lint    check module cycles, formatting, clippy and documentation; warnings are errors.
+          Clippy reads the workspace, the fuzz targets, and the boards whose firmware CI runs
   fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (default 10)
           from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
           long run. Additions to a corpus are kept in target/fuzz/corpus for later runs.
@@ -94,6 +95,7 @@ fn main() -> ExitCode {
         ["emulate"] => emulate::emulate(debian),
         ["lint"] => circles::check(step::workspace())
             .and_then(|()| host::lint())
+            .and_then(|()| firmware::lint(debian))
             .and_then(|()| fuzz::lint(debian)),
         ["firmware", ref rest @ ..] => match firmware::Options::read(rest) {
             Some(options) => firmware::firmware(&options, debian),

@@ -133,7 +133,7 @@ impl Bus {
                     self.write_bytes(bytes)?;
                     stopped = false;
                 }
-                Operation::Read(buffer) if buffer.is_empty() => {}
+                Operation::Read([]) => {}
                 Operation::Read(buffer) => {
                     self.start(address, true, buffer.len() > 1)?;
                     self.read_bytes(buffer)?;
