@@ -4,6 +4,7 @@ mod baselines;
 mod borders;
 pub(crate) mod command_line;
 mod documentation;
+mod endings;
 mod files;
 mod flash;
 pub(crate) mod image;
@@ -11,4 +12,5 @@ mod json_documented;
 pub(crate) mod memory_map;
 #[cfg(unix)]
 pub(crate) mod node_commands;
+mod signatures_and_versions;
 mod weights_commands;

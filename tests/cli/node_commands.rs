@@ -16,7 +16,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
 use crate::cli::command_line::{Folder, texts};
-use crate::cosim::fake_node::{listen, state, status, tell_states};
+use crate::cosim::fake_node::{Message, listen, state, status, tell_states};
 
 /// Longer than anything here takes, so that a hang ends.
 pub(crate) const LONG: Duration = Duration::from_secs(60);
@@ -281,6 +281,65 @@ fn a_node_without_a_package_counts_in_ticks() {
     assert!(told.contains("tick         3  x_hat") && !told.contains("t = "), "{told}");
 }
 
+/// Messages of a newer node that this program cannot know: kinds of messages (200 as a varint of
+/// two bytes), an event, and reports with more counters than now.
+const NEWER: [&[u8]; 6] = [
+    &[14, 1],
+    &[100, 1, 2],
+    &[0xc8, 1, 9],
+    &[11, 100, 1],
+    &[10, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24],
+    &[13, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24],
+];
+
+#[test]
+fn messages_of_a_newer_node_are_skipped_by_every_command() {
+    let folder = Folder::new("node-newer");
+    let bytes = package(&folder);
+    let checksum = host_sim::service::push::checksum(&bytes);
+    for message in NEWER {
+        assert!(receive::<Message>(message).is_none(), "{message:?} is known now");
+    }
+    listen(&folder.path("node"), move |peer| {
+        let mut now = status();
+        while let Some(request) = peer.request() {
+            NEWER.iter().for_each(|message| _ = peer.frame(message));
+            let answer = match receive::<Request<'_>>(&request) {
+                Some(Request::Query) => Response::Status(now),
+                Some(Request::Begin { .. }) => Response::Upload(Upload { received: 0 }),
+                Some(Request::Chunk { offset, bytes }) => {
+                    Response::Upload(Upload { received: offset + bytes.len() as u32 })
+                }
+                Some(Request::Stage) => Response::Staged { version: 1 },
+                Some(Request::Revert) => Response::InUse { version: Some(3) },
+                Some(Request::Activate) => {
+                    let package = now.package.as_mut().unwrap();
+                    (package.version, package.checksum) = (1, checksum);
+                    Response::InUse { version: Some(1) }
+                }
+                _ => Response::Done,
+            };
+            peer.say(&answer);
+            if let Some(Request::Subscribe(_)) = receive::<Request<'_>>(&request) {
+                for tick in 0..9 {
+                    NEWER.iter().for_each(|message| _ = peer.frame(message));
+                    peer.say(&state(tick));
+                }
+            }
+        }
+    });
+    let told = folder.succeed("node node");
+    assert!(told.contains("agent 1, package version 3"), "{told}");
+    let told = folder.succeed("push node node.weights --confirm");
+    assert!(told.contains("version 1 pushed") && told.contains("in use and confirmed"), "{told}");
+    for action in ["confirm", "revert", "reset"] {
+        folder.succeed(&format!("node node {action}"));
+    }
+    let told = folder.succeed("monitor node --count 4 --every 1 --record samples.csv");
+    assert!(told.contains("samples.csv: 3 samples"), "{told}");
+    assert_eq!(recorded(&folder.path("samples.csv")), 3);
+}
+
 #[test]
 fn node_and_monitor_show_what_a_board_reports() {
     let folder = Folder::new("node-board");
@@ -290,7 +349,7 @@ fn node_and_monitor_show_what_a_board_reports() {
             match receive::<Request<'_>>(&request) {
                 Some(Request::Query) => {
                     // A message of the future comes in between.
-                    peer.write(&[3, 100, 1, 0]);
+                    peer.frame(&[100, 1]);
                     peer.say(&Response::Event(Event::BoardFault(BoardFault::Clock)));
                     peer.say(&Response::BoardErrors { tick: 0, counters: errors(2) });
                     peer.say(&Response::Status(status()));

@@ -11,7 +11,7 @@ use agent_core::service::{
     send,
 };
 use agent_core::store::Slot;
-use agent_core::wire::cobs::Decoder;
+use agent_core::wire::cobs::{Decoder, Encoder};
 
 /// A response with its numbers in vectors.
 pub(crate) type Message = Response<'static, Vec<f32>>;
@@ -34,6 +34,15 @@ impl Peer {
     /// Sends bytes; returns whether the other end still listens.
     pub(crate) fn write(&mut self, bytes: &[u8]) -> bool {
         self.socket.write_all(bytes).is_ok()
+    }
+
+    /// Sends a message of these bytes, of whatever kind; returns whether the other end still listens.
+    pub(crate) fn frame(&mut self, message: &[u8]) -> bool {
+        let mut bytes = Vec::new();
+        let mut encoder = Encoder::new(|piece: &[u8]| bytes.extend_from_slice(piece));
+        encoder.extend(message);
+        encoder.finish();
+        self.write(&bytes)
     }
 
     /// Waits for the next request; `None` at the end.

@@ -9,8 +9,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use agent_core::health::HealthCounters;
-use agent_core::service::{Firmware, PROTOCOL_VERSION, PackageStatus, Response, Status, send};
-use agent_core::store::Slot;
+use agent_core::service::{PackageStatus, Response, Status, send};
 use agent_core::wire::cobs::DELIMITER;
 use host_sim::cosim::board::Board;
 use host_sim::cosim::fault::NodeError;
@@ -22,6 +21,7 @@ use host_sim::scenario::Scenario;
 use host_sim::service::{Line, push};
 
 use crate::cli::command_line::Folder;
+use crate::cosim::fake_node;
 use crate::cosim::lockstep::{board, without_learning};
 use crate::cosim::loop_node::{self, Quirks};
 
@@ -140,36 +140,14 @@ fn cosim_says_what_to_install_where_there_is_no_emulator() {
 
 /// Returns the first message of a node that uses `package`.
 fn hello(package: &PackageBytes) -> Status {
-    Status {
-        protocol: PROTOCOL_VERSION,
-        firmware: Firmware {
-            version: [0, 1, 0],
-            dimension: 3,
-            features: 8,
-            neighbours: 2,
-            signed_only: false,
-            sample_stride: 20,
-        },
-        tick: 0,
-        package: Some(PackageStatus {
-            agent: package.package().node.agent,
-            version: 1,
-            checksum: push::checksum(package.as_bytes()),
-            step_size: 1e-3,
-            slot: Slot::A,
-            trial: None,
-            network_in_use: true,
-        }),
-        staged: false,
-        upload: None,
-        refused_at_start: [None; 2],
-        stack_unused: None,
-        samples: 0,
-        messages_damaged: 0,
-        measurements_missing: 0,
-        broadcasts_lost: 0,
-        health: HealthCounters::default(),
-    }
+    let status = fake_node::status();
+    let in_use = status.package.map(|used| PackageStatus {
+        agent: package.package().node.agent,
+        version: 1,
+        checksum: push::checksum(package.as_bytes()),
+        ..used
+    });
+    Status { package: in_use, ..status }
 }
 
 /// Returns the error of a run whose last node greets with `status`, acknowledges two requests,

@@ -1,6 +1,7 @@
 //! The simulator, its scenarios, its training, and its verdicts.
 
 mod determinism;
+mod examples;
 mod levenberg_marquardt;
 mod links;
 mod packages;
