@@ -17,7 +17,7 @@ use super::command_line::{Folder, texts};
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 
 /// Commands that other parts of CI run, some of them in a shorter form, by their first words.
-const RUN_BY_CI: [&str; 16] = [
+const RUN_BY_CI: [&str; 17] = [
     "STORE_CUTS=all cargo test --release -p integration-tests",
     "STORE_HISTORIES=1000000 cargo test --release -p integration-tests",
     "cp -r firmware-template/boards/",
@@ -25,6 +25,7 @@ const RUN_BY_CI: [&str; 16] = [
     "cargo test -p",
     "cargo bench -p",
     "cargo run -p firmware-template --example my_board",
+    "cargo run --release -p host-sim --example",
     "cargo xtask test",
     "cargo xtask cross",
     "cargo xtask emulate",
@@ -243,7 +244,7 @@ fn wait_for(path: &Path) {
 #[test]
 fn links_between_pages_lead_somewhere() {
     let mut pages = pages();
-    for name in ["ARCHITECTURE.md", "CHANGELOG.md", "docs/decisions/README.md"] {
+    for name in ["ARCHITECTURE.md", "CHANGELOG.md", "docs/decisions/README.md", "tests/README.md"] {
         pages.push(Path::new(ROOT).join(name));
     }
     for page in pages {

@@ -6,8 +6,8 @@
 //! A task gets the processor when the node yields, so it can be late by one piece of the node's
 //! work: a step, or the check of a package. While flash is erased, nothing runs.
 //!
-//! Time comes from SysTick, because the HAL has no time driver: one interrupt each 0.1 ms, about
-//! 0.2 % of the processor. The node's periods are still counted by TIM2, so they do not depend on it.
+//! Time comes from SysTick, because the HAL has no time driver: one interrupt each 0.1 ms. A step can
+//! therefore begin up to 0.2 ms late. The node's periods are still counted by TIM2, so none is lost.
 
 use core::task::Waker;
 
