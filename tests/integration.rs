@@ -1,5 +1,6 @@
 //! Every test that needs more than one module or crate, in one binary; a folder for each subject.
 
+mod attacks;
 mod cli;
 mod core;
 #[cfg(unix)]

@@ -4,6 +4,7 @@
 //! is skipped silently.
 #![forbid(unsafe_code)]
 
+mod attack;
 mod boards;
 mod boot;
 mod circles;
@@ -35,6 +36,7 @@ Usage: cargo xtask <task> [--debian]
        cargo xtask new PATH [--board BOARD] [--copy-crates]
        cargo xtask install [--prefix PREFIX] [--debian]
        cargo xtask soak [--steps N] [--seed S] [--debian]
+       cargo xtask attack [--tries N] [--seed S] [--format text|json]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
 
 Tasks:
@@ -62,6 +64,10 @@ Tasks:
           steps (default 20000), with package uploads, damaged messages and frames, sensor
           failures, resets and power losses drawn from the seed S (default 1): every byte must
           be correct and equal on both. `--steps 1000000` is the long run
+  attack  play strangers with a radio, at the service port and with old or harmful packages
+          against nodes, with N tries of each attack (default 1000000) drawn from the seed S
+          (default 1), and print how many were accepted and how many did harm: every number
+          must be 0
   lint    check module cycles, formatting, clippy and documentation; warnings are errors.
           Clippy reads the workspace, the fuzz targets, and the boards whose firmware CI runs
   fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (default 10)
@@ -111,6 +117,10 @@ fn main() -> ExitCode {
         },
         ["soak", ref rest @ ..] => match soak::Options::read(rest) {
             Some(options) => soak::soak(&options, debian),
+            None => return usage(),
+        },
+        ["attack", ref rest @ ..] => match attack::Options::read(rest) {
+            Some(options) => attack::attack(&options),
             None => return usage(),
         },
         ["fuzz", ref rest @ ..] => match fuzz::Options::read(rest) {

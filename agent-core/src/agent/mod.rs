@@ -33,6 +33,8 @@ pub mod inbox;
 mod params;
 pub mod region;
 mod restart;
+#[cfg(feature = "authentic-frames")]
+pub mod trust;
 
 pub use error::StepError;
 pub use params::AgentParams;

@@ -86,6 +86,20 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
             .inspect_err(|error| self.health.frame_refused(error))
     }
 
+    /// Keeps a frame that [`Trust`](crate::agent::trust::Trust) believes for the next step if its
+    /// estimate is plausible.
+    ///
+    /// # Errors
+    /// As for [`Inbox::accept_believed`]; the refusal is counted.
+    #[cfg(feature = "authentic-frames")]
+    #[inline]
+    pub fn receive_believed(&mut self, frame: &Frame<N>) -> Result<(), FrameError> {
+        let region = self.health_params.plausible_region();
+        self.inbox
+            .accept_believed(self.params.neighbours(), region, frame)
+            .inspect_err(|error| self.health.frame_refused(error))
+    }
+
     /// Attempts the step at `tick` with `measurement`, shape `[m]`. `network` is the package's
     /// network, which is not used during a fallback; `outer_weights` are the package's, row by row,
     /// shape `[L, N]`, for a restart.

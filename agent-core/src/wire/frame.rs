@@ -83,6 +83,27 @@ pub enum FrameError {
         /// Version of the frame.
         found: u8,
     },
+    /// The tag does not match, or the network key is not known: the frame is forged, changed in
+    /// transit or from another network.
+    #[cfg(feature = "authentic-frames")]
+    Tag {
+        /// The sender it claims to come from.
+        sender: AgentId,
+    },
+    /// The frame is authentic, but not newer than all before: it was recorded, repeated or
+    /// overtaken.
+    #[cfg(feature = "authentic-frames")]
+    Replayed {
+        /// The sender.
+        sender: AgentId,
+    },
+    /// The frame is authentic, but nothing yet says whether it is recent: the sender has not
+    /// answered this agent's hello.
+    #[cfg(feature = "authentic-frames")]
+    NotBelieved {
+        /// The sender.
+        sender: AgentId,
+    },
     /// The estimate has another dimension than the receiver's.
     Dimension {
         /// Dimension that the receiver expects.
@@ -120,6 +141,18 @@ impl core::fmt::Display for FrameError {
             Self::Malformed => write!(f, "invalid frame of version {VERSION}"),
             Self::Version { found } => {
                 write!(f, "the frame has version {found}, expected {VERSION}")
+            }
+            #[cfg(feature = "authentic-frames")]
+            Self::Tag { sender } => {
+                write!(f, "the frame's tag does not match agent {sender} and a known network key")
+            }
+            #[cfg(feature = "authentic-frames")]
+            Self::Replayed { sender } => {
+                write!(f, "agent {sender} has already sent this frame or a newer one")
+            }
+            #[cfg(feature = "authentic-frames")]
+            Self::NotBelieved { sender } => {
+                write!(f, "agent {sender} has not answered the hello yet")
             }
             Self::Dimension { expected, found } => {
                 write!(f, "the frame's estimate has {found} components, expected {expected}")

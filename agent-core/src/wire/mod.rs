@@ -2,6 +2,8 @@
 //!
 //! Depends on [`math`](crate::math) only.
 
+#[cfg(feature = "authentic-frames")]
+pub mod authentic;
 pub mod cobs;
 pub(crate) mod codec;
 pub mod crc;

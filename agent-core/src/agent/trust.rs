@@ -1,0 +1,252 @@
+//! Decides which authentic frames to believe, and in what order a node speaks.
+//!
+//! An authentic frame says who made it, but not when: anyone can record a frame and send it again.
+//! Every node therefore numbers its broadcasts by a [`Stamp`], (epoch, sequence), that never goes
+//! back, because the epoch rises with every boot and survives it. A receiver believes a frame whose
+//! stamp is greater than any it has believed of the same sender.
+//!
+//! A receiver that has just started has believed nothing yet. It broadcasts a hello, and each
+//! neighbour answers with a sync that repeats the epoch of the hello. No such answer can have been
+//! recorded before, since the epoch is new; so the answer's stamp is recent, and from then on the
+//! rule above holds. Until then a neighbour's frames are refused.
+//!
+//! | of a neighbour | estimate or sync for another | hello | sync for this agent |
+//! | --- | --- | --- | --- |
+//! | not believed yet | refused | answered | believed if it repeats an epoch of this boot |
+//! | believed | believed if its stamp is greater | answered unless its epoch is lower | likewise |
+//!
+//! Hellos are repeated while a neighbour is not believed, and answered at most once per
+//! [`TrustParams::answer_gap`], so that a stranger who repeats a recorded hello costs little.
+//!
+//! The epoch also rises when the sequence starts again without a boot, as after a restart of the
+//! agent, and when the sequence is used up. Epochs up to [`Trust::epochs_end`] have been reserved in
+//! the store before the first is used; a node without a reserved epoch only listens.
+//!
+//! Memory: 24 bytes per neighbour and 40 bytes. Cost: that of a tag, and a search among the neighbours.
+//! Invariant: of two frames made with the same key, the later one has the greater stamp; a frame is
+//! believed at most once.
+
+use crate::observer::feedback::Neighbour;
+use crate::wire::authentic::{AuthenticFrame, Bytes, NetworkKey, Payload, Stamp};
+use crate::wire::frame::{Frame, FrameError};
+use crate::{AgentId, StateVector, Tick};
+
+/// How often hellos are sent and answered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TrustParams {
+    /// Time between two hellos while a neighbour is not believed. \[ticks\]
+    pub hello_interval: Tick,
+    /// Least time between two answers to the same neighbour. \[ticks\]
+    pub answer_gap: Tick,
+}
+
+/// What a node knows of a neighbour.
+#[derive(Clone, Copy, Debug, Default)]
+struct Peer {
+    /// The greatest stamp believed.
+    believed: Option<Stamp>,
+    /// The epoch of a hello that has not been answered yet.
+    asks: Option<u32>,
+    /// When a hello was answered last.
+    answered: Option<Tick>,
+}
+
+/// Whom a node believes, and its own stamps. `NEIGHBOURS` is the largest number of neighbours.
+#[derive(Clone, Debug)]
+pub struct Trust<const NEIGHBOURS: usize> {
+    params: TrustParams,
+    own: AgentId,
+    /// The first epoch of this boot, the one in use, and the end of those reserved.
+    boot_epoch: u32,
+    epoch: u32,
+    epochs_end: u32,
+    /// The sequence of the last estimate sealed in `epoch`.
+    sealed: Option<u32>,
+    last_hello: Option<Tick>,
+    peers: heapless::Vec<Peer, NEIGHBOURS>,
+}
+
+/// An authentic frame that is believed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Believed<const N: usize> {
+    /// A sample, newer than all before from its sender.
+    Sample(Frame<N>),
+    /// Nothing for the observer: a hello, or a sync without news.
+    Nothing,
+}
+
+impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
+    /// Creates the state of the agent `own` after a boot: nothing is believed yet. The epochs from
+    /// `first` up to, but without, `end` have been reserved in the store, read back, and never been
+    /// used before; there may be none. `None` for more than `NEIGHBOURS` neighbours.
+    #[must_use]
+    pub fn new(
+        own: AgentId,
+        neighbours: usize,
+        (first, end): (u32, u32),
+        params: TrustParams,
+    ) -> Option<Self> {
+        let mut peers = heapless::Vec::new();
+        peers.resize(neighbours, Peer::default()).ok()?;
+        Some(Self {
+            params,
+            own,
+            boot_epoch: first,
+            epoch: first,
+            epochs_end: end,
+            sealed: None,
+            last_hello: None,
+            peers,
+        })
+    }
+
+    /// Returns the end of the reserved epochs.
+    #[must_use]
+    pub fn epochs_end(&self) -> u32 {
+        self.epochs_end
+    }
+
+    /// Returns the number of epochs left, including the one in use.
+    #[must_use]
+    pub fn epochs_left(&self) -> u32 {
+        self.epochs_end.saturating_sub(self.epoch)
+    }
+
+    /// Adds epochs up to `end`, which have been reserved in the store and read back.
+    pub fn extend(&mut self, end: u32) {
+        self.epochs_end = self.epochs_end.max(end);
+    }
+
+    /// Returns whether the neighbour in this place, in the order of the parameters, is believed.
+    #[must_use]
+    pub fn is_believed(&self, place: usize) -> bool {
+        self.peers.get(place).is_some_and(|peer| peer.believed.is_some())
+    }
+
+    /// Forgets neighbours that are no longer the same, for other neighbours in their places.
+    /// Returns whether there is room for `neighbours`.
+    pub fn keep_neighbours(&mut self, neighbours: usize, stays: impl Fn(usize) -> bool) -> bool {
+        for (place, peer) in self.peers.iter_mut().enumerate() {
+            if !stays(place) {
+                *peer = Peer::default();
+            }
+        }
+        self.peers.resize(neighbours, Peer::default()).is_ok()
+    }
+
+    /// Returns the bytes of a broadcast of the observer, or `None` if the node may only listen.
+    pub fn seal<const N: usize>(&mut self, frame: &Frame<N>, key: &NetworkKey) -> Option<Bytes> {
+        // Raised if the sequence starts again.
+        let epoch = match self.sealed {
+            Some(last) if frame.sequence <= last => self.epoch.checked_add(1)?,
+            _ => self.epoch,
+        };
+        if epoch >= self.epochs_end {
+            return None;
+        }
+        (self.epoch, self.sealed) = (epoch, Some(frame.sequence));
+        let stamp = Stamp { epoch, sequence: frame.sequence };
+        Some(self.bytes(stamp, frame.tick, Payload::Estimate(frame.estimate.as_slice()), key))
+    }
+
+    /// Returns a hello if one is due at the receiver's tick `now`.
+    pub fn hello(&mut self, now: Tick, key: &NetworkKey) -> Option<Bytes> {
+        let is_early = |last| now.saturating_sub(last) < self.params.hello_interval;
+        if self.peers.iter().all(|peer| peer.believed.is_some())
+            || self.epoch >= self.epochs_end
+            || self.last_hello.is_some_and(is_early)
+        {
+            return None;
+        }
+        self.last_hello = Some(now);
+        let stamp = Stamp { epoch: self.epoch, sequence: self.sealed.unwrap_or(0) };
+        Some(self.bytes(stamp, now, Payload::Hello, key))
+    }
+
+    /// Returns the answer to a hello if one is due at the receiver's tick `now`. `last` is the
+    /// agent's last broadcast.
+    pub fn answer<const N: usize>(
+        &mut self,
+        neighbours: &[Neighbour],
+        last: &Frame<N>,
+        now: Tick,
+        key: &NetworkKey,
+    ) -> Option<Bytes> {
+        // The last broadcast must have been sealed: its stamp is part of the answer.
+        let sequence = self.sealed.filter(|&sealed| sealed == last.sequence)?;
+        let gap = self.params.answer_gap;
+        let (to, epoch) = self.peers.iter_mut().zip(neighbours).find_map(|(peer, neighbour)| {
+            let is_early = peer.answered.is_some_and(|last| now.saturating_sub(last) < gap);
+            let epoch = peer.asks.filter(|_| !is_early)?;
+            (peer.asks, peer.answered) = (None, Some(now));
+            Some((neighbour.id, epoch))
+        })?;
+        let stamp = Stamp { epoch: self.epoch, sequence };
+        let payload = Payload::Sync { to, epoch, estimate: last.estimate.as_slice() };
+        Some(self.bytes(stamp, last.tick, payload, key))
+    }
+
+    /// Opens the frame in `bytes` with one of `keys` and believes it or not.
+    ///
+    /// # Errors
+    /// As for [`AuthenticFrame::open`]; [`FrameError::UnknownSender`], [`FrameError::NotBelieved`]
+    /// or [`FrameError::Replayed`].
+    pub fn open<const N: usize>(
+        &mut self,
+        neighbours: &[Neighbour],
+        keys: &[NetworkKey],
+        bytes: &[u8],
+    ) -> Result<Believed<N>, FrameError> {
+        let frame = AuthenticFrame::<StateVector<N>>::open(bytes, keys)?;
+        let AuthenticFrame { sender, stamp, tick, payload } = frame;
+        let unknown = FrameError::UnknownSender { sender };
+        let place = neighbours.iter().position(|n| n.id == sender).ok_or(unknown)?;
+        // A node without a reserved epoch has said nothing that could be answered.
+        let own_epochs = self.boot_epoch..self.epoch.saturating_add(1).min(self.epochs_end);
+        let peer = self.peers.get_mut(place).ok_or(unknown)?;
+        let estimate = match payload {
+            Payload::Hello => {
+                if peer.believed.is_some_and(|believed| stamp.epoch < believed.epoch) {
+                    return Err(FrameError::Replayed { sender });
+                }
+                peer.asks = peer.asks.max(Some(stamp.epoch));
+                return Ok(Believed::Nothing);
+            }
+            Payload::Sync { .. } if peer.believed == Some(stamp) => return Ok(Believed::Nothing),
+            Payload::Sync { to, epoch, estimate } if to == self.own => {
+                if !own_epochs.contains(&epoch) {
+                    return Err(FrameError::Replayed { sender });
+                }
+                // The first stamp: recent, because the answer repeats an epoch of this boot.
+                if peer.believed.is_none() {
+                    peer.believed = Some(stamp);
+                    return Ok(Believed::Sample(sample(sender, stamp, tick, estimate)));
+                }
+                estimate
+            }
+            Payload::Sync { estimate, .. } | Payload::Estimate(estimate) => estimate,
+        };
+        let believed = peer.believed.ok_or(FrameError::NotBelieved { sender })?;
+        if stamp <= believed {
+            return Err(FrameError::Replayed { sender });
+        }
+        peer.believed = Some(stamp);
+        Ok(Believed::Sample(sample(sender, stamp, tick, estimate)))
+    }
+
+    fn bytes(&self, stamp: Stamp, tick: Tick, payload: Payload<&[f32]>, key: &NetworkKey) -> Bytes {
+        AuthenticFrame { sender: self.own, stamp, tick, payload }.seal(key)
+    }
+}
+
+fn sample<const N: usize>(
+    sender: AgentId,
+    stamp: Stamp,
+    tick: Tick,
+    estimate: StateVector<N>,
+) -> Frame<N> {
+    Frame { sender, sequence: stamp.sequence, tick, estimate }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,54 @@
+//! Attacks on a node: what a stranger can do, tried many times, and what came of it.
+//!
+//! Each attack is a function of the number of tries and a seed that returns an [`Outcome`].
+//! `cargo xtask attack` runs them all with many tries ([`report`]) and prints the outcomes; the
+//! ordinary test [`every_attack_fails`] runs each with a few. `docs/threat-model.md` says who could
+//! make them.
+
+mod radio;
+
+use serde_json::json;
+
+/// What came of an attack.
+#[derive(Debug)]
+struct Outcome {
+    /// Its name in the report and in the threat model.
+    name: &'static str,
+    /// Number of frames, requests, packages or faults tried.
+    tries: u64,
+    /// Number of those that a node accepted although it should not have.
+    accepted: u64,
+    /// Number of harmful effects on a node: see each attack.
+    harm: u64,
+}
+
+/// An attack with a number of tries and a seed.
+type Attack = fn(u64, u64) -> Outcome;
+
+/// All attacks, with the number of tries in an ordinary test.
+const ATTACKS: &[(Attack, u64)] = &[(radio::stranger, 20_000)];
+
+#[test]
+fn every_attack_fails() {
+    for &(attack, tries) in ATTACKS {
+        let outcome = attack(tries, 1);
+        assert!(outcome.tries >= tries, "{outcome:?}");
+        assert_eq!((outcome.accepted, outcome.harm), (0, 0), "{outcome:?}");
+    }
+}
+
+/// Makes all attacks with `ATTACK_TRIES` tries each and writes the outcomes to the file
+/// `ATTACK_REPORT`: see `cargo xtask attack`.
+#[test]
+#[ignore = "`cargo xtask attack` runs it"]
+fn report() {
+    let number = |name| std::env::var(name).ok().and_then(|value| value.parse().ok());
+    let (tries, seed) = (number("ATTACK_TRIES").unwrap(), number("ATTACK_SEED").unwrap());
+    let attacks = ATTACKS.iter().map(|(attack, _)| {
+        let Outcome { name, tries, accepted, harm } = attack(tries, seed);
+        eprintln!("{name}: {tries} tries, {accepted} accepted, {harm} harmful");
+        json!({"name": name, "tries": tries, "accepted": accepted, "harm": harm})
+    });
+    let report = json!({"attacks": attacks.collect::<Vec<_>>()});
+    std::fs::write(std::env::var_os("ATTACK_REPORT").unwrap(), report.to_string()).unwrap();
+}
