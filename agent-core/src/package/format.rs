@@ -5,7 +5,7 @@ use super::envelope::MAGIC;
 
 /// A version of the format. Both are read everywhere; [`Format::NEWEST`] is written unless a node
 /// with older firmware needs the first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Format {
     /// A short header and a body of metadata and numbers.
     One,

@@ -9,6 +9,7 @@ use std::ops::ControlFlow;
 
 use agent_core::Tick;
 use agent_core::agent::capture::{Sample, is_due};
+use agent_core::package::Serial;
 use rayon::prelude::*;
 
 use super::run_observer::Switch;
@@ -144,7 +145,14 @@ fn train(
         outer_weights: job.outer_weights.clone(),
     };
     let before = scenario.agents[agent].package.as_ref();
-    let before = before.map_or(INITIAL_VERSION, |package| package.package().version);
+    let initial = Serial { epoch: 0, version: INITIAL_VERSION };
+    let before = before.map_or(initial, |package| package.package().serial());
+    // Above the package before, in the next epoch if there are no versions left.
+    let count = u32::try_from(cycle + 1).unwrap_or(u32::MAX);
+    let Serial { epoch, version } = match before.version.checked_add(count) {
+        Some(version) => Serial { version, ..before },
+        None => Serial { epoch: before.epoch.saturating_add(1), version: count },
+    };
     let task = TrainingTask {
         scenario,
         network,
@@ -152,7 +160,8 @@ fn train(
         agent,
         cycle,
         seed,
-        version: u32::try_from(cycle + 1).unwrap_or(u32::MAX).saturating_add(before),
+        epoch,
+        version,
     };
     let mut report_epoch = |epoch: &EpochReport| {
         progress.epoch(agent + 1, cycle + 1, epoch);

@@ -33,6 +33,8 @@ pub struct TrainingTask<'s> {
     pub cycle: usize,
     /// Seed of the run.
     pub seed: u64,
+    /// Epoch of the package.
+    pub epoch: u32,
     /// Version of the package.
     pub version: u32,
 }
@@ -215,8 +217,8 @@ impl Prepared<'_, '_> {
         let (low, high) = limits(&self.recording.samples);
         let trigger = TriggerConstants::new(task.scenario);
         let mut draft = Draft {
+            epoch: task.epoch,
             version: task.version,
-            replaces: None,
             on_switch: OnSwitch::Keep,
             architecture: task.network.architecture.clone(),
             inner: parameters.iter().map(|&p| p as f32).collect(),
@@ -225,6 +227,7 @@ impl Prepared<'_, '_> {
             broadcast_interval_min: interval_bound(task.scenario, &trigger, self.recording),
             low,
             high,
+            trial: None,
             scenario_hash: task.scenario.hash,
             recipe: task.recipe.name.clone(),
             seed: task.seed,
@@ -313,8 +316,8 @@ pub fn initial(
 ) -> Result<PackageBytes, DraftError> {
     let n = scenario.dimension();
     let draft = Draft {
+        epoch: 0,
         version: INITIAL_VERSION,
-        replaces: None,
         on_switch: OnSwitch::Keep,
         architecture: network.architecture.clone(),
         inner: inner.to_vec(),
@@ -323,6 +326,7 @@ pub fn initial(
         broadcast_interval_min: 0.0,
         low: vec![f32::MIN; n],
         high: vec![f32::MAX; n],
+        trial: None,
         scenario_hash: scenario.hash,
         recipe: "initial".to_owned(),
         seed,
@@ -384,6 +388,7 @@ mod tests {
             agent: 0,
             cycle: 0,
             seed: 0,
+            epoch: 0,
             version: 2,
         };
         let values = |shift: f64| -> Vec<f64> {
