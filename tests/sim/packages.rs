@@ -303,7 +303,8 @@ fn does_not_pack_what_a_node_refuses() {
         let node = host_sim::packages::OwnedAgentConfig::copy(&node);
         Draft { node, ..draft.clone() }.seal().unwrap_err().to_string()
     };
-    let gain = "a node would refuse the package: design.gain is 0e0, expected a finite number above 0";
+    let gain =
+        "a node would refuse the package: design.gain is 0e0, expected a finite number above 0";
     assert_eq!(refused(&|node| node.gain = SymmetricMatrix::Scalar(0.0)), gain);
     assert_eq!(refused(&|node| node.gain = SymmetricMatrix::Diagonal(&[5.0, 0.0])), gain);
     assert_eq!(

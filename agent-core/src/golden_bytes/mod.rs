@@ -130,10 +130,13 @@ fn start_taken(bytes: &[u8]) -> Vec<u8> {
             let Serial { epoch, version } = header.serial;
             let step = header.step_size.to_bits();
             let fields = [header.agent, epoch, version, header.length, step, header.checksum];
-            let layers = header.architecture.layers().iter().flat_map(|layer| {
-                [layer.width, layer.activation as u8]
-            });
-            let sizes = [header.architecture.inputs(), header.outputs, header.neighbours].map(|size| size as u32);
+            let layers = header
+                .architecture
+                .layers()
+                .iter()
+                .flat_map(|layer| [layer.width, layer.activation as u8]);
+            let sizes = [header.architecture.inputs(), header.outputs, header.neighbours]
+                .map(|size| size as u32);
             let is_replaced = u8::from(header.outer_weights_on_switch == OnSwitch::Replace);
             let sizes = sizes.iter().flat_map(|size| size.to_le_bytes()).chain([is_replaced]);
             fields.into_iter().flat_map(u32::to_le_bytes).chain(sizes).chain(layers).collect()

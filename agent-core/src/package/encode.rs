@@ -44,7 +44,10 @@ impl core::fmt::Display for EncodeError {
                 write!(f, "format 1 has agents up to 65535, not {id}; use package format 2")
             }
             Self::Epoch { epoch } => {
-                write!(f, "format 1 has no epochs, but the package is of epoch {epoch}; use package format 2")
+                write!(
+                    f,
+                    "format 1 has no epochs, but the package is of epoch {epoch}; use package format 2"
+                )
             }
             Self::Replaces => write!(
                 f,

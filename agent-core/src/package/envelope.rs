@@ -127,8 +127,7 @@ impl<'a> Envelope<'a> {
         let (block, rest) = rest.split_first_chunk().ok_or(too_short)?;
         let header = Header::parse(signed_part, is_in_doubt)?;
         let is_signed = block.iter().any(|&byte| byte != 0);
-        let signature =
-            if is_signed { Some(signature_in(block, is_in_doubt)?) } else { None };
+        let signature = if is_signed { Some(signature_in(block, is_in_doubt)?) } else { None };
         let (header, digest) = (Some(header), digest_in(signed_part));
         Ok((Self { body: &[], signed_part, signature, header, digest }, rest))
     }

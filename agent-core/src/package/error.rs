@@ -97,7 +97,11 @@ impl core::fmt::Display for PackageError {
             }
             Self::Magic => write!(f, "not a weight package"),
             Self::FormatVersion { found } => {
-                write!(f, "the package has format version {found}, expected 1 to {}", Format::NEWEST.number())
+                write!(
+                    f,
+                    "the package has format version {found}, expected 1 to {}",
+                    Format::NEWEST.number()
+                )
             }
             Self::Checksum => write!(f, "the checksum does not match: the package is damaged"),
             Self::SignatureChecksum => {
@@ -133,7 +137,9 @@ impl core::fmt::Display for PackageError {
                 write!(f, "number {index} of section {} is not finite", number(kind))
             }
             Self::TrialLimitNotFinite => write!(f, "a limit of the trial is not finite"),
-            Self::Digest => write!(f, "the digest does not match: the content is not the signed one"),
+            Self::Digest => {
+                write!(f, "the digest does not match: the content is not the signed one")
+            }
         }
     }
 }

@@ -44,8 +44,8 @@ fn sections(bytes: &[u8]) -> Vec<Vec<u8>> {
 }
 
 fn section(kind: u16, content: &[u8]) -> Vec<u8> {
-    let mut bytes = [&kind.to_le_bytes()[..], &[0, 0], &(content.len() as u32).to_le_bytes()]
-        .concat();
+    let mut bytes =
+        [&kind.to_le_bytes()[..], &[0, 0], &(content.len() as u32).to_le_bytes()].concat();
     bytes.extend(content);
     bytes.resize(bytes.len().next_multiple_of(4), 0);
     bytes
@@ -439,10 +439,9 @@ mod signed {
         let mut moved = unsigned.clone();
         set_serial(&mut moved, Serial { epoch: 1, version: 5 }).unwrap();
         let stranger = SigningKey::from_bytes(&[4; 32]).sign(&unsigned[..HEADER2_LENGTH]);
-        for forged in [
-            with_signature(&moved, signature),
-            with_signature(&unsigned, stranger.to_bytes()),
-        ] {
+        for forged in
+            [with_signature(&moved, signature), with_signature(&unsigned, stranger.to_bytes())]
+        {
             let refused = Err(Refusal::Signature);
             assert_eq!((early(&forged), full(&forged)), (refused, refused));
         }
@@ -470,7 +469,9 @@ mod signed {
             (0..32).map(|bit| (sum_with(bytes, 1 << bit) ^ base, 1 << bit)).collect();
         let (mut missing, mut word) = (base ^ wanted, 0);
         for bit in 0..32 {
-            let Some(pivot) = rows.iter().position(|(sum, _)| sum >> bit & 1 == 1) else { continue };
+            let Some(pivot) = rows.iter().position(|(sum, _)| sum >> bit & 1 == 1) else {
+                continue;
+            };
             let (sum, source) = rows.swap_remove(pivot);
             for row in &mut rows {
                 if row.0 >> bit & 1 == 1 {

@@ -34,7 +34,7 @@ pub const HEADER2_LENGTH: usize = 128;
 pub const CHECKED_FIRST: usize = HEADER2_LENGTH + SIGNATURE_BLOCK_LENGTH;
 
 /// Length of the digest. \[bytes\]
-pub(super) const DIGEST_LENGTH: usize = 32;
+pub const DIGEST_LENGTH: usize = 32;
 
 /// Where the digest is.
 const DIGEST: usize = 52;
@@ -155,11 +155,8 @@ impl Header {
         let layers = self.architecture.layers().iter();
         let layers = layers.flat_map(|layer| [layer.width, layer.activation as u8]);
         let layers = layers.chain(core::iter::repeat(0)).take(2 * INNER_LAYERS_MAX);
-        let end = [
-            [low, high, flags, 0],
-            self.step_size.to_le_bytes(),
-            self.checksum.to_le_bytes(),
-        ];
+        let end =
+            [[low, high, flags, 0], self.step_size.to_le_bytes(), self.checksum.to_le_bytes()];
         let bytes = start.as_flattened().iter().copied().chain(layers);
         let bytes = bytes.chain(end.as_flattened().iter().chain(digest).copied());
         let mut header = [0; HEADER2_LENGTH];
@@ -212,7 +209,7 @@ pub(super) fn digest_in(header: &[u8; HEADER2_LENGTH]) -> Option<&[u8; DIGEST_LE
 /// SHA-512 (FIPS 180-4).
 // A node without a public key never calls this, so the linker leaves the hash out.
 #[must_use]
-pub(super) fn digest(sections: &[u8]) -> [u8; DIGEST_LENGTH] {
+pub fn digest(sections: &[u8]) -> [u8; DIGEST_LENGTH] {
     let hash = ed25519_compact::sha512::Hash::hash(sections);
     let mut digest = [0; DIGEST_LENGTH];
     digest.iter_mut().zip(hash).for_each(|(place, byte)| *place = byte);

@@ -42,7 +42,7 @@ pub use encode::EncodeError;
 pub use envelope::{Envelope, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH, signature_block};
 pub use error::PackageError;
 pub use format::Format;
-pub use header::{CHECKED_FIRST, HEADER2_LENGTH, Header, set_serial};
+pub use header::{CHECKED_FIRST, DIGEST_LENGTH, HEADER2_LENGTH, Header, digest, set_serial};
 pub use neighbours::NeighbourIds;
 pub use place::{NetworkPlace, ParamsPlace};
 pub use serial::Serial;

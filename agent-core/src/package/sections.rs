@@ -82,9 +82,8 @@ impl<'a> Sections<'a> {
         let (content, rest) = rest.split_at_checked(length)?;
         let padding = length.wrapping_neg() % WORD;
         let (padding, rest) = rest.split_at_checked(padding)?;
-        let is_valid = number > self.previous
-            && !content.is_empty()
-            && padding.iter().all(|&byte| byte == 0);
+        let is_valid =
+            number > self.previous && !content.is_empty() && padding.iter().all(|&byte| byte == 0);
         (self.rest, self.previous) = (rest, number);
         is_valid.then_some((kind, content))
     }
@@ -138,7 +137,11 @@ impl<'a> Contents<'a> {
 /// Checks that section `kind` has as many words as expected.
 #[inline(never)]
 fn expect(kind: u16, expected: usize, found: usize) -> Result<(), PackageError> {
-    if expected == found { Ok(()) } else { Err(PackageError::SectionLength { kind, expected, found }) }
+    if expected == found {
+        Ok(())
+    } else {
+        Err(PackageError::SectionLength { kind, expected, found })
+    }
 }
 
 /// Checks that the numbers of section `kind` are finite.

@@ -91,7 +91,10 @@ fn every_request_arrives_and_fits() {
 #[test]
 fn every_response_arrives() {
     let store = |error| Response::Refused(Problem::Store(error));
-    let refusal = Refusal::Older { highest: Serial { epoch: 0, version: 4 }, found: Serial { epoch: 0, version: 3 } };
+    let refusal = Refusal::Older {
+        highest: Serial { epoch: 0, version: 4 },
+        found: Serial { epoch: 0, version: 3 },
+    };
     let numbers = || Numbers::from_slice(&[1.5, -2.0, 0.0]).unwrap();
     for response in [
         Response::Status(status()),

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use super::package_format::PackageFormat;
 use super::CommandError;
 use super::baselines::Baseline;
+use super::package_format::PackageFormat;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunResult, TrainingRecord};
 use crate::figures::{Marker, Reference};

@@ -13,6 +13,7 @@ use agent_core::service::Outcome;
 use agent_core::wire::frame::FrameBytes;
 use agent_core::{StateVector, Tick};
 
+use super::learning::Observation;
 use super::link::Link;
 use super::run_observer::AgentStep;
 use super::statistics::AgentStatistics;
@@ -203,6 +204,17 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     /// Returns `W_hat`, row-major.
     pub(super) fn outer_weights(&self) -> Vec<f32> {
         self.state.outer_weights().rows().iter().flat_map(|row| row.iter().copied()).collect()
+    }
+
+    /// Returns what the agent did in the last step.
+    pub(super) fn observation(&self) -> Observation {
+        let errors = self.state.output_error(&self.params);
+        Observation {
+            squares: errors.iter().fold(0.0, |sum, &e| sum + f64::from(e) * f64::from(e)),
+            outputs: errors.len() as u64,
+            broadcasts: u64::from(self.outgoing.is_some()),
+            steps: 1,
+        }
     }
 
     /// Returns inputs and results of the last step.

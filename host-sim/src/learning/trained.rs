@@ -8,6 +8,7 @@ use agent_core::package::{OnSwitch, TrainingErrors};
 use super::agent_config::agent_config;
 use super::cleaning::{Cleaned, Cleaning};
 use super::judgement::{Samples, judgement};
+use super::promise::trial_limits;
 use super::quality::{Fit, LAST_SHARE, Quality, estimates, explained, mean_squared_error};
 use crate::analysis::TriggerConstants;
 use crate::packages::{Draft, DraftError, PackageBytes, Recording};
@@ -216,6 +217,7 @@ impl Prepared<'_, '_> {
         )?;
         let (low, high) = limits(&self.recording.samples);
         let trigger = TriggerConstants::new(task.scenario);
+        let interval_min = interval_bound(task.scenario, &trigger, self.recording);
         let mut draft = Draft {
             epoch: task.epoch,
             version: task.version,
@@ -224,10 +226,14 @@ impl Prepared<'_, '_> {
             inner: parameters.iter().map(|&p| p as f32).collect(),
             outer_weights: std::mem::take(&mut self.outer_weights),
             node: agent_config(task.scenario, &trigger, task.agent),
-            broadcast_interval_min: interval_bound(task.scenario, &trigger, self.recording),
+            broadcast_interval_min: interval_min,
             low,
             high,
-            trial: None,
+            trial: trial_limits(
+                self.recording.observed.as_ref(),
+                interval_min,
+                task.scenario.time.step_size,
+            ),
             scenario_hash: task.scenario.hash,
             recipe: task.recipe.name.clone(),
             seed: task.seed,
@@ -401,6 +407,7 @@ mod tests {
             interval: 1e-3,
             timing: Timing::default(),
             outer_weights: None,
+            observed: None,
         };
         let error = task.carry_out(&recording, &mut |_| ControlFlow::Continue(())).unwrap_err();
         let message = error.to_string();

@@ -16,7 +16,9 @@ pub fn hint(kind: RefusalKind) -> &'static str {
             "give it the node's epoch and a newer version, or the next epoch, with `host-sim weights \
              renumber --epoch`"
         }
-        Kind::Step => "change time.step in the scenario, or the range of steps in the node's settings",
+        Kind::Step => {
+            "change time.step in the scenario, or the range of steps in the node's settings"
+        }
         Kind::Unsigned | Kind::Signature | Kind::Digest => {
             "sign it with the private key that matches the node's public key (`host-sim weights sign`)"
         }
@@ -25,7 +27,9 @@ pub fn hint(kind: RefusalKind) -> &'static str {
         Kind::Parameter | Kind::NeighbourOrder | Kind::EmptyBox => {
             "correct the scenario and train again"
         }
-        Kind::FormatVersion | Kind::UnknownSection | Kind::Inputs | Kind::Other => "build firmware and host-sim from the same source",
+        Kind::FormatVersion | Kind::UnknownSection | Kind::Inputs | Kind::Other => {
+            "build firmware and host-sim from the same source"
+        }
         Kind::TestVector => {
             "this processor computes different bits: build firmware and host-sim from the same \
              source, without fast-math options"

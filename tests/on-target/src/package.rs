@@ -1,7 +1,9 @@
 //! Weight packages: the embedded one, damaged and changed ones, and checksums.
 
 use agent_core::observer::network::Scratch;
-use agent_core::package::{Capacity, HEADER_LENGTH, Package, Refusal, Requirements, StepRange, accept};
+use agent_core::package::{
+    Capacity, HEADER_LENGTH, Package, Refusal, Requirements, StepRange, accept,
+};
 use agent_core::wire::crc::crc32;
 
 use crate::Unusable;

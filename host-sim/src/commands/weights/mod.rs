@@ -17,8 +17,8 @@ use serde::Serialize;
 use super::key::Passphrase;
 use super::{CommandError, Format, package_format, print_json, print_text};
 use crate::files::output::{FileKind, OutputFile};
-use crate::packages::check::check;
 use crate::packages::PackageBytes;
+use crate::packages::check::check;
 use crate::signing::{OperatorKey, fingerprint};
 
 pub(super) use image::{FlashArguments, flash};

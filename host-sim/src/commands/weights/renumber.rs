@@ -93,7 +93,8 @@ pub(super) fn in_epoch(
 ) -> Result<PackageBytes, CommandError> {
     let needed = if serial.epoch > 0 { package::Format::Two } else { package.format() };
     let format = format.unwrap_or(needed);
-    let converted = if format > package.format() { convert(package, format, out)? } else { package.clone() };
+    let converted =
+        if format > package.format() { convert(package, format, out)? } else { package.clone() };
     let moved = converted.with_serial(serial).map_err(|error| unfit(error, out))?;
     convert(&moved, format, out)
 }

@@ -48,11 +48,17 @@ struct Sizes {
     #[arg(long)]
     gain_entries: Option<usize>,
     /// Shortest step that the board can keep [s]
-    #[arg(long, default_value_t = StepRange::DEFAULT.min)]
+    #[arg(long, default_value_t = StepRange::DEFAULT.min, value_parser = step)]
     step_min: f32,
     /// Longest step that the board can keep [s]
-    #[arg(long, default_value_t = StepRange::DEFAULT.max)]
+    #[arg(long, default_value_t = StepRange::DEFAULT.max, value_parser = step)]
     step_max: f32,
+}
+
+/// Parses a step. \[s\]
+fn step(text: &str) -> Result<f32, String> {
+    let number = text.parse().ok().filter(|step: &f32| *step > 0.0 && step.is_finite());
+    number.ok_or_else(|| "expected a number above 0".to_owned())
 }
 
 impl Sizes {
