@@ -19,7 +19,7 @@ fn bytes_of(package: &Package<'_>) -> Vec<u8> {
 }
 
 /// Returns the package with header fields that match its sections again.
-fn resealed(mut bytes: Vec<u8>) -> Aligned {
+pub(super) fn resealed(mut bytes: Vec<u8>) -> Aligned {
     let sections = bytes[CHECKED_FIRST..].to_vec();
     let length = bytes.len() as u32;
     bytes[16..20].copy_from_slice(&length.to_le_bytes());
@@ -31,7 +31,7 @@ fn resealed(mut bytes: Vec<u8>) -> Aligned {
 }
 
 /// Returns the sections of a package, each with its header and padding.
-fn sections(bytes: &[u8]) -> Vec<Vec<u8>> {
+pub(super) fn sections(bytes: &[u8]) -> Vec<Vec<u8>> {
     let mut rest = &bytes[CHECKED_FIRST..];
     let mut all = Vec::new();
     while !rest.is_empty() {
@@ -43,7 +43,7 @@ fn sections(bytes: &[u8]) -> Vec<Vec<u8>> {
     all
 }
 
-fn section(kind: u16, content: &[u8]) -> Vec<u8> {
+pub(super) fn section(kind: u16, content: &[u8]) -> Vec<u8> {
     let mut bytes =
         [&kind.to_le_bytes()[..], &[0, 0], &(content.len() as u32).to_le_bytes()].concat();
     bytes.extend(content);
@@ -52,7 +52,7 @@ fn section(kind: u16, content: &[u8]) -> Vec<u8> {
 }
 
 /// Returns the package with other sections.
-fn with_sections(bytes: &[u8], sections: &[Vec<u8>]) -> Aligned {
+pub(super) fn with_sections(bytes: &[u8], sections: &[Vec<u8>]) -> Aligned {
     resealed([&bytes[..CHECKED_FIRST], &sections.concat()].concat())
 }
 

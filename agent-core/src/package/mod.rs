@@ -301,6 +301,8 @@ const fn test_vector_length(dimension: usize, features: usize) -> usize {
 }
 
 #[cfg(test)]
+mod bad_packages_tests;
+#[cfg(test)]
 mod format2_tests;
 #[cfg(test)]
 pub(crate) mod tests;

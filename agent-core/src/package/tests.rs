@@ -36,12 +36,12 @@ impl Aligned {
 pub(crate) struct Content {
     pub(crate) inner: [f32; 9],
     pub(crate) outer_weights: [f32; 6],
-    neighbours: [AgentId; 2],
+    pub(super) neighbours: [AgentId; 2],
     edge_weights: [f32; 2],
     pub(crate) gain: [f32; 4],
-    low: [f32; 2],
-    high: [f32; 2],
-    test_vectors: [f32; 14],
+    pub(super) low: [f32; 2],
+    pub(super) high: [f32; 2],
+    pub(super) test_vectors: [f32; 14],
 }
 
 impl Content {
