@@ -70,7 +70,7 @@ pub use wire::frame::Frame;
 pub type StateVector<const N: usize> = nalgebra::SVector<f32, N>;
 
 /// Number of an agent; must be unique within its network.
-pub type AgentId = u16;
+pub type AgentId = u32;
 
 /// Discrete time: number of elapsed steps of length `step_size`.
 pub type Tick = u64;

@@ -20,7 +20,7 @@ use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::observer::outer_law::OuterLawParams;
 use agent_core::observer::projection::ProjectionParams;
 use agent_core::observer::trigger::TriggerParams;
-use agent_core::package::{AgentConfig, NeighbourIds};
+use agent_core::package::{AgentConfig, NeighbourIds, StepRange};
 use agent_core::service::{Numbers, Request, Response, Subscription, receive, send};
 use agent_core::store::{Layout, MappedFlash};
 use agent_core::wire::cobs::Decoder;
@@ -210,7 +210,7 @@ fn fallback() -> Option<AgentConfig<'static>> {
         agent: 1,
         output_matrix: &[1.0, 0.0],
         gain: SymmetricMatrix::Scalar(100.0),
-        neighbours: NeighbourIds::new(&[2, 0])?,
+        neighbours: NeighbourIds::new(&[2]),
         edge_weights: &[1.0],
         outer_law: OuterLawParams {
             gain: SymmetricMatrix::Scalar(1.0),
@@ -239,6 +239,7 @@ fn run(steps: u32) -> (Vec<u8>, u32) {
     let settings = Settings {
         layout: Ram::LAYOUT,
         public_key: None,
+        step_range: StepRange::DEFAULT,
         health: HealthSettings::RECOMMENDED,
         good_steps: NonZeroU32::MIN,
         sample_stride: NonZeroU32::MIN,

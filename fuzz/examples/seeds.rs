@@ -10,11 +10,12 @@ use std::{fs, io, path::Path};
 
 use agent_core::math::activation::Activation::{Gaussian, Logistic, Tanh};
 use agent_core::math::symmetric::MatrixForm;
-use agent_core::package::signature_block;
+use agent_core::package::{CHECKED_FIRST, Format, HEADER2_LENGTH, signature_block};
 use agent_core::wire::frame::Frame;
 use fuzz::{Event, SamplePackage};
 
 fn main() -> io::Result<()> {
+    let two = |package: &SamplePackage| SamplePackage { format: Format::Two, ..package.clone() };
     let signed = SamplePackage {
         version: 5,
         agent: 7,
@@ -24,9 +25,10 @@ fn main() -> io::Result<()> {
         test_vectors: 2,
         recipe: "better",
         ..SamplePackage::smallest()
-    }
-    .encode::<2>();
-    let signed = [&signed[..], &signature_block(&[0x5a; 64])].concat();
+    };
+    let mut signed2 = two(&signed).encode::<2>();
+    signed2[HEADER2_LENGTH..CHECKED_FIRST].copy_from_slice(&signature_block(&[0x5a; 64]));
+    let signed = [&signed.encode::<2>()[..], &signature_block(&[0x5a; 64])].concat();
     let deep = SamplePackage {
         layers: vec![(2, Tanh), (1, Logistic), (3, Gaussian)],
         outputs: 2,
@@ -35,6 +37,7 @@ fn main() -> io::Result<()> {
         ..SamplePackage::smallest()
     };
     let wide = SamplePackage {
+        format: Format::One,
         version: 300,
         agent: 70,
         layers: vec![(13, Logistic), (17, Gaussian)],
@@ -51,6 +54,10 @@ fn main() -> io::Result<()> {
         ("deep", deep.encode::<3>()),
         ("wide", wide.encode::<4>()),
         ("largest-state", SamplePackage::smallest().encode::<12>()),
+        ("smallest-2", two(&SamplePackage::smallest()).encode::<1>()),
+        ("signed-2", signed2),
+        ("deep-2", two(&deep).encode::<3>()),
+        ("wide-2", two(&wide).encode::<4>()),
     ] {
         write("package", name, &bytes)?;
     }

@@ -1,4 +1,5 @@
-//! Fuzzes weight packages: `Package::decode`, `Package::encode` and `accept`.
+//! Fuzzes weight packages of both formats: `Package::decode`, `Package::encode`, `accept` and
+//! `accept_header`.
 //!
 //! The input is a package. It is tried unchanged, with header and checksums corrected and, if that
 //! decodes, with correct test vectors, which passes the last check of `accept`.
@@ -11,14 +12,14 @@ use agent_core::math::numeric::all_finite;
 use agent_core::observer::feedback::Neighbour;
 use agent_core::observer::network::{LAYER_WIDTH_MAX, Scratch};
 use agent_core::package::{
-    Capacity, InUse, NetworkPlace, Package, PackageError, Refusal, Requirements,
-    SIGNATURE_BLOCK_LENGTH, accept, signature_block,
+    CHECKED_FIRST, Capacity, Format, HEADER2_LENGTH, Header, NetworkPlace, Package, PackageError,
+    Refusal, Requirements, SIGNATURE_BLOCK_LENGTH, Serial, accept, accept_header, set_serial,
+    signature_block,
 };
 use fuzz::{Aligned, correct_package};
 use libfuzzer_sys::fuzz_target;
 
-const ANY: Requirements<'static> =
-    Requirements { public_key: None, in_use: None, capacity: Capacity::UNLIMITED };
+const ANY: Requirements<'static> = Requirements::ANY;
 
 fuzz_target!(|data: &[u8]| {
     let mut bytes = Aligned::new(data);
@@ -72,29 +73,74 @@ fn check_package(package: &Package<'_>, bytes: &[u8]) {
     assert_eq!(place.network(bytes).as_ref(), Some(&package.network));
 
     // The encoded package decodes to the same package and encodes to the same bytes. Except for a
-    // signature they equal the input, because each package has exactly one encoding.
+    // signature, and sections that this version skips, they equal the input, because each package has
+    // exactly one encoding.
+    let format = Format::of(bytes).expect("it was decoded from there");
     let mut written = Aligned::new(&vec![0xaa; bytes.len()]);
-    let length = package.encode(written.bytes_mut()).expect("as long as before");
+    let length = package.encode(format, written.bytes_mut()).expect("no longer than before");
     let written = Aligned::new(&written.bytes()[..length]);
-    assert!(bytes.starts_with(written.bytes()));
+    match format {
+        Format::One => assert!(bytes.starts_with(written.bytes())),
+        // The digest is not compared here, nor the checksum of the header above it.
+        Format::Two if length == bytes.len() => {
+            assert_eq!(bytes[..52], written.bytes()[..52]);
+            assert_eq!(bytes[84..124], written.bytes()[84..124]);
+            assert_eq!(bytes[CHECKED_FIRST..], written.bytes()[CHECKED_FIRST..]);
+        }
+        Format::Two => assert!(length < bytes.len()),
+    }
     let decoded = Package::decode(written.bytes());
     assert_eq!(decoded.as_ref(), Ok(package));
     assert_eq!(Package::decode_unchanged(bytes).as_ref(), Ok(package));
     let mut again = vec![0x55; length];
-    assert_eq!(package.encode(&mut again), Ok(length));
+    assert_eq!(package.encode(format, &mut again), Ok(length));
     assert_eq!(again, written.bytes());
-    assert!(package.encode(&mut vec![0; length - 1]).is_err());
+    assert!(package.encode(format, &mut vec![0; length - 1]).is_err());
 
     // Nothing but a signature may follow, and nothing may be missing.
-    let signed = Aligned::new(&[&again[..], &signature_block(&[0x5a; 64])].concat());
+    let block = signature_block(&[0x5a; 64]);
+    let mut signed = again.clone();
+    match format {
+        Format::One => signed.extend(block),
+        Format::Two => signed[HEADER2_LENGTH..CHECKED_FIRST].copy_from_slice(&block),
+    }
+    let signed = Aligned::new(&signed);
     assert_eq!(Package::decode(signed.bytes()).as_ref(), Ok(package));
     for cut in [1, 4, SIGNATURE_BLOCK_LENGTH - 1] {
         let cut = &signed.bytes()[..signed.bytes().len() - cut];
         assert!(matches!(Package::decode(cut), Err(PackageError::Length { .. })));
     }
+    // The start tells the same as the whole.
+    if format == Format::Two {
+        let header = accept_of_any_dimension(&bytes[..CHECKED_FIRST], package.dimension());
+        assert_eq!(header.agent, package.node.agent);
+        assert_eq!(header.serial, package.serial());
+        assert_eq!(header.step_size, package.node.step_size);
+        let mut moved = Aligned::new(bytes);
+        let serial = Serial { epoch: 1, version: 2 };
+        set_serial(moved.bytes_mut(), serial).expect("a valid header");
+        let moved = Package::decode(moved.bytes()).expect("only the serial changed");
+        assert_eq!(moved, Package { epoch: 1, version: 2, ..package.clone() });
+    }
     // At any other address the numbers cannot be used in place.
     let shifted = Aligned::new(&[&[0], &again[..]].concat());
     assert_eq!(Package::decode(&shifted.bytes()[1..]), Err(PackageError::Alignment));
+}
+
+/// Returns the header of a package of this dimension, which has been decoded.
+fn accept_of_any_dimension(bytes: &[u8], dimension: usize) -> Header {
+    let header = Header::decode(bytes).expect("it was decoded from there");
+    assert_eq!(header.architecture.inputs(), dimension);
+    for accepted in [accept_header::<1>(bytes, &ANY), accept_header::<2>(bytes, &ANY)] {
+        match accepted {
+            Ok(Some(accepted)) => assert_eq!(accepted, header),
+            Ok(None) => panic!("format 2"),
+            Err(Refusal::Dimension { found, .. }) => assert_eq!(found, dimension),
+            Err(Refusal::Parameter(_) | Refusal::Step { .. }) => {}
+            Err(refusal) => panic!("{refusal}"),
+        }
+    }
+    header
 }
 
 /// Calls `accept` with new scratch memory.
@@ -115,7 +161,7 @@ fn check_acceptance<const N: usize>(bytes: &[u8], package: &Package<'_>) {
         }
         Err(Refusal::Dimension { .. }) => assert_ne!(package.dimension(), N),
         Err(Refusal::TestVector { .. }) => {
-            let Some(proved) = with_correct_test_vectors::<N>(package, bytes.len()) else { return };
+            let Some(proved) = with_correct_test_vectors::<N>(package, bytes) else { return };
             let accepted = judge::<N>(proved.bytes(), &ANY).expect("nothing else was wrong");
             check_accepted::<N>(proved.bytes(), &accepted);
         }
@@ -125,10 +171,10 @@ fn check_acceptance<const N: usize>(bytes: &[u8], package: &Package<'_>) {
 }
 
 /// Returns the package with the network's outputs for the inputs of its test vectors, if they are
-/// finite; `length` is the package's length in bytes.
+/// finite, in the format of `bytes`, from which it was decoded.
 fn with_correct_test_vectors<const N: usize>(
     package: &Package<'_>,
-    length: usize,
+    bytes: &[u8],
 ) -> Option<Aligned> {
     let mut scratch = Scratch::NEW;
     let mut numbers = vec![];
@@ -140,8 +186,9 @@ fn with_correct_test_vectors<const N: usize>(
         numbers.extend_from_slice(output.as_slice());
     }
     let package = Package { test_vectors: &numbers, ..package.clone() };
-    let mut buffer = vec![0; length];
-    let length = package.encode(&mut buffer).expect("as long as before");
+    let mut buffer = vec![0; bytes.len()];
+    let format = Format::of(bytes).ok()?;
+    let length = package.encode(format, &mut buffer).expect("as long as before");
     numbers.iter().all(|number| number.is_finite()).then(|| Aligned::new(&buffer[..length]))
 }
 
@@ -167,13 +214,22 @@ fn check_accepted<const N: usize>(bytes: &[u8], package: &Package<'_>) {
         );
         assert!(refused || capacity.neighbours == usize::MAX);
     }
-    let after =
-        |agent, version| with(Requirements { in_use: Some(InUse { agent, version }), ..ANY });
-    assert_eq!(after(package.node.agent, package.version), Ok(()));
-    if let Some(newer) = package.version.checked_add(1) {
-        assert!(matches!(after(package.node.agent, newer), Err(Refusal::Older { .. })));
+    let after = |agent, epoch, version| {
+        let highest = Some(Serial { epoch, version });
+        with(Requirements { agent: Some(agent), highest, ..ANY })
+    };
+    let (agent, Serial { epoch, version }) = (package.node.agent, package.serial());
+    assert!(matches!(after(agent, epoch, version), Err(Refusal::Repeated { .. })));
+    if let Some(older) = version.checked_sub(1) {
+        assert_eq!(after(agent, epoch, older), Ok(()));
     }
-    assert!(matches!(after(package.node.agent ^ 1, package.version), Err(Refusal::Agent { .. })));
+    if let Some(newer) = version.checked_add(1) {
+        assert!(matches!(after(agent, epoch, newer), Err(Refusal::Older { .. })));
+    }
+    if let Some(next) = epoch.checked_add(1) {
+        assert!(matches!(after(agent, next, 0), Err(Refusal::Older { .. })));
+    }
+    assert!(matches!(after(agent ^ 1, epoch, version), Err(Refusal::Agent { .. })));
 
     // The parameters form an agent, and it takes steps.
     let mut neighbours = vec![Neighbour { id: 0, weight: 1.0 }; places];

@@ -12,15 +12,40 @@ pub use aligned::Aligned;
 pub use frames::Event;
 pub use sample::SamplePackage;
 
-use agent_core::package::{FORMAT_VERSION, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH};
+use agent_core::package::{
+    CHECKED_FIRST, HEADER_LENGTH, HEADER2_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH, digest,
+};
 use agent_core::wire::crc::crc32;
 
 const CHECKSUM_LENGTH: usize = 4;
 
-/// Overwrites the header of a package with the one that matches its body and, if the old header's
-/// length leaves exactly a signature at the end, the signature's checksum. Fewer bytes than a
-/// header are left unchanged.
+/// Overwrites magic, length, checksums and digest of a package with those that match its content. Its
+/// format is what its fourth byte says, 1 for any but 2. Fewer bytes than a header are left unchanged.
 pub fn correct_package(bytes: &mut [u8]) {
+    match bytes.get(MAGIC.len()) {
+        Some(2) => correct_format2(bytes),
+        _ => correct_format1(bytes),
+    }
+}
+
+/// As [`correct_package`]; the signature's checksum is corrected if there is a signature.
+fn correct_format2(bytes: &mut [u8]) {
+    let length = bytes.len() as u32;
+    let Some((start, sections)) = bytes.split_first_chunk_mut::<CHECKED_FIRST>() else { return };
+    let (header, block) = start.split_at_mut(HEADER2_LENGTH);
+    header[..3].copy_from_slice(&MAGIC);
+    header[16..20].copy_from_slice(&length.to_le_bytes());
+    header[48..52].copy_from_slice(&crc32(&[sections]).to_le_bytes());
+    header[52..84].copy_from_slice(&digest(sections));
+    correct_frame(header);
+    if block.iter().any(|&byte| byte != 0) {
+        correct_frame(block);
+    }
+}
+
+/// As [`correct_package`]; the signature's checksum is corrected if the old header's length leaves
+/// exactly a signature at the end.
+fn correct_format1(bytes: &mut [u8]) {
     let Some((header, rest)) = bytes.split_first_chunk_mut::<HEADER_LENGTH>() else { return };
     let [.., l0, l1, l2, l3, _, _, _, _] = *header;
     let stated = u32::from_le_bytes([l0, l1, l2, l3]) as usize;
@@ -28,7 +53,7 @@ pub fn correct_package(bytes: &mut [u8]) {
     let (body, block) = rest.split_at_mut(if is_signed { stated } else { rest.len() });
     let (covered, checksum) = header.split_at_mut(HEADER_LENGTH - CHECKSUM_LENGTH);
     covered[..3].copy_from_slice(&MAGIC);
-    covered[3] = FORMAT_VERSION;
+    covered[3] = 1;
     covered[4..].copy_from_slice(&(body.len() as u32).to_le_bytes());
     checksum.copy_from_slice(&crc32(&[covered, body]).to_le_bytes());
     correct_frame(block);

@@ -10,7 +10,7 @@ use agent_core::observer::outer_law::OuterLawParams;
 use agent_core::observer::projection::ProjectionParams;
 use agent_core::observer::trigger::TriggerParams;
 use agent_core::package::{
-    AgentConfig, NeighbourIds, OnSwitch, Package, Provenance, TrainingErrors,
+    AgentConfig, Format, NeighbourIds, OnSwitch, Package, Provenance, TrainingErrors, TrialLimits,
 };
 
 /// The entries of a diagonally dominant matrix of shape `[size, size]` in this form.
@@ -27,6 +27,8 @@ fn entries(form: MatrixForm, size: usize) -> Vec<f32> {
 /// The properties in which real packages differ.
 #[derive(Clone, Debug)]
 pub struct SamplePackage {
+    /// Its format.
+    pub format: Format,
     /// Its version.
     pub version: u32,
     /// The agent.
@@ -52,6 +54,7 @@ impl SamplePackage {
     #[must_use]
     pub fn smallest() -> Self {
         Self {
+            format: Format::One,
             version: 1,
             agent: 0,
             layers: vec![(1, Activation::Tanh)],
@@ -78,12 +81,11 @@ impl SamplePackage {
         let output_matrix = numbers(self.outputs * N);
         let gain = entries(self.gain, N);
         let outer_gain = entries(self.outer_gain, architecture.features());
-        let neighbours: Vec<u8> = self.neighbours.iter().flat_map(|id| id.to_le_bytes()).collect();
         let node = AgentConfig {
             agent: self.agent,
             output_matrix: &output_matrix,
             gain: self.gain.matrix(&gain),
-            neighbours: NeighbourIds::new(&neighbours).expect("two bytes each"),
+            neighbours: NeighbourIds::new(&self.neighbours),
             edge_weights: &vec![0.5; self.neighbours.len()],
             outer_law: OuterLawParams {
                 gain: self.outer_gain.matrix(&outer_gain),
@@ -101,9 +103,11 @@ impl SamplePackage {
             },
             step_size: 1e-3,
         };
+        let is_first = self.format == Format::One;
         let package = Package {
+            epoch: if is_first { 0 } else { self.version / 2 },
             version: self.version,
-            replaces: (self.version > 1).then_some(self.version),
+            replaces: (is_first && self.version > 1).then_some(self.version),
             outer_weights_on_switch: match self.version % 2 {
                 0 => OnSwitch::Keep,
                 _ => OnSwitch::Replace,
@@ -113,6 +117,11 @@ impl SamplePackage {
             node,
             broadcast_interval_min: 0.0,
             trained_box: StateBox { low: &[-1.0; N], high: &[1.0; N] },
+            trial: (!is_first && self.version > 1).then_some(TrialLimits {
+                seconds: Some(self.version),
+                innovation_rms: Some(0.5),
+                ..TrialLimits::NONE
+            }),
             provenance: Provenance {
                 scenario_hash: *b"scenario",
                 recipe: self.recipe,
@@ -137,7 +146,7 @@ impl SamplePackage {
         }
         let package = Package { test_vectors: &test_vectors, ..package };
         let mut buffer = vec![0; 1 << 20];
-        let length = package.encode(&mut buffer).expect("the package fits");
+        let length = package.encode(self.format, &mut buffer).expect("the package fits");
         buffer.truncate(length);
         buffer
     }

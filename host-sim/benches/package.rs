@@ -2,7 +2,7 @@
 //! 15 parameters, four test vectors): `cargo bench -p host-sim --bench package`.
 
 use agent_core::observer::network::Scratch;
-use agent_core::package::{Capacity, Package, Requirements, accept};
+use agent_core::package::{Package, Requirements, accept};
 use divan::{Bencher, black_box};
 use host_sim::engine::{RunOptions, Silent, run};
 use host_sim::packages::PackageBytes;
@@ -30,8 +30,7 @@ fn check(bencher: Bencher<'_, '_>, package: &PackageBytes, requirements: &Requir
     });
 }
 
-const UNRESTRICTED: Requirements<'static> =
-    Requirements { public_key: None, in_use: None, capacity: Capacity::UNLIMITED };
+const UNRESTRICTED: Requirements<'static> = Requirements::ANY;
 
 #[divan::bench]
 fn acceptance_unsigned(bencher: Bencher<'_, '_>) {

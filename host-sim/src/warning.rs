@@ -52,11 +52,13 @@ pub enum WarningCode {
     DenseSamples,
     /// Trained networks are not written as packages, which cannot carry the scenario's trigger.
     SimulationOnly,
+    /// The package's limits for its trial do not fit into its format.
+    TrialLimitsDropped,
 }
 
 impl WarningCode {
     /// Every code.
-    pub const ALL: [Self; 20] = [
+    pub const ALL: [Self; 21] = [
         Self::StateNotCovered,
         Self::GainNotASolution,
         Self::RhoTooSmall,
@@ -77,6 +79,7 @@ impl WarningCode {
         Self::OtherScenario,
         Self::DenseSamples,
         Self::SimulationOnly,
+        Self::TrialLimitsDropped,
     ];
 
     /// Returns the code as it appears in JSON.
@@ -103,6 +106,7 @@ impl WarningCode {
             Self::OtherScenario => "other-scenario",
             Self::DenseSamples => "dense-samples",
             Self::SimulationOnly => "simulation-only",
+            Self::TrialLimitsDropped => "trial-limits-dropped",
         }
     }
 }

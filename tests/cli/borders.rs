@@ -250,6 +250,9 @@ fn rejects_absurd_numbers_with_their_range() {
         ),
         ("weights renumber node1.weights --version", &["4294967296"]),
         ("weights sign node1.weights --key k --replaces", &["4294967296"]),
+        ("weights sign node1.weights --key k --epoch", &["4294967296"]),
+        ("weights renumber node1.weights --version 3 --epoch", &["4294967296"]),
+        ("weights renumber node1.weights --version 3 --package-format", &["0", "3"]),
         ("weights verify node1.weights --features", &[]),
         ("weights import net.npz --out o.weights --scenario mine.toml --agent", &["0", "99"]),
     ] {

@@ -4,6 +4,7 @@ use std::fs;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use agent_core::package::{CHECKED_FIRST, HEADER2_LENGTH};
 use agent_core::store::{Slot, Store};
 use host_sim::memory_map::MemoryMap;
 use serde_json::Value;
@@ -39,7 +40,9 @@ fn from_samples_to_a_signed_package_that_nobody_can_change() {
     // The very package that the run switched in, but for the signature.
     let (own, runs) = (folder.path("node1.weights"), folder.path("out/agent1_cycle1.weights"));
     let (own, runs) = (fs::read(own).unwrap(), fs::read(runs).unwrap());
-    assert_eq!(own[..runs.len()], runs);
+    assert_eq!(own.len(), runs.len());
+    assert_eq!(own[..HEADER2_LENGTH], runs[..HEADER2_LENGTH]);
+    assert_eq!(own[CHECKED_FIRST..], runs[CHECKED_FIRST..]);
 
     let facts = json(&folder, "weights inspect node1.weights");
     assert_eq!((&facts["agent"], &facts["signed"]), (&1.into(), &true.into()));
@@ -71,18 +74,62 @@ fn from_samples_to_a_signed_package_that_nobody_can_change() {
     assert_eq!(next["version"], 3);
     folder.succeed("weights verify next.weights --in-use node1.weights");
     let error = folder.fail("weights verify node1.weights --in-use next.weights", 2);
-    assert!(error.contains("version 2, but version 3 is in use"), "{error}");
+    assert!(error.contains("version 2, but version 3 has been in use"), "{error}");
     // Only the operator can send a node back to it.
-    let back = "weights sign node1.weights --key operator.key --replaces 3 --out back.weights";
-    folder.succeed(back);
+    let back = "weights sign node1.weights --key operator.key --epoch 1 --out back.weights";
+    let report = json(&folder, back);
+    assert_eq!((&report["epoch"], &report["version"]), (&1.into(), &2.into()));
     let node = "--in-use next.weights";
     folder.succeed(&format!("weights verify back.weights {node} --key operator.pub"));
-    folder.fail(&format!("weights verify back.weights {node}"), 2);
+    let shown = json(&folder, "weights inspect back.weights");
+    assert_eq!((&shown["epoch"], &shown["format_version"]), (&1.into(), &2.into()));
+    for old in ["node1", "next", "back"] {
+        let again = format!("weights verify {old}.weights --in-use back.weights");
+        let error = folder.fail(&again, 2);
+        assert!(error.contains("has been in use") && error.contains("--epoch"), "{error}");
+    }
+    let replaces = "weights sign node1.weights --key operator.key --replaces 3 --out back.weights";
+    let error = folder.fail(replaces, 2);
+    assert!(error.contains("use a higher epoch"), "{error}");
     let difference = json(&folder, "weights diff node1.weights next.weights");
     assert_eq!(difference["identical"], false);
     assert!(difference["inner_parameters"]["changed"].as_u64().unwrap() > 0);
     let same = folder.succeed("weights diff node1.weights node1.weights");
     assert!(same.contains("are identical"), "{same}");
+}
+
+#[test]
+fn packages_for_older_firmware_are_of_format_1() {
+    let folder = folder("format-1");
+    let format = |file: &str| {
+        let shown = json(&folder, &format!("weights inspect {file}"));
+        (shown["format_version"].as_u64().unwrap(), shown["epoch"].as_u64().unwrap())
+    };
+    let output = folder.run(&format!("{TRAIN} --out old.weights --package-format 1"));
+    assert!(output.status.success());
+    assert!(texts(&output).1.contains("has no limits for the trial"), "{}", texts(&output).1);
+    assert_eq!(format("old.weights"), (1, 0));
+    assert_eq!(fs::read(folder.path("old.weights")).unwrap()[..4], *b"OWP\x01");
+    assert_eq!(json(&folder, "weights inspect old.weights")["trial"], Value::Null);
+    // Such a package may still replace newer ones, with the operator's permission.
+    folder.succeed("weights renumber old.weights --version 9 --out newer.weights");
+    assert_eq!(format("newer.weights"), (1, 0));
+    folder.succeed("weights sign old.weights --key operator.key --replaces 9 --out back.weights");
+    let node = "--in-use newer.weights --key operator.pub";
+    folder.succeed(&format!("weights verify back.weights {node}"));
+    // An epoch makes it one of format 2, unless that is ruled out.
+    folder.succeed("weights sign old.weights --key operator.key --epoch 2 --out two.weights");
+    assert_eq!(format("two.weights"), (2, 2));
+    folder.succeed("weights renumber old.weights --version 4 --epoch 1 --out three.weights");
+    assert_eq!(format("three.weights"), (2, 1));
+    let error = folder.fail("weights renumber two.weights --version 4 --package-format 1", 2);
+    assert!(error.contains("format 1 has no epochs"), "{error}");
+    folder.succeed("weights renumber two.weights --version 4 --epoch 0 --package-format 1");
+    assert_eq!(format("two.weights"), (1, 0));
+    // Training keeps the epoch of its base.
+    let next = format!("{TRAIN} --base three.weights --out next.weights");
+    let next = json(&folder, &next);
+    assert_eq!((&next["epoch"], &next["version"]), (&1.into(), &5.into()));
 }
 
 #[test]

@@ -72,7 +72,7 @@ impl Ring {
             let mut row = StateVector::<3>::zeros();
             row[index] = 1.0;
             let params = AgentParams::new(
-                index as u16,
+                index as u32,
                 STEP_SIZE,
                 ObserverParams {
                     output_matrix: OutputMatrix::new(&[row]).unwrap(),
@@ -142,7 +142,7 @@ impl Ring {
             let neighbours = agent.params.neighbours();
             for bytes in &frames {
                 let sender = Frame::<3>::decode(bytes).map(|frame| frame.sender);
-                if sender == Ok(index as u16) {
+                if sender == Ok(index as u32) {
                     continue;
                 }
                 let accepted = if self.guarded {
@@ -196,7 +196,7 @@ impl Ring {
                 health: &mut agent.health,
             };
             for bytes in &frames {
-                if Frame::<3>::decode(bytes).map(|frame| frame.sender) != Ok(index as u16) {
+                if Frame::<3>::decode(bytes).map(|frame| frame.sender) != Ok(index as u32) {
                     let _ = watched.receive(bytes);
                 }
             }

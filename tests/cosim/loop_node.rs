@@ -9,6 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use agent_core::health::HealthSettings;
+use agent_core::package::StepRange;
 use agent_core::package::signature::PublicKey;
 use agent_core::service::{Request, Subscription, send};
 use agent_core::store::{Layout, MappedFlash, Slot};
@@ -77,6 +78,7 @@ fn run(mut flash: Flash, quirks: &Quirks, socket: UnixStream, reads: Arc<AtomicU
         let settings = Settings {
             layout: layout(),
             public_key: quirks.public_key,
+            step_range: StepRange::DEFAULT,
             health: HealthSettings::RECOMMENDED,
             good_steps: NonZeroU32::new(quirks.good_steps.unwrap_or(1000)).unwrap(),
             sample_stride: NonZeroU32::new(20).unwrap(),

@@ -5,6 +5,7 @@ use std::num::NonZeroU32;
 
 use agent_core::Tick;
 use agent_core::health::{BoardErrors, HealthSettings};
+use agent_core::package::StepRange;
 use agent_core::service::{
     BoardFault, CHUNK_LENGTH_MAX, Event, Outcome, Request, Subscription, receive, send,
 };
@@ -182,6 +183,7 @@ fn settings() -> Settings {
     Settings {
         layout: LAYOUT,
         public_key: None,
+        step_range: StepRange::DEFAULT,
         health: HealthSettings { telemetry_interval: INTERVAL, ..HealthSettings::RECOMMENDED },
         good_steps: NonZeroU32::new(1_000).unwrap(),
         sample_stride: NonZeroU32::MIN,

@@ -12,6 +12,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use agent_core::health::HealthSettings;
+use agent_core::package::StepRange;
 use agent_core::service::{
     BoardFault, Event, Numbers, Outcome, Request, Response, Subscription, receive, send,
 };
@@ -224,6 +225,7 @@ fn on_the_host(requests: &[Request<'_>]) -> Vec<Vec<u8>> {
     let settings = Settings {
         layout,
         public_key: None,
+        step_range: StepRange::DEFAULT,
         health: HealthSettings::RECOMMENDED,
         good_steps: NonZeroU32::new(1_000).unwrap(),
         sample_stride: NonZeroU32::new(20).unwrap(),

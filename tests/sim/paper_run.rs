@@ -146,7 +146,7 @@ fn run_core(plant: &[Vector3<f64>]) -> Outcome {
             consensus_weight: trigger.phi_2 as f32,
             threshold: trigger.threshold as f32,
         };
-        AgentParams::new(agent as u16, STEP_SIZE as f32, observer, outer_law, trigger).unwrap()
+        AgentParams::new(agent as u32, STEP_SIZE as f32, observer, outer_law, trigger).unwrap()
     });
     let mut states = params.each_ref().map(|params| {
         let places = vec![None; params.neighbours().len()];
@@ -160,7 +160,7 @@ fn run_core(plant: &[Vector3<f64>]) -> Outcome {
         params.iter().zip(&states).map(|(params, state)| state.announcement(params)).collect();
     for (tick, x) in (0..=STEPS).zip(plant) {
         for frame in frames.drain(..) {
-            outcome.broadcasts[usize::from(frame.sender)].push(frame.tick);
+            outcome.broadcasts[frame.sender as usize].push(frame.tick);
             for (params, inbox) in params.iter().zip(&mut inboxes) {
                 if params.neighbours().iter().any(|neighbour| neighbour.id == frame.sender) {
                     inbox.accept(params.neighbours(), &frame.encode()).unwrap();

@@ -82,7 +82,7 @@ impl Soak {
         let place = |agent: usize| {
             let package = supply.factory(agent);
             let edges = scenario.graph.neighbours(agent);
-            let id = |agent: usize| agent as u16 + 1;
+            let id = |agent: usize| agent as u32 + 1;
             let rows = &scenario.agents[agent].output_matrix;
             Ok(Place {
                 node: match firmware {

@@ -187,7 +187,7 @@ impl Judge {
             match message {
                 Message::Broadcast { bytes } => {
                     let frame = Frame::<3>::decode(bytes).map_err(|error| error.to_string())?;
-                    if usize::from(frame.sender) != self.agent + 1 {
+                    if frame.sender as usize != self.agent + 1 {
                         return Err(format!(
                             "its broadcast names agent {} as the sender",
                             frame.sender
@@ -294,7 +294,7 @@ impl Judge {
         let Some(package) = &status.package else { return Err("it has no package".to_owned()) };
         let store = &self.store;
         let found = (
-            (package.version, package.checksum, package.slot, usize::from(package.agent)),
+            (package.version, package.checksum, package.slot, package.agent as usize),
             package.trial.is_some(),
             status.staged,
             status.upload.map(|upload| upload.received),

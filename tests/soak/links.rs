@@ -17,15 +17,15 @@ const KEPT: usize = 64;
 #[derive(Clone, Debug)]
 pub(super) struct Links {
     /// The receiving node; agents are numbered from 1.
-    agent: u16,
-    neighbours: Vec<u16>,
+    agent: u32,
+    neighbours: Vec<u32>,
     /// Arrival steps and bytes of frames in transit.
     under_way: Vec<(u64, Vec<u8>)>,
     old: Vec<Vec<u8>>,
 }
 
 impl Links {
-    pub(super) fn new(agent: u16, neighbours: Vec<u16>) -> Self {
+    pub(super) fn new(agent: u32, neighbours: Vec<u32>) -> Self {
         Self { agent, neighbours, under_way: Vec::new(), old: Vec::new() }
     }
 
@@ -87,7 +87,7 @@ impl Links {
             arrived.push((step, frame));
         };
         if rng.random_bool(rates.stranger) {
-            let any = rng.random::<u16>();
+            let any = u32::from(rng.random::<u16>());
             let stranger = if self.neighbours.contains(&any) { self.agent } else { any };
             let sender = *[self.agent, stranger].choose(rng).unwrap_or(&stranger);
             foreign("frame of a stranger", self.forged(sender, [1.0, 2.0, 3.0], rng));
@@ -118,7 +118,7 @@ impl Links {
     }
 
     /// Returns a frame with random sequence and tick.
-    fn forged(&self, sender: u16, estimate: [f32; 3], rng: &mut impl Rng) -> Vec<u8> {
+    fn forged(&self, sender: u32, estimate: [f32; 3], rng: &mut impl Rng) -> Vec<u8> {
         let estimate = StateVector::from(estimate);
         let frame = Frame { sender, sequence: rng.random(), tick: rng.random(), estimate };
         frame.encode().to_vec()

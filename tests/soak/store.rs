@@ -39,6 +39,8 @@ impl Unfinished {
 pub(super) struct Store {
     pub(super) slot: Slot,
     pub(super) in_use: Package,
+    /// The highest version that was ever activated.
+    highest: u32,
     /// During a trial: what was in use before.
     pub(super) way_back: Option<Package>,
     pub(super) staged: Option<Package>,
@@ -63,7 +65,16 @@ fn answer(outcome: Outcome) -> Answer {
 impl Store {
     /// The state after leaving the factory.
     pub(super) fn new(in_use: Package) -> Self {
-        Self { slot: Slot::A, in_use, way_back: None, staged: None, upload: None, judged: 0 }
+        let highest = in_use.version;
+        Self {
+            slot: Slot::A,
+            in_use,
+            highest,
+            way_back: None,
+            staged: None,
+            upload: None,
+            judged: 0,
+        }
     }
 
     pub(super) fn is_on_trial(&self) -> bool {
@@ -105,7 +116,7 @@ impl Store {
         Ok(Message::Upload(Upload { received: upload.received() }))
     }
 
-    /// Accepts only bytes that were made for this agent, with at least the version in use.
+    /// Accepts only bytes that were made for this agent, above every version that was activated.
     pub(super) fn stage(&mut self, agent: usize, supply: &Supply) -> Answer {
         let Some(upload) = &self.upload else { return answer(Err(StoreError::NoUpload)) };
         let (received, length) = (upload.received(), upload.length);
@@ -114,7 +125,7 @@ impl Store {
         }
         self.judged += 1;
         match supply.version_of(agent, &upload.bytes) {
-            Some(version) if version >= self.in_use.version => {
+            Some(version) if version > self.highest => {
                 self.staged = Some(Package::new(version, &upload.bytes));
                 self.upload = None;
                 Answer::Exactly(Message::Staged { version })
@@ -126,6 +137,7 @@ impl Store {
     pub(super) fn activate(&mut self) -> Answer {
         answer(self.staged.take().ok_or(StoreError::NothingStaged).map(|staged| {
             let version = Some(staged.version);
+            self.highest = self.highest.max(staged.version);
             self.way_back = Some(std::mem::replace(&mut self.in_use, staged));
             self.slot = self.slot.other();
             Message::InUse { version }

@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 use std::num::NonZeroU32;
 
+use agent_core::package::{CHECKED_FIRST, digest};
 use agent_core::wire::crc::crc32;
 use host_sim::analysis::TriggerConstants;
 use host_sim::engine::{RunOptions, Silent, run};
@@ -17,8 +18,6 @@ use rand::{Rng, RngExt};
 
 use crate::sim::scenario_builder::{Described, network, picks};
 
-/// Length of the header of a package.
-const HEADER: usize = 12;
 /// Variants of each agent's trained network.
 const VARIANTS: usize = 3;
 
@@ -198,7 +197,7 @@ impl Supply {
             Kind::Truncated => bytes.truncate(place.max(1)),
             Kind::Extended => bytes.extend((0..=place % 100).map(|_| rng.random::<u8>())),
             Kind::RandomBody => {
-                bytes[HEADER..].fill_with(|| rng.random());
+                bytes[CHECKED_FIRST..].fill_with(|| rng.random());
                 reseal(&mut bytes);
             }
             Kind::OtherTestVector => {
@@ -243,8 +242,11 @@ fn numbers(
     start..start + wanted.len()
 }
 
-/// Corrects the checksum.
+/// Corrects checksums and digest of a package of format 2.
 fn reseal(bytes: &mut [u8]) {
-    let checksum = crc32(&[&bytes[..8], &bytes[HEADER..]]);
-    bytes[8..HEADER].copy_from_slice(&checksum.to_le_bytes());
+    let (start, sections) = bytes.split_at_mut(CHECKED_FIRST);
+    start[48..52].copy_from_slice(&crc32(&[sections]).to_le_bytes());
+    start[52..84].copy_from_slice(&digest(sections));
+    let checksum = crc32(&[&start[..124]]);
+    start[124..128].copy_from_slice(&checksum.to_le_bytes());
 }

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use agent_core::health::HealthSettings;
+use agent_core::package::StepRange;
 use agent_core::service::{Request, Subscription, send};
 use agent_core::store::{MappedFlash, Slot};
 use embedded_io::ErrorKind;
@@ -94,6 +95,7 @@ fn live(mut flash: Flash, socket: &UnixStream) -> Flash {
         let settings = Settings {
             layout: region().layout(),
             public_key: None,
+            step_range: StepRange::DEFAULT,
             health: HealthSettings::RECOMMENDED,
             good_steps: NonZeroU32::new(1_000).unwrap(),
             sample_stride: NonZeroU32::new(20).unwrap(),

@@ -5,7 +5,7 @@ use agent_core::StateVector;
 use agent_core::agent::AgentState;
 use agent_core::agent::inbox::Inbox;
 use agent_core::observer::network::{InnerNetwork, Scratch};
-use agent_core::package::{Capacity, InUse, NetworkPlace, Package, Refusal, Requirements, accept};
+use agent_core::package::{NetworkPlace, Package, Refusal, Requirements, Serial, accept};
 use agent_core::store::{CheckedError, Layout, Slot, Store};
 use host_sim::analysis::TriggerConstants;
 use host_sim::learning::trained;
@@ -47,18 +47,17 @@ pub(crate) fn package(version: u32) -> PackageBytes {
 /// What a node keeps of the package in use.
 #[derive(Clone, Debug, PartialEq)]
 struct Running {
-    in_use: InUse,
+    serial: Serial,
     place: NetworkPlace,
 }
 
-/// Returns the check of a node that uses `in_use`.
-fn check(in_use: Option<InUse>) -> impl FnMut(&[u8]) -> Result<Running, Refusal> {
+/// Returns the check of a node that has activated packages up to `highest`.
+fn check(highest: Option<Serial>) -> impl FnMut(&[u8]) -> Result<Running, Refusal> {
     let mut scratch = Scratch::NEW;
     move |bytes| {
-        let node = Requirements { public_key: None, in_use, capacity: Capacity::UNLIMITED };
+        let node = Requirements { highest, ..Requirements::ANY };
         let package = accept::<N>(bytes, &node, &mut scratch)?;
-        let in_use = InUse { agent: package.node.agent, version: package.version };
-        Ok(Running { in_use, place: NetworkPlace::new(&package, bytes).unwrap() })
+        Ok(Running { serial: package.serial(), place: NetworkPlace::new(&package, bytes).unwrap() })
     }
 }
 
@@ -80,11 +79,11 @@ fn upload(store: &mut Store<&mut Flash>, bytes: &[u8]) {
 fn begin_trial(
     store: &mut Store<&mut Flash>,
     bytes: &[u8],
-    in_use: Option<InUse>,
+    highest: Option<Serial>,
 ) -> Result<Running, CheckedError<Refusal>> {
     upload(store, bytes);
-    store.stage(check(in_use))?;
-    store.activate(check(in_use))
+    store.stage(check(highest))?;
+    store.activate(check(highest))
 }
 
 /// Returns flash with a confirmed package of version 1.
@@ -144,13 +143,13 @@ fn a_new_network_runs_from_flash_and_stays_once_confirmed() {
     let mut flash = factory_fresh();
     let (mut store, running) = boot(&mut flash);
     let running = running.unwrap();
-    assert_eq!((store.in_use(), running.in_use.version), (Some(Slot::A), 1));
+    assert_eq!((store.in_use(), running.serial.version), (Some(Slot::A), 1));
     assert_eq!(estimates_from_flash(&store, &running), from_old);
     // While the next one is received, the node continues.
     upload(&mut store, new.as_bytes());
     assert_eq!(estimates_from_flash(&store, &running), from_old);
-    store.stage(check(Some(running.in_use))).unwrap();
-    let tried = store.activate(check(Some(running.in_use))).unwrap();
+    store.stage(check(Some(running.serial))).unwrap();
+    let tried = store.activate(check(Some(running.serial))).unwrap();
     assert_eq!(estimates_from_flash(&store, &tried), from_new);
     store.confirm().unwrap();
     let (store, running) = boot(&mut flash);
@@ -166,8 +165,11 @@ fn an_older_package_is_refused_and_the_running_one_stays() {
     let (mut store, _) = boot(&mut flash);
     let running = begin_trial(&mut store, package(5).as_bytes(), None).unwrap();
     store.confirm().unwrap();
-    let outcome = begin_trial(&mut store, package(4).as_bytes(), Some(running.in_use));
-    let older = Refusal::Older { in_use: 5, found: 4 };
+    let outcome = begin_trial(&mut store, package(4).as_bytes(), Some(running.serial));
+    let older = Refusal::Older {
+        highest: Serial { epoch: 0, version: 5 },
+        found: Serial { epoch: 0, version: 4 },
+    };
     assert_eq!(outcome, Err(CheckedError::Refused(older)));
     assert_eq!((store.staged(), store.is_on_trial()), (None, false));
     let expected = estimates_from_memory(&package(5));
@@ -186,12 +188,12 @@ fn a_package_with_a_flipped_byte_is_refused_wherever_it_is() {
         bytes[place] ^= 0xff;
         let (mut store, running) = boot(&mut flash);
         let running = running.unwrap();
-        let outcome = begin_trial(&mut store, &bytes, Some(running.in_use));
+        let outcome = begin_trial(&mut store, &bytes, Some(running.serial));
         let refused = matches!(outcome, Err(CheckedError::Refused(Refusal::Package(_))));
         assert!(refused, "byte {place}: {outcome:?}");
-        assert_eq!((running.in_use.version, store.in_use()), (1, Some(Slot::A)));
+        assert_eq!((running.serial.version, store.in_use()), (1, Some(Slot::A)));
     }
-    assert_eq!(boot(&mut flash).1.unwrap().in_use.version, 1);
+    assert_eq!(boot(&mut flash).1.unwrap().serial.version, 1);
 }
 
 #[test]
@@ -199,14 +201,14 @@ fn a_reboot_during_a_trial_brings_the_old_network_back() {
     let mut flash = factory_fresh();
     let (mut store, running) = boot(&mut flash);
     let running = running.unwrap();
-    begin_trial(&mut store, package(2).as_bytes(), Some(running.in_use)).unwrap();
+    begin_trial(&mut store, package(2).as_bytes(), Some(running.serial)).unwrap();
     let (mut store, loaded) = boot(&mut flash);
     assert_eq!(loaded, Some(running.clone()));
     assert_eq!(store.opening().trial_ended, Some(Ok(())));
     assert_eq!(estimates_from_flash(&store, &running), estimates_from_memory(&package(1)));
     // The failed package is discarded; it can be sent again.
     assert_eq!(store.bytes(Slot::B), None);
-    begin_trial(&mut store, package(2).as_bytes(), Some(running.in_use)).unwrap();
+    begin_trial(&mut store, package(2).as_bytes(), Some(running.serial)).unwrap();
     store.confirm().unwrap();
-    assert_eq!(boot(&mut flash).1.unwrap().in_use.version, 2);
+    assert_eq!(boot(&mut flash).1.unwrap().serial.version, 2);
 }

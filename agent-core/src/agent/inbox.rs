@@ -252,7 +252,7 @@ mod tests {
     const NEIGHBOURS: [Neighbour; 2] =
         [Neighbour { id: 4, weight: 1.0 }, Neighbour { id: 9, weight: 1.0 }];
 
-    fn frame(sender: u16) -> Frame<2> {
+    fn frame(sender: crate::AgentId) -> Frame<2> {
         Frame { sender, sequence: 5, tick: 11, estimate: [1.0, 2.0].into() }
     }
 

@@ -4,8 +4,8 @@
 //! `bytes.txt` was written by the first implementation, which encoded and decoded by hand. Each
 //! line has a name, the bytes of one frame, request, response or package, and a hash of the results
 //! of decoding some thousand modified copies: every value of every byte, one byte more or fewer,
-//! and overlong integers. Deployed nodes use this format, so the file only grows. A failing test
-//! prints the line for a new entry.
+//! and overlong integers. Deployed nodes use this format, so the file only grows; the verdicts on two
+//! frames changed when agent numbers got 32 bits. A failing test prints the line for a new entry.
 
 extern crate std;
 
@@ -18,8 +18,11 @@ use crate::health::{BoardErrors, HealthCounters};
 use crate::math::activation::Activation;
 use crate::math::symmetric::SymmetricMatrix;
 use crate::observer::network::{Architecture, InnerNetwork, Layer};
-use crate::package::tests::{Aligned, Content, encoded};
-use crate::package::{OnSwitch, Package, PackageError, signature_block};
+use crate::package::tests::{Aligned, Content, encoded, example_limits};
+use crate::package::{
+    CHECKED_FIRST, Format, HEADER2_LENGTH, OnSwitch, Package, PackageError, Requirements, Serial,
+    accept_header, signature_block,
+};
 use crate::service::{
     BoardFault, CHUNK_LENGTH_MAX, Event, Firmware, Numbers, Outcome, PROTOCOL_VERSION,
     PackageStatus, Problem, RefusalKind, RefusalReport, Request, Response, State, Status,
@@ -27,9 +30,9 @@ use crate::service::{
 };
 use crate::store::{Slot, StoreError};
 use crate::wire::cobs::Decoder;
-use crate::wire::crc::crc32;
+use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 use crate::wire::frame::{FRAME_LENGTH_MAX, Frame, FrameError};
-use crate::{INPUTS_MAX, StateVector};
+use crate::{AgentId, INPUTS_MAX, StateVector};
 
 /// FNV-1a, 64 bits.
 struct Hash(u64);
@@ -102,12 +105,52 @@ fn frame_taken(body: &[u8]) -> Vec<u8> {
     }
 }
 
+/// Returns a frame without its checksum.
+fn body<const N: usize>(sender: AgentId, sequence: u32, tick: u64, first: f32) -> Vec<u8> {
+    let mut estimate = StateVector::<N>::repeat(-2.5);
+    estimate[0] = first;
+    let frame = Frame { sender, sequence, tick, estimate };
+    let mut bytes = frame.encode().to_vec();
+    bytes.truncate(bytes.len() - CHECKSUM_LENGTH);
+    bytes
+}
+
+/// Decodes the header at the start of a package of format 2 with the checksum that it should have;
+/// returns its fields, or the error.
+fn start_taken(bytes: &[u8]) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    if let Some((covered, checksum)) = bytes.split_at_mut_checked(HEADER2_LENGTH - CHECKSUM_LENGTH)
+        && let Some(checksum) = checksum.first_chunk_mut()
+    {
+        *checksum = crc32(&[covered]).to_le_bytes();
+    }
+    match accept_header::<2>(&bytes, &Requirements::ANY) {
+        Ok(None) => vec![],
+        Ok(Some(header)) => {
+            let Serial { epoch, version } = header.serial;
+            let step = header.step_size.to_bits();
+            let fields = [header.agent, epoch, version, header.length, step, header.checksum];
+            let layers = header
+                .architecture
+                .layers()
+                .iter()
+                .flat_map(|layer| [layer.width, layer.activation as u8]);
+            let sizes = [header.architecture.inputs(), header.outputs, header.neighbours]
+                .map(|size| size as u32);
+            let is_replaced = u8::from(header.outer_weights_on_switch == OnSwitch::Replace);
+            let sizes = sizes.iter().flat_map(|size| size.to_le_bytes()).chain([is_replaced]);
+            fields.into_iter().flat_map(u32::to_le_bytes).chain(sizes).chain(layers).collect()
+        }
+        Err(refusal) => sent(&RefusalReport::from(&refusal)),
+    }
+}
+
 /// Decodes a package with this body and encodes it again, or returns the error.
 fn package_taken(body: &[u8]) -> Vec<u8> {
     let header = crate::package::tests::header_of(body);
     let bytes = Aligned::new(&[&header[..], body].concat());
     match Package::decode(bytes.bytes()) {
-        Ok(package) => encoded(&package).bytes().to_vec(),
+        Ok(package) => encoded(Format::One, &package).bytes().to_vec(),
         Err(error) => refused(error),
     }
 }
@@ -189,7 +232,8 @@ impl Lines {
             Request::StartAt { estimate: numbers(&[1.0, -2.5, f32::MIN_POSITIVE]) },
             Request::StartAt { estimate: numbers(&[f32::MAX; INPUTS_MAX]) },
             Request::StartAt { estimate: numbers(&[]) },
-            Request::Frame { bytes: &[0xa5; FRAME_LENGTH_MAX] },
+            // The longest frame when agents had numbers of 16 bits.
+            Request::Frame { bytes: &[0xa5; 73] },
             Request::Tick { periods: u32::MAX, measurement: Some(numbers(&[0.5, -0.0])) },
             Request::Tick { periods: 1, measurement: None },
         ];
@@ -209,21 +253,13 @@ impl Lines {
     }
 
     fn frames(&mut self) {
-        fn body<const N: usize>(sender: u16, sequence: u32, tick: u64, first: f32) -> Vec<u8> {
-            let mut estimate = StateVector::<N>::repeat(-2.5);
-            estimate[0] = first;
-            let frame = Frame { sender, sequence, tick, estimate };
-            let mut bytes = frame.encode().to_vec();
-            bytes.truncate(bytes.len() - 4);
-            bytes
-        }
         let all = [
             body::<3>(2, 0, 0, 1.0),
             body::<3>(300, 70_000, u64::MAX, -0.0),
-            body::<3>(u16::MAX, u32::MAX, 1 << 35, f32::MIN_POSITIVE / 2.0),
+            body::<3>(u16::MAX.into(), u32::MAX, 1 << 35, f32::MIN_POSITIVE / 2.0),
             body::<3>(1, 127, 128, f32::INFINITY),
             body::<1>(1, 2, 3, 0.5),
-            body::<12>(u16::MAX, u32::MAX, u64::MAX, f32::MAX),
+            body::<12>(u16::MAX.into(), u32::MAX, u64::MAX, f32::MAX),
         ];
         for (index, bytes) in all.iter().enumerate() {
             self.add(&format!("frame-{index}"), bytes, verdicts(bytes, usize::MAX, frame_taken));
@@ -234,12 +270,56 @@ impl Lines {
         // The metadata is the first 40 to 70 bytes.
         const REACH: usize = 80;
         for (index, package) in packages(&Content::new()).iter().enumerate() {
-            let bytes = encoded(package);
+            let bytes = encoded(Format::One, package);
             let bytes = bytes.bytes();
             let name = format!("package-{index}");
             self.add(&name, bytes, verdicts(&bytes[12..], REACH, package_taken));
         }
         self.add("signature", &signature_block(&[0x5a; 64]), 0);
+    }
+
+    /// What agent numbers of 32 bits brought.
+    fn wide_numbers(&mut self) {
+        let frame = body::<12>(AgentId::MAX, u32::MAX, u64::MAX, f32::MAX);
+        assert_eq!(frame.len() + CHECKSUM_LENGTH, FRAME_LENGTH_MAX);
+        self.add("frame-wide", &frame, verdicts(&frame, usize::MAX, frame_taken));
+        let bytes = sent(&Request::Frame { bytes: &[0xa5; FRAME_LENGTH_MAX] });
+        self.add("request-wide", &bytes, verdicts(&bytes, usize::MAX, heard));
+    }
+
+    /// Packages of format 2; the rest of each follows from its first part, by checksum and digest.
+    fn packages_of_format_2(&mut self) {
+        let content = Content::new();
+        let [mut plain, mut other, _] = <[_; 3]>::try_from(packages(&content)).unwrap();
+        plain.trial = Some(example_limits());
+        other.epoch = u32::MAX;
+        other.replaces = None;
+        other.node.agent = AgentId::MAX;
+        for (index, package) in [plain, other].iter().enumerate() {
+            let bytes = encoded(Format::Two, package);
+            let bytes = bytes.bytes();
+            let name = format!("package2-{index}");
+            self.add(&name, bytes, verdicts(bytes, CHECKED_FIRST, start_taken));
+        }
+    }
+
+    fn refusals_of_format_2(&mut self) {
+        let kinds = [
+            RefusalKind::Epoch,
+            RefusalKind::Repeated,
+            RefusalKind::Step,
+            RefusalKind::Inputs,
+            RefusalKind::UnknownSection,
+            RefusalKind::Section,
+            RefusalKind::Digest,
+        ];
+        for kind in kinds {
+            let report = RefusalReport { kind, expected: 1, found: 300 };
+            let response = Response::<Numbers>::Refused(Problem::Package(report));
+            let bytes = sent(&response);
+            assert_eq!(receive(&bytes), Some(response));
+            self.add(&format!("refusal-{kind:?}"), &bytes, 0);
+        }
     }
 }
 
@@ -350,7 +430,7 @@ fn packages(content: &Content) -> Vec<Package<'_>> {
     other.replaces = Some(300);
     other.outer_weights_on_switch = OnSwitch::Replace;
     other.version = u32::MAX;
-    other.node.agent = u16::MAX;
+    other.node.agent = u16::MAX.into();
     other.node.gain = SymmetricMatrix::Diagonal(&content.gain[..2]);
     other.node.outer_law.gain = SymmetricMatrix::Diagonal(&content.gain[1..]);
     other.provenance.errors = None;
@@ -380,6 +460,9 @@ fn bytes_and_verdicts_match_the_first_implementation() {
     lines.responses();
     lines.frames();
     lines.packages();
+    lines.wide_numbers();
+    lines.packages_of_format_2();
+    lines.refusals_of_format_2();
     let golden: Vec<&str> = include_str!("bytes.txt").lines().collect();
     for (found, expected) in lines.0.iter().zip(&golden) {
         assert_eq!(found, expected);

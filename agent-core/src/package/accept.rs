@@ -1,11 +1,12 @@
 //! The checks a package must pass before it can become active, identical on node and host.
 //!
-//! In this order: header and checksum, signature where the node has a public key, format of the
-//! body, finiteness; then dimension, sizes, parameters and version; finally the test vectors, which
-//! must match bit for bit. A package that passes computes on this processor exactly what it
+//! In this order: header and checksum, signature and digest where the node has a public key, format
+//! of the body, finiteness; then dimension, sizes, parameters, step, agent, epoch and version;
+//! finally the test vectors, which must match bit for bit. A package that passes computes on this processor exactly what it
 //! computed where it was created.
 
-use super::{Envelope, Package, PackageError};
+use super::header::{Header, digest};
+use super::{Envelope, Format, Package, PackageError, Serial, TrialLimits};
 use crate::AgentId;
 use crate::StateVector;
 use crate::math::numeric::{components_mut, zeros};
@@ -18,19 +19,56 @@ use crate::package::signature::{PublicKey, verify};
 pub struct Requirements<'k> {
     /// If present, only packages signed with the matching private key are accepted.
     pub public_key: Option<&'k PublicKey>,
-    /// The package in use, if any.
-    pub in_use: Option<InUse>,
+    /// The node's agent, if a package has told it.
+    pub agent: Option<AgentId>,
+    /// Epoch and version of the newest package that was ever activated, if any: also of one whose
+    /// trial failed. Only newer packages are accepted.
+    pub highest: Option<Serial>,
+    /// The steps `dt` that the board can keep.
+    pub step_range: StepRange,
     /// Sizes of the node's buffers.
     pub capacity: Capacity,
 }
 
-/// Identity of the package in use.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct InUse {
-    /// Agent of the package.
-    pub agent: AgentId,
-    /// Its version.
-    pub version: u32,
+impl Requirements<'static> {
+    /// What the format alone requires; for a host.
+    pub const ANY: Self = Self {
+        public_key: None,
+        agent: None,
+        highest: None,
+        step_range: StepRange::ANY,
+        capacity: Capacity::UNLIMITED,
+    };
+}
+
+/// The range of steps that a board can keep. \[s\]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepRange {
+    /// The shortest.
+    pub min: f32,
+    /// The longest.
+    pub max: f32,
+}
+
+impl StepRange {
+    /// For a board that gives no range of its own: no processor of this kind computes a step in a
+    /// microsecond, and a timer of 32 bits that counts nanoseconds ends after four seconds.
+    pub const DEFAULT: Self = Self { min: 1e-6, max: 10.0 };
+    /// Every positive step; for a host.
+    pub const ANY: Self = Self { min: 0.0, max: f32::MAX };
+
+    /// Checks a step.
+    ///
+    /// # Errors
+    /// [`Refusal::Parameter`] for a step that is not positive, [`Refusal::Step`] for one outside the
+    /// range.
+    pub fn check(&self, step_size: f32) -> Result<(), Refusal> {
+        positive("step_size", step_size)?;
+        match self.min <= step_size && step_size <= self.max {
+            true => Ok(()),
+            false => Err(Refusal::Step { range: *self, found: step_size }),
+        }
+    }
 }
 
 /// Sizes of a node's static buffers.
@@ -95,12 +133,25 @@ pub enum Refusal {
         /// The package's agent.
         found: AgentId,
     },
-    /// The package is older than the one in use.
+    /// The package is older than the newest one that was ever activated.
     Older {
-        /// The version in use.
-        in_use: u32,
-        /// Version of the package.
-        found: u32,
+        /// Epoch and version of the newest one.
+        highest: Serial,
+        /// Those of the package.
+        found: Serial,
+    },
+    /// The package has the epoch and version of the newest one that was ever activated, whether its
+    /// content is the same or not.
+    Repeated {
+        /// Epoch and version of both.
+        serial: Serial,
+    },
+    /// The board cannot keep the package's step.
+    Step {
+        /// The board's range. \[s\]
+        range: StepRange,
+        /// The package's step. \[s\]
+        found: f32,
     },
     /// The package has no test vectors, so it cannot be checked.
     NoTestVectors,
@@ -135,9 +186,22 @@ impl core::fmt::Display for Refusal {
             Self::Agent { expected, found } => {
                 write!(f, "the package is for agent {found}, this node is agent {expected}")
             }
-            Self::Older { in_use, found } => {
-                write!(f, "the package has version {found}, but version {in_use} is in use")
+            Self::Older { highest, found } if highest.epoch == 0 && found.epoch == 0 => write!(
+                f,
+                "the package has version {}, but version {} has been in use",
+                found.version, highest.version
+            ),
+            Self::Older { highest, found } => {
+                write!(f, "the package is {found}, but {highest} has been in use")
             }
+            Self::Repeated { serial } => {
+                write!(f, "a package with {serial} has been in use already")
+            }
+            Self::Step { range, found } => write!(
+                f,
+                "the package's step is {found:e} s, the board's range is {:e} to {:e} s",
+                range.min, range.max
+            ),
             Self::NoTestVectors => write!(f, "the package has no test vectors"),
             Self::TestVector { index } => {
                 write!(f, "test vector {index} does not match bit for bit")
@@ -171,25 +235,81 @@ pub fn accept<'a, const N: usize>(
 ) -> Result<Package<'a>, Refusal> {
     let envelope = Envelope::open(bytes)?;
     if let Some(key) = requirements.public_key {
-        let signature = envelope.signature.ok_or(Refusal::Unsigned)?;
-        verify(key, envelope.signed_part, signature).map_err(|_| Refusal::Signature)?;
+        check_signature(&envelope, key)?;
+        check_digest(&envelope)?;
     }
     let package = Package::from_envelope(&envelope)?;
-    check_sizes::<N>(&package, &requirements.capacity)?;
+    check_dimension::<N>(package.dimension())?;
+    let sizes = Capacity {
+        features: package.features(),
+        neighbours: package.node.neighbours.len(),
+        gain_entries: package.node.outer_law.gain.entries().len(),
+    };
+    check_sizes(&sizes, &requirements.capacity)?;
     check_parameters::<N>(&package)?;
-    check_identity(&package, requirements)?;
+    requirements.step_range.check(package.node.step_size)?;
+    check_agent(package.node.agent, requirements)?;
+    requirements.check_serial(package.serial(), package.replaces)?;
     check_test_vectors::<N>(&package, scratch)?;
     Ok(package)
 }
 
-fn check_sizes<const N: usize>(package: &Package<'_>, capacity: &Capacity) -> Result<(), Refusal> {
-    if package.dimension() != N {
-        return Err(Refusal::Dimension { expected: N, found: package.dimension() });
+/// Checks the beginning of a package, of which `bytes` are the first, before a node makes room for
+/// the rest: its header's checksum, its signature if the node has a public key, dimension, sizes,
+/// step, agent, epoch and version. Needs [`CHECKED_FIRST`](super::CHECKED_FIRST) bytes.
+///
+/// [`accept`] repeats all of this on the complete package. Of a package of format 1 nothing can be
+/// told this early; for one, this is `None`.
+///
+/// # Errors
+/// The first check that fails; see [`Refusal`].
+pub fn accept_header<const N: usize>(
+    bytes: &[u8],
+    requirements: &Requirements<'_>,
+) -> Result<Option<Header>, Refusal> {
+    if Format::of(bytes)? == Format::One {
+        return Ok(None);
     }
+    let (envelope, _) = Envelope::split_start(bytes, true)?;
+    if let Some(key) = requirements.public_key {
+        check_signature(&envelope, key)?;
+    }
+    let header = envelope.header.ok_or(PackageError::Malformed)?;
+    check_dimension::<N>(header.architecture.inputs())?;
+    let (features, neighbours) = (header.architecture.features(), header.neighbours);
+    check_sizes(&Capacity { features, neighbours, gain_entries: 0 }, &requirements.capacity)?;
+    requirements.step_range.check(header.step_size)?;
+    check_agent(header.agent, requirements)?;
+    requirements.check_serial(header.serial, None)?;
+    Ok(Some(header))
+}
+
+fn check_signature(envelope: &Envelope<'_>, key: &PublicKey) -> Result<(), Refusal> {
+    let signature = envelope.signature.ok_or(Refusal::Unsigned)?;
+    verify(key, envelope.signed_part, signature).map_err(|_| Refusal::Signature)
+}
+
+/// Checks that the sections of a package of format 2 are those that its header was made, and perhaps
+/// signed, for. [`accept`] does so if the node has a public key.
+///
+/// # Errors
+/// [`PackageError::Digest`].
+pub fn check_digest(envelope: &Envelope<'_>) -> Result<(), PackageError> {
+    match envelope.digest {
+        Some(expected) if digest(envelope.body) != *expected => Err(PackageError::Digest),
+        _ => Ok(()),
+    }
+}
+
+fn check_dimension<const N: usize>(found: usize) -> Result<(), Refusal> {
+    if found == N { Ok(()) } else { Err(Refusal::Dimension { expected: N, found }) }
+}
+
+fn check_sizes(found: &Capacity, capacity: &Capacity) -> Result<(), Refusal> {
     let needs = [
-        ("features", capacity.features, package.features()),
-        ("neighbours", capacity.neighbours, package.node.neighbours.len()),
-        ("gain entries", capacity.gain_entries, package.node.outer_law.gain.entries().len()),
+        ("features", capacity.features, found.features),
+        ("neighbours", capacity.neighbours, found.neighbours),
+        ("gain entries", capacity.gain_entries, found.gain_entries),
     ];
     for (what, capacity, found) in needs {
         if found > capacity {
@@ -201,11 +321,21 @@ fn check_sizes<const N: usize>(package: &Package<'_>, capacity: &Capacity) -> Re
 
 fn check_parameters<const N: usize>(package: &Package<'_>) -> Result<(), Refusal> {
     package.node.gain.validate("observer.gain", N)?;
+    package.node.gain.validate_diagonal("observer.gain", N)?;
     package.node.outer_law.validate_weights(package.outer_weights.as_chunks::<N>().0)?;
     package.node.trigger.validate()?;
     positive("step_size", package.node.step_size)?;
     not_negative("broadcast_interval_min", package.broadcast_interval_min)?;
     finite("output_matrix", package.node.output_matrix)?;
+    // An output that does not depend on the state measures nothing.
+    for row in package.node.output_matrix.as_chunks::<N>().0 {
+        if row.iter().all(|&entry| entry == 0.0) {
+            let (parameter, value) = ("output_matrix", 0.0);
+            let expected = "an entry other than 0 in every row";
+            return Err(ParameterError::OutOfRange { parameter, value, expected }.into());
+        }
+    }
+    package.trial.as_ref().map_or(Ok(()), TrialLimits::validate)?;
     let mut previous = None;
     for neighbour in package.node.neighbours() {
         let id = neighbour.id;
@@ -225,17 +355,11 @@ fn check_parameters<const N: usize>(package: &Package<'_>) -> Result<(), Refusal
     }
 }
 
-fn check_identity(package: &Package<'_>, requirements: &Requirements<'_>) -> Result<(), Refusal> {
-    let Some(in_use) = requirements.in_use else { return Ok(()) };
-    if package.node.agent != in_use.agent {
-        return Err(Refusal::Agent { expected: in_use.agent, found: package.node.agent });
+fn check_agent(found: AgentId, requirements: &Requirements<'_>) -> Result<(), Refusal> {
+    match requirements.agent {
+        Some(expected) if found != expected => Err(Refusal::Agent { expected, found }),
+        _ => Ok(()),
     }
-    // An exception is honoured only if it is signed.
-    let replaces = package.replaces.filter(|_| requirements.public_key.is_some());
-    if package.version < in_use.version && replaces.is_none_or(|newest| newest < in_use.version) {
-        return Err(Refusal::Older { in_use: in_use.version, found: package.version });
-    }
-    Ok(())
 }
 
 fn check_test_vectors<const N: usize>(

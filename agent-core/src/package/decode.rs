@@ -2,7 +2,7 @@
 
 use super::wire::{CONSTANTS, Counts, Metadata};
 use super::{
-    AgentConfig, Envelope, HEADER_LENGTH, NeighbourIds, Package, PackageError, TEST_VECTORS_MAX,
+    AgentConfig, Envelope, HEADER_LENGTH, Package, PackageError, TEST_VECTORS_MAX, sections,
 };
 use crate::agent::region::StateBox;
 use crate::observer::network::{Architecture, InnerNetwork};
@@ -39,12 +39,19 @@ impl<'a> Package<'a> {
     ///
     /// # Errors
     /// Any [`PackageError`] about the body.
+    pub fn from_envelope(envelope: &Envelope<'a>) -> Result<Self, PackageError> {
+        match &envelope.header {
+            None => Self::from_body(envelope.body),
+            Some(header) => sections::decode(header, envelope.body),
+        }
+    }
+
+    /// Decodes the body of a package of format 1.
     // Separate from its callers, so that the stack used only for decoding is free again afterwards.
     #[inline(never)]
-    pub fn from_envelope(envelope: &Envelope<'a>) -> Result<Self, PackageError> {
-        let (metadata, rest) =
-            codec::take::<Metadata<'_>>(envelope.body).ok_or(PackageError::Malformed)?;
-        let numbers = numbers(envelope.body, rest)?;
+    fn from_body(body: &'a [u8]) -> Result<Self, PackageError> {
+        let (metadata, rest) = codec::take::<Metadata<'_>>(body).ok_or(PackageError::Malformed)?;
+        let numbers = numbers(body, rest)?;
         let architecture = Architecture::new(metadata.inputs.into(), &metadata.layers)
             .map_err(PackageError::Network)?;
         if !(1..=architecture.inputs()).contains(&usize::from(metadata.outputs)) {
@@ -53,7 +60,6 @@ impl<'a> Package<'a> {
         if usize::from(metadata.test_vectors) > TEST_VECTORS_MAX {
             return Err(PackageError::TestVectors { found: metadata.test_vectors.into() });
         }
-        let neighbours = NeighbourIds::new(metadata.neighbours).ok_or(PackageError::Malformed)?;
         let counts = Counts::new(&metadata, &architecture);
         let (expected, found) = (counts.total(), numbers.len());
         if expected != found {
@@ -65,7 +71,7 @@ impl<'a> Package<'a> {
         if metadata.provenance.errors.is_some_and(|errors| !errors.is_finite()) {
             return Err(PackageError::TrainingErrorNotFinite);
         }
-        Ok(assemble(&metadata, architecture, neighbours, &counts, numbers))
+        Ok(assemble(&metadata, architecture, &counts, numbers))
     }
 }
 
@@ -82,7 +88,7 @@ fn numbers<'a>(body: &[u8], rest: &'a [u8]) -> Result<&'a [f32], PackageError> {
 
 /// Takes the next `count` numbers.
 #[inline(never)]
-fn take<'a>(numbers: &mut &'a [f32], count: usize) -> &'a [f32] {
+pub(super) fn take<'a>(numbers: &mut &'a [f32], count: usize) -> &'a [f32] {
     // The caller has checked the total count.
     let (taken, rest) = numbers.split_at_checked(count).unwrap_or_default();
     *numbers = rest;
@@ -93,7 +99,6 @@ fn take<'a>(numbers: &mut &'a [f32], count: usize) -> &'a [f32] {
 fn assemble<'a>(
     metadata: &Metadata<'a>,
     architecture: Architecture,
-    neighbours: NeighbourIds<'a>,
     counts: &Counts,
     mut numbers: &'a [f32],
 ) -> Package<'a> {
@@ -118,16 +123,17 @@ fn assemble<'a>(
     let (low, high) = (take(numbers, counts.dimension), take(numbers, counts.dimension));
     let test_vectors = take(numbers, counts.test_vectors);
     Package {
+        epoch: 0,
         version: metadata.version,
         replaces: metadata.replaces,
         outer_weights_on_switch: metadata.outer_weights_on_switch,
         network,
         outer_weights,
         node: AgentConfig {
-            agent: metadata.agent,
+            agent: metadata.agent.into(),
             output_matrix,
             gain,
-            neighbours,
+            neighbours: metadata.neighbours,
             edge_weights,
             outer_law: OuterLawParams {
                 gain: outer_gain,
@@ -143,6 +149,7 @@ fn assemble<'a>(
         },
         broadcast_interval_min,
         trained_box: StateBox { low, high },
+        trial: None,
         provenance: metadata.provenance,
         test_vectors,
     }

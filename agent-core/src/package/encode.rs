@@ -1,9 +1,10 @@
-//! Encodes packages.
+//! Encodes packages, in format 1 and by way of the other module in format 2.
 
 use super::decode::WORD;
 use super::envelope::header;
 use super::wire::{Counts, Metadata};
-use super::{HEADER_LENGTH, Package, TEST_VECTORS_MAX, test_vector_length};
+use super::{Format, HEADER_LENGTH, Package, TEST_VECTORS_MAX, test_vector_length};
+use crate::AgentId;
 
 /// Why a package cannot be encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,6 +19,18 @@ pub enum EncodeError {
         /// The count found.
         found: usize,
     },
+    /// Format 1 has no room for an agent or a neighbour above 65535.
+    Agent {
+        /// The number.
+        id: AgentId,
+    },
+    /// Format 1 has no epochs.
+    Epoch {
+        /// The package's epoch.
+        epoch: u32,
+    },
+    /// Format 2 has no permission to replace newer versions: it has epochs.
+    Replaces,
 }
 
 impl core::fmt::Display for EncodeError {
@@ -27,6 +40,19 @@ impl core::fmt::Display for EncodeError {
             Self::Counts { expected, found } => {
                 write!(f, "the package has {found} numbers, but its metadata requires {expected}")
             }
+            Self::Agent { id } => {
+                write!(f, "format 1 has agents up to 65535, not {id}; use package format 2")
+            }
+            Self::Epoch { epoch } => {
+                write!(
+                    f,
+                    "format 1 has no epochs, but the package is of epoch {epoch}; use package format 2"
+                )
+            }
+            Self::Replaces => write!(
+                f,
+                "format 2 cannot replace newer versions; use a higher epoch, or package format 1"
+            ),
         }
     }
 }
@@ -34,11 +60,26 @@ impl core::fmt::Display for EncodeError {
 impl core::error::Error for EncodeError {}
 
 impl Package<'_> {
-    /// Encodes the unsigned package at the start of `buffer`; returns its length.
+    /// Encodes the unsigned package in this format at the start of `buffer`; returns its length.
+    /// Format 1 has no limits for the trial and leaves them out.
     ///
     /// # Errors
     /// See [`EncodeError`]. This does not check whether a node would accept the package.
-    pub fn encode(&self, buffer: &mut [u8]) -> Result<usize, EncodeError> {
+    pub fn encode(&self, format: Format, buffer: &mut [u8]) -> Result<usize, EncodeError> {
+        match format {
+            Format::One => self.encode_format1(buffer),
+            Format::Two => self.encode_format2(buffer),
+        }
+    }
+
+    fn encode_format1(&self, buffer: &mut [u8]) -> Result<usize, EncodeError> {
+        if self.epoch != 0 {
+            return Err(EncodeError::Epoch { epoch: self.epoch });
+        }
+        let ids = self.node.neighbours.iter().chain([self.node.agent]);
+        if let Some(id) = ids.into_iter().find(|&id| id > u16::MAX.into()) {
+            return Err(EncodeError::Agent { id });
+        }
         let body = buffer.get_mut(HEADER_LENGTH..).ok_or(EncodeError::Space)?;
         let length = self.encode_body(body)?;
         let body = body.get(..length).ok_or(EncodeError::Space)?;
@@ -49,14 +90,10 @@ impl Package<'_> {
     }
 
     fn encode_body(&self, body: &mut [u8]) -> Result<usize, EncodeError> {
-        let metadata = self.metadata()?;
-        let length = postcard::to_slice(&metadata, body).map_err(|_| EncodeError::Space)?.len();
+        let found = self.check_counts()?;
+        let length = postcard::to_slice(&self.metadata()?, body);
+        let length = length.map_err(|_| EncodeError::Space)?.len();
         let start = (HEADER_LENGTH + length).next_multiple_of(WORD) - HEADER_LENGTH;
-        let expected = Counts::new(&metadata, self.network.architecture()).total();
-        let found = self.numbers().count();
-        if expected != found {
-            return Err(EncodeError::Counts { expected, found });
-        }
         let end = start + WORD * found;
         body.get_mut(length..start).ok_or(EncodeError::Space)?.fill(0);
         let words = body.get_mut(start..end).ok_or(EncodeError::Space)?;
@@ -65,6 +102,16 @@ impl Package<'_> {
             *word = number.to_le_bytes();
         }
         Ok(end)
+    }
+
+    /// Returns how many numbers there are in format 1.
+    ///
+    /// # Errors
+    /// [`EncodeError::Counts`] if the metadata require another count.
+    pub(super) fn check_counts(&self) -> Result<usize, EncodeError> {
+        let expected = Counts::new(&self.metadata()?, self.network.architecture()).total();
+        let found = self.numbers().count();
+        if expected == found { Ok(found) } else { Err(EncodeError::Counts { expected, found }) }
     }
 
     fn metadata(&self) -> Result<Metadata<'_>, EncodeError> {
@@ -78,13 +125,14 @@ impl Package<'_> {
         Ok(Metadata {
             version: self.version,
             replaces: self.replaces,
-            agent: self.node.agent,
+            // The caller has checked that it fits.
+            agent: self.node.agent as u16,
             outer_weights_on_switch: self.outer_weights_on_switch,
             // Bounded by the architecture and its number of outputs.
             inputs: architecture.inputs() as u8,
             layers: architecture.layers().iter().copied().collect(),
             outputs: self.node.outputs(self.dimension()) as u8,
-            neighbours: self.node.neighbours.bytes(),
+            neighbours: self.node.neighbours,
             gain: self.node.gain.form(),
             outer_gain: self.node.outer_law.gain.form(),
             smoothness: self.node.outer_law.projection.smoothness,

@@ -1,6 +1,6 @@
 //! Errors in the bytes of a package.
 
-use super::{FORMAT_VERSION, TEST_VECTORS_MAX};
+use super::{Format, TEST_VECTORS_MAX};
 use crate::observer::network::NetworkError;
 
 /// Why bytes are not a package.
@@ -55,6 +55,38 @@ pub enum PackageError {
     TrainingErrorNotFinite,
     /// The network is invalid.
     Network(NetworkError),
+    /// The network has other inputs than the state's components, which this crate cannot use.
+    Inputs {
+        /// Inputs of the network.
+        inputs: usize,
+        /// Components of the state.
+        dimension: usize,
+    },
+    /// A required section is of a kind that this crate does not know.
+    UnknownSection {
+        /// The kind.
+        kind: u16,
+    },
+    /// A section does not have as many words as the header requires, or is missing.
+    SectionLength {
+        /// The kind of the section.
+        kind: u16,
+        /// The count that the header requires.
+        expected: usize,
+        /// The count found; 0 if the section is missing.
+        found: usize,
+    },
+    /// A number of a section is infinite or not a number.
+    SectionNotFinite {
+        /// The kind of the section.
+        kind: u16,
+        /// The number's index in the section, from 0; in the agent's section, after its first word.
+        index: usize,
+    },
+    /// A limit of the trial is infinite or not a number.
+    TrialLimitNotFinite,
+    /// The digest of the sections does not match: they are not those that the header was made for.
+    Digest,
 }
 
 impl core::fmt::Display for PackageError {
@@ -65,7 +97,11 @@ impl core::fmt::Display for PackageError {
             }
             Self::Magic => write!(f, "not a weight package"),
             Self::FormatVersion { found } => {
-                write!(f, "the package has format version {found}, expected {FORMAT_VERSION}")
+                write!(
+                    f,
+                    "the package has format version {found}, expected 1 to {}",
+                    Format::NEWEST.number()
+                )
             }
             Self::Checksum => write!(f, "the checksum does not match: the package is damaged"),
             Self::SignatureChecksum => {
@@ -85,8 +121,32 @@ impl core::fmt::Display for PackageError {
             Self::NotFinite { index } => write!(f, "number {index} of the body is not finite"),
             Self::TrainingErrorNotFinite => write!(f, "a training error is not finite"),
             Self::Network(error) => write!(f, "{error}"),
+            Self::Inputs { inputs, dimension } => {
+                write!(f, "the network has {inputs} inputs for a state of {dimension} components")
+            }
+            Self::UnknownSection { kind } => {
+                write!(f, "section {} is required, but unknown to this version", number(kind))
+            }
+            Self::SectionLength { kind, found: 0, .. } => {
+                write!(f, "section {} is missing", number(kind))
+            }
+            Self::SectionLength { kind, expected, found } => {
+                write!(f, "section {} has {found} numbers, expected {expected}", number(kind))
+            }
+            Self::SectionNotFinite { kind, index } => {
+                write!(f, "number {index} of section {} is not finite", number(kind))
+            }
+            Self::TrialLimitNotFinite => write!(f, "a limit of the trial is not finite"),
+            Self::Digest => {
+                write!(f, "the digest does not match: the content is not the signed one")
+            }
         }
     }
 }
 
 impl core::error::Error for PackageError {}
+
+/// Returns the number of a kind of section, without the bit that makes it required.
+const fn number(kind: u16) -> u16 {
+    kind & !super::sections::REQUIRED
+}

@@ -7,10 +7,11 @@
 //! | [`Package`] | the content: network, outer weights, node parameters, provenance |
 //! | [`accept`] | the checks before a package can become active |
 //!
-//! `docs/format.md` specifies every byte. In short: a header of twelve bytes, a body of
-//! postcard-encoded metadata followed by all numbers as aligned little-endian words, and optionally
-//! a signature. The words are used in place: a package in memory-mapped flash needs no RAM, either
-//! stored or in use.
+//! `docs/format.md` specifies every byte. In short, for format 2: a header of 128 bytes, which is
+//! what gets signed, the signature, and typed sections of aligned little-endian words. The words are
+//! used in place: a package in memory-mapped flash needs no RAM, either stored or in use. Format 1,
+//! which is still read, and written for nodes with older firmware, has a short header, a body of
+//! postcard-encoded metadata followed by all numbers, and the signature at the end.
 //!
 //! Cost: decoding is linear in the length, including the checksum; acceptance adds one evaluation
 //! of the network for each of at most [`TEST_VECTORS_MAX`] test vectors, and the verification of a
@@ -22,19 +23,29 @@
 mod accept;
 mod decode;
 mod encode;
+mod encode_sections;
 mod envelope;
 mod error;
+mod format;
+mod header;
+mod neighbours;
 mod place;
+pub mod sections;
+mod serial;
 pub mod signature;
 mod switch;
 mod trial_limits;
 mod wire;
 
-pub use accept::{Capacity, InUse, Refusal, Requirements, accept};
+pub use accept::{Capacity, Refusal, Requirements, StepRange, accept, accept_header, check_digest};
 pub use encode::EncodeError;
 pub use envelope::{Envelope, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH, signature_block};
 pub use error::PackageError;
+pub use format::Format;
+pub use header::{CHECKED_FIRST, DIGEST_LENGTH, HEADER2_LENGTH, Header, digest, set_serial};
+pub use neighbours::NeighbourIds;
 pub use place::{NetworkPlace, ParamsPlace};
+pub use serial::Serial;
 pub use trial_limits::TrialLimits;
 
 use serde::{Deserialize, Serialize};
@@ -49,9 +60,6 @@ use crate::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
 use crate::observer::network::InnerNetwork;
 use crate::observer::outer_law::OuterLawParams;
 use crate::observer::trigger::TriggerParams;
-
-/// Version of the format that this crate reads and writes.
-pub const FORMAT_VERSION: u8 = 1;
 
 /// Largest number of test vectors in a package: enough to exercise every node of a layer, few
 /// enough that a node can check them between two steps.
@@ -70,10 +78,12 @@ pub const TEST_VECTORS_MAX: usize = 8;
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Package<'a> {
+    /// Increased to go back to an older version; see [`Serial`]. 0 in packages of format 1.
+    pub epoch: u32,
     /// Increases with every package for the same agent; older packages are refused.
     pub version: u32,
     /// If present, the package may replace any version up to this one although its own version is
-    /// lower. Honoured only if the package is signed.
+    /// lower, once and in epoch 0. Honoured only if the package is signed. Format 1 only.
     pub replaces: Option<u32>,
     /// Whether the adapted outer weights are kept when the package is activated.
     pub outer_weights_on_switch: OnSwitch,
@@ -88,6 +98,8 @@ pub struct Package<'a> {
     pub broadcast_interval_min: f32,
     /// The region of the training inputs.
     pub trained_box: StateBox<'a>,
+    /// Limits within which the package has to stay while it is on trial. Format 2 only.
+    pub trial: Option<TrialLimits>,
     /// Origin of the network.
     pub provenance: Provenance<'a>,
     /// Inputs with their exact outputs, concatenated: `n` numbers of input, `L` features, `n`
@@ -126,42 +138,6 @@ pub enum OnSwitch {
     Replace,
 }
 
-/// Agent numbers in place, two little-endian bytes each.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct NeighbourIds<'a>(&'a [[u8; 2]]);
-
-impl<'a> NeighbourIds<'a> {
-    /// Creates the list from `bytes`; `None` if their length is odd.
-    #[must_use]
-    pub fn new(bytes: &'a [u8]) -> Option<Self> {
-        match bytes.as_chunks() {
-            (pairs, []) => Some(Self(pairs)),
-            _ => None,
-        }
-    }
-
-    /// Returns the number of neighbours.
-    #[must_use]
-    pub fn len(&self) -> usize {
-        self.0.len()
-    }
-
-    /// Returns whether there are no neighbours.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
-    /// Returns the agent numbers in order.
-    pub fn iter(&self) -> impl Iterator<Item = AgentId> + Clone + 'a {
-        self.0.iter().map(|&pair| AgentId::from_le_bytes(pair))
-    }
-
-    fn bytes(&self) -> &'a [u8] {
-        self.0.as_flattened()
-    }
-}
-
 /// Origin of a network, for documentation only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Provenance<'a> {
@@ -177,6 +153,18 @@ pub struct Provenance<'a> {
     pub errors: Option<TrainingErrors>,
     /// Major, minor and patch version of the tool that created the package.
     pub tool_version: [u8; 3],
+}
+
+impl Provenance<'_> {
+    /// An unknown origin; in format 2, no section.
+    pub const NONE: Self = Self {
+        scenario_hash: [0; 8],
+        recipe: "",
+        seed: 0,
+        samples: 0,
+        errors: None,
+        tool_version: [0; 3],
+    };
 }
 
 /// Mean squared errors after training. \[squared state unit/s^2\]
@@ -312,5 +300,9 @@ const fn test_vector_length(dimension: usize, features: usize) -> usize {
     2 * dimension + features
 }
 
+#[cfg(test)]
+mod bad_packages_tests;
+#[cfg(test)]
+mod format2_tests;
 #[cfg(test)]
 pub(crate) mod tests;

@@ -22,6 +22,8 @@ pub struct NetworkPlace {
     /// Offset of the inner parameters from the first byte of the package.
     start: usize,
     end: usize,
+    /// Offset of the outer weights.
+    outer_weights: usize,
 }
 
 impl NetworkPlace {
@@ -29,7 +31,9 @@ impl NetworkPlace {
     #[must_use]
     pub fn new(package: &Package<'_>, bytes: &[u8]) -> Option<Self> {
         let Range { start, end } = range_in(bytes, package.network.parameters())?;
-        Some(Self { architecture: package.network.architecture().clone(), start, end })
+        let outer_weights = range_in(bytes, package.outer_weights)?.start;
+        let architecture = package.network.architecture().clone();
+        Some(Self { architecture, start, end, outer_weights })
     }
 
     /// Returns the network in the same bytes.
@@ -48,12 +52,11 @@ impl NetworkPlace {
         bytemuck::try_cast_slice(bytes.get(self.start..self.end)?).ok()
     }
 
-    /// Returns the package's outer weights in the same bytes, row by row, shape `[L, n]`: they
-    /// follow the network's parameters.
+    /// Returns the package's outer weights in the same bytes, row by row, shape `[L, n]`.
     #[must_use]
     pub fn outer_weights<'a>(&self, bytes: &'a [u8]) -> Option<&'a [f32]> {
         let length = WORD * self.architecture.features() * self.architecture.inputs();
-        bytemuck::try_cast_slice(bytes.get(self.end..)?.get(..length)?).ok()
+        bytemuck::try_cast_slice(bytes.get(self.outer_weights..)?.get(..length)?).ok()
     }
 
     /// Returns the widths and activations.

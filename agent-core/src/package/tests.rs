@@ -36,12 +36,12 @@ impl Aligned {
 pub(crate) struct Content {
     pub(crate) inner: [f32; 9],
     pub(crate) outer_weights: [f32; 6],
-    neighbours: [u8; 4],
+    pub(super) neighbours: [AgentId; 2],
     edge_weights: [f32; 2],
     pub(crate) gain: [f32; 4],
-    low: [f32; 2],
-    high: [f32; 2],
-    test_vectors: [f32; 14],
+    pub(super) low: [f32; 2],
+    pub(super) high: [f32; 2],
+    pub(super) test_vectors: [f32; 14],
 }
 
 impl Content {
@@ -49,7 +49,7 @@ impl Content {
         let mut content = Self {
             inner: [0.1, -0.2, 0.3, 0.5, 0.4, -0.6, -0.1, 0.7, 0.2],
             outer_weights: [1.0, -2.0, 0.5, 0.25, -1.5, 3.0],
-            neighbours: [3, 0, 9, 1],
+            neighbours: [3, 265],
             edge_weights: [1.0, 0.5],
             gain: [50.0, 1.0, 1.0, 60.0],
             low: [-1.0, -2.0],
@@ -71,6 +71,7 @@ impl Content {
         let layers = [Layer { width: 3, activation: Activation::Tanh }];
         let architecture = Architecture::new(2, &layers).unwrap();
         Package {
+            epoch: 0,
             version: 5,
             replaces: None,
             outer_weights_on_switch: OnSwitch::Keep,
@@ -80,7 +81,7 @@ impl Content {
                 agent: 7,
                 output_matrix: &[1.0, 0.0],
                 gain: SymmetricMatrix::Full(&self.gain),
-                neighbours: NeighbourIds::new(&self.neighbours).unwrap(),
+                neighbours: NeighbourIds::new(&self.neighbours),
                 edge_weights: &self.edge_weights,
                 outer_law: OuterLawParams {
                     gain: SymmetricMatrix::Scalar(3.0),
@@ -100,6 +101,7 @@ impl Content {
             },
             broadcast_interval_min: 2e-3,
             trained_box: StateBox { low: &self.low, high: &self.high },
+            trial: None,
             provenance: Provenance {
                 scenario_hash: [1, 2, 3, 4, 5, 6, 7, 8],
                 recipe: "better",
@@ -113,51 +115,74 @@ impl Content {
     }
 }
 
-pub(crate) fn encoded(package: &Package<'_>) -> Aligned {
-    let mut buffer = [0xaa; 600];
-    let length = package.encode(&mut buffer).unwrap();
+pub(crate) fn encoded(format: Format, package: &Package<'_>) -> Aligned {
+    let mut buffer = [0xaa; 1000];
+    let length = package.encode(format, &mut buffer).unwrap();
     Aligned::new(&buffer[..length])
 }
 
-const ANY: Requirements<'static> =
-    Requirements { public_key: None, in_use: None, capacity: Capacity::UNLIMITED };
+/// Returns the bytes of a package with this signature.
+pub(super) fn with_signature(unsigned: &[u8], signature: [u8; 64]) -> Vec<u8> {
+    let block = signature_block(&signature);
+    match Format::of(unsigned).unwrap() {
+        Format::One => [unsigned, &block].concat(),
+        Format::Two => {
+            let mut bytes = unsigned.to_vec();
+            bytes[HEADER2_LENGTH..CHECKED_FIRST].copy_from_slice(&block);
+            bytes
+        }
+    }
+}
 
-fn refusal(package: &Package<'_>) -> Refusal {
-    accept::<2>(encoded(package).bytes(), &ANY, &mut Scratch::NEW.clone()).unwrap_err()
+pub(super) const FORMATS: [Format; 2] = [Format::One, Format::Two];
+
+pub(super) const ANY: Requirements<'static> = Requirements::ANY;
+
+/// Returns the refusal of the package, which is the same in both formats.
+pub(super) fn refusal(package: &Package<'_>) -> Refusal {
+    let [first, second] = FORMATS.map(|format| {
+        accept::<2>(encoded(format, package).bytes(), &ANY, &mut Scratch::NEW.clone()).unwrap_err()
+    });
+    assert_eq!(first, second);
+    second
 }
 
 #[test]
 fn decoding_undoes_encoding_and_a_node_accepts_it() {
     let content = Content::new();
-    let bytes = encoded(&content.package());
-    assert_eq!(Package::decode(bytes.bytes()), Ok(content.package()));
-    let accepted = accept::<2>(bytes.bytes(), &ANY, &mut Scratch::NEW.clone()).unwrap();
-    assert_eq!(accepted, content.package());
-    assert_eq!(accepted.test_vectors().count(), 2);
-    let ids: Vec<_> = accepted.node.neighbours().map(|n| (n.id, n.weight)).collect();
-    assert_eq!(ids, [(3, 1.0), (265, 0.5)]);
+    for format in FORMATS {
+        let bytes = encoded(format, &content.package());
+        assert_eq!(Package::decode(bytes.bytes()), Ok(content.package()));
+        let accepted = accept::<2>(bytes.bytes(), &ANY, &mut Scratch::NEW.clone()).unwrap();
+        assert_eq!(accepted, content.package());
+        assert_eq!(accepted.test_vectors().count(), 2);
+        let ids: Vec<_> = accepted.node.neighbours().map(|n| (n.id, n.weight)).collect();
+        assert_eq!(ids, [(3, 1.0), (265, 0.5)]);
+    }
 }
 
 #[test]
 fn every_single_bit_flip_and_every_truncation_is_refused() {
-    let unsigned = encoded(&Content::new().package());
-    let signed = [unsigned.bytes(), &signature_block(&[0x5a; 64])].concat();
-    for bytes in [unsigned.bytes(), &signed] {
-        let mut copy = Aligned::new(bytes);
-        assert!(Package::decode(copy.bytes()).is_ok());
-        for bit in 0..bytes.len() * 8 {
-            let flip = |copy: &mut Aligned| {
-                bytemuck::cast_slice_mut::<u32, u8>(&mut copy.words)[bit / 8] ^= 1 << (bit % 8);
-            };
-            flip(&mut copy);
-            assert!(Package::decode(copy.bytes()).is_err(), "bit {bit}");
-            flip(&mut copy);
-        }
-        let whole = copy.length;
-        for length in 0..whole {
-            copy.length = length;
-            // Without its signature, a signed package equals the unsigned one.
-            assert_eq!(Package::decode(copy.bytes()).is_ok(), length == unsigned.length);
+    for format in FORMATS {
+        let unsigned = encoded(format, &Content::new().package());
+        let signed = with_signature(unsigned.bytes(), [0x5a; 64]);
+        for bytes in [unsigned.bytes(), &signed] {
+            let mut copy = Aligned::new(bytes);
+            assert!(Package::decode(copy.bytes()).is_ok());
+            for bit in 0..bytes.len() * 8 {
+                let flip = |copy: &mut Aligned| {
+                    bytemuck::cast_slice_mut::<u32, u8>(&mut copy.words)[bit / 8] ^= 1 << (bit % 8);
+                };
+                flip(&mut copy);
+                assert!(Package::decode(copy.bytes()).is_err(), "{format:?}: bit {bit}");
+                flip(&mut copy);
+            }
+            let whole = copy.length;
+            for length in 0..whole {
+                copy.length = length;
+                // Without its signature, a signed package of format 1 equals the unsigned one.
+                assert_eq!(Package::decode(copy.bytes()).is_ok(), length == unsigned.length);
+            }
         }
     }
 }
@@ -165,37 +190,45 @@ fn every_single_bit_flip_and_every_truncation_is_refused() {
 #[test]
 fn an_unchanged_package_is_decoded_without_its_checksums() {
     let content = Content::new();
-    let unsigned = encoded(&content.package());
-    let signed = [unsigned.bytes(), &signature_block(&[0x5a; 64])].concat();
-    for bytes in [unsigned.bytes(), &signed] {
-        let copy = Aligned::new(bytes);
-        assert_eq!(Package::decode_unchanged(copy.bytes()), Package::decode(copy.bytes()));
-        let mut damaged = bytes.to_vec();
-        // The header's checksum and, if present, the signature's.
-        damaged[8] ^= 1;
-        *damaged.last_mut().unwrap() ^= 1;
-        let damaged = Aligned::new(&damaged);
-        assert_eq!(Package::decode(damaged.bytes()), Err(PackageError::Checksum));
-        if bytes.len() > unsigned.length {
-            assert_eq!(Package::decode_unchanged(damaged.bytes()), Ok(content.package()));
+    for format in FORMATS {
+        let unsigned = encoded(format, &content.package());
+        let signed = with_signature(unsigned.bytes(), [0x5a; 64]);
+        for bytes in [unsigned.bytes(), &signed] {
+            let copy = Aligned::new(bytes);
+            assert_eq!(Package::decode_unchanged(copy.bytes()), Package::decode(copy.bytes()));
+            let mut damaged = bytes.to_vec();
+            // The header's checksum and the signature's.
+            let (header, signature) = match format {
+                Format::One => (8, bytes.len() - 1),
+                Format::Two => (HEADER2_LENGTH - 1, CHECKED_FIRST - 1),
+            };
+            damaged[header] ^= 1;
+            damaged[signature] ^= 1;
+            let damaged = Aligned::new(&damaged);
+            assert_eq!(Package::decode(damaged.bytes()), Err(PackageError::Checksum));
+            if bytes == signed {
+                assert_eq!(Package::decode_unchanged(damaged.bytes()), Ok(content.package()));
+            }
+            // Everything else is still refused.
+            let cut = Aligned::new(&bytes[..bytes.len() - 1]);
+            let refused = Package::decode_unchanged(cut.bytes());
+            assert!(matches!(refused, Err(PackageError::Length { .. })));
         }
-        // Everything else is still refused.
-        let cut = Aligned::new(&bytes[..bytes.len() - 1]);
-        let refused = Package::decode_unchanged(cut.bytes());
-        assert!(matches!(refused, Err(PackageError::Length { .. })));
     }
 }
 
 #[test]
 fn a_package_is_found_at_the_start_of_a_slot() {
-    let unsigned = encoded(&Content::new().package());
-    let signed = [unsigned.bytes(), &signature_block(&[0x5a; 64])].concat();
-    for (package, rest) in [(unsigned.bytes(), 0xff), (&signed, 0xff), (unsigned.bytes(), 0)] {
-        for spare in [0, 1, 67, 500] {
-            let slot = [package, &vec![rest; spare]].concat();
-            assert_eq!(Envelope::length_in(&slot), Some(package.len()));
+    for format in FORMATS {
+        let unsigned = encoded(format, &Content::new().package());
+        let signed = with_signature(unsigned.bytes(), [0x5a; 64]);
+        for (package, rest) in [(unsigned.bytes(), 0xff), (&signed, 0xff), (unsigned.bytes(), 0)] {
+            for spare in [0, 1, 67, 500] {
+                let slot = [package, &vec![rest; spare]].concat();
+                assert_eq!(Envelope::length_in(&slot), Some(package.len()));
+            }
+            assert_eq!(Envelope::length_in(&package[..package.len() / 2]), None);
         }
-        assert_eq!(Envelope::length_in(&package[..package.len() / 2]), None);
     }
     assert_eq!(Envelope::length_in(&[0xff; 400]), None);
     assert_eq!(Envelope::length_in(&[]), None);
@@ -207,12 +240,14 @@ fn numbers_are_aligned_to_four_bytes() {
         let content = Content::new();
         let mut package = content.package();
         package.provenance.recipe = recipe;
-        let bytes = encoded(&package);
-        let decoded = Package::decode(bytes.bytes()).unwrap();
-        assert_eq!(decoded, package);
-        // At any other address the words cannot be used in place.
-        let shifted = Aligned::new(&[&[0], bytes.bytes()].concat());
-        assert_eq!(Package::decode(&shifted.bytes()[1..]), Err(PackageError::Alignment));
+        for format in FORMATS {
+            let bytes = encoded(format, &package);
+            let decoded = Package::decode(bytes.bytes()).unwrap();
+            assert_eq!(decoded, package);
+            // At any other address the words cannot be used in place.
+            let shifted = Aligned::new(&[&[0], bytes.bytes()].concat());
+            assert_eq!(Package::decode(&shifted.bytes()[1..]), Err(PackageError::Alignment));
+        }
     }
 }
 
@@ -223,7 +258,7 @@ pub(crate) fn header_of(body: &[u8]) -> [u8; HEADER_LENGTH] {
 
 /// Returns `package` with its body changed and a matching checksum.
 fn resealed(package: &Package<'_>, change: impl FnOnce(&mut Vec<u8>)) -> Aligned {
-    let mut body = Envelope::open(encoded(package).bytes()).unwrap().body.to_vec();
+    let mut body = Envelope::open(encoded(Format::One, package).bytes()).unwrap().body.to_vec();
     change(&mut body);
     Aligned::new(&[&envelope::header(&body).unwrap()[..], &body].concat())
 }
@@ -232,7 +267,7 @@ fn resealed(package: &Package<'_>, change: impl FnOnce(&mut Vec<u8>)) -> Aligned
 fn each_defect_of_the_bytes_has_its_own_error() {
     let content = Content::new();
     let package = content.package();
-    let bytes = encoded(&package).bytes().to_vec();
+    let bytes = encoded(Format::One, &package).bytes().to_vec();
     let decode = |change: &dyn Fn(&mut Vec<u8>)| {
         let mut bytes = bytes.clone();
         change(&mut bytes);
@@ -275,8 +310,10 @@ fn each_defect_of_the_bytes_has_its_own_error() {
     for (training, test) in [(f32::NAN, 0.5), (0.5, f32::INFINITY)] {
         let mut package = package.clone();
         package.provenance.errors = Some(TrainingErrors { training, held_out: test });
-        let error = Package::decode(encoded(&package).bytes()).map(|p| p.version);
-        assert_eq!(error, Err(PackageError::TrainingErrorNotFinite));
+        for format in FORMATS {
+            let error = Package::decode(encoded(format, &package).bytes()).map(|p| p.version);
+            assert_eq!(error, Err(PackageError::TrainingErrorNotFinite));
+        }
     }
 }
 
@@ -296,11 +333,11 @@ fn each_defect_of_the_content_has_its_own_refusal() {
     );
     let empty = Content { low: [-1.0, 2.5], ..content.clone() };
     assert_eq!(refusal(&empty.package()), Refusal::EmptyBox { component: 1 });
-    let unordered = Content { neighbours: [9, 1, 3, 0], ..content.clone() };
+    let unordered = Content { neighbours: [265, 3], ..content.clone() };
     assert_eq!(refusal(&unordered.package()), Refusal::NeighbourOrder { id: 3 });
-    let twice = Content { neighbours: [3, 0, 3, 0], ..content.clone() };
+    let twice = Content { neighbours: [3, 3], ..content.clone() };
     assert_eq!(refusal(&twice.package()), Refusal::NeighbourOrder { id: 3 });
-    let own = Content { neighbours: [3, 0, 7, 0], ..content.clone() };
+    let own = Content { neighbours: [3, 7], ..content.clone() };
     let own_neighbour = ParameterError::OwnNeighbour { id: 7 };
     assert_eq!(refusal(&own.package()), Refusal::Parameter(own_neighbour));
     let far = Content { outer_weights: [9.0; 6], ..content.clone() };
@@ -315,14 +352,14 @@ fn each_defect_of_the_content_has_its_own_refusal() {
     assert!(matches!(refusal(&deaf), Refusal::Parameter(_)));
     let negative = Package { broadcast_interval_min: -1.0, ..package.clone() };
     assert!(matches!(refusal(&negative), Refusal::Parameter(_)));
-    let bytes = encoded(&package);
+    let bytes = encoded(Format::Two, &package);
     let other = accept::<3>(bytes.bytes(), &ANY, &mut Scratch::NEW.clone()).unwrap_err();
     assert_eq!(other, Refusal::Dimension { expected: 3, found: 2 });
 }
 
 #[test]
 fn a_node_refuses_what_its_buffers_cannot_hold() {
-    let bytes = encoded(&Content::new().package());
+    let bytes = encoded(Format::Two, &Content::new().package());
     let fits = Capacity { features: 3, neighbours: 2, gain_entries: 1 };
     let with = |capacity| {
         let requirements = Requirements { capacity, ..ANY };
@@ -341,20 +378,28 @@ fn a_node_refuses_what_its_buffers_cannot_hold() {
 #[test]
 fn an_older_package_or_one_for_another_agent_is_refused() {
     let content = Content::new();
-    let offered = |package: &Package<'_>, agent, version| {
-        let in_use = Some(InUse { agent, version });
-        let requirements = Requirements { in_use, ..ANY };
-        accept::<2>(encoded(package).bytes(), &requirements, &mut Scratch::NEW.clone())
+    let offered = |package: &Package<'_>, format, agent, version| {
+        let highest = Some(Serial { epoch: 0, version });
+        let requirements = Requirements { agent: Some(agent), highest, ..ANY };
+        accept::<2>(encoded(format, package).bytes(), &requirements, &mut Scratch::NEW.clone())
             .map(|p| p.version)
     };
     let package = content.package();
-    assert_eq!(offered(&package, 7, 4), Ok(5));
-    assert_eq!(offered(&package, 7, 5), Ok(5));
-    let older = Err(Refusal::Older { in_use: 6, found: 5 });
-    assert_eq!(offered(&package, 7, 6), older);
+    let serial = |version| Serial { epoch: 0, version };
+    let older = Err(Refusal::Older { highest: serial(6), found: serial(5) });
+    for format in FORMATS {
+        assert_eq!(offered(&package, format, 7, 4), Ok(5));
+        let repeated = Err(Refusal::Repeated { serial: serial(5) });
+        assert_eq!(offered(&package, format, 7, 5), repeated);
+        assert_eq!(offered(&package, format, 7, 6), older);
+        let other = Err(Refusal::Agent { expected: 8, found: 7 });
+        assert_eq!(offered(&package, format, 8, 1), other);
+    }
     // Without a signature, anyone could request the exception.
-    assert_eq!(offered(&Package { replaces: Some(9), ..package.clone() }, 7, 6), older);
-    assert_eq!(offered(&package, 8, 1), Err(Refusal::Agent { expected: 8, found: 7 }));
+    let exception = Package { replaces: Some(9), ..package.clone() };
+    assert_eq!(offered(&exception, Format::One, 7, 6), older);
+    let back = Package { epoch: 1, ..package };
+    assert_eq!(offered(&back, Format::Two, 7, 6), Ok(5));
 }
 
 #[test]
@@ -407,7 +452,7 @@ fn an_agent_switches_to_another_package() {
     let (estimate, adapted) = (*state.estimate(), state.outer_weights().rows().to_vec());
 
     // Neighbour 4 replaces neighbour 3.
-    let other = Content { neighbours: [4, 0, 9, 1], ..content.clone() };
+    let other = Content { neighbours: [4, 265], ..content.clone() };
     let mut other = other.package();
     let (mut neighbours, mut gain) = places();
     let new = other.node.params::<2>(&mut neighbours, &mut gain).unwrap();
@@ -421,9 +466,9 @@ fn an_agent_switches_to_another_package() {
     state.step(&new, Some(&other.network), 1, &[0.4], &mut inbox).unwrap();
 
     // The slots do not match another number of neighbours.
-    let one = Content { neighbours: [3, 0, 9, 1], ..content.clone() };
+    let one = Content { neighbours: [3, 265], ..content.clone() };
     let mut one = one.package();
-    one.node.neighbours = NeighbourIds::new(&[3, 0]).unwrap();
+    one.node.neighbours = NeighbourIds::new(&[3]);
     one.node.edge_weights = &[1.0];
     let (mut neighbours, mut gain) = places();
     let fewer = one.node.params::<2>(&mut neighbours, &mut gain).unwrap();
@@ -435,28 +480,54 @@ fn an_agent_switches_to_another_package() {
 #[test]
 fn the_specification_shows_the_same_bytes() {
     let specification = include_str!("../../../docs/format.md");
-    let (_, example) = specification.split_once("```text\n0000").unwrap();
+    let examples = specification.split("```text\n0000").skip(1);
+    let shown: Vec<Vec<u8>> = examples.map(bytes_shown).collect();
+    let content = Content::new();
+    let mut package = content.package();
+    package.trial = Some(example_limits());
+    let found = [(Format::Two, &package), (Format::One, &content.package())];
+    let found = found.map(|(format, package)| encoded(format, package).bytes().to_vec());
+    for (shown, found) in shown.iter().zip(&found) {
+        assert_eq!(shown, found);
+    }
+    assert_eq!(shown.len(), found.len());
+}
+
+/// Returns the bytes of an annotated dump, of which the first offset has been removed.
+fn bytes_shown(example: &str) -> Vec<u8> {
     let (example, _) = example.split_once("```").unwrap();
-    let example = std::format!("0000{example}");
     let mut shown = Vec::new();
-    for line in example.lines() {
+    for line in std::format!("0000{example}").lines() {
         let (offset, rest) = line.split_once("  ").unwrap();
         assert_eq!(usize::from_str_radix(offset, 16), Ok(shown.len()), "{line}");
         let (bytes, _) = rest.split_once("  ").unwrap();
         shown.extend(bytes.split(' ').map(|byte| u8::from_str_radix(byte, 16).unwrap()));
     }
-    assert_eq!(shown, encoded(&Content::new().package()).bytes());
+    shown
+}
+
+/// The limits of the trial in the specification's example.
+pub(crate) fn example_limits() -> TrialLimits {
+    TrialLimits {
+        innovation_rms: Some(0.25),
+        broadcasts_per_second: Some(40.0),
+        restarts: Some(0),
+        ..TrialLimits::NONE
+    }
 }
 
 #[test]
 fn a_network_is_located_in_its_package() {
-    let bytes = encoded(&Content::new().package());
-    let package = Package::decode(bytes.bytes()).unwrap();
-    let place = NetworkPlace::new(&package, bytes.bytes()).unwrap();
-    assert_eq!(place.network(bytes.bytes()).unwrap(), package.network);
-    assert_eq!(place.network(&bytes.bytes()[..80]), None);
-    // Other bytes do not contain the package.
-    assert_eq!(NetworkPlace::new(&package, &[]), None);
+    for format in FORMATS {
+        let bytes = encoded(format, &Content::new().package());
+        let package = Package::decode(bytes.bytes()).unwrap();
+        let place = NetworkPlace::new(&package, bytes.bytes()).unwrap();
+        assert_eq!(place.network(bytes.bytes()).unwrap(), package.network);
+        assert_eq!(place.outer_weights(bytes.bytes()), Some(package.outer_weights));
+        assert_eq!(place.network(&bytes.bytes()[..80]), None);
+        // Other bytes do not contain the package.
+        assert_eq!(NetworkPlace::new(&package, &[]), None);
+    }
 }
 
 proptest! {

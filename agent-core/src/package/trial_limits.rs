@@ -1,5 +1,7 @@
 //! What a package promises for its trial, and what a node demands of it.
 
+use crate::math::parameter::{ParameterError, not_negative};
+
 /// Limits within which a package on trial has to stay. A limit that is `None` does not apply.
 ///
 /// A package carries the limits that its training can justify; a node has limits of its own in its
@@ -39,6 +41,26 @@ impl TrialLimits {
         overflows: None,
         skipped_ticks: None,
     };
+
+    /// Returns whether the limits that are there are finite.
+    #[must_use]
+    pub fn is_finite(&self) -> bool {
+        [self.innovation_rms, self.broadcasts_per_second]
+            .iter()
+            .flatten()
+            .all(|limit| limit.is_finite())
+    }
+
+    /// Checks the limits that are numbers.
+    ///
+    /// # Errors
+    /// A limit that is negative or not finite.
+    pub fn validate(&self) -> Result<(), ParameterError> {
+        let rms = self.innovation_rms.unwrap_or(0.0);
+        not_negative("trial.innovation_rms", rms)?;
+        let rate = self.broadcasts_per_second.unwrap_or(0.0);
+        not_negative("trial.broadcasts_per_second", rate)
+    }
 
     /// Returns the tighter of each pair of limits: the longer trial, the smaller of everything else.
     #[must_use]

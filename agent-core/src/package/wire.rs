@@ -1,9 +1,8 @@
-//! The postcard form of a package's metadata, and the counts of numbers that follow from it.
+//! The postcard form of the metadata of a package of format 1, and the counts of numbers that follow from it.
 
 use serde::{Deserialize, Serialize};
 
-use super::{OnSwitch, Provenance, test_vector_length};
-use crate::AgentId;
+use super::{NeighbourIds, OnSwitch, Provenance, test_vector_length};
 use crate::math::symmetric::MatrixForm;
 use crate::observer::network::{Architecture, INNER_LAYERS_MAX, Layer};
 
@@ -12,12 +11,13 @@ use crate::observer::network::{Architecture, INNER_LAYERS_MAX, Layer};
 pub(super) struct Metadata<'a> {
     pub(super) version: u32,
     pub(super) replaces: Option<u32>,
-    pub(super) agent: AgentId,
+    pub(super) agent: u16,
     pub(super) outer_weights_on_switch: OnSwitch,
     pub(super) inputs: u8,
     pub(super) layers: heapless::Vec<Layer, INNER_LAYERS_MAX>,
     pub(super) outputs: u8,
-    pub(super) neighbours: &'a [u8],
+    #[serde(borrow)]
+    pub(super) neighbours: NeighbourIds<'a>,
     pub(super) gain: MatrixForm,
     pub(super) outer_gain: MatrixForm,
     pub(super) smoothness: u8,
@@ -50,7 +50,7 @@ impl Counts {
             output_matrix: usize::from(metadata.outputs) * n,
             gain: metadata.gain.count(n),
             outer_gain: metadata.outer_gain.count(features),
-            edge_weights: metadata.neighbours.len() / 2,
+            edge_weights: metadata.neighbours.len(),
             dimension: n,
             test_vectors: usize::from(metadata.test_vectors) * test_vector_length(n, features),
         }

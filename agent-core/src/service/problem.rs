@@ -99,6 +99,15 @@ pub enum RefusalKind {
     Slot,
     /// A check that is unknown to this version.
     Other,
+    Epoch,
+    Repeated,
+    /// The numbers are those of a binary32.
+    Step,
+    Inputs,
+    UnknownSection,
+    /// A section is missing or has the wrong length.
+    Section,
+    Digest,
 }
 
 impl RefusalReport {
@@ -127,7 +136,15 @@ impl From<&Refusal> for RefusalReport {
             Refusal::NeighbourOrder { id } => (Kind::NeighbourOrder, 0, id.into()),
             Refusal::EmptyBox { component } => (Kind::EmptyBox, 0, count(component)),
             Refusal::Agent { expected, found } => (Kind::Agent, expected.into(), found.into()),
-            Refusal::Older { in_use, found } => (Kind::Older, in_use, found),
+            Refusal::Older { highest, found } if highest.epoch != found.epoch => {
+                (Kind::Epoch, highest.epoch, found.epoch)
+            }
+            Refusal::Older { highest, found } => (Kind::Older, highest.version, found.version),
+            Refusal::Repeated { serial } => (Kind::Repeated, serial.epoch, serial.version),
+            Refusal::Step { range, found } if found < range.min => {
+                (Kind::Step, range.min.to_bits(), found.to_bits())
+            }
+            Refusal::Step { range, found } => (Kind::Step, range.max.to_bits(), found.to_bits()),
             Refusal::NoTestVectors => (Kind::NoTestVectors, 0, 0),
             Refusal::TestVector { index } => (Kind::TestVector, 0, count(index)),
         };
@@ -156,6 +173,16 @@ impl From<&PackageError> for RefusalReport {
             PackageError::NotFinite { index } => (Kind::NotFinite, 0, count(index)),
             PackageError::TrainingErrorNotFinite => (Kind::TrainingErrorNotFinite, 0, 0),
             PackageError::Network(_) => (Kind::Network, 0, 0),
+            PackageError::Inputs { inputs, dimension } => {
+                (Kind::Inputs, count(dimension), count(inputs))
+            }
+            PackageError::UnknownSection { kind } => (Kind::UnknownSection, 0, kind.into()),
+            PackageError::SectionLength { expected, found, .. } => {
+                (Kind::Section, count(expected), count(found))
+            }
+            PackageError::SectionNotFinite { index, .. } => (Kind::NotFinite, 0, count(index)),
+            PackageError::TrialLimitNotFinite => (Kind::Parameter, 0, 0),
+            PackageError::Digest => (Kind::Digest, 0, 0),
         };
         Self::new(kind, expected, found)
     }
@@ -197,7 +224,29 @@ impl core::fmt::Display for RefusalReport {
             Kind::NeighbourOrder => write!(f, "neighbour {found} is out of order"),
             Kind::EmptyBox => write!(f, "the trained box is empty in component {found}"),
             Kind::Agent => write!(f, "it is for agent {found}, this node is agent {expected}"),
-            Kind::Older => write!(f, "it has version {found}, but version {expected} is in use"),
+            Kind::Older => {
+                write!(f, "it has version {found}, but version {expected} has been in use")
+            }
+            Kind::Epoch => write!(f, "it is of epoch {found}, the node is in epoch {expected}"),
+            Kind::Repeated => {
+                write!(f, "version {found} of epoch {expected} has been in use already")
+            }
+            Kind::Step => write!(
+                f,
+                "its step is {:e} s, beyond the {:e} s that this board can keep",
+                f32::from_bits(found),
+                f32::from_bits(expected)
+            ),
+            Kind::Inputs => {
+                write!(f, "its network has {found} inputs for a state of {expected} components")
+            }
+            Kind::UnknownSection => {
+                write!(f, "a required section, kind {found}, is unknown to this firmware")
+            }
+            Kind::Section => {
+                write!(f, "a section has {found} numbers, expected {expected}")
+            }
+            Kind::Digest => write!(f, "its content is not the one that was signed"),
             Kind::NoTestVectors => write!(f, "it has no test vectors"),
             Kind::TestVector => write!(f, "test vector {found} does not match bit for bit"),
             Kind::Slot => write!(f, "the bytes in its slot differ from the recorded ones"),

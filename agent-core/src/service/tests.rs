@@ -10,7 +10,7 @@ use super::*;
 use crate::INPUTS_MAX;
 use crate::StateVector;
 use crate::health::{BoardErrors, HealthCounters};
-use crate::package::Refusal;
+use crate::package::{Refusal, Serial};
 use crate::store::{Slot, StoreError};
 use crate::wire::cobs::Decoder;
 use crate::wire::frame::FRAME_LENGTH_MAX;
@@ -91,7 +91,10 @@ fn every_request_arrives_and_fits() {
 #[test]
 fn every_response_arrives() {
     let store = |error| Response::Refused(Problem::Store(error));
-    let refusal = Refusal::Older { in_use: 4, found: 3 };
+    let refusal = Refusal::Older {
+        highest: Serial { epoch: 0, version: 4 },
+        found: Serial { epoch: 0, version: 3 },
+    };
     let numbers = || Numbers::from_slice(&[1.5, -2.0, 0.0]).unwrap();
     for response in [
         Response::Status(status()),

@@ -6,7 +6,7 @@
 //! | field | type | encoding |
 //! | --- | --- | --- |
 //! | version | `u8` | one byte, [`VERSION`] |
-//! | sender | `u16` | variable-length integer |
+//! | sender | `u32` | variable-length integer |
 //! | sequence | `u32` | variable-length integer, counts broadcasts from 0 |
 //! | tick | `u64` | variable-length integer, the step at which the sample was taken |
 //! | payload kind | enum | variable-length integer: 0 is an estimate |
@@ -32,7 +32,7 @@ pub const VERSION: u8 = 1;
 
 /// Length of the longest encoded frame, in bytes: version, longest variable-length integers of the
 /// header, payload kind and length, longest estimate, checksum.
-pub const FRAME_LENGTH_MAX: usize = 1 + 3 + 5 + 10 + 1 + 1 + 4 * INPUTS_MAX + CHECKSUM_LENGTH;
+pub const FRAME_LENGTH_MAX: usize = 1 + 5 + 5 + 10 + 1 + 1 + 4 * INPUTS_MAX + CHECKSUM_LENGTH;
 
 /// The components of a state or of a measurement.
 pub type Numbers = heapless::Vec<f32, INPUTS_MAX>;
@@ -270,7 +270,7 @@ mod tests {
     #[test]
     fn the_longest_frame_fits() {
         let frame = Frame::<INPUTS_MAX> {
-            sender: u16::MAX,
+            sender: AgentId::MAX,
             sequence: u32::MAX,
             tick: u64::MAX,
             estimate: StateVector::repeat(f32::MAX),
@@ -329,7 +329,7 @@ mod tests {
     proptest! {
         #[test]
         fn decoding_undoes_encoding(
-            sender: u16, sequence: u32, tick: u64,
+            sender: AgentId, sequence: u32, tick: u64,
             estimate in prop::array::uniform4(prop::num::f32::NORMAL | prop::num::f32::ZERO | prop::num::f32::SUBNORMAL),
         ) {
             let frame = Frame::<4> { sender, sequence, tick, estimate: estimate.into() };

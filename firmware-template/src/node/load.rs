@@ -7,8 +7,8 @@ use agent_core::health::HealthParams;
 use agent_core::observer::feedback::Neighbour;
 use agent_core::observer::network::Scratch;
 use agent_core::package::{
-    AgentConfig, Capacity, Envelope, InUse, NetworkPlace, Package, ParamsPlace, Refusal,
-    Requirements, accept,
+    AgentConfig, Capacity, Envelope, NetworkPlace, Package, ParamsPlace, Refusal, Requirements,
+    Serial, accept,
 };
 use agent_core::service::RefusalReport;
 use agent_core::store::{self, MappedFlash, Store};
@@ -33,7 +33,9 @@ impl<
         let Self { store, memory, settings, .. } = self;
         let requirements = Requirements {
             public_key: settings.public_key.as_ref(),
-            in_use: None,
+            agent: None,
+            highest: None,
+            step_range: settings.step_range,
             capacity: Self::CAPACITY,
         };
         let mut check = |bytes: &[u8]| verified::<N>(bytes, &requirements, &mut memory.scratch);
@@ -46,7 +48,7 @@ impl<
         });
         let found = loaded.in_use.or_else(|| {
             let length = |slot: &[u8]| u32::try_from(Envelope::length_in(slot)?).ok();
-            store.salvage(length, check, |new: &Verified, old| new.version > old.version)
+            store.salvage(length, check, |new: &Verified, old| new.serial() > old.serial())
         });
         self.in_use = found.and_then(|(slot, package)| package.in_slot(slot, store));
     }
@@ -56,7 +58,9 @@ impl<
         let Self { store, memory, settings, in_use, .. } = self;
         let requirements = Requirements {
             public_key: settings.public_key.as_ref(),
-            in_use: in_use.map(|package| InUse { agent: package.agent, version: package.version }),
+            agent: in_use.map(|package| package.agent),
+            highest: in_use.map(|package| package.serial()),
+            step_range: settings.step_range,
             capacity: Self::CAPACITY,
         };
         store.stage(|bytes| verified::<N>(bytes, &requirements, &mut memory.scratch))
@@ -188,6 +192,7 @@ impl<const N: usize, const NEIGHBOURS: usize> Session<N, NEIGHBOURS> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Verified {
     agent: agent_core::AgentId,
+    epoch: u32,
     pub(super) version: u32,
     step_size: f32,
 }
@@ -195,7 +200,11 @@ pub(super) struct Verified {
 impl Verified {
     pub(super) fn of(package: &Package<'_>) -> Self {
         let AgentConfig { agent, step_size, .. } = package.node;
-        Self { agent, version: package.version, step_size }
+        Self { agent, epoch: package.epoch, version: package.version, step_size }
+    }
+
+    fn serial(&self) -> Serial {
+        Serial { epoch: self.epoch, version: self.version }
     }
 
     /// Returns `None` if no package is recorded in the slot.
@@ -204,8 +213,9 @@ impl Verified {
         slot: store::Slot,
         store: &Store<F>,
     ) -> Option<InUsePackage> {
-        let Self { agent, version, step_size } = self;
-        Some(InUsePackage { agent, version, checksum: store.checksum(slot)?, step_size, slot })
+        let Self { agent, epoch, version, step_size } = self;
+        let checksum = store.checksum(slot)?;
+        Some(InUsePackage { agent, epoch, version, checksum, step_size, slot })
     }
 }
 

@@ -38,7 +38,7 @@ use agent_core::agent::inbox::Inbox;
 use agent_core::health::{Health, HealthParams, HealthSettings, Probation};
 use agent_core::observer::network::Scratch;
 use agent_core::package::signature::PublicKey;
-use agent_core::package::{AgentConfig, NetworkPlace, ParamsPlace};
+use agent_core::package::{AgentConfig, NetworkPlace, ParamsPlace, Serial, StepRange};
 use agent_core::service::{
     BoardFault, Event, Firmware, PROTOCOL_VERSION, PackageStatus, RefusalReport, Request, Response,
     Rows, Status, Subscription, send,
@@ -55,6 +55,8 @@ pub struct Settings {
     pub layout: Layout,
     /// If present, only packages signed with the matching private key are accepted.
     pub public_key: Option<PublicKey>,
+    /// The steps that the board can keep; packages with another one are refused. \[s\]
+    pub step_range: StepRange,
     /// Settings of the health monitoring.
     pub health: HealthSettings,
     /// Consecutive good steps needed to confirm a package on trial.
@@ -153,10 +155,17 @@ struct Agent<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize> {
 #[derive(Clone, Copy, Debug)]
 struct InUsePackage {
     agent: agent_core::AgentId,
+    epoch: u32,
     version: u32,
     checksum: u32,
     step_size: f32,
     slot: Slot,
+}
+
+impl InUsePackage {
+    fn serial(&self) -> Serial {
+        Serial { epoch: self.epoch, version: self.version }
+    }
 }
 
 /// What does not change while one package is in use.

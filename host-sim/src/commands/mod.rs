@@ -22,6 +22,7 @@ mod monitor;
 #[cfg(unix)]
 mod node;
 mod output;
+mod package_format;
 mod progress;
 #[cfg(unix)]
 mod push;

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::CommandError;
 use super::baselines::Baseline;
+use super::package_format::PackageFormat;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunResult, TrainingRecord};
 use crate::figures::{Marker, Reference};
@@ -69,6 +70,7 @@ pub(super) fn tables(
 /// samples, if recorded.
 pub(super) fn packages(
     folder: &Path,
+    format: PackageFormat,
     scenario: &Scenario,
     run: &RunResult,
 ) -> Result<(), CommandError> {
@@ -76,7 +78,8 @@ pub(super) fn packages(
     for training in &run.trainings {
         let stem = format!("agent{}_cycle{}", training.agent, training.cycle);
         if for_nodes {
-            training.package.save(&folder.join(format!("{stem}.weights")))?;
+            let name = format!("{stem}.weights");
+            format.apply(&training.package, Path::new(&name))?.save(&folder.join(name))?;
         }
         if let Some(recording) = &training.recording {
             recording.save(&folder.join(format!("{stem}_samples.csv")))?;

@@ -10,6 +10,7 @@ use serde::Serialize;
 use super::agent_table::AgentReport;
 use super::baselines::{Baseline, Baselines, Choice, Comparison, Plan, States, has_packages};
 use super::health::{self, HealthReport};
+use super::package_format::PackageFormat;
 use super::run_folder::RunFolder;
 use super::trainings::{self, TrainingSummary};
 use super::{CommandError, Common, Format, SharedProgress, agent_table, output, warnings};
@@ -47,6 +48,8 @@ pub(super) struct Arguments {
     /// NAME is the scenario's name]
     #[arg(long)]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    package_format: PackageFormat,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -91,7 +94,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     found.extend(baselines.warnings());
     let agents = agent_reports(&scenario, &result, &baselines);
     let trainings = trainings::summaries(&result.trainings);
-    write_files(folder.stage(), &scenario, &result, &baselines, &agents)
+    let format = arguments.package_format;
+    write_files(folder.stage(), format, &scenario, &result, &baselines, &agents)
         .map_err(|error| folder.placed(error))?;
     let (files, others) = folder.publish(&scenario, arguments.common.seed)?;
     let outcome = warnings::outcome(&checks);
@@ -135,7 +139,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
 fn give_packages(scenario: &mut Scenario, files: &[PathBuf]) -> Result<(), CommandError> {
     for file in files {
         let package = PackageBytes::load(file)?;
-        let agent = usize::from(package.package().node.agent);
+        let agent = package.package().node.agent as usize;
         let agents = scenario.agents.len();
         let place = agent.checked_sub(1).and_then(|index| scenario.agents.get_mut(index));
         let place = place.ok_or_else(|| {
@@ -230,6 +234,7 @@ fn agent_reports(
 /// Writes all tables, figures and packages.
 fn write_files(
     out: &Path,
+    format: PackageFormat,
     scenario: &Scenario,
     result: &RunResult,
     baselines: &Baselines,
@@ -242,7 +247,7 @@ fn write_files(
     );
     tables?;
     figures?;
-    output::packages(out, scenario, result)
+    output::packages(out, format, scenario, result)
 }
 
 fn write_figures(

@@ -5,10 +5,12 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use agent_core::package::Serial;
 use clap::Args;
 use serde::Serialize;
 
 use super::key::Passphrase;
+use super::package_format::PackageFormat;
 use super::summary::ExplainedVariance;
 use super::{
     CommandError, Common, ErrorCode, Format, agent_index, load_scenario, network_of, print_json,
@@ -59,6 +61,8 @@ pub(super) struct Arguments {
     sign: Option<PathBuf>,
     #[command(flatten)]
     passphrase: Passphrase,
+    #[command(flatten)]
+    package_format: PackageFormat,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -127,7 +131,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     if let (None, Some(base)) = (&recording.outer_weights, &base) {
         recording.outer_weights = Some(base.package().outer_weights.to_vec());
     }
-    let version = version(arguments, base.as_ref())?;
+    let Serial { epoch, version } = serial(arguments, base.as_ref())?;
     // Check the output path before training.
     let output = OutputFile::prepare(&arguments.out, PackageBytes::KIND)?;
     let task = TrainingTask {
@@ -137,6 +141,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         agent: index,
         cycle,
         seed: arguments.common.seed,
+        epoch,
         version,
     };
     let with_file = |error: TrainedError| match error {
@@ -168,7 +173,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         return Err(CommandError::new(ErrorCode::NotPacked, text).about(&arguments.out));
     }
     let (package, chosen) = (trained.package.clone(), arguments.package_version);
-    let package = versions::save(package, chosen, key.as_ref(), &arguments.out, output)?;
+    let format = arguments.package_format;
+    let package = versions::save(package, chosen, format, key.as_ref(), &arguments.out, output)?;
     let elapsed_s = start.elapsed().as_secs_f64();
     let report = report(arguments, &task, &recording, &trained, &package, elapsed_s);
     match arguments.common.format {
@@ -229,10 +235,9 @@ fn recipe<'s>(
     Ok((recipe, own.unwrap_or(0)))
 }
 
-fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, CommandError> {
-    if let Some(version) = arguments.package_version {
-        return Ok(version);
-    }
+/// Returns the epoch of the base and of the file to replace, and the version after theirs or the
+/// chosen one.
+fn serial(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<Serial, CommandError> {
     // Whether the file may be replaced is checked later.
     let replaced =
         if arguments.out.is_file() { PackageBytes::load(&arguments.out).ok() } else { None };
@@ -240,11 +245,15 @@ fn version(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<u32, Co
         .zip(arguments.base.as_deref())
         .into_iter()
         .chain(replaced.as_ref().map(|replaced| (replaced, arguments.out.as_path())))
-        .map(|(package, path)| (package.package().version, path))
+        .map(|(package, path)| (package.package().serial(), path))
         .max();
+    let epoch = before.map_or(0, |(serial, _)| serial.epoch);
+    if let Some(version) = arguments.package_version {
+        return Ok(Serial { epoch, version });
+    }
     match before {
-        Some((version, path)) => versions::after(version, path),
-        None => Ok(INITIAL_VERSION + 1),
+        Some((serial, path)) => Ok(Serial { epoch, version: versions::after(serial, path)? }),
+        None => Ok(Serial { epoch, version: INITIAL_VERSION + 1 }),
     }
 }
 

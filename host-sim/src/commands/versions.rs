@@ -4,7 +4,10 @@ use std::fs::{File, TryLockError};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use agent_core::package::Serial;
+
 use super::CommandError;
+use super::package_format::{PackageFormat, unfit};
 use crate::files::output::OutputFile;
 use crate::packages::PackageBytes;
 use crate::signing::OperatorKey;
@@ -13,30 +16,33 @@ use crate::signing::OperatorKey;
 /// its package, but a run holds it until its end.
 const LOCK_WAIT: Duration = Duration::from_secs(2);
 
-/// Returns the version after `version`.
+/// Returns the version after `serial`, of the same epoch.
 ///
 /// # Errors
-/// Returns an error if `version` is the largest one.
-pub(super) fn after(version: u32, of: &Path) -> Result<u32, CommandError> {
-    version.checked_add(1).ok_or_else(|| {
+/// Returns an error if the version is the largest one.
+pub(super) fn after(serial: Serial, of: &Path) -> Result<u32, CommandError> {
+    serial.version.checked_add(1).ok_or_else(|| {
+        let Serial { epoch, version } = serial;
         CommandError::usage(format!(
-            "{}: version {version} is the largest possible, so nodes accept no later one; choose an \
-             older version with --package-version and sign the package with --replaces {version}",
-            of.display()
+            "{}: version {version} is the largest possible, so nodes accept no later one of its epoch; \
+             choose a version with --package-version and sign the package with --epoch {}",
+            of.display(),
+            epoch.saturating_add(1)
         ))
         .about(of)
     })
 }
 
-/// Writes `package`, signed with `key`, to `out`, and returns it as written. If a package of the
+/// Writes `package`, in this format and signed with `key`, to `out`, and returns it as written. If a package of the
 /// same or a later version is there by now, the version is increased, unless the user has `chosen`
 /// one.
 ///
 /// # Errors
-/// As [`OutputFile::write`] and [`after`].
+/// As [`OutputFile::write`] and [`after`], or if the format cannot hold the package.
 pub(super) fn save(
     mut package: PackageBytes,
     chosen: Option<u32>,
+    format: PackageFormat,
     key: Option<&OperatorKey>,
     out: &Path,
     output: OutputFile,
@@ -46,11 +52,13 @@ pub(super) fn save(
     let nonempty = std::fs::metadata(out).is_ok_and(|there| there.is_file() && there.len() > 0);
     if chosen.is_none() && nonempty {
         let there = PackageBytes::load(out)?;
-        let (there, own) = (there.package().version, package.package().version);
+        let (there, own) = (there.package().serial(), package.package().serial());
         if there >= own {
-            package = package.renumbered(after(there, out)?);
+            let serial = Serial { epoch: there.epoch, version: after(there, out)? };
+            package = package.with_serial(serial).map_err(|error| unfit(error, out))?;
         }
     }
+    package = format.apply(&package, out)?;
     if let Some(key) = key {
         package = package.signed(key);
     }

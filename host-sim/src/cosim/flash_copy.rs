@@ -1,7 +1,7 @@
 //! Reads the flash of a node that is not running, with the node's own code.
 
 use agent_core::package::signature::PublicKey;
-use agent_core::package::{Capacity, Envelope, PackageError, Refusal, Requirements};
+use agent_core::package::{Envelope, PackageError, Refusal, Requirements};
 use agent_core::store::{LayoutError, MappedFlash, Store};
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
@@ -91,8 +91,7 @@ pub(super) fn package_in_use(
     key: Option<&PublicKey>,
 ) -> Result<Option<PackageBytes>, LayoutError> {
     let mut store = Store::open(flash, region.layout())?;
-    let requirements =
-        Requirements { public_key: key, in_use: None, capacity: Capacity::UNLIMITED };
+    let requirements = Requirements { public_key: key, ..Requirements::ANY };
     let accepted = |bytes: &[u8]| -> Result<PackageBytes, Refusal> {
         let package =
             PackageBytes::new(bytes).map_err(|error: PackageError| Refusal::Package(error))?;
@@ -103,8 +102,8 @@ pub(super) fn package_in_use(
     Ok(loaded
         .or_else(|| {
             let length = |slot: &[u8]| u32::try_from(Envelope::length_in(slot)?).ok();
-            let version = |package: &PackageBytes| package.package().version;
-            store.salvage(length, accepted, |new, old| version(new) > version(old))
+            let serial = |package: &PackageBytes| package.package().serial();
+            store.salvage(length, accepted, |new, old| serial(new) > serial(old))
         })
         .map(|(_, package)| package))
 }

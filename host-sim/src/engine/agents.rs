@@ -8,11 +8,12 @@ use agent_core::health::{HealthSettings, WatchedStep};
 use agent_core::math::parameter::ParameterError;
 use agent_core::observer::feedback::Neighbour;
 use agent_core::observer::network::{InnerNetwork, LAYER_WIDTH_MAX, Scratch};
-use agent_core::package::{AgentConfig, Capacity, InUse, Refusal, Requirements, accept};
+use agent_core::package::{AgentConfig, Refusal, Requirements, Serial, accept};
 use agent_core::service::Outcome;
 use agent_core::wire::frame::FrameBytes;
 use agent_core::{StateVector, Tick};
 
+use super::learning::Observation;
 use super::link::Link;
 use super::run_observer::AgentStep;
 use super::statistics::AgentStatistics;
@@ -66,8 +67,8 @@ pub(super) struct SimulatedAgent<'s, const N: usize> {
     state: SimulatedState<N>,
     inbox: SimulatedInbox<N>,
     network: Option<SharedNetwork>,
-    /// The package in use, for the check against older packages.
-    in_use: Option<InUse>,
+    /// Epoch and version of the newest package so far, for the check against older ones.
+    highest: Option<Serial>,
     /// `C_i` in double precision, `m` rows: the sensor model.
     sensor: Vec<[f64; N]>,
     measurement: [f32; N],
@@ -109,7 +110,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             state,
             inbox: Inbox::new(places),
             network: None,
-            in_use: None,
+            highest: None,
             sensor,
             measurement: [0.0; N],
             norms: norms.map(|norms| (norms, Box::new(Scratch::NEW))),
@@ -205,6 +206,17 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         self.state.outer_weights().rows().iter().flat_map(|row| row.iter().copied()).collect()
     }
 
+    /// Returns what the agent did in the last step.
+    pub(super) fn observation(&self) -> Observation {
+        let errors = self.state.output_error(&self.params);
+        Observation {
+            squares: errors.iter().fold(0.0, |sum, &e| sum + f64::from(e) * f64::from(e)),
+            outputs: errors.len() as u64,
+            broadcasts: u64::from(self.outgoing.is_some()),
+            steps: 1,
+        }
+    }
+
     /// Returns inputs and results of the last step.
     pub(super) fn last_step(&self) -> AgentStep<'_> {
         AgentStep {
@@ -220,16 +232,16 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     /// Switches to a package between two steps, after the checks of a node. The agent's parameters
     /// are not changed: the caller has checked that those in the package are equal.
     pub(super) fn load(&mut self, bytes: &PackageBytes) -> Result<(), Refusal> {
-        self.load_after(bytes, self.in_use)
+        self.load_after(bytes, self.highest)
     }
 
-    /// Like [`Self::load`], but allows a package older than the one in use.
+    /// Like [`Self::load`], but goes back to the package before, as a node does when a trial fails.
     pub(super) fn revert(&mut self, bytes: &PackageBytes) -> Result<(), Refusal> {
         self.load_after(bytes, None)
     }
 
-    fn load_after(&mut self, bytes: &PackageBytes, in_use: Option<InUse>) -> Result<(), Refusal> {
-        let requirements = Requirements { public_key: None, in_use, capacity: Capacity::UNLIMITED };
+    fn load_after(&mut self, bytes: &PackageBytes, highest: Option<Serial>) -> Result<(), Refusal> {
+        let requirements = Requirements { highest, ..Requirements::ANY };
         let package = accept::<N>(bytes.as_bytes(), &requirements, &mut Scratch::NEW.clone())?;
         let watch = match &self.health {
             Some(health) => Some(Watch::new(&self.params, &package, health, self.watch.as_ref())?),
@@ -237,7 +249,8 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         };
         let neighbours = self.params.neighbours();
         self.state.switch(neighbours, &self.params, &package, &mut self.inbox)?;
-        self.in_use = Some(InUse { agent: package.node.agent, version: package.version });
+        let after = requirements.serial_after_activation(&package);
+        self.highest = self.highest.max(Some(after));
         self.network = Some(bytes.network());
         self.watch = watch;
         Ok(())

@@ -9,11 +9,13 @@ use std::ops::ControlFlow;
 
 use agent_core::Tick;
 use agent_core::agent::capture::{Sample, is_due};
+use agent_core::package::Serial;
 use rayon::prelude::*;
 
 use super::run_observer::Switch;
 use super::{Progress, RunError, TrainingRecord};
 use crate::learning::trained::{INITIAL_VERSION, TrainedError, TrainingTask};
+use crate::packages::recording::Observed;
 use crate::packages::{PackageBytes, Recording, Timing};
 use crate::scenario::{LearningCycle, Scenario};
 use crate::training::{Dataset, EpochReport};
@@ -29,9 +31,40 @@ struct Job {
     inputs: Vec<f64>,
     targets: Vec<f64>,
     outer_weights: Option<Vec<f32>>,
+    observation: Observation,
     trained: bool,
     /// The trained network, if accepted.
     package: Option<PackageBytes>,
+}
+
+/// What an agent did in steps of the last half of a window; sums in the order of the steps.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Observation {
+    /// Sum of the squares of `e_3`.
+    pub(super) squares: f64,
+    /// Number of those squares.
+    pub(super) outputs: u64,
+    /// Number of broadcasts.
+    pub(super) broadcasts: u64,
+    /// Number of steps.
+    pub(super) steps: u64,
+}
+
+impl Observation {
+    fn add(&mut self, step: Self) {
+        self.squares += step.squares;
+        self.outputs += step.outputs;
+        self.broadcasts += step.broadcasts;
+        self.steps += step.steps;
+    }
+
+    /// Returns RMS and rate, for steps of this length \[s\]; `None` without a step.
+    fn observed(&self, step_size: f64) -> Option<Observed> {
+        (self.steps > 0 && self.outputs > 0).then(|| Observed {
+            innovation_rms: (self.squares / self.outputs as f64).sqrt(),
+            broadcasts_per_second: self.broadcasts as f64 / (self.steps as f64 * step_size),
+        })
+    }
 }
 
 /// All cycles of a run.
@@ -53,6 +86,7 @@ impl<'s> Learning<'s> {
             inputs: Vec::new(),
             targets: Vec::new(),
             outer_weights: None,
+            observation: Observation::default(),
             trained: false,
             package: None,
         };
@@ -97,10 +131,15 @@ impl<'s> Learning<'s> {
         tick: Tick,
         sample: impl Fn(usize) -> Option<Sample<N>>,
         outer_weights: impl Fn(usize) -> Vec<f32>,
+        observation: impl Fn(usize) -> Observation,
     ) {
         for job in &mut self.jobs {
             if !(job.collect_from..job.collect_to).contains(&tick) {
                 continue;
+            }
+            let middle = job.collect_from + (job.collect_to - job.collect_from) / 2;
+            if tick >= middle {
+                job.observation.add(observation(job.agent));
             }
             if is_due(tick, self.scenario.learning[job.cycle].stride)
                 && let Some(sample) = sample(job.agent)
@@ -142,18 +181,18 @@ fn train(
         interval: scenario.time.step_size * f64::from(description.stride.get()),
         timing: Timing::default(),
         outer_weights: job.outer_weights.clone(),
+        observed: job.observation.observed(scenario.time.step_size),
     };
     let before = scenario.agents[agent].package.as_ref();
-    let before = before.map_or(INITIAL_VERSION, |package| package.package().version);
-    let task = TrainingTask {
-        scenario,
-        network,
-        recipe,
-        agent,
-        cycle,
-        seed,
-        version: u32::try_from(cycle + 1).unwrap_or(u32::MAX).saturating_add(before),
+    let initial = Serial { epoch: 0, version: INITIAL_VERSION };
+    let before = before.map_or(initial, |package| package.package().serial());
+    // Above the package before, in the next epoch if there are no versions left.
+    let count = u32::try_from(cycle + 1).unwrap_or(u32::MAX);
+    let Serial { epoch, version } = match before.version.checked_add(count) {
+        Some(version) => Serial { version, ..before },
+        None => Serial { epoch: before.epoch.saturating_add(1), version: count },
     };
+    let task = TrainingTask { scenario, network, recipe, agent, cycle, seed, epoch, version };
     let mut report_epoch = |epoch: &EpochReport| {
         progress.epoch(agent + 1, cycle + 1, epoch);
         ControlFlow::Continue(())

@@ -299,6 +299,7 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
                     tick,
                     |agent| agents[agent].last_sample,
                     |agent| agents[agent].outer_weights(),
+                    |agent| agents[agent].observation(),
                 );
             }
             if let Some(run_observer) = &mut self.run_observer {

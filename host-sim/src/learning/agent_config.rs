@@ -26,7 +26,7 @@ pub fn agent_config(
         agent: agent_id(index),
         output_matrix: row_major(&scenario.agents[index].output_matrix),
         gain: OwnedSymmetric::shortest(&scenario.design.gain),
-        neighbours: edges.iter().flat_map(|edge| agent_id(edge.agent).to_le_bytes()).collect(),
+        neighbours: edges.iter().map(|edge| agent_id(edge.agent)).collect(),
         edge_weights: edges.iter().map(|edge| edge.weight as f32).collect(),
         outer_gain: law.map_or(OwnedSymmetric::scalar(1.0), |law| outer_gain(&law.gain)),
         projection: law.map_or(UNUSED_PROJECTION, |law| ProjectionParams {

@@ -171,6 +171,7 @@ mod tests {
             interval: 0.01,
             timing: Timing { missing: vec![1; gaps.len()], ..Timing::default() },
             outer_weights: None,
+            observed: None,
         }
     }
 

@@ -8,6 +8,7 @@ use agent_core::package::{OnSwitch, TrainingErrors};
 use super::agent_config::agent_config;
 use super::cleaning::{Cleaned, Cleaning};
 use super::judgement::{Samples, judgement};
+use super::promise::trial_limits;
 use super::quality::{Fit, LAST_SHARE, Quality, estimates, explained, mean_squared_error};
 use crate::analysis::TriggerConstants;
 use crate::packages::{Draft, DraftError, PackageBytes, Recording};
@@ -33,6 +34,8 @@ pub struct TrainingTask<'s> {
     pub cycle: usize,
     /// Seed of the run.
     pub seed: u64,
+    /// Epoch of the package.
+    pub epoch: u32,
     /// Version of the package.
     pub version: u32,
 }
@@ -214,17 +217,23 @@ impl Prepared<'_, '_> {
         )?;
         let (low, high) = limits(&self.recording.samples);
         let trigger = TriggerConstants::new(task.scenario);
+        let interval_min = interval_bound(task.scenario, &trigger, self.recording);
         let mut draft = Draft {
+            epoch: task.epoch,
             version: task.version,
-            replaces: None,
             on_switch: OnSwitch::Keep,
             architecture: task.network.architecture.clone(),
             inner: parameters.iter().map(|&p| p as f32).collect(),
             outer_weights: std::mem::take(&mut self.outer_weights),
             node: agent_config(task.scenario, &trigger, task.agent),
-            broadcast_interval_min: interval_bound(task.scenario, &trigger, self.recording),
+            broadcast_interval_min: interval_min,
             low,
             high,
+            trial: trial_limits(
+                self.recording.observed.as_ref(),
+                interval_min,
+                task.scenario.time.step_size,
+            ),
             scenario_hash: task.scenario.hash,
             recipe: task.recipe.name.clone(),
             seed: task.seed,
@@ -313,8 +322,8 @@ pub fn initial(
 ) -> Result<PackageBytes, DraftError> {
     let n = scenario.dimension();
     let draft = Draft {
+        epoch: 0,
         version: INITIAL_VERSION,
-        replaces: None,
         on_switch: OnSwitch::Keep,
         architecture: network.architecture.clone(),
         inner: inner.to_vec(),
@@ -323,6 +332,7 @@ pub fn initial(
         broadcast_interval_min: 0.0,
         low: vec![f32::MIN; n],
         high: vec![f32::MAX; n],
+        trial: None,
         scenario_hash: scenario.hash,
         recipe: "initial".to_owned(),
         seed,
@@ -384,6 +394,7 @@ mod tests {
             agent: 0,
             cycle: 0,
             seed: 0,
+            epoch: 0,
             version: 2,
         };
         let values = |shift: f64| -> Vec<f64> {
@@ -396,6 +407,7 @@ mod tests {
             interval: 1e-3,
             timing: Timing::default(),
             outer_weights: None,
+            observed: None,
         };
         let error = task.carry_out(&recording, &mut |_| ControlFlow::Continue(())).unwrap_err();
         let message = error.to_string();

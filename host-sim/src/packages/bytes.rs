@@ -5,8 +5,12 @@ use std::sync::Arc;
 
 use agent_core::observer::network::{Architecture, InnerNetwork};
 use agent_core::package::signature::{PublicKey, verify};
-use agent_core::package::{Envelope, NetworkPlace, Package, PackageError, signature_block};
+use agent_core::package::{
+    CHECKED_FIRST, EncodeError, Envelope, Format, HEADER2_LENGTH, NetworkPlace, Package,
+    PackageError, Serial, check_digest, set_serial, signature_block,
+};
 
+use super::draft::encode;
 use crate::files::input::{is_too_large, read_limited};
 use crate::files::output::{FileKind, OutputError, write_whole};
 use crate::signing::OperatorKey;
@@ -79,7 +83,9 @@ impl PackageBytes {
         bytemuck::cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
         let length = bytes.len();
         let copy = &bytemuck::cast_slice(&words)[..length];
-        let package = Package::decode(copy)?;
+        let envelope = Envelope::open(copy)?;
+        check_digest(&envelope)?;
+        let package = Package::from_envelope(&envelope)?;
         let place = NetworkPlace::new(&package, copy).ok_or(PackageError::Malformed)?;
         Ok(Self { words: words.into(), length, place })
     }
@@ -127,6 +133,15 @@ impl PackageBytes {
         InnerNetwork::new(self.architecture().clone(), parameters).expect("a decoded network")
     }
 
+    /// Returns the format of the package.
+    ///
+    /// # Panics
+    /// Never: the bytes were decoded on creation.
+    #[must_use]
+    pub fn format(&self) -> Format {
+        Format::of(self.as_bytes()).expect("bytes that decoded before")
+    }
+
     /// Returns the package with a signature by this key, replacing any other.
     ///
     /// # Panics
@@ -134,8 +149,15 @@ impl PackageBytes {
     #[must_use]
     pub fn signed(&self, key: &OperatorKey) -> Self {
         let envelope = Envelope::open(self.as_bytes()).expect("bytes that decoded before");
-        let signature = key.sign(envelope.signed_part);
-        let bytes = [envelope.signed_part, &signature_block(&signature)].concat();
+        let block = signature_block(&key.sign(envelope.signed_part));
+        let bytes = match self.format() {
+            Format::One => [envelope.signed_part, &block].concat(),
+            Format::Two => {
+                let mut bytes = self.as_bytes().to_vec();
+                bytes[HEADER2_LENGTH..CHECKED_FIRST].copy_from_slice(&block);
+                bytes
+            }
+        };
         Self::new(&bytes).expect("a package with a signature of the right length")
     }
 
@@ -143,14 +165,54 @@ impl PackageBytes {
     /// replace newer ones, which are valid for one version only.
     ///
     /// # Panics
-    /// Never: the buffer has room for any version.
+    /// Never: the version fits into every package.
     #[must_use]
     pub fn renumbered(&self, version: u32) -> Self {
-        let package = Package { version, replaces: None, ..self.package() };
-        // Removing the signature shortens it; the version may take a few bytes more.
-        let mut buffer = vec![0; self.length + 64];
-        let length = package.encode(&mut buffer).expect("a package that was encoded before");
-        Self::new(&buffer[..length]).expect("a package that decoded under another version")
+        let serial = Serial { version, ..self.package().serial() };
+        self.with_serial(serial).expect("the epoch fits as before")
+    }
+
+    /// Returns the package with another epoch and version, in its own format, without its signature
+    /// and its permission to replace newer ones.
+    ///
+    /// # Errors
+    /// [`EncodeError::Epoch`] for a package of format 1.
+    pub fn with_serial(&self, serial: Serial) -> Result<Self, EncodeError> {
+        let mut bytes = self.as_bytes().to_vec();
+        match self.format() {
+            Format::One => {
+                let Serial { epoch, version } = serial;
+                let package = Package { epoch, version, replaces: None, ..self.package() };
+                bytes = encode(Format::One, &package)?;
+            }
+            // In place, so that sections that only later versions know stay.
+            Format::Two => set_serial(&mut bytes, serial).expect("bytes that decoded before"),
+        }
+        Ok(Self::new(&bytes).expect("a package that decoded under another version"))
+    }
+
+    /// Returns the package of format 1 with the permission to replace versions up to `newest`,
+    /// without its signature.
+    ///
+    /// # Errors
+    /// [`EncodeError::Replaces`] for a package of format 2.
+    pub fn replacing(&self, newest: u32) -> Result<Self, EncodeError> {
+        let package = Package { replaces: Some(newest), ..self.package() };
+        let bytes = encode(self.format(), &package)?;
+        Ok(Self::new(&bytes).expect("a package that decoded without a permission"))
+    }
+
+    /// Returns the package in another format: the same content, without its signature. Format 1
+    /// loses the limits of the trial, format 2 a permission to replace newer versions.
+    ///
+    /// # Errors
+    /// [`EncodeError`] if format 1 cannot hold the content.
+    pub fn converted(&self, format: Format) -> Result<Self, EncodeError> {
+        if format == self.format() {
+            return Ok(self.clone());
+        }
+        let bytes = encode(format, &Package { replaces: None, ..self.package() })?;
+        Ok(Self::new(&bytes).expect("a package that decoded in another format"))
     }
 
     /// Returns whether the package has a valid signature by the private half of `key`.

@@ -8,8 +8,8 @@ use agent_core::StateVector;
 use agent_core::agent::region::StateBox;
 use agent_core::observer::network::{Architecture, InnerNetwork, NetworkError, Scratch};
 use agent_core::package::{
-    Capacity, EncodeError, OnSwitch, Package, PackageError, Provenance, Refusal, Requirements,
-    TrainingErrors,
+    EncodeError, Format, OnSwitch, Package, PackageError, Provenance, Refusal, Requirements,
+    TrainingErrors, TrialLimits,
 };
 
 use super::check::check;
@@ -21,10 +21,10 @@ const TEST_VECTORS: usize = 4;
 /// The content of a package, owned.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Draft {
+    /// See [`Package::epoch`].
+    pub epoch: u32,
     /// See [`Package::version`].
     pub version: u32,
-    /// See [`Package::replaces`].
-    pub replaces: Option<u32>,
     /// See [`Package::outer_weights_on_switch`].
     pub on_switch: OnSwitch,
     /// Inner layers.
@@ -41,6 +41,8 @@ pub struct Draft {
     pub low: Vec<f32>,
     /// Largest training value of each input.
     pub high: Vec<f32>,
+    /// See [`Package::trial`].
+    pub trial: Option<TrialLimits>,
     /// Hash of the scenario.
     pub scenario_hash: u64,
     /// Name of the training recipe.
@@ -92,13 +94,13 @@ pub enum DraftError {
 }
 
 impl Draft {
-    /// Copies the content of an existing package.
+    /// Copies the content of an existing package, without a permission to replace newer ones.
     #[must_use]
     pub fn copy(package: &Package<'_>) -> Self {
         let provenance = &package.provenance;
         Self {
+            epoch: package.epoch,
             version: package.version,
-            replaces: package.replaces,
             on_switch: package.outer_weights_on_switch,
             architecture: package.network.architecture().clone(),
             inner: package.network.parameters().to_vec(),
@@ -107,6 +109,7 @@ impl Draft {
             broadcast_interval_min: package.broadcast_interval_min,
             low: package.trained_box.low.to_vec(),
             high: package.trained_box.high.to_vec(),
+            trial: package.trial,
             scenario_hash: u64::from_be_bytes(provenance.scenario_hash),
             recipe: provenance.recipe.to_owned(),
             seed: provenance.seed,
@@ -115,7 +118,7 @@ impl Draft {
         }
     }
 
-    /// Encodes the package and checks it with the core's acceptance.
+    /// Encodes the package in the newest format and checks it with the core's acceptance.
     ///
     /// # Errors
     /// See [`DraftError`].
@@ -136,14 +139,16 @@ impl Draft {
         let network = InnerNetwork::new(self.architecture.clone(), &self.inner[..])
             .map_err(DraftError::Network)?;
         let mut package = Package {
+            epoch: self.epoch,
             version: self.version,
-            replaces: self.replaces,
+            replaces: None,
             outer_weights_on_switch: self.on_switch,
             network,
             outer_weights: &self.outer_weights,
             node: self.node.node(),
             broadcast_interval_min: self.broadcast_interval_min,
             trained_box: StateBox { low: &self.low, high: &self.high },
+            trial: self.trial,
             provenance: Provenance {
                 scenario_hash: self.scenario_hash.to_be_bytes(),
                 recipe: &self.recipe,
@@ -156,11 +161,9 @@ impl Draft {
         };
         let test_vectors = test_vectors(&package).ok_or(DraftError::TestVector)?;
         package.test_vectors = &test_vectors;
-        let bytes = encode(&package).map_err(DraftError::Encode)?;
+        let bytes = encode(Format::NEWEST, &package).map_err(DraftError::Encode)?;
         let bytes = PackageBytes::new(&bytes).map_err(DraftError::Package)?;
-        let requirements =
-            Requirements { public_key: None, in_use: None, capacity: Capacity::UNLIMITED };
-        check(&bytes, &requirements).map_err(DraftError::Refused)?;
+        check(&bytes, &Requirements::ANY).map_err(DraftError::Refused)?;
         Ok(bytes)
     }
 }
@@ -175,7 +178,8 @@ fn tool_version() -> [u8; 3] {
     ]
 }
 
-fn encode(package: &Package<'_>) -> Result<Vec<u8>, EncodeError> {
+/// Returns the bytes of the unsigned package in this format.
+pub(super) fn encode(format: Format, package: &Package<'_>) -> Result<Vec<u8>, EncodeError> {
     // An upper bound; truncated below.
     let numbers = package.network.parameters().len()
         + package.outer_weights.len()
@@ -184,8 +188,8 @@ fn encode(package: &Package<'_>) -> Result<Vec<u8>, EncodeError> {
     let node = 3 * dimension * dimension
         + 2 * package.node.edge_weights.len()
         + package.node.outer_law.gain.entries().len();
-    let mut buffer = vec![0; 4 * (numbers + node) + package.provenance.recipe.len() + 512];
-    let length = package.encode(&mut buffer)?;
+    let mut buffer = vec![0; 4 * (numbers + node) + package.provenance.recipe.len() + 1024];
+    let length = package.encode(format, &mut buffer)?;
     buffer.truncate(length);
     Ok(buffer)
 }

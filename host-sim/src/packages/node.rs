@@ -14,7 +14,7 @@ pub struct OwnedAgentConfig {
     pub(crate) agent: AgentId,
     pub(crate) output_matrix: Vec<f32>,
     pub(crate) gain: OwnedSymmetric,
-    pub(crate) neighbours: Vec<u8>,
+    pub(crate) neighbours: Vec<AgentId>,
     pub(crate) edge_weights: Vec<f32>,
     pub(crate) outer_gain: OwnedSymmetric,
     pub(crate) projection: ProjectionParams,
@@ -98,7 +98,7 @@ impl OwnedAgentConfig {
             agent: node.agent,
             output_matrix: node.output_matrix.to_vec(),
             gain: owned(node.gain),
-            neighbours: node.neighbours.iter().flat_map(AgentId::to_le_bytes).collect(),
+            neighbours: node.neighbours.iter().collect(),
             edge_weights: node.edge_weights.to_vec(),
             outer_gain: owned(node.outer_law.gain),
             projection: node.outer_law.projection,
@@ -126,16 +126,13 @@ impl OwnedAgentConfig {
     }
 
     /// Returns the borrowed form used in packages.
-    ///
-    /// # Panics
-    /// Never: every neighbour takes two bytes.
     #[must_use]
     pub fn node(&self) -> AgentConfig<'_> {
         AgentConfig {
             agent: self.agent,
             output_matrix: &self.output_matrix,
             gain: self.gain.borrow(),
-            neighbours: NeighbourIds::new(&self.neighbours).expect("two bytes per neighbour"),
+            neighbours: NeighbourIds::new(&self.neighbours),
             edge_weights: &self.edge_weights,
             outer_law: OuterLawParams {
                 gain: self.outer_gain.borrow(),

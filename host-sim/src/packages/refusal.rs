@@ -8,11 +8,18 @@ use agent_core::service::{RefusalKind, RefusalReport};
 pub fn hint(kind: RefusalKind) -> &'static str {
     use RefusalKind as Kind;
     match kind {
-        Kind::Older => {
-            "give it a newer version with `host-sim weights renumber`, or sign it with --replaces to \
-             allow going back"
+        Kind::Older | Kind::Repeated => {
+            "give it a newer version with `host-sim weights renumber`, or go back to this network with \
+             --epoch, one more than the node's, of `weights renumber` or `weights sign`"
         }
-        Kind::Unsigned | Kind::Signature => {
+        Kind::Epoch => {
+            "give it the node's epoch and a newer version, or the next epoch, with `host-sim weights \
+             renumber --epoch`"
+        }
+        Kind::Step => {
+            "change time.step in the scenario, or the range of steps in the node's settings"
+        }
+        Kind::Unsigned | Kind::Signature | Kind::Digest => {
             "sign it with the private key that matches the node's public key (`host-sim weights sign`)"
         }
         Kind::Agent | Kind::Dimension => "use a package for this agent, from the node's scenario",
@@ -20,7 +27,9 @@ pub fn hint(kind: RefusalKind) -> &'static str {
         Kind::Parameter | Kind::NeighbourOrder | Kind::EmptyBox => {
             "correct the scenario and train again"
         }
-        Kind::FormatVersion | Kind::Other => "build firmware and host-sim from the same source",
+        Kind::FormatVersion | Kind::UnknownSection | Kind::Inputs | Kind::Other => {
+            "build firmware and host-sim from the same source"
+        }
         Kind::TestVector => {
             "this processor computes different bits: build firmware and host-sim from the same \
              source, without fast-math options"

@@ -14,6 +14,8 @@ pub struct PackageSummary {
     pub bytes: usize,
     /// The agent that it is for, from 1.
     pub agent: AgentId,
+    /// Its epoch.
+    pub epoch: u32,
     /// Its version.
     pub version: u32,
 }
@@ -24,12 +26,16 @@ impl PackageSummary {
     pub fn new(package: &PackageBytes) -> Self {
         let bytes = package.as_bytes().len();
         let package = package.package();
-        Self { bytes, agent: package.node.agent, version: package.version }
+        Self { bytes, agent: package.node.agent, epoch: package.epoch, version: package.version }
     }
 }
 
 impl fmt::Display for PackageSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "agent {}, version {}, {} bytes", self.agent, self.version, self.bytes)
+        write!(f, "agent {}, ", self.agent)?;
+        if self.epoch > 0 {
+            write!(f, "epoch {}, ", self.epoch)?;
+        }
+        write!(f, "version {}, {} bytes", self.version, self.bytes)
     }
 }

@@ -47,7 +47,7 @@ fn measurement(tick: u32) -> f32 {
 }
 
 /// Returns the broadcast of neighbour `id` at `tick`, if any: both have their own pace.
-fn frame(id: u16, tick: u32) -> Option<FrameBytes> {
+fn frame(id: u32, tick: u32) -> Option<FrameBytes> {
     let period = 7 + 6 * u32::from(id);
     let sequence = tick / period;
     if !tick.is_multiple_of(period) {

@@ -1,7 +1,9 @@
 //! Weight packages: the embedded one, damaged and changed ones, and checksums.
 
 use agent_core::observer::network::Scratch;
-use agent_core::package::{Capacity, HEADER_LENGTH, Package, Refusal, Requirements, accept};
+use agent_core::package::{
+    Capacity, HEADER_LENGTH, Package, Refusal, Requirements, StepRange, accept,
+};
 use agent_core::wire::crc::crc32;
 
 use crate::Unusable;
@@ -29,7 +31,9 @@ const FLIP_STRIDE: usize = 499;
 
 const REQUIREMENTS: Requirements<'static> = Requirements {
     public_key: None,
-    in_use: None,
+    agent: None,
+    highest: None,
+    step_range: StepRange::ANY,
     capacity: Capacity { features: FEATURES, neighbours: NEIGHBOURS, gain_entries: 1 },
 };
 

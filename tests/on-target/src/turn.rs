@@ -208,7 +208,7 @@ impl<M: Meter> Board for Bench<'_, M> {
 }
 
 /// Returns the frame of neighbour `id` before a turn.
-fn frame(id: u16, turn: u32) -> FrameBytes {
+fn frame(id: u32, turn: u32) -> FrameBytes {
     let phase = turn + 100 * u32::from(id);
     let estimate = [
         scaled(triangle(phase, 300), 8),

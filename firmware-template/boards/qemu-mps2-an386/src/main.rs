@@ -22,6 +22,7 @@ use core::convert::Infallible;
 use core::num::NonZeroU32;
 
 use agent_core::health::HealthSettings;
+use agent_core::package::StepRange;
 use agent_core::service::Subscription;
 use agent_core::store::MappedFlash;
 use cortex_m::peripheral::{NVIC, SCB};
@@ -69,6 +70,7 @@ fn main() -> ! {
     let settings = Settings {
         layout: region.layout,
         public_key,
+        step_range: StepRange::DEFAULT,
         health: HealthSettings::RECOMMENDED,
         good_steps: NonZeroU32::new(1_000).unwrap_or(NonZeroU32::MIN),
         sample_stride: NonZeroU32::new(20).unwrap_or(NonZeroU32::MIN),

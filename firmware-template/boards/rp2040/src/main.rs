@@ -35,6 +35,7 @@ mod uart;
 use core::num::NonZeroU32;
 
 use agent_core::health::HealthSettings;
+use agent_core::package::StepRange;
 use agent_core::service::Subscription;
 use cortex_m::peripheral::{NVIC, SCB};
 use firmware_template::registers::{Channel as Register, Format, RegisterValue, SetUp};
@@ -208,6 +209,7 @@ fn node() -> Option<&'static mut ThisNode> {
         layout: region.layout,
         // With an invalid key no signature can be verified, so the node must not start.
         public_key: on_chip::public_key().ok()?,
+        step_range: StepRange::DEFAULT,
         health: HealthSettings::RECOMMENDED,
         good_steps: const { NonZeroU32::new(100).unwrap() },
         sample_stride: NonZeroU32::MIN,

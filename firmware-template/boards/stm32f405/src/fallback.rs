@@ -13,7 +13,7 @@ pub(crate) fn fallback() -> Option<AgentConfig<'static>> {
         agent: 1,
         output_matrix: &[1.0, 0.0, 0.0],
         gain: SymmetricMatrix::Diagonal(&[134.86, 263.23, 263.23]),
-        neighbours: NeighbourIds::new(&[2, 0, 3, 0])?,
+        neighbours: NeighbourIds::new(&[2, 3]),
         edge_weights: &[1.0, 1.0],
         // Without a network, no outer weights are adapted.
         outer_law: OuterLawParams {

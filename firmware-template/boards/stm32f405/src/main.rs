@@ -46,6 +46,7 @@ compile_error!(
 use core::num::NonZeroU32;
 
 use agent_core::health::HealthSettings;
+use agent_core::package::StepRange;
 use agent_core::service::{BoardFault, Subscription};
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_rt::entry;
@@ -196,6 +197,7 @@ fn node(flash: pac::FLASH, fault: Option<BoardFault>) -> Option<&'static mut Thi
         layout: region.layout,
         // With an invalid key no signature can be verified, so the node must not start.
         public_key: on_chip::public_key().ok()?,
+        step_range: StepRange::DEFAULT,
         health: HealthSettings::RECOMMENDED,
         good_steps: const { NonZeroU32::new(1_000).unwrap() },
         sample_stride: const { NonZeroU32::new(20).unwrap() },

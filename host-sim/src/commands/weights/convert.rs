@@ -4,12 +4,13 @@ use std::path::{Path, PathBuf};
 
 use agent_core::math::activation::Activation;
 use agent_core::observer::network::Architecture;
-use agent_core::package::OnSwitch;
+use agent_core::package::{OnSwitch, Serial};
 use clap::Args;
 use serde::Serialize;
 
 use crate::analysis::TriggerConstants;
 use crate::commands::key::Passphrase;
+use crate::commands::package_format::PackageFormat;
 use crate::commands::{
     CommandError, Format, agent_index, load_scenario, network_of, print_json, print_text, versions,
 };
@@ -67,6 +68,8 @@ pub(in crate::commands) struct Import {
     sign: Option<PathBuf>,
     #[command(flatten)]
     passphrase: Passphrase,
+    #[command(flatten)]
+    package_format: PackageFormat,
     /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -145,7 +148,8 @@ pub(super) fn import(arguments: &Import) -> Result<(), CommandError> {
         draft.seal().map_err(|error| unsuitable(&arguments.arrays, &error.to_string()))?;
     let output = OutputFile::prepare(&arguments.out, PackageBytes::KIND)?;
     let chosen = arguments.package_version;
-    let package = versions::save(package, chosen, key.as_ref(), &arguments.out, output)?;
+    let format = arguments.package_format;
+    let package = versions::save(package, chosen, format, key.as_ref(), &arguments.out, output)?;
     let report = Report {
         package: arguments.out.display().to_string(),
         summary: PackageSummary::new(&package),
@@ -239,10 +243,14 @@ fn draft(arguments: &Import) -> Result<Draft, CommandError> {
     };
     draft.version = match (arguments.package_version, &arguments.base) {
         (Some(version), _) => version,
-        (None, Some(base)) => versions::after(draft.version, base)?,
+        (None, Some(base)) => {
+            let (epoch, version) = (draft.epoch, draft.version);
+            versions::after(Serial { epoch, version }, base)?
+        }
         (None, None) => draft.version + 1,
     };
-    draft.replaces = None;
+    // They were for another network.
+    draft.trial = None;
     draft.on_switch = if arguments.keep_outer_weights { OnSwitch::Keep } else { OnSwitch::Replace };
     draft.recipe = "import".to_owned();
     draft.samples = 0;
@@ -262,8 +270,8 @@ fn of_scenario(path: &Path, agent: usize) -> Result<Draft, CommandError> {
     let n = scenario.dimension();
     let trigger = TriggerConstants::new(&scenario);
     Ok(Draft {
+        epoch: 0,
         version: INITIAL_VERSION,
-        replaces: None,
         on_switch: OnSwitch::Replace,
         architecture: network.architecture.clone(),
         inner: Vec::new(),
@@ -272,6 +280,7 @@ fn of_scenario(path: &Path, agent: usize) -> Result<Draft, CommandError> {
         broadcast_interval_min: 0.0,
         low: vec![f32::MIN; n],
         high: vec![f32::MAX; n],
+        trial: None,
         scenario_hash: scenario.hash,
         recipe: String::new(),
         seed: 0,

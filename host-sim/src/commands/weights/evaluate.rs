@@ -7,9 +7,9 @@
 use std::fmt::Write;
 use std::path::PathBuf;
 
-use agent_core::StateVector;
 use agent_core::observer::network::Scratch;
 use agent_core::package::{OnSwitch, Package};
+use agent_core::{AgentId, StateVector};
 use clap::Args;
 use serde::Serialize;
 
@@ -45,7 +45,7 @@ fn window(text: &str) -> Result<f64, String> {
 struct Report {
     package: String,
     recording: String,
-    agent: u16,
+    agent: AgentId,
     version: u32,
     /// `package` or `recording`.
     outer_weights: &'static str,

@@ -3,8 +3,9 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use agent_core::AgentId;
 use agent_core::math::symmetric::SymmetricMatrix;
-use agent_core::package::{FORMAT_VERSION, OnSwitch, SIGNATURE_BLOCK_LENGTH};
+use agent_core::package::{OnSwitch, SIGNATURE_BLOCK_LENGTH, TrialLimits};
 use serde::Serialize;
 
 use crate::packages::{PackageBytes, PackageSummary};
@@ -18,6 +19,8 @@ pub(super) struct Facts {
     pub(super) summary: PackageSummary,
     pub(super) signed: bool,
     pub(super) replaces: Option<u32>,
+    /// Limits of the trial, if the package has any.
+    pub(super) trial: Option<TrialLimits>,
     pub(super) dimension: usize,
     pub(super) layers: Vec<Layer>,
     pub(super) inner_parameters: usize,
@@ -67,7 +70,7 @@ pub(super) struct Matrix {
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Neighbour {
-    agent: u16,
+    agent: AgentId,
     weight: f32,
 }
 
@@ -85,14 +88,16 @@ impl Facts {
         let parameters = package.network.parameters();
         let squares = package.outer_weights.iter().map(|&w| f64::from(w) * f64::from(w));
         let signed = bytes.is_signed();
+        // In format 2 the block is always there, and counts as overhead if it is empty.
         let signature = if signed { SIGNATURE_BLOCK_LENGTH } else { 0 };
         let numbers = parameters.len() + package.outer_weights.len() + package.test_vectors.len();
         let [major, minor, patch] = provenance.tool_version;
         Self {
-            format_version: FORMAT_VERSION,
+            format_version: bytes.format().number(),
             summary: PackageSummary::new(bytes),
             signed,
             replaces: package.replaces,
+            trial: package.trial,
             dimension: package.dimension(),
             layers: architecture
                 .layers()
@@ -151,6 +156,7 @@ impl Facts {
             format!(" (may replace versions up to {newest}, if signed)")
         });
         line("version", format!("{}{replaces}", self.summary.version));
+        line("epoch", self.summary.epoch.to_string());
         line("agent", self.summary.agent.to_string());
         let layers: Vec<_> =
             self.layers.iter().map(|l| format!("{} {}", l.nodes, l.activation)).collect();
@@ -227,6 +233,25 @@ impl Facts {
         line("scenario hash", self.scenario_hash.clone());
         line("made by", format!("version {}", self.tool_version));
         line("test vectors", self.test_vectors.to_string());
+        line("limits of the trial", self.trial.as_ref().map_or("none".to_owned(), limits));
         text
+    }
+}
+
+/// Returns the limits that are there, in words.
+fn limits(limits: &TrialLimits) -> String {
+    let number = |limit: Option<f32>, words: &str| limit.map(|limit| format!("{words} {limit}"));
+    let count = |limit: Option<u32>, words: &str| limit.map(|limit| format!("{words} {limit}"));
+    let found = [
+        count(limits.seconds, "seconds at least"),
+        number(limits.innovation_rms, "RMS of the innovation"),
+        number(limits.broadcasts_per_second, "broadcasts per second"),
+        count(limits.restarts, "restarts"),
+        count(limits.overflows, "overflows"),
+        count(limits.skipped_ticks, "skipped ticks"),
+    ];
+    match found.into_iter().flatten().collect::<Vec<_>>() {
+        limits if limits.is_empty() => "none".to_owned(),
+        limits => limits.join(", "),
     }
 }

@@ -10,14 +10,15 @@ mod verify;
 
 use std::path::{Path, PathBuf};
 
+use agent_core::package::Serial;
 use clap::{Args, Subcommand};
 use serde::Serialize;
 
 use super::key::Passphrase;
-use super::{CommandError, Format, print_json, print_text};
+use super::{CommandError, Format, package_format, print_json, print_text};
 use crate::files::output::{FileKind, OutputFile};
+use crate::packages::PackageBytes;
 use crate::packages::check::check;
-use crate::packages::{Draft, PackageBytes};
 use crate::signing::{OperatorKey, fingerprint};
 
 pub(super) use image::{FlashArguments, flash};
@@ -70,9 +71,13 @@ pub(super) struct Sign {
     /// Replace an existing signature by another key
     #[arg(long)]
     replace_signature: bool,
-    /// Let the package replace any version up to this one, even if it is older: for going back to
-    /// an earlier network
-    #[arg(long, value_name = "VERSION")]
+    /// Give the package this epoch: for going back to an earlier network, because nodes accept any
+    /// version of a higher epoch. A package of format 1 becomes one of format 2
+    #[arg(long)]
+    epoch: Option<u32>,
+    /// Let a package of format 1 replace any version up to this one once, even if it is older; in
+    /// format 2, use --epoch
+    #[arg(long, value_name = "VERSION", conflicts_with = "epoch")]
     replaces: Option<u32>,
     /// File to write [default: overwrite the package]
     #[arg(long)]
@@ -122,6 +127,8 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
     struct Report {
         package: String,
         bytes: usize,
+        epoch: u32,
+        version: u32,
         key_fingerprint: String,
         /// Whether a signature by another key was replaced.
         replaced_signature: bool,
@@ -137,18 +144,25 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
         ))
         .about(&arguments.package));
     }
-    if arguments.replaces.is_some() {
-        bytes = Draft { replaces: arguments.replaces, ..Draft::copy(&bytes.package()) }.seal()?;
+    let out = arguments.out.as_ref().unwrap_or(&arguments.package);
+    if let Some(newest) = arguments.replaces {
+        let replacing = bytes.replacing(newest);
+        bytes = replacing.map_err(|error| package_format::unfit(error, &arguments.package))?;
+    }
+    if let Some(epoch) = arguments.epoch {
+        let serial = Serial { epoch, ..bytes.package().serial() };
+        bytes = renumber::in_epoch(&bytes, serial, None, out)?;
     }
     // Do not sign a package that nodes would refuse.
     check(&bytes, &verify::requirements(None, None))
         .map_err(|refusal| CommandError::refused(&arguments.package, &refusal))?;
     let signed = bytes.signed(&key);
-    let out = arguments.out.as_ref().unwrap_or(&arguments.package);
     signed.save(out)?;
     let report = Report {
         package: out.display().to_string(),
         bytes: signed.as_bytes().len(),
+        epoch: signed.package().epoch,
+        version: signed.package().version,
         key_fingerprint: fingerprint(key.public_key()),
         replaced_signature,
     };

@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
+use agent_core::AgentId;
 use agent_core::package::signature::PublicKey;
-use agent_core::package::{Capacity, InUse, Requirements};
+use agent_core::package::{Capacity, Requirements, StepRange};
 use clap::Args;
 use serde::Serialize;
 
@@ -21,7 +22,7 @@ pub(in crate::commands) struct Arguments {
     /// Public key of the node, which the package's signature must match
     #[arg(long)]
     key: Option<PathBuf>,
-    /// Package in use on the node: the new one must be for the same agent and not older
+    /// Package in use on the node: the new one must be for the same agent and newer
     #[arg(long)]
     in_use: Option<PathBuf>,
     /// Memory map of the board: the package must fit into a slot
@@ -46,9 +47,25 @@ struct Sizes {
     /// Maximum number of outer gain entries supported by the firmware
     #[arg(long)]
     gain_entries: Option<usize>,
+    /// Shortest step that the board can keep [s]
+    #[arg(long, default_value_t = StepRange::DEFAULT.min, value_parser = step)]
+    step_min: f32,
+    /// Longest step that the board can keep [s]
+    #[arg(long, default_value_t = StepRange::DEFAULT.max, value_parser = step)]
+    step_max: f32,
+}
+
+/// Parses a step. \[s\]
+fn step(text: &str) -> Result<f32, String> {
+    let number = text.parse().ok().filter(|step: &f32| *step > 0.0 && step.is_finite());
+    number.ok_or_else(|| "expected a number above 0".to_owned())
 }
 
 impl Sizes {
+    fn step_range(&self) -> StepRange {
+        StepRange { min: self.step_min, max: self.step_max }
+    }
+
     fn capacity(&self) -> Capacity {
         let or_any = |size: Option<usize>| size.unwrap_or(usize::MAX);
         Capacity {
@@ -64,7 +81,8 @@ struct Report {
     package: String,
     accepted: bool,
     refusal: Option<String>,
-    agent: Option<u16>,
+    agent: Option<AgentId>,
+    epoch: Option<u32>,
     version: Option<u32>,
     signed: Option<bool>,
     /// Whether the signature was checked against a key (`--key`).
@@ -82,6 +100,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 accepted: false,
                 refusal: Some(error.to_string()),
                 agent: None,
+                epoch: None,
                 version: None,
                 signed: None,
                 signature_checked: arguments.key.is_some(),
@@ -103,14 +122,14 @@ pub(super) fn requirements<'k>(
     key: Option<&'k PublicKey>,
     in_use: Option<&PackageBytes>,
 ) -> Requirements<'k> {
-    Requirements {
+    let before = in_use.map(PackageBytes::package);
+    let requirements = Requirements {
         public_key: key,
-        in_use: in_use.map(|in_use| {
-            let package = in_use.package();
-            InUse { agent: package.node.agent, version: package.version }
-        }),
-        capacity: Capacity::UNLIMITED,
-    }
+        agent: before.as_ref().map(|package| package.node.agent),
+        ..Requirements::ANY
+    };
+    let highest = before.map(|package| requirements.serial_after_activation(&package));
+    Requirements { highest, ..requirements }
 }
 
 /// Checks the package. The inner error is the node's refusal; the outer error means that a file
@@ -129,6 +148,7 @@ fn examine(arguments: &Arguments) -> Result<Result<Report, CommandError>, Comman
     };
     let requirements = Requirements {
         capacity: arguments.capacity.capacity(),
+        step_range: arguments.capacity.step_range(),
         ..requirements(key.as_ref(), in_use.as_ref())
     };
     let package = match check(&bytes, &requirements) {
@@ -148,6 +168,7 @@ fn examine(arguments: &Arguments) -> Result<Result<Report, CommandError>, Comman
         accepted: true,
         refusal: None,
         agent: Some(package.node.agent),
+        epoch: Some(package.epoch),
         version: Some(package.version),
         signed: Some(bytes.is_signed()),
         signature_checked: key.is_some(),
@@ -173,9 +194,9 @@ fn text(arguments: &Arguments, report: &Report) -> String {
         passed(&format!("signature by key {fingerprint}"));
     }
     passed("architecture, sizes and numbers");
-    passed("parameters in range, K1 symmetric");
+    passed("parameters in range, K1 symmetric with a positive diagonal");
     if arguments.in_use.is_some() {
-        passed("same agent, not older than the package in use");
+        passed("same agent, newer than the package in use");
     }
     if arguments.memory.is_some() {
         passed("fits into a slot");

@@ -11,6 +11,8 @@ pub(super) struct Columns {
     pub(super) estimate: Vec<usize>,
     pub(super) derivative: Vec<usize>,
     pub(super) weights: Vec<usize>,
+    /// RMS of the innovation, and broadcasts per second, if both are there.
+    pub(super) observed: Option<[usize; 2]>,
 }
 
 impl Columns {
@@ -74,7 +76,11 @@ impl Columns {
                 return Err((problem, hint));
             }
         };
-        Ok(Self { time, time_scale, estimate, derivative, weights })
+        let observed = match (find("innovation_rms"), find("broadcasts_per_second")) {
+            (Ok(rms), Ok(rate)) => Some([rms, rate]),
+            _ => None,
+        };
+        Ok(Self { time, time_scale, estimate, derivative, weights, observed })
     }
 }
 

@@ -7,6 +7,7 @@
 //! | `xhat1` .. | the estimate, one column per component |
 //! | `dxhat1` .. | its derivative |
 //! | `w1_1` .. (optional) | `W_hat`, row (feature) and column (component); the last nonempty line counts |
+//! | `innovation_rms`, `broadcasts_per_second` (optional) | what the agent did meanwhile, see [`Observed`]; the last nonempty line counts |
 //!
 //! Lines starting with `#` are comments; at the head of the file they state its origin
 //! ([`super::recording_source`]). Units follow the names, as in `time (ms)`, `time_ms` or `xhat1
@@ -42,6 +43,17 @@ pub struct Recording {
     pub timing: Timing,
     /// `W_hat` to train the network for, row-major, shape `[L, n]`; `None` if not recorded.
     pub outer_weights: Option<Vec<f32>>,
+    /// What the agent did meanwhile; `None` if not recorded.
+    pub observed: Option<Observed>,
+}
+
+/// What an agent did while the last half of its samples was collected: when the observer has settled.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observed {
+    /// RMS of the innovation `e_3`, over steps and outputs. \[output unit\]
+    pub innovation_rms: f64,
+    /// Mean rate of broadcasts. \[1/s\]
+    pub broadcasts_per_second: f64,
 }
 
 /// Why a sample file cannot be loaded.
@@ -85,7 +97,7 @@ impl Recording {
     pub fn save(&self, path: &Path) -> Result<(), OutputError> {
         let weights = self.outer_weights.as_deref().unwrap_or(&[]);
         let time = |index| self.start + index as f64 * self.interval;
-        write_samples(path, &self.samples, time, weights)
+        write_samples(path, &self.samples, time, weights, self.observed.as_ref())
     }
 
     /// Reads samples of an agent with `dimension` state components and, if there is a network,
@@ -137,7 +149,7 @@ impl Recording {
         let columns = Columns::find(&headers, dimension, features)
             .map_err(|(problem, hint)| wrong(Some(header_line), problem, &hint))?;
         let (mut times, mut inputs, mut targets) = (Vec::new(), Vec::new(), Vec::new());
-        let mut outer_weights = None;
+        let (mut outer_weights, mut observed) = (None, None);
         let (mut record, mut repeated) = (csv::ByteRecord::new(), 0);
         loop {
             let at = reader.position().clone();
@@ -188,6 +200,19 @@ impl Recording {
             } else {
                 times.push(time);
             }
+            if let Some([rms, rate]) = columns.observed {
+                let number = |column: usize| -> Option<f64> {
+                    let text = std::str::from_utf8(record.get(column)?).ok()?;
+                    text.parse().ok().filter(|number| (0.0..f64::MAX).contains(number))
+                };
+                let both = number(rms).zip(number(rate));
+                observed = both
+                    .map(|(innovation_rms, broadcasts_per_second)| Observed {
+                        innovation_rms,
+                        broadcasts_per_second,
+                    })
+                    .or(observed);
+            }
             let filled = |&&column: &&usize| !record.get(column).unwrap_or_default().is_empty();
             if columns.weights.iter().find(filled).is_some() {
                 let row = columns.weights.iter().map(|&column| Ok(number(column)? as f32));
@@ -202,7 +227,7 @@ impl Recording {
         timing.repeated = repeated;
         let samples = Dataset::new(dimension, inputs, targets)
             .map_err(|e: DataError| wrong(None, e.to_string(), "record more samples"))?;
-        Ok(Self { samples, gaps, start: times[0], interval, timing, outer_weights })
+        Ok(Self { samples, gaps, start: times[0], interval, timing, outer_weights, observed })
     }
 
     /// Returns the time of each sample, in intervals since the first.
@@ -250,8 +275,8 @@ fn number_hint(text: &str, is_time: bool) -> &'static str {
     "use a finite number, or delete the line"
 }
 
-/// Writes `samples` as a CSV file, with the `time` of each and the outer weights, row-major, if
-/// any.
+/// Writes `samples` as a CSV file, with the `time` of each and, if any, the outer weights, row-major,
+/// and what was observed.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -260,12 +285,18 @@ pub fn write_samples(
     samples: &Dataset,
     time: impl Fn(usize) -> f64,
     outer_weights: &[f32],
+    observed: Option<&Observed>,
 ) -> Result<(), OutputError> {
     let n = samples.dimension();
     let mut header = vec!["time [s]".to_owned()];
     header.extend((1..=n).map(|c| format!("xhat{c} [state unit]")));
     header.extend((1..=n).map(|c| format!("dxhat{c} [state unit/s]")));
     header.extend((0..outer_weights.len()).map(|i| format!("w{}_{}", i / n + 1, i % n + 1)));
+    let observed = observed.map(|observed| {
+        header.push("innovation_rms [output unit]".to_owned());
+        header.push("broadcasts_per_second [1/s]".to_owned());
+        [observed.innovation_rms, observed.broadcasts_per_second]
+    });
     let last = samples.len() - 1;
     write_table(path, &header, 0..=last, |row, index| {
         row.double(time(index))?;
@@ -278,6 +309,9 @@ pub fn write_samples(
         }
         for &weight in outer_weights {
             if index == last { row.single(weight)? } else { row.text("")? }
+        }
+        for &number in observed.iter().flatten() {
+            if index == last { row.double(number)? } else { row.text("")? }
         }
         Ok(())
     })
@@ -314,12 +348,14 @@ mod tests {
             interval: 0.001,
             timing: Timing::default(),
             outer_weights: Some(vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6]),
+            observed: Some(Observed { innovation_rms: 1.0 / 3.0, broadcasts_per_second: 0.0 }),
         };
         let file = File::new("recording.csv", "");
         recording.save(&file.0).unwrap();
         let read = Recording::load(&file.0, 2, 3).unwrap();
         assert_eq!(read.samples, recording.samples);
         assert_eq!(read.outer_weights, recording.outer_weights);
+        assert_eq!(read.observed, recording.observed);
         assert_eq!((read.interval as f32, read.gaps.len()), (0.001, 0));
     }
 

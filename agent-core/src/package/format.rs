@@ -1,0 +1,51 @@
+//! The versions of the format of packages.
+
+use super::PackageError;
+use super::envelope::MAGIC;
+
+/// A version of the format. Both are read everywhere; [`Format::NEWEST`] is written unless a node
+/// with older firmware needs the first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Format {
+    /// A short header and a body of metadata and numbers.
+    One,
+    /// A header that can be checked by itself, and typed sections.
+    Two,
+}
+
+impl Format {
+    /// The format to write by default.
+    pub const NEWEST: Self = Self::Two;
+
+    /// Returns its number, as in a package.
+    #[must_use]
+    pub const fn number(self) -> u8 {
+        match self {
+            Self::One => 1,
+            Self::Two => 2,
+        }
+    }
+
+    /// Returns the format of the package that starts with `bytes`, of which it needs four.
+    ///
+    /// # Errors
+    /// [`PackageError::Length`], [`PackageError::Magic`] or [`PackageError::FormatVersion`].
+    pub fn of(bytes: &[u8]) -> Result<Self, PackageError> {
+        let too_short = PackageError::Length { expected: MAGIC.len() + 1, found: bytes.len() };
+        let &[m0, m1, m2, number] = bytes.first_chunk().ok_or(too_short)?;
+        if [m0, m1, m2] != MAGIC {
+            return Err(PackageError::Magic);
+        }
+        match number {
+            1 => Ok(Self::One),
+            2 => Ok(Self::Two),
+            found => Err(PackageError::FormatVersion { found }),
+        }
+    }
+
+    /// Returns the first four bytes of a package in this format.
+    pub(super) const fn magic(self) -> [u8; 4] {
+        let [m0, m1, m2] = MAGIC;
+        [m0, m1, m2, self.number()]
+    }
+}
