@@ -78,6 +78,7 @@ fn run(mut flash: Flash, quirks: &Quirks, socket: UnixStream, reads: Arc<AtomicU
             layout: layout(),
             public_key: quirks.public_key,
             health: HealthSettings::RECOMMENDED,
+            update_limit: agent_core::store::RateLimit::NONE,
             good_steps: NonZeroU32::new(quirks.good_steps.unwrap_or(1000)).unwrap(),
             sample_stride: NonZeroU32::new(20).unwrap(),
             subscription: Subscription::default(),

@@ -95,6 +95,7 @@ fn live(mut flash: Flash, socket: &UnixStream) -> Flash {
             layout: region().layout(),
             public_key: None,
             health: HealthSettings::RECOMMENDED,
+            update_limit: agent_core::store::RateLimit::NONE,
             good_steps: NonZeroU32::new(1_000).unwrap(),
             sample_stride: NonZeroU32::new(20).unwrap(),
             subscription: Subscription::default(),

@@ -7,15 +7,15 @@
 
 use std::ops::AddAssign;
 
-use agent_core::store::{CheckedError, MappedFlash, Store, StoreError};
-use agent_core::wire::crc::crc32;
+use agent_core::store::{CheckedError, HEADER_LENGTH, MappedFlash, RECORD_LENGTH, Store, StoreError};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use test_support::nor_flash::{Fault, SimulatedFlash, Tear};
 use test_support::store_model::{
-    Change, Ledger, Model, check, erased_flash, is_flash_error, layout, package, plain,
+    Change, Ledger, Model, REVERTED, any_header, check, edition, erased_flash, half_units,
+    is_flash_error, layout, package, plain,
 };
 
 const HISTORIES: u64 = 50_000;
@@ -62,6 +62,8 @@ struct Sent {
     number: u16,
     bytes: Vec<u8>,
     received: usize,
+    /// Whether the header was accepted.
+    is_begun: bool,
 }
 
 /// A store between two reboots, with its model.
@@ -115,7 +117,7 @@ impl<F: MappedFlash> Session<'_, F> {
                 self.expect(Change::Confirm, refusal, outcome);
             }
             4 => {
-                let outcome = self.store.revert().map(|_| ());
+                let outcome = self.store.revert(REVERTED).map(|_| ());
                 let refusal = now.way_back.is_none().then_some(StoreError::NotOnTrial);
                 self.tally.reverted += u64::from(outcome.is_ok());
                 self.expect(Change::Revert, refusal, outcome);
@@ -140,17 +142,19 @@ impl<F: MappedFlash> Session<'_, F> {
             None
         };
         let outcome = self.store.begin(announced as u32);
-        self.expect(Change::Begin, refusal, outcome);
+        assert_eq!(outcome.err(), refusal);
+        self.tally.refused += u64::from(refusal.is_some());
         if outcome.is_ok() {
             *self.number += 1;
             let (number, bytes) = (*self.number, package(*self.number, length));
-            self.sent = Some(Sent { number, bytes, received: 0 });
+            self.sent = Some(Sent { number, bytes, received: 0, is_begun: false });
         }
     }
 
     fn write(&mut self) {
         let Some(sent) = &mut self.sent else {
-            assert_eq!(self.store.write(0, &[1]), Err(StoreError::NoUpload));
+            let none = Err(CheckedError::Store(StoreError::NoUpload));
+            assert_eq!(self.store.write(0, &[1], any_header), none);
             self.tally.refused += 1;
             return;
         };
@@ -173,13 +177,41 @@ impl<F: MappedFlash> Session<'_, F> {
             }
             _ => {}
         }
-        let outcome = self.store.write(from as u32, &chunk);
-        match (outcome, refusal) {
-            (Ok(now), None) => {
-                sent.received = received.max(from + size);
-                assert_eq!(now as usize, sent.received);
+        let header = length.min(HEADER_LENGTH);
+        let begins = !sent.is_begun && refusal.is_none() && received.max(from + size) >= header;
+        if begins && self.draw.random_bool(0.3) {
+            // Nothing has changed if the header is refused.
+            let spent = self.store.flash().mapped().to_vec();
+            let is_early = self.draw.random_bool(0.5);
+            let too_often = StoreError::TooOften { retry_after_seconds: 1 };
+            let outcome = self.store.write(from as u32, &chunk, |_| {
+                Err(if is_early { too_often.into() } else { CheckedError::Refused("no") })
+            });
+            assert!(self.store.flash().mapped() == spent);
+            self.tally.refused += 1;
+            if is_early {
+                assert_eq!(outcome, Err(CheckedError::Store(too_often)));
+                sent.received = received.max(header);
+            } else {
+                assert_eq!(outcome, Err(CheckedError::Refused("no")));
+                self.sent = None;
             }
-            (Err(error), None) if is_flash_error(error) => self.sent = None,
+            return;
+        }
+        let outcome = plain(self.store.write(from as u32, &chunk, any_header).map(|now| {
+            sent.received = received.max(from + size);
+            assert_eq!(now as usize, sent.received);
+        }));
+        if begins {
+            sent.is_begun = true;
+            self.ledger.book(Change::Begin, outcome);
+        }
+        match (outcome, refusal) {
+            (Ok(()), None) => {}
+            (Err(error), None) if is_flash_error(error) => {
+                // It may have been recorded before that.
+                self.sent = None;
+            }
             (outcome, refusal) => {
                 assert_eq!(outcome.err(), refusal);
                 self.tally.refused += 1;
@@ -218,11 +250,11 @@ impl<F: MappedFlash> Session<'_, F> {
     fn activate(&mut self) {
         let refusal = self.ledger.now.staged.is_none().then_some(StoreError::NothingStaged);
         if refusal.is_none() && self.draw.random_bool(0.1) {
-            let outcome = self.store.activate(|_| Err::<(), _>("not today"));
+            let outcome = self.store.activate(|_| Err("not today"), edition);
             assert_eq!(outcome, Err(CheckedError::Refused("not today")));
             self.tally.refused += 1;
         } else {
-            let outcome = plain(self.store.activate(check));
+            let outcome = plain(self.store.activate(check, edition));
             self.expect(Change::Activate, refusal, outcome);
         }
     }
@@ -277,7 +309,7 @@ fn boot_in_doubt<const WRITE: usize, const ERASE: usize>(
             tally.overruled += 1;
             store.write(0, &bytes).unwrap();
             store.stage(check).unwrap();
-            store.activate(check).unwrap();
+            store.activate(check, edition).unwrap();
             store.confirm().unwrap();
             ledger.installed(*number, loaded);
             assert_eq!(Model::of(&store), ledger.now);

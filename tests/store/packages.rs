@@ -6,7 +6,7 @@ use agent_core::agent::AgentState;
 use agent_core::agent::inbox::Inbox;
 use agent_core::observer::network::{InnerNetwork, Scratch};
 use agent_core::package::{Capacity, InUse, NetworkPlace, Package, Refusal, Requirements, accept};
-use agent_core::store::{CheckedError, Layout, Slot, Store};
+use agent_core::store::{CheckedError, Edition, Layout, Slot, Store};
 use host_sim::analysis::TriggerConstants;
 use host_sim::learning::trained;
 use host_sim::packages::{Draft, PackageBytes};
@@ -72,7 +72,8 @@ fn boot(flash: &mut Flash) -> (Store<&mut Flash>, Option<Running>) {
 fn upload(store: &mut Store<&mut Flash>, bytes: &[u8]) {
     store.begin(bytes.len() as u32).unwrap();
     for (index, chunk) in bytes.chunks(CHUNK).enumerate() {
-        store.write((index * CHUNK) as u32, chunk).unwrap();
+        let accepts = |_: &[u8]| Ok::<_, CheckedError<Refusal>>(());
+        store.write((index * CHUNK) as u32, chunk, accepts).unwrap();
     }
 }
 
@@ -84,7 +85,9 @@ fn begin_trial(
 ) -> Result<Running, CheckedError<Refusal>> {
     upload(store, bytes);
     store.stage(check(in_use))?;
-    store.activate(check(in_use))
+    let edition =
+        |running: &Running| Edition { epoch: 0, version: running.in_use.version };
+    store.activate(check(in_use), edition)
 }
 
 /// Returns flash with a confirmed package of version 1.

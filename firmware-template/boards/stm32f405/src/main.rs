@@ -40,6 +40,7 @@ use core::num::NonZeroU32;
 
 use agent_core::health::HealthSettings;
 use agent_core::service::{BoardFault, Subscription};
+use agent_core::store::RateLimit;
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_rt::entry;
 use firmware_template::{Memory, Node, QueuedPort, Settings, memory_map, on_chip, queued_port};
@@ -169,6 +170,12 @@ fn node(flash: pac::FLASH, fault: Option<BoardFault>) -> Option<&'static mut Thi
         // With an invalid key no signature can be verified, so the node must not start.
         public_key: on_chip::public_key().ok()?,
         health: HealthSettings::RECOMMENDED,
+        update_limit: if cfg!(feature = "in-the-loop") {
+            // A simulation's time is not that of the flash.
+            RateLimit::NONE
+        } else {
+            RateLimit::DEFAULT
+        },
         good_steps: const { NonZeroU32::new(1_000).unwrap() },
         sample_stride: const { NonZeroU32::new(20).unwrap() },
         subscription: Subscription { state_every, outer_weights: false },
