@@ -2,14 +2,14 @@
 //! refuses.
 
 use agent_core::store::{
-    CheckedError, Damage, LayoutError, Loaded, MappedFlash, Part, RECORD_LENGTH, Refusal, Revert, Slot, Store,
-    StoreError, factory_record,
+    CheckedError, Damage, LayoutError, Loaded, MappedFlash, Part, RECORD_LENGTH, Refusal, Revert,
+    Slot, Store, StoreError, factory_record,
 };
 
 use test_support::nor_flash::{Fault, SimulatedFlash, Tear};
 use test_support::store_model::{
-    REVERTED, any_header, check, edition, erased_flash, format_1_record, half_units, layout, length,
-    package,
+    REVERTED, any_header, check, edition, erased_flash, format_1_record, half_units, layout,
+    length, package,
 };
 
 const WORD: usize = 4;
@@ -132,7 +132,9 @@ fn every_flipped_bit_of_the_journal_and_of_both_slots_is_told_and_loses_nothing(
         assert_eq!(boot(&mut flash).1.in_use.unwrap().1, 4);
     }
     let bits = 8 * (2 * 70 + 2 * HALF);
-    println!("{bits} bits flipped: {changed} changes of what is in use, {other} by the other package, {told} told");
+    println!(
+        "{bits} bits flipped: {changed} changes of what is in use, {other} by the other package, {told} told"
+    );
     assert_eq!((changed, other, told), (0, 70 * 8, bits));
 }
 
@@ -167,16 +169,17 @@ fn only_what_is_behind_the_newest_record_costs_numbers() {
     let mut flash = two_packages();
     let number = |flash: &Flash| {
         let places = (COMMIT..COMMIT + 2 * HALF).step_by(PAIR);
-        let numbers = places.map(|place| {
-            u32::from_le_bytes(flash.mapped()[place..place + 4].try_into().unwrap())
-        });
+        let numbers = places
+            .map(|place| u32::from_le_bytes(flash.mapped()[place..place + 4].try_into().unwrap()));
         numbers.filter(|&number| number != u32::MAX).max().unwrap()
     };
     let before = number(&flash);
     // Damage in front of the newest record, at every boot.
     for _ in 0..50 {
         for place in (COMMIT..COMMIT + 2 * HALF).step_by(PAIR) {
-            if flash.mapped()[place] != 0xff && flash.mapped()[place..place + 4] != number(&flash).to_le_bytes() {
+            if flash.mapped()[place] != 0xff
+                && flash.mapped()[place..place + 4] != number(&flash).to_le_bytes()
+            {
                 flash.overwrite(place + 8, &[0, 0]);
             }
         }
@@ -528,17 +531,26 @@ fn an_upload_accepts_repetitions_and_reports_gaps() {
     let bytes = package(1, 70);
     store.begin(70).unwrap();
     assert_eq!(store.write(0, &bytes[..10], any_header), Ok(10));
-    assert_eq!(store.write(11, &bytes[11..20], any_header), Err(CheckedError::Store(StoreError::Gap { received: 10 })));
+    assert_eq!(
+        store.write(11, &bytes[11..20], any_header),
+        Err(CheckedError::Store(StoreError::Gap { received: 10 }))
+    );
     assert_eq!(store.write(3, &bytes[3..9], any_header), Ok(10));
     // Across flash, the buffered word, and new bytes.
     assert_eq!(store.write(3, &bytes[3..13], any_header), Ok(13));
     for wrong in [4, 9, 12] {
         let mut repeated = bytes[..20].to_vec();
         repeated[wrong] ^= 1;
-        assert_eq!(store.write(0, &repeated, any_header), Err(CheckedError::Store(StoreError::Conflict { offset: 0 })));
+        assert_eq!(
+            store.write(0, &repeated, any_header),
+            Err(CheckedError::Store(StoreError::Conflict { offset: 0 }))
+        );
         assert_eq!(store.received(), Some(13));
     }
-    assert_eq!(store.write(13, &[0; 58], any_header), Err(CheckedError::Store(StoreError::PastEnd { length: 70 })));
+    assert_eq!(
+        store.write(13, &[0; 58], any_header),
+        Err(CheckedError::Store(StoreError::PastEnd { length: 70 }))
+    );
     let incomplete = StoreError::Incomplete { received: 13, length: 70 };
     assert_eq!(store.stage(check), Err(CheckedError::Store(incomplete)));
     assert_eq!(store.write(13, &bytes[13..], any_header), Ok(70));
@@ -585,8 +597,10 @@ fn calls_are_refused_before_loading() {
 #[test]
 fn an_invalid_layout_is_refused() {
     let mut flash = new_flash();
-    let short = agent_core::store::Layout { commit_length: (4 * HALF) as u32, ..layout(UNIT, UNITS) };
-    let expected = LayoutError::OutOfRegion { part: Part::Commit, capacity: (COMMIT + 2 * HALF) as u32 };
+    let short =
+        agent_core::store::Layout { commit_length: (4 * HALF) as u32, ..layout(UNIT, UNITS) };
+    let expected =
+        LayoutError::OutOfRegion { part: Part::Commit, capacity: (COMMIT + 2 * HALF) as u32 };
     assert_eq!(Store::open(&mut flash, short).err(), Some(expected));
 }
 

@@ -77,6 +77,10 @@ fn upload(store: &mut Store<&mut Flash>, bytes: &[u8]) {
     }
 }
 
+fn edition(running: &Running) -> Edition {
+    Edition { epoch: 0, version: running.in_use.version }
+}
+
 /// Puts a package on trial.
 fn begin_trial(
     store: &mut Store<&mut Flash>,
@@ -85,8 +89,6 @@ fn begin_trial(
 ) -> Result<Running, CheckedError<Refusal>> {
     upload(store, bytes);
     store.stage(check(in_use))?;
-    let edition =
-        |running: &Running| Edition { epoch: 0, version: running.in_use.version };
     store.activate(check(in_use), edition)
 }
 
@@ -153,7 +155,7 @@ fn a_new_network_runs_from_flash_and_stays_once_confirmed() {
     upload(&mut store, new.as_bytes());
     assert_eq!(estimates_from_flash(&store, &running), from_old);
     store.stage(check(Some(running.in_use))).unwrap();
-    let tried = store.activate(check(Some(running.in_use))).unwrap();
+    let tried = store.activate(check(Some(running.in_use)), edition).unwrap();
     assert_eq!(estimates_from_flash(&store, &tried), from_new);
     store.confirm().unwrap();
     let (store, running) = boot(&mut flash);

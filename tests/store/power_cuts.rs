@@ -371,7 +371,8 @@ fn convert_everywhere<const WRITE: usize, const ERASE: usize>(
     cases
         .par_iter()
         .map(|&(_, (records, phase, is_torn))| {
-            let prepared = Node::<WRITE, ERASE>::of_format_1(tear, has_correction, records, phase, is_torn);
+            let prepared =
+                Node::<WRITE, ERASE>::of_format_1(tear, has_correction, records, phase, is_torn);
             cut(&prepared, &[Deed::Install], tear, extent.steps)
         })
         .reduce(|| [0; 2], |a, b| [a[0] + b[0], a[1] + b[1]])
@@ -380,16 +381,15 @@ fn convert_everywhere<const WRITE: usize, const ERASE: usize>(
 fn cut_every_way<const WRITE: usize, const ERASE: usize>() {
     let kinds = Tear::ALL.into_iter().flat_map(|tear| [(tear, false), (tear, true)]);
     for (kind, (tear, has_correction)) in kinds.enumerate() {
-            let extent = Extent::of(WRITE, kind);
-            let [once, twice] = cut_everywhere::<WRITE, ERASE>(tear, has_correction, extent);
-            let [converted, again] =
-                convert_everywhere::<WRITE, ERASE>(tear, has_correction, extent);
-            println!(
-                "words of {WRITE}, erase units of {ERASE} bytes, {tear:?}, error correction \
+        let extent = Extent::of(WRITE, kind);
+        let [once, twice] = cut_everywhere::<WRITE, ERASE>(tear, has_correction, extent);
+        let [converted, again] = convert_everywhere::<WRITE, ERASE>(tear, has_correction, extent);
+        println!(
+            "words of {WRITE}, erase units of {ERASE} bytes, {tear:?}, error correction \
                  {has_correction}: {once} runs cut once, {twice} twice, of format 1 {converted} and \
                  {again}: 0 bricks, 0 flaps, 0 that take no update"
-            );
-            assert!(once > 100 && twice > once / 2 && converted > 100 && again > converted / 2);
+        );
+        assert!(once > 100 && twice > once / 2 && converted > 100 && again > converted / 2);
     }
 }
 

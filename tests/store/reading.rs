@@ -72,12 +72,8 @@ fn one_failed_read_is_repeated() {
         flash.arm_reads(others, 1);
         let (store, loaded) = open(&mut flash);
         assert_eq!(loaded.in_use, Some((Slot::B, 2)));
-        let expected = Opening {
-            recorded: true,
-            damage: Damage::default(),
-            trial_ended: None,
-            settled: None,
-        };
+        let expected =
+            Opening { recorded: true, damage: Damage::default(), trial_ended: None, settled: None };
         assert_eq!(store.opening(), &expected);
     }
 }
@@ -85,7 +81,7 @@ fn one_failed_read_is_repeated() {
 #[test]
 fn one_unreadable_copy_is_replaced() {
     for packages in 1..9 {
-        let mut flash = installed(packages);
+        let flash = installed(packages);
         let place = COMMIT + newest_pair(&flash) * PAIR;
         for copy in [place, place + RECORD_LENGTH] {
             let mut flash = flash.clone();

@@ -89,6 +89,8 @@ pub(super) struct Journal {
     /// Notes of which there is only one copy, or none in the active half.
     to_repeat: u32,
     damage: Damage,
+    /// Whether the record that declares the other half void has lost a copy.
+    is_half_void: bool,
     /// Whether another boot may find another state.
     is_unsettled: bool,
     /// An unreadable place that keeps a boot from writing.
@@ -112,8 +114,14 @@ struct Found {
 enum Pair {
     Free,
     /// The offset is that of an unreadable place.
-    Unknown { unreadable: Option<u32>, is_in_doubt: bool },
-    Record { found: Found, unreadable: Option<u32> },
+    Unknown {
+        unreadable: Option<u32>,
+        is_in_doubt: bool,
+    },
+    Record {
+        found: Found,
+        unreadable: Option<u32>,
+    },
 }
 
 /// What one half holds.
@@ -155,15 +163,11 @@ impl Journal {
         };
         let newer = if is_second_newer { Half::Second } else { Half::First };
         let kinds = first.kinds | second.kinds;
-        // If the copies into the newer half are incomplete, the other one holds all.
         let (older, newest) = if is_second_newer { (&first, &second) } else { (&second, &first) };
-        let is_alone = older.kinds == 0 || newest.voids_other.is_some();
-        let is_whole = is_alone || holds_all(flash, layout, newer, kinds);
-        let active = if is_whole || !holds_all(flash, layout, newer.other(), kinds) {
-            newer
-        } else {
-            newer.other()
-        };
+        let is_alone = older.kinds == 0 || newest.voids_other == Some(true);
+        // Copies into the newer half count from the moment on at which they are complete.
+        let is_copying = !is_alone && holds_all(flash, layout, newer.other(), kinds);
+        let active = if is_copying { newer.other() } else { newer };
         let has_records = kinds != 0;
         let number = newest.newest;
         let voids_other = newest.voids_other;
@@ -175,31 +179,38 @@ impl Journal {
             Half::First => (first, second),
             Half::Second => (second, first),
         };
-        // A half whose records are older has nothing newer behind them.
-        let is_there_unknown = there.newest.is_none() && there.unknown > 0;
+        // A half whose records are older has nothing newer behind them, and one without records has
+        // nothing newer unless this one was full.
+        let there_in_doubt = match there.newest {
+            Some(_) if !is_copying => None,
+            None if here.end < layout.pairs() => None,
+            _ => there.in_doubt,
+        };
+        let is_there_unknown = there.in_doubt.is_none()
+            && ((there.newest.is_none() && there.unknown > 0)
+                || (is_copying && (there.unknown > 0 || voids_other.is_some())));
         let mut unknown = here.unknown;
-        if is_there_unknown {
+        if is_copying || there.newest.is_none() {
             unknown = unknown.saturating_add(there.unknown);
         }
         if here.is_format_1 || there.is_format_1 {
             // Four records of format 1 share the place of a pair.
             unknown = unknown.saturating_add(1);
         }
-        let number =
-            number.unwrap_or(0).wrapping_add(unknown.wrapping_mul(SKIPPED_NUMBERS));
+        let number = number.unwrap_or(0).wrapping_add(unknown.wrapping_mul(SKIPPED_NUMBERS));
         let state_bit = bit(STATE);
         let is_repeated = newest.is_none()
-            || (here.single & state_bit == 0 && here.state.map(|(_, state)| state) == newest.map(|(_, state)| state));
-        let is_half_void = voids_other == Some(false);
-        let is_unsettled =
-            !is_repeated || here.unknown > 0 || is_there_unknown || is_half_void;
+            || (here.single & state_bit == 0
+                && here.state.map(|(_, state)| state) == newest.map(|(_, state)| state));
+        let is_half_void = voids_other == Some(false) && !is_alone && !is_copying;
+        let is_unsettled = !is_repeated || here.unknown > 0 || is_there_unknown || is_half_void;
         let lonely = here.in_doubt.or(there.in_doubt);
         let blocked_by = if has_records { None } else { lonely };
+        let is_half_copied = is_copying && there_in_doubt.is_some();
         let held_by = match () {
             () if !has_records => lonely,
-            () if here.in_doubt.is_some() || is_unsettled => here.in_doubt,
-            () if there.newest.is_none() => there.in_doubt,
-            () => None,
+            () if is_unsettled && !is_half_copied => here.in_doubt,
+            () => here.in_doubt.or(there_in_doubt),
         };
         let mut journal = Self {
             number,
@@ -211,12 +222,13 @@ impl Journal {
             kinds: here.kinds,
             to_repeat: here.single & !state_bit,
             damage,
+            is_half_void,
             is_unsettled,
             held_by,
             blocked_by,
             in_doubt: is_unsettled || lonely.is_some(),
         };
-        if !is_whole {
+        if !is_alone && !is_copying {
             for kind in kinds_in(there.kinds & !state_bit) {
                 if !holds_all(flash, layout, active, bit(kind)) {
                     journal.to_repeat |= bit(kind);
@@ -284,6 +296,7 @@ impl Journal {
             }
         }
         self.to_repeat = 0;
+        self.is_alone |= self.is_half_void;
         Some(Ok(()))
     }
 
@@ -296,11 +309,8 @@ impl Journal {
         kind: u8,
     ) -> Option<Record> {
         let here = last_of(flash, layout, self.active, kind);
-        let there = if self.is_alone {
-            None
-        } else {
-            last_of(flash, layout, self.active.other(), kind)
-        };
+        let there =
+            if self.is_alone { None } else { last_of(flash, layout, self.active.other(), kind) };
         let last = match (here, there) {
             (Some(here), Some(there)) if is_newer(there.number, here.number) => there,
             (here, there) => here.or(there)?,
@@ -371,7 +381,9 @@ impl Journal {
         }
         let (mut pair, mut kinds) = (0, 0);
         for kind in kinds_in(self.kinds & !bit(record.kind)) {
-            let Some(Found { record, .. }) = last_of(flash, layout, self.active, kind) else { continue };
+            let Some(Found { record, .. }) = last_of(flash, layout, self.active, kind) else {
+                continue;
+            };
             if record.length > 0 {
                 self.write(flash, layout, (target, pair), &Record { void: 0, ..record })?;
                 pair = u32::wrapping_add(pair, 1);
@@ -410,12 +422,7 @@ impl Journal {
 }
 
 impl Scan {
-    fn of<F: MappedFlash>(
-        flash: &mut F,
-        layout: &Layout,
-        half: Half,
-        damage: &mut Damage,
-    ) -> Self {
+    fn of<F: MappedFlash>(flash: &mut F, layout: &Layout, half: Half, damage: &mut Damage) -> Self {
         let mut scan = Self::default();
         let mut unreadable_behind = None;
         let mut is_void_counted = false;
@@ -440,7 +447,10 @@ impl Scan {
                         continue;
                     }
                 }
-                Pair::Record { found: Found { number, record, is_whole, is_format_1 }, unreadable } => {
+                Pair::Record {
+                    found: Found { number, record, is_whole, is_format_1 },
+                    unreadable,
+                } => {
                     if scan.newest.is_none() {
                         scan.newest = Some(number);
                         scan.is_format_1 = is_format_1;
@@ -495,7 +505,9 @@ impl<'a> Pairs<'a> {
         let is_void = self.void > 0;
         self.void = self.void.saturating_sub(1);
         let pair = match pair {
-            Pair::Record { .. } if is_void => Pair::Unknown { unreadable: None, is_in_doubt: false },
+            Pair::Record { .. } if is_void => {
+                Pair::Unknown { unreadable: None, is_in_doubt: false }
+            }
             Pair::Record { ref found, .. } => {
                 self.void = match found.record.void {
                     OTHER_HALF => 0,
@@ -533,7 +545,9 @@ fn read_pair<F: MappedFlash>(
     for place in [&first, &second] {
         match place {
             Place::Torn => damage.torn_places = damage.torn_places.wrapping_add(1),
-            Place::Unreadable => damage.unreadable_places = damage.unreadable_places.wrapping_add(1),
+            Place::Unreadable => {
+                damage.unreadable_places = damage.unreadable_places.wrapping_add(1)
+            }
             _ => {}
         }
     }
@@ -568,7 +582,12 @@ fn read_place<F: MappedFlash>(flash: &mut F, layout: &Layout, half: Half, offset
     let mut bytes = [0xff; RECORD_LENGTH];
     let mut is_readable = true;
     let mut record = None;
-    for (unit, offset) in bytes.as_chunks_mut::<UNIT_LENGTH>().0.iter_mut().zip([offset, offset.wrapping_add(UNIT_LENGTH as u32)]) {
+    for (unit, offset) in bytes
+        .as_chunks_mut::<UNIT_LENGTH>()
+        .0
+        .iter_mut()
+        .zip([offset, offset.wrapping_add(UNIT_LENGTH as u32)])
+    {
         if offset < end {
             if read(flash, offset, unit).is_err() {
                 is_readable = false;

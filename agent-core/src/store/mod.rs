@@ -342,8 +342,7 @@ impl<F: MappedFlash> Store<F> {
             (first, second) => first.or(second)?,
         };
         let phase = Phase::Confirmed;
-        let emptied =
-            Contents { in_use: Some(slot), phase, packages: [None; 2], ..self.contents };
+        let emptied = Contents { in_use: Some(slot), phase, packages: [None; 2], ..self.contents };
         self.contents = emptied.with_package(slot, Some(extent));
         Some((slot, package))
     }
@@ -577,13 +576,13 @@ impl<F: MappedFlash> Store<F> {
     /// that last for 10,000 erasures takes 600,000 of them.
     pub fn count_boot(&mut self, retained: Option<u32>) -> u32 {
         let note = self.note(BOOTS);
-        let recorded = note
-            .and_then(|note| note.as_bytes().try_into().ok())
-            .map_or(0, u32::from_le_bytes);
+        let recorded =
+            note.and_then(|note| note.as_bytes().try_into().ok()).map_or(0, u32::from_le_bytes);
         let since = retained.and_then(|retained| retained.checked_sub(recorded));
         let since = since.filter(|&since| since < BOOTS_BETWEEN_NOTES).map(|since| since + 1);
         let boots = recorded.saturating_add(since.unwrap_or(1));
-        if since.is_none_or(|since| since == BOOTS_BETWEEN_NOTES) && self.journal.held_by().is_none()
+        if since.is_none_or(|since| since == BOOTS_BETWEEN_NOTES)
+            && self.journal.held_by().is_none()
         {
             // If that fails, this boot is not counted; a later one may succeed.
             let _ = self.record_note(BOOTS, &boots.to_le_bytes());

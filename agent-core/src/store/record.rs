@@ -207,7 +207,10 @@ impl Words<'_> {
         Some(u32::from_le_bytes(*word))
     }
 
-    #[expect(clippy::option_option, reason = "whether there are words, and whether they name a package")]
+    #[expect(
+        clippy::option_option,
+        reason = "whether there are words, and whether they name a package"
+    )]
     fn extent(&mut self) -> Option<Option<Extent>> {
         let (length, checksum) = (self.next()?, self.next()?);
         Some((length > 0).then_some(Extent { length, checksum }))
@@ -496,8 +499,14 @@ mod tests {
         assert!(low > high);
         let tried = contents().on_trial(Slot::A, low);
         assert_eq!(tried.activated, Some(Edition { epoch: 2, version: 9 }));
-        assert_eq!(tried.rebooted().last_revert, Some(Revert { edition: low, reason: Revert::BY_RESET }));
-        assert_eq!(Contents::NOTHING.on_trial(Slot::A, high).on_trial(Slot::B, low).activated, Some(low));
+        assert_eq!(
+            tried.rebooted().last_revert,
+            Some(Revert { edition: low, reason: Revert::BY_RESET })
+        );
+        assert_eq!(
+            Contents::NOTHING.on_trial(Slot::A, high).on_trial(Slot::B, low).activated,
+            Some(low)
+        );
     }
 
     proptest! {

@@ -139,8 +139,7 @@ impl Model {
 
     fn reverted(self, reason: u8) -> Self {
         let Some(before) = self.way_back else { return self };
-        let last_revert =
-            self.in_use.map(|number| Revert { edition: edition(&number), reason });
+        let last_revert = self.in_use.map(|number| Revert { edition: edition(&number), reason });
         Self { in_use: before, activated: self.activated, last_revert, ..Self::default() }
     }
 
@@ -197,13 +196,9 @@ impl Ledger {
         }
     }
 
-    /// Records the installation of a package after `before`, whatever the state was.
-    pub fn installed(&mut self, number: u16, before: Option<u16>) {
-        let activated = self.now.activated.max(Some(edition(&number)));
-        let last_revert = self.now.last_revert;
-        let reserve = before;
-        self.now =
-            Model { in_use: Some(number), reserve, activated, last_revert, ..Model::default() };
+    /// Records that the contents are now known to be these, whatever they were.
+    pub fn overruled(&mut self, found: Model) {
+        self.now = found;
         self.attempted.clear();
     }
 
