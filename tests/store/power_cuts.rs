@@ -4,8 +4,8 @@
 //!
 //! By default every word is the position of a first cut, in one of [`SHARE`] starting states for each
 //! kind of flash, and about every [`STRIDE`]-th byte, with a different offset for each first cut,
-//! that of a second. `STORE_CUTS=many` takes all starting states and more second cuts,
-//! `STORE_CUTS=all` all pairs, also inside words.
+//! that of a second. `STORE_CUTS=many` takes all starting states and more journals of
+//! format 1, `STORE_CUTS=all` all pairs of cuts, also inside words.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -295,7 +295,7 @@ fn cut<const WRITE: usize, const ERASE: usize>(
 struct Extent {
     /// Distance of first cuts, and of second ones in first ones. \[byte\]
     steps: (usize, usize),
-    /// One of so many starting states, and which one.
+    /// One of so many starting states, and the number of the kind of flash, which says which one.
     share: (usize, usize),
 }
 
@@ -304,13 +304,24 @@ impl Extent {
         let word = word.max(4);
         match std::env::var("STORE_CUTS").as_deref() {
             Ok("all") => Self { steps: (1, 1), share: (1, 0) },
-            Ok("many") => Self { steps: (word, 400 / word + 1), share: (1, 0) },
-            _ => Self { steps: (word, STRIDE / word + 1), share: (SHARE, kind % SHARE) },
+            Ok("many") => Self { steps: (word, STRIDE / word + 1), share: (1, kind) },
+            _ => Self { steps: (word, STRIDE / word + 1), share: (SHARE, kind) },
+        }
+    }
+
+    /// Whether a journal of format 1 is converted.
+    fn converts(&self, index: usize, word: usize) -> bool {
+        let (share, kind) = self.share;
+        match self.steps {
+            (1, 1) => true,
+            _ if share == 1 => index % SHARE == kind % SHARE,
+            // Other ones for each kind of flash and each length of a word.
+            _ => index % 97 == SHARE * kind + word,
         }
     }
 
     fn takes(&self, index: usize) -> bool {
-        index % self.share.0 == self.share.1
+        index % self.share.0 == self.share.1 % self.share.0
     }
 }
 
@@ -366,7 +377,7 @@ fn convert_everywhere<const WRITE: usize, const ERASE: usize>(
         .flat_map(|records| [0, 1, 2].map(|phase| (records, phase)))
         .flat_map(|(records, phase)| [false, true].map(|is_torn| (records, phase, is_torn)))
         .enumerate()
-        .filter(|(index, _)| extent.takes(index % (11 * SHARE + 2)))
+        .filter(|(index, _)| extent.converts(*index, WRITE))
         .collect();
     cases
         .par_iter()
