@@ -241,6 +241,7 @@ fn run(steps: u32) -> (Vec<u8>, u32) {
         public_key: None,
         step_range: StepRange::DEFAULT,
         health: HealthSettings::RECOMMENDED,
+        update_limit: agent_core::store::RateLimit::DEFAULT,
         good_steps: NonZeroU32::MIN,
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every: NonZeroU32::new(500), outer_weights: false },

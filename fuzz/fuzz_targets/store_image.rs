@@ -9,13 +9,15 @@
 #![no_main]
 
 use agent_core::store::{
-    CheckedError, Layout, MappedFlash, RECORD_LENGTH, Slot, Store, StoreError,
+    CheckedError, Layout, MappedFlash, RECORD_LENGTH, Revert, Slot, Store, StoreError,
 };
 use agent_core::wire::crc::crc32;
 use libfuzzer_sys::arbitrary::{self, Arbitrary};
 use libfuzzer_sys::fuzz_target;
 use test_support::nor_flash::{Fault, SimulatedFlash, Tear};
-use test_support::store_model::{check, erased_flash, layout, length, package};
+use test_support::store_model::{
+    any_header, check, edition, erased_flash, format_1_record, layout, length, package,
+};
 
 /// Packages with this number or a higher one are intact but refused by every check.
 const UNWANTED: u16 = 200;
@@ -28,6 +30,7 @@ const NEVER: usize = usize::MAX;
 struct Input {
     units: Units,
     tear: Damage,
+    has_correction: bool,
     image: Vec<Piece>,
     /// The lowest sequence number of a record.
     sequence: u32,
@@ -48,13 +51,24 @@ enum Damage {
     Prefix,
     Garbage,
     Unseen,
+    Unreadable,
+    Marginal,
 }
 
 #[derive(Arbitrary, Debug)]
 enum Piece {
     Bytes { offset: u16, bytes: Vec<u8> },
     Package { slot: bool, number: u8, length: u8 },
-    Record { place: u8, sequence: u16, in_use: u8, phase: u8, packages: [Recorded; 2] },
+    Record { place: u8, shape: Shape, number: u16, in_use: u8, phase: u8, packages: [Recorded; 2] },
+}
+
+/// How a record is written.
+#[derive(Arbitrary, Debug)]
+enum Shape {
+    Format1,
+    Once { void: u8 },
+    Twice { void: u8 },
+    Note { void: u8, kind: u8 },
 }
 
 /// A record's entry for a slot.
@@ -88,6 +102,9 @@ enum Call {
     Activate,
     Confirm,
     Revert,
+    /// Records a note.
+    Note { kind: u8, byte: u8 },
+    CountBoot,
     /// All calls up to the staged package.
     Upload {
         number: u8,
@@ -130,8 +147,11 @@ fn run<const WRITE: usize, const ERASE: usize>(input: &Input, units: usize) {
         Damage::Prefix => Tear::Prefix,
         Damage::Garbage => Tear::Garbage,
         Damage::Unseen => Tear::Unseen,
+        Damage::Unreadable => Tear::Unreadable,
+        Damage::Marginal => Tear::Marginal,
     };
-    let mut flash = erased_flash::<WRITE, ERASE>(units, tear, u64::from(input.sequence));
+    let flash = erased_flash::<WRITE, ERASE>(units, tear, u64::from(input.sequence));
+    let mut flash = flash.with_correction(input.has_correction);
     let layout = layout(ERASE, units);
     for piece in &input.image {
         piece.put(&mut flash, &layout, input.sequence);
@@ -164,24 +184,42 @@ impl Piece {
                 let bytes = package((*number).into(), length_in(layout, *length));
                 put(flash, layout.slots[usize::from(*slot)] as usize, &bytes);
             }
-            Self::Record { place, sequence, in_use, phase, packages } => {
+            Self::Record { place, shape, number, in_use, phase, packages } => {
                 // As specified in agent-core/src/store/record.rs.
-                let mut record = [0; RECORD_LENGTH];
-                let sequence = lowest_sequence.wrapping_add((*sequence).into());
-                record[..4].copy_from_slice(&sequence.to_le_bytes());
-                record[4..7].copy_from_slice(&[1, in_use.wrapping_sub(1), *phase]);
-                for (recorded, slot) in packages.iter().zip([Slot::A, Slot::B]) {
-                    if slot == Slot::B && *in_use == 0 {
-                        // The store never writes such a record: if nothing is in use, it fills A.
-                        continue;
+                let number = lowest_sequence.wrapping_add((*number).into());
+                let mut extents = [[0; 8]; 2];
+                for ((recorded, slot), extent) in
+                    packages.iter().zip([Slot::A, Slot::B]).zip(&mut extents)
+                {
+                    // If nothing is in use, the store fills A.
+                    if slot == Slot::A || *in_use != 0 {
+                        *extent = recorded.extent(flash, layout, slot);
                     }
-                    let start = 8 + 8 * slot as usize;
-                    record[start..start + 8].copy_from_slice(&recorded.extent(flash, layout, slot));
                 }
+                let codes = [in_use.wrapping_sub(1), *phase];
+                let (void, kind, copies) = match shape {
+                    Shape::Format1 => {
+                        let mut record = format_1_record(number, codes[0], codes[1], [&[]; 2]);
+                        record[8..24].copy_from_slice(&extents.concat());
+                        let checksum = crc32(&[&record[..28]]);
+                        record[28..].copy_from_slice(&checksum.to_le_bytes());
+                        let offset = layout.commit as usize + 32 * usize::from(*place);
+                        return put(flash, offset, &record);
+                    }
+                    Shape::Once { void } => (*void, 0, 1),
+                    Shape::Twice { void } => (*void, 0, 2),
+                    Shape::Note { void, kind } => (*void, *kind, 2),
+                };
+                let mut record = [0; RECORD_LENGTH];
+                record[..4].copy_from_slice(&number.to_le_bytes());
+                record[4..10].copy_from_slice(&[2, kind, void, 52, codes[0], codes[1]]);
+                record[12..28].copy_from_slice(&extents.concat());
                 let checksum = crc32(&[&record[..RECORD_LENGTH - 4]]);
                 record[RECORD_LENGTH - 4..].copy_from_slice(&checksum.to_le_bytes());
-                let offset = layout.commit as usize + RECORD_LENGTH * usize::from(*place);
-                put(flash, offset, &record);
+                for copy in 0..copies {
+                    let place = 2 * usize::from(*place) + copy;
+                    put(flash, layout.commit as usize + RECORD_LENGTH * place, &record);
+                }
             }
         }
     }
@@ -279,7 +317,7 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
                 let bytes = package(number.into(), length_in(&self.layout, length));
                 let to = usize::from(to).min(bytes.len());
                 let from = usize::from(from).min(to);
-                let _ = self.store.write(from as u32, &bytes[from..to]);
+                let _ = self.store.write(from as u32, &bytes[from..to], any_header);
             }
             Call::Stage => {
                 let _ = self.store.stage(accept);
@@ -288,6 +326,14 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
             Call::Activate => self.activate(),
             Call::Confirm => self.confirm(),
             Call::Revert => self.revert(),
+            Call::Note { kind, byte } => {
+                if self.store.record_note(kind, &[byte]).is_ok() {
+                    assert_eq!(self.store.note(kind).unwrap().as_bytes(), [byte]);
+                }
+            }
+            Call::CountBoot => {
+                self.store.count_boot(None);
+            }
         }
         self.check_what_is_in_use();
         self
@@ -355,14 +401,14 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
         self.store.begin(bytes.len() as u32)?;
         let mut received = 0;
         for bytes in bytes.chunks(chunk) {
-            received = self.store.write(received, bytes)?;
+            received = self.store.write(received, bytes, any_header)?;
         }
         self.store.stage(accept)
     }
 
     fn activate(&mut self) {
         let before = self.in_use;
-        if let Ok(number) = self.store.activate(accept) {
+        if let Ok(number) = self.store.activate(accept, edition) {
             assert!(self.store.is_on_trial());
             self.way_back = before;
             self.in_use = Some(Some(number));
@@ -387,7 +433,7 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
     }
 
     fn revert(&mut self) {
-        match self.store.revert() {
+        match self.store.revert(Revert::BY_OPERATOR) {
             Ok(_) => {
                 // The failed package is no longer recorded.
                 let spare = self.store.in_use().map_or(Slot::A, Slot::other);
@@ -415,6 +461,8 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
     /// On working flash a valid package can always be installed, and stays.
     fn install_another(self) {
         let mut run = self.rebooted(None, None);
+        // What no record says and no boot can find out is for the operator to decide.
+        run.store.forget_unreadable();
         run.load();
         run.upload(LAST, 20, 7);
         run.activate();

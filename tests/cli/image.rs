@@ -165,7 +165,7 @@ fn rejects_a_record_of_invalid_length() {
         let refused = Image::new(&WEIGHTS, Slot::A, &package(8), &package(length));
         assert_eq!(
             refused,
-            Err(ImageError::RecordLength { found: length, erase_size: 4_096 }),
+            Err(ImageError::RecordLength { found: length, half_length: 4_096 }),
             "{length}"
         );
     }

@@ -80,6 +80,7 @@ fn run(mut flash: Flash, quirks: &Quirks, socket: UnixStream, reads: Arc<AtomicU
             public_key: quirks.public_key,
             step_range: StepRange::DEFAULT,
             health: HealthSettings::RECOMMENDED,
+            update_limit: agent_core::store::RateLimit::NONE,
             good_steps: NonZeroU32::new(quirks.good_steps.unwrap_or(1000)).unwrap(),
             sample_stride: NonZeroU32::new(20).unwrap(),
             subscription: Subscription::default(),

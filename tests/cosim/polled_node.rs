@@ -7,8 +7,9 @@ use agent_core::Tick;
 use agent_core::health::{BoardErrors, HealthSettings};
 use agent_core::package::StepRange;
 use agent_core::service::{
-    BoardFault, CHUNK_LENGTH_MAX, Event, Outcome, Request, Subscription, receive, send,
+    BoardFault, CHUNK_LENGTH_MAX, Event, Outcome, Problem, Request, Subscription, receive, send,
 };
+use agent_core::store::{MappedFlash, RateLimit, StoreError};
 use agent_core::wire::cobs::{Decoder, SerialError};
 use firmware_template::board::RequestBuffer;
 use firmware_template::{Board, LinkErrorKind, Memory, Node, Progress, SensorErrorKind, Settings};
@@ -185,6 +186,7 @@ fn settings() -> Settings {
         public_key: None,
         step_range: StepRange::DEFAULT,
         health: HealthSettings { telemetry_interval: INTERVAL, ..HealthSettings::RECOMMENDED },
+        update_limit: RateLimit::NONE,
         good_steps: NonZeroU32::new(1_000).unwrap(),
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every: NonZeroU32::new(1), outer_weights: false },
@@ -434,4 +436,76 @@ fn a_fault_of_the_board_is_told_after_the_greeting_and_before_a_status() {
     let fault = Message::Event(Event::BoardFault(BoardFault::Clock));
     assert!(matches!(said[..], [Message::Hello(_), _, _, Message::Status(_)]), "{said:?}");
     assert_eq!(said[1..3], [fault.clone(), fault]);
+}
+
+/// Polls until nothing is pending and returns what was said, without states.
+fn answers(node: &mut PolledNode<'_>, board: &mut Script) -> Vec<Message<'static>> {
+    while node.poll(board) != Progress::Idle {}
+    let (_, mut said) = board.news();
+    said.retain(|message| !matches!(message, Message::State(_) | Message::Health { .. }));
+    said
+}
+
+#[test]
+fn uploads_that_come_too_often_are_refused_before_anything_is_erased() {
+    let limit = RateLimit { per_hour: 20, burst: 2 };
+    let mut memory = Memory::new();
+    let settings = Settings { update_limit: limit, ..settings() };
+    let mut node = PolledNode::new(new_flash(), settings, &mut memory).unwrap();
+    let mut board = Script::new(Vec::new());
+    // Without a package time stands still, and nothing is limited.
+    let uploads = |version| push(version).into_iter().rev().skip(1).rev();
+    for version in 1..6 {
+        board.requests.extend(uploads(version));
+        let said = answers(&mut node, &mut board);
+        assert_eq!(said.last(), Some(&Message::Staged { version }));
+    }
+    board.ask(&Request::Activate);
+    board.ask(&Request::Confirm);
+    let said = answers(&mut node, &mut board);
+    assert_eq!(said, [Message::InUse { version: Some(5) }, Message::Done]);
+
+    for version in 6..8 {
+        board.requests.extend(uploads(version));
+        let said = answers(&mut node, &mut board);
+        assert_eq!(said.last(), Some(&Message::Staged { version }));
+    }
+    let before = node.flash().mapped().to_vec();
+    board.requests.extend(uploads(8));
+    let too_often = |seconds| {
+        let error = StoreError::TooOften { retry_after_seconds: seconds };
+        Message::Refused(Problem::Store(error))
+    };
+    let said = answers(&mut node, &mut board);
+    assert!(said.contains(&too_often(180)), "{said:?}");
+    assert!(!said.iter().any(|message| matches!(message, Message::Staged { .. })), "{said:?}");
+    assert!(node.flash().mapped() == before, "something was written");
+    // What was staged before still is, and can be used.
+    board.ask(&Request::Query);
+    let said = answers(&mut node, &mut board);
+    assert!(matches!(&said[..], [Message::Status(status)] if status.staged), "{said:?}");
+
+    // A step takes this long: two minutes later there is a minute left, and then none.
+    let step = f64::from(package(8).package().node.step_size);
+    for (seconds, left) in [(120.0, Some(60)), (60.5, None)] {
+        board.periods += (seconds / step) as u32;
+        let _ = answers(&mut node, &mut board);
+        board.requests.extend(uploads(8));
+        let said = answers(&mut node, &mut board);
+        match left {
+            Some(left) => assert!(said.contains(&too_often(left)), "{said:?}"),
+            None => assert_eq!(said.last(), Some(&Message::Staged { version: 8 })),
+        }
+    }
+}
+
+#[test]
+fn boots_are_counted_in_flash() {
+    let mut flash = new_flash();
+    for expected in 1..80 {
+        let mut memory = Memory::new();
+        let node = PolledNode::new(flash, settings(), &mut memory).unwrap();
+        assert_eq!(node.boots(), expected);
+        flash = node.into_flash();
+    }
 }

@@ -227,6 +227,7 @@ fn on_the_host(requests: &[Request<'_>]) -> Vec<Vec<u8>> {
         public_key: None,
         step_range: StepRange::DEFAULT,
         health: HealthSettings::RECOMMENDED,
+        update_limit: agent_core::store::RateLimit::NONE,
         good_steps: NonZeroU32::new(1_000).unwrap(),
         sample_stride: NonZeroU32::new(20).unwrap(),
         subscription: Subscription { state_every: None, outer_weights: false },

@@ -1,7 +1,7 @@
 //! A minimal model of a node's store, as far as its answers show it.
 
 use agent_core::service::{Problem, Upload};
-use agent_core::store::{Slot, StoreError};
+use agent_core::store::{HEADER_LENGTH, Slot, StoreError};
 use agent_core::wire::crc::crc32;
 use host_sim::service::Message;
 
@@ -88,7 +88,6 @@ impl Store {
         } else if length == 0 || length > maximum {
             Err(StoreError::Length { found: length, maximum })
         } else {
-            self.staged = None;
             self.upload = Some(Unfinished { length, bytes: Vec::new() });
             Ok(Message::Upload(Upload { received: 0 }))
         })
@@ -113,6 +112,10 @@ impl Store {
             return Err(StoreError::Conflict { offset });
         }
         upload.bytes.extend_from_slice(&bytes[repeated..]);
+        if upload.bytes.len() >= HEADER_LENGTH.min(upload.length as usize) {
+            // The header is accepted, and the slot is erased.
+            self.staged = None;
+        }
         Ok(Message::Upload(Upload { received: upload.received() }))
     }
 
@@ -140,6 +143,7 @@ impl Store {
             self.highest = self.highest.max(staged.version);
             self.way_back = Some(std::mem::replace(&mut self.in_use, staged));
             self.slot = self.slot.other();
+            self.upload = None;
             Message::InUse { version }
         }))
     }

@@ -97,6 +97,7 @@ fn live(mut flash: Flash, socket: &UnixStream) -> Flash {
             public_key: None,
             step_range: StepRange::DEFAULT,
             health: HealthSettings::RECOMMENDED,
+            update_limit: agent_core::store::RateLimit::NONE,
             good_steps: NonZeroU32::new(1_000).unwrap(),
             sample_stride: NonZeroU32::new(20).unwrap(),
             subscription: Subscription::default(),

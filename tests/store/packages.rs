@@ -71,8 +71,13 @@ fn boot(flash: &mut Flash) -> (Store<&mut Flash>, Option<Running>) {
 fn upload(store: &mut Store<&mut Flash>, bytes: &[u8]) {
     store.begin(bytes.len() as u32).unwrap();
     for (index, chunk) in bytes.chunks(CHUNK).enumerate() {
-        store.write((index * CHUNK) as u32, chunk).unwrap();
+        let accepts = |_: &[u8]| Ok::<_, CheckedError<Refusal>>(());
+        store.write((index * CHUNK) as u32, chunk, accepts).unwrap();
     }
+}
+
+fn serials(running: &Running) -> (Serial, Serial) {
+    (running.serial, running.serial)
 }
 
 /// Puts a package on trial.
@@ -83,7 +88,7 @@ fn begin_trial(
 ) -> Result<Running, CheckedError<Refusal>> {
     upload(store, bytes);
     store.stage(check(highest))?;
-    store.activate(check(highest))
+    store.activate(check(highest), serials)
 }
 
 /// Returns flash with a confirmed package of version 1.
@@ -149,7 +154,7 @@ fn a_new_network_runs_from_flash_and_stays_once_confirmed() {
     upload(&mut store, new.as_bytes());
     assert_eq!(estimates_from_flash(&store, &running), from_old);
     store.stage(check(Some(running.serial))).unwrap();
-    let tried = store.activate(check(Some(running.serial))).unwrap();
+    let tried = store.activate(check(Some(running.serial)), serials).unwrap();
     assert_eq!(estimates_from_flash(&store, &tried), from_new);
     store.confirm().unwrap();
     let (store, running) = boot(&mut flash);

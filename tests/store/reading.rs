@@ -1,13 +1,22 @@
-//! A weight store whose flash driver temporarily or permanently cannot read a journal entry.
+//! A weight store whose flash driver temporarily or permanently cannot read places of the journal.
 
-use agent_core::store::{Loaded, MappedFlash, Opening, RECORD_LENGTH, Slot, Store, StoreError};
+use agent_core::store::{
+    Damage, Loaded, MappedFlash, Opening, RECORD_LENGTH, Slot, Store, StoreError,
+};
 
 use test_support::nor_flash::{SimulatedFlash, Tear};
-use test_support::store_model::{check, erased_flash, layout, length, package};
+use test_support::store_model::{
+    any_header, check, edition, erased_flash, half_units, layout, length, package, plain,
+};
 
 const UNIT: usize = 64;
-/// Start of the commit area: after two slots of two units. Two entries per half.
+/// Start of the commit area: after two slots of two units.
 const COMMIT: usize = 4 * UNIT;
+const HALF: usize = half_units(UNIT) * UNIT;
+const PAIR: usize = 2 * RECORD_LENGTH;
+const PAIRS: usize = HALF / PAIR;
+/// Reads of a pair that succeed at once.
+const READS: usize = PAIR / 32;
 
 type Flash = SimulatedFlash<4, UNIT>;
 
@@ -19,14 +28,14 @@ fn open(flash: &mut Flash) -> (Store<&mut Flash>, Loaded<u16, &'static str>) {
 
 fn install<F: MappedFlash>(store: &mut Store<F>, number: u16) -> Result<(), StoreError> {
     store.begin(70)?;
-    store.write(0, &package(number, 70)).unwrap();
+    plain(store.write(0, &package(number, 70), any_header))?;
     store.stage(check).unwrap();
-    store.activate(check).unwrap();
+    store.activate(check, edition).unwrap();
     store.confirm().unwrap();
     Ok(())
 }
 
-/// Returns flash in which this many packages were installed, with four records each.
+/// Returns flash in which this many packages were installed.
 fn installed(packages: u16) -> Flash {
     let mut flash: Flash = erased_flash(2, Tear::Prefix, 0);
     for number in 1..=packages {
@@ -35,16 +44,21 @@ fn installed(packages: u16) -> Flash {
     flash
 }
 
-/// Returns the positions of the newest record and the one before.
-fn last_places(flash: &Flash) -> [usize; 2] {
-    let sequence = |place: &usize| {
-        let record = &flash.mapped()[COMMIT + place * RECORD_LENGTH..];
-        // An erased entry comes first.
+/// Returns the index of the newest record's pair, from 0 in the first half.
+fn newest_pair(flash: &Flash) -> usize {
+    let number = |pair: &usize| {
+        let record = &flash.mapped()[COMMIT + pair * PAIR..];
+        // An erased one comes first.
         u32::from_le_bytes(record[..4].try_into().unwrap()).wrapping_add(1)
     };
-    let mut places = [0, 1, 2, 3];
-    places.sort_by_key(sequence);
-    [COMMIT + places[3] * RECORD_LENGTH, COMMIT + places[2] * RECORD_LENGTH]
+    (0..2 * PAIRS).max_by_key(number).unwrap()
+}
+
+/// Makes the next boot unable to read a pair.
+fn hide(flash: &Flash, pair: usize) {
+    // Each half is read from its end, and each failed read is repeated.
+    let others = pair / PAIRS * PAIRS + (PAIRS - 1 - pair % PAIRS);
+    flash.arm_reads(others * READS, 2 * READS);
 }
 
 fn unreadable(offset: usize) -> StoreError {
@@ -53,14 +67,32 @@ fn unreadable(offset: usize) -> StoreError {
 
 #[test]
 fn one_failed_read_is_repeated() {
-    for others in 0..4 {
+    for others in 0..2 * PAIRS * READS {
         let mut flash = installed(2);
         flash.arm_reads(others, 1);
         let (store, loaded) = open(&mut flash);
         assert_eq!(loaded.in_use, Some((Slot::B, 2)));
         let expected =
-            Opening { recorded: true, torn_places: 0, unreadable_places: 0, trial_ended: None };
+            Opening { recorded: true, damage: Damage::default(), trial_ended: None, settled: None };
         assert_eq!(store.opening(), &expected);
+    }
+}
+
+#[test]
+fn one_unreadable_copy_is_replaced() {
+    for packages in 1..9 {
+        let flash = installed(packages);
+        let place = COMMIT + newest_pair(&flash) * PAIR;
+        for copy in [place, place + RECORD_LENGTH] {
+            let mut flash = flash.clone();
+            flash.spoil(copy, RECORD_LENGTH);
+            let (store, loaded) = open(&mut flash);
+            assert_eq!(loaded.in_use.unwrap().1, packages);
+            let damage = Damage { torn_places: 0, unreadable_places: 1, single_copies: 1 };
+            assert_eq!((store.damage(), store.opening().settled), (damage, Some(Ok(()))));
+            drop(store);
+            assert_eq!(open(&mut flash).0.opening().settled, None);
+        }
     }
 }
 
@@ -71,72 +103,117 @@ fn a_temporarily_unreadable_journal_is_not_erased() {
     flash.arm_reads(0, usize::MAX);
     let (mut store, loaded) = open(&mut flash);
     assert_eq!((loaded.in_use, store.opening().recorded), (None, false));
-    assert_eq!(store.opening().unreadable_places, 4);
+    assert_eq!(store.damage().unreadable_places as usize, 4 * PAIRS);
     // No record says what to load, but packages can be salvaged.
     assert_eq!(store.salvage(length, check, |one, other| one > other), Some((Slot::B, 2)));
+    store.count_boot(None);
     store.flash().arm_reads(0, 0);
+    assert!(store.is_blocked());
     assert_eq!(install(&mut store, 3), Err(unreadable(COMMIT)));
+    assert_eq!(store.record_note(9, &[1]), Err(unreadable(COMMIT)));
+    drop(store);
     assert_eq!(flash.mapped(), before);
     let (mut store, loaded) = open(&mut flash);
-    assert_eq!(loaded.in_use, Some((Slot::B, 2)));
+    assert_eq!((loaded.in_use, store.is_blocked()), (Some((Slot::B, 2)), false));
     install(&mut store, 3).unwrap();
+    drop(store);
     assert_eq!(open(&mut flash).1.in_use, Some((Slot::A, 3)));
 }
 
 #[test]
-fn a_half_with_an_unreadable_only_record_is_not_erased() {
-    // The seventh record: that of the second confirmation.
-    let mut flash = installed(2);
-    let [newest, trial] = last_places(&flash);
-    assert!(newest % UNIT == 0 && newest / UNIT != trial / UNIT);
-    let before = flash.mapped().to_vec();
-    let place = (newest - COMMIT) / RECORD_LENGTH;
-    flash.arm_reads(place, 2);
-    let (mut store, loaded) = open(&mut flash);
-    assert_eq!(store.opening().unreadable_places, 1);
-    // The readable records end with the trial.
-    assert_eq!(loaded.in_use, Some((Slot::A, 1)));
-    assert_eq!(store.opening().trial_ended, Some(Err(unreadable(newest))));
-    for _ in 0..2 {
-        assert_eq!(install(&mut store, 3), Err(unreadable(newest)));
+fn the_operator_can_give_up_a_journal_that_stays_unreadable() {
+    for packages in 1..9 {
+        let mut flash = installed(packages);
+        flash.spoil(COMMIT, 2 * HALF);
+        for _ in 0..2 {
+            let (mut store, _) = open(&mut flash);
+            assert!(store.is_blocked());
+            assert_eq!(install(&mut store, 30), Err(unreadable(COMMIT)));
+        }
+        let (mut store, _) = open(&mut flash);
+        let found = store.salvage(length, check, |one, other| one > other);
+        assert_eq!(found.unwrap().1, packages);
+        store.forget_unreadable();
+        install(&mut store, 30).unwrap();
+        drop(store);
+        for number in 31..40 {
+            let (mut store, loaded) = open(&mut flash);
+            assert_eq!((loaded.in_use.unwrap().1, store.is_blocked()), (number - 1, false));
+            install(&mut store, number).unwrap();
+        }
     }
-    assert_eq!(flash.mapped(), before);
-    assert_eq!(open(&mut flash).1.in_use, Some((Slot::B, 2)));
-    // If it is permanently unreadable, it can be given up.
-    flash.spoil(newest, RECORD_LENGTH);
-    let (mut store, _) = open(&mut flash);
-    assert_eq!(install(&mut store, 3), Err(unreadable(newest)));
-    store.forget_unreadable();
-    install(&mut store, 3).unwrap();
-    let (store, loaded) = open(&mut flash);
-    assert_eq!((loaded.in_use, store.opening().unreadable_places), (Some((Slot::B, 3)), 0));
 }
 
 #[test]
 fn a_temporarily_unreadable_confirmation_is_not_undone() {
-    let mut flash = installed(1);
-    let [newest, trial] = last_places(&flash);
-    assert_eq!(newest / UNIT, trial / UNIT);
-    flash.arm_reads((newest - COMMIT) / RECORD_LENGTH, 2);
-    let (store, loaded) = open(&mut flash);
-    // The readable records end with the trial of the first package.
-    assert_eq!(loaded.in_use, None);
-    assert_eq!(store.opening().trial_ended, Some(Err(unreadable(newest))));
-    assert_eq!(open(&mut flash).1.in_use, Some((Slot::A, 1)));
+    for packages in 1..9 {
+        let mut flash = installed(packages);
+        let newest = newest_pair(&flash);
+        if newest % PAIRS == 0 {
+            // No record before it in its half: see the next test.
+            continue;
+        }
+        hide(&flash, newest);
+        let before = flash.mapped().to_vec();
+        let (store, loaded) = open(&mut flash);
+        // The readable records end with the trial.
+        assert_eq!(loaded.in_use.map_or(0, |(_, number)| number), packages - 1);
+        let held = unreadable(COMMIT + newest * PAIR);
+        assert_eq!(store.opening().trial_ended, Some(Err(held)));
+        assert_eq!((store.opening().settled, store.damage().unreadable_places), (None, 2));
+        drop(store);
+        assert_eq!(flash.mapped(), before);
+        assert_eq!(open(&mut flash).1.in_use.unwrap().1, packages);
+        // A new package overrules it.
+        hide(&flash, newest);
+        let (mut store, _) = open(&mut flash);
+        install(&mut store, 20).unwrap();
+        drop(store);
+        assert_eq!(open(&mut flash).1.in_use.unwrap().1, 20);
+    }
+}
+
+#[test]
+fn an_interrupted_erasure_ends_no_updates() {
+    // A half that cannot be read, or not all of it, beside one with records.
+    for packages in 1..9 {
+        for spoiled in (UNIT..=HALF).step_by(UNIT) {
+            let mut flash = installed(packages);
+            let half = 1 - newest_pair(&flash) / PAIRS;
+            let start = COMMIT + half * HALF;
+            flash.spoil(start, spoiled);
+            flash.overwrite(start + spoiled, &vec![0xff; HALF - spoiled]);
+            let (store, loaded) = open(&mut flash);
+            assert_eq!((loaded.in_use.unwrap().1, store.is_blocked()), (packages, false));
+            drop(store);
+            for number in 20..25 {
+                let (mut store, _) = open(&mut flash);
+                install(&mut store, number).unwrap();
+                drop(store);
+                assert_eq!(open(&mut flash).1.in_use.unwrap().1, number);
+            }
+        }
+    }
 }
 
 #[test]
 fn an_interrupted_record_that_reads_as_an_error_blocks_nothing() {
-    // The newest record, with one before it in its half: as after a torn one.
-    for packages in 2..6 {
+    for packages in 0..9 {
         let mut flash = installed(packages);
-        open(&mut flash).0.begin(70).unwrap();
-        let [newest, before] = last_places(&flash);
-        assert_eq!(newest, before + RECORD_LENGTH);
-        flash.spoil(newest, RECORD_LENGTH);
+        let next = if packages == 0 { 0 } else { newest_pair(&flash) + 1 };
+        if next % PAIRS == 0 && packages > 0 {
+            continue;
+        }
+        // The first copy of the next record.
+        flash.spoil(COMMIT + next * PAIR, 32);
+        let (store, loaded) = open(&mut flash);
+        assert_eq!(loaded.in_use.map_or(0, |(_, number)| number), packages);
+        assert_eq!((store.opening().settled, store.is_blocked()), (Some(Ok(())), false));
+        drop(store);
         for number in 10..20 {
             let (mut store, _) = open(&mut flash);
             install(&mut store, number).unwrap();
+            drop(store);
             assert_eq!(open(&mut flash).1.in_use.unwrap().1, number);
         }
     }

@@ -62,6 +62,13 @@ pub enum StoreError {
     NothingStaged,
     /// The staged package has changed since it was staged.
     Damaged,
+    /// This is done too often; an upload stays as it is and can be continued.
+    TooOften {
+        /// When it will be allowed again. \[s\]
+        retry_after_seconds: u32,
+    },
+    /// A note has an unknown kind, is too long, or is one kind more than the journal has room for.
+    Note,
 }
 
 impl core::fmt::Display for StoreError {
@@ -96,6 +103,10 @@ impl core::fmt::Display for StoreError {
             }
             Self::NothingStaged => write!(f, "no package is staged"),
             Self::Damaged => write!(f, "the staged package is damaged"),
+            Self::TooOften { retry_after_seconds } => {
+                write!(f, "too often, to spare the flash: try again in {retry_after_seconds} s")
+            }
+            Self::Note => write!(f, "the journal has no room for this note"),
         }
     }
 }

@@ -27,7 +27,7 @@ impl<F: MappedFlash> MappedFlash for &mut F {
 }
 
 /// Largest supported write size. \[byte\]
-pub(super) const WORD_LENGTH_MAX: usize = super::RECORD_LENGTH;
+pub(super) const WORD_LENGTH_MAX: usize = 32;
 
 /// Erases the unit that starts at `offset`.
 pub(super) fn erase_unit<F: NorFlash>(flash: &mut F, offset: u32) -> Result<(), StoreError> {

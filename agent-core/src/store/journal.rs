@@ -1,36 +1,59 @@
 //! The journal of records in the two halves of the commit area.
 //!
 //! ```text
-//! half 0  | record 7 | record 8 | torn | record 9 | free | free |
-//! half 1  | record 3 | record 4 | record 5 | torn | record 6 | torn |
+//! half 0  | state 7 | state 7 | note 8 | note 8 | torn |  free  | free | free |
+//! half 1  | state 3 | state 3 | state 5 | state 5 | note 6 | note 6 | torn | torn |
+//!              one pair            one pair
 //! ```
 //!
-//! The valid record with the highest number counts, whatever surrounds it. The next record goes
-//! after the last written entry in the newest record's half or, if that half is full or refuses the
-//! write, to the start of the other half, which is erased first.
+//! Each record stands twice, in the two places of a pair, and each record has a kind. Of each kind
+//! the last one counts, whatever surrounds it. The next record goes to the first pair behind all
+//! that was ever written in the active half, the one that holds the last record of every kind. If
+//! that half is full or refuses the write, the other half is erased and takes a copy of the last
+//! record of every other kind, and then the new record, which says that the copies are complete.
 //!
-//! Invariants: the half with the newest record is never erased, so a record exists at every
-//! instant; no word is written twice, because an entry counts as free only if it and all following
-//! entries are erased; a number that a torn entry may contain is not reused, because an entry that
-//! reads as torn now may read as valid later.
+//! Invariants:
+//! - A half is erased only while the other one holds the last record of every kind, so every one of
+//!   them exists at every instant, in two copies.
+//! - No word is written twice, because a pair counts as free only if it and all following pairs are
+//!   erased.
+//! - No number that a torn place behind the last record may contain is used again.
 //!
-//! # Unreadable entries
-//! An entry that the driver fails to read twice in a row is not treated as torn: it may be the
-//! newest record, affected by a transient fault. Until a record has been appended, the contents are
-//! in doubt, and a half is erased only if no unreadable entry in it can be the newest record: a
-//! record was found, and that half contains one too, which is then older. (A half is filled
-//! completely before the other, so its records are either all older or all newer.) Appending after
-//! the newest record found is allowed: flash with error correction reports interrupted writes as
-//! unreadable, and a node must be able to continue.
+//! # What power cuts leave behind
+//! A word whose write was cut can read differently each time. Therefore a boot settles what it has
+//! found before anything acts on it:
+//! - A record of which there is only one copy, as after a cut between the two, is written again.
+//! - A pair behind the last record that holds something else may read as a record at a later boot.
+//!   The state is then written again behind it, and says how many pairs right before it are void.
 //!
+//! # Unreadable places
+//! A place that the driver fails to read twice in a row may hold a record behind a fault that
+//! passes. What a call has returned `Ok` for stands in both places of a pair, so a pair with a free
+//! place holds nothing of the kind: it is a write that was cut, which flash with error correction
+//! reports as unreadable. A pair without a record, without a free place and with an unreadable one
+//! is in doubt. Behind the last record it keeps a boot from writing anything; calls still append.
+//! A half without any record is the remainder of an interrupted erasure, if the other half has
+//! records: that was full when the erasure began. Only if no record is found at all and a pair is in
+//! doubt does the store refuse to record anything.
 //!
-//! Cost: opening reads the commit area once; appending writes [`RECORD_LENGTH`] bytes, at most
-//! twice, and erases at most one half.
+//! Cost: opening reads the commit area once, and again for each kind that both halves have;
+//! appending writes two records, or all kinds twice after erasing one half.
 
 use super::flash::{MappedFlash, driver_error, erase_unit};
-use super::record::{Contents, RECORD_LENGTH};
-use super::{Layout, Slot, StoreError};
+use super::record::{Contents, KINDS, RECORD_LENGTH, Record, STATE, UNIT_LENGTH};
+use super::{Damage, Layout, Slot, StoreError};
 use crate::wire::sequence::is_newer;
+
+/// Length of a pair of places. \[byte\]
+pub(super) const PAIR_LENGTH: u32 = 2 * RECORD_LENGTH as u32;
+/// A note that only declares what is before it void.
+const VOID: u8 = KINDS - 1;
+/// Instead of a count of void pairs: the copies into this half are complete, and the other half does
+/// not count any more, whatever it holds.
+const OTHER_HALF: u8 = u8::MAX;
+/// Numbers skipped for each unit of a pair that may hold a record: more than failed writes in a row
+/// have used.
+const SKIPPED_NUMBERS: u32 = 0x1_0000 * (PAIR_LENGTH / UNIT_LENGTH as u32);
 
 /// A half of the commit area.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,149 +69,281 @@ impl Half {
             Self::Second => Self::First,
         }
     }
-
-    /// Returns the element that belongs to this half.
-    fn of<T>(self, [first, second]: &mut [T; 2]) -> &mut T {
-        match self {
-            Self::First => first,
-            Self::Second => second,
-        }
-    }
 }
 
-/// The newest record, and where the next one is written.
+/// The last record of each kind, and where the next one is written.
 #[derive(Clone, Debug)]
 pub(super) struct Journal {
-    /// The last sequence number that was, or may have been, used.
-    sequence: u32,
-    newest: Option<(Half, Contents)>,
-    /// Index of the first free entry in the newest record's half.
-    next_place: u32,
-    /// Entries that are neither free nor valid.
-    torn: u32,
-    /// Number of unreadable entries, and the first of them.
-    unreadable: u32,
-    first_unreadable: Option<u32>,
-    /// An unreadable entry that may be the newest record and would be erased next.
+    /// The last number that was, or may have been, used.
+    number: u32,
+    newest: Option<Contents>,
+    active: Half,
+    /// The first free pair in the active half.
+    next_pair: u32,
+    /// Pairs right before it that hold no record that counts.
+    void: u8,
+    /// Whether the other half does not count.
+    is_alone: bool,
+    /// Kinds of which the active half holds a record, one bit each.
+    kinds: u32,
+    /// Notes of which there is only one copy, or none in the active half.
+    to_repeat: u32,
+    damage: Damage,
+    /// Whether the record that declares the other half void has lost a copy.
+    is_half_void: bool,
+    /// Whether another boot may find another state.
+    is_unsettled: bool,
+    /// An unreadable place that keeps a boot from writing.
+    held_by: Option<u32>,
+    /// An unreadable place that may hold the only record.
     blocked_by: Option<u32>,
-    /// Whether the last write failed or an entry was unreadable, so that flash may contain a newer
-    /// record than known here.
+    /// Whether flash may contain a newer state than known here.
     in_doubt: bool,
 }
 
-/// Sequence numbers skipped for each torn or unreadable entry. More than were used in a row by
-/// failed writes.
-const SKIPPED_NUMBERS: u32 = 0x1_0000;
+/// A record, where it was found.
+struct Found {
+    number: u32,
+    record: Record,
+    /// Whether both copies are valid.
+    is_whole: bool,
+    is_format_1: bool,
+}
 
-/// Contents of an entry.
-enum Place {
+/// Contents of a pair.
+enum Pair {
     Free,
-    Torn,
-    Unreadable,
-    Record(u32, Contents),
+    /// The offset is that of an unreadable place.
+    Unknown {
+        unreadable: Option<u32>,
+        is_in_doubt: bool,
+    },
+    Record {
+        found: Found,
+        unreadable: Option<u32>,
+    },
+}
+
+/// What one half holds.
+#[derive(Default)]
+struct Scan {
+    /// Number of the last record.
+    newest: Option<u32>,
+    /// The pair after the last one that is not free.
+    end: u32,
+    /// Pairs behind the last record that hold something else.
+    unknown: u32,
+    /// How many of them are right before the end and not in doubt.
+    void: u8,
+    /// An unreadable place behind the last record that may hold a newer one.
+    in_doubt: Option<u32>,
+    kinds: u32,
+    /// Kinds whose last record has one copy.
+    single: u32,
+    /// The last state and its number.
+    state: Option<(u32, Contents)>,
+    is_format_1: bool,
+    /// Whether a record says that the other half does not count, and whether it has both copies.
+    voids_other: Option<bool>,
 }
 
 impl Journal {
     /// Reads the whole commit area.
     pub(super) fn read<F: MappedFlash>(flash: &mut F, layout: &Layout) -> Self {
-        let mut journal = Self {
-            sequence: 0,
-            newest: None,
-            next_place: 0,
-            torn: 0,
-            unreadable: 0,
-            first_unreadable: None,
-            blocked_by: None,
-            in_doubt: false,
-        };
-        // For each half: the first unreadable entry, and whether it contains a record.
-        let mut seen = [(None, false); 2];
-        for half in [Half::First, Half::Second] {
-            // The entry after the last one that is not free.
-            let mut end = 0;
-            let mut holds_newest = false;
-            let (first_unreadable, has_record) = half.of(&mut seen);
-            for place in 0..layout.places() {
-                let offset = place_offset(layout, half, place);
-                match read_place(flash, offset) {
-                    Place::Free => continue,
-                    Place::Torn => journal.torn = journal.torn.wrapping_add(1),
-                    Place::Unreadable => {
-                        journal.unreadable = journal.unreadable.wrapping_add(1);
-                        first_unreadable.get_or_insert(offset);
-                    }
-                    Place::Record(sequence, contents) => {
-                        *has_record = true;
-                        if journal.newest.is_none() || is_newer(sequence, journal.sequence) {
-                            journal.newest = Some((half, contents));
-                            journal.sequence = sequence;
-                            holds_newest = true;
-                        }
-                    }
-                }
-                end = place.wrapping_add(1);
+        let mut damage = Damage::default();
+        let first = Scan::of(flash, layout, Half::First, &mut damage);
+        let second = Scan::of(flash, layout, Half::Second, &mut damage);
+        let is_second_newer = match (first.newest, second.newest) {
+            (Some(first), Some(second)) => is_newer(second, first),
+            (None, None) => {
+                // Behind what the halves hold, as long as there is room.
+                first.end >= layout.pairs() && second.end < layout.pairs()
             }
-            if holds_newest {
-                journal.next_place = end;
+            (first, _) => first.is_none(),
+        };
+        let newer = if is_second_newer { Half::Second } else { Half::First };
+        let kinds = first.kinds | second.kinds;
+        let (older, newest) = if is_second_newer { (&first, &second) } else { (&second, &first) };
+        let is_alone = older.kinds == 0 || newest.voids_other == Some(true);
+        // Copies into the newer half count from the moment on at which they are complete.
+        let is_copying = !is_alone && holds_all(flash, layout, newer.other(), kinds);
+        let active = if is_copying { newer.other() } else { newer };
+        let has_records = kinds != 0;
+        let number = newest.newest;
+        let voids_other = newest.voids_other;
+        let newest = match (newest.state, older.state) {
+            (Some(newest), Some(older)) if !is_alone && is_newer(older.0, newest.0) => Some(older),
+            (newest, older) => newest.or(older),
+        };
+        let (here, there) = match active {
+            Half::First => (first, second),
+            Half::Second => (second, first),
+        };
+        // A half whose records are older has nothing newer behind them, and one without records has
+        // nothing newer unless this one was full.
+        let there_in_doubt = match there.newest {
+            Some(_) if !is_copying => None,
+            None if here.end < layout.pairs() => None,
+            _ => there.in_doubt,
+        };
+        let is_there_unknown = there.in_doubt.is_none()
+            && ((there.newest.is_none() && there.unknown > 0)
+                || (is_copying && (there.unknown > 0 || voids_other.is_some())));
+        let mut unknown = here.unknown;
+        if is_copying || there.newest.is_none() {
+            unknown = unknown.saturating_add(there.unknown);
+        }
+        if here.is_format_1 || there.is_format_1 {
+            // Four records of format 1 share the place of a pair.
+            unknown = unknown.saturating_add(1);
+        }
+        let number = number.unwrap_or(0).wrapping_add(unknown.wrapping_mul(SKIPPED_NUMBERS));
+        let state_bit = bit(STATE);
+        let is_repeated = newest.is_none()
+            || (here.single & state_bit == 0
+                && here.state.map(|(_, state)| state) == newest.map(|(_, state)| state));
+        let is_half_void = voids_other == Some(false) && !is_alone && !is_copying;
+        let is_unsettled = !is_repeated || here.unknown > 0 || is_there_unknown || is_half_void;
+        let lonely = here.in_doubt.or(there.in_doubt);
+        let blocked_by = if has_records { None } else { lonely };
+        let is_half_copied = is_copying && there_in_doubt.is_some();
+        let held_by = match () {
+            () if !has_records => lonely,
+            () if is_unsettled && !is_half_copied => here.in_doubt,
+            () => here.in_doubt.or(there_in_doubt),
+        };
+        let mut journal = Self {
+            number,
+            newest: newest.map(|(_, contents)| contents),
+            active,
+            next_pair: here.end,
+            void: if is_half_void { OTHER_HALF } else { here.void },
+            is_alone,
+            kinds: here.kinds,
+            to_repeat: here.single & !state_bit,
+            damage,
+            is_half_void,
+            is_unsettled,
+            held_by,
+            blocked_by,
+            in_doubt: is_unsettled || lonely.is_some(),
+        };
+        if !is_alone && !is_copying {
+            for kind in kinds_in(there.kinds & !state_bit) {
+                if !holds_all(flash, layout, active, bit(kind)) {
+                    journal.to_repeat |= bit(kind);
+                }
             }
         }
-        // Whatever these entries contain, their numbers are not higher, even if numbers were
-        // skipped before each of them.
-        let unknown = journal.torn.wrapping_add(journal.unreadable);
-        journal.sequence = journal.sequence.wrapping_add(unknown.wrapping_mul(SKIPPED_NUMBERS));
-        journal.in_doubt = journal.unreadable > 0;
-        let [(in_first, _), (in_second, _)] = seen;
-        journal.first_unreadable = in_first.or(in_second);
-        journal.blocked_by = match journal.newest {
-            None => journal.first_unreadable,
-            Some((half, _)) => {
-                let (first_unreadable, has_record) = *half.other().of(&mut seen);
-                first_unreadable.filter(|_| !has_record)
-            }
-        };
         journal
     }
 
-    /// Returns the contents of the newest record.
+    /// Returns the last state.
     pub(super) fn newest(&self) -> Option<Contents> {
-        self.newest.map(|(_, contents)| contents)
+        self.newest
     }
 
-    /// Returns whether the newest record in flash names, or may name, bytes in `slot`. Without any
+    /// Returns whether the last state in flash names, or may name, bytes in `slot`. Without any
     /// record this is in doubt for all slots.
     pub(super) fn may_name(&self, slot: Slot) -> bool {
-        self.in_doubt || self.newest().is_none_or(|newest| newest.package(slot).is_some())
+        self.in_doubt || self.newest.is_none_or(|newest| newest.package(slot).is_some())
     }
 
-    /// Returns the number of unreadable entries found.
-    pub(super) fn unreadable(&self) -> u32 {
-        self.unreadable
+    /// Returns what reading has found besides whole records.
+    pub(super) fn damage(&self) -> Damage {
+        self.damage
     }
 
-    /// Returns the offset of the first unreadable entry.
-    pub(super) fn first_unreadable(&self) -> Option<u32> {
-        self.first_unreadable
+    /// Returns the unreadable place that keeps a boot from writing.
+    pub(super) fn held_by(&self) -> Option<u32> {
+        self.held_by
     }
 
-    /// Treats unreadable entries as torn from now on.
+    /// Returns whether nothing can be recorded.
+    pub(super) fn is_blocked(&self) -> bool {
+        self.blocked_by.is_some()
+    }
+
+    /// Takes unreadable places for torn ones from now on.
     pub(super) fn forget_unreadable(&mut self) {
         self.blocked_by = None;
     }
 
-    /// Returns the number of entries found neither free nor valid.
-    pub(super) fn torn(&self) -> u32 {
-        self.torn
+    /// Makes sure that every other boot finds the same: repeats what has only one copy, and the
+    /// state behind anything that may become readable. Returns `None` if there is nothing to do.
+    pub(super) fn settle<F: MappedFlash>(
+        &mut self,
+        flash: &mut F,
+        layout: &Layout,
+    ) -> Option<Result<(), StoreError>> {
+        if self.held_by.is_some() || (!self.is_unsettled && self.to_repeat == 0) {
+            return None;
+        }
+        if self.is_unsettled {
+            let again = match &self.newest {
+                Some(newest) => Some(newest.record()),
+                None => Record::note(VOID, &[]),
+            };
+            if let Some(Err(error)) = again.map(|again| self.append(flash, layout, &again)) {
+                return Some(Err(error));
+            }
+        }
+        for kind in kinds_in(self.to_repeat) {
+            // What reads differently now counts as it reads now.
+            let note = self.note(flash, layout, kind).or_else(|| Record::note(kind, &[]));
+            if let Some(Err(error)) = note.map(|note| self.append(flash, layout, &note)) {
+                return Some(Err(error));
+            }
+        }
+        self.to_repeat = 0;
+        self.is_alone |= self.is_half_void;
+        Some(Ok(()))
     }
 
-    /// Writes `contents` durably. After an error they may or may not survive a reboot.
+    /// Returns the last note of a kind.
+    #[inline(never)]
+    pub(super) fn note<F: MappedFlash>(
+        &self,
+        flash: &mut F,
+        layout: &Layout,
+        kind: u8,
+    ) -> Option<Record> {
+        let here = last_of(flash, layout, self.active, kind);
+        let there =
+            if self.is_alone { None } else { last_of(flash, layout, self.active.other(), kind) };
+        let last = match (here, there) {
+            (Some(here), Some(there)) if is_newer(there.number, here.number) => there,
+            (here, there) => here.or(there)?,
+        };
+        (last.record.length > 0).then_some(last.record)
+    }
+
+    /// Returns whether a half has room for one more kind.
+    pub(super) fn has_room_for(&self, layout: &Layout, kind: u8) -> bool {
+        let kinds = (self.kinds | bit(STATE) | bit(kind)).count_ones();
+        // One pair is for a record that has to be written twice.
+        kinds < layout.pairs()
+    }
+
+    /// Writes `record` durably, in two copies. After an error it may or may not survive a reboot.
+    #[inline(never)]
     pub(super) fn append<F: MappedFlash>(
         &mut self,
         flash: &mut F,
         layout: &Layout,
-        contents: Contents,
+        record: &Record,
     ) -> Result<(), StoreError> {
-        let outcome = self.write_somewhere(flash, layout, contents);
-        self.in_doubt = outcome.is_err();
+        let outcome = self.write_somewhere(flash, layout, record);
+        if record.kind == STATE {
+            self.in_doubt = outcome.is_err();
+        }
+        if outcome.is_ok() {
+            self.newest = record.state().or(self.newest);
+            // Its number is higher than that of any unreadable record.
+            (self.held_by, self.blocked_by) = (None, None);
+            self.is_unsettled = false;
+            self.kinds |= bit(record.kind);
+        }
         outcome
     }
 
@@ -196,85 +351,314 @@ impl Journal {
         &mut self,
         flash: &mut F,
         layout: &Layout,
-        contents: Contents,
+        record: &Record,
     ) -> Result<(), StoreError> {
-        if let Some((half, _)) = self.newest
-            && self.next_place < layout.places()
-            && self.write(flash, layout, half, self.next_place, contents).is_ok()
-        {
-            return Ok(());
-        }
-        // An entry can look free and still refuse a write, if an earlier write was interrupted
-        // before it changed any readable bit. An erasure repairs that.
-        let half = self.newest.map_or(Half::First, |(half, _)| half.other());
         if let Some(offset) = self.blocked_by {
             return Err(StoreError::Unreadable { offset });
         }
-        let start = place_offset(layout, half, 0);
+        if self.next_pair < layout.pairs() {
+            let pair = self.next_pair;
+            // Used up, whether or not the write succeeds.
+            self.next_pair = pair.wrapping_add(1);
+            let record = Record { void: self.void, ..*record };
+            if self.write(flash, layout, (self.active, pair), &record).is_ok() {
+                self.void = 0;
+                return Ok(());
+            }
+            // At most one less than `OTHER_HALF`, which stays as it is.
+            if self.void < OTHER_HALF - 1 {
+                self.void = self.void.wrapping_add(1);
+            }
+        }
+        // A pair can look free and still refuse a write, if an earlier write was interrupted before
+        // it changed any readable bit. An erasure repairs that.
+        let target = self.active.other();
+        let start = place_offset(layout, target, 0);
         let mut erased = 0;
         while erased < layout.half_length() {
             erase_unit(flash, start.wrapping_add(erased))?;
             erased = erased.wrapping_add(F::ERASE_SIZE as u32);
         }
-        self.write(flash, layout, half, 0, contents)
+        let (mut pair, mut kinds) = (0, 0);
+        for kind in kinds_in(self.kinds & !bit(record.kind)) {
+            let Some(Found { record, .. }) = last_of(flash, layout, self.active, kind) else {
+                continue;
+            };
+            if record.length > 0 {
+                self.write(flash, layout, (target, pair), &Record { void: 0, ..record })?;
+                pair = u32::wrapping_add(pair, 1);
+                kinds |= bit(kind);
+            }
+        }
+        self.write(flash, layout, (target, pair), &Record { void: OTHER_HALF, ..*record })?;
+        self.active = target;
+        self.is_alone = true;
+        self.next_pair = pair.wrapping_add(1);
+        (self.void, self.kinds) = (0, kinds);
+        Ok(())
     }
 
-    /// Writes a record with the next number and reads it back.
+    /// Writes both copies of a record with the next number and reads them back.
     fn write<F: MappedFlash>(
         &mut self,
         flash: &mut F,
         layout: &Layout,
-        half: Half,
-        place: u32,
-        contents: Contents,
+        (half, pair): (Half, u32),
+        record: &Record,
     ) -> Result<(), StoreError> {
-        self.sequence = self.sequence.wrapping_add(1);
-        if self.newest.is_some_and(|(newest, _)| newest == half) {
-            // Used up, whether or not the write succeeds.
-            self.next_place = place.wrapping_add(1);
+        self.number = self.number.wrapping_add(1);
+        let bytes = record.encode(self.number);
+        let first = place_offset(layout, half, pair);
+        for offset in [first, first.wrapping_add(RECORD_LENGTH as u32)] {
+            flash.write(offset, &bytes).map_err(driver_error)?;
+            let mut found = [0; RECORD_LENGTH];
+            read(flash, offset, &mut found).map_err(driver_error)?;
+            if found != bytes {
+                return Err(StoreError::Verify { offset });
+            }
         }
-        let offset = place_offset(layout, half, place);
-        let record = contents.encode(self.sequence);
-        flash.write(offset, &record).map_err(driver_error)?;
-        if read_record(flash, offset).map_err(driver_error)? != record {
-            return Err(StoreError::Verify { offset });
-        }
-        self.newest = Some((half, contents));
-        self.next_place = place.wrapping_add(1);
-        // Its number is higher than that of any unreadable entry.
-        self.blocked_by = None;
         Ok(())
     }
 }
 
-/// Returns the offset of an entry. The layout has been validated, so nothing wraps.
-fn place_offset(layout: &Layout, half: Half, place: u32) -> u32 {
+impl Scan {
+    fn of<F: MappedFlash>(flash: &mut F, layout: &Layout, half: Half, damage: &mut Damage) -> Self {
+        let mut scan = Self::default();
+        let mut unreadable_behind = None;
+        let mut is_void_counted = false;
+        let mut pairs = Pairs::backwards(layout, half);
+        while let Some((index, pair, counts)) = pairs.previous(flash) {
+            damage.add(&counts);
+            if !matches!(pair, Pair::Free) && scan.end == 0 {
+                scan.end = index.wrapping_add(1);
+            }
+            match pair {
+                Pair::Free => {}
+                Pair::Unknown { unreadable, is_in_doubt } => {
+                    if scan.newest.is_none() {
+                        scan.unknown = scan.unknown.saturating_add(1);
+                        unreadable_behind = unreadable.or(unreadable_behind);
+                        if is_in_doubt {
+                            scan.in_doubt = unreadable;
+                        }
+                    }
+                    if !is_in_doubt && !is_void_counted {
+                        scan.void = scan.void.saturating_add(1).min(OTHER_HALF - 1);
+                        continue;
+                    }
+                }
+                Pair::Record {
+                    found: Found { number, record, is_whole, is_format_1 },
+                    unreadable,
+                } => {
+                    if scan.newest.is_none() {
+                        scan.newest = Some(number);
+                        scan.is_format_1 = is_format_1;
+                        if is_format_1 {
+                            // One unreadable place could be a record.
+                            let behind = unreadable.or(unreadable_behind);
+                            scan.in_doubt = scan.in_doubt.or(behind);
+                        }
+                    }
+                    if record.void == OTHER_HALF {
+                        let is_whole = is_whole || scan.voids_other == Some(true);
+                        scan.voids_other = Some(is_whole);
+                    }
+                    let kind = bit(record.kind);
+                    if scan.kinds & kind == 0 {
+                        scan.kinds |= kind;
+                        if !is_whole {
+                            scan.single |= kind;
+                        }
+                        if let Some(contents) = record.state() {
+                            scan.state = Some((number, contents));
+                        }
+                    }
+                }
+            }
+            is_void_counted = scan.end != 0;
+        }
+        scan
+    }
+}
+
+/// The pairs of a half, the last one first.
+struct Pairs<'a> {
+    layout: &'a Layout,
+    half: Half,
+    /// The pair after the next one.
+    end: u32,
+    /// How many of the next ones are void.
+    void: u8,
+}
+
+impl<'a> Pairs<'a> {
+    fn backwards(layout: &'a Layout, half: Half) -> Self {
+        // A remainder may hold records of format 1.
+        Self { layout, half, end: layout.half_length().div_ceil(PAIR_LENGTH), void: 0 }
+    }
+
+    /// Returns index and contents of the next pair; a void record is unknown content.
+    fn previous<F: MappedFlash>(&mut self, flash: &mut F) -> Option<(u32, Pair, Damage)> {
+        self.end = self.end.checked_sub(1)?;
+        let (pair, damage) = read_pair(flash, self.layout, self.half, self.end);
+        let is_void = self.void > 0;
+        self.void = self.void.saturating_sub(1);
+        let pair = match pair {
+            Pair::Record { .. } if is_void => {
+                Pair::Unknown { unreadable: None, is_in_doubt: false }
+            }
+            Pair::Record { ref found, .. } => {
+                self.void = match found.record.void {
+                    OTHER_HALF => 0,
+                    void => void,
+                };
+                pair
+            }
+            pair => pair,
+        };
+        Some((self.end, pair, damage))
+    }
+}
+
+/// Contents of a place.
+enum Place {
+    Free,
+    Torn,
+    Unreadable,
+    Record(u32, Record),
+    /// One or two records of format 1; this is the last one.
+    Format1(u32, Record),
+}
+
+fn read_pair<F: MappedFlash>(
+    flash: &mut F,
+    layout: &Layout,
+    half: Half,
+    pair: u32,
+) -> (Pair, Damage) {
+    let offset = place_offset(layout, half, pair);
+    let next = offset.wrapping_add(RECORD_LENGTH as u32);
+    let first = read_place(flash, layout, half, offset);
+    let second = read_place(flash, layout, half, next);
+    let mut damage = Damage::default();
+    for place in [&first, &second] {
+        match place {
+            Place::Torn => damage.torn_places = damage.torn_places.wrapping_add(1),
+            Place::Unreadable => {
+                damage.unreadable_places = damage.unreadable_places.wrapping_add(1)
+            }
+            _ => {}
+        }
+    }
+    let unreadable = match (&first, &second) {
+        (Place::Unreadable, _) => Some(offset),
+        (_, Place::Unreadable) => Some(next),
+        _ => None,
+    };
+    let pair = match (first, second) {
+        (Place::Free, Place::Free) => Pair::Free,
+        (Place::Record(number, record), Place::Record(other, _)) if number == other => {
+            let found = Found { number, record, is_whole: true, is_format_1: false };
+            Pair::Record { found, unreadable }
+        }
+        (_, Place::Format1(number, record)) | (Place::Format1(number, record), _) => {
+            let found = Found { number, record, is_whole: false, is_format_1: true };
+            Pair::Record { found, unreadable }
+        }
+        (_, Place::Record(number, record)) | (Place::Record(number, record), _) => {
+            damage.single_copies = 1;
+            let found = Found { number, record, is_whole: false, is_format_1: false };
+            Pair::Record { found, unreadable }
+        }
+        (Place::Free, _) | (_, Place::Free) => Pair::Unknown { unreadable, is_in_doubt: false },
+        _ => Pair::Unknown { unreadable, is_in_doubt: unreadable.is_some() },
+    };
+    (pair, damage)
+}
+
+fn read_place<F: MappedFlash>(flash: &mut F, layout: &Layout, half: Half, offset: u32) -> Place {
+    let end = place_offset(layout, half, 0).wrapping_add(layout.half_length());
+    let mut bytes = [0xff; RECORD_LENGTH];
+    let mut is_readable = true;
+    let mut record = None;
+    for (unit, offset) in bytes
+        .as_chunks_mut::<UNIT_LENGTH>()
+        .0
+        .iter_mut()
+        .zip([offset, offset.wrapping_add(UNIT_LENGTH as u32)])
+    {
+        if offset < end {
+            if read(flash, offset, unit).is_err() {
+                is_readable = false;
+            } else {
+                record = Record::decode_format_1(unit).or(record);
+            }
+        }
+    }
+    if let Some((number, record)) = record {
+        return Place::Format1(number, record);
+    }
+    if !is_readable {
+        return Place::Unreadable;
+    }
+    if bytes == [0xff; RECORD_LENGTH] {
+        return Place::Free;
+    }
+    match Record::decode(&bytes) {
+        Some((number, record)) => Place::Record(number, record),
+        None => Place::Torn,
+    }
+}
+
+/// Returns the last record of a kind in a half.
+#[inline(never)]
+fn last_of<F: MappedFlash>(flash: &mut F, layout: &Layout, half: Half, kind: u8) -> Option<Found> {
+    let mut pairs = Pairs::backwards(layout, half);
+    while let Some((_, pair, _)) = pairs.previous(flash) {
+        if let Pair::Record { found, .. } = pair
+            && found.record.kind == kind
+        {
+            return Some(found);
+        }
+    }
+    None
+}
+
+/// Returns whether a half says the same as the last record of each of these kinds.
+fn holds_all<F: MappedFlash>(flash: &mut F, layout: &Layout, half: Half, kinds: u32) -> bool {
+    kinds_in(kinds).all(|kind| {
+        let here = last_of(flash, layout, half, kind);
+        let there = last_of(flash, layout, half.other(), kind);
+        match (here, there) {
+            (_, None) => true,
+            (None, Some(there)) => kind != STATE && there.record.length == 0,
+            (Some(here), Some(there)) => {
+                is_newer(here.number, there.number) || here.record.says_the_same(&there.record)
+            }
+        }
+    })
+}
+
+fn bit(kind: u8) -> u32 {
+    1_u32.wrapping_shl(kind.into())
+}
+
+/// The state first.
+fn kinds_in(kinds: u32) -> impl Iterator<Item = u8> {
+    (0..KINDS).filter(move |&kind| kinds & bit(kind) != 0)
+}
+
+/// Returns the offset of a pair. The layout has been validated, so nothing wraps.
+fn place_offset(layout: &Layout, half: Half, pair: u32) -> u32 {
     let start = match half {
         Half::First => layout.commit,
         Half::Second => layout.commit.wrapping_add(layout.half_length()),
     };
-    start.wrapping_add(place.wrapping_mul(RECORD_LENGTH as u32))
+    start.wrapping_add(pair.wrapping_mul(PAIR_LENGTH))
 }
 
-/// Reads an entry; tries again once if that fails.
-fn read_record<F: MappedFlash>(
-    flash: &mut F,
-    offset: u32,
-) -> Result<[u8; RECORD_LENGTH], F::Error> {
-    let mut bytes = [0; RECORD_LENGTH];
-    if flash.read(offset, &mut bytes).is_err() {
-        flash.read(offset, &mut bytes)?;
-    }
-    Ok(bytes)
-}
-
-fn read_place<F: MappedFlash>(flash: &mut F, offset: u32) -> Place {
-    let Ok(bytes) = read_record(flash, offset) else { return Place::Unreadable };
-    if bytes == [0xff; RECORD_LENGTH] {
-        return Place::Free;
-    }
-    match Contents::decode(&bytes) {
-        Some((sequence, contents)) => Place::Record(sequence, contents),
-        None => Place::Torn,
-    }
+/// Reads; tries again once if that fails.
+fn read<F: MappedFlash>(flash: &mut F, offset: u32, bytes: &mut [u8]) -> Result<(), F::Error> {
+    flash.read(offset, bytes).or_else(|_| flash.read(offset, bytes))
 }

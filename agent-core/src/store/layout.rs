@@ -1,6 +1,7 @@
 //! Positions of the slots and the journal in flash.
 
-use super::{RECORD_LENGTH, Slot};
+use super::Slot;
+use super::journal::PAIR_LENGTH;
 
 /// Positions of the slots and the journal. Offsets count from the start of the flash driver's
 /// region.
@@ -12,7 +13,7 @@ pub struct Layout {
     pub slot_length: u32,
     /// Offset of the commit area. \[byte\]
     pub commit: u32,
-    /// Length of the commit area, whose halves are erased alternately. \[byte\]
+    /// Length of the commit area, whose halves are erased alternately; at least 1024. \[byte\]
     pub commit_length: u32,
 }
 
@@ -99,6 +100,10 @@ impl core::fmt::Display for LayoutError {
 
 impl core::error::Error for LayoutError {}
 
+/// Fewest records that a half of the commit area must hold: the state, two notes, and one that has
+/// to be written twice.
+const PAIRS_MIN: u32 = 4;
+
 /// Required alignment of a slot: the size of a package's numbers. \[byte\]
 const PACKAGE_ALIGNMENT: u32 = size_of::<f32>() as u32;
 
@@ -122,7 +127,7 @@ impl Layout {
             if part != Part::Commit && !start.is_multiple_of(PACKAGE_ALIGNMENT) {
                 return Err(LayoutError::UnalignedPackage { part });
             }
-            if length == 0 || (part == Part::Commit && self.places() == 0) {
+            if length == 0 || (part == Part::Commit && self.pairs() < PAIRS_MIN) {
                 return Err(LayoutError::TooShort { part });
             }
             if start.checked_add(length).is_none_or(|end| end > capacity) {
@@ -152,9 +157,9 @@ impl Layout {
         self.commit_length / 2
     }
 
-    /// Returns the number of records that fit into a half of the commit area.
-    pub(super) fn places(&self) -> u32 {
-        self.half_length() / RECORD_LENGTH as u32
+    /// Returns the number of records, of two copies each, that fit into a half of the commit area.
+    pub(super) fn pairs(&self) -> u32 {
+        self.half_length() / PAIR_LENGTH
     }
 }
 
@@ -171,7 +176,7 @@ mod tests {
     #[test]
     fn the_default_boards_layout_is_valid_in_any_order() {
         assert_eq!(LAYOUT.validate(4096, 0x10000), Ok(()));
-        assert_eq!(LAYOUT.places(), 128);
+        assert_eq!(LAYOUT.pairs(), 32);
         let turned = Layout { slots: [0x9000, 0x2000], commit: 0, ..LAYOUT };
         assert_eq!(turned.validate(4096, 0x10000), Ok(()));
     }
@@ -188,12 +193,12 @@ mod tests {
         let too_short = |part| Err(LayoutError::TooShort { part });
         assert_eq!(validate(Layout { slot_length: 0, ..LAYOUT }), too_short(A));
         assert_eq!(validate(Layout { commit_length: 0, ..LAYOUT }), too_short(Part::Commit));
-        let small = Layout { slots: [0, 16], slot_length: 16, commit: 32, commit_length: 32 };
-        assert_eq!(small.validate(16, 64), too_short(Part::Commit));
-        let odd = Layout { slots: [0, 6], slot_length: 6, commit: 12, commit_length: 64 };
-        assert_eq!(odd.validate(2, 128), Err(LayoutError::UnalignedPackage { part: B }));
+        let small = Layout { slots: [0, 16], slot_length: 16, commit: 32, commit_length: 1008 };
+        assert_eq!(small.validate(8, 1040), too_short(Part::Commit));
+        let odd = Layout { slots: [0, 6], slot_length: 6, commit: 12, commit_length: 1024 };
+        assert_eq!(odd.validate(2, 1036), Err(LayoutError::UnalignedPackage { part: B }));
         assert_eq!(
-            Layout { slots: [0, 8], slot_length: 6, commit: 14, ..odd }.validate(2, 78),
+            Layout { slots: [0, 8], slot_length: 6, commit: 14, ..odd }.validate(2, 1038),
             Ok(())
         );
         let outside = |part| Err(LayoutError::OutOfRegion { part, capacity: 0x10000 });

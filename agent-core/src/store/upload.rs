@@ -1,21 +1,25 @@
 //! Writes a package into a slot, in chunks of any size.
 //!
-//! Each erase unit is erased just before its first word is written, even if it looks erased,
-//! because an interrupted erasure can look complete. Whole words go straight from the chunk to
-//! flash and are read back; the rest of a chunk is buffered until its word is complete.
+//! The first bytes are kept in memory until the caller has checked them, so that a package that is
+//! refused by its header costs no flash. After that, each erase unit is erased just before its
+//! first word is written, even if it looks erased, because an interrupted erasure can look
+//! complete. Whole words go straight from the chunk to flash and are read back; the rest of a chunk
+//! is buffered until its word is complete.
 //!
-//! Memory: one word of 32 bytes. Cost of a chunk: its bytes are written once, compared once and
-//! added to the checksum once, plus an erasure for each unit it enters.
+//! Memory: the header and one word of 32 bytes. Cost of a chunk: its bytes are written once,
+//! compared once and added to the checksum once, plus an erasure for each unit it enters.
 
 use super::flash::{MappedFlash, WORD_LENGTH_MAX, bytes_at, driver_error, erase_unit};
 use super::record::Extent;
-use super::{Slot, StoreError};
+use super::{HEADER_LENGTH, Slot, StoreError};
 use crate::wire::crc::Checksum;
 
 /// An unfinished upload.
 #[derive(Clone, Debug)]
 pub(super) struct Upload {
     pub(super) slot: Slot,
+    /// Whether the header has been checked, and bytes may have been erased.
+    pub(super) is_started: bool,
     /// Offset of the slot in the region.
     start: u32,
     /// Announced length in bytes.
@@ -28,12 +32,23 @@ pub(super) struct Upload {
     written: u32,
     /// The first `received - written` bytes of the next word.
     word: [u8; WORD_LENGTH_MAX],
+    /// The first bytes of the package.
+    header: [u8; HEADER_LENGTH],
 }
 
 impl Upload {
     pub(super) fn new(slot: Slot, start: u32, length: u32) -> Self {
-        let word = [0; WORD_LENGTH_MAX];
-        Self { slot, start, length, received: 0, checksum: Checksum::new(), written: 0, word }
+        Self {
+            slot,
+            is_started: false,
+            start,
+            length,
+            received: 0,
+            checksum: Checksum::new(),
+            written: 0,
+            word: [0; WORD_LENGTH_MAX],
+            header: [0; HEADER_LENGTH],
+        }
     }
 
     /// Returns length and checksum of the received bytes, for the record.
@@ -57,16 +72,46 @@ impl Upload {
             return Err(past_end);
         }
         let (old, new) = bytes.split_at_checked(repeated as usize).unwrap_or((bytes, &[]));
-        // Up to `written` they are in flash, the others in the incomplete word.
+        // Up to `written` they are in flash, the others in memory.
         let in_flash = self.written.saturating_sub(offset);
         let (first, second) = old.split_at_checked(in_flash as usize).unwrap_or((old, &[]));
         let from = offset.max(self.written).wrapping_sub(self.written);
-        let waiting = self.word.get(from as usize..).unwrap_or_default();
+        let waiting = if self.is_started { &self.word[..] } else { &self.header };
+        let waiting = waiting.get(from as usize..).unwrap_or_default();
         let stored = bytes_at(flash, self.start.wrapping_add(offset), first.len() as u32);
         if stored != Some(first) || !waiting.starts_with(second) {
             return Err(StoreError::Conflict { offset });
         }
         Ok(new)
+    }
+
+    /// Takes as many of the next bytes as the header still needs, and returns the others.
+    pub(super) fn take_header<'a>(&mut self, bytes: &'a [u8]) -> &'a [u8] {
+        let room = self.header.get_mut(self.received as usize..).unwrap_or_default();
+        let (now, later) = bytes.split_at_checked(room.len()).unwrap_or((bytes, &[]));
+        room.iter_mut().zip(now).for_each(|(place, byte)| *place = *byte);
+        // At most the length of the header.
+        self.received = self.received.wrapping_add(now.len() as u32);
+        self.checksum.update(now);
+        later
+    }
+
+    /// Returns the header, once it is complete; a shorter package is all header.
+    pub(super) fn header(&self) -> Option<&[u8]> {
+        let length = (self.length as usize).min(HEADER_LENGTH);
+        self.header.get(..length).filter(|_| self.received as usize >= length)
+    }
+
+    /// Writes the header's whole words, after it has been checked.
+    pub(super) fn begin<F: MappedFlash>(&mut self, flash: &mut F) -> Result<(), StoreError> {
+        self.is_started = true;
+        let header = self.header.get(..self.received as usize).unwrap_or(&self.header);
+        let mut rest = header;
+        while rest.len() >= F::WRITE_SIZE {
+            rest = program_some(flash, self.start, &mut self.written, rest)?;
+        }
+        self.word.iter_mut().zip(rest).for_each(|(place, byte)| *place = *byte);
+        Ok(())
     }
 
     /// Appends the next bytes. After an error the slot's contents are undefined.
@@ -98,12 +143,7 @@ impl Upload {
             rest = later;
         }
         while rest.len() >= F::WRITE_SIZE {
-            // Up to the end of the erase unit, in whole words.
-            let room = F::ERASE_SIZE.wrapping_sub(self.written as usize % F::ERASE_SIZE);
-            let whole = rest.len().wrapping_sub(rest.len() % F::WRITE_SIZE);
-            let (now, later) = rest.split_at_checked(room.min(whole)).unwrap_or((rest, &[]));
-            self.program(flash, now)?;
-            rest = later;
+            rest = program_some(flash, self.start, &mut self.written, rest)?;
         }
         for (place, byte) in self.word.iter_mut().zip(rest) {
             *place = *byte;
@@ -122,21 +162,31 @@ impl Upload {
     }
 
     fn program_word<F: MappedFlash>(&mut self, flash: &mut F) -> Result<(), StoreError> {
-        let word = self.word;
-        self.program(flash, word.get(..F::WRITE_SIZE).unwrap_or_default())
+        let word = self.word.get(..F::WRITE_SIZE).unwrap_or_default();
+        program_some(flash, self.start, &mut self.written, word).map(|_| ())
     }
+}
 
-    /// Writes whole words within one erase unit, and reads them back.
-    fn program<F: MappedFlash>(&mut self, flash: &mut F, words: &[u8]) -> Result<(), StoreError> {
-        let offset = self.start.wrapping_add(self.written);
-        if self.written.is_multiple_of(F::ERASE_SIZE as u32) {
-            erase_unit(flash, offset)?;
-        }
-        flash.write(offset, words).map_err(driver_error)?;
-        if bytes_at(flash, offset, words.len() as u32) != Some(words) {
-            return Err(StoreError::Verify { offset });
-        }
-        self.written = self.written.wrapping_add(words.len() as u32);
-        Ok(())
+/// Writes whole words up to the end of the erase unit, reads them back, and returns the other
+/// bytes.
+#[inline(never)]
+fn program_some<'a, F: MappedFlash>(
+    flash: &mut F,
+    start: u32,
+    written: &mut u32,
+    bytes: &'a [u8],
+) -> Result<&'a [u8], StoreError> {
+    let room = F::ERASE_SIZE.wrapping_sub(*written as usize % F::ERASE_SIZE);
+    let whole = bytes.len().wrapping_sub(bytes.len() % F::WRITE_SIZE);
+    let (words, rest) = bytes.split_at_checked(room.min(whole)).unwrap_or((bytes, &[]));
+    let offset = start.wrapping_add(*written);
+    if written.is_multiple_of(F::ERASE_SIZE as u32) {
+        erase_unit(flash, offset)?;
     }
+    flash.write(offset, words).map_err(driver_error)?;
+    if bytes_at(flash, offset, words.len() as u32) != Some(words) {
+        return Err(StoreError::Verify { offset });
+    }
+    *written = written.wrapping_add(words.len() as u32);
+    Ok(rest)
 }

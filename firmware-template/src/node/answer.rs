@@ -3,9 +3,10 @@
 use agent_core::health::Probation;
 use agent_core::package::{Package, Refusal};
 use agent_core::service::{Problem, Upload, receive};
-use agent_core::store::MappedFlash;
+use agent_core::store::{MappedFlash, Revert};
 use agent_core::{StateVector, Tick};
 
+use super::limits::take;
 use super::load::Verified;
 use super::{Event, Next, Node, Request, Response, Rows, respond};
 use crate::board::Board;
@@ -58,7 +59,7 @@ impl<
                 self.store.begin(length)?;
                 upload(0)
             }
-            Request::Chunk { offset, bytes } => upload(self.store.write(offset, bytes)?),
+            Request::Chunk { offset, bytes } => upload(self.take_chunk(offset, bytes)?),
             Request::Stage => self.stage(),
             Request::Activate => self.activate(),
             Request::Confirm => {
@@ -83,11 +84,15 @@ impl<
     }
 
     fn activate(&mut self) -> Answer<'static, N> {
+        if self.store.staged().is_some() {
+            take(&mut self.limits.activations, self.memory.session.is_some())?;
+        }
         // Staging has verified the package, and the store compares its bytes with the record.
-        let package = self.store.activate(|bytes| {
+        let check = |bytes: &[u8]| {
             let package = Package::decode_unchanged(bytes)?;
             Ok::<_, Refusal>(Verified::of(&package))
-        })?;
+        };
+        let package = self.store.activate(check, Verified::edition)?;
         self.in_use = self.store.in_use().and_then(|slot| package.in_slot(slot, &self.store));
         let counters = self.health.counters();
         self.probation = Some(Probation::new(self.settings.good_steps, counters));
@@ -95,7 +100,7 @@ impl<
     }
 
     fn revert(&mut self) -> Answer<'static, N> {
-        let slot = self.store.revert()?;
+        let slot = self.store.revert(Revert::BY_OPERATOR)?;
         self.probation = None;
         self.in_use = slot.and_then(|slot| {
             let package = Package::decode(self.store.bytes(slot)?).ok()?;

@@ -11,8 +11,9 @@ use agent_core::package::{
     Serial, accept,
 };
 use agent_core::service::RefusalReport;
-use agent_core::store::{self, MappedFlash, Store};
+use agent_core::store::{self, Edition, MappedFlash, Store};
 
+use super::limits::take;
 use super::{Agent, Counts, InUsePackage, Memory, Node, Session};
 use crate::board::Board;
 
@@ -50,12 +51,20 @@ impl<
             let length = |slot: &[u8]| u32::try_from(Envelope::length_in(slot)?).ok();
             store.salvage(length, check, |new: &Verified, old| new.serial() > old.serial())
         });
+        if let Some((_, package)) = &found {
+            // A journal of format 1 does not say.
+            store.raise_activated(package.edition());
+        }
         self.in_use = found.and_then(|(slot, package)| package.in_slot(slot, store));
+        self.boots = store.count_boot(None);
     }
 
     /// Stages the uploaded package if it passes all checks.
     pub(super) fn stage_upload(&mut self) -> Result<Verified, store::CheckedError<Refusal>> {
-        let Self { store, memory, settings, in_use, .. } = self;
+        let Self { store, memory, settings, in_use, limits, .. } = self;
+        if store.is_complete() {
+            take(&mut limits.checks, memory.session.is_some())?;
+        }
         let requirements = Requirements {
             public_key: settings.public_key.as_ref(),
             agent: in_use.map(|package| package.agent),
@@ -64,6 +73,19 @@ impl<
             capacity: Self::CAPACITY,
         };
         store.stage(|bytes| verified::<N>(bytes, &requirements, &mut memory.scratch))
+    }
+
+    /// Takes a part of an upload. Before anything is erased, its header is checked.
+    pub(super) fn take_chunk(
+        &mut self,
+        offset: u32,
+        bytes: &[u8],
+    ) -> Result<u32, store::CheckedError<Refusal>> {
+        let Self { store, memory, limits, .. } = self;
+        store.write(offset, bytes, |_header| {
+            take(&mut limits.uploads, memory.session.is_some())?;
+            Ok(())
+        })
     }
 
     /// Prepares the agent for the package in use or the built-in agent; without either there is no
@@ -205,6 +227,11 @@ impl Verified {
 
     fn serial(&self) -> Serial {
         Serial { epoch: self.epoch, version: self.version }
+    }
+
+    /// Returns epoch and version; packages of format 1 have the epoch 0.
+    pub(super) fn edition(&self) -> Edition {
+        Edition { epoch: 0, version: self.version }
     }
 
     /// Returns `None` if no package is recorded in the slot.

@@ -24,6 +24,7 @@
 
 mod answer;
 mod errors;
+mod limits;
 mod load;
 mod turn;
 
@@ -43,10 +44,11 @@ use agent_core::service::{
     BoardFault, Event, Firmware, PROTOCOL_VERSION, PackageStatus, RefusalReport, Request, Response,
     Rows, Status, Subscription, send,
 };
-use agent_core::store::{Layout, LayoutError, MappedFlash, Slot, Store};
+use agent_core::store::{Layout, LayoutError, MappedFlash, RateLimit, Slot, Store};
 
 use crate::board::{Board, RequestBuffer};
 use errors::Counts;
+use limits::Limits;
 
 /// User settings of a node.
 #[derive(Clone, Debug)]
@@ -61,6 +63,8 @@ pub struct Settings {
     pub health: HealthSettings,
     /// Consecutive good steps needed to confirm a package on trial.
     pub good_steps: NonZeroU32,
+    /// How often uploads, complete packages and activations are accepted, each for itself.
+    pub update_limit: RateLimit,
     /// Interval between samples kept for training. \[ticks\]
     pub sample_stride: NonZeroU32,
     /// The initial unsolicited reports, until a request changes them.
@@ -138,6 +142,9 @@ pub struct Node<
     counts: Counts,
     refused_at_start: [Option<RefusalReport>; 2],
     board_fault: Option<BoardFault>,
+    limits: Limits,
+    /// How often the node has booted.
+    boots: u32,
 }
 
 /// The observer's mutable data.
@@ -284,6 +291,8 @@ impl<
             counts: Counts::default(),
             refused_at_start: [None; 2],
             board_fault: None,
+            limits: Limits::new(settings.update_limit),
+            boots: 0,
             settings,
         })
     }
@@ -432,6 +441,12 @@ impl<
             broadcasts_lost: self.counts.broadcasts_lost,
             health: *self.health.counters(),
         }
+    }
+
+    /// Returns how often the node has booted, as its flash counts it.
+    #[must_use]
+    pub fn boots(&self) -> u32 {
+        self.boots
     }
 
     /// Returns the flash driver, for inspection.

@@ -24,6 +24,9 @@ impl<
         // No tick follows the last one, which a node reaches after 10^8 years.
         let tick = self.next_tick.saturating_add(Tick::from(periods.max(1)) - 1);
         self.next_tick = tick.saturating_add(1);
+        if let Some(session) = &self.memory.session {
+            self.limits.advance(periods, session.params.step_size());
+        }
         let step = self.step(board, tick);
         let (outcome, sample) = match &step {
             Ok(step) => (Outcome::from(step), step.sample()),

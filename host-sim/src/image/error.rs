@@ -20,13 +20,13 @@ pub enum ImageError {
     /// The commit record has an invalid length.
     #[error(
         "the commit record has {found} bytes; its length must be a multiple of 8, at least 8 and at \
-             most one erase unit of {erase_size}"
+             most half the commit area, {half_length}"
     )]
     RecordLength {
         /// Length of the record. \[bytes\]
         found: usize,
-        /// Length of an erase unit. \[bytes\]
-        erase_size: u32,
+        /// Length of a half of the commit area. \[bytes\]
+        half_length: u32,
     },
     /// A segment leaves the region or overlaps another one.
     #[error(

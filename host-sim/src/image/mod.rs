@@ -37,7 +37,7 @@ pub use tools::{ToolCommand, ToolUse, commands_for};
 pub use uf2::Uf2Family;
 pub use uf2_format::UF2_FAMILIES;
 
-use agent_core::store::{Slot, factory_record};
+use agent_core::store::{Edition, Slot, factory_record};
 
 use crate::memory_map::WeightsRegion;
 use crate::packages::PackageBytes;
@@ -82,8 +82,8 @@ impl Image {
     /// Creates an image with `package` in `slot` and `record` at the start of the commit area.
     ///
     /// # Errors
-    /// If the package is empty or longer than the slot; if the record is empty, longer than an
-    /// erase unit or not a multiple of [`PACKAGE_ALIGNMENT`]; if a part is outside the region.
+    /// If the package is empty or longer than the slot; if the record is empty, longer than a
+    /// half of the commit area or not a multiple of [`PACKAGE_ALIGNMENT`]; if a part is outside the region.
     pub fn new(
         region: &WeightsRegion,
         slot: Slot,
@@ -97,11 +97,11 @@ impl Image {
                 slot_length: region.slot_length,
             });
         }
-        let fits = record.len() as u64 <= region.erase_size.min(region.commit_length).into();
+        let fits = record.len() as u64 <= u64::from(region.commit_length / 2);
         if record.is_empty() || !record.len().is_multiple_of(PACKAGE_ALIGNMENT) || !fits {
             return Err(ImageError::RecordLength {
                 found: record.len(),
-                erase_size: region.erase_size,
+                half_length: region.commit_length / 2,
             });
         }
         let filled = |bytes: &[u8], length: usize| {
@@ -135,7 +135,9 @@ impl Image {
         package: &PackageBytes,
     ) -> Result<Self, ImageError> {
         let bytes = package.as_bytes();
-        Self::new(region, slot, bytes, &factory_record(slot, bytes))
+        let version = package.package().version;
+        let edition = Edition { epoch: 0, version };
+        Self::new(region, slot, bytes, &factory_record(slot, bytes, Some(edition)))
     }
 
     /// Returns all segments, in order of address.

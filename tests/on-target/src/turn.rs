@@ -238,6 +238,7 @@ fn run(
         layout: LAYOUT,
         public_key: None,
         health: HealthSettings::RECOMMENDED,
+        update_limit: agent_core::store::RateLimit::NONE,
         good_steps: NonZeroU32::MIN,
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every: Some(NonZeroU32::MIN), outer_weights },

@@ -2,6 +2,7 @@
 //! once between two erasures, and the power can fail at any byte.
 
 use std::cell::Cell;
+use std::collections::BTreeMap;
 
 use agent_core::store::MappedFlash;
 use embedded_storage::nor_flash::{
@@ -18,11 +19,17 @@ pub enum Tear {
     Garbage,
     /// The word, or the whole unit, reads as erased but is not: writes fail.
     Unseen,
+    /// The word, or the whole unit, has all its bits but cannot be read.
+    Unreadable,
+    /// The bits of the word, or of the whole unit, are half-way: every read can find them as they
+    /// were, as they should be, or mixed.
+    Marginal,
 }
 
 impl Tear {
     /// Every kind of damage, to test them in a loop.
-    pub const ALL: [Self; 3] = [Self::Prefix, Self::Garbage, Self::Unseen];
+    pub const ALL: [Self; 5] =
+        [Self::Prefix, Self::Garbage, Self::Unseen, Self::Unreadable, Self::Marginal];
 }
 
 /// Failure of a write or an erasure without power loss.
@@ -70,7 +77,11 @@ pub struct SimulatedFlash<const WRITE: usize, const ERASE: usize> {
     written: Vec<bool>,
     /// Whether each word is unreadable until it is erased.
     unreadable: Vec<bool>,
+    /// Bytes before and after, of words whose bits are half-way.
+    marginal: BTreeMap<usize, ([u8; WRITE], [u8; WRITE])>,
     tear: Tear,
+    /// Whether words are protected by error correction, which reports torn ones.
+    has_correction: bool,
     /// Number of bytes that can be written and erased before the power fails.
     energy: Cell<Option<usize>>,
     /// Number of writes and erasures before the fault, number of failures, and the fault.
@@ -99,7 +110,9 @@ impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
             bytes: vec![0xff; capacity],
             written: vec![false; capacity / WRITE],
             unreadable: vec![false; capacity / WRITE],
+            marginal: BTreeMap::new(),
             tear,
+            has_correction: false,
             energy: Cell::new(None),
             fault: Cell::new(None),
             read_fault: Cell::new((0, 0)),
@@ -112,10 +125,38 @@ impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
         }
     }
 
+    /// Protects words by error correction: a word with only some of its bits cannot be read.
+    #[must_use]
+    pub fn with_correction(mut self, has_correction: bool) -> Self {
+        self.has_correction = has_correction;
+        self
+    }
+
     /// Switches the power on, to fail after `energy` bytes, or never.
     pub fn power_on(&mut self, energy: Option<usize>) {
         self.power_lost = false;
         self.energy.set(energy);
+        let words: Vec<_> = self.marginal.keys().copied().collect();
+        for word in words {
+            let found = self.marginal_word(word).unwrap_or([0; WRITE]);
+            self.bytes[word * WRITE..][..WRITE].copy_from_slice(&found);
+        }
+    }
+
+    /// Returns what a read finds in a word whose bits are half-way; `None` for an error.
+    fn marginal_word(&mut self, word: usize) -> Option<[u8; WRITE]> {
+        let (before, after) = self.marginal[&word];
+        match self.noise() % 4 {
+            0 | 1 => Some(after),
+            2 => Some(before),
+            _ => {
+                let mixed = std::array::from_fn(|i| {
+                    let mask = self.noise();
+                    (before[i] & mask) | (after[i] & !mask)
+                });
+                (!self.has_correction || mixed == before || mixed == after).then_some(mixed)
+            }
+        }
     }
 
     /// Makes the power fail after `energy` bytes.
@@ -185,36 +226,80 @@ impl<const WRITE: usize, const ERASE: usize> SimulatedFlash<WRITE, ERASE> {
         (done, fault.filter(|_| !self.power_lost))
     }
 
+    /// Returns how to tear: marginal bits are for power cuts only, since what is read back after a
+    /// fault must not be a matter of luck.
+    fn how(&self) -> Tear {
+        match self.tear {
+            Tear::Marginal if !self.power_lost => Tear::Garbage,
+            tear => tear,
+        }
+    }
+
+    /// Tears a word between what it held and `after`.
+    fn tear_word(&mut self, word: usize, after: [u8; WRITE]) {
+        let place = word * WRITE..(word + 1) * WRITE;
+        let before = self.bytes[place.clone()].try_into().unwrap();
+        self.written[word] = true;
+        match self.how() {
+            Tear::Prefix | Tear::Unseen => {}
+            Tear::Garbage => {
+                for byte in place {
+                    self.bytes[byte] = self.noise();
+                }
+                self.unreadable[word] |= self.has_correction;
+            }
+            Tear::Unreadable => {
+                self.bytes[place].copy_from_slice(&after);
+                self.unreadable[word] = true;
+            }
+            Tear::Marginal => {
+                self.marginal.insert(word, (before, after));
+                let found = self.marginal_word(word).unwrap_or(before);
+                self.bytes[place].copy_from_slice(&found);
+            }
+        }
+    }
+
     /// Writes the first `done` bytes; `torn` says whether the following word is torn.
     fn write_some(&mut self, offset: usize, bytes: &[u8], done: usize, torn: bool) {
-        let whole = if torn && self.tear != Tear::Prefix { done - done % WRITE } else { done };
+        let is_cut_inside = torn && self.how() == Tear::Prefix;
+        let whole = if torn && !is_cut_inside { done - done % WRITE } else { done };
         for (place, byte) in self.bytes[offset..].iter_mut().zip(&bytes[..whole]) {
             *place &= byte;
         }
         self.written[offset / WRITE..(offset + whole).div_ceil(WRITE)].fill(true);
-        if torn && self.tear != Tear::Prefix {
-            let start = offset + whole;
-            self.written[start / WRITE] = true;
-            if self.tear == Tear::Garbage {
-                for place in start..start + WRITE {
-                    self.bytes[place] = self.noise();
-                }
-            }
+        if is_cut_inside && self.has_correction && !whole.is_multiple_of(WRITE) {
+            self.unreadable[(offset + whole) / WRITE] = true;
+        }
+        if torn && !is_cut_inside {
+            let word = (offset + whole) / WRITE;
+            self.tear_word(word, bytes[whole..whole + WRITE].try_into().unwrap());
         }
     }
 
     /// Erases the first `done` bytes from `start` on; `torn` says whether the following unit is
     /// torn.
     fn erase_some(&mut self, start: usize, done: usize, torn: bool) {
-        let whole = if torn && self.tear != Tear::Prefix { done - done % ERASE } else { done };
+        let is_cut_inside = torn && self.how() == Tear::Prefix;
+        let whole = if torn && !is_cut_inside { done - done % ERASE } else { done };
+        let words = start / WRITE..(start + whole) / WRITE;
         self.bytes[start..start + whole].fill(0xff);
-        self.written[start / WRITE..(start + whole) / WRITE].fill(false);
-        self.unreadable[start / WRITE..(start + whole) / WRITE].fill(false);
-        if torn && self.tear != Tear::Prefix {
-            for place in start + whole..start + whole + ERASE {
-                self.bytes[place] = if self.tear == Tear::Garbage { self.noise() } else { 0xff };
+        self.written[words.clone()].fill(false);
+        self.unreadable[words.clone()].fill(false);
+        self.marginal.retain(|word, _| !words.contains(word));
+        if is_cut_inside && self.has_correction && !whole.is_multiple_of(WRITE) {
+            self.unreadable[(start + whole) / WRITE] = true;
+        }
+        if torn && !is_cut_inside {
+            for word in (start + whole) / WRITE..(start + whole + ERASE) / WRITE {
+                self.marginal.remove(&word);
+                if self.how() == Tear::Unseen {
+                    self.bytes[word * WRITE..(word + 1) * WRITE].fill(0xff);
+                    // The cells are not erased, but no longer what an interrupted write left.
+                    self.unreadable[word] = false;
+                }
+                self.tear_word(word, [0xff; WRITE]);
             }
-            self.written[(start + whole) / WRITE..(start + whole + ERASE) / WRITE].fill(true);
         }
     }
 
@@ -248,10 +333,21 @@ impl<const WRITE: usize, const ERASE: usize> ReadNorFlash for SimulatedFlash<WRI
             if others == 0 { count.saturating_sub(1) } else { count },
         ));
         let words = offset as usize / WRITE..(offset as usize + bytes.len()).div_ceil(WRITE);
-        if (others == 0 && count > 0) || self.unreadable[words].contains(&true) {
+        if (others == 0 && count > 0) || self.unreadable[words.clone()].contains(&true) {
             return Err(SimulatedError::Unreadable);
         }
         bytes.copy_from_slice(&self.bytes[offset as usize..][..bytes.len()]);
+        let marginal: Vec<_> = self.marginal.range(words).map(|(&word, _)| word).collect();
+        for word in marginal {
+            let found = self.marginal_word(word).ok_or(SimulatedError::Unreadable)?;
+            for (place, byte) in (word * WRITE..).zip(found) {
+                if let Some(index) = place.checked_sub(offset as usize)
+                    && let Some(read) = bytes.get_mut(index)
+                {
+                    *read = byte;
+                }
+            }
+        }
         Ok(())
     }
 
@@ -331,6 +427,22 @@ mod tests {
     }
 
     #[test]
+    fn error_correction_reports_torn_words() {
+        for tear in [Tear::Prefix, Tear::Garbage, Tear::Unreadable] {
+            let flash = SimulatedFlash::<4, 16>::new(64, tear, 0);
+            let mut flash = flash.with_correction(true);
+            flash.power_on(Some(6));
+            assert_eq!(flash.write(0, &[0; 12]), Err(SimulatedError::PowerLost));
+            flash.power_on(None);
+            assert_eq!(flash.read(0, &mut [0; 4]), Ok(()));
+            assert_eq!(flash.read(4, &mut [0; 4]), Err(SimulatedError::Unreadable));
+            assert_eq!(flash.read(8, &mut [0; 8]), Ok(()));
+            flash.erase(0, 16).unwrap();
+            assert_eq!(flash.read(4, &mut [0; 4]), Ok(()));
+        }
+    }
+
+    #[test]
     fn the_simulated_power_fails_at_its_byte_and_stays_off() {
         for tear in Tear::ALL {
             let mut flash = SimulatedFlash::<4, 16>::new(64, tear, 0);
@@ -346,7 +458,19 @@ mod tests {
                 Tear::Prefix => assert_eq!(word, [0, 0, 0xff, 0xff]),
                 Tear::Garbage => assert_ne!(word, [0xff; 4]),
                 Tear::Unseen => assert_eq!(word, [0xff; 4]),
+                Tear::Unreadable => assert_eq!(word, [0; 4]),
+                Tear::Marginal => {
+                    let mut read = || {
+                        let mut bytes = [0x55; 4];
+                        flash.read(4, &mut bytes).map(|()| bytes)
+                    };
+                    let found: std::collections::BTreeSet<_> =
+                        (0..100).map(|_| read().unwrap()).collect();
+                    assert!(found.contains(&[0; 4]) && found.contains(&[0xff; 4]));
+                    assert!(found.len() > 10);
+                }
             }
+            assert_eq!(flash.read(4, &mut [0]).is_err(), tear == Tear::Unreadable);
             assert_eq!(flash.write(4, &[0; 4]), Err(SimulatedError::Rewritten));
             assert_eq!(flash.write(8, &[7; 4]), Ok(()));
             flash.power_on(Some(10));
@@ -356,7 +480,8 @@ mod tests {
             match tear {
                 Tear::Prefix => assert_eq!(unit[8..], [0xff, 0xff, 7, 7, 0xff, 0xff, 0xff, 0xff]),
                 Tear::Garbage => assert!(unit[..4] != [0xff; 4] && unit[12..] != [0xff; 4]),
-                Tear::Unseen => assert_eq!(unit, [0xff; 16]),
+                Tear::Unseen | Tear::Unreadable => assert_eq!(unit, [0xff; 16]),
+                Tear::Marginal => {}
             }
             // Only in the first case have whole words been erased.
             assert_eq!(flash.write(0, &[1; 4]).is_ok(), tear == Tear::Prefix);

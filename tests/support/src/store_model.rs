@@ -1,6 +1,8 @@
 //! A minimal model of the weight store, and packages for it.
 
-use agent_core::store::{CheckedError, Layout, MappedFlash, Store, StoreError};
+use agent_core::store::{
+    CheckedError, Edition, Layout, MappedFlash, RECORD_LENGTH, Revert, Slot, Store, StoreError,
+};
 use agent_core::wire::crc::crc32;
 
 use crate::nor_flash::{SimulatedFlash, Tear};
@@ -24,6 +26,23 @@ pub fn check(bytes: &[u8]) -> Result<u16, &'static str> {
     Ok(u16::from_le_bytes([*body.get(2).ok_or("too short")?, *body.get(3).ok_or("too short")?]))
 }
 
+/// Returns the edition of a package; a higher number is not always a higher edition.
+#[must_use]
+pub fn edition(number: &u16) -> Edition {
+    Edition { epoch: u32::from(number % 5), version: u32::from(number % 7) }
+}
+
+/// Accepts every header.
+///
+/// # Errors
+/// Never.
+pub fn any_header(_: &[u8]) -> Result<(), CheckedError<&'static str>> {
+    Ok(())
+}
+
+/// The reason of every revert by a call.
+pub const REVERTED: u8 = 9;
+
 /// Returns the length of the package at the start of these bytes, if there is one.
 #[must_use]
 pub fn length(bytes: &[u8]) -> Option<u32> {
@@ -31,15 +50,21 @@ pub fn length(bytes: &[u8]) -> Option<u32> {
     Some(u32::from(u16::from_le_bytes(*length))).filter(|&length| length >= 8)
 }
 
-/// Returns a layout with two slots of `units` erase units each, and a commit area of two units.
+/// Erase units of a half of the commit area: the fewest that hold four records of two copies.
+#[must_use]
+pub const fn half_units(erase_size: usize) -> usize {
+    (4 * 2 * RECORD_LENGTH).div_ceil(erase_size)
+}
+
+/// Returns a layout with two slots of `units` erase units each, and a short commit area.
 #[must_use]
 pub fn layout(erase_size: usize, units: usize) -> Layout {
-    let (erase_size, slot_length) = (erase_size as u32, (erase_size * units) as u32);
+    let slot_length = (erase_size * units) as u32;
     Layout {
         slots: [0, slot_length],
         slot_length,
         commit: 2 * slot_length,
-        commit_length: 2 * erase_size,
+        commit_length: (2 * half_units(erase_size) * erase_size) as u32,
     }
 }
 
@@ -50,7 +75,7 @@ pub fn erased_flash<const WRITE: usize, const ERASE: usize>(
     tear: Tear,
     seed: u64,
 ) -> SimulatedFlash<WRITE, ERASE> {
-    SimulatedFlash::new(ERASE * (2 * units + 2), tear, seed)
+    SimulatedFlash::new(ERASE * 2 * (units + half_units(ERASE)), tear, seed)
 }
 
 /// The contents of a store, as package numbers.
@@ -64,12 +89,16 @@ pub struct Model {
     pub way_back: Option<Option<u16>>,
     /// The confirmed package's predecessor, which is used if the confirmed one is lost.
     pub reserve: Option<u16>,
+    /// The highest edition ever activated.
+    pub activated: Option<Edition>,
+    /// The last trial that was not passed.
+    pub last_revert: Option<Revert>,
 }
 
 /// A call that changes what survives a reboot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// An upload begins.
+    /// The header of an upload is accepted.
     Begin,
     /// The upload is complete and checked.
     Stage(u16),
@@ -93,9 +122,11 @@ impl Model {
                 staged: None,
                 way_back: Some(self.in_use),
                 reserve: None,
+                activated: self.activated.max(self.staged.as_ref().map(edition)),
+                ..self
             },
             Change::Confirm => Self { way_back: None, reserve: self.way_back.flatten(), ..self },
-            Change::Revert => self.rebooted(),
+            Change::Revert => self.reverted(REVERTED),
         }
     }
 
@@ -103,21 +134,24 @@ impl Model {
     /// reserve either.
     #[must_use]
     pub fn rebooted(self) -> Self {
-        match self.way_back {
-            Some(before) => Self { in_use: before, ..Self::default() },
-            None => self,
-        }
+        self.reverted(Revert::BY_RESET)
+    }
+
+    fn reverted(self, reason: u8) -> Self {
+        let Some(before) = self.way_back else { return self };
+        let last_revert = self.in_use.map(|number| Revert { edition: edition(&number), reason });
+        Self { in_use: before, activated: self.activated, last_revert, ..Self::default() }
     }
 
     /// Returns the contents reported by a store; every package it names must be intact.
     pub fn of<F: MappedFlash>(store: &Store<F>) -> Self {
         let number = |slot| check(store.bytes(slot).unwrap()).unwrap();
-        for slot in [agent_core::store::Slot::A, agent_core::store::Slot::B] {
+        for slot in [Slot::A, Slot::B] {
             if let Some(bytes) = store.bytes(slot) {
                 assert_eq!(check(bytes).map(|_| ()), Ok(()), "{slot} is named but damaged");
             }
         }
-        let spare = store.in_use().map_or(agent_core::store::Slot::A, |slot| slot.other());
+        let spare = store.in_use().map_or(Slot::A, Slot::other);
         let other = store.bytes(spare).map(|bytes| check(bytes).unwrap());
         let is_reserve = !store.is_on_trial() && store.staged().is_none();
         Self {
@@ -125,6 +159,8 @@ impl Model {
             staged: store.staged().map(number),
             way_back: store.is_on_trial().then_some(other),
             reserve: other.filter(|_| is_reserve),
+            activated: store.activated(),
+            last_revert: store.last_revert(),
         }
     }
 }
@@ -160,9 +196,9 @@ impl Ledger {
         }
     }
 
-    /// Records the installation of a package after `before`, whatever the state was.
-    pub fn installed(&mut self, number: u16, before: Option<u16>) {
-        self.now = Model { in_use: Some(number), reserve: before, ..Model::default() };
+    /// Records that the contents are now known to be these, whatever they were.
+    pub fn overruled(&mut self, found: Model) {
+        self.now = found;
         self.attempted.clear();
     }
 
@@ -182,4 +218,22 @@ pub fn plain<T>(outcome: Result<T, CheckedError<&'static str>>) -> Result<(), St
         CheckedError::Store(error) => error,
         refused => panic!("{refused:?}"),
     })
+}
+
+/// Returns a record of the journal's format 1, which older firmware wrote: slot in use and phase by
+/// their codes, length and checksum of the packages in both slots.
+#[must_use]
+pub fn format_1_record(number: u32, in_use: u8, phase: u8, packages: [&[u8]; 2]) -> [u8; 32] {
+    let mut record = [0; 32];
+    record[..4].copy_from_slice(&number.to_le_bytes());
+    record[4..7].copy_from_slice(&[1, in_use, phase]);
+    for (place, package) in record[8..24].chunks_exact_mut(8).zip(packages) {
+        if !package.is_empty() {
+            place[..4].copy_from_slice(&(package.len() as u32).to_le_bytes());
+            place[4..].copy_from_slice(&crc32(&[package]).to_le_bytes());
+        }
+    }
+    let checksum = crc32(&[&record[..28]]);
+    record[28..].copy_from_slice(&checksum.to_le_bytes());
+    record
 }

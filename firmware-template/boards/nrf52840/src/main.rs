@@ -37,6 +37,7 @@ use core::num::NonZeroU32;
 use agent_core::health::HealthSettings;
 use agent_core::package::StepRange;
 use agent_core::service::Subscription;
+use agent_core::store::RateLimit;
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_rt::entry;
 use firmware_template::registers::{Channel as Register, Format, RegisterValue, SetUp};
@@ -183,6 +184,12 @@ fn node(flash: pac::NVMC) -> Option<&'static mut ThisNode> {
         public_key: on_chip::public_key().ok()?,
         step_range: StepRange::DEFAULT,
         health: HealthSettings::RECOMMENDED,
+        update_limit: if cfg!(feature = "in-the-loop") {
+            // A simulation's time is not that of the flash.
+            RateLimit::NONE
+        } else {
+            RateLimit::DEFAULT
+        },
         good_steps: const { NonZeroU32::new(100).unwrap() },
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every, outer_weights: false },

@@ -24,7 +24,7 @@ use core::num::NonZeroU32;
 use agent_core::health::HealthSettings;
 use agent_core::package::StepRange;
 use agent_core::service::Subscription;
-use agent_core::store::MappedFlash;
+use agent_core::store::{MappedFlash, RateLimit};
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_semihosting::{nr, syscall};
 use embedded_io::{ErrorType, Read, Write};
@@ -72,6 +72,8 @@ fn main() -> ! {
         public_key,
         step_range: StepRange::DEFAULT,
         health: HealthSettings::RECOMMENDED,
+        // Its flash does not wear out, and its time is that of a simulation.
+        update_limit: RateLimit::NONE,
         good_steps: NonZeroU32::new(1_000).unwrap_or(NonZeroU32::MIN),
         sample_stride: NonZeroU32::new(20).unwrap_or(NonZeroU32::MIN),
         subscription: Subscription { state_every: None, outer_weights: false },

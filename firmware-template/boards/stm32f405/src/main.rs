@@ -48,6 +48,7 @@ use core::num::NonZeroU32;
 use agent_core::health::HealthSettings;
 use agent_core::package::StepRange;
 use agent_core::service::{BoardFault, Subscription};
+use agent_core::store::RateLimit;
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_rt::entry;
 use firmware_template::{Memory, Node, QueuedPort, Settings, memory_map, on_chip, queued_port};
@@ -199,6 +200,12 @@ fn node(flash: pac::FLASH, fault: Option<BoardFault>) -> Option<&'static mut Thi
         public_key: on_chip::public_key().ok()?,
         step_range: StepRange::DEFAULT,
         health: HealthSettings::RECOMMENDED,
+        update_limit: if cfg!(feature = "in-the-loop") {
+            // A simulation's time is not that of the flash.
+            RateLimit::NONE
+        } else {
+            RateLimit::DEFAULT
+        },
         good_steps: const { NonZeroU32::new(1_000).unwrap() },
         sample_stride: const { NonZeroU32::new(20).unwrap() },
         subscription: Subscription { state_every, outer_weights: false },
