@@ -240,7 +240,7 @@ fn run(steps: u32) -> (Vec<u8>, u32) {
         layout: Ram::LAYOUT,
         public_key: None,
         health: HealthSettings::RECOMMENDED,
-        good_steps: NonZeroU32::MIN,
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every: NonZeroU32::new(500), outer_weights: false },
         fallback: fallback(),

@@ -183,7 +183,7 @@ fn settings() -> Settings {
         layout: LAYOUT,
         public_key: None,
         health: HealthSettings { telemetry_interval: INTERVAL, ..HealthSettings::RECOMMENDED },
-        good_steps: NonZeroU32::new(1_000).unwrap(),
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every: NonZeroU32::new(1), outer_weights: false },
         fallback: None,

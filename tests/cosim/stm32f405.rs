@@ -225,7 +225,7 @@ fn on_the_host(requests: &[Request<'_>]) -> Vec<Vec<u8>> {
         layout,
         public_key: None,
         health: HealthSettings::RECOMMENDED,
-        good_steps: NonZeroU32::new(1_000).unwrap(),
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: NonZeroU32::new(20).unwrap(),
         subscription: Subscription { state_every: None, outer_weights: false },
         fallback: fallback::fallback(),

@@ -95,7 +95,7 @@ fn live(mut flash: Flash, socket: &UnixStream) -> Flash {
             layout: region().layout(),
             public_key: None,
             health: HealthSettings::RECOMMENDED,
-            good_steps: NonZeroU32::new(1_000).unwrap(),
+            trial: firmware_template::RECOMMENDED_TRIAL,
             sample_stride: NonZeroU32::new(20).unwrap(),
             subscription: Subscription::default(),
             fallback: None,

@@ -1,13 +1,13 @@
 //! Requests and their answers.
 
-use agent_core::health::Probation;
+use agent_core::health::{RevertReason, Trial};
 use agent_core::package::{Package, Refusal};
 use agent_core::service::{Problem, Upload, receive};
 use agent_core::store::MappedFlash;
 use agent_core::{StateVector, Tick};
 
 use super::load::Verified;
-use super::{Event, Next, Node, Request, Response, Rows, respond};
+use super::{Due, Event, LastRevert, Next, Node, Request, Response, Rows, respond};
 use crate::board::Board;
 
 /// The answer to a request, and what to do next.
@@ -63,10 +63,10 @@ impl<
             Request::Activate => self.activate(),
             Request::Confirm => {
                 self.store.confirm()?;
-                self.probation = None;
+                self.trial = None;
                 Ok((Response::Done, Next::Continue))
             }
-            Request::Revert => self.revert(),
+            Request::Revert => self.revert(RevertReason::Operator),
             Request::Reset => Ok((Response::Done, Next::Reset)),
             Request::Subscribe(subscription) => {
                 self.subscription = subscription;
@@ -89,14 +89,21 @@ impl<
             Ok::<_, Refusal>(Verified::of(&package))
         })?;
         self.in_use = self.store.in_use().and_then(|slot| package.in_slot(slot, &self.store));
-        let counters = self.health.counters();
-        self.probation = Some(Probation::new(self.settings.good_steps, counters));
+        let limits = self.settings.trial.tighter(&package.trial);
+        let before = self.performance.reference();
+        self.trial = Some(Trial::new(&limits, before, package.step_size, self.next_tick));
+        self.health.take_tally();
         Ok((Response::InUse { version: Some(package.version) }, Next::Switch))
     }
 
-    fn revert(&mut self) -> Answer<'static, N> {
+    /// Returns to what was in use before the package on trial, and keeps why.
+    fn revert(&mut self, reason: RevertReason) -> Answer<'static, N> {
+        let failed = self.in_use;
         let slot = self.store.revert()?;
-        self.probation = None;
+        self.trial = None;
+        if let Some(failed) = failed {
+            self.last_revert = Some(LastRevert { version: failed.version, reason });
+        }
         self.in_use = slot.and_then(|slot| {
             let package = Package::decode(self.store.bytes(slot)?).ok()?;
             Verified::of(&package).in_slot(slot, &self.store)
@@ -142,7 +149,24 @@ impl<
         {
             let event = Event::Confirmed { tick, version: package.version };
             respond::<B, N>(board, &Response::Event(event));
-            self.probation = None;
+            self.trial = None;
+        }
+    }
+
+    /// Ends the trial of a package that must not stay in use.
+    #[inline(never)]
+    pub(super) fn end_trial<B: Board>(
+        &mut self,
+        board: &mut B,
+        tick: Tick,
+        reason: RevertReason,
+    ) {
+        let failed = self.in_use.map_or(0, |package| package.version);
+        // If the journal cannot be written now, a later attempt may succeed.
+        if self.revert(reason).is_ok() {
+            let event = Event::Reverted { tick, version: failed, reason };
+            respond::<B, N>(board, &Response::Event(event));
+            self.due = Due::Session;
         }
     }
 }

@@ -3,12 +3,13 @@
 use agent_core::StateVector;
 use agent_core::agent::AgentParams;
 use agent_core::agent::region::StateBox;
-use agent_core::health::HealthParams;
+use agent_core::health::trial::SECONDS_MIN;
+use agent_core::health::{HealthParams, Performance};
 use agent_core::observer::feedback::Neighbour;
 use agent_core::observer::network::Scratch;
 use agent_core::package::{
     AgentConfig, Capacity, Envelope, InUse, NetworkPlace, Package, ParamsPlace, Refusal,
-    Requirements, accept,
+    Requirements, TrialLimits, accept,
 };
 use agent_core::service::RefusalReport;
 use agent_core::store::{self, MappedFlash, Store};
@@ -68,6 +69,16 @@ impl<
     pub(super) fn begin_session(&mut self) {
         let old = self.memory.session.take().map(|session| session.params);
         self.memory.session = self.session_after(old.as_ref().map_or(&[], ParamsPlace::neighbours));
+        match (&self.memory.session, &mut self.trial) {
+            (Some(session), _) => {
+                let seconds = self.settings.trial.seconds.unwrap_or(SECONDS_MIN);
+                self.performance = Performance::new(seconds, session.params.step_size());
+            }
+            (None, Some(trial)) => {
+                let _ = trial.unusable();
+            }
+            (None, None) => {}
+        }
     }
 
     /// Creates the next session, for an agent that had the neighbours `old`.
@@ -189,13 +200,15 @@ impl<const N: usize, const NEIGHBOURS: usize> Session<N, NEIGHBOURS> {
 pub(super) struct Verified {
     agent: agent_core::AgentId,
     pub(super) version: u32,
-    step_size: f32,
+    pub(super) step_size: f32,
+    pub(super) trial: TrialLimits,
 }
 
 impl Verified {
     pub(super) fn of(package: &Package<'_>) -> Self {
         let AgentConfig { agent, step_size, .. } = package.node;
-        Self { agent, version: package.version, step_size }
+        // Format 1 promises nothing.
+        Self { agent, version: package.version, step_size, trial: TrialLimits::NONE }
     }
 
     /// Returns `None` if no package is recorded in the slot.
@@ -204,7 +217,7 @@ impl Verified {
         slot: store::Slot,
         store: &Store<F>,
     ) -> Option<InUsePackage> {
-        let Self { agent, version, step_size } = self;
+        let Self { agent, version, step_size, .. } = self;
         Some(InUsePackage { agent, version, checksum: store.checksum(slot)?, step_size, slot })
     }
 }

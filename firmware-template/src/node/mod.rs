@@ -35,10 +35,12 @@ use agent_core::agent::AgentState;
 use agent_core::agent::capture::CaptureRing;
 use agent_core::agent::hold::Hold;
 use agent_core::agent::inbox::Inbox;
-use agent_core::health::{Health, HealthParams, HealthSettings, Probation};
+use agent_core::health::{
+    Health, HealthParams, HealthSettings, Performance, RevertReason, Trial,
+};
 use agent_core::observer::network::Scratch;
 use agent_core::package::signature::PublicKey;
-use agent_core::package::{AgentConfig, NetworkPlace, ParamsPlace};
+use agent_core::package::{AgentConfig, NetworkPlace, ParamsPlace, TrialLimits};
 use agent_core::service::{
     BoardFault, Event, Firmware, PROTOCOL_VERSION, PackageStatus, RefusalReport, Request, Response,
     Rows, Status, Subscription, send,
@@ -57,8 +59,9 @@ pub struct Settings {
     pub public_key: Option<PublicKey>,
     /// Settings of the health monitoring.
     pub health: HealthSettings,
-    /// Consecutive good steps needed to confirm a package on trial.
-    pub good_steps: NonZeroU32,
+    /// Limits of every package on trial, besides those that it carries itself.
+    /// [`RECOMMENDED_TRIAL`] is a start.
+    pub trial: TrialLimits,
     /// Interval between samples kept for training. \[ticks\]
     pub sample_stride: NonZeroU32,
     /// The initial unsolicited reports, until a request changes them.
@@ -70,6 +73,16 @@ pub struct Settings {
     /// Version of the firmware: major, minor, patch.
     pub version: [u8; 3],
 }
+
+/// Limits of a trial that suit most nodes: a minute, three restarts, and one percent of skipped ticks
+/// at 100 Hz. What was in use before, or the package itself, bounds innovation and broadcasts.
+pub const RECOMMENDED_TRIAL: TrialLimits = TrialLimits {
+    seconds: Some(60),
+    restarts: Some(3),
+    overflows: Some(30),
+    skipped_ticks: Some(60),
+    ..TrialLimits::NONE
+};
 
 /// Samples held from neighbours, one slot per neighbour of the agent.
 type Holds<const N: usize, const NEIGHBOURS: usize> = heapless::Vec<Option<Hold<N>>, NEIGHBOURS>;
@@ -128,7 +141,9 @@ pub struct Node<
     store: Store<F>,
     memory: &'m mut Memory<N, FEATURES, NEIGHBOURS, SAMPLES>,
     health: Health,
-    probation: Option<Probation>,
+    performance: Performance,
+    trial: Option<Trial>,
+    last_revert: Option<LastRevert>,
     subscription: Subscription,
     next_tick: Tick,
     due: Due,
@@ -157,6 +172,13 @@ struct InUsePackage {
     checksum: u32,
     step_size: f32,
     slot: Slot,
+}
+
+/// The last package that did not stay in use.
+#[derive(Clone, Copy, Debug)]
+struct LastRevert {
+    version: u32,
+    reason: RevertReason,
 }
 
 /// What does not change while one package is in use.
@@ -267,7 +289,9 @@ impl<
             store,
             memory,
             health: Health::new(),
-            probation: None,
+            performance: Performance::new(settings.trial.seconds.unwrap_or(0), 1.0),
+            trial: None,
+            last_revert: None,
             subscription: settings.subscription,
             next_tick: 0,
             due: Due::Greeting,
@@ -347,9 +371,10 @@ impl<
         }
         let periods = board.elapsed();
         if periods > 0 {
+            self.due = Due::Request;
+            // May make another session due.
             self.turn(board, periods);
             board.flush();
-            self.due = Due::Request;
             return Progress::Worked;
         }
         self.take_request(board).unwrap_or(Progress::Idle)
@@ -392,7 +417,7 @@ impl<
     }
 
     fn status(&self) -> Status {
-        let trial = self.probation.as_ref();
+        let trial = self.trial.as_ref().filter(|_| self.store.is_on_trial());
         Status {
             protocol: PROTOCOL_VERSION,
             firmware: Firmware {
@@ -410,7 +435,10 @@ impl<
                 checksum: package.checksum,
                 step_size: package.step_size,
                 slot: package.slot,
-                trial: trial.map(|trial| (trial.good_steps(), self.settings.good_steps.get())),
+                trial: trial.map(|trial| {
+                    let (good, needed) = trial.steps();
+                    (good, needed.get())
+                }),
                 network_in_use: self.health.network_in_use(),
             }),
             staged: self.store.staged().is_some(),

@@ -2,7 +2,8 @@
 
 use agent_core::Tick;
 use agent_core::agent::capture::Sample;
-use agent_core::health::{WatchedAgent, WatchedStep};
+use agent_core::health::performance::disagreement;
+use agent_core::health::{Verdict, WatchedAgent};
 use agent_core::service::{Outcome, State};
 use agent_core::store::MappedFlash;
 use agent_core::wire::frame::{FRAME_LENGTH_MAX, FrameError};
@@ -24,33 +25,28 @@ impl<
         // No tick follows the last one, which a node reaches after 10^8 years.
         let tick = self.next_tick.saturating_add(Tick::from(periods.max(1)) - 1);
         self.next_tick = tick.saturating_add(1);
-        let step = self.step(board, tick);
-        let (outcome, sample) = match &step {
-            Ok(step) => (Outcome::from(step), step.sample()),
-            Err(outcome) => (*outcome, None),
-        };
+        let (outcome, sample) = self.step(board, tick);
+        let sample = sample.as_ref();
         if let Some(sample) = sample {
             self.memory.samples.offer(sample, self.settings.sample_stride);
         }
-        if let Some(probation) = &mut self.probation
-            && probation.observe(sample.is_some(), self.health.counters())
-        {
-            self.confirm(board, tick);
+        match self.trial.as_mut().map(|trial| trial.at(tick)) {
+            Some(Verdict::Passed) => self.confirm(board, tick),
+            Some(Verdict::Failed(reason)) => self.end_trial(board, tick, reason),
+            None | Some(Verdict::Running | Verdict::AwaitsOperator) => {}
         }
         self.tell(board, tick, outcome, sample);
     }
 
-    /// Accepts received frames, takes the step, and broadcasts its frame.
-    ///
-    /// # Errors
-    /// Why no step was attempted.
+    /// Accepts received frames, takes the step, broadcasts its frame, and records how the package
+    /// performs. Returns the outcome, and the sample for training if there is one.
     #[inline(always)] // Otherwise its result would be copied.
-    fn step<B: Board>(&mut self, board: &mut B, tick: Tick) -> Result<WatchedStep<N>, Outcome> {
-        let Self { memory, store, health, counts, .. } = self;
+    fn step<B: Board>(&mut self, board: &mut B, tick: Tick) -> (Outcome, Option<Sample<N>>) {
+        let Self { memory, store, health, counts, performance, trial, .. } = self;
         let Memory { agent, session, .. } = &mut **memory;
-        let Some(session) = session else { return Err(Outcome::NoPackage) };
+        let Some(session) = session else { return (Outcome::NoPackage, None) };
         let bytes = session.bytes(store);
-        let Some(params) = session.params.params(bytes) else { return Err(Outcome::NoPackage) };
+        let Some(params) = session.params.params(bytes) else { return (Outcome::NoPackage, None) };
         agent.announce(&params, board, counts);
         let mut watched = WatchedAgent {
             params: &params,
@@ -78,22 +74,42 @@ impl<
         let outputs = board.measure(&mut measurement);
         let taken =
             outputs.and_then(|outputs| measurement.get(..outputs).ok_or(SensorErrorKind::Other));
-        let measurement = match taken {
-            Ok(measurement) => measurement,
+        // Without a usable measurement the node goes on observing from its neighbours.
+        let (measurement, unmeasured) = match taken {
+            Ok(measurement) if measurement.iter().all(|value| value.is_finite()) => {
+                (Some(measurement), None)
+            }
+            Ok(_) => {
+                watched.health.measurement_refused();
+                (None, Some(Outcome::MeasurementNotFinite))
+            }
             Err(kind) => {
                 counts.sensor(kind);
-                return Err(Outcome::NoMeasurement);
+                (None, Some(Outcome::NoMeasurement))
             }
         };
         let network = session.network.as_ref().and_then(|(_, place)| place.network(bytes));
         let weights = session.outer_weights(bytes);
-        let step = watched.step(network.as_ref(), weights, tick, measurement);
+        let step = watched.attempt(network.as_ref(), weights, tick, measurement);
         if let Some(frame) = step.broadcast()
             && let Err(kind) = board.broadcast(&frame.encode())
         {
             counts.not_sent(kind);
         }
-        Ok(step)
+        let sample = step.sample().copied().filter(|_| unmeasured.is_none());
+        let output_error = sample.is_some().then(|| agent.state.output_error(&params));
+        if performance.observe(output_error, step.broadcast().is_some()) {
+            let tally = health.take_tally();
+            let measurement = measurement.unwrap_or(&[]);
+            let disagreement = disagreement(&agent.state);
+            let block = performance.end_block(measurement, disagreement, tally.faults > 0);
+            if let Some(trial) = trial {
+                let _ = trial.end_block(&block, &tally, tick);
+            }
+        }
+        let outcome = Outcome::from(&step);
+        let outcome = unmeasured.filter(|_| outcome == Outcome::Stepped).unwrap_or(outcome);
+        (outcome, sample)
     }
 
     /// Sends what is to be told of this turn.

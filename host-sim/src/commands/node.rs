@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use agent_core::health::RevertReason;
 use agent_core::service::{Request, Status};
 use clap::{Args, ValueEnum};
 
@@ -146,4 +147,24 @@ pub(super) fn text(address: &Address, status: &Status) -> String {
     }
     text += &format!("  health: {}\n", health::line(&status.health));
     text
+}
+
+/// Explains why a package did not stay in use.
+pub(super) fn reason_text(reason: RevertReason) -> &'static str {
+    match reason {
+        RevertReason::Operator => "the operator asked for it",
+        RevertReason::Reset => "the node was reset during its trial",
+        RevertReason::Restarts => "the agent restarted too often",
+        RevertReason::Overflows => "too many steps would have overflowed",
+        RevertReason::SkippedTicks => "too many ticks were skipped",
+        RevertReason::Innovation => "its innovation was too large",
+        RevertReason::Disagreement => "its estimate was too far from those of the neighbours",
+        RevertReason::Broadcasts => "it broadcast too often",
+        RevertReason::Faults => "too many of its steps were faulty",
+        RevertReason::Measurements => "there were too few measurements to judge it by",
+        RevertReason::NotConfirmed => {
+            "there was nothing to compare it with, and it was not confirmed in time"
+        }
+        RevertReason::Unusable => "no agent could be made of it",
+    }
 }

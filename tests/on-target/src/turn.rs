@@ -238,7 +238,7 @@ fn run(
         layout: LAYOUT,
         public_key: None,
         health: HealthSettings::RECOMMENDED,
-        good_steps: NonZeroU32::MIN,
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every: Some(NonZeroU32::MIN), outer_weights },
         fallback: None,

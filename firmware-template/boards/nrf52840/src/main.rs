@@ -181,7 +181,7 @@ fn node(flash: pac::NVMC) -> Option<&'static mut ThisNode> {
         // With an invalid key no signature can be verified, so the node must not start.
         public_key: on_chip::public_key().ok()?,
         health: HealthSettings::RECOMMENDED,
-        good_steps: const { NonZeroU32::new(100).unwrap() },
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every, outer_weights: false },
         // The package determines which agent this is.

@@ -70,7 +70,7 @@ fn main() -> ! {
         layout: region.layout,
         public_key,
         health: HealthSettings::RECOMMENDED,
-        good_steps: NonZeroU32::new(1_000).unwrap_or(NonZeroU32::MIN),
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: NonZeroU32::new(20).unwrap_or(NonZeroU32::MIN),
         subscription: Subscription { state_every: None, outer_weights: false },
         // The package determines which agent this is.

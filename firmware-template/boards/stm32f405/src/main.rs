@@ -197,7 +197,7 @@ fn node(flash: pac::FLASH, fault: Option<BoardFault>) -> Option<&'static mut Thi
         // With an invalid key no signature can be verified, so the node must not start.
         public_key: on_chip::public_key().ok()?,
         health: HealthSettings::RECOMMENDED,
-        good_steps: const { NonZeroU32::new(1_000).unwrap() },
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: const { NonZeroU32::new(20).unwrap() },
         subscription: Subscription { state_every, outer_weights: false },
         fallback: fallback::fallback(),
