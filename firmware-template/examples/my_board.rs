@@ -245,6 +245,7 @@ fn run(steps: u32) -> (Vec<u8>, u32) {
         subscription: Subscription { state_every: NonZeroU32::new(500), outer_weights: false },
         fallback: fallback(),
         stack_unused: None,
+        start: firmware_template::Start::default(),
         version: [0, 1, 0],
     };
     // State dimension 2; capacity for 1 feature, 1 neighbour, 8 samples.

@@ -30,7 +30,7 @@ pub use board::{
 pub use in_the_loop::InTheLoop;
 pub use key::key_from_hex;
 pub use memory_map::{Symbols, WeightsRegion};
-pub use node::{Memory, Node, Progress, RECOMMENDED_TRIAL, Settings};
+pub use node::{Memory, Node, Progress, RECOMMENDED_TRIAL, Settings, Start};
 pub use periods::Periods;
 pub use queued_port::{Full, QueuedEnd, QueuedPort, queued_port};
 pub use registers::RegisterSensor;

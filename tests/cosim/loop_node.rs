@@ -87,6 +87,7 @@ fn run(mut flash: Flash, quirks: &Quirks, socket: UnixStream, reads: Arc<AtomicU
             subscription: Subscription::default(),
             fallback: None,
             stack_unused: None,
+            start: firmware_template::Start::default(),
             version: [0, 1, 0],
         };
         let mut memory = Memory::new();

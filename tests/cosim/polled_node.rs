@@ -188,6 +188,7 @@ fn settings() -> Settings {
         subscription: Subscription { state_every: NonZeroU32::new(1), outer_weights: false },
         fallback: None,
         stack_unused: None,
+        start: firmware_template::Start::default(),
         version: [0, 1, 0],
     }
 }

@@ -230,6 +230,7 @@ fn on_the_host(requests: &[Request<'_>]) -> Vec<Vec<u8>> {
         subscription: Subscription { state_every: None, outer_weights: false },
         fallback: fallback::fallback(),
         stack_unused: None,
+        start: firmware_template::Start::default(),
         version: [0, 1, 0],
     };
     let mut memory = Memory::new();

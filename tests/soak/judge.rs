@@ -125,6 +125,16 @@ impl Judge {
                     other => Err(instead("its status", other)),
                 };
             }
+            Request::Report => {
+                return match said.pop_front() {
+                    Some(Message::Report(_)) => Ok(()),
+                    other => Err(instead("its report", other)),
+                };
+            }
+            Request::ForgetUnreadable => return answered(said, &Message::Done),
+            Request::Numbered { .. } => {
+                return answered(said, &Message::Refused(Problem::Unknown));
+            }
             Request::Samples { from, most } => return sampled(from, most, said),
             Request::StartAt { ref estimate } => {
                 let usable = estimate.len() == 3 && estimate.iter().all(|x| x.is_finite());

@@ -100,6 +100,7 @@ fn live(mut flash: Flash, socket: &UnixStream) -> Flash {
             subscription: Subscription::default(),
             fallback: None,
             stack_unused: None,
+            start: firmware_template::Start::default(),
             version: [0, 1, 0],
         };
         let mut memory = Memory::new();

@@ -38,8 +38,9 @@
 //! - after [`HealthSettings::restart_after`] consecutive steps that overflow.
 //!
 //! Neighbours' samples outside the plausible region are dropped; they would otherwise drive the
-//! estimate out again. An untrained network has an unbounded box and therefore an unbounded
-//! plausible region: then only overflows cause a restart, and every finite frame is accepted.
+//! estimate out again. An untrained network has an unbounded box; its plausible region ends where a
+//! sample could make a step overflow ([`AgentParams::ceiling`]). Whatever the region, a sample
+//! beyond that limit is dropped when a step has overflowed, so that it does not wait for ever.
 //! [`Health::restart`] performs the restart; `docs/decisions/0009-restarts.md` has the
 //! measurements.
 //!
@@ -107,6 +108,8 @@ pub struct Health {
     /// Whether anything was counted since the last report.
     is_changed: bool,
     tally: Tally,
+    /// Skipped ticks that are not the package's.
+    excused: u32,
 }
 
 /// What happened since [`Health::take_tally`] was last called: unlike the counters, which stop at
@@ -250,9 +253,10 @@ impl Health {
     fn skipped(&mut self, ticks: Tick) {
         let ticks = u32::try_from(ticks).unwrap_or(u32::MAX);
         self.is_changed = true;
-        for counter in [&mut self.counters.skipped_ticks, &mut self.tally.skipped_ticks] {
-            *counter = counter.saturating_add(ticks);
-        }
+        let blamed = ticks.saturating_sub(core::mem::take(&mut self.excused));
+        let (counters, tally) = (&mut self.counters, &mut self.tally);
+        counters.skipped_ticks = counters.skipped_ticks.saturating_add(ticks);
+        tally.skipped_ticks = tally.skipped_ticks.saturating_add(blamed);
     }
 
     fn notice_broadcast<const N: usize>(&mut self, params: &HealthParams<N>, tick: Tick) {
@@ -360,6 +364,13 @@ impl Health {
     /// Returns what has happened since the last call.
     pub fn take_tally(&mut self) -> Tally {
         core::mem::take(&mut self.tally)
+    }
+
+    /// Does not hold `ticks` of those skipped before the next step against the package: the chip stood
+    /// still.
+    #[inline]
+    pub fn excuse(&mut self, ticks: u32) {
+        self.excused = ticks;
     }
 
     /// Counts something that is to be reported.

@@ -14,8 +14,9 @@
 //! overflow gives infinity or NaN, and every comparison here and in [`super::Trial`] treats both as
 //! bad.
 //!
-//! Cost per step: `2 m` operations. Memory: 56 bytes.
+//! Cost per step: `2 m` operations. Memory: 60 bytes.
 
+use super::Tally;
 use crate::StateVector;
 use crate::agent::AgentState;
 use crate::agent::hold::{Hold, HoldSlots};
@@ -40,6 +41,8 @@ pub struct Means {
     pub broadcasts: f32,
     /// Mean square of the measurements. \[squared output unit\]
     pub output: f32,
+    /// Fraction of the blocks with a fault, such as an estimate outside the trained box.
+    pub faults: f32,
 }
 
 /// One block of steps.
@@ -96,15 +99,15 @@ impl Performance {
         self.attempts >= BLOCK
     }
 
-    /// Ends a block and returns it. `is_faulty` says whether a fault has occurred in it: such a
-    /// block is not part of the means, nor are the ones in which the estimate converges again.
+    /// Ends a block and returns it. `tally` is what happened in it: a block with a restart or an
+    /// overflow is not part of the means, nor are the ones in which the estimate converges again.
     /// `measurement` is that of the last step, `disagreement` is [`disagreement`]'s result.
     #[inline(never)]
     pub fn end_block(
         &mut self,
         measurement: &[f32],
         disagreement: Option<f32>,
-        is_faulty: bool,
+        tally: &Tally,
     ) -> Block {
         let outputs = measurement.len().max(1) as f32;
         let means = Means {
@@ -113,10 +116,12 @@ impl Performance {
             heard: if disagreement.is_some() { 1.0 } else { 0.0 },
             broadcasts: self.broadcasts as f32 / BLOCK as f32,
             output: sum_of_squares(measurement) / outputs,
+            faults: if tally.faults > 0 { 1.0 } else { 0.0 },
         };
         let block = Block { taken: self.taken, means };
         (self.attempts, self.taken, self.broadcasts, self.squares) = (0, 0, 0, 0.0);
-        if is_faulty || !means.innovation.is_finite() || !means.disagreement.is_finite() {
+        let is_lost = tally.restarts > 0 || tally.overflows > 0;
+        if is_lost || !means.innovation.is_finite() || !means.disagreement.is_finite() {
             self.settling = SETTLING;
         } else if self.settling > 0 {
             self.settling -= 1;
@@ -135,10 +140,10 @@ impl Performance {
         (self.blocks >= self.memory / 4).then_some(self.means)
     }
 
-    /// Returns the mean square of the innovation so far; `None` before the first block.
+    /// Returns the means so far; `None` before the first block.
     #[must_use]
-    pub fn innovation(&self) -> Option<f32> {
-        (self.blocks > 0).then_some(self.means.innovation)
+    pub fn means(&self) -> Option<&Means> {
+        (self.blocks > 0).then_some(&self.means)
     }
 }
 
@@ -151,16 +156,28 @@ impl Block {
 }
 
 impl Means {
+    /// Adds the means of a block to sums over blocks.
+    pub(super) fn add(&mut self, other: &Self) {
+        for (sum, value) in self.each(other) {
+            *sum += value;
+        }
+    }
+
     fn approach(&mut self, other: &Self, weight: f32) {
-        for (mean, value) in [
+        for (mean, value) in self.each(other) {
+            *mean += weight * (value - *mean);
+        }
+    }
+
+    fn each(&mut self, other: &Self) -> [(&mut f32, f32); 6] {
+        [
             (&mut self.innovation, other.innovation),
             (&mut self.disagreement, other.disagreement),
             (&mut self.heard, other.heard),
             (&mut self.broadcasts, other.broadcasts),
             (&mut self.output, other.output),
-        ] {
-            *mean += weight * (value - *mean);
-        }
+            (&mut self.faults, other.faults),
+        ]
     }
 }
 

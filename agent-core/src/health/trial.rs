@@ -8,7 +8,7 @@
 //! | RMS of the innovation | an attempt | [`TrialLimits::innovation_rms`], and [`RMS_FACTOR`] times that of what was in use before |
 //! | RMS of the disagreement with the neighbours | an attempt | [`RMS_FACTOR`] times that before |
 //! | broadcasts per second | an attempt | [`TrialLimits::broadcasts_per_second`], or without it [`RATE_FACTOR`] times that before |
-//! | blocks with a fault of the package | an attempt | a quarter |
+//! | blocks with a fault, such as an estimate outside the trained box | an attempt | the fraction before, and a quarter |
 //!
 //! An observer whose neighbours know the state can hide a bad package: the consensus term holds its
 //! estimate. So the innovation alone does not decide. [`super::performance`] defines the quantities.
@@ -26,7 +26,7 @@
 //! The package goes, also if nothing was in use before: an agent without a package does no harm to
 //! its neighbours, and one with a bad package may. Its reason is kept.
 //!
-//! Cost: about 40 operations per block. Memory: 120 bytes. Invariant: every comparison is written so
+//! Cost: about 40 operations per block. Memory: 160 bytes. Invariant: every comparison is written so
 //! that infinity and NaN fail.
 
 use core::num::NonZeroU32;
@@ -164,6 +164,8 @@ pub struct Trial {
     attempt: Attempt,
     /// Over the whole trial.
     tally: Tally,
+    sums: Means,
+    blocks: u32,
     /// Why the last attempt could not pass.
     failed: Option<RevertReason>,
     verdict: Verdict,
@@ -173,7 +175,6 @@ pub struct Trial {
 #[derive(Clone, Copy, Debug, Default)]
 struct Attempt {
     blocks: u32,
-    faulty: u32,
     sums: Means,
 }
 
@@ -193,6 +194,8 @@ impl Trial {
             needed: blocks_in(seconds, step_size),
             attempt: Attempt::default(),
             tally: Tally::default(),
+            sums: Means::default(),
+            blocks: 0,
             failed: None,
             verdict: if is_judged { Verdict::Running } else { Verdict::AwaitsOperator },
         }
@@ -208,7 +211,10 @@ impl Trial {
             return self.fail(reason);
         }
         if block.is_whole() {
-            self.attempt.add(&block.means, tally.faults > 0);
+            self.attempt.blocks += 1;
+            self.attempt.sums.add(&block.means);
+            self.blocks = self.blocks.saturating_add(1);
+            self.sums.add(&block.means);
             if let Some(reason) = self.cannot_pass() {
                 self.failed = Some(reason);
                 self.attempt = Attempt::default();
@@ -268,7 +274,7 @@ impl Trial {
 
     /// Returns why the current attempt cannot pass, whatever follows, if that is so.
     fn cannot_pass(&self) -> Option<RevertReason> {
-        let Attempt { blocks, faulty, sums } = &self.attempt;
+        let Attempt { blocks, sums } = &self.attempt;
         let needed = self.needed as f32;
         // The sums of a whole attempt at its limit.
         let within = |sum: f32, mean: f32| sum <= mean * needed;
@@ -298,8 +304,11 @@ impl Trial {
             {
                 return Some(RevertReason::Disagreement);
             }
+            if !within(sums.faults, before.faults + 0.25) {
+                return Some(RevertReason::Faults);
+            }
         }
-        (!within(*faulty as f32, 0.25)).then_some(RevertReason::Faults)
+        None
     }
 
     fn deadline_ticks(&self) -> Tick {
@@ -328,23 +337,26 @@ impl Trial {
         (self.attempt.blocks.saturating_mul(BLOCK), needed)
     }
 
-    /// Returns the mean square of the innovation in the current attempt; `None` before its first
-    /// block.
+    /// Returns the sums over the blocks of the whole trial, and their number.
     #[must_use]
-    pub fn innovation(&self) -> Option<f32> {
-        let Attempt { blocks, sums, .. } = &self.attempt;
-        (*blocks > 0).then(|| sums.innovation / *blocks as f32)
+    pub fn sums(&self) -> (&Means, u32) {
+        (&self.sums, self.blocks)
     }
-}
 
-impl Attempt {
-    fn add(&mut self, means: &Means, is_faulty: bool) {
-        self.blocks += 1;
-        self.faulty += u32::from(is_faulty);
-        let sums = &mut self.sums;
-        sums.innovation += means.innovation;
-        sums.disagreement += means.disagreement;
-        sums.heard += means.heard;
-        sums.broadcasts += means.broadcasts;
+    /// Returns the means of what was in use before.
+    #[must_use]
+    pub fn before(&self) -> Option<&Means> {
+        self.before.as_ref()
+    }
+
+    /// Returns `dt`. \[s\]
+    #[must_use]
+    pub fn step_size(&self) -> f32 {
+        self.step_size
+    }
+
+    /// Records that the operator has ended the trial.
+    pub fn end(&mut self, verdict: Verdict) {
+        self.verdict = verdict;
     }
 }

@@ -158,6 +158,11 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
         if let Ok(output) = &attempt {
             observe(state, output);
         }
+        if attempt == Err(StepError::Diverged) {
+            // A sample that led to it must not stay to do it again.
+            inbox.discard_outside(&health_params.harmless);
+            state.forget_neighbours_outside(&health_params.harmless);
+        }
         if health.observe(health_params, tick, &attempt, state) == Advice::Restart
             && let Ok(frame) =
                 health.restart(health_params, params, state, inbox, tick, outer_weights)

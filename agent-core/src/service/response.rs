@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize, Serializer};
 
-use super::{Problem, RefusalReport, Upload};
+use super::{Problem, RefusalReport, Report, Upload};
 use crate::agent::StepError;
 use crate::health::{BoardErrors, HealthCounters, RevertReason, WatchedStep};
 use crate::store::Slot;
@@ -69,6 +69,13 @@ pub enum Response<'a, V> {
         /// How often what failed.
         counters: BoardErrors,
     },
+    /// Answers a request for a report.
+    Report(Report),
+    /// The head of a part of the answer to a numbered request: that part follows.
+    Answer {
+        /// The number of the request.
+        number: u16,
+    },
 }
 
 impl<V> Response<'_, V> {
@@ -83,7 +90,9 @@ impl<V> Response<'_, V> {
             | Self::Done
             | Self::Refused(_)
             | Self::Sample { .. }
-            | Self::SamplesEnd { .. } => true,
+            | Self::SamplesEnd { .. }
+            | Self::Report(_)
+            | Self::Answer { .. } => true,
             Self::Hello(_)
             | Self::State(_)
             | Self::Health { .. }

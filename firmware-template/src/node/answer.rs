@@ -1,13 +1,13 @@
 //! Requests and their answers.
 
-use agent_core::health::{RevertReason, Trial};
+use agent_core::health::{RevertReason, Trial, Verdict};
 use agent_core::package::{Package, Refusal};
-use agent_core::service::{Problem, Upload, receive};
+use agent_core::service::{LastRevert, Problem, Upload, receive, split_number};
 use agent_core::store::MappedFlash;
 use agent_core::{StateVector, Tick};
 
 use super::load::Verified;
-use super::{Due, Event, LastRevert, Next, Node, Request, Response, Rows, respond};
+use super::{Due, Event, InUsePackage, Next, Node, Request, Response, Rows, respond, respond_to};
 use crate::board::Board;
 
 /// The answer to a request, and what to do next.
@@ -25,6 +25,8 @@ impl<
     /// turn's.
     #[inline(never)]
     pub(super) fn answer<B: Board>(&mut self, board: &mut B, bytes: &[u8]) -> Next {
+        let (number, bytes) = split_number(bytes);
+        self.number = number;
         let answer = match receive::<Request<'_>>(bytes) {
             None => Err(Problem::Unknown),
             Some(Request::Samples { from, most }) => {
@@ -40,17 +42,26 @@ impl<
                 if matches!(response, Response::Status(_)) {
                     self.tell_faults(board);
                 }
-                respond(board, &response);
+                respond_to(board, number, &response);
                 next
             }
             Err(problem) => {
-                respond::<B, N>(board, &Response::Refused(problem));
+                respond_to::<B, N>(board, number, &Response::Refused(problem));
                 Next::Continue
             }
         }
     }
 
     fn carry_out(&mut self, request: &Request<'_>) -> Answer<'static, N> {
+        self.flash_used |= matches!(
+            request,
+            Request::Begin { .. }
+                | Request::Chunk { .. }
+                | Request::Stage
+                | Request::Activate
+                | Request::Confirm
+                | Request::Revert
+        );
         let upload = |received| Ok((Response::Upload(Upload { received }), Next::Continue));
         match *request {
             Request::Query => Ok((Response::Status(self.status()), Next::Continue)),
@@ -63,7 +74,7 @@ impl<
             Request::Activate => self.activate(),
             Request::Confirm => {
                 self.store.confirm()?;
-                self.trial = None;
+                self.end(Verdict::Passed);
                 Ok((Response::Done, Next::Continue))
             }
             Request::Revert => self.revert(RevertReason::Operator),
@@ -72,8 +83,15 @@ impl<
                 self.subscription = subscription;
                 Ok((Response::Done, Next::Continue))
             }
+            Request::Report => Ok((Response::Report(self.current_report()), Next::Continue)),
+            Request::ForgetUnreadable => {
+                self.store.forget_unreadable();
+                Ok((Response::Done, Next::Continue))
+            }
             Request::Frame { .. } | Request::Tick { .. } => Err(Problem::NotInTheLoop),
-            Request::Samples { .. } | Request::StartAt { .. } => Err(Problem::Unknown),
+            Request::Samples { .. } | Request::StartAt { .. } | Request::Numbered { .. } => {
+                Err(Problem::Unknown)
+            }
         }
     }
 
@@ -100,10 +118,11 @@ impl<
     fn revert(&mut self, reason: RevertReason) -> Answer<'static, N> {
         let failed = self.in_use;
         let slot = self.store.revert()?;
-        self.trial = None;
-        if let Some(failed) = failed {
-            self.last_revert = Some(LastRevert { version: failed.version, reason });
-        }
+        self.end(Verdict::Failed(reason));
+        self.last_revert = failed.map(|failed| {
+            let InUsePackage { version, epoch, .. } = failed;
+            LastRevert { version, epoch, reason }
+        });
         self.in_use = slot.and_then(|slot| {
             let package = Package::decode(self.store.bytes(slot)?).ok()?;
             Verified::of(&package).in_slot(slot, &self.store)
@@ -136,7 +155,7 @@ impl<
                 estimate: Rows::one(&sample.estimate),
                 derivative: Rows::one(&sample.derivative),
             };
-            respond(board, &response);
+            respond_to(board, self.number, &response);
         }
         next
     }
@@ -149,7 +168,13 @@ impl<
         {
             let event = Event::Confirmed { tick, version: package.version };
             respond::<B, N>(board, &Response::Event(event));
-            self.trial = None;
+        }
+    }
+
+    /// Keeps how the trial ended.
+    fn end(&mut self, verdict: Verdict) {
+        if let Some(trial) = &mut self.trial {
+            trial.end(verdict);
         }
     }
 

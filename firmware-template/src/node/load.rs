@@ -74,10 +74,10 @@ impl<
                 let seconds = self.settings.trial.seconds.unwrap_or(SECONDS_MIN);
                 self.performance = Performance::new(seconds, session.params.step_size());
             }
-            (None, Some(trial)) => {
+            (None, Some(trial)) if self.store.is_on_trial() => {
                 let _ = trial.unusable();
             }
-            (None, None) => {}
+            (None, _) => {}
         }
     }
 
@@ -200,6 +200,8 @@ impl<const N: usize, const NEIGHBOURS: usize> Session<N, NEIGHBOURS> {
 pub(super) struct Verified {
     agent: agent_core::AgentId,
     pub(super) version: u32,
+    /// Format 1 has none.
+    pub(super) epoch: u32,
     pub(super) step_size: f32,
     pub(super) trial: TrialLimits,
 }
@@ -207,8 +209,9 @@ pub(super) struct Verified {
 impl Verified {
     pub(super) fn of(package: &Package<'_>) -> Self {
         let AgentConfig { agent, step_size, .. } = package.node;
-        // Format 1 promises nothing.
-        Self { agent, version: package.version, step_size, trial: TrialLimits::NONE }
+        // Format 1 has neither an epoch nor limits.
+        let (epoch, trial) = (0, TrialLimits::NONE);
+        Self { agent, version: package.version, epoch, step_size, trial }
     }
 
     /// Returns `None` if no package is recorded in the slot.
@@ -217,8 +220,8 @@ impl Verified {
         slot: store::Slot,
         store: &Store<F>,
     ) -> Option<InUsePackage> {
-        let Self { agent, version, step_size, .. } = self;
-        Some(InUsePackage { agent, version, checksum: store.checksum(slot)?, step_size, slot })
+        let Self { agent, version, epoch, step_size, .. } = self;
+        Some(InUsePackage { agent, version, epoch, checksum: store.checksum(slot)?, step_size, slot })
     }
 }
 

@@ -36,14 +36,14 @@ use agent_core::agent::capture::CaptureRing;
 use agent_core::agent::hold::Hold;
 use agent_core::agent::inbox::Inbox;
 use agent_core::health::{
-    Health, HealthParams, HealthSettings, Performance, RevertReason, Trial,
+    Health, HealthParams, HealthSettings, Performance, Trial,
 };
 use agent_core::observer::network::Scratch;
 use agent_core::package::signature::PublicKey;
 use agent_core::package::{AgentConfig, NetworkPlace, ParamsPlace, TrialLimits};
 use agent_core::service::{
-    BoardFault, Event, Firmware, PROTOCOL_VERSION, PackageStatus, RefusalReport, Request, Response,
-    Rows, Status, Subscription, send,
+    BoardFault, Event, Firmware, LastRevert, PROTOCOL_VERSION, PanicPlace, PackageStatus, Performance as PerformanceReport, RefusalReport, Report,
+    Request, ResetCause, Response, Rows, Status, Subscription, TrialReport, send_numbered,
 };
 use agent_core::store::{Layout, LayoutError, MappedFlash, Slot, Store};
 
@@ -70,8 +70,21 @@ pub struct Settings {
     pub fallback: Option<AgentConfig<'static>>,
     /// Returns how many bytes of the stack have never been used, if the board can tell.
     pub stack_unused: Option<fn() -> u32>,
+    /// What the board knows of its resets.
+    pub start: Start,
     /// Version of the firmware: major, minor, patch.
     pub version: [u8; 3],
+}
+
+/// What a board knows of its resets.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Start {
+    /// Why it has started.
+    pub cause: ResetCause,
+    /// Where the firmware panicked before, if it did.
+    pub panic: Option<PanicPlace>,
+    /// How often it has started, as far as it knows.
+    pub boots: Option<u32>,
 }
 
 /// Limits of a trial that suit most nodes: a minute, three restarts, and one percent of skipped ticks
@@ -151,6 +164,11 @@ pub struct Node<
     counts: Counts,
     refused_at_start: [Option<RefusalReport>; 2],
     board_fault: Option<BoardFault>,
+    /// Number of the request that is being answered, if it has one.
+    number: Option<u16>,
+    /// Whether flash has been erased or written since the last turn.
+    flash_used: bool,
+    stalled_ticks: u32,
 }
 
 /// The observer's mutable data.
@@ -169,16 +187,10 @@ struct Agent<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize> {
 struct InUsePackage {
     agent: agent_core::AgentId,
     version: u32,
+    epoch: u32,
     checksum: u32,
     step_size: f32,
     slot: Slot,
-}
-
-/// The last package that did not stay in use.
-#[derive(Clone, Copy, Debug)]
-struct LastRevert {
-    version: u32,
-    reason: RevertReason,
 }
 
 /// What does not change while one package is in use.
@@ -299,6 +311,9 @@ impl<
             counts: Counts::default(),
             refused_at_start: [None; 2],
             board_fault: None,
+            number: None,
+            flash_used: false,
+            stalled_ticks: 0,
             settings,
         })
     }
@@ -453,6 +468,22 @@ impl<
         }
     }
 
+    fn current_report(&self) -> Report {
+        let step_size = self.memory.session.as_ref().map(|session| session.params.step_size());
+        let performance = self.performance.means().zip(step_size);
+        Report {
+            performance: performance
+                .map(|(means, step_size)| PerformanceReport::new(means, 1, step_size)),
+            trial: self.trial.as_ref().map(TrialReport::new),
+            last_revert: self.last_revert,
+            epoch: self.in_use.map(|package| package.epoch),
+            boots: self.settings.start.boots,
+            reset_cause: self.settings.start.cause,
+            panic: self.settings.start.panic,
+            stalled_ticks: self.stalled_ticks,
+        }
+    }
+
     /// Returns the flash driver, for inspection.
     #[must_use]
     pub fn flash(&self) -> &F {
@@ -466,10 +497,20 @@ impl<
     }
 }
 
+/// Sends a response that answers no request.
+#[inline]
+fn respond<B: Board, const N: usize>(board: &mut B, response: &Response<'_, Rows<'_, N>>) {
+    respond_to(board, None, response);
+}
+
 /// Sends a response. One function for all responses, so that the encoder exists once.
 #[inline(never)]
-fn respond<B: Board, const N: usize>(board: &mut B, response: &Response<'_, Rows<'_, N>>) {
-    send(response, |bytes| board.respond(bytes));
+fn respond_to<B: Board, const N: usize>(
+    board: &mut B,
+    number: Option<u16>,
+    response: &Response<'_, Rows<'_, N>>,
+) {
+    send_numbered(number, response, |bytes| board.respond(bytes));
 }
 
 #[inline]

@@ -25,12 +25,18 @@ impl<
         // No tick follows the last one, which a node reaches after 10^8 years.
         let tick = self.next_tick.saturating_add(Tick::from(periods.max(1)) - 1);
         self.next_tick = tick.saturating_add(1);
+        // A chip that stands still while it erases has missed these ticks through no fault of the
+        // package.
+        let stalled = if core::mem::take(&mut self.flash_used) { periods.saturating_sub(1) } else { 0 };
+        self.stalled_ticks = self.stalled_ticks.saturating_add(stalled);
+        self.health.excuse(stalled);
         let (outcome, sample) = self.step(board, tick);
         let sample = sample.as_ref();
         if let Some(sample) = sample {
             self.memory.samples.offer(sample, self.settings.sample_stride);
         }
-        match self.trial.as_mut().map(|trial| trial.at(tick)) {
+        let trial = self.trial.as_mut().filter(|_| self.store.is_on_trial());
+        match trial.map(|trial| trial.at(tick)) {
             Some(Verdict::Passed) => self.confirm(board, tick),
             Some(Verdict::Failed(reason)) => self.end_trial(board, tick, reason),
             None | Some(Verdict::Running | Verdict::AwaitsOperator) => {}
@@ -102,8 +108,8 @@ impl<
             let tally = health.take_tally();
             let measurement = measurement.unwrap_or(&[]);
             let disagreement = disagreement(&agent.state);
-            let block = performance.end_block(measurement, disagreement, tally.faults > 0);
-            if let Some(trial) = trial {
+            let block = performance.end_block(measurement, disagreement, &tally);
+            if let Some(trial) = trial.as_mut().filter(|_| store.is_on_trial()) {
                 let _ = trial.end_block(&block, &tally, tick);
             }
         }

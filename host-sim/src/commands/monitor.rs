@@ -11,7 +11,8 @@ use clap::Args;
 use serde::Serialize;
 
 use super::board_report::{BoardReport, errors_line, fault_line};
-use super::node::{RETRY_POLICY, connect, reason_text, text};
+use super::node::{RETRY_POLICY, connect, text};
+use super::node_report::reason_text;
 use super::{CommandError, ErrorCode, Format, health, load_scenario, print_json, print_text};
 use crate::interruption::{self, SecondSignal};
 use crate::packages::{PackageBytes, RecordingSource};

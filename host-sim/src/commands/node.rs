@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use agent_core::health::RevertReason;
 use agent_core::service::{Request, Status};
 use clap::{Args, ValueEnum};
 
 use super::board_report::BoardReport;
 use super::health;
+use super::node_report::{self, NodeReport};
 use super::{CommandError, Format, print_json, print_text};
 use crate::interruption::{self, SecondSignal};
 use crate::service::address::AddressError;
@@ -42,6 +42,8 @@ enum Action {
     Revert,
     /// Restart, as after power-on
     Reset,
+    /// Give up entries of its journal that cannot be read, so that updates go on
+    ForgetUnreadable,
 }
 
 /// Connects to the node at `address`, and delimits the first message.
@@ -70,15 +72,23 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 in_use,
             )?;
         }
+        Action::ForgetUnreadable => {
+            let request = Request::ForgetUnreadable;
+            node.request(&request, RETRY_POLICY, &mut |_| {}, "a confirmation", done)?;
+        }
         Action::Reset => {
             node.request(&Request::Reset, RETRY_POLICY, &mut |_| {}, "a confirmation", done)?;
         }
     }
     let mut board = BoardReport::default();
     let status = push::status_and(node, RETRY_POLICY, &mut |message| board.record(message))?;
+    let report = push::report(node, RETRY_POLICY)?;
     match arguments.format {
-        Format::Json => print_json(&board.with(&status)),
-        Format::Text => print_text(&(text(&arguments.endpoint, &status) + &board.text())),
+        Format::Json => print_json(&NodeReport::new(&board.with(&status), report.as_ref())),
+        Format::Text => {
+            let more = report.as_ref().map(node_report::text).unwrap_or_default();
+            print_text(&(text(&arguments.endpoint, &status) + &more + &board.text()))
+        }
     }
 }
 
@@ -147,24 +157,4 @@ pub(super) fn text(address: &Address, status: &Status) -> String {
     }
     text += &format!("  health: {}\n", health::line(&status.health));
     text
-}
-
-/// Explains why a package did not stay in use.
-pub(super) fn reason_text(reason: RevertReason) -> &'static str {
-    match reason {
-        RevertReason::Operator => "the operator asked for it",
-        RevertReason::Reset => "the node was reset during its trial",
-        RevertReason::Restarts => "the agent restarted too often",
-        RevertReason::Overflows => "too many steps would have overflowed",
-        RevertReason::SkippedTicks => "too many ticks were skipped",
-        RevertReason::Innovation => "its innovation was too large",
-        RevertReason::Disagreement => "its estimate was too far from those of the neighbours",
-        RevertReason::Broadcasts => "it broadcast too often",
-        RevertReason::Faults => "too many of its steps were faulty",
-        RevertReason::Measurements => "there were too few measurements to judge it by",
-        RevertReason::NotConfirmed => {
-            "there was nothing to compare it with, and it was not confirmed in time"
-        }
-        RevertReason::Unusable => "no agent could be made of it",
-    }
 }

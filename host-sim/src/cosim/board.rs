@@ -236,8 +236,9 @@ impl Board {
             })
             .map_err(PushError::from)
             .and_then(|()| push::transfer(client, package, retry_policy, &mut |_| {}))
-            .and_then(|_| push::activate(client, package, retry_policy));
-        pushed.map(|_| ()).map_err(|error| self.push_fault("accept a package", error))
+            .and_then(|_| push::activate(client, package, retry_policy))
+            .and_then(|_| Ok(push::confirm(client, retry_policy)?));
+        pushed.map_err(|error| self.push_fault("accept a package", error))
     }
 
     fn push_fault(&mut self, request: &'static str, error: PushError) -> Fault {

@@ -243,6 +243,7 @@ fn run(
         subscription: Subscription { state_every: Some(NonZeroU32::MIN), outer_weights },
         fallback: None,
         stack_unused: None,
+        start: firmware_template::Start::default(),
         version: [0; 3],
     };
     let mut memory = Memory::<N, FEATURES, NEIGHBOURS, SAMPLES>::new();

@@ -187,6 +187,7 @@ fn node(flash: pac::NVMC) -> Option<&'static mut ThisNode> {
         // The package determines which agent this is.
         fallback: None,
         stack_unused: Some(on_chip::stack_unused),
+        start: firmware_template::Start::default(),
         version: [0, 1, 0],
     };
     // SAFETY: memory.x reserves this region, and this is the only call.

@@ -76,6 +76,7 @@ fn main() -> ! {
         // The package determines which agent this is.
         fallback: None,
         stack_unused: Some(on_chip::stack_unused),
+        start: firmware_template::Start::default(),
         version: [0, 1, 0],
     };
     let Some(port) = Port::open() else { exit(EXIT_NO_CHANNEL) };

@@ -215,6 +215,7 @@ fn node() -> Option<&'static mut ThisNode> {
         // The package determines which agent this is.
         fallback: None,
         stack_unused: Some(on_chip::stack_unused),
+        start: firmware_template::Start::default(),
         version: [0, 1, 0],
     };
     // SAFETY: memory.x reserves this region, this is the only call, and the second core is never

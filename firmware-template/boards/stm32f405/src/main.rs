@@ -202,6 +202,7 @@ fn node(flash: pac::FLASH, fault: Option<BoardFault>) -> Option<&'static mut Thi
         subscription: Subscription { state_every, outer_weights: false },
         fallback: fallback::fallback(),
         stack_unused: Some(on_chip::stack_unused),
+        start: firmware_template::Start::default(),
         version: [0, 1, 0],
     };
     // SAFETY: memory.x reserves this region, and this is the only call.
