@@ -13,6 +13,8 @@
 
 pub mod board;
 mod board_error;
+mod boot_record;
+pub mod held_bus;
 mod in_the_loop;
 mod key;
 mod memory_map;
@@ -27,6 +29,7 @@ mod waiting_port;
 pub use board::{
     Board, Clock, Hardware, Link, LinkError, LinkErrorKind, Sensor, SensorError, SensorErrorKind,
 };
+pub use boot_record::BootRecord;
 pub use in_the_loop::InTheLoop;
 pub use key::key_from_hex;
 pub use memory_map::{Symbols, WeightsRegion};

@@ -62,6 +62,7 @@ const DEADLINE: u32 = 3;
 /// Why a package is no longer in use. Numbers and names are part of the service protocol; new ones
 /// go to the end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 #[repr(u8)]
 pub enum RevertReason {
     /// The operator asked for it.
@@ -360,3 +361,6 @@ impl Trial {
         self.verdict = verdict;
     }
 }
+
+#[cfg(test)]
+mod tests;

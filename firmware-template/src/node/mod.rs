@@ -390,6 +390,7 @@ impl<
             // May make another session due.
             self.turn(board, periods);
             board.flush();
+            board.done();
             return Progress::Worked;
         }
         self.take_request(board).unwrap_or(Progress::Idle)

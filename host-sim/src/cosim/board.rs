@@ -264,9 +264,7 @@ impl Board {
 
     /// Replaces the package in a persistent flash permanently.
     fn replace(&mut self, package: &[u8]) -> Result<(), Fault> {
-        self.push(package)?;
-        self.ask(&Request::Confirm, "confirm its package", is_done)?;
-        Ok(())
+        self.push(package)
     }
 
     /// Sends a request that must succeed, and returns the frames broadcast in the meantime.

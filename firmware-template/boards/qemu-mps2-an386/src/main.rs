@@ -22,7 +22,7 @@ use core::convert::Infallible;
 use core::num::NonZeroU32;
 
 use agent_core::health::HealthSettings;
-use agent_core::service::Subscription;
+use agent_core::service::{ResetCause, Subscription};
 use agent_core::store::MappedFlash;
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_semihosting::{nr, syscall};
@@ -76,7 +76,7 @@ fn main() -> ! {
         // The package determines which agent this is.
         fallback: None,
         stack_unused: Some(on_chip::stack_unused),
-        start: firmware_template::Start::default(),
+        start: on_chip::start(ResetCause::Unknown),
         version: [0, 1, 0],
     };
     let Some(port) = Port::open() else { exit(EXIT_NO_CHANNEL) };
@@ -366,7 +366,8 @@ static __INTERRUPTS: [usize; 1] = [0];
 /// With the verifier, or without optimisation, some paths can panic.
 #[cfg(any(feature = "signature", debug_assertions))]
 #[panic_handler]
-fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
+    on_chip::record_failure(info.location().map(|place| (place.file(), place.line())));
     SCB::sys_reset()
 }
 
