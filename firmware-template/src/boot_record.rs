@@ -57,9 +57,8 @@ impl BootRecord {
             }
         }
         let crc = checksum(&words);
-        if let [.., last] = &mut words {
-            *last = crc;
-        }
+        let [.., last] = &mut words;
+        *last = crc;
         words
     }
 

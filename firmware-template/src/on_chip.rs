@@ -13,9 +13,9 @@ use critical_section::Mutex;
 use embedded_storage::nor_flash::NorFlashErrorKind;
 
 #[cfg(all(target_os = "none", target_arch = "arm"))]
-use agent_core::service::{PanicPlace, ResetCause};
-#[cfg(all(target_os = "none", target_arch = "arm"))]
 use crate::{BootRecord, Start};
+#[cfg(all(target_os = "none", target_arch = "arm"))]
+use agent_core::service::{PanicPlace, ResetCause};
 
 use crate::WeightsRegion;
 

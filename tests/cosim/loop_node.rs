@@ -9,12 +9,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use agent_core::health::HealthSettings;
+use agent_core::package::TrialLimits;
 use agent_core::package::signature::PublicKey;
 use agent_core::service::{Request, Subscription, send};
 use agent_core::store::{Layout, MappedFlash, Slot};
 use embedded_io::ErrorKind;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
-use agent_core::package::TrialLimits;
 use firmware_template::{InTheLoop, Memory, Node, RECOMMENDED_TRIAL, Settings};
 use host_sim::image::Image;
 use host_sim::memory_map::{MemoryMap, WeightsRegion};

@@ -300,7 +300,11 @@ fn a_harmful_package_is_back_out_by_itself_and_a_good_one_stays() {
         let after = status();
         let last = &after["last_revert"];
         assert_eq!((&last["version"], &last["epoch"]), (&2.into(), &0.into()), "{after}");
-        assert_eq!((&last["reason"], &after["version"]), (&"restarts".into(), &1.into()), "{after}");
+        assert_eq!(
+            (&last["reason"], &after["version"]),
+            (&"restarts".into(), &1.into()),
+            "{after}"
+        );
         assert_eq!(after["trial"]["verdict"], "reverted");
         assert_eq!(after["trial"]["needed_seconds"].as_f64().unwrap().round(), 10.0);
         assert_eq!(after["trial"]["deadline_seconds"].as_f64().unwrap().round(), 30.0);

@@ -144,7 +144,7 @@ pub(crate) fn mutants(package: &PackageBytes, version: u32) -> Vec<Mutant> {
             parts.projection.boundary_layer *= factor;
         });
     }
-    for factor in [1e-42, 1e-6, 1e-3, 0.1, 0.5, 2.0, 5.0, 10.0, 100.0, 1e3, 1e6, 1e30] {
+    for factor in [1e-42, 1e-6, 1e-3, 0.1, 0.5, 2.0, 5.0, 10.0, 100.0, 1e3] {
         add(format!("step x {factor:e}"), &|parts| parts.step_size *= factor);
     }
     for factor in [-30.0, -10.0, -1.0, 0.0, 3.0, 10.0, 100.0, 1e4, 1e20, 1e30] {

@@ -46,9 +46,10 @@ fn ratios(outcome: &Outcome) -> String {
     let Some(trial) = &outcome.trial else { return String::new() };
     let (Some(found), Some(before)) = (&trial.found, &trial.before) else { return String::new() };
     format!(
-        "; innovation x {:.2}, disagreement x {:.2}, broadcasts x {:.2}, faults {:.2} ({:.2})",
+        "; innovation x {:.2}, disagreement x {:.2}, effort x {:.2}, broadcasts x {:.2}, faults {:.2} ({:.2})",
         found.innovation_rms / before.innovation_rms,
         found.disagreement_rms / before.disagreement_rms,
+        found.effort_rms / before.effort_rms,
         found.broadcasts_per_second / before.broadcasts_per_second,
         found.faults,
         before.faults,
@@ -100,11 +101,35 @@ fn judge(world: &World, before: &[PackageBytes], agent: usize, all: &[Mutant]) -
 fn harmful_packages_are_refused_or_go_back_by_themselves() {
     let world = World::new("better", 0);
     let before: Vec<_> = world.trained.iter().map(|package| package.renumbered(1)).collect();
-    for agent in 0..1 {
+    for agent in 0..3 {
         let all = mutants(&world.trained[agent], 2);
         let counts = judge(&world, &before, agent, &all);
         println!("agent {}: {} kinds: {counts:?}", agent + 1, all.len());
         assert!(all.len() >= 200, "{}", all.len());
         assert!(counts.harmful.is_empty(), "{:#?}", counts.harmful);
     }
+}
+
+#[test]
+fn packages_trained_again_stay() {
+    let world = World::new("better", 0);
+    let before: Vec<_> = world.trained.iter().map(|package| package.renumbered(1)).collect();
+    let again: Vec<_> = (1..4).map(|seed| World::new("better", seed).trained).collect();
+    let pushes: Vec<_> = again
+        .iter()
+        .flat_map(|packages| packages.iter().enumerate())
+        .map(|(agent, package)| (agent, package.renumbered(2)))
+        .collect();
+    let results = in_parallel(&pushes, |(agent, package)| {
+        observe(&world, &before, REFERENCE, *agent, Some(package))
+    });
+    let mut gone = Vec::new();
+    for ((agent, _), outcome) in pushes.iter().zip(&results) {
+        let Outcome { end, seconds, .. } = outcome;
+        println!("agent {}: {end:?} after {seconds:.1} s{}", agent + 1, ratios(outcome));
+        if *end != End::Confirmed {
+            gone.push((agent + 1, *end));
+        }
+    }
+    assert!(gone.is_empty(), "{gone:?}");
 }

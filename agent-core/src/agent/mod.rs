@@ -462,6 +462,17 @@ where
         &self.output_error.as_slice()[..params.outputs().min(N)]
     }
 
+    /// Returns `K_1 (z_i - C_i^T e_3i)` of the last step, shape `[N]`. \[state unit/s\]
+    #[must_use]
+    pub fn feedback(&self, params: &AgentParams<'_, N>) -> StateVector<N> {
+        let mut innovation = zeros();
+        let rows = params.observer.output_matrix.rows().iter();
+        for (row, &error) in rows.zip(components(&self.output_error)) {
+            add_scaled(&mut innovation, error, row);
+        }
+        product(params.gain(), &difference(&self.consensus_term, &innovation))
+    }
+
     /// Returns the agent's own held sample, `x_tilde_i`.
     #[must_use]
     pub fn own_hold(&self) -> &Hold<N> {

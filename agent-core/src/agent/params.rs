@@ -154,9 +154,8 @@ impl<'a, const N: usize> AgentParams<'a, N> {
         };
         let dimension = N as f32;
         let output = self.observer.output_matrix.rows().iter();
-        let output = output.fold(1.0, |largest_so_far: f32, row| {
-            largest_so_far.max(largest(components(row)))
-        });
+        let output = output
+            .fold(1.0, |largest_so_far: f32, row| largest_so_far.max(largest(components(row))));
         let edges = self.observer.neighbours.iter().fold(1.0, |sum, edge| sum + edge.weight);
         let gain = largest(self.observer.gain.data.0.as_flattened());
         let feedback = 2.0 * edges + dimension * dimension * output * output;

@@ -361,6 +361,12 @@ impl Health {
         Some(self.counters)
     }
 
+    /// Returns what has happened since [`Self::take_tally`] was last called.
+    #[must_use]
+    pub fn tally(&self) -> &Tally {
+        &self.tally
+    }
+
     /// Returns what has happened since the last call.
     pub fn take_tally(&mut self) -> Tally {
         core::mem::take(&mut self.tally)

@@ -6,7 +6,10 @@
 //!   neighbours, over those that have been heard, plus that from the agent's own held sample. It
 //!   shows errors in components that the agent does not measure, and an agent that no longer tells
 //!   its neighbours. It contains no parameter of the package;
-//! - broadcasts per step.
+//! - broadcasts per step;
+//! - the effort of the feedback: how fast the estimate moved over a block, less what the network
+//!   predicted. A perfect network needs none, whatever the gains. It shows a bad network in components
+//!   that the agent does not measure and in which its neighbours follow it.
 //!
 //! Steps are collected in blocks of [`BLOCK`]. The innovation is summed in every step; the
 //! disagreement and the size of the output are sampled at the end of a block. Sums are f32 in a
@@ -14,12 +17,12 @@
 //! overflow gives infinity or NaN, and every comparison here and in [`super::Trial`] treats both as
 //! bad.
 //!
-//! Cost per step: `2 m` operations. Memory: 60 bytes.
+//! Cost per step: `2 m` operations. Memory: `72 + 8 N` bytes.
 
 use super::Tally;
 use crate::StateVector;
-use crate::agent::AgentState;
 use crate::agent::hold::{Hold, HoldSlots};
+use crate::agent::{AgentParams, AgentState};
 use crate::math::numeric::{components, difference};
 
 /// Steps in a block.
@@ -39,6 +42,8 @@ pub struct Means {
     pub heard: f32,
     /// Broadcasts per step.
     pub broadcasts: f32,
+    /// Mean square of the effort. \[squared state unit/s\]
+    pub effort: f32,
     /// Mean square of the measurements. \[squared output unit\]
     pub output: f32,
     /// Fraction of the blocks with a fault, such as an estimate outside the trained box.
@@ -56,7 +61,7 @@ pub struct Block {
 
 /// The running record of the package in use.
 #[derive(Clone, Copy, Debug)]
-pub struct Performance {
+pub struct Performance<const N: usize> {
     attempts: u32,
     taken: u32,
     broadcasts: u32,
@@ -67,9 +72,12 @@ pub struct Performance {
     settling: u32,
     /// Blocks that the means look back.
     memory: u32,
+    step_size: f32,
+    /// At the end of the last block: estimate, and what the network predicted.
+    last: Option<(StateVector<N>, StateVector<N>)>,
 }
 
-impl Performance {
+impl<const N: usize> Performance<N> {
     /// Creates an empty record that looks back `seconds` \[s\] of steps of `step_size` \[s\], at
     /// least 16 and at most 4096 blocks.
     #[must_use]
@@ -83,6 +91,8 @@ impl Performance {
             blocks: 0,
             settling: SETTLING,
             memory: blocks_in(seconds, step_size).clamp(16, 4096),
+            step_size,
+            last: None,
         }
     }
 
@@ -101,20 +111,41 @@ impl Performance {
 
     /// Ends a block and returns it. `tally` is what happened in it: a block with a restart or an
     /// overflow is not part of the means, nor are the ones in which the estimate converges again.
-    /// `measurement` is that of the last step, `disagreement` is [`disagreement`]'s result.
+    /// `params` and `state` are the agent's; `last` is the last step: its measurement and the
+    /// derivative, if it was taken with one.
     #[inline(never)]
-    pub fn end_block(
+    pub fn end_block<const FEATURES: usize, S: HoldSlots<N>>(
         &mut self,
-        measurement: &[f32],
-        disagreement: Option<f32>,
+        params: &AgentParams<'_, N>,
+        state: &AgentState<N, FEATURES, S>,
+        last: Option<(&[f32], &StateVector<N>)>,
         tally: &Tally,
     ) -> Block {
+        let measurement = last.map_or(&[][..], |(measurement, _)| measurement);
+        let disagreement = disagreement(state);
         let outputs = measurement.len().max(1) as f32;
+        let predicted = last.map(|(_, derivative)| {
+            (*state.estimate(), difference(derivative, &state.feedback(params)))
+        });
+        let effort = match (&self.last, &predicted) {
+            (Some((from, before)), Some((to, after))) => {
+                let time = BLOCK as f32 * self.step_size;
+                let moved = components(from).iter().zip(components(to));
+                let expected = components(before).iter().zip(components(after));
+                moved.zip(expected).fold(0.0, |sum, ((from, to), (before, after))| {
+                    let effort = (to - from) / time - 0.5 * (before + after);
+                    sum + effort * effort
+                })
+            }
+            _ => self.means.effort,
+        };
+        self.last = predicted;
         let means = Means {
             innovation: self.squares / (self.taken.max(1) as f32 * outputs),
             disagreement: disagreement.unwrap_or(0.0),
             heard: if disagreement.is_some() { 1.0 } else { 0.0 },
             broadcasts: self.broadcasts as f32 / BLOCK as f32,
+            effort,
             output: sum_of_squares(measurement) / outputs,
             faults: if tally.faults > 0 { 1.0 } else { 0.0 },
         };
@@ -169,12 +200,13 @@ impl Means {
         }
     }
 
-    fn each(&mut self, other: &Self) -> [(&mut f32, f32); 6] {
+    fn each(&mut self, other: &Self) -> [(&mut f32, f32); 7] {
         [
             (&mut self.innovation, other.innovation),
             (&mut self.disagreement, other.disagreement),
             (&mut self.heard, other.heard),
             (&mut self.broadcasts, other.broadcasts),
+            (&mut self.effort, other.effort),
             (&mut self.output, other.output),
             (&mut self.faults, other.faults),
         ]

@@ -464,7 +464,8 @@ fn samples_up_to_the_ceiling_cannot_make_a_step_overflow() {
     for sign in [1.0, -1.0] {
         let ceiling = agent().ceiling();
         let mut rig = Rig::new(&SETTINGS, 0.0);
-        rig.state = AgentState::new(&rig.agent, [-sign * ceiling].into(), &WEIGHTS, [None]).unwrap();
+        rig.state =
+            AgentState::new(&rig.agent, [-sign * ceiling].into(), &WEIGHTS, [None]).unwrap();
         rig.hear(0, 0, sign * ceiling);
         rig.step_to(sign * ceiling).unwrap();
     }

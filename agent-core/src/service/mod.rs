@@ -35,9 +35,7 @@ mod request;
 mod response;
 
 pub use problem::{Problem, RefusalKind, RefusalReport};
-pub use report::{
-    FILE_NAME, LastRevert, PanicPlace, Performance, Report, ResetCause, TrialReport,
-};
+pub use report::{FILE_NAME, LastRevert, PanicPlace, Performance, Report, ResetCause, TrialReport};
 pub use request::{Numbers, Request, Subscription};
 pub use response::{
     BoardFault, Event, Firmware, Outcome, PackageStatus, Response, Rows, State, Status,

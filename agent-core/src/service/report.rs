@@ -37,6 +37,8 @@ pub struct Performance {
     pub innovation_rms: f32,
     /// RMS of the disagreement with the neighbours. \[state unit\]
     pub disagreement_rms: f32,
+    /// RMS of what the feedback had to add to the network's prediction. \[state unit/s\]
+    pub effort_rms: f32,
     /// \[1/s\]
     pub broadcasts_per_second: f32,
     /// Fraction of the blocks with a fault.
@@ -51,6 +53,7 @@ impl Performance {
         Self {
             innovation_rms: square_root(sums.innovation / blocks),
             disagreement_rms: square_root(sums.disagreement / blocks),
+            effort_rms: square_root(sums.effort / blocks),
             broadcasts_per_second: sums.broadcasts / (blocks * step_size),
             faults: sums.faults / blocks,
         }

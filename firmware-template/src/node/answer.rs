@@ -180,12 +180,7 @@ impl<
 
     /// Ends the trial of a package that must not stay in use.
     #[inline(never)]
-    pub(super) fn end_trial<B: Board>(
-        &mut self,
-        board: &mut B,
-        tick: Tick,
-        reason: RevertReason,
-    ) {
+    pub(super) fn end_trial<B: Board>(&mut self, board: &mut B, tick: Tick, reason: RevertReason) {
         let failed = self.in_use.map_or(0, |package| package.version);
         // If the journal cannot be written now, a later attempt may succeed.
         if self.revert(reason).is_ok() {

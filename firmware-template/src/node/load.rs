@@ -221,7 +221,14 @@ impl Verified {
         store: &Store<F>,
     ) -> Option<InUsePackage> {
         let Self { agent, version, epoch, step_size, .. } = self;
-        Some(InUsePackage { agent, version, epoch, checksum: store.checksum(slot)?, step_size, slot })
+        Some(InUsePackage {
+            agent,
+            version,
+            epoch,
+            checksum: store.checksum(slot)?,
+            step_size,
+            slot,
+        })
     }
 }
 

@@ -35,15 +35,14 @@ use agent_core::agent::AgentState;
 use agent_core::agent::capture::CaptureRing;
 use agent_core::agent::hold::Hold;
 use agent_core::agent::inbox::Inbox;
-use agent_core::health::{
-    Health, HealthParams, HealthSettings, Performance, Trial,
-};
+use agent_core::health::{Health, HealthParams, HealthSettings, Performance, Trial};
 use agent_core::observer::network::Scratch;
 use agent_core::package::signature::PublicKey;
 use agent_core::package::{AgentConfig, NetworkPlace, ParamsPlace, TrialLimits};
 use agent_core::service::{
-    BoardFault, Event, Firmware, LastRevert, PROTOCOL_VERSION, PanicPlace, PackageStatus, Performance as PerformanceReport, RefusalReport, Report,
-    Request, ResetCause, Response, Rows, Status, Subscription, TrialReport, send_numbered,
+    BoardFault, Event, Firmware, LastRevert, PROTOCOL_VERSION, PackageStatus, PanicPlace,
+    Performance as PerformanceReport, RefusalReport, Report, Request, ResetCause, Response, Rows,
+    Status, Subscription, TrialReport, send_numbered,
 };
 use agent_core::store::{Layout, LayoutError, MappedFlash, Slot, Store};
 
@@ -154,7 +153,7 @@ pub struct Node<
     store: Store<F>,
     memory: &'m mut Memory<N, FEATURES, NEIGHBOURS, SAMPLES>,
     health: Health,
-    performance: Performance,
+    performance: Performance<N>,
     trial: Option<Trial>,
     last_revert: Option<LastRevert>,
     subscription: Subscription,

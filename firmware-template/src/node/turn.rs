@@ -2,8 +2,7 @@
 
 use agent_core::Tick;
 use agent_core::agent::capture::Sample;
-use agent_core::health::performance::disagreement;
-use agent_core::health::{Verdict, WatchedAgent};
+use agent_core::health::{Verdict, WatchedAgent, WatchedStep};
 use agent_core::service::{Outcome, State};
 use agent_core::store::MappedFlash;
 use agent_core::wire::frame::{FRAME_LENGTH_MAX, FrameError};
@@ -27,7 +26,8 @@ impl<
         self.next_tick = tick.saturating_add(1);
         // A chip that stands still while it erases has missed these ticks through no fault of the
         // package.
-        let stalled = if core::mem::take(&mut self.flash_used) { periods.saturating_sub(1) } else { 0 };
+        let stalled =
+            if core::mem::take(&mut self.flash_used) { periods.saturating_sub(1) } else { 0 };
         self.stalled_ticks = self.stalled_ticks.saturating_add(stalled);
         self.health.excuse(stalled);
         let (outcome, sample) = self.step(board, tick);
@@ -106,12 +106,15 @@ impl<
         let output_error = sample.is_some().then(|| agent.state.output_error(&params));
         if performance.observe(output_error, step.broadcast().is_some()) {
             let tally = health.take_tally();
-            let measurement = measurement.unwrap_or(&[]);
-            let disagreement = disagreement(&agent.state);
-            let block = performance.end_block(measurement, disagreement, &tally);
+            let last = measurement.zip(sample.as_ref().map(|sample| &sample.derivative));
+            let block = performance.end_block(&params, &agent.state, last, &tally);
             if let Some(trial) = trial.as_mut().filter(|_| store.is_on_trial()) {
                 let _ = trial.end_block(&block, &tally, tick);
             }
+        } else if !matches!(step, WatchedStep::Taken(_))
+            && let Some(trial) = trial.as_mut().filter(|_| store.is_on_trial())
+        {
+            let _ = trial.happened(health.tally());
         }
         let outcome = Outcome::from(&step);
         let outcome = unmeasured.filter(|_| outcome == Outcome::Stepped).unwrap_or(outcome);

@@ -15,6 +15,7 @@ pub(super) struct NodeReport<'a> {
     epoch: Option<u32>,
     innovation_rms: Option<f32>,
     disagreement_rms: Option<f32>,
+    effort_rms: Option<f32>,
     broadcasts_per_second: Option<f32>,
     trial: Option<Trial>,
     last_revert: Option<Reverted>,
@@ -53,6 +54,7 @@ impl<'a> NodeReport<'a> {
             epoch: report.and_then(|report| report.epoch),
             innovation_rms: performance.map(|found| found.innovation_rms),
             disagreement_rms: performance.map(|found| found.disagreement_rms),
+            effort_rms: performance.map(|found| found.effort_rms),
             broadcasts_per_second: performance.map(|found| found.broadcasts_per_second),
             trial: report.and_then(|report| report.trial).as_ref().map(Trial::from),
             last_revert: report.and_then(|report| report.last_revert).map(|last| Reverted {
@@ -171,5 +173,8 @@ pub(super) fn reason_text(reason: RevertReason) -> &'static str {
             "there was nothing to compare it with, and it was not confirmed in time"
         }
         RevertReason::Unusable => "no agent could be made of it",
+        RevertReason::Effort => {
+            "the feedback had to correct too much of what its network predicted"
+        }
     }
 }

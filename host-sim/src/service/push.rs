@@ -160,12 +160,11 @@ pub fn report(
     client: &mut Client,
     retry_policy: RetryPolicy,
 ) -> Result<Option<Report>, ServiceError> {
-    let report = client.request(&Request::Report, retry_policy, &mut |_| {}, "a report", |m| {
-        match m {
+    let report =
+        client.request(&Request::Report, retry_policy, &mut |_| {}, "a report", |m| match m {
             Message::Report(report) => Some(*report),
             _ => None,
-        }
-    });
+        });
     match report {
         Err(ServiceError::Refused(Problem::Unknown)) => Ok(None),
         report => report.map(Some),

@@ -8,6 +8,7 @@ const BEFORE: Means = Means {
     disagreement: 9.0,
     heard: 1.0,
     broadcasts: 0.25,
+    effort: 2.0,
     output: 100.0,
     faults: 0.0,
 };
@@ -53,8 +54,8 @@ fn a_package_as_good_as_the_one_before_passes_after_one_attempt() {
 fn what_is_worse_fails_as_soon_as_no_attempt_can_pass() {
     for (reason, change) in [
         (RevertReason::Innovation, (|means| means.innovation *= 20.0) as fn(&mut Means)),
-        (RevertReason::Innovation, |means| means.innovation = f32::NAN),
-        (RevertReason::Innovation, |means| means.innovation = f32::INFINITY),
+        (RevertReason::Effort, |means| means.effort *= 20.0),
+        (RevertReason::Effort, |means| means.effort = f32::NAN),
         (RevertReason::Disagreement, |means| means.disagreement *= 20.0),
         (RevertReason::Disagreement, |means| means.disagreement = f32::NAN),
         (RevertReason::Disagreement, |means| (means.heard, means.disagreement) = (0.0, 0.0)),
@@ -71,10 +72,32 @@ fn what_is_worse_fails_as_soon_as_no_attempt_can_pass() {
 #[test]
 fn a_transient_after_the_switch_costs_an_attempt_and_not_the_trial() {
     let transient = |second| {
-        let innovation = if second < 5 { 1e6 } else { 4.0 };
+        let innovation = if second < 5 { 200.0 } else { 4.0 };
         (Means { innovation, ..BEFORE }, Tally::default())
     };
     assert_eq!(run(&LIMITS, Some(BEFORE), transient), (Verdict::Passed, NEEDED + 4));
+}
+
+#[test]
+fn an_estimate_that_no_longer_fits_the_measurement_at_the_switch_ends_it_at_once() {
+    for innovation in [300.0, 1e30, f32::INFINITY, f32::NAN] {
+        let first = |second| {
+            let innovation = if second == 1 { innovation } else { 4.0 };
+            (Means { innovation, ..BEFORE }, Tally::default())
+        };
+        let found = run(&LIMITS, Some(BEFORE), first);
+        assert_eq!(found, (Verdict::Failed(RevertReason::Innovation), 1));
+    }
+}
+
+#[test]
+fn a_restart_too_many_does_not_wait_for_the_end_of_a_block() {
+    let limits = TrialLimits { restarts: Some(2), ..LIMITS };
+    let mut trial = Trial::new(&limits, Some(BEFORE), STEP, 0);
+    let restarts = |restarts| Tally { restarts, ..Tally::default() };
+    trial.end_block(&Block { taken: BLOCK, means: BEFORE }, &restarts(1), 63);
+    assert_eq!(trial.happened(&restarts(1)), Verdict::Running);
+    assert_eq!(trial.happened(&restarts(2)), Verdict::Failed(RevertReason::Restarts));
 }
 
 #[test]

@@ -109,9 +109,9 @@ impl NodeSocket {
 
     /// Notices messages that a node sent by itself: it may have ended a trial.
     pub(super) fn notice(&mut self, unsolicited: &[Vec<u8>]) {
-        self.went_back |= unsolicited.iter().any(|bytes| {
-            matches!(receive(bytes), Some(Message::Event(Event::Reverted { .. })))
-        });
+        self.went_back |= unsolicited
+            .iter()
+            .any(|bytes| matches!(receive(bytes), Some(Message::Event(Event::Reverted { .. }))));
     }
 
     /// Returns the client that requests a restart of a stopped node, if any, and the request's number. Clients with any other
