@@ -9,3 +9,4 @@ mod sim;
 #[cfg(unix)]
 mod soak;
 mod store;
+mod trial;

@@ -242,11 +242,12 @@ fn run(steps: u32) -> (Vec<u8>, u32) {
         step_range: StepRange::DEFAULT,
         health: HealthSettings::RECOMMENDED,
         update_limit: agent_core::store::RateLimit::DEFAULT,
-        good_steps: NonZeroU32::MIN,
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every: NonZeroU32::new(500), outer_weights: false },
         fallback: fallback(),
         stack_unused: None,
+        start: firmware_template::Start::default(),
         version: [0, 1, 0],
     };
     // State dimension 2; capacity for 1 feature, 1 neighbour, 8 samples.

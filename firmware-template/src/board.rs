@@ -76,6 +76,11 @@ pub trait Clock {
     /// Waits until a period may have begun or a byte may have arrived at the service port. Spurious
     /// returns are allowed, as from an instruction that waits for an interrupt.
     fn rest(&mut self);
+
+    /// Called when the work of a period has been done. A board feeds its watchdog here, and while
+    /// nothing is due ([`Periods::nothing_is_due`](crate::Periods::nothing_is_due)), so that it bites
+    /// when due work is not done, whatever else still runs.
+    fn done(&mut self) {}
 }
 
 /// Everything around a node except its flash.
@@ -88,6 +93,9 @@ pub trait Board {
 
     /// See [`Clock::rest`].
     fn rest(&mut self);
+
+    /// See [`Clock::done`].
+    fn done(&mut self) {}
 
     /// Takes a sample into `measurement` and returns how many components it has. See [`Sensor::read`].
     ///
@@ -160,6 +168,10 @@ impl<S: Sensor, L: Link, C: Clock, P: Read + ReadReady + Write> Board for Hardwa
 
     fn rest(&mut self) {
         self.clock.rest();
+    }
+
+    fn done(&mut self) {
+        self.clock.done();
     }
 
     fn measure(&mut self, measurement: &mut [f32]) -> Result<usize, SensorErrorKind> {

@@ -13,6 +13,8 @@
 
 pub mod board;
 mod board_error;
+mod boot_record;
+pub mod held_bus;
 mod in_the_loop;
 mod key;
 mod memory_map;
@@ -27,10 +29,11 @@ mod waiting_port;
 pub use board::{
     Board, Clock, Hardware, Link, LinkError, LinkErrorKind, Sensor, SensorError, SensorErrorKind,
 };
+pub use boot_record::BootRecord;
 pub use in_the_loop::InTheLoop;
 pub use key::key_from_hex;
 pub use memory_map::{Symbols, WeightsRegion};
-pub use node::{Memory, Node, Progress, Settings};
+pub use node::{Memory, Node, Progress, RECOMMENDED_TRIAL, Settings, Start};
 pub use periods::Periods;
 pub use queued_port::{Full, QueuedEnd, QueuedPort, queued_port};
 pub use registers::RegisterSensor;

@@ -12,6 +12,11 @@ use agent_core::package::signature::PublicKey;
 use critical_section::Mutex;
 use embedded_storage::nor_flash::NorFlashErrorKind;
 
+#[cfg(all(target_os = "none", target_arch = "arm"))]
+use crate::{BootRecord, Start};
+#[cfg(all(target_os = "none", target_arch = "arm"))]
+use agent_core::service::{PanicPlace, ResetCause};
+
 use crate::WeightsRegion;
 
 /// A region of memory-mapped flash.
@@ -163,19 +168,56 @@ pub fn stack_unused() -> u32 {
     (word.addr() - low.addr()) as u32
 }
 
-/// Defines handlers that reset the processor after a panic or a fault. The program needs the crates
+/// The record of resets, in RAM that the start-up code leaves alone.
+#[cfg(all(target_os = "none", target_arch = "arm"))]
+#[unsafe(link_section = ".uninit.boot_record")]
+static mut BOOT_RECORD: core::mem::MaybeUninit<[u32; BootRecord::WORDS]> =
+    core::mem::MaybeUninit::uninit();
+
+/// Returns what there is to tell of this start, whose reset had `cause` according to the chip. To be
+/// called once, before interrupts are enabled.
+#[cfg(all(target_os = "none", target_arch = "arm"))]
+pub fn start(cause: ResetCause) -> Start {
+    change_record(|record| record.start(cause))
+}
+
+/// Records a panic at `place` \[file, line\], or a fault of the processor, for the next start. To be
+/// called before a reset.
+#[cfg(all(target_os = "none", target_arch = "arm"))]
+pub fn record_failure(place: Option<(&str, u32)>) {
+    let place = place.map(|(file, line)| PanicPlace::new(file, line));
+    change_record(|record| record.fail(place));
+}
+
+#[cfg(all(target_os = "none", target_arch = "arm"))]
+fn change_record<R>(change: impl FnOnce(&mut BootRecord) -> R) -> R {
+    let place = (&raw mut BOOT_RECORD).cast::<[u32; BootRecord::WORDS]>();
+    // SAFETY: the static is aligned and as large as the array, any words are valid, and only the start
+    // and handlers that never return use it.
+    let mut record = BootRecord::from_words(&unsafe { place.read_volatile() });
+    let result = change(&mut record);
+    // SAFETY: as above.
+    unsafe { place.write_volatile(record.to_words()) };
+    result
+}
+
+/// Defines handlers that reset the processor after a panic or a fault, and record it
+/// for [`start`]. The program needs the crates
 /// `cortex-m` and `cortex-m-rt`.
 #[macro_export]
 macro_rules! reset_on_fault {
     () => {
-        // SAFETY: it touches no memory, not even what the fault may have left inconsistent.
+        // SAFETY: it touches only the record of resets, whose words may have any value.
         #[cortex_m_rt::exception]
         unsafe fn HardFault(_: &cortex_m_rt::ExceptionFrame) -> ! {
+            $crate::on_chip::record_failure(None);
             cortex_m::peripheral::SCB::sys_reset()
         }
 
         #[panic_handler]
-        fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+        fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
+            let place = info.location().map(|place| (place.file(), place.line()));
+            $crate::on_chip::record_failure(place);
             cortex_m::peripheral::SCB::sys_reset()
         }
     };

@@ -4,7 +4,7 @@
 //! the erasure of a flash sector. Pending interrupts would only show that *some* period has begun,
 //! not how many. Boards whose timer has fewer bits extend it first.
 //!
-//! Cost: one division per call. Memory: 12 bytes. Invariants: a period is at least one tick, and no
+//! Cost: one division per call. Memory: 16 bytes. Invariants: a period is at least one tick, and no
 //! period is lost or counted twice, as long as calls are less than 2^32 ticks apart.
 
 /// Counts the periods that have begun.
@@ -15,6 +15,8 @@ pub struct Periods {
     /// Start of the last counted period.
     begun: u32,
     started: bool,
+    /// Of the last call of [`Self::nothing_is_due`].
+    seen: u32,
 }
 
 impl Periods {
@@ -23,7 +25,7 @@ impl Periods {
     #[must_use]
     pub const fn new(heartbeat: u32) -> Self {
         let length = if heartbeat == 0 { 1 } else { heartbeat };
-        Self { length, begun: 0, started: false }
+        Self { length, begun: 0, started: false, seen: 0 }
     }
 
     /// Starts counting periods of `period` \[s\] at `now`, on a counter of `frequency` \[Hz\]. If
@@ -34,7 +36,7 @@ impl Periods {
         // The conversion saturates and maps NaN to 0.
         let length = ((period * frequency + 0.5) as u32).clamp(1, 1 << 31);
         if !self.started || self.length != length {
-            *self = Self { length, begun: now, started: true };
+            *self = Self { length, begun: now, started: true, seen: self.seen };
         }
     }
 
@@ -53,6 +55,14 @@ impl Periods {
         now.wrapping_sub(self.begun) >= self.length
     }
 
+    /// Returns whether the counter counts and no period is due: a board may then feed its watchdog,
+    /// although no work has been done. Call before [`elapsed`](Self::elapsed).
+    pub const fn nothing_is_due(&mut self, now: u32) -> bool {
+        let counts = now != self.seen;
+        self.seen = now;
+        counts && !self.is_due(now)
+    }
+
     /// Returns the start of the next period, for a compare register that wakes the processor.
     #[must_use]
     pub const fn next(&self) -> u32 {
@@ -63,6 +73,17 @@ impl Periods {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_watchdog_is_fed_only_while_time_passes_and_nothing_is_due() {
+        let mut periods = Periods::new(500);
+        periods.start(1e-3, 1e6, 100);
+        let fed = [200, 900, 900, 1_099, 1_100, 5_000].map(|now| periods.nothing_is_due(now));
+        // A counter that has stopped, and a period that has begun, do not feed it.
+        assert_eq!(fed, [true, true, false, true, false, false]);
+        assert_eq!(periods.elapsed(5_000), 4);
+        assert!(periods.nothing_is_due(5_001));
+    }
 
     #[test]
     fn every_period_counts_once_across_the_wrap() {

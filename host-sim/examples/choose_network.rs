@@ -43,6 +43,7 @@ fn train(
         agent: AGENT,
         cycle: 0,
         seed: SEED,
+        epoch: 0,
         version: INITIAL_VERSION + 1,
     };
     Ok(task.carry_out(recording, &mut |_| ControlFlow::Continue(()))?)

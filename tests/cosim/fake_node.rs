@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use agent_core::health::HealthCounters;
 use agent_core::service::{
-    Firmware, Outcome, PROTOCOL_VERSION, PackageStatus, Request, Response, State, Status, receive,
-    send,
+    Firmware, Outcome, PROTOCOL_VERSION, PackageStatus, Problem, Request, Response, State, Status,
+    receive, send, split_number,
 };
 use agent_core::store::Slot;
 use agent_core::wire::cobs::{Decoder, Encoder};
@@ -45,8 +45,22 @@ impl Peer {
         self.write(&bytes)
     }
 
-    /// Waits for the next request; `None` at the end.
+    /// Waits for the next request; `None` at the end. Like firmware from before they existed, it does
+    /// not know numbered requests and reports.
     pub(crate) fn request(&mut self) -> Option<Vec<u8>> {
+        loop {
+            let request = self.any_request()?;
+            if split_number(&request).0.is_none()
+                && !matches!(receive(&request), Some(Request::Report))
+            {
+                return Some(request);
+            }
+            self.say(&Response::Refused(Problem::Unknown));
+        }
+    }
+
+    /// Waits for the next request of any kind; `None` at the end.
+    fn any_request(&mut self) -> Option<Vec<u8>> {
         loop {
             for (index, &byte) in self.received.iter().enumerate() {
                 if let Some(Ok(request)) = self.decoder.push(byte) {

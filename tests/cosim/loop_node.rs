@@ -9,13 +9,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use agent_core::health::HealthSettings;
-use agent_core::package::StepRange;
 use agent_core::package::signature::PublicKey;
+use agent_core::package::{StepRange, TrialLimits};
 use agent_core::service::{Request, Subscription, send};
 use agent_core::store::{Layout, MappedFlash, Slot};
 use embedded_io::ErrorKind;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
-use firmware_template::{InTheLoop, Memory, Node, Settings};
+use firmware_template::{InTheLoop, Memory, Node, RECOMMENDED_TRIAL, Settings};
 use host_sim::image::Image;
 use host_sim::memory_map::{MemoryMap, WeightsRegion};
 use host_sim::packages::PackageBytes;
@@ -40,8 +40,8 @@ fn layout() -> Layout {
 pub(crate) struct Quirks {
     /// The package in its flash after the start, in place of the one it loaded.
     pub(crate) uses: Option<PackageBytes>,
-    /// Good steps before a package on trial is confirmed.
-    pub(crate) good_steps: Option<u32>,
+    /// Length of a trial, if not the recommended one. [s]
+    pub(crate) trial_seconds: Option<u32>,
     /// If present, only packages signed with the matching private key are accepted.
     pub(crate) public_key: Option<PublicKey>,
 }
@@ -81,11 +81,15 @@ fn run(mut flash: Flash, quirks: &Quirks, socket: UnixStream, reads: Arc<AtomicU
             step_range: StepRange::DEFAULT,
             health: HealthSettings::RECOMMENDED,
             update_limit: agent_core::store::RateLimit::NONE,
-            good_steps: NonZeroU32::new(quirks.good_steps.unwrap_or(1000)).unwrap(),
+            trial: TrialLimits {
+                seconds: quirks.trial_seconds.or(RECOMMENDED_TRIAL.seconds),
+                ..RECOMMENDED_TRIAL
+            },
             sample_stride: NonZeroU32::new(20).unwrap(),
             subscription: Subscription::default(),
             fallback: None,
             stack_unused: None,
+            start: firmware_template::Start::default(),
             version: [0, 1, 0],
         };
         let mut memory = Memory::new();

@@ -187,11 +187,12 @@ fn settings() -> Settings {
         step_range: StepRange::DEFAULT,
         health: HealthSettings { telemetry_interval: INTERVAL, ..HealthSettings::RECOMMENDED },
         update_limit: RateLimit::NONE,
-        good_steps: NonZeroU32::new(1_000).unwrap(),
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every: NonZeroU32::new(1), outer_weights: false },
         fallback: None,
         stack_unused: None,
+        start: firmware_template::Start::default(),
         version: [0, 1, 0],
     }
 }

@@ -27,7 +27,7 @@ fn served(folder: &Folder, visit: impl FnOnce()) -> CosimReport {
     std::thread::scope(|scope| {
         let run = scope.spawn(|| {
             let start = &mut |_, package: &PackageBytes| {
-                let quirks = Quirks { good_steps: Some(50), ..Quirks::default() };
+                let quirks = Quirks { trial_seconds: Some(10), ..Quirks::default() };
                 let socket = loop_node::spawn(Some(package), &quirks);
                 Ok(Board::new(Line::over_socket(socket, &Arc::default()).unwrap(), "thread", false))
             };

@@ -18,10 +18,12 @@ use host_sim::packages::PackageBytes;
 use host_sim::scenario::{PAPER, Scenario};
 use host_sim::service::{Line, Message};
 use nix::sys::signal::Signal;
+use serde_json::Value;
 
 use crate::cli::command_line::{Folder, object, texts};
 use crate::cli::node_commands::{LONG, ended, signal, wait_until};
 use crate::cosim::loop_node::{self, Quirks};
+use crate::trial::mutants::Parts;
 
 /// Runs the paper's scenario as a service while `visit` runs with the nodes' ends of their lines;
 /// returns the report and the notices.
@@ -30,16 +32,28 @@ fn served(
     speed: f64,
     visit: impl FnOnce(&Mutex<BTreeMap<usize, UnixStream>>),
 ) -> (CosimReport, Vec<String>) {
+    served_with(folder, speed, &Quirks::default(), |lines, _| visit(lines))
+}
+
+/// Like [`served`], with such nodes; `visit` also gets the packages with which they start.
+fn served_with(
+    folder: &Folder,
+    speed: f64,
+    quirks: &Quirks,
+    visit: impl FnOnce(&Mutex<BTreeMap<usize, UnixStream>>, &Mutex<BTreeMap<usize, PackageBytes>>),
+) -> (CosimReport, Vec<String>) {
     let mut scenario = Scenario::parse("paper", PAPER).unwrap();
     scenario.learning.clear();
     scenario.time.duration = 1e6;
     let stop = Arc::new(AtomicBool::new(false));
     let service = Service { folder: folder.path("nodes"), speed, stop: stop.clone() };
     let (lines, notices) = (Mutex::new(BTreeMap::new()), Mutex::new(Vec::new()));
+    let packages = Mutex::new(BTreeMap::new());
     let report = std::thread::scope(|scope| {
         let run = scope.spawn(|| {
             let start = &mut |index: usize, package: &PackageBytes| {
-                let socket = loop_node::spawn(Some(package), &Quirks::default());
+                let socket = loop_node::spawn(Some(package), quirks);
+                packages.lock().unwrap().insert(index, package.clone());
                 lines.lock().unwrap().insert(index, socket.try_clone().unwrap());
                 Ok(Board::new(Line::over_socket(socket, &Arc::default()).unwrap(), "thread", false))
             };
@@ -64,7 +78,7 @@ fn served(
             }
         }
         let end = End(stop);
-        visit(&lines);
+        visit(&lines, &packages);
         drop(end);
         run.join().unwrap()
     });
@@ -259,4 +273,53 @@ fn a_host_that_is_killed_leaves_no_emulator_and_no_file() {
         line
     };
     assert!(stderr.contains("program not found"), "{stderr}");
+}
+
+#[test]
+fn a_harmful_package_is_back_out_by_itself_and_a_good_one_stays() {
+    let folder = Folder::new("serve-trial");
+    let quirks = Quirks { trial_seconds: Some(10), ..Quirks::default() };
+    let status = || object(&folder.succeed("node nodes/agent-1.sock status --format json"));
+    served_with(&folder, 1e6, &quirks, |_, packages| {
+        let package = packages.lock().unwrap()[&0].clone();
+        wait_until("there is something to compare with", || {
+            status()["tick"].as_u64().unwrap() > 8_000
+        });
+        let before = status();
+        assert!(before["trial"].is_null() && before["last_revert"].is_null(), "{before}");
+        assert!(before["innovation_rms"].as_f64().unwrap() > 0.0, "{before}");
+        assert_eq!((&before["version"], &before["epoch"]), (&1.into(), &0.into()));
+        assert_eq!((&before["reset_cause"], &before["boots"]), (&"unknown".into(), &Value::Null));
+        assert_eq!(before["health"]["restarts"], 0);
+
+        let mut bad = Parts::new(&package, 2);
+        bad.gain.iter_mut().for_each(|entry| *entry *= 30.0);
+        std::fs::write(folder.path("bad.weights"), bad.seal().unwrap().as_bytes()).unwrap();
+        folder.succeed("push nodes/agent-1.sock bad.weights");
+        wait_until("it is back out", || !status()["last_revert"].is_null());
+        let after = status();
+        let last = &after["last_revert"];
+        assert_eq!((&last["version"], &last["epoch"]), (&2.into(), &0.into()), "{after}");
+        assert_eq!(
+            (&last["reason"], &after["version"]),
+            (&"restarts".into(), &1.into()),
+            "{after}"
+        );
+        assert_eq!(after["trial"]["verdict"], "reverted");
+        assert_eq!(after["trial"]["needed_seconds"].as_f64().unwrap().round(), 10.0);
+        assert_eq!(after["trial"]["deadline_seconds"].as_f64().unwrap().round(), 30.0);
+        let told = folder.succeed("node nodes/agent-1.sock");
+        assert!(told.contains("version 2 of epoch 0 did not stay in use: the agent"), "{told}");
+
+        let tick = after["tick"].as_u64().unwrap();
+        wait_until("there is something to compare with again", || {
+            status()["tick"].as_u64().unwrap() > tick + 8_000
+        });
+        package.renumbered(3).save(&folder.path("good.weights")).unwrap();
+        folder.succeed("push nodes/agent-1.sock good.weights --wait-confirmed");
+        let end = status();
+        assert_eq!((&end["version"], &end["trial"]["verdict"]), (&3.into(), &"confirmed".into()));
+        let good = end["trial"]["good_seconds"].as_f64().unwrap();
+        assert!(good >= end["trial"]["needed_seconds"].as_f64().unwrap(), "{end}");
+    });
 }

@@ -228,11 +228,12 @@ fn on_the_host(requests: &[Request<'_>]) -> Vec<Vec<u8>> {
         step_range: StepRange::DEFAULT,
         health: HealthSettings::RECOMMENDED,
         update_limit: agent_core::store::RateLimit::NONE,
-        good_steps: NonZeroU32::new(1_000).unwrap(),
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: NonZeroU32::new(20).unwrap(),
         subscription: Subscription { state_every: None, outer_weights: false },
         fallback: fallback::fallback(),
         stack_unused: None,
+        start: firmware_template::Start::default(),
         version: [0, 1, 0],
     };
     let mut memory = Memory::new();

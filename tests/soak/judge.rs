@@ -21,8 +21,8 @@ use super::report::Tally;
 use super::store::{Answer, Package, Store};
 use super::supply::Supply;
 
-/// Good steps before a package on trial is confirmed.
-const GOOD_STEPS: u32 = 1_000;
+/// Steps that a trial of a minute takes at least.
+const GOOD_STEPS: u32 = 60_000;
 /// Number of samples that a node keeps.
 const SAMPLES: u32 = 64;
 
@@ -125,6 +125,16 @@ impl Judge {
                     other => Err(instead("its status", other)),
                 };
             }
+            Request::Report => {
+                return match said.pop_front() {
+                    Some(Message::Report(_)) => Ok(()),
+                    other => Err(instead("its report", other)),
+                };
+            }
+            Request::ForgetUnreadable => return answered(said, &Message::Done),
+            Request::Numbered { .. } => {
+                return answered(said, &Message::Refused(Problem::Unknown));
+            }
             Request::Samples { from, most } => return sampled(from, most, said),
             Request::StartAt { ref estimate } => {
                 let usable = estimate.len() == 3 && estimate.iter().all(|x| x.is_finite());
@@ -213,6 +223,16 @@ impl Judge {
                     }
                     self.store.way_back = None;
                     tally.event("confirmed by good steps");
+                }
+                Message::Event(Event::Reverted { tick, version, .. }) => {
+                    let due = self.store.is_on_trial() && tick + 1 == self.next_tick;
+                    if !due || *version != self.store.in_use.version {
+                        return Err(format!(
+                            "unexpected revert of version {version} in tick {tick}"
+                        ));
+                    }
+                    let _ = self.store.revert();
+                    tally.event("reverted by the trial");
                 }
                 _ => break,
             }

@@ -98,11 +98,12 @@ fn live(mut flash: Flash, socket: &UnixStream) -> Flash {
             step_range: StepRange::DEFAULT,
             health: HealthSettings::RECOMMENDED,
             update_limit: agent_core::store::RateLimit::NONE,
-            good_steps: NonZeroU32::new(1_000).unwrap(),
+            trial: firmware_template::RECOMMENDED_TRIAL,
             sample_stride: NonZeroU32::new(20).unwrap(),
             subscription: Subscription::default(),
             fallback: None,
             stack_unused: None,
+            start: firmware_template::Start::default(),
             version: [0, 1, 0],
         };
         let mut memory = Memory::new();

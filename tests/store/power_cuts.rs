@@ -9,14 +9,14 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use agent_core::store::{Edition, NOTE_LENGTH_MAX, Store};
+use agent_core::store::{NOTE_LENGTH_MAX, Serial, Store};
 use embedded_storage::nor_flash::NorFlash;
 use rayon::prelude::*;
 
 use test_support::nor_flash::{SimulatedFlash, Tear};
 use test_support::store_model::{
-    Change, Ledger, Model, REVERTED, check, edition, erased_flash, format_1_record, layout,
-    package, plain,
+    Change, Ledger, Model, REVERTED, check, erased_flash, format_1_record, layout, package, plain,
+    serial,
 };
 
 /// Distance between the second cuts for one first cut. \[byte\]
@@ -131,10 +131,10 @@ impl<const WRITE: usize, const ERASE: usize> Node<WRITE, ERASE> {
         assert!(!store.is_blocked(), "the node takes no update any more");
         let mut found = Model::of(&store);
         if let Some(revert) = &mut found.last_revert
-            && revert.edition == Edition::default()
+            && revert.serial == Serial::default()
         {
             // Format 1 did not say what was on trial.
-            revert.edition = edition(&1);
+            revert.serial = serial(&1);
         }
         books.ledger.reboot(found);
         let boots = store.count_boot(None);
@@ -158,7 +158,7 @@ impl<const WRITE: usize, const ERASE: usize> Node<WRITE, ERASE> {
     fn run(&mut self, deeds: &[Deed]) {
         let Self { flash, books } = self;
         let Some(mut store) = Self::boot(flash, books) else { return };
-        // With the edition that format 1 did not tell.
+        // With the serial that format 1 did not tell.
         let last_revert = books.ledger.now.last_revert;
         for &deed in deeds {
             if !Self::act(&mut store, books, deed) {
@@ -166,7 +166,7 @@ impl<const WRITE: usize, const ERASE: usize> Node<WRITE, ERASE> {
                 return;
             }
             let found = Model::of(&store);
-            let known = if found.last_revert.is_some_and(|r| r.edition == Edition::default()) {
+            let known = if found.last_revert.is_some_and(|r| r.serial == Serial::default()) {
                 Model { last_revert, ..found }
             } else {
                 found
@@ -226,7 +226,7 @@ impl<const WRITE: usize, const ERASE: usize> Node<WRITE, ERASE> {
                 return deed == Deed::Stage && store.staged().is_some();
             }
         }
-        if !book(Change::Activate, plain(store.activate(check, edition))) || deed == Deed::Try {
+        if !book(Change::Activate, plain(store.activate(check, serial))) || deed == Deed::Try {
             return deed == Deed::Try && store.is_on_trial();
         }
         match deed {

@@ -250,26 +250,53 @@ where
         P: AsRef<[f32]>,
         I: HoldSlots<N>,
     {
+        self.attempt(params, network, tick, Some(measurement), inbox)
+    }
+
+    /// Like [`Self::step`], but goes on without a measurement if there is none: the estimate then
+    /// follows the network and the neighbours, `e_3` counts as 0, and the outer weights stay
+    /// constant.
+    ///
+    /// # Errors
+    /// As for [`Self::step`].
+    #[inline]
+    pub fn attempt<P, I>(
+        &mut self,
+        params: &AgentParams<'_, N>,
+        network: Option<&InnerNetwork<P>>,
+        tick: Tick,
+        measurement: Option<&[f32]>,
+        inbox: &mut Inbox<N, I>,
+    ) -> Result<StepOutput<N>, StepError>
+    where
+        P: AsRef<[f32]>,
+        I: HoldSlots<N>,
+    {
         self.check(params, network, tick, measurement, inbox)?;
 
         let consensus_term = self.consensus_with(params, tick, inbox);
         let mut output_error = zeros();
-        let innovation = params.observer.output_matrix.output_error(
-            &self.estimate,
-            measurement,
-            &mut output_error,
-        );
+        let innovation = match measurement {
+            Some(measurement) => params.observer.output_matrix.output_error(
+                &self.estimate,
+                measurement,
+                &mut output_error,
+            ),
+            None => zeros(),
+        };
         let features = network
             .and_then(|network| network.features(self.estimate.as_slice(), &mut self.scratch));
         let mut derivative = product(params.gain(), &difference(&consensus_term, &innovation));
         let mut planned = None;
         if let Some(features) = features {
             add_scaled(&mut derivative, 1.0, &self.outer_weights.combine(features));
-            let step = self
-                .outer_weights
-                .plan_step(&params.outer_law, params.step_size, features, &innovation)
-                .ok_or(StepError::Diverged)?;
-            planned = Some(step);
+            if measurement.is_some() {
+                let step = self
+                    .outer_weights
+                    .plan_step(&params.outer_law, params.step_size, features, &innovation)
+                    .ok_or(StepError::Diverged)?;
+                planned = Some(step);
+            }
         }
         let mut estimate = self.estimate;
         add_scaled(&mut estimate, params.step_size, &derivative);
@@ -347,7 +374,7 @@ where
         params: &AgentParams<'_, N>,
         network: Option<&InnerNetwork<P>>,
         tick: Tick,
-        measurement: &[f32],
+        measurement: Option<&[f32]>,
         inbox: &Inbox<N, I>,
     ) -> Result<(), StepError>
     where
@@ -358,12 +385,14 @@ where
         if tick == Tick::MAX || last.is_some_and(|last| tick <= last) {
             return Err(StepError::Tick { last, found: tick });
         }
-        let (expected, found) = (params.outputs(), measurement.len());
-        if expected != found {
-            return Err(StepError::Outputs { expected, found });
-        }
-        if let Some(output) = measurement.iter().position(|value| !value.is_finite()) {
-            return Err(StepError::MeasurementNotFinite { output });
+        if let Some(measurement) = measurement {
+            let (expected, found) = (params.outputs(), measurement.len());
+            if expected != found {
+                return Err(StepError::Outputs { expected, found });
+            }
+            if let Some(output) = measurement.iter().position(|value| !value.is_finite()) {
+                return Err(StepError::MeasurementNotFinite { output });
+            }
         }
         let expected = params.neighbours().len();
         for found in [self.neighbour_holds.as_ref().len(), inbox.pending().len()] {
@@ -431,6 +460,17 @@ where
     #[must_use]
     pub fn output_error(&self, params: &AgentParams<'_, N>) -> &[f32] {
         &self.output_error.as_slice()[..params.outputs().min(N)]
+    }
+
+    /// Returns `K_1 (z_i - C_i^T e_3i)` of the last step, shape `[N]`. \[state unit/s\]
+    #[must_use]
+    pub fn feedback(&self, params: &AgentParams<'_, N>) -> StateVector<N> {
+        let mut innovation = zeros();
+        let rows = params.observer.output_matrix.rows().iter();
+        for (row, &error) in rows.zip(components(&self.output_error)) {
+            add_scaled(&mut innovation, error, row);
+        }
+        product(params.gain(), &difference(&self.consensus_term, &innovation))
     }
 
     /// Returns the agent's own held sample, `x_tilde_i`.

@@ -3,6 +3,7 @@
 use nalgebra::SMatrix;
 
 use crate::agent::hold::RESTART_SILENCE;
+use crate::math::numeric::{components, square_root};
 use crate::math::parameter::{ParameterError, positive};
 use crate::math::symmetric::SymmetricMatrix;
 use crate::observer::feedback::{Neighbour, ObserverParams};
@@ -132,6 +133,40 @@ impl<'a, const N: usize> AgentParams<'a, N> {
     #[must_use]
     pub fn gain(&self) -> &SMatrix<f32, N, N> {
         &self.observer.gain
+    }
+
+    /// Returns a magnitude up to which neither the agent's estimate nor its neighbours' samples can make
+    /// a step overflow, whatever their signs: at least 1. \[state unit\]
+    ///
+    /// Let `c` bound the components. Then `|z| <= 2 c sum a_ij`, `|C^T C x_hat| <= c m N |C|^2`, and
+    /// the derivative's feedback is at most `|K_1| N` times their sum, with the largest entry of each
+    /// matrix as its norm; adaptation multiplies `C^T e_3` by `Gamma sigma`, with
+    /// `|sigma| <= 1`. Trigger and outer law square such terms, weighted by `phi_1` and `phi_2`, and
+    /// add up at most `N` or `L N` squares. The product of all these factors, each at least 1, times `c`
+    /// is at most `2^60`, so no square exceeds `2^120` and no sum of them the largest number. A
+    /// measurement of the same magnitude fits, too.
+    #[must_use]
+    pub fn ceiling(&self) -> f32 {
+        /// `2^60`.
+        const LARGEST: f32 = 1_152_921_504_606_846_976.0;
+        let largest = |entries: &[f32]| {
+            entries.iter().fold(1.0, |largest: f32, entry| largest.max(entry.abs()))
+        };
+        let dimension = N as f32;
+        let output = self.observer.output_matrix.rows().iter();
+        let output = output
+            .fold(1.0, |largest_so_far: f32, row| largest_so_far.max(largest(components(row))));
+        let edges = self.observer.neighbours.iter().fold(1.0, |sum, edge| sum + edge.weight);
+        let gain = largest(self.observer.gain.data.0.as_flattened());
+        let feedback = 2.0 * edges + dimension * dimension * output * output;
+        let law = largest(self.outer_law.gain.entries());
+        let trigger = match &self.trigger {
+            Trigger::Event(params) => largest(&[params.hold_error_weight, params.consensus_weight]),
+            _ => 1.0,
+        };
+        let growth = dimension * feedback * gain.max(law) * self.step_size.max(1.0);
+        let ceiling = LARGEST / (growth * square_root(trigger).max(1.0));
+        if ceiling > 1.0 { ceiling } else { 1.0 }
     }
 
     /// Returns the parameters of the operator that bounds the outer weights.

@@ -114,6 +114,25 @@ impl<const N: usize> Region<N> {
         Ok(wider)
     }
 
+    /// Returns all points whose components are at most `ceiling` in magnitude.
+    #[must_use]
+    pub fn cube(ceiling: f32) -> Self {
+        Self { low: StateVector::repeat(-ceiling), high: StateVector::repeat(ceiling) }
+    }
+
+    /// Returns the region with `ceiling` and `-ceiling` in place of the limits that exclude nothing.
+    #[must_use]
+    pub fn with_ceiling(mut self, ceiling: f32) -> Self {
+        for limits in [components_mut(&mut self.low), components_mut(&mut self.high)] {
+            for limit in limits {
+                if *limit == f32::MIN || *limit == f32::MAX {
+                    *limit = limit.clamp(-ceiling, ceiling);
+                }
+            }
+        }
+        self
+    }
+
     /// Returns whether the region is a single point.
     #[must_use]
     pub fn is_point(&self) -> bool {

@@ -38,14 +38,15 @@
 //! - after [`HealthSettings::restart_after`] consecutive steps that overflow.
 //!
 //! Neighbours' samples outside the plausible region are dropped; they would otherwise drive the
-//! estimate out again. An untrained network has an unbounded box and therefore an unbounded
-//! plausible region: then only overflows cause a restart, and every finite frame is accepted.
+//! estimate out again. An untrained network has an unbounded box; its plausible region ends where a
+//! sample could make a step overflow ([`AgentParams::ceiling`]). Whatever the region, a sample
+//! beyond that limit is dropped when a step has overflowed, so that it does not wait for ever.
 //! [`Health::restart`] performs the restart; `docs/decisions/0009-restarts.md` has the
 //! measurements.
 //!
 //! Everything is a function of the steps' outcomes: nodes with the same inputs behave identically.
 //!
-//! Memory: 176 bytes of state, `16 N + 28` of parameters. Cost per step: `2 N` comparisons for a
+//! Memory: 136 bytes of state, `16 N + 28` of parameters. Cost per step: `2 N` comparisons for a
 //! healthy estimate and up to `4 N` otherwise. With `N = 3` a healthy step without a broadcast
 //! takes about 95 instructions on a Cortex-M4F, counted by hand in the machine code.
 //!
@@ -53,12 +54,14 @@
 
 mod counters;
 mod params;
-mod probation;
+pub mod performance;
+pub mod trial;
 mod watched;
 
 pub use counters::{BoardErrors, HealthCounters};
 pub use params::{FallBack, HealthParams, HealthSettings};
-pub use probation::Probation;
+pub use performance::Performance;
+pub use trial::{RevertReason, Trial, Verdict};
 pub use watched::{WatchedAgent, WatchedStep};
 
 use crate::Tick;
@@ -102,7 +105,40 @@ pub struct Health {
     /// Consecutive overflowing steps; `u32::MAX` if the estimate is implausible.
     overflows: u32,
     last_report: Option<Tick>,
-    reported: HealthCounters,
+    /// Whether anything was counted since the last report.
+    is_changed: bool,
+    tally: Tally,
+    /// Skipped ticks that are not the package's.
+    excused: u32,
+}
+
+/// What happened since [`Health::take_tally`] was last called: unlike the counters, which stop at
+/// `u32::MAX`, it never misses anything.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Faults that a package can be responsible for: steps outside the trained box or with an active
+    /// projection, overflows, fallbacks and restarts.
+    pub faults: u32,
+    /// Restarts of the agent.
+    pub restarts: u32,
+    /// Steps that would have overflowed.
+    pub overflows: u32,
+    /// Ticks between two attempted steps.
+    pub skipped_ticks: u32,
+}
+
+impl Tally {
+    /// Adds another tally.
+    pub fn add(&mut self, other: &Self) {
+        for (sum, other) in [
+            (&mut self.faults, other.faults),
+            (&mut self.restarts, other.restarts),
+            (&mut self.overflows, other.overflows),
+            (&mut self.skipped_ticks, other.skipped_ticks),
+        ] {
+            *sum = sum.saturating_add(other);
+        }
+    }
 }
 
 impl Health {
@@ -137,18 +173,20 @@ impl Health {
             }
             Err(StepError::Diverged) => {
                 self.notice_time(tick);
-                count(&mut self.counters.diverged);
+                self.count(|counters| &mut counters.diverged);
+                count(&mut self.tally.overflows);
+                count(&mut self.tally.faults);
                 // A kind that is not selected does not count as healthy either.
                 let unhealthy = params.fall_back.is_some_and(|f| f.diverged).then_some(true);
                 (unhealthy, self.overflows.saturating_add(1))
             }
             Err(StepError::MeasurementNotFinite { .. }) => {
                 self.notice_time(tick);
-                count(&mut self.counters.measurements_not_finite);
+                self.count(|counters| &mut counters.measurements_not_finite);
                 return Advice::Continue;
             }
             Err(_) => {
-                count(&mut self.counters.steps_refused);
+                self.count(|counters| &mut counters.steps_refused);
                 return Advice::Continue;
             }
         };
@@ -178,6 +216,9 @@ impl Health {
             !self.fallen_back && state.outer_weights().norm_squared() > params.radius_squared;
         let stale = state.stale_frames();
         if outside || projection_active || stale > 0 {
+            self.is_changed = true;
+            self.tally.faults =
+                self.tally.faults.saturating_add(u32::from(outside || projection_active));
             let counters = &mut self.counters;
             counters.frames_stale = counters.frames_stale.saturating_add(stale);
             for (happened, counter) in [
@@ -201,16 +242,26 @@ impl Health {
         if let Some(last) = self.last_tick {
             let skipped = tick.saturating_sub(last).saturating_sub(1);
             if skipped > 0 {
-                let skipped = u32::try_from(skipped).unwrap_or(u32::MAX);
-                self.counters.skipped_ticks = self.counters.skipped_ticks.saturating_add(skipped);
+                self.skipped(skipped);
             }
         }
         self.last_tick = Some(tick);
     }
 
+    #[cold]
+    #[inline(never)]
+    fn skipped(&mut self, ticks: Tick) {
+        let ticks = u32::try_from(ticks).unwrap_or(u32::MAX);
+        self.is_changed = true;
+        let blamed = ticks.saturating_sub(core::mem::take(&mut self.excused));
+        let (counters, tally) = (&mut self.counters, &mut self.tally);
+        counters.skipped_ticks = counters.skipped_ticks.saturating_add(ticks);
+        tally.skipped_ticks = tally.skipped_ticks.saturating_add(blamed);
+    }
+
     fn notice_broadcast<const N: usize>(&mut self, params: &HealthParams<N>, tick: Tick) {
         if tick.saturating_sub(self.last_broadcast) < Tick::from(params.interval_min) {
-            count(&mut self.counters.early_broadcasts);
+            self.count(|counters| &mut counters.early_broadcasts);
         }
         self.last_broadcast = tick;
     }
@@ -224,21 +275,22 @@ impl Health {
         let limit = if self.fallen_back { fall_back.return_after } else { fall_back.after };
         if self.row >= limit.get() {
             self.row = 0;
-            count(if self.fallen_back {
-                &mut self.counters.returns
+            if self.fallen_back {
+                self.count(|counters| &mut counters.returns);
             } else {
-                &mut self.counters.fall_backs
-            });
+                self.count(|counters| &mut counters.fall_backs);
+                count(&mut self.tally.faults);
+            }
             self.fallen_back = !self.fallen_back;
         }
     }
 
     /// Records a frame that the inbox refused.
     pub fn frame_refused(&mut self, error: &FrameError) {
-        count(match error {
-            FrameError::NotFinite { .. } => &mut self.counters.frames_not_finite,
-            FrameError::Implausible { .. } => &mut self.counters.frames_implausible,
-            _ => &mut self.counters.frames_refused,
+        self.count(|counters| match error {
+            FrameError::NotFinite { .. } => &mut counters.frames_not_finite,
+            FrameError::Implausible { .. } => &mut counters.frames_implausible,
+            _ => &mut counters.frames_refused,
         });
     }
 
@@ -273,8 +325,16 @@ impl Health {
         inbox.discard_outside(&params.plausible);
         self.last_broadcast = frame.tick;
         self.overflows = 0;
-        count(&mut self.counters.restarts);
+        self.count(|counters| &mut counters.restarts);
+        count(&mut self.tally.restarts);
+        count(&mut self.tally.faults);
         Ok(frame)
+    }
+
+    /// Records a measurement that was not finite and that the step will not use.
+    #[cold]
+    pub fn measurement_refused(&mut self) {
+        self.count(|counters| &mut counters.measurements_not_finite);
     }
 
     /// Returns the counters.
@@ -284,7 +344,8 @@ impl Health {
     }
 
     /// Returns the counters if a report is due: something has changed since the last report, and at
-    /// least [`HealthSettings::telemetry_interval`] ticks have passed.
+    /// least [`HealthSettings::telemetry_interval`] ticks have passed. A counter that has reached
+    /// `u32::MAX` does not hide that something was counted.
     pub fn due<const N: usize>(
         &mut self,
         params: &HealthParams<N>,
@@ -292,12 +353,37 @@ impl Health {
     ) -> Option<HealthCounters> {
         let interval = Tick::from(params.telemetry_interval);
         let early = self.last_report.is_some_and(|last| tick.saturating_sub(last) < interval);
-        if early || !self.counters.differ_from(&self.reported) {
+        if early || !self.is_changed {
             return None;
         }
         self.last_report = Some(tick);
-        self.reported = self.counters;
+        self.is_changed = false;
         Some(self.counters)
+    }
+
+    /// Returns what has happened since [`Self::take_tally`] was last called.
+    #[must_use]
+    pub fn tally(&self) -> &Tally {
+        &self.tally
+    }
+
+    /// Returns what has happened since the last call.
+    pub fn take_tally(&mut self) -> Tally {
+        core::mem::take(&mut self.tally)
+    }
+
+    /// Does not hold `ticks` of those skipped before the next step against the package: the chip stood
+    /// still.
+    #[inline]
+    pub fn excuse(&mut self, ticks: u32) {
+        self.excused = ticks;
+    }
+
+    /// Counts something that is to be reported.
+    #[inline]
+    fn count(&mut self, counter: impl FnOnce(&mut HealthCounters) -> &mut u32) {
+        self.is_changed = true;
+        count(counter(&mut self.counters));
     }
 }
 

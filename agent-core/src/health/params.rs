@@ -102,6 +102,8 @@ impl HealthSettings {
 pub struct HealthParams<const N: usize> {
     pub(super) trained: Region<N>,
     pub(super) plausible: Region<N>,
+    /// Samples within it cannot make a step overflow: see [`AgentParams::ceiling`].
+    pub(super) harmless: Region<N>,
     /// `theta_0^2`.
     pub(super) radius_squared: f32,
     /// Theorem 2's bound. \[steps\]
@@ -117,7 +119,8 @@ impl<const N: usize> HealthParams<N> {
     ///
     /// Every package that [`accept`](crate::package::accept) accepts is valid here. If the box is a
     /// single point it has no scale, and if the network is untrained its box is unbounded; in both
-    /// cases the plausible region is unbounded.
+    /// cases the plausible region ends at [`AgentParams::ceiling`], beyond which a neighbour's sample
+    /// could make a step overflow.
     ///
     /// # Errors
     /// A box that is not finite or not of dimension `N`, a setting outside its range, or a fallback
@@ -139,15 +142,18 @@ impl<const N: usize> HealthParams<N> {
             });
         }
         let trained = Region::copied(trained_box)?;
+        let ceiling = agent.ceiling();
         let plausible = if trained.is_point() {
             Region::unlimited()
         } else {
             trained.widened(settings.plausible_margin)?
-        };
+        }
+        .with_ceiling(ceiling);
         let radius = agent.projection().radius;
         Ok(Self {
             trained,
             plausible,
+            harmless: Region::cube(ceiling),
             radius_squared: radius * radius,
             // The conversion rounds down and saturates.
             interval_min: (broadcast_interval_min / agent.step_size()) as u32,

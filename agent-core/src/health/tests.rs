@@ -385,14 +385,16 @@ fn refuses_invalid_settings() {
 }
 
 #[test]
-fn a_box_of_one_point_and_one_without_limits_make_every_finite_estimate_plausible() {
+fn a_box_of_one_point_and_one_without_limits_leave_a_wide_plausible_region() {
     let agent = agent();
     let settings = HealthSettings { fall_back: None, ..SETTINGS };
     for (limits, outside) in [([1.0, 1.0], 2), ([f32::MIN, f32::MAX], 0)] {
         let limits = StateBox { low: &limits[..1], high: &limits[1..] };
         let mut rig = Rig::new(&settings, 0.0);
         rig.params = HealthParams::new(&agent, &limits, 0.0, &settings).unwrap();
-        assert_eq!(rig.params.plausible_region(), &Region::unlimited());
+        let ceiling = agent.ceiling();
+        assert!((1e12..1e19).contains(&ceiling), "{ceiling}");
+        assert_eq!(rig.params.plausible_region(), &Region::cube(ceiling));
         for next in [1.0, 1e9, -1e9] {
             rig.step_to(next).unwrap();
             assert_eq!(rig.advice, Advice::Continue);
@@ -424,4 +426,66 @@ fn table_names_match_the_fields() {
     let expected = [("outside_box", 1), ("frames_stale", 12), ("restarts", 15)];
     assert!(found.map(|((name, _), count)| (*name, count)).eq(expected));
     assert_eq!(HealthCounters::from_array(values), counters);
+}
+
+#[test]
+fn a_sample_that_led_to_an_overflow_does_not_wait_for_ever() {
+    const NO_NETWORK: Option<&InnerNetwork<&[f32]>> = None;
+    let limits = StateBox { low: &[f32::MIN], high: &[f32::MAX] };
+    for restart_after in [None, NonZeroU32::new(10)] {
+        let settings = HealthSettings { fall_back: None, restart_after, ..SETTINGS };
+        let mut rig = Rig::new(&settings, 0.0);
+        rig.params = HealthParams::new(&rig.agent, &limits, 0.0, &settings).unwrap();
+        let huge = Frame::<1> {
+            sender: 9,
+            sequence: (1 << 31) - 1,
+            tick: Tick::MAX,
+            estimate: [3e38].into(),
+        };
+        // From before the region had a limit.
+        rig.inbox.accept(&NEIGHBOURS, &huge.encode()).unwrap();
+        let Rig { agent: params, params: health_params, state, inbox, health, .. } = &mut rig;
+        let mut watched = WatchedAgent { params, health_params, state, inbox, health };
+        let first = watched.step(NO_NETWORK, &WEIGHTS, 0, &[1.0]);
+        assert_eq!(first, WatchedStep::Refused(StepError::Diverged));
+        for tick in 1..100 {
+            let step = watched.step(NO_NETWORK, &WEIGHTS, tick, &[1.0]);
+            assert!(matches!(step, WatchedStep::Taken(_)), "{tick}: {step:?}");
+        }
+        // And now it is not even accepted.
+        let refusal = watched.receive(&huge.encode());
+        assert_eq!(refusal, Err(FrameError::Implausible { sender: 9 }));
+        assert_eq!(rig.health.counters().diverged, 1);
+    }
+}
+
+#[test]
+fn samples_up_to_the_ceiling_cannot_make_a_step_overflow() {
+    for sign in [1.0, -1.0] {
+        let ceiling = agent().ceiling();
+        let mut rig = Rig::new(&SETTINGS, 0.0);
+        rig.state =
+            AgentState::new(&rig.agent, [-sign * ceiling].into(), &WEIGHTS, [None]).unwrap();
+        rig.hear(0, 0, sign * ceiling);
+        rig.step_to(sign * ceiling).unwrap();
+    }
+}
+
+#[test]
+fn a_saturated_counter_is_named_and_does_not_hide_what_follows() {
+    let mut rig = Rig::new(&SETTINGS, 0.0);
+    rig.health.counters.frames_refused = u32::MAX;
+    rig.health.counters.restarts = u32::MAX;
+    let interval = Tick::from(SETTINGS.telemetry_interval);
+    for number in 1..5 {
+        rig.health.frame_refused(&FrameError::Checksum);
+        assert!(rig.health.due(&rig.params, number * interval).is_some());
+        assert!(rig.health.due(&rig.params, (number + 1) * interval).is_none());
+    }
+    assert!(rig.health.counters().saturated().eq(["frames_refused", "restarts"]));
+    rig.health.take_tally();
+    rig.step_to(1.0).unwrap();
+    rig.restart();
+    assert_eq!(rig.health.take_tally(), Tally { faults: 1, restarts: 1, ..Tally::default() });
+    assert_eq!(rig.health.take_tally(), Tally::default());
 }

@@ -116,6 +116,19 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
         self.step_observed(network, outer_weights, tick, measurement, |_, _| ())
     }
 
+    /// Like [`Self::step`], but goes on without a measurement if there is none:
+    /// [`AgentState::attempt`].
+    #[inline]
+    pub fn attempt<P: AsRef<[f32]>>(
+        &mut self,
+        network: Option<&InnerNetwork<P>>,
+        outer_weights: &[f32],
+        tick: Tick,
+        measurement: Option<&[f32]>,
+    ) -> WatchedStep<N> {
+        self.attempt_observed(network, outer_weights, tick, measurement, |_, _| ())
+    }
+
     /// Like [`Self::step`], but calls `observe` with the resulting state and the step's output
     /// before a restart can replace them.
     #[inline]
@@ -127,11 +140,28 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
         measurement: &[f32],
         observe: impl FnOnce(&AgentState<N, FEATURES, S>, &StepOutput<N>),
     ) -> WatchedStep<N> {
+        self.attempt_observed(network, outer_weights, tick, Some(measurement), observe)
+    }
+
+    #[inline]
+    fn attempt_observed<P: AsRef<[f32]>>(
+        &mut self,
+        network: Option<&InnerNetwork<P>>,
+        outer_weights: &[f32],
+        tick: Tick,
+        measurement: Option<&[f32]>,
+        observe: impl FnOnce(&AgentState<N, FEATURES, S>, &StepOutput<N>),
+    ) -> WatchedStep<N> {
         let Self { params, health_params, state, inbox, health } = self;
         let network = network.filter(|_| health.network_in_use());
-        let attempt = state.step(params, network, tick, measurement, inbox);
+        let attempt = state.attempt(params, network, tick, measurement, inbox);
         if let Ok(output) = &attempt {
             observe(state, output);
+        }
+        if attempt == Err(StepError::Diverged) {
+            // A sample that led to it must not stay to do it again.
+            inbox.discard_outside(&health_params.harmless);
+            state.forget_neighbours_outside(&health_params.harmless);
         }
         if health.observe(health_params, tick, &attempt, state) == Advice::Restart
             && let Ok(frame) =

@@ -6,6 +6,8 @@
 //! signature, works once, because activating it moves the highest serial past every version that it
 //! may replace.
 
+use serde::{Deserialize, Serialize};
+
 use super::{Package, Refusal, Requirements};
 
 /// Epoch and version of a package, ordered by epoch, then by version.
@@ -17,7 +19,9 @@ use super::{Package, Refusal, Requirements};
 /// assert!(Serial { epoch: 1, version: 4 } > newest);
 /// assert!(Serial { epoch: 0, version: 8 } < newest);
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
 pub struct Serial {
     /// Increased to go back to an older version; 0 in packages of format 1.
     pub epoch: u32,

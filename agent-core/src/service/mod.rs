@@ -10,6 +10,8 @@
 //! | [`Begin`](Request::Begin), [`Chunk`](Request::Chunk) | [`Upload`](Response::Upload) |
 //! | [`Stage`](Request::Stage) | [`Staged`](Response::Staged) |
 //! | [`Activate`](Request::Activate), [`Revert`](Request::Revert) | [`InUse`](Response::InUse) |
+//! | [`Report`](Request::Report) | [`Report`](Response::Report) |
+//! | [`ForgetUnreadable`](Request::ForgetUnreadable) | [`Done`](Response::Done) |
 //! | [`Confirm`](Request::Confirm), [`Subscribe`](Request::Subscribe), [`StartAt`](Request::StartAt), [`Reset`](Request::Reset) | [`Done`](Response::Done) |
 //! | [`Samples`](Request::Samples) | any number of [`Sample`](Response::Sample), then [`SamplesEnd`](Response::SamplesEnd) |
 //! | any of them | [`Refused`](Response::Refused) |
@@ -28,10 +30,12 @@
 //! Invariant: any bytes decode to a request or to `None`; no request makes a node panic.
 
 mod problem;
+mod report;
 mod request;
 mod response;
 
 pub use problem::{Problem, RefusalKind, RefusalReport};
+pub use report::{FILE_NAME, LastRevert, PanicPlace, Performance, Report, ResetCause, TrialReport};
 pub use request::{Numbers, Request, Subscription};
 pub use response::{
     BoardFault, Event, Firmware, Outcome, PackageStatus, Response, Rows, State, Status,
@@ -59,12 +63,47 @@ pub struct Upload {
     pub received: u32,
 }
 
+/// Index of the heads of numbered requests and of their answers.
+const NUMBERED: u8 = 15;
+
 /// Encodes and frames `message`; passes the bytes to `sink` piece by piece.
 pub fn send(message: &impl Serialize, sink: impl FnMut(&[u8])) {
+    send_numbered(None, message, sink);
+}
+
+/// Like [`send`], but with a number if there is one: the head [`Request::Numbered`] before a request,
+/// and [`Response::Answer`] before a response.
+pub fn send_numbered(number: Option<u16>, message: &impl Serialize, sink: impl FnMut(&[u8])) {
     let mut encoder = Encoder::new(sink);
+    if let Some(number) = number {
+        let (head, length) = head(number);
+        encoder.extend(head.get(..length).unwrap_or_default());
+    }
     // Encoding cannot fail, because all sequences know their lengths.
     let _ = postcard::serialize_with_flavor(message, &mut encoder);
     encoder.finish();
+}
+
+/// Returns the head of a numbered message, and its length: its index and a varint.
+fn head(number: u16) -> ([u8; 4], usize) {
+    const MORE: u8 = 0x80;
+    let low = number as u8 & !MORE;
+    let middle = (number >> 7) as u8 & !MORE;
+    let high = (number >> 14) as u8;
+    match number {
+        0..0x80 => ([NUMBERED, low, 0, 0], 2),
+        0x80..0x4000 => ([NUMBERED, low | MORE, middle, 0], 3),
+        _ => ([NUMBERED, low | MORE, middle | MORE, high], 4),
+    }
+}
+
+/// Separates the number of a request or an answer from the rest; `None` and all bytes if it has none.
+#[must_use]
+pub fn split_number(bytes: &[u8]) -> (Option<u16>, &[u8]) {
+    match codec::take::<Request<'_>>(bytes) {
+        Some((Request::Numbered { number }, rest)) => (Some(number), rest),
+        _ => (None, bytes),
+    }
 }
 
 /// Decodes a message, a [`Request`] or a [`Response`]; `None` if `bytes` are not exactly one

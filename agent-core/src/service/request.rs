@@ -61,6 +61,16 @@ pub enum Request<'a> {
         /// `y_i`, shape `[m]`; `None` to simulate a failed sensor.
         measurement: Option<Numbers>,
     },
+    /// Report how the package in use performs, its trial, and what the board knows of its resets.
+    Report,
+    /// Give up the entries of the journal that cannot be read, so that updates go on.
+    ForgetUnreadable,
+    /// The head of a numbered request: the request itself follows, and so does each part of its
+    /// answer a [`Response::Answer`](super::Response::Answer) with this number.
+    Numbered {
+        /// The number.
+        number: u16,
+    },
 }
 
 /// Unsolicited reports, in addition to events.

@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize, Serializer};
 
-use super::{Problem, RefusalReport, Upload};
+use super::{Problem, RefusalReport, Report, Upload};
 use crate::agent::StepError;
-use crate::health::{BoardErrors, HealthCounters, WatchedStep};
+use crate::health::{BoardErrors, HealthCounters, RevertReason, WatchedStep};
 use crate::store::Slot;
 use crate::{AgentId, StateVector, Tick};
 
@@ -69,6 +69,13 @@ pub enum Response<'a, V> {
         /// How often what failed.
         counters: BoardErrors,
     },
+    /// Answers a request for a report.
+    Report(Report),
+    /// The head of a part of the answer to a numbered request: that part follows.
+    Answer {
+        /// The number of the request.
+        number: u16,
+    },
 }
 
 impl<V> Response<'_, V> {
@@ -83,7 +90,9 @@ impl<V> Response<'_, V> {
             | Self::Done
             | Self::Refused(_)
             | Self::Sample { .. }
-            | Self::SamplesEnd { .. } => true,
+            | Self::SamplesEnd { .. }
+            | Self::Report(_)
+            | Self::Answer { .. } => true,
             Self::Hello(_)
             | Self::State(_)
             | Self::Health { .. }
@@ -107,6 +116,16 @@ pub enum Event {
     /// Something on the board does not work, and the node goes on without it. Told after every greeting
     /// and before every status.
     BoardFault(BoardFault),
+    /// The trial of a package has failed, and what was in use before is in use again from the next
+    /// step on.
+    Reverted {
+        /// Last tick of the package.
+        tick: Tick,
+        /// Version of the package.
+        version: u32,
+        /// Why.
+        reason: RevertReason,
+    },
 }
 
 /// Faults of a board whose node still works.
@@ -141,11 +160,12 @@ pub enum Outcome {
     Restarted,
     /// No package is in use, so there is no agent.
     NoPackage,
-    /// The sensor delivered no measurement.
+    /// The sensor delivered no measurement: the step was taken without one, and is not a sample for
+    /// training.
     NoMeasurement,
     /// The measurement has the wrong number of components.
     MeasurementLength,
-    /// A measurement was infinite or not a number.
+    /// A measurement was infinite or not a number; a node takes the step without it.
     MeasurementNotFinite,
     /// A result would not have been finite.
     Diverged,

@@ -69,18 +69,21 @@ pub use flash::MappedFlash;
 pub use layout::{Layout, LayoutError, Part};
 pub use limiter::{Limiter, RateLimit};
 pub use record::{FORMAT, NOTE_LENGTH_MAX, RECORD_LENGTH, factory_record};
-pub use report::{Damage, Edition, Loaded, Note, Opening, Revert};
+pub use report::{Damage, Loaded, Note, Opening, Revert};
+
+pub use crate::package::Serial;
 
 use crate::wire::crc::crc32;
 use flash::{assert_units, bytes_at};
 use journal::Journal;
 use record::{Contents, Extent, Phase, Record};
 use serde::{Deserialize, Serialize};
+
 use upload::Upload;
 
 /// How many of a package's first bytes are checked before anything is erased: a header of 128 bytes
 /// and the signature block behind it.
-pub const HEADER_LENGTH: usize = 128 + 68;
+pub const HEADER_LENGTH: usize = crate::package::CHECKED_FIRST;
 
 /// The kind of the note that counts boots; other users choose kinds from 2 to 30.
 const BOOTS: u8 = 1;
@@ -164,20 +167,22 @@ impl core::fmt::Display for Slot {
 /// #     }
 /// # }
 /// use agent_core::Store;
-/// use agent_core::store::{CheckedError, Edition, Layout, Slot};
+/// use agent_core::package::Serial;
+/// use agent_core::store::{CheckedError, Layout, Slot};
 ///
 /// // `Ram` implements `MappedFlash`. A node's check is `agent_core::package::accept`.
 /// let flash = Ram([u32::MAX; 288]);
 /// let layout = Layout { slots: [0, 64], slot_length: 64, commit: 128, commit_length: 1024 };
 /// let check = |bytes: &[u8]| if bytes == b"package" { Ok(()) } else { Err("refused") };
-/// let edition = |_: &()| Edition { epoch: 0, version: 1 };
+/// let serial = Serial { epoch: 0, version: 1 };
+/// let serials = |_: &()| (serial, serial);
 ///
 /// let mut store = Store::open(flash, layout)?;
 /// assert_eq!(store.load(check).in_use, None);
 /// store.begin(7).unwrap();
 /// store.write(0, b"package", |header| Ok::<_, CheckedError<&str>>(assert_eq!(header, b"package"))).unwrap();
 /// store.stage(check).unwrap();
-/// store.activate(check, edition).unwrap();
+/// store.activate(check, serials).unwrap();
 /// store.confirm().unwrap();
 ///
 /// // A reboot finds the package again.
@@ -249,16 +254,16 @@ impl<F: MappedFlash> Store<F> {
         self.opening.damage
     }
 
-    /// Returns the highest edition ever activated, if any is known; the journal's format 1 had none.
+    /// Returns the highest serial ever activated, if any is known; the journal's format 1 had none.
     #[must_use]
-    pub fn activated(&self) -> Option<Edition> {
+    pub fn activated(&self) -> Option<Serial> {
         self.contents.activated
     }
 
-    /// Makes the highest edition at least `edition`, for a package in use that was activated before
-    /// editions were recorded. The next record makes it durable.
-    pub fn raise_activated(&mut self, edition: Edition) {
-        let highest = self.contents.activated.map_or(edition, |highest| highest.max(edition));
+    /// Makes the highest serial at least `serial`, for a package in use that was activated before
+    /// serials were recorded. The next record makes it durable.
+    pub fn raise_activated(&mut self, serial: Serial) {
+        let highest = self.contents.activated.map_or(serial, |highest| highest.max(serial));
         self.contents.activated = Some(highest);
     }
 
@@ -496,8 +501,9 @@ impl<F: MappedFlash> Store<F> {
     }
 
     /// Puts the staged package in use, on trial: it stays in use only if it is confirmed before the
-    /// next reboot. `edition` tells the edition of what `check` has returned, which is recorded. Any
-    /// unfinished upload is dropped. Returns the result of the check.
+    /// next reboot. `serials` tells, of what `check` has returned, the package's serial and the
+    /// highest one from then on; both are recorded. Any unfinished upload is dropped. Returns the
+    /// result of the check.
     ///
     /// # Errors
     /// [`StoreError::NotLoaded`], [`StoreError::NothingStaged`], [`StoreError::Damaged`], a refusal
@@ -505,7 +511,7 @@ impl<F: MappedFlash> Store<F> {
     pub fn activate<T, E>(
         &mut self,
         check: impl FnOnce(&[u8]) -> Result<T, E>,
-        edition: impl FnOnce(&T) -> Edition,
+        serials: impl FnOnce(&T) -> (Serial, Serial),
     ) -> Result<T, CheckedError<E>> {
         if !self.loaded {
             return Err(StoreError::NotLoaded.into());
@@ -514,7 +520,8 @@ impl<F: MappedFlash> Store<F> {
         let extent = self.contents.package(slot).ok_or(StoreError::NothingStaged)?;
         let bytes = self.recorded_bytes(slot, extent).ok_or(StoreError::Damaged)?;
         let package = check(bytes).map_err(CheckedError::Refused)?;
-        self.commit(self.contents.on_trial(slot, edition(&package)))?;
+        let (serial, highest) = serials(&package);
+        self.commit(self.contents.on_trial(slot, serial, highest))?;
         // It would go to the slot that is in use now.
         self.upload = None;
         Ok(package)
@@ -569,21 +576,21 @@ impl<F: MappedFlash> Store<F> {
     }
 
     /// Counts a boot, once after [`Self::open`], and returns how many there have been with this one.
-    /// `retained` is the count that the board has kept in memory during the reset, if it can: then
-    /// only every 16th boot is recorded, and a loss of power forgets up to 15.
+    /// `starts` is the number of starts since the supply was switched on, this one included, if the
+    /// board can tell: then only the first and every 16th after it is recorded, and a loss of power
+    /// forgets up to 15.
     ///
     /// A boot that is recorded costs one record of the journal. A commit area of two pages of 4 KiB
     /// that last for 10,000 erasures takes 600,000 of them.
-    pub fn count_boot(&mut self, retained: Option<u32>) -> u32 {
+    pub fn count_boot(&mut self, starts: Option<u32>) -> u32 {
         let note = self.note(BOOTS);
         let recorded =
             note.and_then(|note| note.as_bytes().try_into().ok()).map_or(0, u32::from_le_bytes);
-        let since = retained.and_then(|retained| retained.checked_sub(recorded));
-        let since = since.filter(|&since| since < BOOTS_BETWEEN_NOTES).map(|since| since + 1);
-        let boots = recorded.saturating_add(since.unwrap_or(1));
-        if since.is_none_or(|since| since == BOOTS_BETWEEN_NOTES)
-            && self.journal.held_by().is_none()
-        {
+        // Starts since the last one that was recorded.
+        let warm = starts.and_then(|starts| starts.checked_sub(2));
+        let since = warm.map_or(1, |warm| warm % BOOTS_BETWEEN_NOTES + 1);
+        let boots = recorded.saturating_add(since);
+        if warm.is_none_or(|_| since == BOOTS_BETWEEN_NOTES) && self.journal.held_by().is_none() {
             // If that fails, this boot is not counted; a later one may succeed.
             let _ = self.record_note(BOOTS, &boots.to_le_bytes());
         }

@@ -20,9 +20,9 @@
 //! | 11 | flags | bit 0: a package was activated; bit 1: one was reverted; others 0 |
 //! | 12, 16 | package in slot A: length, checksum | two `u32`; length 0 is no package |
 //! | 20, 24 | package in slot B | likewise |
-//! | 28, 32 | highest edition ever activated: epoch, version | two `u32` |
-//! | 36, 40 | edition on trial | likewise |
-//! | 44, 48 | edition of the last revert | likewise |
+//! | 28, 32 | highest serial ever activated: epoch, version | two `u32` |
+//! | 36, 40 | serial on trial | likewise |
+//! | 44, 48 | serial of the last revert | likewise |
 //! | 52 | reserved | 0 |
 //!
 //! All little-endian. Each record is complete and stands twice, so one valid copy is enough. Its
@@ -40,7 +40,8 @@
 //! | 8, 12, 16, 20 | packages in slot A and slot B |
 //! | 28 | CRC-32 of the 28 bytes before |
 
-use super::{Edition, Revert, Slot};
+use super::{Revert, Slot};
+use crate::package::Serial;
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 
 /// Length of a record in bytes; it stands twice.
@@ -93,10 +94,10 @@ pub(super) struct Contents {
     pub(super) phase: Phase,
     /// The packages in slot A and slot B.
     pub(super) packages: [Option<Extent>; 2],
-    /// The highest edition ever activated.
-    pub(super) activated: Option<Edition>,
-    /// The edition that went on trial last.
-    pub(super) tried: Edition,
+    /// The highest serial ever activated.
+    pub(super) activated: Option<Serial>,
+    /// The serial that went on trial last.
+    pub(super) tried: Serial,
     pub(super) last_revert: Option<Revert>,
 }
 
@@ -179,9 +180,9 @@ impl Record {
         let mut words = Words(&self.payload);
         let [in_use, phase, reason, flags] = words.next()?.to_le_bytes();
         let contents = Contents::of(in_use, phase, [words.extent()?, words.extent()?])?;
-        let activated = words.edition()?;
-        let tried = words.edition()?;
-        let last_revert = Revert { edition: words.edition()?, reason };
+        let activated = words.serial()?;
+        let tried = words.serial()?;
+        let last_revert = Revert { serial: words.serial()?, reason };
         Some(Contents {
             activated: (flags & WAS_ACTIVATED != 0).then_some(activated),
             tried,
@@ -216,8 +217,8 @@ impl Words<'_> {
         Some((length > 0).then_some(Extent { length, checksum }))
     }
 
-    fn edition(&mut self) -> Option<Edition> {
-        Some(Edition { epoch: self.next()?, version: self.next()? })
+    fn serial(&mut self) -> Option<Serial> {
+        Some(Serial { epoch: self.next()?, version: self.next()? })
     }
 }
 
@@ -228,7 +229,7 @@ impl Contents {
         phase: Phase::Confirmed,
         packages: [None; 2],
         activated: None,
-        tried: Edition { epoch: 0, version: 0 },
+        tried: Serial { epoch: 0, version: 0 },
         last_revert: None,
     };
 
@@ -281,9 +282,9 @@ impl Contents {
     }
 
     /// Returns the contents with the staged package in `slot` on trial.
-    pub(super) fn on_trial(self, slot: Slot, edition: Edition) -> Self {
-        let activated = Some(self.activated.map_or(edition, |highest| highest.max(edition)));
-        Self { in_use: Some(slot), phase: Phase::Trial, tried: edition, activated, ..self }
+    pub(super) fn on_trial(self, slot: Slot, serial: Serial, highest: Serial) -> Self {
+        let activated = self.activated.max(Some(serial)).max(Some(highest));
+        Self { in_use: Some(slot), phase: Phase::Trial, tried: serial, activated, ..self }
     }
 
     /// Returns the contents after a failed trial: what was in use before is in use again, if
@@ -291,7 +292,7 @@ impl Contents {
     pub(super) fn reverted(self, reason: u8) -> Self {
         let before = self.in_use.map(Slot::other).filter(|&slot| self.package(slot).is_some());
         let failed = self.in_use.map_or(self, |failed| self.with_package(failed, None));
-        let last_revert = Some(Revert { edition: self.tried, reason });
+        let last_revert = Some(Revert { serial: self.tried, reason });
         Self { in_use: before, phase: Phase::Confirmed, last_revert, ..failed }
     }
 
@@ -335,8 +336,8 @@ impl Contents {
             activated.version,
             self.tried.epoch,
             self.tried.version,
-            revert.edition.epoch,
-            revert.edition.version,
+            revert.serial.epoch,
+            revert.serial.version,
         ];
         let mut payload = [0; NOTE_LENGTH_MAX];
         for (bytes, word) in payload.chunks_exact_mut(4).zip(words) {
@@ -347,14 +348,14 @@ impl Contents {
 }
 
 /// Returns the start of a factory image's commit area, one record in two copies: `package`, of the
-/// edition `activated`, is at the start of `slot`, in use and confirmed, and the other slot is
+/// serial `activated`, is at the start of `slot`, in use and confirmed, and the other slot is
 /// empty. The rest of the commit area must be erased, because a leftover record could be newer. If
 /// `package` is empty, nothing is in use.
 #[must_use]
 pub fn factory_record(
     slot: Slot,
     package: &[u8],
-    activated: Option<Edition>,
+    activated: Option<Serial>,
 ) -> [u8; 2 * RECORD_LENGTH] {
     let extent = Extent::of(package);
     let in_use = extent.map(|_| slot);
@@ -367,6 +368,8 @@ pub fn factory_record(
 
 #[cfg(test)]
 mod tests {
+    extern crate std;
+
     use super::*;
     use proptest::prelude::*;
 
@@ -378,9 +381,9 @@ mod tests {
                 Some(Extent { length: 0x0102_0304, checksum: 0x1122_3344 }),
                 Some(Extent { length: 2200, checksum: 0xffff_ffff }),
             ],
-            activated: Some(Edition { epoch: 2, version: 9 }),
-            tried: Edition { epoch: 1, version: 7 },
-            last_revert: Some(Revert { edition: Edition { epoch: 3, version: 4 }, reason: 5 }),
+            activated: Some(Serial { epoch: 2, version: 9 }),
+            tried: Serial { epoch: 1, version: 7 },
+            last_revert: Some(Revert { serial: Serial { epoch: 3, version: 4 }, reason: 5 }),
         }
     }
 
@@ -403,7 +406,7 @@ mod tests {
         let mut record = contents().record();
         record.void = 6;
         let record = record.encode(0x0a0b_0c0d);
-        let mut body = vec![0x0d, 0x0c, 0x0b, 0x0a, 2, 0, 6, 52, 1, 2, 5, 3];
+        let mut body = std::vec![0x0d, 0x0c, 0x0b, 0x0a, 2, 0, 6, 52, 1, 2, 5, 3];
         body.extend([4, 3, 2, 1, 0x44, 0x33, 0x22, 0x11]);
         body.extend([0x98, 0x08, 0, 0, 0xff, 0xff, 0xff, 0xff]);
         body.extend([2, 0, 0, 0, 9, 0, 0, 0, 1, 0, 0, 0, 7, 0, 0, 0, 3, 0, 0, 0, 4, 0, 0, 0]);
@@ -421,12 +424,8 @@ mod tests {
         let checksum = crc32(&[&record[..28]]);
         record[28..].copy_from_slice(&checksum.to_le_bytes());
         let (number, found) = Record::decode_format_1(&record).unwrap();
-        let expected = Contents {
-            activated: None,
-            tried: Edition::default(),
-            last_revert: None,
-            ..contents()
-        };
+        let expected =
+            Contents { activated: None, tried: Serial::default(), last_revert: None, ..contents() };
         assert_eq!((number, found.state()), (0x0a0b_0c0d, Some(expected)));
         for bit in 0..UNIT_LENGTH * 8 {
             let mut flipped = record;
@@ -477,7 +476,7 @@ mod tests {
     #[test]
     fn a_factory_record_names_its_package() {
         let package = b"123456789";
-        let activated = Some(Edition { epoch: 1, version: 2 });
+        let activated = Some(Serial { epoch: 1, version: 2 });
         for slot in [Slot::A, Slot::B] {
             let both = factory_record(slot, package, activated);
             let (first, second) = both.split_first_chunk::<RECORD_LENGTH>().unwrap();
@@ -495,16 +494,16 @@ mod tests {
 
     #[test]
     fn a_failed_trial_is_remembered_and_the_highest_edition_stays() {
-        let (low, high) = (Edition { epoch: 1, version: 0 }, Edition { epoch: 0, version: 9 });
+        let (low, high) = (Serial { epoch: 1, version: 0 }, Serial { epoch: 0, version: 9 });
         assert!(low > high);
-        let tried = contents().on_trial(Slot::A, low);
-        assert_eq!(tried.activated, Some(Edition { epoch: 2, version: 9 }));
+        let tried = contents().on_trial(Slot::A, low, low);
+        assert_eq!(tried.activated, Some(Serial { epoch: 2, version: 9 }));
         assert_eq!(
             tried.rebooted().last_revert,
-            Some(Revert { edition: low, reason: Revert::BY_RESET })
+            Some(Revert { serial: low, reason: Revert::BY_RESET })
         );
         assert_eq!(
-            Contents::NOTHING.on_trial(Slot::A, high).on_trial(Slot::B, low).activated,
+            Contents::NOTHING.on_trial(Slot::A, high, high).on_trial(Slot::B, low, low).activated,
             Some(low)
         );
     }
@@ -516,12 +515,12 @@ mod tests {
             in_use: Option<bool>,
             phase in 0..3,
             packages: [(u32, u32); 2],
-            editions: [(u32, u32); 3],
+            serials: [(u32, u32); 3],
             known: [bool; 2],
             reason: u8,
         ) {
             let [activated, tried, reverted] =
-                editions.map(|(epoch, version)| Edition { epoch, version });
+                serials.map(|(epoch, version)| Serial { epoch, version });
             let contents = Contents {
                 in_use: in_use.map(|b| if b { Slot::B } else { Slot::A }),
                 phase: match phase {
@@ -533,7 +532,7 @@ mod tests {
                 packages: packages.map(|(length, checksum)| Some(Extent { length: length.max(1), checksum })),
                 activated: known[0].then_some(activated),
                 tried,
-                last_revert: known[1].then_some(Revert { edition: reverted, reason }),
+                last_revert: known[1].then_some(Revert { serial: reverted, reason }),
             };
             prop_assert_eq!(decode(contents.record().encode(number)), Some((number, contents)));
         }

@@ -3,23 +3,13 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Refusal, Slot, StoreError};
-
-/// Epoch and version of a package. The pair is compared, the epoch first.
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
-)]
-pub struct Edition {
-    /// The epoch; 0 for packages that have none.
-    pub epoch: u32,
-    /// The version.
-    pub version: u32,
-}
+use crate::package::Serial;
 
 /// The end of a trial that a package has not passed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Revert {
     /// The package that was on trial.
-    pub edition: Edition,
+    pub serial: Serial,
     /// Why: [`Self::BY_RESET`], or the code passed to [`Store::revert`](super::Store::revert).
     pub reason: u8,
 }

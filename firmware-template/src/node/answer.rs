@@ -1,14 +1,14 @@
 //! Requests and their answers.
 
-use agent_core::health::Probation;
-use agent_core::package::{Package, Refusal};
-use agent_core::service::{Problem, Upload, receive};
-use agent_core::store::{MappedFlash, Revert};
+use agent_core::health::{RevertReason, Trial, Verdict};
+use agent_core::package::Package;
+use agent_core::service::{Problem, Upload, receive, split_number};
+use agent_core::store::MappedFlash;
 use agent_core::{StateVector, Tick};
 
 use super::limits::take;
 use super::load::Verified;
-use super::{Event, Next, Node, Request, Response, Rows, respond};
+use super::{Due, Event, Next, Node, Request, Response, Rows, respond, respond_to};
 use crate::board::Board;
 
 /// The answer to a request, and what to do next.
@@ -26,6 +26,8 @@ impl<
     /// turn's.
     #[inline(never)]
     pub(super) fn answer<B: Board>(&mut self, board: &mut B, bytes: &[u8]) -> Next {
+        let (number, bytes) = split_number(bytes);
+        self.number = number;
         let answer = match receive::<Request<'_>>(bytes) {
             None => Err(Problem::Unknown),
             Some(Request::Samples { from, most }) => {
@@ -41,17 +43,26 @@ impl<
                 if matches!(response, Response::Status(_)) {
                     self.tell_faults(board);
                 }
-                respond(board, &response);
+                respond_to(board, number, &response);
                 next
             }
             Err(problem) => {
-                respond::<B, N>(board, &Response::Refused(problem));
+                respond_to::<B, N>(board, number, &Response::Refused(problem));
                 Next::Continue
             }
         }
     }
 
     fn carry_out(&mut self, request: &Request<'_>) -> Answer<'static, N> {
+        self.flash_used |= matches!(
+            request,
+            Request::Begin { .. }
+                | Request::Chunk { .. }
+                | Request::Stage
+                | Request::Activate
+                | Request::Confirm
+                | Request::Revert
+        );
         let upload = |received| Ok((Response::Upload(Upload { received }), Next::Continue));
         match *request {
             Request::Query => Ok((Response::Status(self.status()), Next::Continue)),
@@ -64,49 +75,54 @@ impl<
             Request::Activate => self.activate(),
             Request::Confirm => {
                 self.store.confirm()?;
-                self.probation = None;
+                self.end(Verdict::Passed);
                 Ok((Response::Done, Next::Continue))
             }
-            Request::Revert => self.revert(),
+            Request::Revert => self.revert(RevertReason::Operator),
             Request::Reset => Ok((Response::Done, Next::Reset)),
             Request::Subscribe(subscription) => {
                 self.subscription = subscription;
                 Ok((Response::Done, Next::Continue))
             }
+            Request::Report => Ok((Response::Report(self.current_report()), Next::Continue)),
+            Request::ForgetUnreadable => {
+                self.store.forget_unreadable();
+                Ok((Response::Done, Next::Continue))
+            }
             Request::Frame { .. } | Request::Tick { .. } => Err(Problem::NotInTheLoop),
-            Request::Samples { .. } | Request::StartAt { .. } => Err(Problem::Unknown),
+            Request::Samples { .. } | Request::StartAt { .. } | Request::Numbered { .. } => {
+                Err(Problem::Unknown)
+            }
         }
     }
 
     fn stage(&mut self) -> Answer<'static, N> {
         let package = self.stage_upload()?;
-        Ok((Response::Staged { version: package.version }, Next::Continue))
+        Ok((Response::Staged { version: package.serial.version }, Next::Continue))
     }
 
     fn activate(&mut self) -> Answer<'static, N> {
         if self.store.staged().is_some() {
             take(&mut self.limits.activations, self.memory.session.is_some())?;
         }
-        // Staging has verified the package, and the store compares its bytes with the record.
-        let check = |bytes: &[u8]| {
-            let package = Package::decode_unchanged(bytes)?;
-            Ok::<_, Refusal>(Verified::of(&package))
-        };
-        let package = self.store.activate(check, Verified::edition)?;
+        let package = self.activate_staged()?;
         self.in_use = self.store.in_use().and_then(|slot| package.in_slot(slot, &self.store));
-        let counters = self.health.counters();
-        self.probation = Some(Probation::new(self.settings.good_steps, counters));
-        Ok((Response::InUse { version: Some(package.version) }, Next::Switch))
+        let limits = self.settings.trial.tighter(&package.trial);
+        let before = self.performance.reference();
+        self.trial = Some(Trial::new(&limits, before, package.step_size, self.next_tick));
+        self.health.take_tally();
+        Ok((Response::InUse { version: Some(package.serial.version) }, Next::Switch))
     }
 
-    fn revert(&mut self) -> Answer<'static, N> {
-        let slot = self.store.revert(Revert::BY_OPERATOR)?;
-        self.probation = None;
+    /// Returns to what was in use before the package on trial, and keeps why.
+    fn revert(&mut self, reason: RevertReason) -> Answer<'static, N> {
+        let slot = self.store.revert(reason.code())?;
+        self.end(Verdict::Failed(reason));
         self.in_use = slot.and_then(|slot| {
             let package = Package::decode(self.store.bytes(slot)?).ok()?;
-            Verified::of(&package).in_slot(slot, &self.store)
+            Verified::of(&package, &self.requirements()).in_slot(slot, &self.store)
         });
-        let version = self.in_use.map(|package| package.version);
+        let version = self.in_use.map(|package| package.serial.version);
         Ok((Response::InUse { version }, Next::Switch))
     }
 
@@ -134,7 +150,7 @@ impl<
                 estimate: Rows::one(&sample.estimate),
                 derivative: Rows::one(&sample.derivative),
             };
-            respond(board, &response);
+            respond_to(board, self.number, &response);
         }
         next
     }
@@ -145,9 +161,27 @@ impl<
         if self.store.confirm().is_ok()
             && let Some(package) = &self.in_use
         {
-            let event = Event::Confirmed { tick, version: package.version };
+            let event = Event::Confirmed { tick, version: package.serial.version };
             respond::<B, N>(board, &Response::Event(event));
-            self.probation = None;
+        }
+    }
+
+    /// Keeps how the trial ended.
+    fn end(&mut self, verdict: Verdict) {
+        if let Some(trial) = &mut self.trial {
+            trial.end(verdict);
+        }
+    }
+
+    /// Ends the trial of a package that must not stay in use.
+    #[inline(never)]
+    pub(super) fn end_trial<B: Board>(&mut self, board: &mut B, tick: Tick, reason: RevertReason) {
+        let failed = self.in_use.map_or(0, |package| package.serial.version);
+        // If the journal cannot be written now, a later attempt may succeed.
+        if self.revert(reason).is_ok() {
+            let event = Event::Reverted { tick, version: failed, reason };
+            respond::<B, N>(board, &Response::Event(event));
+            self.due = Due::Session;
         }
     }
 }

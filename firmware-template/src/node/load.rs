@@ -3,18 +3,19 @@
 use agent_core::StateVector;
 use agent_core::agent::AgentParams;
 use agent_core::agent::region::StateBox;
-use agent_core::health::HealthParams;
+use agent_core::health::trial::SECONDS_MIN;
+use agent_core::health::{HealthParams, Performance};
 use agent_core::observer::feedback::Neighbour;
 use agent_core::observer::network::Scratch;
 use agent_core::package::{
     AgentConfig, Capacity, Envelope, NetworkPlace, Package, ParamsPlace, Refusal, Requirements,
-    Serial, accept,
+    Serial, TrialLimits, accept, accept_header,
 };
 use agent_core::service::RefusalReport;
-use agent_core::store::{self, Edition, MappedFlash, Store};
+use agent_core::store::{self, MappedFlash, Store};
 
 use super::limits::take;
-use super::{Agent, Counts, InUsePackage, Memory, Node, Session};
+use super::{Agent, Counts, InUsePackage, Memory, Node, Session, Settings};
 use crate::board::Board;
 
 impl<
@@ -32,13 +33,7 @@ impl<
     /// Loads the package in flash, after all checks.
     pub(super) fn load(&mut self) {
         let Self { store, memory, settings, .. } = self;
-        let requirements = Requirements {
-            public_key: settings.public_key.as_ref(),
-            agent: None,
-            highest: None,
-            step_range: settings.step_range,
-            capacity: Self::CAPACITY,
-        };
+        let requirements = Self::required(settings, None, None);
         let mut check = |bytes: &[u8]| verified::<N>(bytes, &requirements, &mut memory.scratch);
         let loaded = store.load(&mut check);
         self.refused_at_start = loaded.refusals.map(|refusal| {
@@ -49,14 +44,14 @@ impl<
         });
         let found = loaded.in_use.or_else(|| {
             let length = |slot: &[u8]| u32::try_from(Envelope::length_in(slot)?).ok();
-            store.salvage(length, check, |new: &Verified, old| new.serial() > old.serial())
+            store.salvage(length, check, |new: &Verified, old| new.serial > old.serial)
         });
         if let Some((_, package)) = &found {
             // A journal of format 1 does not say.
-            store.raise_activated(package.edition());
+            store.raise_activated(package.serial);
         }
         self.in_use = found.and_then(|(slot, package)| package.in_slot(slot, store));
-        self.boots = store.count_boot(None);
+        self.boots = store.count_boot(self.settings.start.boots);
     }
 
     /// Stages the uploaded package if it passes all checks.
@@ -65,13 +60,7 @@ impl<
         if store.is_complete() {
             take(&mut limits.checks, memory.session.is_some())?;
         }
-        let requirements = Requirements {
-            public_key: settings.public_key.as_ref(),
-            agent: in_use.map(|package| package.agent),
-            highest: in_use.map(|package| package.serial()),
-            step_range: settings.step_range,
-            capacity: Self::CAPACITY,
-        };
+        let requirements = Self::required(settings, in_use.as_ref(), store.activated());
         store.stage(|bytes| verified::<N>(bytes, &requirements, &mut memory.scratch))
     }
 
@@ -81,11 +70,41 @@ impl<
         offset: u32,
         bytes: &[u8],
     ) -> Result<u32, store::CheckedError<Refusal>> {
-        let Self { store, memory, limits, .. } = self;
-        store.write(offset, bytes, |_header| {
+        let Self { store, memory, settings, in_use, limits, .. } = self;
+        let requirements = Self::required(settings, in_use.as_ref(), store.activated());
+        store.write(offset, bytes, |header| {
             take(&mut limits.uploads, memory.session.is_some())?;
+            // A package of format 1 is checked when it is complete.
+            accept_header::<N>(header, &requirements).map_err(store::CheckedError::Refused)?;
             Ok(())
         })
+    }
+
+    /// Puts the staged package on trial if it still passes all checks, its signature included.
+    pub(super) fn activate_staged(&mut self) -> Result<Verified, store::CheckedError<Refusal>> {
+        let Self { store, memory, settings, in_use, .. } = self;
+        let requirements = Self::required(settings, in_use.as_ref(), store.activated());
+        let check = |bytes: &[u8]| verified::<N>(bytes, &requirements, &mut memory.scratch);
+        store.activate(check, Verified::serials)
+    }
+
+    /// What the node requires of the next package.
+    pub(super) fn requirements(&self) -> Requirements<'_> {
+        Self::required(&self.settings, self.in_use.as_ref(), self.store.activated())
+    }
+
+    fn required<'s>(
+        settings: &'s Settings,
+        in_use: Option<&InUsePackage>,
+        highest: Option<Serial>,
+    ) -> Requirements<'s> {
+        Requirements {
+            public_key: settings.public_key.as_ref(),
+            agent: in_use.map(|package| package.agent),
+            highest,
+            step_range: settings.step_range,
+            capacity: Self::CAPACITY,
+        }
     }
 
     /// Prepares the agent for the package in use or the built-in agent; without either there is no
@@ -94,6 +113,16 @@ impl<
     pub(super) fn begin_session(&mut self) {
         let old = self.memory.session.take().map(|session| session.params);
         self.memory.session = self.session_after(old.as_ref().map_or(&[], ParamsPlace::neighbours));
+        match (&self.memory.session, &mut self.trial) {
+            (Some(session), _) => {
+                let seconds = self.settings.trial.seconds.unwrap_or(SECONDS_MIN);
+                self.performance = Performance::new(seconds, session.params.step_size());
+            }
+            (None, Some(trial)) if self.store.is_on_trial() => {
+                let _ = trial.unusable();
+            }
+            (None, _) => {}
+        }
     }
 
     /// Creates the next session, for an agent that had the neighbours `old`.
@@ -214,24 +243,23 @@ impl<const N: usize, const NEIGHBOURS: usize> Session<N, NEIGHBOURS> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Verified {
     agent: agent_core::AgentId,
-    epoch: u32,
-    pub(super) version: u32,
-    step_size: f32,
+    pub(super) serial: Serial,
+    highest: Serial,
+    pub(super) step_size: f32,
+    pub(super) trial: TrialLimits,
 }
 
 impl Verified {
-    pub(super) fn of(package: &Package<'_>) -> Self {
+    pub(super) fn of(package: &Package<'_>, requirements: &Requirements<'_>) -> Self {
         let AgentConfig { agent, step_size, .. } = package.node;
-        Self { agent, epoch: package.epoch, version: package.version, step_size }
+        let (serial, trial) = (package.serial(), package.trial.unwrap_or(TrialLimits::NONE));
+        let highest = requirements.serial_after_activation(package);
+        Self { agent, serial, highest, step_size, trial }
     }
 
-    fn serial(&self) -> Serial {
-        Serial { epoch: self.epoch, version: self.version }
-    }
-
-    /// Returns epoch and version; packages of format 1 have the epoch 0.
-    pub(super) fn edition(&self) -> Edition {
-        Edition { epoch: 0, version: self.version }
+    /// Returns the serial of the package, and the highest one once it has been activated.
+    pub(super) fn serials(&self) -> (Serial, Serial) {
+        (self.serial, self.highest)
     }
 
     /// Returns `None` if no package is recorded in the slot.
@@ -240,9 +268,9 @@ impl Verified {
         slot: store::Slot,
         store: &Store<F>,
     ) -> Option<InUsePackage> {
-        let Self { agent, epoch, version, step_size } = self;
+        let Self { agent, serial, step_size, .. } = self;
         let checksum = store.checksum(slot)?;
-        Some(InUsePackage { agent, epoch, version, checksum, step_size, slot })
+        Some(InUsePackage { agent, serial, checksum, step_size, slot })
     }
 }
 
@@ -253,5 +281,5 @@ pub(super) fn verified<const N: usize>(
     requirements: &Requirements<'_>,
     scratch: &mut Scratch,
 ) -> Result<Verified, Refusal> {
-    accept::<N>(bytes, requirements, scratch).map(|package| Verified::of(&package))
+    accept::<N>(bytes, requirements, scratch).map(|package| Verified::of(&package, requirements))
 }

@@ -36,13 +36,14 @@ use agent_core::agent::AgentState;
 use agent_core::agent::capture::CaptureRing;
 use agent_core::agent::hold::Hold;
 use agent_core::agent::inbox::Inbox;
-use agent_core::health::{Health, HealthParams, HealthSettings, Probation};
+use agent_core::health::{Health, HealthParams, HealthSettings, Performance, RevertReason, Trial};
 use agent_core::observer::network::Scratch;
 use agent_core::package::signature::PublicKey;
-use agent_core::package::{AgentConfig, NetworkPlace, ParamsPlace, Serial, StepRange};
+use agent_core::package::{AgentConfig, NetworkPlace, ParamsPlace, Serial, StepRange, TrialLimits};
 use agent_core::service::{
-    BoardFault, Event, Firmware, PROTOCOL_VERSION, PackageStatus, RefusalReport, Request, Response,
-    Rows, Status, Subscription, send,
+    BoardFault, Event, Firmware, LastRevert, PROTOCOL_VERSION, PackageStatus, PanicPlace,
+    Performance as PerformanceReport, RefusalReport, Report, Request, ResetCause, Response, Rows,
+    Status, Subscription, TrialReport, send_numbered,
 };
 use agent_core::store::{Layout, LayoutError, MappedFlash, RateLimit, Slot, Store};
 
@@ -61,10 +62,11 @@ pub struct Settings {
     pub step_range: StepRange,
     /// Settings of the health monitoring.
     pub health: HealthSettings,
-    /// Consecutive good steps needed to confirm a package on trial.
-    pub good_steps: NonZeroU32,
     /// How often uploads, complete packages and activations are accepted, each for itself.
     pub update_limit: RateLimit,
+    /// Limits of every package on trial, besides those that it carries itself.
+    /// [`RECOMMENDED_TRIAL`] is a start.
+    pub trial: TrialLimits,
     /// Interval between samples kept for training. \[ticks\]
     pub sample_stride: NonZeroU32,
     /// The initial unsolicited reports, until a request changes them.
@@ -73,9 +75,33 @@ pub struct Settings {
     pub fallback: Option<AgentConfig<'static>>,
     /// Returns how many bytes of the stack have never been used, if the board can tell.
     pub stack_unused: Option<fn() -> u32>,
+    /// What the board knows of its resets.
+    pub start: Start,
     /// Version of the firmware: major, minor, patch.
     pub version: [u8; 3],
 }
+
+/// What a board knows of its resets.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Start {
+    /// Why it has started.
+    pub cause: ResetCause,
+    /// Where the firmware panicked before, if it did.
+    pub panic: Option<PanicPlace>,
+    /// How often it has started since the supply was switched on, this time included, if it can
+    /// tell: then the journal records only every 16th start.
+    pub boots: Option<u32>,
+}
+
+/// Limits of a trial that suit most nodes: a minute, three restarts, and one percent of skipped ticks
+/// at 100 Hz. What was in use before, or the package itself, bounds innovation and broadcasts.
+pub const RECOMMENDED_TRIAL: TrialLimits = TrialLimits {
+    seconds: Some(60),
+    restarts: Some(3),
+    overflows: Some(30),
+    skipped_ticks: Some(60),
+    ..TrialLimits::NONE
+};
 
 /// Samples held from neighbours, one slot per neighbour of the agent.
 type Holds<const N: usize, const NEIGHBOURS: usize> = heapless::Vec<Option<Hold<N>>, NEIGHBOURS>;
@@ -134,7 +160,8 @@ pub struct Node<
     store: Store<F>,
     memory: &'m mut Memory<N, FEATURES, NEIGHBOURS, SAMPLES>,
     health: Health,
-    probation: Option<Probation>,
+    performance: Performance<N>,
+    trial: Option<Trial>,
     subscription: Subscription,
     next_tick: Tick,
     due: Due,
@@ -145,6 +172,11 @@ pub struct Node<
     limits: Limits,
     /// How often the node has booted.
     boots: u32,
+    /// Number of the request that is being answered, if it has one.
+    number: Option<u16>,
+    /// Whether flash has been erased or written since the last turn.
+    flash_used: bool,
+    stalled_ticks: u32,
 }
 
 /// The observer's mutable data.
@@ -162,17 +194,10 @@ struct Agent<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize> {
 #[derive(Clone, Copy, Debug)]
 struct InUsePackage {
     agent: agent_core::AgentId,
-    epoch: u32,
-    version: u32,
+    serial: Serial,
     checksum: u32,
     step_size: f32,
     slot: Slot,
-}
-
-impl InUsePackage {
-    fn serial(&self) -> Serial {
-        Serial { epoch: self.epoch, version: self.version }
-    }
 }
 
 /// What does not change while one package is in use.
@@ -283,7 +308,8 @@ impl<
             store,
             memory,
             health: Health::new(),
-            probation: None,
+            performance: Performance::new(settings.trial.seconds.unwrap_or(0), 1.0),
+            trial: None,
             subscription: settings.subscription,
             next_tick: 0,
             due: Due::Greeting,
@@ -293,6 +319,9 @@ impl<
             board_fault: None,
             limits: Limits::new(settings.update_limit),
             boots: 0,
+            number: None,
+            flash_used: false,
+            stalled_ticks: 0,
             settings,
         })
     }
@@ -365,9 +394,11 @@ impl<
         }
         let periods = board.elapsed();
         if periods > 0 {
+            self.due = Due::Request;
+            // May make another session due.
             self.turn(board, periods);
             board.flush();
-            self.due = Due::Request;
+            board.done();
             return Progress::Worked;
         }
         self.take_request(board).unwrap_or(Progress::Idle)
@@ -410,7 +441,7 @@ impl<
     }
 
     fn status(&self) -> Status {
-        let trial = self.probation.as_ref();
+        let trial = self.trial.as_ref().filter(|_| self.store.is_on_trial());
         Status {
             protocol: PROTOCOL_VERSION,
             firmware: Firmware {
@@ -424,11 +455,14 @@ impl<
             tick: self.next_tick,
             package: self.in_use.map(|package| PackageStatus {
                 agent: package.agent,
-                version: package.version,
+                version: package.serial.version,
                 checksum: package.checksum,
                 step_size: package.step_size,
                 slot: package.slot,
-                trial: trial.map(|trial| (trial.good_steps(), self.settings.good_steps.get())),
+                trial: trial.map(|trial| {
+                    let (good, needed) = trial.steps();
+                    (good, needed.get())
+                }),
                 network_in_use: self.health.network_in_use(),
             }),
             staged: self.store.staged().is_some(),
@@ -443,10 +477,24 @@ impl<
         }
     }
 
-    /// Returns how often the node has booted, as its flash counts it.
-    #[must_use]
-    pub fn boots(&self) -> u32 {
-        self.boots
+    fn current_report(&self) -> Report {
+        let step_size = self.memory.session.as_ref().map(|session| session.params.step_size());
+        let performance = self.performance.means().zip(step_size);
+        Report {
+            performance: performance
+                .map(|(means, step_size)| PerformanceReport::new(means, 1, step_size)),
+            trial: self.trial.as_ref().map(TrialReport::new),
+            last_revert: self.store.last_revert().map(|revert| LastRevert {
+                version: revert.serial.version,
+                epoch: revert.serial.epoch,
+                reason: RevertReason::from_code(revert.reason),
+            }),
+            epoch: self.in_use.map(|package| package.serial.epoch),
+            boots: Some(self.boots),
+            reset_cause: self.settings.start.cause,
+            panic: self.settings.start.panic,
+            stalled_ticks: self.stalled_ticks,
+        }
     }
 
     /// Returns the flash driver, for inspection.
@@ -462,10 +510,20 @@ impl<
     }
 }
 
+/// Sends a response that answers no request.
+#[inline]
+fn respond<B: Board, const N: usize>(board: &mut B, response: &Response<'_, Rows<'_, N>>) {
+    respond_to(board, None, response);
+}
+
 /// Sends a response. One function for all responses, so that the encoder exists once.
 #[inline(never)]
-fn respond<B: Board, const N: usize>(board: &mut B, response: &Response<'_, Rows<'_, N>>) {
-    send(response, |bytes| board.respond(bytes));
+fn respond_to<B: Board, const N: usize>(
+    board: &mut B,
+    number: Option<u16>,
+    response: &Response<'_, Rows<'_, N>>,
+) {
+    send_numbered(number, response, |bytes| board.respond(bytes));
 }
 
 #[inline]

@@ -2,7 +2,7 @@
 
 use agent_core::Tick;
 use agent_core::agent::capture::Sample;
-use agent_core::health::{WatchedAgent, WatchedStep};
+use agent_core::health::{Verdict, WatchedAgent, WatchedStep};
 use agent_core::service::{Outcome, State};
 use agent_core::store::MappedFlash;
 use agent_core::wire::frame::{FRAME_LENGTH_MAX, FrameError};
@@ -27,33 +27,35 @@ impl<
         if let Some(session) = &self.memory.session {
             self.limits.advance(periods, session.params.step_size());
         }
-        let step = self.step(board, tick);
-        let (outcome, sample) = match &step {
-            Ok(step) => (Outcome::from(step), step.sample()),
-            Err(outcome) => (*outcome, None),
-        };
+        // A chip that stands still while it erases has missed these ticks through no fault of the
+        // package.
+        let stalled =
+            if core::mem::take(&mut self.flash_used) { periods.saturating_sub(1) } else { 0 };
+        self.stalled_ticks = self.stalled_ticks.saturating_add(stalled);
+        self.health.excuse(stalled);
+        let (outcome, sample) = self.step(board, tick);
+        let sample = sample.as_ref();
         if let Some(sample) = sample {
             self.memory.samples.offer(sample, self.settings.sample_stride);
         }
-        if let Some(probation) = &mut self.probation
-            && probation.observe(sample.is_some(), self.health.counters())
-        {
-            self.confirm(board, tick);
+        let trial = self.trial.as_mut().filter(|_| self.store.is_on_trial());
+        match trial.map(|trial| trial.at(tick)) {
+            Some(Verdict::Passed) => self.confirm(board, tick),
+            Some(Verdict::Failed(reason)) => self.end_trial(board, tick, reason),
+            None | Some(Verdict::Running | Verdict::AwaitsOperator) => {}
         }
         self.tell(board, tick, outcome, sample);
     }
 
-    /// Accepts received frames, takes the step, and broadcasts its frame.
-    ///
-    /// # Errors
-    /// Why no step was attempted.
+    /// Accepts received frames, takes the step, broadcasts its frame, and records how the package
+    /// performs. Returns the outcome, and the sample for training if there is one.
     #[inline(always)] // Otherwise its result would be copied.
-    fn step<B: Board>(&mut self, board: &mut B, tick: Tick) -> Result<WatchedStep<N>, Outcome> {
-        let Self { memory, store, health, counts, .. } = self;
+    fn step<B: Board>(&mut self, board: &mut B, tick: Tick) -> (Outcome, Option<Sample<N>>) {
+        let Self { memory, store, health, counts, performance, trial, .. } = self;
         let Memory { agent, session, .. } = &mut **memory;
-        let Some(session) = session else { return Err(Outcome::NoPackage) };
+        let Some(session) = session else { return (Outcome::NoPackage, None) };
         let bytes = session.bytes(store);
-        let Some(params) = session.params.params(bytes) else { return Err(Outcome::NoPackage) };
+        let Some(params) = session.params.params(bytes) else { return (Outcome::NoPackage, None) };
         agent.announce(&params, board, counts);
         let mut watched = WatchedAgent {
             params: &params,
@@ -81,22 +83,45 @@ impl<
         let outputs = board.measure(&mut measurement);
         let taken =
             outputs.and_then(|outputs| measurement.get(..outputs).ok_or(SensorErrorKind::Other));
-        let measurement = match taken {
-            Ok(measurement) => measurement,
+        // Without a usable measurement the node goes on observing from its neighbours.
+        let (measurement, unmeasured) = match taken {
+            Ok(measurement) if measurement.iter().all(|value| value.is_finite()) => {
+                (Some(measurement), None)
+            }
+            Ok(_) => {
+                watched.health.measurement_refused();
+                (None, Some(Outcome::MeasurementNotFinite))
+            }
             Err(kind) => {
                 counts.sensor(kind);
-                return Err(Outcome::NoMeasurement);
+                (None, Some(Outcome::NoMeasurement))
             }
         };
         let network = session.network.as_ref().and_then(|(_, place)| place.network(bytes));
         let weights = session.outer_weights(bytes);
-        let step = watched.step(network.as_ref(), weights, tick, measurement);
+        let step = watched.attempt(network.as_ref(), weights, tick, measurement);
         if let Some(frame) = step.broadcast()
             && let Err(kind) = board.broadcast(&frame.encode())
         {
             counts.not_sent(kind);
         }
-        Ok(step)
+        let sample = step.sample().copied().filter(|_| unmeasured.is_none());
+        let output_error = sample.is_some().then(|| agent.state.output_error(&params));
+        if performance.observe(output_error, step.broadcast().is_some()) {
+            let tally = health.take_tally();
+            let last = measurement.zip(sample.as_ref().map(|sample| &sample.derivative));
+            let block = performance.end_block(&params, &agent.state, last, &tally);
+            if let Some(trial) = trial.as_mut().filter(|_| store.is_on_trial()) {
+                let _ = trial.end_block(&block, &tally, tick);
+            }
+        } else if !matches!(step, WatchedStep::Taken(_))
+            && let Some(trial) = trial.as_mut().filter(|_| store.is_on_trial())
+        {
+            let _ = trial.happened(health.tally());
+        }
+        let outcome = Outcome::from(&step);
+        let outcome = unmeasured.filter(|_| outcome == Outcome::Stepped).unwrap_or(outcome);
+        (outcome, sample)
     }
 
     /// Sends what is to be told of this turn.

@@ -25,6 +25,13 @@ pub(super) struct StatusReport<'a> {
     board_errors: BoardErrors,
 }
 
+impl StatusReport<'_> {
+    /// Returns the status.
+    pub(super) fn status(&self) -> &Status {
+        self.status
+    }
+}
+
 impl BoardReport {
     /// Records a message if it is about the board.
     pub(super) fn record(&mut self, message: &Message<'_>) {

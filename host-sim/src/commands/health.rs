@@ -44,8 +44,13 @@ pub(super) fn board_line(errors: &BoardErrors) -> String {
 #[cfg(unix)]
 fn counted(counts: impl Iterator<Item = ((&'static str, &'static str), u32)>) -> String {
     let counts = counts.filter(|(_, count)| *count > 0);
-    let parts: Vec<_> = counts.map(|((_, what), count)| format!("{what}: {count}")).collect();
+    let parts: Vec<_> = counts.map(|((_, what), count)| part(what, count)).collect();
     if parts.is_empty() { "nothing to report".to_owned() } else { parts.join(", ") }
+}
+
+/// Formats a counter; one that has reached its limit says so.
+fn part(what: &str, count: u32) -> String {
+    if count == u32::MAX { format!("{what}: {count} or more") } else { format!("{what}: {count}") }
 }
 
 /// Returns a line for each agent with nonzero counters, or nothing if no agent was monitored.
@@ -59,7 +64,7 @@ pub(super) fn table(agents: &[AgentStatistics]) -> String {
     let nonzero = |(_, counters): &&(usize, HealthCounters)| *counters != HealthCounters::default();
     for (agent, counters) in watched.iter().filter(nonzero).take(LINES) {
         let counted = named(counters).filter(|(_, _, count)| *count > 0);
-        let parts: Vec<_> = counted.map(|(_, what, count)| format!("{what}: {count}")).collect();
+        let parts: Vec<_> = counted.map(|(_, what, count)| part(what, count)).collect();
         // Writing into a string cannot fail.
         let _ = writeln!(text, "  agent {agent}: {}", parts.join(", "));
     }

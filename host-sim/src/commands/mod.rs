@@ -21,6 +21,8 @@ mod key;
 mod monitor;
 #[cfg(unix)]
 mod node;
+#[cfg(unix)]
+mod node_report;
 mod output;
 mod package_format;
 mod progress;

@@ -12,6 +12,7 @@ use serde::Serialize;
 
 use super::board_report::{BoardReport, errors_line, fault_line};
 use super::node::{RETRY_POLICY, connect, text};
+use super::node_report::reason_text;
 use super::{CommandError, ErrorCode, Format, health, load_scenario, print_json, print_text};
 use crate::interruption::{self, SecondSignal};
 use crate::packages::{PackageBytes, RecordingSource};
@@ -255,6 +256,9 @@ impl Monitor<'_> {
             message if json => return self.print(|| print_json(message)),
             Message::Event(Event::Confirmed { tick, version }) => {
                 format!("{}  version {version} confirmed\n", time(tick))
+            }
+            Message::Event(Event::Reverted { tick, version, reason }) => {
+                format!("{}  version {version} reverted: {}\n", time(tick), reason_text(*reason))
             }
             Message::Event(Event::BoardFault(fault)) => fault_line(*fault),
             Message::BoardErrors { tick, counters } => {

@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum};
 
 use super::board_report::BoardReport;
 use super::health;
+use super::node_report::{self, NodeReport};
 use super::{CommandError, Format, print_json, print_text};
 use crate::interruption::{self, SecondSignal};
 use crate::service::address::AddressError;
@@ -41,6 +42,8 @@ enum Action {
     Revert,
     /// Restart, as after power-on
     Reset,
+    /// Give up entries of its journal that cannot be read, so that updates go on
+    ForgetUnreadable,
 }
 
 /// Connects to the node at `address`, and delimits the first message.
@@ -69,15 +72,23 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 in_use,
             )?;
         }
+        Action::ForgetUnreadable => {
+            let request = Request::ForgetUnreadable;
+            node.request(&request, RETRY_POLICY, &mut |_| {}, "a confirmation", done)?;
+        }
         Action::Reset => {
             node.request(&Request::Reset, RETRY_POLICY, &mut |_| {}, "a confirmation", done)?;
         }
     }
     let mut board = BoardReport::default();
     let status = push::status_and(node, RETRY_POLICY, &mut |message| board.record(message))?;
+    let report = push::report(node, RETRY_POLICY)?;
     match arguments.format {
-        Format::Json => print_json(&board.with(&status)),
-        Format::Text => print_text(&(text(&arguments.endpoint, &status) + &board.text())),
+        Format::Json => print_json(&NodeReport::new(&board.with(&status), report.as_ref())),
+        Format::Text => {
+            let more = report.as_ref().map(node_report::text).unwrap_or_default();
+            print_text(&(text(&arguments.endpoint, &status) + &more + &board.text()))
+        }
     }
 }
 

@@ -236,8 +236,9 @@ impl Board {
             })
             .map_err(PushError::from)
             .and_then(|()| push::transfer(client, package, retry_policy, &mut |_| {}))
-            .and_then(|_| push::activate(client, package, retry_policy));
-        pushed.map(|_| ()).map_err(|error| self.push_fault("accept a package", error))
+            .and_then(|_| push::activate(client, package, retry_policy))
+            .and_then(|_| Ok(push::confirm(client, retry_policy)?));
+        pushed.map_err(|error| self.push_fault("accept a package", error))
     }
 
     fn push_fault(&mut self, request: &'static str, error: PushError) -> Fault {
@@ -263,9 +264,7 @@ impl Board {
 
     /// Replaces the package in a persistent flash permanently.
     fn replace(&mut self, package: &[u8]) -> Result<(), Fault> {
-        self.push(package)?;
-        self.ask(&Request::Confirm, "confirm its package", is_done)?;
-        Ok(())
+        self.push(package)
     }
 
     /// Sends a request that must succeed, and returns the frames broadcast in the meantime.

@@ -37,7 +37,7 @@ pub use tools::{ToolCommand, ToolUse, commands_for};
 pub use uf2::Uf2Family;
 pub use uf2_format::UF2_FAMILIES;
 
-use agent_core::store::{Edition, Slot, factory_record};
+use agent_core::store::{Serial, Slot, factory_record};
 
 use crate::memory_map::WeightsRegion;
 use crate::packages::PackageBytes;
@@ -136,8 +136,8 @@ impl Image {
     ) -> Result<Self, ImageError> {
         let bytes = package.as_bytes();
         let version = package.package().version;
-        let edition = Edition { epoch: 0, version };
-        Self::new(region, slot, bytes, &factory_record(slot, bytes, Some(edition)))
+        let serial = Serial { epoch: 0, version };
+        Self::new(region, slot, bytes, &factory_record(slot, bytes, Some(serial)))
     }
 
     /// Returns all segments, in order of address.

@@ -3,7 +3,9 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use agent_core::service::{PROTOCOL_VERSION, Problem, Request, receive, send};
+use agent_core::service::{
+    PROTOCOL_VERSION, Problem, Request, receive, send, send_numbered, split_number,
+};
 use agent_core::wire::cobs::{Decoder, SerialError};
 
 use super::hint::{of_garbage, of_refusal};
@@ -31,6 +33,18 @@ pub struct Client {
     changes: u64,
     /// Number of requests that timed out, whose answers may still arrive.
     overdue: u32,
+    numbering: Numbering,
+    /// Number of the last request.
+    number: u16,
+}
+
+/// Whether the node understands numbered requests.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Numbering {
+    Untried,
+    Understood,
+    /// Firmware from before they existed.
+    Unknown,
 }
 
 /// Timeout and number of tries of a request.
@@ -121,6 +135,8 @@ impl Client {
             damaged: 0,
             changes: 0,
             overdue: 0,
+            numbering: Numbering::Untried,
+            number: 0,
         }
     }
 
@@ -205,6 +221,9 @@ impl Client {
     /// Sends a request and waits for the answer. Other messages are passed to `unsolicited`;
     /// damaged ones are ignored.
     ///
+    /// Requests are numbered, and an answer with another number, to a request that has been repeated
+    /// or to another program, is skipped. A node that does not know numbers is asked without.
+    ///
     /// # Errors
     /// See [`ServiceError`]. `answer` returns `None` for a message that is not the answer.
     pub fn ask<T>(
@@ -215,7 +234,12 @@ impl Client {
         expected: &'static str,
         answer: impl Fn(&Message<'_>) -> Option<T>,
     ) -> Result<T, ServiceError> {
-        self.prepare(request);
+        let mut number = None;
+        if self.numbering != Numbering::Unknown {
+            self.number = self.number.wrapping_add(1);
+            number = Some(self.number);
+        }
+        send_numbered(number, request, |bytes| self.unsent.extend_from_slice(bytes));
         self.flush(timeout)?;
         let deadline = Instant::now() + timeout;
         loop {
@@ -227,11 +251,28 @@ impl Client {
                 self.overdue = self.overdue.saturating_add(u32::from(silent));
             });
             let Ok(bytes) = next? else { continue };
-            let message = match decode(&bytes) {
+            let (found, bytes) = split_number(&bytes);
+            if found.is_some() {
+                if found != number {
+                    continue;
+                }
+                self.numbering = Numbering::Understood;
+            }
+            let message = match decode(bytes) {
                 // A newer node may send other unsolicited messages.
-                Err(ServiceError::Unrecognised(_)) if !may_be_answer(&bytes) => continue,
+                Err(ServiceError::Unrecognised(_)) if !may_be_answer(bytes) => continue,
                 message => message?,
             };
+            if number.is_some() && found.is_none() && message.is_answer() {
+                // To a plain request of another program, or from a node that knows no numbers.
+                let unknown = matches!(message, Message::Refused(Problem::Unknown));
+                if unknown && self.numbering == Numbering::Untried {
+                    (self.numbering, number) = (Numbering::Unknown, None);
+                    self.prepare(request);
+                    self.flush(timeout)?;
+                }
+                continue;
+            }
             if let Some(answer) = answer(&message) {
                 return Ok(answer);
             }
@@ -300,7 +341,7 @@ pub fn decode(bytes: &[u8]) -> Result<Message<'_>, ServiceError> {
 /// Returns whether a message that cannot be decoded may be an answer, judging by its kind: the
 /// kinds of [`Message::is_answer`] are fixed.
 fn may_be_answer(bytes: &[u8]) -> bool {
-    matches!(bytes, [] | [0 | 2..=8, ..])
+    matches!(bytes, [] | [0 | 2..=8 | 14, ..])
 }
 
 /// What kind of message it is, for people.
@@ -324,6 +365,8 @@ pub fn name(message: &Message<'_>) -> String {
         Message::Event(_) => "an event".to_owned(),
         Message::Broadcast { .. } => "a frame".to_owned(),
         Message::BoardErrors { .. } => "errors of sensor and link".to_owned(),
+        Message::Report(_) => "a report".to_owned(),
+        Message::Answer { number } => format!("an empty answer to request {number}"),
     }
 }
 

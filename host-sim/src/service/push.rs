@@ -7,7 +7,7 @@
 
 use std::time::Duration;
 
-use agent_core::service::{CHUNK_LENGTH_MAX, PackageStatus, Problem, Request, Status};
+use agent_core::service::{CHUNK_LENGTH_MAX, PackageStatus, Problem, Report, Request, Status};
 use agent_core::store::StoreError;
 use agent_core::wire::crc::crc32;
 
@@ -150,6 +150,25 @@ pub fn status_and(
         Message::Status(status) => Some(*status),
         _ => None,
     })
+}
+
+/// Requests a node's report; `None` if its firmware does not know it.
+///
+/// # Errors
+/// See [`ServiceError`].
+pub fn report(
+    client: &mut Client,
+    retry_policy: RetryPolicy,
+) -> Result<Option<Report>, ServiceError> {
+    let report =
+        client.request(&Request::Report, retry_policy, &mut |_| {}, "a report", |m| match m {
+            Message::Report(report) => Some(*report),
+            _ => None,
+        });
+    match report {
+        Err(ServiceError::Refused(Problem::Unknown)) => Ok(None),
+        report => report.map(Some),
+    }
 }
 
 /// Transfers the package to the node, from the start or from where an earlier transfer ended, and

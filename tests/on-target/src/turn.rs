@@ -239,11 +239,12 @@ fn run(
         public_key: None,
         health: HealthSettings::RECOMMENDED,
         update_limit: agent_core::store::RateLimit::NONE,
-        good_steps: NonZeroU32::MIN,
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every: Some(NonZeroU32::MIN), outer_weights },
         fallback: None,
         stack_unused: None,
+        start: firmware_template::Start::default(),
         version: [0; 3],
     };
     let mut memory = Memory::<N, FEATURES, NEIGHBOURS, SAMPLES>::new();

@@ -1,7 +1,7 @@
 //! A minimal model of the weight store, and packages for it.
 
 use agent_core::store::{
-    CheckedError, Edition, Layout, MappedFlash, RECORD_LENGTH, Revert, Slot, Store, StoreError,
+    CheckedError, Layout, MappedFlash, RECORD_LENGTH, Revert, Serial, Slot, Store, StoreError,
 };
 use agent_core::wire::crc::crc32;
 
@@ -26,10 +26,10 @@ pub fn check(bytes: &[u8]) -> Result<u16, &'static str> {
     Ok(u16::from_le_bytes([*body.get(2).ok_or("too short")?, *body.get(3).ok_or("too short")?]))
 }
 
-/// Returns the edition of a package; a higher number is not always a higher edition.
+/// Returns the serial of a package; a higher number is not always a higher serial.
 #[must_use]
-pub fn edition(number: &u16) -> Edition {
-    Edition { epoch: u32::from(number % 5), version: u32::from(number % 7) }
+pub fn serial(number: &u16) -> Serial {
+    Serial { epoch: u32::from(number % 5), version: u32::from(number % 7) }
 }
 
 /// Accepts every header.
@@ -89,8 +89,8 @@ pub struct Model {
     pub way_back: Option<Option<u16>>,
     /// The confirmed package's predecessor, which is used if the confirmed one is lost.
     pub reserve: Option<u16>,
-    /// The highest edition ever activated.
-    pub activated: Option<Edition>,
+    /// The highest serial ever activated.
+    pub activated: Option<Serial>,
     /// The last trial that was not passed.
     pub last_revert: Option<Revert>,
 }
@@ -122,7 +122,7 @@ impl Model {
                 staged: None,
                 way_back: Some(self.in_use),
                 reserve: None,
-                activated: self.activated.max(self.staged.as_ref().map(edition)),
+                activated: self.activated.max(self.staged.as_ref().map(serial)),
                 ..self
             },
             Change::Confirm => Self { way_back: None, reserve: self.way_back.flatten(), ..self },
@@ -139,7 +139,7 @@ impl Model {
 
     fn reverted(self, reason: u8) -> Self {
         let Some(before) = self.way_back else { return self };
-        let last_revert = self.in_use.map(|number| Revert { edition: edition(&number), reason });
+        let last_revert = self.in_use.map(|number| Revert { serial: serial(&number), reason });
         Self { in_use: before, activated: self.activated, last_revert, ..Self::default() }
     }
 

@@ -59,11 +59,17 @@ impl Clock for Timer {
     }
 
     fn elapsed(&mut self) -> u32 {
+        let now = self.now();
+        if self.periods.nothing_is_due(now) {
+            self.done();
+        }
+        self.periods.elapsed(now)
+    }
+
+    fn done(&mut self) {
         if let Some(watchdog) = &mut self.watchdog {
             watchdog.pet();
         }
-        let now = self.now();
-        self.periods.elapsed(now)
     }
 
     /// An interrupt that arrives before the wait instruction sets the event that it waits for, so

@@ -36,7 +36,7 @@ use core::num::NonZeroU32;
 
 use agent_core::health::HealthSettings;
 use agent_core::package::StepRange;
-use agent_core::service::Subscription;
+use agent_core::service::{ResetCause, Subscription};
 use agent_core::store::RateLimit;
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_rt::entry;
@@ -190,17 +190,36 @@ fn node(flash: pac::NVMC) -> Option<&'static mut ThisNode> {
         } else {
             RateLimit::DEFAULT
         },
-        good_steps: const { NonZeroU32::new(100).unwrap() },
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every, outer_weights: false },
         // The package determines which agent this is.
         fallback: None,
         stack_unused: Some(on_chip::stack_unused),
+        start: on_chip::start(reset_cause()),
         version: [0, 1, 0],
     };
     // SAFETY: memory.x reserves this region, and this is the only call.
     let flash = unsafe { Flash::new(flash, &region) };
     ThisNode::new_in(NODE.uninit(), flash, settings, MEMORY.take()).ok()
+}
+
+/// Returns why the chip was reset: the register RESETREAS (nRF52840 product specification, 5.3.7.4),
+/// whose bits stay until they are cleared.
+fn reset_cause() -> ResetCause {
+    const REASON: *mut u32 = 0x4000_0400 as *mut u32;
+    // SAFETY: the register's address; it is read once, and cleared by writing its own bits.
+    let bits = unsafe { REASON.read_volatile() };
+    // SAFETY: as above.
+    unsafe { REASON.write_volatile(bits) };
+    match bits {
+        // Also after a low supply voltage.
+        0 => ResetCause::PowerOn,
+        bits if bits & 1 << 1 != 0 => ResetCause::Watchdog,
+        bits if bits & 1 << 2 != 0 => ResetCause::Software,
+        bits if bits & 1 != 0 => ResetCause::Pin,
+        _ => ResetCause::Unknown,
+    }
 }
 
 firmware_template::reset_on_fault!();

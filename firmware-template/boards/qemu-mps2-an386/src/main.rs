@@ -23,7 +23,7 @@ use core::num::NonZeroU32;
 
 use agent_core::health::HealthSettings;
 use agent_core::package::StepRange;
-use agent_core::service::Subscription;
+use agent_core::service::{ResetCause, Subscription};
 use agent_core::store::{MappedFlash, RateLimit};
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_semihosting::{nr, syscall};
@@ -74,12 +74,13 @@ fn main() -> ! {
         health: HealthSettings::RECOMMENDED,
         // Its flash does not wear out, and its time is that of a simulation.
         update_limit: RateLimit::NONE,
-        good_steps: NonZeroU32::new(1_000).unwrap_or(NonZeroU32::MIN),
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: NonZeroU32::new(20).unwrap_or(NonZeroU32::MIN),
         subscription: Subscription { state_every: None, outer_weights: false },
         // The package determines which agent this is.
         fallback: None,
         stack_unused: Some(on_chip::stack_unused),
+        start: on_chip::start(ResetCause::Unknown),
         version: [0, 1, 0],
     };
     let Some(port) = Port::open() else { exit(EXIT_NO_CHANNEL) };
@@ -369,7 +370,8 @@ static __INTERRUPTS: [usize; 1] = [0];
 /// With the verifier, or without optimisation, some paths can panic.
 #[cfg(any(feature = "signature", debug_assertions))]
 #[panic_handler]
-fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
+    on_chip::record_failure(info.location().map(|place| (place.file(), place.line())));
     SCB::sys_reset()
 }
 

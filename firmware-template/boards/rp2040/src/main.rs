@@ -36,7 +36,7 @@ use core::num::NonZeroU32;
 
 use agent_core::health::HealthSettings;
 use agent_core::package::StepRange;
-use agent_core::service::Subscription;
+use agent_core::service::{ResetCause, Subscription};
 use agent_core::store::RateLimit;
 use cortex_m::peripheral::{NVIC, SCB};
 use firmware_template::registers::{Channel as Register, Format, RegisterValue, SetUp};
@@ -218,18 +218,35 @@ fn node() -> Option<&'static mut ThisNode> {
         } else {
             RateLimit::DEFAULT
         },
-        good_steps: const { NonZeroU32::new(100).unwrap() },
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: NonZeroU32::MIN,
         subscription: Subscription { state_every, outer_weights: false },
         // The package determines which agent this is.
         fallback: None,
         stack_unused: Some(on_chip::stack_unused),
+        start: on_chip::start(reset_cause()),
         version: [0, 1, 0],
     };
     // SAFETY: memory.x reserves this region, this is the only call, and the second core is never
     // started.
     let flash = unsafe { Flash::new(&region) };
     ThisNode::new_in(NODE.uninit(), flash, settings, MEMORY.take()).ok()
+}
+
+/// Returns why the chip was reset: the registers WATCHDOG_REASON and CHIP_RESET (RP2040 datasheet, 4.7.6
+/// and 2.10.6).
+fn reset_cause() -> ResetCause {
+    const WATCHDOG_REASON: *const u32 = 0x4005_8008 as *const u32;
+    const CHIP_RESET: *const u32 = 0x4006_4008 as *const u32;
+    // SAFETY: the registers' addresses; reading has no effect.
+    let (watchdog, chip) = unsafe { (WATCHDOG_REASON.read_volatile(), CHIP_RESET.read_volatile()) };
+    match (watchdog & 0b11, chip) {
+        (0, chip) if chip & 1 << 8 != 0 => ResetCause::PowerOn,
+        (0, chip) if chip & 1 << 16 != 0 => ResetCause::Pin,
+        // The processor's own reset leaves no trace in these registers.
+        (0, _) => ResetCause::Software,
+        _ => ResetCause::Watchdog,
+    }
 }
 
 firmware_template::reset_on_fault!();

@@ -98,9 +98,15 @@ impl Clock for Timer {
     }
 
     fn elapsed(&mut self) -> u32 {
-        self.watchdog.feed();
         let now = self.now();
+        if self.periods.nothing_is_due(now) {
+            self.done();
+        }
         self.periods.elapsed(now)
+    }
+
+    fn done(&mut self) {
+        self.watchdog.feed();
     }
 
     /// An interrupt that arrives before the wait instruction sets the event that it waits for, so

@@ -21,7 +21,7 @@
 //! waits for each answer, so no part of the upload is lost.
 //!
 //! **Faults.** A panic, a processor fault and a reset request all reset the chip. So does the
-//! independent watchdog if the main loop stops for 8 s, for whatever reason; it is fed only there,
+//! independent watchdog if due work is not done for 8 s, for whatever reason; it is fed by work done,
 //! once per iteration. Without its crystal the node runs on the chip's internal oscillator and
 //! reports a fault (`clock.rs`). A failed sensor or a stuck bus costs one measurement (`bus.rs`),
 //! and the sensor is set up again for the next sample.
@@ -47,7 +47,7 @@ use core::num::NonZeroU32;
 
 use agent_core::health::HealthSettings;
 use agent_core::package::StepRange;
-use agent_core::service::{BoardFault, Subscription};
+use agent_core::service::{BoardFault, ResetCause, Subscription};
 use agent_core::store::RateLimit;
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_rt::entry;
@@ -206,11 +206,12 @@ fn node(flash: pac::FLASH, fault: Option<BoardFault>) -> Option<&'static mut Thi
         } else {
             RateLimit::DEFAULT
         },
-        good_steps: const { NonZeroU32::new(1_000).unwrap() },
+        trial: firmware_template::RECOMMENDED_TRIAL,
         sample_stride: const { NonZeroU32::new(20).unwrap() },
         subscription: Subscription { state_every, outer_weights: false },
         fallback: fallback::fallback(),
         stack_unused: Some(on_chip::stack_unused),
+        start: on_chip::start(reset_cause()),
         version: [0, 1, 0],
     };
     // SAFETY: memory.x reserves this region, and this is the only call.
@@ -220,6 +221,31 @@ fn node(flash: pac::FLASH, fault: Option<BoardFault>) -> Option<&'static mut Thi
         node.report(fault);
     }
     Some(node)
+}
+
+/// Returns why the chip was reset: the register RCC_CSR (RM0090, 7.3.21), whose flags stay until they
+/// are cleared.
+fn reset_cause() -> ResetCause {
+    const STATUS: *mut u32 = 0x4002_3874 as *mut u32;
+    const CLEAR: u32 = 1 << 24;
+    // SAFETY: the register's address; nothing else uses it yet.
+    let bits = unsafe { STATUS.read_volatile() };
+    // SAFETY: as above; the other bits keep their values.
+    unsafe { STATUS.write_volatile(bits | CLEAR) };
+    // The flag of the pin is set with every other one.
+    for (bit, cause) in [
+        (29, ResetCause::Watchdog),
+        (30, ResetCause::Watchdog),
+        (28, ResetCause::Software),
+        (27, ResetCause::PowerOn),
+        (25, ResetCause::BrownOut),
+        (26, ResetCause::Pin),
+    ] {
+        if bits & 1 << bit != 0 {
+            return cause;
+        }
+    }
+    ResetCause::Unknown
 }
 
 firmware_template::reset_on_fault!();

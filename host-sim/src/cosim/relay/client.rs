@@ -8,9 +8,10 @@ use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
 use agent_core::agent::capture::is_due;
-use agent_core::service::{REQUEST_LENGTH_MAX, Response, State, Subscription, send};
+use agent_core::service::{REQUEST_LENGTH_MAX, Response, State, Subscription, send, send_numbered};
 use agent_core::wire::cobs::{Decoder, Encoder};
-use serde::Serialize;
+use serde::ser::SerializeTuple as _;
+use serde::{Serialize, Serializer};
 
 /// Limit of a client's unsent output; beyond it, new messages are dropped, as on a slow line.
 /// \[byte\]
@@ -23,6 +24,17 @@ type RequestDecoder = Decoder<{ REQUEST_LENGTH_MAX + agent_core::wire::crc::CHEC
 
 /// A message from the relay itself.
 pub(super) type Reply<'a> = Response<'a, Vec<f32>>;
+
+/// A message that is already encoded.
+struct Raw<'a>(&'a [u8]);
+
+impl Serialize for Raw<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut tuple = serializer.serialize_tuple(self.0.len())?;
+        self.0.iter().try_for_each(|byte| tuple.serialize_element(byte))?;
+        tuple.end()
+    }
+}
 
 /// A client connected to a socket.
 pub(super) struct Client {
@@ -77,6 +89,18 @@ impl Client {
         let mut framed = Vec::new();
         send(message, |bytes| framed.extend_from_slice(bytes));
         self.queue(&framed);
+    }
+
+    /// Answers a request with this number.
+    pub(super) fn answer(&mut self, number: Option<u16>, message: &impl Serialize) {
+        let mut framed = Vec::new();
+        send_numbered(number, message, |bytes| framed.extend_from_slice(bytes));
+        self.queue(&framed);
+    }
+
+    /// Forwards a node's answer to a request with this number.
+    pub(super) fn forward_answer(&mut self, number: Option<u16>, answer: &[u8]) {
+        self.answer(number, &Raw(answer));
     }
 
     /// Forwards a node's message.

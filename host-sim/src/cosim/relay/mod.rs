@@ -72,6 +72,8 @@ pub(super) struct Restart {
     /// The node, from 0.
     pub(super) node: usize,
     client: usize,
+    /// Number of the request, if it has one.
+    number: Option<u16>,
 }
 
 impl Relay {
@@ -121,7 +123,7 @@ impl Relay {
         let socket = &mut self.sockets[restart.node];
         (socket.in_use, socket.before) = (None, None);
         if let Some(client) = socket.clients.get_mut(restart.client) {
-            client.send(&Reply::Done);
+            client.answer(restart.number, &Reply::Done);
         }
         for client in &mut socket.clients {
             client.send(&Reply::Hello(status));
@@ -159,9 +161,9 @@ impl Relay {
                 }
                 if node.has_ended() {
                     if between.restarts.is_empty()
-                        && let Some(client) = socket.restart_requested()
+                        && let Some((client, number)) = socket.restart_requested()
                     {
-                        between.restarts.push(Restart { node: index, client });
+                        between.restarts.push(Restart { node: index, client, number });
                     }
                     continue;
                 }
@@ -193,6 +195,7 @@ impl Relay {
     /// Forwards the results of a node's step to its clients.
     pub(super) fn forward(&mut self, index: usize, turn: &Turn) {
         let socket = &mut self.sockets[index];
+        socket.notice(&turn.unsolicited);
         for client in &mut socket.clients {
             for bytes in &turn.unsolicited {
                 client.forward(bytes);

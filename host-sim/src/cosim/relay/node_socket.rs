@@ -1,7 +1,7 @@
 //! A node's socket and clients, and the node's packages.
 
 use agent_core::Tick;
-use agent_core::service::{Problem, Request, receive};
+use agent_core::service::{Event, Problem, Request, receive, split_number};
 
 use super::client::{Client, Reply};
 use crate::cosim::fault::Fault;
@@ -22,6 +22,8 @@ pub(super) struct NodeSocket {
     uploaded: Vec<u8>,
     pub(super) in_use: Option<PackageBytes>,
     pub(super) before: Option<PackageBytes>,
+    /// Whether the node has ended the trial of its package by itself.
+    went_back: bool,
 }
 
 /// Result of serving a node's clients once.
@@ -53,6 +55,7 @@ impl NodeSocket {
             uploaded: Vec::new(),
             in_use: None,
             before: None,
+            went_back: false,
         }
     }
 
@@ -70,6 +73,11 @@ impl NodeSocket {
         self.accept();
         let clients = self.clients.len();
         let mut served = Served::default();
+        if std::mem::take(&mut self.went_back) {
+            self.switched(self.before.clone());
+            // The requests of the clients can wait until the simulated agent has switched, too.
+            return Ok(Served { request: true, switch: self.switch(tick, node, true) });
+        }
         for index in (0..clients).map(|offset| (self.next + offset) % clients) {
             let Some(request) = self.clients[index].request() else { continue };
             self.next = index + 1;
@@ -77,16 +85,7 @@ impl NodeSocket {
             match self.carry_out(index, &request, node)? {
                 Effect::None => {}
                 Effect::Deviates(reason) => node.stop_comparing(tick, reason),
-                Effect::Switched { back } => match &self.in_use {
-                    Some(package) if self.is_of_agent(package) => {
-                        node.report.switches += 1;
-                        if node.report.parted.is_none() {
-                            served.switch = Some((package.clone(), back));
-                        }
-                    }
-                    Some(_) => node.stop_comparing(tick, "its package has different parameters"),
-                    None => node.stop_comparing(tick, "it uses an unknown package"),
-                },
+                Effect::Switched { back } => served.switch = self.switch(tick, node, back),
             }
             break;
         }
@@ -95,16 +94,37 @@ impl NodeSocket {
         Ok(served)
     }
 
-    /// Returns the client that requests a restart of a stopped node, if any. Clients with any other
+    /// Returns the package that the simulated agent switches to after its node has.
+    fn switch(&self, tick: Tick, node: &mut LoopNode, back: bool) -> Option<(PackageBytes, bool)> {
+        match &self.in_use {
+            Some(package) if self.is_of_agent(package) => {
+                node.report.switches += 1;
+                return node.report.parted.is_none().then(|| (package.clone(), back));
+            }
+            Some(_) => node.stop_comparing(tick, "its package has different parameters"),
+            None => node.stop_comparing(tick, "it uses an unknown package"),
+        }
+        None
+    }
+
+    /// Notices messages that a node sent by itself: it may have ended a trial.
+    pub(super) fn notice(&mut self, unsolicited: &[Vec<u8>]) {
+        self.went_back |= unsolicited
+            .iter()
+            .any(|bytes| matches!(receive(bytes), Some(Message::Event(Event::Reverted { .. }))));
+    }
+
+    /// Returns the client that requests a restart of a stopped node, if any, and the request's number. Clients with any other
     /// request are disconnected.
-    pub(super) fn restart_requested(&mut self) -> Option<usize> {
+    pub(super) fn restart_requested(&mut self) -> Option<(usize, Option<u16>)> {
         self.accept();
         let mut wanted = None;
         for (index, client) in self.clients.iter_mut().enumerate() {
-            match client.request().map(|bytes| is_reset(&bytes)) {
-                None => {}
-                Some(true) if wanted.is_none() => wanted = Some(index),
-                Some(_) => client.gone = true,
+            let Some(bytes) = client.request() else { continue };
+            if is_reset(&bytes) && wanted.is_none() {
+                wanted = Some((index, split_number(&bytes).0));
+            } else {
+                client.gone = true;
             }
         }
         if wanted.is_none() {
@@ -131,24 +151,25 @@ impl NodeSocket {
         node: &mut LoopNode,
     ) -> Result<Effect, Fault> {
         let asking = &mut self.clients[client];
+        let (number, bytes) = split_number(bytes);
         let request = match receive::<Request<'_>>(bytes) {
-            None => {
-                asking.send(&Reply::Refused(Problem::Unknown));
+            None | Some(Request::Numbered { .. }) => {
+                asking.answer(number, &Reply::Refused(Problem::Unknown));
                 return Ok(Effect::None);
             }
             Some(Request::Subscribe(subscription)) => {
                 asking.subscription = subscription;
-                asking.send(&Reply::Done);
+                asking.answer(number, &Reply::Done);
                 return Ok(Effect::None);
             }
             Some(Request::Frame { .. } | Request::Tick { .. }) => {
-                asking.send(&Reply::Refused(Problem::NotInTheLoop));
+                asking.answer(number, &Reply::Refused(Problem::NotInTheLoop));
                 return Ok(Effect::None);
             }
             Some(Request::Reset) => {
                 let status = node.board.reset()?;
                 node.board.subscribe()?;
-                asking.send(&Reply::Done);
+                asking.answer(number, &Reply::Done);
                 for client in &mut self.clients {
                     client.send(&Reply::Hello(status));
                 }
@@ -163,7 +184,7 @@ impl NodeSocket {
             exchange.unsolicited.iter().for_each(|bytes| client.forward(bytes));
         }
         for answer in &exchange.answers {
-            self.clients[client].forward(answer);
+            self.clients[client].forward_answer(number, answer);
         }
         node.broadcast_alone(exchange.frames);
         let answer = exchange.answers.last().and_then(|answer| receive::<Message<'_>>(answer));
@@ -203,5 +224,5 @@ impl NodeSocket {
 }
 
 fn is_reset(request: &[u8]) -> bool {
-    matches!(receive::<Request<'_>>(request), Some(Request::Reset))
+    matches!(receive::<Request<'_>>(split_number(request).1), Some(Request::Reset))
 }
