@@ -16,7 +16,7 @@ use libfuzzer_sys::arbitrary::{self, Arbitrary};
 use libfuzzer_sys::fuzz_target;
 use test_support::nor_flash::{Fault, SimulatedFlash, Tear};
 use test_support::store_model::{
-    any_header, check, serial, erased_flash, format_1_record, layout, length, package,
+    any_header, check, serials, erased_flash, format_1_record, layout, length, package,
 };
 
 /// Packages with this number or a higher one are intact but refused by every check.
@@ -408,7 +408,7 @@ impl<const WRITE: usize, const ERASE: usize> Run<WRITE, ERASE> {
 
     fn activate(&mut self) {
         let before = self.in_use;
-        if let Ok(number) = self.store.activate(accept, serial) {
+        if let Ok(number) = self.store.activate(accept, serials) {
             assert!(self.store.is_on_trial());
             self.way_back = before;
             self.in_use = Some(Some(number));

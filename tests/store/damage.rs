@@ -9,7 +9,7 @@ use agent_core::store::{
 use test_support::nor_flash::{Fault, SimulatedFlash, Tear};
 use test_support::store_model::{
     REVERTED, any_header, check, erased_flash, format_1_record, half_units, layout, length,
-    package, serial,
+    package, serial, serials,
 };
 
 const WORD: usize = 4;
@@ -45,7 +45,7 @@ fn upload<F: MappedFlash>(store: &mut Store<F>, bytes: &[u8]) {
 fn install<F: MappedFlash>(store: &mut Store<F>, number: u16) {
     upload(store, &package(number, 70));
     store.stage(check).unwrap();
-    store.activate(check, serial).unwrap();
+    store.activate(check, serials).unwrap();
     store.confirm().unwrap();
 }
 
@@ -213,7 +213,7 @@ fn a_failed_package_is_not_used_even_if_the_previous_one_is_lost() {
     let (mut store, _) = boot(&mut flash);
     upload(&mut store, &package(3, 70));
     store.stage(check).unwrap();
-    store.activate(check, serial).unwrap();
+    store.activate(check, serials).unwrap();
     let on_trial = flash.clone();
     // The boot that ends the trial, and every later one; the package itself stays intact.
     flash.overwrite(SLOT_B, &[0]);
@@ -237,7 +237,7 @@ fn a_failed_package_is_not_used_even_if_the_previous_one_is_lost() {
     let (mut store, _) = boot(&mut flash);
     upload(&mut store, &package(3, 70));
     store.stage(check).unwrap();
-    store.activate(check, serial).unwrap();
+    store.activate(check, serials).unwrap();
     assert_eq!(store.revert(REVERTED), Ok(Some(Slot::B)));
     assert_eq!(store.bytes(Slot::A), None);
     flash.overwrite(SLOT_B, &[0]);
@@ -275,7 +275,7 @@ fn packages_are_salvaged_without_a_record() {
     assert_eq!(loaded.in_use, Some((Slot::A, 10)));
     upload(&mut store, &package(11, 70));
     store.stage(check).unwrap();
-    store.activate(check, serial).unwrap();
+    store.activate(check, serials).unwrap();
     store.revert(REVERTED).unwrap();
     assert_eq!(boot(&mut flash).1.in_use, Some((Slot::A, 10)));
 }
@@ -291,7 +291,7 @@ fn unconfirmed_packages_are_not_salvaged() {
     let (mut store, _) = boot(&mut flash);
     upload(&mut store, &package(2, 70));
     store.stage(check).unwrap();
-    store.activate(check, serial).unwrap();
+    store.activate(check, serials).unwrap();
     assert_eq!(salvaged(&mut flash), None);
     // One that was uploaded and staged but not recorded, after all records were lost.
     let mut flash = two_packages();
@@ -443,7 +443,7 @@ fn a_refused_header_changes_nothing() {
     // An upload that waits for its header is dropped when the other slot is put in use.
     store.begin(80).unwrap();
     assert_eq!(store.write(0, &bytes[..10], any_header), Ok(10));
-    store.activate(check, serial).unwrap();
+    store.activate(check, serials).unwrap();
     let lost = Err(CheckedError::Store(StoreError::NoUpload));
     assert_eq!(store.write(10, &bytes[10..80], any_header), lost);
     assert_eq!(store.begin(80), Err(StoreError::OnTrial));
@@ -455,7 +455,7 @@ fn nothing_removes_the_way_back_during_a_trial() {
     let (mut store, _) = boot(&mut flash);
     upload(&mut store, &package(3, 70));
     store.stage(check).unwrap();
-    store.activate(check, serial).unwrap();
+    store.activate(check, serials).unwrap();
     let way_back = store.bytes(Slot::B).unwrap().to_vec();
     for number in 0..100_u8 {
         assert_eq!(store.begin(70), Err(StoreError::OnTrial));
@@ -576,7 +576,7 @@ fn a_staged_package_that_has_changed_is_not_activated() {
     flash.overwrite(20, &[0]);
     let (mut store, loaded) = boot(&mut flash);
     assert_eq!((loaded.in_use, store.staged()), (Some((Slot::B, 2)), Some(Slot::A)));
-    assert_eq!(store.activate(check, serial), Err(CheckedError::Store(StoreError::Damaged)));
+    assert_eq!(store.activate(check, serials), Err(CheckedError::Store(StoreError::Damaged)));
     install(&mut store, 4);
 }
 
@@ -588,10 +588,10 @@ fn calls_are_refused_before_loading() {
     store.stage(check).unwrap();
     let mut store = Store::open(&mut flash, layout(UNIT, UNITS)).unwrap();
     assert_eq!(store.begin(70), Err(StoreError::NotLoaded));
-    assert_eq!(store.activate(check, serial), Err(CheckedError::Store(StoreError::NotLoaded)));
+    assert_eq!(store.activate(check, serials), Err(CheckedError::Store(StoreError::NotLoaded)));
     assert_eq!(store.salvage(length, check, newer), None);
     store.load(check);
-    assert_eq!(store.activate(check, serial), Ok(3));
+    assert_eq!(store.activate(check, serials), Ok(3));
     assert_eq!(store.begin(70), Err(StoreError::OnTrial));
 }
 

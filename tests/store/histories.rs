@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use test_support::nor_flash::{Fault, SimulatedFlash, Tear};
 use test_support::store_model::{
     Change, Ledger, Model, REVERTED, any_header, check, erased_flash, is_flash_error, layout,
-    package, plain, serial,
+    package, plain, serials,
 };
 
 const HISTORIES: u64 = 50_000;
@@ -261,11 +261,11 @@ impl<F: MappedFlash> Session<'_, F> {
     fn activate(&mut self) {
         let refusal = self.ledger.now.staged.is_none().then_some(StoreError::NothingStaged);
         if refusal.is_none() && self.draw.random_bool(0.1) {
-            let outcome = self.store.activate(|_| Err("not today"), serial);
+            let outcome = self.store.activate(|_| Err("not today"), serials);
             assert_eq!(outcome, Err(CheckedError::Refused("not today")));
             self.tally.refused += 1;
         } else {
-            let outcome = plain(self.store.activate(check, serial));
+            let outcome = plain(self.store.activate(check, serials));
             if outcome.is_ok() {
                 self.sent = None;
             }
@@ -339,7 +339,7 @@ fn boot_in_doubt<const WRITE: usize, const ERASE: usize>(
         Ok(()) => {
             tally.overruled += 1;
             store.stage(check).unwrap();
-            store.activate(check, serial).unwrap();
+            store.activate(check, serials).unwrap();
             store.confirm().unwrap();
             let mut found = Model::of(&store);
             assert_eq!((found.in_use, found.reserve), (Some(*number), loaded));

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use test_support::nor_flash::{SimulatedFlash, Tear};
 use test_support::store_model::{
     Change, Ledger, Model, REVERTED, check, erased_flash, format_1_record, layout, package, plain,
-    serial,
+    serial, serials,
 };
 
 /// Distance between the second cuts for one first cut. \[byte\]
@@ -226,7 +226,7 @@ impl<const WRITE: usize, const ERASE: usize> Node<WRITE, ERASE> {
                 return deed == Deed::Stage && store.staged().is_some();
             }
         }
-        if !book(Change::Activate, plain(store.activate(check, serial))) || deed == Deed::Try {
+        if !book(Change::Activate, plain(store.activate(check, serials))) || deed == Deed::Try {
             return deed == Deed::Try && store.is_on_trial();
         }
         match deed {

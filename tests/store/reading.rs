@@ -6,7 +6,7 @@ use agent_core::store::{
 
 use test_support::nor_flash::{SimulatedFlash, Tear};
 use test_support::store_model::{
-    any_header, check, erased_flash, half_units, layout, length, package, plain, serial,
+    any_header, check, erased_flash, half_units, layout, length, package, plain, serials,
 };
 
 const UNIT: usize = 64;
@@ -30,7 +30,7 @@ fn install<F: MappedFlash>(store: &mut Store<F>, number: u16) -> Result<(), Stor
     store.begin(70)?;
     plain(store.write(0, &package(number, 70), any_header))?;
     store.stage(check).unwrap();
-    store.activate(check, serial).unwrap();
+    store.activate(check, serials).unwrap();
     store.confirm().unwrap();
     Ok(())
 }

@@ -217,6 +217,8 @@ fn settings() -> Settings {
     Settings {
         layout: LAYOUT,
         public_key: None,
+        step_range: agent_core::package::StepRange::DEFAULT,
+        update_limit: agent_core::store::RateLimit::NONE,
         health: HealthSettings::RECOMMENDED,
         trial: TrialLimits { seconds: Some(TRIAL), ..RECOMMENDED_TRIAL },
         sample_stride: NonZeroU32::MIN,

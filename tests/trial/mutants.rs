@@ -53,10 +53,9 @@ impl Parts {
 
     pub(crate) fn seal(&self) -> Result<PackageBytes, DraftError> {
         let mut content = self.package.package();
-        let ids: Vec<u8> = self.neighbours.iter().flat_map(|id| id.to_le_bytes()).collect();
         content.node.output_matrix = &self.output_matrix;
         content.node.gain = SymmetricMatrix::Full(&self.gain);
-        content.node.neighbours = NeighbourIds::new(&ids).unwrap();
+        content.node.neighbours = NeighbourIds::new(&self.neighbours);
         content.node.edge_weights = &self.edge_weights;
         content.node.outer_law.gain = SymmetricMatrix::Scalar(self.outer_gain);
         content.node.step_size = self.step_size;

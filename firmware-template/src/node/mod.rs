@@ -477,6 +477,12 @@ impl<
         }
     }
 
+    /// Returns how often the node has booted, as its flash counts it.
+    #[must_use]
+    pub fn boots(&self) -> u32 {
+        self.boots
+    }
+
     fn current_report(&self) -> Report {
         let step_size = self.memory.session.as_ref().map(|session| session.params.step_size());
         let performance = self.performance.means().zip(step_size);

@@ -237,6 +237,7 @@ fn run(
     let settings = Settings {
         layout: LAYOUT,
         public_key: None,
+        step_range: agent_core::package::StepRange::ANY,
         health: HealthSettings::RECOMMENDED,
         update_limit: agent_core::store::RateLimit::NONE,
         trial: firmware_template::RECOMMENDED_TRIAL,

@@ -32,6 +32,13 @@ pub fn serial(number: &u16) -> Serial {
     Serial { epoch: u32::from(number % 5), version: u32::from(number % 7) }
 }
 
+/// Returns what [`Store::activate`] records of a package: its serial is the highest one if none
+/// before was higher.
+#[must_use]
+pub fn serials(number: &u16) -> (Serial, Serial) {
+    (serial(number), serial(number))
+}
+
 /// Accepts every header.
 ///
 /// # Errors
