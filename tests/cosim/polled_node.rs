@@ -488,7 +488,7 @@ fn uploads_that_come_too_often_are_refused_before_anything_is_erased() {
 
     // A step takes this long: two minutes later there is a minute left, and then none.
     let step = f64::from(package(8).package().node.step_size);
-    for (seconds, left) in [(120.0, Some(60)), (60.5, None)] {
+    for (seconds, left) in [(120.5, Some(60)), (60.0, None)] {
         board.periods += (seconds / step) as u32;
         let _ = answers(&mut node, &mut board);
         board.requests.extend(uploads(8));

@@ -28,7 +28,7 @@ impl Limits {
     /// Lets `periods` of this length \[s\] pass.
     pub(super) fn advance(&mut self, periods: u32, period: f32) {
         // Longer than an hour is as good as an hour.
-        let period = ((period * 1e6) as u32).clamp(1, 3_600_000_000);
+        let period = ((period * 1e6 + 0.5) as u32).clamp(1, 3_600_000_000);
         let elapsed = periods.saturating_mul(period).saturating_add(self.rest);
         self.rest = elapsed % 1000;
         for limiter in [&mut self.uploads, &mut self.checks, &mut self.activations] {
