@@ -546,7 +546,7 @@ fn read_pair<F: MappedFlash>(
         match place {
             Place::Torn => damage.torn_places = damage.torn_places.wrapping_add(1),
             Place::Unreadable => {
-                damage.unreadable_places = damage.unreadable_places.wrapping_add(1)
+                damage.unreadable_places = damage.unreadable_places.wrapping_add(1);
             }
             _ => {}
         }

@@ -368,8 +368,6 @@ pub fn factory_record(
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
-
     use super::*;
     use proptest::prelude::*;
 
@@ -406,11 +404,11 @@ mod tests {
         let mut record = contents().record();
         record.void = 6;
         let record = record.encode(0x0a0b_0c0d);
-        let mut body = std::vec![0x0d, 0x0c, 0x0b, 0x0a, 2, 0, 6, 52, 1, 2, 5, 3];
-        body.extend([4, 3, 2, 1, 0x44, 0x33, 0x22, 0x11]);
-        body.extend([0x98, 0x08, 0, 0, 0xff, 0xff, 0xff, 0xff]);
-        body.extend([2, 0, 0, 0, 9, 0, 0, 0, 1, 0, 0, 0, 7, 0, 0, 0, 3, 0, 0, 0, 4, 0, 0, 0]);
-        body.extend([0; 8]);
+        let body = [
+            0x0d, 0x0c, 0x0b, 0x0a, 2, 0, 6, 52, 1, 2, 5, 3, 4, 3, 2, 1, 0x44, 0x33, 0x22, 0x11,
+            0x98, 0x08, 0, 0, 0xff, 0xff, 0xff, 0xff, 2, 0, 0, 0, 9, 0, 0, 0, 1, 0, 0, 0, 7, 0, 0,
+            0, 3, 0, 0, 0, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
+        ];
         assert_eq!(record[..BODY_LENGTH], body);
         assert_eq!(record[BODY_LENGTH..], crc32(&[&body]).to_le_bytes());
     }
