@@ -323,7 +323,7 @@ pub fn name(message: &Message<'_>) -> String {
         Message::Health { .. } => "health counters".to_owned(),
         Message::Event(_) => "an event".to_owned(),
         Message::Broadcast { .. } => "a frame".to_owned(),
-        Message::BoardErrors { .. } => "errors of sensor and link".to_owned(),
+        Message::BoardErrors { .. } => "sensor and link errors".to_owned(),
     }
 }
 
