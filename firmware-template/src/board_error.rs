@@ -41,13 +41,13 @@ pub enum LinkErrorKind {
 
 /// An error of a [`Sensor`](crate::Sensor).
 pub trait SensorError: Debug {
-    /// What a node counts it as.
+    /// Under which kind a node counts it.
     fn kind(&self) -> SensorErrorKind;
 }
 
 /// An error of a [`Link`](crate::Link).
 pub trait LinkError: Debug {
-    /// What a node counts it as.
+    /// Under which kind a node counts it.
     fn kind(&self) -> LinkErrorKind;
 }
 

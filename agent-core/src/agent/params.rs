@@ -67,7 +67,7 @@ impl<'a, const N: usize> AgentParams<'a, N> {
     }
 
     /// Sets the number of steps after which a restarted neighbour is heard again, in place of
-    /// [`RESTART_SILENCE`]. It must exceed the longest delay of the link; otherwise an overtaken
+    /// [`RESTART_SILENCE`]. It must exceed the longest delay of the link; otherwise a delayed
     /// frame can replace a newer one.
     #[must_use]
     pub fn with_restart_silence(self, restart_silence: Tick) -> Self {

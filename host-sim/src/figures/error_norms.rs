@@ -52,8 +52,8 @@ pub struct ErrorFigure<'a> {
     pub error_limit: Option<f64>,
 }
 
-/// Returns an upper end of the error axis that suits all these runs: the largest error after the
-/// first quarter, or of the references, with headroom, rounded. \[state unit\]
+/// Returns an upper limit of the error axis that suits all these runs: the largest error after the
+/// first quarter or among the references, plus headroom, rounded up. \[state unit\]
 #[must_use]
 pub fn error_axis_limit(runs: &[&Traces], references: &[Reference<'_>]) -> f64 {
     let largest = runs.iter().map(|traces| {

@@ -31,7 +31,7 @@ impl Format {
         }
     }
 
-    /// Returns the complete format; only UF2 uses the family.
+    /// Returns the format with its chip family, which only UF2 uses.
     ///
     /// # Errors
     /// If the format is UF2 and there is no family.

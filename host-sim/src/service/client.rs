@@ -364,7 +364,7 @@ pub fn name(message: &Message<'_>) -> String {
         Message::Health { .. } => "health counters".to_owned(),
         Message::Event(_) => "an event".to_owned(),
         Message::Broadcast { .. } => "a frame".to_owned(),
-        Message::BoardErrors { .. } => "errors of sensor and link".to_owned(),
+        Message::BoardErrors { .. } => "sensor and link errors".to_owned(),
         Message::Report(_) => "a report".to_owned(),
         Message::Answer { number } => format!("an empty answer to request {number}"),
     }

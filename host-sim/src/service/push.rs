@@ -137,7 +137,7 @@ pub fn status(client: &mut Client, retry_policy: RetryPolicy) -> Result<Status, 
 }
 
 /// Requests a node's status, and passes messages before the answer, such as faults of its board and
-/// errors of sensor and link, to `unsolicited`.
+/// sensor and link errors, to `unsolicited`.
 ///
 /// # Errors
 /// See [`ServiceError`].

@@ -61,7 +61,7 @@ impl Flash {
         outcome
     }
 
-    /// Clears the caches of erased contents; writes go through them.
+    /// Clears erased contents from the cache; writes go through it.
     fn clear_cache(&mut self) {
         let acr = self.flash.acr();
         acr.modify(|_, w| w.dcen().clear_bit());

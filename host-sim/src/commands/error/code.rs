@@ -74,7 +74,7 @@ error_codes! {
     Diverged = "plant-diverged", 1;
     /// A network cannot be trained.
     Training = "training-failed", 1;
-    /// A network explains nothing, so no package was written.
+    /// A trained network explains no more than a constant, so no package was written.
     NotPacked = "not-packed", 1;
     /// A figure cannot be drawn.
     Figure = "figure-failed", 1;

@@ -4,7 +4,7 @@
 //! delay or reorder frames wrap another link behind the same trait.
 //!
 //! To add a model, add a file here, a variant of [`ScenarioLink`], and a variant of
-//! [`LinkModel`] with its keys of `[link]`.
+//! [`LinkModel`] with its keys in `[link]`; `CONTRIBUTING.md` has the steps.
 
 mod lossless;
 
