@@ -209,7 +209,8 @@ impl Journal {
         let is_half_copied = is_copying && there_in_doubt.is_some();
         let held_by = match () {
             () if !has_records => lonely,
-            () if is_unsettled && !is_half_copied => here.in_doubt,
+            // What has to be settled cannot wait for a half that may never be readable again.
+            () if (is_unsettled || here.single != 0) && !is_half_copied => here.in_doubt,
             () => here.in_doubt.or(there_in_doubt),
         };
         let mut journal = Self {
