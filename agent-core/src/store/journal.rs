@@ -32,8 +32,8 @@
 //! place holds nothing of the kind: it is a write that was cut, which flash with error correction
 //! reports as unreadable. A pair without a record, without a free place and with an unreadable one
 //! is in doubt. Behind the last record it keeps a boot from writing anything; calls still append.
-//! A half without any record is the remainder of an interrupted erasure, if the other half has
-//! records: that was full when the erasure began. Only if no record is found at all and a pair is in
+//! A half without any record, or with incomplete copies, is the remainder of an interrupted erasure,
+//! if the other half has records: that was full when the erasure began. A boot erases it. Only if no record is found at all and a pair is in
 //! doubt does the store refuse to record anything.
 //!
 //! Cost: opening reads the commit area once, and again for each kind that both halves have;
@@ -179,16 +179,9 @@ impl Journal {
             Half::First => (first, second),
             Half::Second => (second, first),
         };
-        // A half whose records are older has nothing newer behind them, and one without records has
-        // nothing newer unless this one was full.
-        let there_in_doubt = match there.newest {
-            Some(_) if !is_copying => None,
-            None if here.end < layout.pairs() => None,
-            _ => there.in_doubt,
-        };
-        let is_there_unknown = there.in_doubt.is_none()
-            && ((there.newest.is_none() && there.unknown > 0)
-                || (is_copying && (there.unknown > 0 || voids_other.is_some())));
+        // A half whose records are older has nothing newer behind them.
+        let is_there_unknown = (there.newest.is_none() && there.unknown > 0)
+            || (is_copying && (there.unknown > 0 || voids_other.is_some()));
         let mut unknown = here.unknown;
         if is_copying || there.newest.is_none() {
             unknown = unknown.saturating_add(there.unknown);
@@ -206,13 +199,7 @@ impl Journal {
         let is_unsettled = !is_repeated || here.unknown > 0 || is_there_unknown || is_half_void;
         let lonely = here.in_doubt.or(there.in_doubt);
         let blocked_by = if has_records { None } else { lonely };
-        let is_half_copied = is_copying && there_in_doubt.is_some();
-        let held_by = match () {
-            () if !has_records => lonely,
-            // What has to be settled cannot wait for a half that may never be readable again.
-            () if (is_unsettled || here.single != 0) && !is_half_copied => here.in_doubt,
-            () => here.in_doubt.or(there_in_doubt),
-        };
+        let held_by = if has_records { here.in_doubt } else { lonely };
         let mut journal = Self {
             number,
             newest: newest.map(|(_, contents)| contents),
@@ -272,6 +259,7 @@ impl Journal {
 
     /// Makes sure that every other boot finds the same: repeats what has only one copy, and the
     /// state behind anything that may become readable. Returns `None` if there is nothing to do.
+    #[inline(never)]
     pub(super) fn settle<F: MappedFlash>(
         &mut self,
         flash: &mut F,
@@ -400,6 +388,7 @@ impl Journal {
     }
 
     /// Writes both copies of a record with the next number and reads them back.
+    #[inline(never)]
     fn write<F: MappedFlash>(
         &mut self,
         flash: &mut F,
@@ -423,6 +412,7 @@ impl Journal {
 }
 
 impl Scan {
+    #[inline(never)]
     fn of<F: MappedFlash>(flash: &mut F, layout: &Layout, half: Half, damage: &mut Damage) -> Self {
         let mut scan = Self::default();
         let mut unreadable_behind = None;
@@ -500,6 +490,7 @@ impl<'a> Pairs<'a> {
     }
 
     /// Returns index and contents of the next pair; a void record is unknown content.
+    #[inline(never)]
     fn previous<F: MappedFlash>(&mut self, flash: &mut F) -> Option<(u32, Pair, Damage)> {
         self.end = self.end.checked_sub(1)?;
         let (pair, damage) = read_pair(flash, self.layout, self.half, self.end);
@@ -532,6 +523,7 @@ enum Place {
     Format1(u32, Record),
 }
 
+#[inline(never)]
 fn read_pair<F: MappedFlash>(
     flash: &mut F,
     layout: &Layout,
@@ -627,6 +619,7 @@ fn last_of<F: MappedFlash>(flash: &mut F, layout: &Layout, half: Half, kind: u8)
 }
 
 /// Returns whether a half says the same as the last record of each of these kinds.
+#[inline(never)]
 fn holds_all<F: MappedFlash>(flash: &mut F, layout: &Layout, half: Half, kinds: u32) -> bool {
     kinds_in(kinds).all(|kind| {
         let here = last_of(flash, layout, half, kind);
