@@ -100,7 +100,6 @@ fn every_flipped_bit_of_the_journal_and_of_both_slots_is_told_and_loses_nothing(
     let (store, loaded) = boot(&mut sound);
     assert_eq!(loaded.in_use, Some((Slot::A, 3)));
     assert_eq!((store.damage(), loaded.refusals), (Damage::default(), [None; 2]));
-    drop(store);
     let (mut changed, mut told, mut other) = (0, 0, 0);
     let end = COMMIT + 2 * HALF;
     let slots = [0..70, SLOT_B..SLOT_B + 70];
@@ -126,7 +125,6 @@ fn every_flipped_bit_of_the_journal_and_of_both_slots_is_told_and_loses_nothing(
         assert_eq!(store.note(9).unwrap().as_bytes(), b"sixteen bytes of");
         assert_eq!(store.activated(), Some(serial(&2).max(serial(&3)).max(serial(&1))));
         let found = store.in_use();
-        drop(store);
         assert_eq!(boot(&mut flash).0.in_use(), found);
         install(&mut boot(&mut flash).0, 4);
         assert_eq!(boot(&mut flash).1.in_use.unwrap().1, 4);
@@ -157,7 +155,6 @@ fn a_rotten_copy_is_replaced_before_the_other_one_rots_too() {
                 assert_eq!(store.opening().settled, Some(Ok(())));
             }
             assert_eq!(loaded.in_use, Some((Slot::B, 2)));
-            drop(store);
             let (store, _) = boot(&mut flash);
             assert_eq!(store.opening().settled, None);
         }
@@ -373,7 +370,6 @@ fn a_torn_record_that_later_reads_as_valid_undoes_nothing() {
         assert_eq!((store.damage().torn_places, store.damage().single_copies), (1, 0));
         assert_eq!(store.opening().trial_ended, Some(Ok(())));
         assert_eq!(loaded.in_use, Some((Slot::A, 1)));
-        drop(store);
         flash.overwrite(confirmation, &whole);
         let (store, loaded) = boot(&mut flash);
         assert_eq!((store.damage().torn_places, store.opening().settled), (0, None));
@@ -395,14 +391,12 @@ fn a_boot_converts_a_journal_of_format_1_and_keeps_it_working() {
     assert_eq!(store.opening().settled, Some(Ok(())));
     store.raise_activated(serial(&2));
     assert_eq!(store.count_boot(None), 1);
-    drop(store);
     assert_eq!(flash.mapped()[..COMMIT + PAIR], before[..COMMIT + PAIR]);
     assert_eq!(flash.mapped()[COMMIT + PAIR + 4], agent_core::store::FORMAT);
     let (mut store, loaded) = boot(&mut flash);
     assert_eq!((loaded.in_use, store.opening().settled), (Some((Slot::B, 2)), None));
     store.raise_activated(serial(&2));
     install(&mut store, 3);
-    drop(store);
     let (store, loaded) = boot(&mut flash);
     assert_eq!(loaded.in_use, Some((Slot::A, 3)));
     assert_eq!(store.activated(), Some(serial(&2).max(serial(&3))));
@@ -468,7 +462,6 @@ fn nothing_removes_the_way_back_during_a_trial() {
         store.record_note(9, &[number]).unwrap();
         assert_eq!(store.bytes(Slot::B), Some(&way_back[..]));
     }
-    drop(store);
     let (store, loaded) = boot(&mut flash);
     assert_eq!(loaded.in_use, Some((Slot::B, 2)));
     let revert = Revert { serial: serial(&3), reason: Revert::BY_RESET };
@@ -496,7 +489,6 @@ fn notes_survive_every_change_of_halves_until_they_are_removed() {
     store.record_note(30, &key).unwrap();
     assert_eq!(store.flash().spent, spent, "the same again writes nothing");
     store.record_note(29, b"").unwrap();
-    drop(store);
     let (mut store, _) = boot(&mut flash);
     assert_eq!((store.note(29), store.note(30).unwrap().as_bytes()), (None, &key[..]));
     install(&mut store, 40);

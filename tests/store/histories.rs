@@ -387,7 +387,9 @@ fn live<const WRITE: usize, const ERASE: usize>(seed: u64) -> Tally {
     while calls < CALLS {
         match reading {
             Reading::Transient if draw.random_bool(0.5) => {
-                if !boot_in_doubt(&mut flash, &mut ledger, &mut number, &mut draw, &mut tally) {
+                let goes_on =
+                    boot_in_doubt(&mut flash, &mut ledger, &mut number, &mut draw, &mut tally);
+                if !goes_on {
                     return tally;
                 }
             }

@@ -90,7 +90,6 @@ fn one_unreadable_copy_is_replaced() {
             assert_eq!(loaded.in_use.unwrap().1, packages);
             let damage = Damage { torn_places: 0, unreadable_places: 1, single_copies: 1 };
             assert_eq!((store.damage(), store.opening().settled), (damage, Some(Ok(()))));
-            drop(store);
             assert_eq!(open(&mut flash).0.opening().settled, None);
         }
     }
@@ -111,12 +110,10 @@ fn a_temporarily_unreadable_journal_is_not_erased() {
     assert!(store.is_blocked());
     assert_eq!(install(&mut store, 3), Err(unreadable(COMMIT)));
     assert_eq!(store.record_note(9, &[1]), Err(unreadable(COMMIT)));
-    drop(store);
     assert_eq!(flash.mapped(), before);
     let (mut store, loaded) = open(&mut flash);
     assert_eq!((loaded.in_use, store.is_blocked()), (Some((Slot::B, 2)), false));
     install(&mut store, 3).unwrap();
-    drop(store);
     assert_eq!(open(&mut flash).1.in_use, Some((Slot::A, 3)));
 }
 
@@ -135,7 +132,6 @@ fn the_operator_can_give_up_a_journal_that_stays_unreadable() {
         assert_eq!(found.unwrap().1, packages);
         store.forget_unreadable();
         install(&mut store, 30).unwrap();
-        drop(store);
         for number in 31..40 {
             let (mut store, loaded) = open(&mut flash);
             assert_eq!((loaded.in_use.unwrap().1, store.is_blocked()), (number - 1, false));
@@ -149,7 +145,7 @@ fn a_temporarily_unreadable_confirmation_is_not_undone() {
     for packages in 1..9 {
         let mut flash = installed(packages);
         let newest = newest_pair(&flash);
-        if newest % PAIRS == 0 {
+        if newest.is_multiple_of(PAIRS) {
             // No record before it in its half: see the next test.
             continue;
         }
@@ -161,14 +157,12 @@ fn a_temporarily_unreadable_confirmation_is_not_undone() {
         let held = unreadable(COMMIT + newest * PAIR);
         assert_eq!(store.opening().trial_ended, Some(Err(held)));
         assert_eq!((store.opening().settled, store.damage().unreadable_places), (None, 2));
-        drop(store);
         assert_eq!(flash.mapped(), before);
         assert_eq!(open(&mut flash).1.in_use.unwrap().1, packages);
         // A new package overrules it.
         hide(&flash, newest);
         let (mut store, _) = open(&mut flash);
         install(&mut store, 20).unwrap();
-        drop(store);
         assert_eq!(open(&mut flash).1.in_use.unwrap().1, 20);
     }
 }
@@ -185,11 +179,9 @@ fn an_interrupted_erasure_ends_no_updates() {
             flash.overwrite(start + spoiled, &vec![0xff; HALF - spoiled]);
             let (store, loaded) = open(&mut flash);
             assert_eq!((loaded.in_use.unwrap().1, store.is_blocked()), (packages, false));
-            drop(store);
             for number in 20..25 {
                 let (mut store, _) = open(&mut flash);
                 install(&mut store, number).unwrap();
-                drop(store);
                 assert_eq!(open(&mut flash).1.in_use.unwrap().1, number);
             }
         }
@@ -209,11 +201,9 @@ fn an_interrupted_record_that_reads_as_an_error_blocks_nothing() {
         let (store, loaded) = open(&mut flash);
         assert_eq!(loaded.in_use.map_or(0, |(_, number)| number), packages);
         assert_eq!((store.opening().settled, store.is_blocked()), (Some(Ok(())), false));
-        drop(store);
         for number in 10..20 {
             let (mut store, _) = open(&mut flash);
             install(&mut store, number).unwrap();
-            drop(store);
             assert_eq!(open(&mut flash).1.in_use.unwrap().1, number);
         }
     }
