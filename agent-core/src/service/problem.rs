@@ -133,9 +133,9 @@ impl From<&Refusal> for RefusalReport {
                 (Kind::Capacity, count(capacity), count(found))
             }
             Refusal::Parameter(_) => (Kind::Parameter, 0, 0),
-            Refusal::NeighbourOrder { id } => (Kind::NeighbourOrder, 0, id.into()),
+            Refusal::NeighbourOrder { id } => (Kind::NeighbourOrder, 0, id),
             Refusal::EmptyBox { component } => (Kind::EmptyBox, 0, count(component)),
-            Refusal::Agent { expected, found } => (Kind::Agent, expected.into(), found.into()),
+            Refusal::Agent { expected, found } => (Kind::Agent, expected, found),
             Refusal::Older { highest, found } if highest.epoch != found.epoch => {
                 (Kind::Epoch, highest.epoch, found.epoch)
             }

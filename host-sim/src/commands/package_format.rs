@@ -14,8 +14,8 @@ use crate::warning::{Warning, WarningCode};
 #[derive(Clone, Copy, Debug, Args)]
 pub(super) struct PackageFormat {
     /// Format of the packages to write: 2, or 1 for nodes whose firmware reads nothing else
-    #[arg(long = "package-format", value_name = "FORMAT", default_value = "2", value_parser = parse)]
-    format: Format,
+    #[arg(long, value_name = "FORMAT", default_value = "2", value_parser = parse)]
+    package_format: Format,
 }
 
 impl PackageFormat {
@@ -28,7 +28,7 @@ impl PackageFormat {
         package: &PackageBytes,
         out: &Path,
     ) -> Result<PackageBytes, CommandError> {
-        convert(package, self.format, out)
+        convert(package, self.package_format, out)
     }
 }
 
