@@ -41,7 +41,7 @@ use crate::package::TrialLimits;
 
 /// Largest RMS of innovation and disagreement, relative to those of what was in use before.
 ///
-/// Measured: see docs/decisions/0032-trial.md.
+/// Measured: see docs/decisions/0017-trial.md.
 pub const RMS_FACTOR: f32 = 1.35;
 
 /// Largest RMS of the innovation in the first block, relative to that before: the estimate does not

@@ -1,11 +1,17 @@
 //! The I2C bus with timeouts. The HAL, which sets up the bus, waits indefinitely for its flags; a
-//! stuck bus would then stop the node, although it can run without a measurement.
+//! stuck bus would then stop the node, although it can run without a measurement. After an error, a
+//! device that holds the data line is clocked until it lets go.
 
+use core::convert::Infallible;
+
+use embedded_hal::delay::DelayNs;
+use embedded_hal::digital::{self, InputPin, OutputPin};
 use embedded_hal::i2c::{
     Error, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation, SevenBitAddress,
 };
+use firmware_template::held_bus::free_bus;
 use hal::i2c;
-use hal::pac::I2C1;
+use hal::pac::{GPIOB, I2C1, gpiob};
 use hal::pac::i2c1::sr1;
 use stm32f4xx_hal as hal;
 
@@ -104,9 +110,15 @@ impl Bus {
         self.registers.cr1().modify(|_, w| w.stop().set_bit());
     }
 
-    /// Resets the peripheral, keeping its settings but aborting the transfer.
+    /// Frees the lines, and resets the peripheral, keeping its settings but aborting the transfer.
     fn recover(&mut self) {
         self.stop();
+        // Outputs while they are clocked, and alternate functions again; they stay open-drain.
+        CLOCK.set_mode(Line::OUTPUT);
+        DATA.set_mode(Line::OUTPUT);
+        let Ok(_is_free) = free_bus(&mut CLOCK, &mut DATA, &mut Spin);
+        CLOCK.set_mode(Line::ALTERNATE);
+        DATA.set_mode(Line::ALTERNATE);
         let registers = &self.registers;
         let (cr2, ccr, trise) = (
             registers.cr2().read().bits(),
@@ -146,6 +158,69 @@ impl Bus {
             self.stop();
         }
         Ok(())
+    }
+}
+
+/// A pin of port B.
+struct Line(u32);
+
+const CLOCK: Line = Line(6);
+const DATA: Line = Line(7);
+
+impl Line {
+    /// Values of a pin's field in MODER.
+    const OUTPUT: u32 = 1;
+    const ALTERNATE: u32 = 2;
+
+    fn port() -> &'static gpiob::RegisterBlock {
+        // SAFETY: the port's address. Only this bus uses the two pins; of the registers that other pins
+        // share, MODER is changed here only, after the set-up and outside interrupts.
+        unsafe { &*GPIOB::ptr() }
+    }
+
+    fn set_mode(&self, mode: u32) {
+        let shift = 2 * self.0;
+        // SAFETY: both values are valid for the field, and the others keep theirs.
+        Self::port()
+            .moder()
+            .modify(|r, w| unsafe { w.bits(r.bits() & !(3 << shift) | mode << shift) });
+    }
+}
+
+impl digital::ErrorType for Line {
+    type Error = Infallible;
+}
+
+impl OutputPin for Line {
+    fn set_low(&mut self) -> Result<(), Infallible> {
+        // SAFETY: every value is valid for this register, and zeros change nothing.
+        Self::port().bsrr().write(|w| unsafe { w.bits(1 << (16 + self.0)) });
+        Ok(())
+    }
+
+    fn set_high(&mut self) -> Result<(), Infallible> {
+        // SAFETY: as above.
+        Self::port().bsrr().write(|w| unsafe { w.bits(1 << self.0) });
+        Ok(())
+    }
+}
+
+impl InputPin for Line {
+    fn is_high(&mut self) -> Result<bool, Infallible> {
+        Ok(Self::port().idr().read().bits() & 1 << self.0 != 0)
+    }
+
+    fn is_low(&mut self) -> Result<bool, Infallible> {
+        self.is_high().map(|is_high| !is_high)
+    }
+}
+
+/// Waits by counting cycles at 168 MHz, or longer at a lower frequency.
+struct Spin;
+
+impl DelayNs for Spin {
+    fn delay_ns(&mut self, time: u32) {
+        cortex_m::asm::delay(time.saturating_mul(168) / 1_000 + 1);
     }
 }
 
