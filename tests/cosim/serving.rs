@@ -300,16 +300,15 @@ fn a_harmful_package_is_back_out_by_itself_and_a_good_one_stays() {
         let after = status();
         let last = &after["last_revert"];
         assert_eq!((&last["version"], &last["epoch"]), (&2.into(), &0.into()), "{after}");
-        assert_eq!(
-            (&last["reason"], &after["version"]),
-            (&"restarts".into(), &1.into()),
-            "{after}"
-        );
+        // Whichever limit it exceeds first.
+        let reason = last["reason"].as_str().unwrap();
+        assert!(["innovation", "restarts"].contains(&reason), "{after}");
+        assert_eq!(after["version"], 1, "{after}");
         assert_eq!(after["trial"]["verdict"], "reverted");
         assert_eq!(after["trial"]["needed_seconds"].as_f64().unwrap().round(), 10.0);
         assert_eq!(after["trial"]["deadline_seconds"].as_f64().unwrap().round(), 30.0);
         let told = folder.succeed("node nodes/agent-1.sock");
-        assert!(told.contains("version 2 of epoch 0 did not stay in use: the agent"), "{told}");
+        assert!(told.contains("version 2 of epoch 0 did not stay in use: "), "{told}");
 
         let tick = after["tick"].as_u64().unwrap();
         wait_until("there is something to compare with again", || {
