@@ -43,7 +43,7 @@ pub(super) fn convert(
 ) -> Result<PackageBytes, CommandError> {
     let converted = package.converted(format).map_err(|error| unfit(error, out))?;
     if format == Format::One && package.package().trial.is_some() {
-        terminal::warning(&Warning::new(
+        terminal::warning(Warning::new(
             WarningCode::TrialLimitsDropped,
             format!(
                 "{}: format 1 has no limits for the trial, so a node uses only those of its settings; \

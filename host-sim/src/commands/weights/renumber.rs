@@ -63,9 +63,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     match arguments.format {
         Format::Json => print_json(&report),
         Format::Text => {
-            let summary = report.summary;
+            let PackageSummary { bytes, agent, epoch, version } = report.summary;
+            let epoch = if epoch > 0 { format!("epoch {epoch}, ") } else { String::new() };
             let mut text = format!(
-                "Written to {}: {summary}, was version {}, not signed\n",
+                "Written to {}: agent {agent}, {epoch}version {version} (was {}), {bytes} bytes, not \
+                 signed\n",
                 report.package, report.version_before
             );
             if report.signature_dropped {
