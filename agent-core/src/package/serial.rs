@@ -244,13 +244,6 @@ mod tests {
     }
 
     #[test]
-    fn nothing_that_was_ever_active_is_accepted_again() {
-        play(20_000);
-    }
-
-    /// `cargo test -p agent-core --release --features signature -- --ignored --nocapture million`
-    #[test]
-    #[ignore = "a million histories take a minute without optimisation"]
     fn nothing_is_accepted_again_in_a_million_histories() {
         play(1_000_000);
     }
