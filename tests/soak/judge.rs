@@ -149,7 +149,7 @@ impl Judge {
             // The driver sends it separately, and checks its answer itself.
             Request::Reset => return Err("unexpected reset request".to_owned()),
             Request::Begin { length } => self.store.begin(length),
-            Request::Chunk { offset, bytes } => self.store.chunk(offset, bytes),
+            Request::Chunk { offset, bytes } => self.store.chunk(self.agent, offset, bytes),
             Request::Stage => self.store.stage(self.agent, supply),
             Request::Activate => self.store.activate(),
             Request::Confirm => self.store.confirm(),

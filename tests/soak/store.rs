@@ -1,5 +1,6 @@
 //! A minimal model of a node's store, as far as its answers show it.
 
+use agent_core::package::{Capacity, Requirements, Serial, StepRange, accept_header};
 use agent_core::service::{Problem, Upload};
 use agent_core::store::{HEADER_LENGTH, Slot, StoreError};
 use agent_core::wire::crc::crc32;
@@ -93,8 +94,35 @@ impl Store {
         })
     }
 
-    pub(super) fn chunk(&mut self, offset: u32, bytes: &[u8]) -> Answer {
-        answer(self.chunk_outcome(offset, bytes))
+    pub(super) fn chunk(&mut self, agent: usize, offset: u32, bytes: &[u8]) -> Answer {
+        let is_complete =
+            |upload: &Unfinished| upload.bytes.len() >= HEADER_LENGTH.min(upload.length as usize);
+        let was_complete = self.upload.as_ref().is_some_and(is_complete);
+        let outcome = self.chunk_outcome(offset, bytes);
+        if let Some(upload) = self.upload.as_ref().filter(|upload| is_complete(upload))
+            && outcome.is_ok()
+            && !was_complete
+        {
+            // Before anything is erased.
+            let header = &upload.bytes[..HEADER_LENGTH.min(upload.length as usize)];
+            if accept_header::<3>(header, &self.requirements(agent)).is_err() {
+                self.upload = None;
+                return Answer::PackageRefused;
+            }
+            self.staged = None;
+        }
+        answer(outcome)
+    }
+
+    /// What the firmware requires of a package for `agent`, counted from 0.
+    fn requirements(&self, agent: usize) -> Requirements<'static> {
+        Requirements {
+            public_key: None,
+            agent: Some(agent as u32 + 1),
+            highest: Some(Serial { epoch: 0, version: self.highest }),
+            step_range: StepRange::DEFAULT,
+            capacity: Capacity { features: 8, neighbours: 4, gain_entries: usize::MAX },
+        }
     }
 
     fn chunk_outcome(&mut self, offset: u32, bytes: &[u8]) -> Outcome {
@@ -112,10 +140,6 @@ impl Store {
             return Err(StoreError::Conflict { offset });
         }
         upload.bytes.extend_from_slice(&bytes[repeated..]);
-        if upload.bytes.len() >= HEADER_LENGTH.min(upload.length as usize) {
-            // The header is accepted, and the slot is erased.
-            self.staged = None;
-        }
         Ok(Message::Upload(Upload { received: upload.received() }))
     }
 

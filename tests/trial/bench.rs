@@ -7,7 +7,7 @@ use std::num::NonZeroU32;
 use agent_core::health::{HealthSettings, RevertReason};
 use agent_core::package::TrialLimits;
 use agent_core::service::{
-    CHUNK_LENGTH_MAX, Event, Request, Subscription, TrialReport, receive, send,
+    CHUNK_LENGTH_MAX, Event, Problem, Request, Subscription, TrialReport, receive, send,
 };
 use agent_core::wire::cobs::{Decoder, SerialError};
 use firmware_template::board::RequestBuffer;
@@ -67,6 +67,8 @@ impl World {
 pub(super) enum End {
     Confirmed,
     Reverted(RevertReason),
+    /// The node did not take it.
+    Refused,
     /// Neither, at the deadline.
     None,
 }
@@ -204,6 +206,11 @@ impl Board for Surroundings {
                     self.end = Some(End::Reverted(reason));
                 }
                 Message::Report(report) => self.trial = report.trial,
+                Message::Refused(Problem::Package(_)) if !self.activated => {
+                    // What follows of the push has nothing to refer to.
+                    self.requests.clear();
+                    self.end = Some(End::Refused);
+                }
                 Message::Refused(problem) => panic!("{problem}"),
                 _ => {}
             }
@@ -272,6 +279,10 @@ pub(super) fn observe(
                 Some(package) => place.push(package),
                 None => place.activated = true,
             }
+        }
+        if is_pushed && place.end == Some(End::Refused) {
+            let (seconds, rms, trial) = (0.0, [0.0; 2], None);
+            return Outcome { end: End::Refused, seconds, rms, trial };
         }
         if is_pushed && place.activated {
             let began = *activated_at.get_or_insert(now);

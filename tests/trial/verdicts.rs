@@ -14,6 +14,13 @@ use super::mutants::{Mutant, mutants};
 /// others, this much larger than the package before it.
 const HARMFUL: f64 = 1.5;
 
+/// Harm up to here is not told apart from chance in a trial of ten seconds: honest packages change
+/// the innovation by up to a sixth. A few such packages are confirmed; docs/decisions/0017-trial.md
+/// has the counts.
+const MARGINAL: f64 = 2.0;
+/// The most of them for an agent.
+const MARGINAL_COUNT: usize = 3;
+
 /// Time with the package before. \[s\]
 const REFERENCE: f64 = 12.0;
 
@@ -62,6 +69,7 @@ struct Counts {
     refused: usize,
     reverted: usize,
     harmless: usize,
+    marginal: Vec<String>,
     harmful: Vec<String>,
 }
 
@@ -88,7 +96,11 @@ fn judge(world: &World, before: &[PackageBytes], agent: usize, all: &[Mutant]) -
                 );
                 match end {
                     End::Reverted(_) => counts.reverted += 1,
+                    End::Refused => counts.refused += 1,
                     End::Confirmed if ratio <= HARMFUL => counts.harmless += 1,
+                    End::Confirmed if ratio <= MARGINAL => {
+                        counts.marginal.push(format!("{name}: error x {ratio:.2}"));
+                    }
                     _ => counts.harmful.push(format!("{name}: {end:?}, error x {ratio:.2}")),
                 }
             }
@@ -107,6 +119,7 @@ fn harmful_packages_are_refused_or_go_back_by_themselves() {
         println!("agent {}: {} kinds: {counts:?}", agent + 1, all.len());
         assert!(all.len() >= 200, "{}", all.len());
         assert!(counts.harmful.is_empty(), "{:#?}", counts.harmful);
+        assert!(counts.marginal.len() <= MARGINAL_COUNT, "{:#?}", counts.marginal);
     }
 }
 

@@ -16,8 +16,9 @@
 //! estimate. So the innovation alone does not decide. [`super::performance`] defines the quantities.
 //!
 //! # Attempts
-//! A package passes with an attempt that lasts as long as the trial needs. An attempt that can no
-//! longer pass ends at once and the next one begins, so a transient after the switch does no harm.
+//! A package passes with an attempt that lasts as long as the trial needs, if the whole trial up to
+//! then is within the same limits. An attempt that can no longer pass ends at once and the next one
+//! begins, so a short transient after the switch does no harm.
 //! The trial ends three times that long after it has begun, or as soon as the time that is left is
 //! too short for another attempt. Blocks with too few measurements neither help nor harm.
 //!
@@ -244,10 +245,16 @@ impl Trial {
             self.attempt.sums.add(&block.means);
             self.blocks = self.blocks.saturating_add(1);
             self.sums.add(&block.means);
-            if let Some(reason) = self.cannot_pass() {
+            let Attempt { blocks, sums } = self.attempt;
+            let is_whole = blocks >= self.needed && self.verdict == Verdict::Running;
+            // An attempt of chance does not outweigh the rest of the trial.
+            let found = self.beyond_means(blocks, &sums, self.needed).or_else(|| {
+                is_whole.then(|| self.beyond_means(self.blocks, &self.sums, self.blocks)).flatten()
+            });
+            if let Some(reason) = found {
                 self.failed = Some(reason);
                 self.attempt = Attempt::default();
-            } else if self.attempt.blocks >= self.needed && self.verdict == Verdict::Running {
+            } else if is_whole {
                 self.verdict = Verdict::Passed;
                 return self.verdict;
             }
@@ -315,11 +322,10 @@ impl Trial {
         .map(|(_, _, reason)| reason)
     }
 
-    /// Returns why the current attempt cannot pass, whatever follows, if that is so.
-    fn cannot_pass(&self) -> Option<RevertReason> {
-        let Attempt { blocks, sums } = &self.attempt;
-        let needed = self.needed as f32;
-        // The sums of a whole attempt at its limit.
+    /// Returns why sums over `blocks` blocks exceed the limits of `needed` blocks, if they do:
+    /// whatever follows, the means will.
+    fn beyond_means(&self, blocks: u32, sums: &Means, needed: u32) -> Option<RevertReason> {
+        let needed = needed as f32;
         let within = |sum: f32, mean: f32| sum <= mean * needed;
         if let Some(bound) = self.limits.innovation_rms
             && !within(sums.innovation, bound * bound)
@@ -342,7 +348,7 @@ impl Trial {
             }
             let disagreement =
                 DISAGREEMENT_FACTOR * DISAGREEMENT_FACTOR * before.disagreement + resolution;
-            let unheard = *blocks as f32 - sums.heard;
+            let unheard = blocks as f32 - sums.heard;
             if before.heard > 0.5
                 && (!within(sums.disagreement, disagreement) || !within(unheard, 0.5))
             {
