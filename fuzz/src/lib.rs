@@ -37,7 +37,8 @@ fn correct_format2(bytes: &mut [u8]) {
     header[16..20].copy_from_slice(&length.to_le_bytes());
     header[48..52].copy_from_slice(&crc32(&[sections]).to_le_bytes());
     header[52..84].copy_from_slice(&digest(sections));
-    correct_frame(header);
+    let (covered, checksum) = header.split_at_mut(HEADER2_LENGTH - CHECKSUM_LENGTH);
+    checksum.copy_from_slice(&crc32(&[covered]).to_be_bytes());
     if block.iter().any(|&byte| byte != 0) {
         correct_frame(block);
     }

@@ -315,9 +315,8 @@ fn a_harmful_package_is_back_out_by_itself_and_a_good_one_stays() {
             status()["tick"].as_u64().unwrap() > tick + 8_000
         });
         package.renumbered(3).save(&folder.path("good.weights")).unwrap();
-        println!("{}", folder.succeed("push nodes/agent-1.sock good.weights --wait-confirmed"));
+        folder.succeed("push nodes/agent-1.sock good.weights --wait-confirmed");
         let end = status();
-        println!("{end}");
         assert_eq!((&end["version"], &end["trial"]["verdict"]), (&3.into(), &"confirmed".into()));
         let good = end["trial"]["good_seconds"].as_f64().unwrap();
         assert!(good >= end["trial"]["needed_seconds"].as_f64().unwrap(), "{end}");

@@ -248,5 +248,5 @@ fn reseal(bytes: &mut [u8]) {
     start[48..52].copy_from_slice(&crc32(&[sections]).to_le_bytes());
     start[52..84].copy_from_slice(&digest(sections));
     let checksum = crc32(&[&start[..124]]);
-    start[124..128].copy_from_slice(&checksum.to_le_bytes());
+    start[124..128].copy_from_slice(&checksum.to_be_bytes());
 }

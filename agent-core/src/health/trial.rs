@@ -16,9 +16,10 @@
 //! estimate. So the innovation alone does not decide. [`super::performance`] defines the quantities.
 //!
 //! # Attempts
-//! A package passes with an attempt that lasts as long as the trial needs, if the whole trial up to
-//! then is within the same limits. An attempt that can no longer pass ends at once and the next one
-//! begins, so a short transient after the switch does no harm.
+//! A package passes with an attempt that lasts as long as the trial needs, if all of the trial up to
+//! then, except for the first half of the needed time, is within the same limits. An attempt that can
+//! no longer pass ends at once and the next one begins, so a short transient after the switch does no
+//! harm.
 //! The trial ends three times that long after it has begun, or as soon as the time that is left is
 //! too short for another attempt. Blocks with too few measurements neither help nor harm.
 //!
@@ -29,7 +30,7 @@
 //! The package goes, also if nothing was in use before: an agent without a package does no harm to
 //! its neighbours, and one with a bad package may. Its reason is kept.
 //!
-//! Cost: about 40 operations per block. Memory: 160 bytes. Invariant: every comparison is written so
+//! Cost: about 40 operations per block. Memory: 170 bytes. Invariant: every comparison is written so
 //! that infinity and NaN fail.
 
 use core::num::NonZeroU32;
@@ -181,8 +182,9 @@ pub struct Trial {
     attempt: Attempt,
     /// Over the whole trial.
     tally: Tally,
-    sums: Means,
     blocks: u32,
+    /// Over the trial; over what follows the time to settle once that has passed.
+    settled: Attempt,
     /// Why the last attempt could not pass.
     failed: Option<RevertReason>,
     verdict: Verdict,
@@ -198,6 +200,13 @@ fn resolution(before: &Means) -> f32 {
 struct Attempt {
     blocks: u32,
     sums: Means,
+}
+
+impl Attempt {
+    fn add(&mut self, means: &Means) {
+        self.blocks = self.blocks.saturating_add(1);
+        self.sums.add(means);
+    }
 }
 
 impl Trial {
@@ -216,8 +225,8 @@ impl Trial {
             needed: blocks_in(seconds, step_size),
             attempt: Attempt::default(),
             tally: Tally::default(),
-            sums: Means::default(),
             blocks: 0,
+            settled: Attempt::default(),
             failed: None,
             verdict: if is_judged { Verdict::Running } else { Verdict::AwaitsOperator },
         }
@@ -241,15 +250,18 @@ impl Trial {
             }
         }
         if block.is_whole() {
-            self.attempt.blocks += 1;
-            self.attempt.sums.add(&block.means);
             self.blocks = self.blocks.saturating_add(1);
-            self.sums.add(&block.means);
-            let Attempt { blocks, sums } = self.attempt;
-            let is_whole = blocks >= self.needed && self.verdict == Verdict::Running;
-            // An attempt of chance does not outweigh the rest of the trial.
-            let found = self.beyond_means(blocks, &sums, self.needed).or_else(|| {
-                is_whole.then(|| self.beyond_means(self.blocks, &self.sums, self.blocks)).flatten()
+            self.attempt.add(&block.means);
+            self.settled.add(&block.means);
+            if self.blocks == self.needed / 2 {
+                self.settled = Attempt::default();
+            }
+            let is_whole =
+                self.attempt.blocks >= self.needed && self.verdict == Verdict::Running;
+            // An attempt that passes by chance does not outweigh the rest of the trial.
+            let found = self.beyond_means(&self.attempt, self.needed).or_else(|| {
+                let settled = &self.settled;
+                is_whole.then(|| self.beyond_means(settled, settled.blocks)).flatten()
             });
             if let Some(reason) = found {
                 self.failed = Some(reason);
@@ -322,9 +334,10 @@ impl Trial {
         .map(|(_, _, reason)| reason)
     }
 
-    /// Returns why sums over `blocks` blocks exceed the limits of `needed` blocks, if they do:
-    /// whatever follows, the means will.
-    fn beyond_means(&self, blocks: u32, sums: &Means, needed: u32) -> Option<RevertReason> {
+    /// Returns why the sums of an attempt exceed the limits of `needed` blocks, if they do: whatever
+    /// follows, the means will.
+    fn beyond_means(&self, attempt: &Attempt, needed: u32) -> Option<RevertReason> {
+        let Attempt { blocks, sums } = attempt;
         let needed = needed as f32;
         let within = |sum: f32, mean: f32| sum <= mean * needed;
         if let Some(bound) = self.limits.innovation_rms
@@ -348,7 +361,7 @@ impl Trial {
             }
             let disagreement =
                 DISAGREEMENT_FACTOR * DISAGREEMENT_FACTOR * before.disagreement + resolution;
-            let unheard = blocks as f32 - sums.heard;
+            let unheard = *blocks as f32 - sums.heard;
             if before.heard > 0.5
                 && (!within(sums.disagreement, disagreement) || !within(unheard, 0.5))
             {
@@ -390,10 +403,11 @@ impl Trial {
         (self.attempt.blocks.saturating_mul(BLOCK), needed)
     }
 
-    /// Returns the sums over the blocks of the whole trial, and their number.
+    /// Returns the sums over the blocks of the trial, and their number; without those of the time to
+    /// settle once that has passed.
     #[must_use]
     pub fn sums(&self) -> (&Means, u32) {
-        (&self.sums, self.blocks)
+        (&self.settled.sums, self.settled.blocks)
     }
 
     /// Returns the means of what was in use before.

@@ -26,7 +26,7 @@ pub(super) fn resealed(mut bytes: Vec<u8>) -> Aligned {
     bytes[48..52].copy_from_slice(&crc32(&[&sections]).to_le_bytes());
     bytes[52..84].copy_from_slice(&digest(&sections));
     let sum = crc32(&[&bytes[..124]]);
-    bytes[124..128].copy_from_slice(&sum.to_le_bytes());
+    bytes[124..128].copy_from_slice(&sum.to_be_bytes());
     Aligned::new(&bytes)
 }
 
@@ -91,6 +91,26 @@ fn what_only_format_2_can_hold_survives_the_round_trip() {
         let short = package.encode(Format::Two, &mut buffer[..length]);
         assert_eq!(short, Err(EncodeError::Space), "{length}");
     }
+}
+
+/// Nodes tell packages apart by the CRC-32 of all of their bytes.
+#[test]
+fn packages_that_differ_in_their_header_only_have_different_checksums() {
+    let content = Content::new();
+    let bytes = bytes_of(&content.package());
+    let mut found = Vec::new();
+    for place in [4, 8, 12, 42] {
+        let mut other = bytes.clone();
+        other[place] ^= 1;
+        found.push(crc32(&[resealed(other).bytes()]));
+    }
+    let mut renumbered = bytes.clone();
+    set_serial(&mut renumbered, Serial { epoch: 1, version: 0 }).unwrap();
+    found.extend([crc32(&[&renumbered]), crc32(&[&bytes])]);
+    let count = found.len();
+    found.sort_unstable();
+    found.dedup();
+    assert_eq!(found.len(), count);
 }
 
 #[test]

@@ -12,9 +12,10 @@
 //! | 44..48 | step `dt`, binary32 |
 //! | 48..52 | CRC-32 of the sections |
 //! | 52..84 | digest of the sections: the first 32 bytes of their SHA-512 |
-//! | 124..128 | CRC-32 of bytes 0..124 |
+//! | 124..128 | CRC-32 of bytes 0..124, big-endian |
 //!
-//! All other bytes are zero. The signature block follows, zero if the package is not signed, so that
+//! All other bytes are zero. A little-endian CRC-32 after the bytes that it covers would leave the
+//! CRC-32 of the whole package the same for every header, and nodes tell packages apart by that. The signature block follows, zero if the package is not signed, so that
 //! the first [`CHECKED_FIRST`] bytes of a transfer tell a node in RAM whether the package is for it,
 //! new, and from its operator, before it erases anything. Cost: two short checksums, and the
 //! verification of a signature over 128 bytes.
@@ -90,7 +91,7 @@ impl Header {
         }
         let header = bytes.first_chunk::<HEADER2_LENGTH>().ok_or(too_short)?;
         let (covered, checksum) = header.split_last_chunk::<CHECKSUM_LENGTH>().ok_or(too_short)?;
-        if is_in_doubt && crc32(&[covered]) != u32::from_le_bytes(*checksum) {
+        if is_in_doubt && crc32(&[covered]) != u32::from_be_bytes(*checksum) {
             return Err(PackageError::Checksum);
         }
         // 13 words before the digest, 8 of it, 10 that are zero, and the checksum.
@@ -195,7 +196,7 @@ fn architecture(inputs: u8, count: u8, bytes: &[[u8; 4]; 4]) -> Result<Architect
 /// Writes the checksum at the end of a header.
 fn seal(header: &mut [u8; HEADER2_LENGTH]) {
     if let Some((covered, checksum)) = header.split_at_mut_checked(COVERED) {
-        let sum = crc32(&[covered]).to_le_bytes();
+        let sum = crc32(&[covered]).to_be_bytes();
         checksum.iter_mut().zip(sum).for_each(|(place, byte)| *place = byte);
     }
 }
