@@ -16,10 +16,11 @@
 //! estimate. So the innovation alone does not decide. [`super::performance`] defines the quantities.
 //!
 //! # Attempts
-//! A package passes with an attempt that lasts as long as the trial needs, if all of the trial up to
-//! then, except for the first half of the needed time, is within the same limits. An attempt that can
-//! no longer pass ends at once and the next one begins, so a short transient after the switch does no
-//! harm.
+//! A package passes with an attempt that lasts as long as the trial needs, if the whole trial up to
+//! then is within the same limits. An attempt that can no longer pass ends at once and the next one
+//! begins, so a short transient after the switch costs time and not the trial. A large one does: with a
+//! wrong output matrix the estimates of all agents move until they fit it, and the way there is its
+//! only trace.
 //! The trial ends three times that long after it has begun, or as soon as the time that is left is
 //! too short for another attempt. Blocks with too few measurements neither help nor harm.
 //!
@@ -30,7 +31,7 @@
 //! The package goes, also if nothing was in use before: an agent without a package does no harm to
 //! its neighbours, and one with a bad package may. Its reason is kept.
 //!
-//! Cost: about 40 operations per block. Memory: 170 bytes. Invariant: every comparison is written so
+//! Cost: about 40 operations per block. Memory: 160 bytes. Invariant: every comparison is written so
 //! that infinity and NaN fail.
 
 use core::num::NonZeroU32;
@@ -182,9 +183,7 @@ pub struct Trial {
     attempt: Attempt,
     /// Over the whole trial.
     tally: Tally,
-    blocks: u32,
-    /// Over the trial; over what follows the time to settle once that has passed.
-    settled: Attempt,
+    whole: Attempt,
     /// Why the last attempt could not pass.
     failed: Option<RevertReason>,
     verdict: Verdict,
@@ -195,7 +194,7 @@ fn resolution(before: &Means) -> f32 {
     RESOLUTION * RESOLUTION * before.output
 }
 
-/// Sums over the blocks of an attempt.
+/// Sums over the blocks of an attempt, or of all of the trial.
 #[derive(Clone, Copy, Debug, Default)]
 struct Attempt {
     blocks: u32,
@@ -225,8 +224,7 @@ impl Trial {
             needed: blocks_in(seconds, step_size),
             attempt: Attempt::default(),
             tally: Tally::default(),
-            blocks: 0,
-            settled: Attempt::default(),
+            whole: Attempt::default(),
             failed: None,
             verdict: if is_judged { Verdict::Running } else { Verdict::AwaitsOperator },
         }
@@ -241,7 +239,7 @@ impl Trial {
         if let Some(reason) = self.beyond_limits(&self.tally) {
             return self.fail(reason);
         }
-        if let Some(before) = self.before.as_ref().filter(|_| self.blocks == 0) {
+        if let Some(before) = self.before.as_ref().filter(|_| self.whole.blocks == 0) {
             let limit = SWITCH_FACTOR * SWITCH_FACTOR * before.innovation + resolution(before);
             // Written so that NaN fails.
             let is_within = block.means.innovation <= limit;
@@ -250,23 +248,17 @@ impl Trial {
             }
         }
         if block.is_whole() {
-            self.blocks = self.blocks.saturating_add(1);
             self.attempt.add(&block.means);
-            self.settled.add(&block.means);
-            if self.blocks == self.needed / 2 {
-                self.settled = Attempt::default();
-            }
-            let is_whole =
-                self.attempt.blocks >= self.needed && self.verdict == Verdict::Running;
+            self.whole.add(&block.means);
+            let is_done = self.attempt.blocks >= self.needed && self.verdict == Verdict::Running;
             // An attempt that passes by chance does not outweigh the rest of the trial.
             let found = self.beyond_means(&self.attempt, self.needed).or_else(|| {
-                let settled = &self.settled;
-                is_whole.then(|| self.beyond_means(settled, settled.blocks)).flatten()
+                is_done.then(|| self.beyond_means(&self.whole, self.whole.blocks)).flatten()
             });
             if let Some(reason) = found {
                 self.failed = Some(reason);
                 self.attempt = Attempt::default();
-            } else if is_whole {
+            } else if is_done {
                 self.verdict = Verdict::Passed;
                 return self.verdict;
             }
@@ -334,7 +326,7 @@ impl Trial {
         .map(|(_, _, reason)| reason)
     }
 
-    /// Returns why the sums of an attempt exceed the limits of `needed` blocks, if they do: whatever
+    /// Returns why the sums exceed the limits of `needed` blocks, if they do: whatever
     /// follows, the means will.
     fn beyond_means(&self, attempt: &Attempt, needed: u32) -> Option<RevertReason> {
         let Attempt { blocks, sums } = attempt;
@@ -403,11 +395,10 @@ impl Trial {
         (self.attempt.blocks.saturating_mul(BLOCK), needed)
     }
 
-    /// Returns the sums over the blocks of the trial, and their number; without those of the time to
-    /// settle once that has passed.
+    /// Returns the sums over the blocks of the whole trial, and their number.
     #[must_use]
     pub fn sums(&self) -> (&Means, u32) {
-        (&self.settled.sums, self.settled.blocks)
+        (&self.whole.sums, self.whole.blocks)
     }
 
     /// Returns the means of what was in use before.

@@ -1,6 +1,6 @@
 //! Decodes packages.
 
-use super::wire::{CONSTANTS, Counts, Metadata};
+use super::wire::{CONSTANTS, Counts, Metadata, WORD, take};
 use super::{
     AgentConfig, Envelope, HEADER_LENGTH, Package, PackageError, TEST_VECTORS_MAX, sections,
 };
@@ -10,9 +10,6 @@ use crate::observer::outer_law::OuterLawParams;
 use crate::observer::projection::ProjectionParams;
 use crate::observer::trigger::TriggerParams;
 use crate::wire::codec;
-
-/// Bytes in a number, and its alignment.
-pub(super) const WORD: usize = size_of::<f32>();
 
 #[cfg(target_endian = "big")]
 compile_error!("packages are used in place and their numbers are little-endian");
@@ -84,15 +81,6 @@ fn numbers<'a>(body: &[u8], rest: &'a [u8]) -> Result<&'a [f32], PackageError> {
         return Err(PackageError::Malformed);
     }
     bytemuck::try_cast_slice(words).map_err(|_| PackageError::Alignment)
-}
-
-/// Takes the next `count` numbers.
-#[inline(never)]
-pub(super) fn take<'a>(numbers: &mut &'a [f32], count: usize) -> &'a [f32] {
-    // The caller has checked the total count.
-    let (taken, rest) = numbers.split_at_checked(count).unwrap_or_default();
-    *numbers = rest;
-    taken
 }
 
 /// Assembles the package from the numbers, which are finite and match `counts`.

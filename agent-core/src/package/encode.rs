@@ -1,8 +1,7 @@
 //! Encodes packages, in format 1 and by way of the other module in format 2.
 
-use super::decode::WORD;
 use super::envelope::header;
-use super::wire::{Counts, Metadata};
+use super::wire::{Counts, Metadata, WORD};
 use super::{Format, HEADER_LENGTH, Package, TEST_VECTORS_MAX, test_vector_length};
 use crate::AgentId;
 

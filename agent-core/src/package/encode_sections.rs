@@ -1,8 +1,8 @@
 //! Encodes packages in format 2.
 
-use super::decode::WORD;
 use super::header::{CHECKED_FIRST, HEADER2_LENGTH, Header, digest};
 use super::sections::{SECTION_HEADER_LENGTH, kind};
+use super::wire::WORD;
 use super::{EncodeError, Package, Provenance};
 use crate::wire::crc::crc32;
 

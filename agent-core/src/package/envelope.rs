@@ -19,16 +19,12 @@
 //! Invariant: of two byte strings that differ in one bit, at most one is an envelope.
 
 use super::header::{DIGEST_LENGTH, HEADER2_LENGTH, Header, digest_in};
-use super::{Format, PackageError};
-use crate::package::signature::SIGNATURE_LENGTH;
+use super::signature::{SIGNATURE_BLOCK_LENGTH, SIGNATURE_LENGTH};
+use super::{Format, MAGIC, PackageError};
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 
-/// Magic number of every package: observer weight package.
-pub const MAGIC: [u8; 3] = *b"OWP";
 /// Length of the header of format 1. \[bytes\]
 pub const HEADER_LENGTH: usize = 12;
-/// Length of a signature with its checksum. \[bytes\]
-pub const SIGNATURE_BLOCK_LENGTH: usize = SIGNATURE_LENGTH + CHECKSUM_LENGTH;
 
 /// Length of the part of the header of format 1 that its checksum covers.
 const COVERED_LENGTH: usize = HEADER_LENGTH - CHECKSUM_LENGTH;
@@ -145,6 +141,25 @@ fn signature_in(
         return Err(damaged);
     }
     Ok(signature)
+}
+
+impl Format {
+    /// Returns the format of the package that starts with `bytes`, of which it needs four.
+    ///
+    /// # Errors
+    /// [`PackageError::Length`], [`PackageError::Magic`] or [`PackageError::FormatVersion`].
+    pub fn of(bytes: &[u8]) -> Result<Self, PackageError> {
+        let too_short = PackageError::Length { expected: MAGIC.len() + 1, found: bytes.len() };
+        let &[m0, m1, m2, number] = bytes.first_chunk().ok_or(too_short)?;
+        if [m0, m1, m2] != MAGIC {
+            return Err(PackageError::Magic);
+        }
+        match number {
+            1 => Ok(Self::One),
+            2 => Ok(Self::Two),
+            found => Err(PackageError::FormatVersion { found }),
+        }
+    }
 }
 
 impl Envelope<'_> {

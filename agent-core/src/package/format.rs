@@ -1,7 +1,7 @@
 //! The versions of the format of packages.
 
-use super::PackageError;
-use super::envelope::MAGIC;
+/// Magic number of every package: observer weight package.
+pub const MAGIC: [u8; 3] = *b"OWP";
 
 /// A version of the format. Both are read everywhere; [`Format::NEWEST`] is written unless a node
 /// with older firmware needs the first.
@@ -23,23 +23,6 @@ impl Format {
         match self {
             Self::One => 1,
             Self::Two => 2,
-        }
-    }
-
-    /// Returns the format of the package that starts with `bytes`, of which it needs four.
-    ///
-    /// # Errors
-    /// [`PackageError::Length`], [`PackageError::Magic`] or [`PackageError::FormatVersion`].
-    pub fn of(bytes: &[u8]) -> Result<Self, PackageError> {
-        let too_short = PackageError::Length { expected: MAGIC.len() + 1, found: bytes.len() };
-        let &[m0, m1, m2, number] = bytes.first_chunk().ok_or(too_short)?;
-        if [m0, m1, m2] != MAGIC {
-            return Err(PackageError::Magic);
-        }
-        match number {
-            1 => Ok(Self::One),
-            2 => Ok(Self::Two),
-            found => Err(PackageError::FormatVersion { found }),
         }
     }
 

@@ -20,7 +20,7 @@
 //! new, and from its operator, before it erases anything. Cost: two short checksums, and the
 //! verification of a signature over 128 bytes.
 
-use super::envelope::SIGNATURE_BLOCK_LENGTH;
+use super::signature::SIGNATURE_BLOCK_LENGTH;
 use super::{Format, OnSwitch, PackageError, Serial};
 use crate::AgentId;
 use crate::math::activation::Activation;

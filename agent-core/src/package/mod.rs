@@ -30,6 +30,7 @@ mod format;
 mod header;
 mod neighbours;
 mod place;
+mod replay;
 pub mod sections;
 mod serial;
 pub mod signature;
@@ -39,13 +40,14 @@ mod wire;
 
 pub use accept::{Capacity, Refusal, Requirements, StepRange, accept, accept_header, check_digest};
 pub use encode::EncodeError;
-pub use envelope::{Envelope, HEADER_LENGTH, MAGIC, SIGNATURE_BLOCK_LENGTH, signature_block};
+pub use envelope::{Envelope, HEADER_LENGTH, signature_block};
 pub use error::PackageError;
-pub use format::Format;
+pub use format::{Format, MAGIC};
 pub use header::{CHECKED_FIRST, DIGEST_LENGTH, HEADER2_LENGTH, Header, digest, set_serial};
 pub use neighbours::NeighbourIds;
 pub use place::{NetworkPlace, ParamsPlace};
 pub use serial::Serial;
+pub use signature::SIGNATURE_BLOCK_LENGTH;
 pub use trial_limits::TrialLimits;
 
 use serde::{Deserialize, Serialize};

@@ -7,7 +7,7 @@
 
 use core::ops::Range;
 
-use super::decode::WORD;
+use super::wire::WORD;
 use super::{AgentConfig, Package};
 use crate::agent::AgentParams;
 use crate::math::parameter::ParameterError;

@@ -17,8 +17,8 @@ use crate::observer::network::InnerNetwork;
 use crate::observer::outer_law::OuterLawParams;
 use crate::observer::projection::ProjectionParams;
 use crate::observer::trigger::TriggerParams;
-use crate::package::decode::{WORD, take};
 use crate::package::header::Header;
+use crate::package::wire::{WORD, take};
 use crate::wire::codec;
 
 /// Bytes before the content of a section.

@@ -25,8 +25,13 @@
 //! plus 157 per byte of the message; `docs/decisions/0006-signatures.md` has the measurement.
 //! Invariant: no panic for any key, signature, and message below 512 MiB.
 
+use crate::wire::crc::CHECKSUM_LENGTH;
+
 /// Length of a signature in bytes: `R`, then `S`, little-endian.
 pub const SIGNATURE_LENGTH: usize = 64;
+
+/// Length of a signature with its checksum. \[bytes\]
+pub const SIGNATURE_BLOCK_LENGTH: usize = SIGNATURE_LENGTH + CHECKSUM_LENGTH;
 
 /// Length of a public key in bytes: a compressed point of the curve.
 pub const PUBLIC_KEY_LENGTH: usize = 32;

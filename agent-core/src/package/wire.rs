@@ -6,6 +6,18 @@ use super::{NeighbourIds, OnSwitch, Provenance, test_vector_length};
 use crate::math::symmetric::MatrixForm;
 use crate::observer::network::{Architecture, INNER_LAYERS_MAX, Layer};
 
+/// Bytes in a number, and its alignment.
+pub(super) const WORD: usize = size_of::<f32>();
+
+/// Takes the next `count` numbers.
+#[inline(never)]
+pub(super) fn take<'a>(numbers: &mut &'a [f32], count: usize) -> &'a [f32] {
+    // The caller has checked the total count.
+    let (taken, rest) = numbers.split_at_checked(count).unwrap_or_default();
+    *numbers = rest;
+    taken
+}
+
 /// The contents of a body except for its numbers.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Metadata<'a> {

@@ -40,12 +40,11 @@
 //! appending writes two records, or all kinds twice after erasing one half.
 
 use super::flash::{MappedFlash, driver_error, erase_unit};
-use super::record::{Contents, KINDS, RECORD_LENGTH, Record, STATE, UNIT_LENGTH};
+use super::layout::{PAIR_LENGTH, RECORD_LENGTH};
+use super::record::{Contents, KINDS, Record, STATE, UNIT_LENGTH};
 use super::{Damage, Layout, Slot, StoreError};
 use crate::wire::sequence::is_newer;
 
-/// Length of a pair of places. \[byte\]
-pub(super) const PAIR_LENGTH: u32 = 2 * RECORD_LENGTH as u32;
 /// A note that only declares what is before it void.
 const VOID: u8 = KINDS - 1;
 /// Instead of a count of void pairs: the copies into this half are complete, and the other half does

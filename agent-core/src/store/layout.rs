@@ -1,7 +1,19 @@
-//! Positions of the slots and the journal in flash.
+//! Positions of the slots and the journal in flash, and lengths in the journal.
 
 use super::Slot;
-use super::journal::PAIR_LENGTH;
+use crate::wire::crc::CHECKSUM_LENGTH;
+
+/// Length of a record in bytes; it stands twice.
+pub const RECORD_LENGTH: usize = 64;
+
+/// Length of the part of a record before its content. \[byte\]
+pub(super) const HEADER_LENGTH: usize = 8;
+
+/// Greatest length of a note's payload. \[byte\]
+pub const NOTE_LENGTH_MAX: usize = RECORD_LENGTH - HEADER_LENGTH - CHECKSUM_LENGTH;
+
+/// Length of a pair of places. \[byte\]
+pub(super) const PAIR_LENGTH: u32 = 2 * RECORD_LENGTH as u32;
 
 /// Positions of the slots and the journal. Offsets count from the start of the flash driver's
 /// region.

@@ -66,9 +66,9 @@ mod upload;
 
 pub use error::{CheckedError, Refusal, StoreError};
 pub use flash::MappedFlash;
-pub use layout::{Layout, LayoutError, Part};
+pub use layout::{Layout, LayoutError, NOTE_LENGTH_MAX, Part, RECORD_LENGTH};
 pub use limiter::{Limiter, RateLimit};
-pub use record::{FORMAT, NOTE_LENGTH_MAX, RECORD_LENGTH, factory_record};
+pub use record::{FORMAT, factory_record};
 pub use report::{Damage, Loaded, Note, Opening, Revert};
 
 pub use crate::package::Serial;

@@ -40,18 +40,13 @@
 //! | 8, 12, 16, 20 | packages in slot A and slot B |
 //! | 28 | CRC-32 of the 28 bytes before |
 
+use super::layout::{HEADER_LENGTH, NOTE_LENGTH_MAX, RECORD_LENGTH};
 use super::{Revert, Slot};
 use crate::package::Serial;
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 
-/// Length of a record in bytes; it stands twice.
-pub const RECORD_LENGTH: usize = 64;
-
 /// Version of the record format that this crate writes.
 pub const FORMAT: u8 = 2;
-
-/// Greatest length of a note's payload. \[byte\]
-pub const NOTE_LENGTH_MAX: usize = RECORD_LENGTH - HEADER_LENGTH - CHECKSUM_LENGTH;
 
 /// Length of a record of format 1, and the unit in which the journal is read. \[byte\]
 pub(super) const UNIT_LENGTH: usize = 32;
@@ -61,7 +56,6 @@ pub(super) const KINDS: u8 = 32;
 pub(super) const STATE: u8 = 0;
 
 const FORMAT_1: u8 = 1;
-const HEADER_LENGTH: usize = 8;
 const BODY_LENGTH: usize = RECORD_LENGTH - CHECKSUM_LENGTH;
 const NO_SLOT: u8 = 0xff;
 const WAS_ACTIVATED: u8 = 1;

@@ -38,7 +38,9 @@ pub fn trial_limits(
         (Some(usual), Some(guaranteed)) => Some(usual.min(guaranteed)),
         (usual, guaranteed) => usual.or(guaranteed),
     };
-    let broadcasts_per_second = rate.filter(|rate| rate * step_size < 1.0).map(|rate| rate as f32);
+    // In single precision, as a node has them.
+    let every_step = (step_size as f32).recip();
+    let broadcasts_per_second = rate.map(|rate| rate as f32).filter(|&rate| rate < every_step);
     let limits = TrialLimits { innovation_rms, broadcasts_per_second, ..TrialLimits::NONE };
     (limits != TrialLimits::NONE).then_some(limits)
 }

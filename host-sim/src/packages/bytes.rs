@@ -10,7 +10,7 @@ use agent_core::package::{
     PackageError, Serial, check_digest, set_serial, signature_block,
 };
 
-use super::draft::encode;
+use super::encode::encode;
 use crate::files::input::{is_too_large, read_limited};
 use crate::files::output::{FileKind, OutputError, write_whole};
 use crate::signing::OperatorKey;

@@ -5,6 +5,7 @@
 //! | [`bytes`] | a package's bytes, aligned and shared, in memory and in files |
 //! | [`node`] | an agent's configuration, owned |
 //! | [`parameter`] | the core's parameter errors, in terms of scenario keys |
+//! | `encode` | the bytes of a package |
 //! | [`draft`] | the content of a package, and creating packages |
 //! | [`check`] | the node's own acceptance, for any state dimension |
 //! | [`recording`] | recorded samples, in memory and in files |
@@ -17,6 +18,7 @@
 pub mod bytes;
 pub mod check;
 pub mod draft;
+mod encode;
 pub mod node;
 pub mod parameter;
 pub mod recording;

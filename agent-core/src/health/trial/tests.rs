@@ -70,12 +70,19 @@ fn what_is_worse_fails_as_soon_as_no_attempt_can_pass() {
 }
 
 #[test]
-fn a_transient_after_the_switch_costs_an_attempt_and_not_the_trial() {
-    let transient = |second| {
-        let innovation = if second < 5 { 200.0 } else { 4.0 };
-        (Means { innovation, ..BEFORE }, Tally::default())
+fn a_short_transient_after_the_switch_costs_attempts_and_a_large_one_the_trial() {
+    let transient = |mean_square: f32| {
+        run(&LIMITS, Some(BEFORE), |second| {
+            let innovation = if second < 5 { mean_square } else { 4.0 };
+            (Means { innovation, ..BEFORE }, Tally::default())
+        })
     };
-    assert_eq!(run(&LIMITS, Some(BEFORE), transient), (Verdict::Passed, NEEDED + 4));
+    assert_eq!(transient(20.0), (Verdict::Passed, NEEDED));
+    // The second attempt is good enough, but not all blocks up to its end.
+    assert_eq!(transient(40.0), (Verdict::Passed, 4 + 2 * NEEDED));
+    let (verdict, second) = transient(200.0);
+    assert_eq!(verdict, Verdict::Failed(RevertReason::Innovation));
+    assert!(second <= 3 * NEEDED, "{second}");
 }
 
 #[test]
