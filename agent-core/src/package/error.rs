@@ -148,5 +148,5 @@ impl core::error::Error for PackageError {}
 
 /// Returns the number of a kind of section, without the bit that makes it required.
 const fn number(kind: u16) -> u16 {
-    kind & !super::sections::REQUIRED
+    kind & !super::wire::REQUIRED
 }

@@ -18,14 +18,12 @@ use crate::observer::outer_law::OuterLawParams;
 use crate::observer::projection::ProjectionParams;
 use crate::observer::trigger::TriggerParams;
 use crate::package::header::Header;
+pub use crate::package::wire::REQUIRED;
 use crate::package::wire::{WORD, take};
 use crate::wire::codec;
 
 /// Bytes before the content of a section.
 pub(super) const SECTION_HEADER_LENGTH: usize = 8;
-
-/// The bit of a kind that makes a section required.
-pub const REQUIRED: u16 = 1 << 15;
 
 /// The kinds of sections that this crate knows. Numbers are never reused.
 pub mod kind {
@@ -235,16 +233,23 @@ fn agent_config<'a>(
         threshold,
         _interval_min,
     ] = constants.first_chunk::<CONSTANTS>().unwrap_or(&[0.0; CONSTANTS]);
+    // The order in which the numbers follow each other.
+    let output_matrix = take(numbers, output_matrix);
+    let gain = gain.matrix(take(numbers, gains));
+    let outer_gain = outer_gain.matrix(take(numbers, outer_gains));
+    let edge_weights = take(numbers, header.neighbours);
+    let neighbours = bytemuck::try_cast_slice(take(numbers, header.neighbours))
+        .map_err(|_| PackageError::Alignment)?;
     Ok(AgentConfig {
         agent: header.agent,
-        output_matrix: take(numbers, output_matrix),
-        gain: gain.matrix(take(numbers, gains)),
+        output_matrix,
+        gain,
         outer_law: OuterLawParams {
-            gain: outer_gain.matrix(take(numbers, outer_gains)),
+            gain: outer_gain,
             projection: ProjectionParams { radius, boundary_layer, smoothing, smoothness },
         },
-        edge_weights: take(numbers, header.neighbours),
-        neighbours: NeighbourIds::new(bytemuck::cast_slice(take(numbers, header.neighbours))),
+        edge_weights,
+        neighbours: NeighbourIds::new(neighbours),
         trigger: TriggerParams { hold_error_weight, consensus_weight, threshold },
         step_size: header.step_size,
     })

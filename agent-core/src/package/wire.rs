@@ -9,6 +9,9 @@ use crate::observer::network::{Architecture, INNER_LAYERS_MAX, Layer};
 /// Bytes in a number, and its alignment.
 pub(super) const WORD: usize = size_of::<f32>();
 
+/// The bit of a kind that makes a section required.
+pub const REQUIRED: u16 = 1 << 15;
+
 /// Takes the next `count` numbers.
 #[inline(never)]
 pub(super) fn take<'a>(numbers: &mut &'a [f32], count: usize) -> &'a [f32] {

@@ -187,12 +187,11 @@ impl<const N: usize> Frame<N> {
     /// [`FrameError::Length`], [`FrameError::Checksum`], [`FrameError::Malformed`],
     /// [`FrameError::Version`], [`FrameError::Dimension`] or [`FrameError::NotFinite`].
     pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
-        let Body { sender, sequence, tick, payload } = decode(bytes)?;
-        let Payload::Estimate(components) = payload;
-        let found = components.len();
-        let components: [f32; N] =
-            components.into_array().map_err(|_| FrameError::Dimension { expected: N, found })?;
-        let estimate = StateVector::from(components);
+        let (Head { sender, sequence, tick, .. }, words) = decode(bytes)?;
+        let words: &[[u8; 4]; N] = words
+            .try_into()
+            .map_err(|_| FrameError::Dimension { expected: N, found: words.len() })?;
+        let estimate = StateVector::from(words.map(f32::from_le_bytes));
         if !all_finite(&estimate) {
             return Err(FrameError::NotFinite { sender });
         }
@@ -200,36 +199,44 @@ impl<const N: usize> Frame<N> {
     }
 }
 
-/// The fields after the version; `V` holds numbers.
+/// The fields between the version and the components.
 #[derive(Serialize, Deserialize)]
-struct Body<V> {
+struct Head {
     sender: AgentId,
     sequence: u32,
     tick: Tick,
-    payload: Payload<V>,
+    payload: Payload,
+    /// Number of components.
+    count: u16,
 }
 
 /// The kinds of payload.
 #[derive(Serialize, Deserialize)]
-enum Payload<V> {
-    Estimate(V),
+enum Payload {
+    Estimate,
 }
 
 // One function for all dimensions.
 fn encode(sender: AgentId, sequence: u32, tick: Tick, estimate: &[f32]) -> FrameBytes {
-    let body = Body { sender, sequence, tick, payload: Payload::Estimate(estimate) };
+    // At most INPUTS_MAX.
+    let count = estimate.len() as u16;
+    let head = Head { sender, sequence, tick, payload: Payload::Estimate, count };
     let mut buffer = [0; FRAME_LENGTH_MAX];
     // Everything fits: FRAME_LENGTH_MAX is the sum of every field's largest size.
-    let length = postcard::to_slice(&(VERSION, body), &mut buffer).map_or(0, |body| body.len());
+    let length = postcard::to_slice(&(VERSION, head), &mut buffer).map_or(0, |head| head.len());
     let mut bytes = FrameBytes::new();
     let _ = bytes.extend_from_slice(buffer.get(..length).unwrap_or_default());
+    for component in estimate {
+        let _ = bytes.extend_from_slice(&component.to_le_bytes());
+    }
     let checksum = crc32(&[&bytes]).to_le_bytes();
     let _ = bytes.extend_from_slice(&checksum);
     bytes
 }
 
-/// Decodes `bytes` without checking the components.
-fn decode(bytes: &[u8]) -> Result<Body<Numbers>, FrameError> {
+/// Decodes `bytes` without checking the components, which it returns as words in place: taking
+/// them through a vector would copy them four times.
+fn decode(bytes: &[u8]) -> Result<(Head, &[[u8; 4]]), FrameError> {
     let length = FrameError::Length { found: bytes.len() };
     if bytes.len() > FRAME_LENGTH_MAX {
         return Err(length);
@@ -242,7 +249,13 @@ fn decode(bytes: &[u8]) -> Result<Body<Numbers>, FrameError> {
     if version != VERSION {
         return Err(FrameError::Version { found: version });
     }
-    codec::whole(rest).ok_or(FrameError::Malformed)
+    let (head, rest) = codec::take::<Head>(rest).ok_or(FrameError::Malformed)?;
+    match rest.as_chunks() {
+        (words, []) if words.len() == usize::from(head.count) && words.len() <= INPUTS_MAX => {
+            Ok((head, words))
+        }
+        _ => Err(FrameError::Malformed),
+    }
 }
 
 #[cfg(test)]
