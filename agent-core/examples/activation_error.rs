@@ -22,7 +22,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
 
-#[path = "../src/math/activation/laws.rs"]
+#[path = "../inner-network/src/activation/laws.rs"]
 #[allow(dead_code, reason = "the unit tests use the rest of the table")]
 mod laws;
 

@@ -40,8 +40,7 @@ pub mod wire;
 #[cfg(test)]
 mod golden_bytes;
 
-/// Largest number of network inputs, and largest state dimension.
-pub const INPUTS_MAX: usize = 12;
+pub use inner_network::INPUTS_MAX;
 
 pub use agent::hold::Hold;
 pub use agent::inbox::Inbox;

@@ -18,7 +18,6 @@ use host_sim::packages::PackageBytes;
 use host_sim::scenario::{PAPER, Scenario};
 use host_sim::service::{Line, Message};
 use nix::sys::signal::Signal;
-use serde_json::Value;
 
 use crate::cli::command_line::{Folder, object, texts};
 use crate::cli::node_commands::{LONG, ended, signal, wait_until};

@@ -15,7 +15,13 @@ use proc_macro2::{Delimiter, TokenStream, TokenTree};
 use crate::step::Failure;
 
 /// The crates to check.
-const SOURCES: [&str; 4] = ["agent-core/src", "host-sim/src", "firmware-template/src", "xtask/src"];
+const SOURCES: [&str; 5] = [
+    "agent-core/src",
+    "agent-core/inner-network/src",
+    "host-sim/src",
+    "firmware-template/src",
+    "xtask/src",
+];
 
 /// A module's path from the crate root, which is empty for the root itself.
 type Module = Vec<String>;

@@ -140,7 +140,7 @@ fn build(compiler: &Compiler, machine: &Machine) -> Result<PathBuf, Failure> {
     build.args(["--target", machine.triple]).args(boards::profile()?);
     if machine.fast {
         build.args(["--config", "profile.release.opt-level=3"]);
-        build.args(["--config", "profile.release.package.agent-core.opt-level=3"]);
+        build.args(["--config", "profile.release.package.inner-network.opt-level=\"s\""]);
     }
     run(
         &format!("examination for {}", machine.core),

@@ -135,7 +135,8 @@ fn copy_workspace(to: &Path) -> Result<(), Failure> {
         copy(&top.join(file), &to.join(file))?;
     }
     let mut manifest: DocumentMut = boards::read(&top.join("Cargo.toml"))?;
-    manifest["workspace"]["members"] = value(Array::from_iter(["agent-core", "firmware-template"]));
+    manifest["workspace"]["members"] =
+        value(Array::from_iter(["agent-core", "agent-core/inner-network", "firmware-template"]));
     if let Some(workspace) = manifest["workspace"].as_table_like_mut() {
         workspace.remove("default-members");
         workspace.remove("exclude");

@@ -53,14 +53,15 @@ impl CallGraph {
     pub(crate) fn read(listing: &str) -> Self {
         let mut graph = Self::default();
         let constants = constants(listing);
+        for line in listing.lines() {
+            if let Some((address, found)) = label(line) {
+                graph.starts.insert(address, found.to_owned());
+            }
+        }
         let mut loaded = BTreeMap::new();
         let mut name = None;
         for line in listing.lines() {
-            if let Some(label) = line.strip_suffix(">:") {
-                let (address, found) = label.split_once('<').unwrap_or(("", label));
-                if let Ok(address) = u64::from_str_radix(address.trim(), 16) {
-                    graph.starts.insert(address, found.to_owned());
-                }
+            if let Some((_, found)) = label(line) {
                 graph.functions.entry(found.to_owned()).or_default();
                 name = Some(found.to_owned());
                 loaded.clear();
@@ -75,7 +76,7 @@ impl CallGraph {
                 {
                     loaded.insert(register.to_owned(), *constant);
                 }
-                function.notice(name, mnemonic, operands, &loaded);
+                function.notice(name, mnemonic, operands, &loaded, &graph.starts);
             }
         }
         graph
@@ -147,6 +148,7 @@ impl Function {
         mnemonic: &str,
         operands: &str,
         loaded: &BTreeMap<String, u32>,
+        starts: &BTreeMap<u64, String>,
     ) {
         let base = mnemonic.split('.').next().unwrap_or(mnemonic);
         match base {
@@ -176,18 +178,28 @@ impl Function {
             _ if base.starts_with('b') && !base.starts_with("bf") && !base.starts_with("bic") => {
                 // A jump to another function is a call after the frame has been freed; counting
                 // both is safe.
-                let target = operands.rsplit_once('<').map(|(_, target)| target);
-                let target = target.and_then(|target| target.strip_suffix('>'));
-                if let Some(target) = target
-                    && !target.contains('+')
-                    && target != own
-                {
+                if let Some(target) = target(operands, starts).filter(|target| *target != own) {
                     self.callees.insert(target.to_owned());
                 }
             }
             _ => {}
         }
     }
+}
+
+/// Returns address and name in `00000400 <main>:`.
+fn label(line: &str) -> Option<(u64, &str)> {
+    let (address, name) = line.strip_suffix(">:")?.split_once('<')?;
+    Some((u64::from_str_radix(address.trim(), 16).ok()?, name))
+}
+
+/// Returns the function at whose start a jump to `2000 <name>` ends. The name may be that of a
+/// constant with the same value, such as a length in `memory.x`, so the address decides.
+fn target<'s>(operands: &str, starts: &'s BTreeMap<u64, String>) -> Option<&'s str> {
+    let (before, _) = operands.rsplit_once('<')?;
+    let digits = before.trim_end().rsplit([' ', '\t']).next()?;
+    let address = u64::from_str_radix(digits.trim_start_matches("0x"), 16).ok()?;
+    starts.get(&address).map(String::as_str)
 }
 
 /// Returns the constants in the code, `606: .word 0x12345678`, by address.
@@ -279,6 +291,16 @@ mod tests {
         let names: Vec<&str> = deepest.path.iter().map(|(name, _)| name.as_str()).collect();
         assert_eq!(names, ["main", "left", "right"]);
         assert!(deepest.indirect.iter().eq(["left"]));
+    }
+
+    #[test]
+    fn a_constant_with_the_value_of_an_address_is_not_a_function() {
+        let inside = LISTING.replace("408 <main+0x8>", "408 <_weights_slot_length>");
+        let start = LISTING.replace("600 <right>\t@", "600 <_weights_slot_length>\t@");
+        for listing in [inside, start] {
+            let found = CallGraph::read(&listing).deepest("main");
+            assert_eq!(found, CallGraph::read(LISTING).deepest("main"));
+        }
     }
 
     #[test]

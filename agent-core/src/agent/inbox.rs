@@ -127,6 +127,8 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
         }
     }
 
+    // Not inlined: its references are known not to overlap.
+    #[inline(never)]
     fn keep(&mut self, neighbours: &[Neighbour], frame: &Frame<N>) -> Result<(), FrameError> {
         let sender = frame.sender;
         let unknown = FrameError::UnknownSender { sender };

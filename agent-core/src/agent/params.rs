@@ -149,9 +149,6 @@ impl<'a, const N: usize> AgentParams<'a, N> {
     pub fn ceiling(&self) -> f32 {
         /// `2^60`.
         const LARGEST: f32 = 1_152_921_504_606_846_976.0;
-        let largest = |entries: &[f32]| {
-            entries.iter().fold(1.0, |largest: f32, entry| largest.max(entry.abs()))
-        };
         let dimension = N as f32;
         let output = self.observer.output_matrix.rows().iter();
         let output = output
@@ -180,4 +177,10 @@ impl<'a, const N: usize> AgentParams<'a, N> {
     pub fn neighbours(&self) -> &'a [Neighbour] {
         self.observer.neighbours
     }
+}
+
+/// Returns the largest magnitude, at least 1.
+#[inline(never)]
+fn largest(entries: &[f32]) -> f32 {
+    entries.iter().fold(1.0, |largest: f32, entry| largest.max(entry.abs()))
 }

@@ -3,7 +3,8 @@
 //!
 //! Depends on no other module of the crate.
 
-pub mod activation;
 pub mod numeric;
 pub mod parameter;
 pub mod symmetric;
+
+pub use inner_network::activation;

@@ -5,7 +5,8 @@
 //! to it.
 
 pub mod feedback;
-pub mod network;
 pub mod outer_law;
 pub mod projection;
 pub mod trigger;
+
+pub use inner_network::network;

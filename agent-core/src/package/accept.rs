@@ -224,7 +224,8 @@ impl From<ParameterError> for Refusal {
     }
 }
 
-/// Decodes the package in `bytes` and checks it for a node with state dimension `N`.
+/// Decodes the package in `bytes` and checks it for a node with state dimension `N`. Its origin is not
+/// decoded: it is [`Provenance::NONE`](super::Provenance::NONE).
 ///
 /// # Errors
 /// The first check that fails; see [`Refusal`].
@@ -238,7 +239,7 @@ pub fn accept<'a, const N: usize>(
         check_signature(&envelope, key)?;
         check_digest(&envelope)?;
     }
-    let package = Package::from_envelope(&envelope)?;
+    let package = Package::without_origin(&envelope)?;
     check_dimension::<N>(package.dimension())?;
     let sizes = Capacity {
         features: package.features(),

@@ -1,8 +1,9 @@
 //! Decodes packages.
 
-use super::wire::{CONSTANTS, Counts, Metadata, WORD, take};
+use super::wire::{CONSTANTS, Counts, Metadata, Origin, WORD, take};
 use super::{
-    AgentConfig, Envelope, HEADER_LENGTH, Package, PackageError, TEST_VECTORS_MAX, sections,
+    AgentConfig, Envelope, HEADER_LENGTH, Package, PackageError, Provenance, TEST_VECTORS_MAX,
+    sections,
 };
 use crate::agent::region::StateBox;
 use crate::observer::network::{Architecture, InnerNetwork};
@@ -24,12 +25,12 @@ impl<'a> Package<'a> {
     }
 
     /// Decodes a package from bytes that were decoded before and have not changed since; see
-    /// [`Envelope::open_unchanged`].
+    /// [`Envelope::open_unchanged`]. Its origin is not decoded: it is [`Provenance::NONE`].
     ///
     /// # Errors
     /// Any [`PackageError`] except for checksums.
     pub fn decode_unchanged(bytes: &'a [u8]) -> Result<Self, PackageError> {
-        Self::from_envelope(&Envelope::open_unchanged(bytes)?)
+        Self::without_origin(&Envelope::open_unchanged(bytes)?)
     }
 
     /// Decodes the package in an envelope.
@@ -38,38 +39,52 @@ impl<'a> Package<'a> {
     /// Any [`PackageError`] about the body.
     pub fn from_envelope(envelope: &Envelope<'a>) -> Result<Self, PackageError> {
         match &envelope.header {
-            None => Self::from_body(envelope.body),
-            Some(header) => sections::decode(header, envelope.body),
+            None => from_body(envelope.body, Origin::Decoded),
+            Some(header) => sections::decode(header, envelope.body, Origin::Decoded),
         }
     }
 
-    /// Decodes the body of a package of format 1.
+    /// As [`Self::from_envelope`], but the origin is not decoded: it is [`Provenance::NONE`].
+    ///
+    /// # Errors
+    /// As [`Self::from_envelope`], except for an invalid origin.
     // Separate from its callers, so that the stack used only for decoding is free again afterwards.
     #[inline(never)]
-    fn from_body(body: &'a [u8]) -> Result<Self, PackageError> {
-        let (metadata, rest) = codec::take::<Metadata<'_>>(body).ok_or(PackageError::Malformed)?;
-        let numbers = numbers(body, rest)?;
-        let architecture = Architecture::new(metadata.inputs.into(), &metadata.layers)
-            .map_err(PackageError::Network)?;
-        if !(1..=architecture.inputs()).contains(&usize::from(metadata.outputs)) {
-            return Err(PackageError::Outputs { found: metadata.outputs.into() });
+    pub fn without_origin(envelope: &Envelope<'a>) -> Result<Self, PackageError> {
+        match &envelope.header {
+            None => from_body(envelope.body, Origin::Skipped),
+            Some(header) => sections::decode(header, envelope.body, Origin::Skipped),
         }
-        if usize::from(metadata.test_vectors) > TEST_VECTORS_MAX {
-            return Err(PackageError::TestVectors { found: metadata.test_vectors.into() });
-        }
-        let counts = Counts::new(&metadata, &architecture);
-        let (expected, found) = (counts.total(), numbers.len());
-        if expected != found {
-            return Err(PackageError::NumberCount { expected, found });
-        }
-        if let Some(index) = numbers.iter().position(|number| !number.is_finite()) {
-            return Err(PackageError::NotFinite { index });
-        }
-        if metadata.provenance.errors.is_some_and(|errors| !errors.is_finite()) {
-            return Err(PackageError::TrainingErrorNotFinite);
-        }
-        Ok(assemble(&metadata, architecture, &counts, numbers))
     }
+}
+
+/// Decodes the body of a package of format 1.
+#[inline(always)] // One copy for each way to read the origin.
+fn from_body(body: &[u8], origin: Origin) -> Result<Package<'_>, PackageError> {
+    let malformed = PackageError::Malformed;
+    let (metadata, rest) = codec::take::<Metadata<'_>>(body).ok_or(malformed)?;
+    let (provenance, rest) = origin.take(rest).ok_or(malformed)?;
+    let numbers = numbers(body, rest)?;
+    let architecture = Architecture::new(metadata.inputs.into(), &metadata.layers)
+        .map_err(PackageError::Network)?;
+    if !(1..=architecture.inputs()).contains(&usize::from(metadata.outputs)) {
+        return Err(PackageError::Outputs { found: metadata.outputs.into() });
+    }
+    if usize::from(metadata.test_vectors) > TEST_VECTORS_MAX {
+        return Err(PackageError::TestVectors { found: metadata.test_vectors.into() });
+    }
+    let counts = Counts::new(&metadata, &architecture);
+    let (expected, found) = (counts.total(), numbers.len());
+    if expected != found {
+        return Err(PackageError::NumberCount { expected, found });
+    }
+    if let Some(index) = numbers.iter().position(|number| !number.is_finite()) {
+        return Err(PackageError::NotFinite { index });
+    }
+    if provenance.errors.is_some_and(|errors| !errors.is_finite()) {
+        return Err(PackageError::TrainingErrorNotFinite);
+    }
+    Ok(Package { provenance, ..assemble(&metadata, architecture, &counts, numbers) })
 }
 
 /// Returns the words after the metadata: `rest` without at most three zero bytes of padding.
@@ -138,7 +153,7 @@ fn assemble<'a>(
         broadcast_interval_min,
         trained_box: StateBox { low, high },
         trial: None,
-        provenance: metadata.provenance,
+        provenance: Provenance::NONE,
         test_vectors,
     }
 }

@@ -90,7 +90,7 @@ impl Package<'_> {
 
     fn encode_body(&self, body: &mut [u8]) -> Result<usize, EncodeError> {
         let found = self.check_counts()?;
-        let length = postcard::to_slice(&self.metadata()?, body);
+        let length = postcard::to_slice(&(self.metadata()?, self.provenance), body);
         let length = length.map_err(|_| EncodeError::Space)?.len();
         let start = (HEADER_LENGTH + length).next_multiple_of(WORD) - HEADER_LENGTH;
         let end = start + WORD * found;
@@ -136,7 +136,6 @@ impl Package<'_> {
             outer_gain: self.node.outer_law.gain.form(),
             smoothness: self.node.outer_law.projection.smoothness,
             test_vectors: test_vectors as u8,
-            provenance: self.provenance,
         })
     }
 

@@ -19,7 +19,7 @@ use crate::observer::projection::ProjectionParams;
 use crate::observer::trigger::TriggerParams;
 use crate::package::header::Header;
 pub use crate::package::wire::REQUIRED;
-use crate::package::wire::{WORD, take};
+use crate::package::wire::{Origin, WORD, take};
 use crate::wire::codec;
 
 /// Bytes before the content of a section.
@@ -97,7 +97,8 @@ struct Contents<'a> {
     trained_box: &'a [f32],
     test_vectors: &'a [f32],
     trial: Option<TrialLimits>,
-    provenance: Option<Provenance<'a>>,
+    /// Undecoded.
+    provenance: Option<&'a [u8]>,
 }
 
 impl<'a> Contents<'a> {
@@ -117,7 +118,7 @@ impl<'a> Contents<'a> {
                     continue;
                 }
                 kind::PROVENANCE => {
-                    found.provenance = Some(codec::whole(content).ok_or(PackageError::Malformed)?);
+                    found.provenance = Some(content);
                     continue;
                 }
                 unknown if unknown & REQUIRED == 0 && unknown > kind::LAST => continue,
@@ -152,8 +153,12 @@ fn finite(kind: u16, numbers: &[f32]) -> Result<(), PackageError> {
 }
 
 /// Decodes the sections in `body`, with the sizes in `header`.
-#[inline(never)]
-pub(super) fn decode<'a>(header: &Header, body: &'a [u8]) -> Result<Package<'a>, PackageError> {
+#[inline(always)] // One copy for each way to read the origin.
+pub(super) fn decode<'a>(
+    header: &Header,
+    body: &'a [u8],
+    origin: Origin,
+) -> Result<Package<'a>, PackageError> {
     let sections = Contents::read(body)?;
     let architecture = header.architecture.clone();
     let (n, features) = (architecture.inputs(), architecture.features());
@@ -172,11 +177,14 @@ pub(super) fn decode<'a>(header: &Header, body: &'a [u8]) -> Result<Package<'a>,
         expect(kind, expected, numbers.len())?;
         finite(kind, numbers)?;
     }
-    let provenance = match sections.provenance {
-        // Written as no section.
-        Some(Provenance::NONE) => return Err(PackageError::Malformed),
-        Some(provenance) => provenance,
+    let provenance = match sections.provenance.map(|content| origin.take(content)) {
         None => Provenance::NONE,
+        // An unknown one is written as no section.
+        Some(Some((Provenance::NONE, []))) if matches!(origin, Origin::Decoded) => {
+            return Err(PackageError::Malformed);
+        }
+        Some(Some((provenance, []))) => provenance,
+        _ => return Err(PackageError::Malformed),
     };
     if provenance.errors.is_some_and(|errors| !errors.is_finite()) {
         return Err(PackageError::TrainingErrorNotFinite);

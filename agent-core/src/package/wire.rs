@@ -2,9 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{NeighbourIds, OnSwitch, Provenance, test_vector_length};
+use super::{NeighbourIds, OnSwitch, Provenance, TrainingErrors, test_vector_length};
 use crate::math::symmetric::MatrixForm;
 use crate::observer::network::{Architecture, INNER_LAYERS_MAX, Layer};
+use crate::wire::codec;
 
 /// Bytes in a number, and its alignment.
 pub(super) const WORD: usize = size_of::<f32>();
@@ -21,7 +22,7 @@ pub(super) fn take<'a>(numbers: &mut &'a [f32], count: usize) -> &'a [f32] {
     taken
 }
 
-/// The contents of a body except for its numbers.
+/// The contents of a body except for its origin and numbers.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Metadata<'a> {
     pub(super) version: u32,
@@ -37,8 +38,44 @@ pub(super) struct Metadata<'a> {
     pub(super) outer_gain: MatrixForm,
     pub(super) smoothness: u8,
     pub(super) test_vectors: u8,
-    #[serde(borrow)]
-    pub(super) provenance: Provenance<'a>,
+}
+
+/// Whether the origin of a package is decoded. A node has no use for it, and the code for it takes
+/// 2 kB of flash; what reads files and lines decodes it, and refuses a package whose origin is
+/// invalid.
+#[derive(Clone, Copy)]
+pub(super) enum Origin {
+    Decoded,
+    Skipped,
+}
+
+impl Origin {
+    /// Reads the origin at the start of `bytes`, which ends the metadata; returns what follows it.
+    // The caller says which, and its code for the other one is eliminated.
+    #[inline(always)]
+    pub(super) fn take(self, bytes: &[u8]) -> Option<(Provenance<'_>, &[u8])> {
+        match self {
+            Self::Decoded => codec::take(bytes),
+            Self::Skipped => skip(bytes).map(|rest| (Provenance::NONE, rest)),
+        }
+    }
+}
+
+/// Returns what follows the origin at the start of `bytes`.
+#[inline(never)]
+fn skip<'a>(bytes: &'a [u8]) -> Option<&'a [u8]> {
+    let (_, rest) = bytes.split_at_checked(size_of_val(&Provenance::NONE.scenario_hash))?;
+    let (recipe, rest) = codec::take::<u32>(rest)?;
+    let rest = rest.get(recipe as usize..)?;
+    // Seed and samples end with their first byte below 0x80.
+    let integer = |bytes: &'a [u8]| bytes.get(bytes.iter().position(|&byte| byte < 0x80)? + 1..);
+    let rest = integer(integer(rest)?)?;
+    let rest = match rest.split_first()? {
+        (0, rest) => rest,
+        (1, rest) => rest.get(size_of::<TrainingErrors>()..)?,
+        _ => return None,
+    };
+    rest.get(size_of_val(&Provenance::NONE.tool_version)..)
 }
 
 /// How many numbers a body has of each kind, in their order.

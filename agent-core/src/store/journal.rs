@@ -147,6 +147,24 @@ struct Scan {
 }
 
 impl Journal {
+    /// A journal that has not been read: it holds nothing and writes nothing.
+    pub(super) const UNREAD: Self = Self {
+        number: 0,
+        newest: None,
+        active: Half::First,
+        next_pair: 0,
+        void: 0,
+        is_alone: false,
+        kinds: 0,
+        to_repeat: 0,
+        damage: Damage { torn_places: 0, unreadable_places: 0, single_copies: 0 },
+        is_half_void: false,
+        is_unsettled: true,
+        held_by: Some(0),
+        blocked_by: Some(0),
+        in_doubt: true,
+    };
+
     /// Reads the whole commit area.
     pub(super) fn read<F: MappedFlash>(flash: &mut F, layout: &Layout) -> Self {
         let mut damage = Damage::default();

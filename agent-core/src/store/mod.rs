@@ -213,33 +213,49 @@ impl<F: MappedFlash> Store<F> {
     ///
     /// # Errors
     /// Any error of [`Layout::validate`].
-    pub fn open(mut flash: F, layout: Layout) -> Result<Self, LayoutError> {
+    pub fn open(flash: F, layout: Layout) -> Result<Self, LayoutError> {
+        let mut store = Self::closed(flash, layout)?;
+        store.read();
+        Ok(store)
+    }
+
+    /// Creates a store that has not read its journal yet: it is empty, and refuses to write, until [`Store::read`]. For
+    /// programs that create it where it stays and read it there, which takes less stack.
+    ///
+    /// # Errors
+    /// Any error of [`Layout::validate`].
+    pub fn closed(flash: F, layout: Layout) -> Result<Self, LayoutError> {
         const { assert_units::<F>() };
         let capacity = flash.capacity().min(flash.mapped().len());
         let capacity = u32::try_from(capacity).unwrap_or(u32::MAX);
         layout.validate(F::ERASE_SIZE as u32, capacity)?;
-        let journal = Journal::read(&mut flash, &layout);
-        let newest = journal.newest();
         let opening = Opening {
-            recorded: newest.is_some(),
-            damage: journal.damage(),
+            recorded: false,
+            damage: Damage::default(),
             trial_ended: None,
             settled: None,
         };
-        let contents = newest.unwrap_or(Contents::NOTHING);
-        let mut store =
-            Self { flash, layout, journal, contents, upload: None, opening, loaded: false };
-        if contents.phase == Phase::Trial {
-            let reverted = contents.rebooted();
+        let (journal, contents) = (Journal::UNREAD, Contents::NOTHING);
+        Ok(Self { flash, layout, journal, contents, upload: None, opening, loaded: false })
+    }
+
+    /// Reads the journal, as [`Store::open`] does.
+    pub fn read(&mut self) {
+        self.journal = Journal::read(&mut self.flash, &self.layout);
+        let newest = self.journal.newest();
+        self.opening.recorded = newest.is_some();
+        self.opening.damage = self.journal.damage();
+        self.contents = newest.unwrap_or(Contents::NOTHING);
+        if self.contents.phase == Phase::Trial {
+            let reverted = self.contents.rebooted();
             // The unreadable place may be the confirmation.
-            store.opening.trial_ended = Some(match store.journal.held_by() {
+            self.opening.trial_ended = Some(match self.journal.held_by() {
                 Some(offset) => Err(StoreError::Unreadable { offset }),
-                None => store.commit(reverted),
+                None => self.commit(reverted),
             });
-            store.contents = reverted;
+            self.contents = reverted;
         }
-        store.opening.settled = store.journal.settle(&mut store.flash, &store.layout);
-        Ok(store)
+        self.opening.settled = self.journal.settle(&mut self.flash, &self.layout);
     }
 
     /// Returns the result of opening.

@@ -1,13 +1,14 @@
 //! The encoding of frames, packages and messages: postcard's wire format
 //! (<https://postcard.jamesmunns.com/wire-format>), restricted to one byte string per value.
 //!
-//! postcard also accepts integers with superfluous continuation bytes. Here every decoded value is
-//! encoded again and compared, so that each value has exactly one encoding on processors of any
-//! word length and no ignored byte can differ between two copies.
+//! postcard also accepts integers with superfluous continuation bytes. Such an encoding is longer than
+//! that which postcard writes, and no other choice is left to a writer, so comparing lengths is enough:
+//! each value has exactly one encoding on processors of any word length, and no ignored byte can differ
+//! between two copies.
 //!
 //! Cost: linear in the length. Invariant: decoding never panics, whatever the bytes.
 
-use postcard::ser_flavors::Flavor;
+use postcard::ser_flavors::Size;
 use serde::{Deserialize, Serialize};
 
 /// Decodes the value at the start of `bytes` and returns it with the remaining bytes; `None` if the
@@ -19,40 +20,13 @@ where
     T: Serialize + Deserialize<'a>,
 {
     let (value, rest) = postcard::take_from_bytes::<T>(bytes).ok()?;
-    let unmatched = postcard::serialize_with_flavor(&value, Expected(bytes)).ok()?;
-    (unmatched.len() == rest.len()).then_some((value, rest))
+    let length = postcard::serialize_with_flavor(&value, Size::default()).ok()?;
+    (length == bytes.len() - rest.len()).then_some((value, rest))
 }
 
 /// Decodes the value that `bytes` hold; `None` if bytes are left over.
 pub(crate) fn whole<'a, T: Serialize + Deserialize<'a>>(bytes: &'a [u8]) -> Option<T> {
     take(bytes).and_then(|(value, rest)| rest.is_empty().then_some(value))
-}
-
-/// The bytes still to be matched while the value is encoded again.
-struct Expected<'a>(&'a [u8]);
-
-impl<'a> Flavor for Expected<'a> {
-    type Output = &'a [u8];
-
-    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
-        self.try_extend(&[byte])
-    }
-
-    #[inline(never)]
-    fn try_extend(&mut self, bytes: &[u8]) -> postcard::Result<()> {
-        // Few bytes at a time: cheaper than a comparison of whole slices.
-        for byte in bytes {
-            match self.0.split_first() {
-                Some((expected, rest)) if expected == byte => self.0 = rest,
-                _ => return Err(postcard::Error::DeserializeBadEncoding),
-            }
-        }
-        Ok(())
-    }
-
-    fn finalize(self) -> postcard::Result<&'a [u8]> {
-        Ok(self.0)
-    }
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Requests and their answers.
 
 use agent_core::health::{RevertReason, Trial, Verdict};
-use agent_core::package::Package;
+use agent_core::package::{Envelope, Package};
 use agent_core::service::{Problem, Upload, receive, split_number};
 use agent_core::store::MappedFlash;
 use agent_core::{StateVector, Tick};
@@ -103,7 +103,7 @@ impl<
 
     fn activate(&mut self) -> Answer<'static, N> {
         if self.store.staged().is_some() {
-            take(&mut self.limits.activations, self.memory.session.is_some())?;
+            take(&mut self.limits.activations, !self.memory.session.is_empty())?;
         }
         let package = self.activate_staged()?;
         self.in_use = self.store.in_use().and_then(|slot| package.in_slot(slot, &self.store));
@@ -119,7 +119,8 @@ impl<
         let slot = self.store.revert(reason.code())?;
         self.end(Verdict::Failed(reason));
         self.in_use = slot.and_then(|slot| {
-            let package = Package::decode(self.store.bytes(slot)?).ok()?;
+            let envelope = Envelope::open(self.store.bytes(slot)?).ok()?;
+            let package = Package::without_origin(&envelope).ok()?;
             Verified::of(&package, &self.requirements()).in_slot(slot, &self.store)
         });
         let version = self.in_use.map(|package| package.serial.version);
@@ -128,7 +129,7 @@ impl<
 
     /// Restarts from another estimate and informs the neighbours.
     fn start<B: Board>(&mut self, board: &mut B, estimate: &[f32]) -> Answer<'static, N> {
-        if self.memory.session.is_none() {
+        if self.memory.session.is_empty() {
             return Err(Problem::NoPackage);
         }
         let estimate: &[f32; N] = estimate.try_into().map_err(|_| Problem::Estimate)?;

@@ -30,9 +30,11 @@ impl<
     const CAPACITY: Capacity =
         Capacity { features: FEATURES, neighbours: NEIGHBOURS, gain_entries: usize::MAX };
 
-    /// Loads the package in flash, after all checks.
+    /// Reads the journal and loads the package in flash, after all checks.
+    #[inline(never)]
     pub(super) fn load(&mut self) {
         let Self { store, memory, settings, .. } = self;
+        store.read();
         let requirements = Self::required(settings, None, None);
         let mut check = |bytes: &[u8]| verified::<N>(bytes, &requirements, &mut memory.scratch);
         let loaded = store.load(&mut check);
@@ -58,7 +60,7 @@ impl<
     pub(super) fn stage_upload(&mut self) -> Result<Verified, store::CheckedError<Refusal>> {
         let Self { store, memory, settings, in_use, limits, .. } = self;
         if store.is_complete() {
-            take(&mut limits.checks, memory.session.is_some())?;
+            take(&mut limits.checks, !memory.session.is_empty())?;
         }
         let requirements = Self::required(settings, in_use.as_ref(), store.activated());
         store.stage(|bytes| verified::<N>(bytes, &requirements, &mut memory.scratch))
@@ -73,7 +75,7 @@ impl<
         let Self { store, memory, settings, in_use, limits, .. } = self;
         let requirements = Self::required(settings, in_use.as_ref(), store.activated());
         store.write(offset, bytes, |header| {
-            take(&mut limits.uploads, memory.session.is_some())?;
+            take(&mut limits.uploads, !memory.session.is_empty())?;
             // A package of format 1 is checked when it is complete.
             accept_header::<N>(header, &requirements).map_err(store::CheckedError::Refused)?;
             Ok(())
@@ -111,9 +113,13 @@ impl<
     /// session.
     #[inline(never)]
     pub(super) fn begin_session(&mut self) {
-        let old = self.memory.session.take().map(|session| session.params);
-        self.memory.session = self.session_after(old.as_ref().map_or(&[], ParamsPlace::neighbours));
-        match (&self.memory.session, &mut self.trial) {
+        let old = self.memory.session.pop().map(|session| session.params);
+        let next = self.session_after(old.as_ref().map_or(&[], ParamsPlace::neighbours));
+        if let Some(next) = next {
+            // There is room: the old one has been taken out.
+            let _ = self.memory.session.push(next);
+        }
+        match (self.memory.session.first(), &mut self.trial) {
             (Some(session), _) => {
                 let seconds = self.settings.trial.seconds.unwrap_or(SECONDS_MIN);
                 self.performance = Performance::new(seconds, session.params.step_size());
@@ -172,7 +178,7 @@ impl<
     ) -> Option<bool> {
         let Self { store, memory, next_tick, counts, .. } = self;
         let Memory { agent, session, .. } = &mut **memory;
-        let session = session.as_ref()?;
+        let session = session.first()?;
         let bytes = session.bytes(store);
         let params = session.params.params(bytes)?;
         let weights = session.outer_weights(bytes);

@@ -116,7 +116,8 @@ pub struct Memory<
     const SAMPLES: usize,
 > {
     agent: Agent<N, FEATURES, NEIGHBOURS>,
-    session: Option<Session<N, NEIGHBOURS>>,
+    /// At most one. An empty vector is all zeros, so a static memory takes no flash; `None` is not.
+    session: heapless::Vec<Session<N, NEIGHBOURS>, 1>,
     samples: CaptureRing<N, SAMPLES>,
     /// Working memory for checking packages.
     scratch: Scratch,
@@ -134,7 +135,12 @@ impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize, const SAMPL
             begun: false,
             announced: false,
         };
-        Self { agent, session: None, samples: CaptureRing::new(), scratch: Scratch::NEW }
+        Self {
+            agent,
+            session: heapless::Vec::new(),
+            samples: CaptureRing::new(),
+            scratch: Scratch::NEW,
+        }
     }
 }
 
@@ -294,15 +300,15 @@ impl<
         Ok(place.write(Self::open(flash, settings, memory)?))
     }
 
-    /// Creates the node without loading a package.
+    /// Creates the node without reading its flash.
     fn open(
         flash: F,
         settings: Settings,
         memory: &'m mut Memory<N, FEATURES, NEIGHBOURS, SAMPLES>,
     ) -> Result<Self, LayoutError> {
-        let store = Store::open(flash, settings.layout)?;
+        let store = Store::closed(flash, settings.layout)?;
         memory.agent.begun = false;
-        memory.session = None;
+        memory.session.clear();
         memory.samples.clear();
         Ok(Self {
             store,
@@ -378,7 +384,7 @@ impl<
             }
             Due::Session => {
                 self.begin_session();
-                if let Some(session) = &self.memory.session {
+                if let Some(session) = self.memory.session.first() {
                     board.start(session.params.step_size());
                 }
                 self.due = Due::Turn;
@@ -484,7 +490,7 @@ impl<
     }
 
     fn current_report(&self) -> Report {
-        let step_size = self.memory.session.as_ref().map(|session| session.params.step_size());
+        let step_size = self.memory.session.first().map(|session| session.params.step_size());
         let performance = self.performance.means().zip(step_size);
         Report {
             performance: performance

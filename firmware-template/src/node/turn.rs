@@ -24,7 +24,7 @@ impl<
         // No tick follows the last one, which a node reaches after 10^8 years.
         let tick = self.next_tick.saturating_add(Tick::from(periods.max(1)) - 1);
         self.next_tick = tick.saturating_add(1);
-        if let Some(session) = &self.memory.session {
+        if let Some(session) = self.memory.session.first() {
             self.limits.advance(periods, session.params.step_size());
         }
         // A chip that stands still while it erases has missed these ticks through no fault of the
@@ -53,7 +53,7 @@ impl<
     fn step<B: Board>(&mut self, board: &mut B, tick: Tick) -> (Outcome, Option<Sample<N>>) {
         let Self { memory, store, health, counts, performance, trial, .. } = self;
         let Memory { agent, session, .. } = &mut **memory;
-        let Some(session) = session else { return (Outcome::NoPackage, None) };
+        let Some(session) = session.first() else { return (Outcome::NoPackage, None) };
         let bytes = session.bytes(store);
         let Some(params) = session.params.params(bytes) else { return (Outcome::NoPackage, None) };
         agent.announce(&params, board, counts);
@@ -132,7 +132,7 @@ impl<
         outcome: Outcome,
         sample: Option<&Sample<N>>,
     ) {
-        if let Some(session) = &self.memory.session
+        if let Some(session) = self.memory.session.first()
             && let Some(counters) = self.health.due(&session.health_params, tick)
         {
             respond::<B, N>(board, &Response::Health { tick, counters });
@@ -144,7 +144,7 @@ impl<
         if !agent_core::agent::capture::is_due(tick, every) {
             return;
         }
-        let agent = self.memory.session.as_ref().map(|_| &self.memory.agent);
+        let agent = self.memory.session.first().map(|_| &self.memory.agent);
         let outer_weights = agent.filter(|_| self.subscription.outer_weights);
         let state = State {
             tick,

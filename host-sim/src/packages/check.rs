@@ -17,9 +17,11 @@ pub fn check<'b>(
     let inputs = bytes.architecture().inputs();
     let mut scratch = Scratch::NEW;
     // The last arm is unreachable: `Architecture` bounds the number of inputs.
-    with_dimension!(
+    let accepted = with_dimension!(
         inputs,
         accept(bytes.as_bytes(), requirements, &mut scratch),
         else Err(Refusal::Package(PackageError::Malformed))
-    )
+    );
+    // A node does not decode the origin.
+    accepted.map(|_| bytes.package())
 }

@@ -58,15 +58,30 @@ type LoopNode = Node<'static, RamFlash, N, FEATURES, NEIGHBOURS, SAMPLES>;
 
 static MEMORY: ConstStaticCell<Memory<N, FEATURES, NEIGHBOURS, SAMPLES>> =
     ConstStaticCell::new(Memory::new());
+static NODE: StaticCell<LoopNode> = StaticCell::new();
 static LOOP: StaticCell<Loop> = StaticCell::new();
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
+    let Some(port) = Port::open() else { exit(EXIT_NO_CHANNEL) };
+    let Some(board) = in_the_loop(port) else { exit(EXIT_MEMORY) };
+    match node() {
+        Ok(node) => node.run(board),
+        Err(code) => exit(code),
+    }
+    // The emulator would keep them open across the reset.
+    board.port().close();
+    SCB::sys_reset()
+}
+
+/// Creates the node in its static. Not inlined, so that the stack it takes is free again afterwards.
+#[inline(never)]
+fn node() -> Result<&'static mut LoopNode, usize> {
     let region = memory_map!().region();
     // SAFETY: memory.x reserves this region, and this is the only call.
     let flash = unsafe { RamFlash::new(&region) };
     // With an invalid key no signature can be verified, so the node must not start.
-    let Ok(public_key) = on_chip::public_key() else { exit(EXIT_KEY) };
+    let public_key = on_chip::public_key().map_err(|_| EXIT_KEY)?;
     let settings = Settings {
         layout: region.layout,
         public_key,
@@ -83,16 +98,9 @@ fn main() -> ! {
         start: on_chip::start(ResetCause::Unknown),
         version: [0, 1, 0],
     };
-    let Some(port) = Port::open() else { exit(EXIT_NO_CHANNEL) };
-    let (Some(board), Some(memory)) = (in_the_loop(port), MEMORY.try_take()) else {
-        exit(EXIT_MEMORY)
-    };
-    let mut node = LoopNode::new(flash, settings, memory);
-    let Ok(node) = &mut node else { exit(EXIT_LAYOUT) };
-    node.run(board);
-    // The emulator would keep them open across the reset.
-    board.port().close();
-    SCB::sys_reset()
+    let memory = MEMORY.try_take().ok_or(EXIT_MEMORY)?;
+    let place = NODE.try_uninit().ok_or(EXIT_MEMORY)?;
+    LoopNode::new_in(place, flash, settings, memory).map_err(|_| EXIT_LAYOUT)
 }
 
 /// Places the board in its static. Not inlined, so that the stack of the copy is free again

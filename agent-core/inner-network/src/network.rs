@@ -17,7 +17,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::INPUTS_MAX;
-use crate::math::activation::Activation;
+use crate::activation::Activation;
 
 /// Largest number of inner layers.
 pub const INNER_LAYERS_MAX: usize = 8;
@@ -43,13 +43,14 @@ impl Layer {
 /// 18 bytes, copied without a loop, because a node builds a network from it in every step.
 ///
 /// ```
-/// use agent_core::{Activation, Architecture, Layer};
+/// use inner_network::activation::Activation;
+/// use inner_network::network::{Architecture, Layer};
 ///
 /// let layer = |width| Layer { width, activation: Activation::Tanh };
 /// let architecture = Architecture::new(3, &[layer(10), layer(5)])?;
 /// assert_eq!(architecture.features(), 5);
 /// assert_eq!(architecture.parameter_count(), (3 + 1) * 10 + (10 + 1) * 5);
-/// # Ok::<(), agent_core::observer::network::NetworkError>(())
+/// # Ok::<(), inner_network::network::NetworkError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Architecture {
@@ -179,8 +180,9 @@ impl Architecture {
 /// vector on the host.
 ///
 /// ```
-/// use agent_core::observer::network::Scratch;
-/// use agent_core::{Activation, Architecture, InnerNetwork, Layer};
+/// use inner_network::network::Scratch;
+/// use inner_network::activation::Activation;
+/// use inner_network::network::{Architecture, InnerNetwork, Layer};
 ///
 /// let layers = [Layer { width: 1, activation: Activation::Tanh }];
 /// let architecture = Architecture::new(2, &layers)?;
@@ -190,7 +192,7 @@ impl Architecture {
 /// let mut scratch = Scratch::NEW;
 /// assert_eq!(network.features(&[4.0, 4.0], &mut scratch), Some(&[0.0][..]));
 /// assert_eq!(network.features(&[4.0], &mut scratch), None); // the wrong length
-/// # Ok::<(), agent_core::observer::network::NetworkError>(())
+/// # Ok::<(), inner_network::network::NetworkError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct InnerNetwork<S> {
@@ -216,7 +218,7 @@ impl<S: AsRef<[f32]>> InnerNetwork<S> {
     }
 
     /// Creates a network from parameters whose count and finiteness have already been checked.
-    pub(crate) fn verified(architecture: Architecture, parameters: S) -> Self {
+    pub fn verified(architecture: Architecture, parameters: S) -> Self {
         Self { architecture, parameters }
     }
 

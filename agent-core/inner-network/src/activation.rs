@@ -1,13 +1,13 @@
 //! Activation functions in software, the same bits on every target.
 //!
 //! `tanh(x)`, the logistic `1 / (1 + exp(-x))` and the Gaussian `exp(-x^2)`: the functions
-//! phi of equation `Phi func`, which [`crate::observer::network`] applies to every node. They are
+//! phi of equation `Phi func`, which [`crate::network`] applies to every node. They are
 //! built only from IEEE 754 binary32 addition, subtraction, multiplication, division,
 //! comparison and bit casts, in a fixed order and without fused multiply-add, so a
 //! desktop's vector unit, an M4F and a soft-float M0 agree to the last bit.
 //!
 //! ```
-//! use agent_core::Activation;
+//! use inner_network::activation::Activation;
 //!
 //! let mut values = [-1.0, 0.0, 1.0];
 //! Activation::Tanh.apply(&mut values);
@@ -54,7 +54,7 @@
 //! - Gaussian is even to the bit, never increases with `|x|`, and stays in [0, 1].
 //! - Infinities give the limits (1, -1, 0). NaN gives NaN, but *which* NaN differs between
 //!   processors: callers refuse input that is not finite, as
-//!   [`InnerNetwork::new`](crate::observer::network::InnerNetwork::new) does with parameters.
+//!   [`InnerNetwork::new`](crate::network::InnerNetwork::new) does with parameters.
 //!
 //! Why `tanh` never decreases: from 0.55 on every operation is a rounded monotone function
 //! (the coefficients of Q are all positive), and so is their composition, however it is
