@@ -16,16 +16,15 @@
 //! estimate. So the innovation alone does not decide. [`super::performance`] defines the quantities.
 //!
 //! # Attempts
-//! A package passes with an attempt that lasts as long as the trial needs, if the whole trial up to
-//! then is within the same limits. An attempt that can no longer pass ends at once and the next one
-//! begins, so a short transient after the switch costs time and not the trial. A large one does: with a
-//! wrong output matrix the estimates of all agents move until they fit it, and the way there is its
-//! only trace.
+//! A package passes with an attempt that lasts as long as the trial needs. An attempt that can no
+//! longer pass ends at once and the next one begins, so a transient after the switch does no harm.
 //! The trial ends three times that long after it has begun, or as soon as the time that is left is
 //! too short for another attempt. Blocks with too few measurements neither help nor harm.
 //!
 //! Without a bound of the innovation, and without a record of what was in use before, nothing tells
-//! a bad package from a good one: then only the operator can confirm it, before the deadline.
+//! a bad package from a good one: then only the operator can confirm it, before the deadline. The same
+//! holds for a package with another output matrix than the one before: it changes what the innovation
+//! is, and a wrong one can make all agents agree on a wrong state.
 //!
 //! # What happens at the deadline
 //! The package goes, also if nothing was in use before: an agent without a package does no harm to
@@ -99,7 +98,8 @@ pub enum RevertReason {
     Faults,
     /// Too few measurements before the deadline.
     Measurements,
-    /// Nothing to compare with, and no confirmation by the operator before the deadline.
+    /// Nothing to compare with, or another output matrix than before, and no confirmation by the
+    /// operator before the deadline.
     NotConfirmed,
     /// No agent can be made of the package.
     Unusable,
@@ -230,6 +230,13 @@ impl Trial {
         }
     }
 
+    /// Leaves the trial to the operator, for a package that what was in use before does not compare
+    /// with. Limits of the whole trial still apply.
+    #[must_use]
+    pub fn left_to_operator(self) -> Self {
+        Self { verdict: Verdict::AwaitsOperator, ..self }
+    }
+
     /// Records a block that ended with the step at `tick`, and what happened in it.
     pub fn end_block(&mut self, block: &Block, tally: &Tally, tick: Tick) -> Verdict {
         if self.is_over() {
@@ -250,15 +257,10 @@ impl Trial {
         if block.is_whole() {
             self.attempt.add(&block.means);
             self.whole.add(&block.means);
-            let is_done = self.attempt.blocks >= self.needed && self.verdict == Verdict::Running;
-            // An attempt that passes by chance does not outweigh the rest of the trial.
-            let found = self.beyond_means(&self.attempt, self.needed).or_else(|| {
-                is_done.then(|| self.beyond_means(&self.whole, self.whole.blocks)).flatten()
-            });
-            if let Some(reason) = found {
+            if let Some(reason) = self.cannot_pass() {
                 self.failed = Some(reason);
                 self.attempt = Attempt::default();
-            } else if is_done {
+            } else if self.attempt.blocks >= self.needed && self.verdict == Verdict::Running {
                 self.verdict = Verdict::Passed;
                 return self.verdict;
             }
@@ -281,12 +283,10 @@ impl Trial {
         if left >= needed {
             return self.verdict;
         }
-        let undecided = if self.verdict == Verdict::AwaitsOperator {
-            RevertReason::NotConfirmed
-        } else {
-            RevertReason::Measurements
-        };
-        self.fail(self.failed.unwrap_or(undecided))
+        match self.verdict {
+            Verdict::AwaitsOperator => self.fail(RevertReason::NotConfirmed),
+            _ => self.fail(self.failed.unwrap_or(RevertReason::Measurements)),
+        }
     }
 
     /// Records what has happened in an unfinished block: a restart or an overflow may be one too many.
@@ -326,11 +326,11 @@ impl Trial {
         .map(|(_, _, reason)| reason)
     }
 
-    /// Returns why the sums exceed the limits of `needed` blocks, if they do: whatever
-    /// follows, the means will.
-    fn beyond_means(&self, attempt: &Attempt, needed: u32) -> Option<RevertReason> {
-        let Attempt { blocks, sums } = attempt;
-        let needed = needed as f32;
+    /// Returns why the current attempt cannot pass, whatever follows, if that is so.
+    fn cannot_pass(&self) -> Option<RevertReason> {
+        let Attempt { blocks, sums } = &self.attempt;
+        let needed = self.needed as f32;
+        // The sums of a whole attempt at its limit.
         let within = |sum: f32, mean: f32| sum <= mean * needed;
         if let Some(bound) = self.limits.innovation_rms
             && !within(sums.innovation, bound * bound)

@@ -62,6 +62,7 @@ use crate::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
 use crate::observer::network::InnerNetwork;
 use crate::observer::outer_law::OuterLawParams;
 use crate::observer::trigger::TriggerParams;
+use crate::wire::crc::crc32;
 
 /// Largest number of test vectors in a package: enough to exercise every node of a layer, few
 /// enough that a node can check them between two steps.
@@ -223,6 +224,12 @@ impl<'a> Package<'a> {
 }
 
 impl AgentConfig<'_> {
+    /// Returns the CRC-32 of `C_i`, to tell whether two packages measure the same.
+    #[must_use]
+    pub fn output_checksum(&self) -> u32 {
+        crc32(&[bytemuck::try_cast_slice(self.output_matrix).unwrap_or_default()])
+    }
+
     /// Returns `m`, the number of outputs the agent measures, for a state of `dimension`
     /// components.
     #[must_use]

@@ -106,10 +106,13 @@ impl<
             take(&mut self.limits.activations, !self.memory.session.is_empty())?;
         }
         let package = self.activate_staged()?;
+        let outputs = self.in_use.map(|package| package.outputs);
         self.in_use = self.store.in_use().and_then(|slot| package.in_slot(slot, &self.store));
         let limits = self.settings.trial.tighter(&package.trial);
         let before = self.performance.reference();
-        self.trial = Some(Trial::new(&limits, before, package.step_size, self.next_tick));
+        let trial = Trial::new(&limits, before, package.step_size, self.next_tick);
+        let is_comparable = outputs.is_none_or(|outputs| outputs == package.outputs);
+        self.trial = Some(if is_comparable { trial } else { trial.left_to_operator() });
         self.health.take_tally();
         Ok((Response::InUse { version: Some(package.serial.version) }, Next::Switch))
     }

@@ -251,6 +251,8 @@ pub(super) struct Verified {
     agent: agent_core::AgentId,
     pub(super) serial: Serial,
     highest: Serial,
+    /// CRC-32 of the output matrix.
+    pub(super) outputs: u32,
     pub(super) step_size: f32,
     pub(super) trial: TrialLimits,
 }
@@ -258,9 +260,10 @@ pub(super) struct Verified {
 impl Verified {
     pub(super) fn of(package: &Package<'_>, requirements: &Requirements<'_>) -> Self {
         let AgentConfig { agent, step_size, .. } = package.node;
+        let outputs = package.node.output_checksum();
         let (serial, trial) = (package.serial(), package.trial.unwrap_or(TrialLimits::NONE));
         let highest = requirements.serial_after_activation(package);
-        Self { agent, serial, highest, step_size, trial }
+        Self { agent, serial, highest, outputs, step_size, trial }
     }
 
     /// Returns the serial of the package, and the highest one once it has been activated.
@@ -274,9 +277,9 @@ impl Verified {
         slot: store::Slot,
         store: &Store<F>,
     ) -> Option<InUsePackage> {
-        let Self { agent, serial, step_size, .. } = self;
+        let Self { agent, serial, outputs, step_size, .. } = self;
         let checksum = store.checksum(slot)?;
-        Some(InUsePackage { agent, serial, checksum, step_size, slot })
+        Some(InUsePackage { agent, serial, checksum, outputs, step_size, slot })
     }
 }
 

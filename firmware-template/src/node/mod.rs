@@ -202,6 +202,8 @@ struct InUsePackage {
     agent: agent_core::AgentId,
     serial: Serial,
     checksum: u32,
+    /// CRC-32 of its output matrix.
+    outputs: u32,
     step_size: f32,
     slot: Slot,
 }

@@ -70,19 +70,12 @@ fn what_is_worse_fails_as_soon_as_no_attempt_can_pass() {
 }
 
 #[test]
-fn a_short_transient_after_the_switch_costs_attempts_and_a_large_one_the_trial() {
-    let transient = |mean_square: f32| {
-        run(&LIMITS, Some(BEFORE), |second| {
-            let innovation = if second < 5 { mean_square } else { 4.0 };
-            (Means { innovation, ..BEFORE }, Tally::default())
-        })
+fn a_transient_after_the_switch_costs_an_attempt_and_not_the_trial() {
+    let transient = |second| {
+        let innovation = if second < 5 { 200.0 } else { 4.0 };
+        (Means { innovation, ..BEFORE }, Tally::default())
     };
-    assert_eq!(transient(20.0), (Verdict::Passed, NEEDED));
-    // The second attempt is good enough, but not all blocks up to its end.
-    assert_eq!(transient(40.0), (Verdict::Passed, 4 + 2 * NEEDED));
-    let (verdict, second) = transient(200.0);
-    assert_eq!(verdict, Verdict::Failed(RevertReason::Innovation));
-    assert!(second <= 3 * NEEDED, "{second}");
+    assert_eq!(run(&LIMITS, Some(BEFORE), transient), (Verdict::Passed, NEEDED + 4));
 }
 
 #[test]
@@ -140,6 +133,22 @@ fn a_bound_in_the_package_is_enough_and_the_tighter_one_applies() {
     let promise = TrialLimits { broadcasts_per_second: Some(64.0), ..LIMITS };
     let always = |_| (Means { broadcasts: 1.0, ..BEFORE }, Tally::default());
     assert_eq!(run(&promise, Some(BEFORE), always), (Verdict::Passed, NEEDED));
+}
+
+#[test]
+fn what_does_not_compare_is_left_to_the_operator_within_limits() {
+    let limits = TrialLimits { restarts: Some(2), innovation_rms: Some(9.0), ..LIMITS };
+    let trial = || Trial::new(&limits, Some(BEFORE), STEP, 0).left_to_operator();
+    let (block, tally) = (Block { taken: BLOCK, means: BEFORE }, Tally::default());
+    let mut good = trial();
+    for second in 1..3 * NEEDED {
+        let tick = Tick::from(BLOCK * second) - 1;
+        assert_eq!(good.end_block(&block, &tally, tick), Verdict::AwaitsOperator, "{second}");
+    }
+    let end = Tick::from(3 * NEEDED * BLOCK);
+    assert_eq!(good.at(end), Verdict::Failed(RevertReason::NotConfirmed));
+    let restarts = Tally { restarts: 3, ..tally };
+    assert_eq!(trial().happened(&restarts), Verdict::Failed(RevertReason::Restarts));
 }
 
 #[test]
