@@ -37,8 +37,9 @@ struct Machine {
     name: &'static str,
     core: &'static str,
     triple: &'static str,
-    /// Compiled for speed throughout, with other inlining and instruction order than the firmware.
-    fast: bool,
+    /// Compiled at other optimisation levels than the firmware: the network for size, the rest for
+    /// speed. Inlining and instruction order differ, and the bits must not.
+    swapped: bool,
     /// Whether the program's machine code is inspected.
     inspected: bool,
     /// Budgets of figures, by the program's name for them.
@@ -47,8 +48,8 @@ struct Machine {
 
 const MACHINES: [Machine; 6] = [
     Machine {
-        core: "Cortex-M4F, opt-level 3",
-        fast: true,
+        core: "Cortex-M4F, swapped levels",
+        swapped: true,
         inspected: true,
         budgets: &[],
         ..arm("mps2-an386", "thumbv7em-none-eabihf")
@@ -79,7 +80,7 @@ const fn arm(name: &'static str, triple: &'static str) -> Machine {
         name,
         core: "",
         triple,
-        fast: false,
+        swapped: false,
         inspected: false,
         budgets: &[],
     }
@@ -138,7 +139,7 @@ fn build(compiler: &Compiler, machine: &Machine) -> Result<PathBuf, Failure> {
     let mut build = cargo("build");
     build.args(["--quiet", "--package", "on-target", "--bin", "on-target"]);
     build.args(["--target", machine.triple]).args(boards::profile()?);
-    if machine.fast {
+    if machine.swapped {
         build.args(["--config", "profile.release.opt-level=3"]);
         build.args(["--config", "profile.release.package.inner-network.opt-level=\"s\""]);
     }
@@ -208,7 +209,7 @@ fn examine(machine: &Machine, program: &Path) -> Result<String, Failure> {
                         "{name}: {figure} takes up to {} instructions, exceeding {budget}",
                         found.largest
                     ),
-                    "look for what became slower in agent-core's machine code",
+                    "look for what became slower in the machine code",
                 ));
             }
             None => return Err(failed(format!("no instruction count for {figure}"))),

@@ -48,12 +48,12 @@ fn measurement(tick: u32) -> f32 {
 
 /// Returns the broadcast of neighbour `id` at `tick`, if any: both have their own pace.
 fn frame(id: u32, tick: u32) -> Option<FrameBytes> {
-    let period = 7 + 6 * u32::from(id);
+    let period = 7 + 6 * id;
     let sequence = tick / period;
     if !tick.is_multiple_of(period) {
         return None;
     }
-    let phase = tick + 300 * u32::from(id);
+    let phase = tick + 300 * id;
     let estimate = [
         scaled(triangle(phase, 1_500), 10),
         scaled(triangle(phase + 1_500, 2_000), 9),

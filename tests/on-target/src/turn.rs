@@ -209,7 +209,7 @@ impl<M: Meter> Board for Bench<'_, M> {
 
 /// Returns the frame of neighbour `id` before a turn.
 fn frame(id: u32, turn: u32) -> FrameBytes {
-    let phase = turn + 100 * u32::from(id);
+    let phase = turn + 100 * id;
     let estimate = [
         scaled(triangle(phase, 300), 8),
         scaled(triangle(phase + 75, 300), 8),

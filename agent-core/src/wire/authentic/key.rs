@@ -42,7 +42,7 @@ impl NetworkKey {
     /// passed off as another agent's.
     pub(super) fn tag(&self, sender: AgentId, bytes: &[u8]) -> u64 {
         let [l0, l1, l2, l3, l4] = LABEL;
-        let [s0, s1, s2, s3] = u32::from(sender).to_le_bytes();
+        let [s0, s1, s2, s3] = sender.to_le_bytes();
         let purpose = [l0, l1, l2, l3, l4, s0, s1, s2, s3];
         let derived = Derivation::new_with_key(&self.key).hash(&purpose).as_bytes();
         SipHasher24::new_with_key(&derived).hash(bytes)

@@ -11,8 +11,8 @@ use embedded_hal::i2c::{
 };
 use firmware_template::held_bus::free_bus;
 use hal::i2c;
-use hal::pac::{GPIOB, I2C1, gpiob};
 use hal::pac::i2c1::sr1;
+use hal::pac::{GPIOB, I2C1, gpiob};
 use stm32f4xx_hal as hal;
 
 /// I2C1.
