@@ -202,7 +202,7 @@ fn change_record<R>(change: impl FnOnce(&mut BootRecord) -> R) -> R {
 }
 
 /// Defines handlers that reset the processor after a panic or a fault, and record it
-/// for [`start`]. The program needs the crates
+/// for `start`. The program needs the crates
 /// `cortex-m` and `cortex-m-rt`.
 #[macro_export]
 macro_rules! reset_on_fault {
