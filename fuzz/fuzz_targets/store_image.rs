@@ -16,7 +16,7 @@ use libfuzzer_sys::arbitrary::{self, Arbitrary};
 use libfuzzer_sys::fuzz_target;
 use test_support::nor_flash::{Fault, SimulatedFlash, Tear};
 use test_support::store_model::{
-    any_header, check, serials, erased_flash, format_1_record, layout, length, package,
+    any_header, check, erased_flash, format_1_record, layout, length, package, serials,
 };
 
 /// Packages with this number or a higher one are intact but refused by every check.
@@ -103,7 +103,10 @@ enum Call {
     Confirm,
     Revert,
     /// Records a note.
-    Note { kind: u8, byte: u8 },
+    Note {
+        kind: u8,
+        byte: u8,
+    },
     CountBoot,
     /// All calls up to the staged package.
     Upload {

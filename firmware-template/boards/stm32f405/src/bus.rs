@@ -116,7 +116,8 @@ impl Bus {
         // Outputs while they are clocked, and alternate functions again; they stay open-drain.
         CLOCK.set_mode(Line::OUTPUT);
         DATA.set_mode(Line::OUTPUT);
-        let Ok(_is_free) = free_bus(&mut CLOCK, &mut DATA, &mut Spin);
+        let (mut clock, mut data) = (CLOCK, DATA);
+        let Ok(_is_free) = free_bus(&mut clock, &mut data, &mut Spin);
         CLOCK.set_mode(Line::ALTERNATE);
         DATA.set_mode(Line::ALTERNATE);
         let registers = &self.registers;
