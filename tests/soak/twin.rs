@@ -13,7 +13,7 @@ use agent_core::package::StepRange;
 use agent_core::service::{Request, Subscription, send};
 use agent_core::store::{MappedFlash, Slot};
 use embedded_io::ErrorKind;
-use firmware_template::{InTheLoop, Memory, Node, Settings};
+use firmware_template::{InTheLoop, Memory, Node, Settings, Start};
 use host_sim::image::{ERASED, Image};
 use host_sim::packages::PackageBytes;
 use host_sim::service::Line;
@@ -91,7 +91,10 @@ fn started(flash: Flash) -> (JoinHandle<Flash>, UnixStream, Line) {
 /// flash.
 fn live(mut flash: Flash, socket: &UnixStream) -> Flash {
     let over = Cell::new(false);
+    // As the board counts them: in memory that a reset keeps and a loss of power does not.
+    let mut starts = 0;
     while !over.get() {
+        starts += 1;
         let settings = Settings {
             layout: region().layout(),
             public_key: None,
@@ -103,7 +106,7 @@ fn live(mut flash: Flash, socket: &UnixStream) -> Flash {
             subscription: Subscription::default(),
             fallback: None,
             stack_unused: None,
-            start: firmware_template::Start::default(),
+            start: Start { boots: Some(starts), ..Start::default() },
             version: [0, 1, 0],
         };
         let mut memory = Memory::new();
