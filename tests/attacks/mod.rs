@@ -5,6 +5,8 @@
 //! ordinary test [`every_attack_fails`] runs each with a few. `docs/threat-model.md` says who could
 //! make them.
 
+mod faults;
+mod packages;
 mod radio;
 
 use serde_json::json;
@@ -25,12 +27,18 @@ struct Outcome {
 /// An attack with a number of tries and a seed.
 type Attack = fn(u64, u64) -> Outcome;
 
-/// All attacks, with the number of tries in an ordinary test.
-const ATTACKS: &[(Attack, u64)] = &[(radio::stranger, 20_000)];
+/// All attacks, with the number of tries in an ordinary test; 0 for those whose number is fixed and
+/// that are ordinary tests of their own.
+const ATTACKS: &[(Attack, u64)] = &[
+    (radio::stranger, 20_000),
+    (packages::replayed, 20_000),
+    (packages::harmful, 0),
+    (faults::flipped_bits, 0),
+];
 
 #[test]
 fn every_attack_fails() {
-    for &(attack, tries) in ATTACKS {
+    for &(attack, tries) in ATTACKS.iter().filter(|(_, tries)| *tries > 0) {
         let outcome = attack(tries, 1);
         assert!(outcome.tries >= tries, "{outcome:?}");
         assert_eq!((outcome.accepted, outcome.harm), (0, 0), "{outcome:?}");

@@ -5,3 +5,5 @@ mod histories;
 pub(crate) mod packages;
 mod power_cuts;
 mod reading;
+
+pub(crate) use damage::flipped_bits;

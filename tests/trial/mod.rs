@@ -4,3 +4,5 @@
 mod bench;
 pub(crate) mod mutants;
 mod verdicts;
+
+pub(crate) use verdicts::harmful_packages;

@@ -109,15 +109,31 @@ fn judge(world: &World, before: &[PackageBytes], agent: usize, all: &[Mutant]) -
     counts
 }
 
-#[test]
-fn harmful_packages_are_refused_or_go_back_by_themselves() {
+/// Pushes all changed packages to each agent; returns the counts.
+fn table() -> [Counts; 3] {
     let world = World::new("better", 0);
     let before: Vec<_> = world.trained.iter().map(|package| package.renumbered(1)).collect();
-    for agent in 0..3 {
+    [0, 1, 2].map(|agent| {
         let all = mutants(&world.trained[agent], 2);
         let counts = judge(&world, &before, agent, &all);
         println!("agent {}: {} kinds: {counts:?}", agent + 1, all.len());
         assert!(all.len() >= 200, "{}", all.len());
+        counts
+    })
+}
+
+/// Returns how many packages with a harmful change were pushed, and how many of them stayed in use.
+pub(crate) fn harmful_packages() -> (u64, u64) {
+    table().iter().fold((0, 0), |(tries, confirmed), counts| {
+        let Counts { refused, reverted, marginal, harmful, .. } = counts;
+        let tried = refused + reverted + marginal.len() + harmful.len();
+        (tries + tried as u64, confirmed + harmful.len() as u64)
+    })
+}
+
+#[test]
+fn harmful_packages_are_refused_or_go_back_by_themselves() {
+    for counts in table() {
         assert!(counts.harmful.is_empty(), "{:#?}", counts.harmful);
         assert!(counts.marginal.len() <= MARGINAL_COUNT, "{:#?}", counts.marginal);
     }
