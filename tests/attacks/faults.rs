@@ -8,5 +8,5 @@ use crate::store::flipped_bits as flip;
 /// where that itself is damaged.
 pub(super) fn flipped_bits(_tries: u64, _seed: u64) -> Outcome {
     let [tries, changed, told] = flip();
-    Outcome { name: "flipped bits", tries, accepted: tries - told, harm: changed }
+    Outcome { name: "flipped-bits", tries, accepted: tries - told, harm: changed }
 }

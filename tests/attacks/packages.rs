@@ -46,12 +46,12 @@ pub(super) fn replayed(tries: u64, seed: u64) -> Outcome {
             }
         }
     }
-    Outcome { name: "replayed packages", tries: tried, accepted, harm: accepted }
+    Outcome { name: "replayed-packages", tries: tried, accepted, harm: accepted }
 }
 
 /// Pushes packages with one harmful change each to nodes that observe the paper's plant; their number
 /// is fixed. Accepted: those that stay in use although the error is more than twice that before.
 pub(super) fn harmful(_tries: u64, _seed: u64) -> Outcome {
     let (tries, confirmed) = harmful_packages();
-    Outcome { name: "harmful packages", tries, accepted: confirmed, harm: confirmed }
+    Outcome { name: "harmful-packages", tries, accepted: confirmed, harm: confirmed }
 }
