@@ -35,9 +35,10 @@ impl Writer<'_> {
         kind: u16,
         write: impl FnOnce(&mut Self) -> Result<(), EncodeError>,
     ) -> Result<(), EncodeError> {
+        // An empty section takes no space, not even that of its header.
         let start = self.length;
-        self.place(SECTION_HEADER_LENGTH)?;
-        let content = self.length;
+        let content = start.checked_add(SECTION_HEADER_LENGTH).ok_or(EncodeError::Space)?;
+        self.length = content;
         write(self)?;
         let length = self.length - content;
         if length == 0 {

@@ -95,6 +95,25 @@ fn what_only_format_2_can_hold_survives_the_round_trip() {
     }
 }
 
+/// Also without what a package may leave out, so that its last sections are empty.
+#[test]
+fn a_buffer_of_exactly_the_length_is_large_enough() {
+    let content = Content::new();
+    let whole = content.package();
+    let mut bare = Package { provenance: Provenance::NONE, trial: None, ..whole.clone() };
+    bare.test_vectors = &[];
+    for (place, package) in [whole, bare].iter().enumerate() {
+        for format in [Format::One, Format::Two] {
+            let length = encoded(format, package).bytes().len();
+            let mut room = [0x55; 1000];
+            let buffer = &mut room[..length];
+            assert_eq!(package.encode(format, buffer), Ok(length), "{place}");
+            let short = package.encode(format, &mut buffer[..length - 1]);
+            assert_eq!(short, Err(EncodeError::Space), "{place}");
+        }
+    }
+}
+
 /// Nodes tell packages apart by the CRC-32 of all of their bytes.
 #[test]
 fn packages_that_differ_in_their_header_only_have_different_checksums() {
