@@ -6,7 +6,7 @@
 //!
 //! Memory: the port, one request, `FRAMES` frames, and 512 bytes of input and output.
 
-use agent_core::service::{Numbers, Request, Response, Rows, receive, send};
+use agent_core::service::{Numbers, Request, Response, receive, respond};
 use agent_core::wire::cobs::SerialError;
 use agent_core::wire::frame::FRAME_LENGTH_MAX;
 use embedded_io::{Read, Write};
@@ -112,8 +112,7 @@ impl<P: Read + Write, const FRAMES: usize> Board for InTheLoop<P, FRAMES> {
     }
 
     fn broadcast(&mut self, frame: &[u8]) -> Result<(), LinkErrorKind> {
-        let response: Response<'_, Rows<'_, 1>> = Response::Broadcast { bytes: frame };
-        send(&response, |bytes| self.respond(bytes));
+        respond(None, &Response::Broadcast { bytes: frame }, &mut |bytes| self.respond(bytes));
         Ok(())
     }
 

@@ -85,7 +85,9 @@ impl Judge {
                 continue;
             };
             match receive::<Request<'_>>(&bytes) {
-                Some(request) => self.carried_out(&request, &mut said, &mut told, supply, tally)?,
+                Some(request) => self
+                    .carried_out(&request, &mut said, &mut told, supply, tally)
+                    .map_err(|error| format!("after {request:?}: {error}"))?,
                 None => answered(&mut said, &Message::Refused(Problem::Unknown))?,
             }
         }
@@ -210,7 +212,8 @@ impl Judge {
                     self.counters_rise(&counters.to_array())?;
                     tally.event("health report");
                 }
-                Message::BoardErrors { tick, counters } => {
+                // One of the next tick belongs to the answer to a query.
+                Message::BoardErrors { tick, counters } if *tick + 1 == self.next_tick => {
                     self.missing_are(*tick + 1, self.next_tick, counters)?;
                     tally.event("board error report");
                 }
@@ -254,19 +257,22 @@ impl Judge {
         }
         let tick = self.next_tick + Tick::from(periods) - 1;
         self.next_tick = tick + 1;
-        // Each of the paper's agents measures one component.
-        let expected: &[Outcome] = match measurement {
-            None => &[Outcome::NoMeasurement],
-            Some(y) if y.len() > 3 => &[Outcome::NoMeasurement],
-            Some(&[y]) if y.is_finite() => {
-                &[Outcome::Stepped, Outcome::Restarted, Outcome::Diverged]
-            }
-            Some([_]) => &[Outcome::MeasurementNotFinite],
-            Some(_) => &[Outcome::MeasurementLength],
+        // Each of the paper's agents measures one component. Without a usable measurement it goes on
+        // observing, which may restart it, too.
+        let usual = match measurement {
+            None => Outcome::NoMeasurement,
+            Some(y) if y.len() > 3 => Outcome::NoMeasurement,
+            Some(&[y]) if y.is_finite() => Outcome::Stepped,
+            Some(y) if y.len() == 1 => Outcome::MeasurementNotFinite,
+            Some(_) => Outcome::MeasurementLength,
         };
-        self.measurements_missing += u32::from(expected == [Outcome::NoMeasurement]);
-        let can_step = expected.contains(&Outcome::Stepped);
-        self.taken_on_trial = self.taken_on_trial.saturating_add(u32::from(can_step));
+        let expected = match usual {
+            Outcome::MeasurementLength => vec![usual],
+            _ => vec![usual, Outcome::Restarted, Outcome::Diverged],
+        };
+        self.measurements_missing += u32::from(usual == Outcome::NoMeasurement);
+        let is_measured = usual == Outcome::Stepped;
+        self.taken_on_trial = self.taken_on_trial.saturating_add(u32::from(is_measured));
         self.unasked(said, told, tally)?;
         let every = self.subscription.state_every;
         if every.is_none_or(|every| !tick.is_multiple_of(Tick::from(every.get()))) {

@@ -211,7 +211,7 @@ impl<F: MappedFlash> Session<'_, F> {
             sent.is_begun = true;
             // Recorded, even if the erasure after that has failed.
             let emptied = self.ledger.now.after(Change::Begin);
-            let is_recorded = Model::of(&self.store) == emptied;
+            let is_recorded = emptied != self.ledger.now && Model::of(&self.store) == emptied;
             self.ledger.book(Change::Begin, if is_recorded { Ok(()) } else { outcome });
         }
         match (outcome, refusal) {

@@ -404,6 +404,20 @@ fn cut_every_way<const WRITE: usize, const ERASE: usize>() {
     }
 }
 
+/// A note, other than the state, exists only in the journal: when the journal changes halves, its
+/// earlier value must survive in a whole copy until the later one does.
+#[test]
+fn notes_survive_marginal_words() {
+    for (tear, has_correction) in [(Tear::Marginal, false), (Tear::Unreadable, true)] {
+        let extent = Extent { steps: (16, STRIDE / 16 + 1), share: (1, 0) };
+        let counts = cut_everywhere::<16, 256>(tear, has_correction, extent);
+        println!("{tear:?}: {counts:?} runs");
+        let extent = Extent { steps: (32, STRIDE / 32 + 1), share: (1, 0) };
+        let counts = cut_everywhere::<32, 128>(tear, has_correction, extent);
+        println!("{tear:?}: {counts:?} runs");
+    }
+}
+
 #[test]
 fn words_of_one_byte() {
     cut_every_way::<1, 256>();

@@ -38,7 +38,7 @@ pub use problem::{Problem, RefusalKind, RefusalReport};
 pub use report::{FILE_NAME, LastRevert, PanicPlace, Performance, Report, ResetCause, TrialReport};
 pub use request::{Numbers, Request, Subscription};
 pub use response::{
-    BoardFault, Event, Firmware, Outcome, PackageStatus, Response, Rows, State, Status,
+    BoardFault, Event, Firmware, Outcome, PackageStatus, Response, State, Status, numbers,
 };
 
 use serde::{Deserialize, Serialize};
@@ -82,6 +82,12 @@ pub fn send_numbered(number: Option<u16>, message: &impl Serialize, sink: impl F
     // Encoding cannot fail, because all sequences know their lengths.
     let _ = postcard::serialize_with_flavor(message, &mut encoder);
     encoder.finish();
+}
+
+/// Like [`send_numbered`], for a node's responses: compiled once, for any sink.
+#[inline(never)]
+pub fn respond(number: Option<u16>, response: &Response<'_, &[f32]>, sink: &mut dyn FnMut(&[u8])) {
+    send_numbered(number, response, sink);
 }
 
 /// Returns the head of a numbered message, and its length: its index and a varint.

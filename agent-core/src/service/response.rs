@@ -1,6 +1,6 @@
 //! Responses of a node.
 
-use serde::{Deserialize, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
 use super::{Problem, RefusalReport, Report, Upload};
 use crate::agent::StepError;
@@ -8,7 +8,7 @@ use crate::health::{BoardErrors, HealthCounters, RevertReason, WatchedStep};
 use crate::store::Slot;
 use crate::{AgentId, StateVector, Tick};
 
-/// A response of a node. `V` holds numbers: [`Rows`] on the node, a vector on the host.
+/// A response of a node. `V` holds numbers: a slice on the node, a vector on the host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Response<'a, V> {
     /// Answers a query.
@@ -261,25 +261,9 @@ pub struct PackageStatus {
     pub network_in_use: bool,
 }
 
-/// Vectors in state space, serialised as one sequence of numbers.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rows<'a, const N: usize>(pub &'a [StateVector<N>]);
-
-impl<'a, const N: usize> Rows<'a, N> {
-    /// Creates rows from a single vector.
-    #[must_use]
-    pub fn one(vector: &'a StateVector<N>) -> Self {
-        Self(core::slice::from_ref(vector))
-    }
-}
-
-impl<const N: usize> Serialize for Rows<'_, N> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        use serde::ser::SerializeSeq;
-        let mut sequence = serializer.serialize_seq(Some(self.0.len().saturating_mul(N)))?;
-        for number in self.0.iter().flatten() {
-            sequence.serialize_element(number)?;
-        }
-        sequence.end()
-    }
+/// Returns the numbers of `rows`, one row after the other.
+#[must_use]
+pub fn numbers<const N: usize>(rows: &[StateVector<N>]) -> &[f32] {
+    // A vector of numbers has their size and alignment.
+    bytemuck::try_cast_slice(rows).unwrap_or_default()
 }

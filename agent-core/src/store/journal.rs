@@ -10,7 +10,8 @@
 //! the last one counts, whatever surrounds it. The next record goes to the first pair behind all
 //! that was ever written in the active half, the one that holds the last record of every kind. If
 //! that half is full or refuses the write, the other half is erased and takes a copy of the last
-//! record of every other kind, and then the new record, which says that the copies are complete.
+//! record of every kind. The copy of the state is the last one and says that all are there. Until
+//! then both halves say the same. The new record follows the copies.
 //!
 //! Invariants:
 //! - A half is erased only while the other one holds the last record of every kind, so every one of
@@ -25,6 +26,10 @@
 //! - A record of which there is only one copy, as after a cut between the two, is written again.
 //! - A pair behind the last record that holds something else may read as a record at a later boot.
 //!   The state is then written again behind it, and says how many pairs right before it are void.
+//! - If the record that says that the copies are complete has one copy itself, the other half still
+//!   counts; it is not erased before that record is whole. If a copy is missing, the half is being
+//!   erased again, and that record does not count.
+//! - A half that may read as anything, since its erasure was interrupted, is erased at once.
 //!
 //! # Unreadable places
 //! A place that the driver fails to read twice in a row may hold a record behind a fault that
@@ -33,23 +38,20 @@
 //! reports as unreadable. A pair without a record, without a free place and with an unreadable one
 //! is in doubt. Behind the last record it keeps a boot from writing anything; calls still append.
 //! A half without any record, or with incomplete copies, is the remainder of an interrupted erasure,
-//! if the other half has records: that was full when the erasure began. A boot erases it. Only if no record is found at all and a pair is in
-//! doubt does the store refuse to record anything.
+//! if the other half has records: that was full when the erasure began. A boot erases it. Only if no
+//! record is found at all and a pair is in doubt does the store refuse to record anything.
 //!
 //! Cost: opening reads the commit area once, and again for each kind that both halves have;
-//! appending writes two records, or all kinds twice after erasing one half.
+//! appending writes two records, or all kinds and the record twice after erasing one half.
 
 use super::flash::{MappedFlash, driver_error, erase_unit};
 use super::layout::{PAIR_LENGTH, RECORD_LENGTH};
-use super::record::{Contents, KINDS, Record, STATE, UNIT_LENGTH};
+use super::record::{Contents, KINDS, OTHER_HALF, Record, STATE, UNIT_LENGTH};
 use super::{Damage, Layout, Slot, StoreError};
 use crate::wire::sequence::is_newer;
 
 /// A note that only declares what is before it void.
 const VOID: u8 = KINDS - 1;
-/// Instead of a count of void pairs: the copies into this half are complete, and the other half does
-/// not count any more, whatever it holds.
-const OTHER_HALF: u8 = u8::MAX;
 /// Numbers skipped for each unit of a pair that may hold a record: more than failed writes in a row
 /// have used.
 const SKIPPED_NUMBERS: u32 = 0x1_0000 * (PAIR_LENGTH / UNIT_LENGTH as u32);
@@ -90,6 +92,8 @@ pub(super) struct Journal {
     damage: Damage,
     /// Whether the record that declares the other half void has lost a copy.
     is_half_void: bool,
+    /// Whether the other half holds something that may read as a record at another boot.
+    is_there_unknown: bool,
     /// Whether another boot may find another state.
     is_unsettled: bool,
     /// An unreadable place that keeps a boot from writing.
@@ -144,6 +148,9 @@ struct Scan {
     is_format_1: bool,
     /// Whether a record says that the other half does not count, and whether it has both copies.
     voids_other: Option<bool>,
+    /// Kinds that it says are copied, and those of them whose last record is a copy with one copy.
+    copied: u32,
+    single_copied: u32,
 }
 
 impl Journal {
@@ -159,6 +166,7 @@ impl Journal {
         to_repeat: 0,
         damage: Damage { torn_places: 0, unreadable_places: 0, single_copies: 0 },
         is_half_void: false,
+        is_there_unknown: false,
         is_unsettled: true,
         held_by: Some(0),
         blocked_by: Some(0),
@@ -181,13 +189,17 @@ impl Journal {
         let newer = if is_second_newer { Half::Second } else { Half::First };
         let kinds = first.kinds | second.kinds;
         let (older, newest) = if is_second_newer { (&first, &second) } else { (&second, &first) };
-        let is_alone = older.kinds == 0 || newest.voids_other == Some(true);
+        // If a copy is missing or damaged, the newer half may be being erased again.
+        let is_complete = newest.copied & !newest.kinds == 0 && newest.single_copied == 0;
+        let voids_other = newest.voids_other.filter(|_| is_complete);
+        let is_alone = older.kinds == 0 || voids_other == Some(true);
         // Copies into the newer half count from the moment on at which they are complete.
-        let is_copying = !is_alone && holds_all(flash, layout, newer.other(), kinds);
+        let is_copying =
+            !is_alone && voids_other.is_none() && holds_all(flash, layout, newer.other(), kinds);
         let active = if is_copying { newer.other() } else { newer };
         let has_records = kinds != 0;
         let number = newest.newest;
-        let voids_other = newest.voids_other;
+        let is_there_cut = newest.voids_other.is_some();
         let newest = match (newest.state, older.state) {
             (Some(newest), Some(older)) if !is_alone && is_newer(older.0, newest.0) => Some(older),
             (newest, older) => newest.or(older),
@@ -198,7 +210,7 @@ impl Journal {
         };
         // A half whose records are older has nothing newer behind them.
         let is_there_unknown = (there.newest.is_none() && there.unknown > 0)
-            || (is_copying && (there.unknown > 0 || voids_other.is_some()));
+            || (is_copying && (there.unknown > 0 || is_there_cut));
         let mut unknown = here.unknown;
         if is_copying || there.newest.is_none() {
             unknown = unknown.saturating_add(there.unknown);
@@ -222,12 +234,13 @@ impl Journal {
             newest: newest.map(|(_, contents)| contents),
             active,
             next_pair: here.end,
-            void: if is_half_void { OTHER_HALF } else { here.void },
+            void: here.void,
             is_alone,
             kinds: here.kinds,
             to_repeat: here.single & !state_bit,
             damage,
             is_half_void,
+            is_there_unknown,
             is_unsettled,
             held_by,
             blocked_by,
@@ -285,15 +298,8 @@ impl Journal {
         if self.held_by.is_some() || (!self.is_unsettled && self.to_repeat == 0) {
             return None;
         }
-        if self.is_unsettled {
-            let again = match &self.newest {
-                Some(newest) => Some(newest.record()),
-                None => Record::note(VOID, &[]),
-            };
-            if let Some(Err(error)) = again.map(|again| self.append(flash, layout, &again)) {
-                return Some(Err(error));
-            }
-        }
+        let is_unsettled = self.is_unsettled;
+        // Before the state declares the other half void: that may hold the only durable copy.
         for kind in kinds_in(self.to_repeat) {
             // What reads differently now counts as it reads now.
             let note = self.note(flash, layout, kind).or_else(|| Record::note(kind, &[]));
@@ -302,7 +308,16 @@ impl Journal {
             }
         }
         self.to_repeat = 0;
-        self.is_alone |= self.is_half_void;
+        if is_unsettled {
+            if self.is_there_unknown {
+                // Only an erasure says what that half holds.
+                self.next_pair = layout.pairs();
+            }
+            let again = self.newest_record();
+            if let Some(Err(error)) = again.map(|again| self.append(flash, layout, &again)) {
+                return Some(Err(error));
+            }
+        }
         Some(Ok(()))
     }
 
@@ -362,22 +377,56 @@ impl Journal {
         if let Some(offset) = self.blocked_by {
             return Err(StoreError::Unreadable { offset });
         }
-        if self.next_pair < layout.pairs() {
-            let pair = self.next_pair;
-            // Used up, whether or not the write succeeds.
-            self.next_pair = pair.wrapping_add(1);
-            let record = Record { void: self.void, ..*record };
-            if self.write(flash, layout, (self.active, pair), &record).is_ok() {
-                self.void = 0;
-                return Ok(());
-            }
-            // At most one less than `OTHER_HALF`, which stays as it is.
-            if self.void < OTHER_HALF - 1 {
-                self.void = self.void.wrapping_add(1);
-            }
-        }
         // A pair can look free and still refuse a write, if an earlier write was interrupted before
         // it changed any readable bit. An erasure repairs that.
+        if self.next_pair < layout.pairs() && self.write_next(flash, layout, record).is_ok() {
+            return Ok(());
+        }
+        if self.is_half_void && holds_all(flash, layout, self.active.other(), self.kinds) {
+            // What says that the copies are complete may be gone at the next boot.
+            self.active = self.active.other();
+        }
+        self.change_halves(flash, layout)?;
+        self.write_next(flash, layout, record)
+    }
+
+    /// Writes a record to the next pair.
+    fn write_next<F: MappedFlash>(
+        &mut self,
+        flash: &mut F,
+        layout: &Layout,
+        record: &Record,
+    ) -> Result<(), StoreError> {
+        let pair = self.next_pair;
+        // Used up, whether or not the write succeeds.
+        self.next_pair = pair.wrapping_add(1);
+        let voids_other = self.is_half_void && matches!(record.kind, STATE | VOID);
+        let record = if voids_other {
+            record.voiding(self.kinds & !bit(STATE))
+        } else {
+            Record { void: self.void, ..*record }
+        };
+        let outcome = self.write(flash, layout, (self.active, pair), &record);
+        if outcome.is_ok() {
+            self.void = 0;
+            self.is_alone |= voids_other;
+            self.is_half_void &= !voids_other;
+        } else if self.void < OTHER_HALF - 1 {
+            // At most one less than `OTHER_HALF`, which stays as it is.
+            self.void = self.void.wrapping_add(1);
+        }
+        outcome
+    }
+
+    /// Erases the half that is not active, copies the last record of every kind into it, and makes
+    /// it the active one. Until the last copy, which says that all are there, both halves say the
+    /// same, so it does not matter which of them a boot after a power cut believes.
+    #[inline(never)]
+    fn change_halves<F: MappedFlash>(
+        &mut self,
+        flash: &mut F,
+        layout: &Layout,
+    ) -> Result<(), StoreError> {
         let target = self.active.other();
         let start = place_offset(layout, target, 0);
         let mut erased = 0;
@@ -385,8 +434,8 @@ impl Journal {
             erase_unit(flash, start.wrapping_add(erased))?;
             erased = erased.wrapping_add(F::ERASE_SIZE as u32);
         }
-        let (mut pair, mut kinds) = (0, 0);
-        for kind in kinds_in(self.kinds & !bit(record.kind)) {
+        let (mut pair, mut kinds) = (0, bit(STATE));
+        for kind in kinds_in(self.kinds & !bit(STATE)) {
             let Some(Found { record, .. }) = last_of(flash, layout, self.active, kind) else {
                 continue;
             };
@@ -396,12 +445,23 @@ impl Journal {
                 kinds |= bit(kind);
             }
         }
-        self.write(flash, layout, (target, pair), &Record { void: OTHER_HALF, ..*record })?;
+        if let Some(last) = self.newest_record() {
+            self.write(flash, layout, (target, pair), &last.voiding(kinds & !bit(STATE)))?;
+            pair = pair.wrapping_add(1);
+        }
         self.active = target;
-        self.is_alone = true;
-        self.next_pair = pair.wrapping_add(1);
+        (self.is_alone, self.is_half_void) = (true, false);
+        self.next_pair = pair;
         (self.void, self.kinds) = (0, kinds);
         Ok(())
+    }
+
+    /// Returns the state, or a note that says nothing if there is none.
+    fn newest_record(&self) -> Option<Record> {
+        match &self.newest {
+            Some(newest) => Some(newest.record()),
+            None => Record::note(VOID, &[]),
+        }
     }
 
     /// Writes both copies of a record with the next number and reads them back.
@@ -468,19 +528,23 @@ impl Scan {
                             scan.in_doubt = scan.in_doubt.or(behind);
                         }
                     }
-                    if record.void == OTHER_HALF {
-                        let is_whole = is_whole || scan.voids_other == Some(true);
-                        scan.voids_other = Some(is_whole);
-                    }
                     let kind = bit(record.kind);
                     if scan.kinds & kind == 0 {
                         scan.kinds |= kind;
                         if !is_whole {
                             scan.single |= kind;
+                            scan.single_copied |= kind & scan.copied;
                         }
                         if let Some(contents) = record.state() {
                             scan.state = Some((number, contents));
                         }
+                    }
+                    if let Some(copied) = record.complete_with() {
+                        if scan.voids_other.is_none() {
+                            scan.copied = copied;
+                        }
+                        let is_whole = is_whole || scan.voids_other == Some(true);
+                        scan.voids_other = Some(is_whole);
                     }
                 }
             }

@@ -25,6 +25,9 @@
 //! | 44, 48 | serial of the last revert | likewise |
 //! | 52 | reserved | 0 |
 //!
+//! The last four bytes of the payload of a record with void 255 are the kinds of which its half holds
+//! a record, one bit each.
+//!
 //! All little-endian. Each record is complete and stands twice, so one valid copy is enough. Its
 //! length is a multiple of every supported word, so no two records share a word. Erased or zeroed
 //! flash is not a valid record.
@@ -54,6 +57,10 @@ pub(super) const UNIT_LENGTH: usize = 32;
 pub(super) const KINDS: u8 = 32;
 /// The kind of the state.
 pub(super) const STATE: u8 = 0;
+
+/// Instead of a count of void pairs: the copies into this half are complete, and the other half does
+/// not count any more, whatever it holds.
+pub(super) const OTHER_HALF: u8 = u8::MAX;
 
 const FORMAT_1: u8 = 1;
 const BODY_LENGTH: usize = RECORD_LENGTH - CHECKSUM_LENGTH;
@@ -128,7 +135,27 @@ impl Record {
     pub(super) fn says_the_same(&self, other: &Self) -> bool {
         let both_are_empty = self.length == 0 && other.length == 0;
         self.kind == other.kind
-            && (both_are_empty || (self.length == other.length && self.payload == other.payload))
+            && self.length == other.length
+            && (both_are_empty
+                || match (self.state(), other.state()) {
+                    (None, None) => self.payload == other.payload,
+                    (one, another) => one == another,
+                })
+    }
+
+    /// Returns the record with `void` 255, and the kinds that its half holds.
+    pub(super) fn voiding(mut self, kinds: u32) -> Self {
+        self.void = OTHER_HALF;
+        if let Some(place) = self.payload.last_chunk_mut() {
+            *place = kinds.to_le_bytes();
+        }
+        self
+    }
+
+    /// Returns the kinds that its half holds, if it declares the other half void.
+    pub(super) fn complete_with(&self) -> Option<u32> {
+        let kinds = self.payload.last_chunk().filter(|_| self.void == OTHER_HALF)?;
+        Some(u32::from_le_bytes(*kinds))
     }
 
     /// Encodes the record with a number.

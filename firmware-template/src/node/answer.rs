@@ -8,11 +8,11 @@ use agent_core::{StateVector, Tick};
 
 use super::limits::take;
 use super::load::Verified;
-use super::{Due, Event, Next, Node, Request, Response, Rows, respond, respond_to};
+use super::{Due, Event, Next, Node, Request, Response, respond, respond_to};
 use crate::board::Board;
 
 /// The answer to a request, and what to do next.
-type Answer<'a, const N: usize> = Result<(Response<'a, Rows<'a, N>>, Next), Problem>;
+type Answer<'a> = Result<(Response<'a, &'a [f32]>, Next), Problem>;
 
 impl<
     F: MappedFlash,
@@ -47,13 +47,13 @@ impl<
                 next
             }
             Err(problem) => {
-                respond_to::<B, N>(board, number, &Response::Refused(problem));
+                respond_to(board, number, &Response::Refused(problem));
                 Next::Continue
             }
         }
     }
 
-    fn carry_out(&mut self, request: &Request<'_>) -> Answer<'static, N> {
+    fn carry_out(&mut self, request: &Request<'_>) -> Answer<'static> {
         self.flash_used |= matches!(
             request,
             Request::Begin { .. }
@@ -96,12 +96,12 @@ impl<
         }
     }
 
-    fn stage(&mut self) -> Answer<'static, N> {
+    fn stage(&mut self) -> Answer<'static> {
         let package = self.stage_upload()?;
         Ok((Response::Staged { version: package.serial.version }, Next::Continue))
     }
 
-    fn activate(&mut self) -> Answer<'static, N> {
+    fn activate(&mut self) -> Answer<'static> {
         if self.store.staged().is_some() {
             take(&mut self.limits.activations, !self.memory.session.is_empty())?;
         }
@@ -118,7 +118,7 @@ impl<
     }
 
     /// Returns to what was in use before the package on trial, and keeps why.
-    fn revert(&mut self, reason: RevertReason) -> Answer<'static, N> {
+    fn revert(&mut self, reason: RevertReason) -> Answer<'static> {
         let slot = self.store.revert(reason.code())?;
         self.end(Verdict::Failed(reason));
         self.in_use = slot.and_then(|slot| {
@@ -131,7 +131,7 @@ impl<
     }
 
     /// Restarts from another estimate and informs the neighbours.
-    fn start<B: Board>(&mut self, board: &mut B, estimate: &[f32]) -> Answer<'static, N> {
+    fn start<B: Board>(&mut self, board: &mut B, estimate: &[f32]) -> Answer<'static> {
         if self.memory.session.is_empty() {
             return Err(Problem::NoPackage);
         }
@@ -151,8 +151,8 @@ impl<
             next = sample.tick.saturating_add(1);
             let response = Response::Sample {
                 tick: sample.tick,
-                estimate: Rows::one(&sample.estimate),
-                derivative: Rows::one(&sample.derivative),
+                estimate: sample.estimate.as_slice(),
+                derivative: sample.derivative.as_slice(),
             };
             respond_to(board, self.number, &response);
         }
@@ -166,7 +166,7 @@ impl<
             && let Some(package) = &self.in_use
         {
             let event = Event::Confirmed { tick, version: package.serial.version };
-            respond::<B, N>(board, &Response::Event(event));
+            respond(board, &Response::Event(event));
         }
     }
 
@@ -184,7 +184,7 @@ impl<
         // If the journal cannot be written now, a later attempt may succeed.
         if self.revert(reason).is_ok() {
             let event = Event::Reverted { tick, version: failed, reason };
-            respond::<B, N>(board, &Response::Event(event));
+            respond(board, &Response::Event(event));
             self.due = Due::Session;
         }
     }

@@ -41,9 +41,9 @@ use agent_core::observer::network::Scratch;
 use agent_core::package::signature::PublicKey;
 use agent_core::package::{AgentConfig, NetworkPlace, ParamsPlace, Serial, StepRange, TrialLimits};
 use agent_core::service::{
-    BoardFault, Event, Firmware, LastRevert, PROTOCOL_VERSION, PackageStatus, PanicPlace,
-    Performance as PerformanceReport, RefusalReport, Report, Request, ResetCause, Response, Rows,
-    Status, Subscription, TrialReport, send_numbered,
+    self, BoardFault, Event, Firmware, LastRevert, PROTOCOL_VERSION, PackageStatus, PanicPlace,
+    Performance as PerformanceReport, RefusalReport, Report, Request, ResetCause, Response, Status,
+    Subscription, TrialReport,
 };
 use agent_core::store::{Layout, LayoutError, MappedFlash, RateLimit, Slot, Store};
 
@@ -432,7 +432,7 @@ impl<
     fn hello<B: Board>(&self, board: &mut B) {
         // Ends any message that was interrupted by the reset.
         board.respond(&[agent_core::wire::cobs::DELIMITER]);
-        respond::<B, N>(board, &Response::Hello(self.status()));
+        respond(board, &Response::Hello(self.status()));
         self.tell_faults(board);
         board.flush();
     }
@@ -440,11 +440,11 @@ impl<
     /// Sends what does not work on the board, and what has gone wrong there; nothing if all is well.
     fn tell_faults<B: Board>(&self, board: &mut B) {
         if let Some(fault) = self.board_fault {
-            respond::<B, N>(board, &Response::Event(Event::BoardFault(fault)));
+            respond(board, &Response::Event(Event::BoardFault(fault)));
         }
         let counters = self.counts.errors;
         if !counters.is_empty() {
-            respond::<B, N>(board, &Response::BoardErrors { tick: self.next_tick, counters });
+            respond(board, &Response::BoardErrors { tick: self.next_tick, counters });
         }
     }
 
@@ -526,18 +526,13 @@ impl<
 
 /// Sends a response that answers no request.
 #[inline]
-fn respond<B: Board, const N: usize>(board: &mut B, response: &Response<'_, Rows<'_, N>>) {
+fn respond<B: Board>(board: &mut B, response: &Response<'_, &[f32]>) {
     respond_to(board, None, response);
 }
 
-/// Sends a response. One function for all responses, so that the encoder exists once.
-#[inline(never)]
-fn respond_to<B: Board, const N: usize>(
-    board: &mut B,
-    number: Option<u16>,
-    response: &Response<'_, Rows<'_, N>>,
-) {
-    send_numbered(number, response, |bytes| board.respond(bytes));
+/// Sends a response.
+fn respond_to<B: Board>(board: &mut B, number: Option<u16>, response: &Response<'_, &[f32]>) {
+    service::respond(number, response, &mut |bytes| board.respond(bytes));
 }
 
 #[inline]

@@ -3,11 +3,11 @@
 use agent_core::Tick;
 use agent_core::agent::capture::Sample;
 use agent_core::health::{Verdict, WatchedAgent, WatchedStep};
-use agent_core::service::{Outcome, State};
+use agent_core::service::{Outcome, State, numbers};
 use agent_core::store::MappedFlash;
 use agent_core::wire::frame::{FRAME_LENGTH_MAX, FrameError};
 
-use super::{Memory, Node, Response, Rows, respond};
+use super::{Memory, Node, Response, respond};
 use crate::board::{Board, SensorErrorKind};
 
 impl<
@@ -135,10 +135,10 @@ impl<
         if let Some(session) = self.memory.session.first()
             && let Some(counters) = self.health.due(&session.health_params, tick)
         {
-            respond::<B, N>(board, &Response::Health { tick, counters });
+            respond(board, &Response::Health { tick, counters });
         }
         if let Some(counters) = self.counts.due(tick, self.settings.health.telemetry_interval) {
-            respond::<B, N>(board, &Response::BoardErrors { tick, counters });
+            respond(board, &Response::BoardErrors { tick, counters });
         }
         let Some(every) = self.subscription.state_every else { return };
         if !agent_core::agent::capture::is_due(tick, every) {
@@ -149,10 +149,10 @@ impl<
         let state = State {
             tick,
             outcome,
-            estimate: agent.map_or(Rows(&[]), |agent| Rows::one(agent.state.estimate())),
-            derivative: sample.map_or(Rows(&[]), |sample| Rows::one(&sample.derivative)),
+            estimate: agent.map_or(&[][..], |agent| agent.state.estimate().as_slice()),
+            derivative: sample.map_or(&[][..], |sample| sample.derivative.as_slice()),
             outer_weights: outer_weights
-                .map_or(Rows(&[]), |agent| Rows(agent.state.outer_weights().rows())),
+                .map_or(&[][..], |agent| numbers(agent.state.outer_weights().rows())),
         };
         respond(board, &Response::State(state));
     }
