@@ -60,7 +60,7 @@ pub(crate) fn components_mut<const N: usize>(vector: &mut SVector<f32, N>) -> &m
 }
 
 /// Returns the inner product of two vectors, adding terms in ascending order.
-#[inline]
+#[inline(always)]
 #[must_use]
 pub fn dot<const N: usize>(a: &SVector<f32, N>, b: &SVector<f32, N>) -> f32 {
     let (a, b) = (components(a), components(b));
@@ -70,7 +70,7 @@ pub fn dot<const N: usize>(a: &SVector<f32, N>, b: &SVector<f32, N>) -> f32 {
 }
 
 /// Returns `matrix * vector`, adding each component's terms in ascending order of the column.
-#[inline]
+#[inline(always)]
 #[must_use]
 pub fn product<const R: usize, const C: usize>(
     matrix: &SMatrix<f32, R, C>,
@@ -85,7 +85,7 @@ pub fn product<const R: usize, const C: usize>(
 }
 
 /// Adds `factor * vector` to `accumulator`, in place.
-#[inline]
+#[inline(always)]
 pub fn add_scaled<const N: usize>(
     accumulator: &mut SVector<f32, N>,
     factor: f32,
@@ -96,7 +96,7 @@ pub fn add_scaled<const N: usize>(
 }
 
 /// Returns `minuend - subtrahend`.
-#[inline]
+#[inline(always)]
 #[must_use]
 pub fn difference<const N: usize>(
     minuend: &SVector<f32, N>,

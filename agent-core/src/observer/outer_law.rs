@@ -151,7 +151,7 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     }
 
     /// Returns `W_hat^T sigma`, shape `[N]`, adding features in ascending order.
-    #[inline]
+    #[inline(always)]
     #[must_use]
     pub fn combine(&self, features: &[f32]) -> StateVector<N> {
         let mut sum = zeros();
