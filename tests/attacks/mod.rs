@@ -34,6 +34,7 @@ const ATTACKS: &[(Attack, u64)] = &[
     (packages::replayed, 20_000),
     (packages::harmful, 0),
     (faults::flipped_bits, 0),
+    (faults::power_cuts, 0),
 ];
 
 #[test]

@@ -389,7 +389,10 @@ fn convert_everywhere<const WRITE: usize, const ERASE: usize>(
         .reduce(|| [0; 2], |a, b| [a[0] + b[0], a[1] + b[1]])
 }
 
-fn cut_every_way<const WRITE: usize, const ERASE: usize>() {
+/// Cuts and converts on flash of these units, with every kind of damage. Returns how many runs were
+/// cut.
+pub(crate) fn cut_every_way<const WRITE: usize, const ERASE: usize>() -> u64 {
+    let mut total = 0;
     let kinds = Tear::ALL.into_iter().flat_map(|tear| [(tear, false), (tear, true)]);
     for (kind, (tear, has_correction)) in kinds.enumerate() {
         let extent = Extent::of(WRITE, kind);
@@ -400,8 +403,11 @@ fn cut_every_way<const WRITE: usize, const ERASE: usize>() {
                  {has_correction}: {once} runs cut once, {twice} twice, of format 1 {converted} and \
                  {again}: 0 bricks, 0 flaps, 0 that take no update"
         );
-        assert!([once, twice, converted, again].iter().all(|&count| count > 40));
+        let counts = [once, twice, converted, again];
+        assert!(counts.iter().all(|&count| count > 40));
+        total += counts.iter().sum::<u64>();
     }
+    total
 }
 
 /// A note, other than the state, exists only in the journal: when the journal changes halves, its

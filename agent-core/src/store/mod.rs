@@ -58,6 +58,8 @@
 mod error;
 mod flash;
 mod journal;
+#[cfg(feature = "authentic-frames")]
+mod keys;
 mod layout;
 mod limiter;
 mod record;
@@ -66,6 +68,8 @@ mod upload;
 
 pub use error::{CheckedError, Refusal, StoreError};
 pub use flash::MappedFlash;
+#[cfg(feature = "authentic-frames")]
+pub use keys::{NETWORK_KEYS_MAX, NetworkKeys};
 pub use layout::{Layout, LayoutError, NOTE_LENGTH_MAX, Part, RECORD_LENGTH};
 pub use limiter::{Limiter, RateLimit};
 pub use record::{FORMAT, factory_record};
@@ -575,7 +579,7 @@ impl<F: MappedFlash> Store<F> {
     }
 
     /// Records a note of a kind from 2 to 30, which replaces the one before; an empty one removes
-    /// it.
+    /// it. Kinds 2 to 4 are a node's keys and epochs (feature `authentic-frames`).
     ///
     /// # Errors
     /// [`StoreError::Note`], or a failure to write the journal.

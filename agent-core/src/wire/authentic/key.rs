@@ -36,6 +36,11 @@ impl NetworkKey {
         self.number
     }
 
+    /// Returns the key itself, for the store.
+    pub(crate) const fn to_bytes(self) -> [u8; KEY_LENGTH] {
+        self.key
+    }
+
     /// Returns the tag of a frame's `bytes` if they come from `sender`.
     ///
     /// Each sender has a key of its own, so that a frame cannot be reflected to its sender or

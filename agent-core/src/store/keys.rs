@@ -1,0 +1,120 @@
+//! What a node knows of its network, in the journal: network keys, port key, and epochs.
+//!
+//! | note | content |
+//! | --- | --- |
+//! | 2 | at most two network keys: for each, its number (one byte) and its 16 bytes |
+//! | 3 | the port key, 16 bytes |
+//! | 4 | the end of the reserved epochs, `u32`, little-endian |
+//!
+//! A key is replaced by one record, so a power cut leaves the old one or the new one. No answer of
+//! the service protocol contains a key. What was replaced stays in flash until its half of the
+//! journal is erased; anyone who can read the chip's flash can read keys.
+//!
+//! Invariants: an epoch is handed out once, because it is reserved, in two copies that are read back,
+//! before it is used; a reset removes the keys and keeps the epochs.
+
+use super::{MappedFlash, Store, StoreError};
+use crate::wire::authentic::{KEY_LENGTH, NetworkKey};
+
+const NETWORK_KEYS: u8 = 2;
+const PORT_KEY: u8 = 3;
+const EPOCHS: u8 = 4;
+
+/// The largest number of network keys: the one in use and, during a rotation, the other one.
+pub const NETWORK_KEYS_MAX: usize = 2;
+
+/// Length of a key with its number.
+const ENTRY_LENGTH: usize = 1 + KEY_LENGTH;
+
+/// The network keys of a node. Frames are sealed with the first one.
+pub type NetworkKeys = heapless::Vec<NetworkKey, NETWORK_KEYS_MAX>;
+
+impl<F: MappedFlash> Store<F> {
+    /// Returns the network keys, none before the node is provisioned.
+    pub fn network_keys(&mut self) -> NetworkKeys {
+        let mut keys = NetworkKeys::new();
+        if let Some(note) = self.note(NETWORK_KEYS) {
+            let (entries, _) = note.as_bytes().as_chunks::<ENTRY_LENGTH>();
+            // A note has no more than fit.
+            keys.extend(
+                entries
+                    .iter()
+                    .take(NETWORK_KEYS_MAX)
+                    .map(|[number, key @ ..]| NetworkKey::new(*number, *key)),
+            );
+        }
+        keys
+    }
+
+    /// Records the network keys in place of those before, the one in use first.
+    ///
+    /// # Errors
+    /// [`StoreError::Note`] if there is none, more than [`NETWORK_KEYS_MAX`], or two with the same
+    /// number; a failure to write the journal.
+    pub fn record_network_keys(&mut self, keys: &[NetworkKey]) -> Result<(), StoreError> {
+        let is_ambiguous = match keys {
+            [_] => false,
+            [first, second] => first.number() == second.number(),
+            _ => true,
+        };
+        if is_ambiguous {
+            return Err(StoreError::Note);
+        }
+        let mut note = heapless::Vec::<u8, { NETWORK_KEYS_MAX * ENTRY_LENGTH }>::new();
+        for key in keys {
+            note.extend(core::iter::once(key.number()).chain(key.to_bytes()));
+        }
+        self.record_note(NETWORK_KEYS, &note)
+    }
+
+    /// Returns the port key, if the node has one.
+    pub fn port_key(&mut self) -> Option<[u8; KEY_LENGTH]> {
+        self.note(PORT_KEY)?.as_bytes().try_into().ok()
+    }
+
+    /// Records the port key in place of the one before.
+    ///
+    /// # Errors
+    /// A failure to write the journal.
+    pub fn record_port_key(&mut self, key: &[u8; KEY_LENGTH]) -> Result<(), StoreError> {
+        self.record_note(PORT_KEY, key)
+    }
+
+    /// Removes all keys, the port key last, so that a reset that a power cut has ended can be
+    /// repeated with it. Epochs stay.
+    ///
+    /// # Errors
+    /// A failure to write the journal.
+    pub fn remove_keys(&mut self) -> Result<(), StoreError> {
+        self.record_note(NETWORK_KEYS, &[])?;
+        self.record_note(PORT_KEY, &[])
+    }
+
+    /// Reserves `count` epochs that have never been handed out and returns the first one and the end.
+    /// They are in flash, in two copies that have been read back.
+    ///
+    /// # Errors
+    /// [`StoreError::Note`] if there are not as many left; a failure to write the journal.
+    pub fn reserve_epochs(&mut self, count: u32) -> Result<(u32, u32), StoreError> {
+        let first = self.epochs_end();
+        let end = first.checked_add(count).ok_or(StoreError::Note)?;
+        self.record_note(EPOCHS, &end.to_le_bytes())?;
+        Ok((first, end))
+    }
+
+    /// Skips all epochs below `first`; does nothing if they are in use already.
+    ///
+    /// # Errors
+    /// A failure to write the journal.
+    pub fn skip_epochs(&mut self, first: u32) -> Result<(), StoreError> {
+        if first <= self.epochs_end() {
+            return Ok(());
+        }
+        self.record_note(EPOCHS, &first.to_le_bytes())
+    }
+
+    fn epochs_end(&mut self) -> u32 {
+        let note = self.note(EPOCHS);
+        note.and_then(|note| note.as_bytes().try_into().ok()).map_or(0, u32::from_le_bytes)
+    }
+}

@@ -1,0 +1,144 @@
+//! Keys and epochs in the journal: they survive power cuts at every word, and an epoch is handed out
+//! once.
+
+use agent_core::store::{Store, StoreError};
+use agent_core::wire::authentic::{KEY_LENGTH, NetworkKey};
+use rayon::prelude::*;
+
+use test_support::nor_flash::{SimulatedFlash, Tear};
+use test_support::store_model::{check, erased_flash, layout};
+
+/// Words of 8 bytes, and room for six records in a half.
+type Flash = SimulatedFlash<8, 768>;
+
+/// What a node of this test knows.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Known {
+    network_keys: Vec<NetworkKey>,
+    port_key: Option<[u8; KEY_LENGTH]>,
+}
+
+fn key(number: u8) -> NetworkKey {
+    NetworkKey::new(number, [number ^ 0x5a; KEY_LENGTH])
+}
+
+fn boot(flash: &mut Flash) -> (Store<&mut Flash>, Known) {
+    let mut store = Store::open(flash, layout(768, 1)).unwrap();
+    store.load(check);
+    let network_keys = store.network_keys().to_vec();
+    let port_key = store.port_key();
+    (store, Known { network_keys, port_key })
+}
+
+/// The `turn`-th change of keys, and what the node knows after it.
+fn change(
+    store: &mut Store<&mut Flash>,
+    known: &Known,
+    turn: u8,
+) -> (Result<(), StoreError>, Known) {
+    match turn % 4 {
+        0 => {
+            let port_key = [turn | 1; KEY_LENGTH];
+            let after = Known { port_key: Some(port_key), ..known.clone() };
+            (store.record_port_key(&port_key), after)
+        }
+        1 => {
+            let network_keys = vec![key(turn)];
+            (store.record_network_keys(&network_keys), Known { network_keys, ..known.clone() })
+        }
+        2 => {
+            let network_keys = vec![key(turn), key(turn - 1)];
+            (store.record_network_keys(&network_keys), Known { network_keys, ..known.clone() })
+        }
+        _ => (store.remove_keys(), Known::default()),
+    }
+}
+
+#[test]
+fn keys_and_epochs_survive_power_cuts_at_every_word() {
+    let cases: Vec<_> =
+        Tear::ALL.into_iter().flat_map(|tear| [false, true].map(|ecc| (tear, ecc))).collect();
+    let cuts: usize = cases.par_iter().map(|&(tear, ecc)| cut_everywhere(tear, ecc)).sum();
+    println!("{cuts} power cuts");
+    assert!(cuts > 5_000);
+}
+
+fn cut_everywhere(tear: Tear, has_correction: bool) -> usize {
+    const BLOCK: u32 = 4;
+    let mut cuts = 0;
+    for energy in (0..).step_by(8) {
+        let mut flash: Flash = erased_flash(1, tear, 9).with_correction(has_correction);
+        let (mut known, mut attempted, mut used, mut turn) = (Known::default(), vec![], 0, 0);
+        let mut is_cut = false;
+        while turn < 14 {
+            // The power fails once, and again in the boot after it.
+            let supply = match is_cut {
+                false => Some(energy),
+                true if cuts % 3 == 0 => Some(energy % 320),
+                true => None,
+            };
+            flash.power_on(supply);
+            let (mut store, found) = boot(&mut flash);
+            if !store.flash().power_lost {
+                let is_known = found == known || attempted.contains(&found);
+                assert!(is_known, "{found:?} after {known:?} and {attempted:?}");
+                (known, attempted) = (found, vec![]);
+            }
+            while !store.flash().power_lost && turn < 14 {
+                if let Ok((first, end)) = store.reserve_epochs(BLOCK) {
+                    assert!(first >= used && end == first + BLOCK, "epoch {first} after {used}");
+                    used = end;
+                } else {
+                    assert!(store.flash().power_lost);
+                    break;
+                }
+                let (outcome, after) = change(&mut store, &known, turn);
+                turn += 1;
+                if outcome.is_ok() {
+                    known = after;
+                    continue;
+                }
+                assert!(store.flash().power_lost, "{outcome:?}");
+                // A reset removes network keys first.
+                attempted = vec![after, Known { network_keys: vec![], ..known.clone() }];
+            }
+            if !flash.power_lost {
+                continue;
+            }
+            is_cut = true;
+            cuts += 1;
+        }
+        if !is_cut {
+            return cuts;
+        }
+    }
+    unreachable!("some energy is enough")
+}
+
+#[test]
+fn what_cannot_be_a_key_ring_is_refused() {
+    let mut flash: Flash = erased_flash(1, Tear::Prefix, 9);
+    let (mut store, known) = boot(&mut flash);
+    assert_eq!(known, Known::default());
+    for keys in [&[][..], &[key(1), key(1)], &[key(1), key(2), key(3)]] {
+        assert_eq!(store.record_network_keys(keys), Err(StoreError::Note));
+    }
+    assert_eq!(store.reserve_epochs(3), Ok((0, 3)));
+    // Provisioning sets the epoch from the host's clock; an earlier one changes nothing.
+    assert_eq!(store.skip_epochs(1_000), Ok(()));
+    assert_eq!(store.skip_epochs(2), Ok(()));
+    assert_eq!(store.reserve_epochs(2), Ok((1_000, 1_002)));
+    store.record_port_key(&[7; KEY_LENGTH]).unwrap();
+    store.record_network_keys(&[key(1)]).unwrap();
+    store.remove_keys().unwrap();
+    let (mut store, known) = boot(&mut flash);
+    assert_eq!(known, Known::default());
+    assert_eq!(store.reserve_epochs(1), Ok((1_002, 1_003)), "a reset keeps the epochs");
+    assert_eq!(store.reserve_epochs(u32::MAX), Err(StoreError::Note));
+}
+
+#[test]
+fn keys_are_not_printed() {
+    let secret = format!("{:?}", NetworkKey::new(7, [0xab; KEY_LENGTH]));
+    assert!(secret.contains('7') && !secret.contains("171") && !secret.contains("ab"), "{secret}");
+}
