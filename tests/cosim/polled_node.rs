@@ -3,7 +3,6 @@
 use std::collections::VecDeque;
 use std::num::NonZeroU32;
 
-use agent_core::Tick;
 use agent_core::health::{BoardErrors, HealthSettings};
 use agent_core::package::StepRange;
 use agent_core::service::{
@@ -11,6 +10,7 @@ use agent_core::service::{
 };
 use agent_core::store::{MappedFlash, RateLimit, StoreError};
 use agent_core::wire::cobs::{Decoder, SerialError};
+use agent_core::{Frame, StateVector, Tick};
 use firmware_template::board::RequestBuffer;
 use firmware_template::{Board, LinkErrorKind, Memory, Node, Progress, SensorErrorKind, Settings};
 use host_sim::service::Message;
@@ -404,6 +404,36 @@ fn errors_of_the_board_are_counted_by_kind() {
     };
     assert_eq!((*tick, *counters), (status.tick, expected));
     assert_eq!((status.measurements_missing, status.health.frames_refused), (15, 24));
+}
+
+/// No measurement, no correction of its own: what moves the estimate is the consensus term.
+#[test]
+fn a_node_whose_sensor_fails_goes_on_observing_from_its_neighbours() {
+    let neighbour = StateVector::<2>::new(0.8, -0.6);
+    // Whether it hears the neighbour; returns the last estimate and the first one.
+    let observed = |is_heard: bool| {
+        let mut memory = Memory::new();
+        let (mut node, mut board) = with_package(&mut memory);
+        board.measurement = Err(SensorErrorKind::NoAnswer);
+        let mut estimates = Vec::new();
+        for sequence in 0..400 {
+            if is_heard {
+                let tick = sequence.into();
+                let frame = Frame { sender: 2, sequence, tick, estimate: neighbour };
+                board.frames.push_back(Ok(frame.encode().to_vec()));
+            }
+            let said = turn(&mut node, &mut board);
+            let Some(Message::State(state)) = said.last() else { panic!("{said:?}") };
+            assert_eq!(state.outcome, Outcome::NoMeasurement);
+            estimates.push(StateVector::<2>::from_column_slice(&state.estimate));
+        }
+        (estimates[399], estimates[0])
+    };
+    let (alone, _) = observed(false);
+    let (heard, first) = observed(true);
+    let distance = |estimate: StateVector<2>| (estimate - neighbour).norm();
+    assert!(distance(heard) < 0.9 * distance(first), "{heard} from {first}");
+    assert!(distance(heard) < 0.9 * distance(alone), "{heard}, and alone {alone}");
 }
 
 #[test]
