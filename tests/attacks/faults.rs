@@ -1,4 +1,4 @@
-//! Faults instead of attackers: what rots in a node's flash.
+//! Faults instead of attackers: bits that rot, and power cuts.
 
 use super::Outcome;
 use crate::store::{cut_every_way, flipped_bits as flip};

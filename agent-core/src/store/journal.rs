@@ -27,8 +27,8 @@
 //! - A pair behind the last record that holds something else may read as a record at a later boot.
 //!   The state is then written again behind it, and says how many pairs right before it are void.
 //! - If the record that says that the copies are complete has one copy itself, the other half still
-//!   counts; it is not erased before that record is whole. If a copy is missing, the half is being
-//!   erased again, and that record does not count.
+//!   counts, and a half that has to be erased is the one with the copies as long as nothing follows
+//!   them. If a copy is missing, the half is being erased again, and that record does not count.
 //! - A half that may read as anything, since its erasure was interrupted, is erased at once.
 //!
 //! # Unreadable places
@@ -46,12 +46,10 @@
 
 use super::flash::{MappedFlash, driver_error, erase_unit};
 use super::layout::{PAIR_LENGTH, RECORD_LENGTH};
-use super::record::{Contents, KINDS, OTHER_HALF, Record, STATE, UNIT_LENGTH};
+use super::record::{Contents, KINDS, OTHER_HALF, Record, STATE, UNIT_LENGTH, VOID};
 use super::{Damage, Layout, Slot, StoreError};
 use crate::wire::sequence::is_newer;
 
-/// A note that only declares what is before it void.
-const VOID: u8 = KINDS - 1;
 /// Numbers skipped for each unit of a pair that may hold a record: more than failed writes in a row
 /// have used.
 const SKIPPED_NUMBERS: u32 = 0x1_0000 * (PAIR_LENGTH / UNIT_LENGTH as u32);
@@ -298,7 +296,6 @@ impl Journal {
         if self.held_by.is_some() || (!self.is_unsettled && self.to_repeat == 0) {
             return None;
         }
-        let is_unsettled = self.is_unsettled;
         // Before the state declares the other half void: that may hold the only durable copy.
         for kind in kinds_in(self.to_repeat) {
             // What reads differently now counts as it reads now.
@@ -308,7 +305,11 @@ impl Journal {
             }
         }
         self.to_repeat = 0;
-        if is_unsettled {
+        // The second time, if there were torn pairs before the first one.
+        for _ in 0..2 {
+            if !self.is_unsettled {
+                break;
+            }
             if self.is_there_unknown {
                 // Only an erasure says what that half holds.
                 self.next_pair = layout.pairs();
@@ -341,7 +342,8 @@ impl Journal {
 
     /// Returns whether a half has room for one more kind.
     pub(super) fn has_room_for(&self, layout: &Layout, kind: u8) -> bool {
-        let kinds = (self.kinds | bit(STATE) | bit(kind)).count_ones();
+        // A note that says nothing stands where a state would.
+        let kinds = ((self.kinds & !bit(VOID)) | bit(STATE) | bit(kind)).count_ones();
         // One pair is for a record that has to be written twice.
         kinds < layout.pairs()
     }
@@ -362,7 +364,9 @@ impl Journal {
             self.newest = record.state().or(self.newest);
             // Its number is higher than that of any unreadable record.
             (self.held_by, self.blocked_by) = (None, None);
-            self.is_unsettled = false;
+            if matches!(record.kind, STATE | VOID) {
+                self.is_unsettled = self.is_there_unknown || self.is_half_void;
+            }
             self.kinds |= bit(record.kind);
         }
         outcome
@@ -385,6 +389,7 @@ impl Journal {
         if self.is_half_void && holds_all(flash, layout, self.active.other(), self.kinds) {
             // What says that the copies are complete may be gone at the next boot.
             self.active = self.active.other();
+            (self.next_pair, self.void, self.is_half_void) = (layout.pairs(), 0, false);
         }
         self.change_halves(flash, layout)?;
         self.write_next(flash, layout, record)
@@ -400,7 +405,11 @@ impl Journal {
         let pair = self.next_pair;
         // Used up, whether or not the write succeeds.
         self.next_pair = pair.wrapping_add(1);
-        let voids_other = self.is_half_void && matches!(record.kind, STATE | VOID);
+        // Torn pairs before it, and notes in the other half, count until they are settled.
+        let voids_other = self.is_half_void
+            && self.void == 0
+            && self.to_repeat == 0
+            && matches!(record.kind, STATE | VOID);
         let record = if voids_other {
             record.voiding(self.kinds & !bit(STATE))
         } else {
@@ -450,7 +459,7 @@ impl Journal {
             pair = pair.wrapping_add(1);
         }
         self.active = target;
-        (self.is_alone, self.is_half_void) = (true, false);
+        (self.is_alone, self.is_half_void, self.is_there_unknown) = (true, false, false);
         self.next_pair = pair;
         (self.void, self.kinds) = (0, kinds);
         Ok(())

@@ -10,6 +10,8 @@
 //! the service protocol contains a key. What was replaced stays in flash until its half of the
 //! journal is erased; anyone who can read the chip's flash can read keys.
 //!
+//! With the state and the count of boots these are five kinds: a half of the journal needs 768 bytes.
+//!
 //! Invariants: an epoch is handed out once, because it is reserved, in two copies that are read back,
 //! before it is used; a reset removes the keys and keeps the epochs.
 
@@ -35,7 +37,7 @@ impl<F: MappedFlash> Store<F> {
         let mut keys = NetworkKeys::new();
         if let Some(note) = self.note(NETWORK_KEYS) {
             let (entries, _) = note.as_bytes().as_chunks::<ENTRY_LENGTH>();
-            // A note has no more than fit.
+            // A note has room for three.
             keys.extend(
                 entries
                     .iter()
@@ -80,7 +82,7 @@ impl<F: MappedFlash> Store<F> {
         self.record_note(PORT_KEY, key)
     }
 
-    /// Removes all keys, the port key last, so that a reset that a power cut has ended can be
+    /// Removes all keys, the port key last, so that a reset interrupted by a power cut can be
     /// repeated with it. Epochs stay.
     ///
     /// # Errors
@@ -94,9 +96,11 @@ impl<F: MappedFlash> Store<F> {
     /// They are in flash, in two copies that have been read back.
     ///
     /// # Errors
-    /// [`StoreError::Note`] if there are not as many left; a failure to write the journal.
+    /// [`StoreError::Note`] if fewer are left, if the record of those before is damaged, or if the
+    /// journal has no room; [`StoreError::Unreadable`] if it may hold a newer record behind a fault
+    /// that passes; a failure to write it.
     pub fn reserve_epochs(&mut self, count: u32) -> Result<(u32, u32), StoreError> {
-        let first = self.epochs_end();
+        let first = self.epochs_end()?;
         let end = first.checked_add(count).ok_or(StoreError::Note)?;
         self.record_note(EPOCHS, &end.to_le_bytes())?;
         Ok((first, end))
@@ -105,16 +109,19 @@ impl<F: MappedFlash> Store<F> {
     /// Skips all epochs below `first`; does nothing if they are in use already.
     ///
     /// # Errors
-    /// A failure to write the journal.
+    /// As for [`Self::reserve_epochs`].
     pub fn skip_epochs(&mut self, first: u32) -> Result<(), StoreError> {
-        if first <= self.epochs_end() {
+        if first <= self.epochs_end()? {
             return Ok(());
         }
         self.record_note(EPOCHS, &first.to_le_bytes())
     }
 
-    fn epochs_end(&mut self) -> u32 {
-        let note = self.note(EPOCHS);
-        note.and_then(|note| note.as_bytes().try_into().ok()).map_or(0, u32::from_le_bytes)
+    fn epochs_end(&mut self) -> Result<u32, StoreError> {
+        if let Some(offset) = self.journal.held_by() {
+            return Err(StoreError::Unreadable { offset });
+        }
+        let Some(note) = self.note(EPOCHS) else { return Ok(0) };
+        note.as_bytes().try_into().map(u32::from_le_bytes).map_err(|_| StoreError::Note)
     }
 }

@@ -58,6 +58,8 @@ pub(super) const KINDS: u8 = 32;
 /// The kind of the state.
 pub(super) const STATE: u8 = 0;
 
+/// A note that only declares what is before it void.
+pub(super) const VOID: u8 = KINDS - 1;
 /// Instead of a count of void pairs: the copies into this half are complete, and the other half does
 /// not count any more, whatever it holds.
 pub(super) const OTHER_HALF: u8 = u8::MAX;
@@ -154,7 +156,8 @@ impl Record {
 
     /// Returns the kinds that its half holds, if it declares the other half void.
     pub(super) fn complete_with(&self) -> Option<u32> {
-        let kinds = self.payload.last_chunk().filter(|_| self.void == OTHER_HALF)?;
+        let is_last_copy = self.void == OTHER_HALF && matches!(self.kind, STATE | VOID);
+        let kinds = self.payload.last_chunk().filter(|_| is_last_copy)?;
         Some(u32::from_le_bytes(*kinds))
     }
 
