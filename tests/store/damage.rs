@@ -509,6 +509,26 @@ fn notes_survive_every_change_of_halves_until_they_are_removed() {
     assert_eq!(store.record_note(28, b"c"), Ok(()));
 }
 
+/// A driver that reports an erasure that did not happen leaves old records behind the new ones.
+#[test]
+fn an_erasure_that_silently_fails_brings_nothing_old_back() {
+    for others in 0..200 {
+        let mut flash = two_packages();
+        let (mut store, _) = boot(&mut flash);
+        store.flash().arm(others, 1, Fault::Silent);
+        let (mut last, mut attempted) = (0, vec![]);
+        for number in 1..=20 {
+            if store.record_note(9, &[number]).is_ok() {
+                (last, attempted) = (number, vec![]);
+            } else {
+                attempted.push(number);
+            }
+        }
+        let found = boot(&mut flash).0.note(9).map_or(0, |note| note.as_bytes()[0]);
+        assert!(found == last || attempted.contains(&found), "{others}: {found} after {last}");
+    }
+}
+
 #[test]
 fn boots_are_counted_and_a_board_that_remembers_writes_less() {
     let mut flash = two_packages();

@@ -443,6 +443,12 @@ impl Journal {
             erase_unit(flash, start.wrapping_add(erased))?;
             erased = erased.wrapping_add(F::ERASE_SIZE as u32);
         }
+        // What an erasure has left behind the copies would count as written after them.
+        for pair in 0..layout.half_length().div_ceil(PAIR_LENGTH) {
+            if !matches!(read_pair(flash, layout, target, pair).0, Pair::Free) {
+                return Err(StoreError::Verify { offset: place_offset(layout, target, pair) });
+            }
+        }
         let (mut pair, mut kinds) = (0, bit(STATE));
         for kind in kinds_in(self.kinds & !bit(STATE)) {
             let Some(Found { record, .. }) = last_of(flash, layout, self.active, kind) else {
