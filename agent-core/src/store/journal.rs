@@ -449,14 +449,16 @@ impl Journal {
                 return Err(StoreError::Verify { offset: place_offset(layout, target, pair) });
             }
         }
-        let (mut pair, mut kinds) = (0, bit(STATE));
+        let (mut pair, mut kinds) = (0_u32, bit(STATE));
         for kind in kinds_in(self.kinds & !bit(STATE)) {
             let Some(Found { record, .. }) = last_of(flash, layout, self.active, kind) else {
                 continue;
             };
-            if record.length > 0 {
+            // The last two pairs are for the state and the record that follows. More notes than that are
+            // not recorded, but an image can hold them.
+            if record.length > 0 && pair.wrapping_add(2) < layout.pairs() {
                 self.write(flash, layout, (target, pair), &Record { void: 0, ..record })?;
-                pair = u32::wrapping_add(pair, 1);
+                pair = pair.wrapping_add(1);
                 kinds |= bit(kind);
             }
         }
