@@ -44,7 +44,7 @@ pub use response::{
 use serde::{Deserialize, Serialize};
 
 use crate::wire::cobs::Encoder;
-use crate::wire::codec;
+use crate::wire::{codec, writer};
 
 /// Version of the messages that this crate reads and writes.
 pub const PROTOCOL_VERSION: u8 = 1;
@@ -80,7 +80,7 @@ pub fn send_numbered(number: Option<u16>, message: &impl Serialize, sink: impl F
         encoder.extend(head.get(..length).unwrap_or_default());
     }
     // Encoding cannot fail, because all sequences know their lengths.
-    let _ = postcard::serialize_with_flavor(message, &mut encoder);
+    let _ = writer::write(message, &mut |bytes| encoder.extend(bytes));
     encoder.finish();
 }
 

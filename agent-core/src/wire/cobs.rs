@@ -12,8 +12,6 @@
 //! Cost: about 25 operations per byte, including the checksum. Memory: 264 bytes while a message is
 //! encoded; `CAPACITY + 12` bytes for the decoder.
 
-use postcard::ser_flavors::Flavor;
-
 use crate::wire::crc::{CHECKSUM_LENGTH, Checksum, crc32};
 
 /// Ends every message and occurs nowhere else.
@@ -92,26 +90,6 @@ impl<S: FnMut(&[u8])> Encoder<S> {
             (self.sink)(block);
         }
         self.length = 0;
-    }
-}
-
-/// Lets postcard serialise into the message.
-impl<S: FnMut(&[u8])> Flavor for &mut Encoder<S> {
-    type Output = ();
-
-    #[inline]
-    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
-        self.extend(&[byte]);
-        Ok(())
-    }
-
-    fn try_extend(&mut self, bytes: &[u8]) -> postcard::Result<()> {
-        self.extend(bytes);
-        Ok(())
-    }
-
-    fn finalize(self) -> postcard::Result<()> {
-        Ok(())
     }
 }
 

@@ -8,8 +8,9 @@
 //!
 //! Cost: linear in the length. Invariant: decoding never panics, whatever the bytes.
 
-use postcard::ser_flavors::Size;
 use serde::{Deserialize, Serialize};
+
+use super::writer;
 
 /// Decodes the value at the start of `bytes` and returns it with the remaining bytes; `None` if the
 /// bytes are invalid or not in their canonical form.
@@ -20,7 +21,7 @@ where
     T: Serialize + Deserialize<'a>,
 {
     let (value, rest) = postcard::take_from_bytes::<T>(bytes).ok()?;
-    let length = postcard::serialize_with_flavor(&value, Size::default()).ok()?;
+    let length = writer::length(&value)?;
     (length == bytes.len() - rest.len()).then_some((value, rest))
 }
 
@@ -60,6 +61,9 @@ mod tests {
             let value: Mixed<'_> =
                 (integer >> shift, optional, flag, &text, [7; 3], number, pairs, &bytes);
             let mut stream = written(&value);
+            let mut bytes = heapless::Vec::<u8, 200>::new();
+            prop_assert_eq!(writer::append(&value, &mut bytes), Some(()));
+            prop_assert_eq!(&bytes[..], &stream[..]);
             // To the bit, NaN included.
             prop_assert_eq!(whole::<Mixed<'_>>(&stream).map(|read| written(&read)), Some(stream.clone()));
             stream.push(9);

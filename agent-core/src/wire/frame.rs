@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::INPUTS_MAX;
 use crate::math::numeric::all_finite;
-use crate::wire::codec;
+use crate::wire::{codec, writer};
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 use crate::{AgentId, StateVector, Tick};
 
@@ -221,11 +221,9 @@ fn encode(sender: AgentId, sequence: u32, tick: Tick, estimate: &[f32]) -> Frame
     // At most INPUTS_MAX.
     let count = estimate.len() as u16;
     let head = Head { sender, sequence, tick, payload: Payload::Estimate, count };
-    let mut buffer = [0; FRAME_LENGTH_MAX];
-    // Everything fits: FRAME_LENGTH_MAX is the sum of every field's largest size.
-    let length = postcard::to_slice(&(VERSION, head), &mut buffer).map_or(0, |head| head.len());
     let mut bytes = FrameBytes::new();
-    let _ = bytes.extend_from_slice(buffer.get(..length).unwrap_or_default());
+    // Everything fits: FRAME_LENGTH_MAX is the sum of every field's largest size.
+    let _ = writer::append(&(VERSION, head), &mut bytes);
     for component in estimate {
         let _ = bytes.extend_from_slice(&component.to_le_bytes());
     }

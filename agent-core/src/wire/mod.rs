@@ -9,3 +9,4 @@ pub(crate) mod codec;
 pub mod crc;
 pub mod frame;
 pub(crate) mod sequence;
+pub(crate) mod writer;

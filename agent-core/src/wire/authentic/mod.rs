@@ -29,7 +29,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::INPUTS_MAX;
 use crate::math::numeric::all_finite;
-use crate::wire::codec;
+use crate::wire::{codec, writer};
 use crate::wire::frame::{FrameError, Numbers};
 use crate::{AgentId, StateVector, Tick};
 
@@ -107,13 +107,12 @@ impl AuthenticFrame<&[f32]> {
         let &Self { sender, stamp, tick, payload } = self;
         let body = Body { version: VERSION, key: key.number(), sender, stamp, tick, payload };
         let mut bytes = Bytes::new();
-        let mut buffer = [0; LENGTH_MAX - TAG_LENGTH];
-        if let Ok(body) = postcard::to_slice(&body, &mut buffer) {
-            let tag = key.tag(sender, body).to_le_bytes();
-            // Both fit: LENGTH_MAX is the sum of every field's largest size.
-            let _ = bytes.extend_from_slice(body);
-            let _ = bytes.extend_from_slice(&tag);
+        // Everything fits: LENGTH_MAX is the sum of every field's largest size.
+        if writer::append(&body, &mut bytes).is_none() {
+            return Bytes::new();
         }
+        let tag = key.tag(sender, &bytes).to_le_bytes();
+        let _ = bytes.extend_from_slice(&tag);
         bytes
     }
 }
