@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 
 use agent_core::agent::trust::{Believed, Trust, TrustParams};
-use agent_core::wire::authentic::{AuthenticFrame, Bytes, KEY_LENGTH, NetworkKey, Payload, Stamp};
+use agent_core::wire::authentic::{AuthenticFrame, Bytes, NetworkKey, Payload, Stamp};
+use agent_core::wire::secret::Secret;
 use agent_core::{AgentId, Frame, Neighbour, StateVector, Tick};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -96,7 +97,7 @@ impl Node {
 pub(super) fn stranger(tries: u64, seed: u64) -> Outcome {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut key_number = 1;
-    let key = |number: u8| NetworkKey::new(number, [number; KEY_LENGTH]);
+    let key = |number: u8| NetworkKey::new(number, Secret::new([number; 16]));
     let mut nodes = [1, 2, 3].map(|own| Node::new(own, 10, vec![key(1)], 0));
     let mut recorded = Vec::<Bytes>::new();
     let mut outcome = Outcome { name: "radio-frames", tries: 0, accepted: 0, harm: 0 };
@@ -184,7 +185,7 @@ fn forged(recorded: &[Bytes], random: &mut ChaCha8Rng, now: Tick) -> Vec<u8> {
         }
         // From another network that uses the same number for its key.
         5 => {
-            let foreign = NetworkKey::new(random.random_range(0..4), [99; KEY_LENGTH]);
+            let foreign = NetworkKey::new(random.random_range(0..4), Secret::new([99; 16]));
             let frame = AuthenticFrame { sender, stamp: latest, tick: now, payload };
             bytes = frame.seal(&foreign).to_vec();
         }

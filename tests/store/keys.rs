@@ -1,8 +1,10 @@
 //! Keys and epochs in the journal: they survive power cuts at every word, and an epoch is handed out
 //! once.
 
+use agent_core::AgentId;
 use agent_core::store::{Store, StoreError};
-use agent_core::wire::authentic::{KEY_LENGTH, NetworkKey};
+use agent_core::wire::authentic::NetworkKey;
+use agent_core::wire::secret::Secret;
 use rayon::prelude::*;
 
 use test_support::nor_flash::{SimulatedFlash, Tear};
@@ -15,11 +17,11 @@ type Flash = SimulatedFlash<8, 768>;
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Known {
     network_keys: Vec<NetworkKey>,
-    port_key: Option<[u8; KEY_LENGTH]>,
+    port_key: Option<(Secret, AgentId)>,
 }
 
 fn key(number: u8) -> NetworkKey {
-    NetworkKey::new(number, [number ^ 0x5a; KEY_LENGTH])
+    NetworkKey::new(number, Secret::new([number ^ 0x5a; 16]))
 }
 
 fn boot(flash: &mut Flash) -> (Store<&mut Flash>, Known) {
@@ -38,9 +40,9 @@ fn change(
 ) -> (Result<(), StoreError>, Known) {
     match turn % 4 {
         0 => {
-            let port_key = [turn | 1; KEY_LENGTH];
+            let port_key = (Secret::new([turn | 1; 16]), turn.into());
             let after = Known { port_key: Some(port_key), ..known.clone() };
-            (store.record_port_key(&port_key), after)
+            (store.record_port_key(port_key.0, port_key.1), after)
         }
         1 => {
             let network_keys = vec![key(turn)];
@@ -128,7 +130,7 @@ fn what_cannot_be_a_key_ring_is_refused() {
     assert_eq!(store.skip_epochs(1_000), Ok(()));
     assert_eq!(store.skip_epochs(2), Ok(()));
     assert_eq!(store.reserve_epochs(2), Ok((1_000, 1_002)));
-    store.record_port_key(&[7; KEY_LENGTH]).unwrap();
+    store.record_port_key(Secret::new([7; 16]), 3).unwrap();
     store.record_network_keys(&[key(1)]).unwrap();
     store.remove_keys().unwrap();
     let (mut store, known) = boot(&mut flash);
@@ -139,6 +141,6 @@ fn what_cannot_be_a_key_ring_is_refused() {
 
 #[test]
 fn keys_are_not_printed() {
-    let secret = format!("{:?}", NetworkKey::new(7, [0xab; KEY_LENGTH]));
+    let secret = format!("{:?}", NetworkKey::new(7, Secret::new([0xab; 16])));
     assert!(secret.contains('7') && !secret.contains("171") && !secret.contains("ab"), "{secret}");
 }

@@ -12,6 +12,8 @@
 //! | [`Activate`](Request::Activate), [`Revert`](Request::Revert) | [`InUse`](Response::InUse) |
 //! | [`Report`](Request::Report) | [`Report`](Response::Report) |
 //! | [`ForgetUnreadable`](Request::ForgetUnreadable) | [`Done`](Response::Done) |
+//! | [`Session`](Request::Session) | [`Session`](Response::Session) |
+//! | [`Provision`](Request::Provision), [`NetworkKeys`](Request::NetworkKeys), [`FactoryReset`](Request::FactoryReset) | [`Done`](Response::Done) |
 //! | [`Confirm`](Request::Confirm), [`Subscribe`](Request::Subscribe), [`StartAt`](Request::StartAt), [`Reset`](Request::Reset) | [`Done`](Response::Done) |
 //! | [`Samples`](Request::Samples) | any number of [`Sample`](Response::Sample), then [`SamplesEnd`](Response::SamplesEnd) |
 //! | any of them | [`Refused`](Response::Refused) |
@@ -33,12 +35,14 @@ mod problem;
 mod report;
 mod request;
 mod response;
+#[cfg(feature = "authentic-frames")]
+pub mod seal;
 
 pub use problem::{Problem, RefusalKind, RefusalReport};
 pub use report::{FILE_NAME, LastRevert, PanicPlace, Performance, Report, ResetCause, TrialReport};
-pub use request::{Numbers, Request, Subscription};
+pub use request::{NetworkKeyList, Numbers, Provision, Request, Subscription};
 pub use response::{
-    BoardFault, Event, Firmware, Outcome, PackageStatus, Response, State, Status, numbers,
+    BoardFault, Event, Firmware, Outcome, PackageStatus, Response, Session, State, Status, numbers,
 };
 
 use serde::{Deserialize, Serialize};
@@ -53,8 +57,11 @@ pub const PROTOCOL_VERSION: u8 = 1;
 pub const CHUNK_LENGTH_MAX: usize = 128;
 
 /// Length of the longest encoded request before framing, in bytes: room for a chunk, a frame or a
-/// measurement, with the fields around them.
-pub const REQUEST_LENGTH_MAX: usize = CHUNK_LENGTH_MAX + 12;
+/// measurement, with the fields around them, and for a seal.
+pub const REQUEST_LENGTH_MAX: usize = CHUNK_LENGTH_MAX + 12 + SEAL_LENGTH_MAX;
+
+/// Length by which a seal makes a request longer: index, counter and tag.
+const SEAL_LENGTH_MAX: usize = 1 + 5 + 16;
 
 /// Progress of an upload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -108,6 +115,16 @@ fn head(number: u16) -> ([u8; 4], usize) {
 pub fn split_number(bytes: &[u8]) -> (Option<u16>, &[u8]) {
     match codec::take::<Request<'_>>(bytes) {
         Some((Request::Numbered { number }, rest)) => (Some(number), rest),
+        _ => (None, bytes),
+    }
+}
+
+/// Separates the counter of a sealed request from the encrypted rest; `None` and all bytes if the
+/// request is not sealed. A number must have been separated before.
+#[must_use]
+pub fn split_seal(bytes: &[u8]) -> (Option<u32>, &[u8]) {
+    match codec::take::<Request<'_>>(bytes) {
+        Some((Request::Sealed { counter }, rest)) => (Some(counter), rest),
         _ => (None, bytes),
     }
 }

@@ -20,6 +20,14 @@ pub enum Problem {
     Store(StoreError),
     /// The package was refused.
     Package(RefusalReport),
+    /// The node has a port key, and this request must be sealed with it.
+    NotSealed,
+    /// The seal does not match: another key, an earlier request, or an epoch that is over.
+    Seal,
+    /// The node has no port key, so that nothing can be sealed for it, or the request needs one.
+    NotProvisioned,
+    /// The node accepts its first keys only from its operator, and the signature does not match.
+    NotSigned,
 }
 
 impl core::fmt::Display for Problem {
@@ -35,6 +43,14 @@ impl core::fmt::Display for Problem {
             }
             Self::Store(error) => write!(f, "{error}"),
             Self::Package(report) => write!(f, "package refused: {report}"),
+            Self::NotSealed => write!(f, "the node is provisioned and needs this request sealed"),
+            Self::Seal => {
+                write!(f, "the seal does not match the node's port key, epoch and counter")
+            }
+            Self::NotProvisioned => write!(f, "the node is not provisioned"),
+            Self::NotSigned => {
+                write!(f, "the node's first keys must be signed by the operator of its firmware")
+            }
         }
     }
 }

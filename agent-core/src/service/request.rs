@@ -4,8 +4,9 @@ use core::num::NonZeroU32;
 
 use serde::{Deserialize, Serialize};
 
-use crate::Tick;
 pub use crate::wire::frame::Numbers;
+use crate::wire::secret::Secret;
+use crate::{AgentId, Tick};
 
 /// A request to a node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -71,7 +72,64 @@ pub enum Request<'a> {
         /// The number.
         number: u16,
     },
+    /// Report what a laptop must know to seal requests.
+    Session,
+    /// The head of a sealed request, after its number if it has one: see `service::seal`.
+    Sealed {
+        /// Greater than that of every sealed request before it in the node's epoch.
+        counter: u32,
+    },
+    /// Give the node its port key and its agent. Not sealed if it has no port key yet; then the
+    /// operator must have signed it if the firmware accepts only signed packages.
+    Provision(Provision<'a>),
+    /// Use these network keys in place of those before, the one for sending first. Only sealed.
+    NetworkKeys(NetworkKeyList),
+    /// Forget keys, agent and packages, but neither the epochs nor the highest package activated, and
+    /// restart. Only sealed.
+    FactoryReset,
 }
+
+impl Request<'_> {
+    /// Returns whether a node with a port key carries out this request even if it is not sealed.
+    #[must_use]
+    pub fn is_free(&self) -> bool {
+        matches!(self, Self::Query | Self::Report | Self::Session)
+    }
+}
+
+/// A node's port key and agent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Provision<'a> {
+    /// The agent: the node then refuses packages of all others.
+    pub agent: AgentId,
+    /// The port key.
+    pub port_key: Secret,
+    /// Least epoch from now on, from the operator's clock: above those of an earlier life whose flash
+    /// has been lost.
+    pub epoch: u32,
+    /// Ed25519 signature of [`Self::signed_bytes`], or empty.
+    pub signature: &'a [u8],
+}
+
+impl Provision<'_> {
+    /// Returns what the operator signs: a label, agent, port key and epoch, little-endian.
+    #[must_use]
+    pub fn signed_bytes(&self) -> [u8; 40] {
+        let parts = [
+            &b"provision a node"[..],
+            &self.agent.to_le_bytes(),
+            &self.port_key.to_bytes(),
+            &self.epoch.to_le_bytes(),
+        ];
+        let mut bytes = [0; 40];
+        let all = parts.into_iter().flatten();
+        bytes.iter_mut().zip(all).for_each(|(place, byte)| *place = *byte);
+        bytes
+    }
+}
+
+/// Network keys with their numbers.
+pub type NetworkKeyList = heapless::Vec<(u8, Secret), 2>;
 
 /// Unsolicited reports, in addition to events.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

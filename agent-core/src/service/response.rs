@@ -76,6 +76,24 @@ pub enum Response<'a, V> {
         /// The number of the request.
         number: u16,
     },
+    /// Answers a request for the session; `None` from a node without a port key.
+    Session(Option<Session>),
+}
+
+/// What a laptop must know to seal requests to a node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Session {
+    /// The agent that the node was provisioned as.
+    pub agent: AgentId,
+    /// The epoch, which changes with every boot; `None` if the node cannot record one, and so accepts
+    /// no sealed request.
+    pub epoch: Option<u32>,
+    /// Counter of the last sealed request in this epoch, 0 before the first one.
+    pub counter: u32,
+    /// Proof that the node has the port key, over agent and epoch.
+    pub proof: u64,
+    /// Numbers of the network keys, the one for sending first.
+    pub network_keys: [Option<u8>; 2],
 }
 
 impl<V> Response<'_, V> {
@@ -92,6 +110,7 @@ impl<V> Response<'_, V> {
             | Self::Sample { .. }
             | Self::SamplesEnd { .. }
             | Self::Report(_)
+            | Self::Session(_)
             | Self::Answer { .. } => true,
             Self::Hello(_)
             | Self::State(_)

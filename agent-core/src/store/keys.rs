@@ -3,7 +3,7 @@
 //! | note | content |
 //! | --- | --- |
 //! | 2 | at most two network keys: for each, its number (one byte) and its 16 bytes |
-//! | 3 | the port key, 16 bytes |
+//! | 3 | the port key, 16 bytes, and the agent that the node was provisioned as, `u32`, little-endian |
 //! | 4 | the end of the reserved epochs, `u32`, little-endian |
 //!
 //! A key is replaced by one record, so a power cut leaves the old one or the new one. No answer of
@@ -15,8 +15,10 @@
 //! Invariants: an epoch is handed out once, because it is reserved, in two copies that are read back,
 //! before it is used; a reset removes the keys and keeps the epochs.
 
-use super::{MappedFlash, Store, StoreError};
-use crate::wire::authentic::{KEY_LENGTH, NetworkKey};
+use super::{Contents, MappedFlash, Phase, Store, StoreError};
+use crate::AgentId;
+use crate::wire::authentic::NetworkKey;
+use crate::wire::secret::{SECRET_LENGTH, Secret};
 
 const NETWORK_KEYS: u8 = 2;
 const PORT_KEY: u8 = 3;
@@ -26,7 +28,7 @@ const EPOCHS: u8 = 4;
 pub const NETWORK_KEYS_MAX: usize = 2;
 
 /// Length of a key with its number.
-const ENTRY_LENGTH: usize = 1 + KEY_LENGTH;
+const ENTRY_LENGTH: usize = 1 + SECRET_LENGTH;
 
 /// The network keys of a node. Frames are sealed with the first one.
 pub type NetworkKeys = heapless::Vec<NetworkKey, NETWORK_KEYS_MAX>;
@@ -42,7 +44,7 @@ impl<F: MappedFlash> Store<F> {
                 entries
                     .iter()
                     .take(NETWORK_KEYS_MAX)
-                    .map(|[number, key @ ..]| NetworkKey::new(*number, *key)),
+                    .map(|[number, key @ ..]| NetworkKey::new(*number, Secret::new(*key))),
             );
         }
         keys
@@ -64,22 +66,27 @@ impl<F: MappedFlash> Store<F> {
         }
         let mut note = heapless::Vec::<u8, { NETWORK_KEYS_MAX * ENTRY_LENGTH }>::new();
         for key in keys {
-            note.extend(core::iter::once(key.number()).chain(key.to_bytes()));
+            note.extend(core::iter::once(key.number()).chain(key.secret().to_bytes()));
         }
         self.record_note(NETWORK_KEYS, &note)
     }
 
-    /// Returns the port key, if the node has one.
-    pub fn port_key(&mut self) -> Option<[u8; KEY_LENGTH]> {
-        self.note(PORT_KEY)?.as_bytes().try_into().ok()
+    /// Returns the port key and the agent that the node was provisioned as, if it was.
+    pub fn port_key(&mut self) -> Option<(Secret, AgentId)> {
+        let note = self.note(PORT_KEY)?;
+        let (key, agent) = note.as_bytes().split_first_chunk()?;
+        Some((Secret::new(*key), AgentId::from_le_bytes(agent.try_into().ok()?)))
     }
 
-    /// Records the port key in place of the one before.
+    /// Records port key and agent in place of those before.
     ///
     /// # Errors
     /// A failure to write the journal.
-    pub fn record_port_key(&mut self, key: &[u8; KEY_LENGTH]) -> Result<(), StoreError> {
-        self.record_note(PORT_KEY, key)
+    pub fn record_port_key(&mut self, key: Secret, agent: AgentId) -> Result<(), StoreError> {
+        let mut note = [0; SECRET_LENGTH + size_of::<AgentId>()];
+        let bytes = key.to_bytes().into_iter().chain(agent.to_le_bytes());
+        note.iter_mut().zip(bytes).for_each(|(place, byte)| *place = byte);
+        self.record_note(PORT_KEY, &note)
     }
 
     /// Removes all keys, the port key last, so that a reset interrupted by a power cut can be
@@ -90,6 +97,18 @@ impl<F: MappedFlash> Store<F> {
     pub fn remove_keys(&mut self) -> Result<(), StoreError> {
         self.record_note(NETWORK_KEYS, &[])?;
         self.record_note(PORT_KEY, &[])
+    }
+
+    /// Forgets the packages, but not which was the highest that has been activated, and then the keys:
+    /// see [`Self::remove_keys`].
+    ///
+    /// # Errors
+    /// A failure to write the journal; what has been forgotten until then stays forgotten.
+    pub fn reset(&mut self) -> Result<(), StoreError> {
+        self.upload = None;
+        let packages = [None; 2];
+        self.commit(Contents { in_use: None, phase: Phase::Confirmed, packages, ..self.contents })?;
+        self.remove_keys()
     }
 
     /// Reserves `count` epochs that have never been handed out and returns the first one and the end.

@@ -23,8 +23,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::INPUTS_MAX;
 use crate::math::numeric::all_finite;
-use crate::wire::{codec, writer};
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
+use crate::wire::{codec, writer};
 use crate::{AgentId, StateVector, Tick};
 
 /// Version of the format that this crate reads and writes.

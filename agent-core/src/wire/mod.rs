@@ -8,5 +8,6 @@ pub mod cobs;
 pub(crate) mod codec;
 pub mod crc;
 pub mod frame;
+pub mod secret;
 pub(crate) mod sequence;
 pub(crate) mod writer;

@@ -1,7 +1,7 @@
 use super::*;
-use crate::wire::authentic::KEY_LENGTH;
+use crate::wire::secret::Secret;
 
-const KEY: NetworkKey = NetworkKey::new(1, [9; KEY_LENGTH]);
+const KEY: NetworkKey = NetworkKey::new(1, Secret::new([9; 16]));
 const PARAMS: TrustParams = TrustParams { hello_interval: 250, answer_gap: 100 };
 
 fn neighbour(id: AgentId) -> Neighbour {

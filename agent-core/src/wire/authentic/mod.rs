@@ -23,14 +23,14 @@
 
 mod key;
 
-pub use key::{KEY_LENGTH, NetworkKey};
+pub use key::NetworkKey;
 
 use serde::{Deserialize, Serialize};
 
 use crate::INPUTS_MAX;
 use crate::math::numeric::all_finite;
-use crate::wire::{codec, writer};
 use crate::wire::frame::{FrameError, Numbers};
+use crate::wire::{codec, writer};
 use crate::{AgentId, StateVector, Tick};
 
 /// Version of authentic frames.
