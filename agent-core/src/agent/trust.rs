@@ -112,9 +112,21 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         self.epochs_end.saturating_sub(self.epoch)
     }
 
-    /// Adds epochs up to `end`, which have been reserved in the store and read back.
-    pub fn extend(&mut self, end: u32) {
-        self.epochs_end = self.epochs_end.max(end);
+    /// Goes on with the epochs from `first` up to, but without, `end`, which have been reserved in the
+    /// store and read back; all are greater than those before.
+    pub fn extend(&mut self, (first, end): (u32, u32)) {
+        if first >= self.epochs_end {
+            if first > self.epochs_end {
+                (self.epoch, self.sealed) = (first, None);
+            }
+            self.epochs_end = end;
+        }
+    }
+
+    /// Returns the agent that speaks.
+    #[must_use]
+    pub fn own(&self) -> AgentId {
+        self.own
     }
 
     /// Returns whether the neighbour in this place, in the order of the parameters, is believed.

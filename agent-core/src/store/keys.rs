@@ -136,7 +136,11 @@ impl<F: MappedFlash> Store<F> {
         self.record_note(EPOCHS, &first.to_le_bytes())
     }
 
-    fn epochs_end(&mut self) -> Result<u32, StoreError> {
+    /// Returns the end of the epochs that have been reserved so far.
+    ///
+    /// # Errors
+    /// As for [`Self::reserve_epochs`].
+    pub fn epochs_end(&mut self) -> Result<u32, StoreError> {
         if let Some(offset) = self.journal.held_by() {
             return Err(StoreError::Unreadable { offset });
         }
