@@ -14,7 +14,7 @@
 //! Memory: 120 bytes, and 24 per neighbour.
 
 use agent_core::agent::hold::HoldSlots;
-use agent_core::agent::trust::{Believed, Trust, TrustParams};
+use agent_core::agent::trust::{Trust, TrustParams};
 use agent_core::health::WatchedAgent;
 use agent_core::observer::feedback::Neighbour;
 use agent_core::package::signature::{self, PublicKey};
@@ -138,7 +138,7 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
             self.trust = None;
             return;
         }
-        let ticks = |seconds: f32| ((seconds / step_size) as Tick).max(1);
+        let ticks = |seconds: f32| Tick::from(((seconds / step_size) as u32).max(1));
         let params = TrustParams {
             hello_interval: ticks(HELLO_INTERVAL),
             answer_gap: ticks(ANSWER_GAP),
@@ -176,10 +176,10 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
             return;
         };
         match trust.open(watched.params.neighbours(), &self.network, bytes) {
-            Ok(Believed::Sample(frame)) => {
+            Ok(Some(frame)) => {
                 let _ = watched.receive_believed(&frame);
             }
-            Ok(Believed::Nothing) => {}
+            Ok(None) => {}
             Err(error) => watched.health.frame_refused(&error),
         }
     }
