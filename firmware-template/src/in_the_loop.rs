@@ -7,8 +7,8 @@
 //! Memory: the port, one request, `FRAMES` frames, and 512 bytes of input and output.
 
 use agent_core::service::{Numbers, Request, Response, receive, respond};
-use agent_core::wire::cobs::SerialError;
 use agent_core::wire::LENGTH_MAX;
+use agent_core::wire::cobs::SerialError;
 use embedded_io::{Read, Write};
 
 use crate::board::{

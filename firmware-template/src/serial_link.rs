@@ -7,9 +7,9 @@
 //!
 //! Memory: the port and 90 bytes.
 
+use agent_core::wire::LENGTH_MAX;
 use agent_core::wire::cobs::{Decoder, Encoder};
 use agent_core::wire::crc::CHECKSUM_LENGTH;
-use agent_core::wire::LENGTH_MAX;
 use embedded_io::{Read, ReadReady, Write};
 
 use crate::board::{copied, write_whole};

@@ -50,25 +50,19 @@ impl<F: MappedFlash> Store<F> {
         keys
     }
 
-    /// Records the network keys in place of those before, the one in use first.
+    /// Records network keys in place of those before, the one in use first: for each, its number and
+    /// its 16 bytes.
     ///
     /// # Errors
     /// [`StoreError::Note`] if there is none, more than [`NETWORK_KEYS_MAX`], or two with the same
     /// number; a failure to write the journal.
-    pub fn record_network_keys(&mut self, keys: &[NetworkKey]) -> Result<(), StoreError> {
-        let is_ambiguous = match keys {
-            [_] => false,
-            [first, second] => first.number() == second.number(),
-            _ => true,
-        };
-        if is_ambiguous {
-            return Err(StoreError::Note);
+    pub fn record_network_keys(&mut self, keys: &[u8]) -> Result<(), StoreError> {
+        match keys.as_chunks::<ENTRY_LENGTH>() {
+            ([_], []) => {}
+            ([[first, ..], [second, ..]], []) if first != second => {}
+            _ => return Err(StoreError::Note),
         }
-        let mut note = heapless::Vec::<u8, { NETWORK_KEYS_MAX * ENTRY_LENGTH }>::new();
-        for key in keys {
-            note.extend(core::iter::once(key.number()).chain(key.secret().to_bytes()));
-        }
-        self.record_note(NETWORK_KEYS, &note)
+        self.record_note(NETWORK_KEYS, keys)
     }
 
     /// Returns the port key and the agent that the node was provisioned as, if it was.

@@ -200,9 +200,8 @@ pub(crate) fn estimate<const N: usize>(
     sender: AgentId,
     words: &[[u8; 4]],
 ) -> Result<StateVector<N>, FrameError> {
-    let words: &[[u8; 4]; N] = words
-        .try_into()
-        .map_err(|_| FrameError::Dimension { expected: N, found: words.len() })?;
+    let words: &[[u8; 4]; N] =
+        words.try_into().map_err(|_| FrameError::Dimension { expected: N, found: words.len() })?;
     let estimate = StateVector::from(words.map(f32::from_le_bytes));
     if !all_finite(&estimate) {
         return Err(FrameError::NotFinite { sender });

@@ -70,8 +70,8 @@ impl<
                 | Request::Activate
                 | Request::Confirm
                 | Request::Revert
-                | Request::Provision(_)
-                | Request::NetworkKeys(_)
+                | Request::Provision { .. }
+                | Request::NetworkKeys { .. }
         );
         let upload = |received| Ok((Response::Upload(Upload { received }), Next::Continue));
         match *request {
@@ -100,12 +100,12 @@ impl<
                 Ok((Response::Done, Next::Continue))
             }
             Request::Session => Ok((Response::Session(self.guard.session()), Next::Continue)),
-            Request::Provision(ref provision) => {
-                self.guard.provision(provision, &mut self.store, &self.settings)?;
+            Request::Provision { bytes } => {
+                self.guard.provision(bytes, &mut self.store, &self.settings)?;
                 Ok((Response::Done, Next::Continue))
             }
-            Request::NetworkKeys(ref keys) => {
-                self.guard.replace_network_keys(keys, &mut self.store)?;
+            Request::NetworkKeys { bytes } => {
+                self.guard.replace_network_keys(bytes, &mut self.store)?;
                 self.prepare_guard(None);
                 Ok((Response::Done, Next::Continue))
             }

@@ -19,7 +19,7 @@ use agent_core::health::WatchedAgent;
 use agent_core::observer::feedback::Neighbour;
 use agent_core::package::signature::{self, PublicKey};
 use agent_core::service::seal::PortKey;
-use agent_core::service::{NetworkKeyList, Problem, Provision, Session, split_seal};
+use agent_core::service::{Problem, Provision, Session, split_seal};
 use agent_core::store::{MappedFlash, NetworkKeys, Store, StoreError};
 use agent_core::wire::authentic::NetworkKey;
 use agent_core::wire::frame::Frame;
@@ -139,10 +139,8 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
             return;
         }
         let ticks = |seconds: f32| Tick::from(((seconds / step_size) as u32).max(1));
-        let params = TrustParams {
-            hello_interval: ticks(HELLO_INTERVAL),
-            answer_gap: ticks(ANSWER_GAP),
-        };
+        let params =
+            TrustParams { hello_interval: ticks(HELLO_INTERVAL), answer_gap: ticks(ANSWER_GAP) };
         let mut trust = self.trust.take().filter(|trust| trust.own() == own);
         let is_short = trust.as_ref().is_none_or(|trust| trust.epochs_left() <= 1);
         // Without epochs the node only listens.
@@ -261,14 +259,15 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
     #[inline(never)]
     pub(super) fn provision<F: MappedFlash>(
         &mut self,
-        provision: &Provision<'_>,
+        bytes: &[u8],
         store: &mut Store<F>,
         settings: &Settings,
     ) -> Result<(), Problem> {
+        let (provision, signature) = Provision::split(bytes).ok_or(Problem::Unknown)?;
         if self.port.is_none()
             && let Some(operator) = &settings.public_key
         {
-            check_signature(operator, provision)?;
+            check_signature(operator, &provision.signed_bytes(), signature)?;
         }
         store.skip_epochs(provision.epoch)?;
         self.reserved = Epochs::default();
@@ -282,16 +281,14 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
     #[inline(never)]
     pub(super) fn replace_network_keys<F: MappedFlash>(
         &mut self,
-        keys: &NetworkKeyList,
+        bytes: &[u8],
         store: &mut Store<F>,
     ) -> Result<(), Problem> {
         if self.port.is_none() {
             return Err(Problem::NotProvisioned);
         }
-        let keys: NetworkKeys =
-            keys.iter().map(|&(number, secret)| NetworkKey::new(number, secret)).collect();
-        store.record_network_keys(&keys)?;
-        self.network = keys;
+        store.record_network_keys(bytes)?;
+        self.network = store.network_keys();
         Ok(())
     }
 
@@ -304,8 +301,7 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
     }
 }
 
-fn check_signature(operator: &PublicKey, provision: &Provision<'_>) -> Result<(), Problem> {
-    let signature = provision.signature.try_into().map_err(|_| Problem::NotSigned)?;
-    signature::verify(operator, &provision.signed_bytes(), signature)
-        .map_err(|_| Problem::NotSigned)
+fn check_signature(operator: &PublicKey, signed: &[u8], signature: &[u8]) -> Result<(), Problem> {
+    let signature = signature.try_into().map_err(|_| Problem::NotSigned)?;
+    signature::verify(operator, signed, signature).map_err(|_| Problem::NotSigned)
 }

@@ -1,6 +1,5 @@
 //! Loads the package in use and prepares a session with it.
 
-use agent_core::{AgentId, StateVector};
 use agent_core::agent::AgentParams;
 use agent_core::agent::region::StateBox;
 use agent_core::health::trial::SECONDS_MIN;
@@ -13,6 +12,7 @@ use agent_core::package::{
 };
 use agent_core::service::RefusalReport;
 use agent_core::store::{self, MappedFlash, Store};
+use agent_core::{AgentId, StateVector};
 
 use super::limits::take;
 use super::{Agent, Counts, Guard, InUsePackage, Memory, Node, Session, Settings};

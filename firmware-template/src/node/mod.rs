@@ -33,7 +33,6 @@ mod turn;
 use core::mem::MaybeUninit;
 use core::num::NonZeroU32;
 
-use agent_core::{AgentId, Tick};
 use agent_core::agent::AgentState;
 use agent_core::agent::capture::CaptureRing;
 use agent_core::agent::hold::Hold;
@@ -48,6 +47,7 @@ use agent_core::service::{
     Subscription, TrialReport,
 };
 use agent_core::store::{Layout, LayoutError, MappedFlash, RateLimit, Slot, Store};
+use agent_core::{AgentId, Tick};
 
 use crate::board::{Board, RequestBuffer};
 use errors::Counts;

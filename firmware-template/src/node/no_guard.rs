@@ -4,7 +4,7 @@
 use agent_core::agent::hold::HoldSlots;
 use agent_core::health::WatchedAgent;
 use agent_core::observer::feedback::Neighbour;
-use agent_core::service::{NetworkKeyList, Problem, Provision, Session};
+use agent_core::service::{Problem, Session};
 use agent_core::store::{MappedFlash, Store};
 use agent_core::wire::frame::Frame;
 use agent_core::{AgentId, Tick};
@@ -84,7 +84,7 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
 
     pub(super) fn provision<F: MappedFlash>(
         &mut self,
-        _: &Provision<'_>,
+        _: &[u8],
         _: &mut Store<F>,
         _: &Settings,
     ) -> Result<(), Problem> {
@@ -93,7 +93,7 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
 
     pub(super) fn replace_network_keys<F: MappedFlash>(
         &mut self,
-        _: &NetworkKeyList,
+        _: &[u8],
         _: &mut Store<F>,
     ) -> Result<(), Problem> {
         Err(Problem::Unknown)

@@ -23,11 +23,6 @@ impl NetworkKey {
         self.number
     }
 
-    /// Returns the secret itself, for the store.
-    pub(crate) const fn secret(self) -> Secret {
-        self.secret
-    }
-
     /// Returns the tag of a frame's `bytes` if they come from `sender`.
     ///
     /// Each sender has a key of its own, so that a frame cannot be reflected to its sender or
