@@ -19,6 +19,7 @@
 //! | [`terminal`] | terminal output |
 //! | [`shell`], [`interruption`], [`stop`] | quoting of command lines; Ctrl-C and other signals; stop requests |
 //! | [`signing`] | signing weight packages with the operator's key |
+//! | [`keys`] | an operator's folder of keys: signing, ports of nodes, networks |
 //! | [`tensors`] | exchange of networks with PyTorch, JAX and NumPy |
 //! | [`warning`] | warnings about a scenario, a training or a run |
 //! | [`commands`] | the command line |
@@ -36,6 +37,7 @@ pub mod flash;
 pub mod graph;
 pub mod image;
 pub mod interruption;
+pub mod keys;
 pub mod learning;
 pub mod memory_map;
 pub mod number;

@@ -7,6 +7,7 @@ use tempfile::TempDir;
 
 use super::fault::Fault;
 use super::process::Process;
+use crate::keys::PortKeys;
 use crate::packages::PackageBytes;
 use crate::service::client::{decode, name};
 use crate::service::push::{self, PushError};
@@ -71,6 +72,11 @@ impl Board {
             timeout: TIMEOUT,
             _folder: None,
         }
+    }
+
+    /// Seals requests with these keys, if the node is provisioned.
+    pub fn set_keys(&mut self, keys: PortKeys) {
+        self.client.set_keys(keys);
     }
 
     /// Attaches the process that runs the node, and the folder with its files.
@@ -289,12 +295,54 @@ impl Board {
         Ok(exchange.frames)
     }
 
-    /// Sends a request, and returns all messages up to the end of the answer.
+    /// Sends a request, sealed if there are keys and the node is provisioned, and returns all messages
+    /// up to the end of the answer.
     ///
     /// # Errors
     /// See [`Fault`].
     pub fn exchange(&mut self, request: &Request<'_>) -> Result<Exchange, Fault> {
-        self.client.prepare(request);
+        let mut exchange = self.exchange_once(request)?;
+        let seal_refused = |answer: &Vec<u8>| {
+            matches!(decode(answer), Ok(Message::Refused(Problem::Seal | Problem::NotSealed)))
+        };
+        // Another client's request came between; the session is found again.
+        if self.client.has_keys() && exchange.answers.iter().any(seal_refused) {
+            let before = exchange;
+            exchange = self.exchange_once(request)?;
+            exchange.frames.splice(0..0, before.frames);
+            exchange.unsolicited.splice(0..0, before.unsolicited);
+        }
+        Ok(exchange)
+    }
+
+    fn exchange_once(&mut self, request: &Request<'_>) -> Result<Exchange, Fault> {
+        let prepared = self.client.prepare_sealed(request, self.timeout);
+        prepared.map_err(|error| self.push_fault("accept a sealed request", error.into()))?;
+        self.answer()
+    }
+
+    /// Forwards a request that another client has encoded, without its number, as it is. Otherwise
+    /// like [`Self::exchange`].
+    ///
+    /// # Errors
+    /// See [`Fault`].
+    pub fn forward(&mut self, request: &[u8]) -> Result<Exchange, Fault> {
+        self.client.prepare_encoded(request);
+        self.answer()
+    }
+
+    /// Decrypts a request, without its number, that another client has sealed for this node. `None`
+    /// if it is not sealed, or with another key.
+    ///
+    /// # Errors
+    /// See [`Fault`].
+    pub fn open(&mut self, request: &[u8]) -> Result<Option<Vec<u8>>, Fault> {
+        let opened = self.client.open(request, self.timeout);
+        opened.map_err(|error| self.push_fault("report its session", error.into()))
+    }
+
+    /// Sends what is prepared, and returns all messages up to the end of the answer.
+    fn answer(&mut self) -> Result<Exchange, Fault> {
         let sent = self.client.flush(self.timeout);
         sent.map_err(|error| self.line_fault(error, "readiness to receive"))?;
         let mut exchange = Exchange::default();

@@ -17,6 +17,18 @@ pub fn of_refusal(problem: Problem) -> &'static str {
             "build firmware and host-sim from the same source"
         }
         Problem::Estimate => "give a finite estimate of the state's dimension",
+        Problem::NotSealed => "pass the key folder it was provisioned from with `--keys FOLDER`",
+        Problem::Seal => {
+            "check that `--keys FOLDER` is the folder it was provisioned from and that no other program is \
+             using the node, and try again"
+        }
+        Problem::NotProvisioned => {
+            "provision it first with `host-sim node ENDPOINT provision --keys FOLDER --agent N`"
+        }
+        Problem::NotSigned => {
+            "use the key folder whose operator.pub.pem is built into its firmware, or build the firmware \
+             with this folder's public key"
+        }
     }
 }
 

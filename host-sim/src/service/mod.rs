@@ -6,6 +6,7 @@
 //! | [`address`] | addresses of nodes: sockets and serial lines |
 //! | [`hint`] | hints for refusals and unreadable input |
 //! | [`client`] | requests, answers and unsolicited messages |
+//! | [`provision`] | gives a node its keys, or takes them away |
 //! | [`nodes_file`] | describes the nodes in a folder of sockets |
 //! | [`push`] | sends a weight package to a node |
 //! | [`record`], [`record_file`] | records a node's samples for training |
@@ -17,6 +18,7 @@ pub mod client;
 pub mod hint;
 pub mod line;
 pub mod nodes_file;
+pub mod provision;
 pub mod push;
 pub mod record;
 pub mod record_file;

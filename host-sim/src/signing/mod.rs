@@ -125,6 +125,11 @@ impl OperatorKey {
         Ok(())
     }
 
+    /// Returns the private key's bytes.
+    pub(crate) fn secret_bytes(&self) -> Zeroizing<[u8; SECRET_KEY_LENGTH]> {
+        Zeroizing::new(self.signer.to_bytes())
+    }
+
     /// Returns the public key.
     #[must_use]
     pub fn public_key(&self) -> &PublicKey {

@@ -10,8 +10,9 @@ use std::time::{Duration, Instant};
 use agent_core::agent::capture::is_due;
 use agent_core::service::{REQUEST_LENGTH_MAX, Response, State, Subscription, send, send_numbered};
 use agent_core::wire::cobs::{Decoder, Encoder};
-use serde::ser::SerializeTuple as _;
-use serde::{Serialize, Serializer};
+use serde::Serialize;
+
+use crate::service::client::Raw;
 
 /// Limit of a client's unsent output; beyond it, new messages are dropped, as on a slow line.
 /// \[byte\]
@@ -24,17 +25,6 @@ type RequestDecoder = Decoder<{ REQUEST_LENGTH_MAX + agent_core::wire::crc::CHEC
 
 /// A message from the relay itself.
 pub(super) type Reply<'a> = Response<'a, Vec<f32>>;
-
-/// A message that is already encoded.
-struct Raw<'a>(&'a [u8]);
-
-impl Serialize for Raw<'_> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut tuple = serializer.serialize_tuple(self.0.len())?;
-        self.0.iter().try_for_each(|byte| tuple.serialize_element(byte))?;
-        tuple.end()
-    }
-}
 
 /// A client connected to a socket.
 pub(super) struct Client {

@@ -1,14 +1,29 @@
 //! Client of the service protocol: requests, answers and unsolicited messages.
+//!
+//! | module | purpose |
+//! | --- | --- |
+//! | `session` | asks a provisioned node for its session |
+//! | `sealing` | seals requests for that session |
+//! | `error` | why a request failed |
+
+mod error;
+mod sealing;
+mod session;
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use agent_core::service::{
-    PROTOCOL_VERSION, Problem, Request, receive, send, send_numbered, split_number,
+    PROTOCOL_VERSION, Problem, Request, receive, send_numbered, split_number,
 };
 use agent_core::wire::cobs::{Decoder, SerialError};
+use serde::ser::SerializeTuple as _;
+use serde::{Serialize, Serializer};
 
-use super::hint::{of_garbage, of_refusal};
+pub use error::ServiceError;
+use sealing::Sealing;
+
+use super::hint::of_garbage;
 use super::{Line, LineError, Message};
 
 /// Maximum length of a message: more than a state with the outer weights of the widest network.
@@ -36,6 +51,19 @@ pub struct Client {
     numbering: Numbering,
     /// Number of the last request.
     number: u16,
+    /// Seals requests, with the operator's keys.
+    sealing: Option<Sealing>,
+}
+
+/// A message that is already encoded.
+pub(crate) struct Raw<'a>(pub(crate) &'a [u8]);
+
+impl Serialize for Raw<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut tuple = serializer.serialize_tuple(self.0.len())?;
+        self.0.iter().try_for_each(|byte| tuple.serialize_element(byte))?;
+        tuple.end()
+    }
 }
 
 /// Whether the node understands numbered requests.
@@ -56,71 +84,6 @@ pub struct RetryPolicy {
     pub tries: u32,
 }
 
-/// Why a request failed.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ServiceError {
-    /// The line failed.
-    #[error("{0}{hint}", hint = line_hint(.0))]
-    Line(#[from] LineError),
-    /// The received bytes are not messages.
-    #[error(
-        "no readable answer: received {bytes} bytes with {damaged} damaged and {intact} intact \
-         messages; {hint}"
-    )]
-    Garbage {
-        /// Number of received bytes.
-        bytes: u64,
-        /// Number of damaged messages.
-        damaged: u64,
-        /// Number of intact messages.
-        intact: u64,
-        /// What to do.
-        hint: String,
-    },
-    /// The node uses another version of the protocol.
-    #[error(
-        "the node's firmware uses protocol version {found}, but this program uses version \
-         {PROTOCOL_VERSION}; build both from the same source"
-    )]
-    Protocol {
-        /// Its version.
-        found: u8,
-    },
-    /// The node refused the request.
-    #[error("refused by the node: {0}; {hint}", hint = of_refusal(*.0))]
-    Refused(Problem),
-    /// An unknown message.
-    #[error(
-        "received an unrecognised message: {0}; build firmware and host-sim from the same source"
-    )]
-    Unrecognised(String),
-    /// An unexpected message.
-    #[error(
-        "received {found} instead of {expected}; check that no other program is using the node, and try again"
-    )]
-    Unexpected {
-        /// The message received.
-        found: String,
-        /// The message expected.
-        expected: &'static str,
-    },
-}
-
-fn line_hint(error: &LineError) -> &'static str {
-    match error {
-        LineError::Interrupted => "",
-        LineError::Silent => {
-            "; check that the board is running and that no other program is using it, and try again"
-        }
-        LineError::Closed => {
-            "; check that the board or its co-simulation is still running; if the co-simulation has \
-             reported that the node stopped, restart it with `host-sim node ENDPOINT reset`"
-        }
-        LineError::System(_) => "; reconnect the board, and try again",
-    }
-}
-
 impl Client {
     /// Creates a client on this line.
     #[must_use]
@@ -137,6 +100,7 @@ impl Client {
             overdue: 0,
             numbering: Numbering::Untried,
             number: 0,
+            sealing: None,
         }
     }
 
@@ -154,11 +118,69 @@ impl Client {
     /// See [`Line::expect_reset`].
     pub fn expect_reset(&mut self) {
         self.line.expect_reset();
+        self.forget_session();
     }
 
-    /// Queues a request; [`Self::flush`] sends it.
+    /// Queues a request as it is, not sealed; [`Self::flush`] sends it.
     pub fn prepare(&mut self, request: &Request<'_>) {
-        send(request, |bytes| self.unsent.extend_from_slice(bytes));
+        self.queue(None, request);
+    }
+
+    /// Queues a request, sealed if there are keys and the node is provisioned; [`Self::flush`] sends
+    /// it. Waits only for the node's session, if that is not known. Messages that arrive in the
+    /// meantime are kept.
+    ///
+    /// # Errors
+    /// See [`ServiceError`].
+    pub fn prepare_sealed(
+        &mut self,
+        request: &Request<'_>,
+        timeout: Duration,
+    ) -> Result<(), ServiceError> {
+        self.find_session(request, timeout)?;
+        self.queue_sealed(None, request)
+    }
+
+    /// Queues a request that another client has encoded, without its number.
+    pub fn prepare_encoded(&mut self, request: &[u8]) {
+        self.queue(None, &Raw(request));
+    }
+
+    fn queue(&mut self, number: Option<u16>, request: &impl Serialize) {
+        send_numbered(number, request, |bytes| self.unsent.extend_from_slice(bytes));
+    }
+
+    /// Queues a request, sealed with the next counter if the node's session is known.
+    fn queue_sealed(
+        &mut self,
+        number: Option<u16>,
+        request: &Request<'_>,
+    ) -> Result<(), ServiceError> {
+        let sealing = self.sealing.as_mut().filter(|_| Sealing::applies_to(request));
+        match sealing.map(|sealing| sealing.seal(request)).transpose()?.flatten() {
+            Some(sealed) => self.queue(number, &Raw(&sealed)),
+            None => self.queue(number, request),
+        }
+        Ok(())
+    }
+
+    /// Returns the number of the next request; `None` if the node does not know numbers.
+    fn next_number(&mut self) -> Option<u16> {
+        (self.numbering != Numbering::Unknown).then(|| {
+            self.number = self.number.wrapping_add(1);
+            self.number
+        })
+    }
+
+    /// Like [`Self::next`], but the deadline holds even if messages keep arriving, and a timeout is
+    /// counted.
+    fn next_until(&mut self, deadline: Instant) -> Result<Result<Vec<u8>, SerialError>, LineError> {
+        let left = deadline.saturating_duration_since(Instant::now());
+        let next = if left.is_zero() { Err(LineError::Silent) } else { self.next(left) };
+        next.inspect_err(|error| {
+            let silent = matches!(error, LineError::Silent);
+            self.overdue = self.overdue.saturating_add(u32::from(silent));
+        })
     }
 
     /// Queues a delimiter, which ends any partial message at the receiver.
@@ -193,9 +215,13 @@ impl Client {
             for byte in received {
                 self.changes += u64::from(((byte ^ (byte >> 1)) & 0x7f).count_ones());
                 if let Some(message) = self.decoder.push(byte) {
+                    let message = message.map(<[u8]>::to_vec);
                     let count = if message.is_ok() { &mut self.intact } else { &mut self.damaged };
                     *count += 1;
-                    self.pending.push_back(message.map(<[u8]>::to_vec));
+                    if let Ok(message) = &message {
+                        self.notice(message);
+                    }
+                    self.pending.push_back(message);
                 }
             }
             if self.pending.is_empty() && Instant::now() >= deadline {
@@ -224,6 +250,9 @@ impl Client {
     /// Requests are numbered, and an answer with another number, to a request that has been repeated
     /// or to another program, is skipped. A node that does not know numbers is asked without.
     ///
+    /// With keys, requests to a provisioned node are sealed. If the node refuses the seal, it is asked
+    /// for its session and then once more for an answer.
+    ///
     /// # Errors
     /// See [`ServiceError`]. `answer` returns `None` for a message that is not the answer.
     pub fn ask<T>(
@@ -234,23 +263,31 @@ impl Client {
         expected: &'static str,
         answer: impl Fn(&Message<'_>) -> Option<T>,
     ) -> Result<T, ServiceError> {
-        let mut number = None;
-        if self.numbering != Numbering::Unknown {
-            self.number = self.number.wrapping_add(1);
-            number = Some(self.number);
+        let sealable = self.sealing.is_some() && Sealing::applies_to(request);
+        match self.ask_once(request, timeout, unsolicited, expected, &answer) {
+            Err(ServiceError::Refused(Problem::Seal | Problem::NotSealed)) if sealable => {
+                self.forget_session();
+                self.ask_once(request, timeout, unsolicited, expected, &answer)
+            }
+            done => done,
         }
-        send_numbered(number, request, |bytes| self.unsent.extend_from_slice(bytes));
+    }
+
+    fn ask_once<T>(
+        &mut self,
+        request: &Request<'_>,
+        timeout: Duration,
+        unsolicited: &mut dyn FnMut(&Message<'_>),
+        expected: &'static str,
+        answer: &impl Fn(&Message<'_>) -> Option<T>,
+    ) -> Result<T, ServiceError> {
+        self.find_session(request, timeout)?;
+        let mut number = self.next_number();
+        self.queue_sealed(number, request)?;
         self.flush(timeout)?;
         let deadline = Instant::now() + timeout;
         loop {
-            let left = deadline.saturating_duration_since(Instant::now());
-            // The timeout holds even if other messages keep arriving.
-            let next = if left.is_zero() { Err(LineError::Silent) } else { self.next(left) };
-            let next = next.inspect_err(|error| {
-                let silent = matches!(error, LineError::Silent);
-                self.overdue = self.overdue.saturating_add(u32::from(silent));
-            });
-            let Ok(bytes) = next? else { continue };
+            let Ok(bytes) = self.next_until(deadline)? else { continue };
             let (found, bytes) = split_number(&bytes);
             if found.is_some() {
                 if found != number {
@@ -268,7 +305,7 @@ impl Client {
                 let unknown = matches!(message, Message::Refused(Problem::Unknown));
                 if unknown && self.numbering == Numbering::Untried {
                     (self.numbering, number) = (Numbering::Unknown, None);
-                    self.prepare(request);
+                    self.queue_sealed(None, request)?;
                     self.flush(timeout)?;
                 }
                 continue;
@@ -341,7 +378,7 @@ pub fn decode(bytes: &[u8]) -> Result<Message<'_>, ServiceError> {
 /// Returns whether a message that cannot be decoded may be an answer, judging by its kind: the
 /// kinds of [`Message::is_answer`] are fixed.
 fn may_be_answer(bytes: &[u8]) -> bool {
-    matches!(bytes, [] | [0 | 2..=8 | 14, ..])
+    matches!(bytes, [] | [0 | 2..=8 | 14 | 16, ..])
 }
 
 /// What kind of message it is, for people.
@@ -366,104 +403,13 @@ pub fn name(message: &Message<'_>) -> String {
         Message::Broadcast { .. } => "a frame".to_owned(),
         Message::BoardErrors { .. } => "sensor and link errors".to_owned(),
         Message::Report(_) => "a report".to_owned(),
+        Message::Session(_) => "a session".to_owned(),
         Message::Answer { number } => format!("an empty answer to request {number}"),
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use std::io::{Read as _, Write as _};
-    use std::os::unix::net::UnixStream;
+mod tests;
 
-    use agent_core::wire::cobs::Encoder;
-
-    use super::*;
-    use crate::service::push::status;
-
-    const RETRY_POLICY: RetryPolicy = RetryPolicy { timeout: Duration::from_millis(100), tries: 2 };
-
-    fn framed(message: &[u8]) -> Vec<u8> {
-        let mut framed = Vec::new();
-        let mut encoder = Encoder::new(|bytes: &[u8]| framed.extend_from_slice(bytes));
-        encoder.extend(message);
-        encoder.finish();
-        framed
-    }
-
-    /// Returns the error of a status request to a peer that keeps sending `bytes`.
-    fn status_of(bytes: Vec<u8>) -> ServiceError {
-        let (here, mut there) = UnixStream::pair().unwrap();
-        there.set_nonblocking(true).unwrap();
-        let peer = std::thread::spawn(move || {
-            let mut requests = [0; 1024];
-            loop {
-                if matches!(there.read(&mut requests), Ok(0)) {
-                    return;
-                }
-                if there.write(&bytes).is_err_and(|e| e.kind() != std::io::ErrorKind::WouldBlock) {
-                    return;
-                }
-            }
-        });
-        let mut client = Client::new(Line::over_socket(here, &std::sync::Arc::default()).unwrap());
-        let error = status(&mut client, RETRY_POLICY).unwrap_err();
-        drop(client);
-        peer.join().unwrap();
-        error
-    }
-
-    #[test]
-    fn another_protocol_version_is_reported() {
-        // A status with unknown fields, and one that happens to fit.
-        for message in [&[0, 2][..], &[0, 2, 1, 2, 3, 4, 5, 6, 7], &[1, 9]] {
-            let error = status_of(framed(message));
-            let found = message[1];
-            assert!(matches!(error, ServiceError::Protocol { found: f } if f == found), "{error}");
-            assert!(error.to_string().contains("build both from the same source"), "{error}");
-        }
-    }
-
-    #[test]
-    fn endless_garbage_is_reported_after_the_timeout() {
-        let mut seed = 1u32;
-        let garbage = (0..4000).map(|_| {
-            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (seed >> 24) as u8
-        });
-        let error = status_of(garbage.collect());
-        let ServiceError::Garbage { bytes, damaged, intact, .. } = error else { panic!("{error}") };
-        assert!(bytes > 4000 && damaged > 0 && intact == 0, "{error}");
-        assert!(error.to_string().contains("baud rate"), "{error}");
-        // Without a delimiter, not even a damaged message is received.
-        let error = status_of(vec![0x55; 4000]);
-        assert!(matches!(error, ServiceError::Garbage { damaged: 0, .. }), "{error}");
-    }
-
-    #[test]
-    fn unknown_unsolicited_messages_are_skipped() {
-        // An unknown kind of message and an unknown event.
-        for message in [&[100, 1, 2][..], &[11, 100, 1]] {
-            assert!(matches!(decode(message), Err(ServiceError::Unrecognised(_))));
-            let error = status_of(framed(message));
-            assert!(matches!(error, ServiceError::Line(LineError::Silent)), "{error}");
-        }
-        // An invalid message of an answer's kind is not skipped: an upload without its length.
-        let error = status_of(framed(&[2]));
-        assert!(matches!(error, ServiceError::Unrecognised(_)), "{error}");
-        // The kinds agree with `is_answer` for every known message.
-        for (message, is_answer) in [(&[5][..], true), (&[8, 0], true), (&[11, 1, 0], false)] {
-            assert!(decode(message).is_ok_and(|known| known.is_answer() == is_answer));
-            assert_eq!(may_be_answer(message), is_answer);
-        }
-    }
-
-    #[test]
-    fn whole_messages_without_end_do_not_hold_up_a_request() {
-        // Unsolicited: postcard's `Health` with 15 counters.
-        let mut health = vec![10, 0];
-        health.extend([0; 15]);
-        assert!(decode(&health).is_ok_and(|message| !message.is_answer()));
-        let error = status_of(framed(&health));
-        assert!(matches!(error, ServiceError::Line(LineError::Silent)), "{error}");
-    }
-}
+#[cfg(test)]
+mod sealing_tests;

@@ -1,0 +1,190 @@
+//! An operator's folder of keys.
+//!
+//! | file | content | who else needs it |
+//! | --- | --- | --- |
+//! | `operator.pem` | Ed25519 private key that signs packages and first keys | |
+//! | `operator.pub.pem` | its public key | the nodes' firmware |
+//! | `secret.pem` | 32 random bytes, in the form of an Ed25519 private key | |
+//! | `network.toml` | numbers of the network keys in use | |
+//!
+//! The keys of all nodes and networks follow from the one secret ([`FleetSecret`]), so a fleet of any
+//! size needs no list of keys, and a backup made once stays complete. The secret has the form of a
+//! private key so that a passphrase can protect it like one: `openssl pkcs8 -topk8`.
+//!
+//! Like private keys, the secret is rejected if other users can read it.
+
+mod error;
+mod network_numbers;
+mod secret;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use agent_core::AgentId;
+use agent_core::service::NetworkKeyList;
+use agent_core::service::seal::PortKey;
+use agent_core::wire::authentic::NetworkKey;
+use agent_core::wire::secret::Secret;
+
+pub use error::KeyFolderError;
+pub use network_numbers::{NetworkNumbers, Stage};
+pub use secret::{FleetSecret, PortKeys};
+
+use crate::signing::{AskPassphrase, OperatorKey};
+
+const OPERATOR: &str = "operator.pem";
+const PUBLIC: &str = "operator.pub.pem";
+const SECRET: &str = "secret.pem";
+const NETWORK: &str = "network.toml";
+
+/// Returns the path of the operator's private key in a key folder.
+#[must_use]
+pub fn operator_file(folder: &Path) -> PathBuf {
+    folder.join(OPERATOR)
+}
+
+/// Returns the path of the operator's public key in a key folder.
+#[must_use]
+pub fn public_file(folder: &Path) -> PathBuf {
+    folder.join(PUBLIC)
+}
+
+/// A key folder: its secret, and the numbers of the network keys.
+#[derive(Debug)]
+pub struct KeyFolder {
+    path: PathBuf,
+    secret: FleetSecret,
+    numbers: NetworkNumbers,
+}
+
+impl KeyFolder {
+    /// Creates a folder with new keys, and missing folders above it. Returns the operator's key, too.
+    ///
+    /// # Errors
+    /// [`KeyFolderError::Exists`] if one of the files already exists; otherwise if one cannot be
+    /// written. No file is left behind.
+    pub fn create(path: &Path) -> Result<(Self, OperatorKey), KeyFolderError> {
+        let files = [OPERATOR, PUBLIC, SECRET, NETWORK].map(|name| path.join(name));
+        if let Some(file) = files.iter().find(|file| file.symlink_metadata().is_ok()) {
+            return Err(KeyFolderError::Exists { path: file.clone() });
+        }
+        create_folder(path)
+            .map_err(|error| KeyFolderError::Create { path: path.to_owned(), error })?;
+        Self::fill(path).inspect_err(|_| {
+            // Best effort: the first error is reported.
+            for file in files {
+                let _ = fs::remove_file(file);
+            }
+        })
+    }
+
+    fn fill(path: &Path) -> Result<(Self, OperatorKey), KeyFolderError> {
+        let (operator, secret) = (OperatorKey::generate()?, OperatorKey::generate()?);
+        secret.write_new(&path.join(SECRET))?;
+        operator.write_new(&operator_file(path))?;
+        operator.write_public(&public_file(path))?;
+        let numbers = NetworkNumbers::FIRST;
+        numbers.write(&path.join(NETWORK))?;
+        let secret = FleetSecret::from_key(&secret);
+        Ok((Self { path: path.to_owned(), secret, numbers }, operator))
+    }
+
+    /// Reads the folder `path`; asks for the `passphrase` if its secret is encrypted. The operator's
+    /// key is read by [`Self::operator`] only.
+    ///
+    /// # Errors
+    /// If a file is missing, invalid or readable by other users; if the passphrase is missing or
+    /// wrong.
+    pub fn read(path: &Path, passphrase: &mut AskPassphrase<'_>) -> Result<Self, KeyFolderError> {
+        let numbers = NetworkNumbers::read(&path.join(NETWORK))?;
+        let secret = OperatorKey::read_encrypted(&path.join(SECRET), passphrase)?;
+        let secret = FleetSecret::from_key(&secret);
+        Ok(Self { path: path.to_owned(), secret, numbers })
+    }
+
+    /// Advances the rotation of the network keys in the folder `path` by one stage. Returns the
+    /// numbers before and after.
+    ///
+    /// # Errors
+    /// If `network.toml` cannot be read or written; it is then unchanged.
+    pub fn advance_rotation(
+        path: &Path,
+    ) -> Result<(NetworkNumbers, NetworkNumbers), KeyFolderError> {
+        let file = path.join(NETWORK);
+        let before = NetworkNumbers::read(&file)?;
+        let after = before.advanced();
+        after.write(&file)?;
+        Ok((before, after))
+    }
+
+    /// Returns the path of the folder.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Reads the operator's private key; asks for the `passphrase` if it is encrypted.
+    ///
+    /// # Errors
+    /// See [`OperatorKey::read_encrypted`].
+    pub fn operator(
+        &self,
+        passphrase: &mut AskPassphrase<'_>,
+    ) -> Result<OperatorKey, KeyFolderError> {
+        Ok(OperatorKey::read_encrypted(&operator_file(&self.path), passphrase)?)
+    }
+
+    /// Returns the port keys of all agents.
+    #[must_use]
+    pub fn port_keys(&self) -> PortKeys {
+        PortKeys::Fleet(self.secret.clone())
+    }
+
+    /// Returns the secret of an agent's port key, to provision its node.
+    #[must_use]
+    pub fn port_secret(&self, agent: AgentId) -> Secret {
+        self.secret.port_secret(agent)
+    }
+
+    /// Returns an agent's port key.
+    #[must_use]
+    pub fn port_key(&self, agent: AgentId) -> PortKey {
+        self.secret.port_key(agent)
+    }
+
+    /// Returns the numbers of the network keys in use, the one for sending first.
+    #[must_use]
+    pub fn network_numbers(&self) -> NetworkNumbers {
+        self.numbers
+    }
+
+    /// Returns the network keys in use, the one for sending first.
+    #[must_use]
+    pub fn network_keys(&self) -> Vec<NetworkKey> {
+        self.numbers.iter().map(|number| self.secret.network_key(number)).collect()
+    }
+
+    /// Returns the network keys in use, as a request has them.
+    #[must_use]
+    pub fn network_key_list(&self) -> NetworkKeyList {
+        self.numbers.iter().map(|number| (number, self.secret.network_secret(number))).collect()
+    }
+}
+
+/// Creates a folder that only its owner can open, on systems that have modes.
+fn create_folder(path: &Path) -> std::io::Result<()> {
+    if path.is_dir() {
+        return Ok(());
+    }
+    if let Some(above) = path.parent().filter(|above| !above.as_os_str().is_empty()) {
+        fs::create_dir_all(above)?;
+    }
+    #[cfg_attr(not(unix), expect(unused_mut, reason = "there are no modes to set"))]
+    let mut folder = fs::DirBuilder::new();
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut folder, 0o700);
+    folder.create(path)
+}
+
+#[cfg(all(test, unix))]
+mod tests;

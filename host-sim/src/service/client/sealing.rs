@@ -1,0 +1,119 @@
+//! Seals requests to a provisioned node.
+//!
+//! The node tells in its [`Session`] what a seal needs, and proves that it has the port key of the
+//! agent it claims to be. A session ends when the node restarts, and is out of step after another
+//! client has sealed a request; both show as refusals, after which the client asks for it again.
+//!
+//! Two requests sealed with the same epoch and counter would reveal something of each other. The node
+//! counts only the requests that arrive, and its count is not part of the proof. So a client never uses
+//! a counter twice itself, and starts at a random distance from the node's count, where a request of
+//! an earlier client that was lost on the way is unlikely to have been.
+
+use agent_core::service::seal::PortKey;
+use agent_core::service::{REQUEST_LENGTH_MAX, Request, Session};
+
+use super::error::ServiceError;
+use crate::keys::PortKeys;
+
+/// Greatest distance of a client's first counter from the node's; the node's counter is enough for
+/// over 65,000 clients after each start.
+const DISTANCE_MAX: u32 = 1 << 16;
+
+/// Greatest distance after that: clients that take turns must not use up the counter.
+const NEXT_DISTANCE_MAX: u32 = 1 << 8;
+
+/// Seals the requests of one client.
+#[derive(Debug)]
+pub(super) struct Sealing {
+    keys: PortKeys,
+    node: Node,
+    /// Epoch and counter of the last sealed request.
+    last: Option<(u32, u32)>,
+}
+
+/// What is known about the node.
+#[derive(Clone, Copy, Debug)]
+enum Node {
+    Unknown,
+    NotProvisioned,
+    Provisioned { key: PortKey, epoch: u32, counter: u32 },
+}
+
+impl Sealing {
+    pub(super) fn new(keys: PortKeys) -> Self {
+        Self { keys, node: Node::Unknown, last: None }
+    }
+
+    /// Returns whether requests of this kind are sealed for a provisioned node. Stimuli are not:
+    /// only a simulator sends them, to a node in the loop.
+    pub(super) fn applies_to(request: &Request<'_>) -> bool {
+        !request.is_free() && !matches!(request, Request::Frame { .. } | Request::Tick { .. })
+    }
+
+    /// Returns whether the node must first be asked for its session.
+    pub(super) fn needs_session(&self) -> bool {
+        matches!(self.node, Node::Unknown)
+    }
+
+    /// Forgets the session.
+    pub(super) fn forget(&mut self) {
+        self.node = Node::Unknown;
+    }
+
+    /// Takes the node's answer to a request for its session; `None` if it is not provisioned.
+    pub(super) fn begin(&mut self, session: Option<&Session>) -> Result<(), ServiceError> {
+        let Some(&Session { agent, epoch, counter, proof, .. }) = session else {
+            self.node = Node::NotProvisioned;
+            return Ok(());
+        };
+        let epoch = epoch.ok_or(ServiceError::NoEpoch)?;
+        let key = self.keys.of(agent);
+        if key.proof(agent, epoch) != proof {
+            return Err(ServiceError::Proof { agent });
+        }
+        let own = self.last.filter(|&(last, _)| last == epoch).map(|(_, counter)| counter);
+        let most = if own.is_some() { NEXT_DISTANCE_MAX } else { DISTANCE_MAX };
+        let counter = own.unwrap_or(0).max(counter).saturating_add(distance(most)?);
+        self.node = Node::Provisioned { key, epoch, counter };
+        Ok(())
+    }
+
+    /// Returns the request as it is sent: head, encrypted request, tag. `None` if the node is not
+    /// provisioned, so that the request is sent as it is.
+    pub(super) fn seal(&mut self, request: &Request<'_>) -> Result<Option<Vec<u8>>, ServiceError> {
+        let Node::Provisioned { key, epoch, counter } = &mut self.node else {
+            return match request {
+                // Refused, but only after the keys have crossed the line in the clear.
+                Request::NetworkKeys(_) | Request::FactoryReset => {
+                    Err(ServiceError::NotProvisioned)
+                }
+                _ => Ok(None),
+            };
+        };
+        *counter = counter.checked_add(1).ok_or(ServiceError::CounterUsedUp)?;
+        self.last = Some((*epoch, *counter));
+        let mut sealed = encoded(&Request::Sealed { counter: *counter });
+        let mut body = encoded(request);
+        let tag = key.seal(*epoch, *counter, &mut body);
+        sealed.append(&mut body);
+        sealed.extend(tag);
+        Ok(Some(sealed))
+    }
+
+    /// Decrypts what another client has sealed for this node.
+    pub(super) fn open(&self, counter: u32, mut sealed: Vec<u8>) -> Option<Vec<u8>> {
+        let Node::Provisioned { key, epoch, .. } = &self.node else { return None };
+        key.open(*epoch, counter, &mut sealed).map(<[u8]>::to_vec)
+    }
+}
+
+/// Returns a random number from 0 to below `most`, a power of two.
+fn distance(most: u32) -> Result<u32, ServiceError> {
+    Ok(getrandom::u32().map_err(ServiceError::Random)? % most)
+}
+
+fn encoded(request: &Request<'_>) -> Vec<u8> {
+    // Every request fits.
+    let mut bytes = [0; REQUEST_LENGTH_MAX];
+    postcard::to_slice(request, &mut bytes).map(|bytes| bytes.to_vec()).unwrap_or_default()
+}

@@ -1,0 +1,99 @@
+//! Gives a node its keys, or takes them away.
+
+use std::time::{Duration, Instant};
+
+use agent_core::AgentId;
+use agent_core::service::{NetworkKeyList, Problem, Provision, Request, Session};
+
+use super::push::done;
+use super::{Client, LineError, Message, RetryPolicy, ServiceError};
+use crate::keys::KeyFolder;
+use crate::signing::OperatorKey;
+
+/// How long a node may take to forget its keys and restart: it erases its flash.
+const FACTORY_RESET_MAX: Duration = Duration::from_secs(15);
+
+/// Interval between questions whether it has.
+const POLL_INTERVAL: Duration = Duration::from_millis(200);
+
+/// Requests a node's session; `None` if it is not provisioned, or if its firmware does not know keys.
+///
+/// # Errors
+/// See [`ServiceError`].
+pub fn session(
+    client: &mut Client,
+    retry_policy: RetryPolicy,
+) -> Result<Option<Session>, ServiceError> {
+    let session =
+        client.request(&Request::Session, retry_policy, &mut |_| {}, "a session", |m| match m {
+            Message::Session(session) => Some(*session),
+            _ => None,
+        });
+    match session {
+        Err(ServiceError::Refused(Problem::Unknown)) => Ok(None),
+        session => session,
+    }
+}
+
+/// Gives a node the port key of `agent` and the network keys of the folder, whose keys the client must
+/// have. A node that is not provisioned gets its port key in the clear.
+///
+/// # Errors
+/// See [`ServiceError`].
+pub fn provision(
+    client: &mut Client,
+    keys: &KeyFolder,
+    operator: &OperatorKey,
+    agent: AgentId,
+    epoch: u32,
+    retry_policy: RetryPolicy,
+) -> Result<(), ServiceError> {
+    let port_key = keys.port_secret(agent);
+    let mut provision = Provision { agent, port_key, epoch, signature: &[] };
+    let signature = operator.sign(&provision.signed_bytes());
+    provision.signature = &signature;
+    let request = Request::Provision(provision);
+    client.request(&request, retry_policy, &mut |_| {}, "a confirmation", done)?;
+    // The port key is another one from now on.
+    client.forget_session();
+    network_keys(client, &keys.network_key_list(), retry_policy)
+}
+
+/// Gives a node network keys in place of those before.
+///
+/// # Errors
+/// See [`ServiceError`].
+pub fn network_keys(
+    client: &mut Client,
+    keys: &NetworkKeyList,
+    retry_policy: RetryPolicy,
+) -> Result<(), ServiceError> {
+    let request = Request::NetworkKeys(keys.clone());
+    client.request(&request, retry_policy, &mut |_| {}, "a confirmation", done)
+}
+
+/// Makes a node forget its keys, and waits until it has restarted. Returns whether it has.
+///
+/// # Errors
+/// See [`ServiceError`].
+pub fn factory_reset(client: &mut Client, retry_policy: RetryPolicy) -> Result<bool, ServiceError> {
+    let start = Instant::now();
+    client.ask(&Request::FactoryReset, FACTORY_RESET_MAX, &mut |_| {}, "a confirmation", done)?;
+    client.expect_reset();
+    while start.elapsed() < FACTORY_RESET_MAX {
+        std::thread::sleep(POLL_INTERVAL);
+        client.prepare_delimiter();
+        match session(client, RetryPolicy { tries: 1, ..retry_policy }) {
+            Ok(None) => return Ok(true),
+            // Still busy, or restarting in the middle of a message.
+            Ok(Some(_))
+            | Err(
+                ServiceError::Line(LineError::Silent)
+                | ServiceError::Garbage { .. }
+                | ServiceError::Unrecognised(_),
+            ) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(false)
+}
