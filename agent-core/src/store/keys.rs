@@ -27,9 +27,6 @@ const EPOCHS: u8 = 4;
 /// The largest number of network keys: the one in use and, during a rotation, the other one.
 pub const NETWORK_KEYS_MAX: usize = 2;
 
-/// Length of a key with its number.
-const ENTRY_LENGTH: usize = 1 + SECRET_LENGTH;
-
 /// The network keys of a node. Frames are sealed with the first one.
 pub type NetworkKeys = heapless::Vec<NetworkKey, NETWORK_KEYS_MAX>;
 
@@ -38,7 +35,7 @@ impl<F: MappedFlash> Store<F> {
     pub fn network_keys(&mut self) -> NetworkKeys {
         let mut keys = NetworkKeys::new();
         if let Some(note) = self.note(NETWORK_KEYS) {
-            let (entries, _) = note.as_bytes().as_chunks::<ENTRY_LENGTH>();
+            let (entries, _) = note.as_bytes().as_chunks::<{ NetworkKey::LENGTH }>();
             // A note has room for three.
             keys.extend(
                 entries
@@ -57,7 +54,7 @@ impl<F: MappedFlash> Store<F> {
     /// [`StoreError::Note`] if there is none, more than [`NETWORK_KEYS_MAX`], or two with the same
     /// number; a failure to write the journal.
     pub fn record_network_keys(&mut self, keys: &[u8]) -> Result<(), StoreError> {
-        match keys.as_chunks::<ENTRY_LENGTH>() {
+        match keys.as_chunks::<{ NetworkKey::LENGTH }>() {
             ([_], []) => {}
             ([[first, ..], [second, ..]], []) if first != second => {}
             _ => return Err(StoreError::Note),

@@ -8,7 +8,7 @@ use std::thread::JoinHandle;
 use agent_core::AgentId;
 use agent_core::service::seal::PortKey;
 use agent_core::service::{
-    NetworkKeyList, REQUEST_LENGTH_MAX, Response, Session, send_numbered, split_seal,
+    Provision, REQUEST_LENGTH_MAX, Response, Session, send_numbered, split_seal,
 };
 
 use super::*;
@@ -23,7 +23,8 @@ struct FakeNode {
     keys: Option<(AgentId, PortKey)>,
     epoch: Option<u32>,
     counter: u32,
-    network_keys: NetworkKeyList,
+    /// Number and key of each.
+    network_keys: Vec<u8>,
     /// Firmware from before sessions.
     knows_sessions: bool,
     /// Firmware from before numbers.
@@ -43,7 +44,7 @@ impl FakeNode {
             keys,
             epoch: Some(9),
             counter: 0,
-            network_keys: NetworkKeyList::new(),
+            network_keys: Vec::new(),
             knows_sessions: true,
             knows_numbers: true,
             deaf: 0,
@@ -90,7 +91,7 @@ impl FakeNode {
                 _ => Reply::Refused(Problem::NotSealed),
             },
             ((None, _), None) => match receive(rest) {
-                Some(Request::NetworkKeys(_) | Request::FactoryReset) => {
+                Some(Request::NetworkKeys { .. } | Request::FactoryReset) => {
                     Reply::Refused(Problem::NotProvisioned)
                 }
                 Some(request) => self.carry_out(&request),
@@ -126,14 +127,15 @@ impl FakeNode {
                 epoch: self.epoch,
                 counter: self.counter,
                 proof: key.proof(agent, self.epoch.unwrap_or(0)),
-                network_keys: [0, 1].map(|i| self.network_keys.get(i).map(|(number, _)| *number)),
+                network_keys: [0, 17].map(|i| self.network_keys.get(i).copied()),
             })),
-            Request::Provision(new) => {
+            Request::Provision { bytes } => {
+                let (new, _) = Provision::split(bytes).unwrap();
                 self.keys = Some((new.agent, PortKey::new(new.port_key)));
                 Reply::Done
             }
-            Request::NetworkKeys(keys) => {
-                self.network_keys = keys.clone();
+            Request::NetworkKeys { bytes } => {
+                self.network_keys = bytes.to_vec();
                 Reply::Done
             }
             Request::FactoryReset => {
@@ -217,7 +219,7 @@ fn a_node_without_keys_gets_plain_requests_but_no_secrets() {
         ask(&mut client, &Request::Stage).unwrap();
         assert_eq!(counted(&seen), (vec![], 3));
         assert_eq!(provision::session(&mut client, RETRY_POLICY).unwrap(), None);
-        let error = ask(&mut client, &Request::NetworkKeys(NetworkKeyList::new())).unwrap_err();
+        let error = ask(&mut client, &Request::NetworkKeys { bytes: &[] }).unwrap_err();
         assert!(matches!(error, ServiceError::NotProvisioned), "{error}");
         let error = ask(&mut client, &Request::FactoryReset).unwrap_err();
         assert!(error.to_string().contains("provision --keys FOLDER"), "{error}");
@@ -348,7 +350,7 @@ fn a_node_is_provisioned_given_other_keys_and_reset() {
     KeyFolder::advance_rotation(keys.path()).unwrap();
     let keys =
         KeyFolder::read(keys.path(), &mut |_| unreachable!("there is no passphrase")).unwrap();
-    provision::network_keys(&mut client, &keys.network_key_list(), RETRY_POLICY).unwrap();
+    provision::network_keys(&mut client, &keys.network_keys(), RETRY_POLICY).unwrap();
     assert_eq!(found(&mut client).unwrap().network_keys, [Some(1), Some(2)]);
     assert!(provision::factory_reset(&mut client, RETRY_POLICY).unwrap());
     assert_eq!(found(&mut client), None);
