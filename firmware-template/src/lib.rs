@@ -14,6 +14,7 @@
 pub mod board;
 mod board_error;
 mod boot_record;
+mod button;
 pub mod held_bus;
 mod in_the_loop;
 mod key;
@@ -30,6 +31,7 @@ pub use board::{
     Board, Clock, Hardware, Link, LinkError, LinkErrorKind, Sensor, SensorError, SensorErrorKind,
 };
 pub use boot_record::BootRecord;
+pub use button::is_held;
 pub use in_the_loop::InTheLoop;
 pub use key::key_from_hex;
 pub use memory_map::{Symbols, WeightsRegion};

@@ -8,6 +8,7 @@
 //! | service port | UART, TX P0.06, RX P0.08 (the DK's USB port), 115,200 baud |
 //! | link between nodes | IEEE 802.15.4 radio, channel 26, broadcast data frames in network 0x4453 |
 //! | sensor | TMP117 on TWIM0 at address 0x48, SDA P0.26, SCL P0.27, 400 kHz: `y` is the temperature in degrees C |
+//! | factory reset | P0.11 low for a second at the start: button 1 of the DK |
 //! | clock | TIMER1, free-running at 16 MHz |
 //! | weights | the last 64 KiB of flash, as in the board's memory map |
 //!
@@ -40,9 +41,10 @@ use agent_core::service::{ResetCause, Subscription};
 use agent_core::store::RateLimit;
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_rt::entry;
+use embedded_hal::digital::InputPin;
 use firmware_template::registers::{Channel as Register, Format, RegisterValue, SetUp};
 use firmware_template::{
-    Memory, Node, QueuedPort, RegisterSensor, Settings, memory_map, on_chip, queued_port,
+    Memory, Node, QueuedPort, RegisterSensor, Settings, is_held, memory_map, on_chip, queued_port,
 };
 use heapless::spsc::Queue;
 use nrf52840_hal as hal;
@@ -86,6 +88,9 @@ const FLUSH_DELAY_CYCLES: u32 = 64_000_000 / 10;
 /// The radio needs the crystal; nothing here needs a clock that runs during sleep.
 type ClocksForRadio = Clocks<ExternalOscillator, Internal, LfOscStopped>;
 
+/// Time between two looks at the button: a hundredth of the time for which it must be held. \[cycle\]
+const BUTTON_CYCLES: u32 = 64_000_000 / 100;
+
 type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, SAMPLES>;
 
 /// The board with its own sensor, link and clock.
@@ -117,8 +122,8 @@ static NODE: StaticCell<ThisNode> = StaticCell::new();
 
 #[entry]
 fn main() -> ! {
-    if let Some(Parts { board, flash }) = hardware()
-        && let Some(node) = node(flash)
+    if let Some(Parts { board, flash, is_reset_held }) = hardware()
+        && let Some(node) = node(flash, is_reset_held)
     {
         node.run(board);
     }
@@ -130,6 +135,7 @@ fn main() -> ! {
 struct Parts {
     board: &'static mut ThisBoard,
     flash: pac::NVMC,
+    is_reset_held: bool,
 }
 
 /// Sets up the board in its static. Not inlined, so that its stack is free again afterwards.
@@ -169,12 +175,17 @@ fn hardware() -> Option<Parts> {
         let _ = (sensor, link);
         ThisBoard::new(firmware_template::WaitingPort::new(service, clock))
     };
-    Some(Parts { board: BOARD.init(board), flash: chip.NVMC })
+    let mut button = pins.p0_11.into_pullup_input();
+    let is_reset_held = is_held(
+        || InputPin::is_low(&mut button) == Ok(true),
+        || cortex_m::asm::delay(BUTTON_CYCLES),
+    );
+    Some(Parts { board: BOARD.init(board), flash: chip.NVMC, is_reset_held })
 }
 
 /// Creates the node in its static; `None` if the public key is invalid.
 #[inline(never)]
-fn node(flash: pac::NVMC) -> Option<&'static mut ThisNode> {
+fn node(flash: pac::NVMC, factory_reset: bool) -> Option<&'static mut ThisNode> {
     let region = memory_map!().region();
     // Once a second, for a typical period of 0.1 s on this link.
     let state_every = NonZeroU32::new(10).filter(|_| !cfg!(feature = "in-the-loop"));
@@ -198,7 +209,7 @@ fn node(flash: pac::NVMC) -> Option<&'static mut ThisNode> {
         stack_unused: Some(on_chip::stack_unused),
         start: on_chip::start(reset_cause()),
         keep_epochs: Some(on_chip::keep_epochs),
-        factory_reset: false,
+        factory_reset,
         version: [0, 1, 0],
     };
     // SAFETY: memory.x reserves this region, and this is the only call.

@@ -8,6 +8,7 @@
 //! | service port | UART0, TX GP0, RX GP1, 115,200 baud |
 //! | link between nodes | UART1, TX GP8, RX GP9, 1 Mbaud, for an RS-485 transceiver that turns around by itself |
 //! | sensor | TMP117 on I2C0 at address 0x48, SDA GP4, SCL GP5, 400 kHz: `y` is the temperature in degrees C, every 15.5 ms |
+//! | factory reset | GP22 low for a second at the start: connect it to ground |
 //! | clock | the timer, which runs freely at 1 MHz |
 //! | weights | the last 64 KiB of the flash chip, as memory.x says |
 //!
@@ -39,9 +40,10 @@ use agent_core::package::StepRange;
 use agent_core::service::{ResetCause, Subscription};
 use agent_core::store::RateLimit;
 use cortex_m::peripheral::{NVIC, SCB};
+use embedded_hal::digital::InputPin;
 use firmware_template::registers::{Channel as Register, Format, RegisterValue, SetUp};
 use firmware_template::{
-    Memory, Node, QueuedPort, RegisterSensor, Settings, memory_map, on_chip, queued_port,
+    Memory, Node, QueuedPort, RegisterSensor, Settings, is_held, memory_map, on_chip, queued_port,
 };
 use heapless::spsc::Queue;
 use rp2040_hal as hal;
@@ -87,6 +89,9 @@ const LINK_BAUD: u32 = 1_000_000;
 /// Time allowed for sending the service port's queue before a reset. \[cycle\]
 const FLUSH_DELAY_CYCLES: u32 = 125_000_000 / 10;
 
+/// Time between two looks at the button: a hundredth of the time for which it must be held. \[cycle\]
+const BUTTON_CYCLES: u32 = 125_000_000 / 100;
+
 /// The boot loader for the flash chip on this board.
 #[unsafe(link_section = ".boot2")]
 #[used]
@@ -125,8 +130,8 @@ static NODE: StaticCell<ThisNode> = StaticCell::new();
 
 #[hal::entry]
 fn main() -> ! {
-    if let Some(board) = hardware()
-        && let Some(node) = node()
+    if let Some((board, is_reset_held)) = hardware()
+        && let Some(node) = node(is_reset_held)
     {
         node.run(board);
     }
@@ -134,9 +139,9 @@ fn main() -> ! {
     SCB::sys_reset()
 }
 
-/// Sets up the board in its static. Not inlined, so that its stack is free again afterwards.
+/// Sets up the board in its static; tells also whether the button for a factory reset is held. Not inlined, so that its stack is free again afterwards.
 #[inline(never)]
-fn hardware() -> Option<&'static mut ThisBoard> {
+fn hardware() -> Option<(&'static mut ThisBoard, bool)> {
     let mut chip = pac::Peripherals::take()?;
     let mut watchdog = Watchdog::new(chip.WATCHDOG);
     watchdog.enable_tick_generation((CRYSTAL / 1_000_000) as u8);
@@ -197,12 +202,17 @@ fn hardware() -> Option<&'static mut ThisBoard> {
         let _: (RegisterSensor<'_, I2C<_, BusPins>, 1>, _) = (sensor, link);
         ThisBoard::new(firmware_template::WaitingPort::new(service, clock))
     };
-    Some(BOARD.init(board))
+    let mut button = pins.gpio22.into_pull_up_input();
+    let is_reset_held = is_held(
+        || InputPin::is_low(&mut button) == Ok(true),
+        || cortex_m::asm::delay(BUTTON_CYCLES),
+    );
+    Some((BOARD.init(board), is_reset_held))
 }
 
 /// Creates the node in its static; `None` if the public key is invalid.
 #[inline(never)]
-fn node() -> Option<&'static mut ThisNode> {
+fn node(factory_reset: bool) -> Option<&'static mut ThisNode> {
     let region = memory_map!().region();
     // Once a second, at a period of 0.01 s.
     let state_every = NonZeroU32::new(100).filter(|_| !cfg!(feature = "in-the-loop"));
@@ -226,7 +236,7 @@ fn node() -> Option<&'static mut ThisNode> {
         stack_unused: Some(on_chip::stack_unused),
         start: on_chip::start(reset_cause()),
         keep_epochs: Some(on_chip::keep_epochs),
-        factory_reset: false,
+        factory_reset,
         version: [0, 1, 0],
     };
     // SAFETY: memory.x reserves this region, this is the only call, and the second core is never

@@ -8,6 +8,7 @@
 //! | service port | USART3, TX PB10, RX PB11, 115,200 baud |
 //! | link between nodes | USART6, TX PC6, RX PC7, 1 Mbaud, driver enable PB8, for an RS-485 transceiver |
 //! | sensor | LSM303AGR on I2C1, SCL PB6, SDA PB7, 400 kHz: `y` is the acceleration along x in m/s^2 |
+//! | factory reset | PA0 high for a second at the start: connect it to 3.3 V |
 //! | clock | TIM2, free-running at 84 MHz, or at 16 MHz without the crystal |
 //! | weights | flash sectors 8 to 11, as in the board's memory map |
 //!
@@ -51,7 +52,9 @@ use agent_core::service::{BoardFault, ResetCause, Subscription};
 use agent_core::store::RateLimit;
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_rt::entry;
-use firmware_template::{Memory, Node, QueuedPort, Settings, memory_map, on_chip, queued_port};
+use firmware_template::{
+    Memory, Node, QueuedPort, Settings, is_held, memory_map, on_chip, queued_port,
+};
 use heapless::spsc::Queue;
 use static_cell::{ConstStaticCell, StaticCell};
 use stm32f4xx_hal as hal;
@@ -118,7 +121,7 @@ static NODE: StaticCell<ThisNode> = StaticCell::new();
 #[entry]
 fn main() -> ! {
     if let Some(parts) = hardware()
-        && let Some(node) = node(parts.flash, parts.fault)
+        && let Some(node) = node(parts.flash, parts.fault, parts.is_reset_held)
     {
         #[cfg(feature = "embassy")]
         tasks::run(node, parts.board, parts.led);
@@ -134,6 +137,7 @@ struct Parts {
     board: &'static mut ThisBoard,
     flash: pac::FLASH,
     fault: Option<BoardFault>,
+    is_reset_held: bool,
     #[cfg(feature = "embassy")]
     led: hal::gpio::PC1<hal::gpio::Output>,
 }
@@ -146,6 +150,7 @@ fn hardware() -> Option<Parts> {
     watchdog.stop_on_debug(&chip.DBGMCU, true);
     watchdog.start(WATCHDOG_PERIOD.millis());
     let (mut rcc, crystal_is_ready) = clock::start(chip.RCC);
+    let cycles = rcc.clocks.sysclk().raw() / 100;
     let (gpiob, gpioc) = (chip.GPIOB.split(&mut rcc), chip.GPIOC.split(&mut rcc));
 
     let [service_in, service_out, link_in, link_out] = QUEUES.take();
@@ -178,11 +183,14 @@ fn hardware() -> Option<Parts> {
         let _ = (sensor, link);
         ThisBoard::new(firmware_template::WaitingPort::new(service, clock))
     };
+    let button = chip.GPIOA.split(&mut rcc).pa0.into_pull_down_input();
+    let is_reset_held = is_held(|| button.is_high(), || cortex_m::asm::delay(cycles));
     let fault = (!crystal_is_ready).then_some(BoardFault::Clock);
     Some(Parts {
         board: BOARD.init(board),
         flash: chip.FLASH,
         fault,
+        is_reset_held,
         #[cfg(feature = "embassy")]
         led: gpioc.pc1.into_push_pull_output(),
     })
@@ -190,7 +198,11 @@ fn hardware() -> Option<Parts> {
 
 /// Creates the node in its static; `None` if the public key is invalid.
 #[inline(never)]
-fn node(flash: pac::FLASH, fault: Option<BoardFault>) -> Option<&'static mut ThisNode> {
+fn node(
+    flash: pac::FLASH,
+    fault: Option<BoardFault>,
+    factory_reset: bool,
+) -> Option<&'static mut ThisNode> {
     let region = memory_map!().region();
     // Once a second, at a period of 1 ms.
     let state_every = NonZeroU32::new(1_000).filter(|_| !cfg!(feature = "in-the-loop"));
@@ -213,7 +225,7 @@ fn node(flash: pac::FLASH, fault: Option<BoardFault>) -> Option<&'static mut Thi
         stack_unused: Some(on_chip::stack_unused),
         start: on_chip::start(reset_cause()),
         keep_epochs: Some(on_chip::keep_epochs),
-        factory_reset: false,
+        factory_reset,
         version: [0, 1, 0],
     };
     // SAFETY: memory.x reserves this region, and this is the only call.
