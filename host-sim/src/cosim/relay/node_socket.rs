@@ -89,7 +89,7 @@ impl NodeSocket {
             match self.carry_out(index, &request, node)? {
                 Effect::None => {}
                 Effect::Deviates(reason) | Effect::Restarts(reason) => {
-                    node.stop_comparing(tick, reason)
+                    node.stop_comparing(tick, reason);
                 }
                 Effect::Switched { back } => served.switch = self.switch(tick, node, back),
             }
