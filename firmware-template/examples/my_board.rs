@@ -248,6 +248,8 @@ fn run(steps: u32) -> (Vec<u8>, u32) {
         fallback: fallback(),
         stack_unused: None,
         start: firmware_template::Start::default(),
+        keep_epochs: None,
+        factory_reset: false,
         version: [0, 1, 0],
     };
     // State dimension 2; capacity for 1 feature, 1 neighbour, 8 samples.

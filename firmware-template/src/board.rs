@@ -115,11 +115,12 @@ pub trait Board {
         buffer: &'buffer mut [u8],
     ) -> Option<Result<&'buffer [u8], LinkErrorKind>>;
 
-    /// The next request at the service port, or that it was damaged. Never waits.
+    /// The next request at the service port, or that it was damaged. Never waits. A sealed request is
+    /// opened in place.
     fn request<'buffer>(
         &mut self,
         buffer: &'buffer mut RequestBuffer,
-    ) -> Option<Result<&'buffer [u8], SerialError>>;
+    ) -> Option<Result<&'buffer mut [u8], SerialError>>;
 
     /// Sends bytes through the service port. Bytes that cannot be sent are lost: telemetry must not
     /// hold up a step.
@@ -195,7 +196,7 @@ impl<S: Sensor, L: Link, C: Clock, P: Read + ReadReady + Write> Board for Hardwa
     fn request<'buffer>(
         &mut self,
         buffer: &'buffer mut RequestBuffer,
-    ) -> Option<Result<&'buffer [u8], SerialError>> {
+    ) -> Option<Result<&'buffer mut [u8], SerialError>> {
         // When flooded, the node returns to its steps after the longest request.
         for _ in 0..2 * REQUEST_LENGTH_MAX {
             if !self.port.read_ready().unwrap_or(false) {
@@ -237,7 +238,7 @@ pub(crate) fn write_whole<P: Write>(port: &mut P, mut bytes: &[u8]) -> Result<()
 pub(crate) fn copied<'buffer>(
     message: &[u8],
     buffer: &'buffer mut [u8],
-) -> Result<&'buffer [u8], SerialError> {
+) -> Result<&'buffer mut [u8], SerialError> {
     let place = buffer.get_mut(..message.len()).ok_or(SerialError::TooLong)?;
     // `copy_from_slice` would keep a panicking path when the compiler optimises for size.
     place.iter_mut().zip(message).for_each(|(place, byte)| *place = *byte);

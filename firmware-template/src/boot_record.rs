@@ -1,15 +1,16 @@
-//! What survives a reset, but not a loss of power: how often the chip has started, and why the
-//! firmware reset it.
+//! What survives a reset, but not a loss of power: how often the chip has started, why the firmware
+//! reset it, and the epochs that it has reserved.
 //!
 //! A record is a few words of RAM that the start-up code does not initialise. After power-on they hold
 //! anything, which magic number and CRC reveal.
 //!
-//! Memory: [`BootRecord::WORDS`] words. Cost: one CRC of 40 bytes at the start and at a panic.
+//! Memory: [`BootRecord::WORDS`] words. Cost: one CRC of 48 bytes at the start, at a panic, and
+//! whenever epochs are taken.
 
 use agent_core::service::{FILE_NAME, PanicPlace, ResetCause};
 use agent_core::wire::crc::crc32;
 
-use crate::Start;
+use crate::{Epochs, Start};
 
 /// The record.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -19,17 +20,18 @@ pub struct BootRecord {
     /// Whether the firmware has panicked, or the processor has reported a fault, since the last start.
     failed: bool,
     place: Option<PanicPlace>,
+    epochs: Epochs,
 }
 
 impl BootRecord {
-    /// Words in memory: magic number, starts, flags, line, file, CRC.
-    pub const WORDS: usize = 5 + FILE_NAME / 4;
+    /// Words in memory: magic number, starts, flags, epochs, line, file, CRC.
+    pub const WORDS: usize = 7 + FILE_NAME / 4;
     const MAGIC: u32 = u32::from_le_bytes(*b"BOOT");
 
     /// Returns the record in memory; an empty one after power-on.
     #[must_use]
     pub fn from_words(words: &[u32; Self::WORDS]) -> Self {
-        let [magic, boots, flags, line, file @ .., crc] = words;
+        let [magic, boots, flags, next, end, line, file @ .., crc] = words;
         if *magic != Self::MAGIC || *crc != checksum(words) {
             return Self::default();
         }
@@ -40,6 +42,7 @@ impl BootRecord {
             boots: *boots,
             failed: flags & 1 != 0,
             place: (flags & 2 != 0).then_some(PanicPlace { file: name, line: *line }),
+            epochs: Epochs { next: *next, end: *end },
         }
     }
 
@@ -47,8 +50,9 @@ impl BootRecord {
     #[must_use]
     pub fn to_words(&self) -> [u32; Self::WORDS] {
         let mut words = [0; Self::WORDS];
-        let [magic, boots, flags, line, file @ .., _] = &mut words;
+        let [magic, boots, flags, next, end, line, file @ .., _] = &mut words;
         (*magic, *boots) = (Self::MAGIC, self.boots);
+        (*next, *end) = (self.epochs.next, self.epochs.end);
         *flags = u32::from(self.failed) | u32::from(self.place.is_some()) << 1;
         if let Some(place) = &self.place {
             *line = place.line;
@@ -67,13 +71,18 @@ impl BootRecord {
         (self.failed, self.place) = (true, place);
     }
 
+    /// Keeps these epochs for the next start.
+    pub fn keep_epochs(&mut self, epochs: Epochs) {
+        self.epochs = epochs;
+    }
+
     /// Counts a start whose reset had `cause`, according to the chip, and returns what there is to
     /// tell of it.
     pub fn start(&mut self, cause: ResetCause) -> Start {
         self.boots = self.boots.saturating_add(1);
         let cause = if self.failed { ResetCause::Panic } else { cause };
         self.failed = false;
-        Start { cause, panic: self.place.take(), boots: Some(self.boots) }
+        Start { cause, panic: self.place.take(), boots: Some(self.boots), epochs: self.epochs }
     }
 }
 
@@ -107,6 +116,17 @@ mod tests {
     }
 
     #[test]
+    fn epochs_are_kept_until_they_are_replaced() {
+        let mut record = BootRecord::default();
+        assert_eq!(record.start(ResetCause::PowerOn).epochs, Epochs::default());
+        let epochs = Epochs { next: 12, end: 64 };
+        record.keep_epochs(epochs);
+        let mut record = BootRecord::from_words(&record.to_words());
+        assert_eq!(record.start(ResetCause::Software).epochs, epochs);
+        assert_eq!(record.start(ResetCause::Watchdog).epochs, epochs);
+    }
+
+    #[test]
     fn what_ram_holds_after_power_on_is_not_a_record() {
         let mut record = BootRecord::default();
         record.start(ResetCause::PowerOn);
@@ -121,7 +141,7 @@ mod tests {
             }
         }
         for noise in [0, u32::MAX, 0xcccc_cccc] {
-            assert_eq!(BootRecord::from_words(&[noise; 11]), BootRecord::default());
+            assert_eq!(BootRecord::from_words(&[noise; BootRecord::WORDS]), BootRecord::default());
         }
     }
 }

@@ -7,8 +7,8 @@
 //! Memory: the port, one request, `FRAMES` frames, and 512 bytes of input and output.
 
 use agent_core::service::{Numbers, Request, Response, receive, respond};
+use agent_core::wire::LENGTH_MAX;
 use agent_core::wire::cobs::SerialError;
-use agent_core::wire::frame::FRAME_LENGTH_MAX;
 use embedded_io::{Read, Write};
 
 use crate::board::{
@@ -27,7 +27,7 @@ pub struct InTheLoop<P, const FRAMES: usize> {
     /// The part of the input that has not been decoded.
     unread: core::ops::Range<usize>,
     output: heapless::Vec<u8, CHUNK>,
-    frames: heapless::Deque<heapless::Vec<u8, FRAME_LENGTH_MAX>, FRAMES>,
+    frames: heapless::Deque<heapless::Vec<u8, LENGTH_MAX>, FRAMES>,
     periods: u32,
     measurement: Option<Numbers>,
 }
@@ -72,7 +72,7 @@ impl<P: Read + Write, const FRAMES: usize> InTheLoop<P, FRAMES> {
 
 /// A message for the board; the node gets all others.
 enum Stimulus {
-    Frame(heapless::Vec<u8, FRAME_LENGTH_MAX>),
+    Frame(heapless::Vec<u8, LENGTH_MAX>),
     Tick(u32, Option<Numbers>),
 }
 
@@ -121,13 +121,13 @@ impl<P: Read + Write, const FRAMES: usize> Board for InTheLoop<P, FRAMES> {
         buffer: &'buffer mut [u8],
     ) -> Option<Result<&'buffer [u8], LinkErrorKind>> {
         let frame = self.frames.pop_front()?;
-        Some(copied(&frame, buffer).map_err(LinkErrorKind::from))
+        Some(copied(&frame, buffer).map(|frame| &*frame).map_err(LinkErrorKind::from))
     }
 
     fn request<'buffer>(
         &mut self,
         buffer: &'buffer mut RequestBuffer,
-    ) -> Option<Result<&'buffer [u8], SerialError>> {
+    ) -> Option<Result<&'buffer mut [u8], SerialError>> {
         while self.periods == 0 {
             let message = match self.message()? {
                 Ok(message) => message,

@@ -33,7 +33,7 @@ pub use boot_record::BootRecord;
 pub use in_the_loop::InTheLoop;
 pub use key::key_from_hex;
 pub use memory_map::{Symbols, WeightsRegion};
-pub use node::{Memory, Node, Progress, RECOMMENDED_TRIAL, Settings, Start};
+pub use node::{Epochs, Memory, Node, Progress, RECOMMENDED_TRIAL, Settings, Start};
 pub use periods::Periods;
 pub use queued_port::{Full, QueuedEnd, QueuedPort, queued_port};
 pub use registers::RegisterSensor;

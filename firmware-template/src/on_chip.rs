@@ -13,7 +13,7 @@ use critical_section::Mutex;
 use embedded_storage::nor_flash::NorFlashErrorKind;
 
 #[cfg(all(target_os = "none", target_arch = "arm"))]
-use crate::{BootRecord, Start};
+use crate::{BootRecord, Epochs, Start};
 #[cfg(all(target_os = "none", target_arch = "arm"))]
 use agent_core::service::{PanicPlace, ResetCause};
 
@@ -179,6 +179,12 @@ static mut BOOT_RECORD: core::mem::MaybeUninit<[u32; BootRecord::WORDS]> =
 #[cfg(all(target_os = "none", target_arch = "arm"))]
 pub fn start(cause: ResetCause) -> Start {
     change_record(|record| record.start(cause))
+}
+
+/// Keeps epochs for the next start: [`Settings::keep_epochs`](crate::Settings::keep_epochs).
+#[cfg(all(target_os = "none", target_arch = "arm"))]
+pub fn keep_epochs(epochs: Epochs) {
+    change_record(|record| record.keep_epochs(epochs));
 }
 
 /// Records a panic at `place` \[file, line\], or a fault of the processor, for the next start. To be

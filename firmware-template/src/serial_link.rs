@@ -7,9 +7,9 @@
 //!
 //! Memory: the port and 90 bytes.
 
+use agent_core::wire::LENGTH_MAX;
 use agent_core::wire::cobs::{Decoder, Encoder};
 use agent_core::wire::crc::CHECKSUM_LENGTH;
-use agent_core::wire::frame::FRAME_LENGTH_MAX;
 use embedded_io::{Read, ReadReady, Write};
 
 use crate::board::{copied, write_whole};
@@ -19,7 +19,7 @@ use crate::{Link, LinkErrorKind};
 #[derive(Debug)]
 pub struct SerialLink<P> {
     port: P,
-    decoder: Decoder<{ FRAME_LENGTH_MAX + CHECKSUM_LENGTH }>,
+    decoder: Decoder<{ LENGTH_MAX + CHECKSUM_LENGTH }>,
 }
 
 impl<P> SerialLink<P> {
@@ -57,7 +57,7 @@ impl<P: Read + ReadReady + Write> Link for SerialLink<P> {
             let [byte] = byte;
             if let Some(message) = self.decoder.push(byte) {
                 let frame = message.and_then(|message| copied(message, buffer));
-                return frame.map(Some).map_err(LinkErrorKind::from);
+                return frame.map(|frame| Some(&*frame)).map_err(LinkErrorKind::from);
             }
         }
         Ok(None)

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use agent_core::agent::trust::{Believed, Trust, TrustParams};
-use agent_core::wire::authentic::{AuthenticFrame, Bytes, NetworkKey, Payload, Stamp};
+use agent_core::agent::trust::{Trust, TrustParams};
+use agent_core::wire::authentic::{self, Bytes, Header, Kind, NetworkKey, Stamp};
 use agent_core::wire::secret::Secret;
 use agent_core::{AgentId, Frame, Neighbour, StateVector, Tick};
 use rand::{RngExt, SeedableRng};
@@ -83,7 +83,10 @@ impl Node {
         sent
     }
 
-    fn hear(&mut self, bytes: &[u8]) -> Result<Believed<1>, agent_core::wire::frame::FrameError> {
+    fn hear(
+        &mut self,
+        bytes: &[u8],
+    ) -> Result<Option<Frame<1>>, agent_core::wire::frame::FrameError> {
         self.trust.open(&self.neighbours, &self.keys, bytes)
     }
 }
@@ -134,10 +137,10 @@ pub(super) fn stranger(tries: u64, seed: u64) -> Outcome {
         }
         for (from, bytes) in sent {
             for node in nodes.iter_mut().filter(|node| node.own != from) {
-                if let Ok(Believed::Sample(_)) = node.hear(&bytes) {
-                    let frame = AuthenticFrame::<StateVector<1>>::open(&bytes, &node.keys).unwrap();
+                if let Ok(Some(_)) = node.hear(&bytes) {
+                    let (frame, _) = authentic::open(&bytes, &node.keys).unwrap();
                     let place = node.neighbours.iter().position(|n| n.id == from).unwrap();
-                    let is_answer = matches!(frame.payload, Payload::Sync { .. });
+                    let is_answer = matches!(frame.kind, Kind::Sync { .. });
                     let before = node.accepted[place].last().copied();
                     let is_new = node.accepted[place].insert(frame.stamp);
                     // The answer to a rebooted node repeats what it may have believed before.
@@ -156,7 +159,7 @@ pub(super) fn stranger(tries: u64, seed: u64) -> Outcome {
             let bytes = forged(&recorded, &mut random, now);
             let node = &mut nodes[random.random_range(0..3)];
             outcome.tries += 1;
-            outcome.accepted += u64::from(matches!(node.hear(&bytes), Ok(Believed::Sample(_))));
+            outcome.accepted += u64::from(matches!(node.hear(&bytes), Ok(Some(_))));
         }
     }
     outcome
@@ -166,7 +169,6 @@ pub(super) fn stranger(tries: u64, seed: u64) -> Outcome {
 fn forged(recorded: &[Bytes], random: &mut ChaCha8Rng, now: Tick) -> Vec<u8> {
     let mut bytes = recorded[random.random_range(0..recorded.len())].to_vec();
     let sender = random.random_range(0..5);
-    let payload = Payload::Estimate(&[1e3][..]);
     let latest = Stamp { epoch: u32::MAX, sequence: u32::MAX };
     match random.random_range(0..7) {
         // As recorded, at any time, to anyone, its own sender included.
@@ -186,8 +188,8 @@ fn forged(recorded: &[Bytes], random: &mut ChaCha8Rng, now: Tick) -> Vec<u8> {
         // From another network that uses the same number for its key.
         5 => {
             let foreign = NetworkKey::new(random.random_range(0..4), Secret::new([99; 16]));
-            let frame = AuthenticFrame { sender, stamp: latest, tick: now, payload };
-            bytes = frame.seal(&foreign).to_vec();
+            let header = Header { sender, stamp: latest, tick: now, kind: Kind::Estimate };
+            bytes = authentic::seal(&header, &[1e3], &foreign).to_vec();
         }
         _ => bytes.iter_mut().skip(1).for_each(|byte| *byte = random.random()),
     }

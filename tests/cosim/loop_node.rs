@@ -90,6 +90,8 @@ fn run(mut flash: Flash, quirks: &Quirks, socket: UnixStream, reads: Arc<AtomicU
             fallback: None,
             stack_unused: None,
             start: firmware_template::Start::default(),
+            keep_epochs: None,
+            factory_reset: false,
             version: [0, 1, 0],
         };
         let mut memory = Memory::new();

@@ -114,7 +114,7 @@ impl Board for Script {
     fn request<'buffer>(
         &mut self,
         buffer: &'buffer mut RequestBuffer,
-    ) -> Option<Result<&'buffer [u8], SerialError>> {
+    ) -> Option<Result<&'buffer mut [u8], SerialError>> {
         let request = self.requests.pop_front()?;
         self.done.push(Done::Took);
         if request.is_empty() {
@@ -193,6 +193,8 @@ fn settings() -> Settings {
         fallback: None,
         stack_unused: None,
         start: firmware_template::Start::default(),
+        keep_epochs: None,
+        factory_reset: false,
         version: [0, 1, 0],
     }
 }

@@ -234,6 +234,8 @@ fn on_the_host(requests: &[Request<'_>]) -> Vec<Vec<u8>> {
         fallback: fallback::fallback(),
         stack_unused: None,
         start: firmware_template::Start::default(),
+        keep_epochs: None,
+        factory_reset: false,
         version: [0, 1, 0],
     };
     let mut memory = Memory::new();

@@ -107,6 +107,8 @@ fn live(mut flash: Flash, socket: &UnixStream) -> Flash {
             fallback: None,
             stack_unused: None,
             start: Start { boots: Some(starts), ..Start::default() },
+            keep_epochs: None,
+            factory_reset: false,
             version: [0, 1, 0],
         };
         let mut memory = Memory::new();

@@ -20,6 +20,11 @@ struct Known {
     port_key: Option<(Secret, AgentId)>,
 }
 
+/// The keys as a request has them.
+fn ring(numbers: &[u8]) -> Vec<u8> {
+    numbers.iter().flat_map(|&number| [&[number][..], &[number ^ 0x5a; 16]].concat()).collect()
+}
+
 fn key(number: u8) -> NetworkKey {
     NetworkKey::new(number, Secret::new([number ^ 0x5a; 16]))
 }
@@ -46,11 +51,14 @@ fn change(
         }
         1 => {
             let network_keys = vec![key(turn)];
-            (store.record_network_keys(&network_keys), Known { network_keys, ..known.clone() })
+            (store.record_network_keys(&ring(&[turn])), Known { network_keys, ..known.clone() })
         }
         2 => {
             let network_keys = vec![key(turn), key(turn - 1)];
-            (store.record_network_keys(&network_keys), Known { network_keys, ..known.clone() })
+            (
+                store.record_network_keys(&ring(&[turn, turn - 1])),
+                Known { network_keys, ..known.clone() },
+            )
         }
         _ => (store.remove_keys(), Known::default()),
     }
@@ -122,8 +130,8 @@ fn what_cannot_be_a_key_ring_is_refused() {
     let mut flash: Flash = erased_flash(1, Tear::Prefix, 9);
     let (mut store, known) = boot(&mut flash);
     assert_eq!(known, Known::default());
-    for keys in [&[][..], &[key(1), key(1)], &[key(1), key(2), key(3)]] {
-        assert_eq!(store.record_network_keys(keys), Err(StoreError::Note));
+    for keys in [vec![], ring(&[1, 1]), ring(&[1, 2, 3]), ring(&[1])[1..].to_vec()] {
+        assert_eq!(store.record_network_keys(&keys), Err(StoreError::Note));
     }
     assert_eq!(store.reserve_epochs(3), Ok((0, 3)));
     // Provisioning sets the epoch from the host's clock; an earlier one changes nothing.
@@ -131,7 +139,7 @@ fn what_cannot_be_a_key_ring_is_refused() {
     assert_eq!(store.skip_epochs(2), Ok(()));
     assert_eq!(store.reserve_epochs(2), Ok((1_000, 1_002)));
     store.record_port_key(Secret::new([7; 16]), 3).unwrap();
-    store.record_network_keys(&[key(1)]).unwrap();
+    store.record_network_keys(&ring(&[1])).unwrap();
     store.remove_keys().unwrap();
     let (mut store, known) = boot(&mut flash);
     assert_eq!(known, Known::default());

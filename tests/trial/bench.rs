@@ -184,7 +184,7 @@ impl Board for Surroundings {
     fn request<'buffer>(
         &mut self,
         buffer: &'buffer mut RequestBuffer,
-    ) -> Option<Result<&'buffer [u8], SerialError>> {
+    ) -> Option<Result<&'buffer mut [u8], SerialError>> {
         let request = self.requests.pop_front()?;
         let place = &mut buffer[..request.len()];
         place.copy_from_slice(&request);
@@ -233,6 +233,8 @@ fn settings() -> Settings {
         fallback: None,
         stack_unused: None,
         start: firmware_template::Start::default(),
+        keep_epochs: None,
+        factory_reset: false,
         version: [0, 1, 0],
     }
 }

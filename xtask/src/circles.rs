@@ -15,9 +15,10 @@ use proc_macro2::{Delimiter, TokenStream, TokenTree};
 use crate::step::Failure;
 
 /// The crates to check.
-const SOURCES: [&str; 5] = [
+const SOURCES: [&str; 6] = [
     "agent-core/src",
     "agent-core/inner-network/src",
+    "agent-core/sealing/src",
     "host-sim/src",
     "firmware-template/src",
     "xtask/src",

@@ -44,12 +44,13 @@ struct Artifact {
     file: &'static str,
 }
 
-const ARTIFACTS: [Artifact; 3] = [
+const ARTIFACTS: [Artifact; 4] = [
+    Artifact { package: "sealing", selection: &["--lib"], file: "libsealing.rlib" },
     Artifact { package: "inner-network", selection: &["--lib"], file: "libinner_network.rlib" },
     Artifact {
         package: "agent-core",
         // Features only add code: with them the library contains everything it has without them.
-        selection: &["--lib", "--features", "signature"],
+        selection: &["--lib", "--features", "authentic-frames,signature"],
         file: "libagent_core.rlib",
     },
     Artifact {

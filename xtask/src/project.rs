@@ -122,6 +122,10 @@ fn make(path: &Path, board: &Board, copy_crates: bool) -> Result<(), Failure> {
     if copy_crates { copy_workspace(&path.join("crates")) } else { Ok(()) }
 }
 
+/// The crates of a node, from the root of the workspace.
+const NODE_CRATES: [&str; 4] =
+    ["agent-core", "agent-core/inner-network", "agent-core/sealing", "firmware-template"];
+
 /// Copies the node's crates and the parts of the workspace that their manifests use.
 fn copy_workspace(to: &Path) -> Result<(), Failure> {
     let top = workspace();
@@ -135,8 +139,7 @@ fn copy_workspace(to: &Path) -> Result<(), Failure> {
         copy(&top.join(file), &to.join(file))?;
     }
     let mut manifest: DocumentMut = boards::read(&top.join("Cargo.toml"))?;
-    manifest["workspace"]["members"] =
-        value(Array::from_iter(["agent-core", "agent-core/inner-network", "firmware-template"]));
+    manifest["workspace"]["members"] = value(Array::from_iter(NODE_CRATES));
     if let Some(workspace) = manifest["workspace"].as_table_like_mut() {
         workspace.remove("default-members");
         workspace.remove("exclude");

@@ -27,7 +27,7 @@
 //! believed at most once.
 
 use crate::observer::feedback::Neighbour;
-use crate::wire::authentic::{AuthenticFrame, Bytes, NetworkKey, Payload, Stamp};
+use crate::wire::authentic::{self, Bytes, Header, Kind, NetworkKey, Stamp};
 use crate::wire::frame::{Frame, FrameError};
 use crate::{AgentId, StateVector, Tick};
 
@@ -64,15 +64,6 @@ pub struct Trust<const NEIGHBOURS: usize> {
     sealed: Option<u32>,
     last_hello: Option<Tick>,
     peers: heapless::Vec<Peer, NEIGHBOURS>,
-}
-
-/// An authentic frame that is believed.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Believed<const N: usize> {
-    /// A sample, newer than all before from its sender.
-    Sample(Frame<N>),
-    /// Nothing for the observer: a hello, or a sync without news.
-    Nothing,
 }
 
 impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
@@ -112,9 +103,21 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         self.epochs_end.saturating_sub(self.epoch)
     }
 
-    /// Adds epochs up to `end`, which have been reserved in the store and read back.
-    pub fn extend(&mut self, end: u32) {
-        self.epochs_end = self.epochs_end.max(end);
+    /// Goes on with the epochs from `first` up to, but without, `end`, which have been reserved in the
+    /// store and read back; all are greater than those before.
+    pub fn extend(&mut self, (first, end): (u32, u32)) {
+        if first >= self.epochs_end {
+            if first > self.epochs_end {
+                (self.epoch, self.sealed) = (first, None);
+            }
+            self.epochs_end = end;
+        }
+    }
+
+    /// Returns the agent that speaks.
+    #[must_use]
+    pub fn own(&self) -> AgentId {
+        self.own
     }
 
     /// Returns whether the neighbour in this place, in the order of the parameters, is believed.
@@ -146,7 +149,8 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         }
         (self.epoch, self.sealed) = (epoch, Some(frame.sequence));
         let stamp = Stamp { epoch, sequence: frame.sequence };
-        Some(self.bytes(stamp, frame.tick, Payload::Estimate(frame.estimate.as_slice()), key))
+        let estimate = frame.estimate.as_slice();
+        Some(self.bytes(stamp, frame.tick, Kind::Estimate, estimate, key))
     }
 
     /// Returns a hello if one is due at the receiver's tick `now`.
@@ -160,7 +164,7 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         }
         self.last_hello = Some(now);
         let stamp = Stamp { epoch: self.epoch, sequence: self.sealed.unwrap_or(0) };
-        Some(self.bytes(stamp, now, Payload::Hello, key))
+        Some(self.bytes(stamp, now, Kind::Hello, &[], key))
     }
 
     /// Returns the answer to a hello if one is due at the receiver's tick `now`. `last` is the
@@ -174,78 +178,95 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
     ) -> Option<Bytes> {
         // The last broadcast must have been sealed: its stamp is part of the answer.
         let sequence = self.sealed.filter(|&sealed| sealed == last.sequence)?;
+        let (to, epoch) = self.asking(neighbours, now)?;
+        let stamp = Stamp { epoch: self.epoch, sequence };
+        let kind = Kind::Sync { to, epoch };
+        Some(self.bytes(stamp, last.tick, kind, last.estimate.as_slice(), key))
+    }
+
+    /// Takes the next neighbour to answer, and the epoch of its hello.
+    fn asking(&mut self, neighbours: &[Neighbour], now: Tick) -> Option<(AgentId, u32)> {
         let gap = self.params.answer_gap;
-        let (to, epoch) = self.peers.iter_mut().zip(neighbours).find_map(|(peer, neighbour)| {
+        self.peers.iter_mut().zip(neighbours).find_map(|(peer, neighbour)| {
             let is_early = peer.answered.is_some_and(|last| now.saturating_sub(last) < gap);
             let epoch = peer.asks.filter(|_| !is_early)?;
             (peer.asks, peer.answered) = (None, Some(now));
             Some((neighbour.id, epoch))
-        })?;
-        let stamp = Stamp { epoch: self.epoch, sequence };
-        let payload = Payload::Sync { to, epoch, estimate: last.estimate.as_slice() };
-        Some(self.bytes(stamp, last.tick, payload, key))
+        })
     }
 
-    /// Opens the frame in `bytes` with one of `keys` and believes it or not.
+    /// Opens the frame in `bytes` with one of `keys` and believes it or not. Returns a sample that is
+    /// newer than all before from its sender, or `None` for what is nothing to the observer: a hello,
+    /// or a sync without news.
     ///
     /// # Errors
-    /// As for [`AuthenticFrame::open`]; [`FrameError::UnknownSender`], [`FrameError::NotBelieved`]
-    /// or [`FrameError::Replayed`].
+    /// As for [`authentic::open`] and [`authentic::estimate`]; [`FrameError::UnknownSender`],
+    /// [`FrameError::NotBelieved`] or [`FrameError::Replayed`].
     pub fn open<const N: usize>(
         &mut self,
         neighbours: &[Neighbour],
         keys: &[NetworkKey],
         bytes: &[u8],
-    ) -> Result<Believed<N>, FrameError> {
-        let frame = AuthenticFrame::<StateVector<N>>::open(bytes, keys)?;
-        let AuthenticFrame { sender, stamp, tick, payload } = frame;
+    ) -> Result<Option<Frame<N>>, FrameError> {
+        let (header, words) = authentic::open(bytes, keys)?;
+        let Header { sender, stamp, tick, kind } = header;
+        let estimate = match kind {
+            Kind::Hello => StateVector::zeros(),
+            Kind::Estimate | Kind::Sync { .. } => authentic::estimate(sender, words)?,
+        };
+        let is_new = self.believe(neighbours, &header)?;
+        Ok(is_new.then_some(Frame { sender, sequence: stamp.sequence, tick, estimate }))
+    }
+
+    /// Believes an authentic frame or not; returns whether it has a new sample.
+    #[inline(never)]
+    fn believe(&mut self, neighbours: &[Neighbour], header: &Header) -> Result<bool, FrameError> {
+        let &Header { sender, stamp, kind, .. } = header;
         let unknown = FrameError::UnknownSender { sender };
+        let replayed = FrameError::Replayed { sender };
         let place = neighbours.iter().position(|n| n.id == sender).ok_or(unknown)?;
         // A node without a reserved epoch has said nothing that could be answered.
         let own_epochs = self.boot_epoch..self.epoch.saturating_add(1).min(self.epochs_end);
         let peer = self.peers.get_mut(place).ok_or(unknown)?;
-        let estimate = match payload {
-            Payload::Hello => {
+        match kind {
+            Kind::Hello => {
                 if peer.believed.is_some_and(|believed| stamp.epoch < believed.epoch) {
-                    return Err(FrameError::Replayed { sender });
+                    return Err(replayed);
                 }
                 peer.asks = peer.asks.max(Some(stamp.epoch));
-                return Ok(Believed::Nothing);
+                return Ok(false);
             }
-            Payload::Sync { .. } if peer.believed == Some(stamp) => return Ok(Believed::Nothing),
-            Payload::Sync { to, epoch, estimate } if to == self.own => {
+            Kind::Sync { .. } if peer.believed == Some(stamp) => return Ok(false),
+            Kind::Sync { to, epoch } if to == self.own => {
                 if !own_epochs.contains(&epoch) {
-                    return Err(FrameError::Replayed { sender });
+                    return Err(replayed);
                 }
                 // The first stamp: recent, because the answer repeats an epoch of this boot.
                 if peer.believed.is_none() {
                     peer.believed = Some(stamp);
-                    return Ok(Believed::Sample(sample(sender, stamp, tick, estimate)));
+                    return Ok(true);
                 }
-                estimate
             }
-            Payload::Sync { estimate, .. } | Payload::Estimate(estimate) => estimate,
-        };
+            Kind::Sync { .. } | Kind::Estimate => {}
+        }
         let believed = peer.believed.ok_or(FrameError::NotBelieved { sender })?;
         if stamp <= believed {
-            return Err(FrameError::Replayed { sender });
+            return Err(replayed);
         }
         peer.believed = Some(stamp);
-        Ok(Believed::Sample(sample(sender, stamp, tick, estimate)))
+        Ok(true)
     }
 
-    fn bytes(&self, stamp: Stamp, tick: Tick, payload: Payload<&[f32]>, key: &NetworkKey) -> Bytes {
-        AuthenticFrame { sender: self.own, stamp, tick, payload }.seal(key)
+    fn bytes(
+        &self,
+        stamp: Stamp,
+        tick: Tick,
+        kind: Kind,
+        estimate: &[f32],
+        key: &NetworkKey,
+    ) -> Bytes {
+        authentic::seal(&Header { sender: self.own, stamp, tick, kind }, estimate, key)
     }
-}
-
-fn sample<const N: usize>(
-    sender: AgentId,
-    stamp: Stamp,
-    tick: Tick,
-    estimate: StateVector<N>,
-) -> Frame<N> {
-    Frame { sender, sequence: stamp.sequence, tick, estimate }
 }
 
 #[cfg(test)]

@@ -40,7 +40,7 @@ pub mod seal;
 
 pub use problem::{Problem, RefusalKind, RefusalReport};
 pub use report::{FILE_NAME, LastRevert, PanicPlace, Performance, Report, ResetCause, TrialReport};
-pub use request::{NetworkKeyList, Numbers, Provision, Request, Subscription};
+pub use request::{Numbers, Provision, Request, Subscription};
 pub use response::{
     BoardFault, Event, Firmware, Outcome, PackageStatus, Response, Session, State, Status, numbers,
 };

@@ -5,7 +5,7 @@ use core::num::NonZeroU32;
 use serde::{Deserialize, Serialize};
 
 pub use crate::wire::frame::Numbers;
-use crate::wire::secret::Secret;
+use crate::wire::secret::{SECRET_LENGTH, Secret};
 use crate::{AgentId, Tick};
 
 /// A request to a node.
@@ -81,9 +81,15 @@ pub enum Request<'a> {
     },
     /// Give the node its port key and its agent. Not sealed if it has no port key yet; then the
     /// operator must have signed it if the firmware accepts only signed packages.
-    Provision(Provision<'a>),
+    Provision {
+        /// A [`Provision`], encoded.
+        bytes: &'a [u8],
+    },
     /// Use these network keys in place of those before, the one for sending first. Only sealed.
-    NetworkKeys(NetworkKeyList),
+    NetworkKeys {
+        /// One or two keys: for each, its number and its 16 bytes.
+        bytes: &'a [u8],
+    },
     /// Forget keys, agent and packages, but neither the epochs nor the highest package activated, and
     /// restart. Only sealed.
     FactoryReset,
@@ -98,8 +104,8 @@ impl Request<'_> {
 }
 
 /// A node's port key and agent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Provision<'a> {
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Provision {
     /// The agent: the node then refuses packages of all others.
     pub agent: AgentId,
     /// The port key.
@@ -107,29 +113,50 @@ pub struct Provision<'a> {
     /// Least epoch from now on, from the operator's clock: above those of an earlier life whose flash
     /// has been lost.
     pub epoch: u32,
-    /// Ed25519 signature of [`Self::signed_bytes`], or empty.
-    pub signature: &'a [u8],
 }
 
-impl Provision<'_> {
-    /// Returns what the operator signs: a label, agent, port key and epoch, little-endian.
+/// The label of what is signed for a provision.
+const LABEL: [u8; 16] = *b"provision a node";
+
+impl Provision {
+    /// Length of its encoding. \[byte\]
+    pub const LENGTH: usize = 4 + SECRET_LENGTH + 4;
+
+    /// Returns its encoding: agent, port key, epoch, little-endian. The request has these bytes, and
+    /// behind them nothing or the operator's signature of [`Self::signed_bytes`].
     #[must_use]
-    pub fn signed_bytes(&self) -> [u8; 40] {
-        let parts = [
-            &b"provision a node"[..],
-            &self.agent.to_le_bytes(),
-            &self.port_key.to_bytes(),
-            &self.epoch.to_le_bytes(),
-        ];
-        let mut bytes = [0; 40];
-        let all = parts.into_iter().flatten();
-        bytes.iter_mut().zip(all).for_each(|(place, byte)| *place = *byte);
+    pub fn to_bytes(&self) -> [u8; Self::LENGTH] {
+        let parts =
+            [&self.agent.to_le_bytes()[..], &self.port_key.to_bytes(), &self.epoch.to_le_bytes()];
+        let mut bytes = [0; Self::LENGTH];
+        bytes.iter_mut().zip(parts.into_iter().flatten()).for_each(|(place, byte)| *place = *byte);
         bytes
     }
-}
 
-/// Network keys with their numbers.
-pub type NetworkKeyList = heapless::Vec<(u8, Secret), 2>;
+    /// Returns what the operator signs: a label, so that it cannot be taken for anything else that is
+    /// signed with the same key, and the encoding.
+    #[must_use]
+    pub fn signed_bytes(&self) -> [u8; LABEL.len() + Self::LENGTH] {
+        let mut bytes = [0; LABEL.len() + Self::LENGTH];
+        let all = LABEL.into_iter().chain(self.to_bytes());
+        bytes.iter_mut().zip(all).for_each(|(place, byte)| *place = byte);
+        bytes
+    }
+
+    /// Decodes the bytes of a request; returns also what is behind.
+    #[must_use]
+    pub fn split(bytes: &[u8]) -> Option<(Self, &[u8])> {
+        let (agent, rest) = bytes.split_first_chunk()?;
+        let (port_key, rest) = rest.split_first_chunk()?;
+        let (epoch, signature) = rest.split_first_chunk()?;
+        let provision = Self {
+            agent: AgentId::from_le_bytes(*agent),
+            port_key: Secret::new(*port_key),
+            epoch: u32::from_le_bytes(*epoch),
+        };
+        Some((provision, signature))
+    }
+}
 
 /// Unsolicited reports, in addition to events.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -27,9 +27,6 @@ const EPOCHS: u8 = 4;
 /// The largest number of network keys: the one in use and, during a rotation, the other one.
 pub const NETWORK_KEYS_MAX: usize = 2;
 
-/// Length of a key with its number.
-const ENTRY_LENGTH: usize = 1 + SECRET_LENGTH;
-
 /// The network keys of a node. Frames are sealed with the first one.
 pub type NetworkKeys = heapless::Vec<NetworkKey, NETWORK_KEYS_MAX>;
 
@@ -38,7 +35,7 @@ impl<F: MappedFlash> Store<F> {
     pub fn network_keys(&mut self) -> NetworkKeys {
         let mut keys = NetworkKeys::new();
         if let Some(note) = self.note(NETWORK_KEYS) {
-            let (entries, _) = note.as_bytes().as_chunks::<ENTRY_LENGTH>();
+            let (entries, _) = note.as_bytes().as_chunks::<{ NetworkKey::LENGTH }>();
             // A note has room for three.
             keys.extend(
                 entries
@@ -50,25 +47,19 @@ impl<F: MappedFlash> Store<F> {
         keys
     }
 
-    /// Records the network keys in place of those before, the one in use first.
+    /// Records network keys in place of those before, the one in use first: for each, its number and
+    /// its 16 bytes.
     ///
     /// # Errors
     /// [`StoreError::Note`] if there is none, more than [`NETWORK_KEYS_MAX`], or two with the same
     /// number; a failure to write the journal.
-    pub fn record_network_keys(&mut self, keys: &[NetworkKey]) -> Result<(), StoreError> {
-        let is_ambiguous = match keys {
-            [_] => false,
-            [first, second] => first.number() == second.number(),
-            _ => true,
-        };
-        if is_ambiguous {
-            return Err(StoreError::Note);
+    pub fn record_network_keys(&mut self, keys: &[u8]) -> Result<(), StoreError> {
+        match keys.as_chunks::<{ NetworkKey::LENGTH }>() {
+            ([_], []) => {}
+            ([[first, ..], [second, ..]], []) if first != second => {}
+            _ => return Err(StoreError::Note),
         }
-        let mut note = heapless::Vec::<u8, { NETWORK_KEYS_MAX * ENTRY_LENGTH }>::new();
-        for key in keys {
-            note.extend(core::iter::once(key.number()).chain(key.secret().to_bytes()));
-        }
-        self.record_note(NETWORK_KEYS, &note)
+        self.record_note(NETWORK_KEYS, keys)
     }
 
     /// Returns the port key and the agent that the node was provisioned as, if it was.
@@ -136,7 +127,11 @@ impl<F: MappedFlash> Store<F> {
         self.record_note(EPOCHS, &first.to_le_bytes())
     }
 
-    fn epochs_end(&mut self) -> Result<u32, StoreError> {
+    /// Returns the end of the epochs that have been reserved so far.
+    ///
+    /// # Errors
+    /// As for [`Self::reserve_epochs`].
+    pub fn epochs_end(&mut self) -> Result<u32, StoreError> {
         if let Some(offset) = self.journal.held_by() {
             return Err(StoreError::Unreadable { offset });
         }

@@ -188,15 +188,25 @@ impl<const N: usize> Frame<N> {
     /// [`FrameError::Version`], [`FrameError::Dimension`] or [`FrameError::NotFinite`].
     pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
         let (Head { sender, sequence, tick, .. }, words) = decode(bytes)?;
-        let words: &[[u8; 4]; N] = words
-            .try_into()
-            .map_err(|_| FrameError::Dimension { expected: N, found: words.len() })?;
-        let estimate = StateVector::from(words.map(f32::from_le_bytes));
-        if !all_finite(&estimate) {
-            return Err(FrameError::NotFinite { sender });
-        }
-        Ok(Self { sender, sequence, tick, estimate })
+        Ok(Self { sender, sequence, tick, estimate: estimate(sender, words)? })
     }
+}
+
+/// Checks the components of an estimate.
+///
+/// # Errors
+/// [`FrameError::Dimension`] or [`FrameError::NotFinite`].
+pub(crate) fn estimate<const N: usize>(
+    sender: AgentId,
+    words: &[[u8; 4]],
+) -> Result<StateVector<N>, FrameError> {
+    let words: &[[u8; 4]; N] =
+        words.try_into().map_err(|_| FrameError::Dimension { expected: N, found: words.len() })?;
+    let estimate = StateVector::from(words.map(f32::from_le_bytes));
+    if !all_finite(&estimate) {
+        return Err(FrameError::NotFinite { sender });
+    }
+    Ok(estimate)
 }
 
 /// The fields between the version and the components.

@@ -11,3 +11,10 @@ pub mod frame;
 pub mod secret;
 pub(crate) mod sequence;
 pub(crate) mod writer;
+
+/// Length of the longest frame of any version, for buffers. \[byte\]
+#[cfg(feature = "authentic-frames")]
+pub const LENGTH_MAX: usize = authentic::LENGTH_MAX;
+/// Length of the longest frame of any version, for buffers. \[byte\]
+#[cfg(not(feature = "authentic-frames"))]
+pub const LENGTH_MAX: usize = frame::FRAME_LENGTH_MAX;

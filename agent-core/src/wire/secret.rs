@@ -1,8 +1,6 @@
 //! Secrets of 128 bits, and the keys derived from them.
 
 use serde::{Deserialize, Serialize};
-#[cfg(feature = "authentic-frames")]
-use siphasher::sip::SipHasher24;
 
 /// Length of a secret. \[byte\]
 pub const SECRET_LENGTH: usize = 16;
@@ -46,9 +44,8 @@ impl Secret {
 
     /// Returns the hash of `bytes` with this key, SipHash-2-4.
     #[cfg(feature = "authentic-frames")]
-    #[inline(never)] // One copy.
     pub(crate) fn hash(&self, bytes: &[u8]) -> u64 {
-        SipHasher24::new_with_key(&self.0).hash(bytes)
+        sealing::hash(&self.0, bytes)
     }
 }
 

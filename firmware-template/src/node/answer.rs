@@ -25,18 +25,26 @@ impl<
     /// Carries out a request and answers it. Not inlined, so that its stack is not added to a
     /// turn's.
     #[inline(never)]
-    pub(super) fn answer<B: Board>(&mut self, board: &mut B, bytes: &[u8]) -> Next {
-        let (number, bytes) = split_number(bytes);
+    pub(super) fn answer<B: Board>(&mut self, board: &mut B, bytes: &mut [u8]) -> Next {
+        let (number, request) = split_number(bytes);
+        let start = bytes.len() - request.len();
         self.number = number;
-        let answer = match receive::<Request<'_>>(bytes) {
-            None => Err(Problem::Unknown),
-            Some(Request::Samples { from, most }) => {
-                let next = self.send_samples(board, from, most);
-                Ok((Response::SamplesEnd { next }, Next::Continue))
-            }
-            Some(Request::StartAt { estimate }) => self.start(board, &estimate),
-            Some(request) => self.carry_out(&request),
-        };
+        let answer = bytes
+            .get_mut(start..)
+            .ok_or(Problem::Unknown)
+            .and_then(|bytes| self.guard.open_request(bytes))
+            .and_then(|(is_sealed, bytes)| {
+                let request = receive::<Request<'_>>(bytes).ok_or(Problem::Unknown)?;
+                self.guard.admit(is_sealed, request.is_free())?;
+                match request {
+                    Request::Samples { from, most } => {
+                        let next = self.send_samples(board, from, most);
+                        Ok((Response::SamplesEnd { next }, Next::Continue))
+                    }
+                    Request::StartAt { estimate } => self.start(board, &estimate),
+                    request => self.carry_out(&request),
+                }
+            });
         match answer {
             Ok((response, next)) => {
                 // Before it, so that a laptop that has its answer has heard them.
@@ -62,6 +70,8 @@ impl<
                 | Request::Activate
                 | Request::Confirm
                 | Request::Revert
+                | Request::Provision { .. }
+                | Request::NetworkKeys { .. }
         );
         let upload = |received| Ok((Response::Upload(Upload { received }), Next::Continue));
         match *request {
@@ -89,10 +99,25 @@ impl<
                 self.store.forget_unreadable();
                 Ok((Response::Done, Next::Continue))
             }
-            Request::Frame { .. } | Request::Tick { .. } => Err(Problem::NotInTheLoop),
-            Request::Samples { .. } | Request::StartAt { .. } | Request::Numbered { .. } => {
-                Err(Problem::Unknown)
+            Request::Session => Ok((Response::Session(self.guard.session()), Next::Continue)),
+            Request::Provision { bytes } => {
+                self.guard.provision(bytes, &mut self.store, &self.settings)?;
+                Ok((Response::Done, Next::Continue))
             }
+            Request::NetworkKeys { bytes } => {
+                self.guard.replace_network_keys(bytes, &mut self.store)?;
+                self.prepare_guard(None);
+                Ok((Response::Done, Next::Continue))
+            }
+            Request::FactoryReset => {
+                self.guard.reset(&mut self.store)?;
+                Ok((Response::Done, Next::Reset))
+            }
+            Request::Frame { .. } | Request::Tick { .. } => Err(Problem::NotInTheLoop),
+            Request::Samples { .. }
+            | Request::StartAt { .. }
+            | Request::Numbered { .. }
+            | Request::Sealed { .. } => Err(Problem::Unknown),
         }
     }
 

@@ -1,6 +1,5 @@
 //! Loads the package in use and prepares a session with it.
 
-use agent_core::StateVector;
 use agent_core::agent::AgentParams;
 use agent_core::agent::region::StateBox;
 use agent_core::health::trial::SECONDS_MIN;
@@ -13,9 +12,10 @@ use agent_core::package::{
 };
 use agent_core::service::RefusalReport;
 use agent_core::store::{self, MappedFlash, Store};
+use agent_core::{AgentId, StateVector};
 
 use super::limits::take;
-use super::{Agent, Counts, InUsePackage, Memory, Node, Session, Settings};
+use super::{Agent, Counts, Guard, InUsePackage, Memory, Node, Session, Settings};
 use crate::board::Board;
 
 impl<
@@ -33,9 +33,10 @@ impl<
     /// Reads the journal and loads the package in flash, after all checks.
     #[inline(never)]
     pub(super) fn load(&mut self) {
-        let Self { store, memory, settings, .. } = self;
+        let Self { store, memory, settings, guard, .. } = self;
         store.read();
-        let requirements = Self::required(settings, None, None);
+        guard.load(store, settings);
+        let requirements = Self::required(settings, guard.agent(), None);
         let mut check = |bytes: &[u8]| verified::<N>(bytes, &requirements, &mut memory.scratch);
         let loaded = store.load(&mut check);
         self.refused_at_start = loaded.refusals.map(|refusal| {
@@ -58,11 +59,12 @@ impl<
 
     /// Stages the uploaded package if it passes all checks.
     pub(super) fn stage_upload(&mut self) -> Result<Verified, store::CheckedError<Refusal>> {
-        let Self { store, memory, settings, in_use, limits, .. } = self;
+        let agent = self.agent();
+        let Self { store, memory, settings, limits, .. } = self;
         if store.is_complete() {
             take(&mut limits.checks, !memory.session.is_empty())?;
         }
-        let requirements = Self::required(settings, in_use.as_ref(), store.activated());
+        let requirements = Self::required(settings, agent, store.activated());
         store.stage(|bytes| verified::<N>(bytes, &requirements, &mut memory.scratch))
     }
 
@@ -72,8 +74,9 @@ impl<
         offset: u32,
         bytes: &[u8],
     ) -> Result<u32, store::CheckedError<Refusal>> {
-        let Self { store, memory, settings, in_use, limits, .. } = self;
-        let requirements = Self::required(settings, in_use.as_ref(), store.activated());
+        let agent = self.agent();
+        let Self { store, memory, settings, limits, .. } = self;
+        let requirements = Self::required(settings, agent, store.activated());
         store.write(offset, bytes, |header| {
             take(&mut limits.uploads, !memory.session.is_empty())?;
             // A package of format 1 is checked when it is complete.
@@ -84,25 +87,31 @@ impl<
 
     /// Puts the staged package on trial if it still passes all checks, its signature included.
     pub(super) fn activate_staged(&mut self) -> Result<Verified, store::CheckedError<Refusal>> {
-        let Self { store, memory, settings, in_use, .. } = self;
-        let requirements = Self::required(settings, in_use.as_ref(), store.activated());
+        let agent = self.agent();
+        let Self { store, memory, settings, .. } = self;
+        let requirements = Self::required(settings, agent, store.activated());
         let check = |bytes: &[u8]| verified::<N>(bytes, &requirements, &mut memory.scratch);
         store.activate(check, Verified::serials)
     }
 
+    /// The agent that the node is, if that has been decided: packages of others are refused.
+    fn agent(&self) -> Option<AgentId> {
+        self.guard.agent().or(self.in_use.map(|package| package.agent))
+    }
+
     /// What the node requires of the next package.
     pub(super) fn requirements(&self) -> Requirements<'_> {
-        Self::required(&self.settings, self.in_use.as_ref(), self.store.activated())
+        Self::required(&self.settings, self.agent(), self.store.activated())
     }
 
     fn required<'s>(
         settings: &'s Settings,
-        in_use: Option<&InUsePackage>,
+        agent: Option<AgentId>,
         highest: Option<Serial>,
     ) -> Requirements<'s> {
         Requirements {
             public_key: settings.public_key.as_ref(),
-            agent: in_use.map(|package| package.agent),
+            agent,
             highest,
             step_range: settings.step_range,
             capacity: Self::CAPACITY,
@@ -114,10 +123,12 @@ impl<
     #[inline(never)]
     pub(super) fn begin_session(&mut self) {
         let old = self.memory.session.pop().map(|session| session.params);
-        let next = self.session_after(old.as_ref().map_or(&[], ParamsPlace::neighbours));
+        let old = old.as_ref().map_or(&[][..], ParamsPlace::neighbours);
+        let next = self.session_after(old);
         if let Some(next) = next {
             // There is room: the old one has been taken out.
             let _ = self.memory.session.push(next);
+            self.prepare_guard(Some(old));
         }
         match (self.memory.session.first(), &mut self.trial) {
             (Some(session), _) => {
@@ -128,6 +139,17 @@ impl<
                 let _ = trial.unusable();
             }
             (None, _) => {}
+        }
+    }
+
+    /// Prepares for the frames of the session's neighbours, after a session that had the neighbours
+    /// `old`; `None` if they are the same.
+    pub(super) fn prepare_guard(&mut self, old: Option<&[Neighbour]>) {
+        let Self { guard, store, settings, memory, .. } = self;
+        if let Some(Session { agent, params, .. }) = memory.session.first() {
+            let new = params.neighbours();
+            let neighbours = (old.unwrap_or(new), new);
+            guard.begin((*agent, params.step_size()), neighbours, store, settings);
         }
     }
 
@@ -166,7 +188,7 @@ impl<
         let network = slot
             .zip(package)
             .and_then(|(slot, package)| Some((slot, NetworkPlace::new(&package, bytes)?)));
-        Some(Session { params: place, health_params, network })
+        Some(Session { agent: params.id(), params: place, health_params, network })
     }
 
     /// Restarts the agent from this estimate and informs its neighbours; returns whether this
@@ -176,7 +198,7 @@ impl<
         board: &mut B,
         estimate: StateVector<N>,
     ) -> Option<bool> {
-        let Self { store, memory, next_tick, counts, .. } = self;
+        let Self { store, memory, next_tick, counts, guard, .. } = self;
         let Memory { agent, session, .. } = &mut **memory;
         let session = session.first()?;
         let bytes = session.bytes(store);
@@ -191,7 +213,7 @@ impl<
             agent.begin(&params, estimate, weights)
         };
         if started {
-            agent.announce(&params, board, counts);
+            agent.announce(&params, guard, board, counts);
         }
         Some(started)
     }
@@ -218,13 +240,14 @@ impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize>
     pub(super) fn announce<B: Board>(
         &mut self,
         params: &AgentParams<'_, N>,
+        guard: &mut Guard<NEIGHBOURS>,
         board: &mut B,
         counts: &mut Counts,
     ) {
         if !self.announced {
             self.announced = true;
-            let frame = self.state.announcement(params).encode();
-            if let Err(kind) = board.broadcast(&frame) {
+            let frame = self.state.announcement(params);
+            if let Err(kind) = guard.broadcast(&frame, board) {
                 counts.not_sent(kind);
             }
         }
@@ -248,7 +271,7 @@ impl<const N: usize, const NEIGHBOURS: usize> Session<N, NEIGHBOURS> {
 /// The properties of a verified package that are kept.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Verified {
-    agent: agent_core::AgentId,
+    agent: AgentId,
     pub(super) serial: Serial,
     highest: Serial,
     /// CRC-32 of the output matrix.

@@ -24,6 +24,8 @@
 
 mod answer;
 mod errors;
+#[cfg_attr(not(feature = "authentic-frames"), path = "no_guard.rs")]
+mod guard;
 mod limits;
 mod load;
 mod turn;
@@ -31,7 +33,6 @@ mod turn;
 use core::mem::MaybeUninit;
 use core::num::NonZeroU32;
 
-use agent_core::Tick;
 use agent_core::agent::AgentState;
 use agent_core::agent::capture::CaptureRing;
 use agent_core::agent::hold::Hold;
@@ -46,9 +47,11 @@ use agent_core::service::{
     Subscription, TrialReport,
 };
 use agent_core::store::{Layout, LayoutError, MappedFlash, RateLimit, Slot, Store};
+use agent_core::{AgentId, Tick};
 
 use crate::board::{Board, RequestBuffer};
 use errors::Counts;
+use guard::Guard;
 use limits::Limits;
 
 /// User settings of a node.
@@ -77,6 +80,13 @@ pub struct Settings {
     pub stack_unused: Option<fn() -> u32>,
     /// What the board knows of its resets.
     pub start: Start,
+    /// Keeps epochs during a reset, if the board can: what it was called with last becomes
+    /// [`Start::epochs`].
+    pub keep_epochs: Option<fn(Epochs)>,
+    /// Whether to forget all keys and packages first: the way back for an operator who has lost the
+    /// port key. A board sets it if somebody who can touch it asks for it, for instance by holding a
+    /// button.
+    pub factory_reset: bool,
     /// Version of the firmware: major, minor, patch.
     pub version: [u8; 3],
 }
@@ -91,6 +101,25 @@ pub struct Start {
     /// How often it has started since the supply was switched on, this time included, if it can
     /// tell: then the journal records only every 16th start.
     pub boots: Option<u32>,
+    /// The epochs that [`Settings::keep_epochs`] kept.
+    pub epochs: Epochs,
+}
+
+/// Epochs that have been reserved in the journal: from `next` up to, but without, `end`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Epochs {
+    /// The next one.
+    pub next: u32,
+    /// The end.
+    pub end: u32,
+}
+
+impl Epochs {
+    /// Returns how many are left.
+    #[must_use]
+    pub const fn left(&self) -> u32 {
+        self.end.saturating_sub(self.next)
+    }
 }
 
 /// Limits of a trial that suit most nodes: a minute, three restarts, and one percent of skipped ticks
@@ -176,6 +205,7 @@ pub struct Node<
     refused_at_start: [Option<RefusalReport>; 2],
     board_fault: Option<BoardFault>,
     limits: Limits,
+    guard: Guard<NEIGHBOURS>,
     /// How often the node has booted.
     boots: u32,
     /// Number of the request that is being answered, if it has one.
@@ -199,7 +229,7 @@ struct Agent<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize> {
 /// Properties of the package in use.
 #[derive(Clone, Copy, Debug)]
 struct InUsePackage {
-    agent: agent_core::AgentId,
+    agent: AgentId,
     serial: Serial,
     checksum: u32,
     /// CRC-32 of its output matrix.
@@ -211,6 +241,7 @@ struct InUsePackage {
 /// What does not change while one package is in use.
 #[derive(Debug)]
 struct Session<const N: usize, const NEIGHBOURS: usize> {
+    agent: AgentId,
     params: ParamsPlace<N, NEIGHBOURS>,
     health_params: HealthParams<N>,
     /// `None` for the built-in agent, which has no network.
@@ -326,6 +357,7 @@ impl<
             refused_at_start: [None; 2],
             board_fault: None,
             limits: Limits::new(settings.update_limit),
+            guard: Guard::new(),
             boots: 0,
             number: None,
             flash_used: false,

@@ -5,7 +5,8 @@ use agent_core::agent::capture::Sample;
 use agent_core::health::{Verdict, WatchedAgent, WatchedStep};
 use agent_core::service::{Outcome, State, numbers};
 use agent_core::store::MappedFlash;
-use agent_core::wire::frame::{FRAME_LENGTH_MAX, FrameError};
+use agent_core::wire::LENGTH_MAX;
+use agent_core::wire::frame::FrameError;
 
 use super::{Memory, Node, Response, respond};
 use crate::board::{Board, SensorErrorKind};
@@ -51,12 +52,12 @@ impl<
     /// performs. Returns the outcome, and the sample for training if there is one.
     #[inline(always)] // Otherwise its result would be copied.
     fn step<B: Board>(&mut self, board: &mut B, tick: Tick) -> (Outcome, Option<Sample<N>>) {
-        let Self { memory, store, health, counts, performance, trial, .. } = self;
+        let Self { memory, store, health, counts, performance, trial, guard, .. } = self;
         let Memory { agent, session, .. } = &mut **memory;
         let Some(session) = session.first() else { return (Outcome::NoPackage, None) };
         let bytes = session.bytes(store);
         let Some(params) = session.params.params(bytes) else { return (Outcome::NoPackage, None) };
-        agent.announce(&params, board, counts);
+        agent.announce(&params, guard, board, counts);
         let mut watched = WatchedAgent {
             params: &params,
             health_params: &session.health_params,
@@ -64,15 +65,13 @@ impl<
             inbox: &mut agent.inbox,
             health,
         };
-        let mut buffer = [0; FRAME_LENGTH_MAX];
+        let mut buffer = [0; LENGTH_MAX];
         // A limited number, so that a flood does not delay the step.
         for _ in 0..2 * NEIGHBOURS {
             let Some(frame) = board.frame(&mut buffer) else { break };
             match frame {
-                Ok(bytes) => {
-                    // Refusals are counted.
-                    let _ = watched.receive(bytes);
-                }
+                // Refusals are counted.
+                Ok(bytes) => guard.receive(&mut watched, bytes),
                 Err(kind) => {
                     watched.health.frame_refused(&FrameError::Malformed);
                     counts.link(kind);
@@ -101,8 +100,12 @@ impl<
         let weights = session.outer_weights(bytes);
         let step = watched.attempt(network.as_ref(), weights, tick, measurement);
         if let Some(frame) = step.broadcast()
-            && let Err(kind) = board.broadcast(&frame.encode())
+            && let Err(kind) = guard.broadcast(frame, board)
         {
+            counts.not_sent(kind);
+        }
+        let last = agent.state.announcement(&params);
+        if let Err(kind) = guard.greet(params.neighbours(), &last, tick, board) {
             counts.not_sent(kind);
         }
         let sample = step.sample().copied().filter(|_| unmeasured.is_none());

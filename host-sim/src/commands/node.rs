@@ -105,7 +105,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             node_keys::provision(node, keys, &arguments.keys.passphrase, agent)?;
         }
         (Action::Rotate, Some(keys)) => {
-            provision::network_keys(node, &keys.network_key_list(), RETRY_POLICY)?;
+            provision::network_keys(node, &keys.network_keys(), RETRY_POLICY)?;
         }
         (Action::FactoryReset, _) => node_keys::factory_reset(node)?,
         (Action::Status | Action::Provision | Action::Rotate, _) => {}

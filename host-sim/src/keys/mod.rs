@@ -21,7 +21,6 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use agent_core::AgentId;
-use agent_core::service::NetworkKeyList;
 use agent_core::service::seal::PortKey;
 use agent_core::wire::authentic::NetworkKey;
 use agent_core::wire::secret::Secret;
@@ -162,12 +161,6 @@ impl KeyFolder {
     #[must_use]
     pub fn network_keys(&self) -> Vec<NetworkKey> {
         self.numbers.iter().map(|number| self.secret.network_key(number)).collect()
-    }
-
-    /// Returns the network keys in use, as a request has them.
-    #[must_use]
-    pub fn network_key_list(&self) -> NetworkKeyList {
-        self.numbers.iter().map(|number| (number, self.secret.network_secret(number))).collect()
     }
 }
 

@@ -29,7 +29,7 @@ fn a_new_folder_round_trips() {
     assert_eq!(found.port_secret(3), made.port_secret(3));
     assert_eq!(found.network_keys(), made.network_keys());
     assert_eq!(found.network_keys()[0].number(), 1);
-    assert_eq!(found.network_key_list(), [(1, made.secret.network_secret(1))]);
+    assert_eq!(found.network_keys(), [made.secret.network_key(1)]);
     let read = found.operator(&mut no_passphrase).unwrap();
     assert_eq!(read.public_key(), operator.public_key());
     assert_eq!(&read_public_key(&public_file(&path)).unwrap(), operator.public_key());

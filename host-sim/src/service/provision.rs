@@ -3,7 +3,8 @@
 use std::time::{Duration, Instant};
 
 use agent_core::AgentId;
-use agent_core::service::{NetworkKeyList, Problem, Provision, Request, Session};
+use agent_core::service::{Problem, Provision, Request, Session};
+use agent_core::wire::authentic::NetworkKey;
 
 use super::push::done;
 use super::{Client, LineError, Message, RetryPolicy, ServiceError};
@@ -49,14 +50,14 @@ pub fn provision(
     retry_policy: RetryPolicy,
 ) -> Result<(), ServiceError> {
     let port_key = keys.port_secret(agent);
-    let mut provision = Provision { agent, port_key, epoch, signature: &[] };
+    let provision = Provision { agent, port_key, epoch };
     let signature = operator.sign(&provision.signed_bytes());
-    provision.signature = &signature;
-    let request = Request::Provision(provision);
+    let bytes = &[&provision.to_bytes()[..], &signature].concat();
+    let request = Request::Provision { bytes };
     client.request(&request, retry_policy, &mut |_| {}, "a confirmation", done)?;
     // The port key is another one from now on.
     client.forget_session();
-    network_keys(client, &keys.network_key_list(), retry_policy)
+    network_keys(client, &keys.network_keys(), retry_policy)
 }
 
 /// Gives a node network keys in place of those before.
@@ -65,10 +66,11 @@ pub fn provision(
 /// See [`ServiceError`].
 pub fn network_keys(
     client: &mut Client,
-    keys: &NetworkKeyList,
+    keys: &[NetworkKey],
     retry_policy: RetryPolicy,
 ) -> Result<(), ServiceError> {
-    let request = Request::NetworkKeys(keys.clone());
+    let bytes = &keys.iter().flat_map(NetworkKey::to_bytes).collect::<Vec<_>>();
+    let request = Request::NetworkKeys { bytes };
     client.request(&request, retry_policy, &mut |_| {}, "a confirmation", done)
 }
 

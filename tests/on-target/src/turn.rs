@@ -246,6 +246,8 @@ fn run(
         fallback: None,
         stack_unused: None,
         start: firmware_template::Start::default(),
+        keep_epochs: None,
+        factory_reset: false,
         version: [0; 3],
     };
     let mut memory = Memory::<N, FEATURES, NEIGHBOURS, SAMPLES>::new();

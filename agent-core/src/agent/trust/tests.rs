@@ -29,20 +29,20 @@ fn a_neighbour_is_believed_after_its_answer() {
 
     let hello = one.hello(0, &KEY).unwrap();
     assert_eq!(one.hello(249, &KEY), None);
-    assert_eq!(two.open::<1>(&of_two, &[KEY], &hello), Ok(Believed::Nothing));
+    assert_eq!(two.open::<1>(&of_two, &[KEY], &hello), Ok(None));
     let sync = two.answer(&of_two, &sampled(2, 0), 3, &KEY).unwrap();
     assert_eq!(two.answer(&of_two, &sampled(2, 0), 4, &KEY), None);
     // The hello does not make agent 1 believed.
     assert!(!two.is_believed(0));
 
-    assert_eq!(one.open(&of_one, &[KEY], &sync), Ok(Believed::Sample(sampled(2, 0))));
+    assert_eq!(one.open(&of_one, &[KEY], &sync), Ok(Some(sampled(2, 0))));
     assert!(one.is_believed(0));
-    assert_eq!(one.open::<1>(&of_one, &[KEY], &sync), Ok(Believed::Nothing));
+    assert_eq!(one.open::<1>(&of_one, &[KEY], &sync), Ok(None));
     assert_eq!(one.hello(1_000, &KEY), None);
     let replayed = FrameError::Replayed { sender: 2 };
     assert_eq!(one.open::<1>(&of_one, &[KEY], &first), Err(replayed));
     let next = two.seal(&sampled(2, 1), &KEY).unwrap();
-    assert_eq!(one.open(&of_one, &[KEY], &next), Ok(Believed::Sample(sampled(2, 1))));
+    assert_eq!(one.open(&of_one, &[KEY], &next), Ok(Some(sampled(2, 1))));
     assert_eq!(one.open::<1>(&of_one, &[KEY], &next), Err(replayed));
 }
 
@@ -74,7 +74,7 @@ fn a_rebooted_sender_is_believed_at_once() {
     assert!(one.open::<1>(&of_one, &[KEY], &sync).is_ok());
     let mut rebooted = Trust::<1>::new(2, 1, (18, 28), PARAMS).unwrap();
     let frame = rebooted.seal(&sampled(2, 0), &KEY).unwrap();
-    assert_eq!(one.open(&of_one, &[KEY], &frame), Ok(Believed::Sample(sampled(2, 0))));
+    assert_eq!(one.open(&of_one, &[KEY], &frame), Ok(Some(sampled(2, 0))));
     // Its hello of the life before is not answered any more.
     let old = two.hello(10, &KEY).unwrap();
     let replayed = Err(FrameError::Replayed { sender: 2 });
@@ -91,7 +91,7 @@ fn the_epoch_rises_when_the_sequence_starts_again() {
     assert_eq!(one.epochs_left(), 1);
     // The next epoch has not been reserved.
     assert_eq!(one.seal(&sampled(1, 0), &KEY), None);
-    one.extend(9);
+    one.extend((7, 9));
     assert!(one.seal(&sampled(1, 0), &KEY).is_some());
 }
 
@@ -103,7 +103,7 @@ fn a_repeated_hello_is_answered_at_most_once_in_the_gap() {
     let hello = one.hello(0, &KEY).unwrap();
     let mut answers = 0;
     for now in 0..1_000 {
-        assert_eq!(two.open::<1>(&of_two, &[KEY], &hello), Ok(Believed::Nothing));
+        assert_eq!(two.open::<1>(&of_two, &[KEY], &hello), Ok(None));
         answers += u32::from(two.answer(&of_two, &sampled(2, 0), now, &KEY).is_some());
     }
     assert_eq!(answers, 10);

@@ -1,7 +1,7 @@
 //! Network keys, and the keys derived from them.
 
 use crate::AgentId;
-use crate::wire::secret::{Purpose, Secret};
+use crate::wire::secret::{Purpose, SECRET_LENGTH, Secret};
 
 /// A key that all nodes of a network share, with the number by which frames name it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -11,6 +11,9 @@ pub struct NetworkKey {
 }
 
 impl NetworkKey {
+    /// Length of number and key. \[byte\]
+    pub const LENGTH: usize = 1 + SECRET_LENGTH;
+
     /// Creates the network key with this number.
     #[must_use]
     pub const fn new(number: u8, secret: Secret) -> Self {
@@ -23,9 +26,14 @@ impl NetworkKey {
         self.number
     }
 
-    /// Returns the secret itself, for the store.
-    pub(crate) const fn secret(self) -> Secret {
-        self.secret
+    /// Returns number and key as the store and [`NetworkKeys`](crate::service::Request::NetworkKeys)
+    /// have them.
+    #[must_use]
+    pub fn to_bytes(&self) -> [u8; Self::LENGTH] {
+        let mut bytes = [self.number; Self::LENGTH];
+        let [_, key @ ..] = &mut bytes;
+        *key = self.secret.to_bytes();
+        bytes
     }
 
     /// Returns the tag of a frame's `bytes` if they come from `sender`.

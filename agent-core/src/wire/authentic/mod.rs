@@ -1,6 +1,6 @@
 //! Authentic frames: frames of version 2, which only a node with the network's key can make.
 //!
-//! On the wire, a frame is the postcard encoding of header and payload, followed by a tag:
+//! On the wire, a frame is the postcard encoding of a header, the estimate, and a tag:
 //!
 //! | field | type | encoding |
 //! | --- | --- | --- |
@@ -10,8 +10,10 @@
 //! | epoch | `u32` | variable-length integer, rises with every boot of the sender |
 //! | sequence | `u32` | variable-length integer, counts the broadcasts of an epoch from 0 |
 //! | tick | `u64` | variable-length integer, the step at which the sample was taken |
-//! | payload kind | enum | variable-length integer: 0 estimate, 1 hello, 2 sync |
-//! | payload | | see [`Payload`]; an estimate is its length, then little-endian words |
+//! | kind | enum | variable-length integer: 0 estimate, 1 hello, 2 sync |
+//! | to | [`AgentId`] | variable-length integer; only in a sync |
+//! | epoch of the hello | `u32` | variable-length integer; only in a sync |
+//! | estimate | `[f32; n]` | four bytes each, little-endian; none in a hello |
 //! | tag | `u64` | eight bytes, SipHash-2-4 of all bytes before it |
 //!
 //! The tag replaces the checksum of version 1. Its key is derived from the network key and the
@@ -27,11 +29,9 @@ pub use key::NetworkKey;
 
 use serde::{Deserialize, Serialize};
 
-use crate::INPUTS_MAX;
-use crate::math::numeric::all_finite;
-use crate::wire::frame::{FrameError, Numbers};
+use crate::wire::frame::{self, FrameError};
 use crate::wire::{codec, writer};
-use crate::{AgentId, StateVector, Tick};
+use crate::{AgentId, INPUTS_MAX, StateVector, Tick};
 
 /// Version of authentic frames.
 pub const VERSION: u8 = 2;
@@ -40,7 +40,7 @@ pub const VERSION: u8 = 2;
 pub const TAG_LENGTH: usize = 8;
 
 /// Length of the longest authentic frame: below the 127 bytes of IEEE 802.15.4. \[byte\]
-pub const LENGTH_MAX: usize = 1 + 1 + 5 + 5 + 5 + 10 + 1 + 5 + 5 + 1 + 4 * INPUTS_MAX + TAG_LENGTH;
+pub const LENGTH_MAX: usize = 1 + 1 + 5 + 5 + 5 + 10 + 1 + 5 + 5 + 4 * INPUTS_MAX + TAG_LENGTH;
 
 const _: () = assert!(LENGTH_MAX <= 127);
 
@@ -57,96 +57,64 @@ pub struct Stamp {
     pub sequence: u32,
 }
 
-/// An authentic frame. `V` holds an estimate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct AuthenticFrame<V> {
+/// What an authentic frame is, except for its estimate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Header {
     /// The agent that broadcasts.
     pub sender: AgentId,
     /// When, on the sender's clock that never goes back.
     pub stamp: Stamp,
     /// Tick at which the sample was taken.
     pub tick: Tick,
-    /// What the frame carries.
-    pub payload: Payload<V>,
+    /// What the frame is for.
+    pub kind: Kind,
 }
 
-/// The payload of an authentic frame. `V` holds an estimate, shape `[n]`.
+/// What an authentic frame is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Payload<V> {
-    /// `x_hat_i(t_k)`: a broadcast of the observer.
-    Estimate(V),
-    /// The sender has started and asks each neighbour for a sync.
+pub enum Kind {
+    /// A broadcast of the observer: the estimate is `x_hat_i(t_k)`.
+    Estimate,
+    /// The sender has started and asks each neighbour for a sync. There is no estimate.
     Hello,
-    /// Answers the hello of one agent with the sender's last broadcast.
+    /// Answers the hello of one agent with the sender's last broadcast, whose stamp and tick the
+    /// frame has.
     Sync {
         /// The agent whose hello is answered.
         to: AgentId,
         /// The epoch of that hello.
         epoch: u32,
-        /// `x_hat_i(t_k)` of the last broadcast, whose stamp and tick the frame has.
-        estimate: V,
     },
 }
 
-/// The fields before the tag.
-#[derive(Serialize, Deserialize)]
-struct Body<V> {
-    version: u8,
-    key: u8,
-    sender: AgentId,
-    stamp: Stamp,
-    tick: Tick,
-    payload: Payload<V>,
-}
-
-impl AuthenticFrame<&[f32]> {
-    /// Returns the bytes to broadcast, tagged with `key`. The estimate has at most [`INPUTS_MAX`]
-    /// components; a longer one gives no bytes.
-    #[must_use]
-    pub fn seal(&self, key: &NetworkKey) -> Bytes {
-        let &Self { sender, stamp, tick, payload } = self;
-        let body = Body { version: VERSION, key: key.number(), sender, stamp, tick, payload };
-        let mut bytes = Bytes::new();
-        // Everything fits: LENGTH_MAX is the sum of every field's largest size.
-        if writer::append(&body, &mut bytes).is_none() {
-            return Bytes::new();
-        }
-        let tag = key.tag(sender, &bytes).to_le_bytes();
-        let _ = bytes.extend_from_slice(&tag);
-        bytes
+/// Returns the bytes to broadcast, tagged with `key`. The estimate has at most [`INPUTS_MAX`]
+/// components; a longer one gives no bytes.
+#[must_use]
+pub fn seal(header: &Header, estimate: &[f32], key: &NetworkKey) -> Bytes {
+    let mut bytes = Bytes::new();
+    // Everything fits: LENGTH_MAX is the sum of every field's largest size.
+    let is_written = writer::append(&(VERSION, key.number(), header), &mut bytes).is_some();
+    if !is_written || estimate.len() > INPUTS_MAX {
+        return Bytes::new();
     }
-}
-
-impl<const N: usize> AuthenticFrame<StateVector<N>> {
-    /// Opens the frame in `bytes`, which must contain nothing else, with whichever of `keys` it
-    /// names.
-    ///
-    /// # Errors
-    /// [`FrameError::Length`], [`FrameError::Version`], [`FrameError::Malformed`],
-    /// [`FrameError::Tag`] for a key that is not known as well as for a tag that does not match,
-    /// [`FrameError::Dimension`] or [`FrameError::NotFinite`].
-    pub fn open(bytes: &[u8], keys: &[NetworkKey]) -> Result<Self, FrameError> {
-        let AuthenticFrame { sender, stamp, tick, payload } = open(bytes, keys)?;
-        let vector = |numbers: Numbers| {
-            let found = numbers.len();
-            let components: [f32; N] =
-                numbers.into_array().map_err(|_| FrameError::Dimension { expected: N, found })?;
-            let estimate = StateVector::from(components);
-            all_finite(&estimate).then_some(estimate).ok_or(FrameError::NotFinite { sender })
-        };
-        let payload = match payload {
-            Payload::Estimate(numbers) => Payload::Estimate(vector(numbers)?),
-            Payload::Hello => Payload::Hello,
-            Payload::Sync { to, epoch, estimate } => {
-                Payload::Sync { to, epoch, estimate: vector(estimate)? }
-            }
-        };
-        Ok(Self { sender, stamp, tick, payload })
+    for component in estimate {
+        let _ = bytes.extend_from_slice(&component.to_le_bytes());
     }
+    let tag = key.tag(header.sender, &bytes).to_le_bytes();
+    let _ = bytes.extend_from_slice(&tag);
+    bytes
 }
 
-/// Opens a frame without checking the components. One function for all dimensions.
-fn open(bytes: &[u8], keys: &[NetworkKey]) -> Result<AuthenticFrame<Numbers>, FrameError> {
+/// Opens the frame in `bytes`, which must contain nothing else, with whichever of `keys` it names;
+/// returns the components of the estimate as words in place.
+///
+/// # Errors
+/// [`FrameError::Length`], [`FrameError::Version`], [`FrameError::Malformed`], or [`FrameError::Tag`]
+/// for a key that is not known as well as for a tag that does not match.
+pub fn open<'b>(
+    bytes: &'b [u8],
+    keys: &[NetworkKey],
+) -> Result<(Header, &'b [[u8; 4]]), FrameError> {
     let length = FrameError::Length { found: bytes.len() };
     if bytes.len() > LENGTH_MAX {
         return Err(length);
@@ -157,14 +125,29 @@ fn open(bytes: &[u8], keys: &[NetworkKey]) -> Result<AuthenticFrame<Numbers>, Fr
         Some(&found) => return Err(FrameError::Version { found }),
         None => return Err(length),
     }
-    let Body { key, sender, stamp, tick, payload, .. } =
-        codec::whole::<Body<Numbers>>(body).ok_or(FrameError::Malformed)?;
+    let ((_, key, header), rest) =
+        codec::take::<(u8, u8, Header)>(body).ok_or(FrameError::Malformed)?;
+    let Header { sender, kind, .. } = header;
     let refused = FrameError::Tag { sender };
     let key = keys.iter().find(|known| known.number() == key).ok_or(refused)?;
     if key.tag(sender, body) != u64::from_le_bytes(*tag) {
         return Err(refused);
     }
-    Ok(AuthenticFrame { sender, stamp, tick, payload })
+    match rest.as_chunks() {
+        (words, []) if (kind == Kind::Hello) == words.is_empty() => Ok((header, words)),
+        _ => Err(FrameError::Malformed),
+    }
+}
+
+/// Returns the estimate of an authentic frame from its words.
+///
+/// # Errors
+/// [`FrameError::Dimension`] or [`FrameError::NotFinite`].
+pub fn estimate<const N: usize>(
+    sender: AgentId,
+    words: &[[u8; 4]],
+) -> Result<StateVector<N>, FrameError> {
+    frame::estimate(sender, words)
 }
 
 #[cfg(test)]

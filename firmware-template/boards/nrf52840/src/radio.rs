@@ -7,7 +7,7 @@
 
 use core::ptr::NonNull;
 
-use agent_core::wire::frame::FRAME_LENGTH_MAX;
+use agent_core::wire::LENGTH_MAX;
 use cortex_m::peripheral::NVIC;
 use firmware_template::on_chip::Shared;
 use firmware_template::{Link, LinkErrorKind};
@@ -55,14 +55,14 @@ impl Header {
     }
 }
 
-const _: () = assert!(Header::LENGTH + FRAME_LENGTH_MAX <= Packet::CAPACITY as usize);
+const _: () = assert!(Header::LENGTH + LENGTH_MAX <= Packet::CAPACITY as usize);
 
 /// The interrupt's part of the link.
 struct Receiver {
     radio: RADIO,
     /// Receive buffer: length, content, link quality.
     buffer: NonNull<[u8; Receiver::BUFFER]>,
-    frames: Deque<Vec<u8, FRAME_LENGTH_MAX>, FRAMES>,
+    frames: Deque<Vec<u8, LENGTH_MAX>, FRAMES>,
     /// Why the last frame was lost of those since the link was polled.
     lost: Option<LinkErrorKind>,
 }
@@ -186,7 +186,7 @@ impl Link for RadioLink {
     type Error = LinkErrorKind;
 
     fn send(&mut self, frame: &[u8]) -> Result<(), LinkErrorKind> {
-        let mut bytes = Vec::<u8, { Header::LENGTH + FRAME_LENGTH_MAX }>::new();
+        let mut bytes = Vec::<u8, { Header::LENGTH + LENGTH_MAX }>::new();
         let header = Header::of(self.sequence, self.address);
         self.sequence = self.sequence.wrapping_add(1);
         if bytes.extend_from_slice(&header).is_err() || bytes.extend_from_slice(frame).is_err() {

@@ -96,6 +96,8 @@ fn node() -> Result<&'static mut LoopNode, usize> {
         fallback: None,
         stack_unused: Some(on_chip::stack_unused),
         start: on_chip::start(ResetCause::Unknown),
+        keep_epochs: Some(on_chip::keep_epochs),
+        factory_reset: false,
         version: [0, 1, 0],
     };
     let memory = MEMORY.try_take().ok_or(EXIT_MEMORY)?;

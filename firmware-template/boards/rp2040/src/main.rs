@@ -225,6 +225,8 @@ fn node() -> Option<&'static mut ThisNode> {
         fallback: None,
         stack_unused: Some(on_chip::stack_unused),
         start: on_chip::start(reset_cause()),
+        keep_epochs: Some(on_chip::keep_epochs),
+        factory_reset: false,
         version: [0, 1, 0],
     };
     // SAFETY: memory.x reserves this region, this is the only call, and the second core is never

@@ -212,6 +212,8 @@ fn node(flash: pac::FLASH, fault: Option<BoardFault>) -> Option<&'static mut Thi
         fallback: fallback::fallback(),
         stack_unused: Some(on_chip::stack_unused),
         start: on_chip::start(reset_cause()),
+        keep_epochs: Some(on_chip::keep_epochs),
+        factory_reset: false,
         version: [0, 1, 0],
     };
     // SAFETY: memory.x reserves this region, and this is the only call.

@@ -2,7 +2,7 @@
 
 use agent_core::Tick;
 use agent_core::service::seal::PortKey;
-use agent_core::service::{Event, Problem, Request, receive, split_number, split_seal};
+use agent_core::service::{Event, Problem, Provision, Request, receive, split_number, split_seal};
 
 use super::client::{Client, Reply};
 use crate::cosim::fault::Fault;
@@ -249,8 +249,10 @@ impl NodeSocket {
             (Request::FactoryReset, Some(Message::Done)) => {
                 return Effect::Restarts("it was reset to its factory state");
             }
-            (Request::Provision(provision), Some(Message::Done)) => {
-                node.board.set_keys(PortKeys::Node(PortKey::new(provision.port_key)));
+            (Request::Provision { bytes }, Some(Message::Done)) => {
+                if let Some((new, _)) = Provision::split(bytes) {
+                    node.board.set_keys(PortKeys::Node(PortKey::new(new.port_key)));
+                }
             }
             _ => {}
         }

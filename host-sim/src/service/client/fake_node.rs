@@ -9,8 +9,8 @@ use agent_core::AgentId;
 use agent_core::health::HealthCounters;
 use agent_core::service::seal::PortKey;
 use agent_core::service::{
-    Firmware, NetworkKeyList, PROTOCOL_VERSION, Problem, REQUEST_LENGTH_MAX, Request, Response,
-    Session, Status, receive, send_numbered, split_number, split_seal,
+    Firmware, PROTOCOL_VERSION, Problem, Provision, REQUEST_LENGTH_MAX, Request, Response, Session,
+    Status, receive, send_numbered, split_number, split_seal,
 };
 use agent_core::wire::cobs::Decoder;
 
@@ -19,7 +19,8 @@ pub(crate) struct FakeNode {
     pub(crate) keys: Option<(AgentId, PortKey)>,
     pub(crate) epoch: Option<u32>,
     pub(crate) counter: u32,
-    pub(crate) network_keys: NetworkKeyList,
+    /// Number and key of each.
+    pub(crate) network_keys: Vec<u8>,
     /// Firmware from before sessions.
     pub(crate) knows_sessions: bool,
     /// Firmware from before numbers.
@@ -41,7 +42,7 @@ impl FakeNode {
             keys,
             epoch: Some(9),
             counter: 0,
-            network_keys: NetworkKeyList::new(),
+            network_keys: Vec::new(),
             knows_sessions: true,
             knows_numbers: true,
             deaf: 0,
@@ -89,7 +90,7 @@ impl FakeNode {
                 _ => Reply::Refused(Problem::NotSealed),
             },
             ((None, _), None) => match receive(rest) {
-                Some(Request::NetworkKeys(_) | Request::FactoryReset) => {
+                Some(Request::NetworkKeys { .. } | Request::FactoryReset) => {
                     Reply::Refused(Problem::NotProvisioned)
                 }
                 Some(request) => self.carry_out(&request),
@@ -127,15 +128,16 @@ impl FakeNode {
                 epoch: self.epoch,
                 counter: self.counter,
                 proof: key.proof(agent, self.epoch.unwrap_or(0)),
-                network_keys: [0, 1].map(|i| self.network_keys.get(i).map(|(number, _)| *number)),
+                network_keys: [0, 17].map(|i| self.network_keys.get(i).copied()),
             })),
-            Request::Provision(new) => {
+            Request::Provision { bytes } => {
+                let (new, _) = Provision::split(bytes).unwrap();
                 self.keys = Some((new.agent, PortKey::new(new.port_key)));
                 self.epoch = self.epoch.max(Some(new.epoch));
                 Reply::Done
             }
-            Request::NetworkKeys(keys) => {
-                self.network_keys = keys.clone();
+            Request::NetworkKeys { bytes } => {
+                self.network_keys = bytes.to_vec();
                 Reply::Done
             }
             Request::FactoryReset => {

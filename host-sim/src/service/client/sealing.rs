@@ -94,7 +94,7 @@ impl Sealing {
         let Node::Provisioned { key, epoch, counter } = &mut self.node else {
             return match request {
                 // Refused, but only after the keys have crossed the line in the clear.
-                Request::NetworkKeys(_) | Request::FactoryReset => {
+                Request::NetworkKeys { .. } | Request::FactoryReset => {
                     Err(ServiceError::NotProvisioned)
                 }
                 _ => Ok(None),

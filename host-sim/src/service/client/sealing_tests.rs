@@ -5,7 +5,7 @@ use std::os::unix::net::UnixStream;
 use std::sync::mpsc::Receiver;
 use std::thread::JoinHandle;
 
-use agent_core::service::{NetworkKeyList, Session, split_seal};
+use agent_core::service::{Session, split_seal};
 
 use super::fake_node::FakeNode;
 use super::*;
@@ -86,7 +86,7 @@ fn a_node_without_keys_gets_plain_requests_but_no_secrets() {
         ask(&mut client, &Request::Stage).unwrap();
         assert_eq!(counted(&seen), (vec![], 3));
         assert_eq!(provision::session(&mut client, RETRY_POLICY).unwrap(), None);
-        let error = ask(&mut client, &Request::NetworkKeys(NetworkKeyList::new())).unwrap_err();
+        let error = ask(&mut client, &Request::NetworkKeys { bytes: &[1; 17] }).unwrap_err();
         assert!(matches!(error, ServiceError::NotProvisioned), "{error}");
         let error = ask(&mut client, &Request::FactoryReset).unwrap_err();
         assert!(error.to_string().contains("provision --keys FOLDER"), "{error}");
@@ -217,7 +217,7 @@ fn a_node_is_provisioned_given_other_keys_and_reset() {
     KeyFolder::advance_rotation(keys.path()).unwrap();
     let keys =
         KeyFolder::read(keys.path(), &mut |_| unreachable!("there is no passphrase")).unwrap();
-    provision::network_keys(&mut client, &keys.network_key_list(), RETRY_POLICY).unwrap();
+    provision::network_keys(&mut client, &keys.network_keys(), RETRY_POLICY).unwrap();
     assert_eq!(found(&mut client).unwrap().network_keys, [Some(1), Some(2)]);
     assert!(provision::factory_reset(&mut client, RETRY_POLICY).unwrap());
     assert_eq!(found(&mut client), None);

@@ -1,0 +1,307 @@
+//! What keeps strangers out: the node's keys, its epochs, and which neighbours it believes.
+//!
+//! | the node has | frames | requests |
+//! | --- | --- | --- |
+//! | no key | of version 1 | all are carried out |
+//! | a port key | of version 1 | sealed ones, and those that are free |
+//! | network keys | of version 2; none are sent without a reserved epoch | as its port key says |
+//! | a journal that cannot be read completely, and no port key in the rest | none | only free ones |
+//!
+//! A boot takes a few epochs, and a session of the service port lasts as long as a boot. Epochs are
+//! reserved in flash for many boots at once; a board that keeps memory during a reset
+//! ([`Settings::keep_epochs`]) uses them up, so that a loop of resets does not wear out the flash.
+//!
+//! Memory: 120 bytes, and 24 per neighbour.
+
+use agent_core::agent::hold::HoldSlots;
+use agent_core::agent::trust::{Trust, TrustParams};
+use agent_core::health::WatchedAgent;
+use agent_core::observer::feedback::Neighbour;
+use agent_core::package::signature::{self, PublicKey};
+use agent_core::service::seal::PortKey;
+use agent_core::service::{Problem, Provision, Session, split_seal};
+use agent_core::store::{MappedFlash, NetworkKeys, Store, StoreError};
+use agent_core::wire::authentic::NetworkKey;
+use agent_core::wire::frame::Frame;
+use agent_core::{AgentId, Tick};
+
+use super::{Epochs, Settings};
+use crate::board::{Board, LinkErrorKind};
+
+/// Epochs that a boot takes, and again whenever it has used them up: one for each agent that starts
+/// again from its first broadcast.
+const TAKEN: u32 = 4;
+/// Epochs reserved at once.
+const RESERVED: u32 = 64;
+
+/// Time between two hellos while a neighbour is not believed. \[s\]
+const HELLO_INTERVAL: f32 = 0.5;
+/// Least time between two answers to the hellos of one neighbour. \[s\]
+const ANSWER_GAP: f32 = 0.2;
+
+/// Keys, epochs, and whom the node believes.
+#[derive(Debug)]
+pub(super) struct Guard<const NEIGHBOURS: usize> {
+    network: NetworkKeys,
+    port: Option<(PortKey, AgentId)>,
+    /// The first epoch of this boot, if the store could reserve one.
+    epoch: Option<u32>,
+    /// Epochs that this boot has reserved or taken over, and not taken yet.
+    reserved: Epochs,
+    trust: Option<Trust<NEIGHBOURS>>,
+    /// Counter of the last sealed request.
+    counter: u32,
+    /// Whether the journal may hold keys that could not be read: then the node takes nothing from
+    /// anyone, and says nothing to its neighbours.
+    is_locked: bool,
+}
+
+impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
+    pub(super) const fn new() -> Self {
+        Self {
+            network: NetworkKeys::new(),
+            port: None,
+            epoch: None,
+            reserved: Epochs { next: 0, end: 0 },
+            trust: None,
+            counter: 0,
+            is_locked: false,
+        }
+    }
+
+    /// Reads the keys after a boot, and takes the boot's epochs.
+    #[inline(never)]
+    pub(super) fn load<F: MappedFlash>(&mut self, store: &mut Store<F>, settings: &Settings) {
+        if settings.factory_reset {
+            // If it fails, the node still has its keys, and the reset can be repeated.
+            let _ = store.reset();
+        }
+        self.network = store.network_keys();
+        self.port = store.port_key().map(|(secret, agent)| (PortKey::new(secret), agent));
+        self.is_locked = self.port.is_none() && store.is_blocked();
+        self.reserved = settings.start.epochs;
+        if store.epochs_end() != Ok(self.reserved.end) {
+            self.reserved = Epochs::default();
+        }
+        if self.port.is_some() || !self.network.is_empty() {
+            let _ = self.open(store, settings);
+        }
+    }
+
+    /// Takes the boot's first epochs, if it has none.
+    fn open<F: MappedFlash>(
+        &mut self,
+        store: &mut Store<F>,
+        settings: &Settings,
+    ) -> Result<(), StoreError> {
+        if self.epoch.is_none() {
+            // One more, for the sessions of the service port.
+            self.epoch = Some(self.take(1, store, settings)?.next);
+        }
+        Ok(())
+    }
+
+    /// Takes epochs from those reserved.
+    fn take<F: MappedFlash>(
+        &mut self,
+        count: u32,
+        store: &mut Store<F>,
+        settings: &Settings,
+    ) -> Result<Epochs, StoreError> {
+        if self.reserved.left() < count {
+            let (next, end) = store.reserve_epochs(RESERVED)?;
+            self.reserved = Epochs { next, end };
+        }
+        let next = self.reserved.next;
+        self.reserved.next = next.saturating_add(count);
+        if let Some(keep) = settings.keep_epochs {
+            keep(self.reserved);
+        }
+        Ok(Epochs { next, end: self.reserved.next })
+    }
+
+    /// The agent that the node was provisioned as.
+    pub(super) fn agent(&self) -> Option<AgentId> {
+        self.port.as_ref().map(|&(_, agent)| agent)
+    }
+
+    /// Prepares for an agent and its neighbours, after one that had the neighbours `old`.
+    #[inline(never)]
+    pub(super) fn begin<F: MappedFlash>(
+        &mut self,
+        (own, step_size): (AgentId, f32),
+        (old, new): (&[Neighbour], &[Neighbour]),
+        store: &mut Store<F>,
+        settings: &Settings,
+    ) {
+        if self.network.is_empty() {
+            self.trust = None;
+            return;
+        }
+        let ticks = |seconds: f32| Tick::from(((seconds / step_size) as u32).max(1));
+        let params =
+            TrustParams { hello_interval: ticks(HELLO_INTERVAL), answer_gap: ticks(ANSWER_GAP) };
+        let mut trust = self.trust.take().filter(|trust| trust.own() == own);
+        let is_short = trust.as_ref().is_none_or(|trust| trust.epochs_left() <= 1);
+        // Without epochs the node only listens.
+        let taken = is_short.then(|| self.take(TAKEN, store, settings).ok()).flatten();
+        let taken = taken.map(|epochs| (epochs.next, epochs.end));
+        if let Some(trust) = &mut trust {
+            if let Some(taken) = taken {
+                trust.extend(taken);
+            }
+            let id = |list: &[Neighbour], place: usize| list.get(place).map(|n| n.id);
+            let _ = trust.keep_neighbours(new.len(), |place| id(old, place) == id(new, place));
+        } else {
+            trust = Trust::new(own, new.len(), taken.unwrap_or((0, 0)), params);
+        }
+        self.trust = trust;
+    }
+
+    /// Keeps a received frame for the next step, or counts why it was refused.
+    pub(super) fn receive<const N: usize, const FEATURES: usize, S, I>(
+        &mut self,
+        watched: &mut WatchedAgent<'_, N, FEATURES, S, I>,
+        bytes: &[u8],
+    ) where
+        S: HoldSlots<N>,
+        I: HoldSlots<N>,
+    {
+        let Some(trust) = &mut self.trust else {
+            if self.network.is_empty() && !self.is_locked {
+                let _ = watched.receive(bytes);
+            }
+            return;
+        };
+        match trust.open(watched.params.neighbours(), &self.network, bytes) {
+            Ok(Some(frame)) => {
+                let _ = watched.receive_believed(&frame);
+            }
+            Ok(None) => {}
+            Err(error) => watched.health.frame_refused(&error),
+        }
+    }
+
+    /// Broadcasts a frame of the observer, unless the node may only listen.
+    pub(super) fn broadcast<const N: usize, B: Board>(
+        &mut self,
+        frame: &Frame<N>,
+        board: &mut B,
+    ) -> Result<(), LinkErrorKind> {
+        if self.is_locked {
+            return Ok(());
+        }
+        let Some(key) = self.network.first() else { return board.broadcast(&frame.encode()) };
+        match self.trust.as_mut().and_then(|trust| trust.seal(frame, key)) {
+            Some(bytes) => board.broadcast(&bytes),
+            None => Ok(()),
+        }
+    }
+
+    /// Sends a hello and an answer if they are due. `last` is the agent's last broadcast.
+    pub(super) fn greet<const N: usize, B: Board>(
+        &mut self,
+        neighbours: &[Neighbour],
+        last: &Frame<N>,
+        now: Tick,
+        board: &mut B,
+    ) -> Result<(), LinkErrorKind> {
+        let (Some(trust), Some(key)) = (&mut self.trust, self.network.first()) else {
+            return Ok(());
+        };
+        if let Some(bytes) = trust.hello(now, key) {
+            board.broadcast(&bytes)?;
+        }
+        match trust.answer(neighbours, last, now, key) {
+            Some(bytes) => board.broadcast(&bytes),
+            None => Ok(()),
+        }
+    }
+
+    /// Opens a request in place; returns whether it was sealed, and the request.
+    #[inline(never)]
+    pub(super) fn open_request<'b>(
+        &mut self,
+        bytes: &'b mut [u8],
+    ) -> Result<(bool, &'b [u8]), Problem> {
+        let (counter, sealed) = split_seal(bytes);
+        let Some(counter) = counter else { return Ok((false, bytes)) };
+        let start = bytes.len() - sealed.len();
+        let (key, _) = self.port.as_ref().ok_or(Problem::NotProvisioned)?;
+        let epoch = self.epoch.filter(|_| counter > self.counter).ok_or(Problem::Seal)?;
+        let sealed = bytes.get_mut(start..).ok_or(Problem::Seal)?;
+        let request = key.open(epoch, counter, sealed).ok_or(Problem::Seal)?;
+        self.counter = counter;
+        Ok((true, request))
+    }
+
+    /// Refuses what strangers may not ask for.
+    pub(super) fn admit(&self, is_sealed: bool, is_free: bool) -> Result<(), Problem> {
+        if (self.port.is_some() || self.is_locked) && !is_sealed && !is_free {
+            return Err(Problem::NotSealed);
+        }
+        Ok(())
+    }
+
+    pub(super) fn session(&self) -> Option<Session> {
+        let (key, agent) = self.port.as_ref()?;
+        let number = |place: usize| self.network.get(place).map(NetworkKey::number);
+        Some(Session {
+            agent: *agent,
+            epoch: self.epoch,
+            counter: self.counter,
+            proof: key.proof(*agent, self.epoch.unwrap_or(0)),
+            network_keys: [number(0), number(1)],
+        })
+    }
+
+    /// Records port key and agent. The first ones need a signature if packages do.
+    #[inline(never)]
+    pub(super) fn provision<F: MappedFlash>(
+        &mut self,
+        bytes: &[u8],
+        store: &mut Store<F>,
+        settings: &Settings,
+    ) -> Result<(), Problem> {
+        let (provision, signature) = Provision::split(bytes).ok_or(Problem::Unknown)?;
+        if self.port.is_none()
+            && let Some(operator) = &settings.public_key
+        {
+            check_signature(operator, &provision.signed_bytes(), signature)?;
+        }
+        store.skip_epochs(provision.epoch)?;
+        self.reserved = Epochs::default();
+        self.open(store, settings)?;
+        store.record_port_key(provision.port_key, provision.agent)?;
+        self.port = Some((PortKey::new(provision.port_key), provision.agent));
+        Ok(())
+    }
+
+    /// Records network keys. The caller then prepares for the agent again.
+    #[inline(never)]
+    pub(super) fn replace_network_keys<F: MappedFlash>(
+        &mut self,
+        bytes: &[u8],
+        store: &mut Store<F>,
+    ) -> Result<(), Problem> {
+        if self.port.is_none() {
+            return Err(Problem::NotProvisioned);
+        }
+        store.record_network_keys(bytes)?;
+        self.network = store.network_keys();
+        Ok(())
+    }
+
+    /// Makes the node blank, except for its epochs and the highest package activated.
+    pub(super) fn reset<F: MappedFlash>(&self, store: &mut Store<F>) -> Result<(), Problem> {
+        if self.port.is_none() {
+            return Err(Problem::NotProvisioned);
+        }
+        Ok(store.reset()?)
+    }
+}
+
+fn check_signature(operator: &PublicKey, signed: &[u8], signature: &[u8]) -> Result<(), Problem> {
+    let signature = signature.try_into().map_err(|_| Problem::NotSigned)?;
+    signature::verify(operator, signed, signature).map_err(|_| Problem::NotSigned)
+}
