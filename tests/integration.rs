@@ -5,6 +5,7 @@ mod cli;
 mod core;
 #[cfg(unix)]
 mod cosim;
+mod keyed;
 mod sim;
 #[cfg(unix)]
 mod soak;

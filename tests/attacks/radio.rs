@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use agent_core::agent::trust::{Trust, TrustParams};
 use agent_core::wire::authentic::{self, Bytes, Header, Kind, NetworkKey, Stamp};
 use agent_core::wire::secret::Secret;
-use agent_core::{AgentId, Frame, Neighbour, StateVector, Tick};
+use agent_core::{AgentId, Frame, Neighbour, Tick};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

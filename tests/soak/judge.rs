@@ -137,6 +137,12 @@ impl Judge {
             Request::Numbered { .. } => {
                 return answered(said, &Message::Refused(Problem::Unknown));
             }
+            Request::Session => return answered(said, &Message::Session(None)),
+            // Its nodes have no keys.
+            Request::Sealed { .. } | Request::NetworkKeys { .. } | Request::FactoryReset => {
+                return answered(said, &Message::Refused(Problem::NotProvisioned));
+            }
+            Request::Provision { .. } => return Err("unexpected provision".to_owned()),
             Request::Samples { from, most } => return sampled(from, most, said),
             Request::StartAt { ref estimate } => {
                 let usable = estimate.len() == 3 && estimate.iter().all(|x| x.is_finite());
