@@ -46,12 +46,12 @@ impl Peer {
     }
 
     /// Waits for the next request; `None` at the end. Like firmware from before they existed, it does
-    /// not know numbered requests and reports.
+    /// not know numbered requests, reports and sessions.
     pub(crate) fn request(&mut self) -> Option<Vec<u8>> {
         loop {
             let request = self.any_request()?;
             if split_number(&request).0.is_none()
-                && !matches!(receive(&request), Some(Request::Report))
+                && !matches!(receive(&request), Some(Request::Report | Request::Session))
             {
                 return Some(request);
             }

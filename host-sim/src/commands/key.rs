@@ -9,6 +9,8 @@ use zeroize::Zeroizing;
 use super::CommandError;
 use crate::files::input::read_limited;
 #[cfg(unix)]
+use crate::keys::KeyFolder;
+#[cfg(unix)]
 use crate::signing::EitherKey;
 use crate::signing::{KeyFileError, OperatorKey};
 use crate::terminal::one_line;
@@ -31,16 +33,17 @@ pub(super) struct Passphrase {
 impl Passphrase {
     /// Reads the private key in the file `path`.
     pub(super) fn key(&self, path: &Path) -> Result<OperatorKey, CommandError> {
-        Ok(OperatorKey::read_encrypted(path, &mut |path| self.passphrase(path))?)
+        Ok(OperatorKey::read_encrypted(path, &mut |path| self.ask(path))?)
     }
 
     /// Reads the private or public key in the file `path`.
     #[cfg(unix)]
     pub(super) fn either_key(&self, path: &Path) -> Result<EitherKey, CommandError> {
-        Ok(EitherKey::read(path, &mut |path| self.passphrase(path))?)
+        Ok(EitherKey::read(path, &mut |path| self.ask(path))?)
     }
 
-    fn passphrase(&self, key: &Path) -> Result<Zeroizing<String>, KeyFileError> {
+    /// Returns the passphrase of the key in this file.
+    pub(super) fn ask(&self, key: &Path) -> Result<Zeroizing<String>, KeyFileError> {
         if let Some(file) = &self.passphrase_file {
             return first_line(file)
                 .map_err(|error| KeyFileError::PassphraseUnread { path: file.clone(), error });
@@ -57,6 +60,26 @@ impl Passphrase {
         ))
         .map(Zeroizing::new)
         .map_err(|_| KeyFileError::PassphraseNeeded { path: key.to_owned() })
+    }
+}
+
+/// A key folder for a provisioned node.
+#[cfg(unix)]
+#[derive(Debug, Args)]
+pub(super) struct NodeKeys {
+    /// Key folder of a provisioned node, as created by `keygen`
+    #[arg(long, value_name = "FOLDER")]
+    keys: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) passphrase: Passphrase,
+}
+
+#[cfg(unix)]
+impl NodeKeys {
+    /// Reads the key folder, if one is given.
+    pub(super) fn read(&self) -> Result<Option<KeyFolder>, CommandError> {
+        let Some(folder) = &self.keys else { return Ok(None) };
+        Ok(Some(KeyFolder::read(folder, &mut |path| self.passphrase.ask(path))?))
     }
 }
 

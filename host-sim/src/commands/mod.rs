@@ -17,10 +17,13 @@ mod cosim;
 mod error;
 mod health;
 mod key;
+mod keygen;
 #[cfg(unix)]
 mod monitor;
 #[cfg(unix)]
 mod node;
+#[cfg(unix)]
+mod node_keys;
 #[cfg(unix)]
 mod node_report;
 mod output;
@@ -87,7 +90,7 @@ enum Command {
     /// Send a weight package to a running node
     #[cfg(unix)]
     Push(push::Arguments),
-    /// Query a running node's status, or make it confirm, revert or reset
+    /// Query a running node's status, make it confirm, revert or reset, or give it keys
     #[cfg(unix)]
     Node(node::Arguments),
     /// Train a network on recorded samples and write a weight package
@@ -97,6 +100,8 @@ enum Command {
     Weights(weights::Command),
     /// Write a weight package to a chip through probe-rs and verify it
     Flash(weights::FlashArguments),
+    /// Create a folder with an operator's keys, or rotate the network key in it
+    Keygen(keygen::Arguments),
     /// Print a built-in scenario to start from, or list their names
     Scenario(scenario::Arguments),
 }
@@ -157,6 +162,7 @@ pub fn main() -> ExitCode {
         }
         Command::Weights(command) => weights::execute(&command),
         Command::Flash(arguments) => weights::flash(&arguments),
+        Command::Keygen(arguments) => keygen::execute(&arguments),
         Command::Scenario(arguments) => scenario::execute(&arguments),
     };
     match done {

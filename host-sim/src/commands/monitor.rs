@@ -11,6 +11,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::board_report::{BoardReport, errors_line, fault_line};
+use super::key::NodeKeys;
 use super::node::{RETRY_POLICY, connect, text};
 use super::node_report::reason_text;
 use super::{CommandError, ErrorCode, Format, health, load_scenario, print_json, print_text};
@@ -57,6 +58,8 @@ pub(super) struct Arguments {
     /// Exit after N states
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
+    #[command(flatten)]
+    keys: NodeKeys,
     /// Output format: text, or one JSON object per message and line
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -67,7 +70,8 @@ const UNSUBSCRIBE: RetryPolicy = RetryPolicy { timeout: Duration::from_millis(40
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     interruption::listen(SecondSignal::Exit);
-    let mut node = connect(&arguments.endpoint)?;
+    let keys = arguments.keys.read()?;
+    let mut node = connect(&arguments.endpoint, keys.as_ref())?;
     let mut board = BoardReport::default();
     let before = status_and(&mut node, RETRY_POLICY, &mut |message| board.record(message))?;
     let default = if arguments.record.is_some() { NonZeroU32::MIN } else { EVERY };
@@ -123,6 +127,12 @@ fn subscribe(
 ) -> Result<(), ServiceError> {
     let request = Request::Subscribe(subscription);
     node.request(&request, retry_policy, &mut |_| {}, "a confirmation", done)
+}
+
+/// Sends a request, whose answer is among the messages that follow.
+fn send(node: &mut Client, request: &Request<'_>) -> Result<(), ServiceError> {
+    node.prepare_sealed(request, RETRY_POLICY.timeout)?;
+    Ok(node.flush(RETRY_POLICY.timeout)?)
 }
 
 /// Opens the recording of a node whose status is `before`.
@@ -221,8 +231,8 @@ impl Monitor<'_> {
             let wanted = self.recorder.is_some() && !self.all_steps && self.states > 0;
             if wanted && last_samples.elapsed() >= SAMPLES {
                 last_samples = Instant::now();
-                node.prepare(&Request::Samples { from: self.next_sample, most: u8::MAX });
-                node.flush(RETRY_POLICY.timeout).map_err(ServiceError::from)?;
+                let samples = Request::Samples { from: self.next_sample, most: u8::MAX };
+                send(node, &samples)?;
             }
         }
         Ok(())
@@ -288,8 +298,7 @@ impl Monitor<'_> {
             self.next_sample = 0;
         }
         self.step = package.map(|package| step_size(package.step_size)).or(self.step);
-        node.prepare(&Request::Subscribe(self.subscription));
-        Ok(node.flush(RETRY_POLICY.timeout).map_err(ServiceError::from)?)
+        Ok(send(node, &Request::Subscribe(self.subscription))?)
     }
 
     fn state(

@@ -2,15 +2,20 @@
 
 use std::time::Duration;
 
+use agent_core::AgentId;
 use agent_core::service::{Request, Status};
 use clap::{Args, ValueEnum};
 
 use super::board_report::BoardReport;
 use super::health;
+use super::key::NodeKeys;
+use super::node_keys;
 use super::node_report::{self, NodeReport};
 use super::{CommandError, Format, print_json, print_text};
 use crate::interruption::{self, SecondSignal};
+use crate::keys::KeyFolder;
 use crate::service::address::AddressError;
+use crate::service::provision;
 use crate::service::push::{self, done};
 use crate::service::{Address, Client, Message, RetryPolicy};
 
@@ -26,6 +31,11 @@ pub(super) struct Arguments {
     /// Request to the node
     #[arg(value_enum, default_value_t)]
     action: Action,
+    /// For `provision`: the agent that the node is to be
+    #[arg(long, value_name = "N", required_if_eq("action", "provision"))]
+    agent: Option<AgentId>,
+    #[command(flatten)]
+    keys: NodeKeys,
     /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -44,25 +54,65 @@ enum Action {
     Reset,
     /// Give up entries of its journal that cannot be read, so that updates go on
     ForgetUnreadable,
+    /// Give it the keys of --keys and make it --agent; its first keys cross the line in the clear
+    Provision,
+    /// Give it the network keys of --keys, after `keygen --rotate`
+    Rotate,
+    /// Make it forget keys, agent and packages, and restart
+    FactoryReset,
 }
 
-/// Connects to the node at `address`, and delimits the first message.
-pub(super) fn connect(address: &Address) -> Result<Client, AddressError> {
+impl Action {
+    /// Returns its name on the command line, if it needs keys.
+    fn needs_keys(self) -> Option<&'static str> {
+        match self {
+            Self::Provision => Some("provision"),
+            Self::Rotate => Some("rotate"),
+            Self::FactoryReset => Some("factory-reset"),
+            _ => None,
+        }
+    }
+}
+
+/// Connects to the node at `address`, and delimits the first message. Requests are sealed if there are
+/// keys and the node is provisioned.
+pub(super) fn connect(address: &Address, keys: Option<&KeyFolder>) -> Result<Client, AddressError> {
     let mut client = Client::new(address.connect(interruption::stop())?);
+    if let Some(keys) = keys {
+        client.set_keys(keys.port_keys());
+    }
     client.prepare_delimiter();
     Ok(client)
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     interruption::listen(SecondSignal::Exit);
-    let mut client = connect(&arguments.endpoint)?;
+    let action = arguments.action;
+    if arguments.agent.is_some() && action != Action::Provision {
+        return Err(CommandError::usage("--agent is for `provision` only"));
+    }
+    let keys = arguments.keys.read()?;
+    let missing = action.needs_keys().filter(|_| keys.is_none());
+    if let Some(name) = missing {
+        let text = format!("`{name}` needs the node's keys; pass their folder with --keys FOLDER");
+        return Err(CommandError::usage(text));
+    }
+    let mut client = connect(&arguments.endpoint, keys.as_ref())?;
     let node = &mut client;
-    match arguments.action {
-        Action::Status => {}
-        Action::Confirm => {
+    match (action, &keys) {
+        (Action::Provision, Some(keys)) => {
+            let agent = arguments.agent.unwrap_or_default();
+            node_keys::provision(node, keys, &arguments.keys.passphrase, agent)?;
+        }
+        (Action::Rotate, Some(keys)) => {
+            provision::network_keys(node, &keys.network_keys(), RETRY_POLICY)?;
+        }
+        (Action::FactoryReset, _) => node_keys::factory_reset(node)?,
+        (Action::Status | Action::Provision | Action::Rotate, _) => {}
+        (Action::Confirm, _) => {
             node.request(&Request::Confirm, RETRY_POLICY, &mut |_| {}, "a confirmation", done)?;
         }
-        Action::Revert => {
+        (Action::Revert, _) => {
             let in_use = |m: &Message<'_>| matches!(m, Message::InUse { .. }).then_some(());
             node.request(
                 &Request::Revert,
@@ -72,22 +122,26 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 in_use,
             )?;
         }
-        Action::ForgetUnreadable => {
+        (Action::ForgetUnreadable, _) => {
             let request = Request::ForgetUnreadable;
             node.request(&request, RETRY_POLICY, &mut |_| {}, "a confirmation", done)?;
         }
-        Action::Reset => {
+        (Action::Reset, _) => {
             node.request(&Request::Reset, RETRY_POLICY, &mut |_| {}, "a confirmation", done)?;
         }
     }
     let mut board = BoardReport::default();
     let status = push::status_and(node, RETRY_POLICY, &mut |message| board.record(message))?;
     let report = push::report(node, RETRY_POLICY)?;
+    let session = provision::session(node, RETRY_POLICY)?;
     match arguments.format {
-        Format::Json => print_json(&NodeReport::new(&board.with(&status), report.as_ref())),
+        Format::Json => {
+            print_json(&NodeReport::new(&board.with(&status), report.as_ref(), session.as_ref()))
+        }
         Format::Text => {
+            let told = node_keys::text(session.as_ref());
             let more = report.as_ref().map(node_report::text).unwrap_or_default();
-            print_text(&(text(&arguments.endpoint, &status) + &more + &board.text()))
+            print_text(&(text(&arguments.endpoint, &status) + &more + &told + &board.text()))
         }
     }
 }

@@ -1,10 +1,13 @@
 //! A node's report: how its package performs, its trial, and its resets, as text and JSON.
 
 use agent_core::health::{RevertReason, Verdict};
-use agent_core::service::{LastRevert, PanicPlace, Performance, Report, ResetCause, TrialReport};
+use agent_core::service::{
+    LastRevert, PanicPlace, Performance, Report, ResetCause, Session, TrialReport,
+};
 use serde::Serialize;
 
 use super::board_report::StatusReport;
+use super::node_keys::KeysReport;
 
 /// A node's status and report, for JSON.
 #[derive(Serialize)]
@@ -25,6 +28,7 @@ pub(super) struct NodeReport<'a> {
     stalled_ticks: Option<u32>,
     /// Names of the health counters that have reached their limit.
     health_saturated: Vec<&'static str>,
+    keys: KeysReport,
 }
 
 #[derive(Serialize)]
@@ -46,8 +50,13 @@ struct Reverted {
 }
 
 impl<'a> NodeReport<'a> {
-    /// Joins a status with the report, `None` from firmware that has none.
-    pub(super) fn new(status: &'a StatusReport<'a>, report: Option<&Report>) -> Self {
+    /// Joins a status with the report, `None` from firmware that has none, and with the session, `None`
+    /// from a node without keys.
+    pub(super) fn new(
+        status: &'a StatusReport<'a>,
+        report: Option<&Report>,
+        session: Option<&Session>,
+    ) -> Self {
         let performance = report.and_then(|report| report.performance);
         Self {
             version: status.status().package.map(|package| package.version),
@@ -67,6 +76,7 @@ impl<'a> NodeReport<'a> {
             panic: report.and_then(|report| report.panic).as_ref().map(place),
             stalled_ticks: report.map(|report| report.stalled_ticks),
             health_saturated: status.status().health.saturated().collect(),
+            keys: KeysReport::new(session),
             status,
         }
     }

@@ -7,10 +7,12 @@ use agent_core::package::PackageError;
 use clap::Args;
 use serde::Serialize;
 
+use super::key::NodeKeys;
 use super::node::{RETRY_POLICY, connect};
 use super::{CommandError, ErrorCode, Format, print_json, print_text};
 use crate::commands::progress::ProgressBars;
 use crate::interruption::{self, SecondSignal};
+use crate::keys::KeyFolder;
 use crate::packages::{PackageBytes, PackageFileError, bytes};
 use crate::service::push::{Progress, PushError};
 use crate::service::{Address, Client, LineError, ServiceError, hint, push};
@@ -38,6 +40,8 @@ pub(super) struct Arguments {
     /// Wait until the node has confirmed the package itself, after enough good steps
     #[arg(long)]
     wait_confirmed: bool,
+    #[command(flatten)]
+    keys: NodeKeys,
     /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -60,7 +64,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let start = Instant::now();
     let package = read(arguments)?;
     let refused = |error| failure(arguments, error);
-    let mut node = connect(&arguments.endpoint)?;
+    let keys = arguments.keys.read()?;
+    let keys = keys.as_ref();
+    let mut node = connect(&arguments.endpoint, keys)?;
     let before = push::status(&mut node, RETRY_POLICY)?;
     let mut report = Report {
         package: arguments.package.display().to_string(),
@@ -75,7 +81,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Some(used) => (report.version, report.confirmed) = (used.version, used.trial.is_none()),
         None => {
             (node, report.version) =
-                transfer(arguments, node, &package, &mut report.resumed_from).map_err(refused)?;
+                transfer(arguments, keys, node, &package, &mut report.resumed_from)
+                    .map_err(refused)?;
             report.activated = !arguments.no_activate;
             if report.activated {
                 push::activate(&mut node, &package, RETRY_POLICY).map_err(refused)?;
@@ -132,13 +139,14 @@ fn failure(arguments: &Arguments, error: PushError) -> CommandError {
 
 fn transfer(
     arguments: &Arguments,
+    keys: Option<&KeyFolder>,
     first: Client,
     package: &[u8],
     resumed_from: &mut Option<usize>,
 ) -> Result<(Client, u32), PushError> {
     let bars = ProgressBars::new("pushing");
     let mut first = Some(first);
-    let mut reconnect = || first.take().map_or_else(|| connect(&arguments.endpoint), Ok);
+    let mut reconnect = || first.take().map_or_else(|| connect(&arguments.endpoint, keys), Ok);
     let total = package.len() as u64;
     let progress = &mut |progress| match progress {
         Progress::From(byte) => *resumed_from = Some(byte),

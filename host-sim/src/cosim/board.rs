@@ -79,6 +79,12 @@ impl Board {
         self.client.set_keys(keys);
     }
 
+    /// Returns the keys, if there are any.
+    #[must_use]
+    pub fn keys(&self) -> Option<&PortKeys> {
+        self.client.keys()
+    }
+
     /// Attaches the process that runs the node, and the folder with its files.
     #[must_use]
     pub fn with_process(mut self, process: Process, folder: TempDir) -> Self {
@@ -306,7 +312,7 @@ impl Board {
             matches!(decode(answer), Ok(Message::Refused(Problem::Seal | Problem::NotSealed)))
         };
         // Another client's request came between; the session is found again.
-        if self.client.has_keys() && exchange.answers.iter().any(seal_refused) {
+        if self.client.keys().is_some() && exchange.answers.iter().any(seal_refused) {
             let before = exchange;
             exchange = self.exchange_once(request)?;
             exchange.frames.splice(0..0, before.frames);
@@ -339,6 +345,15 @@ impl Board {
     pub fn open(&mut self, request: &[u8]) -> Result<Option<Vec<u8>>, Fault> {
         let opened = self.client.open(request, self.timeout);
         opened.map_err(|error| self.push_fault("report its session", error.into()))
+    }
+
+    /// Returns whether there are keys and the node is provisioned.
+    ///
+    /// # Errors
+    /// See [`Fault`].
+    pub fn seals(&mut self) -> Result<bool, Fault> {
+        let seals = self.client.seals(self.timeout);
+        seals.map_err(|error| self.push_fault("report its session", error.into()))
     }
 
     /// Sends what is prepared, and returns all messages up to the end of the answer.
@@ -385,6 +400,14 @@ impl Board {
     /// See [`Fault`].
     pub fn reset(&mut self) -> Result<Status, Fault> {
         self.ask(&Request::Reset, "reset", is_done)?;
+        self.restarted()
+    }
+
+    /// Waits until the node, which has confirmed a reset, has restarted.
+    ///
+    /// # Errors
+    /// See [`Fault`].
+    pub fn restarted(&mut self) -> Result<Status, Fault> {
         self.client.expect_reset();
         self.hello()
     }

@@ -93,6 +93,10 @@ impl<'s> Lockstep<'s> {
     /// Restarts a node from the contents of its flash.
     fn restart(&mut self, index: usize, tick: Tick) -> Result<Status, NodeError> {
         let mut board = self.setup.board(index, &self.packages[index])?;
+        // A client may have provisioned the node.
+        if let Some(keys) = self.nodes[index].board.keys() {
+            board.set_keys(keys.clone());
+        }
         let rejoined = board.rejoin();
         let node = &mut self.nodes[index];
         node.board = board;

@@ -46,7 +46,7 @@ error_codes! {
     Network = "invalid-network", 2;
     /// Samples cannot be read.
     Samples = "invalid-samples", 2;
-    /// A key cannot be read.
+    /// A key cannot be read, or is not the node's.
     Key = "invalid-key", 2;
     /// A memory map cannot be read.
     MemoryMap = "invalid-memory-map", 2;

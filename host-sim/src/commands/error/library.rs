@@ -8,6 +8,7 @@ use crate::figures::FigureError;
 use crate::files::output::OutputError;
 use crate::flash::FlashError;
 use crate::image::ImageError;
+use crate::keys::KeyFolderError;
 use crate::learning::trained::TrainedError;
 use crate::memory_map::MemoryMapError;
 use crate::packages::{DraftError, PackageFileError, RecordingError};
@@ -103,6 +104,22 @@ impl Reported for KeyFileError {
             Self::Exists { .. } => ErrorCode::OutputRefused,
             Self::Write { .. } => ErrorCode::OutputFailed,
             Self::WritePublic(error) => error.code(),
+            _ => ErrorCode::Key,
+        }
+    }
+
+    fn file(&self) -> Option<PathBuf> {
+        self.path().and_then(owned)
+    }
+}
+
+impl Reported for KeyFolderError {
+    fn code(&self) -> ErrorCode {
+        match self {
+            Self::Key(error) => error.code(),
+            Self::Exists { .. } => ErrorCode::OutputRefused,
+            Self::Create { .. } => ErrorCode::OutputFailed,
+            Self::Write(error) => error.code(),
             _ => ErrorCode::Key,
         }
     }
@@ -257,7 +274,10 @@ mod nodes {
     impl Reported for ServiceError {
         fn code(&self) -> ErrorCode {
             match self {
-                Self::Refused(_) => ErrorCode::NodeRefused,
+                Self::Refused(_) | Self::NotProvisioned => ErrorCode::NodeRefused,
+                Self::Proof { .. } => ErrorCode::Key,
+                Self::NoEpoch | Self::CounterUsedUp => ErrorCode::Node,
+                Self::Random(_) => ErrorCode::Random,
                 Self::Line(LineError::Interrupted) => ErrorCode::Interrupted,
                 _ => ErrorCode::Unreachable,
             }

@@ -17,6 +17,7 @@ use serde::Serialize;
 use super::key::Passphrase;
 use super::{CommandError, Format, package_format, print_json, print_text};
 use crate::files::output::{FileKind, OutputFile};
+use crate::keys::operator_file;
 use crate::packages::PackageBytes;
 use crate::packages::check::check;
 use crate::signing::{OperatorKey, fingerprint};
@@ -64,8 +65,11 @@ pub(super) struct Sign {
     /// Weight package
     package: PathBuf,
     /// Private key, as written by `weights keygen` or OpenSSL
-    #[arg(long)]
-    key: PathBuf,
+    #[arg(long, required_unless_present = "keys", conflicts_with = "keys")]
+    key: Option<PathBuf>,
+    /// Key folder with the private key, as created by `keygen`
+    #[arg(long, value_name = "FOLDER")]
+    keys: Option<PathBuf>,
     #[command(flatten)]
     passphrase: Passphrase,
     /// Replace an existing signature by another key
@@ -134,7 +138,13 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
         replaced_signature: bool,
     }
     let mut bytes = PackageBytes::load(&arguments.package)?;
-    let key = arguments.passphrase.key(&arguments.key)?;
+    let key = match (&arguments.key, &arguments.keys) {
+        (Some(file), _) => arguments.passphrase.key(file)?,
+        (None, Some(folder)) => arguments.passphrase.key(&operator_file(folder))?,
+        (None, None) => {
+            return Err(CommandError::usage("no key; pass --key FILE or --keys FOLDER"));
+        }
+    };
     let replaced_signature = bytes.is_signed() && !bytes.is_signed_by(key.public_key());
     if replaced_signature && !arguments.replace_signature {
         return Err(CommandError::usage(format!(

@@ -8,6 +8,13 @@
 //! itself: the node always reports everything to the co-simulation, whatever its clients subscribe
 //! to, and time and frames come only from the simulator.
 //!
+//! Sealed requests go to the node unchanged. Only the node's port key tells what is in them, so the
+//! relay opens copies: with the co-simulation's keys, or with the key by which a client provisioned the
+//! node in its presence. There is no third way by which a node can have a key, since the
+//! co-simulation could not have started it; so what the relay cannot open, the node refuses. The two
+//! things above are thus kept from the node even if they are sealed. A provisioned node's refusal to
+//! take a request that is not sealed holds at its socket, too.
+//!
 //! A node that exits or hangs is stopped. The others continue, with the simulated agent in its
 //! place, and a reset request restarts it.
 //!

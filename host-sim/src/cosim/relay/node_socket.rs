@@ -1,12 +1,14 @@
 //! A node's socket and clients, and the node's packages.
 
 use agent_core::Tick;
-use agent_core::service::{Event, Problem, Request, receive, split_number};
+use agent_core::service::seal::PortKey;
+use agent_core::service::{Event, Problem, Provision, Request, receive, split_number, split_seal};
 
 use super::client::{Client, Reply};
 use crate::cosim::fault::Fault;
 use crate::cosim::loop_node::LoopNode;
 use crate::cosim::socket::Socket;
+use crate::keys::PortKeys;
 use crate::packages::PackageBytes;
 use crate::service::Message;
 
@@ -43,6 +45,8 @@ enum Effect {
     },
     /// The node deviates from the simulation, for this reason.
     Deviates(&'static str),
+    /// The node restarts, and deviates for this reason.
+    Restarts(&'static str),
 }
 
 impl NodeSocket {
@@ -84,7 +88,9 @@ impl NodeSocket {
             served.request = true;
             match self.carry_out(index, &request, node)? {
                 Effect::None => {}
-                Effect::Deviates(reason) => node.stop_comparing(tick, reason),
+                Effect::Deviates(reason) | Effect::Restarts(reason) => {
+                    node.stop_comparing(tick, reason);
+                }
                 Effect::Switched { back } => served.switch = self.switch(tick, node, back),
             }
             break;
@@ -114,17 +120,23 @@ impl NodeSocket {
             .any(|bytes| matches!(receive(bytes), Some(Message::Event(Event::Reverted { .. }))));
     }
 
-    /// Returns the client that requests a restart of a stopped node, if any, and the request's number. Clients with any other
-    /// request are disconnected.
+    /// Returns the client that requests a restart of a stopped node, if any, and the request's number.
+    /// Clients with any other request are disconnected, except for the question that precedes a
+    /// sealed one.
     pub(super) fn restart_requested(&mut self) -> Option<(usize, Option<u16>)> {
         self.accept();
         let mut wanted = None;
         for (index, client) in self.clients.iter_mut().enumerate() {
             let Some(bytes) = client.request() else { continue };
-            if is_reset(&bytes) && wanted.is_none() {
-                wanted = Some((index, split_number(&bytes).0));
-            } else {
-                client.gone = true;
+            let (number, request) = split_number(&bytes);
+            match receive::<Request<'_>>(request) {
+                Some(Request::Reset) if wanted.is_none() => wanted = Some((index, number)),
+                // The relay restarts it, so the request need not be sealed.
+                Some(Request::Session) => {
+                    client.answer(number, &Reply::Session(None));
+                    client.write_out();
+                }
+                _ => client.gone = true,
             }
         }
         if wanted.is_none() {
@@ -152,13 +164,22 @@ impl NodeSocket {
     ) -> Result<Effect, Fault> {
         let asking = &mut self.clients[client];
         let (number, bytes) = split_number(bytes);
-        let request = match receive::<Request<'_>>(bytes) {
-            None | Some(Request::Numbered { .. }) => {
+        let is_sealed = split_seal(bytes).0.is_some();
+        let opened = node.board.open(bytes)?;
+        let request = receive::<Request<'_>>(opened.as_deref().unwrap_or(bytes));
+        match &request {
+            // The node refuses it, too.
+            _ if is_sealed && opened.is_none() => {}
+            None | Some(Request::Numbered { .. } | Request::Sealed { .. }) => {
                 asking.answer(number, &Reply::Refused(Problem::Unknown));
                 return Ok(Effect::None);
             }
+            Some(Request::Subscribe(_)) if !is_sealed && node.board.seals()? => {
+                asking.answer(number, &Reply::Refused(Problem::NotSealed));
+                return Ok(Effect::None);
+            }
             Some(Request::Subscribe(subscription)) => {
-                asking.subscription = subscription;
+                asking.subscription = *subscription;
                 asking.answer(number, &Reply::Done);
                 return Ok(Effect::None);
             }
@@ -166,33 +187,40 @@ impl NodeSocket {
                 asking.answer(number, &Reply::Refused(Problem::NotInTheLoop));
                 return Ok(Effect::None);
             }
-            Some(Request::Reset) => {
-                let status = node.board.reset()?;
-                node.board.subscribe()?;
-                asking.answer(number, &Reply::Done);
-                for client in &mut self.clients {
-                    client.send(&Reply::Hello(status));
-                }
-                (self.in_use, self.before) = (None, None);
-                return Ok(Effect::Deviates("it was reset"));
-            }
-            Some(request) => request,
-        };
-        let exchange = node.board.exchange(&request)?;
+            Some(_) => {}
+        }
+        let exchange = node.board.forward(bytes)?;
+        let answer = exchange.answers.last().and_then(|answer| receive::<Message<'_>>(answer));
+        let effect = self.effect(request.as_ref(), answer.as_ref(), node);
         // In the node's order: unsolicited messages precede the end of the answer.
         for client in &mut self.clients {
             exchange.unsolicited.iter().for_each(|bytes| client.forward(bytes));
+        }
+        if let Effect::Restarts(reason) = effect {
+            let status = node.board.restarted()?;
+            node.board.subscribe()?;
+            self.clients[client].answer(number, &Reply::Done);
+            for client in &mut self.clients {
+                client.send(&Reply::Hello(status));
+            }
+            (self.in_use, self.before) = (None, None);
+            return Ok(Effect::Deviates(reason));
         }
         for answer in &exchange.answers {
             self.clients[client].forward_answer(number, answer);
         }
         node.broadcast_alone(exchange.frames);
-        let answer = exchange.answers.last().and_then(|answer| receive::<Message<'_>>(answer));
-        Ok(self.effect(&request, answer.as_ref()))
+        Ok(effect)
     }
 
     /// Returns the side effect of a request with this answer.
-    fn effect(&mut self, request: &Request<'_>, answer: Option<&Message<'_>>) -> Effect {
+    fn effect(
+        &mut self,
+        request: Option<&Request<'_>>,
+        answer: Option<&Message<'_>>,
+        node: &mut LoopNode,
+    ) -> Effect {
+        let Some(request) = request else { return Effect::None };
         match (request, answer) {
             (Request::Begin { length }, Some(Message::Upload(_))) => {
                 // The node has accepted this length, so it is at most that of a slot.
@@ -217,12 +245,20 @@ impl NodeSocket {
             (Request::StartAt { .. }, Some(Message::Done)) => {
                 return Effect::Deviates("it was started at another estimate");
             }
+            (Request::Reset, Some(Message::Done)) => return Effect::Restarts("it was reset"),
+            (Request::FactoryReset, Some(Message::Done)) => {
+                return Effect::Restarts("it was reset to its factory state");
+            }
+            (Request::Provision { bytes }, Some(Message::Done)) => {
+                if let Some((new, _)) = Provision::split(bytes) {
+                    node.board.set_keys(PortKeys::Node(PortKey::new(new.port_key)));
+                }
+            }
             _ => {}
         }
         Effect::None
     }
 }
 
-fn is_reset(request: &[u8]) -> bool {
-    matches!(receive::<Request<'_>>(split_number(request).1), Some(Request::Reset))
-}
+#[cfg(test)]
+mod tests;

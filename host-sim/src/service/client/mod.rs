@@ -413,3 +413,6 @@ mod tests;
 
 #[cfg(test)]
 mod sealing_tests;
+
+#[cfg(test)]
+pub(crate) mod fake_node;

@@ -40,8 +40,18 @@ enum Node {
 }
 
 impl Sealing {
-    pub(super) fn new(keys: PortKeys) -> Self {
-        Self { keys, node: Node::Unknown, last: None }
+    /// Seals with these keys, in place of those `before`.
+    pub(super) fn new(keys: PortKeys, before: Option<Self>) -> Self {
+        Self { keys, node: Node::Unknown, last: before.and_then(|before| before.last) }
+    }
+
+    pub(super) fn keys(&self) -> &PortKeys {
+        &self.keys
+    }
+
+    /// Returns whether the node is known to be provisioned.
+    pub(super) fn is_provisioned(&self) -> bool {
+        matches!(self.node, Node::Provisioned { .. })
     }
 
     /// Returns whether requests of this kind are sealed for a provisioned node. Stimuli are not:

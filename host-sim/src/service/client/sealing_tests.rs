@@ -1,152 +1,19 @@
 //! Tests of sealed requests, against a node that follows the rules.
 
-use std::io::{Read as _, Write as _};
+use std::io::Write as _;
 use std::os::unix::net::UnixStream;
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::Receiver;
 use std::thread::JoinHandle;
 
-use agent_core::AgentId;
-use agent_core::service::seal::PortKey;
-use agent_core::service::{
-    Provision, REQUEST_LENGTH_MAX, Response, Session, send_numbered, split_seal,
-};
+use agent_core::service::{Session, split_seal};
 
+use super::fake_node::FakeNode;
 use super::*;
 use crate::keys::{FleetSecret, KeyFolder, PortKeys};
 use crate::service::provision;
 use crate::service::push::done;
 
 const RETRY_POLICY: RetryPolicy = RetryPolicy { timeout: Duration::from_millis(300), tries: 3 };
-
-/// A node with keys, or without.
-struct FakeNode {
-    keys: Option<(AgentId, PortKey)>,
-    epoch: Option<u32>,
-    counter: u32,
-    /// Number and key of each.
-    network_keys: Vec<u8>,
-    /// Firmware from before sessions.
-    knows_sessions: bool,
-    /// Firmware from before numbers.
-    knows_numbers: bool,
-    /// Number of requests to ignore, as if lost on the way.
-    deaf: u32,
-    /// What has arrived, sealed or not, without number.
-    seen: Sender<Vec<u8>>,
-}
-
-type Reply<'a> = Response<'a, &'a [f32]>;
-
-impl FakeNode {
-    fn new(keys: Option<(AgentId, PortKey)>) -> (Self, Receiver<Vec<u8>>) {
-        let (seen, received) = channel();
-        let node = Self {
-            keys,
-            epoch: Some(9),
-            counter: 0,
-            network_keys: Vec::new(),
-            knows_sessions: true,
-            knows_numbers: true,
-            deaf: 0,
-            seen,
-        };
-        (node, received)
-    }
-
-    /// Serves a client until it disconnects, and returns the node's keys and counter.
-    fn serve(mut self, mut line: UnixStream) -> JoinHandle<Self> {
-        std::thread::spawn(move || {
-            let mut decoder = Decoder::<{ REQUEST_LENGTH_MAX + 4 }>::new();
-            let mut bytes = [0; 256];
-            loop {
-                let Ok(length @ 1..) = line.read(&mut bytes) else { return self };
-                let mut replies = Vec::new();
-                for &byte in &bytes[..length] {
-                    if let Some(Ok(message)) = decoder.push(byte) {
-                        self.reply(message, &mut |bytes| replies.extend_from_slice(bytes));
-                    }
-                }
-                if line.write_all(&replies).is_err() {
-                    return self;
-                }
-            }
-        })
-    }
-
-    fn reply(&mut self, message: &[u8], sink: &mut dyn FnMut(&[u8])) {
-        let (number, rest) = split_number(message);
-        self.seen.send(rest.to_vec()).unwrap();
-        if self.deaf > 0 {
-            self.deaf -= 1;
-            return;
-        }
-        if number.is_some() && !self.knows_numbers {
-            return send_numbered(None, &Reply::Refused(Problem::Unknown), sink);
-        }
-        let mut opened = rest.to_vec();
-        let reply = match (split_seal(rest), &self.keys) {
-            ((None, _), Some(_)) => match receive(rest) {
-                Some(request @ Request::Session) => self.carry_out(&request),
-                Some(request) if request.is_free() => Reply::Done,
-                _ => Reply::Refused(Problem::NotSealed),
-            },
-            ((None, _), None) => match receive(rest) {
-                Some(Request::NetworkKeys { .. } | Request::FactoryReset) => {
-                    Reply::Refused(Problem::NotProvisioned)
-                }
-                Some(request) => self.carry_out(&request),
-                None => Reply::Refused(Problem::Unknown),
-            },
-            ((Some(_), _), None) => Reply::Refused(Problem::NotProvisioned),
-            ((Some(counter), sealed), Some((_, key))) => {
-                opened.truncate(0);
-                opened.extend_from_slice(sealed);
-                match key.open(self.epoch.unwrap(), counter, &mut opened) {
-                    Some(request) if counter > self.counter => {
-                        self.counter = counter;
-                        let request = receive(request).unwrap();
-                        self.carry_out(&request)
-                    }
-                    _ => Reply::Refused(Problem::Seal),
-                }
-            }
-        };
-        send_numbered(number, &reply, sink);
-        if matches!(reply, Reply::InUse { .. }) {
-            // Also restarts: a new epoch.
-            self.epoch = self.epoch.map(|epoch| epoch + 1);
-            self.counter = 0;
-        }
-    }
-
-    fn carry_out(&mut self, request: &Request<'_>) -> Reply<'static> {
-        match request {
-            Request::Session if !self.knows_sessions => Reply::Refused(Problem::Unknown),
-            Request::Session => Reply::Session(self.keys.map(|(agent, key)| Session {
-                agent,
-                epoch: self.epoch,
-                counter: self.counter,
-                proof: key.proof(agent, self.epoch.unwrap_or(0)),
-                network_keys: [0, 17].map(|i| self.network_keys.get(i).copied()),
-            })),
-            Request::Provision { bytes } => {
-                let (new, _) = Provision::split(bytes).unwrap();
-                self.keys = Some((new.agent, PortKey::new(new.port_key)));
-                Reply::Done
-            }
-            Request::NetworkKeys { bytes } => {
-                self.network_keys = bytes.to_vec();
-                Reply::Done
-            }
-            Request::FactoryReset => {
-                self.keys = None;
-                Reply::Done
-            }
-            Request::Revert => Reply::InUse { version: Some(1) },
-            _ => Reply::Done,
-        }
-    }
-}
 
 fn secret() -> FleetSecret {
     FleetSecret::new([3; 32])
@@ -219,7 +86,7 @@ fn a_node_without_keys_gets_plain_requests_but_no_secrets() {
         ask(&mut client, &Request::Stage).unwrap();
         assert_eq!(counted(&seen), (vec![], 3));
         assert_eq!(provision::session(&mut client, RETRY_POLICY).unwrap(), None);
-        let error = ask(&mut client, &Request::NetworkKeys { bytes: &[] }).unwrap_err();
+        let error = ask(&mut client, &Request::NetworkKeys { bytes: &[1; 17] }).unwrap_err();
         assert!(matches!(error, ServiceError::NotProvisioned), "{error}");
         let error = ask(&mut client, &Request::FactoryReset).unwrap_err();
         assert!(error.to_string().contains("provision --keys FOLDER"), "{error}");
@@ -273,7 +140,7 @@ fn a_repeated_request_has_a_counter_of_its_own() {
 
 #[test]
 fn a_counter_is_never_used_twice_whatever_the_node_says() {
-    let mut sealing = Sealing::new(PortKeys::Fleet(secret()));
+    let mut sealing = Sealing::new(PortKeys::Fleet(secret()), None);
     let session = |counter| Session {
         agent: 5,
         epoch: Some(9),

@@ -14,13 +14,22 @@ use crate::service::Message;
 impl Client {
     /// Seals requests with these keys from now on, if the node is provisioned.
     pub fn set_keys(&mut self, keys: PortKeys) {
-        self.sealing = Some(Sealing::new(keys));
+        self.sealing = Some(Sealing::new(keys, self.sealing.take()));
     }
 
-    /// Returns whether there are keys.
+    /// Returns the keys, if there are any.
     #[must_use]
-    pub fn has_keys(&self) -> bool {
-        self.sealing.is_some()
+    pub fn keys(&self) -> Option<&PortKeys> {
+        self.sealing.as_ref().map(Sealing::keys)
+    }
+
+    /// Returns whether requests to the node are sealed: there are keys, and it is provisioned.
+    ///
+    /// # Errors
+    /// See [`ServiceError`]: the node may have to be asked for its session.
+    pub fn seals(&mut self, timeout: Duration) -> Result<bool, ServiceError> {
+        self.find_session(&Request::Confirm, timeout)?;
+        Ok(self.sealing.as_ref().is_some_and(Sealing::is_provisioned))
     }
 
     /// Asks for the session again before the next sealed request.
@@ -31,21 +40,29 @@ impl Client {
     }
 
     /// Decrypts a request, without its number, that another client has sealed for this node. `None`
-    /// if it is not sealed, or not for this node and its session.
+    /// if it is not sealed, or the node would not accept the seal, except for a counter that has been
+    /// used.
     ///
     /// # Errors
-    /// See [`ServiceError`]: the node may have to be asked for its session.
+    /// [`ServiceError::Line`]: the node may have to be asked for its session.
     pub fn open(
         &mut self,
         request: &[u8],
         timeout: Duration,
     ) -> Result<Option<Vec<u8>>, ServiceError> {
         let (Some(counter), sealed) = split_seal(request) else { return Ok(None) };
-        if self.sealing.as_ref().is_some_and(Sealing::needs_session) {
-            self.ask_session(timeout)?;
+        let open = |client: &Self| client.sealing.as_ref()?.open(counter, sealed.to_vec());
+        if let Some(opened) = open(self) {
+            return Ok(Some(opened));
         }
-        let sealing = self.sealing.as_ref();
-        Ok(sealing.and_then(|sealing| sealing.open(counter, sealed.to_vec())))
+        if self.sealing.is_none() {
+            return Ok(None);
+        }
+        // The session may be another one by now.
+        match self.ask_session(timeout) {
+            Err(error @ ServiceError::Line(_)) => Err(error),
+            _ => Ok(open(self)),
+        }
     }
 
     /// Asks the node for its session if this request needs it.
