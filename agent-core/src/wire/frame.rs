@@ -192,6 +192,39 @@ impl<const N: usize> Frame<N> {
     }
 }
 
+/// A frame whose dimension is only known at run time, for programs that carry those of several
+/// networks.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AnyFrame {
+    /// The agent that broadcasts.
+    pub sender: AgentId,
+    /// Number of earlier broadcasts by this agent.
+    pub sequence: u32,
+    /// Tick at which the sample was taken.
+    pub tick: Tick,
+    /// `x_hat_i(t_k)`, shape `[n]`.
+    pub estimate: Numbers,
+}
+
+impl AnyFrame {
+    /// Returns the bytes to broadcast.
+    #[must_use]
+    pub fn encode(&self) -> FrameBytes {
+        encode(self.sender, self.sequence, self.tick, &self.estimate)
+    }
+
+    /// Decodes a frame from `bytes`, which must contain nothing else. Components may be infinite.
+    ///
+    /// # Errors
+    /// [`FrameError::Length`], [`FrameError::Checksum`], [`FrameError::Malformed`] or
+    /// [`FrameError::Version`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
+        let (Head { sender, sequence, tick, .. }, words) = decode(bytes)?;
+        let estimate = words.iter().map(|word| f32::from_le_bytes(*word)).collect();
+        Ok(Self { sender, sequence, tick, estimate })
+    }
+}
+
 /// Checks the components of an estimate.
 ///
 /// # Errors

@@ -36,6 +36,12 @@ impl Passphrase {
         Ok(OperatorKey::read_encrypted(path, &mut |path| self.ask(path))?)
     }
 
+    /// Reads the key folder `path`.
+    #[cfg(unix)]
+    pub(super) fn folder(&self, path: &Path) -> Result<KeyFolder, CommandError> {
+        Ok(KeyFolder::read(path, &mut |path| self.ask(path))?)
+    }
+
     /// Reads the private or public key in the file `path`.
     #[cfg(unix)]
     pub(super) fn either_key(&self, path: &Path) -> Result<EitherKey, CommandError> {
@@ -79,7 +85,7 @@ impl NodeKeys {
     /// Reads the key folder, if one is given.
     pub(super) fn read(&self) -> Result<Option<KeyFolder>, CommandError> {
         let Some(folder) = &self.keys else { return Ok(None) };
-        Ok(Some(KeyFolder::read(folder, &mut |path| self.passphrase.ask(path))?))
+        Ok(Some(self.passphrase.folder(folder)?))
     }
 }
 

@@ -52,7 +52,7 @@ fn create(arguments: &Arguments) -> Result<(), CommandError> {
         public_key: public_file(&arguments.folder).display().to_string(),
         fingerprint: fingerprint(operator.public_key()),
         public_key_bytes: operator.public_key_bytes(),
-        network_keys: keys.network_numbers().iter().collect(),
+        network_keys: keys.fleet().network_numbers().iter().collect(),
     };
     if arguments.format == Format::Json {
         return print_json(&report);

@@ -79,7 +79,7 @@ impl Action {
 pub(super) fn connect(address: &Address, keys: Option<&KeyFolder>) -> Result<Client, AddressError> {
     let mut client = Client::new(address.connect(interruption::stop())?);
     if let Some(keys) = keys {
-        client.set_keys(keys.port_keys());
+        client.set_keys(keys.fleet().port_keys());
     }
     client.prepare_delimiter();
     Ok(client)
@@ -105,7 +105,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             node_keys::provision(node, keys, &arguments.keys.passphrase, agent)?;
         }
         (Action::Rotate, Some(keys)) => {
-            provision::network_keys(node, &keys.network_keys(), RETRY_POLICY)?;
+            provision::network_keys(node, &keys.fleet().network_keys(), RETRY_POLICY)?;
         }
         (Action::FactoryReset, _) => node_keys::factory_reset(node)?,
         (Action::Status | Action::Provision | Action::Rotate, _) => {}

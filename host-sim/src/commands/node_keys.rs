@@ -1,7 +1,5 @@
 //! A node's keys: giving and taking them, and what a status tells of them.
 
-use std::time::SystemTime;
-
 use agent_core::AgentId;
 use agent_core::service::Session;
 use serde::Serialize;
@@ -72,9 +70,8 @@ pub(super) fn provision(
     }
     // A node never goes back to an epoch that is over; the clock is above all epochs of a node whose
     // flash has been lost.
-    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
-    let epoch = now.map_or(0, |time| u32::try_from(time.as_secs()).unwrap_or(u32::MAX));
-    Ok(provision::provision(node, keys, &operator, agent, epoch, RETRY_POLICY)?)
+    let epoch = provision::epoch_now();
+    Ok(provision::provision(node, keys.fleet(), Some(&operator), agent, epoch, RETRY_POLICY)?)
 }
 
 /// Makes the node forget its keys, agent and packages.

@@ -1,17 +1,21 @@
 //! A node in the loop: the messages exchanged with it, and the process that runs it.
 
+use std::borrow::Cow;
 use std::time::{Duration, Instant};
 
+use agent_core::AgentId;
 use agent_core::service::{Numbers, PROTOCOL_VERSION, Problem, Request, Status, Subscription};
 use tempfile::TempDir;
 
 use super::fault::Fault;
 use super::process::Process;
-use crate::keys::PortKeys;
+use crate::keys::{FleetKeys, PortKeys};
 use crate::packages::PackageBytes;
 use crate::service::client::{decode, name};
+use crate::service::provision;
 use crate::service::push::{self, PushError};
 use crate::service::{Client, Line, LineError, Message, RetryPolicy, ServiceError};
+use crate::signing::OperatorKey;
 
 /// Default timeout for a node's reply.
 pub const TIMEOUT: Duration = Duration::from_secs(10);
@@ -135,8 +139,8 @@ impl Board {
         }
     }
 
-    /// Waits for the node to start, ensures that it runs this package, and starts it at this
-    /// estimate. Returns the frames it broadcasts.
+    /// Waits for the node to start, ensures that it runs this package, gives it keys if there are any,
+    /// and starts it at this estimate. Returns the frames it broadcasts.
     ///
     /// # Errors
     /// See [`Fault`].
@@ -144,6 +148,8 @@ impl Board {
         &mut self,
         package: &PackageBytes,
         estimate: &[f32],
+        keys: Option<&FleetKeys>,
+        operator: Option<&OperatorKey>,
     ) -> Result<Vec<Vec<u8>>, Fault> {
         let mut status = if self.persistent { self.greet()? } else { self.hello()? };
         check_firmware(&status, package)?;
@@ -162,8 +168,25 @@ impl Board {
             let refusal = status.refused_at_start.into_iter().flatten().next();
             return Err(Fault::Package { refusal: refusal.map(|refusal| refusal.to_string()) });
         }
+        if let Some(keys) = keys {
+            self.provision(keys, operator, package.package().node.agent)?;
+        }
         self.subscribe()?;
         self.start_at(estimate)
+    }
+
+    /// Gives it the keys of this agent.
+    fn provision(
+        &mut self,
+        keys: &FleetKeys,
+        operator: Option<&OperatorKey>,
+        agent: AgentId,
+    ) -> Result<(), Fault> {
+        let retry_policy = RetryPolicy { timeout: self.timeout, tries: 1 };
+        let client = &mut self.client;
+        let epoch = provision::epoch_now();
+        provision::provision(client, keys, operator, agent, epoch, retry_policy)
+            .map_err(|error| self.push_fault("accept keys", error.into()))
     }
 
     /// Subscribes to the state and outer weights of every step.
@@ -192,11 +215,11 @@ impl Board {
     /// See [`Fault`].
     pub fn feed<'f>(
         &mut self,
-        frames: impl Iterator<Item = &'f [u8]>,
+        frames: impl Iterator<Item = Cow<'f, [u8]>>,
         measurement: &[f32],
     ) -> Result<(), Fault> {
         for bytes in frames {
-            self.client.prepare(&Request::Frame { bytes });
+            self.client.prepare(&Request::Frame { bytes: &bytes });
         }
         let measurement = Some(numbers(measurement));
         self.client.prepare(&Request::Tick { periods: 1, measurement });

@@ -6,7 +6,6 @@ use agent_core::Tick;
 use agent_core::service::State;
 use serde::Serialize;
 
-use super::board::Turn;
 use crate::engine::run_observer::AgentStep;
 
 /// A difference between node and simulator.
@@ -40,21 +39,22 @@ impl fmt::Display for Mismatch {
 /// A quantity, its component, and both values.
 type Difference = (&'static str, Option<usize>, String, String);
 
-/// Returns the first difference between a node's step at `tick` and the simulated one; `agent` is
-/// numbered from 0.
+/// Returns the first difference between a node's step at `tick`, with its `state` and `frames`, and the
+/// simulated one; `agent` is numbered from 0.
 #[must_use]
 pub fn first_mismatch(
     agent: usize,
     tick: Tick,
-    turn: &Turn,
+    state: Option<&State<Vec<f32>>>,
+    frames: &[Vec<u8>],
     step: &AgentStep<'_>,
 ) -> Option<Mismatch> {
-    let difference = match &turn.state {
+    let difference = match state {
         Some(state) => of_state(tick, state, step),
         None => Some(("state", None, "not reported".to_owned(), format!("of tick {tick}"))),
     };
     let broadcast = step.broadcast;
-    let difference = difference.or_else(|| of_frames(&turn.frames, broadcast));
+    let difference = difference.or_else(|| of_frames(frames, broadcast));
     difference.map(|difference| mismatch(agent, tick, difference))
 }
 
@@ -125,6 +125,7 @@ mod tests {
     use agent_core::service::Outcome;
 
     use super::*;
+    use crate::cosim::board::Turn;
 
     const FRAME: [u8; 3] = [1, 2, 3];
 
@@ -137,6 +138,10 @@ mod tests {
             outer_weights: vec![0.5; 4],
             broadcast,
         }
+    }
+
+    fn mismatch_of(agent: usize, turn: &Turn, step: &AgentStep<'_>) -> Option<Mismatch> {
+        first_mismatch(agent, 7, turn.state.as_ref(), &turn.frames, step)
     }
 
     fn turn() -> Turn {
@@ -152,7 +157,7 @@ mod tests {
 
     #[test]
     fn equal_bits_are_not_a_mismatch() {
-        assert_eq!(first_mismatch(0, 7, &turn(), &step(Some(&FRAME))), None);
+        assert_eq!(mismatch_of(0, &turn(), &step(Some(&FRAME))), None);
     }
 
     #[test]
@@ -160,7 +165,7 @@ mod tests {
         let difference = |change: fn(&mut State<Vec<f32>>)| {
             let mut turn = turn();
             change(turn.state.as_mut().unwrap());
-            first_mismatch(1, 7, &turn, &step(Some(&FRAME))).unwrap().to_string()
+            mismatch_of(1, &turn, &step(Some(&FRAME))).unwrap().to_string()
         };
         let on = "agent 2, tick 7: ";
         assert_eq!(
@@ -192,9 +197,9 @@ mod tests {
         );
         let mut other = turn();
         other.frames[0][2] = 9;
-        let mismatch = first_mismatch(1, 7, &other, &step(Some(&FRAME))).unwrap().to_string();
+        let mismatch = mismatch_of(1, &other, &step(Some(&FRAME))).unwrap().to_string();
         assert_eq!(mismatch, format!("{on}frame[2] is 0x09 on the node and 0x03 in the simulator"));
-        let mismatch = first_mismatch(1, 7, &turn(), &step(None)).unwrap().to_string();
+        let mismatch = mismatch_of(1, &turn(), &step(None)).unwrap().to_string();
         assert_eq!(
             mismatch,
             format!("{on}broadcast is one frame on the node and none in the simulator")

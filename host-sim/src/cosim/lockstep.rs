@@ -4,12 +4,15 @@
 //! parallel. A node gets the frames broadcast by its neighbours' nodes, not those of the simulated
 //! agents, so an error propagates through the nodes as in a real network.
 
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use agent_core::Tick;
 use agent_core::service::Status;
+use agent_core::wire::authentic::NetworkKey;
+use agent_core::{AgentId, Tick};
 
+use super::authentic;
 use super::board::Turn;
 use super::compare::{Mismatch, announcement_mismatch, first_mismatch};
 use super::fault::{Fault, NodeError};
@@ -17,12 +20,15 @@ use super::loop_node::LoopNode;
 use super::relay::Relay;
 use super::{BoardReport, Notice, Setup};
 use crate::engine::run_observer::{AgentStart, AgentStep, RunObserver, RunObserverError, Switch};
+use crate::keys::FleetKeys;
 use crate::packages::PackageBytes;
 
 /// The nodes of a run.
 pub(super) struct Lockstep<'s> {
     setup: Setup<'s>,
     pub(super) nodes: Vec<LoopNode>,
+    /// The network keys, if nodes broadcast authentic frames.
+    network_keys: Vec<NetworkKey>,
     /// Initial package of each node, as stored in its flash.
     packages: Vec<PackageBytes>,
     pub(super) relay: Option<Relay>,
@@ -36,9 +42,11 @@ pub(super) struct Lockstep<'s> {
 
 impl<'s> Lockstep<'s> {
     pub(super) fn new(setup: Setup<'s>, relay: Option<Relay>) -> Self {
+        let network_keys = setup.keys.map(FleetKeys::network_keys).unwrap_or_default();
         Self {
             setup,
             nodes: Vec::new(),
+            network_keys,
             packages: Vec::new(),
             relay,
             first_mismatch: None,
@@ -46,6 +54,23 @@ impl<'s> Lockstep<'s> {
             interrupted: false,
             started: None,
         }
+    }
+
+    /// Returns a node's frames as a simulated agent broadcasts them, for comparison.
+    fn plain(&self, frames: &[Vec<u8>]) -> Vec<Vec<u8>> {
+        match self.network_keys.as_slice() {
+            [] => frames.to_vec(),
+            keys => frames.iter().filter_map(|bytes| authentic::plain(bytes, keys)).collect(),
+        }
+    }
+
+    /// Takes a node's frames for its neighbours.
+    fn keep_frames(&mut self, index: usize, frames: Vec<Vec<u8>>) {
+        let keys = &self.network_keys;
+        let epoch = frames.iter().rev().find_map(|bytes| authentic::epoch(bytes, keys));
+        let node = &mut self.nodes[index];
+        node.epoch = epoch.or(node.epoch);
+        node.frames = frames;
     }
 
     fn named(&self, index: usize, fault: Fault) -> NodeError {
@@ -136,14 +161,23 @@ impl<'s> Lockstep<'s> {
             }
             let (before, rest) = self.nodes.split_at_mut(index);
             let Some((node, after)) = rest.split_first_mut() else { break };
-            let frames = node.neighbours.iter().flat_map(|&neighbour| {
+            let LoopNode { board, neighbours, epoch, .. } = node;
+            let keys = self.network_keys.as_slice();
+            let frames = neighbours.iter().flat_map(|&neighbour| {
                 let sender = match neighbour.checked_sub(index + 1) {
                     Some(later) => &after[later],
                     None => &before[neighbour],
                 };
-                sender.frames.iter().map(Vec::as_slice)
+                sender.frames.iter().map(|bytes| match *epoch {
+                    // Numbers of agents count from 1.
+                    Some(epoch) if self.steps == 0 => {
+                        let to = AgentId::try_from(index + 1).unwrap_or(AgentId::MAX);
+                        Cow::from(authentic::answer(bytes, to, epoch, keys))
+                    }
+                    _ => Cow::from(bytes.as_slice()),
+                })
             });
-            if let Err(fault) = node.board.feed(frames, agent.measurement) {
+            if let Err(fault) = board.feed(frames, agent.measurement) {
                 self.fault(index, tick, fault)?;
             }
         }
@@ -152,16 +186,16 @@ impl<'s> Lockstep<'s> {
 
     /// Compares a node's step, and forwards it to clients.
     fn handle_turn(&mut self, index: usize, tick: Tick, turn: Turn, agent: &AgentStep<'_>) {
+        let plain = self.plain(&turn.frames);
         let node = &mut self.nodes[index];
-        let mismatch = first_mismatch(index, tick, &turn, agent);
-        let expected = agent.broadcast;
-        node.frames_agree = turn.frames.iter().map(Vec::as_slice).eq(expected);
+        let mismatch = first_mismatch(index, tick, turn.state.as_ref(), &plain, agent);
+        node.frames_agree = plain.iter().map(Vec::as_slice).eq(agent.broadcast);
         node.report.broadcasts += turn.frames.len() as u64;
         node.report.compared += u64::from(node.report.parted.is_none());
         if let Some(relay) = &mut self.relay {
             relay.forward(index, &turn);
         }
-        node.frames = turn.frames;
+        self.keep_frames(index, turn.frames);
         self.record(index, mismatch);
     }
 
@@ -193,12 +227,12 @@ impl RunObserver for Lockstep<'_> {
                 self.nodes[index].stop_comparing(0, "it is waiting for a package");
                 continue;
             }
-            let started = node.board.begin(package, agent.estimate);
+            let (keys, signer) = (self.setup.keys, self.setup.signer);
+            let started = node.board.begin(package, agent.estimate, keys, signer);
             let frames = started.map_err(|fault| self.named(index, fault))?;
-            let announcement = agent.announcement;
-            let mismatch = announcement_mismatch(index, &frames, announcement);
+            let mismatch = announcement_mismatch(index, &self.plain(&frames), agent.announcement);
             self.nodes[index].report.broadcasts += frames.len() as u64;
-            self.nodes[index].frames = frames;
+            self.keep_frames(index, frames);
             self.record(index, mismatch);
         }
         if let Some(relay) = &mut self.relay {
@@ -270,7 +304,11 @@ impl RunObserver for Lockstep<'_> {
             }
             let node = &mut self.nodes[index];
             if node.has_ended() {
-                node.frames = simulated.into_iter().map(<[u8]>::to_vec).collect();
+                let bytes = |plain: &[u8]| match node.epoch {
+                    Some(epoch) => authentic::sealed(plain, epoch, &self.network_keys),
+                    None => plain.to_vec(),
+                };
+                node.frames = simulated.into_iter().map(bytes).collect();
                 node.frames_agree = true;
             }
         }

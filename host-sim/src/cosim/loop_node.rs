@@ -16,13 +16,15 @@ pub(super) struct LoopNode {
     pub(super) frames: Vec<Vec<u8>>,
     /// Whether these equal the simulated agent's broadcasts.
     pub(super) frames_agree: bool,
+    /// The epoch of its last authentic frame.
+    pub(super) epoch: Option<u32>,
     pub(super) report: BoardReport,
 }
 
 impl LoopNode {
     /// Creates a node without broadcasts.
     pub(super) fn new(board: Board, neighbours: Vec<usize>, report: BoardReport) -> Self {
-        Self { board, neighbours, frames: Vec::new(), frames_agree: true, report }
+        Self { board, neighbours, frames: Vec::new(), frames_agree: true, epoch: None, report }
     }
 
     /// Stops comparing the node from this tick on.

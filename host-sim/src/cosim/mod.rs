@@ -16,6 +16,7 @@
 //! | [`qemu`], [`process`] | emulated nodes, and child processes that never outlive this one |
 //! | [`firmware`] | finds or builds the firmware of emulated nodes |
 //! | `flash_copy` | reads the flash of a node that is not running |
+//! | `authentic` | authentic frames: what is compared, and the answer to the first hello |
 //! | [`compare`] | compares a node's steps with the simulated ones |
 //! | `loop_node` | a node with its state in the co-simulation |
 //! | `lockstep` | the run observer that steps the nodes |
@@ -29,6 +30,7 @@
 //! Health monitoring ([`agent_core::health`]) uses the recommended settings on nodes, and therefore
 //! also on the simulated agents.
 
+mod authentic;
 pub mod board;
 pub mod compare;
 pub mod endpoint;
@@ -52,6 +54,7 @@ use serde::Serialize;
 
 use crate::engine::{Progress, RunError, RunOptions, run_observed};
 use crate::files::output::OutputError;
+use crate::keys::FleetKeys;
 use crate::packages::PackageBytes;
 use crate::scenario::{Record, Scenario, SimulationOnly};
 use crate::signing::OperatorKey;
@@ -73,6 +76,9 @@ pub struct Setup<'s> {
     pub timeout: Duration,
     /// Signs every package for a node, if its firmware requires signatures.
     pub signer: Option<&'s OperatorKey>,
+    /// Gives every node keys: its own port key, and the network keys of all. Nodes then broadcast
+    /// authentic frames, and take only sealed requests.
+    pub keys: Option<&'s FleetKeys>,
     /// Whether nodes start with erased flash and wait for packages.
     pub erased: bool,
     /// Called with notices during the run.
@@ -85,13 +91,16 @@ impl<'s> Setup<'s> {
     /// Creates settings without signatures or notices.
     pub fn new(start: &'s mut Start<'s>, timeout: Duration, stop: &Arc<Stop>) -> Self {
         let stop = stop.clone();
-        Self { start, timeout, signer: None, erased: false, notice: None, stop }
+        Self { start, timeout, signer: None, keys: None, erased: false, notice: None, stop }
     }
 
     fn board(&mut self, index: usize, package: &PackageBytes) -> Result<Board, NodeError> {
         let mut board = (self.start)(index, package)?;
         board.set_timeout(self.timeout);
         board.set_grace(GRACE);
+        if let Some(keys) = self.keys {
+            board.set_keys(keys.port_keys());
+        }
         Ok(board)
     }
 

@@ -14,18 +14,15 @@
 //! Like private keys, the secret is rejected if other users can read it.
 
 mod error;
+mod fleet;
 mod network_numbers;
 mod secret;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use agent_core::AgentId;
-use agent_core::service::seal::PortKey;
-use agent_core::wire::authentic::NetworkKey;
-use agent_core::wire::secret::Secret;
-
 pub use error::KeyFolderError;
+pub use fleet::FleetKeys;
 pub use network_numbers::{NetworkNumbers, Stage};
 pub use secret::{FleetSecret, PortKeys};
 
@@ -52,8 +49,7 @@ pub fn public_file(folder: &Path) -> PathBuf {
 #[derive(Debug)]
 pub struct KeyFolder {
     path: PathBuf,
-    secret: FleetSecret,
-    numbers: NetworkNumbers,
+    fleet: FleetKeys,
 }
 
 impl KeyFolder {
@@ -85,7 +81,7 @@ impl KeyFolder {
         let numbers = NetworkNumbers::FIRST;
         numbers.write(&path.join(NETWORK))?;
         let secret = FleetSecret::from_key(&secret);
-        Ok((Self { path: path.to_owned(), secret, numbers }, operator))
+        Ok((Self { path: path.to_owned(), fleet: FleetKeys::new(secret, numbers) }, operator))
     }
 
     /// Reads the folder `path`; asks for the `passphrase` if its secret is encrypted. The operator's
@@ -98,7 +94,7 @@ impl KeyFolder {
         let numbers = NetworkNumbers::read(&path.join(NETWORK))?;
         let secret = OperatorKey::read_encrypted(&path.join(SECRET), passphrase)?;
         let secret = FleetSecret::from_key(&secret);
-        Ok(Self { path: path.to_owned(), secret, numbers })
+        Ok(Self { path: path.to_owned(), fleet: FleetKeys::new(secret, numbers) })
     }
 
     /// Advances the rotation of the network keys in the folder `path` by one stage. Returns the
@@ -133,34 +129,10 @@ impl KeyFolder {
         Ok(OperatorKey::read_encrypted(&operator_file(&self.path), passphrase)?)
     }
 
-    /// Returns the port keys of all agents.
+    /// Returns the keys of the fleet.
     #[must_use]
-    pub fn port_keys(&self) -> PortKeys {
-        PortKeys::Fleet(self.secret.clone())
-    }
-
-    /// Returns the secret of an agent's port key, to provision its node.
-    #[must_use]
-    pub fn port_secret(&self, agent: AgentId) -> Secret {
-        self.secret.port_secret(agent)
-    }
-
-    /// Returns an agent's port key.
-    #[must_use]
-    pub fn port_key(&self, agent: AgentId) -> PortKey {
-        self.secret.port_key(agent)
-    }
-
-    /// Returns the numbers of the network keys in use, the one for sending first.
-    #[must_use]
-    pub fn network_numbers(&self) -> NetworkNumbers {
-        self.numbers
-    }
-
-    /// Returns the network keys in use, the one for sending first.
-    #[must_use]
-    pub fn network_keys(&self) -> Vec<NetworkKey> {
-        self.numbers.iter().map(|number| self.secret.network_key(number)).collect()
+    pub fn fleet(&self) -> &FleetKeys {
+        &self.fleet
     }
 }
 

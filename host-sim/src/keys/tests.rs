@@ -4,6 +4,7 @@ use tempfile::TempDir;
 
 use super::*;
 use crate::signing::{KeyFileError, read_public_key};
+use agent_core::wire::secret::Secret;
 
 fn no_passphrase(path: &Path) -> Result<zeroize::Zeroizing<String>, KeyFileError> {
     Err(KeyFileError::PassphraseNeeded { path: path.to_owned() })
@@ -26,10 +27,9 @@ fn a_new_folder_round_trips() {
     let path = folder.path().join("made/keys");
     let (made, operator) = KeyFolder::create(&path).unwrap();
     let found = read(&path).unwrap();
-    assert_eq!(found.port_secret(3), made.port_secret(3));
-    assert_eq!(found.network_keys(), made.network_keys());
-    assert_eq!(found.network_keys()[0].number(), 1);
-    assert_eq!(found.network_keys(), [made.secret.network_key(1)]);
+    assert_eq!(found.fleet().port_secret(3), made.fleet().port_secret(3));
+    assert_eq!(found.fleet().network_keys(), made.fleet().network_keys());
+    assert_eq!(found.fleet().network_keys()[0].number(), 1);
     let read = found.operator(&mut no_passphrase).unwrap();
     assert_eq!(read.public_key(), operator.public_key());
     assert_eq!(&read_public_key(&public_file(&path)).unwrap(), operator.public_key());
@@ -99,7 +99,7 @@ fn derivation_is_hkdf() {
 #[test]
 fn a_rotation_has_three_stages() {
     let (_folder, path) = new_folder();
-    let numbers = || read(&path).unwrap().network_numbers();
+    let numbers = || read(&path).unwrap().fleet().network_numbers();
     let mut seen = vec![numbers().iter().collect::<Vec<_>>()];
     let mut stages = vec![numbers().stage()];
     for _ in 0..3 {

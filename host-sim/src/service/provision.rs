@@ -8,7 +8,7 @@ use agent_core::wire::authentic::NetworkKey;
 
 use super::push::done;
 use super::{Client, LineError, Message, RetryPolicy, ServiceError};
-use crate::keys::KeyFolder;
+use crate::keys::FleetKeys;
 use crate::signing::OperatorKey;
 
 /// How long a node may take to forget its keys and restart: it erases its flash.
@@ -36,28 +36,37 @@ pub fn session(
     }
 }
 
-/// Gives a node the port key of `agent` and the network keys of the folder, whose keys the client must
-/// have. A node that is not provisioned gets its port key in the clear.
+/// Gives a node the port key of `agent`, and the network keys. The client must have the port keys. A
+/// node that is not provisioned gets its port key in the clear, signed by the `operator`, which is
+/// needed if its firmware accepts only signed packages.
 ///
 /// # Errors
 /// See [`ServiceError`].
 pub fn provision(
     client: &mut Client,
-    keys: &KeyFolder,
-    operator: &OperatorKey,
+    fleet: &FleetKeys,
+    operator: Option<&OperatorKey>,
     agent: AgentId,
     epoch: u32,
     retry_policy: RetryPolicy,
 ) -> Result<(), ServiceError> {
-    let port_key = keys.port_secret(agent);
-    let provision = Provision { agent, port_key, epoch };
-    let signature = operator.sign(&provision.signed_bytes());
-    let bytes = &[&provision.to_bytes()[..], &signature].concat();
-    let request = Request::Provision { bytes };
+    let provision = Provision { agent, port_key: fleet.port_secret(agent), epoch };
+    let mut bytes = provision.to_bytes().to_vec();
+    if let Some(operator) = operator {
+        bytes.extend(operator.sign(&provision.signed_bytes()));
+    }
+    let request = Request::Provision { bytes: &bytes };
     client.request(&request, retry_policy, &mut |_| {}, "a confirmation", done)?;
     // The port key is another one from now on.
     client.forget_session();
-    network_keys(client, &keys.network_keys(), retry_policy)
+    network_keys(client, &fleet.network_keys(), retry_policy)
+}
+
+/// Returns the epoch of a node that is provisioned now: seconds since 1970, which fit until 2106.
+#[must_use]
+pub fn epoch_now() -> u32 {
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    u32::try_from(now.unwrap_or_default().as_secs()).unwrap_or(u32::MAX)
 }
 
 /// Gives a node network keys in place of those before.

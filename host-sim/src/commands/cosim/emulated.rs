@@ -11,6 +11,7 @@ use crate::commands::CommandError;
 use crate::commands::key::Passphrase;
 use crate::cosim::qemu::Qemu;
 use crate::files::output::OutputError;
+use crate::keys::KeyFolder;
 use crate::learning::agent_config;
 use crate::scenario::Scenario;
 use crate::signing::{EitherKey, OperatorKey};
@@ -34,6 +35,15 @@ impl Signing {
             EitherKey::Public(key) => Self::Public(key),
             EitherKey::Private(key) => Self::Private(key),
         })
+    }
+
+    /// Reads the operator's private key of a key folder.
+    pub(super) fn of_folder(
+        folder: &KeyFolder,
+        passphrase: &Passphrase,
+    ) -> Result<Self, CommandError> {
+        let operator = folder.operator(&mut |path| passphrase.ask(path))?;
+        Ok(Self::Private(Box::new(operator)))
     }
 
     pub(super) fn signer(&self) -> Option<&OperatorKey> {

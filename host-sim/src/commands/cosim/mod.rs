@@ -25,10 +25,12 @@ use crate::cosim::firmware::{self, Firmware};
 use crate::cosim::qemu::{Channel, PROGRAM, Qemu};
 use crate::cosim::{CosimReport, Notice, Service, Setup, board::Board, cosimulate};
 use crate::interruption::{self, SecondSignal};
+use crate::keys::FleetKeys;
 use crate::memory_map::MemoryMap;
 use crate::packages::PackageBytes;
 use crate::scenario::Scenario;
 use crate::shell::shell_word;
+use crate::signing::KeyFileError;
 use crate::terminal;
 use crate::warning::{Warning, WarningCode};
 
@@ -80,6 +82,14 @@ pub(super) struct Arguments {
     /// pushed
     #[arg(long, value_name = "KEY.pem")]
     key: Option<PathBuf>,
+    /// Give every node a port key and network keys of its own for this run: nodes then broadcast
+    /// authentic frames
+    #[arg(long, conflicts_with = "keys")]
+    network_key: bool,
+    /// Give every node the keys in this folder, as created by `keygen`, and use firmware that accepts
+    /// only packages signed by its operator
+    #[arg(long, value_name = "FOLDER", conflicts_with = "key")]
+    keys: Option<PathBuf>,
     #[command(flatten)]
     passphrase: Passphrase,
     #[command(flatten)]
@@ -117,7 +127,17 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     // Reject bad input before building firmware.
     crate::cosim::prepared(&scenario)?;
     let timeout = Duration::from_secs_f64(arguments.timeout);
-    let signing = Signing::read(arguments.key.as_deref(), &arguments.passphrase)?;
+    let folder = arguments.keys.as_deref().map(|path| arguments.passphrase.folder(path));
+    let folder = folder.transpose()?;
+    let signing = match &folder {
+        Some(folder) => Signing::of_folder(folder, &arguments.passphrase)?,
+        None => Signing::read(arguments.key.as_deref(), &arguments.passphrase)?,
+    };
+    let keys = match folder {
+        Some(folder) => Some(folder.fleet().clone()),
+        None if arguments.network_key => Some(FleetKeys::generate().map_err(KeyFileError::Random)?),
+        None => None,
+    };
     let is_emulated = |index: usize| !matches!(endpoints[index], Endpoint::At(_));
     let emulated = (0..endpoints.len()).any(is_emulated);
     let qemu = emulated.then(|| emulator(arguments, &signing, timeout)).transpose()?;
@@ -171,6 +191,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     };
     let mut setup = Setup::new(start, timeout, interruption::stop());
     setup.signer = signing.signer();
+    setup.keys = keys.as_ref();
     setup.erased = signing.is_public_only();
     if arguments.serve.is_some() {
         setup.notice = Some(notice);
@@ -243,11 +264,13 @@ fn notice_text(arguments: &Arguments, agents: usize, notice: &Notice<'_>) -> Str
 /// Returns how to reach the nodes.
 fn served(arguments: &Arguments, agents: usize) -> String {
     let Some(folder) = &arguments.serve else { return String::new() };
+    let keys = arguments.keys.as_ref();
+    let keys = keys.map_or(String::new(), |folder| format!(" --keys {}", shell_word(folder)));
     let socket = shell_word(&folder.join("agent-1.sock"));
     let others = if agents > 1 { format!(", agents 1 to {agents}") } else { String::new() };
     format!(
-        "Nodes can be reached until Ctrl-C{others}:\n  host-sim monitor {socket}\n  host-sim push \
-         {socket} PACKAGE\n  host-sim node {socket} status"
+        "Nodes can be reached until Ctrl-C{others}:\n  host-sim monitor {socket}{keys}\n  host-sim push \
+         {socket} PACKAGE{keys}\n  host-sim node {socket} status"
     )
 }
 

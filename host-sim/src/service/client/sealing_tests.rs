@@ -207,17 +207,18 @@ fn a_node_is_provisioned_given_other_keys_and_reset() {
     let folder = tempfile::TempDir::new().unwrap();
     let (keys, operator) = KeyFolder::create(&folder.path().join("keys")).unwrap();
     let (node, _seen) = FakeNode::new(None);
-    let (mut client, node) = client(node, Some(keys.port_keys()));
+    let (mut client, node) = client(node, Some(keys.fleet().port_keys()));
     let found = |client: &mut Client| provision::session(client, RETRY_POLICY).unwrap();
     for agent in [2, 3] {
-        provision::provision(&mut client, &keys, &operator, agent, 77, RETRY_POLICY).unwrap();
+        provision::provision(&mut client, keys.fleet(), Some(&operator), agent, 77, RETRY_POLICY)
+            .unwrap();
         let session = found(&mut client).unwrap();
         assert_eq!((session.agent, session.network_keys), (agent, [Some(1), None]));
     }
     KeyFolder::advance_rotation(keys.path()).unwrap();
     let keys =
         KeyFolder::read(keys.path(), &mut |_| unreachable!("there is no passphrase")).unwrap();
-    provision::network_keys(&mut client, &keys.network_keys(), RETRY_POLICY).unwrap();
+    provision::network_keys(&mut client, &keys.fleet().network_keys(), RETRY_POLICY).unwrap();
     assert_eq!(found(&mut client).unwrap().network_keys, [Some(1), Some(2)]);
     assert!(provision::factory_reset(&mut client, RETRY_POLICY).unwrap());
     assert_eq!(found(&mut client), None);

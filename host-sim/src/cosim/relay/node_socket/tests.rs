@@ -53,7 +53,7 @@ impl Served {
         let address = Address::Socket(self.folder.path().join("socket"));
         let mut client = NodeClient::new(address.connect(&std::sync::Arc::default()).unwrap());
         if keys {
-            client.set_keys(self.keys.port_keys());
+            client.set_keys(self.keys.fleet().port_keys());
         }
         let (socket, node) = (&mut self.socket, &mut self.node);
         std::thread::scope(|scope| {
@@ -79,7 +79,8 @@ impl Served {
         let keys = KeyFolder::read(&folder, &mut |_| unreachable!()).unwrap();
         let operator = keys.operator(&mut |_| unreachable!()).unwrap();
         self.with(true, |client| {
-            provision::provision(client, &keys, &operator, agent, 7, RETRY_POLICY).unwrap();
+            provision::provision(client, keys.fleet(), Some(&operator), agent, 7, RETRY_POLICY)
+                .unwrap();
         });
     }
 }

@@ -1,0 +1,56 @@
+//! The keys of a fleet, from a key folder or for one run.
+
+use agent_core::AgentId;
+use agent_core::wire::authentic::NetworkKey;
+use agent_core::wire::secret::Secret;
+
+use super::{FleetSecret, NetworkNumbers, PortKeys};
+
+/// The secret of a fleet, and the numbers of its network keys.
+#[derive(Clone, Debug)]
+pub struct FleetKeys {
+    secret: FleetSecret,
+    numbers: NetworkNumbers,
+}
+
+impl FleetKeys {
+    /// Takes the secret, and the numbers of the network keys in use.
+    #[must_use]
+    pub fn new(secret: FleetSecret, numbers: NetworkNumbers) -> Self {
+        Self { secret, numbers }
+    }
+
+    /// Creates keys from the operating system's randomness.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn generate() -> Result<Self, getrandom::Error> {
+        let mut bytes = [0; 32];
+        getrandom::fill(&mut bytes)?;
+        Ok(Self::new(FleetSecret::new(bytes), NetworkNumbers::FIRST))
+    }
+
+    /// Returns the port keys of all agents.
+    #[must_use]
+    pub fn port_keys(&self) -> PortKeys {
+        PortKeys::Fleet(self.secret.clone())
+    }
+
+    /// Returns the secret of an agent's port key, to provision its node.
+    #[must_use]
+    pub fn port_secret(&self, agent: AgentId) -> Secret {
+        self.secret.port_secret(agent)
+    }
+
+    /// Returns the numbers of the network keys in use, the one for sending first.
+    #[must_use]
+    pub fn network_numbers(&self) -> NetworkNumbers {
+        self.numbers
+    }
+
+    /// Returns the network keys in use, the one for sending first.
+    #[must_use]
+    pub fn network_keys(&self) -> Vec<NetworkKey> {
+        self.numbers.iter().map(|number| self.secret.network_key(number)).collect()
+    }
+}
