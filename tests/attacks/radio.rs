@@ -43,10 +43,13 @@ impl Node {
             _ => [1, 2],
         };
         let end = unreserved + 4;
+        let neighbours = [neighbour(first), neighbour(second)];
+        let mut trust = Trust::new(own, (unreserved, end), PARAMS);
+        assert!(trust.set_neighbours(&neighbours));
         Self {
             own,
-            trust: Trust::new(own, 2, (unreserved, end), PARAMS).unwrap(),
-            neighbours: [neighbour(first), neighbour(second)],
+            trust,
+            neighbours,
             keys,
             sequence: 0,
             last: None,
@@ -78,7 +81,7 @@ impl Node {
         }
         sent.extend(self.trust.hello(now, &key));
         if let Some(last) = &self.last {
-            sent.extend(self.trust.answer(&self.neighbours, last, now, &key));
+            sent.extend(self.trust.answer(last, now, &key));
         }
         sent
     }
@@ -87,7 +90,7 @@ impl Node {
         &mut self,
         bytes: &[u8],
     ) -> Result<Option<Frame<1>>, agent_core::wire::frame::FrameError> {
-        self.trust.open(&self.neighbours, &self.keys, bytes)
+        self.trust.open(&self.keys, bytes)
     }
 }
 

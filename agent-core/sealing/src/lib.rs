@@ -9,7 +9,7 @@
 //! | [`hash`] | SipHash-2-4 (Aumasson and Bernstein 2012) | about 50 instructions per byte |
 //!
 //! SipHash is written here because it takes a third of the flash that the crate `siphasher` takes at
-//! these levels: see docs/decisions/0014-keys.md. Tests compare the two.
+//! these levels: see docs/decisions/0020-keys.md. Tests compare the two.
 #![no_std]
 
 use ascon_aead::aead::{AeadInOut, KeyInit};

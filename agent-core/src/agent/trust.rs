@@ -22,7 +22,7 @@
 //! agent, and when the sequence is used up. Epochs up to [`Trust::epochs_end`] have been reserved in
 //! the store before the first is used; a node without a reserved epoch only listens.
 //!
-//! Memory: 24 bytes per neighbour and 40 bytes. Cost: that of a tag, and a search among the neighbours.
+//! Memory: 40 bytes per neighbour and 64 bytes. Cost: that of a tag, and a search among the neighbours.
 //! Invariant: of two frames made with the same key, the later one has the greater stamp; a frame is
 //! believed at most once.
 
@@ -43,6 +43,7 @@ pub struct TrustParams {
 /// What a node knows of a neighbour.
 #[derive(Clone, Copy, Debug, Default)]
 struct Peer {
+    id: AgentId,
     /// The greatest stamp believed.
     believed: Option<Stamp>,
     /// The epoch of a hello that has not been answered yet.
@@ -69,17 +70,10 @@ pub struct Trust<const NEIGHBOURS: usize> {
 impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
     /// Creates the state of the agent `own` after a boot: nothing is believed yet. The epochs from
     /// `first` up to, but without, `end` have been reserved in the store, read back, and never been
-    /// used before; there may be none. `None` for more than `NEIGHBOURS` neighbours.
+    /// used before; there may be none.
     #[must_use]
-    pub fn new(
-        own: AgentId,
-        neighbours: usize,
-        (first, end): (u32, u32),
-        params: TrustParams,
-    ) -> Option<Self> {
-        let mut peers = heapless::Vec::new();
-        peers.resize(neighbours, Peer::default()).ok()?;
-        Some(Self {
+    pub fn new(own: AgentId, (first, end): (u32, u32), params: TrustParams) -> Self {
+        Self {
             params,
             own,
             boot_epoch: first,
@@ -87,8 +81,20 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
             epochs_end: end,
             sealed: None,
             last_hello: None,
-            peers,
-        })
+            peers: heapless::Vec::new(),
+        }
+    }
+
+    /// Makes these the agent's neighbours, in the order of its parameters. Those that keep their place
+    /// stay believed. Returns whether there is room.
+    pub fn set_neighbours(&mut self, neighbours: &[Neighbour]) -> bool {
+        let has_room = self.peers.resize(neighbours.len(), Peer::default()).is_ok();
+        for (peer, neighbour) in self.peers.iter_mut().zip(neighbours) {
+            if peer.id != neighbour.id {
+                *peer = Peer { id: neighbour.id, ..Peer::default() };
+            }
+        }
+        has_room
     }
 
     /// Returns the end of the reserved epochs.
@@ -126,17 +132,6 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         self.peers.get(place).is_some_and(|peer| peer.believed.is_some())
     }
 
-    /// Forgets neighbours that are no longer the same, for other neighbours in their places.
-    /// Returns whether there is room for `neighbours`.
-    pub fn keep_neighbours(&mut self, neighbours: usize, stays: impl Fn(usize) -> bool) -> bool {
-        for (place, peer) in self.peers.iter_mut().enumerate() {
-            if !stays(place) {
-                *peer = Peer::default();
-            }
-        }
-        self.peers.resize(neighbours, Peer::default()).is_ok()
-    }
-
     /// Returns the bytes of a broadcast of the observer, or `None` if the node may only listen.
     pub fn seal<const N: usize>(&mut self, frame: &Frame<N>, key: &NetworkKey) -> Option<Bytes> {
         // Raised if the sequence starts again.
@@ -171,27 +166,26 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
     /// agent's last broadcast.
     pub fn answer<const N: usize>(
         &mut self,
-        neighbours: &[Neighbour],
         last: &Frame<N>,
         now: Tick,
         key: &NetworkKey,
     ) -> Option<Bytes> {
         // The last broadcast must have been sealed: its stamp is part of the answer.
         let sequence = self.sealed.filter(|&sealed| sealed == last.sequence)?;
-        let (to, epoch) = self.asking(neighbours, now)?;
+        let (to, epoch) = self.asking(now)?;
         let stamp = Stamp { epoch: self.epoch, sequence };
         let kind = Kind::Sync { to, epoch };
         Some(self.bytes(stamp, last.tick, kind, last.estimate.as_slice(), key))
     }
 
     /// Takes the next neighbour to answer, and the epoch of its hello.
-    fn asking(&mut self, neighbours: &[Neighbour], now: Tick) -> Option<(AgentId, u32)> {
+    fn asking(&mut self, now: Tick) -> Option<(AgentId, u32)> {
         let gap = self.params.answer_gap;
-        self.peers.iter_mut().zip(neighbours).find_map(|(peer, neighbour)| {
+        self.peers.iter_mut().find_map(|peer| {
             let is_early = peer.answered.is_some_and(|last| now.saturating_sub(last) < gap);
             let epoch = peer.asks.filter(|_| !is_early)?;
             (peer.asks, peer.answered) = (None, Some(now));
-            Some((neighbour.id, epoch))
+            Some((peer.id, epoch))
         })
     }
 
@@ -204,7 +198,6 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
     /// [`FrameError::NotBelieved`] or [`FrameError::Replayed`].
     pub fn open<const N: usize>(
         &mut self,
-        neighbours: &[Neighbour],
         keys: &[NetworkKey],
         bytes: &[u8],
     ) -> Result<Option<Frame<N>>, FrameError> {
@@ -214,20 +207,19 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
             Kind::Hello => StateVector::zeros(),
             Kind::Estimate | Kind::Sync { .. } => authentic::estimate(sender, words)?,
         };
-        let is_new = self.believe(neighbours, &header)?;
+        let is_new = self.believe(&header)?;
         Ok(is_new.then_some(Frame { sender, sequence: stamp.sequence, tick, estimate }))
     }
 
     /// Believes an authentic frame or not; returns whether it has a new sample.
     #[inline(never)]
-    fn believe(&mut self, neighbours: &[Neighbour], header: &Header) -> Result<bool, FrameError> {
+    fn believe(&mut self, header: &Header) -> Result<bool, FrameError> {
         let &Header { sender, stamp, kind, .. } = header;
         let unknown = FrameError::UnknownSender { sender };
         let replayed = FrameError::Replayed { sender };
-        let place = neighbours.iter().position(|n| n.id == sender).ok_or(unknown)?;
         // A node without a reserved epoch has said nothing that could be answered.
         let own_epochs = self.boot_epoch..self.epoch.saturating_add(1).min(self.epochs_end);
-        let peer = self.peers.get_mut(place).ok_or(unknown)?;
+        let peer = self.peers.iter_mut().find(|peer| peer.id == sender).ok_or(unknown)?;
         match kind {
             Kind::Hello => {
                 if peer.believed.is_some_and(|believed| stamp.epoch < believed.epoch) {

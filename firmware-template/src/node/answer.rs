@@ -106,7 +106,7 @@ impl<
             }
             Request::NetworkKeys { bytes } => {
                 self.guard.replace_network_keys(bytes, &mut self.store)?;
-                self.prepare_guard(None);
+                self.prepare_guard();
                 Ok((Response::Done, Next::Continue))
             }
             Request::FactoryReset => {

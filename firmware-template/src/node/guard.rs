@@ -125,37 +125,39 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
         self.port.as_ref().map(|&(_, agent)| agent)
     }
 
-    /// Prepares for an agent and its neighbours, after one that had the neighbours `old`.
+    /// Prepares for an agent with this step and these neighbours.
     #[inline(never)]
-    pub(super) fn begin<F: MappedFlash>(
+    pub(super) fn prepare<F: MappedFlash>(
         &mut self,
         (own, step_size): (AgentId, f32),
-        (old, new): (&[Neighbour], &[Neighbour]),
+        neighbours: &[Neighbour],
         store: &mut Store<F>,
         settings: &Settings,
     ) {
         if self.network.is_empty() {
-            self.trust = None;
             return;
         }
-        let ticks = |seconds: f32| Tick::from(((seconds / step_size) as u32).max(1));
-        let params =
-            TrustParams { hello_interval: ticks(HELLO_INTERVAL), answer_gap: ticks(ANSWER_GAP) };
-        let mut trust = self.trust.take().filter(|trust| trust.own() == own);
-        let is_short = trust.as_ref().is_none_or(|trust| trust.epochs_left() <= 1);
         // Without epochs the node only listens.
-        let taken = is_short.then(|| self.take(TAKEN, store, settings).ok()).flatten();
+        let is_same = self.trust.as_ref().filter(|trust| trust.own() == own);
+        let taken = match is_same {
+            Some(trust) if trust.epochs_left() > 1 => None,
+            _ => self.take(TAKEN, store, settings).ok(),
+        };
         let taken = taken.map(|epochs| (epochs.next, epochs.end));
-        if let Some(trust) = &mut trust {
-            if let Some(taken) = taken {
-                trust.extend(taken);
+        match (&mut self.trust, taken) {
+            (Some(trust), Some(taken)) if trust.own() == own => trust.extend(taken),
+            (Some(trust), _) if trust.own() == own => {}
+            (trust, taken) => {
+                let ticks = |seconds: f32| Tick::from(((seconds / step_size) as u32).max(1));
+                let (hello_interval, answer_gap) = (ticks(HELLO_INTERVAL), ticks(ANSWER_GAP));
+                let params = TrustParams { hello_interval, answer_gap };
+                *trust = Some(Trust::new(own, taken.unwrap_or((0, 0)), params));
             }
-            let id = |list: &[Neighbour], place: usize| list.get(place).map(|n| n.id);
-            let _ = trust.keep_neighbours(new.len(), |place| id(old, place) == id(new, place));
-        } else {
-            trust = Trust::new(own, new.len(), taken.unwrap_or((0, 0)), params);
         }
-        self.trust = trust;
+        if let Some(trust) = &mut self.trust {
+            // A package with more neighbours than the node has room for is not accepted.
+            let _ = trust.set_neighbours(neighbours);
+        }
     }
 
     /// Keeps a received frame for the next step, or counts why it was refused.
@@ -173,7 +175,7 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
             }
             return;
         };
-        match trust.open(watched.params.neighbours(), &self.network, bytes) {
+        match trust.open(&self.network, bytes) {
             Ok(Some(frame)) => {
                 let _ = watched.receive_believed(&frame);
             }
@@ -201,7 +203,6 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
     /// Sends a hello and an answer if they are due. `last` is the agent's last broadcast.
     pub(super) fn greet<const N: usize, B: Board>(
         &mut self,
-        neighbours: &[Neighbour],
         last: &Frame<N>,
         now: Tick,
         board: &mut B,
@@ -212,7 +213,7 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
         if let Some(bytes) = trust.hello(now, key) {
             board.broadcast(&bytes)?;
         }
-        match trust.answer(neighbours, last, now, key) {
+        match trust.answer(last, now, key) {
             Some(bytes) => board.broadcast(&bytes),
             None => Ok(()),
         }

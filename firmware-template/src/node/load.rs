@@ -123,12 +123,10 @@ impl<
     #[inline(never)]
     pub(super) fn begin_session(&mut self) {
         let old = self.memory.session.pop().map(|session| session.params);
-        let old = old.as_ref().map_or(&[][..], ParamsPlace::neighbours);
-        let next = self.session_after(old);
+        let next = self.session_after(old.as_ref().map_or(&[], ParamsPlace::neighbours));
         if let Some(next) = next {
             // There is room: the old one has been taken out.
             let _ = self.memory.session.push(next);
-            self.prepare_guard(Some(old));
         }
         match (self.memory.session.first(), &mut self.trial) {
             (Some(session), _) => {
@@ -142,14 +140,13 @@ impl<
         }
     }
 
-    /// Prepares for the frames of the session's neighbours, after a session that had the neighbours
-    /// `old`; `None` if they are the same.
-    pub(super) fn prepare_guard(&mut self, old: Option<&[Neighbour]>) {
+    /// Prepares for the frames of the session's neighbours. Apart from [`Self::begin_session`], so that
+    /// their stacks are not added.
+    #[inline(never)]
+    pub(super) fn prepare_guard(&mut self) {
         let Self { guard, store, settings, memory, .. } = self;
         if let Some(Session { agent, params, .. }) = memory.session.first() {
-            let new = params.neighbours();
-            let neighbours = (old.unwrap_or(new), new);
-            guard.begin((*agent, params.step_size()), neighbours, store, settings);
+            guard.prepare((*agent, params.step_size()), params.neighbours(), store, settings);
         }
     }
 

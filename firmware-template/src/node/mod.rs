@@ -418,6 +418,7 @@ impl<
             }
             Due::Session => {
                 self.begin_session();
+                self.prepare_guard();
                 if let Some(session) = self.memory.session.first() {
                     board.start(session.params.step_size());
                 }

@@ -28,10 +28,10 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
         None
     }
 
-    pub(super) fn begin<F: MappedFlash>(
+    pub(super) fn prepare<F: MappedFlash>(
         &mut self,
         _: (AgentId, f32),
-        _: (&[Neighbour], &[Neighbour]),
+        _: &[Neighbour],
         _: &mut Store<F>,
         _: &Settings,
     ) {
@@ -59,7 +59,6 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
 
     pub(super) fn greet<const N: usize, B: Board>(
         &mut self,
-        _: &[Neighbour],
         _: &Frame<N>,
         _: Tick,
         _: &mut B,

@@ -105,7 +105,7 @@ impl<
             counts.not_sent(kind);
         }
         let last = agent.state.announcement(&params);
-        if let Err(kind) = guard.greet(params.neighbours(), &last, tick, board) {
+        if let Err(kind) = guard.greet(&last, tick, board) {
             counts.not_sent(kind);
         }
         let sample = step.sample().copied().filter(|_| unmeasured.is_none());

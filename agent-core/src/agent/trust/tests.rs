@@ -4,6 +4,13 @@ use crate::wire::secret::Secret;
 const KEY: NetworkKey = NetworkKey::new(1, Secret::new([9; 16]));
 const PARAMS: TrustParams = TrustParams { hello_interval: 250, answer_gap: 100 };
 
+/// Agent 1 or 2, whose neighbour is the other one.
+fn trust(own: AgentId, epochs: (u32, u32)) -> Trust<1> {
+    let mut trust = Trust::new(own, epochs, PARAMS);
+    assert!(trust.set_neighbours(&[neighbour(3 - own)]));
+    trust
+}
+
 fn neighbour(id: AgentId) -> Neighbour {
     Neighbour { id, weight: 1.0 }
 }
@@ -15,51 +22,48 @@ fn sampled(sender: AgentId, sequence: u32) -> Frame<1> {
 
 /// Agent 1 and agent 2 after a boot with the given epochs.
 fn pair(first: u32, second: u32) -> [Trust<1>; 2] {
-    [(1, first), (2, second)]
-        .map(|(own, epoch)| Trust::new(own, 1, (epoch, epoch + 10), PARAMS).unwrap())
+    [(1, first), (2, second)].map(|(own, epoch)| trust(own, (epoch, epoch + 10)))
 }
 
 #[test]
 fn a_neighbour_is_believed_after_its_answer() {
     let [mut one, mut two] = pair(5, 8);
-    let (of_one, of_two) = ([neighbour(2)], [neighbour(1)]);
     let first = two.seal(&sampled(2, 0), &KEY).unwrap();
     let refused = FrameError::NotBelieved { sender: 2 };
-    assert_eq!(one.open::<1>(&of_one, &[KEY], &first), Err(refused));
+    assert_eq!(one.open::<1>(&[KEY], &first), Err(refused));
 
     let hello = one.hello(0, &KEY).unwrap();
     assert_eq!(one.hello(249, &KEY), None);
-    assert_eq!(two.open::<1>(&of_two, &[KEY], &hello), Ok(None));
-    let sync = two.answer(&of_two, &sampled(2, 0), 3, &KEY).unwrap();
-    assert_eq!(two.answer(&of_two, &sampled(2, 0), 4, &KEY), None);
+    assert_eq!(two.open::<1>(&[KEY], &hello), Ok(None));
+    let sync = two.answer(&sampled(2, 0), 3, &KEY).unwrap();
+    assert_eq!(two.answer(&sampled(2, 0), 4, &KEY), None);
     // The hello does not make agent 1 believed.
     assert!(!two.is_believed(0));
 
-    assert_eq!(one.open(&of_one, &[KEY], &sync), Ok(Some(sampled(2, 0))));
+    assert_eq!(one.open(&[KEY], &sync), Ok(Some(sampled(2, 0))));
     assert!(one.is_believed(0));
-    assert_eq!(one.open::<1>(&of_one, &[KEY], &sync), Ok(None));
+    assert_eq!(one.open::<1>(&[KEY], &sync), Ok(None));
     assert_eq!(one.hello(1_000, &KEY), None);
     let replayed = FrameError::Replayed { sender: 2 };
-    assert_eq!(one.open::<1>(&of_one, &[KEY], &first), Err(replayed));
+    assert_eq!(one.open::<1>(&[KEY], &first), Err(replayed));
     let next = two.seal(&sampled(2, 1), &KEY).unwrap();
-    assert_eq!(one.open(&of_one, &[KEY], &next), Ok(Some(sampled(2, 1))));
-    assert_eq!(one.open::<1>(&of_one, &[KEY], &next), Err(replayed));
+    assert_eq!(one.open(&[KEY], &next), Ok(Some(sampled(2, 1))));
+    assert_eq!(one.open::<1>(&[KEY], &next), Err(replayed));
 }
 
 #[test]
 fn an_answer_from_an_earlier_life_is_refused() {
     let [mut one, mut two] = pair(5, 8);
-    let (of_one, of_two) = ([neighbour(2)], [neighbour(1)]);
     let _ = two.seal(&sampled(2, 0), &KEY);
     let hello = one.hello(0, &KEY).unwrap();
-    let _ = two.open::<1>(&of_two, &[KEY], &hello);
-    let sync = two.answer(&of_two, &sampled(2, 0), 3, &KEY).unwrap();
-    let mut rebooted = Trust::<1>::new(1, 1, (15, 25), PARAMS).unwrap();
+    let _ = two.open::<1>(&[KEY], &hello);
+    let sync = two.answer(&sampled(2, 0), 3, &KEY).unwrap();
+    let mut rebooted = trust(1, (15, 25));
     let replayed = Err(FrameError::Replayed { sender: 2 });
-    assert_eq!(rebooted.open::<1>(&of_one, &[KEY], &sync), replayed);
+    assert_eq!(rebooted.open::<1>(&[KEY], &sync), replayed);
     // Nor by a node that has no epoch of its own, even if the numbers match.
-    let mut listening = Trust::<1>::new(1, 1, (5, 5), PARAMS).unwrap();
-    assert_eq!(listening.open::<1>(&of_one, &[KEY], &sync), replayed);
+    let mut listening = trust(1, (5, 5));
+    assert_eq!(listening.open::<1>(&[KEY], &sync), replayed);
     assert_eq!(listening.hello(0, &KEY), None);
     assert_eq!(listening.seal(&sampled(1, 0), &KEY), None);
 }
@@ -67,23 +71,22 @@ fn an_answer_from_an_earlier_life_is_refused() {
 #[test]
 fn a_rebooted_sender_is_believed_at_once() {
     let [mut one, mut two] = pair(5, 8);
-    let (of_one, of_two) = ([neighbour(2)], [neighbour(1)]);
     let _ = two.seal(&sampled(2, 7), &KEY);
-    let _ = two.open::<1>(&of_two, &[KEY], &one.hello(0, &KEY).unwrap());
-    let sync = two.answer(&of_two, &sampled(2, 7), 3, &KEY).unwrap();
-    assert!(one.open::<1>(&of_one, &[KEY], &sync).is_ok());
-    let mut rebooted = Trust::<1>::new(2, 1, (18, 28), PARAMS).unwrap();
+    let _ = two.open::<1>(&[KEY], &one.hello(0, &KEY).unwrap());
+    let sync = two.answer(&sampled(2, 7), 3, &KEY).unwrap();
+    assert!(one.open::<1>(&[KEY], &sync).is_ok());
+    let mut rebooted = trust(2, (18, 28));
     let frame = rebooted.seal(&sampled(2, 0), &KEY).unwrap();
-    assert_eq!(one.open(&of_one, &[KEY], &frame), Ok(Some(sampled(2, 0))));
+    assert_eq!(one.open(&[KEY], &frame), Ok(Some(sampled(2, 0))));
     // Its hello of the life before is not answered any more.
     let old = two.hello(10, &KEY).unwrap();
     let replayed = Err(FrameError::Replayed { sender: 2 });
-    assert_eq!(one.open::<1>(&of_one, &[KEY], &old), replayed);
+    assert_eq!(one.open::<1>(&[KEY], &old), replayed);
 }
 
 #[test]
 fn the_epoch_rises_when_the_sequence_starts_again() {
-    let mut one = Trust::<1>::new(1, 1, (5, 7), PARAMS).unwrap();
+    let mut one = trust(1, (5, 7));
     assert!(one.seal(&sampled(1, 0), &KEY).is_some());
     assert!(one.seal(&sampled(1, u32::MAX), &KEY).is_some());
     assert_eq!(one.epochs_left(), 2);
@@ -98,13 +101,12 @@ fn the_epoch_rises_when_the_sequence_starts_again() {
 #[test]
 fn a_repeated_hello_is_answered_at_most_once_in_the_gap() {
     let [mut one, mut two] = pair(5, 8);
-    let of_two = [neighbour(1)];
     let _ = two.seal(&sampled(2, 0), &KEY);
     let hello = one.hello(0, &KEY).unwrap();
     let mut answers = 0;
     for now in 0..1_000 {
-        assert_eq!(two.open::<1>(&of_two, &[KEY], &hello), Ok(None));
-        answers += u32::from(two.answer(&of_two, &sampled(2, 0), now, &KEY).is_some());
+        assert_eq!(two.open::<1>(&[KEY], &hello), Ok(None));
+        answers += u32::from(two.answer(&sampled(2, 0), now, &KEY).is_some());
     }
     assert_eq!(answers, 10);
 }
