@@ -193,6 +193,7 @@ impl<S: Sensor, L: Link, C: Clock, P: Read + ReadReady + Write> Board for Hardwa
         self.link.poll(buffer).map_err(|error| error.kind()).transpose()
     }
 
+    #[inline(never)] // Frees its stack before the request is carried out.
     fn request<'buffer>(
         &mut self,
         buffer: &'buffer mut RequestBuffer,

@@ -124,6 +124,7 @@ impl<P: Read + Write, const FRAMES: usize> Board for InTheLoop<P, FRAMES> {
         Some(copied(&frame, buffer).map(|frame| &*frame).map_err(LinkErrorKind::from))
     }
 
+    #[inline(never)] // Frees its stack before the request is carried out.
     fn request<'buffer>(
         &mut self,
         buffer: &'buffer mut RequestBuffer,

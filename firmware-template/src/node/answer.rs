@@ -3,12 +3,12 @@
 use agent_core::health::{RevertReason, Trial, Verdict};
 use agent_core::package::{Envelope, Package};
 use agent_core::service::{Problem, Upload, receive, split_number};
-use agent_core::store::MappedFlash;
+use agent_core::store::{MappedFlash, Slot};
 use agent_core::{StateVector, Tick};
 
 use super::limits::take;
 use super::load::Verified;
-use super::{Due, Event, Next, Node, Request, Response, respond, respond_to};
+use super::{Due, Event, InUsePackage, Next, Node, Request, Response, respond, respond_to};
 use crate::board::Board;
 
 /// The answer to a request, and what to do next.
@@ -146,13 +146,18 @@ impl<
     fn revert(&mut self, reason: RevertReason) -> Answer<'static> {
         let slot = self.store.revert(reason.code())?;
         self.end(Verdict::Failed(reason));
-        self.in_use = slot.and_then(|slot| {
-            let envelope = Envelope::open(self.store.bytes(slot)?).ok()?;
-            let package = Package::without_origin(&envelope).ok()?;
-            Verified::of(&package, &self.requirements()).in_slot(slot, &self.store)
-        });
+        self.in_use = slot.and_then(|slot| self.known_package(slot));
         let version = self.in_use.map(|package| package.serial.version);
         Ok((Response::InUse { version }, Next::Switch))
+    }
+
+    /// Returns the properties of a package that has been in use. Its stack is not that of a write to
+    /// the journal.
+    #[inline(never)]
+    fn known_package(&self, slot: Slot) -> Option<InUsePackage> {
+        let envelope = Envelope::open(self.store.bytes(slot)?).ok()?;
+        let package = Package::without_origin(&envelope).ok()?;
+        Verified::of(&package, &self.requirements()).in_slot(slot, &self.store)
     }
 
     /// Restarts from another estimate and informs the neighbours.
