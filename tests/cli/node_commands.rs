@@ -284,7 +284,7 @@ fn a_node_without_a_package_counts_in_ticks() {
 /// Messages of a newer node that this program cannot know: kinds of messages (200 as a varint of
 /// two bytes), an event, and reports with more counters than now.
 const NEWER: [&[u8]; 6] = [
-    &[16, 1],
+    &[17, 1],
     &[100, 1, 2],
     &[0xc8, 1, 9],
     &[11, 100, 1],

@@ -200,6 +200,14 @@ impl TestNode {
         self.board.answer()
     }
 
+    /// Sends bytes as they come out of their frame, and returns everything that the node says, framed.
+    pub(crate) fn converse(&mut self, bytes: &[u8]) -> Vec<u8> {
+        self.board.said.clear();
+        self.board.requests.push_back(bytes.to_vec());
+        self.work();
+        std::mem::take(&mut self.board.said)
+    }
+
     pub(crate) fn ask(&mut self, request: &Request<'_>) -> Message<'static> {
         self.send(&encoded(request))
     }
