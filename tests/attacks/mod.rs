@@ -5,8 +5,11 @@
 //! ordinary test [`every_attack_fails`] runs each with a few. `docs/threat-model.md` says who could
 //! make them.
 
+#[cfg(unix)]
+mod emulated;
 mod faults;
 mod packages;
+mod port;
 mod radio;
 
 use serde_json::json;
@@ -28,9 +31,14 @@ struct Outcome {
 type Attack = fn(u64, u64) -> Outcome;
 
 /// All attacks, with the number of tries in an ordinary test; 0 for those whose number is fixed and
-/// that are ordinary tests of their own.
+/// that are ordinary tests of their own, and for those that need emulators.
 const ATTACKS: &[(Attack, u64)] = &[
     (radio::stranger, 20_000),
+    (port::stranger, 20_000),
+    #[cfg(unix)]
+    (emulated::with_a_radio, 0),
+    #[cfg(unix)]
+    (emulated::at_the_port, 0),
     (packages::replayed, 20_000),
     (packages::harmful, 0),
     (faults::flipped_bits, 0),

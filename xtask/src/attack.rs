@@ -3,6 +3,7 @@
 use std::fs;
 
 use crate::step::{Failure, cargo, run, target_folder};
+use crate::{emulate, firmware};
 
 /// Number of tries of each attack.
 const TRIES: u64 = 1_000_000;
@@ -40,7 +41,9 @@ impl Options {
 ///
 /// # Errors
 /// An attack that succeeded, or the attacks cannot be run.
-pub(crate) fn attack(options: &Options) -> Result<(), Failure> {
+pub(crate) fn attack(options: &Options, debian: bool) -> Result<(), Failure> {
+    emulate::find_emulators(debian)?;
+    let (_, firmware) = firmware::emulated(debian)?;
     let report = target_folder().join("attack.json");
     let _ = fs::remove_file(&report);
     let mut command = cargo("test");
@@ -48,6 +51,7 @@ pub(crate) fn attack(options: &Options) -> Result<(), Failure> {
     command
         .args(["--quiet", "--workspace", "--release", "--test", "integration"])
         .args(["attacks::report", "--", "--exact", "--ignored", "--nocapture"])
+        .env("ATTACK_FIRMWARE", &firmware)
         .env("ATTACK_TRIES", options.tries.to_string())
         .env("ATTACK_SEED", options.seed.to_string())
         .env("ATTACK_REPORT", &report);

@@ -8,7 +8,8 @@ use super::key::Passphrase;
 use super::node::RETRY_POLICY;
 use super::{CommandError, ErrorCode};
 use crate::keys::KeyFolder;
-use crate::service::{Client, provision};
+use crate::service::Client;
+use crate::service::provision::{self, NewKeys};
 use crate::terminal;
 
 /// What a node tells of its keys, for JSON.
@@ -71,7 +72,8 @@ pub(super) fn provision(
     // A node never goes back to an epoch that is over; the clock is above all epochs of a node whose
     // flash has been lost.
     let epoch = provision::epoch_now();
-    Ok(provision::provision(node, keys.fleet(), Some(&operator), agent, epoch, RETRY_POLICY)?)
+    let keys = NewKeys { fleet: keys.fleet(), operator: Some(&operator), epoch };
+    Ok(provision::provision(node, &keys, agent, RETRY_POLICY)?)
 }
 
 /// Makes the node forget its keys, agent and packages.

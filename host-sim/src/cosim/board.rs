@@ -9,13 +9,12 @@ use tempfile::TempDir;
 
 use super::fault::Fault;
 use super::process::Process;
-use crate::keys::{FleetKeys, PortKeys};
+use crate::keys::PortKeys;
 use crate::packages::PackageBytes;
 use crate::service::client::{decode, name};
-use crate::service::provision;
+use crate::service::provision::{self, NewKeys};
 use crate::service::push::{self, PushError};
 use crate::service::{Client, Line, LineError, Message, RetryPolicy, ServiceError};
-use crate::signing::OperatorKey;
 
 /// Default timeout for a node's reply.
 pub const TIMEOUT: Duration = Duration::from_secs(10);
@@ -148,8 +147,7 @@ impl Board {
         &mut self,
         package: &PackageBytes,
         estimate: &[f32],
-        keys: Option<&FleetKeys>,
-        operator: Option<&OperatorKey>,
+        keys: Option<&NewKeys<'_>>,
     ) -> Result<Vec<Vec<u8>>, Fault> {
         let mut status = if self.persistent { self.greet()? } else { self.hello()? };
         check_firmware(&status, package)?;
@@ -169,23 +167,16 @@ impl Board {
             return Err(Fault::Package { refusal: refusal.map(|refusal| refusal.to_string()) });
         }
         if let Some(keys) = keys {
-            self.provision(keys, operator, package.package().node.agent)?;
+            self.provision(keys, package.package().node.agent)?;
         }
         self.subscribe()?;
         self.start_at(estimate)
     }
 
     /// Gives it the keys of this agent.
-    fn provision(
-        &mut self,
-        keys: &FleetKeys,
-        operator: Option<&OperatorKey>,
-        agent: AgentId,
-    ) -> Result<(), Fault> {
+    fn provision(&mut self, keys: &NewKeys<'_>, agent: AgentId) -> Result<(), Fault> {
         let retry_policy = RetryPolicy { timeout: self.timeout, tries: 1 };
-        let client = &mut self.client;
-        let epoch = provision::epoch_now();
-        provision::provision(client, keys, operator, agent, epoch, retry_policy)
+        provision::provision(&mut self.client, keys, agent, retry_policy)
             .map_err(|error| self.push_fault("accept keys", error.into()))
     }
 

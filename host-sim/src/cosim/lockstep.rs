@@ -22,6 +22,7 @@ use super::{BoardReport, Notice, Setup};
 use crate::engine::run_observer::{AgentStart, AgentStep, RunObserver, RunObserverError, Switch};
 use crate::keys::FleetKeys;
 use crate::packages::PackageBytes;
+use crate::service::provision::{self, NewKeys};
 
 /// The nodes of a run.
 pub(super) struct Lockstep<'s> {
@@ -227,8 +228,12 @@ impl RunObserver for Lockstep<'_> {
                 self.nodes[index].stop_comparing(0, "it is waiting for a package");
                 continue;
             }
-            let (keys, signer) = (self.setup.keys, self.setup.signer);
-            let started = node.board.begin(package, agent.estimate, keys, signer);
+            let keys = self.setup.keys.map(|fleet| NewKeys {
+                fleet,
+                operator: self.setup.signer,
+                epoch: provision::epoch_now(),
+            });
+            let started = node.board.begin(package, agent.estimate, keys.as_ref());
             let frames = started.map_err(|fault| self.named(index, fault))?;
             let mismatch = announcement_mismatch(index, &self.plain(&frames), agent.announcement);
             self.nodes[index].report.broadcasts += frames.len() as u64;

@@ -36,20 +36,29 @@ pub fn session(
     }
 }
 
+/// What nodes are given.
+#[derive(Clone, Copy, Debug)]
+pub struct NewKeys<'k> {
+    /// The keys.
+    pub fleet: &'k FleetKeys,
+    /// Signs a node's first keys, which is needed if its firmware accepts only signed packages.
+    pub operator: Option<&'k OperatorKey>,
+    /// The least epoch from now on: [`epoch_now`].
+    pub epoch: u32,
+}
+
 /// Gives a node the port key of `agent`, and the network keys. The client must have the port keys. A
-/// node that is not provisioned gets its port key in the clear, signed by the `operator`, which is
-/// needed if its firmware accepts only signed packages.
+/// node that is not provisioned gets its port key in the clear.
 ///
 /// # Errors
 /// See [`ServiceError`].
 pub fn provision(
     client: &mut Client,
-    fleet: &FleetKeys,
-    operator: Option<&OperatorKey>,
+    keys: &NewKeys<'_>,
     agent: AgentId,
-    epoch: u32,
     retry_policy: RetryPolicy,
 ) -> Result<(), ServiceError> {
+    let &NewKeys { fleet, operator, epoch } = keys;
     let provision = Provision { agent, port_key: fleet.port_secret(agent), epoch };
     let mut bytes = provision.to_bytes().to_vec();
     if let Some(operator) = operator {

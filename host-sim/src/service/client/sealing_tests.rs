@@ -10,7 +10,7 @@ use agent_core::service::{Session, split_seal};
 use super::fake_node::FakeNode;
 use super::*;
 use crate::keys::{FleetSecret, KeyFolder, PortKeys};
-use crate::service::provision;
+use crate::service::provision::{self, NewKeys};
 use crate::service::push::done;
 
 const RETRY_POLICY: RetryPolicy = RetryPolicy { timeout: Duration::from_millis(300), tries: 3 };
@@ -210,8 +210,13 @@ fn a_node_is_provisioned_given_other_keys_and_reset() {
     let (mut client, node) = client(node, Some(keys.fleet().port_keys()));
     let found = |client: &mut Client| provision::session(client, RETRY_POLICY).unwrap();
     for agent in [2, 3] {
-        provision::provision(&mut client, keys.fleet(), Some(&operator), agent, 77, RETRY_POLICY)
-            .unwrap();
+        provision::provision(
+            &mut client,
+            &NewKeys { fleet: keys.fleet(), operator: Some(&operator), epoch: 77 },
+            agent,
+            RETRY_POLICY,
+        )
+        .unwrap();
         let session = found(&mut client).unwrap();
         assert_eq!((session.agent, session.network_keys), (agent, [Some(1), None]));
     }

@@ -13,7 +13,8 @@ use crate::cosim::board::Board;
 use crate::keys::KeyFolder;
 use crate::service::client::fake_node::FakeNode;
 use crate::service::push::done;
-use crate::service::{self, Address, Line, RetryPolicy, ServiceError, provision};
+use crate::service::provision::{self, NewKeys};
+use crate::service::{self, Address, Line, RetryPolicy, ServiceError};
 
 const RETRY_POLICY: RetryPolicy = RetryPolicy { timeout: Duration::from_secs(2), tries: 3 };
 
@@ -79,8 +80,13 @@ impl Served {
         let keys = KeyFolder::read(&folder, &mut |_| unreachable!()).unwrap();
         let operator = keys.operator(&mut |_| unreachable!()).unwrap();
         self.with(true, |client| {
-            provision::provision(client, keys.fleet(), Some(&operator), agent, 7, RETRY_POLICY)
-                .unwrap();
+            provision::provision(
+                client,
+                &NewKeys { fleet: keys.fleet(), operator: Some(&operator), epoch: 7 },
+                agent,
+                RETRY_POLICY,
+            )
+            .unwrap();
         });
     }
 }
