@@ -10,7 +10,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::Outcome;
-use crate::keyed::test_node::{Off, TestNode, encoded, port_secret, seal};
+use crate::keyed::test_node::{Off, TestNode, encoded, port_secret, salted, seal};
 
 /// A provisioned node, and what its operator can do.
 pub(super) trait Target {
@@ -157,7 +157,7 @@ fn forged(
         3 => bytes.truncate(random.random_range(0..bytes.len())),
         // What was heard, as a later request.
         4 => {
-            let head = encoded(&Request::Sealed { counter });
+            let head = encoded(&Request::Sealed(salted(counter)));
             let length = bytes.iter().skip(1).position(|byte| byte & 0x80 == 0).unwrap() + 2;
             bytes.splice(..length.min(bytes.len()), head);
         }

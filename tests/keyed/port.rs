@@ -6,7 +6,9 @@ use agent_core::store::StoreError;
 use host_sim::service::Message;
 use host_sim::signing::OperatorKey;
 
-use super::test_node::{Off, TestNode, done, encoded, network_key, package, port_secret, seal};
+use super::test_node::{
+    Off, TestNode, done, encoded, network_key, package, port_secret, salted, seal,
+};
 
 /// Every request that changes something or costs much.
 fn changing() -> Vec<Request<'static>> {
@@ -85,12 +87,12 @@ fn a_sealed_request_is_carried_out_once() {
     let epoch = session.epoch.unwrap();
     let mut renumbered = second.clone();
     renumbered.splice(
-        ..encoded(&Request::Sealed { counter: counter - 1 }).len(),
-        encoded(&Request::Sealed { counter }),
+        ..encoded(&Request::Sealed(salted(counter - 1))).len(),
+        encoded(&Request::Sealed(salted(counter))),
     );
     assert_eq!(node.send(&renumbered), refused);
     let sealed = seal(&key, epoch, counter, &start);
-    let head = encoded(&Request::Sealed { counter }).len();
+    let head = encoded(&Request::Sealed(salted(counter))).len();
     for bit in 8 * head..8 * sealed.len() {
         let mut changed = sealed.clone();
         changed[bit / 8] ^= 1 << (bit % 8);
@@ -105,8 +107,8 @@ fn a_sealed_request_is_carried_out_once() {
     // A request in a seal in a seal is not a request.
     let inner = seal(&key, epoch, counter + 2, &start);
     let mut body = inner.clone();
-    let tag = key.seal(epoch, counter + 1, &mut body);
-    let twice = [encoded(&Request::Sealed { counter: counter + 1 }), body, tag.to_vec()].concat();
+    let tag = key.seal(epoch, &salted(counter + 1), &mut body);
+    let twice = [encoded(&Request::Sealed(salted(counter + 1))), body, tag.to_vec()].concat();
     assert_eq!(node.send(&twice), Message::Refused(Problem::Unknown));
 }
 

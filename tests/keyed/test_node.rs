@@ -11,7 +11,7 @@ use agent_core::package::StepRange;
 use agent_core::package::signature::PublicKey;
 use agent_core::service::seal::PortKey;
 use agent_core::service::{
-    CHUNK_LENGTH_MAX, Problem, Provision, Request, Response, Session, Status, Subscription,
+    CHUNK_LENGTH_MAX, Problem, Provision, Request, Response, Seal, Session, Status, Subscription,
     receive, send,
 };
 use agent_core::store::{MappedFlash, RateLimit};
@@ -294,11 +294,16 @@ pub(crate) fn done(answer: &Message<'_>) -> Result<(), Problem> {
     }
 }
 
+/// A seal with a salt of its own.
+pub(crate) fn salted(counter: u32) -> Seal {
+    Seal { counter, salt: u64::from(counter).wrapping_mul(0x9e37_79b9_7f4a_7c15).to_le_bytes() }
+}
+
 /// A sealed request.
 pub(crate) fn seal(key: &PortKey, epoch: u32, counter: u32, request: &Request<'_>) -> Vec<u8> {
     let mut body = encoded(request);
-    let tag = key.seal(epoch, counter, &mut body);
-    [encoded(&Request::Sealed { counter }), body, tag.to_vec()].concat()
+    let tag = key.seal(epoch, &salted(counter), &mut body);
+    [encoded(&Request::Sealed(salted(counter))), body, tag.to_vec()].concat()
 }
 
 pub(crate) fn encoded(request: &Request<'_>) -> Vec<u8> {

@@ -139,7 +139,7 @@ impl Judge {
             }
             Request::Session => return answered(said, &Message::Session(None)),
             // Its nodes have no keys.
-            Request::Sealed { .. } | Request::NetworkKeys { .. } | Request::FactoryReset => {
+            Request::Sealed(_) | Request::NetworkKeys { .. } | Request::FactoryReset => {
                 return answered(said, &Message::Refused(Problem::NotProvisioned));
             }
             Request::Provision { .. } => return Err("unexpected provision".to_owned()),

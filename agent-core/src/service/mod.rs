@@ -40,7 +40,7 @@ pub mod seal;
 
 pub use problem::{Problem, RefusalKind, RefusalReport};
 pub use report::{FILE_NAME, LastRevert, PanicPlace, Performance, Report, ResetCause, TrialReport};
-pub use request::{Numbers, Provision, Request, Subscription};
+pub use request::{Numbers, Provision, Request, Seal, Subscription};
 pub use response::{
     BoardFault, Event, Firmware, Outcome, PackageStatus, Response, Session, State, Status, numbers,
 };
@@ -60,8 +60,8 @@ pub const CHUNK_LENGTH_MAX: usize = 128;
 /// measurement, with the fields around them, and for a seal.
 pub const REQUEST_LENGTH_MAX: usize = CHUNK_LENGTH_MAX + 12 + SEAL_LENGTH_MAX;
 
-/// Length by which a seal makes a request longer: index, counter and tag.
-const SEAL_LENGTH_MAX: usize = 1 + 5 + 16;
+/// Length by which a seal makes a request longer: index, counter, salt and tag.
+const SEAL_LENGTH_MAX: usize = 1 + 5 + 8 + 16;
 
 /// Progress of an upload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -119,12 +119,12 @@ pub fn split_number(bytes: &[u8]) -> (Option<u16>, &[u8]) {
     }
 }
 
-/// Separates the counter of a sealed request from the encrypted rest; `None` and all bytes if the
-/// request is not sealed. A number must have been separated before.
+/// Separates the head of a sealed request from the encrypted rest; `None` and all bytes if the request
+/// is not sealed. A number must have been separated before.
 #[must_use]
-pub fn split_seal(bytes: &[u8]) -> (Option<u32>, &[u8]) {
+pub fn split_seal(bytes: &[u8]) -> (Option<Seal>, &[u8]) {
     match codec::take::<Request<'_>>(bytes) {
-        Some((Request::Sealed { counter }, rest)) => (Some(counter), rest),
+        Some((Request::Sealed(seal), rest)) => (Some(seal), rest),
         _ => (None, bytes),
     }
 }

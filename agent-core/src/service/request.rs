@@ -75,10 +75,7 @@ pub enum Request<'a> {
     /// Report what a laptop must know to seal requests.
     Session,
     /// The head of a sealed request, after its number if it has one: see `service::seal`.
-    Sealed {
-        /// Greater than that of every sealed request before it in the node's epoch.
-        counter: u32,
-    },
+    Sealed(Seal),
     /// Give the node its port key and its agent. Not sealed if it has no port key yet; then the
     /// operator must have signed it if the firmware accepts only signed packages.
     Provision {
@@ -101,6 +98,15 @@ impl Request<'_> {
     pub fn is_free(&self) -> bool {
         matches!(self, Self::Query | Self::Report | Self::Session)
     }
+}
+
+/// What makes a sealed request unlike any other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Seal {
+    /// Greater than that of every sealed request before it in the node's epoch.
+    pub counter: u32,
+    /// Random: two laptops may choose the same counter for two requests of which one is lost.
+    pub salt: [u8; 8],
 }
 
 /// A node's port key and agent.

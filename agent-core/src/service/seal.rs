@@ -2,20 +2,21 @@
 //!
 //! A node that has a port key carries out a request only if it is sealed, except those of
 //! [`Request::is_free`]. Sealing encrypts the request and adds a tag over it (Ascon-AEAD128,
-//! NIST SP 800-232). The nonce is the node's epoch, which never comes again, and the request's
-//! counter, which rises; so no request can be read, changed, repeated or delayed beyond the next one.
+//! NIST SP 800-232). The nonce has the node's epoch, which never comes again, the request's counter,
+//! which rises, and a random salt; so no request can be read, changed, repeated or delayed beyond the
+//! next one.
 //!
 //! | on the wire | |
 //! | --- | --- |
 //! | [`Request::Numbered`] | as for any request; may be missing |
-//! | [`Request::Sealed`] | its index, and the counter as a varint |
+//! | [`Request::Sealed`] | its index, the counter as a varint, and the salt, eight bytes |
 //! | encrypted request | as long as the request |
 //! | tag | [`TAG_LENGTH`] bytes |
 //!
 //! | Ascon-AEAD128 | |
 //! | --- | --- |
 //! | key | derived from the port key |
-//! | nonce | epoch, then counter, `u32` each, little-endian, then eight zeros |
+//! | nonce | epoch, then counter, `u32` each, little-endian, then the salt |
 //! | associated data | none |
 //!
 //! Before its first request, a laptop asks for the [`Session`], which tells the epoch and proves that
@@ -24,6 +25,7 @@
 //!
 //! Cost: about 100 instructions per byte on a Cortex-M4.
 
+use super::Seal;
 use crate::AgentId;
 use crate::wire::secret::{Purpose, Secret};
 
@@ -49,16 +51,16 @@ impl PortKey {
 
     /// Encrypts the `request` in place and returns its tag.
     #[must_use]
-    pub fn seal(&self, epoch: u32, counter: u32, request: &mut [u8]) -> [u8; TAG_LENGTH] {
-        sealing::encrypt(&self.request_key(), &nonce(epoch, counter), request)
+    pub fn seal(&self, epoch: u32, seal: &Seal, request: &mut [u8]) -> [u8; TAG_LENGTH] {
+        sealing::encrypt(&self.request_key(), &nonce(epoch, seal), request)
     }
 
     /// Decrypts in place what [`Self::seal`] has made; `None` if the tag does not match. The bytes are
     /// then worthless.
     #[must_use]
-    pub fn open<'b>(&self, epoch: u32, counter: u32, sealed: &'b mut [u8]) -> Option<&'b [u8]> {
+    pub fn open<'b>(&self, epoch: u32, seal: &Seal, sealed: &'b mut [u8]) -> Option<&'b [u8]> {
         let (request, tag) = sealed.split_last_chunk_mut::<TAG_LENGTH>()?;
-        sealing::decrypt(&self.request_key(), &nonce(epoch, counter), request, tag)
+        sealing::decrypt(&self.request_key(), &nonce(epoch, seal), request, tag)
             .then_some(&*request)
     }
 
@@ -67,10 +69,11 @@ impl PortKey {
     }
 }
 
-fn nonce(epoch: u32, counter: u32) -> [u8; sealing::LENGTH] {
+fn nonce(epoch: u32, &Seal { counter, salt }: &Seal) -> [u8; sealing::LENGTH] {
     let [e0, e1, e2, e3] = epoch.to_le_bytes();
     let [c0, c1, c2, c3] = counter.to_le_bytes();
-    [e0, e1, e2, e3, c0, c1, c2, c3, 0, 0, 0, 0, 0, 0, 0, 0]
+    let [s0, s1, s2, s3, s4, s5, s6, s7] = salt;
+    [e0, e1, e2, e3, c0, c1, c2, c3, s0, s1, s2, s3, s4, s5, s6, s7]
 }
 
 #[cfg(test)]
@@ -85,9 +88,9 @@ mod tests {
 
     const KEY: PortKey = PortKey::new(Secret::new([7; 16]));
 
-    fn sealed(key: &PortKey, epoch: u32, counter: u32, request: &[u8]) -> Vec<u8> {
+    fn sealed(key: &PortKey, epoch: u32, seal: &Seal, request: &[u8]) -> Vec<u8> {
         let mut bytes = request.to_vec();
-        let tag = key.seal(epoch, counter, &mut bytes);
+        let tag = key.seal(epoch, seal, &mut bytes);
         bytes.extend(tag);
         bytes
     }
@@ -103,24 +106,25 @@ mod tests {
     proptest! {
         #[test]
         fn opening_undoes_sealing(
-            bits: [u8; 16], epoch: u32, counter: u32,
+            bits: [u8; 16], epoch: u32, counter: u32, salt: [u8; 8],
             request in prop::collection::vec(any::<u8>(), 0..140),
         ) {
             let key = PortKey::new(Secret::new(bits));
-            let mut bytes = sealed(&key, epoch, counter, &request);
-            prop_assert_eq!(key.open(epoch, counter, &mut bytes), Some(&request[..]));
+            let seal = Seal { counter, salt };
+            let mut bytes = sealed(&key, epoch, &seal, &request);
+            prop_assert_eq!(key.open(epoch, &seal, &mut bytes), Some(&request[..]));
         }
 
         #[test]
         fn anything_else_is_refused(
-            epoch: u32, counter: u32, request in prop::collection::vec(any::<u8>(), 0..40),
-            bit: prop::sample::Index, length: prop::sample::Index, other: (u32, u32),
+            epoch: u32, counter: u32, salt: [u8; 8], request in prop::collection::vec(any::<u8>(), 0..40),
+            bit: prop::sample::Index, length: prop::sample::Index, other: (u32, u32, [u8; 8]),
         ) {
-            let bytes = sealed(&KEY, epoch, counter, &request);
-            let refused = |key: &PortKey, (epoch, counter), bytes: &[u8]| {
-                key.open(epoch, counter, &mut bytes.to_vec()).is_none()
+            let bytes = sealed(&KEY, epoch, &Seal { counter, salt }, &request);
+            let refused = |key: &PortKey, (epoch, counter, salt), bytes: &[u8]| {
+                key.open(epoch, &Seal { counter, salt }, &mut bytes.to_vec()).is_none()
             };
-            let here = (epoch, counter);
+            let here = (epoch, counter, salt);
             let mut changed = bytes.clone();
             let bit = bit.index(8 * bytes.len());
             changed[bit / 8] ^= 1 << (bit % 8);

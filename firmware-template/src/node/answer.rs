@@ -117,7 +117,7 @@ impl<
             Request::Samples { .. }
             | Request::StartAt { .. }
             | Request::Numbered { .. }
-            | Request::Sealed { .. } => Err(Problem::Unknown),
+            | Request::Sealed(_) => Err(Problem::Unknown),
         }
     }
 

@@ -225,14 +225,14 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
         &mut self,
         bytes: &'b mut [u8],
     ) -> Result<(bool, &'b [u8]), Problem> {
-        let (counter, sealed) = split_seal(bytes);
-        let Some(counter) = counter else { return Ok((false, bytes)) };
+        let (seal, sealed) = split_seal(bytes);
+        let Some(seal) = seal else { return Ok((false, bytes)) };
         let start = bytes.len() - sealed.len();
         let (key, _) = self.port.as_ref().ok_or(Problem::NotProvisioned)?;
-        let epoch = self.epoch.filter(|_| counter > self.counter).ok_or(Problem::Seal)?;
+        let epoch = self.epoch.filter(|_| seal.counter > self.counter).ok_or(Problem::Seal)?;
         let sealed = bytes.get_mut(start..).ok_or(Problem::Seal)?;
-        let request = key.open(epoch, counter, sealed).ok_or(Problem::Seal)?;
-        self.counter = counter;
+        let request = key.open(epoch, &seal, sealed).ok_or(Problem::Seal)?;
+        self.counter = seal.counter;
         Ok((true, request))
     }
 

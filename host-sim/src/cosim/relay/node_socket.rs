@@ -170,7 +170,7 @@ impl NodeSocket {
         match &request {
             // The node refuses it, too.
             _ if is_sealed && opened.is_none() => {}
-            None | Some(Request::Numbered { .. } | Request::Sealed { .. }) => {
+            None | Some(Request::Numbered { .. } | Request::Sealed(_)) => {
                 asking.answer(number, &Reply::Refused(Problem::Unknown));
                 return Ok(Effect::None);
             }

@@ -97,12 +97,12 @@ impl FakeNode {
                 None => Reply::Refused(Problem::Unknown),
             },
             ((Some(_), _), None) => Reply::Refused(Problem::NotProvisioned),
-            ((Some(counter), sealed), Some((_, key))) => {
+            ((Some(seal), sealed), Some((_, key))) => {
                 opened.truncate(0);
                 opened.extend_from_slice(sealed);
-                match key.open(self.epoch.unwrap(), counter, &mut opened) {
-                    Some(request) if counter > self.counter => {
-                        self.counter = counter;
+                match key.open(self.epoch.unwrap(), &seal, &mut opened) {
+                    Some(request) if seal.counter > self.counter => {
+                        self.counter = seal.counter;
                         let request = receive(request).unwrap();
                         self.carry_out(&request)
                     }

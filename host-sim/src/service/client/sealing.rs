@@ -4,31 +4,20 @@
 //! agent it claims to be. A session ends when the node restarts, and is out of step after another
 //! client has sealed a request; both show as refusals, after which the client asks for it again.
 //!
-//! Two requests sealed with the same epoch and counter would reveal something of each other. The node
-//! counts only the requests that arrive, and its count is not part of the proof. So a client never uses
-//! a counter twice itself, and starts at a random distance from the node's count, where a request of
-//! an earlier client that was lost on the way is unlikely to have been.
+//! Two requests sealed with the same nonce would reveal something of each other, and another client
+//! may have sealed one that was lost on the way. So each seal has a random salt.
 
 use agent_core::service::seal::PortKey;
-use agent_core::service::{REQUEST_LENGTH_MAX, Request, Session};
+use agent_core::service::{REQUEST_LENGTH_MAX, Request, Seal, Session};
 
 use super::error::ServiceError;
 use crate::keys::PortKeys;
-
-/// Greatest distance of a client's first counter from the node's; the node's counter is enough for
-/// over 65,000 clients after each start.
-const DISTANCE_MAX: u32 = 1 << 16;
-
-/// Greatest distance after that: clients that take turns must not use up the counter.
-const NEXT_DISTANCE_MAX: u32 = 1 << 8;
 
 /// Seals the requests of one client.
 #[derive(Debug)]
 pub(super) struct Sealing {
     keys: PortKeys,
     node: Node,
-    /// Epoch and counter of the last sealed request.
-    last: Option<(u32, u32)>,
 }
 
 /// What is known about the node.
@@ -40,9 +29,8 @@ enum Node {
 }
 
 impl Sealing {
-    /// Seals with these keys, in place of those `before`.
-    pub(super) fn new(keys: PortKeys, before: Option<Self>) -> Self {
-        Self { keys, node: Node::Unknown, last: before.and_then(|before| before.last) }
+    pub(super) fn new(keys: PortKeys) -> Self {
+        Self { keys, node: Node::Unknown }
     }
 
     pub(super) fn keys(&self) -> &PortKeys {
@@ -81,9 +69,6 @@ impl Sealing {
         if key.proof(agent, epoch) != proof {
             return Err(ServiceError::Proof { agent });
         }
-        let own = self.last.filter(|&(last, _)| last == epoch).map(|(_, counter)| counter);
-        let most = if own.is_some() { NEXT_DISTANCE_MAX } else { DISTANCE_MAX };
-        let counter = own.unwrap_or(0).max(counter).saturating_add(distance(most)?);
         self.node = Node::Provisioned { key, epoch, counter };
         Ok(())
     }
@@ -101,25 +86,22 @@ impl Sealing {
             };
         };
         *counter = counter.checked_add(1).ok_or(ServiceError::CounterUsedUp)?;
-        self.last = Some((*epoch, *counter));
-        let mut sealed = encoded(&Request::Sealed { counter: *counter });
+        let mut salt = [0; 8];
+        getrandom::fill(&mut salt).map_err(ServiceError::Random)?;
+        let seal = Seal { counter: *counter, salt };
+        let mut sealed = encoded(&Request::Sealed(seal));
         let mut body = encoded(request);
-        let tag = key.seal(*epoch, *counter, &mut body);
+        let tag = key.seal(*epoch, &seal, &mut body);
         sealed.append(&mut body);
         sealed.extend(tag);
         Ok(Some(sealed))
     }
 
     /// Decrypts what another client has sealed for this node.
-    pub(super) fn open(&self, counter: u32, mut sealed: Vec<u8>) -> Option<Vec<u8>> {
+    pub(super) fn open(&self, seal: &Seal, mut sealed: Vec<u8>) -> Option<Vec<u8>> {
         let Node::Provisioned { key, epoch, .. } = &self.node else { return None };
-        key.open(*epoch, counter, &mut sealed).map(<[u8]>::to_vec)
+        key.open(*epoch, seal, &mut sealed).map(<[u8]>::to_vec)
     }
-}
-
-/// Returns a random number from 0 to below `most`, a power of two.
-fn distance(most: u32) -> Result<u32, ServiceError> {
-    Ok(getrandom::u32().map_err(ServiceError::Random)? % most)
 }
 
 fn encoded(request: &Request<'_>) -> Vec<u8> {

@@ -45,7 +45,10 @@ fn ask(client: &mut Client, request: &Request<'_>) -> Result<(), ServiceError> {
 /// Counters of the sealed requests among the messages, and the number of those not sealed.
 fn counted(seen: &Receiver<Vec<u8>>) -> (Vec<u32>, usize) {
     let all: Vec<_> = seen.try_iter().map(|message| split_seal(&message).0).collect();
-    (all.iter().copied().flatten().collect(), all.iter().filter(|found| found.is_none()).count())
+    (
+        all.iter().flatten().map(|seal| seal.counter).collect(),
+        all.iter().filter(|found| found.is_none()).count(),
+    )
 }
 
 #[test]
@@ -139,8 +142,8 @@ fn a_repeated_request_has_a_counter_of_its_own() {
 }
 
 #[test]
-fn a_counter_is_never_used_twice_whatever_the_node_says() {
-    let mut sealing = Sealing::new(PortKeys::Fleet(secret()), None);
+fn each_seal_has_a_salt_of_its_own_whatever_the_node_says() {
+    let mut sealing = Sealing::new(PortKeys::Fleet(secret()));
     let session = |counter| Session {
         agent: 5,
         epoch: Some(9),
@@ -148,14 +151,14 @@ fn a_counter_is_never_used_twice_whatever_the_node_says() {
         proof: secret().port_key(5).proof(5, 9),
         network_keys: [None; 2],
     };
-    let mut last = 0;
+    let mut salts = std::collections::BTreeSet::new();
     for told in [0, 100_000, 3, 0] {
         sealing.begin(Some(&session(told))).unwrap();
-        for _ in 0..3 {
+        for next in 1..4 {
             let sealed = sealing.seal(&Request::Confirm).unwrap().unwrap();
-            let counter = split_seal(&sealed).0.unwrap();
-            assert!(counter > last.max(told), "{counter} after {last}");
-            last = counter;
+            let seal = split_seal(&sealed).0.unwrap();
+            assert_eq!(seal.counter, told + next);
+            assert!(salts.insert(seal.salt));
         }
     }
     sealing.begin(Some(&session(u32::MAX))).unwrap();

@@ -14,7 +14,7 @@ use crate::service::Message;
 impl Client {
     /// Seals requests with these keys from now on, if the node is provisioned.
     pub fn set_keys(&mut self, keys: PortKeys) {
-        self.sealing = Some(Sealing::new(keys, self.sealing.take()));
+        self.sealing = Some(Sealing::new(keys));
     }
 
     /// Returns the keys, if there are any.
@@ -50,8 +50,8 @@ impl Client {
         request: &[u8],
         timeout: Duration,
     ) -> Result<Option<Vec<u8>>, ServiceError> {
-        let (Some(counter), sealed) = split_seal(request) else { return Ok(None) };
-        let open = |client: &Self| client.sealing.as_ref()?.open(counter, sealed.to_vec());
+        let (Some(seal), sealed) = split_seal(request) else { return Ok(None) };
+        let open = |client: &Self| client.sealing.as_ref()?.open(&seal, sealed.to_vec());
         if let Some(opened) = open(self) {
             return Ok(Some(opened));
         }

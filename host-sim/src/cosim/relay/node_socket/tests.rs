@@ -12,8 +12,8 @@ use crate::cosim::BoardReport;
 use crate::cosim::board::Board;
 use crate::keys::KeyFolder;
 use crate::service::client::fake_node::FakeNode;
-use crate::service::push::done;
 use crate::service::provision::{self, NewKeys};
+use crate::service::push::done;
 use crate::service::{self, Address, Line, RetryPolicy, ServiceError};
 
 const RETRY_POLICY: RetryPolicy = RetryPolicy { timeout: Duration::from_secs(2), tries: 3 };
