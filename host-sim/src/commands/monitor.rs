@@ -11,8 +11,9 @@ use clap::Args;
 use serde::Serialize;
 
 use super::board_report::{BoardReport, errors_line, fault_line};
+use super::connection::{RETRY_POLICY, connect};
 use super::key::NodeKeys;
-use super::node::{RETRY_POLICY, connect, text};
+use super::node::text;
 use super::node_report::reason_text;
 use super::{CommandError, ErrorCode, Format, health, load_scenario, print_json, print_text};
 use crate::interruption::{self, SecondSignal};
@@ -261,9 +262,10 @@ impl Monitor<'_> {
                 let is_more = next > self.next_sample;
                 self.next_sample = next;
                 // A node sends a few at a time, so that its steps are not late.
-                return Ok(if is_more {
-                    send(node, &samples_from(next))?
-                });
+                if is_more {
+                    send(node, &samples_from(next))?;
+                }
+                return Ok(());
             }
             (Message::State(state), _) => return self.state(state, &message),
             (Message::Hello(status), _) => self.handle_reset(node, status)?,

@@ -4,8 +4,8 @@ use agent_core::AgentId;
 use agent_core::service::Session;
 use serde::Serialize;
 
+use super::connection::RETRY_POLICY;
 use super::key::Passphrase;
-use super::node::RETRY_POLICY;
 use super::{CommandError, ErrorCode};
 use crate::keys::KeyFolder;
 use crate::service::Client;
