@@ -27,7 +27,7 @@ const FORWARD_M4F: u32 = 2_650;
 /// Instruction budget of a Cortex-M4F for a step without a broadcast.
 const STEP_M4F: u32 = 4_000;
 /// Instruction budget of a Cortex-M4F for a complete turn of a node.
-const TURN_M4F: u32 = 12_000;
+const TURN_M4F: u32 = 14_500;
 /// Instruction budget of a Cortex-M0, which computes floats in software, for a step.
 const STEP_M0: u32 = 190_000;
 
