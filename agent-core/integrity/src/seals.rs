@@ -71,7 +71,6 @@ fn halves(key: &[u8; LENGTH]) -> [u64; 2] {
     [key as u64, (key >> 64) as u64]
 }
 
-#[inline(never)]
 fn rounds(state: &mut [u64; 4], count: u32) {
     let [mut v0, mut v1, mut v2, mut v3] = *state;
     for _ in 0..count {
