@@ -2,6 +2,8 @@
 
 #[cfg(unix)]
 mod commands;
+#[cfg(unix)]
+mod image;
 mod neighbours;
 mod port;
 pub(crate) mod test_node;

@@ -90,6 +90,11 @@ impl TestNode {
     }
 
     pub(crate) fn with_public_key(public_key: Option<PublicKey>) -> Self {
+        Self::with_flash(new_flash(), public_key)
+    }
+
+    /// A node after its first start with this flash.
+    pub(crate) fn with_flash(flash: Flash, public_key: Option<PublicKey>) -> Self {
         let mut node = Self {
             node: None,
             board: TestBoard::default(),
@@ -98,7 +103,7 @@ impl TestNode {
             boots: 0,
             session: None,
         };
-        node.start(new_flash(), false);
+        node.start(flash, false);
         node
     }
 

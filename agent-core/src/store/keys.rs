@@ -10,11 +10,12 @@
 //! the service protocol contains a key. What was replaced stays in flash until its half of the
 //! journal is erased; anyone who can read the chip's flash can read keys.
 //!
-//! With the state and the count of boots these are five kinds: a half of the journal needs 768 bytes.
+//! With the state and the count of boots these are five kinds: see [`KEYED_HALF_MIN`].
 //!
 //! Invariants: an epoch is handed out once, because it is reserved, in two copies that are read back,
 //! before it is used; a reset removes the keys and keeps the epochs.
 
+use super::layout::PAIR_LENGTH;
 use super::{Contents, MappedFlash, Phase, Store, StoreError};
 use crate::AgentId;
 use crate::wire::authentic::NetworkKey;
@@ -23,6 +24,10 @@ use crate::wire::secret::{SECRET_LENGTH, Secret};
 const NETWORK_KEYS: u8 = 2;
 const PORT_KEY: u8 = 3;
 const EPOCHS: u8 = 4;
+
+/// Length that a half of the commit area needs on a node with keys: a pair for each of five kinds, and
+/// one for a record that has to be written twice. \[byte\]
+pub const KEYED_HALF_MIN: u32 = 6 * PAIR_LENGTH;
 
 /// The largest number of network keys: the one in use and, during a rotation, the other one.
 pub const NETWORK_KEYS_MAX: usize = 2;

@@ -69,7 +69,7 @@ mod upload;
 pub use error::{CheckedError, Refusal, StoreError};
 pub use flash::MappedFlash;
 #[cfg(feature = "authentic-frames")]
-pub use keys::{NETWORK_KEYS_MAX, NetworkKeys};
+pub use keys::{KEYED_HALF_MIN, NETWORK_KEYS_MAX, NetworkKeys};
 pub use layout::{Layout, LayoutError, NOTE_LENGTH_MAX, Part, RECORD_LENGTH};
 pub use limiter::{Limiter, RateLimit};
 pub use record::{FORMAT, factory_record};

@@ -8,7 +8,6 @@ use zeroize::Zeroizing;
 
 use super::CommandError;
 use crate::files::input::read_limited;
-#[cfg(unix)]
 use crate::keys::KeyFolder;
 #[cfg(unix)]
 use crate::signing::EitherKey;
@@ -37,7 +36,6 @@ impl Passphrase {
     }
 
     /// Reads the key folder `path`.
-    #[cfg(unix)]
     pub(super) fn folder(&self, path: &Path) -> Result<KeyFolder, CommandError> {
         Ok(KeyFolder::read(path, &mut |path| self.ask(path))?)
     }

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::connection::RETRY_POLICY;
 use super::key::Passphrase;
 use super::{CommandError, ErrorCode};
-use crate::keys::KeyFolder;
+use crate::keys::{KeyFolder, epoch_now};
 use crate::service::Client;
 use crate::service::provision::{self, NewKeys};
 use crate::terminal;
@@ -71,7 +71,7 @@ pub(super) fn provision(
     }
     // A node never goes back to an epoch that is over; the clock is above all epochs of a node whose
     // flash has been lost.
-    let epoch = provision::epoch_now();
+    let epoch = epoch_now();
     let keys = NewKeys { fleet: keys.fleet(), operator: Some(&operator), epoch };
     Ok(provision::provision(node, &keys, agent, RETRY_POLICY)?)
 }

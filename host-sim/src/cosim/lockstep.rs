@@ -20,9 +20,9 @@ use super::loop_node::LoopNode;
 use super::relay::Relay;
 use super::{BoardReport, Notice, Setup};
 use crate::engine::run_observer::{AgentStart, AgentStep, RunObserver, RunObserverError, Switch};
-use crate::keys::FleetKeys;
+use crate::keys::{FleetKeys, epoch_now};
 use crate::packages::PackageBytes;
-use crate::service::provision::{self, NewKeys};
+use crate::service::provision::NewKeys;
 
 /// The nodes of a run.
 pub(super) struct Lockstep<'s> {
@@ -231,7 +231,7 @@ impl RunObserver for Lockstep<'_> {
             let keys = self.setup.keys.map(|fleet| NewKeys {
                 fleet,
                 operator: self.setup.signer,
-                epoch: provision::epoch_now(),
+                epoch: epoch_now(),
             });
             let started = node.board.begin(package, agent.estimate, keys.as_ref());
             let frames = started.map_err(|fault| self.named(index, fault))?;

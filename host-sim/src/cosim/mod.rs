@@ -15,12 +15,12 @@
 //! | [`board`] | a node: the messages exchanged with it |
 //! | [`qemu`], [`process`] | emulated nodes, and child processes that never outlive this one |
 //! | [`firmware`] | finds or builds the firmware of emulated nodes |
-//! | `flash_copy` | reads the flash of a node that is not running |
 //! | `authentic` | authentic frames: what is compared, and the answer to the first hello |
 //! | [`compare`] | compares a node's steps with the simulated ones |
 //! | `loop_node` | a node with its state in the co-simulation |
 //! | `lockstep` | the run observer that steps the nodes |
 //! | `relay`, `socket` | serve nodes to clients during a run |
+//! | `stopped_node` | reads the flash of a node that is not running |
 //! | [`fault`] | failures of a node |
 //!
 //! A node in the loop gets measurements and time by message instead of from a sensor and a clock.
@@ -36,13 +36,13 @@ pub mod compare;
 pub mod endpoint;
 pub mod fault;
 pub mod firmware;
-mod flash_copy;
 mod lockstep;
 mod loop_node;
 pub mod process;
 pub mod qemu;
 mod relay;
 mod socket;
+mod stopped_node;
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -23,9 +23,9 @@ use tempfile::TempDir;
 
 use super::board::Board;
 use super::fault::Fault;
-use super::flash_copy::{FlashCopy, package_in_use};
 use super::process::Process;
-use crate::image::{ERASED, Image};
+use super::stopped_node::package_in_use;
+use crate::image::{ERASED, Image, RamFlash};
 use crate::memory_map::WeightsRegion;
 use crate::packages::PackageBytes;
 use crate::service::{Line, LineError};
@@ -242,7 +242,7 @@ impl Qemu {
             origin.ok_or_else(|| wrong("the memory map places WEIGHTS outside this flash"))?;
         let mut bytes = vec![0; self.region.length as usize];
         file.read_exact_at(&mut bytes, origin)?;
-        let found = package_in_use(FlashCopy::new(&bytes), &self.region, key);
+        let found = package_in_use(RamFlash::new(&bytes), &self.region, key);
         found.map_err(|error| wrong(&error.to_string()))
     }
 

@@ -10,7 +10,7 @@ use super::{ERASED, Image, ImageError, Segment};
 /// A file format, as named on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Format {
-    /// Bytes without addresses; the gap between package and commit area is filled with blanks.
+    /// Bytes without addresses; gaps between the segments are filled with blanks.
     Bin,
     /// Intel HEX.
     Hex,
@@ -75,9 +75,11 @@ impl Image {
             ImageFormat::Uf2(_) => u64::from(self.region().erase_size),
             ImageFormat::Bin | ImageFormat::Hex => 1,
         };
-        let spans = self.segments.iter().map(Segment::span);
+        let mut spans = self.segments.iter().map(Segment::span);
         let length = match format {
-            ImageFormat::Bin => self.segments[1].span().end - self.segments[0].span().start,
+            ImageFormat::Bin => {
+                spans.next_back().map_or(0, |last| last.end) - u64::from(self.base())
+            }
             _ => spans.map(|span| (span.end - span.start).next_multiple_of(unit)).sum(),
         };
         if length > LENGTH_MAX {
@@ -91,10 +93,11 @@ impl Image {
     }
 
     fn bin(&self) -> Vec<u8> {
-        let [first, second] = &self.segments;
-        let mut bytes = first.bytes.clone();
-        bytes.extend(self.gap().map(|_| ERASED));
-        bytes.extend(&second.bytes);
+        let mut bytes = Vec::new();
+        for segment in &self.segments {
+            bytes.resize((segment.address - self.base()) as usize, ERASED);
+            bytes.extend(&segment.bytes);
+        }
         bytes
     }
 

@@ -1,5 +1,7 @@
 //! Image errors.
 
+use agent_core::store::{LayoutError, StoreError};
+
 use super::uf2_format::{PAYLOAD, UF2_FAMILIES};
 
 /// Why an image cannot be created or encoded.
@@ -45,6 +47,56 @@ pub enum ImageError {
         /// End of the available addresses, exclusive.
         free_end: u64,
     },
+    /// The firmware is where the weights or other parts of it are.
+    #[error(
+        "the firmware has bytes at {start:#x} to {end:#x}, which overlap WEIGHTS or others of its bytes; \
+             pass the memory.x that it is linked with"
+    )]
+    FirmwareOverlaps {
+        /// The first address of the bytes.
+        start: u64,
+        /// End address, exclusive.
+        end: u64,
+    },
+    /// The firmware is not a program of a microcontroller.
+    #[error(
+        "the firmware is not a 32-bit ELF program: {problem}; pass the file that `cargo xtask firmware` \
+             names"
+    )]
+    Firmware {
+        /// What is wrong.
+        problem: String,
+    },
+    /// The firmware is linked with another memory map.
+    #[error(
+        "the firmware has {symbol} at {found:#x}, the memory map at {expected:#x}; pass the memory.x \
+             that it is linked with"
+    )]
+    OtherMemoryMap {
+        /// The symbol.
+        symbol: &'static str,
+        /// Its value in the firmware.
+        found: u64,
+        /// Its value in the memory map.
+        expected: u64,
+    },
+    /// The journal has no room for keys.
+    #[error(
+        "a half of the commit area has {found} bytes, but a node with keys needs {needed}; make \
+             _weights_commit_length in memory.x longer"
+    )]
+    NoRoomForKeys {
+        /// Length of a half of the commit area. \[bytes\]
+        found: u32,
+        /// Length that is needed. \[bytes\]
+        needed: u32,
+    },
+    /// The store does not fit the region.
+    #[error("{0}; correct the symbols in memory.x")]
+    Layout(LayoutError),
+    /// The node's store does not record the keys.
+    #[error("cannot record the keys: {0}; check the commit area in memory.x")]
+    Keys(StoreError),
     /// The segments of a UF2 file must start and end on block boundaries.
     #[error(
         "{name} would be at {start:#x} to {end:#x} in a UF2 file, which has blocks of {PAYLOAD} bytes; \

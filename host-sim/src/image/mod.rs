@@ -1,4 +1,5 @@
-//! Flash images: a weight package at the address where the firmware looks for it.
+//! Flash images: a weight package at the address where the firmware looks for it, and for a blank
+//! board also its firmware and keys.
 //!
 //! An image fills one slot of the region that the memory map reserves for weights, and marks this
 //! slot as the active one in the commit area:
@@ -8,22 +9,28 @@
 //! commit area   record  | 0xFF up to its end                      which erases older records
 //! ```
 //!
-//! Only these two [`Segment`]s are written, except for padding in two formats:
+//! [`Image::provision`] appends a node's keys to the record; the node's own store writes them, so they
+//! are what the node would have recorded. [`Image::with_firmware`] adds the firmware.
+//!
+//! Only these [`Segment`]s are written, except for padding in two formats:
 //!
 //! | format | content | padding |
 //! | --- | --- | --- |
 //! | `hex` | Intel HEX with 32-bit addresses | none: it has gaps |
 //! | `uf2` | 512-byte blocks for USB drives | 0xFF up to the end of the package's last erase unit |
-//! | `bin` | bytes without addresses | 0xFF between the two segments: an image of slot A erases slot B |
+//! | `bin` | bytes without addresses | 0xFF between the segments: an image of slot A erases slot B |
 //!
-//! Invariants, checked for every image regardless of its [`WeightsRegion`]: the segments are inside
-//! the region and do not overlap, and the package is inside its slot. The contents of package and
-//! record are not checked.
+//! Invariants, checked for every image regardless of its [`WeightsRegion`]: the segments do not
+//! overlap, the package is inside its slot, the firmware is outside the region, and the others are
+//! inside. The contents of package and record are not checked.
 
 mod encode;
 mod error;
+mod firmware;
+mod keys;
 mod kind;
 mod part;
+mod ram_flash;
 mod tools;
 mod uf2;
 mod uf2_format;
@@ -33,13 +40,14 @@ use std::ops::Range;
 pub use encode::{Format, ImageFormat};
 pub use error::ImageError;
 pub use part::Part;
+pub(crate) use ram_flash::RamFlash;
 pub use tools::{ToolCommand, ToolUse, commands_for};
 pub use uf2::Uf2Family;
 pub use uf2_format::UF2_FAMILIES;
 
 use agent_core::store::{Serial, Slot, factory_record};
 
-use crate::memory_map::WeightsRegion;
+use crate::memory_map::{ADDRESSES, WeightsRegion};
 use crate::packages::PackageBytes;
 
 /// Value of erased flash, for every NOR flash that the store supports.
@@ -48,6 +56,12 @@ pub const ERASED: u8 = 0xFF;
 /// A package is padded to a multiple of this \[bytes\], the largest write unit of common
 /// microcontrollers' flash.
 pub const PACKAGE_ALIGNMENT: usize = 8;
+
+/// Name of the firmware's segments.
+const FIRMWARE: &str = "the firmware";
+
+/// Name of the journal's segment.
+const COMMIT: &str = "the commit area";
 
 /// Bytes and their address.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -74,8 +88,8 @@ impl Segment {
 pub struct Image {
     region: WeightsRegion,
     slot: Slot,
-    /// The package and the commit area, in order of address.
-    segments: [Segment; 2],
+    /// The package, the commit area and any firmware, in order of address.
+    segments: Vec<Segment>,
 }
 
 impl Image {
@@ -115,14 +129,19 @@ impl Image {
         };
         let package = Segment { name: "the package", address, bytes: filled(package, padded) };
         let commit = Segment {
-            name: "the commit area",
+            name: COMMIT,
             address: region.commit,
             bytes: filled(record, region.commit_length as usize),
         };
-        let mut segments = [package, commit];
-        segments.sort_by_key(|segment| segment.address);
-        check(region, &segments)?;
-        Ok(Self { region: *region, slot, segments })
+        Self { region: *region, slot, segments: Vec::new() }.with([package, commit])
+    }
+
+    /// Adds segments, in order of address.
+    fn with(mut self, segments: impl IntoIterator<Item = Segment>) -> Result<Self, ImageError> {
+        self.segments.extend(segments);
+        self.segments.sort_by_key(|segment| segment.address);
+        check(&self.region, &self.segments)?;
+        Ok(self)
     }
 
     /// Creates an image that makes `package`, in `slot`, the active and confirmed one.
@@ -164,10 +183,9 @@ impl Image {
         self.segments[0].address
     }
 
-    /// Returns the gap between the segments, which a `bin` file fills with blanks.
-    #[must_use]
-    pub fn gap(&self) -> Range<u64> {
-        self.segments[0].span().end..self.segments[1].span().start
+    /// Returns the gaps between the segments, which a `bin` file fills with blanks.
+    pub fn gaps(&self) -> impl Iterator<Item = Range<u64>> {
+        self.segments.windows(2).map(|two| two[0].span().end..two[1].span().start)
     }
 
     /// Whether a `bin` file erases the other slot.
@@ -177,25 +195,37 @@ impl Image {
             Slot::A => self.region.slot_b,
             Slot::B => self.region.slot_a,
         };
-        self.gap().contains(&other.into())
+        self.gaps().any(|gap| gap.contains(&other.into()))
     }
 }
 
-/// Final check before anything is written: `segments` are inside the region, in order and disjoint.
+/// Final check before anything is written: `segments` are in order and disjoint, the firmware is outside
+/// the region, and the others are inside.
 fn check(region: &WeightsRegion, segments: &[Segment]) -> Result<(), ImageError> {
-    let mut end = u64::from(region.origin);
+    let origin = u64::from(region.origin);
+    let mut end = 0;
     for segment in segments {
-        let span = segment.span();
-        if span.start < end || span.end > region.end() {
+        let Range { start, end: segment_end } = segment.span();
+        let is_firmware = segment.name == FIRMWARE;
+        let (free_start, free_end) = match is_firmware {
+            true if start < origin => (end, origin),
+            true => (region.end().max(end), ADDRESSES),
+            false => (origin.max(end), region.end()),
+        };
+        if start < free_start || segment_end > free_end {
+            if is_firmware {
+                return Err(ImageError::FirmwareOverlaps { start, end: segment_end });
+            }
+            let name = segment.name;
             return Err(ImageError::Outside {
-                name: segment.name,
-                start: span.start,
-                end: span.end,
-                free_start: end,
-                free_end: region.end(),
+                name,
+                start,
+                end: segment_end,
+                free_start,
+                free_end,
             });
         }
-        end = span.end;
+        end = segment_end;
     }
     Ok(())
 }

@@ -6,6 +6,13 @@ use agent_core::wire::secret::Secret;
 
 use super::{FleetSecret, NetworkNumbers, PortKeys};
 
+/// Returns the epoch of a node that is provisioned now: seconds since 1970, which fit until 2106.
+#[must_use]
+pub fn epoch_now() -> u32 {
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    u32::try_from(now.unwrap_or_default().as_secs()).unwrap_or(u32::MAX)
+}
+
 /// The secret of a fleet, and the numbers of its network keys.
 #[derive(Clone, Debug)]
 pub struct FleetKeys {

@@ -22,7 +22,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 pub use error::KeyFolderError;
-pub use fleet::FleetKeys;
+pub use fleet::{FleetKeys, epoch_now};
 pub use network_numbers::{NetworkNumbers, Stage};
 pub use secret::{FleetSecret, PortKeys};
 

@@ -43,7 +43,7 @@ pub struct NewKeys<'k> {
     pub fleet: &'k FleetKeys,
     /// Signs a node's first keys, which is needed if its firmware accepts only signed packages.
     pub operator: Option<&'k OperatorKey>,
-    /// The least epoch from now on: [`epoch_now`].
+    /// The least epoch from now on: [`crate::keys::epoch_now`].
     pub epoch: u32,
 }
 
@@ -69,13 +69,6 @@ pub fn provision(
     // The port key is another one from now on.
     client.forget_session();
     network_keys(client, &fleet.network_keys(), retry_policy)
-}
-
-/// Returns the epoch of a node that is provisioned now: seconds since 1970, which fit until 2106.
-#[must_use]
-pub fn epoch_now() -> u32 {
-    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-    u32::try_from(now.unwrap_or_default().as_secs()).unwrap_or(u32::MAX)
 }
 
 /// Gives a node network keys in place of those before.

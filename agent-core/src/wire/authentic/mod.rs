@@ -126,8 +126,8 @@ pub fn open<'b>(
         None => return Err(length),
     }
     // The tag covers every byte, so other encodings of the same header need not be refused.
-    let ((_, key, header), rest) = postcard::take_from_bytes::<(u8, u8, Header)>(body)
-        .map_err(|_| FrameError::Malformed)?;
+    let ((_, key, header), rest) =
+        postcard::take_from_bytes::<(u8, u8, Header)>(body).map_err(|_| FrameError::Malformed)?;
     let Header { sender, kind, .. } = header;
     let refused = FrameError::Tag { sender };
     let key = keys.iter().find(|known| known.number() == key).ok_or(refused)?;

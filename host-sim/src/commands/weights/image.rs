@@ -1,4 +1,5 @@
-//! `weights image` and `flash`: placing packages in flash memory.
+//! `weights image` and `flash`: placing packages in flash memory, for a blank board also firmware and
+//! keys.
 
 use std::path::{Path, PathBuf};
 
@@ -7,16 +8,22 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::renamed;
-use crate::commands::{CommandError, Format, print_json, print_text};
-use crate::files::output::write_whole;
+use crate::commands::key::Passphrase;
+use crate::commands::{CommandError, ErrorCode, Format, print_json, print_text};
+use crate::files::input::read_limited;
+use crate::files::output::{write_secret, write_whole};
 use crate::flash::{FlashTarget, ProbeRs};
 use crate::image::{self, Image, ImageError, ImageFormat, Part, ToolUse, Uf2Family, commands_for};
 use crate::interruption::{self, SecondSignal};
+use crate::keys::{epoch_now, public_file};
 use crate::memory_map::MemoryMap;
 use crate::packages::PackageBytes;
 use crate::packages::check::check;
 use crate::signing::read_public_key;
 use crate::terminal;
+
+/// Size limit of firmware with its debug information. \[byte\]
+const FIRMWARE_MAX: u64 = 64 << 20;
 
 /// Slot and memory map.
 #[derive(Debug, Args)]
@@ -39,6 +46,14 @@ pub(in crate::commands) struct Arguments {
     package: PathBuf,
     #[command(flatten)]
     place: Place,
+    /// Make the node the package's agent, with the keys of this folder: the image then holds secrets
+    #[arg(long, value_name = "FOLDER")]
+    keys: Option<PathBuf>,
+    /// Add firmware, an ELF file, for a blank board: the image then holds firmware, package and keys
+    #[arg(long, value_name = "FIRMWARE", requires = "keys")]
+    node: Option<PathBuf>,
+    #[command(flatten)]
+    passphrase: Passphrase,
     /// Format of the image; add `json` to print the result as JSON [default: that of --out's
     /// extension, else hex]
     #[arg(long, value_enum, value_delimiter = ',')]
@@ -49,7 +64,7 @@ pub(in crate::commands) struct Arguments {
     /// Chip, by its probe-rs name: checks the memory map against its flash, if known
     #[arg(long)]
     chip: Option<String>,
-    /// File to write [default: the package's name with e.g. .slot-a.bin]
+    /// File to write [default: the package's name with e.g. .slot-a.bin, with --keys .node.bin]
     #[arg(long)]
     out: Option<PathBuf>,
 }
@@ -99,14 +114,46 @@ fn slot(name: &str) -> Result<Slot, String> {
     }
 }
 
-/// Creates the image of a package, after checking that a node would accept it.
-fn image(path: &Path, place: &Place) -> Result<Image, CommandError> {
+/// Creates the image of a package, after checking that a node would accept it. Returns the package,
+/// too.
+fn image(path: &Path, place: &Place) -> Result<(Image, PackageBytes), CommandError> {
     let region = MemoryMap::read(&place.memory)?.weights()?;
     let key = place.key.as_deref().map(read_public_key).transpose()?;
     let package = PackageBytes::load(path)?;
     let requirements = super::verify::requirements(key.as_ref(), None);
     check(&package, &requirements).map_err(|refusal| CommandError::refused(path, &refusal))?;
-    Ok(Image::of_package(&region, place.slot, &package)?)
+    Ok((Image::of_package(&region, place.slot, &package)?, package))
+}
+
+/// Adds the keys of the folder, and the firmware if there is any. Returns warnings, too.
+fn provisioned(
+    image: Image,
+    package: &PackageBytes,
+    folder: &Path,
+    arguments: &Arguments,
+) -> Result<(Image, Vec<String>), CommandError> {
+    let keys = arguments.passphrase.folder(folder)?;
+    let agent = package.package().node.agent;
+    let mut image = image.provision(keys.fleet(), agent, epoch_now())?;
+    if let Some(path) = &arguments.node {
+        let elf = read_limited(path, FIRMWARE_MAX).map_err(|error| {
+            let text = format!("{}: {error}; pass the firmware's ELF file", path.display());
+            CommandError::new(ErrorCode::Image, text).about(path)
+        })?;
+        image = image.with_firmware(&elf)?;
+    }
+    let mut warnings = vec![format!(
+        "WARNING: this file holds the keys of agent {agent} and of the network. Keep it secret, write it \
+         into one board only, and delete it then."
+    )];
+    let operator = read_public_key(&public_file(folder))?;
+    if check(package, &super::verify::requirements(Some(&operator), None)).is_err() {
+        warnings.push(format!(
+            "WARNING: the package is not signed with {}. Firmware with that public key will not use it.",
+            public_file(folder).display()
+        ));
+    }
+    Ok((image, warnings))
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
@@ -135,7 +182,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
     let (format, printed) = formats(arguments)?;
     let image_format = format.with_family(arguments.family)?;
-    let image = image(&arguments.package, &arguments.place)?;
+    let (mut image, package) = image(&arguments.package, &arguments.place)?;
+    let mut warnings = Vec::new();
+    if let Some(folder) = &arguments.keys {
+        (image, warnings) = provisioned(image, &package, folder, arguments)?;
+    }
     let contradiction = match image_format {
         ImageFormat::Uf2(family) => contradiction(&image, family)?,
         _ => None,
@@ -144,15 +195,20 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         image.check_part(&part, false)?;
     }
     let bytes = image.encode(image_format)?;
-    let ending = match image.slot() {
-        Slot::A => format!(".slot-a.{format}"),
-        Slot::B => format!(".slot-b.{format}"),
+    let ending = match (&arguments.keys, image.slot()) {
+        (Some(_), _) => format!(".node.{format}"),
+        (None, Slot::A) => format!(".slot-a.{format}"),
+        (None, Slot::B) => format!(".slot-b.{format}"),
     };
     let out = arguments.out.clone().unwrap_or_else(|| renamed(&arguments.package, &ending));
-    write_whole(&out, image_format.file_kind(), |file| file.write_all(&bytes))?;
+    if arguments.keys.is_some() {
+        write_secret(&out, |file| file.write_all(&bytes))?;
+    } else {
+        write_whole(&out, image_format.file_kind(), |file| file.write_all(&bytes))?;
+    }
     let commands = commands_for(&image, &out, format);
     let mut notes = notes(&image, format);
-    notes.splice(0..0, contradiction);
+    notes.splice(0..0, warnings.into_iter().chain(contradiction));
     if printed == Format::Json {
         return print_json(&Report {
             image: out.display().to_string(),
@@ -289,7 +345,7 @@ pub(in crate::commands) fn flash(arguments: &FlashArguments) -> Result<(), Comma
         verified: bool,
     }
     interruption::listen(SecondSignal::Exit);
-    let image = image(&arguments.package, &arguments.place)?;
+    let (image, _) = image(&arguments.package, &arguments.place)?;
     if let Some(part) = arguments.chip.as_deref().and_then(Part::of_chip) {
         image.check_part(&part, false)?;
     }

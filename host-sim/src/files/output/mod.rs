@@ -121,6 +121,11 @@ impl OutputFile {
     /// # Errors
     /// See [`OutputError`].
     pub fn prepare(path: &Path, kind: FileKind) -> Result<Self, OutputError> {
+        Self::prepare_with(path, kind, None)
+    }
+
+    /// With a `mode`, the file has that one and belongs to this user, whatever was there before.
+    fn prepare_with(path: &Path, kind: FileKind, mode: Option<u32>) -> Result<Self, OutputError> {
         let failed = |error| OutputError::Write { path: path.to_owned(), error };
         let target = match place::find(path)? {
             Place::Stream(file) => Target::Stream(file),
@@ -135,10 +140,11 @@ impl OutputFile {
                     _ => Path::new("."),
                 };
                 let made = MadeFolders::make(folder).map_err(failed)?;
-                let mode = before.as_ref().map(place::mode);
-                let (temporary, file) = Temporary::file(folder, mode).map_err(failed)?;
-                if let Some(before) = &before {
-                    place::copy_attributes(&file, before)
+                let old_mode = before.as_ref().map(place::mode);
+                let (temporary, file) =
+                    Temporary::file(folder, mode.or(old_mode)).map_err(failed)?;
+                if let Some(before) = before.filter(|_| mode.is_none()) {
+                    place::copy_attributes(&file, &before)
                         .map_err(|_| OutputError::Owner { path: path.to_owned() })?;
                 }
                 Target::File { temporary, file, place, made }
@@ -206,6 +212,18 @@ pub fn write_whole(
     fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> Result<(), OutputError> {
     OutputFile::prepare(path, kind)?.write(fill)
+}
+
+/// Like [`write_whole`], for a new file with secrets, which only its owner can read on systems that have
+/// modes.
+///
+/// # Errors
+/// Same as [`write_whole`]; a file that exists and is not empty is never replaced.
+pub fn write_secret(
+    path: &Path,
+    fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+) -> Result<(), OutputError> {
+    OutputFile::prepare_with(path, FileKind::NEW, Some(0o600))?.write(fill)
 }
 
 /// Like [`write_whole`], without waiting for the disk: for the many files of a run, which can be

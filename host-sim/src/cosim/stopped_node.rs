@@ -2,91 +2,19 @@
 
 use agent_core::package::signature::PublicKey;
 use agent_core::package::{Envelope, PackageError, Refusal, Requirements};
-use agent_core::store::{LayoutError, MappedFlash, Store};
-use embedded_storage::nor_flash::{
-    ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
-};
+use agent_core::store::{LayoutError, Store};
 
+use crate::image::RamFlash;
 use crate::memory_map::WeightsRegion;
 use crate::packages::PackageBytes;
 use crate::packages::check::check;
-
-/// A copy of a flash, so that writes by the store, such as ending a trial, are discarded.
-#[derive(Debug)]
-pub(super) struct FlashCopy {
-    words: Vec<u32>,
-    length: usize,
-}
-
-/// An access beyond its end.
-#[derive(Debug)]
-pub(super) struct Outside;
-
-impl NorFlashError for Outside {
-    fn kind(&self) -> NorFlashErrorKind {
-        NorFlashErrorKind::OutOfBounds
-    }
-}
-
-impl FlashCopy {
-    pub(super) fn new(bytes: &[u8]) -> Self {
-        let mut words = vec![0u32; bytes.len().div_ceil(4)];
-        bytemuck::cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
-        Self { words, length: bytes.len() }
-    }
-
-    fn part(&mut self, offset: u32, length: usize) -> Result<&mut [u8], Outside> {
-        let all = &mut bytemuck::cast_slice_mut(&mut self.words)[..self.length];
-        let start = offset as usize;
-        start.checked_add(length).and_then(|end| all.get_mut(start..end)).ok_or(Outside)
-    }
-}
-
-impl ErrorType for FlashCopy {
-    type Error = Outside;
-}
-
-impl ReadNorFlash for FlashCopy {
-    const READ_SIZE: usize = 1;
-
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Outside> {
-        bytes.copy_from_slice(self.part(offset, bytes.len())?);
-        Ok(())
-    }
-
-    fn capacity(&self) -> usize {
-        self.length
-    }
-}
-
-// Sizes of the emulated board.
-impl NorFlash for FlashCopy {
-    const WRITE_SIZE: usize = 4;
-    const ERASE_SIZE: usize = 4096;
-
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), Outside> {
-        self.part(from, to.saturating_sub(from) as usize)?.fill(crate::image::ERASED);
-        Ok(())
-    }
-
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Outside> {
-        self.part(offset, bytes.len())?.copy_from_slice(bytes);
-        Ok(())
-    }
-}
-
-impl MappedFlash for FlashCopy {
-    fn mapped(&self) -> &[u8] {
-        &bytemuck::cast_slice(&self.words)[..self.length]
-    }
-}
 
 /// Returns the package that a node with this flash uses after a reset, if any.
 ///
 /// # Errors
 /// If the memory map does not fit the flash.
 pub(super) fn package_in_use(
-    flash: FlashCopy,
+    flash: RamFlash,
     region: &WeightsRegion,
     key: Option<&PublicKey>,
 ) -> Result<Option<PackageBytes>, LayoutError> {
@@ -134,7 +62,7 @@ mod tests {
         let region = MemoryMap::read(path.as_ref()).unwrap().weights().unwrap();
         let mut bytes = vec![ERASED; region.length as usize];
         let found = |bytes: &[u8], key: Option<&PublicKey>| {
-            package_in_use(FlashCopy::new(bytes), &region, key).unwrap()
+            package_in_use(RamFlash::new(bytes), &region, key).unwrap()
         };
         assert_eq!(found(&bytes, None), None);
         let key = OperatorKey::generate().unwrap();
