@@ -1,15 +1,15 @@
 //! Requests that only an operator with the node's port key can make.
 //!
 //! A node that has a port key carries out a request only if it is sealed, except those of
-//! [`Request::is_free`]. Sealing encrypts the request and adds a tag over it (Ascon-AEAD128,
+//! [`Request::is_free`](super::Request::is_free). Sealing encrypts the request and adds a tag over it (Ascon-AEAD128,
 //! NIST SP 800-232). The nonce has the node's epoch, which never comes again, the request's counter,
 //! which rises, and a random salt; so no request can be read, changed, repeated or delayed beyond the
 //! next one.
 //!
 //! | on the wire | |
 //! | --- | --- |
-//! | [`Request::Numbered`] | as for any request; may be missing |
-//! | [`Request::Sealed`] | its index, the counter as a varint, and the salt, eight bytes |
+//! | [`Request::Numbered`](super::Request::Numbered) | as for any request; may be missing |
+//! | [`Request::Sealed`](super::Request::Sealed) | its index, the counter as a varint, and the salt, eight bytes |
 //! | encrypted request | as long as the request |
 //! | tag | [`TAG_LENGTH`] bytes |
 //!
@@ -19,7 +19,7 @@
 //! | nonce | epoch, then counter, `u32` each, little-endian, then the salt |
 //! | associated data | none |
 //!
-//! Before its first request, a laptop asks for the [`Session`], which tells the epoch and proves that
+//! Before its first request, a laptop asks for the [`Session`](super::Session), which tells the epoch and proves that
 //! the node has the port key. So nobody else can make a laptop seal requests for an epoch that is
 //! still to come. Answers are not sealed.
 //!
