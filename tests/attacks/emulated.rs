@@ -194,7 +194,7 @@ fn estimates(turn: &Turn) -> Vec<&Vec<u8>> {
 
 fn frames_refused(board: &mut Board) -> u32 {
     let health = board.status().unwrap().health;
-    health.frames_refused + health.frames_damaged
+    health.frames_refused + health.frames_stale
 }
 
 fn borrowed(frames: &[Vec<u8>]) -> impl Iterator<Item = Cow<'_, [u8]>> {

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use agent_core::service::seal::PortKey;
-use agent_core::service::{Provision, Request, Session, Subscription};
+use agent_core::service::{Provision, Request, Session, Subscription, split_number};
 use agent_core::wire::secret::Secret;
 use host_sim::service::Message;
 use rand::{RngExt, SeedableRng};
@@ -175,6 +175,10 @@ fn forged(
         }
         7 => bytes = encoded(&wanted(random.random(), dimension)),
         _ => bytes.iter_mut().for_each(|byte| *byte = random.random()),
+    }
+    // A number would only come back with the answer.
+    while let (Some(_), request) = split_number(&bytes) {
+        bytes = request.to_vec();
     }
     bytes
 }

@@ -7,7 +7,7 @@
 //! | --- | --- |
 //! | `.cargo/config.toml`, `build.target` | the target |
 //! | `Cargo.toml`, `package.name` | the name of the program |
-//! | `Cargo.toml`, `[features]` | besides `signature` and `in-the-loop`: further variants of the program |
+//! | `Cargo.toml`, `[features]` | besides those of all boards (`authentic-frames`, `signature`, `in-the-loop`): further variants of the program |
 //! | `Cargo.toml`, `[package.metadata.budget]` | limits for flash, static RAM and stack in bytes |
 //! | `memory.x` | the memory map |
 //!
@@ -40,7 +40,7 @@ pub(crate) struct Board {
 }
 
 /// Features that every board may have.
-const SHARED_FEATURES: [&str; 3] = ["default", "signature", "in-the-loop"];
+const SHARED_FEATURES: [&str; 4] = ["default", "authentic-frames", "signature", "in-the-loop"];
 
 /// Limits for a board's firmware. \[byte\]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -18,7 +18,7 @@ use crate::step::Failure;
 const SOURCES: [&str; 6] = [
     "agent-core/src",
     "agent-core/inner-network/src",
-    "agent-core/sealing/src",
+    "agent-core/integrity/src",
     "host-sim/src",
     "firmware-template/src",
     "xtask/src",

@@ -45,7 +45,11 @@ struct Artifact {
 }
 
 const ARTIFACTS: [Artifact; 4] = [
-    Artifact { package: "sealing", selection: &["--lib"], file: "libsealing.rlib" },
+    Artifact {
+        package: "integrity",
+        selection: &["--lib", "--features", "seals"],
+        file: "libintegrity.rlib",
+    },
     Artifact { package: "inner-network", selection: &["--lib"], file: "libinner_network.rlib" },
     Artifact {
         package: "agent-core",

@@ -31,6 +31,8 @@ pub(crate) struct Variant {
     pub(crate) in_the_loop: bool,
     /// A feature of the board's own.
     pub(crate) feature: Option<String>,
+    /// Without the features that are on by default.
+    pub(crate) without_keys: bool,
 }
 
 impl Variant {
@@ -39,8 +41,10 @@ impl Variant {
         let in_the_loop = Self { in_the_loop: true, ..Self::default() };
         let with = |feature: &String| Self { feature: Some(feature.clone()), ..Self::default() };
         let mut variants: Vec<Self> = board.features.iter().map(with).collect();
-        if board.name != boards::EMULATED {
-            variants.push(in_the_loop); // That board is always in the loop.
+        if board.name == boards::EMULATED {
+            variants.push(Self { without_keys: true, ..Self::default() });
+        } else {
+            variants.push(in_the_loop); // The emulated board is always in the loop.
         }
         // Last, so that its program remains.
         variants.push(Self::default());
@@ -58,6 +62,10 @@ impl Variant {
         for feature in features.into_iter().flatten() {
             command.args(["--features", feature]);
             name = format!("{name}-{feature}");
+        }
+        if self.without_keys {
+            command.arg("--no-default-features");
+            name.push_str("-without-keys");
         }
         if let Some(key) = &self.public_key {
             command.env("NODE_PUBLIC_KEY", key);
@@ -220,6 +228,7 @@ mod tests {
             public_key: Some("00".to_owned()),
             in_the_loop: true,
             feature: Some("c".to_owned()),
+            without_keys: false,
         };
         let arguments = "--public-key 00 --board a --in-the-loop --feature c --board b";
         let arguments: Vec<&str> = arguments.split(' ').collect();

@@ -120,7 +120,7 @@ fn main() -> ExitCode {
             None => return usage(),
         },
         ["attack", ref rest @ ..] => match attack::Options::read(rest) {
-            Some(options) => attack::attack(&options),
+            Some(options) => attack::attack(&options, debian),
             None => return usage(),
         },
         ["fuzz", ref rest @ ..] => match fuzz::Options::read(rest) {

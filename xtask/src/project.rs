@@ -124,7 +124,7 @@ fn make(path: &Path, board: &Board, copy_crates: bool) -> Result<(), Failure> {
 
 /// The crates of a node, from the root of the workspace.
 const NODE_CRATES: [&str; 4] =
-    ["agent-core", "agent-core/inner-network", "agent-core/sealing", "firmware-template"];
+    ["agent-core", "agent-core/inner-network", "agent-core/integrity", "firmware-template"];
 
 /// Copies the node's crates and the parts of the workspace that their manifests use.
 fn copy_workspace(to: &Path) -> Result<(), Failure> {

@@ -41,7 +41,7 @@ pub enum Request<'a> {
     Samples {
         /// Skip samples before this tick.
         from: Tick,
-        /// Largest number of samples; the answer tells where to continue.
+        /// Largest number of samples; a node may send fewer. The answer tells where to continue.
         most: u8,
     },
     /// Continue from this estimate of the state, as if started with it.

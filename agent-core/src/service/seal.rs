@@ -30,7 +30,7 @@ use crate::AgentId;
 use crate::wire::secret::{Purpose, Secret};
 
 /// Length of the tag of a sealed request. \[byte\]
-pub const TAG_LENGTH: usize = sealing::LENGTH;
+pub const TAG_LENGTH: usize = integrity::LENGTH;
 
 /// The key of a node's service port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,7 +52,7 @@ impl PortKey {
     /// Encrypts the `request` in place and returns its tag.
     #[must_use]
     pub fn seal(&self, epoch: u32, seal: &Seal, request: &mut [u8]) -> [u8; TAG_LENGTH] {
-        sealing::encrypt(&self.request_key(), &nonce(epoch, seal), request)
+        integrity::encrypt(&self.request_key(), &nonce(epoch, seal), request)
     }
 
     /// Decrypts in place what [`Self::seal`] has made; `None` if the tag does not match. The bytes are
@@ -60,16 +60,16 @@ impl PortKey {
     #[must_use]
     pub fn open<'b>(&self, epoch: u32, seal: &Seal, sealed: &'b mut [u8]) -> Option<&'b [u8]> {
         let (request, tag) = sealed.split_last_chunk_mut::<TAG_LENGTH>()?;
-        sealing::decrypt(&self.request_key(), &nonce(epoch, seal), request, tag)
+        integrity::decrypt(&self.request_key(), &nonce(epoch, seal), request, tag)
             .then_some(&*request)
     }
 
-    fn request_key(&self) -> [u8; sealing::LENGTH] {
+    fn request_key(&self) -> [u8; integrity::LENGTH] {
         self.0.derive(Purpose::Request, 0).to_bytes()
     }
 }
 
-fn nonce(epoch: u32, &Seal { counter, salt }: &Seal) -> [u8; sealing::LENGTH] {
+fn nonce(epoch: u32, &Seal { counter, salt }: &Seal) -> [u8; integrity::LENGTH] {
     let [e0, e1, e2, e3] = epoch.to_le_bytes();
     let [c0, c1, c2, c3] = counter.to_le_bytes();
     let [s0, s1, s2, s3, s4, s5, s6, s7] = salt;

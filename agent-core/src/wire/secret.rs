@@ -45,7 +45,7 @@ impl Secret {
     /// Returns the hash of `bytes` with this key, SipHash-2-4.
     #[cfg(feature = "authentic-frames")]
     pub(crate) fn hash(&self, bytes: &[u8]) -> u64 {
-        sealing::hash(&self.0, bytes)
+        integrity::hash(&self.0, bytes)
     }
 }
 

@@ -18,14 +18,14 @@ use serde::{Serialize, Serializer, ser};
 /// The value has a sequence of unknown length, or a type that no message has.
 #[inline(never)]
 pub(crate) fn write(value: &impl Serialize, sink: &mut dyn FnMut(&[u8])) -> Result<(), Error> {
-    value.serialize(&mut Writer { sink })
+    value.serialize(&mut Writer { sink: Some(sink), length: 0 })
 }
 
 /// Returns the length of the encoding of `value`; `None` as for [`write`]. \[byte\]
 pub(crate) fn length(value: &impl Serialize) -> Option<usize> {
-    let mut length = 0usize;
-    write(value, &mut |bytes| length += bytes.len()).ok()?;
-    Some(length)
+    let mut writer = Writer { sink: None, length: 0 };
+    value.serialize(&mut writer).ok()?;
+    Some(writer.length)
 }
 
 /// Appends the encoding of `value` to `bytes`; `None` if there is no room, or as for [`write`].
@@ -41,13 +41,32 @@ pub(crate) fn append<const CAPACITY: usize>(
 /// Length of the longest varint, that of a `u64`. \[byte\]
 const VARINT: usize = 10;
 
+/// Where bytes go.
+type Sink<'s> = &'s mut dyn FnMut(&[u8]);
+
 struct Writer<'s> {
-    sink: &'s mut dyn FnMut(&[u8]),
+    /// `None` to count bytes only.
+    sink: Option<Sink<'s>>,
+    /// Bytes so far, if they are counted only.
+    length: usize,
 }
 
 impl Writer<'_> {
+    fn extend(&mut self, bytes: &[u8]) {
+        match &mut self.sink {
+            Some(sink) => sink(bytes),
+            None => self.length += bytes.len(),
+        }
+    }
+
     #[inline(never)]
     fn varint(&mut self, mut value: u64) {
+        if self.sink.is_none() {
+            // Seven bits a byte, and one byte for zero.
+            let bits = u64::BITS - (value | 1).leading_zeros();
+            self.length += bits.div_ceil(7) as usize;
+            return;
+        }
         let mut bytes = [0; VARINT];
         let mut length = 0;
         for byte in &mut bytes {
@@ -59,7 +78,7 @@ impl Writer<'_> {
             }
             *byte |= 0x80;
         }
-        (self.sink)(bytes.get(..length).unwrap_or_default());
+        self.extend(bytes.get(..length).unwrap_or_default());
     }
 
     /// Small magnitudes of either sign give short varints.
@@ -105,7 +124,7 @@ impl Serializer for &mut Writer<'_> {
     );
 
     fn serialize_u8(self, value: u8) -> Result<(), Error> {
-        (self.sink)(&[value]);
+        self.extend(&[value]);
         Ok(())
     }
 
@@ -118,12 +137,12 @@ impl Serializer for &mut Writer<'_> {
     }
 
     fn serialize_f32(self, value: f32) -> Result<(), Error> {
-        (self.sink)(&value.to_le_bytes());
+        self.extend(&value.to_le_bytes());
         Ok(())
     }
 
     fn serialize_f64(self, value: f64) -> Result<(), Error> {
-        (self.sink)(&value.to_le_bytes());
+        self.extend(&value.to_le_bytes());
         Ok(())
     }
 
@@ -137,7 +156,7 @@ impl Serializer for &mut Writer<'_> {
 
     fn serialize_bytes(self, bytes: &[u8]) -> Result<(), Error> {
         self.varint(bytes.len() as u64);
-        (self.sink)(bytes);
+        self.extend(bytes);
         Ok(())
     }
 
@@ -146,7 +165,7 @@ impl Serializer for &mut Writer<'_> {
     }
 
     fn serialize_some<T: Serialize + ?Sized>(self, value: &T) -> Result<(), Error> {
-        (self.sink)(&[1]);
+        self.extend(&[1]);
         value.serialize(self)
     }
 

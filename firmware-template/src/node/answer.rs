@@ -11,6 +11,9 @@ use super::load::Verified;
 use super::{Due, Event, InUsePackage, Next, Node, Request, Response, respond, respond_to};
 use crate::board::Board;
 
+/// Samples in one answer; a laptop asks again for more.
+const SAMPLES_AT_ONCE: u8 = 8;
+
 /// The answer to a request, and what to do next.
 type Answer<'a> = Result<(Response<'a, &'a [f32]>, Next), Problem>;
 
@@ -179,11 +182,12 @@ impl<
         }
     }
 
-    /// Sends at most `most` samples from the tick `from` on; returns where to continue.
+    /// Sends at most `most` samples from the tick `from` on, and not so many that a step could be late;
+    /// returns where to continue.
     fn send_samples<B: Board>(&self, board: &mut B, from: Tick, most: u8) -> Tick {
         let mut next = from;
         let samples = self.memory.samples.samples().filter(|sample| sample.tick >= from);
-        for sample in samples.take(usize::from(most)) {
+        for sample in samples.take(usize::from(most.min(SAMPLES_AT_ONCE))) {
             next = sample.tick.saturating_add(1);
             let response = Response::Sample {
                 tick: sample.tick,

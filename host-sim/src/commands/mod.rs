@@ -13,6 +13,8 @@ mod baselines;
 mod board_report;
 mod check;
 #[cfg(unix)]
+mod connection;
+#[cfg(unix)]
 mod cosim;
 mod error;
 mod health;

@@ -11,8 +11,9 @@ use clap::Args;
 use serde::Serialize;
 
 use super::board_report::{BoardReport, errors_line, fault_line};
+use super::connection::{RETRY_POLICY, connect};
 use super::key::NodeKeys;
-use super::node::{RETRY_POLICY, connect, text};
+use super::node::text;
 use super::node_report::reason_text;
 use super::{CommandError, ErrorCode, Format, health, load_scenario, print_json, print_text};
 use crate::interruption::{self, SecondSignal};
@@ -129,6 +130,11 @@ fn subscribe(
     node.request(&request, retry_policy, &mut |_| {}, "a confirmation", done)
 }
 
+/// Asks for the samples of this tick and later ones.
+fn samples_from(from: Tick) -> Request<'static> {
+    Request::Samples { from, most: u8::MAX }
+}
+
 /// Sends a request, whose answer is among the messages that follow.
 fn send(node: &mut Client, request: &Request<'_>) -> Result<(), ServiceError> {
     node.prepare_sealed(request, RETRY_POLICY.timeout)?;
@@ -231,8 +237,7 @@ impl Monitor<'_> {
             let wanted = self.recorder.is_some() && !self.all_steps && self.states > 0;
             if wanted && last_samples.elapsed() >= SAMPLES {
                 last_samples = Instant::now();
-                let samples = Request::Samples { from: self.next_sample, most: u8::MAX };
-                send(node, &samples)?;
+                send(node, &samples_from(self.next_sample))?;
             }
         }
         Ok(())
@@ -253,7 +258,13 @@ impl Monitor<'_> {
                 return Ok(recorder.sample(*tick, estimate, derivative)?);
             }
             (Message::SamplesEnd { .. }, Some(recorder)) => {
-                self.next_sample = self.next_sample.max(recorder.next_tick());
+                let next = self.next_sample.max(recorder.next_tick());
+                let is_more = next > self.next_sample;
+                self.next_sample = next;
+                // A node sends a few at a time, so that its steps are not late.
+                if is_more {
+                    send(node, &samples_from(next))?;
+                }
                 return Ok(());
             }
             (Message::State(state), _) => return self.state(state, &message),

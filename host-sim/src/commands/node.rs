@@ -1,27 +1,20 @@
 //! `node`: simple requests to a running node.
 
-use std::time::Duration;
-
 use agent_core::AgentId;
 use agent_core::service::{Request, Status};
 use clap::{Args, ValueEnum};
 
 use super::board_report::BoardReport;
+use super::connection::{RETRY_POLICY, connect};
 use super::health;
 use super::key::NodeKeys;
 use super::node_keys;
 use super::node_report::{self, NodeReport};
 use super::{CommandError, Format, print_json, print_text};
 use crate::interruption::{self, SecondSignal};
-use crate::keys::KeyFolder;
-use crate::service::address::AddressError;
 use crate::service::provision;
 use crate::service::push::{self, done};
-use crate::service::{Address, Client, Message, RetryPolicy};
-
-/// Timeout and number of tries of a request; erasing flash takes time.
-pub(super) const RETRY_POLICY: RetryPolicy =
-    RetryPolicy { timeout: Duration::from_secs(3), tries: 3 };
+use crate::service::{Address, Message};
 
 /// Arguments of `node`.
 #[derive(Debug, Args)]
@@ -73,17 +66,6 @@ impl Action {
             _ => None,
         }
     }
-}
-
-/// Connects to the node at `address`, and delimits the first message. Requests are sealed if there are
-/// keys and the node is provisioned.
-pub(super) fn connect(address: &Address, keys: Option<&KeyFolder>) -> Result<Client, AddressError> {
-    let mut client = Client::new(address.connect(interruption::stop())?);
-    if let Some(keys) = keys {
-        client.set_keys(keys.fleet().port_keys());
-    }
-    client.prepare_delimiter();
-    Ok(client)
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {

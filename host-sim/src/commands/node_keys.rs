@@ -6,8 +6,8 @@ use agent_core::AgentId;
 use agent_core::service::{Problem, Session};
 use serde::Serialize;
 
+use super::connection::RETRY_POLICY;
 use super::key::Passphrase;
-use super::node::RETRY_POLICY;
 use super::{CommandError, ErrorCode};
 use crate::keys::{KeyFolder, epoch_now};
 use crate::service::provision::{self, NewKeys};

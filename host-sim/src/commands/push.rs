@@ -7,8 +7,8 @@ use agent_core::package::PackageError;
 use clap::Args;
 use serde::Serialize;
 
+use super::connection::{RETRY_POLICY, connect};
 use super::key::NodeKeys;
-use super::node::{RETRY_POLICY, connect};
 use super::{CommandError, ErrorCode, Format, print_json, print_text};
 use crate::commands::progress::ProgressBars;
 use crate::interruption::{self, SecondSignal};

@@ -49,7 +49,7 @@ struct Content {
 
 impl NetworkNumbers {
     /// The numbers in a new folder.
-    pub(super) const FIRST: Self = Self { sending: 1, other: None };
+    pub const FIRST: Self = Self { sending: 1, other: None };
 
     /// The kind of the file.
     const KIND: FileKind = FileKind {

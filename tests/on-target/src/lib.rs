@@ -11,6 +11,7 @@
 //! | `network` | the package's network, and one with other widths and activations |
 //! | `agent` | an agent as a node runs it: frames, trigger, adaptation, faults, restart |
 //! | `package` | acceptance and refusal of a weight package, checksums |
+//! | `keys` | authentic frames and sealed requests |
 //! | `turn` | a whole node of the firmware template: all its broadcasts and messages |
 //!
 //! All inputs are derived from integers, and the weights from a package trained on the host
@@ -18,7 +19,6 @@
 //!
 //! A [`Meter`] counts the instructions of a node's frequent operations; a host has no such counter
 //! and passes [`NoMeter`].
-//! no such counter and passes [`NoMeter`].
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -27,6 +27,7 @@ mod agent;
 mod digest;
 mod draw;
 pub mod golden;
+mod keys;
 mod meter;
 mod network;
 mod node;
@@ -68,6 +69,7 @@ pub fn examine(
             "network" => network::digest(meter, &mut figures)?,
             "agent" => agent::digest(meter, &mut figures)?,
             "package" => package::digest(meter, &mut figures)?,
+            "keys" => keys::digest(meter, &mut figures)?,
             _ => turn::digest(meter, &mut figures)?,
         };
         report(&Section { name, digest, golden });

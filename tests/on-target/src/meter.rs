@@ -45,11 +45,17 @@ pub enum Figure {
     Turn,
     /// The same with the outer weights reported too, as in a co-simulation.
     WholeTurn,
+    /// An authentic frame sealed.
+    Tag,
+    /// An authentic frame opened.
+    TagCheck,
+    /// The longest sealed request opened.
+    Seal,
 }
 
 impl Figure {
     /// Every figure.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 10] = [
         Self::Forward,
         Self::Step,
         Self::Broadcast,
@@ -57,6 +63,9 @@ impl Figure {
         Self::Package,
         Self::Turn,
         Self::WholeTurn,
+        Self::Tag,
+        Self::TagCheck,
+        Self::Seal,
     ];
 
     /// Returns its name, a single word.
@@ -70,6 +79,9 @@ impl Figure {
             Self::Package => "package",
             Self::Turn => "turn",
             Self::WholeTurn => "whole-turn",
+            Self::Tag => "tag",
+            Self::TagCheck => "tag-check",
+            Self::Seal => "seal",
         }
     }
 }

@@ -173,7 +173,7 @@ impl<M: Meter> Board for Bench<'_, M> {
     fn request<'buffer>(
         &mut self,
         buffer: &'buffer mut RequestBuffer,
-    ) -> Option<Result<&'buffer [u8], SerialError>> {
+    ) -> Option<Result<&'buffer mut [u8], SerialError>> {
         if self.turn < TURNS {
             return None;
         }
@@ -187,7 +187,7 @@ impl<M: Meter> Board for Bench<'_, M> {
                 }
             }
         });
-        buffer.get(..length).map(Ok)
+        buffer.get_mut(..length).map(Ok)
     }
 
     fn respond(&mut self, bytes: &[u8]) {

@@ -30,7 +30,7 @@ pub use key::NetworkKey;
 use serde::{Deserialize, Serialize};
 
 use crate::wire::frame::{self, FrameError};
-use crate::wire::{codec, writer};
+use crate::wire::writer;
 use crate::{AgentId, INPUTS_MAX, StateVector, Tick};
 
 /// Version of authentic frames.
@@ -125,8 +125,9 @@ pub fn open<'b>(
         Some(&found) => return Err(FrameError::Version { found }),
         None => return Err(length),
     }
-    let ((_, key, header), rest) =
-        codec::take::<(u8, u8, Header)>(body).ok_or(FrameError::Malformed)?;
+    // The tag covers every byte, so other encodings of the same header need not be refused.
+    let ((_, key, header), rest) = postcard::take_from_bytes::<(u8, u8, Header)>(body)
+        .map_err(|_| FrameError::Malformed)?;
     let Header { sender, kind, .. } = header;
     let refused = FrameError::Tag { sender };
     let key = keys.iter().find(|known| known.number() == key).ok_or(refused)?;
