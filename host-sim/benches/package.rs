@@ -40,7 +40,7 @@ fn acceptance_unsigned(bencher: Bencher<'_, '_>) {
 #[divan::bench]
 fn acceptance_signed(bencher: Bencher<'_, '_>) {
     let key = OperatorKey::generate().expect("random numbers");
-    let requirements = Requirements { public_key: Some(key.public_key()), ..UNRESTRICTED };
+    let requirements = Requirements { public_keys: &[*key.public_key()], ..UNRESTRICTED };
     check(bencher, &paper_sized().signed(&key), &requirements);
 }
 

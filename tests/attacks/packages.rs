@@ -38,7 +38,11 @@ pub(super) fn replayed(tries: u64, seed: u64) -> Outcome {
                 let replaces = [None, Some(rng.random_range(0..12)), Some(u32::MAX)];
                 (serial, replaces[rng.random_range(0..3)])
             };
-            let node = Requirements { public_key: Some(key), highest, ..Requirements::ANY };
+            let node = Requirements {
+                public_keys: std::slice::from_ref(key),
+                highest,
+                ..Requirements::ANY
+            };
             if node.check_serial(serial, replaces).is_ok() {
                 accepted += u64::from(is_replay);
                 activated.insert((serial, replaces));

@@ -86,3 +86,62 @@ fn an_operator_provisions_pushes_rotates_and_takes_the_keys_away() {
     assert!(told.contains("not provisioned") && told.contains("no package in use"), "{told}");
     assert_eq!(keys(&folder), none);
 }
+
+#[test]
+fn an_operator_rotates_the_key_that_signs() {
+    let folder = Folder::new("operator-rotation");
+    folder.succeed("keygen keys");
+    serve(folder.path("node"), Some(public_key(&folder.path("keys/operator.pub.pem"))));
+    let push = |version: u32, key: &str| {
+        let name = format!("{version}.weights");
+        package(1, version).save(&folder.path(&name)).unwrap();
+        folder.succeed(&format!("weights sign {name} {key}"));
+        folder.run(&format!("push node {name} --keys keys --confirm")).status.success()
+    };
+    let rotate = |stage: u8, valid: usize| {
+        let told = object(&folder.succeed("keygen keys --rotate-operator --format json"));
+        let keys = told["operator_keys"].as_array().unwrap();
+        assert_eq!((&told["stage"], keys.len()), (&json!(stage), valid));
+    };
+    let (_, error) = texts(&folder.run("node node provision --keys keys --agent 1"));
+    assert!(error.contains("in the clear"), "{error}");
+    assert!(push(1, "--keys keys"));
+
+    rotate(1, 2);
+    assert!(!push(2, "--key keys/operator.next.pem"));
+    folder.succeed("node node rotate --keys keys");
+    assert!(push(2, "--key keys/operator.next.pem"));
+    assert!(push(3, "--keys keys"));
+
+    rotate(2, 2);
+    folder.succeed("node node rotate --keys keys");
+    rotate(3, 1);
+    // The package in use still has the old signature.
+    let error = folder.fail("node node rotate --keys keys", 2);
+    assert!(error.contains("push a package that is signed with the new key"), "{error}");
+    assert!(push(4, "--keys keys"));
+    folder.succeed("node node rotate --keys keys");
+    assert!(!push(5, "--key keys/operator.old.pem"));
+    folder.succeed("node node reset --keys keys");
+    assert!(push(5, "--keys keys --replace-signature"));
+
+    // The firmware of a blank node knows only the old key.
+    folder.succeed("node node factory-reset --keys keys");
+    let (_, error) = texts(&folder.run("node node provision --keys keys --agent 1"));
+    assert!(error.contains("must be signed by the operator"), "{error}");
+}
+
+#[test]
+fn a_blank_node_gets_its_first_keys_during_a_rotation() {
+    let folder = Folder::new("operator-rotation-blank");
+    folder.succeed("keygen keys");
+    serve(folder.path("node"), Some(public_key(&folder.path("keys/operator.pub.pem"))));
+    for _ in 0..2 {
+        folder.succeed("keygen keys --rotate-operator");
+    }
+    let (told, error) = texts(&folder.run("node node provision --keys keys --agent 1"));
+    assert!(told.contains("provisioned as agent 1"), "{told}{error}");
+    package(1, 1).save(&folder.path("node.weights")).unwrap();
+    folder.succeed("weights sign node.weights --keys keys");
+    folder.succeed("push node node.weights --keys keys --confirm");
+}

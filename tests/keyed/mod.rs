@@ -5,5 +5,6 @@ mod commands;
 #[cfg(unix)]
 mod image;
 mod neighbours;
+mod operators;
 mod port;
 pub(crate) mod test_node;

@@ -27,6 +27,7 @@ fn changing() -> Vec<Request<'static>> {
         Request::Provision { bytes: &[0; Provision::LENGTH] },
         Request::NetworkKeys { bytes: &[7; 17] },
         Request::FactoryReset,
+        Request::OperatorKeys { bytes: &[1; 33] },
     ]
 }
 

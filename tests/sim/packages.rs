@@ -226,7 +226,7 @@ fn rejects_a_package_for_another_node() {
 #[test]
 fn signatures_are_required_if_there_is_a_key() {
     let (key, other) = (OperatorKey::generate().unwrap(), OperatorKey::generate().unwrap());
-    let node = Requirements { public_key: Some(key.public_key()), ..ANYONE };
+    let node = Requirements { public_keys: &[*key.public_key()], ..ANYONE };
     let unsigned = package();
     assert_eq!(check(&unsigned, &node).unwrap_err(), Refusal::Unsigned);
     assert_eq!(check(&unsigned.signed(&other), &node).unwrap_err(), Refusal::Signature);
@@ -279,7 +279,7 @@ fn accepts_an_older_package_of_format_1_only_with_a_signature_and_once() {
     let serial = |version| Serial { epoch: 0, version };
     let newer = version + 1;
     let keyless = Requirements { highest: Some(serial(newer)), ..ANYONE };
-    let node = Requirements { public_key: Some(key.public_key()), ..keyless };
+    let node = Requirements { public_keys: &[*key.public_key()], ..keyless };
     let older = Refusal::Older { highest: serial(newer), found: serial(version) };
     assert_eq!(check(&package.signed(&key), &node).unwrap_err(), older);
     let exception = package.replacing(newer).unwrap();

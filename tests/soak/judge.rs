@@ -139,6 +139,9 @@ impl Judge {
             }
             Request::Session => return answered(said, &Message::Session(None)),
             // Its nodes have no keys.
+            Request::OperatorKeys { .. } => {
+                return answered(said, &Message::Refused(Problem::Unknown));
+            }
             Request::Sealed(_) | Request::NetworkKeys { .. } | Request::FactoryReset => {
                 return answered(said, &Message::Refused(Problem::NotProvisioned));
             }

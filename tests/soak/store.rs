@@ -117,7 +117,7 @@ impl Store {
     /// What the firmware requires of a package for `agent`, counted from 0.
     fn requirements(&self, agent: usize) -> Requirements<'static> {
         Requirements {
-            public_key: None,
+            public_keys: &[],
             agent: Some(agent as u32 + 1),
             highest: Some(Serial { epoch: 0, version: self.highest }),
             step_range: StepRange::DEFAULT,

@@ -2,6 +2,7 @@
 //! once.
 
 use agent_core::AgentId;
+use agent_core::package::signature::PublicKey;
 use agent_core::store::{Store, StoreError};
 use agent_core::wire::authentic::NetworkKey;
 use agent_core::wire::secret::Secret;
@@ -10,14 +11,32 @@ use rayon::prelude::*;
 use test_support::nor_flash::{SimulatedFlash, Tear};
 use test_support::store_model::{check, erased_flash, layout};
 
-/// Words of 8 bytes, and room for six records in a half.
-type Flash = SimulatedFlash<8, 768>;
+/// Words of 8 bytes, and room for seven records in a half.
+type Flash = SimulatedFlash<8, 896>;
 
 /// What a node of this test knows.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 struct Known {
     network_keys: Vec<NetworkKey>,
     port_key: Option<(Secret, AgentId)>,
+    /// Whether the public key of the firmware is valid, and whether the other one is.
+    operators: [bool; 2],
+}
+
+impl Known {
+    /// Only the firmware's public key.
+    const BLANK: Self = Self { network_keys: vec![], port_key: None, operators: [true, false] };
+}
+
+/// The public key of the firmware, and another one: those of the first two tests of RFC 8032, 7.1.
+fn public_keys() -> [PublicKey; 2] {
+    [
+        *b"\xd7\x5a\x98\x01\x82\xb1\x0a\xb7\xd5\x4b\xfe\xd3\xc9\x64\x07\x3a\
+           \x0e\xe1\x72\xf3\xda\xa6\x23\x25\xaf\x02\x1a\x68\xf7\x07\x51\x1a",
+        *b"\x3d\x40\x17\xc3\xe8\x43\x89\x5a\x92\xb7\x0a\xa7\x4d\x1b\x7e\xbc\
+           \x9c\x98\x2c\xcf\x2e\xc4\x96\x8c\xc0\xcd\x55\xf1\x2a\xf4\x66\x0c",
+    ]
+    .map(|bytes| PublicKey::from_bytes(&bytes).unwrap())
 }
 
 /// The keys as a request has them.
@@ -30,11 +49,14 @@ fn key(number: u8) -> NetworkKey {
 }
 
 fn boot(flash: &mut Flash) -> (Store<&mut Flash>, Known) {
-    let mut store = Store::open(flash, layout(768, 1)).unwrap();
+    let mut store = Store::open(flash, layout(896, 1)).unwrap();
     store.load(check);
     let network_keys = store.network_keys().to_vec();
     let port_key = store.port_key();
-    (store, Known { network_keys, port_key })
+    let [built_in, other] = public_keys();
+    let found = store.operator_keys(built_in);
+    let operators = [built_in, other].map(|key| found.contains(&key));
+    (store, Known { network_keys, port_key, operators })
 }
 
 /// The `turn`-th change of keys, and what the node knows after it.
@@ -43,7 +65,7 @@ fn change(
     known: &Known,
     turn: u8,
 ) -> (Result<(), StoreError>, Known) {
-    match turn % 4 {
+    match turn % 5 {
         0 => {
             let port_key = (Secret::new([turn | 1; 16]), turn.into());
             let after = Known { port_key: Some(port_key), ..known.clone() };
@@ -60,7 +82,14 @@ fn change(
                 Known { network_keys, ..known.clone() },
             )
         }
-        _ => (store.remove_keys(), Known::default()),
+        3 => {
+            let is_overlap = turn % 2 == 1;
+            let [_, other] = public_keys();
+            let bytes = [&[is_overlap.into()][..], other.as_bytes()].concat();
+            let after = Known { operators: [is_overlap, true], ..known.clone() };
+            (store.record_operator_keys(&bytes), after)
+        }
+        _ => (store.remove_keys(), Known::BLANK),
     }
 }
 
@@ -78,9 +107,9 @@ fn cut_everywhere(tear: Tear, has_correction: bool) -> usize {
     let mut cuts = 0;
     for energy in (0..).step_by(8) {
         let mut flash: Flash = erased_flash(1, tear, 9).with_correction(has_correction);
-        let (mut known, mut attempted, mut used, mut turn) = (Known::default(), vec![], 0, 0);
+        let (mut known, mut attempted, mut used, mut turn) = (Known::BLANK, vec![], 0, 0);
         let mut is_cut = false;
-        while turn < 14 {
+        while turn < 18 {
             // The power fails once, and again in the boot after it.
             let supply = match is_cut {
                 false => Some(energy),
@@ -94,7 +123,7 @@ fn cut_everywhere(tear: Tear, has_correction: bool) -> usize {
                 assert!(is_known, "{found:?} after {known:?} and {attempted:?}");
                 (known, attempted) = (found, vec![]);
             }
-            while !store.flash().power_lost && turn < 14 {
+            while !store.flash().power_lost && turn < 18 {
                 if let Ok((first, end)) = store.reserve_epochs(BLOCK) {
                     assert!(first >= used && end == first + BLOCK, "epoch {first} after {used}");
                     used = end;
@@ -109,8 +138,10 @@ fn cut_everywhere(tear: Tear, has_correction: bool) -> usize {
                     continue;
                 }
                 assert!(store.flash().power_lost, "{outcome:?}");
-                // A reset removes network keys first.
-                attempted = vec![after, Known { network_keys: vec![], ..known.clone() }];
+                // A reset removes network keys first, the port key last.
+                let unkeyed = Known { network_keys: vec![], ..known.clone() };
+                attempted =
+                    vec![after, unkeyed.clone(), Known { operators: [true, false], ..unkeyed }];
             }
             if !flash.power_lost {
                 continue;
@@ -129,7 +160,7 @@ fn cut_everywhere(tear: Tear, has_correction: bool) -> usize {
 fn what_cannot_be_a_key_ring_is_refused() {
     let mut flash: Flash = erased_flash(1, Tear::Prefix, 9);
     let (mut store, known) = boot(&mut flash);
-    assert_eq!(known, Known::default());
+    assert_eq!(known, Known::BLANK);
     for keys in [vec![], ring(&[1, 1]), ring(&[1, 2, 3]), ring(&[1])[1..].to_vec()] {
         assert_eq!(store.record_network_keys(&keys), Err(StoreError::Note));
     }
@@ -142,7 +173,7 @@ fn what_cannot_be_a_key_ring_is_refused() {
     store.record_network_keys(&ring(&[1])).unwrap();
     store.remove_keys().unwrap();
     let (mut store, known) = boot(&mut flash);
-    assert_eq!(known, Known::default());
+    assert_eq!(known, Known::BLANK);
     assert_eq!(store.reserve_epochs(1), Ok((1_002, 1_003)), "a reset keeps the epochs");
     assert_eq!(store.reserve_epochs(u32::MAX), Err(StoreError::Note));
 }

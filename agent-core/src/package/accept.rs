@@ -17,8 +17,8 @@ use crate::package::signature::{PublicKey, verify};
 /// A node's requirements on packages.
 #[derive(Clone, Copy, Debug)]
 pub struct Requirements<'k> {
-    /// If present, only packages signed with the matching private key are accepted.
-    pub public_key: Option<&'k PublicKey>,
+    /// If there are any, only packages signed with the private key of one of them are accepted.
+    pub public_keys: &'k [PublicKey],
     /// The node's agent, if a package has told it.
     pub agent: Option<AgentId>,
     /// Epoch and version of the newest package that was ever activated, if any: also of one whose
@@ -33,12 +33,19 @@ pub struct Requirements<'k> {
 impl Requirements<'static> {
     /// What the format alone requires; for a host.
     pub const ANY: Self = Self {
-        public_key: None,
+        public_keys: &[],
         agent: None,
         highest: None,
         step_range: StepRange::ANY,
         capacity: Capacity::UNLIMITED,
     };
+}
+
+impl Requirements<'_> {
+    /// Whether packages must be signed. Without the feature `signature` there are no keys.
+    pub(super) fn is_signed_only(&self) -> bool {
+        cfg!(feature = "signature") && !self.public_keys.is_empty()
+    }
 }
 
 /// The range of steps that a board can keep. \[s\]
@@ -235,8 +242,8 @@ pub fn accept<'a, const N: usize>(
     scratch: &mut Scratch,
 ) -> Result<Package<'a>, Refusal> {
     let envelope = Envelope::open(bytes)?;
-    if let Some(key) = requirements.public_key {
-        check_signature(&envelope, key)?;
+    if requirements.is_signed_only() {
+        check_signature(&envelope, requirements.public_keys)?;
         check_digest(&envelope)?;
     }
     let package = Package::without_origin(&envelope)?;
@@ -272,8 +279,8 @@ pub fn accept_header<const N: usize>(
         return Ok(None);
     }
     let (envelope, _) = Envelope::split_start(bytes, true)?;
-    if let Some(key) = requirements.public_key {
-        check_signature(&envelope, key)?;
+    if requirements.is_signed_only() {
+        check_signature(&envelope, requirements.public_keys)?;
     }
     let header = envelope.header.ok_or(PackageError::Malformed)?;
     check_dimension::<N>(header.architecture.inputs())?;
@@ -285,9 +292,15 @@ pub fn accept_header<const N: usize>(
     Ok(Some(header))
 }
 
-fn check_signature(envelope: &Envelope<'_>, key: &PublicKey) -> Result<(), Refusal> {
+/// Checks that a package is signed with the private key of one of `keys`. [`accept`] does so if the node
+/// has any.
+///
+/// # Errors
+/// [`Refusal::Unsigned`] or [`Refusal::Signature`].
+pub fn check_signature(envelope: &Envelope<'_>, keys: &[PublicKey]) -> Result<(), Refusal> {
     let signature = envelope.signature.ok_or(Refusal::Unsigned)?;
-    verify(key, envelope.signed_part, signature).map_err(|_| Refusal::Signature)
+    let matches = |key| verify(key, envelope.signed_part, signature).is_ok();
+    if keys.iter().any(matches) { Ok(()) } else { Err(Refusal::Signature) }
 }
 
 /// Checks that the sections of a package of format 2 are those that its header was made, and perhaps

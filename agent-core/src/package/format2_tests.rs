@@ -463,7 +463,7 @@ mod signed {
     fn a_signature_covers_the_header_and_by_it_everything() {
         let signer = SigningKey::from_bytes(&[3; 32]);
         let key = PublicKey::from_bytes(signer.verifying_key().as_bytes()).unwrap();
-        let node = Requirements { public_key: Some(&key), ..ANY };
+        let node = Requirements { public_keys: &[key], ..ANY };
         let content = Content::new();
         let unsigned = bytes_of(&content.package());
         let signature = signer.sign(&unsigned[..HEADER2_LENGTH]).to_bytes();

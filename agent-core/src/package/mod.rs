@@ -38,7 +38,10 @@ mod switch;
 mod trial_limits;
 mod wire;
 
-pub use accept::{Capacity, Refusal, Requirements, StepRange, accept, accept_header, check_digest};
+pub use accept::{
+    Capacity, Refusal, Requirements, StepRange, accept, accept_header, check_digest,
+    check_signature,
+};
 pub use encode::EncodeError;
 pub use envelope::{Envelope, HEADER_LENGTH, signature_block};
 pub use error::PackageError;

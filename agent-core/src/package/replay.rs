@@ -56,7 +56,7 @@ impl Requirements<'_> {
     /// Returns the newest version that the package may replace, if this node honours that: in epoch
     /// 0, and verified by a signature, because anyone could ask for it.
     fn permission(&self, serial: Serial, replaces: Option<u32>) -> Option<u32> {
-        replaces.filter(|_| serial.epoch == 0 && self.public_key.is_some())
+        replaces.filter(|_| serial.epoch == 0 && self.is_signed_only())
     }
 }
 
@@ -97,7 +97,7 @@ mod tests {
     fn a_permission_works_once_and_only_in_epoch_0() {
         let key = key();
         let at = |highest| Requirements {
-            public_key: Some(&key),
+            public_keys: core::slice::from_ref(&key),
             highest: Some(highest),
             ..Requirements::ANY
         };
@@ -116,7 +116,7 @@ mod tests {
         assert_eq!(at(after).check_serial(serial(0, 11), None), Ok(()));
         // Too narrow, without a key, from epoch 1 on, and for a package of a later format.
         assert!(node.check_serial(old, Some(8)).is_err());
-        let keyless = Requirements { public_key: None, ..node };
+        let keyless = Requirements { public_keys: &[], ..node };
         assert!(keyless.check_serial(old, Some(9)).is_err());
         assert_eq!(keyless.serial_after(serial(0, 10), Some(20)), serial(0, 10));
         assert!(at(serial(1, 9)).check_serial(old, Some(u32::MAX)).is_err());
@@ -163,12 +163,12 @@ mod tests {
 
     /// Plays a history on a node: new packages, replays of any package that was activated, older
     /// and equal ones. Returns how many of the old ones were tried and accepted.
-    fn replays(seed: u64, key: Option<&PublicKey>) -> (u32, u32) {
+    fn replays(seed: u64, key: Option<PublicKey>) -> (u32, u32) {
         let mut random = Random(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
         let (mut highest, mut activated) = (None, Vec::<Offer>::new());
         let (mut tried, mut accepted) = (0, 0);
         for _ in 0..12 {
-            let node = Requirements { public_key: key, highest, ..Requirements::ANY };
+            let node = Requirements { public_keys: key.as_slice(), highest, ..Requirements::ANY };
             let replay = random.below(2) == 0 && !activated.is_empty();
             let offer = if replay {
                 activated[random.below(activated.len() as u32) as usize]
@@ -198,7 +198,7 @@ mod tests {
         let key = key();
         let (mut tried, mut accepted) = (0, 0);
         for seed in 0..histories {
-            let found = replays(seed, Some(&key).filter(|_| seed % 2 == 0));
+            let found = replays(seed, Some(key).filter(|_| seed % 2 == 0));
             (tried, accepted) = (tried + u64::from(found.0), accepted + u64::from(found.1));
         }
         std::println!("{histories} histories, {tried} replays, {accepted} accepted");
@@ -219,8 +219,8 @@ mod tests {
             let key = key();
             let highest = highest.map(|(epoch, version)| serial(epoch, version));
             let package = serial(package.0, package.1);
-            let public_key = Some(&key).filter(|_| signed);
-            let node = Requirements { public_key, highest, ..Requirements::ANY };
+            let public_keys = if signed { core::slice::from_ref(&key) } else { &[] };
+            let node = Requirements { public_keys, highest, ..Requirements::ANY };
             let after = node.serial_after(package, replaces);
             prop_assert!(after >= package && Some(after) >= highest);
             let next = Requirements { highest: Some(after), ..node };

@@ -97,6 +97,18 @@ impl PublicKey {
         }
     }
 
+    /// Decodes a public key; there is none without the feature `signature`.
+    #[cfg(feature = "authentic-frames")]
+    pub(crate) fn decoded(bytes: &[u8; PUBLIC_KEY_LENGTH]) -> Option<Self> {
+        #[cfg(feature = "signature")]
+        return Self::from_bytes(bytes).ok();
+        #[cfg(not(feature = "signature"))]
+        {
+            let _ = bytes;
+            None
+        }
+    }
+
     /// Returns the encoded point.
     #[must_use]
     pub fn as_bytes(&self) -> &[u8; PUBLIC_KEY_LENGTH] {

@@ -13,7 +13,7 @@
 //! | [`Report`](Request::Report) | [`Report`](Response::Report) |
 //! | [`ForgetUnreadable`](Request::ForgetUnreadable) | [`Done`](Response::Done) |
 //! | [`Session`](Request::Session) | [`Session`](Response::Session) |
-//! | [`Provision`](Request::Provision), [`NetworkKeys`](Request::NetworkKeys), [`FactoryReset`](Request::FactoryReset) | [`Done`](Response::Done) |
+//! | [`Provision`](Request::Provision), [`NetworkKeys`](Request::NetworkKeys), [`OperatorKeys`](Request::OperatorKeys), [`FactoryReset`](Request::FactoryReset) | [`Done`](Response::Done) |
 //! | [`Confirm`](Request::Confirm), [`Subscribe`](Request::Subscribe), [`StartAt`](Request::StartAt), [`Reset`](Request::Reset) | [`Done`](Response::Done) |
 //! | [`Samples`](Request::Samples) | any number of [`Sample`](Response::Sample), then [`SamplesEnd`](Response::SamplesEnd) |
 //! | any of them | [`Refused`](Response::Refused) |

@@ -90,6 +90,13 @@ pub enum Request<'a> {
     /// Forget keys, agent and packages, but neither the epochs nor the highest package activated, and
     /// restart. Only sealed.
     FactoryReset,
+    /// Accept packages signed with these of the operator's keys. Only sealed, and only for firmware with
+    /// a public key.
+    OperatorKeys {
+        /// Nothing: only the public key built into the firmware is valid. Otherwise 1 if it is valid and
+        /// 0 if not, and one more public key of 32 bytes.
+        bytes: &'a [u8],
+    },
 }
 
 impl Request<'_> {

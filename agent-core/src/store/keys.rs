@@ -5,32 +5,38 @@
 //! | 2 | at most two network keys: for each, its number (one byte) and its 16 bytes |
 //! | 3 | the port key, 16 bytes, and the agent that the node was provisioned as, `u32`, little-endian |
 //! | 4 | the end of the reserved epochs, `u32`, little-endian |
+//! | 5 | 1 if the firmware's public key is still valid, otherwise 0, and one more public key, 32 bytes |
 //!
 //! A key is replaced by one record, so a power cut leaves the old one or the new one. No answer of
 //! the service protocol contains a key. What was replaced stays in flash until its half of the
 //! journal is erased; anyone who can read the chip's flash can read keys.
 //!
-//! With the state and the count of boots these are five kinds: see [`KEYED_HALF_MIN`].
+//! With the state and the count of boots these are six kinds: see [`KEYED_HALF_MIN`].
 //!
 //! Invariants: an epoch is handed out once, because it is reserved, in two copies that are read back,
 //! before it is used; a reset removes the keys and keeps the epochs.
 
 use super::layout::PAIR_LENGTH;
-use super::{Contents, MappedFlash, Phase, Store, StoreError};
+use super::{Contents, MappedFlash, Note, Phase, Store, StoreError};
 use crate::AgentId;
+use crate::package::signature::PublicKey;
 use crate::wire::authentic::NetworkKey;
 use crate::wire::secret::{SECRET_LENGTH, Secret};
 
 const NETWORK_KEYS: u8 = 2;
 const PORT_KEY: u8 = 3;
 const EPOCHS: u8 = 4;
+const OPERATOR_KEYS: u8 = 5;
 
-/// Length that a half of the commit area needs on a node with keys: a pair for each of five kinds, and
+/// Length that a half of the commit area needs on a node with keys: a pair for each of six kinds, and
 /// one for a record that has to be written twice. \[byte\]
-pub const KEYED_HALF_MIN: u32 = 6 * PAIR_LENGTH;
+pub const KEYED_HALF_MIN: u32 = 7 * PAIR_LENGTH;
 
 /// The largest number of network keys: the one in use and, during a rotation, the other one.
 pub const NETWORK_KEYS_MAX: usize = 2;
+
+/// The operator's public keys: packages may be signed for any of them.
+pub type OperatorKeys = heapless::Vec<PublicKey, 2>;
 
 /// The network keys of a node. Frames are sealed with the first one.
 pub type NetworkKeys = heapless::Vec<NetworkKey, NETWORK_KEYS_MAX>;
@@ -85,6 +91,24 @@ impl<F: MappedFlash> Store<F> {
         self.record_note(PORT_KEY, &note)
     }
 
+    /// Returns the operator's public keys that are valid for firmware with the public key `built_in`; none
+    /// if what has been recorded means nothing.
+    pub fn operator_keys(&mut self, built_in: PublicKey) -> OperatorKeys {
+        let note = self.note(OPERATOR_KEYS);
+        let bytes = note.as_ref().map_or(&[][..], Note::as_bytes);
+        operator_keys(bytes, built_in).unwrap_or_default()
+    }
+
+    /// Records which of the operator's public keys are valid in place of what was recorded before: see
+    /// [`operator_keys`].
+    ///
+    /// # Errors
+    /// [`StoreError::Note`] if the bytes mean nothing; a failure to write the journal.
+    pub fn record_operator_keys(&mut self, bytes: &[u8]) -> Result<(), StoreError> {
+        decoded(bytes)?;
+        self.record_note(OPERATOR_KEYS, bytes)
+    }
+
     /// Removes all keys, the port key last, so that a reset interrupted by a power cut can be
     /// repeated with it. Epochs stay.
     ///
@@ -92,6 +116,9 @@ impl<F: MappedFlash> Store<F> {
     /// A failure to write the journal.
     pub fn remove_keys(&mut self) -> Result<(), StoreError> {
         self.record_note(NETWORK_KEYS, &[])?;
+        if cfg!(feature = "signature") {
+            self.record_note(OPERATOR_KEYS, &[])?;
+        }
         self.record_note(PORT_KEY, &[])
     }
 
@@ -142,5 +169,33 @@ impl<F: MappedFlash> Store<F> {
         }
         let Some(note) = self.note(EPOCHS) else { return Ok(0) };
         note.as_bytes().try_into().map(u32::from_le_bytes).map_err(|_| StoreError::Note)
+    }
+}
+
+/// Returns the operator's public keys that these bytes make valid for firmware with the public key
+/// `built_in`: without bytes only this one; otherwise a byte, 1 if it stays valid and 0 if not, and
+/// one more public key of 32 bytes.
+///
+/// # Errors
+/// [`StoreError::Note`] if the bytes are anything else.
+pub fn operator_keys(bytes: &[u8], built_in: PublicKey) -> Result<OperatorKeys, StoreError> {
+    let note = decoded(bytes)?;
+    // There is room for both.
+    let mut keys = OperatorKeys::new();
+    if !matches!(note, Some((false, _))) {
+        let _ = keys.push(built_in);
+    }
+    if let Some((_, other)) = note {
+        let _ = keys.push(other);
+    }
+    Ok(keys)
+}
+
+fn decoded(bytes: &[u8]) -> Result<Option<(bool, PublicKey)>, StoreError> {
+    let Some((flag, key)) = bytes.split_first() else { return Ok(None) };
+    let key = key.try_into().ok().and_then(PublicKey::decoded);
+    match (flag, key) {
+        (0 | 1, Some(key)) => Ok(Some((*flag == 1, key))),
+        _ => Err(StoreError::Note),
     }
 }

@@ -69,7 +69,7 @@ mod upload;
 pub use error::{CheckedError, Refusal, StoreError};
 pub use flash::MappedFlash;
 #[cfg(feature = "authentic-frames")]
-pub use keys::{KEYED_HALF_MIN, NETWORK_KEYS_MAX, NetworkKeys};
+pub use keys::{KEYED_HALF_MIN, NETWORK_KEYS_MAX, NetworkKeys, OperatorKeys, operator_keys};
 pub use layout::{Layout, LayoutError, NOTE_LENGTH_MAX, Part, RECORD_LENGTH};
 pub use limiter::{Limiter, RateLimit};
 pub use record::{FORMAT, factory_record};
@@ -579,7 +579,7 @@ impl<F: MappedFlash> Store<F> {
     }
 
     /// Records a note of a kind from 2 to 30, which replaces the one before; an empty one removes
-    /// it. Kinds 2 to 4 are a node's keys and epochs (feature `authentic-frames`).
+    /// it. Kinds 2 to 5 are a node's keys and epochs (feature `authentic-frames`).
     ///
     /// # Errors
     /// [`StoreError::Note`], or a failure to write the journal.

@@ -75,6 +75,7 @@ impl<
                 | Request::Revert
                 | Request::Provision { .. }
                 | Request::NetworkKeys { .. }
+                | Request::OperatorKeys { .. }
         );
         let upload = |received| Ok((Response::Upload(Upload { received }), Next::Continue));
         match *request {
@@ -110,6 +111,11 @@ impl<
             Request::NetworkKeys { bytes } => {
                 self.guard.replace_network_keys(bytes, &mut self.store)?;
                 self.prepare_guard();
+                Ok((Response::Done, Next::Continue))
+            }
+            Request::OperatorKeys { bytes } => {
+                let in_use = self.in_use.map(|package| package.slot);
+                self.guard.replace_operators(bytes, in_use, &mut self.store, &self.settings)?;
                 Ok((Response::Done, Next::Continue))
             }
             Request::FactoryReset => {

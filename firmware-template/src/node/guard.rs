@@ -18,9 +18,12 @@ use agent_core::agent::trust::{Trust, TrustParams};
 use agent_core::health::WatchedAgent;
 use agent_core::observer::feedback::Neighbour;
 use agent_core::package::signature::{self, PublicKey};
+use agent_core::package::{Envelope, Refusal, check_signature as check_package_signature};
 use agent_core::service::seal::PortKey;
-use agent_core::service::{Problem, Provision, Session, split_seal};
-use agent_core::store::{MappedFlash, NetworkKeys, Store, StoreError};
+use agent_core::service::{Problem, Provision, RefusalReport, Session, split_seal};
+use agent_core::store::{
+    MappedFlash, NetworkKeys, OperatorKeys, Slot, Store, StoreError, operator_keys,
+};
 use agent_core::wire::authentic::NetworkKey;
 use agent_core::wire::frame::Frame;
 use agent_core::{AgentId, Tick};
@@ -49,6 +52,8 @@ pub(super) struct Guard<const NEIGHBOURS: usize> {
     /// Epochs that this boot has reserved or taken over, and not taken yet.
     reserved: Epochs,
     trust: Option<Trust<NEIGHBOURS>>,
+    /// The operator's public keys, none if packages need not be signed.
+    operators: OperatorKeys,
     /// Counter of the last sealed request.
     counter: u32,
     /// Whether the journal may hold keys that could not be read: then the node takes nothing from
@@ -64,6 +69,7 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
             epoch: None,
             reserved: Epochs { next: 0, end: 0 },
             trust: None,
+            operators: OperatorKeys::new(),
             counter: 0,
             is_locked: false,
         }
@@ -78,6 +84,9 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
         }
         self.network = store.network_keys();
         self.port = store.port_key().map(|(secret, agent)| (PortKey::new(secret), agent));
+        if let Some(built_in) = settings.public_key {
+            self.operators = store.operator_keys(built_in);
+        }
         self.is_locked = self.port.is_none() && store.is_blocked();
         self.reserved = settings.start.epochs;
         if store.epochs_end() != Ok(self.reserved.end) {
@@ -123,6 +132,15 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
     /// The agent that the node was provisioned as.
     pub(super) fn agent(&self) -> Option<AgentId> {
         self.port.as_ref().map(|&(_, agent)| agent)
+    }
+
+    /// The public keys of which packages need one; empty if they need not be signed.
+    pub(super) fn operators<'s>(&'s self, settings: &'s Settings) -> &'s [PublicKey] {
+        match (&settings.public_key, self.operators.as_slice()) {
+            (None, _) => &[],
+            (built_in, []) => built_in.as_slice(),
+            (_, operators) => operators,
+        }
     }
 
     /// Prepares for an agent with this step and these neighbours.
@@ -266,9 +284,9 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
     ) -> Result<(), Problem> {
         let (provision, signature) = Provision::split(bytes).ok_or(Problem::Unknown)?;
         if self.port.is_none()
-            && let Some(operator) = &settings.public_key
+            && let operators @ [_, ..] = self.operators(settings)
         {
-            check_signature(operator, &provision.signed_bytes(), signature)?;
+            check_signature(operators, &provision.signed_bytes(), signature)?;
         }
         store.skip_epochs(provision.epoch)?;
         self.reserved = Epochs::default();
@@ -293,6 +311,42 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
         Ok(())
     }
 
+    /// Records the operator's public keys, unless the package in use is not signed for any of them: the
+    /// next boot would refuse it.
+    pub(super) fn replace_operators<F: MappedFlash>(
+        &mut self,
+        bytes: &[u8],
+        in_use: Option<Slot>,
+        store: &mut Store<F>,
+        settings: &Settings,
+    ) -> Result<(), Problem> {
+        let Some(built_in) = settings.public_key else { return Err(Problem::Unknown) };
+        self.record_operators(bytes, built_in, in_use, store)
+    }
+
+    #[inline(never)]
+    fn record_operators<F: MappedFlash>(
+        &mut self,
+        bytes: &[u8],
+        built_in: PublicKey,
+        in_use: Option<Slot>,
+        store: &mut Store<F>,
+    ) -> Result<(), Problem> {
+        if self.port.is_none() {
+            return Err(Problem::NotProvisioned);
+        }
+        let operators = operator_keys(bytes, built_in)?;
+        if let Some(package) = in_use.and_then(|slot| store.bytes(slot)) {
+            let checked = Envelope::open(package)
+                .map_err(Refusal::from)
+                .and_then(|envelope| check_package_signature(&envelope, &operators));
+            checked.map_err(|refusal| Problem::Package(RefusalReport::from(&refusal)))?;
+        }
+        store.record_operator_keys(bytes)?;
+        self.operators = operators;
+        Ok(())
+    }
+
     /// Makes the node blank, except for its epochs and the highest package activated.
     pub(super) fn reset<F: MappedFlash>(&self, store: &mut Store<F>) -> Result<(), Problem> {
         if self.port.is_none() {
@@ -302,7 +356,13 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
     }
 }
 
-fn check_signature(operator: &PublicKey, signed: &[u8], signature: &[u8]) -> Result<(), Problem> {
+/// Checks that one of the operators has signed this.
+fn check_signature(
+    operators: &[PublicKey],
+    signed: &[u8],
+    signature: &[u8],
+) -> Result<(), Problem> {
     let signature = signature.try_into().map_err(|_| Problem::NotSigned)?;
-    signature::verify(operator, signed, signature).map_err(|_| Problem::NotSigned)
+    let matches = |key| signature::verify(key, signed, signature).is_ok();
+    if operators.iter().any(matches) { Ok(()) } else { Err(Problem::NotSigned) }
 }

@@ -6,6 +6,7 @@ use agent_core::health::trial::SECONDS_MIN;
 use agent_core::health::{HealthParams, Performance};
 use agent_core::observer::feedback::Neighbour;
 use agent_core::observer::network::Scratch;
+use agent_core::package::signature::PublicKey;
 use agent_core::package::{
     AgentConfig, Capacity, Envelope, NetworkPlace, Package, ParamsPlace, Refusal, Requirements,
     Serial, TrialLimits, accept, accept_header,
@@ -36,7 +37,7 @@ impl<
         let Self { store, memory, settings, guard, .. } = self;
         store.read();
         guard.load(store, settings);
-        let requirements = Self::required(settings, guard.agent(), None);
+        let requirements = Self::required(settings, guard.operators(settings), guard.agent(), None);
         let mut check = |bytes: &[u8]| verified::<N>(bytes, &requirements, &mut memory.scratch);
         let loaded = store.load(&mut check);
         self.refused_at_start = loaded.refusals.map(|refusal| {
@@ -60,11 +61,12 @@ impl<
     /// Stages the uploaded package if it passes all checks.
     pub(super) fn stage_upload(&mut self) -> Result<Verified, store::CheckedError<Refusal>> {
         let agent = self.agent();
-        let Self { store, memory, settings, limits, .. } = self;
+        let Self { store, memory, settings, limits, guard, .. } = self;
         if store.is_complete() {
             take(&mut limits.checks, !memory.session.is_empty())?;
         }
-        let requirements = Self::required(settings, agent, store.activated());
+        let requirements =
+            Self::required(settings, guard.operators(settings), agent, store.activated());
         store.stage(|bytes| verified::<N>(bytes, &requirements, &mut memory.scratch))
     }
 
@@ -75,8 +77,9 @@ impl<
         bytes: &[u8],
     ) -> Result<u32, store::CheckedError<Refusal>> {
         let agent = self.agent();
-        let Self { store, memory, settings, limits, .. } = self;
-        let requirements = Self::required(settings, agent, store.activated());
+        let Self { store, memory, settings, limits, guard, .. } = self;
+        let requirements =
+            Self::required(settings, guard.operators(settings), agent, store.activated());
         store.write(offset, bytes, |header| {
             take(&mut limits.uploads, !memory.session.is_empty())?;
             // A package of format 1 is checked when it is complete.
@@ -88,8 +91,9 @@ impl<
     /// Puts the staged package on trial if it still passes all checks, its signature included.
     pub(super) fn activate_staged(&mut self) -> Result<Verified, store::CheckedError<Refusal>> {
         let agent = self.agent();
-        let Self { store, memory, settings, .. } = self;
-        let requirements = Self::required(settings, agent, store.activated());
+        let Self { store, memory, settings, guard, .. } = self;
+        let requirements =
+            Self::required(settings, guard.operators(settings), agent, store.activated());
         let check = |bytes: &[u8]| verified::<N>(bytes, &requirements, &mut memory.scratch);
         store.activate(check, Verified::serials)
     }
@@ -101,16 +105,18 @@ impl<
 
     /// What the node requires of the next package.
     pub(super) fn requirements(&self) -> Requirements<'_> {
-        Self::required(&self.settings, self.agent(), self.store.activated())
+        let operators = self.guard.operators(&self.settings);
+        Self::required(&self.settings, operators, self.agent(), self.store.activated())
     }
 
     fn required<'s>(
         settings: &'s Settings,
+        public_keys: &'s [PublicKey],
         agent: Option<AgentId>,
         highest: Option<Serial>,
     ) -> Requirements<'s> {
         Requirements {
-            public_key: settings.public_key.as_ref(),
+            public_keys,
             agent,
             highest,
             step_range: settings.step_range,

@@ -4,8 +4,9 @@
 use agent_core::agent::hold::HoldSlots;
 use agent_core::health::WatchedAgent;
 use agent_core::observer::feedback::Neighbour;
+use agent_core::package::signature::PublicKey;
 use agent_core::service::{Problem, Session};
-use agent_core::store::{MappedFlash, Store};
+use agent_core::store::{MappedFlash, Slot, Store};
 use agent_core::wire::frame::Frame;
 use agent_core::{AgentId, Tick};
 
@@ -26,6 +27,10 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
 
     pub(super) fn agent(&self) -> Option<AgentId> {
         None
+    }
+
+    pub(super) fn operators<'s>(&self, settings: &'s Settings) -> &'s [PublicKey] {
+        settings.public_key.as_slice()
     }
 
     pub(super) fn prepare<F: MappedFlash>(
@@ -94,6 +99,16 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
         &mut self,
         _: &[u8],
         _: &mut Store<F>,
+    ) -> Result<(), Problem> {
+        Err(Problem::Unknown)
+    }
+
+    pub(super) fn replace_operators<F: MappedFlash>(
+        &mut self,
+        _: &[u8],
+        _: Option<Slot>,
+        _: &mut Store<F>,
+        _: &Settings,
     ) -> Result<(), Problem> {
         Err(Problem::Unknown)
     }

@@ -1,4 +1,4 @@
-//! `keygen`: creates a key folder, or advances the rotation of its network key.
+//! `keygen`: creates a key folder, or advances the rotation of its network key or operator key.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{CommandError, Format, print_json, print_text};
-use crate::keys::{KeyFolder, NetworkNumbers, Stage, public_file};
+use crate::keys::{KeyFolder, NetworkNumbers, OperatorStage, Operators, Stage, public_file};
 use crate::shell::shell_word;
 use crate::signing::fingerprint;
 
@@ -18,6 +18,9 @@ pub(super) struct Arguments {
     /// Advance the rotation of the network key by one of its three stages
     #[arg(long)]
     rotate: bool,
+    /// Advance the rotation of the operator key by one of its three stages
+    #[arg(long, conflicts_with = "rotate")]
+    rotate_operator: bool,
     /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -42,7 +45,11 @@ struct Rotated {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
-    if arguments.rotate { rotate(arguments) } else { create(arguments) }
+    match (arguments.rotate, arguments.rotate_operator) {
+        (true, _) => rotate(arguments),
+        (_, true) => rotate_operator(arguments),
+        _ => create(arguments),
+    }
 }
 
 fn create(arguments: &Arguments) -> Result<(), CommandError> {
@@ -102,6 +109,55 @@ fn rotate(arguments: &Arguments) -> Result<(), CommandError> {
          {then}\n",
         report.stage,
         described(after)
+    ))
+}
+
+fn rotate_operator(arguments: &Arguments) -> Result<(), CommandError> {
+    #[derive(Serialize)]
+    struct Rotated {
+        folder: String,
+        /// Stage that has been reached, 1 to 3.
+        stage: u8,
+        /// Fingerprints of the public keys that nodes accept.
+        operator_keys: Vec<String>,
+    }
+    let mut operators = Operators::read(&arguments.folder)?;
+    let stage = operators.advance()?;
+    let report = Rotated {
+        folder: arguments.folder.display().to_string(),
+        stage: stage.into(),
+        operator_keys: operators.valid_keys()?.iter().map(fingerprint).collect(),
+    };
+    if arguments.format == Format::Json {
+        return print_json(&report);
+    }
+    let folder = shell_word(&arguments.folder);
+    let again = format!("run `host-sim keygen {folder} --rotate-operator` again.");
+    let (told, then) = match stage {
+        OperatorStage::NextAccepted => (
+            "nodes also accept the new key operator.next.pem; operator.pem still signs",
+            format!("When all nodes have it, {again}"),
+        ),
+        OperatorStage::NextSigns => (
+            "operator.next.pem signs; nodes still accept both",
+            format!(
+                "Sign a package for every node with it (`weights sign --keys {folder}`), and push it. When \
+                 all nodes use one, {again}"
+            ),
+        ),
+        OperatorStage::NextOnly => (
+            "nodes accept only the new key, now operator.pem; the old one is operator.old.pem",
+            "Then the rotation is complete. Build new firmware with the new public key before the next \
+             rotation, and for nodes that are blank."
+                .to_owned(),
+        ),
+    };
+    print_text(&format!(
+        "Stage {} of 3: {told}\n\
+         Next: for every node, run\n\
+         \x20 host-sim node ENDPOINT rotate --keys {folder}\n\
+         {then}\n",
+        report.stage
     ))
 }
 

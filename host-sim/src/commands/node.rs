@@ -49,7 +49,8 @@ enum Action {
     ForgetUnreadable,
     /// Give it the keys of --keys and make it --agent; its first keys cross the line in the clear
     Provision,
-    /// Give it the network keys of --keys, after `keygen --rotate`
+    /// Give it the network and operator keys of --keys, after `keygen --rotate` or
+    /// `--rotate-operator`
     Rotate,
     /// Make it forget keys, agent and packages, and restart
     FactoryReset,
@@ -87,7 +88,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             node_keys::provision(node, keys, &arguments.keys.passphrase, agent)?;
         }
         (Action::Rotate, Some(keys)) => {
-            provision::network_keys(node, &keys.fleet().network_keys(), RETRY_POLICY)?;
+            node_keys::rotate(node, keys)?;
         }
         (Action::FactoryReset, _) => node_keys::factory_reset(node)?,
         (Action::Status | Action::Provision | Action::Rotate, _) => {}

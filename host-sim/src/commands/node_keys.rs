@@ -1,15 +1,17 @@
 //! A node's keys: giving and taking them, and what a status tells of them.
 
+use std::path::Path;
+
 use agent_core::AgentId;
-use agent_core::service::Session;
+use agent_core::service::{Problem, Session};
 use serde::Serialize;
 
 use super::connection::RETRY_POLICY;
 use super::key::Passphrase;
 use super::{CommandError, ErrorCode};
 use crate::keys::{KeyFolder, epoch_now};
-use crate::service::Client;
 use crate::service::provision::{self, NewKeys};
+use crate::service::{Client, ServiceError, push};
 use crate::terminal;
 
 /// What a node tells of its keys, for JSON.
@@ -63,7 +65,6 @@ pub(super) fn provision(
     passphrase: &Passphrase,
     agent: AgentId,
 ) -> Result<(), CommandError> {
-    let operator = keys.operator(&mut |path| passphrase.ask(path))?;
     if provision::session(node, RETRY_POLICY)?.is_none() {
         terminal::note(format_args!(
             "the node is not provisioned, so its port key crosses the line in the clear"
@@ -72,8 +73,42 @@ pub(super) fn provision(
     // A node never goes back to an epoch that is over; the clock is above all epochs of a node whose
     // flash has been lost.
     let epoch = epoch_now();
-    let keys = NewKeys { fleet: keys.fleet(), operator: Some(&operator), epoch };
-    Ok(provision::provision(node, &keys, agent, RETRY_POLICY)?)
+    let [signing, other] = keys.operators().private_files();
+    let mut give = |file: &Path| -> Result<_, CommandError> {
+        let operator = passphrase.key(file)?;
+        let new = NewKeys { fleet: keys.fleet(), operator: Some(&operator), epoch };
+        Ok(provision::provision(node, &new, agent, RETRY_POLICY))
+    };
+    match give(&signing)? {
+        // During a rotation, the firmware of a blank node may know only the other key.
+        Err(ServiceError::Refused(Problem::NotSigned)) if other != signing => give(&other)??,
+        given => given?,
+    }
+    operator_keys(node, keys)
+}
+
+/// Gives the node the network keys and the operator keys of the folder.
+pub(super) fn rotate(node: &mut Client, keys: &KeyFolder) -> Result<(), CommandError> {
+    provision::network_keys(node, &keys.fleet().network_keys(), RETRY_POLICY)?;
+    operator_keys(node, keys)
+}
+
+/// Gives the node the operator keys, if they have ever been rotated and it accepts only signed packages.
+fn operator_keys(node: &mut Client, keys: &KeyFolder) -> Result<(), CommandError> {
+    let Some(bytes) = keys.operators().for_nodes()? else { return Ok(()) };
+    if !push::status(node, RETRY_POLICY)?.firmware.signed_only {
+        return Ok(());
+    }
+    match provision::operator_keys(node, &bytes, RETRY_POLICY) {
+        Err(ServiceError::Refused(Problem::Package(report))) => Err(CommandError::new(
+            ErrorCode::PackageRefused,
+            format!(
+                "the node would no longer accept its package in use ({report}), so it keeps the operator \
+                 keys that it has; push a package that is signed with the new key, and try again"
+            ),
+        )),
+        given => Ok(given?),
+    }
 }
 
 /// Makes the node forget its keys, agent and packages.

@@ -242,7 +242,7 @@ impl Qemu {
             origin.ok_or_else(|| wrong("the memory map places WEIGHTS outside this flash"))?;
         let mut bytes = vec![0; self.region.length as usize];
         file.read_exact_at(&mut bytes, origin)?;
-        let found = package_in_use(RamFlash::new(&bytes), &self.region, key);
+        let found = package_in_use(RamFlash::new(&bytes), &self.region, key.copied());
         found.map_err(|error| wrong(&error.to_string()))
     }
 

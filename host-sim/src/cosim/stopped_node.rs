@@ -16,10 +16,10 @@ use crate::packages::check::check;
 pub(super) fn package_in_use(
     flash: RamFlash,
     region: &WeightsRegion,
-    key: Option<&PublicKey>,
+    key: Option<PublicKey>,
 ) -> Result<Option<PackageBytes>, LayoutError> {
     let mut store = Store::open(flash, region.layout())?;
-    let requirements = Requirements { public_key: key, ..Requirements::ANY };
+    let requirements = Requirements { public_keys: key.as_slice(), ..Requirements::ANY };
     let accepted = |bytes: &[u8]| -> Result<PackageBytes, Refusal> {
         let package =
             PackageBytes::new(bytes).map_err(|error: PackageError| Refusal::Package(error))?;
@@ -61,7 +61,7 @@ mod tests {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../memory.x");
         let region = MemoryMap::read(path.as_ref()).unwrap().weights().unwrap();
         let mut bytes = vec![ERASED; region.length as usize];
-        let found = |bytes: &[u8], key: Option<&PublicKey>| {
+        let found = |bytes: &[u8], key: Option<PublicKey>| {
             package_in_use(RamFlash::new(bytes), &region, key).unwrap()
         };
         assert_eq!(found(&bytes, None), None);
@@ -75,7 +75,7 @@ mod tests {
             }
             assert_eq!(found(&bytes, None), Some(package.clone()));
             // Firmware with a key accepts only signed packages.
-            let signed_only = found(&bytes, Some(key.public_key()));
+            let signed_only = found(&bytes, Some(*key.public_key()));
             assert_eq!(signed_only, accepted.then_some(package));
         }
     }

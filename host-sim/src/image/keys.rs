@@ -9,13 +9,15 @@ use crate::keys::FleetKeys;
 
 impl Image {
     /// Records in the commit area what a node records when it is provisioned as `agent`: port key,
-    /// network keys, and that all epochs below `epoch` are over ([`crate::keys::epoch_now`]).
+    /// network keys, and that all epochs below `epoch` are over ([`crate::keys::epoch_now`]); and the
+    /// `operators` ([`crate::keys::Operators::for_nodes`]).
     ///
     /// # Errors
     /// If the commit area has no room for keys.
     pub fn provision(
         mut self,
         keys: &FleetKeys,
+        operators: Option<&[u8]>,
         agent: AgentId,
         epoch: u32,
     ) -> Result<Self, ImageError> {
@@ -31,6 +33,7 @@ impl Image {
             .skip_epochs(epoch)
             .and_then(|()| store.record_port_key(keys.port_secret(agent), agent))
             .and_then(|()| store.record_network_keys(&network))
+            .and_then(|()| store.record_operator_keys(operators.unwrap_or_default()))
             .map_err(ImageError::Keys)?;
         let flash = store.into_flash();
         for segment in self.segments.iter_mut().filter(|segment| segment.name == COMMIT) {

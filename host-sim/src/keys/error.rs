@@ -53,7 +53,34 @@ pub enum KeyFolderError {
         /// What is wrong.
         problem: String,
     },
-    /// The numbers of the network keys could not be written.
+    /// The stage of the operator keys' rotation could not be read.
+    #[error(
+        "{}: {problem}; expected a line such as `stage = 1`, from 1 to 3: the stage that the rotation of the \
+         operator keys has reached",
+        path.display()
+    )]
+    Stage {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
+    /// A key of another rotation is in the way.
+    #[error("{}: left from another rotation; move it out of the folder, and try again", path.display())]
+    Leftover {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A key could not be renamed.
+    #[error("{}: cannot be renamed: {error}; check that the folder is writable, and try again", path.display())]
+    Rename {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        #[source]
+        error: io::Error,
+    },
+    /// The numbers of the network keys, or the stage, could not be written.
     #[error(transparent)]
     Write(#[from] OutputError),
 }
@@ -68,7 +95,10 @@ impl KeyFolderError {
             Self::Exists { path }
             | Self::Create { path, .. }
             | Self::Read { path, .. }
-            | Self::Numbers { path, .. } => Some(path),
+            | Self::Numbers { path, .. }
+            | Self::Stage { path, .. }
+            | Self::Leftover { path }
+            | Self::Rename { path, .. } => Some(path),
         }
     }
 }

@@ -6,6 +6,7 @@
 //! | `operator.pub.pem` | its public key | the nodes' firmware |
 //! | `secret.pem` | 32 random bytes, in the form of an Ed25519 private key | |
 //! | `network.toml` | numbers of the network keys in use | |
+//! | `operator.next.pem`, `operator.toml` and others | a rotation of the operator's keys: [`Operators`] | |
 //!
 //! The keys of all nodes and networks follow from the one secret ([`FleetSecret`]), so a fleet of any
 //! size needs no list of keys, and a backup made once stays complete. The secret has the form of a
@@ -16,6 +17,7 @@
 mod error;
 mod fleet;
 mod network_numbers;
+mod operators;
 mod secret;
 
 use std::fs;
@@ -24,6 +26,7 @@ use std::path::{Path, PathBuf};
 pub use error::KeyFolderError;
 pub use fleet::{FleetKeys, epoch_now};
 pub use network_numbers::{NetworkNumbers, Stage};
+pub use operators::{OperatorStage, Operators};
 pub use secret::{FleetSecret, PortKeys};
 
 use crate::signing::{AskPassphrase, OperatorKey};
@@ -33,23 +36,23 @@ const PUBLIC: &str = "operator.pub.pem";
 const SECRET: &str = "secret.pem";
 const NETWORK: &str = "network.toml";
 
-/// Returns the path of the operator's private key in a key folder.
-#[must_use]
-pub fn operator_file(folder: &Path) -> PathBuf {
+/// Returns the path of the operator's private key in a new key folder.
+fn operator_file(folder: &Path) -> PathBuf {
     folder.join(OPERATOR)
 }
 
-/// Returns the path of the operator's public key in a key folder.
+/// Returns the path of the operator's public key in a new key folder.
 #[must_use]
 pub fn public_file(folder: &Path) -> PathBuf {
     folder.join(PUBLIC)
 }
 
-/// A key folder: its secret, and the numbers of the network keys.
+/// A key folder: its secret, the numbers of the network keys, and which operator keys it has.
 #[derive(Debug)]
 pub struct KeyFolder {
     path: PathBuf,
     fleet: FleetKeys,
+    operators: Operators,
 }
 
 impl KeyFolder {
@@ -60,8 +63,9 @@ impl KeyFolder {
     /// written. No file is left behind.
     pub fn create(path: &Path) -> Result<(Self, OperatorKey), KeyFolderError> {
         let files = [OPERATOR, PUBLIC, SECRET, NETWORK].map(|name| path.join(name));
-        if let Some(file) = files.iter().find(|file| file.symlink_metadata().is_ok()) {
-            return Err(KeyFolderError::Exists { path: file.clone() });
+        let mut all = files.iter().cloned().chain(Operators::files_of_rotation(path));
+        if let Some(path) = all.find(|file| file.symlink_metadata().is_ok()) {
+            return Err(KeyFolderError::Exists { path });
         }
         create_folder(path)
             .map_err(|error| KeyFolderError::Create { path: path.to_owned(), error })?;
@@ -81,7 +85,8 @@ impl KeyFolder {
         let numbers = NetworkNumbers::FIRST;
         numbers.write(&path.join(NETWORK))?;
         let secret = FleetSecret::from_key(&secret);
-        Ok((Self { path: path.to_owned(), fleet: FleetKeys::new(secret, numbers) }, operator))
+        let (fleet, operators) = (FleetKeys::new(secret, numbers), Operators::new(path));
+        Ok((Self { path: path.to_owned(), fleet, operators }, operator))
     }
 
     /// Reads the folder `path`; asks for the `passphrase` if its secret is encrypted. The operator's
@@ -94,7 +99,8 @@ impl KeyFolder {
         let numbers = NetworkNumbers::read(&path.join(NETWORK))?;
         let secret = OperatorKey::read_encrypted(&path.join(SECRET), passphrase)?;
         let secret = FleetSecret::from_key(&secret);
-        Ok(Self { path: path.to_owned(), fleet: FleetKeys::new(secret, numbers) })
+        let fleet = FleetKeys::new(secret, numbers);
+        Ok(Self { path: path.to_owned(), fleet, operators: Operators::read(path)? })
     }
 
     /// Advances the rotation of the network keys in the folder `path` by one stage. Returns the
@@ -118,7 +124,13 @@ impl KeyFolder {
         &self.path
     }
 
-    /// Reads the operator's private key; asks for the `passphrase` if it is encrypted.
+    /// Returns which operator keys the folder has.
+    #[must_use]
+    pub fn operators(&self) -> &Operators {
+        &self.operators
+    }
+
+    /// Reads the operator's private key that signs packages; asks for the `passphrase` if it is encrypted.
     ///
     /// # Errors
     /// See [`OperatorKey::read_encrypted`].
@@ -126,7 +138,7 @@ impl KeyFolder {
         &self,
         passphrase: &mut AskPassphrase<'_>,
     ) -> Result<OperatorKey, KeyFolderError> {
-        Ok(OperatorKey::read_encrypted(&operator_file(&self.path), passphrase)?)
+        Ok(OperatorKey::read_encrypted(&self.operators.signing_file(), passphrase)?)
     }
 
     /// Returns the keys of the fleet.

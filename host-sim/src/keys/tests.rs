@@ -146,3 +146,90 @@ fn invalid_numbers_are_reported_and_not_overwritten() {
     let error = read(&path).unwrap_err();
     assert!(error.to_string().contains("created by `host-sim keygen`"), "{error}");
 }
+
+#[test]
+fn a_rotation_of_the_operator_key_has_three_stages() {
+    let (_folder, path) = new_folder();
+    let old = read_public_key(&path.join(PUBLIC)).unwrap();
+    let signing = || read(&path).unwrap().operator(&mut no_passphrase).unwrap();
+    let mut operators = Operators::read(&path).unwrap();
+    assert_eq!((operators.stage(), operators.for_nodes().unwrap()), (None, None));
+    assert_eq!(operators.valid_keys().unwrap(), [old]);
+
+    assert_eq!(operators.advance().unwrap(), OperatorStage::NextAccepted);
+    let new = read_public_key(&path.join("operator.next.pub.pem")).unwrap();
+    assert_ne!(new, old);
+    let overlap = Some([&[1][..], new.as_bytes()].concat());
+    for (stage, signs) in [(OperatorStage::NextAccepted, old), (OperatorStage::NextSigns, new)] {
+        let found = read(&path).unwrap().operators().clone();
+        assert_eq!(found.stage(), Some(stage));
+        assert_eq!(found.for_nodes().unwrap(), overlap);
+        assert_eq!(found.valid_keys().unwrap(), [old, new]);
+        assert_eq!(signing().public_key(), &signs);
+        operators.advance().unwrap();
+    }
+    let found = Operators::read(&path).unwrap();
+    assert_eq!(found.stage(), Some(OperatorStage::NextOnly));
+    assert_eq!(found.for_nodes().unwrap(), Some([&[0][..], new.as_bytes()].concat()));
+    assert_eq!(found.valid_keys().unwrap(), [new]);
+    assert_eq!(signing().public_key(), &new);
+    let file = |name: &str| path.join(name);
+    let kept = crate::signing::OperatorKey::read(&file("operator.old.pem")).unwrap();
+    assert_eq!(kept.public_key(), &old);
+    assert!(!file("operator.next.pem").exists() && !file("operator.next.pub.pem").exists());
+
+    // The old private key is not overwritten by another rotation.
+    let error = operators.advance().unwrap_err();
+    assert!(error.to_string().contains("operator.old.pem: left from another rotation"), "{error}");
+    for name in ["operator.old.pem", "operator.old.pub.pem"] {
+        fs::remove_file(file(name)).unwrap();
+    }
+    assert_eq!(operators.advance().unwrap(), OperatorStage::NextAccepted);
+    assert_eq!(signing().public_key(), &new);
+}
+
+#[test]
+fn the_last_stage_can_be_interrupted_at_any_file() {
+    let names = ["operator.pem", "operator.next.pem", "operator.pub.pem", "operator.next.pub.pem"];
+    let targets = ["operator.old.pem", "operator.pem", "operator.old.pub.pem", "operator.pub.pem"];
+    for renamed in 0..=names.len() {
+        let (_folder, path) = new_folder();
+        let mut operators = Operators::read(&path).unwrap();
+        operators.advance().unwrap();
+        operators.advance().unwrap();
+        let new = read_public_key(&path.join("operator.next.pub.pem")).unwrap();
+        for (name, target) in names.iter().zip(targets).take(renamed) {
+            fs::rename(path.join(name), path.join(target)).unwrap();
+        }
+        let mut operators = Operators::read(&path).unwrap();
+        assert_eq!(operators.advance().unwrap(), OperatorStage::NextOnly, "{renamed}");
+        assert_eq!(operators.valid_keys().unwrap(), [new]);
+        let signing = read(&path).unwrap().operator(&mut no_passphrase).unwrap();
+        assert_eq!(signing.public_key(), &new);
+    }
+}
+
+#[test]
+fn invalid_stages_are_reported_and_not_overwritten() {
+    let (_folder, path) = new_folder();
+    let file = path.join("operator.toml");
+    for (text, problem) in [
+        ("stage = 0", "there is no stage 0"),
+        ("stage = 4", "there is no stage 4"),
+        ("stage = \"one\"", "string"),
+        ("step = 1", "step"),
+        ("", "stage"),
+    ] {
+        fs::write(&file, text).unwrap();
+        let error = read(&path).unwrap_err().to_string();
+        assert!(error.contains("operator.toml: ") && error.contains(problem), "{text}: {error}");
+    }
+    let error = KeyFolder::create(&path.join("other")).map(|_| ());
+    assert!(error.is_ok());
+    fs::write(path.join("other/operator.toml"), "stage = 1").unwrap();
+    for name in [OPERATOR, PUBLIC, SECRET, NETWORK] {
+        fs::remove_file(path.join("other").join(name)).unwrap();
+    }
+    let error = KeyFolder::create(&path.join("other")).unwrap_err();
+    assert!(matches!(error, KeyFolderError::Exists { .. }), "{error}");
+}

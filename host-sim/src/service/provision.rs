@@ -85,6 +85,20 @@ pub fn network_keys(
     client.request(&request, retry_policy, &mut |_| {}, "a confirmation", done)
 }
 
+/// Makes a node accept packages signed with other keys of the operator: see
+/// [`crate::keys::Operators::for_nodes`]. Only for a node that accepts only signed packages.
+///
+/// # Errors
+/// See [`ServiceError`].
+pub fn operator_keys(
+    client: &mut Client,
+    bytes: &[u8],
+    retry_policy: RetryPolicy,
+) -> Result<(), ServiceError> {
+    let request = Request::OperatorKeys { bytes };
+    client.request(&request, retry_policy, &mut |_| {}, "a confirmation", done)
+}
+
 /// Makes a node forget its keys, and waits until it has restarted. Returns whether it has.
 ///
 /// # Errors

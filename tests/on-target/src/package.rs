@@ -30,7 +30,7 @@ const CHECKSUM: core::ops::Range<usize> = HEADER_LENGTH - 4..HEADER_LENGTH;
 const FLIP_STRIDE: usize = 499;
 
 const REQUIREMENTS: Requirements<'static> = Requirements {
-    public_key: None,
+    public_keys: &[],
     agent: None,
     highest: None,
     step_range: StepRange::ANY,

@@ -117,8 +117,8 @@ impl Reported for KeyFolderError {
     fn code(&self) -> ErrorCode {
         match self {
             Self::Key(error) => error.code(),
-            Self::Exists { .. } => ErrorCode::OutputRefused,
-            Self::Create { .. } => ErrorCode::OutputFailed,
+            Self::Exists { .. } | Self::Leftover { .. } => ErrorCode::OutputRefused,
+            Self::Create { .. } | Self::Rename { .. } => ErrorCode::OutputFailed,
             Self::Write(error) => error.code(),
             _ => ErrorCode::Key,
         }

@@ -15,7 +15,7 @@ use crate::files::output::{write_secret, write_whole};
 use crate::flash::{FlashTarget, ProbeRs};
 use crate::image::{self, Image, ImageError, ImageFormat, Part, ToolUse, Uf2Family, commands_for};
 use crate::interruption::{self, SecondSignal};
-use crate::keys::{epoch_now, public_file};
+use crate::keys::epoch_now;
 use crate::memory_map::MemoryMap;
 use crate::packages::PackageBytes;
 use crate::packages::check::check;
@@ -120,7 +120,7 @@ fn image(path: &Path, place: &Place) -> Result<(Image, PackageBytes), CommandErr
     let region = MemoryMap::read(&place.memory)?.weights()?;
     let key = place.key.as_deref().map(read_public_key).transpose()?;
     let package = PackageBytes::load(path)?;
-    let requirements = super::verify::requirements(key.as_ref(), None);
+    let requirements = super::verify::requirements(key.as_slice(), None);
     check(&package, &requirements).map_err(|refusal| CommandError::refused(path, &refusal))?;
     Ok((Image::of_package(&region, place.slot, &package)?, package))
 }
@@ -134,7 +134,8 @@ fn provisioned(
 ) -> Result<(Image, Vec<String>), CommandError> {
     let keys = arguments.passphrase.folder(folder)?;
     let agent = package.package().node.agent;
-    let mut image = image.provision(keys.fleet(), agent, epoch_now())?;
+    let operators = keys.operators().for_nodes()?;
+    let mut image = image.provision(keys.fleet(), operators.as_deref(), agent, epoch_now())?;
     if let Some(path) = &arguments.node {
         let elf = read_limited(path, FIRMWARE_MAX).map_err(|error| {
             let text = format!("{}: {error}; pass the firmware's ELF file", path.display());
@@ -146,11 +147,12 @@ fn provisioned(
         "WARNING: this file holds the keys of agent {agent} and of the network. Keep it secret, write it \
          into one board only, and delete it then."
     )];
-    let operator = read_public_key(&public_file(folder))?;
-    if check(package, &super::verify::requirements(Some(&operator), None)).is_err() {
+    let valid = keys.operators().valid_keys()?;
+    if check(package, &super::verify::requirements(&valid, None)).is_err() {
         warnings.push(format!(
-            "WARNING: the package is not signed with {}. Firmware with that public key will not use it.",
-            public_file(folder).display()
+            "WARNING: the package is not signed with an operator key of {}. Firmware with its public key \
+             will not use it.",
+            folder.display()
         ));
     }
     Ok((image, warnings))

@@ -17,7 +17,7 @@ use serde::Serialize;
 use super::key::Passphrase;
 use super::{CommandError, Format, package_format, print_json, print_text};
 use crate::files::output::{FileKind, OutputFile};
-use crate::keys::operator_file;
+use crate::keys::Operators;
 use crate::packages::PackageBytes;
 use crate::packages::check::check;
 use crate::signing::{OperatorKey, fingerprint};
@@ -140,7 +140,9 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
     let mut bytes = PackageBytes::load(&arguments.package)?;
     let key = match (&arguments.key, &arguments.keys) {
         (Some(file), _) => arguments.passphrase.key(file)?,
-        (None, Some(folder)) => arguments.passphrase.key(&operator_file(folder))?,
+        (None, Some(folder)) => {
+            arguments.passphrase.key(&Operators::read(folder)?.signing_file())?
+        }
         (None, None) => {
             return Err(CommandError::usage("no key; pass --key FILE or --keys FOLDER"));
         }
@@ -164,7 +166,7 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
         bytes = renumber::in_epoch(&bytes, serial, None, out)?;
     }
     // Do not sign a package that nodes would refuse.
-    check(&bytes, &verify::requirements(None, None))
+    check(&bytes, &verify::requirements(&[], None))
         .map_err(|refusal| CommandError::refused(&arguments.package, &refusal))?;
     let signed = bytes.signed(&key);
     signed.save(out)?;

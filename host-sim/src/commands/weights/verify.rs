@@ -119,12 +119,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
 
 /// Returns the requirements of a node with this key and this package in use.
 pub(super) fn requirements<'k>(
-    key: Option<&'k PublicKey>,
+    public_keys: &'k [PublicKey],
     in_use: Option<&PackageBytes>,
 ) -> Requirements<'k> {
     let before = in_use.map(PackageBytes::package);
     let requirements = Requirements {
-        public_key: key,
+        public_keys,
         agent: before.as_ref().map(|package| package.node.agent),
         ..Requirements::ANY
     };
@@ -149,7 +149,7 @@ fn examine(arguments: &Arguments) -> Result<Result<Report, CommandError>, Comman
     let requirements = Requirements {
         capacity: arguments.capacity.capacity(),
         step_range: arguments.capacity.step_range(),
-        ..requirements(key.as_ref(), in_use.as_ref())
+        ..requirements(key.as_slice(), in_use.as_ref())
     };
     let package = match check(&bytes, &requirements) {
         Ok(package) => package,

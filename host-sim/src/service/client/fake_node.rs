@@ -90,9 +90,11 @@ impl FakeNode {
                 _ => Reply::Refused(Problem::NotSealed),
             },
             ((None, _), None) => match receive(rest) {
-                Some(Request::NetworkKeys { .. } | Request::FactoryReset) => {
-                    Reply::Refused(Problem::NotProvisioned)
-                }
+                Some(
+                    Request::NetworkKeys { .. }
+                    | Request::OperatorKeys { .. }
+                    | Request::FactoryReset,
+                ) => Reply::Refused(Problem::NotProvisioned),
                 Some(request) => self.carry_out(&request),
                 None => Reply::Refused(Problem::Unknown),
             },

@@ -79,9 +79,9 @@ impl Sealing {
         let Node::Provisioned { key, epoch, counter } = &mut self.node else {
             return match request {
                 // Refused, but only after the keys have crossed the line in the clear.
-                Request::NetworkKeys { .. } | Request::FactoryReset => {
-                    Err(ServiceError::NotProvisioned)
-                }
+                Request::NetworkKeys { .. }
+                | Request::OperatorKeys { .. }
+                | Request::FactoryReset => Err(ServiceError::NotProvisioned),
                 _ => Ok(None),
             };
         };
