@@ -92,7 +92,7 @@ impl Target for Board {
             panic!("no session")
         };
         let key = self.keys().unwrap().of(session.agent);
-        assert_eq!(key.proof(session.agent, session.epoch.unwrap()), session.proof);
+        assert_eq!(key.proof(&session), session.proof);
         (session, key)
     }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use agent_core::service::seal::PortKey;
-use agent_core::service::{Provision, Request, Session, Subscription, split_number};
+use agent_core::service::{Problem, Provision, Request, Session, Subscription, split_number};
 use agent_core::wire::secret::Secret;
 use host_sim::service::Message;
 use rand::{RngExt, SeedableRng};
@@ -67,8 +67,8 @@ pub(super) fn attack(
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut outcome = Outcome { name, tries: 0, accepted: 0, harm: 0 };
     let mut heard: Vec<Vec<u8>> = Vec::new();
-    let mut epochs = BTreeSet::new();
     let (mut session, mut key) = node.session();
+    let mut epochs = BTreeSet::from([session.epoch]);
     let mut before = node.flash().map(<[u8]>::to_vec);
     while outcome.tries < tries {
         if heard.is_empty() || random.random_range(0..50) == 0 {
@@ -102,11 +102,15 @@ pub(super) fn attack(
     outcome
 }
 
-/// Whether a request was more than free.
+/// Whether a request was more than free, and got past the seal.
 fn is_carried_out(answer: &Message<'_>) -> bool {
     !matches!(
         answer,
-        Message::Refused(_) | Message::Status(_) | Message::Report(_) | Message::Session(_)
+        Message::Refused(
+            Problem::NotSealed | Problem::Seal | Problem::NotProvisioned | Problem::Unknown
+        ) | Message::Status(_)
+            | Message::Report(_)
+            | Message::Session(_)
     )
 }
 
@@ -121,7 +125,7 @@ fn ordered(choice: u32, dimension: usize) -> Request<'static> {
 
 /// What a stranger asks for.
 fn wanted(choice: u32, dimension: usize) -> Request<'static> {
-    match choice % 14 {
+    match choice % 15 {
         0 => Request::Begin { length: 500 },
         1 => Request::Chunk { offset: 0, bytes: &[0x5a; 40] },
         2 => Request::Stage,
@@ -134,6 +138,7 @@ fn wanted(choice: u32, dimension: usize) -> Request<'static> {
         9 => Request::Provision { bytes: &[0x5a; Provision::LENGTH + 64] },
         10 => Request::NetworkKeys { bytes: &[0x5a; 17] },
         11 => Request::FactoryReset,
+        12 => Request::OperatorKeys { bytes: &[0; 33] },
         other => ordered(other, dimension),
     }
 }

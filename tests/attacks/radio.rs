@@ -45,7 +45,7 @@ impl Node {
         let end = unreserved + 4;
         let neighbours = [neighbour(first), neighbour(second)];
         let mut trust = Trust::new(own, (unreserved, end), PARAMS);
-        assert!(trust.set_neighbours(&neighbours));
+        assert!(trust.set_neighbours(&neighbours, PARAMS));
         Self {
             own,
             trust,

@@ -76,7 +76,7 @@ fn a_node_that_starts_from_an_image_is_provisioned() {
             assert_eq!((session.agent, session.network_keys), (2, [Some(1), None]));
             let epoch = session.epoch.unwrap();
             assert!(epoch >= before);
-            assert_eq!(session.proof, port_key.proof(2, epoch));
+            assert_eq!(session.proof, port_key.proof(&session));
             assert_eq!(node.ask(&request), Message::Refused(Problem::NotSealed));
             assert_eq!(node.send(&seal(&port_key, epoch, 1, &request)), Message::Done);
             // Its hello is of version 2, with the network key of the folder.

@@ -26,8 +26,8 @@ impl Pair {
         self.sent = [first.step(two), second.step(one)];
     }
 
-    /// Frames accepted by each so far.
-    fn received(&mut self) -> [u32; 2] {
+    /// Frames refused by each so far.
+    fn refused(&mut self) -> [u32; 2] {
         self.nodes.each_mut().map(|node| node.status().health.frames_refused)
     }
 }
@@ -66,13 +66,13 @@ fn true_neighbours_are_believed_again_after_a_reboot_of_either() {
         // Whatever it said is lost.
         pair.sent[rebooted].clear();
         (0..TWO_SECONDS).for_each(|_| pair.step());
-        let before = pair.received();
+        let before = pair.refused();
         let mut heard = 0;
         for _ in 0..2 * TWO_SECONDS {
             heard += pair.sent.iter().map(Vec::len).sum::<usize>();
             pair.step();
         }
         assert!(heard > 0, "nothing was broadcast");
-        assert_eq!(pair.received(), before, "a true frame was refused");
+        assert_eq!(pair.refused(), before, "a true frame was refused");
     }
 }

@@ -236,3 +236,15 @@ fn what_cannot_be_keys_is_refused_and_changes_nothing() {
     node.restart(Off::Power);
     assert_eq!(node.open_session().network_keys, [Some(1), Some(2)]);
 }
+
+#[test]
+fn an_epoch_near_the_end_is_refused_and_changes_nothing() {
+    let mut node = TestNode::blank();
+    let before = node.flash().to_vec();
+    for epoch in [0xf000_0001, u32::MAX] {
+        assert_eq!(node.provision(1, epoch, &[]), Err(Problem::Store(StoreError::Note)));
+    }
+    assert!(node.flash() == before);
+    assert_eq!(node.provision(1, 0xf000_0000, &[]), Ok(()));
+    assert_eq!(node.open_session().epoch, Some(0xf000_0000));
+}

@@ -230,7 +230,7 @@ impl TestNode {
             panic!("no session")
         };
         let key = PortKey::new(port_secret(session.agent));
-        assert_eq!(session.proof, key.proof(session.agent, session.epoch.unwrap()));
+        assert_eq!(session.proof, key.proof(&session));
         self.session = Some(session);
         session
     }

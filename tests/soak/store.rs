@@ -157,7 +157,10 @@ impl Store {
                 self.upload = None;
                 Answer::Exactly(Message::Staged { version })
             }
-            _ => Answer::PackageRefused,
+            _ => {
+                self.upload = None;
+                Answer::PackageRefused
+            }
         }
     }
 

@@ -116,7 +116,7 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
 
     /// Whether the stamps have decided which frame is newer.
     #[inline]
-    fn is_trusted(&self) -> bool {
+    pub(crate) fn is_trusted(&self) -> bool {
         #[cfg(feature = "authentic-frames")]
         {
             self.is_trusted

@@ -356,7 +356,7 @@ where
         let held = self.neighbour_holds.as_ref().iter().zip(inbox.pending());
         let held = held.map(|(held, pending)| match (held, pending) {
             (Some(held), Some(pending))
-                if !pending.replaces(held, tick, params.restart_silence) =>
+                if !inbox.is_trusted() && !pending.replaces(held, tick, params.restart_silence) =>
             {
                 Some(held)
             }

@@ -85,16 +85,26 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         }
     }
 
-    /// Makes these the agent's neighbours, in the order of its parameters. Those that keep their place
-    /// stay believed. Returns whether there is room.
-    pub fn set_neighbours(&mut self, neighbours: &[Neighbour]) -> bool {
-        let has_room = self.peers.resize(neighbours.len(), Peer::default()).is_ok();
-        for (peer, neighbour) in self.peers.iter_mut().zip(neighbours) {
-            if peer.id != neighbour.id {
-                *peer = Peer { id: neighbour.id, ..Peer::default() };
+    /// Makes these the agent's neighbours, and sets how often hellos are sent and answered. Those that
+    /// were neighbours before stay believed. For new ones the agent goes on in another epoch, since
+    /// answers to its hellos of this one may have been recorded. Returns whether there is room.
+    pub fn set_neighbours(&mut self, neighbours: &[Neighbour], params: TrustParams) -> bool {
+        self.params = params;
+        let before = core::mem::take(&mut self.peers);
+        let mut is_new = false;
+        for neighbour in neighbours {
+            let known = before.iter().find(|peer| peer.id == neighbour.id).copied();
+            is_new |= known.is_none();
+            let peer = known.unwrap_or(Peer { id: neighbour.id, ..Peer::default() });
+            if self.peers.push(peer).is_err() {
+                return false;
             }
         }
-        has_room
+        if is_new && self.last_hello.is_some() {
+            self.epoch = self.epoch.saturating_add(1).min(self.epochs_end);
+            (self.boot_epoch, self.sealed, self.last_hello) = (self.epoch, None, None);
+        }
+        true
     }
 
     /// Returns the end of the reserved epochs.
@@ -113,7 +123,11 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
     /// store and read back; all are greater than those before.
     pub fn extend(&mut self, (first, end): (u32, u32)) {
         if first >= self.epochs_end {
-            if first > self.epochs_end {
+            if self.epoch >= self.epochs_end {
+                // Nothing has been said in this boot that could be answered.
+                self.boot_epoch = first;
+            }
+            if self.epoch >= self.epochs_end || first > self.epochs_end {
                 (self.epoch, self.sealed) = (first, None);
             }
             self.epochs_end = end;
@@ -176,6 +190,13 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         let stamp = Stamp { epoch: self.epoch, sequence };
         let kind = Kind::Sync { to, epoch };
         Some(self.bytes(stamp, last.tick, kind, last.estimate.as_slice(), key))
+    }
+
+    /// Returns whether a hello waits, but the agent has not said anything in its epoch: it must then
+    /// broadcast its last sample again before it can answer.
+    #[must_use]
+    pub fn must_speak(&self) -> bool {
+        self.sealed.is_none() && self.peers.iter().any(|peer| peer.asks.is_some())
     }
 
     /// Takes the next neighbour to answer, and the epoch of its hello.

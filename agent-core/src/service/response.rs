@@ -90,7 +90,7 @@ pub struct Session {
     pub epoch: Option<u32>,
     /// Counter of the last sealed request in this epoch, 0 before the first one.
     pub counter: u32,
-    /// Proof that the node has the port key, over agent and epoch.
+    /// Proof that the node has the port key, over all of this.
     pub proof: u64,
     /// Numbers of the network keys, the one for sending first.
     pub network_keys: [Option<u8>; 2],

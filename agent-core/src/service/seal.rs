@@ -25,8 +25,7 @@
 //!
 //! Cost: about 100 instructions per byte on a Cortex-M4.
 
-use super::Seal;
-use crate::AgentId;
+use super::{Seal, Session};
 use crate::wire::secret::{Purpose, Secret};
 
 /// Length of the tag of a sealed request. \[byte\]
@@ -43,10 +42,16 @@ impl PortKey {
         Self(secret)
     }
 
-    /// Returns the proof that the node of `agent` has this key in `epoch`.
+    /// Returns the proof that a node with this key has told this `session`, whose own proof does not
+    /// matter.
     #[must_use]
-    pub fn proof(&self, agent: AgentId, epoch: u32) -> u64 {
-        self.0.derive(Purpose::Proof, agent).hash(&epoch.to_le_bytes())
+    pub fn proof(&self, session: &Session) -> u64 {
+        let &Session { agent, epoch, counter, network_keys: [first, second], .. } = session;
+        let [e0, e1, e2, e3] = epoch.unwrap_or(u32::MAX).to_le_bytes();
+        let [c0, c1, c2, c3] = counter.to_le_bytes();
+        let (first, second) = (first.unwrap_or(0), second.unwrap_or(0));
+        let told = [e0, e1, e2, e3, c0, c1, c2, c3, first, second];
+        self.0.derive(Purpose::Proof, agent).hash(&told)
     }
 
     /// Encrypts the `request` in place and returns its tag.
@@ -96,11 +101,27 @@ mod tests {
     }
 
     #[test]
-    fn the_proof_depends_on_key_agent_and_epoch() {
-        let proof = KEY.proof(1, 2);
-        assert_ne!(proof, KEY.proof(2, 2));
-        assert_ne!(proof, KEY.proof(1, 3));
-        assert_ne!(proof, PortKey::new(Secret::new([8; 16])).proof(1, 2));
+    fn the_proof_depends_on_the_key_and_on_all_that_is_told() {
+        let session = Session {
+            agent: 1,
+            epoch: Some(2),
+            counter: 3,
+            proof: 0,
+            network_keys: [Some(4), None],
+        };
+        let others = [
+            Session { agent: 2, ..session },
+            Session { epoch: Some(3), ..session },
+            Session { epoch: None, ..session },
+            Session { counter: 4, ..session },
+            Session { network_keys: [None, Some(4)], ..session },
+        ];
+        let proof = KEY.proof(&session);
+        assert_eq!(proof, KEY.proof(&Session { proof, ..session }));
+        for other in others {
+            assert_ne!(proof, KEY.proof(&other), "{other:?}");
+        }
+        assert_ne!(proof, PortKey::new(Secret::new([8; 16])).proof(&session));
     }
 
     proptest! {

@@ -44,18 +44,7 @@ pub type NetworkKeys = heapless::Vec<NetworkKey, NETWORK_KEYS_MAX>;
 impl<F: MappedFlash> Store<F> {
     /// Returns the network keys, none before the node is provisioned.
     pub fn network_keys(&mut self) -> NetworkKeys {
-        let mut keys = NetworkKeys::new();
-        if let Some(note) = self.note(NETWORK_KEYS) {
-            let (entries, _) = note.as_bytes().as_chunks::<{ NetworkKey::LENGTH }>();
-            // A note has room for three.
-            keys.extend(
-                entries
-                    .iter()
-                    .take(NETWORK_KEYS_MAX)
-                    .map(|[number, key @ ..]| NetworkKey::new(*number, Secret::new(*key))),
-            );
-        }
-        keys
+        self.note(NETWORK_KEYS).map(|note| network_keys(note.as_bytes())).unwrap_or_default()
     }
 
     /// Records network keys in place of those before, the one in use first: for each, its number and
@@ -198,4 +187,16 @@ fn decoded(bytes: &[u8]) -> Result<Option<(bool, PublicKey)>, StoreError> {
         (0 | 1, Some(key)) => Ok(Some((*flag == 1, key))),
         _ => Err(StoreError::Note),
     }
+}
+
+/// Returns the network keys in these bytes: for each, its number and its 16 bytes.
+#[must_use]
+pub fn network_keys(bytes: &[u8]) -> NetworkKeys {
+    let (entries, _) = bytes.as_chunks::<{ NetworkKey::LENGTH }>();
+    let mut keys = NetworkKeys::new();
+    // A note has room for three.
+    for [number, key @ ..] in entries.iter().take(NETWORK_KEYS_MAX) {
+        let _ = keys.push(NetworkKey::new(*number, Secret::new(*key)));
+    }
+    keys
 }

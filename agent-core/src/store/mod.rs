@@ -69,7 +69,9 @@ mod upload;
 pub use error::{CheckedError, Refusal, StoreError};
 pub use flash::MappedFlash;
 #[cfg(feature = "authentic-frames")]
-pub use keys::{KEYED_HALF_MIN, NETWORK_KEYS_MAX, NetworkKeys, OperatorKeys, operator_keys};
+pub use keys::{
+    KEYED_HALF_MIN, NETWORK_KEYS_MAX, NetworkKeys, OperatorKeys, network_keys, operator_keys,
+};
 pub use layout::{Layout, LayoutError, NOTE_LENGTH_MAX, Part, RECORD_LENGTH};
 pub use limiter::{Limiter, RateLimit};
 pub use record::{FORMAT, factory_record};
@@ -486,8 +488,8 @@ impl<F: MappedFlash> Store<F> {
     /// staged, also across a reboot. Returns the result of the check.
     ///
     /// # Errors
-    /// [`StoreError::NoUpload`], [`StoreError::Incomplete`], a refusal by `check`, or a failure to
-    /// write flash. If only the journal failed, the call can be repeated.
+    /// [`StoreError::NoUpload`], [`StoreError::Incomplete`], a refusal by `check`, which drops the
+    /// upload, or a failure to write flash. If only the journal failed, the call can be repeated.
     pub fn stage<T, E>(
         &mut self,
         check: impl FnOnce(&[u8]) -> Result<T, E>,
@@ -507,7 +509,14 @@ impl<F: MappedFlash> Store<F> {
         let extent = upload.extent();
         // Not missing: the slot holds `length` bytes.
         let bytes = bytes_at(&self.flash, offset, length).ok_or(StoreError::Damaged)?;
-        let package = check(bytes).map_err(CheckedError::Refused)?;
+        let package = match check(bytes) {
+            Ok(package) => package,
+            Err(refusal) => {
+                // A check takes long; it is not repeated for the same bytes.
+                self.upload = None;
+                return Err(CheckedError::Refused(refusal));
+            }
+        };
         let staged = self.contents.with_package(slot, Some(extent));
         self.commit(Contents { phase: Phase::Staged, ..staged })?;
         self.upload = None;
@@ -585,12 +594,12 @@ impl<F: MappedFlash> Store<F> {
     /// [`StoreError::Note`], or a failure to write the journal.
     pub fn record_note(&mut self, kind: u8, bytes: &[u8]) -> Result<(), StoreError> {
         let note = Record::note(kind, bytes).ok_or(StoreError::Note)?;
-        if !self.journal.has_room_for(&self.layout, kind) {
-            return Err(StoreError::Note);
-        }
         let before = self.journal.note(&mut self.flash, &self.layout, kind);
         if before.map_or(bytes.is_empty(), |before| before.says_the_same(&note)) {
             return Ok(());
+        }
+        if !self.journal.has_room_for(&self.layout, kind) {
+            return Err(StoreError::Note);
         }
         self.journal.append(&mut self.flash, &self.layout, &note)
     }

@@ -22,7 +22,7 @@ use agent_core::package::{Envelope, Refusal, check_signature as check_package_si
 use agent_core::service::seal::PortKey;
 use agent_core::service::{Problem, Provision, RefusalReport, Session, split_seal};
 use agent_core::store::{
-    MappedFlash, NetworkKeys, OperatorKeys, Slot, Store, StoreError, operator_keys,
+    MappedFlash, NetworkKeys, OperatorKeys, Slot, Store, StoreError, network_keys, operator_keys,
 };
 use agent_core::wire::authentic::NetworkKey;
 use agent_core::wire::frame::Frame;
@@ -36,6 +36,9 @@ use crate::board::{Board, LinkErrorKind};
 const TAKEN: u32 = 4;
 /// Epochs reserved at once.
 const RESERVED: u32 = 64;
+
+/// The highest epoch with which a node can be provisioned: 4 million starts are left after it.
+const EPOCH_MAX: u32 = 0xf000_0000;
 
 /// Time between two hellos while a neighbour is not believed. \[s\]
 const HELLO_INTERVAL: f32 = 0.5;
@@ -79,7 +82,9 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
     #[inline(never)]
     pub(super) fn load<F: MappedFlash>(&mut self, store: &mut Store<F>, settings: &Settings) {
         if settings.factory_reset {
-            // If it fails, the node still has its keys, and the reset can be repeated.
+            // Also if nothing in the journal can be read. If it fails, the port key is the last to go, and
+            // the reset can be repeated.
+            store.forget_unreadable();
             let _ = store.reset();
         }
         self.network = store.network_keys();
@@ -158,23 +163,22 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
         // Without epochs the node only listens.
         let is_same = self.trust.as_ref().filter(|trust| trust.own() == own);
         let taken = match is_same {
-            Some(trust) if trust.epochs_left() > 1 => None,
+            // One for other neighbours, one for an agent that starts again.
+            Some(trust) if trust.epochs_left() > 2 => None,
             _ => self.take(TAKEN, store, settings).ok(),
         };
         let taken = taken.map(|epochs| (epochs.next, epochs.end));
+        let ticks = |seconds: f32| Tick::from(((seconds / step_size) as u32).max(1));
+        let (hello_interval, answer_gap) = (ticks(HELLO_INTERVAL), ticks(ANSWER_GAP));
+        let params = TrustParams { hello_interval, answer_gap };
         match (&mut self.trust, taken) {
             (Some(trust), Some(taken)) if trust.own() == own => trust.extend(taken),
             (Some(trust), _) if trust.own() == own => {}
-            (trust, taken) => {
-                let ticks = |seconds: f32| Tick::from(((seconds / step_size) as u32).max(1));
-                let (hello_interval, answer_gap) = (ticks(HELLO_INTERVAL), ticks(ANSWER_GAP));
-                let params = TrustParams { hello_interval, answer_gap };
-                *trust = Some(Trust::new(own, taken.unwrap_or((0, 0)), params));
-            }
+            (trust, taken) => *trust = Some(Trust::new(own, taken.unwrap_or((0, 0)), params)),
         }
         if let Some(trust) = &mut self.trust {
             // A package with more neighbours than the node has room for is not accepted.
-            let _ = trust.set_neighbours(neighbours);
+            let _ = trust.set_neighbours(neighbours, params);
         }
     }
 
@@ -231,6 +235,11 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
         if let Some(bytes) = trust.hello(now, key) {
             board.broadcast(&bytes)?;
         }
+        if trust.must_speak()
+            && let Some(bytes) = trust.seal(last, key)
+        {
+            board.broadcast(&bytes)?;
+        }
         match trust.answer(last, now, key) {
             Some(bytes) => board.broadcast(&bytes),
             None => Ok(()),
@@ -265,13 +274,14 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
     pub(super) fn session(&self) -> Option<Session> {
         let (key, agent) = self.port.as_ref()?;
         let number = |place: usize| self.network.get(place).map(NetworkKey::number);
-        Some(Session {
+        let session = Session {
             agent: *agent,
             epoch: self.epoch,
             counter: self.counter,
-            proof: key.proof(*agent, self.epoch.unwrap_or(0)),
+            proof: 0,
             network_keys: [number(0), number(1)],
-        })
+        };
+        Some(Session { proof: key.proof(&session), ..session })
     }
 
     /// Records port key and agent. The first ones need a signature if packages do.
@@ -287,6 +297,10 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
             && let operators @ [_, ..] = self.operators(settings)
         {
             check_signature(operators, &provision.signed_bytes(), signature)?;
+        }
+        // Enough must be left for every start of a long life.
+        if provision.epoch > EPOCH_MAX {
+            return Err(StoreError::Note.into());
         }
         store.skip_epochs(provision.epoch)?;
         self.reserved = Epochs::default();
@@ -307,7 +321,7 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
             return Err(Problem::NotProvisioned);
         }
         store.record_network_keys(bytes)?;
-        self.network = store.network_keys();
+        self.network = network_keys(bytes);
         Ok(())
     }
 

@@ -10,8 +10,11 @@ use super::{FleetSecret, NetworkNumbers, PortKeys};
 #[must_use]
 pub fn epoch_now() -> u32 {
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-    u32::try_from(now.unwrap_or_default().as_secs()).unwrap_or(u32::MAX)
+    u32::try_from(now.unwrap_or_default().as_secs()).unwrap_or(u32::MAX).min(EPOCH_MAX)
 }
+
+/// The highest epoch with which nodes can be provisioned, in 2097.
+const EPOCH_MAX: u32 = 0xf000_0000;
 
 /// The secret of a fleet, and the numbers of its network keys.
 #[derive(Clone, Debug)]

@@ -7,7 +7,7 @@ const PARAMS: TrustParams = TrustParams { hello_interval: 250, answer_gap: 100 }
 /// Agent 1 or 2, whose neighbour is the other one.
 fn trust(own: AgentId, epochs: (u32, u32)) -> Trust<1> {
     let mut trust = Trust::new(own, epochs, PARAMS);
-    assert!(trust.set_neighbours(&[neighbour(3 - own)]));
+    assert!(trust.set_neighbours(&[neighbour(3 - own)], PARAMS));
     trust
 }
 
@@ -109,4 +109,54 @@ fn a_repeated_hello_is_answered_at_most_once_in_the_gap() {
         answers += u32::from(two.answer(&sampled(2, 0), now, &KEY).is_some());
     }
     assert_eq!(answers, 10);
+}
+
+#[test]
+fn other_neighbours_do_not_make_recordings_believed_again() {
+    let mut one = Trust::<2>::new(1, (5, 15), PARAMS);
+    assert!(one.set_neighbours(&[neighbour(3)], PARAMS));
+    let mut three = Trust::<2>::new(3, (40, 50), PARAMS);
+    assert!(three.set_neighbours(&[neighbour(1)], PARAMS));
+    let first = three.seal(&sampled(3, 0), &KEY).unwrap();
+    let _ = three.open::<1>(&[KEY], &one.hello(0, &KEY).unwrap());
+    let sync = three.answer(&sampled(3, 0), 3, &KEY).unwrap();
+    assert!(one.open::<1>(&[KEY], &sync).unwrap().is_some());
+    // A neighbour with a lower number is added: the other one stays believed.
+    assert!(one.set_neighbours(&[neighbour(2), neighbour(3)], PARAMS));
+    let replayed = Err(FrameError::Replayed { sender: 3 });
+    assert_eq!(one.open::<1>(&[KEY], &first), replayed);
+    assert!(one.is_believed(1) && !one.is_believed(0));
+    // Left out and taken back, it has to answer a hello of the new epoch.
+    assert!(one.set_neighbours(&[neighbour(2)], PARAMS));
+    assert!(one.set_neighbours(&[neighbour(2), neighbour(3)], PARAMS));
+    assert_eq!(one.open::<1>(&[KEY], &sync), replayed);
+    assert!(!one.is_believed(1));
+    let _ = three.open::<1>(&[KEY], &one.hello(10, &KEY).unwrap());
+    let sync = three.answer(&sampled(3, 0), 200, &KEY).unwrap();
+    assert!(one.open::<1>(&[KEY], &sync).unwrap().is_some());
+}
+
+#[test]
+fn epochs_that_come_late_believe_no_answer_of_an_earlier_boot() {
+    let [mut one, mut two] = pair(5, 8);
+    let _ = two.seal(&sampled(2, 0), &KEY);
+    let _ = two.open::<1>(&[KEY], &one.hello(0, &KEY).unwrap());
+    let sync = two.answer(&sampled(2, 0), 3, &KEY).unwrap();
+    let mut late = trust(1, (0, 0));
+    late.extend((15, 19));
+    assert_eq!(late.open::<1>(&[KEY], &sync), Err(FrameError::Replayed { sender: 2 }));
+    assert!(late.hello(0, &KEY).is_some());
+}
+
+#[test]
+fn an_agent_that_has_said_nothing_yet_must_speak_to_answer() {
+    let [mut one, mut two] = pair(5, 8);
+    assert!(!two.must_speak());
+    let _ = two.open::<1>(&[KEY], &one.hello(0, &KEY).unwrap());
+    assert!(two.must_speak());
+    assert_eq!(two.answer(&sampled(2, 7), 3, &KEY), None);
+    let _ = two.seal(&sampled(2, 7), &KEY);
+    assert!(!two.must_speak());
+    let sync = two.answer(&sampled(2, 7), 3, &KEY).unwrap();
+    assert!(one.open::<1>(&[KEY], &sync).unwrap().is_some());
 }

@@ -125,12 +125,15 @@ impl FakeNode {
     fn carry_out(&mut self, request: &Request<'_>) -> Reply<'static> {
         match request {
             Request::Session if !self.knows_sessions => Reply::Refused(Problem::Unknown),
-            Request::Session => Reply::Session(self.keys.map(|(agent, key)| Session {
-                agent,
-                epoch: self.epoch,
-                counter: self.counter,
-                proof: key.proof(agent, self.epoch.unwrap_or(0)),
-                network_keys: [0, 17].map(|i| self.network_keys.get(i).copied()),
+            Request::Session => Reply::Session(self.keys.map(|(agent, key)| {
+                let session = Session {
+                    agent,
+                    epoch: self.epoch,
+                    counter: self.counter,
+                    proof: 0,
+                    network_keys: [0, 17].map(|i| self.network_keys.get(i).copied()),
+                };
+                Session { proof: key.proof(&session), ..session }
             })),
             Request::Provision { bytes } => {
                 let (new, _) = Provision::split(bytes).unwrap();

@@ -60,13 +60,14 @@ impl Sealing {
 
     /// Takes the node's answer to a request for its session; `None` if it is not provisioned.
     pub(super) fn begin(&mut self, session: Option<&Session>) -> Result<(), ServiceError> {
-        let Some(&Session { agent, epoch, counter, proof, .. }) = session else {
+        let Some(session) = session else {
             self.node = Node::NotProvisioned;
             return Ok(());
         };
+        let &Session { agent, epoch, counter, proof, .. } = session;
         let epoch = epoch.ok_or(ServiceError::NoEpoch)?;
         let key = self.keys.of(agent);
-        if key.proof(agent, epoch) != proof {
+        if key.proof(session) != proof {
             return Err(ServiceError::Proof { agent });
         }
         self.node = Node::Provisioned { key, epoch, counter };

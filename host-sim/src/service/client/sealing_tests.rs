@@ -38,6 +38,12 @@ fn fleet() -> Option<PortKeys> {
     Some(PortKeys::Fleet(secret()))
 }
 
+/// The session of agent 5 in epoch 9.
+fn session(counter: u32) -> Session {
+    let session = Session { agent: 5, epoch: Some(9), counter, proof: 0, network_keys: [None; 2] };
+    Session { proof: secret().port_key(5).proof(&session), ..session }
+}
+
 fn ask(client: &mut Client, request: &Request<'_>) -> Result<(), ServiceError> {
     client.request(request, RETRY_POLICY, &mut |_| {}, "a confirmation", done)
 }
@@ -127,13 +133,7 @@ fn a_repeated_request_has_a_counter_of_its_own() {
     let (mut node, seen) = provisioned();
     node.deaf = 2;
     let (mut client, _) = client(node, fleet());
-    let session = Session {
-        agent: 5,
-        epoch: Some(9),
-        counter: 0,
-        proof: secret().port_key(5).proof(5, 9),
-        network_keys: [None; 2],
-    };
+    let session = session(0);
     client.sealing.as_mut().unwrap().begin(Some(&session)).unwrap();
     ask(&mut client, &Request::Confirm).unwrap();
     let (counters, plain) = counted(&seen);
@@ -144,13 +144,6 @@ fn a_repeated_request_has_a_counter_of_its_own() {
 #[test]
 fn each_seal_has_a_salt_of_its_own_whatever_the_node_says() {
     let mut sealing = Sealing::new(PortKeys::Fleet(secret()));
-    let session = |counter| Session {
-        agent: 5,
-        epoch: Some(9),
-        counter,
-        proof: secret().port_key(5).proof(5, 9),
-        network_keys: [None; 2],
-    };
     let mut salts = std::collections::BTreeSet::new();
     for told in [0, 100_000, 3, 0] {
         sealing.begin(Some(&session(told))).unwrap();
