@@ -157,10 +157,7 @@ impl Store {
                 self.upload = None;
                 Answer::Exactly(Message::Staged { version })
             }
-            _ => {
-                self.upload = None;
-                Answer::PackageRefused
-            }
+            _ => Answer::PackageRefused,
         }
     }
 

@@ -252,7 +252,7 @@ impl<F: MappedFlash> Session<'_, F> {
             self.tally.staged += u64::from(outcome.is_ok());
             self.expect(Change::Stage(number), refusal, outcome);
         }
-        // Staged, or dropped because it was refused or its last word could not be written.
+        // Staged, or dropped because its last word could not be written.
         if self.store.received().is_none() {
             self.sent = None;
         }

@@ -488,8 +488,8 @@ impl<F: MappedFlash> Store<F> {
     /// staged, also across a reboot. Returns the result of the check.
     ///
     /// # Errors
-    /// [`StoreError::NoUpload`], [`StoreError::Incomplete`], a refusal by `check`, which drops the
-    /// upload, or a failure to write flash. If only the journal failed, the call can be repeated.
+    /// [`StoreError::NoUpload`], [`StoreError::Incomplete`], a refusal by `check`, or a failure to
+    /// write flash. If only the journal failed, the call can be repeated.
     pub fn stage<T, E>(
         &mut self,
         check: impl FnOnce(&[u8]) -> Result<T, E>,
@@ -509,14 +509,7 @@ impl<F: MappedFlash> Store<F> {
         let extent = upload.extent();
         // Not missing: the slot holds `length` bytes.
         let bytes = bytes_at(&self.flash, offset, length).ok_or(StoreError::Damaged)?;
-        let package = match check(bytes) {
-            Ok(package) => package,
-            Err(refusal) => {
-                // A check takes long; it is not repeated for the same bytes.
-                self.upload = None;
-                return Err(CheckedError::Refused(refusal));
-            }
-        };
+        let package = check(bytes).map_err(CheckedError::Refused)?;
         let staged = self.contents.with_package(slot, Some(extent));
         self.commit(Contents { phase: Phase::Staged, ..staged })?;
         self.upload = None;
