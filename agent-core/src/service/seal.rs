@@ -19,7 +19,7 @@
 //! | nonce | epoch, then counter, `u32` each, little-endian, then the salt |
 //! | associated data | none |
 //!
-//! Before its first request, a laptop asks for the [`Session`](super::Session), which tells the epoch and proves that
+//! Before its first request, a laptop asks for the [`Session`], which tells the epoch and proves that
 //! the node has the port key. So nobody else can make a laptop seal requests for an epoch that is
 //! still to come. Answers are not sealed.
 //!
