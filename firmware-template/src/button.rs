@@ -1,4 +1,4 @@
-//! A button that somebody must hold for a while.
+//! A button that must be held for a while.
 
 /// Returns whether a button is pressed, and stays so while `wait` is called 100 times. The first time
 /// that it is not ends it, so that a start without the button takes no time.

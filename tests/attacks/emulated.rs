@@ -25,8 +25,8 @@ use host_sim::service::provision::NewKeys;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::Outcome;
 use super::port::{Target, attack};
+use super::{Outcome, alter};
 use crate::cosim::loop_node::region;
 
 const DIMENSION: usize = 3;
@@ -208,11 +208,10 @@ fn forged(recorded: &[Vec<u8>], random: &mut ChaCha8Rng) -> Vec<u8> {
     let mut bytes = recorded[random.random_range(0..old)].clone();
     match random.random_range(0..6) {
         0 | 1 => {}
-        2 => {
-            let bit = random.random_range(0..8 * bytes.len());
-            bytes[bit / 8] ^= 1 << (bit % 8);
+        2 | 3 => {
+            let other = &recorded[random.random_range(0..old)];
+            alter(&mut bytes, other, authentic::TAG_LENGTH, random);
         }
-        3 => bytes.truncate(random.random_range(1..bytes.len())),
         4 => {
             let foreign = NetworkKey::new(random.random_range(0..3), Secret::new(random.random()));
             let stamp = Stamp { epoch: u32::MAX, sequence: u32::MAX };

@@ -1,4 +1,4 @@
-//! Attacks on a node: what a stranger can do, tried many times, and what came of it.
+//! Attacks on a node: what a stranger can do, tried many times, and the outcome.
 //!
 //! Each attack is a function of the number of tries and a seed that returns an [`Outcome`].
 //! `cargo xtask attack` runs them all with many tries ([`report`]) and prints the outcomes; the
@@ -12,9 +12,11 @@ mod packages;
 mod port;
 mod radio;
 
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use serde_json::json;
 
-/// What came of an attack.
+/// The outcome of an attack.
 #[derive(Debug)]
 struct Outcome {
     /// Its name in the report and in the threat model.
@@ -68,4 +70,19 @@ fn report() {
     });
     let report = json!({"attacks": attacks.collect::<Vec<_>>()});
     std::fs::write(std::env::var_os("ATTACK_REPORT").unwrap(), report.to_string()).unwrap();
+}
+
+/// Changes a recording: flips a bit, cuts its end, or puts the last `tag` bytes of another behind it.
+fn alter(bytes: &mut Vec<u8>, other: &[u8], tag: usize, random: &mut ChaCha8Rng) {
+    match random.random_range(0..3) {
+        0 => {
+            let bit = random.random_range(0..8 * bytes.len());
+            bytes[bit / 8] ^= 1 << (bit % 8);
+        }
+        1 => bytes.truncate(random.random_range(0..bytes.len())),
+        _ => {
+            bytes.truncate(bytes.len().saturating_sub(tag));
+            bytes.extend(&other[other.len().saturating_sub(tag)..]);
+        }
+    }
 }

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeSet;
 
-use agent_core::service::seal::PortKey;
+use agent_core::service::seal::{PortKey, TAG_LENGTH};
 use agent_core::service::{Problem, Provision, Request, Session, Subscription, split_number};
 use agent_core::wire::secret::Secret;
 use host_sim::service::Message;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::Outcome;
+use super::{Outcome, alter};
 use crate::keyed::test_node::{Off, TestNode, encoded, port_secret, salted, seal};
 
 /// A provisioned node, and what its operator can do.
@@ -155,23 +155,15 @@ fn forged(
     match random.random_range(0..9) {
         // As heard, at any time.
         0 | 1 => {}
-        2 => {
-            let bit = random.random_range(0..8 * bytes.len());
-            bytes[bit / 8] ^= 1 << (bit % 8);
+        2..5 => {
+            let other = &heard[random.random_range(0..heard.len())];
+            alter(&mut bytes, other, TAG_LENGTH, random);
         }
-        3 => bytes.truncate(random.random_range(0..bytes.len())),
         // What was heard, as a later request.
-        4 => {
+        5 => {
             let head = encoded(&Request::Sealed(salted(counter)));
             let length = bytes.iter().skip(1).position(|byte| byte & 0x80 == 0).unwrap() + 2;
             bytes.splice(..length.min(bytes.len()), head);
-        }
-        // The tag of another.
-        5 => {
-            let other = &heard[random.random_range(0..heard.len())];
-            let tag = bytes.len().saturating_sub(16);
-            bytes.truncate(tag);
-            bytes.extend(&other[other.len().saturating_sub(16)..]);
         }
         // With a key of its own, and the right epoch and counter.
         6 => {

@@ -3,13 +3,13 @@
 use std::collections::BTreeSet;
 
 use agent_core::agent::trust::{Trust, TrustParams};
-use agent_core::wire::authentic::{self, Bytes, Header, Kind, NetworkKey, Stamp};
+use agent_core::wire::authentic::{self, Bytes, Header, Kind, NetworkKey, Stamp, TAG_LENGTH};
 use agent_core::wire::secret::Secret;
 use agent_core::{AgentId, Frame, Neighbour, Tick};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::Outcome;
+use super::{Outcome, alter};
 
 const PARAMS: TrustParams = TrustParams { hello_interval: 250, answer_gap: 100 };
 
@@ -80,6 +80,9 @@ impl Node {
             }
         }
         sent.extend(self.trust.hello(now, &key));
+        if self.trust.must_speak() {
+            sent.extend(self.last.as_ref().and_then(|last| self.trust.seal(last, &key)));
+        }
         if let Some(last) = &self.last {
             sent.extend(self.trust.answer(last, now, &key));
         }
@@ -117,6 +120,14 @@ pub(super) fn stranger(tries: u64, seed: u64) -> Outcome {
                 2 => node.unreserved += 1_000,
                 // The agent restarts, and with it the sequence, if an epoch is left.
                 3 if node.trust.epochs_left() > 1 => node.sequence = 0,
+                // A package leaves out a neighbour, and the next one takes it back.
+                4 if node.trust.epochs_left() > 2 => {
+                    let [first, second] = node.neighbours;
+                    for neighbours in [&[second][..], &[first, second]] {
+                        assert!(node.trust.set_neighbours(neighbours, PARAMS));
+                    }
+                    node.booted = now;
+                }
                 _ => {}
             }
         }
@@ -176,17 +187,9 @@ fn forged(recorded: &[Bytes], random: &mut ChaCha8Rng, now: Tick) -> Vec<u8> {
     match random.random_range(0..7) {
         // As recorded, at any time, to anyone, its own sender included.
         0 | 1 => {}
-        2 => {
-            let bit = random.random_range(0..8 * bytes.len());
-            bytes[bit / 8] ^= 1 << (bit % 8);
-        }
-        3 => bytes.truncate(random.random_range(0..bytes.len())),
-        // The tag of one frame behind the body of another.
-        4 => {
+        2..5 => {
             let other = &recorded[random.random_range(0..recorded.len())];
-            let tag = bytes.len() - 8;
-            bytes.truncate(tag);
-            bytes.extend(&other[other.len() - 8..]);
+            alter(&mut bytes, other, TAG_LENGTH, random);
         }
         // From another network that uses the same number for its key.
         5 => {

@@ -1,6 +1,8 @@
 //! Whom nodes with network keys believe.
 
-use super::test_node::{Off, TestNode, package};
+use agent_core::wire::authentic::{self, Kind};
+
+use super::test_node::{Off, TestNode, network_key, package};
 
 /// Steps of 2 s, the time within which a true neighbour is believed again.
 const TWO_SECONDS: u32 = 2_000;
@@ -75,4 +77,35 @@ fn true_neighbours_are_believed_again_after_a_reboot_of_either() {
         assert!(heard > 0, "nothing was broadcast");
         assert_eq!(pair.refused(), before, "a true frame was refused");
     }
+}
+
+/// An event trigger is not bounded in time, so a node that has just got its first network key may have
+/// nothing to broadcast for long. It must answer hellos all the same.
+#[test]
+fn nodes_that_get_their_first_key_while_they_run_believe_each_other() {
+    let mut pair = Pair {
+        nodes: [1, 2].map(|agent| {
+            let mut node = TestNode::blank();
+            assert_eq!(node.provision(agent, 1_000, &[]), Ok(()));
+            assert_eq!(node.push(&package(agent, 1)), Ok(()));
+            node
+        }),
+        sent: Default::default(),
+    };
+    // Long enough for the trigger to rest.
+    (0..TWO_SECONDS).for_each(|_| pair.step());
+    pair.nodes.iter_mut().for_each(|node| assert_eq!(node.give_network_keys(&[1]), Ok(())));
+    pair.sent = Default::default();
+    let (mut hellos, mut syncs) = (0, 0);
+    let keys = [network_key(1)];
+    for _ in 0..TWO_SECONDS {
+        pair.step();
+        for bytes in pair.sent.iter().flatten() {
+            let (header, _) = authentic::open(bytes, &keys).unwrap();
+            hellos += u32::from(header.kind == Kind::Hello);
+            syncs += u32::from(matches!(header.kind, Kind::Sync { .. }));
+        }
+    }
+    // One of each: the first hello is answered at once.
+    assert!(syncs >= 2 && hellos <= 4, "{hellos} hellos, {syncs} answers");
 }

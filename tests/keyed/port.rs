@@ -139,7 +139,7 @@ fn first_keys_must_be_signed_if_packages_must() {
         vec![0; 64],
         stranger.sign(&provision.signed_bytes()).to_vec(),
         operator.sign(&other.signed_bytes()).to_vec(),
-        // What is signed has a label, so that a signature of anything else is worthless.
+        // What is signed has a label, so that a signature of anything else does not match.
         operator.sign(&provision.to_bytes()).to_vec(),
     ] {
         assert_eq!(node.provision(1, 5, &signature), Err(Problem::NotSigned));

@@ -148,7 +148,7 @@ impl TestNode {
         self.restart_with(off, false);
     }
 
-    /// Restarts while somebody holds the button.
+    /// Restarts with the button held.
     pub(crate) fn reset_by_hand(&mut self) {
         self.restart_with(Off::Power, true);
     }

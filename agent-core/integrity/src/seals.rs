@@ -24,7 +24,7 @@ pub fn encrypt(key: &[u8; LENGTH], nonce: &[u8; LENGTH], bytes: &mut [u8]) -> [u
     cipher.encrypt_inout_detached(&nonce, &[], bytes.into()).map_or([0; LENGTH], Into::into)
 }
 
-/// Decrypts `bytes` in place; returns whether the tag matches. If not, the bytes are worthless.
+/// Decrypts `bytes` in place; returns whether the tag matches. If not, the bytes hold no message.
 #[inline(never)]
 #[must_use]
 pub fn decrypt(

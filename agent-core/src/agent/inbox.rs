@@ -251,6 +251,49 @@ mod tests {
         assert_eq!(holds[1].map(|hold| hold.sequence()), Some(0));
     }
 
+    /// The consensus term and the held sample of a step agree, also on a sample that only its stamp
+    /// makes newer.
+    #[cfg(feature = "authentic-frames")]
+    #[test]
+    fn a_believed_frame_of_a_restarted_neighbour_reaches_the_consensus_term() {
+        use crate::StateVector;
+        use crate::agent::{AgentParams, AgentState};
+        use crate::math::symmetric::SymmetricMatrix;
+        use crate::observer::feedback::{ObserverParams, OutputMatrix};
+        use crate::observer::network::InnerNetwork;
+        use crate::observer::outer_law::OuterLawParams;
+        use crate::observer::projection::ProjectionParams;
+        use crate::observer::trigger::TriggerParams;
+
+        let neighbours = [Neighbour { id: 9, weight: 1.0 }];
+        let observer = ObserverParams {
+            output_matrix: OutputMatrix::new(&[StateVector::<2>::new(1.0, 0.0)]).unwrap(),
+            gain: nalgebra::SMatrix::identity(),
+            neighbours: &neighbours,
+        };
+        let projection =
+            ProjectionParams { radius: 9.0, boundary_layer: 1.0, smoothing: 0.1, smoothness: 1 };
+        let outer_law = OuterLawParams { gain: SymmetricMatrix::Scalar(1.0), projection };
+        let trigger =
+            TriggerParams { hold_error_weight: 1.0, consensus_weight: 0.1, threshold: 1e9 };
+        let params = AgentParams::new(1, 1e-3, observer, outer_law, trigger).unwrap();
+        let mut state =
+            AgentState::<2, 1, _>::new(&params, StateVector::zeros(), &[0.0; 2], [None]).unwrap();
+        let mut inbox = Inbox::<2, _>::new([None]);
+        let region = Region::unlimited();
+        let old = Frame { sequence: 1_000, tick: 50_000, estimate: [4.0, 0.0].into(), ..frame(9) };
+        let restarted = Frame { sequence: 0, tick: 0, estimate: [-7.0, 3.0].into(), ..frame(9) };
+        for (tick, sent) in [(0, old), (1, restarted)] {
+            inbox.accept_believed(&neighbours, &region, &sent).unwrap();
+            let network = None::<&InnerNetwork<&[f32]>>;
+            state.step(&params, network, tick, &[0.0], &mut inbox).unwrap();
+            // The agent's own sample is still zero.
+            assert_eq!(state.consensus_term(), &sent.estimate);
+            let held = state.neighbour_holds()[0].unwrap();
+            assert_eq!(held.estimate(), &sent.estimate);
+        }
+    }
+
     const NEIGHBOURS: [Neighbour; 2] =
         [Neighbour { id: 4, weight: 1.0 }, Neighbour { id: 9, weight: 1.0 }];
 

@@ -107,12 +107,6 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         true
     }
 
-    /// Returns the end of the reserved epochs.
-    #[must_use]
-    pub fn epochs_end(&self) -> u32 {
-        self.epochs_end
-    }
-
     /// Returns the number of epochs left, including the one in use.
     #[must_use]
     pub fn epochs_left(&self) -> u32 {

@@ -1,8 +1,8 @@
 //! Requests that only an operator with the node's port key can make.
 //!
 //! A node that has a port key carries out a request only if it is sealed, except those of
-//! [`Request::is_free`](super::Request::is_free). Sealing encrypts the request and adds a tag over it (Ascon-AEAD128,
-//! NIST SP 800-232). The nonce has the node's epoch, which never comes again, the request's counter,
+//! [`Request::is_free`](super::Request::is_free). Sealing encrypts the request and adds a tag over it
+//! (Ascon-AEAD128, NIST SP 800-232). The nonce has the node's epoch, which never comes again, the request's counter,
 //! which rises, and a random salt; so no request can be read, changed, repeated or delayed beyond the
 //! next one.
 //!
@@ -20,8 +20,8 @@
 //! | associated data | none |
 //!
 //! Before its first request, a laptop asks for the [`Session`], which tells the epoch and proves that
-//! the node has the port key. So nobody else can make a laptop seal requests for an epoch that is
-//! still to come. Answers are not sealed.
+//! the node has the port key. So a laptop never seals requests for an epoch that is still to
+//! come. Answers are not sealed.
 //!
 //! Cost: about 100 instructions per byte on a Cortex-M4.
 
@@ -36,7 +36,7 @@ pub const TAG_LENGTH: usize = integrity::LENGTH;
 pub struct PortKey(Secret);
 
 impl PortKey {
-    /// Takes the secret that node and operator share.
+    /// Creates the key from the secret that node and operator share.
     #[must_use]
     pub const fn new(secret: Secret) -> Self {
         Self(secret)
@@ -60,8 +60,8 @@ impl PortKey {
         integrity::encrypt(&self.request_key(), &nonce(epoch, seal), request)
     }
 
-    /// Decrypts in place what [`Self::seal`] has made; `None` if the tag does not match. The bytes are
-    /// then worthless.
+    /// Decrypts in place what [`Self::seal`] has made; `None` if the tag does not match. The bytes then
+    /// hold no request.
     #[must_use]
     pub fn open<'b>(&self, epoch: u32, seal: &Seal, sealed: &'b mut [u8]) -> Option<&'b [u8]> {
         let (request, tag) = sealed.split_last_chunk_mut::<TAG_LENGTH>()?;

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 /// Length of a secret. \[byte\]
 pub const SECRET_LENGTH: usize = 16;
 
-/// 128 random bits that only those who need them know. There is no way to print them.
+/// A secret of 128 random bits. Its `Debug` output leaves them out.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Secret([u8; SECRET_LENGTH]);
@@ -17,7 +17,7 @@ impl core::fmt::Debug for Secret {
 }
 
 impl Secret {
-    /// Takes 128 random bits.
+    /// Creates the secret from 128 random bits.
     #[must_use]
     pub const fn new(bits: [u8; SECRET_LENGTH]) -> Self {
         Self(bits)

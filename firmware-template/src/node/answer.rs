@@ -106,6 +106,7 @@ impl<
             Request::Session => Ok((Response::Session(self.guard.session()), Next::Continue)),
             Request::Provision { bytes } => {
                 self.guard.provision(bytes, &mut self.store, &self.settings)?;
+                self.prepare_guard();
                 Ok((Response::Done, Next::Continue))
             }
             Request::NetworkKeys { bytes } => {
@@ -119,8 +120,13 @@ impl<
                 Ok((Response::Done, Next::Continue))
             }
             Request::FactoryReset => {
-                self.guard.reset(&mut self.store)?;
-                Ok((Response::Done, Next::Reset))
+                let outcome = match self.guard.reset(&mut self.store) {
+                    Ok(()) => Response::Done,
+                    // Packages may be forgotten already, so it starts again in any case.
+                    Err(problem @ Problem::Store(_)) => Response::Refused(problem),
+                    Err(problem) => return Err(problem),
+                };
+                Ok((outcome, Next::Reset))
             }
             Request::Frame { .. } | Request::Tick { .. } => Err(Problem::NotInTheLoop),
             Request::Samples { .. }

@@ -59,8 +59,8 @@ pub(super) struct Guard<const NEIGHBOURS: usize> {
     operators: OperatorKeys,
     /// Counter of the last sealed request.
     counter: u32,
-    /// Whether the journal may hold keys that could not be read: then the node takes nothing from
-    /// anyone, and says nothing to its neighbours.
+    /// Whether nothing in the journal could be read, and so perhaps keys: the node then neither hears nor
+    /// answers its neighbours, and carries out free requests only.
     is_locked: bool,
 }
 
@@ -284,7 +284,8 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
         Some(Session { proof: key.proof(&session), ..session })
     }
 
-    /// Records port key and agent. The first ones need a signature if packages do.
+    /// Records port key and agent. The first ones need a signature if packages do. The caller then
+    /// prepares for the agent again.
     #[inline(never)]
     pub(super) fn provision<F: MappedFlash>(
         &mut self,
@@ -302,8 +303,11 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
         if provision.epoch > EPOCH_MAX {
             return Err(StoreError::Note.into());
         }
-        store.skip_epochs(provision.epoch)?;
-        self.reserved = Epochs::default();
+        if provision.epoch > store.epochs_end()? {
+            store.skip_epochs(provision.epoch)?;
+            // What was sealed in the epochs of an image that is written again is worth nothing.
+            (self.reserved, self.epoch, self.trust) = (Epochs::default(), None, None);
+        }
         self.open(store, settings)?;
         store.record_port_key(provision.port_key, provision.agent)?;
         self.port = Some((PortKey::new(provision.port_key), provision.agent));

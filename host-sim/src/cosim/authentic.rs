@@ -4,7 +4,7 @@
 //! with the same content, which are compared without epoch and tag, and passed on as they are. A hello
 //! and its answer have no counterpart in the simulation: they are passed on and not compared.
 //!
-//! A node that has just started believes nobody, while a simulated agent hears its neighbours from the
+//! A node that has just started believes no neighbour, while a simulated agent hears its own from the
 //! first step on. So the co-simulation, which has the keys, turns the first frame of each neighbour
 //! into the answer to a hello that the node has not sent yet. From then on nodes are on their own.
 

@@ -24,7 +24,7 @@ pub struct FleetKeys {
 }
 
 impl FleetKeys {
-    /// Takes the secret, and the numbers of the network keys in use.
+    /// Creates the keys from the secret and the numbers of the network keys in use.
     #[must_use]
     pub fn new(secret: FleetSecret, numbers: NetworkNumbers) -> Self {
         Self { secret, numbers }

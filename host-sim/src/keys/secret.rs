@@ -24,7 +24,7 @@ use crate::signing::OperatorKey;
 pub struct FleetSecret(Zeroizing<[u8; 32]>);
 
 impl FleetSecret {
-    /// Takes 32 random bytes.
+    /// Creates the secret from 32 random bytes.
     #[must_use]
     pub fn new(bytes: [u8; 32]) -> Self {
         Self(Zeroizing::new(bytes))

@@ -75,7 +75,7 @@ pub struct Header {
 pub enum Kind {
     /// A broadcast of the observer: the estimate is `x_hat_i(t_k)`.
     Estimate,
-    /// The sender has started and asks each neighbour for a sync. There is no estimate.
+    /// The sender has started and asks each neighbour for a sync. The frame has no estimate.
     Hello,
     /// Answers the hello of one agent with the sender's last broadcast, whose stamp and tick the
     /// frame has.
