@@ -3,6 +3,7 @@
 use agent_core::service::seal::PortKey;
 use agent_core::service::{Problem, Provision, Request, Subscription};
 use agent_core::store::StoreError;
+use agent_core::wire::authentic;
 use host_sim::service::Message;
 use host_sim::signing::OperatorKey;
 
@@ -247,4 +248,21 @@ fn an_epoch_near_the_end_is_refused_and_changes_nothing() {
     assert!(node.flash() == before);
     assert_eq!(node.provision(1, 0xf000_0000, &[]), Ok(()));
     assert_eq!(node.open_session().epoch, Some(0xf000_0000));
+}
+
+#[test]
+fn a_higher_epoch_takes_effect_at_once() {
+    let mut node = TestNode::provisioned(1);
+    let request = Request::StartAt { estimate: [0.5, 0.5].into_iter().collect() };
+    let old = node.sealed(&request);
+    assert_eq!(node.provision(1, 50_000, &[]), Ok(()));
+    assert!(node.open_session().epoch.unwrap() >= 50_000);
+    assert_eq!(node.send(&old), Message::Refused(Problem::Seal));
+    assert_eq!(node.ask_sealed(&request), Message::Done);
+    let frames = node.step([]);
+    assert!(!frames.is_empty());
+    for bytes in frames {
+        let (header, _) = authentic::open(&bytes, &[network_key(1)]).unwrap();
+        assert!(header.stamp.epoch >= 50_000, "{header:?}");
+    }
 }

@@ -46,7 +46,19 @@ pub(crate) fn network_key(number: u8) -> NetworkKey {
 
 /// A package for agent 1 or 2 of two.
 pub(crate) fn package(agent: AgentId, version: u32) -> PackageBytes {
-    let mut described = Described::linear(N, "path", [(picks(N, [0]), 1), (picks(N, [1]), 1)]);
+    package_of(two_agents(), agent, version)
+}
+
+/// A package with which the agent broadcasts its first sample only.
+pub(crate) fn quiet_package(agent: AgentId) -> PackageBytes {
+    package_of(Described { epsilon: 1e12, ..two_agents() }, agent, 1)
+}
+
+fn two_agents() -> Described {
+    Described::linear(N, "path", [(picks(N, [0]), 1), (picks(N, [1]), 1)])
+}
+
+fn package_of(mut described: Described, agent: AgentId, version: u32) -> PackageBytes {
     described.network = network(&[(5, "tanh"), (3, "logistic")], "2.0");
     let scenario = described.scenario();
     let network = scenario.network.as_ref().unwrap();
