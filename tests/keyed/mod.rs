@@ -2,6 +2,7 @@
 
 #[cfg(unix)]
 mod commands;
+mod flood_fixture;
 #[cfg(unix)]
 mod image;
 mod neighbours;

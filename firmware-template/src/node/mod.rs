@@ -42,8 +42,8 @@ use agent_core::observer::network::Scratch;
 use agent_core::package::{NetworkPlace, ParamsPlace, Serial};
 use agent_core::service::{
     self, BoardFault, Event, Firmware, LastRevert, PROTOCOL_VERSION, PackageStatus,
-    Performance as PerformanceReport, RefusalReport, Report, Request, Response, Status,
-    Subscription, TrialReport,
+    Performance as PerformanceReport, RefusalReport, Report, Request, Response,
+    Session as PortSession, Status, Subscription, TrialReport,
 };
 use agent_core::store::{LayoutError, MappedFlash, Slot, Store};
 use agent_core::{AgentId, Tick};
@@ -439,6 +439,12 @@ impl<
             broadcasts_lost: self.counts.broadcasts_lost,
             health: *self.health.counters(),
         }
+    }
+
+    /// Returns what a laptop must know to seal requests; `None` if the node has no port key.
+    #[must_use]
+    pub fn session(&self) -> Option<PortSession> {
+        self.guard.session()
     }
 
     /// Returns how often the node has booted, as its flash counts it.

@@ -14,6 +14,8 @@
 //! | `keys` | authentic frames and sealed requests |
 //! | `turn` | a whole node of the firmware template: all its broadcasts and messages |
 //!
+//! [`flood`] is a program of its own (feature `flood`): how late the steps of a flooded node are.
+//!
 //! All inputs are derived from integers, and the weights from a package trained on the host
 //! (`fixtures/agent1.weights`, agent 1 of `host-sim run paper`, seed 0).
 //!
@@ -26,6 +28,7 @@ mod activations;
 mod agent;
 mod digest;
 mod draw;
+pub mod flood;
 pub mod golden;
 mod keys;
 mod meter;
@@ -95,7 +98,15 @@ mod tests {
         assert_eq!(wrong, [""; 0], "sections whose digests differ from the golden ones");
         assert_eq!(sections, golden::DIGESTS.len());
         for (figure, statistics) in outcome.unwrap().iter() {
-            assert!(statistics.count > 3, "{} is rarely counted", figure.name());
+            let is_flood = figure == Figure::Flood;
+            assert!(statistics.count > 3 || is_flood, "{} is rarely counted", figure.name());
         }
+    }
+
+    #[test]
+    fn a_flooded_node_goes_on() {
+        let figures = flood::flood(&mut NoMeter).unwrap();
+        let flooded = figures.iter().find(|(figure, _)| *figure == Figure::Flood);
+        assert!(flooded.is_some_and(|(_, statistics)| statistics.count > 400));
     }
 }

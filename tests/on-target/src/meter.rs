@@ -51,11 +51,13 @@ pub enum Figure {
     TagCheck,
     /// The longest sealed request opened.
     Seal,
+    /// From the beginning of a period to the end of its turn, while port and radio are flooded.
+    Flood,
 }
 
 impl Figure {
     /// Every figure.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Forward,
         Self::Step,
         Self::Broadcast,
@@ -66,6 +68,7 @@ impl Figure {
         Self::Tag,
         Self::TagCheck,
         Self::Seal,
+        Self::Flood,
     ];
 
     /// Returns its name, a single word.
@@ -82,6 +85,7 @@ impl Figure {
             Self::Tag => "tag",
             Self::TagCheck => "tag-check",
             Self::Seal => "seal",
+            Self::Flood => "flood",
         }
     }
 }

@@ -24,37 +24,51 @@ use crate::package;
 /// Number of turns.
 const TURNS: u32 = 400;
 /// Capacities of the node.
-const FEATURES: usize = 8;
-const NEIGHBOURS: usize = 2;
-const SAMPLES: usize = 8;
+pub(crate) const FEATURES: usize = 8;
+pub(crate) const NEIGHBOURS: usize = 2;
+pub(crate) const SAMPLES: usize = 8;
 
 /// Largest output of a node in a turn, including its greeting. \[byte\]
 const SAID: usize = 1024;
 /// Length of a slot, of the journal's halves, and of an erase unit. \[byte\]
 const UNIT: usize = 4096;
-const LAYOUT: Layout = Layout {
+pub(crate) const LAYOUT: Layout = Layout {
     slots: [0, UNIT as u32],
     slot_length: UNIT as u32,
     commit: 2 * UNIT as u32,
     commit_length: 2 * UNIT as u32,
 };
 
-/// Flash as programmed at the factory: a package in slot A, without a record of it.
+/// Flash as programmed at the factory: a package in slot A, without a record of it, and a journal.
 #[repr(C, align(4))]
 struct Rom([u8; 4 * UNIT]);
 
-static ROM: Rom = {
+const fn programmed(journal: &[u8]) -> Rom {
     let mut rom = Rom([0xff; 4 * UNIT]);
     let mut place = 0;
     while place < package::LENGTH {
         rom.0[place] = package::FIXTURE.0[place];
         place += 1;
     }
+    let mut place = 0;
+    while place < journal.len() {
+        rom.0[2 * UNIT + place] = journal[place];
+        place += 1;
+    }
     rom
-};
+}
 
-/// A driver that ignores writes; none are made here.
-struct ReadOnly;
+static ROM: Rom = programmed(&[]);
+static ROM_WITH_KEYS: Rom = programmed(&crate::flood::JOURNAL);
+
+/// A driver that refuses writes.
+pub(crate) struct ReadOnly(&'static Rom);
+
+impl ReadOnly {
+    const BLANK: Self = Self(&ROM);
+    /// With the keys of [`crate::flood`].
+    pub(crate) const WITH_KEYS: Self = Self(&ROM_WITH_KEYS);
+}
 
 impl ErrorType for ReadOnly {
     type Error = NorFlashErrorKind;
@@ -64,14 +78,14 @@ impl ReadNorFlash for ReadOnly {
     const READ_SIZE: usize = 1;
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
-        let place = ROM.0.get(offset as usize..).and_then(|rest| rest.get(..bytes.len()));
+        let place = self.0.0.get(offset as usize..).and_then(|rest| rest.get(..bytes.len()));
         let place = place.ok_or(NorFlashErrorKind::OutOfBounds)?;
         bytes.iter_mut().zip(place).for_each(|(byte, stored)| *byte = *stored);
         Ok(())
     }
 
     fn capacity(&self) -> usize {
-        ROM.0.len()
+        self.0.0.len()
     }
 }
 
@@ -90,7 +104,7 @@ impl NorFlash for ReadOnly {
 
 impl MappedFlash for ReadOnly {
     fn mapped(&self) -> &[u8] {
-        &ROM.0
+        &self.0.0
     }
 }
 
@@ -251,7 +265,8 @@ fn run(
         version: [0; 3],
     };
     let mut memory = Memory::<N, FEATURES, NEIGHBOURS, SAMPLES>::new();
-    let node = Node::<_, N, FEATURES, NEIGHBOURS, SAMPLES>::new(ReadOnly, settings, &mut memory);
+    let node =
+        Node::<_, N, FEATURES, NEIGHBOURS, SAMPLES>::new(ReadOnly::BLANK, settings, &mut memory);
     let mut node = node.map_err(|_| Unusable { what: "the node's flash has another layout" })?;
     let mut bench = Bench {
         meter,

@@ -6,7 +6,6 @@ mod board;
 mod counter;
 mod text;
 
-use on_target::{Section, examine};
 use semihosting::process::exit;
 
 use counter::Counter;
@@ -23,19 +22,13 @@ fn run() -> ! {
         Line::new().text("instructions cannot be counted").print();
         exit(UNUSABLE)
     };
-    let mut equal = true;
-    let outcome = examine(&mut counter, |&Section { name, digest, golden }| {
-        let line = Line::new().text("section ").text(name).text(" ").hexadecimal(digest).text(" ");
-        if digest == golden {
-            line.text("ok").print();
-        } else {
-            equal = false;
-            line.hexadecimal(golden).print();
-        }
-    });
+    #[cfg(feature = "flood")]
+    let (equal, outcome) = (true, on_target::flood::flood(&mut counter));
+    #[cfg(not(feature = "flood"))]
+    let (equal, outcome) = examined(&mut counter);
     match outcome {
         Ok(figures) => {
-            for (figure, statistics) in figures.iter() {
+            for (figure, statistics) in figures.iter().filter(|(_, found)| found.count > 0) {
                 Line::new()
                     .text("instructions ")
                     .text(figure.name())
@@ -54,6 +47,25 @@ fn run() -> ! {
             exit(UNUSABLE)
         }
     }
+}
+
+/// Runs the examination and prints its sections; returns also whether all digests are the golden ones.
+#[cfg(not(feature = "flood"))]
+fn examined(
+    meter: &mut impl on_target::Meter,
+) -> (bool, Result<on_target::Figures, on_target::Unusable>) {
+    let mut equal = true;
+    let outcome = on_target::examine(meter, |section| {
+        let &on_target::Section { name, digest, golden } = section;
+        let line = Line::new().text("section ").text(name).text(" ").hexadecimal(digest).text(" ");
+        if digest == golden {
+            line.text("ok").print();
+        } else {
+            equal = false;
+            line.hexadecimal(golden).print();
+        }
+    });
+    (equal, outcome)
 }
 
 /// Never called: `cargo xtask emulate` verifies that nothing can panic.
