@@ -1,33 +1,40 @@
 //! The released firmware in the real emulator. `cargo xtask test` builds the firmware, installs the
 //! emulator where it is allowed to, and then runs these tests.
 
-use std::collections::BTreeSet;
-
 use crate::cli::command_line::Folder;
 
 /// The environment variable that names the firmware's ELF file.
 const FIRMWARE: &str = "QEMU_MPS2_AN386_FIRMWARE";
 
-fn cosim(folder: &Folder, arguments: &str) -> serde_json::Value {
-    let firmware = std::env::var(FIRMWARE).unwrap_or_else(|_| {
+fn firmware() -> String {
+    std::env::var(FIRMWARE).unwrap_or_else(|_| {
         panic!("{FIRMWARE} must name the firmware; build it with `cargo xtask firmware`")
-    });
+    })
+}
+
+fn cosim(folder: &Folder, firmware: &str, arguments: &str) -> serde_json::Value {
     let told = folder.succeed(&format!("cosim --firmware {firmware} --format json {arguments}"));
     serde_json::from_str(&told).unwrap()
 }
 
-fn children() -> BTreeSet<String> {
+/// Processes that were started with this word in their command line.
+fn processes_with(word: &str) -> Vec<String> {
     let processes = std::fs::read_dir("/proc").unwrap().filter_map(Result::ok);
-    let name = |entry: &std::fs::DirEntry| std::fs::read_to_string(entry.path().join("comm")).ok();
-    let qemu = processes.filter(|entry| name(entry).is_some_and(|name| name.contains("qemu")));
-    qemu.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
+    let line = |entry: &std::fs::DirEntry| std::fs::read(entry.path().join("cmdline")).ok();
+    let found = processes.filter(|entry| {
+        line(entry).is_some_and(|line| String::from_utf8_lossy(&line).contains(word))
+    });
+    found.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
 }
 
 #[test]
 #[ignore = "requires the firmware and QEMU; run `cargo xtask test`"]
 fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
     let folder = Folder::new("cosim-qemu");
-    let before = children();
+    // A copy, so that its processes are those of this test.
+    let own = folder.path("only-here.elf");
+    std::fs::copy(firmware(), &own).unwrap();
+    let own = own.to_str().unwrap();
     // The paper's scenario with its learning cycle moved to the start.
     let mut text = host_sim::scenario::PAPER.to_owned();
     for (from, to) in [
@@ -43,8 +50,8 @@ fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
         text = text.replace(from, to);
     }
     folder.write("early.toml", &text);
-    let pipes = cosim(&folder, "early.toml --steps 4000");
-    let uart = cosim(&folder, "early.toml --steps 1500 --boards qemu-uart,qemu,qemu-uart");
+    let pipes = cosim(&folder, own, "early.toml --steps 4000");
+    let uart = cosim(&folder, own, "early.toml --steps 1500 --boards qemu-uart,qemu,qemu-uart");
     for (report, steps) in [(pipes, 4000), (uart, 1500)] {
         assert_eq!((&report["mismatches"], &report["steps"]), (&0.into(), &steps.into()));
         assert!(report["first_mismatch"].is_null());
@@ -52,8 +59,7 @@ fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
             assert_eq!((&board["switches"], &board["compared"]), (&1.into(), &steps.into()));
         }
     }
-    let after: Vec<_> = children().difference(&before).cloned().collect();
-    assert_eq!(after, Vec::<String>::new(), "processes are left");
+    assert_eq!(processes_with(own), [""; 0], "processes are left");
 }
 
 #[test]
@@ -61,18 +67,31 @@ fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
 fn cosim_in_qemu_continues_with_kept_flash() {
     let folder = Folder::new("cosim-qemu-keep");
     let learns = "paper --keep flash --steps 300 --without-learning";
-    let first = cosim(&folder, learns);
+    let firmware = firmware();
+    let first = cosim(&folder, &firmware, learns);
     assert_eq!((&first["mismatches"], &first["steps"]), (&0.into(), &300.into()));
     let agents: Vec<_> = folder.files("flash").into_keys().collect();
     assert_eq!(agents, ["agent-1.flash", "agent-2.flash", "agent-3.flash"]);
-    let second = cosim(&folder, learns);
+    let second = cosim(&folder, &firmware, learns);
     assert_eq!((&second["mismatches"], &second["digest"]), (&0.into(), &first["digest"]));
     // Nodes of another scenario are refused.
     let text = host_sim::scenario::PAPER.replace("epsilon = 3000.0", "epsilon = 2000.0");
     assert_ne!(text, host_sim::scenario::PAPER);
     folder.write("other.toml", &text);
-    let firmware = std::env::var(FIRMWARE).unwrap();
     let refused = format!("cosim other.toml --firmware {firmware} --keep flash --steps 9");
     let error = folder.fail(&refused, 2);
     assert!(error.contains("flash/agent-1.flash: the trigger of its package differs"), "{error}");
+}
+
+#[test]
+#[ignore = "requires the firmware and QEMU; run `cargo xtask test`"]
+fn cosim_in_qemu_has_the_same_bits_with_keys() {
+    let folder = Folder::new("cosim-qemu-keys");
+    let plain = "paper --steps 800 --without-learning --boards qemu,qemu-uart,qemu";
+    let without = cosim(&folder, &firmware(), plain);
+    let with = cosim(&folder, &firmware(), &format!("{plain} --network-key"));
+    assert_eq!((&with["mismatches"], &with["digest"]), (&0.into(), &without["digest"]));
+    for board in with["boards"].as_array().unwrap() {
+        assert_eq!(board["compared"], 800);
+    }
 }
