@@ -18,7 +18,6 @@ fn the_examined_node_has_the_journal_that_a_store_writes() {
     assert_eq!(store.reserve_epochs(64), Ok((0, 64)));
     store.record_port_key(Secret::new([0x33; 16]), 1).unwrap();
     store.record_network_keys(&network_key(1).to_bytes()).unwrap();
-    drop(store);
     let journal = &flash.mapped()[2 * UNIT as usize..];
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/on-target/fixtures/keys.journal");
     let fixture = std::fs::read(path).unwrap();

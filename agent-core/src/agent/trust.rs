@@ -19,7 +19,7 @@
 //! [`TrustParams::answer_gap`], so that a stranger who repeats a recorded hello costs little.
 //!
 //! The epoch also rises when the sequence starts again without a boot, as after a restart of the
-//! agent, and when the sequence is used up. Epochs up to [`Trust::epochs_end`] have been reserved in
+//! agent, and when the sequence is used up. Epochs up to the field `epochs_end` have been reserved in
 //! the store before the first is used; a node without a reserved epoch only listens.
 //!
 //! Memory: 40 bytes per neighbour and 64 bytes. Cost: that of a tag, and a search among the neighbours.

@@ -1,6 +1,6 @@
 //! A node with keys whose service port and radio are flooded: how late its steps are.
 //!
-//! A clock that counts instructions begins a period every [`PERIOD`] of them, as a chip of 64 MHz does
+//! A clock that counts instructions begins a period every 64,000 of them, as a chip of 64 MHz does
 //! for steps of 1 ms if it carries out one instruction a cycle. Bytes arrive at the line's rate,
 //! without a pause, and in every period more forged frames than the node takes.
 
