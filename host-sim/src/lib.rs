@@ -17,6 +17,7 @@
 //! | [`figures`], [`report`] | figures; tables and CSV files |
 //! | [`files`], [`number`] | reading and writing files, tables, hashes; number formatting |
 //! | [`terminal`] | terminal output |
+//! | [`random`] | the random numbers of links, sensors, plant and clocks |
 //! | [`shell`], [`interruption`], [`stop`] | quoting of command lines; Ctrl-C and other signals; stop requests |
 //! | [`signing`] | signing weight packages with the operator's key |
 //! | [`keys`] | an operator's folder of keys: signing, ports of nodes, networks |
@@ -43,6 +44,7 @@ pub mod memory_map;
 pub mod number;
 pub mod packages;
 pub mod plant;
+pub mod random;
 pub mod report;
 pub mod scenario;
 #[cfg(unix)]

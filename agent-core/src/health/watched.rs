@@ -143,8 +143,9 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
         self.attempt_observed(network, outer_weights, tick, Some(measurement), observe)
     }
 
+    /// Like [`Self::attempt`], but calls `observe` as [`Self::step_observed`] does.
     #[inline]
-    fn attempt_observed<P: AsRef<[f32]>>(
+    pub fn attempt_observed<P: AsRef<[f32]>>(
         &mut self,
         network: Option<&InnerNetwork<P>>,
         outer_weights: &[f32],

@@ -28,6 +28,14 @@ pub(super) struct AgentReport {
     pub(super) explained_variance: Option<f64>,
     pub(super) max_error: Option<f64>,
     pub(super) broadcasts: u64,
+    /// Broadcasts, as handed to the radio; each has one copy for every neighbour.
+    pub(super) frames_sent: u64,
+    /// Copies that reached a neighbour.
+    pub(super) frames_delivered: Option<u64>,
+    /// Copies that did not; those in transit at the end are neither.
+    pub(super) frames_lost: Option<u64>,
+    pub(super) bytes_sent: u64,
+    pub(super) airtime_s: Option<f64>,
     pub(super) broadcasts_no_network: Option<u64>,
     pub(super) broadcasts_untrained: Option<u64>,
     pub(super) mean_interval: Option<f64>,
@@ -123,6 +131,10 @@ pub(super) fn write_csv(path: &Path, agents: &[AgentReport]) -> Result<(), Outpu
         "explained_variance [-]",
         "max_error [state unit]",
         "broadcasts",
+        "frames_delivered",
+        "frames_lost",
+        "bytes_sent [byte]",
+        "airtime [s]",
         "broadcasts_no_network",
         "broadcasts_untrained",
         "mean_interval [s]",
@@ -142,6 +154,10 @@ pub(super) fn write_csv(path: &Path, agents: &[AgentReport]) -> Result<(), Outpu
         row.optional(agent.explained_variance)?;
         row.optional(agent.max_error)?;
         row.integer(agent.broadcasts)?;
+        count(row, agent.frames_delivered)?;
+        count(row, agent.frames_lost)?;
+        row.integer(agent.bytes_sent)?;
+        row.optional(agent.airtime_s)?;
         count(row, agent.broadcasts_no_network)?;
         count(row, agent.broadcasts_untrained)?;
         row.optional(agent.mean_interval)?;

@@ -200,20 +200,20 @@ impl Board {
         self.ask(&Request::StartAt { estimate }, "start", is_done)
     }
 
-    /// Sends the neighbours' frames and the measurement, which triggers a step.
-    ///
-    /// # Errors
-    /// See [`Fault`].
-    pub fn feed<'f>(
-        &mut self,
-        frames: impl Iterator<Item = Cow<'f, [u8]>>,
-        measurement: &[f32],
-    ) -> Result<(), Fault> {
+    /// Hands it frames of its neighbours, with the next [`Self::feed`].
+    pub fn hand<'f>(&mut self, frames: impl Iterator<Item = Cow<'f, [u8]>>) {
         for bytes in frames {
             self.client.prepare(&Request::Frame { bytes: &bytes });
         }
-        let measurement = Some(numbers(measurement));
-        self.client.prepare(&Request::Tick { periods: 1, measurement });
+    }
+
+    /// Lets `periods` pass and sends the measurement, if the sensor has one, which triggers a step.
+    ///
+    /// # Errors
+    /// See [`Fault`].
+    pub fn feed(&mut self, periods: u32, measurement: Option<&[f32]>) -> Result<(), Fault> {
+        let measurement = measurement.map(numbers);
+        self.client.prepare(&Request::Tick { periods, measurement });
         let sent = self.client.flush(self.timeout);
         sent.map_err(|error| self.line_fault(error, "readiness to receive"))
     }

@@ -131,7 +131,8 @@ mod tests {
 
     fn step(broadcast: Option<&[u8]>) -> AgentStep<'_> {
         AgentStep {
-            measurement: &[1.0],
+            tick: 7,
+            measurement: Some(&[1.0]),
             outcome: Outcome::Stepped,
             estimate: &[1.0, 2.0],
             derivative: Some(&[0.0, -3.0]),

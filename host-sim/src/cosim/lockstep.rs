@@ -3,6 +3,10 @@
 //! Inputs are sent to all nodes before the first result is received, so that they compute in
 //! parallel. A node gets the frames broadcast by its neighbours' nodes, not those of the simulated
 //! agents, so an error propagates through the nodes as in a real network.
+//!
+//! If the scenario has links that are not ideal, or nodes that are down at times, the nodes' frames
+//! pass a link of their own with the same seed: the same frames have the same fate as in the
+//! simulation. A node that is down has its process ended, and starts again with its flash.
 
 use std::borrow::Cow;
 use std::ops::ControlFlow;
@@ -19,15 +23,20 @@ use super::fault::{Fault, NodeError};
 use super::loop_node::LoopNode;
 use super::relay::Relay;
 use super::{BoardReport, Notice, Setup};
+use crate::engine::link::{Layered, Link};
 use crate::engine::run_observer::{AgentStart, AgentStep, RunObserver, RunObserverError, Switch};
 use crate::keys::{FleetKeys, epoch_now};
 use crate::packages::PackageBytes;
+use crate::scenario::{Downtime, Scenario};
 use crate::service::provision::NewKeys;
 
 /// The nodes of a run.
-pub(super) struct Lockstep<'s> {
+pub(super) struct Lockstep<'s, 'r> {
     setup: Setup<'s>,
     pub(super) nodes: Vec<LoopNode>,
+    /// The link between the nodes; `None` for an ideal one.
+    link: Option<Layered>,
+    scenario: &'r Scenario,
     /// The network keys, if nodes broadcast authentic frames.
     network_keys: Vec<NetworkKey>,
     /// Initial package of each node, as stored in its flash.
@@ -41,11 +50,19 @@ pub(super) struct Lockstep<'s> {
     pub(super) started: Option<Instant>,
 }
 
-impl<'s> Lockstep<'s> {
-    pub(super) fn new(setup: Setup<'s>, relay: Option<Relay>) -> Self {
+impl<'s, 'r> Lockstep<'s, 'r> {
+    pub(super) fn new(
+        setup: Setup<'s>,
+        relay: Option<Relay>,
+        scenario: &'r Scenario,
+        seed: u64,
+    ) -> Self {
         let network_keys = setup.keys.map(FleetKeys::network_keys).unwrap_or_default();
+        let ideal = scenario.link.is_ideal() && scenario.life.is_empty();
         Self {
             setup,
+            link: (!ideal).then(|| Layered::new(scenario, seed)),
+            scenario,
             nodes: Vec::new(),
             network_keys,
             packages: Vec::new(),
@@ -110,7 +127,8 @@ impl<'s> Lockstep<'s> {
             let package = self.setup.signed(package);
             let board = self.setup.board(index, &package)?;
             let report = BoardReport::new(index + 1, board.label());
-            self.nodes.push(LoopNode::new(board, agent.neighbours.clone(), report));
+            let (neighbours, estimate) = (agent.neighbours.clone(), agent.estimate.to_vec());
+            self.nodes.push(LoopNode::new(board, neighbours, estimate, report));
             self.packages.push(package);
         }
         Ok(())
@@ -155,41 +173,97 @@ impl<'s> Lockstep<'s> {
         Ok(())
     }
 
-    fn feed(&mut self, tick: Tick, agents: &[AgentStep<'_>]) -> Result<(), NodeError> {
+    fn feed(&mut self, tick: Tick, agents: &[Option<AgentStep<'_>>]) -> Result<(), NodeError> {
         for (index, agent) in agents.iter().enumerate() {
-            if self.nodes.get(index).is_some_and(LoopNode::has_ended) {
+            if self.nodes.get(index).is_some_and(|node| node.has_ended() || node.is_down) {
                 continue;
             }
             let (before, rest) = self.nodes.split_at_mut(index);
             let Some((node, after)) = rest.split_first_mut() else { break };
-            let LoopNode { board, neighbours, epoch, .. } = node;
-            let keys = self.network_keys.as_slice();
-            let frames = neighbours.iter().flat_map(|&neighbour| {
-                let sender = match neighbour.checked_sub(index + 1) {
-                    Some(later) => &after[later],
-                    None => &before[neighbour],
-                };
-                sender.frames.iter().map(|bytes| match *epoch {
-                    // Numbers of agents count from 1.
-                    Some(epoch) if self.steps == 0 => {
-                        let to = AgentId::try_from(index + 1).unwrap_or(AgentId::MAX);
-                        Cow::from(authentic::answer(bytes, to, epoch, keys))
-                    }
-                    _ => Cow::from(bytes.as_slice()),
-                })
-            });
-            if let Err(fault) = board.feed(frames, agent.measurement) {
+            match &self.link {
+                Some(link) => link.deliver(index, tick, |bytes| {
+                    node.board.hand([Cow::from(bytes)].into_iter());
+                }),
+                None => {
+                    let keys = self.network_keys.as_slice();
+                    let LoopNode { board, neighbours, epoch, .. } = &mut *node;
+                    let frames = neighbours.iter().flat_map(|&neighbour| {
+                        let sender = match neighbour.checked_sub(index + 1) {
+                            Some(later) => &after[later],
+                            None => &before[neighbour],
+                        };
+                        sender.frames.iter().map(|bytes| match *epoch {
+                            // Numbers of agents count from 1.
+                            Some(epoch) if self.steps == 0 => {
+                                let to = AgentId::try_from(index + 1).unwrap_or(AgentId::MAX);
+                                Cow::from(authentic::answer(bytes, to, epoch, keys))
+                            }
+                            _ => Cow::from(bytes.as_slice()),
+                        })
+                    });
+                    board.hand(frames);
+                }
+            }
+            let Some(agent) = agent else { continue };
+            let periods = node.periods_until(agent.tick);
+            if let Err(fault) = node.board.feed(periods, agent.measurement) {
                 self.fault(index, tick, fault)?;
             }
         }
         Ok(())
     }
 
+    /// Takes nodes down and starts them again at `tick`, as the scenario has it, and sends the frames
+    /// of `tick` over the link.
+    fn move_on(&mut self, tick: Tick) -> Result<(), NodeError> {
+        let scenario = self.scenario;
+        let ticks = |downtime: &Downtime| downtime.window.ticks(&scenario.time);
+        let last = scenario.steps();
+        let ends = |d: &&Downtime| ticks(d).end == tick && tick < last;
+        for downtime in scenario.life.iter().filter(ends) {
+            if !self.nodes[downtime.agent].has_ended() {
+                self.boot(downtime.agent, tick)?;
+            }
+        }
+        for downtime in scenario.life.iter().filter(|d| ticks(d).start == tick) {
+            let node = &mut self.nodes[downtime.agent];
+            node.is_down = true;
+            node.frames.clear();
+            node.board.kill();
+        }
+        let Some(link) = &mut self.link else { return Ok(()) };
+        for (index, node) in self.nodes.iter().enumerate() {
+            for frame in &node.frames {
+                link.send(index, tick, frame);
+            }
+        }
+        link.advance(tick);
+        Ok(())
+    }
+
+    /// Starts a node that the scenario has had down, with the contents of its flash.
+    fn boot(&mut self, index: usize, tick: Tick) -> Result<(), NodeError> {
+        let board = self.setup.board(index, &self.packages[index])?;
+        let node = &mut self.nodes[index];
+        node.board = board;
+        (node.is_down, node.tick) = (false, None);
+        node.report.restarts += 1;
+        let started = node.board.rejoin().and_then(|_| node.board.start_at(&node.initial_estimate));
+        match started {
+            Ok(frames) => {
+                node.report.broadcasts += frames.len() as u64;
+                self.keep_frames(index, frames);
+                Ok(())
+            }
+            Err(fault) => self.fault(index, tick, fault),
+        }
+    }
+
     /// Compares a node's step, and forwards it to clients.
-    fn handle_turn(&mut self, index: usize, tick: Tick, turn: Turn, agent: &AgentStep<'_>) {
+    fn handle_turn(&mut self, index: usize, turn: Turn, agent: &AgentStep<'_>) {
         let plain = self.plain(&turn.frames);
         let node = &mut self.nodes[index];
-        let mismatch = first_mismatch(index, tick, turn.state.as_ref(), &plain, agent);
+        let mismatch = first_mismatch(index, agent.tick, turn.state.as_ref(), &plain, agent);
         node.frames_agree = plain.iter().map(Vec::as_slice).eq(agent.broadcast);
         node.report.broadcasts += turn.frames.len() as u64;
         node.report.compared += u64::from(node.report.parted.is_none());
@@ -217,7 +291,7 @@ impl<'s> Lockstep<'s> {
     }
 }
 
-impl RunObserver for Lockstep<'_> {
+impl RunObserver for Lockstep<'_, '_> {
     fn begin(&mut self, agents: &[AgentStart<'_>]) -> Result<(), RunObserverError> {
         self.start(agents)?;
         for (index, agent) in agents.iter().enumerate().take(self.nodes.len()) {
@@ -235,6 +309,9 @@ impl RunObserver for Lockstep<'_> {
             });
             let started = node.board.begin(package, agent.estimate, keys.as_ref());
             let frames = started.map_err(|fault| self.named(index, fault))?;
+            if agent.announcement.is_none() {
+                continue;
+            }
             let mismatch = announcement_mismatch(index, &self.plain(&frames), agent.announcement);
             self.nodes[index].report.broadcasts += frames.len() as u64;
             self.keep_frames(index, frames);
@@ -244,6 +321,7 @@ impl RunObserver for Lockstep<'_> {
             relay.begin(self.packages.iter().filter(|_| !self.setup.erased));
             self.setup.notify(&Notice::Reachable);
         }
+        self.move_on(0)?;
         self.started = Some(Instant::now());
         Ok(())
     }
@@ -296,14 +374,22 @@ impl RunObserver for Lockstep<'_> {
         Ok(ControlFlow::Continue(()))
     }
 
-    fn after_step(&mut self, tick: Tick, agents: &[AgentStep<'_>]) -> Result<(), RunObserverError> {
+    fn after_step(
+        &mut self,
+        tick: Tick,
+        agents: &[Option<AgentStep<'_>>],
+    ) -> Result<(), RunObserverError> {
         self.propagate_deviations(tick);
         self.feed(tick, agents)?;
         for (index, agent) in agents.iter().enumerate() {
+            let Some(agent) = agent else {
+                self.nodes[index].frames.clear();
+                continue;
+            };
             let simulated = agent.broadcast;
             if !self.nodes[index].has_ended() {
                 match self.nodes[index].board.turn() {
-                    Ok(turn) => self.handle_turn(index, tick, turn, agent),
+                    Ok(turn) => self.handle_turn(index, turn, agent),
                     Err(fault) => self.fault(index, tick, fault)?,
                 }
             }
@@ -317,12 +403,13 @@ impl RunObserver for Lockstep<'_> {
                 node.frames_agree = true;
             }
         }
+        self.move_on(tick + 1)?;
         self.steps += 1;
         Ok(())
     }
 }
 
-impl Drop for Lockstep<'_> {
+impl Drop for Lockstep<'_, '_> {
     fn drop(&mut self) {
         // Terminate all before waiting for the first.
         self.nodes.iter_mut().for_each(|node| node.board.terminate());

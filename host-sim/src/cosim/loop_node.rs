@@ -16,6 +16,12 @@ pub(super) struct LoopNode {
     pub(super) frames: Vec<Vec<u8>>,
     /// Whether these equal the simulated agent's broadcasts.
     pub(super) frames_agree: bool,
+    /// The tick of its last step; `None` since it has started.
+    pub(super) tick: Option<Tick>,
+    /// Where it starts.
+    pub(super) initial_estimate: Vec<f32>,
+    /// Whether the scenario has it down.
+    pub(super) is_down: bool,
     /// The epoch of its last authentic frame.
     pub(super) epoch: Option<u32>,
     pub(super) report: BoardReport,
@@ -23,8 +29,33 @@ pub(super) struct LoopNode {
 
 impl LoopNode {
     /// Creates a node without broadcasts.
-    pub(super) fn new(board: Board, neighbours: Vec<usize>, report: BoardReport) -> Self {
-        Self { board, neighbours, frames: Vec::new(), frames_agree: true, epoch: None, report }
+    pub(super) fn new(
+        board: Board,
+        neighbours: Vec<usize>,
+        initial_estimate: Vec<f32>,
+        report: BoardReport,
+    ) -> Self {
+        Self {
+            board,
+            neighbours,
+            frames: Vec::new(),
+            frames_agree: true,
+            tick: None,
+            initial_estimate,
+            is_down: false,
+            epoch: None,
+            report,
+        }
+    }
+
+    /// Returns how many periods pass for the node up to its step at `tick`.
+    pub(super) fn periods_until(&mut self, tick: Tick) -> u32 {
+        let passed = match self.tick.replace(tick) {
+            Some(last) => tick.saturating_sub(last),
+            // Its first step is that of tick 0.
+            None => tick.saturating_add(1),
+        };
+        u32::try_from(passed).unwrap_or(u32::MAX)
     }
 
     /// Stops comparing the node from this tick on.

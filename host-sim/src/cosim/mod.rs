@@ -263,6 +263,16 @@ pub enum CosimError {
     /// A file cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
+    /// Authentic frames over links that fail.
+    #[error(
+        "scenario {scenario} has links that fail or agents that are down at times, and co-simulation \
+         compares those without keys only, because simulated agents exchange no hello and sync; leave \
+         out --keys and --network-key"
+    )]
+    KeysOverLinks {
+        /// Its name.
+        scenario: String,
+    },
     /// Clients cannot be served.
     #[error("{}: {error}; choose another folder with a short path with --serve", path.display())]
     Serve {
@@ -310,8 +320,12 @@ pub fn cosimulate(
     progress: &dyn Progress,
 ) -> Result<CosimReport, CosimError> {
     let scenario = prepared(scenario)?;
+    let is_ideal = scenario.link.is_ideal() && scenario.life.is_empty();
+    if setup.keys.is_some() && !is_ideal {
+        return Err(CosimError::KeysOverLinks { scenario: scenario.name });
+    }
     let relay = service.map(|service| Relay::new(service, &scenario, seed)).transpose()?;
-    let mut lockstep = Lockstep::new(setup, relay);
+    let mut lockstep = Lockstep::new(setup, relay, &scenario, seed);
     let options = RunOptions { seed, learning: true, bounds: false };
     let result =
         run_observed(&scenario, &mut lockstep, options, progress).map_err(|error| match error {

@@ -1,4 +1,5 @@
-//! A simulated agent: the core's parameters and state, its inbox, and its statistics.
+//! A simulated agent: the core's parameters and state, its inbox, its sensor and clock, and its
+//! statistics.
 
 use agent_core::agent::capture::Sample;
 use agent_core::agent::hold::Hold;
@@ -13,9 +14,11 @@ use agent_core::service::Outcome;
 use agent_core::wire::frame::FrameBytes;
 use agent_core::{StateVector, Tick};
 
+use super::clock::Clock;
 use super::learning::Observation;
 use super::link::Link;
 use super::run_observer::AgentStep;
+use super::sensor::Sensor;
 use super::statistics::AgentStatistics;
 use super::watch::{Watch, is_recoverable};
 use crate::packages::{PackageBytes, PackageParameters};
@@ -61,6 +64,17 @@ pub(super) struct GainNorms {
     pub(super) gain_output: f64,
 }
 
+/// What surrounds the agents in a step of the engine.
+pub(super) struct Surroundings<'r, const N: usize, L> {
+    /// The engine's tick.
+    pub(super) tick: Tick,
+    /// `x_0` at this tick.
+    pub(super) truth: &'r [f64; N],
+    /// `x_0` at the tick before.
+    pub(super) before: &'r [f64; N],
+    pub(super) link: &'r L,
+}
+
 /// A simulated agent.
 pub(super) struct SimulatedAgent<'s, const N: usize> {
     params: AgentParams<'s, N>,
@@ -69,9 +83,21 @@ pub(super) struct SimulatedAgent<'s, const N: usize> {
     network: Option<SharedNetwork>,
     /// Epoch and version of the newest package so far, for the check against older ones.
     highest: Option<Serial>,
-    /// `C_i` in double precision, `m` rows: the sensor model.
-    sensor: Vec<[f64; N]>,
+    /// `C_i` in double precision, `m` rows.
+    output_matrix: Vec<[f64; N]>,
+    /// The sensor model; `None` for an exact sensor.
+    sensor: Option<Box<Sensor>>,
+    /// The clock; `None` for the engine's.
+    clock: Option<Box<Clock>>,
     measurement: [f32; N],
+    /// Whether the last step had a measurement.
+    is_measured: bool,
+    /// The agent's tick of the last step of the engine; `None` if it did not step.
+    tick: Option<Tick>,
+    /// The estimate and the outer weights after a boot without a package.
+    initial: (StateVector<N>, Vec<f32>),
+    /// The packages that it had first, and that it has.
+    packages: Option<(PackageBytes, PackageBytes)>,
     norms: Option<(GainNorms, Box<Scratch>)>,
     /// Health monitoring settings, if it is monitored.
     health: Option<HealthSettings>,
@@ -92,6 +118,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     pub(super) fn new(
         params: AgentParams<'s, N>,
         agent: &scenario::Agent,
+        (sensor, clock): (Option<Sensor>, Option<Clock>),
         outer_weights: &[f32],
         norms: Option<GainNorms>,
         health: Option<HealthSettings>,
@@ -99,7 +126,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         let places = vec![None; params.neighbours().len()];
         let estimate = StateVector::from_iterator(agent.initial_estimate.iter().map(|&x| x as f32));
         let state = AgentState::new(&params, estimate, outer_weights, places.clone())?;
-        let sensor = agent
+        let output_matrix = agent
             .output_matrix
             .row_iter()
             .map(|row| std::array::from_fn(|column| row[column]))
@@ -111,8 +138,14 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             inbox: Inbox::new(places),
             network: None,
             highest: None,
-            sensor,
+            output_matrix,
+            sensor: sensor.map(Box::new),
+            clock: clock.map(Box::new),
             measurement: [0.0; N],
+            is_measured: true,
+            tick: None,
+            initial: (estimate, outer_weights.to_vec()),
+            packages: None,
             norms: norms.map(|norms| (norms, Box::new(Scratch::NEW))),
             health,
             watch: None,
@@ -127,13 +160,78 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     /// Receives frames, measures, and steps the core. A failure is stored for the engine, because
     /// agents are stepped in parallel.
     #[inline]
-    pub(super) fn step(&mut self, tick: Tick, truth: &[f64; N], link: &impl Link, index: usize) {
-        let Self { params, state, inbox, watch, network, norms, statistics, .. } = self;
-        for (measured, row) in self.measurement.iter_mut().zip(&self.sensor) {
-            let exact = row.iter().zip(truth).fold(0.0, |sum, (c, x)| sum + c * x);
-            *measured = exact as f32;
+    pub(super) fn step(&mut self, around: &Surroundings<'_, N, impl Link>, index: usize) {
+        let tick = match &mut self.clock {
+            None => Some(around.tick),
+            Some(clock) => clock.step(around.tick),
+        };
+        self.tick = tick;
+        match tick {
+            Some(tick) => {
+                self.measure(around);
+                self.step_at(tick, around, index);
+            }
+            None => {
+                self.receive(around, index);
+                self.rest();
+            }
         }
-        let measurement = &self.measurement[..self.sensor.len()];
+    }
+
+    /// Has done nothing in a step of the engine.
+    pub(super) fn rest(&mut self) {
+        self.tick = None;
+        self.outgoing = None;
+        self.last_sample = None;
+        self.failure = None;
+    }
+
+    /// Writes the measurement for this step.
+    #[inline]
+    fn measure(&mut self, around: &Surroundings<'_, N, impl Link>) {
+        let mut truth = *around.truth;
+        if let Some(clock) = &self.clock {
+            let late = clock.lateness(around.tick);
+            for (truth, before) in truth.iter_mut().zip(around.before) {
+                *truth += late * (*truth - before);
+            }
+        }
+        let exact = |row: &[f64; N]| row.iter().zip(&truth).fold(0.0, |sum, (c, x)| sum + c * x);
+        match &mut self.sensor {
+            None => {
+                for (measured, row) in self.measurement.iter_mut().zip(&self.output_matrix) {
+                    *measured = exact(row) as f32;
+                }
+            }
+            Some(sensor) => {
+                let mut outputs = [0.0; N];
+                for (output, row) in outputs.iter_mut().zip(&self.output_matrix) {
+                    *output = exact(row);
+                }
+                let outputs = &outputs[..self.output_matrix.len()];
+                self.is_measured = sensor.measure(around.tick, outputs, &mut self.measurement);
+            }
+        }
+    }
+
+    /// Keeps the frames that have arrived for the next step.
+    fn receive(&mut self, around: &Surroundings<'_, N, impl Link>, index: usize) {
+        let Self { params, state, inbox, watch, statistics, .. } = self;
+        let mut refused = 0;
+        around.link.deliver(index, around.tick, |bytes| {
+            let kept = match watch {
+                None => inbox.accept(params.neighbours(), bytes),
+                Some(watch) => watch.agent(params, state, inbox).0.receive(bytes),
+            };
+            refused += u64::from(kept.is_err());
+        });
+        statistics.frames_refused += refused;
+    }
+
+    #[inline]
+    fn step_at(&mut self, tick: Tick, around: &Surroundings<'_, N, impl Link>, index: usize) {
+        let Self { params, state, inbox, watch, network, norms, statistics, .. } = self;
+        let measurement = self.is_measured.then_some(&self.measurement[..self.output_matrix.len()]);
         let network = network.as_ref();
         let mut bounds = Bounds::default();
         let mut refused = 0;
@@ -141,10 +239,10 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         let step = match watch {
             // The paper's agent: without a trained box or restarts.
             None => {
-                link.deliver(index, tick, |bytes| {
+                around.link.deliver(index, around.tick, |bytes| {
                     refused += u64::from(inbox.accept(params.neighbours(), bytes).is_err());
                 });
-                match state.step(params, network, tick, measurement, inbox) {
+                match state.attempt(params, network, tick, measurement, inbox) {
                     Ok(output) => {
                         bounds = Bounds::of(params, network, state, &output.sample, norms);
                         WatchedStep::Taken(output)
@@ -156,13 +254,19 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
                 let network_in_use = watch.network_in_use();
                 let (mut agent, outer_weights) = watch.agent(params, state, inbox);
                 // Like a node, drop unusable frames and continue.
-                link.deliver(index, tick, |bytes| {
+                around.link.deliver(index, around.tick, |bytes| {
                     refused += u64::from(agent.receive(bytes).is_err());
                 });
-                agent.step_observed(network, outer_weights, tick, measurement, |state, output| {
-                    let network = network.filter(|_| network_in_use);
-                    bounds = Bounds::of(params, network, state, &output.sample, norms);
-                })
+                agent.attempt_observed(
+                    network,
+                    outer_weights,
+                    tick,
+                    measurement,
+                    |state, output| {
+                        let network = network.filter(|_| network_in_use);
+                        bounds = Bounds::of(params, network, state, &output.sample, norms);
+                    },
+                )
             }
         };
         statistics.frames_refused += refused;
@@ -177,6 +281,26 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             WatchedStep::Taken(_) | WatchedStep::Restarted(_) => None,
         }
         .filter(|&error| !is_watched || !is_recoverable(error));
+    }
+
+    /// Boots again: what was in RAM is lost, the packages are kept. A node that `is_replaced` by
+    /// another one has the package of the start.
+    pub(super) fn reboot(&mut self, is_replaced: bool) -> Result<(), Refusal> {
+        let packages = self.packages.clone();
+        let package = packages.map(|(first, current)| if is_replaced { first } else { current });
+        let (estimate, outer_weights) = &self.initial;
+        let outer_weights = match &package {
+            Some(package) => package.package().outer_weights,
+            None => outer_weights,
+        };
+        self.state.begin(&self.params, *estimate, outer_weights)?;
+        self.inbox.clear();
+        (self.watch, self.network) = (None, None);
+        if let Some(package) = &package {
+            self.load_after(package, None)?;
+        }
+        self.outgoing = Some(self.state.announcement(&self.params).encode());
+        Ok(())
     }
 
     /// Calls `use_features` with `sigma_i` at the estimate, shape `[L]`, and `W_hat_i`, row-major,
@@ -208,6 +332,9 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
 
     /// Returns what the agent did in the last step.
     pub(super) fn observation(&self) -> Observation {
+        if self.tick.is_none() {
+            return Observation::default();
+        }
         let errors = self.state.output_error(&self.params);
         Observation {
             squares: errors.iter().fold(0.0, |sum, &e| sum + f64::from(e) * f64::from(e)),
@@ -217,16 +344,18 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         }
     }
 
-    /// Returns inputs and results of the last step.
-    pub(super) fn last_step(&self) -> AgentStep<'_> {
-        AgentStep {
-            measurement: &self.measurement[..self.sensor.len()],
+    /// Returns inputs and results of the last step; `None` if the agent did not take part in it.
+    pub(super) fn last_step(&self) -> Option<AgentStep<'_>> {
+        let measurement = &self.measurement[..self.output_matrix.len()];
+        Some(AgentStep {
+            tick: self.tick?,
+            measurement: self.is_measured.then_some(measurement),
             outcome: self.outcome,
             estimate: self.estimate(),
             derivative: self.last_sample.as_ref().map(|sample| sample.derivative.as_slice()),
             outer_weights: self.outer_weights(),
             broadcast: self.outgoing.as_deref(),
-        }
+        })
     }
 
     /// Switches to a package between two steps, after the checks of a node. The agent's parameters
@@ -252,6 +381,8 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         let after = requirements.serial_after_activation(&package);
         self.highest = self.highest.max(Some(after));
         self.network = Some(bytes.network());
+        let first = self.packages.take().map_or_else(|| bytes.clone(), |(first, _)| first);
+        self.packages = Some((first, bytes.clone()));
         self.watch = watch;
         Ok(())
     }

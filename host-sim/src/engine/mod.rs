@@ -3,7 +3,7 @@
 //!
 //! Step `k` runs from `t_k = k dt` to `t_(k+1)`:
 //! 1. networks that are due are switched in,
-//! 2. every agent receives the frames of `t_k`, measures `x_0(t_k)`, and takes its step,
+//! 2. every agent that is up receives the frames of `t_k`, measures `x_0(t_k)`, and takes its step,
 //! 3. samples, errors and traces of `t_k` are recorded,
 //! 4. broadcasts of `t_(k+1)` are sent over the link, in ascending order of agents,
 //! 5. the plant is integrated to `t_(k+1)`.
@@ -14,11 +14,13 @@
 
 mod agents;
 pub mod bounds;
+mod clock;
 mod failure;
 mod learning;
 pub mod link;
 mod run;
 pub mod run_observer;
+mod sensor;
 pub mod statistics;
 pub mod traces;
 mod watch;
@@ -37,6 +39,7 @@ use crate::training::{EpochReport, TrainingError, TrainingReport};
 use crate::warning::Warning;
 use bounds::Bounds;
 use failure::step_hint;
+use link::LayerCount;
 use statistics::AgentStatistics;
 use traces::Traces;
 
@@ -82,6 +85,8 @@ pub struct RunResult {
     pub trainings: Vec<TrainingRecord>,
     /// Rows of `x_0` and all `x_hat_i`; empty if the scenario records none.
     pub traces: Traces,
+    /// What each layer of the link did, in their order; empty for a link without layers.
+    pub layers: Vec<LayerCount>,
     /// Measurements for the theorems' bounds; `None` if not requested.
     pub bounds: Option<Bounds>,
     /// A hash of every broadcast and of the final state of every agent. Equal digests mean, except

@@ -5,12 +5,14 @@ use std::ops::ControlFlow;
 use agent_core::Tick;
 use rayon::prelude::*;
 
-use super::agents::{GainNorms, ParamBuffers, SimulatedAgent};
+use super::agents::{GainNorms, ParamBuffers, SimulatedAgent, Surroundings};
 use super::bounds::BoundsMeter;
+use super::clock::Clock;
 use super::failure::plant_error;
 use super::learning::Learning;
 use super::link::{Link, ScenarioLink};
 use super::run_observer::{AgentStart, RunObserver, Switch};
+use super::sensor::Sensor;
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
 use crate::analysis::{StepCheck, TriggerConstants, spectral_norm};
@@ -18,7 +20,8 @@ use crate::files::fnv::Fnv;
 use crate::learning::{agent_config, trained};
 use crate::packages::{OwnedAgentConfig, PackageBytes, with_dimension};
 use crate::plant::Stepper;
-use crate::scenario::{Network, Scenario};
+use crate::random::{Purpose, Random};
+use crate::scenario::{Downtime, Network, Scenario};
 use crate::training::{Dataset, TrainingError};
 
 /// Minimum number of agents per thread: for fewer, waking a thread costs more than stepping them.
@@ -113,14 +116,22 @@ fn run_fixed<const N: usize>(
         link,
         run_observer,
         agents,
-        truth: std::array::from_fn(|component| scenario.initial_state[component]),
+        truth: initial_state(scenario),
+        before: initial_state(scenario),
+        process_noise: Random::new(options.seed, Purpose::ProcessNoise),
+        down: vec![false; scenario.agents.len()],
         traces: empty_traces(scenario),
         bounds: options.bounds.then(|| BoundsMeter::new(scenario)),
         digest: Fnv::default(),
     };
+    simulation.update_life(0)?;
     simulation.begin(&packages)?;
     let trainings = simulation.all_steps(progress)?;
     Ok(simulation.finish(trainings))
+}
+
+fn initial_state<const N: usize>(scenario: &Scenario) -> [f64; N] {
+    std::array::from_fn(|component| scenario.initial_state[component])
 }
 
 fn build_agents<'s, const N: usize>(
@@ -142,12 +153,17 @@ fn build_agents<'s, const N: usize>(
             Some(trigger) => params.with_trigger(trigger)?,
             None => params,
         };
+        let time = &scenario.time;
+        let models = (
+            Sensor::new(&agent.sensor, time, index, options.seed),
+            Clock::new(&agent.clock, time, index, options.seed),
+        );
         match packages.get(index) {
             Some(package) => {
                 let outer_weights = package.package().outer_weights;
-                SimulatedAgent::new(params, agent, outer_weights, norms, scenario.health)
+                SimulatedAgent::new(params, agent, models, outer_weights, norms, scenario.health)
             }
-            None => SimulatedAgent::new(params, agent, &[0.0; N], norms, None),
+            None => SimulatedAgent::new(params, agent, models, &[0.0; N], norms, None),
         }
     });
     let agents = agents.enumerate().map(|(index, agent)| {
@@ -233,13 +249,19 @@ struct Simulation<'s, 'c, const N: usize, L> {
     link: L,
     run_observer: Option<&'c mut dyn RunObserver>,
     agents: Vec<SimulatedAgent<'s, N>>,
+    /// `x_0` at this tick.
     truth: [f64; N],
+    /// `x_0` at the tick before.
+    before: [f64; N],
+    process_noise: Random,
+    /// Whether each agent is down.
+    down: Vec<bool>,
     traces: Traces,
     bounds: Option<BoundsMeter<'s>>,
     digest: Fnv,
 }
 
-impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
+impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
     fn begin(&mut self, packages: &[PackageBytes]) -> Result<(), RunError> {
         let Some(run_observer) = &mut self.run_observer else { return Ok(()) };
         let graph = &self.scenario.graph;
@@ -306,8 +328,9 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
                 let steps: Vec<_> = self.agents.iter().map(SimulatedAgent::last_step).collect();
                 run_observer.after_step(tick, &steps).map_err(RunError::RunObserver)?;
             }
+            self.update_life(tick + 1)?;
             self.send_broadcasts(tick + 1);
-            let before = self.truth;
+            self.before = self.truth;
             plant.step(
                 &scenario.plant,
                 &scenario.disturbance,
@@ -315,9 +338,10 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
                 time.step_size,
                 &mut self.truth,
             );
+            self.disturb_plant(tick);
             // Agents measure in single precision.
             if !self.truth.iter().all(|&x| (x as f32).is_finite()) {
-                return Err(plant_error(scenario, &mut plant, tick, &before));
+                return Err(plant_error(scenario, &mut plant, tick, &self.before));
             }
             if tick.is_multiple_of(PROGRESS_STRIDE) {
                 progress.step(tick, steps);
@@ -328,16 +352,54 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
         Ok(trainings)
     }
 
+    /// Adds the noise that drove the plant in the step at `tick`.
+    #[inline]
+    fn disturb_plant(&mut self, tick: Tick) {
+        if self.scenario.process_noise.is_empty() {
+            return;
+        }
+        let root = self.scenario.time.step_size.sqrt();
+        let intensities = self.truth.iter_mut().zip(&self.scenario.process_noise).enumerate();
+        for (component, (x, intensity)) in intensities.filter(|(_, (_, noise))| **noise > 0.0) {
+            *x += intensity * root * self.process_noise.normal([0, component as u64, tick]);
+        }
+    }
+
+    /// Takes agents down and boots them again at `tick`, before its broadcasts.
+    fn update_life(&mut self, tick: Tick) -> Result<(), RunError> {
+        let scenario = self.scenario;
+        if scenario.life.is_empty() {
+            return Ok(());
+        }
+        let life = || {
+            let ticks = |downtime: &'s Downtime| (downtime, downtime.window.ticks(&scenario.time));
+            scenario.life.iter().map(ticks)
+        };
+        let last = scenario.steps();
+        for (downtime, _) in life().filter(|(_, ticks)| ticks.end == tick && tick < last) {
+            let index = downtime.agent;
+            self.down[index] = false;
+            self.agents[index]
+                .reboot(downtime.is_replaced)
+                .map_err(|refusal| RunError::Refused { agent: index + 1, refusal })?;
+        }
+        for (downtime, _) in life().filter(|(_, ticks)| ticks.start == tick) {
+            self.down[downtime.agent] = true;
+            self.agents[downtime.agent].rest();
+        }
+        Ok(())
+    }
+
     /// Records errors and traces of `tick`, before its step.
     #[inline]
     fn note(&mut self, tick: Tick, evaluated: bool) {
         let truth = &self.truth;
         if evaluated || self.bounds.is_some() {
             let mut stacked = 0.0;
-            for agent in &mut self.agents {
+            for (index, agent) in self.agents.iter_mut().enumerate() {
                 let squared = squared_error(agent.estimate(), truth);
                 stacked += squared;
-                if evaluated {
+                if evaluated && !self.down[index] {
                     agent.statistics.error(squared);
                 }
             }
@@ -374,17 +436,20 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
 
     #[inline]
     fn step_agents(&mut self, tick: Tick) -> Result<(), RunError> {
-        let (link, truth) = (&self.link, &self.truth);
+        let Self { link, truth, before, down, .. } = self;
+        let around = Surroundings { tick, truth, before, link: &*link };
+        let up = |(index, _): &(usize, &mut SimulatedAgent<'_, N>)| !down[*index];
         if self.agents.len() < 2 * AGENTS_PER_THREAD {
-            for (index, agent) in self.agents.iter_mut().enumerate() {
-                agent.step(tick, truth, link, index);
+            for (index, agent) in self.agents.iter_mut().enumerate().filter(up) {
+                agent.step(&around, index);
             }
         } else {
             self.agents
                 .par_iter_mut()
                 .with_min_len(AGENTS_PER_THREAD)
                 .enumerate()
-                .for_each(|(index, agent)| agent.step(tick, truth, link, index));
+                .filter(up)
+                .for_each(|(index, agent)| agent.step(&around, index));
         }
         let failure = self.agents.iter().position(|agent| agent.failure.is_some());
         match failure.and_then(|index| Some((index, self.agents[index].failure?))) {
@@ -405,11 +470,12 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
         let keep = self.scenario.record.events;
         for (index, agent) in self.agents.iter_mut().enumerate() {
             if let Some(bytes) = agent.outgoing.take() {
-                agent.statistics.broadcast(tick, keep);
+                agent.statistics.broadcast(tick, bytes.len(), keep);
                 self.digest.add(&bytes);
                 self.link.send(index, tick, &bytes);
             }
         }
+        self.link.advance(tick);
     }
 
     fn finish(mut self, mut trainings: Vec<TrainingRecord>) -> RunResult {
@@ -420,7 +486,11 @@ impl<const N: usize, L: Link> Simulation<'_, '_, N, L> {
                 self.digest.add(&value.to_le_bytes());
             }
         }
+        for (index, agent) in self.agents.iter_mut().enumerate() {
+            agent.statistics.traffic = self.link.traffic(index);
+        }
         RunResult {
+            layers: self.link.layer_counts(),
             agents: self.agents.into_iter().map(SimulatedAgent::finish).collect(),
             trainings,
             traces: self.traces,

@@ -33,11 +33,16 @@ pub trait RunObserver {
         switches: &mut Vec<Switch>,
     ) -> Result<ControlFlow<()>, RunObserverError>;
 
-    /// Called after the step at `tick`, with one entry per agent.
+    /// Called after the step at `tick`, with one entry per agent; `None` for an agent that did not
+    /// step, because it is down or because its clock is behind.
     ///
     /// # Errors
     /// An error ends the run.
-    fn after_step(&mut self, tick: Tick, agents: &[AgentStep<'_>]) -> Result<(), RunObserverError>;
+    fn after_step(
+        &mut self,
+        tick: Tick,
+        agents: &[Option<AgentStep<'_>>],
+    ) -> Result<(), RunObserverError>;
 }
 
 /// An agent at the start of a run.
@@ -56,8 +61,10 @@ pub struct AgentStart<'r> {
 /// Inputs and results of an agent's step.
 #[derive(Clone, Debug)]
 pub struct AgentStep<'r> {
-    /// `y_i(t_k)`, shape `[m]`.
-    pub measurement: &'r [f32],
+    /// The step's tick on the agent's own clock.
+    pub tick: Tick,
+    /// `y_i(t_k)`, shape `[m]`; `None` if the sensor had no value.
+    pub measurement: Option<&'r [f32]>,
     /// Outcome of the step.
     pub outcome: Outcome,
     /// `x_hat(t_(k+1))`, shape `[n]`.

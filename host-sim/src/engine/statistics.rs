@@ -3,6 +3,7 @@
 use agent_core::Tick;
 use agent_core::health::HealthCounters;
 
+use super::link::Traffic;
 use crate::scenario::Time;
 
 /// Root mean square and maximum of `|e_1i|` over the evaluation window, and the times between
@@ -16,6 +17,10 @@ pub struct AgentStatistics {
     last_broadcast: Tick,
     broadcasts: u64,
     min_interval: Option<Tick>,
+    /// Length of all frames that the agent broadcast. \[byte\]
+    pub bytes_sent: u64,
+    /// What became of the agent's frames; `None` if the link does not count.
+    pub traffic: Option<Traffic>,
     /// Number of received frames that the agent refused.
     pub frames_refused: u64,
     /// Health counters; `None` if the agent was not monitored.
@@ -37,9 +42,10 @@ impl AgentStatistics {
         self.max_squared = self.max_squared.max(squared);
     }
 
-    /// Records a broadcast at `tick`.
+    /// Records a broadcast of this many bytes at `tick`.
     #[inline]
-    pub fn broadcast(&mut self, tick: Tick, keep_event: bool) {
+    pub fn broadcast(&mut self, tick: Tick, bytes: usize, keep_event: bool) {
+        self.bytes_sent += bytes as u64;
         if self.broadcasts == 0 {
             self.first_broadcast = tick;
         } else {

@@ -3,7 +3,8 @@
 //! A theorem applies only if its premises hold. If one fails, the check names it and the theorem is
 //! "not applicable", whatever the result of the run.
 //!
-//! * Both: agents use the event trigger.
+//! * Both: agents use the event trigger; links, sensors and clocks are ideal, and agents always up
+//!   ([`Scenario::departures`]).
 //! * Theorem 1: `k_2 > 1/kappa`; `K_1` solves `BMI`; `rho >= chi_bar_max`, which the run estimates
 //!   ([`LumpedUncertainty`]).
 //! * Theorem 2: a bound on the rate of the hold error. The rate is measured along the run, so there
@@ -23,12 +24,14 @@ use crate::number::significant;
 use crate::scenario::{Scenario, TriggerModel};
 
 /// The checks that do not need a run.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct DesignChecks {
     /// Whether `K_1` is a solution of `BMI`.
     pub gain: GainCertificate,
     /// When agents broadcast.
     pub trigger: TriggerModel,
+    /// What the theorems do not allow for, beside the trigger.
+    pub departures: Vec<&'static str>,
     /// `phi_1`, `phi_2` and the threshold; `None` if agents do not use the event trigger.
     pub trigger_constants: Option<TriggerConstants>,
     /// Whether the step is short enough for the observer.
@@ -46,6 +49,7 @@ impl DesignChecks {
         Self {
             gain: GainCertificate::new(scenario),
             trigger: scenario.trigger,
+            departures: scenario.departures(),
             trigger_constants: match scenario.trigger.departure() {
                 None => Some(TriggerConstants::new(scenario)),
                 Some(_) => None,
@@ -56,12 +60,14 @@ impl DesignChecks {
         }
     }
 
-    /// Returns the premise of both theorems that the trigger breaks.
-    fn broken_trigger_premise(&self) -> Option<Status> {
-        let model = self.trigger.departure()?;
-        Some(Status::NotApplicable(format!(
-            "agents broadcast {model}, not by the event trigger that the theorem assumes"
-        )))
+    /// Returns the premises of both theorems that the scenario breaks.
+    fn broken_premises(&self) -> Option<Status> {
+        let trigger = self.trigger.departure().map(|model| {
+            format!("agents broadcast {model}, not by the event trigger that the theorem assumes")
+        });
+        let others = self.departures.iter().map(|&clause| clause.to_owned());
+        let clauses: Vec<_> = trigger.into_iter().chain(others).collect();
+        (!clauses.is_empty()).then(|| Status::NotApplicable(clauses.join("; ")))
     }
 
     /// Returns the result for `K_1` as one sentence without a full stop, the same in every report.
@@ -177,7 +183,7 @@ impl Checks {
     pub fn of(design: DesignChecks, scenario: &Scenario, run: &RunResult) -> Self {
         let bounds = run.bounds.as_ref();
         let step_size = scenario.time.step_size;
-        let other_trigger = design.broken_trigger_premise();
+        let broken = design.broken_premises();
         let agents = run.agents.iter().map(|agent| {
             let rate = agent.hold_error_rate_max;
             let bound = design.trigger_constants.map(|trigger| minimum_interval(&trigger, rate));
@@ -194,7 +200,7 @@ impl Checks {
                 Some(bound) => Status::kept(shortest.is_none_or(|interval| interval >= bound)),
             };
             AgentCheck {
-                status: other_trigger.clone().unwrap_or(status),
+                status: broken.clone().unwrap_or(status),
                 hold_error_rate: rate,
                 interval_bound: bound,
                 interval_min: shortest,
@@ -210,7 +216,7 @@ impl Checks {
             count => Status::NotApplicable(format!("{count} agents restarted")),
         };
         let rho = scenario.design.rho;
-        let status = other_trigger.unwrap_or(status);
+        let status = broken.unwrap_or(status);
         let theorem1 = UltimateBoundCheck { status, rho, lumped, share };
         Self { design, theorem1, theorem2, growth: bounds.map(|bounds| bounds.growth) }
     }

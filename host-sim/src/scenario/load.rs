@@ -7,7 +7,8 @@ use toml::de::DeTable;
 use super::error::{ScenarioError, closest};
 use super::reader::{Source, Table};
 use super::sections::{
-    agents, disturbance, gains, health, learning, link, network, plant, run, trigger,
+    agents, clock, disturbance, gains, health, learning, life, link, network, plant, run, sensor,
+    trigger,
 };
 use super::{BUILT_IN, Scenario};
 use crate::files::fnv::Fnv;
@@ -98,6 +99,9 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         "graph",
         "link",
         "trigger",
+        "sensor",
+        "clock",
+        "life",
         "agents",
         "learning",
         "recipes",
@@ -107,14 +111,15 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     ])?;
     let name = run::name(root)?;
     let time = run::time(root)?;
-    let (plant, initial_state) = plant::plant(root)?;
+    let (plant, initial_state, process_noise) = plant::plant(root)?;
     let n = plant.dimension();
     let disturbance = disturbance::disturbance(root, &plant)?;
     let design = gains::design(root, n)?;
     let network = network::network(root, n)?;
-    let agents = agents::agents(root, n)?;
+    let agents = agents::agents(root, n, sensor::sensor(root)?, clock::clock(root)?)?;
     let graph = agents::graph(root, agents.len())?;
-    let link = link::link(root)?;
+    let link = link::link(root, &time, &graph)?;
+    let life = life::life(root, &time, agents.len())?;
     let trigger = trigger::trigger(root)?;
     let recipes = learning::recipes(root)?;
     let learning = learning::cycles(root, &time, agents.len(), &recipes, network.is_some())?;
@@ -130,11 +135,13 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         plant,
         disturbance,
         initial_state,
+        process_noise,
         time,
         design,
         network,
         graph,
         link,
+        life,
         trigger,
         agents,
         learning,

@@ -13,7 +13,10 @@ mod sections;
 
 pub use builtin::{BUILT_IN, PAPER, built_in};
 pub use error::ScenarioError;
-pub use sections::link::LinkModel;
+pub use sections::clock::ClockSettings;
+pub use sections::life::Downtime;
+pub use sections::link::{Burst, EdgeRule, EdgeSettings, LinkSettings, MediumSettings, Partition};
+pub use sections::sensor::{Outliers, SensorSettings};
 pub use sections::trigger::{SimulationOnly, TriggerModel};
 
 use std::num::NonZeroU32;
@@ -40,6 +43,9 @@ pub struct Scenario {
     pub disturbance: Disturbance,
     /// `x_0(0)`, shape `[n]`.
     pub initial_state: Vec<f64>,
+    /// Intensity of the white noise that drives the plant, shape `[n]`; empty without noise.
+    /// \[state unit/sqrt(s)\]
+    pub process_noise: Vec<f64>,
     /// Duration, step and plant integrator.
     pub time: Time,
     /// Gains of the observer and constants of its analysis.
@@ -49,7 +55,9 @@ pub struct Scenario {
     /// The communication graph.
     pub graph: Graph,
     /// What happens to frames between agents.
-    pub link: LinkModel,
+    pub link: LinkSettings,
+    /// When agents are down.
+    pub life: Vec<Downtime>,
     /// When agents broadcast.
     pub trigger: TriggerModel,
     /// The agents; agent `i` of the paper is entry `i - 1`.
@@ -77,6 +85,29 @@ impl Scenario {
     #[must_use]
     pub fn steps(&self) -> u64 {
         self.time.tick(self.time.duration)
+    }
+
+    /// Returns what the paper's theorems do not allow for, beside the trigger: one clause for each, such
+    /// as "frames can be lost or late".
+    #[must_use]
+    pub fn departures(&self) -> Vec<&'static str> {
+        let clock = ClockSettings::default();
+        [
+            (
+                !self.link.is_ideal(),
+                "frames do not reach all neighbours at once and unharmed ([link])",
+            ),
+            (
+                !self.agents.iter().all(|a| a.sensor.is_ideal()),
+                "measurements are not exact ([sensor])",
+            ),
+            (!self.process_noise.is_empty(), "noise drives the plant (plant.noise)"),
+            (self.agents.iter().any(|a| a.clock != clock), "clocks differ ([clock])"),
+            (!self.life.is_empty(), "agents are down at times ([[life]])"),
+        ]
+        .into_iter()
+        .filter_map(|(departs, clause)| departs.then_some(clause))
+        .collect()
     }
 
     /// Returns the recipe with this name.
@@ -176,6 +207,10 @@ pub struct Agent {
     pub initial_estimate: Vec<f64>,
     /// The weight package to start with, instead of the scenario's own network.
     pub package: Option<PackageBytes>,
+    /// How the agent measures.
+    pub sensor: SensorSettings,
+    /// The agent's clock.
+    pub clock: ClockSettings,
 }
 
 /// One cycle of collecting samples, training, and switching the network in.

@@ -211,6 +211,10 @@ impl<'a> Value<'a> {
         self.number_in("a number >= 0", |number| number >= 0.0)
     }
 
+    pub(super) fn probability(&self) -> Result<f64, ScenarioError> {
+        self.number_in("a probability, 0 to 1", |number| (0.0..=1.0).contains(&number))
+    }
+
     pub(super) fn integer(&self, range: RangeInclusive<u32>) -> Result<u32, ScenarioError> {
         let DeValue::Integer(written) = self.value.get_ref() else {
             return Err(self.wrong_type("an integer"));

@@ -291,7 +291,7 @@ fn models_of_links_triggers_and_trainers_are_named() {
     };
     let (link, trainer) = ("kind = \"lossless\"", "trainer = \"levenberg-marquardt\"");
     let scenario = changed(&format!("[link]\n{link}\n"), "").unwrap();
-    assert_eq!(scenario.link, LinkModel::Lossless);
+    assert!(scenario.link.is_ideal());
     let trigger = "kind = \"event\"";
     let scenario = changed(&format!("[trigger]\n{trigger}\n"), "").unwrap();
     assert_eq!(scenario.trigger, TriggerModel::Event);
@@ -300,8 +300,7 @@ fn models_of_links_triggers_and_trainers_are_named() {
     assert_eq!(scenario.trigger, TriggerModel::Periodic { every });
     for (from, to, key, hint) in [
         (link, "kind = \"losless\"", "link.kind", "did you mean \"lossless\""),
-        (link, "kind = \"lossless\"\nloss = 0.5", "link.loss", "unknown key"),
-        (link, "", "link", "kind"),
+        (link, "los = 0.5", "link.los", "did you mean loss?"),
         (trigger, "kind = \"period\"", "trigger.kind", "did you mean \"periodic\""),
         (trigger, "kind = \"event\"\nevery = 3", "trigger.every", "unknown key"),
         (trigger, "kind = \"periodic\"", "trigger.every", "add every = 10"),
@@ -312,5 +311,92 @@ fn models_of_links_triggers_and_trainers_are_named() {
         let text = error.to_string();
         assert!(error.key.as_deref().is_some_and(|found| found.starts_with(key)), "{text}");
         assert!(text.contains(hint), "{text}");
+    }
+}
+
+#[test]
+fn links_sensors_clocks_and_life_are_read() {
+    assert_eq!(paper().departures(), [""; 0]);
+    let link = "loss = 0.2\nburst = { to_bad = 0.02, to_good = 0.2 }\ndelay = 0.01\njitter = 0.002\n\
+                rate = 250000\nslot = 0.01\nslots = 3\nduty_cycle = 0.1\n\
+                [[link.edges]]\nagents = [3, 1]\nfrom = 5\nto = 6\nconnected = false\n\
+                [[link.edges]]\nagents = [1, 2]\nfrom = 7\nloss = 0.9\n\
+                [[link.partitions]]\ngroups = [[1], [2, 3]]\nfrom = 8\nto = 9\n\
+                [sensor]\nnoise = 0.01\nbits = 12\nrange = [-10.0, 10.0]\nperiod = 0.0033\n\
+                [clock]\ndrift = 20\n[[life]]\nagent = 2\nfrom = 25\nto = 30\n";
+    let text = PAPER
+        .replace("kind = \"lossless\"", link)
+        .replace(
+            "count = 1\n",
+            "sensor = { noise = 0.5, drop_out = 0.1 }\nclock = { offset = 1 }\n",
+        )
+        .replace("initial_state =", "noise = 0.1\ninitial_state =");
+    let scenario = Scenario::parse("mine.toml", &text).unwrap();
+    let LinkSettings { edge, rules, partitions, medium } = &scenario.link;
+    let burst = Some(Burst { to_bad: 0.02, to_good: 0.2 });
+    let expected =
+        EdgeSettings { loss: 0.2, burst, delay: 0.01, jitter: 0.002, ..EdgeSettings::default() };
+    assert_eq!(*edge, expected);
+    assert_eq!((rules[0].ends, rules[0].edge.connected), ([2, 0], false));
+    // What a rule does not say is as on every edge.
+    assert_eq!(rules[1].edge, EdgeSettings { loss: 0.9, ..expected });
+    assert_eq!(rules[1].window, Window { from: 7.0, to: 40.0 });
+    assert_eq!(partitions[0].group, [1, 2, 2]);
+    assert_eq!(medium.map(|medium| (medium.slots, medium.duty_cycle)), Some((3, 0.1)));
+    let [first, second, _] = scenario.agents.as_slice() else { panic!("three agents") };
+    assert_eq!(
+        (first.sensor.noise, first.sensor.drop_out, first.sensor.bits),
+        (0.5, 0.1, Some(12))
+    );
+    assert_eq!((second.sensor.noise, second.sensor.drop_out), (0.01, 0.0));
+    assert_eq!((first.clock.offset, first.clock.drift, second.clock.offset), (1.0, 20.0, 0.0));
+    assert_eq!(scenario.process_noise, [0.1; 3]);
+    let window = Window { from: 25.0, to: 30.0 };
+    assert_eq!(scenario.life, [Downtime { agent: 1, window, is_replaced: false }]);
+    assert_eq!(scenario.departures().len(), 5);
+}
+
+#[test]
+fn impossible_links_sensors_clocks_and_lives_are_refused() {
+    let with = |tables: &str| {
+        let text = PAPER.replace("[link]\nkind = \"lossless\"\n", "") + tables;
+        Scenario::parse("mine.toml", &text).unwrap_err().to_string()
+    };
+    for (tables, expected) in [
+        ("[link]\nloss = 1.5", "link.loss: is 1.5, expected a probability, 0 to 1"),
+        ("[link]\nloss = \"a\"", "link.loss: is a string, expected a number"),
+        ("[link]\nburst = { to_bad = 0.1 }", "link.burst.to_good: missing"),
+        ("[link]\nburst = { to_bad = 0.1, to_good = 0.0 }", "so that the burst ends"),
+        ("[link]\ndelay = -1.0", "link.delay: is -1.0, expected 0 to 3600 seconds"),
+        ("[link]\njitter = 0.01", "link.jitter: is 0.01, above the delay, 0"),
+        ("[link]\nslot = 0.01", "link.slot: needs a shared medium"),
+        ("[link]\nrate = 0.0", "link.rate: is 0.0, expected a number above 0"),
+        ("[link]\nrate = 1e5\nslots = 2", "link.slots: needs the length of a slot"),
+        ("[link]\nrate = 1e5\nduty_cycle = 2.0", "above 0 and at most 1"),
+        ("[[link.edges]]\nagents = [2, 3]", "names agents 2 and 3, which have no edge"),
+        ("[[link.edges]]\nagents = [1]", "does not name two agents"),
+        ("[[link.edges]]\nagents = [1, 4]", "is 4, expected an integer from 1 to 3"),
+        ("[[link.edges]]\nagents = [1, 2]\nfrom = 50", "is 50, after the end of the run"),
+        ("[[link.edges]]\nagents = [1, 2]\nfrom = 9\nto = 8", "contains no step"),
+        ("[[link.partitions]]\ngroups = [[1, 2], [2]]", "agent 2 is in two groups"),
+        ("[[link.partitions]]\ngroups = [[1, 2, 3]]", "contains all agents in one group"),
+        ("[sensor]\nnoise = -0.1", "sensor.noise: is -0.1, expected a number >= 0"),
+        ("[sensor]\nbits = 12", "sensor.bits: needs a range"),
+        ("[sensor]\nrange = [1.0, 1.0]", "sensor.range: does not rise"),
+        ("[sensor]\nrange = [1.0]", "sensor.range: has 1 entry, expected 2"),
+        ("[sensor]\nnoize = 0.1", "did you mean noise?"),
+        ("[clock]\ndrift = 1e6", "clock.drift: is 1e6, expected -100000 to 100000 ppm"),
+        ("[clock]\nmissed = -0.1", "clock.missed: is -0.1, expected a probability"),
+        ("[[life]]\nagent = 4\nfrom = 1", "life[1].agent: is 4"),
+        ("[[life]]\nfrom = 1", "life[1].agent: missing"),
+        (
+            "[[life]]\nagent = 1\nfrom = 1\nto = 3\n[[life]]\nagent = 1\nfrom = 2\nto = 4",
+            "agent 1 is already down from 1 to 3",
+        ),
+    ] {
+        let text = with(tables);
+        assert!(text.contains(expected), "{tables}: {text}");
+        // Every error names a line and a way out.
+        assert!(text.starts_with("mine.toml:") && text.contains("; "), "{text}");
     }
 }

@@ -224,9 +224,10 @@ mod nodes {
     impl Reported for CosimError {
         fn code(&self) -> ErrorCode {
             match self {
-                Self::NoNetwork { .. } | Self::Health { .. } | Self::Trigger(_) => {
-                    ErrorCode::Scenario
-                }
+                Self::NoNetwork { .. }
+                | Self::Health { .. }
+                | Self::Trigger(_)
+                | Self::KeysOverLinks { .. } => ErrorCode::Scenario,
                 Self::Interrupted => ErrorCode::Interrupted,
                 Self::Run(error) => error.code(),
                 Self::Node(error) => match error.fault {

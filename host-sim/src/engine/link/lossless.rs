@@ -2,7 +2,8 @@
 
 use agent_core::Tick;
 
-use super::Link;
+use super::medium::{STANDARD_RATE, airtime};
+use super::{Link, Traffic};
 use crate::graph::Graph;
 
 /// Delivers every broadcast to all neighbours.
@@ -11,6 +12,7 @@ pub struct Lossless {
     neighbours: Vec<Vec<usize>>,
     /// The last broadcast of each agent, and its tick.
     last: Vec<(Option<Tick>, Vec<u8>)>,
+    traffic: Vec<Traffic>,
 }
 
 impl Lossless {
@@ -21,7 +23,8 @@ impl Lossless {
         let neighbours = (0..agents)
             .map(|i| graph.neighbours(i).iter().map(|neighbour| neighbour.agent).collect())
             .collect();
-        Self { neighbours, last: vec![(None, Vec::new()); agents] }
+        let last = vec![(None, Vec::new()); agents];
+        Self { neighbours, last, traffic: vec![Traffic::default(); agents] }
     }
 }
 
@@ -31,6 +34,9 @@ impl Link for Lossless {
         *sent = Some(tick);
         bytes.clear();
         bytes.extend_from_slice(frame);
+        let traffic = &mut self.traffic[sender];
+        traffic.delivered += self.neighbours[sender].len() as u64;
+        traffic.airtime += airtime(frame.len(), STANDARD_RATE);
     }
 
     #[inline]
@@ -41,5 +47,9 @@ impl Link for Lossless {
                 accept(bytes);
             }
         }
+    }
+
+    fn traffic(&self, sender: usize) -> Option<Traffic> {
+        Some(self.traffic[sender])
     }
 }

@@ -1,53 +1,125 @@
-//! Link models, which carry frames between agents: one file per model.
+//! Link models, which carry frames between agents.
 //!
-//! A link receives encoded frames from the engine and delivers encoded frames. Links that lose,
-//! delay or reorder frames wrap another link behind the same trait.
+//! A link receives encoded frames from the engine and delivers encoded frames. [`Lossless`] is the
+//! paper's; [`Layered`] passes every copy of a frame through layers, one file each:
 //!
-//! To add a model, add a file here, a variant of [`ScenarioLink`], and a variant of
-//! [`LinkModel`] with its keys in `[link]`; `CONTRIBUTING.md` has the steps.
+//! | layer | does |
+//! | --- | --- |
+//! | `medium` | frames wait for the shared medium, for slots, and for the duty cycle |
+//! | `connection` | edges that are gone for some time, partitions |
+//! | `burst`, `loss` | loss, in bursts and independent |
+//! | `delay` | constant delay and jitter, which also changes the order |
+//! | `duplicate` | copies that arrive twice |
+//! | `corrupt` | changed bytes |
+//!
+//! To add a layer, add a file here with a type that implements [`layer::Layer`], list it in
+//! [`Layered::new`], and add its key to [`EdgeSettings`](crate::scenario::EdgeSettings);
+//! `CONTRIBUTING.md` has the steps.
 
+mod burst;
+mod calendar;
+mod connection;
+mod corrupt;
+mod delay;
+mod duplicate;
+pub mod layer;
+mod layered;
+mod loss;
 mod lossless;
+mod medium;
 
 use agent_core::Tick;
+use serde::Serialize;
 
+pub use layered::Layered;
 pub use lossless::Lossless;
 
-use crate::scenario::{LinkModel, Scenario};
+use crate::scenario::Scenario;
 
-/// Carries frames between the agents of one network.
+/// Carries frames between the agents of one network. Agents are numbered from 0.
 ///
-/// The engine calls [`Link::send`] for the broadcasts of one tick in ascending order of the
-/// sender, then [`Link::deliver`] once for each receiver, possibly from several threads.
+/// For each tick the engine calls [`Link::send`] for its broadcasts in ascending order of the sender,
+/// then [`Link::advance`], then [`Link::deliver`] once for each receiver, possibly from several
+/// threads.
 pub trait Link: Sync {
-    /// Sends the frame that `sender`, from 0, broadcast at `tick`.
+    /// Sends the frame that `sender` broadcast at `tick`.
     fn send(&mut self, sender: usize, tick: Tick, frame: &[u8]);
 
-    /// Calls `accept` with every frame that reaches `receiver`, from 0, in time for its step at
-    /// `tick`.
+    /// Moves time on to `tick`, before its frames are delivered.
+    fn advance(&mut self, tick: Tick) {
+        let _ = tick;
+    }
+
+    /// Calls `accept` with every frame that reaches `receiver` in time for its step at `tick`.
     fn deliver(&self, receiver: usize, tick: Tick, accept: impl FnMut(&[u8]));
+
+    /// Returns what became of the frames of `sender`; `None` if the link does not count.
+    fn traffic(&self, sender: usize) -> Option<Traffic> {
+        let _ = sender;
+        None
+    }
+
+    /// Returns what each layer did, in the order of the layers.
+    fn layer_counts(&self) -> Vec<LayerCount> {
+        Vec::new()
+    }
+}
+
+/// What became of the frames of one sender. A frame has one copy for each neighbour.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Traffic {
+    /// Copies that reached a neighbour, duplicates included.
+    pub delivered: u64,
+    /// Copies that did not. Those in transit at the end are neither.
+    pub lost: u64,
+    /// Time for which the sender occupied the medium. \[s\]
+    pub airtime: f64,
+}
+
+/// How often a layer did what it is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct LayerCount {
+    /// The layer.
+    pub layer: &'static str,
+    /// Number of copies of frames; of frames for the medium.
+    pub count: u64,
 }
 
 /// The link described by a scenario.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub enum ScenarioLink {
     /// See [`Lossless`].
     Lossless(Lossless),
+    /// See [`Layered`].
+    Layered(Layered),
 }
 
 impl ScenarioLink {
-    /// Creates the link of a run. `seed` is the run's seed, for models that draw random numbers.
+    /// Creates the link of a run. `seed` is the run's seed, for layers that draw random numbers.
     #[must_use]
-    pub fn new(scenario: &Scenario, _seed: u64) -> Self {
-        match scenario.link {
-            LinkModel::Lossless => Self::Lossless(Lossless::new(&scenario.graph)),
+    pub fn new(scenario: &Scenario, seed: u64) -> Self {
+        if scenario.link.is_ideal() && scenario.life.is_empty() {
+            Self::Lossless(Lossless::new(&scenario.graph))
+        } else {
+            Self::Layered(Layered::new(scenario, seed))
         }
     }
 }
 
 impl Link for ScenarioLink {
+    #[inline]
     fn send(&mut self, sender: usize, tick: Tick, frame: &[u8]) {
         match self {
             Self::Lossless(link) => link.send(sender, tick, frame),
+            Self::Layered(link) => link.send(sender, tick, frame),
+        }
+    }
+
+    #[inline]
+    fn advance(&mut self, tick: Tick) {
+        match self {
+            Self::Lossless(link) => link.advance(tick),
+            Self::Layered(link) => link.advance(tick),
         }
     }
 
@@ -55,6 +127,21 @@ impl Link for ScenarioLink {
     fn deliver(&self, receiver: usize, tick: Tick, accept: impl FnMut(&[u8])) {
         match self {
             Self::Lossless(link) => link.deliver(receiver, tick, accept),
+            Self::Layered(link) => link.deliver(receiver, tick, accept),
+        }
+    }
+
+    fn traffic(&self, sender: usize) -> Option<Traffic> {
+        match self {
+            Self::Lossless(link) => link.traffic(sender),
+            Self::Layered(link) => link.traffic(sender),
+        }
+    }
+
+    fn layer_counts(&self) -> Vec<LayerCount> {
+        match self {
+            Self::Lossless(link) => link.layer_counts(),
+            Self::Layered(link) => link.layer_counts(),
         }
     }
 }

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeSet;
 
+use super::clock::{self, ClockSettings};
+use super::sensor::{self, SensorSettings};
 use crate::graph::{Edge, Graph, GraphError};
 use crate::scenario::Agent;
 use crate::scenario::error::ScenarioError;
@@ -10,17 +12,22 @@ use crate::scenario::reader::{STATE, Table, Value, counted, has};
 const EDGE: &str = "use [agent, agent] or [agent, agent, weight]";
 
 /// Maximum number of agents.
-const AGENTS_MAX: u32 = 1000;
+const AGENTS_MAX: u32 = 100_000;
 
-/// `n` is the dimension of the state.
-pub(in crate::scenario) fn agents(root: &Table<'_>, n: usize) -> Result<Vec<Agent>, ScenarioError> {
+/// `n` is the dimension of the state; `sensor` and `clock` are those of agents without their own.
+pub(in crate::scenario) fn agents(
+    root: &Table<'_>,
+    n: usize,
+    sensor: SensorSettings,
+    clock: ClockSettings,
+) -> Result<Vec<Agent>, ScenarioError> {
     let tables = root.get_tables("agents")?;
     if tables.is_empty() {
         return Err(root.missing("agents", "add a table [[agents]] for each agent"));
     }
     let mut agents = Vec::new();
     for table in &tables {
-        table.only(&["output_matrix", "initial_estimate", "count"])?;
+        table.only(&["output_matrix", "initial_estimate", "count", "sensor", "clock"])?;
         let output_value = table.require("output_matrix", "[[1.0, 0.0]]")?;
         let output_matrix = output_value.matrix(n, STATE)?;
         if output_matrix.nrows() > n {
@@ -38,7 +45,16 @@ pub(in crate::scenario) fn agents(root: &Table<'_>, n: usize) -> Result<Vec<Agen
             let problem = format!("brings the number of agents to {total}");
             return Err(table.error(problem, format!("use at most {AGENTS_MAX}")));
         }
-        agents.resize(total, Agent { output_matrix, initial_estimate, package: None });
+        let sensor = match table.get_table("sensor")? {
+            Some(own) => sensor::settings(&own, sensor)?,
+            None => sensor,
+        };
+        let clock = match table.get_table("clock")? {
+            Some(own) => clock::settings(&own, clock)?,
+            None => clock,
+        };
+        let agent = Agent { output_matrix, initial_estimate, package: None, sensor, clock };
+        agents.resize(total, agent);
     }
     Ok(agents)
 }

@@ -17,8 +17,11 @@ enum Model {
     Expressions,
 }
 
-/// Reads the plant and its initial state, shape `[n]`.
-pub(in crate::scenario) fn plant(root: &Table<'_>) -> Result<(Plant, Vec<f64>), ScenarioError> {
+/// Reads the plant, its initial state, shape `[n]`, and the intensity of its noise, shape `[n]`, or
+/// empty without noise.
+pub(in crate::scenario) fn plant(
+    root: &Table<'_>,
+) -> Result<(Plant, Vec<f64>, Vec<f64>), ScenarioError> {
     let table = root.require_table("plant")?;
     let model = table.require("model", "\"lorenz\"")?.choice(&[
         ("van-der-pol", Model::VanDerPol),
@@ -29,15 +32,29 @@ pub(in crate::scenario) fn plant(root: &Table<'_>) -> Result<(Plant, Vec<f64>), 
         ("expressions", Model::Expressions),
     ])?;
     let plant = if let Model::Expressions = model {
-        table.only(&["model", "parameters", "initial_state", "states", "derivative"])?;
+        table.only(&["model", "parameters", "initial_state", "noise", "states", "derivative"])?;
         Plant::Expressions(expressions(&table)?)
     } else {
-        table.only(&["model", "parameters", "initial_state"])?;
+        table.only(&["model", "parameters", "initial_state", "noise"])?;
         built_in(model, &table)?
     };
     let initial_state = table.require("initial_state", "[1.0, 0.0]")?;
     let initial_state = initial_state.numbers_of(plant.dimension(), STATE)?;
-    Ok((plant, initial_state))
+    let noise = match table.get("noise", "0.1") {
+        Some(value) => noise(&value, plant.dimension())?,
+        None => Vec::new(),
+    };
+    Ok((plant, initial_state, noise))
+}
+
+/// Reads one intensity for all components of the state, or one for each of the `n`.
+fn noise(value: &Value<'_>, n: usize) -> Result<Vec<f64>, ScenarioError> {
+    let noise =
+        if value.is_list() { value.numbers_of(n, STATE)? } else { vec![value.number()?; n] };
+    if noise.iter().any(|&intensity| intensity < 0.0) {
+        return Err(value.wrong("is negative"));
+    }
+    Ok(if noise.iter().all(|&intensity| intensity == 0.0) { Vec::new() } else { noise })
 }
 
 fn built_in(model: Model, table: &Table<'_>) -> Result<Plant, ScenarioError> {

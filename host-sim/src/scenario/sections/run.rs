@@ -72,6 +72,26 @@ pub(in crate::scenario) fn evaluation(
     Ok(window)
 }
 
+/// Reads `from` and `to` of a table: by default, from the start and to the end of the run.
+pub(super) fn window(table: &Table<'_>, time: &Time) -> Result<Window, ScenarioError> {
+    let (from, to) = (table.get("from", "5.0"), table.get("to", "10.0"));
+    let window = Window {
+        from: from.as_ref().map_or(Ok(0.0), Value::not_negative)?,
+        to: to.as_ref().map_or(Ok(time.duration), Value::positive)?,
+    };
+    // The run's end is allowed, so that a table can say "until the end".
+    for value in [from, to].into_iter().flatten() {
+        if value.not_negative()? > time.duration {
+            return Err(after_the_end(&value, time));
+        }
+    }
+    if window.ticks(time).is_empty() {
+        let problem = format!("contains no step: from {} to {}", window.from, window.to);
+        return Err(table.error(problem, "use from < to"));
+    }
+    Ok(window)
+}
+
 /// Creates the error for a time after the end of the run.
 pub(super) fn after_the_end(value: &Value<'_>, time: &Time) -> ScenarioError {
     let problem = format!("is {}, after the end of the run", value.written());

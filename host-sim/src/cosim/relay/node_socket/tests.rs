@@ -44,7 +44,7 @@ impl Served {
         drop(node.serve(there));
         let line = Line::over_socket(here, &std::sync::Arc::default()).unwrap();
         let board = Board::new(line, "node", true);
-        let node = LoopNode::new(board, Vec::new(), BoardReport::new(1, "node"));
+        let node = LoopNode::new(board, Vec::new(), Vec::new(), BoardReport::new(1, "node"));
         let socket = NodeSocket::new(Socket::bind(folder.path().join("socket")).unwrap());
         Self { folder, socket, node, seen, keys }
     }
