@@ -223,6 +223,7 @@ fn fallback() -> Option<AgentConfig<'static>> {
         },
         trigger: TriggerParams { hold_error_weight: 1e4, consensus_weight: 0.5, threshold: 0.1 },
         step_size: PERIOD,
+        exchange: agent_core::agent::exchange::ExchangeParams::PAPER,
     })
 }
 

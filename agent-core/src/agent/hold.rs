@@ -18,8 +18,10 @@
 //! recovers from a frame whose sequence was wrongly far ahead. It does not protect against replay
 //! attacks.
 //!
-//! Memory: `4 N + 20` bytes. Cost: a few comparisons per received sample.
+//! Memory: `4 N + 32` bytes. Cost: a few comparisons per received sample.
 
+use crate::agent::exchange::{LAG_MAX, LEAK};
+use crate::math::numeric::{add_scaled, all_finite};
 use crate::wire::sequence::is_newer;
 use crate::{StateVector, Tick};
 
@@ -40,6 +42,11 @@ pub struct Hold<const N: usize> {
     sequence: u32,
     /// In ticks of the agent that holds the sample.
     taken_over: Tick,
+    /// Smallest difference so far between arrival and tick of the sender's samples, in parts of
+    /// 1/[`LEAK`] of a step.
+    offset: Option<i64>,
+    /// Steps for which the sample was on its way.
+    lag: u32,
 }
 
 /// One slot per neighbour, in the order of the agent's parameters; `None` until a sample arrives.
@@ -57,12 +64,52 @@ impl<const N: usize> Hold<N> {
     /// Creates a hold for the sample taken at `tick` and broadcast as number `sequence`.
     #[must_use]
     pub const fn new(sample: StateVector<N>, tick: Tick, sequence: u32) -> Self {
-        Self { sample, tick, sequence, taken_over: tick }
+        Self { sample, tick, sequence, taken_over: tick, offset: None, lag: 0 }
     }
 
     /// Returns the same sample, accepted by another agent at that agent's step `now`.
     pub(crate) fn taken_over(self, now: Tick) -> Self {
         Self { taken_over: now, ..self }
+    }
+
+    /// Estimates for how long this sample, which replaces `held`, was on its way over a link with this
+    /// smallest delay; see [`crate::agent::exchange`].
+    pub(crate) fn measure_lag(&mut self, held: Option<&Self>, delay: u32) {
+        let observed = (self.taken_over as i64).wrapping_sub(self.tick as i64);
+        let observed = observed.saturating_mul(LEAK);
+        let held = held.filter(|held| self.tick > held.tick);
+        let expected = held.and_then(|held| {
+            let elapsed = self.taken_over.saturating_sub(held.taken_over);
+            Some(held.offset?.saturating_add_unsigned(elapsed))
+        });
+        let offset = expected.map_or(observed, |expected| expected.min(observed));
+        // Rounded, so that the rise of the minimum does not show in the next frames.
+        let lag = observed.saturating_sub(offset).saturating_add(LEAK / 2) / LEAK;
+        let lag = u32::try_from(lag).unwrap_or(u32::MAX);
+        let (offset, lag) = if lag > LAG_MAX { (observed, 0) } else { (offset, lag) };
+        (self.offset, self.lag) = (Some(offset), lag.saturating_add(delay));
+    }
+
+    /// Moves the sample on by `velocity` times `time` \[s\], unless the result is not finite.
+    pub(crate) fn move_on(&mut self, velocity: &StateVector<N>, time: f32) {
+        let mut moved = self.sample;
+        add_scaled(&mut moved, time, velocity);
+        if all_finite(&moved) {
+            self.sample = moved;
+        }
+    }
+
+    /// Returns the number of steps for which the sample was on its way, as estimated.
+    #[must_use]
+    pub fn lag(&self) -> u32 {
+        self.lag
+    }
+
+    /// Returns the age of the sample on the clock of the agent that holds it: the steps since it
+    /// arrived, and its time on the way.
+    #[must_use]
+    pub fn age_here(&self, now: Tick) -> Tick {
+        now.saturating_sub(self.taken_over).saturating_add(Tick::from(self.lag))
     }
 
     /// Returns whether this sample was taken after `other`, also across the wrap of the sequence

@@ -191,13 +191,16 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
         self.pending.as_ref()
     }
 
-    /// Moves every pending frame into its sender's slot in `holds` at step `now`, unless the held
-    /// sample is newer; returns how many frames are dropped as stale.
+    /// Moves every pending frame into its sender's slot in `holds` at step `now`, as what `arrived`
+    /// makes of it and of the held one, unless that is newer; returns how many frames are dropped as
+    /// stale.
+    #[inline]
     pub(crate) fn drain_into(
         &mut self,
         holds: &mut [Option<Hold<N>>],
         now: Tick,
         silence: Tick,
+        arrived: impl Fn(&Hold<N>, Option<&Hold<N>>) -> Hold<N>,
     ) -> u32 {
         if self.is_empty() {
             return 0;
@@ -205,14 +208,14 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
         let mut dropped = 0;
         let is_trusted = self.is_trusted();
         for (hold, pending) in holds.iter_mut().zip(self.pending.as_mut()) {
-            match (pending.take(), &*hold) {
+            match (pending.take(), *hold) {
                 (None, _) => {}
                 (Some(sample), Some(held))
-                    if !is_trusted && !sample.replaces(held, now, silence) =>
+                    if !is_trusted && !sample.replaces(&held, now, silence) =>
                 {
                     dropped += 1;
                 }
-                (Some(sample), _) => *hold = Some(sample.taken_over(now)),
+                (Some(sample), held) => *hold = Some(arrived(&sample, held.as_ref())),
             }
         }
         self.count = 0;
@@ -247,7 +250,7 @@ mod tests {
         let restarted = Frame { sequence: 0, tick: 0, ..frame(9) };
         assert_eq!(inbox.accept_believed(&NEIGHBOURS, &region, &frame(9)), Ok(()));
         assert_eq!(inbox.accept_believed(&NEIGHBOURS, &region, &restarted), Ok(()));
-        assert_eq!(inbox.drain_into(&mut holds, 51, 1_000), 0);
+        assert_eq!(drain(&mut inbox, &mut holds, 51, 1_000), 0);
         assert_eq!(holds[1].map(|hold| hold.sequence()), Some(0));
     }
 
@@ -294,6 +297,16 @@ mod tests {
         }
     }
 
+    /// Drains as the paper's exchange does.
+    fn drain(
+        inbox: &mut Inbox<2, [Option<Hold<2>>; 2]>,
+        holds: &mut [Option<Hold<2>>],
+        now: Tick,
+        silence: Tick,
+    ) -> u32 {
+        inbox.drain_into(holds, now, silence, |sample, _| sample.taken_over(now))
+    }
+
     const NEIGHBOURS: [Neighbour; 2] =
         [Neighbour { id: 4, weight: 1.0 }, Neighbour { id: 9, weight: 1.0 }];
 
@@ -325,7 +338,7 @@ mod tests {
         inbox.accept(&NEIGHBOURS, &frame(9).encode()).unwrap();
         let old = Hold::new([7.0, 7.0].into(), 1, 0);
         let mut holds = [Some(old), Some(old)];
-        assert_eq!(inbox.drain_into(&mut holds, 12, 10), 0);
+        assert_eq!(drain(&mut inbox, &mut holds, 12, 10), 0);
         let new = Hold::new([1.0, 2.0].into(), 11, 5).taken_over(12);
         assert_eq!(holds, [Some(old), Some(new)]);
         assert!(inbox.is_empty());
@@ -338,7 +351,7 @@ mod tests {
         for (now, dropped) in [(13, 1), (22, 1), (23, 0)] {
             let mut inbox = Inbox::<2, _>::new([None; 2]);
             inbox.accept(&NEIGHBOURS, &frame(9).encode()).unwrap();
-            assert_eq!(inbox.drain_into(&mut holds, now, 10), dropped, "{now}");
+            assert_eq!(drain(&mut inbox, &mut holds, now, 10), dropped, "{now}");
             assert!(inbox.is_empty());
             assert_eq!(holds[1] == Some(held), dropped == 1);
         }

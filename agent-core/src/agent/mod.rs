@@ -21,13 +21,14 @@
 //! An agent whose estimate is unusable is [restarted](AgentState::restart); [`crate::health`]
 //! decides when.
 //!
-//! Cost: the sum of the modules'. Memory: [`AgentState`] takes `4 N (FEATURES + 5) + 8 FEATURES`
-//! bytes, the network's scratch, and `4 N + 28` bytes per neighbour.
+//! Cost: the sum of the modules'. Memory: [`AgentState`] takes `4 N (FEATURES + 6) + 8 FEATURES`
+//! bytes, the network's scratch, and `4 N + 40` bytes per neighbour.
 //!
 //! Invariants: every number in the state is finite; an error leaves state and inbox unchanged.
 
 pub mod capture;
 mod error;
+pub mod exchange;
 pub mod hold;
 pub mod inbox;
 mod params;
@@ -40,10 +41,12 @@ pub use error::StepError;
 pub use params::AgentParams;
 
 use crate::agent::capture::Sample;
+use crate::agent::exchange::Exchange;
 use crate::agent::hold::{Hold, HoldSlots};
 use crate::agent::inbox::Inbox;
 use crate::math::numeric::{add_scaled, all_finite, components, difference, product, zeros};
 use crate::math::parameter::{ParameterError, finite};
+use crate::observer::feedback::ObserverParams;
 use crate::observer::network::{InnerNetwork, Scratch};
 use crate::observer::outer_law::OuterWeights;
 use crate::wire::frame::Frame;
@@ -131,6 +134,7 @@ pub struct AgentState<const N: usize, const FEATURES: usize, S> {
     /// `e_3i` of the last step in the first `m` components.
     output_error: StateVector<N>,
     stale_frames: u32,
+    exchange: Exchange<N>,
     scratch: Scratch,
 }
 
@@ -150,6 +154,7 @@ impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S> {
             consensus_is_current: false,
             output_error: zeros,
             stale_frames: 0,
+            exchange: Exchange::new(),
             scratch: Scratch::NEW,
         }
     }
@@ -206,6 +211,7 @@ where
         self.consensus_is_current = false;
         self.output_error = zeros();
         self.stale_frames = 0;
+        self.exchange = Exchange::new();
         Ok(())
     }
 
@@ -307,7 +313,12 @@ where
         // Nothing can fail from here on.
         let sample = Sample { tick, estimate: self.estimate, derivative };
         let silence = params.restart_silence;
-        self.stale_frames = inbox.drain_into(self.neighbour_holds.as_mut(), tick, silence);
+        let (exchange, step_size) = (&self.exchange, params.step_size);
+        let arrived = |sample: &Hold<N>, held: Option<&Hold<N>>| {
+            exchange.arrived(&params.exchange, step_size, sample, held, tick)
+        };
+        self.stale_frames = inbox.drain_into(self.neighbour_holds.as_mut(), tick, silence, arrived);
+        self.exchange.follow(&params.exchange, &derivative);
         self.last_tick = Some(tick);
         self.estimate = estimate;
         self.consensus_term = consensus_term;
@@ -324,7 +335,8 @@ where
     fn broadcast_if_due(&mut self, params: &AgentParams<'_, N>, tick: Tick) -> Option<Frame<N>> {
         let hold_error = difference(self.own_hold.estimate(), &self.estimate);
         let held = self.own_hold.age(tick);
-        if !params.trigger.fires(held, &hold_error, &self.consensus_term) {
+        let event = params.trigger.fires(held, &hold_error, &self.consensus_term);
+        if !self.exchange.is_due(&params.exchange, event, tick, held) {
             return None;
         }
         self.sample_estimate(tick);
@@ -350,21 +362,31 @@ where
     where
         I: HoldSlots<N>,
     {
-        if self.consensus_is_current && inbox.is_empty() {
+        let exchange = &params.exchange;
+        if self.consensus_is_current && inbox.is_empty() && !exchange.fades() {
             return self.consensus_term;
         }
+        let mut term = zeros();
         let held = self.neighbour_holds.as_ref().iter().zip(inbox.pending());
-        let held = held.map(|(held, pending)| match (held, pending) {
-            (Some(held), Some(pending))
-                if !inbox.is_trusted() && !pending.replaces(held, tick, params.restart_silence) =>
-            {
-                Some(held)
-            }
-            (held, pending) => pending.as_ref().or(held.as_ref()),
-        });
-        params
-            .observer
-            .consensus_term(self.own_hold.estimate(), held.map(|hold| hold.map(Hold::estimate)))
+        for (neighbour, (held, pending)) in params.neighbours().iter().zip(held) {
+            let held = held.as_ref();
+            let arriving = pending.as_ref().filter(|pending| {
+                let replaces = |held| pending.replaces(held, tick, params.restart_silence);
+                inbox.is_trusted() || held.is_none_or(replaces)
+            });
+            let arrived = arriving.map(|sample| {
+                self.exchange.arrived(exchange, params.step_size, sample, held, tick)
+            });
+            let Some(hold) = arrived.as_ref().or(held) else { continue };
+            let weight = neighbour.weight * exchange.share(hold.age_here(tick));
+            ObserverParams::<N>::add_to_consensus(
+                &mut term,
+                weight,
+                hold.estimate(),
+                self.own_hold.estimate(),
+            );
+        }
+        term
     }
 
     /// Checks the arguments of a step.

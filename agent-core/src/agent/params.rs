@@ -2,6 +2,7 @@
 
 use nalgebra::SMatrix;
 
+use crate::agent::exchange::ExchangeParams;
 use crate::agent::hold::RESTART_SILENCE;
 use crate::math::numeric::{components, square_root};
 use crate::math::parameter::{ParameterError, positive};
@@ -44,6 +45,7 @@ pub struct AgentParams<'a, const N: usize> {
     pub(super) outer_law: OuterLawParams<'a>,
     pub(super) trigger: Trigger,
     pub(super) restart_silence: Tick,
+    pub(super) exchange: ExchangeParams,
 }
 
 impl<'a, const N: usize> AgentParams<'a, N> {
@@ -63,7 +65,23 @@ impl<'a, const N: usize> AgentParams<'a, N> {
         outer_law.projection.validate()?;
         trigger.validate()?;
         let (trigger, restart_silence) = (Trigger::Event(trigger), RESTART_SILENCE);
-        Ok(Self { id, step_size, observer, outer_law, trigger, restart_silence })
+        let exchange = ExchangeParams::PAPER;
+        Ok(Self { id, step_size, observer, outer_law, trigger, restart_silence, exchange })
+    }
+
+    /// Sets the exchange with the neighbours, in place of the paper's.
+    ///
+    /// # Errors
+    /// Two parameters that contradict each other.
+    pub fn with_exchange(self, exchange: ExchangeParams) -> Result<Self, ParameterError> {
+        exchange.validate()?;
+        Ok(Self { exchange, ..self })
+    }
+
+    /// Returns the exchange with the neighbours.
+    #[must_use]
+    pub fn exchange(&self) -> &ExchangeParams {
+        &self.exchange
     }
 
     /// Sets the number of steps after which a restarted neighbour is heard again, in place of
@@ -102,6 +120,7 @@ impl<'a, const N: usize> AgentParams<'a, N> {
             outer_law: OuterLawParams { gain: outer_gain, projection: self.outer_law.projection },
             trigger: self.trigger,
             restart_silence: self.restart_silence,
+            exchange: self.exchange,
         }
     }
 

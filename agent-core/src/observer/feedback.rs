@@ -173,10 +173,21 @@ impl<const N: usize> ObserverParams<'_, N> {
         let mut term = zeros();
         for (neighbour, held) in self.neighbours.iter().zip(held) {
             if let Some(held) = held {
-                add_scaled(&mut term, neighbour.weight, &difference(held, own));
+                Self::add_to_consensus(&mut term, neighbour.weight, held, own);
             }
         }
         term
+    }
+
+    /// Adds one neighbour's `a_ij (x_tilde_j - x_tilde_i)` to the consensus term.
+    #[inline]
+    pub(crate) fn add_to_consensus(
+        term: &mut StateVector<N>,
+        weight: f32,
+        held: &StateVector<N>,
+        own: &StateVector<N>,
+    ) {
+        add_scaled(term, weight, &difference(held, own));
     }
 }
 

@@ -5,6 +5,7 @@ use super::{
     AgentConfig, Envelope, HEADER_LENGTH, Package, PackageError, Provenance, TEST_VECTORS_MAX,
     sections,
 };
+use crate::agent::exchange::ExchangeParams;
 use crate::agent::region::StateBox;
 use crate::observer::network::{Architecture, InnerNetwork};
 use crate::observer::outer_law::OuterLawParams;
@@ -149,6 +150,7 @@ fn assemble<'a>(
             },
             trigger: TriggerParams { hold_error_weight, consensus_weight, threshold },
             step_size,
+            exchange: ExchangeParams::PAPER,
         },
         broadcast_interval_min,
         trained_box: StateBox { low, high },

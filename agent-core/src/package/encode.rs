@@ -4,6 +4,7 @@ use super::envelope::header;
 use super::wire::{Counts, Metadata, WORD};
 use super::{Format, HEADER_LENGTH, Package, TEST_VECTORS_MAX, test_vector_length};
 use crate::AgentId;
+use crate::agent::exchange::ExchangeParams;
 
 /// Why a package cannot be encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,6 +29,8 @@ pub enum EncodeError {
         /// The package's epoch.
         epoch: u32,
     },
+    /// Format 1 has no room for an exchange that is not the paper's.
+    Exchange,
     /// Format 2 has no permission to replace newer versions: it has epochs.
     Replaces,
 }
@@ -48,6 +51,11 @@ impl core::fmt::Display for EncodeError {
                     "format 1 has no epochs, but the package is of epoch {epoch}; use package format 2"
                 )
             }
+            Self::Exchange => write!(
+                f,
+                "format 1 has no parameters of the exchange; leave out [exchange], or use package \
+                 format 2"
+            ),
             Self::Replaces => write!(
                 f,
                 "format 2 cannot replace newer versions; use a higher epoch, or package format 1"
@@ -74,6 +82,9 @@ impl Package<'_> {
     fn encode_format1(&self, buffer: &mut [u8]) -> Result<usize, EncodeError> {
         if self.epoch != 0 {
             return Err(EncodeError::Epoch { epoch: self.epoch });
+        }
+        if self.node.exchange != ExchangeParams::PAPER {
+            return Err(EncodeError::Exchange);
         }
         let ids = self.node.neighbours.iter().chain([self.node.agent]);
         if let Some(id) = ids.into_iter().find(|&id| id > u16::MAX.into()) {

@@ -4,6 +4,7 @@ use super::header::{CHECKED_FIRST, HEADER2_LENGTH, Header, digest};
 use super::sections::{SECTION_HEADER_LENGTH, kind};
 use super::wire::WORD;
 use super::{EncodeError, Package, Provenance};
+use crate::agent::exchange::ExchangeParams;
 use crate::wire::crc::crc32;
 
 /// Appends sections to a buffer.
@@ -129,6 +130,9 @@ impl Package<'_> {
         }
         if self.provenance != Provenance::NONE {
             writer.value(kind::PROVENANCE, &self.provenance)?;
+        }
+        if node.exchange != ExchangeParams::PAPER {
+            writer.value(kind::EXCHANGE, &node.exchange)?;
         }
         Ok(())
     }

@@ -58,6 +58,7 @@ use serde::{Deserialize, Serialize};
 use crate::AgentId;
 use crate::StateVector;
 use crate::agent::AgentParams;
+use crate::agent::exchange::ExchangeParams;
 use crate::agent::region::StateBox;
 use crate::math::parameter::ParameterError;
 use crate::math::symmetric::SymmetricMatrix;
@@ -133,6 +134,8 @@ pub struct AgentConfig<'a> {
     pub trigger: TriggerParams,
     /// `dt`. \[s\]
     pub step_size: f32,
+    /// Exchange with the neighbours. Format 2 only, unless it is the paper's.
+    pub exchange: ExchangeParams,
 }
 
 /// Whether an agent's adapted outer weights survive the switch to another package.
@@ -303,7 +306,8 @@ impl AgentConfig<'_> {
             neighbours,
         };
         let outer_law = OuterLawParams { gain, projection: self.outer_law.projection };
-        AgentParams::new(self.agent, self.step_size, observer, outer_law, self.trigger)
+        AgentParams::new(self.agent, self.step_size, observer, outer_law, self.trigger)?
+            .with_exchange(self.exchange)
     }
 }
 

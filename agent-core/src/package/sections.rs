@@ -11,6 +11,7 @@ use super::{
     AgentConfig, NeighbourIds, Package, PackageError, Provenance, TEST_VECTORS_MAX, TrialLimits,
     test_vector_length,
 };
+use crate::agent::exchange::{self, ExchangeParams};
 use crate::agent::region::StateBox;
 use crate::math::symmetric::MatrixForm;
 use crate::observer::network::InnerNetwork;
@@ -45,8 +46,10 @@ pub mod kind {
     pub const TRIAL: u16 = 7;
     /// Origin of the network.
     pub const PROVENANCE: u16 = 8;
+    /// Exchange with the neighbours; not there if it is the paper's.
+    pub const EXCHANGE: u16 = REQUIRED | 9;
     /// The highest number of a section that this crate knows.
-    pub(super) const LAST: u16 = 8;
+    pub(super) const LAST: u16 = 9;
 }
 
 /// `theta_0`, `beta`, `delta`, `phi_1`, `phi_2`, `epsilon / N`, least broadcast interval.
@@ -97,6 +100,7 @@ struct Contents<'a> {
     trained_box: &'a [f32],
     test_vectors: &'a [f32],
     trial: Option<TrialLimits>,
+    exchange: ExchangeParams,
     /// Undecoded.
     provenance: Option<&'a [u8]>,
 }
@@ -115,6 +119,14 @@ impl<'a> Contents<'a> {
                 kind::TEST_VECTORS => &mut found.test_vectors,
                 kind::TRIAL => {
                     found.trial = Some(codec::whole(content).ok_or(PackageError::Malformed)?);
+                    continue;
+                }
+                kind::EXCHANGE if exchange::ENABLED => {
+                    found.exchange = codec::whole(content).ok_or(PackageError::Malformed)?;
+                    // The paper's is written as no section.
+                    if found.exchange == ExchangeParams::PAPER {
+                        return Err(PackageError::Malformed);
+                    }
                     continue;
                 }
                 kind::PROVENANCE => {
@@ -192,7 +204,8 @@ pub(super) fn decode<'a>(
     if sections.trial.is_some_and(|limits| !limits.is_finite()) {
         return Err(PackageError::TrialLimitNotFinite);
     }
-    let node = agent_config(header, sections.agent, sections.constants)?;
+    let mut node = agent_config(header, sections.agent, sections.constants)?;
+    node.exchange = sections.exchange;
     let (low, high) = sections.trained_box.split_at_checked(n).unwrap_or_default();
     Ok(Package {
         epoch: header.serial.epoch,
@@ -260,5 +273,6 @@ fn agent_config<'a>(
         neighbours: NeighbourIds::new(neighbours),
         trigger: TriggerParams { hold_error_weight, consensus_weight, threshold },
         step_size: header.step_size,
+        exchange: ExchangeParams::PAPER,
     })
 }

@@ -98,6 +98,7 @@ impl Content {
                     threshold: 10.0,
                 },
                 step_size: 1e-3,
+                exchange: ExchangeParams::PAPER,
             },
             broadcast_interval_min: 2e-3,
             trained_box: StateBox { low: &self.low, high: &self.high },

@@ -41,6 +41,7 @@ pub fn agent_config(
             threshold: trigger.threshold as f32,
         },
         step_size: scenario.time.step_size as f32,
+        exchange: scenario.exchange,
     }
 }
 
@@ -57,8 +58,8 @@ fn outer_gain(gain: &OuterGain) -> OwnedSymmetric {
 /// Returns the identifier of agent `index`, from 0, in messages.
 ///
 /// # Panics
-/// If the index does not fit; a scenario has at most 1,000 agents.
+/// If the index does not fit; a scenario has at most 100,000 agents.
 #[must_use]
 pub fn agent_id(index: usize) -> AgentId {
-    AgentId::try_from(index + 1).expect("a scenario has at most 1,000 agents")
+    AgentId::try_from(index + 1).expect("a scenario has at most 100,000 agents")
 }

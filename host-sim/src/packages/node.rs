@@ -1,6 +1,7 @@
 //! An agent's configuration in the core's precision, owned.
 
 use agent_core::AgentId;
+use agent_core::agent::exchange::ExchangeParams;
 use agent_core::math::symmetric::{MatrixForm, SymmetricMatrix};
 use agent_core::observer::outer_law::OuterLawParams;
 use agent_core::observer::projection::ProjectionParams;
@@ -20,6 +21,7 @@ pub struct OwnedAgentConfig {
     pub(crate) projection: ProjectionParams,
     pub(crate) trigger: TriggerParams,
     pub(crate) step_size: f32,
+    pub(crate) exchange: ExchangeParams,
 }
 
 /// A symmetric matrix in one of the forms of the package.
@@ -104,6 +106,7 @@ impl OwnedAgentConfig {
             projection: node.outer_law.projection,
             trigger: node.trigger,
             step_size: node.step_size,
+            exchange: node.exchange,
         }
     }
 
@@ -121,6 +124,7 @@ impl OwnedAgentConfig {
             ("projection", self.projection == other.projection),
             ("trigger", self.trigger == other.trigger),
             ("step", self.step_size == other.step_size),
+            ("exchange with the neighbours", self.exchange == other.exchange),
         ];
         same.iter().find(|(_, same)| !same).map(|(name, _)| *name)
     }
@@ -140,6 +144,7 @@ impl OwnedAgentConfig {
             },
             trigger: self.trigger,
             step_size: self.step_size,
+            exchange: self.exchange,
         }
     }
 }

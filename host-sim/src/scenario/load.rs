@@ -7,8 +7,8 @@ use toml::de::DeTable;
 use super::error::{ScenarioError, closest};
 use super::reader::{Source, Table};
 use super::sections::{
-    agents, clock, disturbance, gains, health, learning, life, link, network, plant, run, sensor,
-    trigger,
+    agents, clock, disturbance, exchange, gains, health, learning, life, link, network, plant, run,
+    sensor, trigger,
 };
 use super::{BUILT_IN, Scenario};
 use crate::files::fnv::Fnv;
@@ -99,6 +99,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         "graph",
         "link",
         "trigger",
+        "exchange",
         "sensor",
         "clock",
         "life",
@@ -121,6 +122,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let link = link::link(root, &time, &graph)?;
     let life = life::life(root, &time, agents.len())?;
     let trigger = trigger::trigger(root)?;
+    let exchange = exchange::exchange(root, &time)?;
     let recipes = learning::recipes(root)?;
     let learning = learning::cycles(root, &time, agents.len(), &recipes, network.is_some())?;
     if let (Some(first), Some(network)) = (root.get_tables("learning")?.first(), &network) {
@@ -143,6 +145,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         link,
         life,
         trigger,
+        exchange,
         agents,
         learning,
         recipes,

@@ -21,6 +21,7 @@ pub use sections::trigger::{SimulationOnly, TriggerModel};
 
 use std::num::NonZeroU32;
 
+use agent_core::agent::exchange::ExchangeParams;
 use agent_core::health::HealthSettings;
 use agent_core::observer::network::Architecture;
 use nalgebra::DMatrix;
@@ -60,6 +61,8 @@ pub struct Scenario {
     pub life: Vec<Downtime>,
     /// When agents broadcast.
     pub trigger: TriggerModel,
+    /// When agents broadcast beside their events, and how they treat late and old samples.
+    pub exchange: ExchangeParams,
     /// The agents; agent `i` of the paper is entry `i - 1`.
     pub agents: Vec<Agent>,
     /// Learning cycles, in the order of the file.
@@ -100,6 +103,10 @@ impl Scenario {
             (
                 !self.agents.iter().all(|a| a.sensor.is_ideal()),
                 "measurements are not exact ([sensor])",
+            ),
+            (
+                self.exchange != ExchangeParams::PAPER,
+                "agents broadcast and use samples otherwise than in the paper ([exchange])",
             ),
             (!self.process_noise.is_empty(), "noise drives the plant (plant.noise)"),
             (self.agents.iter().any(|a| a.clock != clock), "clocks differ ([clock])"),

@@ -3,6 +3,7 @@
 pub(super) mod agents;
 pub(super) mod clock;
 pub(super) mod disturbance;
+pub(super) mod exchange;
 pub(super) mod gains;
 pub(super) mod health;
 pub(super) mod learning;

@@ -1,0 +1,373 @@
+//! Exchange over links that lose and delay frames, with neighbours that fall silent.
+//!
+//! The paper's agents broadcast at events only, over links that deliver every frame at once. An event
+//! whose frame is lost leaves the neighbours with an old sample until the next event, a delayed sample
+//! describes a state that has passed, and the last sample of a neighbour that is gone is held for ever.
+//! Against that, an agent can
+//! - broadcast at the latest after a *heartbeat*, keep a *gap* between broadcasts, and *repeat* each
+//!   event with its newest estimate some time later;
+//! - *fade* the weight `a_ij` of a neighbour by the age of its sample: full up to an age, then falling
+//!   to zero at another;
+//! - *compensate* delays: an arriving sample is moved on by its age times the agent's own mean velocity.
+//!
+//! # The age of a sample
+//! Clocks of agents differ, so the age is counted on the receiver's. Since a frame arrived: its steps.
+//! On its way: `arrival - tick`, of which the smallest value so far is taken for the difference of the
+//! clocks plus the smallest delay of the link, which is a parameter. That minimum rises by one step in
+//! [`LEAK`], for clocks that drift apart. A neighbour whose tick goes back, or whose frame would have
+//! been under way for more than [`LAG_MAX`] steps, has started again: its difference is estimated anew.
+//!
+//! # The mean velocity
+//! `v` follows the derivative of the estimate with a time constant of `smoothing` steps `T`. With delays
+//! `D` and a gain `K` the compensated consensus term is stable for `T > D - 1/(K dt)` steps, so `T` should
+//! be above the longest delay.
+//!
+//! With all parameters 0 the agent is the paper's, to the bit. The feature `exchange` can be left out
+//! where flash is short; then only the paper's exchange is accepted.
+//!
+//! Memory: `4 N + 8` bytes, and 12 bytes for each held sample. Cost: some 10 operations in a step, and
+//! with fading the consensus term in every step.
+
+use serde::{Deserialize, Serialize};
+
+use crate::agent::hold::Hold;
+use crate::math::numeric::{add_scaled, all_finite, difference, zeros};
+use crate::math::parameter::ParameterError;
+use crate::{StateVector, Tick};
+
+/// Steps after which the estimated difference of two clocks has risen by one step: 244 ppm.
+pub const LEAK: i64 = 4_096;
+
+/// Longest time on the way that is believed. \[step\]
+pub const LAG_MAX: u32 = 1_000;
+
+/// Whether the code for it is there. Without it, packages with such parameters are refused.
+pub(crate) const ENABLED: bool = cfg!(feature = "exchange");
+
+/// Parameters of the exchange, in steps; 0 turns each off.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ExchangeParams {
+    /// Longest time between two broadcasts.
+    pub heartbeat: u32,
+    /// Shortest time between two broadcasts.
+    pub gap: u32,
+    /// Time after which the broadcast of an event is repeated.
+    pub repeat: u32,
+    /// Age of a sample up to which it has its full weight.
+    pub fade_from: u32,
+    /// Age from which on it has none.
+    pub fade_to: u32,
+    /// Smallest delay of the link.
+    pub delay: u32,
+    /// Time constant of the mean velocity by which late samples are moved on.
+    pub smoothing: u32,
+}
+
+impl ExchangeParams {
+    /// The paper's exchange.
+    pub const PAPER: Self =
+        Self { heartbeat: 0, gap: 0, repeat: 0, fade_from: 0, fade_to: 0, delay: 0, smoothing: 0 };
+
+    /// Checks that no parameter contradicts another one.
+    ///
+    /// # Errors
+    /// A gap above the heartbeat, or a fading that ends before it begins.
+    pub fn validate(&self) -> Result<(), ParameterError> {
+        let out_of_range = |parameter, value: u32, expected| ParameterError::OutOfRange {
+            parameter,
+            value: value as f32,
+            expected,
+        };
+        if self.heartbeat > 0 && self.gap > self.heartbeat {
+            return Err(out_of_range("exchange.gap", self.gap, "at most exchange.heartbeat"));
+        }
+        if self.fade_from > self.fade_to {
+            return Err(out_of_range(
+                "exchange.fade_from",
+                self.fade_from,
+                "at most exchange.fade_to",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Whether this is the paper's exchange.
+    #[inline]
+    fn is_papers(&self) -> bool {
+        !ENABLED || *self == Self::PAPER
+    }
+
+    /// Whether the weights of neighbours depend on the time.
+    #[inline]
+    pub(crate) fn fades(&self) -> bool {
+        ENABLED && self.fade_to > 0
+    }
+
+    /// Whether late samples are moved on.
+    #[inline]
+    pub(crate) fn compensates(&self) -> bool {
+        ENABLED && self.smoothing > 0
+    }
+
+    /// Returns the share of the weight that a sample of this age keeps.
+    #[inline]
+    pub(crate) fn share(&self, age: Tick) -> f32 {
+        if !self.fades() || age <= Tick::from(self.fade_from) {
+            return 1.0;
+        }
+        let left = Tick::from(self.fade_to).saturating_sub(age);
+        let width = self.fade_to.saturating_sub(self.fade_from).max(1);
+        left as f32 / width as f32
+    }
+}
+
+/// What an agent remembers for the exchange.
+#[derive(Clone, Debug)]
+pub(crate) struct Exchange<const N: usize> {
+    /// When the last event is repeated; 0 for never.
+    repeat_at: Tick,
+    /// The mean velocity. \[state unit/s\]
+    velocity: StateVector<N>,
+}
+
+impl<const N: usize> Exchange<N> {
+    pub(crate) const fn new() -> Self {
+        Self { repeat_at: 0, velocity: zeros() }
+    }
+
+    /// Returns whether to broadcast at `tick`, `held` steps after the last broadcast; `event` says
+    /// whether the trigger fires.
+    #[inline]
+    pub(crate) fn is_due(
+        &mut self,
+        params: &ExchangeParams,
+        event: bool,
+        tick: Tick,
+        held: Tick,
+    ) -> bool {
+        if params.is_papers() {
+            return event;
+        }
+        if held < Tick::from(params.gap) {
+            return false;
+        }
+        let repeats = self.repeat_at != 0 && tick >= self.repeat_at;
+        let beats = params.heartbeat > 0 && held >= Tick::from(params.heartbeat);
+        if event && params.repeat > 0 {
+            self.repeat_at = tick.saturating_add(Tick::from(params.repeat));
+        } else if repeats {
+            self.repeat_at = 0;
+        }
+        event || repeats || beats
+    }
+
+    /// Takes the derivative of a step into the mean velocity.
+    #[inline]
+    pub(crate) fn follow(&mut self, params: &ExchangeParams, derivative: &StateVector<N>) {
+        if params.compensates() {
+            let change = difference(derivative, &self.velocity);
+            add_scaled(&mut self.velocity, 1.0 / params.smoothing as f32, &change);
+            if !all_finite(&self.velocity) {
+                self.velocity = zeros();
+            }
+        }
+    }
+
+    /// Returns a sample that arrives at the receiver's step `now`, in place of `held`: with its time on
+    /// the way, and moved on by it.
+    #[inline]
+    pub(crate) fn arrived(
+        &self,
+        params: &ExchangeParams,
+        step_size: f32,
+        sample: &Hold<N>,
+        held: Option<&Hold<N>>,
+        now: Tick,
+    ) -> Hold<N> {
+        let mut hold = sample.taken_over(now);
+        if params.is_papers() {
+            return hold;
+        }
+        hold.measure_lag(held, params.delay);
+        if params.compensates() && hold.lag() > 0 {
+            hold.move_on(&self.velocity, hold.lag() as f32 * step_size);
+        }
+        hold
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use std::vec::Vec;
+
+    use super::*;
+    use crate::agent::inbox::Inbox;
+    use crate::agent::{AgentParams, AgentState};
+    use crate::math::symmetric::SymmetricMatrix;
+    use crate::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
+    use crate::observer::network::InnerNetwork;
+    use crate::observer::outer_law::OuterLawParams;
+    use crate::observer::projection::ProjectionParams;
+    use crate::observer::trigger::TriggerParams;
+    use crate::wire::frame::Frame;
+
+    /// Returns the ticks of the broadcasts in 100 steps of an agent that broadcasts at 0 and whose
+    /// trigger fires from the step on at which `event` says so until it has broadcast.
+    fn broadcasts(params: ExchangeParams, event: impl Fn(Tick) -> bool) -> Vec<Tick> {
+        let (mut exchange, mut last, mut waiting) = (Exchange::<1>::new(), 0, false);
+        let mut ticks = Vec::new();
+        for tick in 1..100 {
+            waiting |= event(tick);
+            if exchange.is_due(&params, waiting, tick, tick - last) {
+                (last, waiting) = (tick, false);
+                ticks.push(tick);
+            }
+        }
+        ticks
+    }
+
+    #[test]
+    fn broadcasts_follow_events_heartbeats_gaps_and_repetitions() {
+        let off = ExchangeParams::PAPER;
+        let at = |ticks: &'static [Tick]| move |tick| ticks.contains(&tick);
+        assert_eq!(broadcasts(off, at(&[])), []);
+        assert_eq!(broadcasts(off, at(&[7, 8])), [7, 8]);
+        let heartbeat = ExchangeParams { heartbeat: 30, ..off };
+        assert_eq!(broadcasts(heartbeat, at(&[10, 60])), [10, 40, 60, 90]);
+        let gap = ExchangeParams { gap: 5, ..off };
+        // An event within the gap waits for its end.
+        assert_eq!(broadcasts(gap, at(&[7, 8, 20])), [7, 12, 20]);
+        let repeat = ExchangeParams { repeat: 4, ..off };
+        assert_eq!(broadcasts(repeat, at(&[10, 50, 52])), [10, 14, 50, 52, 56]);
+        // A repetition that an event or the gap anticipates is not made twice.
+        let both = ExchangeParams { repeat: 4, gap: 6, ..off };
+        assert_eq!(broadcasts(both, at(&[10, 50, 52])), [10, 16, 50, 56, 62]);
+    }
+
+    #[test]
+    fn the_weight_of_a_sample_falls_with_its_age() {
+        let fades = ExchangeParams { fade_from: 10, fade_to: 20, ..ExchangeParams::PAPER };
+        let shares = [0, 10, 11, 15, 19, 20, 21, Tick::MAX].map(|age| fades.share(age));
+        assert_eq!(shares, [1.0, 1.0, 0.9, 0.5, 0.1, 0.0, 0.0, 0.0]);
+        let drops = ExchangeParams { fade_from: 10, fade_to: 10, ..ExchangeParams::PAPER };
+        assert_eq!([9, 10, 11].map(|age| drops.share(age)), [1.0, 1.0, 0.0]);
+        assert_eq!(ExchangeParams::PAPER.share(Tick::MAX), 1.0);
+    }
+
+    /// Returns the estimated time on the way of each sample, given by its tick and its arrival.
+    fn lags(delay: u32, samples: impl IntoIterator<Item = (Tick, Tick)>) -> Vec<u32> {
+        let mut held: Option<Hold<1>> = None;
+        let lag = |(sequence, (tick, arrival)): (u32, (Tick, Tick))| {
+            let mut hold = Hold::new([0.0].into(), tick, sequence).taken_over(arrival);
+            hold.measure_lag(held.as_ref(), delay);
+            held = Some(hold);
+            hold.lag()
+        };
+        (0..).zip(samples).map(lag).collect()
+    }
+
+    #[test]
+    fn the_lag_is_measured_against_the_quickest_frame() {
+        // The sender's clock is 500 ahead, then 500 behind; the quickest frame takes 3.
+        for ahead in [500, -500_i64] {
+            let delays = [5, 3, 9, 3, 4];
+            let samples = (0..).zip(delays).map(|(k, delay)| {
+                let sent: Tick = 1_000 + 20 * k;
+                (sent.saturating_add_signed(ahead), sent + delay)
+            });
+            assert_eq!(lags(3, samples), [3, 3, 9, 3, 4]);
+        }
+    }
+
+    #[test]
+    fn the_lag_follows_clocks_that_drift_apart() {
+        // The receiver's clock gains 100 ppm, so that arrivals seem later and later.
+        let samples = (0..2_000).map(|k: u64| (1_000 * k, 1_000 * k + k / 10 + 7));
+        let lags = lags(7, samples);
+        assert!(lags.iter().all(|&lag| lag <= 8), "{:?}", lags.iter().max());
+    }
+
+    #[test]
+    fn a_sender_that_starts_again_is_measured_anew() {
+        let again = [(50_000, 50_003), (10, 50_103), (20, 50_115)];
+        assert_eq!(lags(3, again), [3, 3, 5]);
+        // Its clock is set back by an hour, or a frame is played back.
+        let leap = [(5_000_000, 100), (5_000_010, 3_000_110), (5_000_020, 3_000_121)];
+        assert_eq!(lags(0, leap), [0, 0, 1]);
+        for extreme in [(0, Tick::MAX), (Tick::MAX, 0), (Tick::MAX, Tick::MAX)] {
+            assert_eq!(lags(2, [(5, 5), extreme, extreme])[0], 2);
+        }
+    }
+
+    const NEIGHBOURS: [Neighbour; 1] = [Neighbour { id: 9, weight: 2.0 }];
+
+    fn params(exchange: ExchangeParams) -> AgentParams<'static, 1> {
+        let observer = ObserverParams {
+            output_matrix: OutputMatrix::new(&[[1.0].into()]).unwrap(),
+            gain: SymmetricMatrix::Scalar(1.0).unfold(),
+            neighbours: &NEIGHBOURS,
+        };
+        let projection =
+            ProjectionParams { radius: 9.0, boundary_layer: 1.0, smoothing: 0.1, smoothness: 1 };
+        let outer_law = OuterLawParams { gain: SymmetricMatrix::Scalar(1.0), projection };
+        let trigger =
+            TriggerParams { hold_error_weight: 1e-9, consensus_weight: 0.0, threshold: 1e9 };
+        let params = AgentParams::new(1, 1e-3, observer, outer_law, trigger).unwrap();
+        params.with_exchange(exchange).unwrap()
+    }
+
+    #[test]
+    fn a_silent_neighbour_leaves_the_consensus_term() {
+        const NO_NETWORK: Option<&InnerNetwork<&[f32]>> = None;
+        let fades = ExchangeParams { fade_from: 2, fade_to: 4, ..ExchangeParams::PAPER };
+        for (exchange, expected) in [
+            (ExchangeParams::PAPER, [20.0, 20.0, 20.0, 20.0, 20.0, 20.0]),
+            (fades, [20.0, 20.0, 20.0, 10.0, 0.0, 0.0]),
+        ] {
+            let params = params(exchange);
+            let mut state =
+                AgentState::<1, 1, _>::new(&params, [0.0].into(), &[0.0], [None]).unwrap();
+            let mut inbox = Inbox::new([None]);
+            let frame = Frame { sender: 9, sequence: 0, tick: 0, estimate: [10.0].into() };
+            inbox.accept(&NEIGHBOURS, &frame.encode()).unwrap();
+            let terms = expected.map(|_| {
+                let tick = state.last_tick.map_or(0, |tick| tick + 1);
+                state.step(&params, NO_NETWORK, tick, &[0.0], &mut inbox).unwrap();
+                state.consensus_term()[0]
+            });
+            assert_eq!(terms, expected);
+        }
+    }
+
+    #[test]
+    fn a_late_sample_is_moved_on_by_the_mean_velocity() {
+        let exchange = ExchangeParams { delay: 10, smoothing: 2, ..ExchangeParams::PAPER };
+        let mut state = Exchange::<1>::new();
+        state.follow(&exchange, &[4.0].into());
+        assert_eq!(state.velocity[0], 2.0);
+        let sample = Hold::new([1.0].into(), 90, 0);
+        let arrived = state.arrived(&exchange, 1e-3, &sample, None, 100);
+        assert_eq!(arrived.estimate()[0], 1.0 + 2.0 * (10.0 * 1e-3));
+        assert_eq!(arrived.age_here(105), 15);
+        // Numbers that overflow do not reach the observer.
+        state.follow(&exchange, &[f32::MAX].into());
+        state.follow(&exchange, &[-f32::MAX].into());
+        assert!(state.velocity[0].is_finite());
+        let largest = Hold::new([f32::MAX].into(), 90, 0);
+        state.velocity = [f32::MAX].into();
+        let arrived = state.arrived(&exchange, 1e30, &largest, None, 100);
+        assert_eq!(arrived.estimate()[0], f32::MAX);
+    }
+
+    #[test]
+    fn contradictions_are_refused() {
+        let params = |exchange: ExchangeParams| exchange.validate().is_ok();
+        assert!(params(ExchangeParams::PAPER));
+        let off = ExchangeParams::PAPER;
+        assert!(params(ExchangeParams { gap: 5, ..off }));
+        assert!(!params(ExchangeParams { gap: 5, heartbeat: 4, ..off }));
+        assert!(!params(ExchangeParams { fade_from: 5, fade_to: 4, ..off }));
+    }
+}
