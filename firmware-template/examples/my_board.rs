@@ -15,6 +15,7 @@ use std::convert::Infallible;
 use std::num::NonZeroU32;
 use std::rc::Rc;
 
+use agent_core::agent::exchange::ExchangeParams;
 use agent_core::health::HealthSettings;
 use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::observer::outer_law::OuterLawParams;
@@ -223,7 +224,7 @@ fn fallback() -> Option<AgentConfig<'static>> {
         },
         trigger: TriggerParams { hold_error_weight: 1e4, consensus_weight: 0.5, threshold: 0.1 },
         step_size: PERIOD,
-        exchange: agent_core::agent::exchange::ExchangeParams::PAPER,
+        exchange: ExchangeParams::PAPER,
     })
 }
 

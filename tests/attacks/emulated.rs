@@ -155,15 +155,18 @@ pub(super) fn with_a_radio(tries: u64, seed: u64) -> Outcome {
         }
         let measurement = [(step as f32 * 0.01).sin()];
         let mut frames: Vec<Vec<u8>> = of_neighbour.clone();
-        twin.feed(borrowed(&frames), &measurement).unwrap();
-        neighbour.feed(borrowed(&of_twin), &[(step as f32 * 0.013).cos()]).unwrap();
+        twin.hand(borrowed(&frames));
+        twin.feed(1, Some(&measurement)).unwrap();
+        neighbour.hand(borrowed(&of_twin));
+        neighbour.feed(1, Some(&[(step as f32 * 0.013).cos()])).unwrap();
         // The stranger's come before, between and after the true ones.
         for _ in 0..FRAMES {
             let place = random.random_range(0..=frames.len());
             frames.insert(place, forged(&recorded, &mut random));
         }
         outcome.tries += FRAMES;
-        attacked.feed(borrowed(&frames), &measurement).unwrap();
+        attacked.hand(borrowed(&frames));
+        attacked.feed(1, Some(&measurement)).unwrap();
         let (found, expected) = (attacked.turn().unwrap(), twin.turn().unwrap());
         outcome.accepted += u64::from(!is_same(&found, &expected));
         of_twin = expected.frames;

@@ -95,3 +95,43 @@ fn cosim_in_qemu_has_the_same_bits_with_keys() {
         assert_eq!(board["compared"], 800);
     }
 }
+
+/// Loss, delay, duplicates, corruption, a partition, drifting clocks, missing measurements, a reboot and
+/// a late joiner: the built-in scenario, with its times moved to the start.
+#[test]
+#[ignore = "requires the firmware and QEMU; run `cargo xtask test`"]
+fn cosim_in_qemu_has_the_same_bits_in_the_field() {
+    let folder = Folder::new("cosim-qemu-field");
+    let mut text = host_sim::scenario::built_in("field").unwrap().to_owned();
+    for (from, to) in [
+        ("from = 32.0\nto = 32.5", "from = 2.2\nto = 2.4"),
+        ("from = 0.0\nto = 3.0", "from = 0.0\nto = 0.3"),
+        ("from = 26.0\nto = 26.8", "from = 1.6\nto = 1.9"),
+        ("drift = -35.0, offset = 0.4", "drift = -3500.0, offset = 0.4, missed = 0.01"),
+        ("drift = 20.0", "drift = 2000.0"),
+        ("collect_from = 10.0", "collect_from = 0.4"),
+        ("collect_to = 16.0", "collect_to = 1.0"),
+        ("apply_at = 20.0", "apply_at = 1.2"),
+        ("smoothing_window = 0.4", "smoothing_window = 0.02\nswitch_in = \"always\""),
+        ("decimation = 20", "decimation = 2"),
+        ("epochs = 60", "epochs = 4"),
+    ] {
+        assert!(text.contains(from), "{from}");
+        text = text.replace(from, to);
+    }
+    folder.write("early.toml", &text);
+    let report = cosim(&folder, &firmware(), "early.toml --steps 4000");
+    assert!(report["first_mismatch"].is_null(), "{}", report["first_mismatch"]);
+    let boards = report["boards"].as_array().unwrap();
+    let of =
+        |key: &str| boards.iter().map(|board| board[key].as_u64().unwrap()).collect::<Vec<_>>();
+    assert_eq!((of("restarts"), of("switches")), (vec![0, 1, 1], vec![1, 1, 1]));
+    let compared = of("compared");
+    // Agent 2 is down for 300 steps, and misses one in a hundred and those that its clock lacks.
+    assert_eq!((compared[0], compared[2]), (4_000, 3_700));
+    assert!((3_600..3_680).contains(&compared[1]), "{compared:?}");
+    // Authentic frames exchange hello and sync, which simulated agents do not.
+    let keys = format!("cosim early.toml --network-key --firmware {} --steps 9", firmware());
+    let error = folder.fail(&keys, 2);
+    assert!(error.contains("leave out --keys and --network-key"), "{error}");
+}

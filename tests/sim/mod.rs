@@ -4,6 +4,7 @@ mod determinism;
 mod examples;
 mod levenberg_marquardt;
 mod links;
+mod networks;
 mod packages;
 mod paper_run;
 pub(crate) mod reproduce;

@@ -8,6 +8,7 @@ use serde::Serialize;
 use super::baselines::{Baseline, Baselines};
 use super::health::HealthReport;
 use super::seeds::Spread;
+use crate::engine::RunResult;
 use crate::files::output::OutputError;
 use crate::files::table::{Row, write_table};
 use crate::report::columns::aligned;
@@ -97,6 +98,30 @@ pub(super) fn text(
     if agents.len() > LINES {
         text += &format!("and {} more agents, in agents.csv\n\n", agents.len() - LINES);
         text += &spread(agents, &errors);
+    }
+    text.push('\n');
+    text
+}
+
+/// Returns what became of the frames, and what each layer of the link did; nothing for the paper's link.
+pub(super) fn traffic(result: &RunResult, agents: &[AgentReport]) -> String {
+    if result.layers.is_empty() {
+        return String::new();
+    }
+    let sum = |count: fn(&AgentReport) -> Option<u64>| agents.iter().filter_map(count).sum::<u64>();
+    let (delivered, lost) = (sum(|agent| agent.frames_delivered), sum(|agent| agent.frames_lost));
+    let airtime: f64 = agents.iter().filter_map(|agent| agent.airtime_s).sum();
+    let mut text = format!(
+        "Link: {} frames sent, {} bytes, {} s on air; one copy for each neighbour: {delivered} delivered, \
+         {lost} lost\n",
+        sum(|agent| Some(agent.frames_sent)),
+        sum(|agent| Some(agent.bytes_sent)),
+        number(Some(airtime)),
+    );
+    let did = result.layers.iter().filter(|layer| layer.count > 0);
+    let did: Vec<_> = did.map(|layer| format!("{} {}", layer.layer, layer.count)).collect();
+    if !did.is_empty() {
+        text += &format!("  by layer: {}\n", did.join(", "));
     }
     text.push('\n');
     text

@@ -16,6 +16,7 @@ use super::trainings::{self, TrainingSummary};
 use super::{CommandError, Common, Format, SharedProgress, agent_table, output, warnings};
 use super::{load_scenario, print_outcome, print_text};
 use crate::commands::progress::ProgressBars;
+use crate::engine::link::LayerCount;
 use crate::engine::{RunOptions, RunResult, run};
 use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_norms, events, states, write_all,
@@ -62,6 +63,8 @@ struct Report<'a> {
     baselines: States,
     agents: Vec<AgentReport>,
     trainings: Vec<TrainingSummary>,
+    /// What each layer of the link did; empty for the paper's link.
+    link: &'a [LayerCount],
     checks: ChecksReport,
     warnings: &'a [Warning],
 }
@@ -110,6 +113,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 baselines: baselines.states(),
                 agents,
                 trainings,
+                link: &result.layers,
                 checks: ChecksReport::new(&checks),
                 warnings: &warnings,
             };
@@ -118,6 +122,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Format::Text => {
             let mut text = packages_in_use(&scenario);
             text += &agent_table::text(&scenario, &agents, &baselines, name_of(&scenario));
+            text += &agent_table::traffic(&result, &agents);
             text += &trainings::text(&trainings);
             text += &health::table(&result.agents);
             text += &checks::text(&checks);

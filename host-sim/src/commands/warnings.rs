@@ -121,7 +121,8 @@ pub(super) fn after(
         );
         warn(WarningCode::FrequentBroadcasts, text);
     }
-    let needed = checks.theorem1.lumped.filter(|l| event && checks.theorem1.rho < l.estimate);
+    let applies = event && checks.design.departures.is_empty();
+    let needed = checks.theorem1.lumped.filter(|l| applies && checks.theorem1.rho < l.estimate);
     if let Some(lumped) = needed {
         let rho = checks.theorem1.rho;
         let alone = if lumped.disturbance > rho {

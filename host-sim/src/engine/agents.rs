@@ -273,7 +273,10 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         statistics.hold_error_rate_max = statistics.hold_error_rate_max.max(bounds.hold_error_rate);
         statistics.outer_weights_norm_max =
             statistics.outer_weights_norm_max.max(bounds.outer_weights_norm);
-        self.outcome = Outcome::from(&step);
+        self.outcome = match Outcome::from(&step) {
+            Outcome::Stepped if !self.is_measured => Outcome::NoMeasurement,
+            outcome => outcome,
+        };
         self.outgoing = step.broadcast().map(|frame| frame.encode());
         self.last_sample = step.sample().copied();
         self.failure = match step {

@@ -1,5 +1,6 @@
 //! The built-in agent that runs until a package arrives.
 
+use agent_core::agent::exchange::ExchangeParams;
 use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::observer::outer_law::OuterLawParams;
 use agent_core::observer::projection::ProjectionParams;
@@ -31,5 +32,6 @@ pub(crate) fn fallback() -> Option<AgentConfig<'static>> {
             threshold: 1_000.0,
         },
         step_size: 1e-3,
+        exchange: ExchangeParams::PAPER,
     })
 }

@@ -29,7 +29,7 @@ impl Layer for Duplicate {
     ) {
         if self.random.happens(edge.duplicate, transmission.at()) {
             self.duplicated += 1;
-            next(transmission.clone());
+            next(Transmission { twin: 1, ..transmission.clone() });
         }
         next(transmission);
     }

@@ -13,6 +13,8 @@ pub struct Transmission {
     pub receiver: usize,
     /// Number of the broadcast, from 0 for each sender.
     pub number: u64,
+    /// 0 for the copy itself, 1 for its duplicate.
+    pub twin: u8,
     /// When the sender handed it to the radio. \[s\]
     pub sent: f64,
     /// When it arrives. \[s\]
@@ -25,7 +27,7 @@ impl Transmission {
     /// Returns the coordinates of this copy for random numbers.
     #[must_use]
     pub fn at(&self) -> [u64; 3] {
-        [self.sender as u64, self.receiver as u64, self.number]
+        [self.sender as u64, self.receiver as u64, self.number | u64::from(self.twin) << 56]
     }
 }
 

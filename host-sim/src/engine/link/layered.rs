@@ -127,8 +127,15 @@ impl Layered {
         for neighbour in graph.neighbours(sender) {
             let receiver = neighbour.agent;
             let edge = schedule.at(sender, receiver, sent_at);
-            let transmission =
-                Transmission { sender, receiver, number, sent, arrival: end, bytes: bytes.clone() };
+            let transmission = Transmission {
+                sender,
+                receiver,
+                number,
+                twin: 0,
+                sent,
+                arrival: end,
+                bytes: bytes.clone(),
+            };
             let mut arrives = false;
             pass(layers, &edge, transmission, &mut |transmission| {
                 arrives = true;

@@ -98,18 +98,18 @@ impl Medium {
         before.is_some()
     }
 
-    /// Starts the frames that can start up to `tick`; calls `start` with each, its airtime and its end
-    /// \[s\].
+    /// Starts the frames that can start before the next tick, when new ones are handed over; calls
+    /// `start` with each, its airtime and its end \[s\].
     pub(super) fn advance(&mut self, tick: Tick, mut start: impl FnMut(&Waiting, f64, f64)) {
         // Times are multiples of the step up to rounding.
-        let now = self.time.at(tick) + 1e-6 * self.time.step_size;
+        let before = self.time.at(tick + 1) - 1e-6 * self.time.step_size;
         loop {
             let mut order: Vec<_> = self
                 .queue
                 .iter()
                 .filter_map(|&sender| self.waiting[sender].as_ref())
                 .map(|waiting| (self.earliest(waiting), waiting.since, waiting.sender))
-                .filter(|(earliest, ..)| *earliest <= now)
+                .filter(|(earliest, ..)| *earliest < before)
                 .collect();
             if order.is_empty() {
                 break;
@@ -119,7 +119,7 @@ impl Medium {
                 // One that started before may have taken the medium.
                 let Some(waiting) = self.waiting[sender].clone() else { continue };
                 let begins = self.earliest(&waiting);
-                if begins <= now {
+                if begins < before {
                     self.occupy(&waiting, begins, &mut start);
                 }
             }

@@ -145,3 +145,6 @@ impl Link for ScenarioLink {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
