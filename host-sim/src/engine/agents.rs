@@ -104,7 +104,7 @@ pub(super) struct SimulatedAgent<'s, const N: usize> {
     /// Its health monitor, from the first package on.
     watch: Option<Watch<N>>,
     pub(super) statistics: AgentStatistics,
-    /// Sample of the last step, if it is usable for training.
+    /// Sample of the last step, if it is usable for training, as on a node.
     pub(super) last_sample: Option<Sample<N>>,
     /// Frame broadcast by the last step.
     pub(super) outgoing: Option<FrameBytes>,
@@ -278,7 +278,8 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             outcome => outcome,
         };
         self.outgoing = step.broadcast().map(|frame| frame.encode());
-        self.last_sample = step.sample().copied();
+        // Without a measurement the estimate says nothing new about the plant.
+        self.last_sample = step.sample().filter(|_| self.is_measured).copied();
         self.failure = match step {
             WatchedStep::Refused(error) => Some(error),
             WatchedStep::Taken(_) | WatchedStep::Restarted(_) => None,

@@ -30,6 +30,12 @@ struct Job {
     apply_at: Tick,
     inputs: Vec<f64>,
     targets: Vec<f64>,
+    /// Number of samples before each gap, and in it.
+    gaps: Vec<(usize, u64)>,
+    /// When the last sample was taken.
+    last: Option<Tick>,
+    /// When the first one was.
+    first: Option<Tick>,
     outer_weights: Option<Vec<f32>>,
     observation: Observation,
     trained: bool,
@@ -85,6 +91,9 @@ impl<'s> Learning<'s> {
             apply_at: time.tick(description.apply_at),
             inputs: Vec::new(),
             targets: Vec::new(),
+            gaps: Vec::new(),
+            last: None,
+            first: None,
             outer_weights: None,
             observation: Observation::default(),
             trained: false,
@@ -141,9 +150,16 @@ impl<'s> Learning<'s> {
             if tick >= middle {
                 job.observation.add(observation(job.agent));
             }
-            if is_due(tick, self.scenario.learning[job.cycle].stride)
+            let stride = self.scenario.learning[job.cycle].stride;
+            if is_due(tick, stride)
                 && let Some(sample) = sample(job.agent)
             {
+                let distance = job.last.replace(tick).map_or(0, |last| tick - last);
+                let missing = (distance / Tick::from(stride.get())).saturating_sub(1);
+                if missing > 0 {
+                    job.gaps.push((job.inputs.len() / sample.estimate.len(), missing));
+                }
+                job.first.get_or_insert(tick);
                 job.inputs.extend(sample.estimate.iter().map(|&x| f64::from(x)));
                 job.targets.extend(sample.derivative.iter().map(|&x| f64::from(x)));
             }
@@ -173,13 +189,15 @@ fn train(
     let targets = std::mem::take(&mut job.targets);
     let samples = Dataset::new(scenario.dimension(), inputs, targets)
         .map_err(|error| failed(error.into()))?;
-    let first = job.collect_from.next_multiple_of(Tick::from(description.stride.get()));
+    let stride = Tick::from(description.stride.get());
+    let first = job.first.unwrap_or_else(|| job.collect_from.next_multiple_of(stride));
+    let (gaps, missing) = std::mem::take(&mut job.gaps).into_iter().unzip();
     let recording = Recording {
         samples,
-        gaps: Vec::new(),
+        gaps,
         start: scenario.time.at(first),
         interval: scenario.time.step_size * f64::from(description.stride.get()),
-        timing: Timing::default(),
+        timing: Timing { missing, ..Timing::default() },
         outer_weights: job.outer_weights.clone(),
         observed: job.observation.observed(scenario.time.step_size),
     };
