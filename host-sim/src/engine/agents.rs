@@ -8,7 +8,7 @@ use agent_core::agent::{AgentParams, AgentState, StepError};
 use agent_core::health::{HealthSettings, WatchedStep};
 use agent_core::math::parameter::ParameterError;
 use agent_core::observer::feedback::Neighbour;
-use agent_core::observer::network::{InnerNetwork, LAYER_WIDTH_MAX, Scratch};
+use agent_core::observer::network::{LAYER_WIDTH_MAX, Scratch};
 use agent_core::package::{AgentConfig, Refusal, Requirements, Serial, accept};
 use agent_core::service::Outcome;
 use agent_core::wire::frame::FrameBytes;
@@ -17,14 +17,13 @@ use agent_core::{StateVector, Tick};
 use super::clock::Clock;
 use super::learning::Observation;
 use super::link::Link;
+use super::networks::{Networks, SharedNetwork};
 use super::run_observer::AgentStep;
 use super::sensor::Sensor;
 use super::statistics::AgentStatistics;
 use super::watch::{Watch, is_recoverable};
-use crate::packages::{PackageBytes, PackageParameters};
+use crate::packages::PackageBytes;
 use crate::scenario;
-
-type SharedNetwork = InnerNetwork<PackageParameters>;
 
 type HeldPlaces<const N: usize> = Vec<Option<Hold<N>>>;
 
@@ -96,8 +95,8 @@ pub(super) struct SimulatedAgent<'s, const N: usize> {
     tick: Option<Tick>,
     /// The estimate and the outer weights after a boot without a package.
     initial: (StateVector<N>, Vec<f32>),
-    /// The packages that it had first, and that it has.
-    packages: Option<(PackageBytes, PackageBytes)>,
+    /// The packages that it had first, and that it has; `None` if it never boots again.
+    packages: Option<(Option<PackageBytes>, Option<PackageBytes>)>,
     norms: Option<(GainNorms, Box<Scratch>)>,
     /// Health monitoring settings, if it is monitored.
     health: Option<HealthSettings>,
@@ -119,6 +118,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         params: AgentParams<'s, N>,
         agent: &scenario::Agent,
         (sensor, clock): (Option<Sensor>, Option<Clock>),
+        reboots: bool,
         outer_weights: &[f32],
         norms: Option<GainNorms>,
         health: Option<HealthSettings>,
@@ -145,7 +145,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             is_measured: true,
             tick: None,
             initial: (estimate, outer_weights.to_vec()),
-            packages: None,
+            packages: reboots.then_some((None, None)),
             norms: norms.map(|norms| (norms, Box::new(Scratch::NEW))),
             health,
             watch: None,
@@ -289,9 +289,13 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
 
     /// Boots again: what was in RAM is lost, the packages are kept. A node that `is_replaced` by
     /// another one has the package of the start.
-    pub(super) fn reboot(&mut self, is_replaced: bool) -> Result<(), Refusal> {
-        let packages = self.packages.clone();
-        let package = packages.map(|(first, current)| if is_replaced { first } else { current });
+    pub(super) fn reboot(
+        &mut self,
+        is_replaced: bool,
+        networks: &mut Networks,
+    ) -> Result<(), Refusal> {
+        let (first, current) = self.packages.clone().unwrap_or_default();
+        let package = if is_replaced { first } else { current };
         let (estimate, outer_weights) = &self.initial;
         let outer_weights = match &package {
             Some(package) => package.package().outer_weights,
@@ -301,7 +305,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         self.inbox.clear();
         (self.watch, self.network) = (None, None);
         if let Some(package) = &package {
-            self.load_after(package, None)?;
+            self.load_after(package, None, networks)?;
         }
         self.outgoing = Some(self.state.announcement(&self.params).encode());
         Ok(())
@@ -364,16 +368,29 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
 
     /// Switches to a package between two steps, after the checks of a node. The agent's parameters
     /// are not changed: the caller has checked that those in the package are equal.
-    pub(super) fn load(&mut self, bytes: &PackageBytes) -> Result<(), Refusal> {
-        self.load_after(bytes, self.highest)
+    pub(super) fn load(
+        &mut self,
+        bytes: &PackageBytes,
+        networks: &mut Networks,
+    ) -> Result<(), Refusal> {
+        self.load_after(bytes, self.highest, networks)
     }
 
     /// Like [`Self::load`], but goes back to the package before, as a node does when a trial fails.
-    pub(super) fn revert(&mut self, bytes: &PackageBytes) -> Result<(), Refusal> {
-        self.load_after(bytes, None)
+    pub(super) fn revert(
+        &mut self,
+        bytes: &PackageBytes,
+        networks: &mut Networks,
+    ) -> Result<(), Refusal> {
+        self.load_after(bytes, None, networks)
     }
 
-    fn load_after(&mut self, bytes: &PackageBytes, highest: Option<Serial>) -> Result<(), Refusal> {
+    fn load_after(
+        &mut self,
+        bytes: &PackageBytes,
+        highest: Option<Serial>,
+        networks: &mut Networks,
+    ) -> Result<(), Refusal> {
         let requirements = Requirements { highest, ..Requirements::ANY };
         let package = accept::<N>(bytes.as_bytes(), &requirements, &mut Scratch::NEW.clone())?;
         let watch = match &self.health {
@@ -384,9 +401,11 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         self.state.switch(neighbours, &self.params, &package, &mut self.inbox)?;
         let after = requirements.serial_after_activation(&package);
         self.highest = self.highest.max(Some(after));
-        self.network = Some(bytes.network());
-        let first = self.packages.take().map_or_else(|| bytes.clone(), |(first, _)| first);
-        self.packages = Some((first, bytes.clone()));
+        self.network = Some(networks.of(bytes));
+        if let Some((first, current)) = &mut self.packages {
+            first.get_or_insert_with(|| bytes.clone());
+            *current = Some(bytes.clone());
+        }
         self.watch = watch;
         Ok(())
     }

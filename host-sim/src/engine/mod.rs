@@ -18,6 +18,7 @@ mod clock;
 mod failure;
 mod learning;
 pub mod link;
+mod networks;
 mod run;
 pub mod run_observer;
 mod sensor;

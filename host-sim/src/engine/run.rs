@@ -11,6 +11,7 @@ use super::clock::Clock;
 use super::failure::plant_error;
 use super::learning::Learning;
 use super::link::{Link, ScenarioLink};
+use super::networks::Networks;
 use super::run_observer::{AgentStart, RunObserver, Switch};
 use super::sensor::Sensor;
 use super::traces::{Traces, squared_error};
@@ -105,9 +106,10 @@ fn run_fixed<const N: usize>(
     let mut places: Vec<_> =
         contents.iter().map(|content| ParamBuffers::new(&content.node())).collect();
     let mut agents = build_agents::<N>(scenario, &contents, &packages, &mut places, options)?;
+    let mut networks = Networks::default();
     for (index, package) in packages.iter().enumerate() {
         agents[index]
-            .load(package)
+            .load(package, &mut networks)
             .map_err(|refusal| RunError::Refused { agent: index + 1, refusal })?;
     }
     let mut simulation = Simulation {
@@ -116,6 +118,7 @@ fn run_fixed<const N: usize>(
         link,
         run_observer,
         agents,
+        networks,
         truth: initial_state(scenario),
         before: initial_state(scenario),
         process_noise: Random::new(options.seed, Purpose::ProcessNoise),
@@ -126,6 +129,8 @@ fn run_fixed<const N: usize>(
     };
     simulation.update_life(0)?;
     simulation.begin(&packages)?;
+    // Agents have taken from them what they need.
+    drop(packages);
     let trainings = simulation.all_steps(progress)?;
     Ok(simulation.finish(trainings))
 }
@@ -154,6 +159,7 @@ fn build_agents<'s, const N: usize>(
             None => params,
         };
         let time = &scenario.time;
+        let reboots = scenario.life.iter().any(|downtime| downtime.agent == index);
         let models = (
             Sensor::new(&agent.sensor, time, index, options.seed),
             Clock::new(&agent.clock, time, index, options.seed),
@@ -161,9 +167,10 @@ fn build_agents<'s, const N: usize>(
         match packages.get(index) {
             Some(package) => {
                 let outer_weights = package.package().outer_weights;
-                SimulatedAgent::new(params, agent, models, outer_weights, norms, scenario.health)
+                let health = scenario.health;
+                SimulatedAgent::new(params, agent, models, reboots, outer_weights, norms, health)
             }
-            None => SimulatedAgent::new(params, agent, models, &[0.0; N], norms, None),
+            None => SimulatedAgent::new(params, agent, models, reboots, &[0.0; N], norms, None),
         }
     });
     let agents = agents.enumerate().map(|(index, agent)| {
@@ -249,6 +256,7 @@ struct Simulation<'s, 'c, const N: usize, L> {
     link: L,
     run_observer: Option<&'c mut dyn RunObserver>,
     agents: Vec<SimulatedAgent<'s, N>>,
+    networks: Networks,
     /// `x_0` at this tick.
     truth: [f64; N],
     /// `x_0` at the tick before.
@@ -288,7 +296,11 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
         }
         for Switch { agent: index, package, back } in switches {
             let agent = &mut self.agents[index];
-            let switched = if back { agent.revert(&package) } else { agent.load(&package) };
+            let networks = &mut self.networks;
+            let switched = match back {
+                true => agent.revert(&package, networks),
+                false => agent.load(&package, networks),
+            };
             switched.map_err(|refusal| RunError::Refused { agent: index + 1, refusal })?;
         }
         Ok(ControlFlow::Continue(()))
@@ -380,7 +392,7 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
             let index = downtime.agent;
             self.down[index] = false;
             self.agents[index]
-                .reboot(downtime.is_replaced)
+                .reboot(downtime.is_replaced, &mut self.networks)
                 .map_err(|refusal| RunError::Refused { agent: index + 1, refusal })?;
         }
         for (downtime, _) in life().filter(|(_, ticks)| ticks.start == tick) {

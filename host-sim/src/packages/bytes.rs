@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use agent_core::observer::network::{Architecture, InnerNetwork};
+use agent_core::observer::network::Architecture;
 use agent_core::package::signature::{PublicKey, verify};
 use agent_core::package::{
-    CHECKED_FIRST, EncodeError, Envelope, Format, HEADER2_LENGTH, NetworkPlace, Package,
-    PackageError, Serial, check_digest, set_serial, signature_block,
+    CHECKED_FIRST, EncodeError, Envelope, Format, HEADER2_LENGTH, Package, PackageError, Serial,
+    check_digest, set_serial, signature_block,
 };
 
 use super::encode::encode;
@@ -23,7 +23,7 @@ const LENGTH_MAX: u64 = 1 << 20;
 pub struct PackageBytes {
     words: Arc<[u32]>,
     length: usize,
-    place: NetworkPlace,
+    architecture: Architecture,
 }
 
 /// Why a package file cannot be loaded.
@@ -86,8 +86,8 @@ impl PackageBytes {
         let envelope = Envelope::open(copy)?;
         check_digest(&envelope)?;
         let package = Package::from_envelope(&envelope)?;
-        let place = NetworkPlace::new(&package, copy).ok_or(PackageError::Malformed)?;
-        Ok(Self { words: words.into(), length, place })
+        let architecture = package.network.architecture().clone();
+        Ok(Self { words: words.into(), length, architecture })
     }
 
     /// Reads a package file.
@@ -121,16 +121,6 @@ impl PackageBytes {
     #[must_use]
     pub fn package(&self) -> Package<'_> {
         Package::decode(self.as_bytes()).expect("bytes that decoded before")
-    }
-
-    /// Returns the inner network, which shares the parameters in these bytes.
-    ///
-    /// # Panics
-    /// Never: the parameters were located on creation.
-    #[must_use]
-    pub fn network(&self) -> InnerNetwork<PackageParameters> {
-        let parameters = PackageParameters(self.clone());
-        InnerNetwork::new(self.architecture().clone(), parameters).expect("a decoded network")
     }
 
     /// Returns the format of the package.
@@ -234,7 +224,7 @@ impl PackageBytes {
     /// Returns widths and activations of the layers.
     #[must_use]
     pub fn architecture(&self) -> &Architecture {
-        self.place.architecture()
+        &self.architecture
     }
 }
 
@@ -246,16 +236,5 @@ impl std::fmt::Debug for PackageBytes {
             "PackageBytes({} bytes: agent {}, version {})",
             self.length, package.node.agent, package.version
         )
-    }
-}
-
-/// The inner parameters in a package, shared with it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PackageParameters(PackageBytes);
-
-impl AsRef<[f32]> for PackageParameters {
-    #[inline]
-    fn as_ref(&self) -> &[f32] {
-        self.0.place.parameters(self.0.as_bytes()).unwrap_or(&[])
     }
 }

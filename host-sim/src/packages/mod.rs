@@ -26,7 +26,7 @@ pub mod recording_source;
 pub mod refusal;
 pub mod summary;
 
-pub use bytes::{PackageBytes, PackageFileError, PackageParameters};
+pub use bytes::{PackageBytes, PackageFileError};
 pub use draft::{Draft, DraftError};
 pub use node::OwnedAgentConfig;
 pub use recording::{Recording, RecordingError, Timing};
