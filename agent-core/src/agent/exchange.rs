@@ -28,8 +28,6 @@
 //! Memory: `4 N + 8` bytes, and 12 bytes for each held sample. Cost: some 10 operations in a step, and
 //! with fading the consensus term in every step.
 
-use serde::{Deserialize, Serialize};
-
 use crate::agent::hold::Hold;
 use crate::math::numeric::{add_scaled, all_finite, difference, zeros};
 use crate::math::parameter::ParameterError;
@@ -45,7 +43,7 @@ pub const LAG_MAX: u32 = 1_000;
 pub(crate) const ENABLED: bool = cfg!(feature = "exchange");
 
 /// Parameters of the exchange, in steps; 0 turns each off.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ExchangeParams {
     /// Longest time between two broadcasts.
     pub heartbeat: u32,
@@ -67,6 +65,21 @@ impl ExchangeParams {
     /// The paper's exchange.
     pub const PAPER: Self =
         Self { heartbeat: 0, gap: 0, repeat: 0, fade_from: 0, fade_to: 0, delay: 0, smoothing: 0 };
+
+    /// Number of parameters.
+    pub(crate) const COUNT: usize = 7;
+
+    /// Returns all parameters, in the order of packages.
+    pub(crate) fn words(&self) -> [u32; Self::COUNT] {
+        let Self { heartbeat, gap, repeat, fade_from, fade_to, delay, smoothing } = *self;
+        [heartbeat, gap, repeat, fade_from, fade_to, delay, smoothing]
+    }
+
+    /// Returns the parameters from their words in a package.
+    pub(crate) fn from_words(words: &[u32; Self::COUNT]) -> Self {
+        let [heartbeat, gap, repeat, fade_from, fade_to, delay, smoothing] = *words;
+        Self { heartbeat, gap, repeat, fade_from, fade_to, delay, smoothing }
+    }
 
     /// Checks that no parameter contradicts another one.
     ///
@@ -196,7 +209,7 @@ impl<const N: usize> Exchange<N> {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "exchange"))]
 mod tests {
     extern crate std;
 

@@ -338,6 +338,7 @@ fn check_parameters<const N: usize>(package: &Package<'_>) -> Result<(), Refusal
     package.node.gain.validate_diagonal("observer.gain", N)?;
     package.node.outer_law.validate_weights(package.outer_weights.as_chunks::<N>().0)?;
     package.node.trigger.validate()?;
+    package.node.exchange.validate()?;
     positive("step_size", package.node.step_size)?;
     not_negative("broadcast_interval_min", package.broadcast_interval_min)?;
     finite("output_matrix", package.node.output_matrix)?;

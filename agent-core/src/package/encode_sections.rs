@@ -132,7 +132,10 @@ impl Package<'_> {
             writer.value(kind::PROVENANCE, &self.provenance)?;
         }
         if node.exchange != ExchangeParams::PAPER {
-            writer.value(kind::EXCHANGE, &node.exchange)?;
+            writer.section(kind::EXCHANGE, |w| {
+                let words = node.exchange.words();
+                words.iter().try_for_each(|word| w.bytes(&word.to_le_bytes()))
+            })?;
         }
         Ok(())
     }

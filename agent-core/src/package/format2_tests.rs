@@ -237,7 +237,7 @@ fn unknown_sections_are_skipped_unless_they_are_required() {
     let content = Content::new();
     let bytes = bytes_of(&content.package());
     let original = sections(&bytes);
-    for (number, content_length) in [(9, 1), (300, 4), (0x7fff, 21)] {
+    for (number, content_length) in [(10, 1), (300, 4), (0x7fff, 21)] {
         let content_bytes = std::vec![0xa5; content_length];
         let with = |kind| {
             let mut all = original.clone();
@@ -272,6 +272,59 @@ fn unknown_sections_are_skipped_unless_they_are_required() {
         let refused = verdict(&with_sections(&bytes, &all));
         assert_eq!(refused, Err(PackageError::UnknownSection { kind }));
     }
+}
+
+#[cfg(feature = "exchange")]
+#[test]
+fn an_exchange_is_carried_by_format_2() {
+    use crate::agent::exchange::ExchangeParams;
+
+    let content = Content::new();
+    let mut package = content.package();
+    let plain = bytes_of(&package);
+    package.node.exchange = ExchangeParams {
+        heartbeat: 1,
+        gap: 1,
+        repeat: 3,
+        fade_from: 4,
+        fade_to: 5,
+        delay: 6,
+        smoothing: u32::MAX,
+    };
+    let bytes = bytes_of(&package);
+    assert_eq!(bytes.len(), plain.len() + 8 + 7 * 4);
+    let decoded = Aligned::new(&bytes);
+    assert_eq!(Package::decode(decoded.bytes()), Ok(package.clone()));
+    let accepted = accept::<2>(decoded.bytes(), &ANY, &mut Scratch::NEW.clone());
+    assert_eq!(accepted, Ok(without_origin(package.clone())));
+    let mut gain = [0.0; 9];
+    let mut neighbours = [Neighbour { id: 0, weight: 0.0 }; 2];
+    let params = package.node.params::<2>(&mut neighbours, &mut gain).unwrap();
+    assert_eq!(*params.exchange(), package.node.exchange);
+    let first = package.encode(Format::One, &mut [0; 1000]);
+    assert_eq!(first, Err(EncodeError::Exchange));
+    // One byte string for each content: the paper's exchange is no section.
+    let kind = kind::EXCHANGE;
+    let with = |words: &[u8]| {
+        let mut all = sections(&plain);
+        all.push(section(kind, words));
+        verdict(&with_sections(&plain, &all))
+    };
+    assert_eq!(with(&[0; 28]), Err(PackageError::Malformed));
+    assert_eq!(with(&[1; 27]), Err(PackageError::Malformed));
+    let short = PackageError::SectionLength { kind, expected: 7, found: 6 };
+    assert_eq!(with(&[1; 24]), Err(short));
+    // A gap above the heartbeat, and a fading that ends before it begins.
+    let refused = |package: &Package<'_>, parameter, value, expected| {
+        let bytes = encoded(Format::Two, package);
+        let found = accept::<2>(bytes.bytes(), &ANY, &mut Scratch::NEW.clone()).unwrap_err();
+        let error = ParameterError::OutOfRange { parameter, value, expected };
+        assert_eq!(found, Refusal::Parameter(error));
+    };
+    package.node.exchange.gap = 2;
+    refused(&package, "exchange.gap", 2.0, "at most exchange.heartbeat");
+    package.node.exchange = ExchangeParams { gap: 0, fade_from: 6, ..package.node.exchange };
+    refused(&package, "exchange.fade_from", 6.0, "at most exchange.fade_to");
 }
 
 #[test]

@@ -100,7 +100,7 @@ struct Contents<'a> {
     trained_box: &'a [f32],
     test_vectors: &'a [f32],
     trial: Option<TrialLimits>,
-    exchange: ExchangeParams,
+    exchange: &'a [f32],
     /// Undecoded.
     provenance: Option<&'a [u8]>,
 }
@@ -121,14 +121,7 @@ impl<'a> Contents<'a> {
                     found.trial = Some(codec::whole(content).ok_or(PackageError::Malformed)?);
                     continue;
                 }
-                kind::EXCHANGE if exchange::ENABLED => {
-                    found.exchange = codec::whole(content).ok_or(PackageError::Malformed)?;
-                    // The paper's is written as no section.
-                    if found.exchange == ExchangeParams::PAPER {
-                        return Err(PackageError::Malformed);
-                    }
-                    continue;
-                }
+                kind::EXCHANGE if exchange::ENABLED => &mut found.exchange,
                 kind::PROVENANCE => {
                     found.provenance = Some(content);
                     continue;
@@ -205,7 +198,9 @@ pub(super) fn decode<'a>(
         return Err(PackageError::TrialLimitNotFinite);
     }
     let mut node = agent_config(header, sections.agent, sections.constants)?;
-    node.exchange = sections.exchange;
+    if !sections.exchange.is_empty() {
+        node.exchange = exchange_params(sections.exchange)?;
+    }
     let (low, high) = sections.trained_box.split_at_checked(n).unwrap_or_default();
     Ok(Package {
         epoch: header.serial.epoch,
@@ -221,6 +216,18 @@ pub(super) fn decode<'a>(
         provenance,
         test_vectors: sections.test_vectors,
     })
+}
+
+/// Decodes the exchange, whose words are integers.
+fn exchange_params(words: &[f32]) -> Result<ExchangeParams, PackageError> {
+    expect(kind::EXCHANGE, ExchangeParams::COUNT, words.len())?;
+    let words = bytemuck::try_cast_slice(words).map_err(|_| PackageError::Alignment)?;
+    let words = words.first_chunk().ok_or(PackageError::Malformed)?;
+    match ExchangeParams::from_words(words) {
+        // The paper's is written as no section.
+        ExchangeParams::PAPER => Err(PackageError::Malformed),
+        exchange => Ok(exchange),
+    }
 }
 
 /// Decodes the sections of the agent, of which `constants` have been checked.

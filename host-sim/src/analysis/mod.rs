@@ -126,7 +126,9 @@ impl UltimateBound {
             let largest = 2.0 * network.outer_law.bound;
             scenario.agents.len() as f64 * largest * largest / gain_min(&network.outer_law.gain)
         });
-        let applies = alpha > 0.0 && scenario.trigger.departure().is_none();
+        let applies = alpha > 0.0
+            && scenario.trigger.departure().is_none()
+            && scenario.departures().is_empty();
         applies.then_some(Self {
             initial_error_squared,
             weight_error,

@@ -3,6 +3,7 @@
 use std::ops::ControlFlow;
 
 use agent_core::Tick;
+use agent_core::math::parameter::ParameterError;
 use rayon::prelude::*;
 
 use super::agents::{GainNorms, ParamBuffers, SimulatedAgent, Surroundings};
@@ -100,17 +101,27 @@ fn run_fixed<const N: usize>(
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
     let trigger = TriggerConstants::new(scenario);
-    let contents: Vec<_> =
-        (0..scenario.agents.len()).map(|index| agent_config(scenario, &trigger, index)).collect();
-    let packages = start_packages(scenario, &trigger, &contents, options)?;
+    let content = |index| agent_config(scenario, &trigger, index);
+    let starts = Starts::new(scenario, &trigger, options)?;
     let mut places: Vec<_> =
-        contents.iter().map(|content| ParamBuffers::new(&content.node())).collect();
-    let mut agents = build_agents::<N>(scenario, &contents, &packages, &mut places, options)?;
+        (0..scenario.agents.len()).map(|index| ParamBuffers::new(&content(index).node())).collect();
     let mut networks = Networks::default();
-    for (index, package) in packages.iter().enumerate() {
-        agents[index]
-            .load(package, &mut networks)
-            .map_err(|refusal| RunError::Refused { agent: index + 1, refusal })?;
+    let mut agents = Vec::with_capacity(places.len());
+    // Only an observer needs packages after their agents have taken what they need.
+    let mut packages = Vec::new();
+    for (index, places) in places.iter_mut().enumerate() {
+        let content = content(index);
+        let package = starts.package(index, &content)?;
+        let mut agent =
+            build_agent::<N>(scenario, index, &content, package.as_ref(), places, options)
+                .map_err(|error| RunError::Parameter { agent: index + 1, error })?;
+        if let Some(package) = package {
+            agent
+                .load(&package, &mut networks)
+                .map_err(|refusal| RunError::Refused { agent: index + 1, refusal })?;
+            packages.extend(run_observer.is_some().then_some(package));
+        }
+        agents.push(agent);
     }
     let mut simulation = Simulation {
         scenario,
@@ -129,8 +140,6 @@ fn run_fixed<const N: usize>(
     };
     simulation.update_life(0)?;
     simulation.begin(&packages)?;
-    // Agents have taken from them what they need.
-    drop(packages);
     let trainings = simulation.all_steps(progress)?;
     Ok(simulation.finish(trainings))
 }
@@ -139,71 +148,85 @@ fn initial_state<const N: usize>(scenario: &Scenario) -> [f64; N] {
     std::array::from_fn(|component| scenario.initial_state[component])
 }
 
-fn build_agents<'s, const N: usize>(
+/// Creates agent `index`, which starts with the outer weights of `package`.
+fn build_agent<'s, const N: usize>(
     scenario: &Scenario,
-    contents: &[OwnedAgentConfig],
-    packages: &[PackageBytes],
-    places: &'s mut [ParamBuffers],
+    index: usize,
+    content: &OwnedAgentConfig,
+    package: Option<&PackageBytes>,
+    places: &'s mut ParamBuffers,
     options: RunOptions,
-) -> Result<Vec<SimulatedAgent<'s, N>>, RunError> {
-    let gain = spectral_norm(&scenario.design.gain);
-    let agents = scenario.agents.iter().zip(contents).zip(places).enumerate();
-    let agents = agents.map(|(index, ((agent, content), places))| {
-        let norms = options.bounds.then(|| GainNorms {
-            gain,
-            gain_output: spectral_norm(&(&scenario.design.gain * agent.output_matrix.transpose())),
-        });
-        let params = places.params::<N>(&content.node())?;
-        let params = match scenario.trigger.simulated() {
-            Some(trigger) => params.with_trigger(trigger)?,
-            None => params,
-        };
-        let time = &scenario.time;
-        let reboots = scenario.life.iter().any(|downtime| downtime.agent == index);
-        let models = (
-            Sensor::new(&agent.sensor, time, index, options.seed),
-            Clock::new(&agent.clock, time, index, options.seed),
-        );
-        match packages.get(index) {
-            Some(package) => {
-                let outer_weights = package.package().outer_weights;
-                let health = scenario.health;
-                SimulatedAgent::new(params, agent, models, reboots, outer_weights, norms, health)
-            }
-            None => SimulatedAgent::new(params, agent, models, reboots, &[0.0; N], norms, None),
+) -> Result<SimulatedAgent<'s, N>, ParameterError> {
+    let (agent, gain) = (&scenario.agents[index], &scenario.design.gain);
+    let norms = options.bounds.then(|| GainNorms {
+        gain: spectral_norm(gain),
+        gain_output: spectral_norm(&(gain * agent.output_matrix.transpose())),
+    });
+    let params = places.params::<N>(&content.node())?;
+    let params = match scenario.trigger.simulated() {
+        Some(trigger) => params.with_trigger(trigger)?,
+        None => params,
+    };
+    let time = &scenario.time;
+    let reboots = scenario.life.iter().any(|downtime| downtime.agent == index);
+    let models = (
+        Sensor::new(&agent.sensor, time, index, options.seed),
+        Clock::new(&agent.clock, time, index, options.seed),
+    );
+    match package {
+        Some(package) => {
+            let (outer_weights, health) = (package.package().outer_weights, scenario.health);
+            SimulatedAgent::new(params, agent, models, reboots, outer_weights, norms, health)
         }
-    });
-    let agents = agents.enumerate().map(|(index, agent)| {
-        agent.map_err(|error| RunError::Parameter { agent: index + 1, error })
-    });
-    agents.collect()
+        None => SimulatedAgent::new(params, agent, models, reboots, &[0.0; N], norms, None),
+    }
 }
 
-/// Returns the package that each agent starts with: the one given in the scenario, or one created
-/// from the scenario's network. Empty without a network.
-fn start_packages(
-    scenario: &Scenario,
-    trigger: &TriggerConstants,
-    contents: &[OwnedAgentConfig],
+/// What agents start with.
+struct Starts<'s> {
+    scenario: &'s Scenario,
+    trigger: &'s TriggerConstants,
     options: RunOptions,
-) -> Result<Vec<PackageBytes>, RunError> {
-    let Some(network) = &scenario.network else {
-        return match scenario.agents.iter().position(|agent| agent.package.is_some()) {
-            Some(index) => Err(RunError::PackageWithoutNetwork { agent: index + 1 }),
-            None => Ok(Vec::new()),
+    /// The scenario's network and its initial inner parameters.
+    network: Option<(&'s Network, Vec<f32>)>,
+}
+
+impl<'s> Starts<'s> {
+    fn new(
+        scenario: &'s Scenario,
+        trigger: &'s TriggerConstants,
+        options: RunOptions,
+    ) -> Result<Self, RunError> {
+        let network = match &scenario.network {
+            Some(network) => Some((network, initial_parameters(scenario, network, options.seed)?)),
+            None => None,
         };
-    };
-    let inner = initial_parameters(scenario, network, options.seed)?;
-    let agents = scenario.agents.iter().zip(contents).enumerate();
-    let packages = agents.map(|(index, (agent, content))| match &agent.package {
-        Some(package) => {
-            check_start(scenario, network, content, package, index, options)?;
-            Ok(package.clone())
+        Ok(Self { scenario, trigger, options, network })
+    }
+
+    /// Returns the package that agent `index` starts with: the one given in the scenario, or one
+    /// created from the scenario's network. `None` without a network.
+    fn package(
+        &self,
+        index: usize,
+        content: &OwnedAgentConfig,
+    ) -> Result<Option<PackageBytes>, RunError> {
+        let Self { scenario, trigger, options, network } = self;
+        let given = &scenario.agents[index].package;
+        let Some((network, inner)) = network else {
+            return match given {
+                Some(_) => Err(RunError::PackageWithoutNetwork { agent: index + 1 }),
+                None => Ok(None),
+            };
+        };
+        if let Some(package) = given {
+            check_start(scenario, network, content, package, index, *options)?;
+            return Ok(Some(package.clone()));
         }
-        None => trained::initial(scenario, trigger, network, &inner, index, options.seed)
-            .map_err(|error| RunError::Package { agent: index + 1, error }),
-    });
-    packages.collect()
+        trained::initial(scenario, trigger, network, inner, index, options.seed)
+            .map(Some)
+            .map_err(|error| RunError::Package { agent: index + 1, error })
+    }
 }
 
 /// Checks that a given package is for this agent of this scenario.

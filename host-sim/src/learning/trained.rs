@@ -361,11 +361,11 @@ fn limits(samples: &Dataset) -> (Vec<f32>, Vec<f32>) {
 }
 
 /// Returns the bound of Theorem 2 on the recorded trajectory: the hold error grows from 0 to the
-/// trigger's radius, no faster than the estimate moves. Returns 0 (not known) with another trigger,
-/// or unless every step was recorded, because faster ones may be missing. \[s\]
+/// trigger's radius, no faster than the estimate moves. Returns 0 (not known) where the theorem
+/// does not apply, or unless every step was recorded, because faster ones may be missing. \[s\]
 fn interval_bound(scenario: &Scenario, trigger: &TriggerConstants, recording: &Recording) -> f32 {
     let every_step = recording.interval < 1.5 * scenario.time.step_size;
-    let applies = scenario.trigger.departure().is_none();
+    let applies = scenario.trigger.departure().is_none() && scenario.departures().is_empty();
     let samples = &recording.samples;
     let rates = samples.targets().chunks_exact(samples.dimension());
     let rate_squared = rates

@@ -25,13 +25,18 @@ pub fn design_text(design: &DesignChecks) -> String {
         ),
         (None, None) => String::new(),
     };
-    format!(
+    let mut text = format!(
         "  K1 in the matrix inequality: {}\n\
         \x20 step: {}\n\
         \x20 trigger: {trigger}\n",
         design.gain_in_words(),
         design.step.describe(),
-    )
+    );
+    if !design.departures.is_empty() {
+        text += "  Theorems 1 and 2: not applicable, because\n";
+        text.extend(design.departures.iter().map(|clause| format!("    - {clause}\n")));
+    }
+    text
 }
 
 /// Formats all checks of a run, with a heading.
@@ -39,6 +44,10 @@ pub fn design_text(design: &DesignChecks) -> String {
 pub fn text(checks: &Checks) -> String {
     let mut text = String::from("Checks against the theory\n");
     text += &design_text(&checks.design);
+    if !checks.design.departures.is_empty() {
+        text.push('\n');
+        return text;
+    }
     text += &theorem1(checks);
     for (index, agent) in checks.theorem2.iter().enumerate().take(LINES) {
         let shortest = agent

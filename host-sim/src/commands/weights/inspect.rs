@@ -4,10 +4,12 @@ use std::fmt::Write;
 use std::path::Path;
 
 use agent_core::AgentId;
+use agent_core::agent::exchange::ExchangeParams;
 use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::package::{OnSwitch, SIGNATURE_BLOCK_LENGTH, TrialLimits};
 use serde::Serialize;
 
+use crate::number::significant;
 use crate::packages::{PackageBytes, PackageSummary};
 use crate::terminal;
 
@@ -21,6 +23,8 @@ pub(super) struct Facts {
     pub(super) replaces: Option<u32>,
     /// Limits of the trial, if the package has any.
     pub(super) trial: Option<TrialLimits>,
+    /// What the agent does about links that fail, if anything.
+    pub(super) exchange: Option<Exchange>,
     pub(super) dimension: usize,
     pub(super) layers: Vec<Layer>,
     pub(super) inner_parameters: usize,
@@ -98,6 +102,8 @@ impl Facts {
             signed,
             replaces: package.replaces,
             trial: package.trial,
+            exchange: (node.exchange != ExchangeParams::PAPER)
+                .then(|| Exchange::new(&node.exchange, node.step_size)),
             dimension: package.dimension(),
             layers: architecture
                 .layers()
@@ -233,9 +239,60 @@ impl Facts {
         line("scenario hash", self.scenario_hash.clone());
         line("made by", format!("version {}", self.tool_version));
         line("test vectors", self.test_vectors.to_string());
+        line("exchange", self.exchange.as_ref().map_or("the paper's".to_owned(), Exchange::words));
         line("limits of the trial", self.trial.as_ref().map_or("none".to_owned(), limits));
         text
     }
+}
+
+/// How an agent copes with links that fail; `None` for what it does not do. \[s\]
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Exchange {
+    heartbeat_s: Option<f64>,
+    gap_s: Option<f64>,
+    repeat_s: Option<f64>,
+    fade_s: Option<[f64; 2]>,
+    delay_s: Option<f64>,
+    smoothing_s: Option<f64>,
+}
+
+impl Exchange {
+    fn new(exchange: &ExchangeParams, step_size: f32) -> Self {
+        let seconds = |steps: u32| f64::from(steps) * significant_value(step_size);
+        let some = |steps: u32| (steps > 0).then(|| seconds(steps));
+        Self {
+            heartbeat_s: some(exchange.heartbeat),
+            gap_s: some(exchange.gap),
+            repeat_s: some(exchange.repeat),
+            fade_s: (exchange.fade_to > 0)
+                .then(|| [seconds(exchange.fade_from), seconds(exchange.fade_to)]),
+            delay_s: some(exchange.delay),
+            smoothing_s: some(exchange.smoothing),
+        }
+    }
+
+    fn words(&self) -> String {
+        let time = |words: &str, time: Option<f64>| {
+            time.map(|time| format!("{words} {} s", significant(time, 4)))
+        };
+        let fade = self.fade_s.map(|[from, to]| {
+            format!("samples fade from {} to {} s", significant(from, 4), significant(to, 4))
+        });
+        let found = [
+            time("heartbeat", self.heartbeat_s),
+            time("gap", self.gap_s),
+            time("events repeated after", self.repeat_s),
+            fade,
+            time("smallest delay", self.delay_s),
+            time("late samples moved on by the velocity over", self.smoothing_s),
+        ];
+        found.into_iter().flatten().collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// Returns a number of single precision as its shortest decimal form.
+fn significant_value(value: f32) -> f64 {
+    value.to_string().parse().unwrap_or_else(|_| f64::from(value))
 }
 
 /// Returns the limits that are there, in words.
