@@ -52,13 +52,15 @@ pub enum WarningCode {
     DenseSamples,
     /// Trained networks are not written as packages, which cannot carry the scenario's trigger.
     SimulationOnly,
+    /// Moving late samples on may be unstable: they are averaged over too short a time.
+    ShortSmoothing,
     /// The package's limits for its trial do not fit into its format.
     TrialLimitsDropped,
 }
 
 impl WarningCode {
     /// Every code.
-    pub const ALL: [Self; 21] = [
+    pub const ALL: [Self; 22] = [
         Self::StateNotCovered,
         Self::GainNotASolution,
         Self::RhoTooSmall,
@@ -79,6 +81,7 @@ impl WarningCode {
         Self::OtherScenario,
         Self::DenseSamples,
         Self::SimulationOnly,
+        Self::ShortSmoothing,
         Self::TrialLimitsDropped,
     ];
 
@@ -106,6 +109,7 @@ impl WarningCode {
             Self::OtherScenario => "other-scenario",
             Self::DenseSamples => "dense-samples",
             Self::SimulationOnly => "simulation-only",
+            Self::ShortSmoothing => "short-smoothing",
             Self::TrialLimitsDropped => "trial-limits-dropped",
         }
     }

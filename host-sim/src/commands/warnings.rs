@@ -1,7 +1,7 @@
 //! Warnings before and after a run.
 
 use super::{CommandError, ErrorCode};
-use crate::analysis::GainVerdict;
+use crate::analysis::{GainVerdict, spectral_norm};
 use crate::engine::RunResult;
 use crate::learning::judgement::outer_weights;
 use crate::number::significant;
@@ -43,6 +43,9 @@ pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning>
     if !design.step.is_stable() {
         warn(WarningCode::UnstableStep, design.step.describe());
     }
+    if let Some(text) = short_smoothing(scenario) {
+        warn(WarningCode::ShortSmoothing, text);
+    }
     if let Some(last) = last_switch(scenario)
         && scenario.time.tick(scenario.evaluation.from) < scenario.time.tick(last)
     {
@@ -81,6 +84,33 @@ pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning>
         warnings.push(Warning::new(WarningCode::HealthUntrained, text));
     }
     warnings
+}
+
+/// Returns what is wrong with `exchange.smoothing`, if it may be too short for the link.
+///
+/// With a longest delay `D` and a gain `K` of the consensus term, the linear consensus of paths, rings,
+/// stars and complete graphs of up to five agents was stable from at most `2 D max(1, K D)` on, by the
+/// eigenvalues of its discrete form.
+fn short_smoothing(scenario: &Scenario) -> Option<String> {
+    let smoothing = f64::from(scenario.exchange.smoothing) * scenario.time.step_size;
+    let rules = scenario.link.rules.iter().map(|rule| &rule.edge);
+    let edges = rules.chain([&scenario.link.edge]);
+    let delay = edges.map(|edge| edge.delay + edge.jitter).fold(0.0, f64::max);
+    let graph = &scenario.graph;
+    let weight = graph.edges().iter().map(|edge| edge.weight).fold(0.0, f64::max);
+    let degree = (0..graph.agents()).map(|agent| graph.degree(agent)).fold(0.0, f64::max);
+    let gain = spectral_norm(&scenario.design.gain) * weight.max(0.5 * degree);
+    let needed = 2.0 * delay * (gain * delay).max(1.0);
+    (smoothing > 0.0 && smoothing < needed).then(|| {
+        format!(
+            "exchange.smoothing = {} s may be too short for a delay of up to {} s: late samples are moved \
+             on by a velocity that they change themselves, and the error can grow without bound; use at \
+             least {} s, or lower design.gain",
+            significant(smoothing, 3),
+            significant(delay, 3),
+            significant(needed, 2),
+        )
+    })
 }
 
 /// Returns the time at which the last network is switched in, if any. \[s\]
@@ -229,6 +259,21 @@ mod tests {
         assert_eq!(codes(&over), [WarningCode::WindowBeforeSwitch]);
         let hint = "set evaluation.from = 20 and evaluation.to = 40";
         assert!(over[0].text.ends_with(hint), "{over:?}");
+    }
+
+    #[test]
+    fn a_smoothing_that_is_too_short_for_the_delay_is_reported() {
+        let with = |smoothing: f64| {
+            let text = PAPER.replacen("kind = \"lossless\"", "delay = 0.01", 1)
+                + &format!("\n[exchange]\nsmoothing = {smoothing}\n");
+            before_run(&Scenario::parse("paper.toml", &text).unwrap())
+        };
+        let short = with(0.05);
+        assert_eq!(codes(&short), [WarningCode::ShortSmoothing]);
+        // 2 * 0.01 * 263.23 * 0.01.
+        assert!(short[0].text.contains("use at least 0.053 s"), "{short:?}");
+        assert_eq!(with(0.053), []);
+        assert_eq!(with(0.0), []);
     }
 
     #[test]
