@@ -2,6 +2,7 @@
 
 use agent_core::AgentId;
 use agent_core::StateVector;
+use agent_core::agent::exchange::ExchangeParams;
 use agent_core::agent::region::StateBox;
 use agent_core::math::activation::Activation;
 use agent_core::math::symmetric::MatrixForm;
@@ -81,6 +82,7 @@ impl SamplePackage {
         let output_matrix = numbers(self.outputs * N);
         let gain = entries(self.gain, N);
         let outer_gain = entries(self.outer_gain, architecture.features());
+        let is_first = self.format == Format::One;
         let node = AgentConfig {
             agent: self.agent,
             output_matrix: &output_matrix,
@@ -102,8 +104,12 @@ impl SamplePackage {
                 threshold: 10.0,
             },
             step_size: 1e-3,
+            exchange: if is_first || self.version < 3 {
+                ExchangeParams::PAPER
+            } else {
+                ExchangeParams { heartbeat: self.version, fade_to: 9, ..ExchangeParams::PAPER }
+            },
         };
-        let is_first = self.format == Format::One;
         let package = Package {
             epoch: if is_first { 0 } else { self.version / 2 },
             version: self.version,

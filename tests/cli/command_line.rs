@@ -165,6 +165,8 @@ fn assert_tables(files: &BTreeMap<String, Vec<u8>>, names: &[&str]) {
             "epoch",
             "sequence",
             "broadcasts",
+            "frames_delivered",
+            "frames_lost",
             "broadcasts_no_network",
             "broadcasts_untrained",
         ];
@@ -267,8 +269,17 @@ fn run_in_json_is_one_object() {
     let folder = Folder::new("run-json");
     folder.write("mine.toml", &short().text());
     let result = object(&folder.succeed("run mine.toml --format json --seed 7"));
-    let keys =
-        ["scenario", "seed", "elapsed_s", "baselines", "agents", "trainings", "checks", "warnings"];
+    let keys = [
+        "scenario",
+        "seed",
+        "elapsed_s",
+        "baselines",
+        "agents",
+        "trainings",
+        "link",
+        "checks",
+        "warnings",
+    ];
     assert_keys(&result, &keys);
     assert_eq!((&result["scenario"], &result["seed"]), (&"scenario_builder".into(), &7.into()));
     let keys = [
@@ -281,6 +292,11 @@ fn run_in_json_is_one_object() {
         "explained_variance",
         "max_error",
         "broadcasts",
+        "frames_sent",
+        "frames_delivered",
+        "frames_lost",
+        "bytes_sent",
+        "airtime_s",
         "broadcasts_no_network",
         "broadcasts_untrained",
         "mean_interval",

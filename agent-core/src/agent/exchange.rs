@@ -14,8 +14,8 @@
 //! Clocks of agents differ, so the age is counted on the receiver's. Since a frame arrived: its steps.
 //! On its way: `arrival - tick`, of which the smallest value so far is taken for the difference of the
 //! clocks plus the smallest delay of the link, which is a parameter. That minimum rises by one step in
-//! [`LEAK`], for clocks that drift apart. A neighbour whose tick goes back, or whose frame would have
-//! been under way for more than [`LAG_MAX`] steps, has started again: its difference is estimated anew.
+//! [`LEAK`](crate::agent::hold::LEAK), for clocks that drift apart. A neighbour whose tick goes back, or whose frame would have
+//! been under way for more than [`LAG_MAX`](crate::agent::hold::LAG_MAX) steps, has started again: its difference is estimated anew.
 //!
 //! # The mean velocity
 //! `v` follows the derivative of the estimate with a time constant of `smoothing` steps `T`. With delays
@@ -32,12 +32,6 @@ use crate::agent::hold::Hold;
 use crate::math::numeric::{add_scaled, all_finite, difference, zeros};
 use crate::math::parameter::ParameterError;
 use crate::{StateVector, Tick};
-
-/// Steps after which the estimated difference of two clocks has risen by one step: 244 ppm.
-pub const LEAK: i64 = 4_096;
-
-/// Longest time on the way that is believed. \[step\]
-pub const LAG_MAX: u32 = 1_000;
 
 /// Whether the code for it is there. Without it, packages with such parameters are refused.
 pub(crate) const ENABLED: bool = cfg!(feature = "exchange");

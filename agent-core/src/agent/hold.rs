@@ -20,7 +20,6 @@
 //!
 //! Memory: `4 N + 32` bytes. Cost: a few comparisons per received sample.
 
-use crate::agent::exchange::{LAG_MAX, LEAK};
 use crate::math::numeric::{add_scaled, all_finite};
 use crate::wire::sequence::is_newer;
 use crate::{StateVector, Tick};
@@ -59,6 +58,12 @@ impl<const N: usize, S: AsRef<[Option<Hold<N>>]> + AsMut<[Option<Hold<N>>]>> Hol
 /// neighbour. At a step of 1 ms this is one second, far above the delay at which a sample is still
 /// useful to an observer with gains of some 100 / s.
 pub const RESTART_SILENCE: Tick = 1_000;
+
+/// Steps after which the estimated difference of two clocks has risen by one step: 244 ppm.
+pub const LEAK: i64 = 4_096;
+
+/// Longest time on the way that is believed. \[step\]
+pub const LAG_MAX: u32 = 1_000;
 
 impl<const N: usize> Hold<N> {
     /// Creates a hold for the sample taken at `tick` and broadcast as number `sequence`.

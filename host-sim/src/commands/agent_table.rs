@@ -159,7 +159,7 @@ pub(super) fn write_csv(path: &Path, agents: &[AgentReport]) -> Result<(), Outpu
         "frames_delivered",
         "frames_lost",
         "bytes_sent [byte]",
-        "airtime [s]",
+        "airtime_s [s]",
         "broadcasts_no_network",
         "broadcasts_untrained",
         "mean_interval [s]",

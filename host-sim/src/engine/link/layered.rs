@@ -64,8 +64,8 @@ impl Schedule {
         let holds = |window: &crate::scenario::Window| window.ticks(&self.time).contains(&tick);
         let rules =
             if self.rules.is_empty() { None } else { self.rules.get(&sorted([sender, receiver])) };
-        let rules = rules.into_iter().flatten().map(|&index| &self.link.rules[index]);
-        let rule = rules.filter(|rule| holds(&rule.window)).last();
+        let mut rules = rules.into_iter().flatten().rev().map(|&index| &self.link.rules[index]);
+        let rule = rules.find(|rule| holds(&rule.window));
         let mut edge = rule.map_or(self.link.edge, |rule| rule.edge);
         let parted = self.link.partitions.iter().any(|partition| {
             partition.group[sender] != partition.group[receiver] && holds(&partition.window)

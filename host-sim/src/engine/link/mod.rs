@@ -91,7 +91,7 @@ pub enum ScenarioLink {
     /// See [`Lossless`].
     Lossless(Lossless),
     /// See [`Layered`].
-    Layered(Layered),
+    Layered(Box<Layered>),
 }
 
 impl ScenarioLink {
@@ -101,7 +101,7 @@ impl ScenarioLink {
         if scenario.link.is_ideal() && scenario.life.is_empty() {
             Self::Lossless(Lossless::new(&scenario.graph))
         } else {
-            Self::Layered(Layered::new(scenario, seed))
+            Self::Layered(Box::new(Layered::new(scenario, seed)))
         }
     }
 }
