@@ -5,6 +5,7 @@
 //! as their states agree to the bit, nothing that the stranger sent has had any effect.
 
 use std::borrow::Cow;
+use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,14 +21,16 @@ use host_sim::keys::{FleetKeys, FleetSecret, NetworkNumbers};
 use host_sim::learning::trained;
 use host_sim::packages::PackageBytes;
 use host_sim::scenario::{PAPER, Scenario};
-use host_sim::service::Message;
 use host_sim::service::provision::NewKeys;
+use host_sim::service::{Line, Message};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::port::{Target, attack};
 use super::{Outcome, alter};
-use crate::cosim::loop_node::region;
+use crate::cosim::lockstep;
+use crate::cosim::loop_node::{Quirks, region};
+use crate::keyed::test_node::encoded;
 
 const DIMENSION: usize = 3;
 const TIMEOUT: Duration = Duration::from_secs(20);
@@ -74,7 +77,16 @@ fn node(qemu: &Qemu, package: &PackageBytes, epoch: u32) -> (Board, Vec<Vec<u8>>
 
 impl Target for Board {
     fn send(&mut self, request: &[u8]) -> Message<'static> {
-        let exchange = self.forward(request).unwrap();
+        // Random bytes are a frame or a tick now and then. The board in the loop takes these without an
+        // answer, so whether the node still answers is asked behind them.
+        let exchange = match receive(request) {
+            Some(Request::Frame { .. } | Request::Tick { .. }) => {
+                self.forward_stimulus(request).unwrap();
+                self.exchange(&Request::Query)
+            }
+            _ => self.forward(request),
+        };
+        let exchange = exchange.unwrap();
         let last = exchange.answers.last().unwrap();
         match receive::<Message<'_>>(last).unwrap() {
             Message::Refused(problem) => Message::Refused(problem),
@@ -225,4 +237,29 @@ fn forged(recorded: &[Vec<u8>], random: &mut ChaCha8Rng) -> Vec<u8> {
         _ => bytes.iter_mut().skip(1).for_each(|byte| *byte = random.random()),
     }
     bytes
+}
+
+#[test]
+fn what_the_board_in_the_loop_takes_is_no_silence() {
+    let mut board = lockstep::board(None, &Quirks::default(), false);
+    board.hello().unwrap();
+    let measurement = Some([0.5].into_iter().collect());
+    for request in [
+        Request::Frame { bytes: &[0x5a; 39] },
+        Request::Tick { periods: 0, measurement: None },
+        Request::Tick { periods: u32::MAX, measurement },
+    ] {
+        let answer = Target::send(&mut board, &encoded(&request));
+        assert!(matches!(answer, Message::Status(_)), "{request:?}: {answer:?}");
+    }
+    assert!(matches!(Target::send(&mut board, &[0xff]), Message::Refused(_)));
+}
+
+#[test]
+#[should_panic(expected = "Silent")]
+fn a_node_that_falls_silent_is_found_behind_a_frame() {
+    let (here, _there) = UnixStream::pair().unwrap();
+    let mut board = Board::new(Line::over_socket(here, &Arc::default()).unwrap(), "mute", false);
+    board.set_timeout(Duration::from_millis(20));
+    Target::send(&mut board, &encoded(&Request::Frame { bytes: &[0x5a; 39] }));
 }

@@ -214,8 +214,7 @@ impl Board {
     pub fn feed(&mut self, periods: u32, measurement: Option<&[f32]>) -> Result<(), Fault> {
         let measurement = measurement.map(numbers);
         self.client.prepare(&Request::Tick { periods, measurement });
-        let sent = self.client.flush(self.timeout);
-        sent.map_err(|error| self.line_fault(error, "readiness to receive"))
+        self.flush()
     }
 
     /// Receives the results of the step.
@@ -342,13 +341,23 @@ impl Board {
     }
 
     /// Forwards a request that another client has encoded, without its number, as it is. Otherwise
-    /// like [`Self::exchange`].
+    /// like [`Self::exchange`]. A frame or a tick would not be answered: see
+    /// [`Self::forward_stimulus`].
     ///
     /// # Errors
     /// See [`Fault`].
     pub fn forward(&mut self, request: &[u8]) -> Result<Exchange, Fault> {
         self.client.prepare_encoded(request);
         self.answer()
+    }
+
+    /// Forwards an encoded frame or tick as it is, without waiting.
+    ///
+    /// # Errors
+    /// See [`Fault`].
+    pub fn forward_stimulus(&mut self, stimulus: &[u8]) -> Result<(), Fault> {
+        self.client.prepare_encoded(stimulus);
+        self.flush()
     }
 
     /// Decrypts a request, without its number, that another client has sealed for this node. `None`
@@ -370,10 +379,15 @@ impl Board {
         seals.map_err(|error| self.push_fault("report its session", error.into()))
     }
 
+    /// Sends what is prepared.
+    fn flush(&mut self) -> Result<(), Fault> {
+        let sent = self.client.flush(self.timeout);
+        sent.map_err(|error| self.line_fault(error, "readiness to receive"))
+    }
+
     /// Sends what is prepared, and returns all messages up to the end of the answer.
     fn answer(&mut self) -> Result<Exchange, Fault> {
-        let sent = self.client.flush(self.timeout);
-        sent.map_err(|error| self.line_fault(error, "readiness to receive"))?;
+        self.flush()?;
         let mut exchange = Exchange::default();
         let deadline = Instant::now() + self.timeout;
         let mut count = 0;
