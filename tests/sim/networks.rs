@@ -200,25 +200,49 @@ fn a_late_joiner_says_nothing_before_and_a_stopped_agent_nothing_after() {
     assert!(result.agents[0].max_error().unwrap() < 20.0);
 }
 
+/// Three seconds with a short training that is applied at 1 s, and one agent down for some time.
+fn learning_while_down(agent: usize, window: Window, is_replaced: bool) -> RunResult {
+    let mut text = PAPER.to_owned();
+    for (from, to) in [
+        ("collect_from = 10.0", "collect_from = 0.2"),
+        ("collect_to = 16.0", "collect_to = 0.8"),
+        ("apply_at = 20.0", "apply_at = 1.0"),
+        ("epochs = 60", "epochs = 4"),
+        ("smoothing_window = 0.4", "smoothing_window = 0.02\nswitch_in = \"always\""),
+        ("decimation = 20", "decimation = 2"),
+    ] {
+        assert!(text.contains(from), "{from}");
+        text = text.replace(from, to);
+    }
+    let learns = Scenario::parse("early", &text).unwrap();
+    let life = vec![Downtime { agent, window, is_replaced }];
+    let Scenario { learning, recipes, .. } = learns;
+    let scenario = Scenario { life, learning, recipes, ..paper(3.0) };
+    run(&scenario, RunOptions { learning: true, ..OPTIONS }, &Silent).unwrap()
+}
+
 #[test]
 fn a_replaced_node_has_the_first_package_again() {
-    let mut scenario = paper(3.0);
-    let text = PAPER
-        .replace("collect_from = 10.0", "collect_from = 0.2")
-        .replace("collect_to = 16.0", "collect_to = 0.8")
-        .replace("apply_at = 20.0", "apply_at = 1.0")
-        .replace("epochs = 60", "epochs = 4")
-        .replace("smoothing_window = 0.4", "smoothing_window = 0.02\nswitch_in = \"always\"")
-        .replace("decimation = 20", "decimation = 2");
-    scenario.learning = Scenario::parse("early", &text).unwrap().learning;
-    scenario.recipes = Scenario::parse("early", &text).unwrap().recipes;
-    let with = |is_replaced| {
-        let window = Window { from: 1.5, to: 1.6 };
-        let life = vec![Downtime { agent: 0, window, is_replaced }];
-        let options = RunOptions { learning: true, ..OPTIONS };
-        run(&Scenario { life, ..scenario.clone() }, options, &Silent).unwrap().digest
-    };
+    let down = Window { from: 1.5, to: 1.6 };
+    let with = |is_replaced| learning_while_down(0, down, is_replaced).digest;
     assert_ne!(with(true), with(false));
+}
+
+#[test]
+fn an_agent_that_is_down_misses_its_training_and_says_so() {
+    let trained = |window| {
+        let result = learning_while_down(1, window, false);
+        (result.trainings.iter().map(|t| t.agent).collect::<Vec<_>>(), result.missed)
+    };
+    let (agents, missed) = trained(Window { from: 0.1, to: 0.9 });
+    assert_eq!(agents, [1, 3]);
+    assert_eq!(missed.len(), 1);
+    assert!(missed[0].starts_with("agent 2, cycle 1: no samples"), "{missed:?}");
+    let (agents, missed) = trained(Window { from: 0.9, to: 1.1 });
+    assert_eq!(agents, [1, 2, 3]);
+    assert!(missed[0].starts_with("agent 2 is down when"), "{missed:?}");
+    let (agents, missed) = trained(Window { from: 0.4, to: 0.5 });
+    assert_eq!((agents, missed), (vec![1, 2, 3], Vec::new()));
 }
 
 #[test]

@@ -129,6 +129,9 @@ pub(super) fn after(
     let of_trainings = run.trainings.iter().flat_map(|training| &training.warnings);
     let mut warnings = without_repetition(of_trainings.cloned(), before);
     let mut warn = |code, text: String| warnings.push(Warning::new(code, text));
+    for text in &run.missed {
+        warn(WarningCode::NotSwitchedIn, text.clone());
+    }
     if let Some(text) = unstable_run(checks) {
         warn(WarningCode::UnstableRun, text);
     }

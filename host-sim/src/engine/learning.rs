@@ -115,7 +115,10 @@ impl<'s> Learning<'s> {
     ) -> Result<(Vec<Switch>, Vec<TrainingRecord>), RunError> {
         let mut records = Vec::new();
         if self.jobs.iter().any(|job| job.apply_at == tick && !job.trained) {
-            let ready = |job: &&mut Job| job.outer_weights.is_some() && !job.trained;
+            // An agent that was down while samples were collected has none.
+            let ready = |job: &&mut Job| {
+                job.outer_weights.is_some() && !job.trained && !job.inputs.is_empty()
+            };
             let (scenario, seed) = (self.scenario, self.seed);
             let jobs: Vec<&mut Job> = self.jobs.iter_mut().filter(ready).collect();
             records = jobs
@@ -131,6 +134,12 @@ impl<'s> Learning<'s> {
             Some(Switch { agent: job.agent, package: job.package.clone()?, back: false })
         });
         Ok((switches.collect(), records))
+    }
+
+    /// Returns agent, from 0, and cycle, from 0, of the jobs due at `tick` without any sample.
+    pub(super) fn without_samples(&self, tick: Tick) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let without = move |job: &&Job| job.apply_at == tick && !job.trained;
+        self.jobs.iter().filter(without).map(|job| (job.agent, job.cycle))
     }
 
     /// Collects `sample(i)` of each learning agent `i` in the step at `tick` and, at the end of a

@@ -86,6 +86,8 @@ pub struct RunResult {
     pub trainings: Vec<TrainingRecord>,
     /// Rows of `x_0` and all `x_hat_i`; empty if the scenario records none.
     pub traces: Traces,
+    /// What agents missed of the learning cycles while they were down, in words.
+    pub missed: Vec<String>,
     /// What each layer of the link did, in their order; empty for a link without layers.
     pub layers: Vec<LayerCount>,
     /// Measurements for the theorems' bounds; `None` if not requested.

@@ -134,6 +134,7 @@ fn run_fixed<const N: usize>(
         before: initial_state(scenario),
         process_noise: Random::new(options.seed, Purpose::ProcessNoise),
         down: vec![false; scenario.agents.len()],
+        missed: Vec::new(),
         traces: empty_traces(scenario),
         bounds: options.bounds.then(|| BoundsMeter::new(scenario)),
         digest: Fnv::default(),
@@ -287,6 +288,8 @@ struct Simulation<'s, 'c, const N: usize, L> {
     process_noise: Random,
     /// Whether each agent is down.
     down: Vec<bool>,
+    /// What agents missed of the learning cycles.
+    missed: Vec<String>,
     traces: Traces,
     bounds: Option<BoundsMeter<'s>>,
     digest: Fnv,
@@ -344,6 +347,7 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
                 let mut records;
                 (switches, records) = learning.switches_due(tick, progress)?;
                 trainings.append(&mut records);
+                self.note_missed(&mut switches, learning.without_samples(tick));
             }
             if let ControlFlow::Break(()) = self.switch(tick, switches)? {
                 return Ok(trainings);
@@ -385,6 +389,33 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
         self.note(steps, false);
         progress.step(steps, steps);
         Ok(trainings)
+    }
+
+    /// Leaves out the packages for agents that are down, and notes what agents miss by that.
+    fn note_missed(
+        &mut self,
+        switches: &mut Vec<Switch>,
+        without_samples: impl Iterator<Item = (usize, usize)>,
+    ) {
+        let missed = without_samples.map(|(agent, cycle)| {
+            format!(
+                "agent {}, cycle {}: no samples, because it took no step in that time or had no \
+                 measurement; it keeps its network",
+                agent + 1,
+                cycle + 1
+            )
+        });
+        self.missed.extend(missed);
+        switches.retain(|switch| {
+            let down = self.down[switch.agent];
+            if down {
+                let agent = switch.agent + 1;
+                self.missed.push(format!(
+                    "agent {agent} is down when its trained network is switched in; it keeps the one before"
+                ));
+            }
+            !down
+        });
     }
 
     /// Adds the noise that drove the plant in the step at `tick`.
@@ -526,6 +557,7 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
         }
         RunResult {
             layers: self.link.layer_counts(),
+            missed: self.missed,
             agents: self.agents.into_iter().map(SimulatedAgent::finish).collect(),
             trainings,
             traces: self.traces,

@@ -53,7 +53,9 @@ impl Sensor {
         self.has_value = !self.drop_outs.happens(self.settings.drop_out, [self.agent, 0, tick]);
         if self.has_value {
             for (output, (exact, measured)) in exact.iter().zip(measured).enumerate() {
-                *measured = self.value(*exact, time, [self.agent, output as u64, tick]) as f32;
+                let value = self.value(*exact, time, [self.agent, output as u64, tick]);
+                // A converter has a largest value.
+                *measured = value.clamp(f32::MIN.into(), f32::MAX.into()) as f32;
             }
         }
         self.has_value
@@ -64,7 +66,8 @@ impl Sensor {
         let SensorSettings { period, phase, .. } = self.settings;
         // Times are multiples of the step up to rounding.
         let tolerance = 1e-6 * self.time.step_size;
-        if period <= 0.0 {
+        // A sensor that is quicker than the steps has a sample for each.
+        if period <= self.time.step_size {
             return time + tolerance >= phase;
         }
         let due = ((time - phase + tolerance) / period).floor() + 1.0;

@@ -17,6 +17,9 @@ pub struct ClockSettings {
     pub missed: f64,
 }
 
+/// Furthest ahead that a clock can be: its ticks are counted in 32 bits at a node's start. \[s\]
+const OFFSET_MAX: f64 = 1e6;
+
 /// Clocks that differ by more than this are broken. \[ppm\]
 const DRIFT_MAX: f64 = 100_000.0;
 
@@ -40,7 +43,9 @@ pub(super) fn settings(
         value.number_in("-100000 to 100000 ppm", |drift| drift.abs() <= DRIFT_MAX)
     })?;
     Ok(ClockSettings {
-        offset: or("offset", default.offset)?,
+        offset: table.get("offset", "0.1").map_or(Ok(default.offset), |value| {
+            value.number_in("0 to 1000000 seconds", |offset| (0.0..=OFFSET_MAX).contains(&offset))
+        })?,
         drift,
         jitter: or("jitter", default.jitter)?,
         missed: table.get("missed", "0.01").map_or(Ok(default.missed), |v| v.probability())?,

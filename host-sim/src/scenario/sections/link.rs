@@ -111,6 +111,9 @@ const EDGE_KEYS: [&str; 6] = ["loss", "burst", "delay", "jitter", "duplicate", "
 /// Longest delay: frames in transit are kept in memory. \[s\]
 const DELAY_MAX: f64 = 3_600.0;
 
+/// Shortest slot; a byte takes longer on any radio. \[s\]
+const SLOT_MIN: f64 = 1e-6;
+
 /// Reads `[link]`.
 pub(in crate::scenario) fn link(
     root: &Table<'_>,
@@ -245,7 +248,9 @@ fn medium(table: &Table<'_>) -> Result<Option<MediumSettings>, ScenarioError> {
         };
     };
     let rate = rate.positive()?;
-    let slot = slot.map(|value| value.positive()).transpose()?;
+    let slot = slot
+        .map(|value| value.number_in("a time of at least 1e-6 seconds", |slot| slot >= SLOT_MIN));
+    let slot = slot.transpose()?;
     let slots = match (slots, slot) {
         (None, _) => 1,
         (Some(value), Some(_)) => value.integer(1..=u32::MAX)?,
