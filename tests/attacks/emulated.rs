@@ -240,7 +240,7 @@ fn forged(recorded: &[Vec<u8>], random: &mut ChaCha8Rng) -> Vec<u8> {
 }
 
 #[test]
-fn what_the_board_in_the_loop_takes_is_no_silence() {
+fn a_stimulus_without_an_answer_is_not_silence() {
     let mut board = lockstep::board(None, &Quirks::default(), false);
     board.hello().unwrap();
     let measurement = Some([0.5].into_iter().collect());

@@ -130,6 +130,11 @@ fn cosim_in_qemu_has_the_same_bits_in_the_field() {
     // Agent 2 is down for 300 steps, and misses one in a hundred and those that its clock lacks.
     assert_eq!((compared[0], compared[2]), (4_000, 3_700));
     assert!((3_600..3_680).contains(&compared[1]), "{compared:?}");
+    // The end of the run finds agent 2 down.
+    let cut = cosim(&folder, &firmware(), "early.toml --steps 1700");
+    assert_eq!((&cut["mismatches"], &cut["steps"]), (&0.into(), &1_700.into()));
+    let error = folder.fail("cosim early.toml --serve nodes --steps 9", 2);
+    assert!(error.contains("leave out --serve"), "{error}");
     // Authentic frames exchange hello and sync, which simulated agents do not.
     let keys = format!("cosim early.toml --network-key --firmware {} --steps 9", firmware());
     let error = folder.fail(&keys, 2);

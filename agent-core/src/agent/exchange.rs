@@ -15,17 +15,17 @@
 //! On its way: `arrival - tick`, of which the smallest value so far is taken for the difference of the
 //! clocks plus the smallest delay of the link, which is a parameter. That minimum rises by one step in
 //! [`LEAK`](crate::agent::hold::LEAK), for clocks that drift apart. A neighbour whose tick goes back, or whose frame would have
-//! been under way for more than [`LAG_MAX`](crate::agent::hold::LAG_MAX) steps, has started again: its difference is estimated anew.
+//! been under way for more than [`LAG_MAX`](crate::agent::hold::LAG_MAX) steps, has started again, and so does the estimate.
 //!
 //! # The mean velocity
-//! `v` follows the derivative of the estimate with a time constant of `smoothing` steps `T`. With delays
-//! `D` and a gain `K` the compensated consensus term is stable for `T > D - 1/(K dt)` steps, so `T` should
-//! be above the longest delay.
+//! `v` follows the derivative of the estimate with a time constant of `smoothing`. It feeds back what it
+//! changes, so it must be slow: with a longest delay `D` and a gain `K` of the consensus term, `smoothing`
+//! should be at least `2 D max(1, K D)`; the host warns below that.
 //!
 //! With all parameters 0 the agent is the paper's, to the bit. The feature `exchange` can be left out
 //! where flash is short; then only the paper's exchange is accepted.
 //!
-//! Memory: `4 N + 8` bytes, and 12 bytes for each held sample. Cost: some 10 operations in a step, and
+//! Memory: `4 N + 8` bytes, and 24 bytes for each held sample. Cost: some 10 operations in a step, and
 //! with fading the consensus term in every step.
 
 use crate::agent::hold::Hold;
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sender_that_starts_again_is_measured_anew() {
+    fn a_sender_that_starts_again_is_measured_again() {
         let again = [(50_000, 50_003), (10, 50_103), (20, 50_115)];
         assert_eq!(lags(3, again), [3, 3, 5]);
         // Its clock is set back by an hour, or a frame is played back.

@@ -18,7 +18,7 @@
 //! recovers from a frame whose sequence was wrongly far ahead. It does not protect against replay
 //! attacks.
 //!
-//! Memory: `4 N + 32` bytes. Cost: a few comparisons per received sample.
+//! Memory: `4 N + 44` bytes, rounded up to a multiple of 8. Cost: a few comparisons per received sample.
 
 use crate::math::numeric::{add_scaled, all_finite};
 use crate::wire::sequence::is_newer;

@@ -3,7 +3,7 @@
 //! A link can deliver at any time; the observer processes frames at its next step. An inbox has one
 //! slot per neighbour, so it can be filled from a receive routine and needs no queue.
 //!
-//! Memory: `4 N + 24` bytes per neighbour. Cost: linear in the length of the frame, plus a search
+//! Memory: that of a [`Hold`] and 8 bytes per neighbour. Cost: linear in the length of the frame, plus a search
 //! among the neighbours.
 //!
 //! A frame can carry any finite number. [`Inbox::accept_within`] also refuses implausible

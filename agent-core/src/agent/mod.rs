@@ -22,7 +22,7 @@
 //! decides when.
 //!
 //! Cost: the sum of the modules'. Memory: [`AgentState`] takes `4 N (FEATURES + 6) + 8 FEATURES`
-//! bytes, the network's scratch, and `4 N + 40` bytes per neighbour.
+//! bytes, the network's scratch, and a [`Hold`] per neighbour.
 //!
 //! Invariants: every number in the state is finite; an error leaves state and inbox unchanged.
 

@@ -2,6 +2,7 @@
 
 use super::AgentParams;
 use super::AgentState;
+use crate::agent::exchange::Exchange;
 use crate::agent::hold::HoldSlots;
 use crate::agent::region::Region;
 use crate::math::numeric::{components, zeros};
@@ -39,6 +40,7 @@ where
         self.estimate = estimate;
         self.consensus_term = zeros();
         self.output_error = zeros();
+        self.exchange = Exchange::new();
         self.sample_estimate(tick + 1);
         Ok(self.announcement(params))
     }

@@ -224,7 +224,7 @@ fn exchange_params(words: &[f32]) -> Result<ExchangeParams, PackageError> {
     let words = bytemuck::try_cast_slice(words).map_err(|_| PackageError::Alignment)?;
     let words = words.first_chunk().ok_or(PackageError::Malformed)?;
     match ExchangeParams::from_words(words) {
-        // The paper's is written as no section.
+        // The paper's is written without a section.
         ExchangeParams::PAPER => Err(PackageError::Malformed),
         exchange => Ok(exchange),
     }

@@ -103,7 +103,7 @@ pub(super) fn text(
     text
 }
 
-/// Returns what became of the frames, and what each layer of the link did; nothing for the paper's link.
+/// Returns what happened to the frames, and what each layer of the link did; nothing for the paper's link.
 pub(super) fn traffic(result: &RunResult, agents: &[AgentReport]) -> String {
     if result.layers.is_empty() {
         return String::new();

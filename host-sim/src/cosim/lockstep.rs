@@ -58,10 +58,9 @@ impl<'s, 'r> Lockstep<'s, 'r> {
         seed: u64,
     ) -> Self {
         let network_keys = setup.keys.map(FleetKeys::network_keys).unwrap_or_default();
-        let ideal = scenario.link.is_ideal() && scenario.life.is_empty();
         Self {
             setup,
-            link: (!ideal).then(|| Layered::new(scenario, seed)),
+            link: (!scenario.delivers_all()).then(|| Layered::new(scenario, seed)),
             scenario,
             nodes: Vec::new(),
             network_keys,
@@ -160,7 +159,7 @@ impl<'s, 'r> Lockstep<'s, 'r> {
     pub(super) fn query_stacks(&mut self) -> Result<(), NodeError> {
         for index in 0..self.nodes.len() {
             let node = &mut self.nodes[index];
-            if node.has_ended() {
+            if node.has_ended() || node.is_down {
                 continue;
             }
             match node.board.status() {

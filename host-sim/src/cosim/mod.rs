@@ -273,6 +273,16 @@ pub enum CosimError {
         /// Its name.
         scenario: String,
     },
+    /// Agents that are down at times, in a way that nodes cannot be.
+    #[error(
+        "scenario {scenario} has agents that are down at times: co-simulation takes emulated nodes down only \
+         while it serves no clients, and does not replace them; leave out --serve, other boards, and \
+         replaced = true, or remove [[life]]"
+    )]
+    Life {
+        /// Its name.
+        scenario: String,
+    },
     /// Clients cannot be served.
     #[error("{}: {error}; choose another folder with a short path with --serve", path.display())]
     Serve {
@@ -320,9 +330,13 @@ pub fn cosimulate(
     progress: &dyn Progress,
 ) -> Result<CosimReport, CosimError> {
     let scenario = prepared(scenario)?;
-    let is_ideal = scenario.link.is_ideal() && scenario.life.is_empty();
-    if setup.keys.is_some() && !is_ideal {
+    if setup.keys.is_some() && !scenario.delivers_all() {
         return Err(CosimError::KeysOverLinks { scenario: scenario.name });
+    }
+    if !scenario.life.is_empty()
+        && (service.is_some() || scenario.life.iter().any(|downtime| downtime.is_replaced))
+    {
+        return Err(CosimError::Life { scenario: scenario.name });
     }
     let relay = service.map(|service| Relay::new(service, &scenario, seed)).transpose()?;
     let mut lockstep = Lockstep::new(setup, relay, &scenario, seed);

@@ -303,6 +303,9 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         };
         self.state.begin(&self.params, *estimate, outer_weights)?;
         self.inbox.clear();
+        if let Some(sensor) = &mut self.sensor {
+            sensor.restart();
+        }
         (self.watch, self.network) = (None, None);
         if let Some(package) = &package {
             self.load_after(package, None, networks)?;
@@ -346,7 +349,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         let errors = self.state.output_error(&self.params);
         Observation {
             squares: errors.iter().fold(0.0, |sum, &e| sum + f64::from(e) * f64::from(e)),
-            outputs: errors.len() as u64,
+            outputs: if self.is_measured { errors.len() as u64 } else { 0 },
             broadcasts: u64::from(self.outgoing.is_some()),
             steps: 1,
         }

@@ -8,8 +8,8 @@
 //! 4. broadcasts of `t_(k+1)` are sent over the link, in ascending order of agents,
 //! 5. the plant is integrated to `t_(k+1)`.
 //!
-//! A run is a pure function of scenario, seed and link. Agents only read frames sent in the
-//! previous tick, so they can be stepped in parallel, and the result is the same to the last bit
+//! A run is a pure function of scenario, seed and link. Agents only read frames that the link
+//! has delivered before any of them steps, so they can be stepped in parallel, and the result is the same to the last bit
 //! for any number of threads.
 
 mod agents;

@@ -12,13 +12,13 @@ use crate::packages::PackageBytes;
 /// A network whose parameters may be those of other agents, too.
 pub(super) type SharedNetwork = InnerNetwork<Arc<[f32]>>;
 
-/// The networks in use so far.
+/// The newest networks in use.
 #[derive(Debug, Default)]
 pub(super) struct Networks {
-    networks: Vec<SharedNetwork>,
+    newest: Vec<SharedNetwork>,
 }
 
-/// Networks that are searched for equal ones: the newest. Trained networks all differ.
+/// Networks that are kept to be found again: the newest. Trained networks all differ.
 const SEARCHED: usize = 8;
 
 impl Networks {
@@ -26,20 +26,22 @@ impl Networks {
     pub(super) fn of(&mut self, package: &PackageBytes) -> SharedNetwork {
         let content = package.package();
         let network = &content.network;
-        let newest = self.networks.len().saturating_sub(SEARCHED);
         let equals = |known: &&SharedNetwork| {
-            let bits =
-                |parameters: &[f32]| parameters.iter().map(|p| p.to_bits()).collect::<Vec<_>>();
+            let bits = |parameter: &f32| parameter.to_bits();
+            let parameters = network.parameters().iter().map(bits);
             known.architecture() == network.architecture()
-                && bits(known.parameters()) == bits(network.parameters())
+                && parameters.eq(known.parameters().iter().map(bits))
         };
-        if let Some(known) = self.networks[newest..].iter().find(equals) {
+        if let Some(known) = self.newest.iter().find(equals) {
             return known.clone();
         }
         let parameters = network.parameters().into();
         let shared = InnerNetwork::new(network.architecture().clone(), parameters)
             .expect("the parameters of a network");
-        self.networks.push(shared.clone());
+        if self.newest.len() == SEARCHED {
+            self.newest.remove(0);
+        }
+        self.newest.push(shared.clone());
         shared
     }
 }

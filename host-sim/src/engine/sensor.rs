@@ -61,6 +61,11 @@ impl Sensor {
         self.has_value
     }
 
+    /// Forgets the last sample.
+    pub(super) fn restart(&mut self) {
+        self.has_value = false;
+    }
+
     /// Returns whether a sample is due at `time` \[s\].
     fn is_due(&mut self, time: f64) -> bool {
         let SensorSettings { period, phase, .. } = self.settings;

@@ -19,7 +19,7 @@ pub struct AgentStatistics {
     min_interval: Option<Tick>,
     /// Length of all frames that the agent broadcast. \[byte\]
     pub bytes_sent: u64,
-    /// What became of the agent's frames; `None` if the link does not count.
+    /// What happened to the agent's frames; `None` if the link does not count.
     pub traffic: Option<Traffic>,
     /// Number of received frames that the agent refused.
     pub frames_refused: u64,

@@ -117,7 +117,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let disturbance = disturbance::disturbance(root, &plant)?;
     let design = gains::design(root, n)?;
     let network = network::network(root, n)?;
-    let agents = agents::agents(root, n, sensor::sensor(root)?, clock::clock(root)?)?;
+    let agents = agents::agents(root, n, sensor::sensor(root)?, clock::clock(root, &time)?, &time)?;
     let graph = agents::graph(root, agents.len())?;
     let link = link::link(root, &time, &graph)?;
     let life = life::life(root, &time, agents.len())?;

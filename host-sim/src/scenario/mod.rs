@@ -117,6 +117,12 @@ impl Scenario {
         .collect()
     }
 
+    /// Returns whether every broadcast reaches all neighbours at once and unharmed.
+    #[must_use]
+    pub fn delivers_all(&self) -> bool {
+        self.link.is_ideal() && self.life.is_empty()
+    }
+
     /// Returns the recipe with this name.
     #[must_use]
     pub fn recipe(&self, name: &str) -> Option<&Recipe> {

@@ -139,6 +139,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         None => None,
     };
     let is_emulated = |index: usize| !matches!(endpoints[index], Endpoint::At(_));
+    if scenario.life.iter().any(|downtime| !is_emulated(downtime.agent)) {
+        return Err(crate::cosim::CosimError::Life { scenario: scenario.name }.into());
+    }
     let emulated = (0..endpoints.len()).any(is_emulated);
     let qemu = emulated.then(|| emulator(arguments, &signing, timeout)).transpose()?;
     let emulators = match (qemu, &arguments.keep) {

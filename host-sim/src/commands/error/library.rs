@@ -227,7 +227,8 @@ mod nodes {
                 Self::NoNetwork { .. }
                 | Self::Health { .. }
                 | Self::Trigger(_)
-                | Self::KeysOverLinks { .. } => ErrorCode::Scenario,
+                | Self::KeysOverLinks { .. }
+                | Self::Life { .. } => ErrorCode::Scenario,
                 Self::Interrupted => ErrorCode::Interrupted,
                 Self::Run(error) => error.code(),
                 Self::Node(error) => match error.fault {

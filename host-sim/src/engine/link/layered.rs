@@ -59,7 +59,7 @@ impl Schedule {
         Self { link: link.clone(), time, rules }
     }
 
-    /// Returns what the edge does to a frame that is sent at `tick`.
+    /// Returns what the edge does to a frame that starts at `tick`.
     fn at(&self, sender: usize, receiver: usize, tick: Tick) -> EdgeSettings {
         let holds = |window: &crate::scenario::Window| window.ticks(&self.time).contains(&tick);
         let rules =
@@ -123,10 +123,9 @@ impl Layered {
         bytes: &Arc<[u8]>,
     ) {
         let Self { graph, time, schedule, layers, calendar, traffic, .. } = self;
-        let sent_at = time.tick(sent);
         for neighbour in graph.neighbours(sender) {
             let receiver = neighbour.agent;
-            let edge = schedule.at(sender, receiver, sent_at);
+            let edge = schedule.at(sender, receiver, now);
             let transmission = Transmission {
                 sender,
                 receiver,
@@ -190,6 +189,13 @@ impl Link for Layered {
             self.arrived[receiver].clear();
         }
         if let Some(medium) = &mut self.medium {
+            for (sender, down) in self.down.iter().enumerate() {
+                // A node without power sends nothing.
+                if down.iter().any(|ticks| ticks.contains(&tick)) && medium.withdraw(sender) {
+                    self.replaced += 1;
+                    self.traffic[sender].lost += self.graph.neighbours(sender).len() as u64;
+                }
+            }
             let mut started = Vec::new();
             medium.advance(tick, |frame, airtime, end| started.push((frame.clone(), airtime, end)));
             for (frame, airtime, end) in started {

@@ -2,7 +2,8 @@
 //!
 //! A frame occupies the medium at its sender and at the sender's neighbours. It starts as soon as it is
 //! free at all of them, so no two frames collide, as with a perfect arbiter: what is left of a radio's
-//! contention is the wait. Of those that wait, the one that has waited longest starts first. A node has
+//! contention is the wait. Of those that can start at the same time, the one that has waited longest is
+//! first. A node has
 //! one frame waiting: a newer one takes its place, because an estimate is of no use once there is a
 //! newer one.
 //!
@@ -11,6 +12,9 @@
 //! symbols of four bits, 40 after a frame of more than 18 bytes.
 //!
 //! After an airtime of `a` a sender is silent for `a (1/duty_cycle - 1)`.
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
 
 use agent_core::Tick;
 
@@ -48,6 +52,35 @@ pub(super) struct Waiting {
     since: f64,
     /// When this frame was handed over. \[s\]
     pub(super) sent: f64,
+}
+
+/// When a frame can start. The greatest is the next one.
+#[derive(Debug, PartialEq)]
+struct Start {
+    time: f64,
+    since: f64,
+    sender: usize,
+}
+
+impl Start {
+    fn new(time: f64, waiting: &Waiting) -> Self {
+        Self { time, since: waiting.since, sender: waiting.sender }
+    }
+}
+
+impl Eq for Start {}
+
+impl Ord for Start {
+    fn cmp(&self, other: &Self) -> Ordering {
+        let time = other.time.total_cmp(&self.time);
+        time.then(other.since.total_cmp(&self.since)).then(other.sender.cmp(&self.sender))
+    }
+}
+
+impl PartialOrd for Start {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
 }
 
 #[derive(Debug)]
@@ -103,30 +136,32 @@ impl Medium {
     pub(super) fn advance(&mut self, tick: Tick, mut start: impl FnMut(&Waiting, f64, f64)) {
         // Times are multiples of the step up to rounding.
         let before = self.time.at(tick + 1) - 1e-6 * self.time.step_size;
-        loop {
-            let mut order: Vec<_> = self
-                .queue
-                .iter()
-                .filter_map(|&sender| self.waiting[sender].as_ref())
-                .map(|waiting| (self.earliest(waiting), waiting.since, waiting.sender))
-                .filter(|(earliest, ..)| *earliest < before)
-                .collect();
-            if order.is_empty() {
+        let waiting = self.queue.iter().filter_map(|&sender| self.waiting[sender].as_ref());
+        let mut starts: BinaryHeap<_> =
+            waiting.map(|waiting| Start::new(self.earliest(waiting), waiting)).collect();
+        // A start only moves later when another frame starts, so the first one that is still right is
+        // the next.
+        while let Some(Start { time, sender, .. }) = starts.pop() {
+            if time >= before {
                 break;
             }
-            order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
-            for (_, _, sender) in order {
-                // One that started before may have taken the medium.
-                let Some(waiting) = self.waiting[sender].clone() else { continue };
-                let begins = self.earliest(&waiting);
-                if begins < before {
-                    self.occupy(&waiting, begins, &mut start);
-                }
+            let Some(waiting) = self.waiting[sender].clone() else { continue };
+            let begins = self.earliest(&waiting);
+            if begins > time {
+                starts.push(Start::new(begins, &waiting));
+            } else {
+                self.occupy(&waiting, begins, &mut start);
             }
         }
         let waiting = &self.waiting;
         self.queue.retain(|&sender| waiting[sender].is_some());
         self.held_up += self.queue.len() as u64;
+    }
+
+    /// Withdraws the frame of this sender that waits; returns whether there is one.
+    pub(super) fn withdraw(&mut self, sender: usize) -> bool {
+        self.queue.retain(|&other| other != sender);
+        self.waiting[sender].take().is_some()
     }
 
     fn occupy(

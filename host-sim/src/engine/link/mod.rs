@@ -53,7 +53,7 @@ pub trait Link: Sync {
     /// Calls `accept` with every frame that reaches `receiver` in time for its step at `tick`.
     fn deliver(&self, receiver: usize, tick: Tick, accept: impl FnMut(&[u8]));
 
-    /// Returns what became of the frames of `sender`; `None` if the link does not count.
+    /// Returns what happened to the frames of `sender`; `None` if the link does not count.
     fn traffic(&self, sender: usize) -> Option<Traffic> {
         let _ = sender;
         None
@@ -65,7 +65,7 @@ pub trait Link: Sync {
     }
 }
 
-/// What became of the frames of one sender. A frame has one copy for each neighbour.
+/// What happened to the frames of one sender. A frame has one copy for each neighbour.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Traffic {
     /// Copies that reached a neighbour, duplicates included.
@@ -81,7 +81,7 @@ pub struct Traffic {
 pub struct LayerCount {
     /// The layer.
     pub layer: &'static str,
-    /// Number of copies of frames; of frames for the medium.
+    /// Number of copies of frames; for the medium of frames replaced, and of steps waited by them.
     pub count: u64,
 }
 
@@ -98,7 +98,7 @@ impl ScenarioLink {
     /// Creates the link of a run. `seed` is the run's seed, for layers that draw random numbers.
     #[must_use]
     pub fn new(scenario: &Scenario, seed: u64) -> Self {
-        if scenario.link.is_ideal() && scenario.life.is_empty() {
+        if scenario.delivers_all() {
             Self::Lossless(Lossless::new(&scenario.graph))
         } else {
             Self::Layered(Box::new(Layered::new(scenario, seed)))

@@ -199,7 +199,7 @@ fn a_node_that_is_down_receives_nothing() {
     assert_eq!((count(&link, "receiver-down"), link.traffic(1).unwrap().lost), (200, 200));
 }
 
-/// Returns when the frames of each arrival began and ended on a medium of 250 kbit/s. \[s\]
+/// Time on air of a frame at 250 kbit/s. \[s\]
 const AIRTIME: f64 = 8.0 * 31.0 / 250_000.0;
 
 #[test]
@@ -250,6 +250,27 @@ fn slots_and_duty_cycles_are_kept() {
     carried(&mut link, &[1], STEPS, always);
     let share = link.traffic(1).unwrap().airtime / (STEPS as f64 * 1e-3);
     assert!((0.0095..0.0101).contains(&share), "{share}");
+}
+
+#[test]
+fn a_frame_that_waits_meets_the_edge_as_it_is_when_it_starts() {
+    // 12.4 ms on air and 8 ms of gap: of three frames at once, the others start at 20.4 and 40.8 ms.
+    let rules =
+        "rate = 20000\n[[link.partitions]]\ngroups = [[1], [2, 3]]\nfrom = 0.01\nto = 0.03\n";
+    let mut link = Layered::new(&scenario(rules), 0);
+    let arrivals = carried(&mut link, &[0, 1, 2], 100, |tick| tick == 0);
+    let senders: Vec<_> = arrivals.iter().map(|a| a.sender).collect();
+    assert_eq!(senders, [0, 0, 2]);
+    // A node that loses its power does not send what waits.
+    let text = PAPER.replace("kind = \"lossless\"\n", "rate = 20000\n")
+        + "\n[[life]]\nagent = 3\nfrom = 0.01\nto = 0.2\n";
+    let mut link = Layered::new(&Scenario::parse("mine.toml", &text).unwrap(), 0);
+    let arrivals = carried(&mut link, &[0, 1, 2], 100, |tick| tick == 0);
+    assert_eq!(
+        arrivals.iter().map(|a| (a.sender, a.receiver)).collect::<Vec<_>>(),
+        [(0, 1), (1, 0)]
+    );
+    assert_eq!(link.traffic(2).unwrap().lost, 1);
 }
 
 #[test]

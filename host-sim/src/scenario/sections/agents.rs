@@ -5,14 +5,17 @@ use std::collections::BTreeSet;
 use super::clock::{self, ClockSettings};
 use super::sensor::{self, SensorSettings};
 use crate::graph::{Edge, Graph, GraphError};
-use crate::scenario::Agent;
 use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::{STATE, Table, Value, counted, has};
+use crate::scenario::{Agent, Time};
 
 const EDGE: &str = "use [agent, agent] or [agent, agent, weight]";
 
 /// Maximum number of agents.
 const AGENTS_MAX: u32 = 100_000;
+
+/// Maximum number of agents that all hear each other: two million edges.
+const COMPLETE_MAX: usize = 2_000;
 
 /// `n` is the dimension of the state; `sensor` and `clock` are those of agents without their own.
 pub(in crate::scenario) fn agents(
@@ -20,6 +23,7 @@ pub(in crate::scenario) fn agents(
     n: usize,
     sensor: SensorSettings,
     clock: ClockSettings,
+    time: &Time,
 ) -> Result<Vec<Agent>, ScenarioError> {
     let tables = root.get_tables("agents")?;
     if tables.is_empty() {
@@ -50,7 +54,7 @@ pub(in crate::scenario) fn agents(
             None => sensor,
         };
         let clock = match table.get_table("clock")? {
-            Some(own) => clock::settings(&own, clock)?,
+            Some(own) => clock::settings(&own, clock, time)?,
             None => clock,
         };
         let agent = Agent { output_matrix, initial_estimate, package: None, sensor, clock };
@@ -175,6 +179,11 @@ fn from_topology(
             path.chain(closing).map(edge).collect()
         }
         Topology::Star => (1..agents).map(|agent| edge((0, agent))).collect(),
+        Topology::Complete if agents > COMPLETE_MAX => {
+            let problem = format!("would have {} edges", agents * (agents - 1) / 2);
+            let hint = format!("use at most {COMPLETE_MAX} agents, or another topology");
+            return Err(value.error(problem, hint));
+        }
         Topology::Complete => (0..agents)
             .flat_map(|first| (first + 1..agents).map(move |second| (first, second)))
             .map(edge)

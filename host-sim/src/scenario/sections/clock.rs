@@ -1,5 +1,6 @@
 //! `[clock]`, and `clock` of an agent.
 
+use crate::scenario::Time;
 use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::Table;
 
@@ -24,9 +25,12 @@ const OFFSET_MAX: f64 = 1e6;
 const DRIFT_MAX: f64 = 100_000.0;
 
 /// Reads `[clock]`.
-pub(in crate::scenario) fn clock(root: &Table<'_>) -> Result<ClockSettings, ScenarioError> {
+pub(in crate::scenario) fn clock(
+    root: &Table<'_>,
+    time: &Time,
+) -> Result<ClockSettings, ScenarioError> {
     match root.get_table("clock")? {
-        Some(table) => settings(&table, ClockSettings::default()),
+        Some(table) => settings(&table, ClockSettings::default(), time),
         None => Ok(ClockSettings::default()),
     }
 }
@@ -35,10 +39,9 @@ pub(in crate::scenario) fn clock(root: &Table<'_>) -> Result<ClockSettings, Scen
 pub(super) fn settings(
     table: &Table<'_>,
     default: ClockSettings,
+    time: &Time,
 ) -> Result<ClockSettings, ScenarioError> {
     table.only(&["offset", "drift", "jitter", "missed"])?;
-    let or =
-        |key: &str, default: f64| table.get(key, "0.001").map_or(Ok(default), |v| v.not_negative());
     let drift = table.get("drift", "50.0").map_or(Ok(default.drift), |value| {
         value.number_in("-100000 to 100000 ppm", |drift| drift.abs() <= DRIFT_MAX)
     })?;
@@ -47,7 +50,9 @@ pub(super) fn settings(
             value.number_in("0 to 1000000 seconds", |offset| (0.0..=OFFSET_MAX).contains(&offset))
         })?,
         drift,
-        jitter: or("jitter", default.jitter)?,
+        jitter: table.get("jitter", "0.0001").map_or(Ok(default.jitter), |value| {
+            value.number_in("0 to time.step", |jitter| (0.0..=time.step_size).contains(&jitter))
+        })?,
         missed: table.get("missed", "0.01").map_or(Ok(default.missed), |v| v.probability())?,
     })
 }

@@ -142,7 +142,8 @@ fn edge_settings(table: &Table<'_>, default: EdgeSettings) -> Result<EdgeSetting
         table.get(key, "0.1").map_or(Ok(default), |value| value.probability())
     };
     let burst = match table.get("burst", "{ to_bad = 0.02, to_good = 0.2 }") {
-        Some(value) => Some(burst(&value)?),
+        // Without a way into the bad state there are no bursts.
+        Some(value) => Some(burst(&value)?).filter(|burst| burst.to_bad > 0.0),
         None => default.burst,
     };
     let delay = match table.get("delay", "0.01") {
