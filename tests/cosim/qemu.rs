@@ -133,7 +133,8 @@ fn cosim_in_qemu_has_the_same_bits_in_the_field() {
     // The end of the run finds agent 2 down.
     let cut = cosim(&folder, &firmware(), "early.toml --steps 1700");
     assert_eq!((&cut["mismatches"], &cut["steps"]), (&0.into(), &1_700.into()));
-    let error = folder.fail("cosim early.toml --serve nodes --steps 9", 2);
+    let serve = format!("cosim early.toml --serve nodes --firmware {} --steps 9", firmware());
+    let error = folder.fail(&serve, 2);
     assert!(error.contains("leave out --serve"), "{error}");
     // Authentic frames exchange hello and sync, which simulated agents do not.
     let keys = format!("cosim early.toml --network-key --firmware {} --steps 9", firmware());

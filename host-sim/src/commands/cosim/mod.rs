@@ -139,7 +139,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         None => None,
     };
     let is_emulated = |index: usize| !matches!(endpoints[index], Endpoint::At(_));
-    if scenario.life.iter().any(|downtime| !is_emulated(downtime.agent)) {
+    let is_served = arguments.serve.is_some();
+    if scenario.life.iter().any(|downtime| is_served || !is_emulated(downtime.agent)) {
         return Err(crate::cosim::CosimError::Life { scenario: scenario.name }.into());
     }
     let emulated = (0..endpoints.len()).any(is_emulated);
