@@ -122,12 +122,6 @@ pub struct Neighbour {
 /// };
 /// assert!(params.validate(1).is_ok());
 /// assert!(params.validate(2).is_err()); // an agent is not its own neighbour
-///
-/// // Agent 3 has not been heard yet and contributes nothing.
-/// let own = StateVector::<2>::new(1.0, 1.0);
-/// let heard = StateVector::<2>::new(3.0, 1.0);
-/// let term = params.consensus_term(&own, [Some(&heard), None].into_iter());
-/// assert_eq!(term, StateVector::<2>::new(1.0, 0.0));
 /// # Ok::<(), agent_core::math::parameter::ParameterError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq)]
@@ -159,24 +153,6 @@ impl<const N: usize> ObserverParams<'_, N> {
             positive("observer.neighbours.weight", neighbour.weight)?;
         }
         Ok(())
-    }
-
-    /// Returns `z_i` from the agent's own held estimate and its neighbours', given in the order of
-    /// [`Self::neighbours`]; `None` for a neighbour that has not been heard yet.
-    #[inline]
-    #[must_use]
-    pub fn consensus_term<'h>(
-        &self,
-        own: &StateVector<N>,
-        held: impl Iterator<Item = Option<&'h StateVector<N>>>,
-    ) -> StateVector<N> {
-        let mut term = zeros();
-        for (neighbour, held) in self.neighbours.iter().zip(held) {
-            if let Some(held) = held {
-                Self::add_to_consensus(&mut term, neighbour.weight, held, own);
-            }
-        }
-        term
     }
 
     /// Adds one neighbour's `a_ij (x_tilde_j - x_tilde_i)` to the consensus term.
@@ -216,11 +192,12 @@ mod tests {
     }
 
     #[test]
-    fn consensus_term_weighs_heard_neighbours_only() {
-        let neighbours = [Neighbour { id: 7, weight: 0.5 }, Neighbour { id: 9, weight: 2.0 }];
-        let (own, other) = (StateVector::<2>::new(1.0, 1.0), StateVector::<2>::new(2.0, 3.0));
-        let term = params(&neighbours).consensus_term(&own, [None, Some(&other)].into_iter());
-        assert_eq!(term, StateVector::<2>::new(2.0, 4.0));
+    fn the_consensus_term_is_a_sum_of_weighted_differences() {
+        let (own, mut term) = (StateVector::<2>::new(1.0, 1.0), StateVector::zeros());
+        for (weight, held) in [(2.0, [2.0, 3.0]), (0.5, [-1.0, 1.0])] {
+            ObserverParams::<2>::add_to_consensus(&mut term, weight, &held.into(), &own);
+        }
+        assert_eq!(term, StateVector::<2>::new(2.0 - 1.0, 4.0));
     }
 
     #[test]

@@ -303,7 +303,7 @@ fn an_exchange_is_carried_by_format_2() {
     assert_eq!(*params.exchange(), package.node.exchange);
     let first = package.encode(Format::One, &mut [0; 1000]);
     assert_eq!(first, Err(EncodeError::Exchange));
-    // One byte string for each content: the paper's exchange is no section.
+    // One byte string for each content: the paper's exchange is left out.
     let kind = kind::EXCHANGE;
     let with = |words: &[u8]| {
         let mut all = sections(&plain);

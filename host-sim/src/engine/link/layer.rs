@@ -15,8 +15,6 @@ pub struct Transmission {
     pub number: u64,
     /// 0 for the copy itself, 1 for its duplicate.
     pub twin: u8,
-    /// When the sender handed it to the radio. \[s\]
-    pub sent: f64,
     /// When it arrives. \[s\]
     pub arrival: f64,
     /// The frame, shared by its copies until one is changed.

@@ -113,15 +113,8 @@ impl Layered {
         }
     }
 
-    /// Sends a copy of a frame to each neighbour.
-    fn spread(
-        &mut self,
-        sender: usize,
-        number: u64,
-        now: Tick,
-        [sent, end]: [f64; 2],
-        bytes: &Arc<[u8]>,
-    ) {
+    /// Sends a copy of a frame that ends at `end` \[s\] to each neighbour.
+    fn spread(&mut self, sender: usize, number: u64, now: Tick, end: f64, bytes: &Arc<[u8]>) {
         let Self { graph, time, schedule, layers, calendar, traffic, .. } = self;
         for neighbour in graph.neighbours(sender) {
             let receiver = neighbour.agent;
@@ -131,7 +124,6 @@ impl Layered {
                 receiver,
                 number,
                 twin: 0,
-                sent,
                 arrival: end,
                 bytes: bytes.clone(),
             };
@@ -179,7 +171,7 @@ impl Link for Layered {
             None => {
                 self.traffic[sender].airtime += airtime(frame.len(), STANDARD_RATE);
                 let sent = self.time.at(tick);
-                self.spread(sender, number, tick, [sent, sent], &bytes);
+                self.spread(sender, number, tick, sent, &bytes);
             }
         }
     }
@@ -200,7 +192,7 @@ impl Link for Layered {
             medium.advance(tick, |frame, airtime, end| started.push((frame.clone(), airtime, end)));
             for (frame, airtime, end) in started {
                 self.traffic[frame.sender].airtime += airtime;
-                self.spread(frame.sender, frame.number, tick, [frame.sent, end], &frame.bytes);
+                self.spread(frame.sender, frame.number, tick, end, &frame.bytes);
             }
         }
         let Self { calendar, arrived, receivers, down, traffic, missed, .. } = self;

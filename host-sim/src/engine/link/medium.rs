@@ -51,7 +51,7 @@ pub(super) struct Waiting {
     /// Since when the sender has had a frame waiting. \[s\]
     since: f64,
     /// When this frame was handed over. \[s\]
-    pub(super) sent: f64,
+    sent: f64,
 }
 
 /// When a frame can start. The greatest is the next one.
