@@ -82,7 +82,7 @@ impl Link for Neighbour {
             return Ok(None);
         }
         let estimate = plant(now).into();
-        let frame = Frame { sender: 2, sequence: self.told, tick: now.into(), estimate };
+        let frame = Frame::new(2, self.told, now.into(), estimate);
         self.told += 1;
         let bytes = frame.encode();
         let place = buffer.get_mut(..bytes.len()).ok_or(LinkErrorKind::Overflow)?;
@@ -225,6 +225,7 @@ fn fallback() -> Option<AgentConfig<'static>> {
         trigger: TriggerParams { hold_error_weight: 1e4, consensus_weight: 0.5, threshold: 0.1 },
         step_size: PERIOD,
         exchange: ExchangeParams::PAPER,
+        field: &[],
     })
 }
 

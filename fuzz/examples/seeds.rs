@@ -62,7 +62,7 @@ fn main() -> io::Result<()> {
         write("package", name, &bytes)?;
     }
 
-    let frame = Frame { sender: 4, sequence: 0, tick: 1, estimate: [0.5, -1.0, 2.0].into() };
+    let frame = Frame::new(4, 0, 1, [0.5, -1.0, 2.0].into());
     let newer = Frame { sequence: 1, tick: 200, ..frame };
     let other = Frame { sender: 300, sequence: u32::MAX, tick: u64::MAX, ..frame };
     let wrapped = Frame { sequence: 0, ..other };
@@ -86,7 +86,7 @@ fn main() -> io::Result<()> {
         write("frame", name, &input)?;
     }
     let other_dimension =
-        Frame::<12> { sender: 4, sequence: 0, tick: 1, estimate: [0.5; 12].into() };
+        Frame::<12>::new(4, 0, 1, [0.5; 12].into());
     let mut input = vec![];
     Event::Received(other_dimension.encode().to_vec()).write(&mut input);
     write("frame", "other-dimension", &input)?;

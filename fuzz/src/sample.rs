@@ -109,6 +109,7 @@ impl SamplePackage {
             } else {
                 ExchangeParams { heartbeat: self.version, fade_to: 9, ..ExchangeParams::PAPER }
             },
+            field: &[],
         };
         let package = Package {
             epoch: if is_first { 0 } else { self.version / 2 },

@@ -35,6 +35,7 @@ pub mod engine;
 pub mod figures;
 pub mod files;
 pub mod flash;
+pub mod flow;
 pub mod graph;
 pub mod image;
 pub mod interruption;

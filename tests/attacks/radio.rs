@@ -72,7 +72,7 @@ impl Node {
         let mut sent = Vec::new();
         if samples || self.last.is_none() {
             let estimate = [f32::from(self.sequence as u16)].into();
-            let frame = Frame { sender: self.own, sequence: self.sequence, tick: now, estimate };
+            let frame = Frame::new(self.own, self.sequence, now, estimate);
             if let Some(bytes) = self.trust.seal(&frame, &key) {
                 self.sequence += 1;
                 self.last = Some(frame);

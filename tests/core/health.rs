@@ -96,7 +96,7 @@ fn carried_off(settings: &HealthSettings) -> Ring {
     let mut ring = settled(1, settings, false);
     for sender in [0, 1] {
         let (sequence, estimate) = (1 << 20, StateVector::repeat(1e30));
-        ring.inject(&Frame { sender, sequence, tick: ring.tick, estimate });
+        ring.inject(&Frame::new(sender, sequence, ring.tick, estimate));
     }
     ring.skip(SETTLED);
     ring
@@ -144,7 +144,7 @@ fn every_event_is_counted_exactly() {
     ring.skip(20);
     for _ in 0..4 {
         let estimate = StateVector::repeat(1e20);
-        ring.inject(&Frame { sender: 2, sequence: u32::MAX, tick: ring.tick, estimate });
+        ring.inject(&Frame::new(2, u32::MAX, ring.tick, estimate));
         ring.skip(1);
     }
     for _ in 0..5 {

@@ -206,12 +206,8 @@ fn silent_neighbours_contribute_nothing<const N: usize>(seed: u64) -> Result<(),
     let mut without = reduced.silent_members().swap_remove(0);
     for tick in 0..STEPS {
         for neighbour in &reduced.agents[0].neighbours {
-            let frame = Frame {
-                sender: neighbour.id,
-                sequence: tick as u32,
-                tick,
-                estimate: draw.vector::<N>(full.magnitude),
-            };
+            let frame =
+                Frame::new(neighbour.id, tick as u32, tick, draw.vector::<N>(full.magnitude));
             for member in [&mut with_silent, &mut without] {
                 member.inbox.accept(member.params.neighbours(), &frame.encode()).unwrap();
             }

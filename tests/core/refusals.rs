@@ -124,12 +124,7 @@ fn refused_steps<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
         }
         // An inbox for another number of neighbours is unchanged too.
         let mut other = Inbox::new(vec![None; calm.neighbours().len() + 1]);
-        let frame = Frame::<N> {
-            sender: calm.neighbours()[0].id,
-            sequence: 9,
-            tick: 9,
-            estimate: draw.vector(1.0),
-        };
+        let frame = Frame::<N>::new(calm.neighbours()[0].id, 9, 9, draw.vector(1.0));
         other.accept(calm.neighbours(), &frame.encode()).unwrap();
         let error = state.step(calm, own, STEPS, &good, &mut other).unwrap_err();
         let places = calm.neighbours().len();
@@ -151,12 +146,7 @@ fn divergence_by_a_frame<const N: usize>(seed: u64) -> Result<(), TestCaseError>
     let mut member = drawn.silent_members().swap_remove(0);
     let before = member_bits(&member);
     let neighbours = member.params.neighbours();
-    let frame = Frame::<N> {
-        sender: neighbours[0].id,
-        sequence: 0,
-        tick: 0,
-        estimate: agent_core::StateVector::repeat(f32::MAX),
-    };
+    let frame = Frame::<N>::new(neighbours[0].id, 0, 0, agent_core::StateVector::repeat(f32::MAX));
     member.inbox.accept(neighbours, &frame.encode()).unwrap();
     let measurement = vec![0.0; member.params.outputs()];
     for _ in 0..2 {
@@ -184,19 +174,14 @@ fn refused_frames<const N: usize>(seed: u64, noise: &[u8]) -> Result<(), TestCas
         // Slots for the last neighbour only, so that frames are refused for their contents.
         member.inbox.clear();
         for neighbour in &neighbours[..neighbours.len() - 1] {
-            let frame = Frame::<N> {
-                sender: neighbour.id,
-                sequence: 3,
-                tick: 3,
-                estimate: draw.vector(1.0),
-            };
+            let frame = Frame::<N>::new(neighbour.id, 3, 3, draw.vector(1.0));
             member.inbox.accept(neighbours, &frame.encode()).unwrap();
         }
         let untouched = member.clone();
         let (before, waiting) = (member_bits(&member), member.inbox.len());
 
         let sender = neighbours[neighbours.len() - 1].id;
-        let valid = Frame::<N> { sender, sequence: 7, tick: STEPS, estimate: draw.vector(1.0) };
+        let valid = Frame::<N>::new(sender, 7, STEPS, draw.vector(1.0));
         let mut refused: Vec<Vec<u8>> = vec![noise.to_vec(), Vec::new()];
         let mut bytes = valid.encode();
         let bit = draw.whole(0, 8 * bytes.len() - 1);
@@ -222,7 +207,7 @@ fn refused_frames<const N: usize>(seed: u64, noise: &[u8]) -> Result<(), TestCas
                 refused.push(again.encode().to_vec());
             }
         }
-        let longer = Frame::<4> { sender, sequence: 7, tick: STEPS, estimate: draw.vector(1.0) };
+        let longer = Frame::<4>::new(sender, 7, STEPS, draw.vector(1.0));
         refused.push(longer.encode().to_vec());
 
         for bytes in &refused {

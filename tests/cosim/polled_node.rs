@@ -421,7 +421,7 @@ fn a_node_whose_sensor_fails_goes_on_observing_from_its_neighbours() {
         for sequence in 0..400 {
             if is_heard {
                 let tick = sequence.into();
-                let frame = Frame { sender: 2, sequence, tick, estimate: neighbour };
+                let frame = Frame::new(2, sequence, tick, neighbour);
                 board.frames.push_back(Ok(frame.encode().to_vec()));
             }
             let said = turn(&mut node, &mut board);

@@ -120,7 +120,7 @@ impl Links {
     /// Returns a frame with random sequence and tick.
     fn forged(&self, sender: u32, estimate: [f32; 3], rng: &mut impl Rng) -> Vec<u8> {
         let estimate = StateVector::from(estimate);
-        let frame = Frame { sender, sequence: rng.random(), tick: rng.random(), estimate };
+        let frame = Frame::new(sender, rng.random(), rng.random(), estimate);
         frame.encode().to_vec()
     }
 }

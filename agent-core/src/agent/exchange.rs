@@ -337,7 +337,7 @@ mod tests {
             let mut state =
                 AgentState::<1, 1, _>::new(&params, [0.0].into(), &[0.0], [None]).unwrap();
             let mut inbox = Inbox::new([None]);
-            let frame = Frame { sender: 9, sequence: 0, tick: 0, estimate: [10.0].into() };
+            let frame = Frame::new(9, 0, 0, [10.0].into());
             inbox.accept(&NEIGHBOURS, &frame.encode()).unwrap();
             let terms = expected.map(|_| {
                 let tick = state.last_tick.map_or(0, |tick| tick + 1);

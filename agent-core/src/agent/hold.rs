@@ -21,8 +21,11 @@
 //! Memory: `4 N + 44` bytes, rounded up to a multiple of 8. Cost: a few comparisons per received sample.
 
 use crate::math::numeric::{add_scaled, all_finite};
+#[cfg(feature = "field")]
+use crate::observer::field::Announced;
+use crate::wire::frame::Frame;
 use crate::wire::sequence::is_newer;
-use crate::{StateVector, Tick};
+use crate::{AgentId, StateVector, Tick};
 
 /// The last sample that an agent broadcast.
 ///
@@ -46,6 +49,12 @@ pub struct Hold<const N: usize> {
     offset: Option<i64>,
     /// Steps for which the sample was on its way.
     lag: u32,
+    /// How the sample goes on, if not as in the paper.
+    #[cfg(feature = "field")]
+    announced: Option<Announced<N>>,
+    /// Steps for which it has gone on.
+    #[cfg(feature = "field")]
+    moved: u32,
 }
 
 /// One slot per neighbour, in the order of the agent's parameters; `None` until a sample arrives.
@@ -69,7 +78,65 @@ impl<const N: usize> Hold<N> {
     /// Creates a hold for the sample taken at `tick` and broadcast as number `sequence`.
     #[must_use]
     pub const fn new(sample: StateVector<N>, tick: Tick, sequence: u32) -> Self {
-        Self { sample, tick, sequence, taken_over: tick, offset: None, lag: 0 }
+        Self {
+            sample,
+            tick,
+            sequence,
+            taken_over: tick,
+            offset: None,
+            lag: 0,
+            #[cfg(feature = "field")]
+            announced: None,
+            #[cfg(feature = "field")]
+            moved: 0,
+        }
+    }
+
+    /// Returns the sample that a frame brings.
+    pub(crate) fn of_frame(frame: &Frame<N>) -> Self {
+        let hold = Self::new(frame.estimate, frame.tick, frame.sequence);
+        #[cfg(feature = "field")]
+        let hold = Self { announced: frame.announced, ..hold };
+        hold
+    }
+
+    /// Returns the sample as a frame from `sender`: as it is now, if it goes on.
+    pub(crate) fn to_frame(&self, sender: AgentId) -> Frame<N> {
+        #[cfg(feature = "field")]
+        let tick = self.tick.saturating_add(Tick::from(self.moved));
+        #[cfg(not(feature = "field"))]
+        let tick = self.tick;
+        let frame = Frame::new(sender, self.sequence, tick, self.sample);
+        #[cfg(feature = "field")]
+        let frame = Frame { announced: self.announced, ..frame };
+        frame
+    }
+
+    /// Returns how the sample goes on; `None` for the paper's hold.
+    #[cfg(feature = "field")]
+    #[must_use]
+    pub fn announced(&self) -> &Option<Announced<N>> {
+        &self.announced
+    }
+
+    /// Returns the sample with this announcement.
+    #[cfg(feature = "field")]
+    pub(crate) fn announcing(self, announced: Announced<N>) -> Self {
+        Self { announced: Some(announced), ..self }
+    }
+
+    /// Goes on by `steps` to this estimate.
+    #[cfg(feature = "field")]
+    pub(crate) fn go_on(&mut self, estimate: StateVector<N>, announced: Announced<N>, steps: u32) {
+        self.sample = estimate;
+        self.announced = Some(announced);
+        self.moved = self.moved.saturating_add(steps);
+    }
+
+    /// Whether the sample was accepted at the receiver's step `now`.
+    #[cfg(feature = "field")]
+    pub(crate) fn is_taken_over_at(&self, now: Tick) -> bool {
+        self.taken_over == now
     }
 
     /// Returns the same sample, accepted by another agent at that agent's step `now`.

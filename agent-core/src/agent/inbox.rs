@@ -30,7 +30,7 @@ use crate::wire::frame::{Frame, FrameError};
 ///
 /// let neighbours = [Neighbour { id: 2, weight: 1.0 }];
 /// let mut inbox = Inbox::<2, _>::new([None]);
-/// let frame = Frame { sender: 2, sequence: 0, tick: 0, estimate: StateVector::<2>::zeros() };
+/// let frame = Frame::new(2, 0, 0, StateVector::<2>::zeros());
 /// assert_eq!(inbox.accept(&neighbours, &frame.encode()), Ok(()));
 /// assert_eq!(inbox.len(), 1);
 ///
@@ -135,7 +135,7 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
         let place = neighbours.iter().position(|n| n.id == sender).ok_or(unknown)?;
         let is_trusted = self.is_trusted();
         let pending = self.pending.as_mut().get_mut(place).ok_or(unknown)?;
-        let sample = Hold::new(frame.estimate, frame.tick, frame.sequence);
+        let sample = Hold::of_frame(frame);
         match pending {
             // After a refused step, a frame can still be pending when the next one arrives.
             Some(waiting) if !is_trusted && !sample.is_newer_than(waiting) => {
@@ -311,7 +311,7 @@ mod tests {
         [Neighbour { id: 4, weight: 1.0 }, Neighbour { id: 9, weight: 1.0 }];
 
     fn frame(sender: crate::AgentId) -> Frame<2> {
-        Frame { sender, sequence: 5, tick: 11, estimate: [1.0, 2.0].into() }
+        Frame::new(sender, 5, 11, [1.0, 2.0].into())
     }
 
     #[test]

@@ -29,6 +29,8 @@
 pub mod capture;
 mod error;
 pub mod exchange;
+#[cfg(feature = "field")]
+mod field;
 pub mod hold;
 pub mod inbox;
 mod params;
@@ -135,6 +137,8 @@ pub struct AgentState<const N: usize, const FEATURES: usize, S> {
     output_error: StateVector<N>,
     stale_frames: u32,
     exchange: Exchange<N>,
+    #[cfg(feature = "field")]
+    field: field::Field<N, FEATURES>,
     scratch: Scratch,
 }
 
@@ -155,6 +159,8 @@ impl<const N: usize, const FEATURES: usize, S> AgentState<N, FEATURES, S> {
             output_error: zeros,
             stale_frames: 0,
             exchange: Exchange::new(),
+            #[cfg(feature = "field")]
+            field: field::Field::none(),
             scratch: Scratch::NEW,
         }
     }
@@ -212,6 +218,10 @@ where
         self.output_error = zeros();
         self.stale_frames = 0;
         self.exchange = Exchange::new();
+        #[cfg(feature = "field")]
+        {
+            self.field = field::Field::none();
+        }
         Ok(())
     }
 
@@ -226,12 +236,7 @@ where
     /// neighbour that joined late.
     #[must_use]
     pub fn announcement(&self, params: &AgentParams<'_, N>) -> Frame<N> {
-        Frame {
-            sender: params.id,
-            sequence: self.own_hold.sequence(),
-            tick: self.own_hold.tick(),
-            estimate: *self.own_hold.estimate(),
-        }
+        self.own_hold.to_frame(params.id)
     }
 
     /// Performs one step at `tick`: see the module documentation.
@@ -279,6 +284,10 @@ where
         I: HoldSlots<N>,
     {
         self.check(params, network, tick, measurement, inbox)?;
+        #[cfg(feature = "field")]
+        if self.field.is_in_use() {
+            return self.attempt_field(params, network, tick, measurement, inbox);
+        }
 
         let consensus_term = self.consensus_with(params, tick, inbox);
         let mut output_error = zeros();

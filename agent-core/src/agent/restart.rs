@@ -41,6 +41,8 @@ where
         self.consensus_term = zeros();
         self.output_error = zeros();
         self.exchange = Exchange::new();
+        #[cfg(feature = "field")]
+        self.field.restart();
         self.sample_estimate(tick + 1);
         Ok(self.announcement(params))
     }

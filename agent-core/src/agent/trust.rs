@@ -29,7 +29,7 @@
 use crate::observer::feedback::Neighbour;
 use crate::wire::authentic::{self, Bytes, Header, Kind, NetworkKey, Stamp};
 use crate::wire::frame::{Frame, FrameError};
-use crate::{AgentId, StateVector, Tick};
+use crate::{AgentId, Tick};
 
 /// How often hellos are sent and answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -152,8 +152,8 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         }
         (self.epoch, self.sealed) = (epoch, Some(frame.sequence));
         let stamp = Stamp { epoch, sequence: frame.sequence };
-        let estimate = frame.estimate.as_slice();
-        Some(self.bytes(stamp, frame.tick, Kind::Estimate, estimate, key))
+        let (payload, words) = frame.content();
+        Some(self.bytes(stamp, frame.tick, Kind::broadcast(payload), &words, key))
     }
 
     /// Returns a hello if one is due at the receiver's tick `now`.
@@ -182,8 +182,8 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         let sequence = self.sealed.filter(|&sealed| sealed == last.sequence)?;
         let (to, epoch) = self.asking(now)?;
         let stamp = Stamp { epoch: self.epoch, sequence };
-        let kind = Kind::Sync { to, epoch };
-        Some(self.bytes(stamp, last.tick, kind, last.estimate.as_slice(), key))
+        let (payload, words) = last.content();
+        Some(self.bytes(stamp, last.tick, Kind::answer(payload, to, epoch), &words, key))
     }
 
     /// Returns whether a hello waits, but the agent has not said anything in its epoch: it must then
@@ -209,7 +209,7 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
     /// or a sync without news.
     ///
     /// # Errors
-    /// As for [`authentic::open`] and [`authentic::estimate`]; [`FrameError::UnknownSender`],
+    /// As for [`authentic::open`] and [`Frame::decode`]; [`FrameError::UnknownSender`],
     /// [`FrameError::NotBelieved`] or [`FrameError::Replayed`].
     pub fn open<const N: usize>(
         &mut self,
@@ -218,12 +218,12 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
     ) -> Result<Option<Frame<N>>, FrameError> {
         let (header, words) = authentic::open(bytes, keys)?;
         let Header { sender, stamp, tick, kind } = header;
-        let estimate = match kind {
-            Kind::Hello => StateVector::zeros(),
-            Kind::Estimate | Kind::Sync { .. } => authentic::estimate(sender, words)?,
-        };
+        let frame = kind
+            .payload()
+            .map(|payload| Frame::of_content((sender, stamp.sequence, tick), payload, words));
+        let frame = frame.transpose()?;
         let is_new = self.believe(&header)?;
-        Ok(is_new.then_some(Frame { sender, sequence: stamp.sequence, tick, estimate }))
+        Ok(frame.filter(|_| is_new))
     }
 
     /// Believes an authentic frame or not; returns whether it has a new sample.
@@ -235,16 +235,18 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         // A node without a reserved epoch has said nothing that could be answered.
         let own_epochs = self.boot_epoch..self.epoch.saturating_add(1).min(self.epochs_end);
         let peer = self.peers.iter_mut().find(|peer| peer.id == sender).ok_or(unknown)?;
-        match kind {
-            Kind::Hello => {
-                if peer.believed.is_some_and(|believed| stamp.epoch < believed.epoch) {
-                    return Err(replayed);
-                }
-                peer.asks = peer.asks.max(Some(stamp.epoch));
+        if kind == Kind::Hello {
+            if peer.believed.is_some_and(|believed| stamp.epoch < believed.epoch) {
+                return Err(replayed);
+            }
+            peer.asks = peer.asks.max(Some(stamp.epoch));
+            return Ok(false);
+        }
+        if let Some((to, epoch)) = kind.answered() {
+            if peer.believed == Some(stamp) {
                 return Ok(false);
             }
-            Kind::Sync { .. } if peer.believed == Some(stamp) => return Ok(false),
-            Kind::Sync { to, epoch } if to == self.own => {
+            if to == self.own {
                 if !own_epochs.contains(&epoch) {
                     return Err(replayed);
                 }
@@ -254,7 +256,6 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
                     return Ok(true);
                 }
             }
-            Kind::Sync { .. } | Kind::Estimate => {}
         }
         let believed = peer.believed.ok_or(FrameError::NotBelieved { sender })?;
         if stamp <= believed {
@@ -269,10 +270,10 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         stamp: Stamp,
         tick: Tick,
         kind: Kind,
-        estimate: &[f32],
+        words: &[[u8; 4]],
         key: &NetworkKey,
     ) -> Bytes {
-        authentic::seal(&Header { sender: self.own, stamp, tick, kind }, estimate, key)
+        authentic::seal(&Header { sender: self.own, stamp, tick, kind }, words, key)
     }
 }
 

@@ -109,7 +109,7 @@ fn frame_taken(body: &[u8]) -> Vec<u8> {
 fn body<const N: usize>(sender: AgentId, sequence: u32, tick: u64, first: f32) -> Vec<u8> {
     let mut estimate = StateVector::<N>::repeat(-2.5);
     estimate[0] = first;
-    let frame = Frame { sender, sequence, tick, estimate };
+    let frame = Frame::new(sender, sequence, tick, estimate);
     let mut bytes = frame.encode().to_vec();
     bytes.truncate(bytes.len() - CHECKSUM_LENGTH);
     bytes

@@ -103,7 +103,7 @@ impl Rig {
     }
 
     fn hear(&mut self, sequence: u32, tick: Tick, estimate: f32) {
-        let frame = Frame::<1> { sender: 9, sequence, tick, estimate: [estimate].into() };
+        let frame = Frame::<1>::new(9, sequence, tick, [estimate].into());
         self.inbox.accept(&NEIGHBOURS, &frame.encode()).unwrap();
     }
 
@@ -436,12 +436,7 @@ fn a_sample_that_led_to_an_overflow_does_not_wait_for_ever() {
         let settings = HealthSettings { fall_back: None, restart_after, ..SETTINGS };
         let mut rig = Rig::new(&settings, 0.0);
         rig.params = HealthParams::new(&rig.agent, &limits, 0.0, &settings).unwrap();
-        let huge = Frame::<1> {
-            sender: 9,
-            sequence: (1 << 31) - 1,
-            tick: Tick::MAX,
-            estimate: [3e38].into(),
-        };
+        let huge = Frame::<1>::new(9, (1 << 31) - 1, Tick::MAX, [3e38].into());
         // From before the region had a limit.
         rig.inbox.accept(&NEIGHBOURS, &huge.encode()).unwrap();
         let Rig { agent: params, params: health_params, state, inbox, health, .. } = &mut rig;

@@ -3,6 +3,8 @@
 //!
 //! Depends on no other module of the crate.
 
+#[cfg(feature = "field")]
+pub mod half;
 pub mod numeric;
 pub mod parameter;
 pub mod symmetric;

@@ -5,6 +5,8 @@
 //! to it.
 
 pub mod feedback;
+#[cfg(feature = "field")]
+pub mod field;
 pub mod outer_law;
 pub mod projection;
 pub mod trigger;

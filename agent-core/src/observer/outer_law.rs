@@ -79,6 +79,15 @@ impl OuterLawParams<'_> {
     }
 }
 
+/// Returns `W^T sigma` for these rows, shape `[L]` of `[N]`, adding features in ascending order.
+#[inline(always)]
+#[must_use]
+pub fn combine<const N: usize>(rows: &[StateVector<N>], features: &[f32]) -> StateVector<N> {
+    let mut sum = zeros();
+    for_each(rows.iter().zip(features), |(row, &feature)| add_scaled(&mut sum, feature, row));
+    sum
+}
+
 /// `W_hat`, shape `[L, N]`, in a buffer for up to `FEATURES` rows.
 #[derive(Clone, Debug)]
 pub struct OuterWeights<const N: usize, const FEATURES: usize> {
@@ -154,10 +163,7 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     #[inline(always)]
     #[must_use]
     pub fn combine(&self, features: &[f32]) -> StateVector<N> {
-        let mut sum = zeros();
-        let rows = self.rows.iter().zip(features);
-        for_each(rows, |(row, &feature)| add_scaled(&mut sum, feature, row));
-        sum
+        combine(&self.rows, features)
     }
 
     /// Plans one Euler step, `W_hat + dt proj(mu, W_hat)` with `innovation = C^T e_3`, without

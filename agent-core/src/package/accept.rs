@@ -11,6 +11,8 @@ use crate::AgentId;
 use crate::StateVector;
 use crate::math::numeric::{components_mut, zeros};
 use crate::math::parameter::{ParameterError, finite, not_negative, positive};
+#[cfg(feature = "field")]
+use crate::observer::field::{FieldParams, FieldWords};
 use crate::observer::network::Scratch;
 use crate::package::signature::{PublicKey, verify};
 
@@ -339,6 +341,12 @@ fn check_parameters<const N: usize>(package: &Package<'_>) -> Result<(), Refusal
     package.node.outer_law.validate_weights(package.outer_weights.as_chunks::<N>().0)?;
     package.node.trigger.validate()?;
     package.node.exchange.validate()?;
+    #[cfg(feature = "field")]
+    if !package.node.field.is_empty() {
+        let field = FieldParams::<N>::from_words(FieldWords(package.node.field))?;
+        let (outputs, neighbours) = (package.node.outputs(N), package.node.neighbours.len());
+        field.validate(outputs, neighbours, package.node.step_size)?;
+    }
     positive("step_size", package.node.step_size)?;
     not_negative("broadcast_interval_min", package.broadcast_interval_min)?;
     finite("output_matrix", package.node.output_matrix)?;

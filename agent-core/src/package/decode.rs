@@ -151,6 +151,7 @@ fn assemble<'a>(
             trigger: TriggerParams { hold_error_weight, consensus_weight, threshold },
             step_size,
             exchange: ExchangeParams::PAPER,
+            field: &[],
         },
         broadcast_interval_min,
         trained_box: StateBox { low, high },

@@ -31,6 +31,8 @@ pub enum EncodeError {
     },
     /// Format 1 has no room for an exchange that is not the paper's.
     Exchange,
+    /// Format 1 has no room for the field observer.
+    Field,
     /// Format 2 has no permission to replace newer versions: it has epochs.
     Replaces,
 }
@@ -54,6 +56,11 @@ impl core::fmt::Display for EncodeError {
             Self::Exchange => write!(
                 f,
                 "format 1 has no parameters of the exchange; leave out [exchange], or use package \
+                 format 2"
+            ),
+            Self::Field => write!(
+                f,
+                "format 1 has no parameters of the field observer; leave out [observer], or use package \
                  format 2"
             ),
             Self::Replaces => write!(
@@ -85,6 +92,9 @@ impl Package<'_> {
         }
         if self.node.exchange != ExchangeParams::PAPER {
             return Err(EncodeError::Exchange);
+        }
+        if !self.node.field.is_empty() {
+            return Err(EncodeError::Field);
         }
         let ids = self.node.neighbours.iter().chain([self.node.agent]);
         if let Some(id) = ids.into_iter().find(|&id| id > u16::MAX.into()) {

@@ -137,6 +137,7 @@ impl Package<'_> {
                 words.iter().try_for_each(|word| w.bytes(&word.to_le_bytes()))
             })?;
         }
+        writer.section(kind::FIELD, |w| w.words(node.field))?;
         Ok(())
     }
 }

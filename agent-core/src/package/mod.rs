@@ -136,6 +136,8 @@ pub struct AgentConfig<'a> {
     pub step_size: f32,
     /// Exchange with the neighbours. Format 2 only, unless it is the paper's.
     pub exchange: ExchangeParams,
+    /// Words of the field observer's parameters; empty for the paper's observer. Format 2 only.
+    pub field: &'a [f32],
 }
 
 /// Whether an agent's adapted outer weights survive the switch to another package.

@@ -48,8 +48,10 @@ pub mod kind {
     pub const PROVENANCE: u16 = 8;
     /// Exchange with the neighbours; not there if it is the paper's.
     pub const EXCHANGE: u16 = REQUIRED | 9;
+    /// Parameters of the field observer; not there for the paper's observer.
+    pub const FIELD: u16 = REQUIRED | 10;
     /// The highest number of a section that this crate knows.
-    pub(super) const LAST: u16 = 9;
+    pub(super) const LAST: u16 = 10;
 }
 
 /// `theta_0`, `beta`, `delta`, `phi_1`, `phi_2`, `epsilon / N`, least broadcast interval.
@@ -101,6 +103,7 @@ struct Contents<'a> {
     test_vectors: &'a [f32],
     trial: Option<TrialLimits>,
     exchange: &'a [f32],
+    field: &'a [f32],
     /// Undecoded.
     provenance: Option<&'a [u8]>,
 }
@@ -122,6 +125,7 @@ impl<'a> Contents<'a> {
                     continue;
                 }
                 kind::EXCHANGE if exchange::ENABLED => &mut found.exchange,
+                kind::FIELD if cfg!(feature = "field") => &mut found.field,
                 kind::PROVENANCE => {
                     found.provenance = Some(content);
                     continue;
@@ -201,6 +205,7 @@ pub(super) fn decode<'a>(
     if !sections.exchange.is_empty() {
         node.exchange = exchange_params(sections.exchange)?;
     }
+    node.field = sections.field;
     let (low, high) = sections.trained_box.split_at_checked(n).unwrap_or_default();
     Ok(Package {
         epoch: header.serial.epoch,
@@ -281,5 +286,6 @@ fn agent_config<'a>(
         trigger: TriggerParams { hold_error_weight, consensus_weight, threshold },
         step_size: header.step_size,
         exchange: ExchangeParams::PAPER,
+        field: &[],
     })
 }

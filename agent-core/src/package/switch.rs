@@ -45,6 +45,8 @@ where
         };
         self.keep_neighbours(stays);
         inbox.keep_places(stays);
+        #[cfg(feature = "field")]
+        self.set_field(new, package.node.field)?;
         Ok(())
     }
 }

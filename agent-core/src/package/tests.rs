@@ -99,6 +99,7 @@ impl Content {
                 },
                 step_size: 1e-3,
                 exchange: ExchangeParams::PAPER,
+                field: &[],
             },
             broadcast_interval_min: 2e-3,
             trained_box: StateBox { low: &self.low, high: &self.high },
@@ -449,9 +450,7 @@ fn an_agent_switches_to_another_package() {
     let mut state =
         AgentState::<2, 3, _>::new(&old, start, package.outer_weights, [None; 2]).unwrap();
     let mut inbox = Inbox::<2, _>::new([None; 2]);
-    let from = |sender, sequence| {
-        Frame::<2> { sender, sequence, tick: 0, estimate: [1.0, 2.0].into() }.encode()
-    };
+    let from = |sender, sequence| Frame::<2>::new(sender, sequence, 0, [1.0, 2.0].into()).encode();
     for sender in [3, 265] {
         inbox.accept(old.neighbours(), &from(sender, 0)).unwrap();
     }

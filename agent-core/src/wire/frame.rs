@@ -9,8 +9,8 @@
 //! | sender | `u32` | variable-length integer |
 //! | sequence | `u32` | variable-length integer, counts broadcasts from 0 |
 //! | tick | `u64` | variable-length integer, the step at which the sample was taken |
-//! | payload kind | enum | variable-length integer: 0 is an estimate |
-//! | estimate | `[f32]` | length as a variable-length integer, then little-endian words |
+//! | payload kind | enum | variable-length integer: 0 is an estimate, 1 a field announcement |
+//! | content | `[f32]` | number of words as a variable-length integer, then little-endian words |
 //! | checksum | `u32` | four bytes |
 //!
 //! More kinds of payload can be added; a receiver refuses kinds it does not know. Delimiting and
@@ -23,6 +23,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::INPUTS_MAX;
 use crate::math::numeric::all_finite;
+#[cfg(feature = "field")]
+use crate::observer::field::Announced;
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 use crate::wire::{codec, writer};
 use crate::{AgentId, StateVector, Tick};
@@ -30,12 +32,19 @@ use crate::{AgentId, StateVector, Tick};
 /// Version of the format that this crate reads and writes.
 pub const VERSION: u8 = 1;
 
+/// Largest number of words after the header: those of the longest estimate or field announcement. With
+/// them, authentic frames still fit into IEEE 802.15.4.
+pub const WORDS_MAX: usize = if cfg!(feature = "field") { 20 } else { INPUTS_MAX };
+
 /// Length of the longest encoded frame, in bytes: version, longest variable-length integers of the
-/// header, payload kind and length, longest estimate, checksum.
-pub const FRAME_LENGTH_MAX: usize = 1 + 5 + 5 + 10 + 1 + 1 + 4 * INPUTS_MAX + CHECKSUM_LENGTH;
+/// header, payload kind and length, most words, checksum.
+pub const FRAME_LENGTH_MAX: usize = 1 + 5 + 5 + 10 + 1 + 1 + 4 * WORDS_MAX + CHECKSUM_LENGTH;
 
 /// The components of a state or of a measurement.
 pub type Numbers = heapless::Vec<f32, INPUTS_MAX>;
+
+/// The words of a frame's content.
+pub type Words = heapless::Vec<[u8; 4], WORDS_MAX>;
 
 /// An encoded frame.
 pub type FrameBytes = heapless::Vec<u8, FRAME_LENGTH_MAX>;
@@ -46,7 +55,7 @@ pub type FrameBytes = heapless::Vec<u8, FRAME_LENGTH_MAX>;
 /// use agent_core::wire::frame::FrameError;
 /// use agent_core::{Frame, StateVector};
 ///
-/// let frame = Frame { sender: 2, sequence: 7, tick: 300, estimate: StateVector::<2>::zeros() };
+/// let frame = Frame::new(2, 7, 300, StateVector::<2>::zeros());
 /// let mut bytes = frame.encode();
 /// assert_eq!(Frame::decode(&bytes), Ok(frame));
 ///
@@ -63,6 +72,9 @@ pub struct Frame<const N: usize> {
     pub tick: Tick,
     /// `x_hat_i(t_k)`, shape `[N]`.
     pub estimate: StateVector<N>,
+    /// How the sample goes on, from an agent with the field observer.
+    #[cfg(feature = "field")]
+    pub announced: Option<Announced<N>>,
 }
 
 /// Why received bytes or a decoded frame were refused.
@@ -174,11 +186,58 @@ impl core::fmt::Display for FrameError {
 impl core::error::Error for FrameError {}
 
 impl<const N: usize> Frame<N> {
+    /// Creates a frame as the paper's observer broadcasts it.
+    #[must_use]
+    pub const fn new(sender: AgentId, sequence: u32, tick: Tick, estimate: StateVector<N>) -> Self {
+        Self {
+            sender,
+            sequence,
+            tick,
+            estimate,
+            #[cfg(feature = "field")]
+            announced: None,
+        }
+    }
+
     /// Returns the bytes to broadcast.
     #[must_use]
     pub fn encode(&self) -> FrameBytes {
         const { assert!(N >= 1 && N <= INPUTS_MAX, "the state dimension is 1 to 12") };
-        encode(self.sender, self.sequence, self.tick, self.estimate.as_slice())
+        let (payload, words) = self.content();
+        encode(self.sender, self.sequence, self.tick, payload, &words)
+    }
+
+    /// Returns what the frame carries.
+    #[inline]
+    pub(crate) fn content(&self) -> (Payload, Words) {
+        #[cfg(feature = "field")]
+        if let Some(announced) = &self.announced {
+            return (Payload::Field, announced.words(&self.estimate));
+        }
+        (Payload::Estimate, self.estimate.iter().map(|x| x.to_le_bytes()).collect())
+    }
+
+    /// Returns the frame with this content.
+    ///
+    /// # Errors
+    /// As for [`Self::decode`], of the content.
+    pub(crate) fn of_content(
+        (sender, sequence, tick): (AgentId, u32, Tick),
+        payload: Payload,
+        words: &[[u8; 4]],
+    ) -> Result<Self, FrameError> {
+        match payload {
+            Payload::Estimate => Ok(Self::new(sender, sequence, tick, estimate(sender, words)?)),
+            #[cfg(feature = "field")]
+            Payload::Field => {
+                let (estimate, announced) =
+                    Announced::from_words(words).ok_or(FrameError::Malformed)?;
+                Ok(Self {
+                    announced: Some(announced),
+                    ..Self::new(sender, sequence, tick, estimate)
+                })
+            }
+        }
     }
 
     /// Decodes a frame from `bytes`, which must contain nothing else.
@@ -187,8 +246,8 @@ impl<const N: usize> Frame<N> {
     /// [`FrameError::Length`], [`FrameError::Checksum`], [`FrameError::Malformed`],
     /// [`FrameError::Version`], [`FrameError::Dimension`] or [`FrameError::NotFinite`].
     pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
-        let (Head { sender, sequence, tick, .. }, words) = decode(bytes)?;
-        Ok(Self { sender, sequence, tick, estimate: estimate(sender, words)? })
+        let (Head { sender, sequence, tick, payload, .. }, words) = decode(bytes)?;
+        Self::of_content((sender, sequence, tick), payload, words)
     }
 }
 
@@ -202,26 +261,27 @@ pub struct AnyFrame {
     pub sequence: u32,
     /// Tick at which the sample was taken.
     pub tick: Tick,
-    /// `x_hat_i(t_k)`, shape `[n]`.
-    pub estimate: Numbers,
+    /// What the words are.
+    pub payload: Payload,
+    /// The words of the content, as on the wire.
+    pub words: Words,
 }
 
 impl AnyFrame {
     /// Returns the bytes to broadcast.
     #[must_use]
     pub fn encode(&self) -> FrameBytes {
-        encode(self.sender, self.sequence, self.tick, &self.estimate)
+        encode(self.sender, self.sequence, self.tick, self.payload, &self.words)
     }
 
-    /// Decodes a frame from `bytes`, which must contain nothing else. Components may be infinite.
+    /// Decodes a frame from `bytes`, which must contain nothing else. The words are not checked.
     ///
     /// # Errors
     /// [`FrameError::Length`], [`FrameError::Checksum`], [`FrameError::Malformed`] or
     /// [`FrameError::Version`].
     pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
-        let (Head { sender, sequence, tick, .. }, words) = decode(bytes)?;
-        let estimate = words.iter().map(|word| f32::from_le_bytes(*word)).collect();
-        Ok(Self { sender, sequence, tick, estimate })
+        let (Head { sender, sequence, tick, payload, .. }, words) = decode(bytes)?;
+        Ok(Self { sender, sequence, tick, payload, words: words.iter().copied().collect() })
     }
 }
 
@@ -254,22 +314,30 @@ struct Head {
 }
 
 /// The kinds of payload.
-#[derive(Serialize, Deserialize)]
-enum Payload {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Payload {
+    /// The estimate, as in the paper.
     Estimate,
+    /// A head, the estimate, and how it goes on: [`crate::observer::field::announced`].
+    #[cfg(feature = "field")]
+    Field,
 }
 
 // One function for all dimensions.
-fn encode(sender: AgentId, sequence: u32, tick: Tick, estimate: &[f32]) -> FrameBytes {
-    // At most INPUTS_MAX.
-    let count = estimate.len() as u16;
-    let head = Head { sender, sequence, tick, payload: Payload::Estimate, count };
+fn encode(
+    sender: AgentId,
+    sequence: u32,
+    tick: Tick,
+    payload: Payload,
+    words: &[[u8; 4]],
+) -> FrameBytes {
+    // At most WORDS_MAX.
+    let count = words.len() as u16;
+    let head = Head { sender, sequence, tick, payload, count };
     let mut bytes = FrameBytes::new();
     // Everything fits: FRAME_LENGTH_MAX is the sum of every field's largest size.
     let _ = writer::append(&(VERSION, head), &mut bytes);
-    for component in estimate {
-        let _ = bytes.extend_from_slice(&component.to_le_bytes());
-    }
+    let _ = bytes.extend_from_slice(words.as_flattened());
     let checksum = crc32(&[&bytes]).to_le_bytes();
     let _ = bytes.extend_from_slice(&checksum);
     bytes
@@ -292,7 +360,7 @@ fn decode(bytes: &[u8]) -> Result<(Head, &[[u8; 4]]), FrameError> {
     }
     let (head, rest) = codec::take::<Head>(rest).ok_or(FrameError::Malformed)?;
     match rest.as_chunks() {
-        (words, []) if words.len() == usize::from(head.count) && words.len() <= INPUTS_MAX => {
+        (words, []) if words.len() == usize::from(head.count) && words.len() <= WORDS_MAX => {
             Ok((head, words))
         }
         _ => Err(FrameError::Malformed),
@@ -305,7 +373,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn frame() -> Frame<3> {
-        Frame { sender: 2, sequence: 300, tick: 70_000, estimate: [1.0, -2.5, 0.0].into() }
+        Frame::new(2, 300, 70_000, [1.0, -2.5, 0.0].into())
     }
 
     #[test]
@@ -323,12 +391,12 @@ mod tests {
 
     #[test]
     fn the_longest_frame_fits() {
-        let frame = Frame::<INPUTS_MAX> {
-            sender: AgentId::MAX,
-            sequence: u32::MAX,
-            tick: u64::MAX,
-            estimate: StateVector::repeat(f32::MAX),
-        };
+        let frame = Frame::<INPUTS_MAX>::new(
+            AgentId::MAX,
+            u32::MAX,
+            u64::MAX,
+            StateVector::repeat(f32::MAX),
+        );
         let bytes = frame.encode();
         assert_eq!(bytes.len(), FRAME_LENGTH_MAX);
         assert_eq!(Frame::decode(&bytes), Ok(frame));
@@ -386,7 +454,7 @@ mod tests {
             sender: AgentId, sequence: u32, tick: u64,
             estimate in prop::array::uniform4(prop::num::f32::NORMAL | prop::num::f32::ZERO | prop::num::f32::SUBNORMAL),
         ) {
-            let frame = Frame::<4> { sender, sequence, tick, estimate: estimate.into() };
+            let frame = Frame::<4>::new(sender, sequence, tick, estimate.into());
             prop_assert_eq!(Frame::decode(&frame.encode()), Ok(frame));
         }
 

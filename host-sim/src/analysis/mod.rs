@@ -61,6 +61,17 @@ pub fn laplacian_norm(graph: &Graph) -> f64 {
     .max
 }
 
+/// Returns `|A|`, the largest magnitude of an eigenvalue of the graph's adjacency matrix.
+#[must_use]
+pub fn adjacency_norm(graph: &Graph) -> f64 {
+    let spectrum = spectrum(graph.agents(), |v, result| {
+        for (i, result) in result.iter_mut().enumerate() {
+            *result = graph.neighbours(i).iter().fold(0.0, |sum, e| sum + e.weight * v[e.agent]);
+        }
+    });
+    spectrum.max.abs().max(spectrum.min.abs())
+}
+
 /// The constants of `Trigger`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TriggerConstants {

@@ -31,6 +31,8 @@ pub(super) struct AgentReport {
     pub(super) broadcasts: u64,
     /// Broadcasts, as handed to the radio; each has one copy for every neighbour.
     pub(super) frames_sent: u64,
+    pub(super) broadcasts_evaluated: u64,
+    pub(super) bytes_evaluated: u64,
     /// Copies that reached a neighbour.
     pub(super) frames_delivered: Option<u64>,
     /// Copies that did not; those in transit at the end are neither.

@@ -227,6 +227,8 @@ fn agent_reports(
                 max_error: agent.max_error(),
                 broadcasts: agent.broadcasts(),
                 frames_sent: agent.broadcasts(),
+                broadcasts_evaluated: agent.broadcasts_evaluated,
+                bytes_evaluated: agent.bytes_evaluated,
                 frames_delivered: agent.traffic.map(|traffic| traffic.delivered),
                 frames_lost: agent.traffic.map(|traffic| traffic.lost),
                 bytes_sent: agent.bytes_sent,

@@ -10,16 +10,17 @@
 
 use agent_core::AgentId;
 use agent_core::wire::authentic::{self, Header, Kind, NetworkKey, Stamp};
-use agent_core::wire::frame::AnyFrame;
+use agent_core::wire::frame::{AnyFrame, Words};
 
 /// Returns a node's frame as a simulated agent broadcasts it; `None` for a hello or an answer to one.
 /// A frame that is not authentic has no bytes.
 pub(super) fn plain(bytes: &[u8], keys: &[NetworkKey]) -> Option<Vec<u8>> {
     let Ok((header, words)) = authentic::open(bytes, keys) else { return Some(Vec::new()) };
     let Header { sender, stamp, tick, kind } = header;
-    let estimate = words.iter().map(|word| f32::from_le_bytes(*word)).collect();
-    let frame = AnyFrame { sender, sequence: stamp.sequence, tick, estimate };
-    (kind == Kind::Estimate).then(|| frame.encode().to_vec())
+    let payload = kind.payload().filter(|_| kind.answered().is_none())?;
+    let words: Words = words.iter().copied().collect();
+    let frame = AnyFrame { sender, sequence: stamp.sequence, tick, payload, words };
+    Some(frame.encode().to_vec())
 }
 
 /// Returns the epoch of a node's frame; `None` if it is not authentic.
@@ -33,9 +34,9 @@ pub(super) fn answer(bytes: &[u8], to: AgentId, epoch: u32, keys: &[NetworkKey])
     let (Ok((header, words)), Some(key)) = (authentic::open(bytes, keys), keys.first()) else {
         return bytes.to_vec();
     };
-    let estimate: Vec<_> = words.iter().map(|word| f32::from_le_bytes(*word)).collect();
-    let header = Header { kind: Kind::Sync { to, epoch }, ..header };
-    authentic::seal(&header, &estimate, key).to_vec()
+    let Some(payload) = header.kind.payload() else { return bytes.to_vec() };
+    let header = Header { kind: Kind::answer(payload, to, epoch), ..header };
+    authentic::seal(&header, words, key).to_vec()
 }
 
 /// Returns the frame of a simulated agent as its node would have broadcast it in its `epoch`.
@@ -43,13 +44,15 @@ pub(super) fn sealed(bytes: &[u8], epoch: u32, keys: &[NetworkKey]) -> Vec<u8> {
     let (Ok(frame), Some(key)) = (AnyFrame::decode(bytes), keys.first()) else {
         return bytes.to_vec();
     };
-    let AnyFrame { sender, sequence, tick, estimate } = frame;
-    let header = Header { sender, stamp: Stamp { epoch, sequence }, tick, kind: Kind::Estimate };
-    authentic::seal(&header, &estimate, key).to_vec()
+    let AnyFrame { sender, sequence, tick, payload, words } = frame;
+    let kind = Kind::broadcast(payload);
+    let header = Header { sender, stamp: Stamp { epoch, sequence }, tick, kind };
+    authentic::seal(&header, &words, key).to_vec()
 }
 
 #[cfg(test)]
 mod tests {
+    use agent_core::wire::frame::Payload;
     use agent_core::wire::secret::Secret;
 
     use super::*;
@@ -57,8 +60,9 @@ mod tests {
     #[test]
     fn a_frame_survives_sealing_and_opening() {
         let keys = [NetworkKey::new(1, Secret::new([3; 16]))];
-        let estimate = [1.0, -2.5].into_iter().collect();
-        let frame = AnyFrame { sender: 2, sequence: 7, tick: 300, estimate }.encode();
+        let words = [1.0_f32, -2.5].into_iter().map(f32::to_le_bytes).collect();
+        let payload = Payload::Estimate;
+        let frame = AnyFrame { sender: 2, sequence: 7, tick: 300, payload, words }.encode();
         let bytes = sealed(&frame, 90, &keys);
         assert_eq!(plain(&bytes, &keys), Some(frame.to_vec()));
         assert_eq!(epoch(&bytes, &keys), Some(90));

@@ -9,6 +9,7 @@ use agent_core::health::{HealthSettings, WatchedStep};
 use agent_core::math::parameter::ParameterError;
 use agent_core::observer::feedback::Neighbour;
 use agent_core::observer::network::{LAYER_WIDTH_MAX, Scratch};
+use agent_core::observer::trigger::Trigger;
 use agent_core::package::{AgentConfig, Refusal, Requirements, Serial, accept};
 use agent_core::service::Outcome;
 use agent_core::wire::frame::FrameBytes;
@@ -410,6 +411,10 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             *current = Some(bytes.clone());
         }
         self.watch = watch;
+        if self.state.field().is_some() && matches!(self.params.trigger(), Trigger::Event(_)) {
+            let trigger = Trigger::Event(package.node.trigger);
+            self.params = self.params.clone().with_trigger(trigger)?;
+        }
         Ok(())
     }
 

@@ -14,11 +14,14 @@ use rayon::prelude::*;
 
 use super::run_observer::Switch;
 use super::{Progress, RunError, TrainingRecord};
+use crate::analysis::TriggerConstants;
+use crate::flow::Plan;
+use crate::learning::agent_config;
 use crate::learning::trained::{INITIAL_VERSION, TrainedError, TrainingTask};
 use crate::packages::recording::Observed;
-use crate::packages::{PackageBytes, Recording, Timing};
+use crate::packages::{Draft, PackageBytes, Recording, Timing};
 use crate::scenario::{LearningCycle, Scenario};
-use crate::training::{Dataset, EpochReport};
+use crate::training::{DataError, Dataset, EpochReport};
 use crate::warning::Warning;
 
 /// The samples and the state of one agent in one cycle.
@@ -76,12 +79,13 @@ impl Observation {
 /// All cycles of a run.
 pub(super) struct Learning<'s> {
     scenario: &'s Scenario,
+    plan: Option<&'s Plan<'s>>,
     seed: u64,
     jobs: Vec<Job>,
 }
 
 impl<'s> Learning<'s> {
-    pub(super) fn new(scenario: &'s Scenario, seed: u64) -> Self {
+    pub(super) fn new(scenario: &'s Scenario, plan: Option<&'s Plan<'s>>, seed: u64) -> Self {
         let time = &scenario.time;
         let job = |cycle: usize, description: &LearningCycle, agent: usize| Job {
             cycle,
@@ -103,7 +107,7 @@ impl<'s> Learning<'s> {
         let jobs = jobs.flat_map(|(cycle, description)| {
             description.agents.iter().map(move |&agent| job(cycle, description, agent))
         });
-        Self { scenario, seed, jobs: jobs.collect() }
+        Self { scenario, plan, seed, jobs: jobs.collect() }
     }
 
     /// Returns the packages to switch in before the step at `tick`. When one is due, trains all
@@ -119,15 +123,17 @@ impl<'s> Learning<'s> {
             let ready = |job: &&mut Job| {
                 job.outer_weights.is_some() && !job.trained && !job.inputs.is_empty()
             };
-            let (scenario, seed) = (self.scenario, self.seed);
             let jobs: Vec<&mut Job> = self.jobs.iter_mut().filter(ready).collect();
-            records = jobs
+            let context =
+                Context { scenario: self.scenario, plan: self.plan, seed: self.seed, progress };
+            records = groups(self.scenario, jobs)
                 .into_par_iter()
-                .map(|job| train(scenario, seed, job, progress))
+                .map(|group| train(&context, group))
                 // Collect all results, so that the error of the first job is reported.
                 .collect::<Vec<_>>()
                 .into_iter()
-                .collect::<Result<_, _>>()?;
+                .collect::<Result<Vec<_>, _>>()?
+                .concat();
         }
         let due = self.jobs.iter().filter(|job| job.apply_at == tick);
         let switches = due.filter_map(|job| {
@@ -179,14 +185,31 @@ impl<'s> Learning<'s> {
     }
 }
 
-/// Trains one job's network and packs it.
-fn train(
-    scenario: &Scenario,
+/// What training a job needs beside the job.
+struct Context<'c> {
+    scenario: &'c Scenario,
+    plan: Option<&'c Plan<'c>>,
     seed: u64,
-    job: &mut Job,
-    progress: &dyn Progress,
-) -> Result<TrainingRecord, RunError> {
-    let (cycle, agent) = (job.cycle, job.agent);
+    progress: &'c dyn Progress,
+}
+
+/// Returns the jobs that are trained together: those of a shared cycle, and every other one alone.
+fn groups<'j>(scenario: &Scenario, jobs: Vec<&'j mut Job>) -> Vec<Vec<&'j mut Job>> {
+    let mut groups: Vec<Vec<&mut Job>> = Vec::new();
+    for job in jobs {
+        let is_shared = scenario.learning[job.cycle].is_shared;
+        match groups.last_mut().filter(|group| is_shared && group[0].cycle == job.cycle) {
+            Some(group) => group.push(job),
+            None => groups.push(vec![job]),
+        }
+    }
+    groups
+}
+
+/// Trains one network for a group of jobs and packs it for each.
+fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<TrainingRecord>, RunError> {
+    let Context { scenario, plan, seed, progress } = *context;
+    let (cycle, agent) = (group[0].cycle, group[0].agent);
     let failed =
         |error: TrainedError| RunError::Training { agent: agent + 1, cycle: cycle + 1, error };
     let description = &scenario.learning[cycle];
@@ -194,52 +217,98 @@ fn train(
         .recipe(&description.recipe)
         .ok_or_else(|| RunError::Recipe { cycle: cycle + 1, recipe: description.recipe.clone() })?;
     let network = scenario.network.as_ref().ok_or(RunError::NoNetwork { cycle: cycle + 1 })?;
-    let inputs = std::mem::take(&mut job.inputs);
-    let targets = std::mem::take(&mut job.targets);
-    let samples = Dataset::new(scenario.dimension(), inputs, targets)
-        .map_err(|error| failed(error.into()))?;
-    let stride = Tick::from(description.stride.get());
-    let first = job.first.unwrap_or_else(|| job.collect_from.next_multiple_of(stride));
-    let (gaps, missing) = std::mem::take(&mut job.gaps).into_iter().unzip();
-    let recording = Recording {
-        samples,
-        gaps,
-        start: scenario.time.at(first),
-        interval: scenario.time.step_size * f64::from(description.stride.get()),
-        timing: Timing { missing, ..Timing::default() },
-        outer_weights: job.outer_weights.clone(),
-        observed: job.observation.observed(scenario.time.step_size),
+    let recordings: Vec<Recording> = group
+        .iter_mut()
+        .map(|job| recording(scenario, job))
+        .collect::<Result<_, _>>()
+        .map_err(failed)?;
+    let joined;
+    let recording = match recordings.as_slice() {
+        [recording] => recording,
+        recordings => {
+            joined = Recording::joined(recordings)
+                .ok_or(DataError::TooFewSamples { found: 0, needed: 1 })
+                .map_err(|error| failed(error.into()))?;
+            &joined
+        }
     };
-    let before = scenario.agents[agent].package.as_ref();
-    let initial = Serial { epoch: 0, version: INITIAL_VERSION };
-    let before = before.map_or(initial, |package| package.package().serial());
-    // Above the package before, in the next epoch if there are no versions left.
-    let count = u32::try_from(cycle + 1).unwrap_or(u32::MAX);
-    let Serial { epoch, version } = match before.version.checked_add(count) {
-        Some(version) => Serial { version, ..before },
-        None => Serial { epoch: before.epoch.saturating_add(1), version: count },
-    };
+    let Serial { epoch, version } = serial(scenario, plan, agent, cycle);
     let task = TrainingTask { scenario, network, recipe, agent, cycle, seed, epoch, version };
     let mut report_epoch = |epoch: &EpochReport| {
         progress.epoch(agent + 1, cycle + 1, epoch);
         ControlFlow::Continue(())
     };
-    let trained = task.carry_out(&recording, &mut report_epoch).map_err(failed)?;
-    job.trained = true;
-    job.package = trained.accepted.then(|| trained.package.clone());
-    let of_this = |warning: Warning| {
-        let text = format!("agent {}, cycle {}: {}", agent + 1, cycle + 1, warning.text);
-        Warning::new(warning.code, text)
-    };
-    Ok(TrainingRecord {
-        agent: agent + 1,
-        cycle: cycle + 1,
-        samples: trained.samples,
-        report: trained.report,
-        quality: trained.quality,
-        switched_in: trained.accepted,
-        warnings: trained.warnings.into_iter().map(of_this).collect(),
-        package: trained.package,
-        recording: scenario.record.samples.then_some(recording),
+    let trained = task.carry_out(recording, &mut report_epoch).map_err(failed)?;
+    let trigger = TriggerConstants::new(scenario);
+    let plan = plan.filter(|plan| scenario.time.tick(description.apply_at) >= plan.starts_at());
+    let mut records = Vec::with_capacity(group.len());
+    for (place, (job, recording)) in group.into_iter().zip(recordings).enumerate() {
+        let mut package = trained.package.clone();
+        if place > 0 {
+            // The same network, for another agent.
+            let mut draft = Draft::copy(&package.package());
+            draft.node = agent_config(scenario, &trigger, job.agent);
+            Serial { epoch: draft.epoch, version: draft.version } =
+                serial(scenario, context.plan, job.agent, cycle);
+            package = draft.seal().map_err(|error| failed(error.into()))?;
+        }
+        if let Some(plan) = plan {
+            package = plan.equip(&package, job.agent).map_err(RunError::Observer)?;
+        }
+        job.trained = true;
+        job.package = trained.accepted.then(|| package.clone());
+        let of_this = |warning: &Warning| {
+            let text = format!("agent {}, cycle {}: {}", job.agent + 1, cycle + 1, warning.text);
+            Warning::new(warning.code, text)
+        };
+        // Warnings about a shared network are given once.
+        let warnings = if place == 0 { &trained.warnings[..] } else { &[] };
+        records.push(TrainingRecord {
+            agent: job.agent + 1,
+            cycle: cycle + 1,
+            samples: trained.samples,
+            report: trained.report.clone(),
+            quality: trained.quality.clone(),
+            switched_in: trained.accepted,
+            warnings: warnings.iter().map(of_this).collect(),
+            package,
+            recording: scenario.record.samples.then_some(recording),
+        });
+    }
+    Ok(records)
+}
+
+/// Takes a job's samples.
+fn recording(scenario: &Scenario, job: &mut Job) -> Result<Recording, TrainedError> {
+    let inputs = std::mem::take(&mut job.inputs);
+    let targets = std::mem::take(&mut job.targets);
+    let samples = Dataset::new(scenario.dimension(), inputs, targets)?;
+    let stride = Tick::from(scenario.learning[job.cycle].stride.get());
+    let first = job.first.unwrap_or_else(|| job.collect_from.next_multiple_of(stride));
+    let (gaps, missing) = std::mem::take(&mut job.gaps).into_iter().unzip();
+    Ok(Recording {
+        samples,
+        gaps,
+        start: scenario.time.at(first),
+        interval: scenario.time.step_size * stride as f64,
+        timing: Timing { missing, ..Timing::default() },
+        outer_weights: job.outer_weights.clone(),
+        observed: job.observation.observed(scenario.time.step_size),
     })
+}
+
+/// Returns the serial of an agent's package of a cycle: above the package before, in the next epoch if
+/// there are no versions left.
+fn serial(scenario: &Scenario, plan: Option<&Plan<'_>>, agent: usize, cycle: usize) -> Serial {
+    let before = scenario.agents[agent].package.as_ref();
+    let initial = Serial { epoch: 0, version: INITIAL_VERSION };
+    let before = before.map_or(initial, |package| package.package().serial());
+    // The switch to the field observer may have taken one.
+    let apply_at = scenario.time.tick(scenario.learning[cycle].apply_at);
+    let is_after = plan.is_some_and(|plan| (1..apply_at).contains(&plan.starts_at()));
+    let count = u32::try_from(cycle + 1 + usize::from(is_after)).unwrap_or(u32::MAX);
+    match before.version.checked_add(count) {
+        Some(version) => Serial { version, ..before },
+        None => Serial { epoch: before.epoch.saturating_add(1), version: count },
+    }
 }

@@ -31,6 +31,7 @@ use agent_core::math::parameter::ParameterError;
 use agent_core::package::Refusal;
 
 use crate::analysis::StepCheck;
+use crate::flow::PlanError;
 use crate::learning::quality::Quality;
 use crate::learning::trained::TrainedError;
 use crate::packages::parameter::InScenario;
@@ -230,6 +231,15 @@ pub enum RunError {
     /// The run observer ended the run.
     #[error(transparent)]
     RunObserver(RunObserverError),
+    /// The field observer cannot be set up.
+    #[error("[observer]: {0}")]
+    Observer(PlanError),
+    /// The field observer without a network.
+    #[error(
+        "[observer] needs [network], because a weight package carries its parameters; add [network], and \
+         observer.network = false to leave the network out of the observer"
+    )]
+    ObserverWithoutNetwork,
     /// A learning cycle without a network.
     #[error("learning cycle {cycle} has no network to train; add [network] to the scenario")]
     NoNetwork {

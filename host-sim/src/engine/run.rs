@@ -1,6 +1,7 @@
 //! The main loop of a run.
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use agent_core::Tick;
 use agent_core::math::parameter::ParameterError;
@@ -19,6 +20,7 @@ use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
 use crate::analysis::{StepCheck, TriggerConstants, spectral_norm};
 use crate::files::fnv::Fnv;
+use crate::flow::Plan;
 use crate::learning::{agent_config, trained};
 use crate::packages::{OwnedAgentConfig, PackageBytes, with_dimension};
 use crate::plant::Stepper;
@@ -102,13 +104,16 @@ fn run_fixed<const N: usize>(
 ) -> Result<RunResult, RunError> {
     let trigger = TriggerConstants::new(scenario);
     let content = |index| agent_config(scenario, &trigger, index);
-    let starts = Starts::new(scenario, &trigger, options)?;
+    let plan = Plan::new(scenario).map_err(RunError::Observer)?.map(Arc::new);
+    let starts = Starts::new(scenario, &trigger, options, plan.as_deref())?;
     let mut places: Vec<_> =
         (0..scenario.agents.len()).map(|index| ParamBuffers::new(&content(index).node())).collect();
     let mut networks = Networks::default();
     let mut agents = Vec::with_capacity(places.len());
     // Only an observer needs packages after their agents have taken what they need.
     let mut packages = Vec::new();
+    let later = plan.as_ref().filter(|plan| plan.starts_at() > 0);
+    let mut current = Vec::new();
     for (index, places) in places.iter_mut().enumerate() {
         let content = content(index);
         let package = starts.package(index, &content)?;
@@ -119,12 +124,15 @@ fn run_fixed<const N: usize>(
             agent
                 .load(&package, &mut networks)
                 .map_err(|refusal| RunError::Refused { agent: index + 1, refusal })?;
+            current.extend(later.is_some().then(|| package.clone()));
             packages.extend(run_observer.is_some().then_some(package));
         }
         agents.push(agent);
     }
     let mut simulation = Simulation {
         scenario,
+        plan,
+        current,
         options,
         link,
         run_observer,
@@ -132,6 +140,7 @@ fn run_fixed<const N: usize>(
         networks,
         truth: initial_state(scenario),
         before: initial_state(scenario),
+        evaluation: scenario.evaluation.ticks(&scenario.time),
         process_noise: Random::new(options.seed, Purpose::ProcessNoise),
         down: vec![false; scenario.agents.len()],
         missed: Vec::new(),
@@ -186,6 +195,8 @@ fn build_agent<'s, const N: usize>(
 /// What agents start with.
 struct Starts<'s> {
     scenario: &'s Scenario,
+    /// The field observer, if agents start with it.
+    plan: Option<&'s Plan<'s>>,
     trigger: &'s TriggerConstants,
     options: RunOptions,
     /// The scenario's network and its initial inner parameters.
@@ -197,12 +208,17 @@ impl<'s> Starts<'s> {
         scenario: &'s Scenario,
         trigger: &'s TriggerConstants,
         options: RunOptions,
+        plan: Option<&'s Plan<'s>>,
     ) -> Result<Self, RunError> {
+        if plan.is_some() && scenario.network.is_none() {
+            return Err(RunError::ObserverWithoutNetwork);
+        }
+        let plan = plan.filter(|plan| plan.starts_at() == 0);
         let network = match &scenario.network {
             Some(network) => Some((network, initial_parameters(scenario, network, options.seed)?)),
             None => None,
         };
-        Ok(Self { scenario, trigger, options, network })
+        Ok(Self { scenario, plan, trigger, options, network })
     }
 
     /// Returns the package that agent `index` starts with: the one given in the scenario, or one
@@ -212,7 +228,7 @@ impl<'s> Starts<'s> {
         index: usize,
         content: &OwnedAgentConfig,
     ) -> Result<Option<PackageBytes>, RunError> {
-        let Self { scenario, trigger, options, network } = self;
+        let Self { scenario, plan, trigger, options, network } = self;
         let given = &scenario.agents[index].package;
         let Some((network, inner)) = network else {
             return match given {
@@ -224,9 +240,12 @@ impl<'s> Starts<'s> {
             check_start(scenario, network, content, package, index, *options)?;
             return Ok(Some(package.clone()));
         }
-        trained::initial(scenario, trigger, network, inner, index, options.seed)
-            .map(Some)
-            .map_err(|error| RunError::Package { agent: index + 1, error })
+        let package = trained::initial(scenario, trigger, network, inner, index, options.seed)
+            .map_err(|error| RunError::Package { agent: index + 1, error })?;
+        match plan {
+            Some(plan) => plan.equip(&package, index).map(Some).map_err(RunError::Observer),
+            None => Ok(Some(package)),
+        }
     }
 }
 
@@ -276,6 +295,9 @@ fn empty_traces(scenario: &Scenario) -> Traces {
 
 struct Simulation<'s, 'c, const N: usize, L> {
     scenario: &'s Scenario,
+    plan: Option<Arc<Plan<'s>>>,
+    /// The packages in use, as long as agents have still to switch to the field observer.
+    current: Vec<PackageBytes>,
     options: RunOptions,
     link: L,
     run_observer: Option<&'c mut dyn RunObserver>,
@@ -285,6 +307,8 @@ struct Simulation<'s, 'c, const N: usize, L> {
     truth: [f64; N],
     /// `x_0` at the tick before.
     before: [f64; N],
+    /// Ticks of the evaluation window.
+    evaluation: std::ops::Range<Tick>,
     process_noise: Random,
     /// Whether each agent is down.
     down: Vec<bool>,
@@ -335,9 +359,11 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
     fn all_steps(&mut self, progress: &dyn Progress) -> Result<Vec<TrainingRecord>, RunError> {
         let (scenario, time) = (self.scenario, self.scenario.time);
         let steps = scenario.steps();
-        let evaluation = time.tick(scenario.evaluation.from)..time.tick(scenario.evaluation.to);
-        let mut learning =
-            self.options.learning.then(|| Learning::new(scenario, self.options.seed));
+        let plan = self.plan.clone();
+        let mut learning = self
+            .options
+            .learning
+            .then(|| Learning::new(scenario, plan.as_deref(), self.options.seed));
         let mut plant = Stepper::new(time.integrator);
         let mut trainings = Vec::new();
         self.send_broadcasts(0);
@@ -349,10 +375,11 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
                 trainings.append(&mut records);
                 self.note_missed(&mut switches, learning.without_samples(tick));
             }
+            self.start_field(tick, &mut switches)?;
             if let ControlFlow::Break(()) = self.switch(tick, switches)? {
                 return Ok(trainings);
             }
-            self.note(tick, evaluation.contains(&tick));
+            self.note(tick, self.evaluation.contains(&tick));
             self.step_agents(tick)?;
             if let Some(learning) = &mut learning {
                 let agents = &self.agents;
@@ -389,6 +416,27 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
         self.note(steps, false);
         progress.step(steps, steps);
         Ok(trainings)
+    }
+
+    /// Adds switches to the field observer for agents that have none at its start.
+    fn start_field(&mut self, tick: Tick, switches: &mut Vec<Switch>) -> Result<(), RunError> {
+        let Some(plan) = &self.plan else { return Ok(()) };
+        if self.current.is_empty() {
+            return Ok(());
+        }
+        for switch in switches.iter() {
+            self.current[switch.agent] = switch.package.clone();
+        }
+        if tick < plan.starts_at() {
+            return Ok(());
+        }
+        for (agent, package) in std::mem::take(&mut self.current).iter().enumerate() {
+            if !switches.iter().any(|switch| switch.agent == agent) {
+                let package = plan.next(package, agent).map_err(RunError::Observer)?;
+                switches.push(Switch { agent, package, back: false });
+            }
+        }
+        Ok(())
     }
 
     /// Leaves out the packages for agents that are down, and notes what agents miss by that.
@@ -534,9 +582,10 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
     #[inline]
     fn send_broadcasts(&mut self, tick: Tick) {
         let keep = self.scenario.record.events;
+        let is_evaluated = self.evaluation.contains(&tick);
         for (index, agent) in self.agents.iter_mut().enumerate() {
             if let Some(bytes) = agent.outgoing.take() {
-                agent.statistics.broadcast(tick, bytes.len(), keep);
+                agent.statistics.broadcast(tick, bytes.len(), keep, is_evaluated);
                 self.digest.add(&bytes);
                 self.link.send(index, tick, &bytes);
             }

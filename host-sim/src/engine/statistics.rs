@@ -19,6 +19,10 @@ pub struct AgentStatistics {
     min_interval: Option<Tick>,
     /// Length of all frames that the agent broadcast. \[byte\]
     pub bytes_sent: u64,
+    /// Number of broadcasts in the evaluation window.
+    pub broadcasts_evaluated: u64,
+    /// Length of their frames. \[byte\]
+    pub bytes_evaluated: u64,
     /// What happened to the agent's frames; `None` if the link does not count.
     pub traffic: Option<Traffic>,
     /// Number of received frames that the agent refused.
@@ -42,10 +46,14 @@ impl AgentStatistics {
         self.max_squared = self.max_squared.max(squared);
     }
 
-    /// Records a broadcast of this many bytes at `tick`.
+    /// Records a broadcast of this many bytes at `tick`, in the evaluation window or not.
     #[inline]
-    pub fn broadcast(&mut self, tick: Tick, bytes: usize, keep_event: bool) {
+    pub fn broadcast(&mut self, tick: Tick, bytes: usize, keep_event: bool, is_evaluated: bool) {
         self.bytes_sent += bytes as u64;
+        if is_evaluated {
+            self.broadcasts_evaluated += 1;
+            self.bytes_evaluated += bytes as u64;
+        }
         if self.broadcasts == 0 {
             self.first_broadcast = tick;
         } else {

@@ -42,6 +42,7 @@ pub fn agent_config(
         },
         step_size: scenario.time.step_size as f32,
         exchange: scenario.exchange,
+        field: Vec::new(),
     }
 }
 

@@ -22,6 +22,8 @@ pub struct OwnedAgentConfig {
     pub(crate) trigger: TriggerParams,
     pub(crate) step_size: f32,
     pub(crate) exchange: ExchangeParams,
+    /// Words of the field observer's parameters; empty for the paper's observer.
+    pub(crate) field: Vec<f32>,
 }
 
 /// A symmetric matrix in one of the forms of the package.
@@ -107,6 +109,7 @@ impl OwnedAgentConfig {
             trigger: node.trigger,
             step_size: node.step_size,
             exchange: node.exchange,
+            field: node.field.to_vec(),
         }
     }
 
@@ -145,6 +148,7 @@ impl OwnedAgentConfig {
             trigger: self.trigger,
             step_size: self.step_size,
             exchange: self.exchange,
+            field: &self.field,
         }
     }
 }

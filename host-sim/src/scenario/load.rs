@@ -7,8 +7,8 @@ use toml::de::DeTable;
 use super::error::{ScenarioError, closest};
 use super::reader::{Source, Table};
 use super::sections::{
-    agents, clock, disturbance, exchange, gains, health, learning, life, link, network, plant, run,
-    sensor, trigger,
+    agents, clock, disturbance, exchange, gains, health, learning, life, link, network, observer,
+    plant, run, sensor, trigger,
 };
 use super::{BUILT_IN, Scenario};
 use crate::files::fnv::Fnv;
@@ -100,6 +100,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         "link",
         "trigger",
         "exchange",
+        "observer",
         "sensor",
         "clock",
         "life",
@@ -122,7 +123,11 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let link = link::link(root, &time, &graph)?;
     let life = life::life(root, &time, agents.len())?;
     let trigger = trigger::trigger(root)?;
-    let exchange = exchange::exchange(root, &time)?;
+    let (observer, is_robust) = observer::observer(root, &time, n, network.is_some())?;
+    let exchange = match is_robust && root.get_table("exchange")?.is_none() {
+        true => exchange::robust(&time, link.edge.delay),
+        false => exchange::exchange(root, &time)?,
+    };
     let recipes = learning::recipes(root)?;
     let learning = learning::cycles(root, &time, agents.len(), &recipes, network.is_some())?;
     if let (Some(first), Some(network)) = (root.get_tables("learning")?.first(), &network) {
@@ -146,6 +151,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         life,
         trigger,
         exchange,
+        observer,
         agents,
         learning,
         recipes,

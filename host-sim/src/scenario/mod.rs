@@ -16,6 +16,7 @@ pub use error::ScenarioError;
 pub use sections::clock::ClockSettings;
 pub use sections::life::Downtime;
 pub use sections::link::{Burst, EdgeRule, EdgeSettings, LinkSettings, MediumSettings, Partition};
+pub use sections::observer::{DisturbanceModel, ObserverSettings};
 pub use sections::sensor::{Outliers, SensorSettings};
 pub use sections::trigger::{SimulationOnly, TriggerModel};
 
@@ -63,6 +64,8 @@ pub struct Scenario {
     pub trigger: TriggerModel,
     /// When agents broadcast beside their events, and how they treat late and old samples.
     pub exchange: ExchangeParams,
+    /// The field observer; `None` for the paper's.
+    pub observer: Option<ObserverSettings>,
     /// The agents; agent `i` of the paper is entry `i - 1`.
     pub agents: Vec<Agent>,
     /// Learning cycles, in the order of the file.
@@ -111,6 +114,7 @@ impl Scenario {
             (!self.process_noise.is_empty(), "noise drives the plant (plant.noise)"),
             (self.agents.iter().any(|a| a.clock != clock), "clocks differ ([clock])"),
             (!self.life.is_empty(), "agents are down at times ([[life]])"),
+            (self.observer.is_some(), "agents run the field observer ([observer])"),
         ]
         .into_iter()
         .filter_map(|(departs, clause)| departs.then_some(clause))
@@ -239,6 +243,8 @@ pub struct LearningCycle {
     pub apply_at: f64,
     /// Name of the recipe.
     pub recipe: String,
+    /// Whether all agents get one network, trained on the samples of all.
+    pub is_shared: bool,
 }
 
 /// How collected samples become a trained network.

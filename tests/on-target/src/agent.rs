@@ -59,7 +59,7 @@ fn frame(id: u32, tick: u32) -> Option<FrameBytes> {
         scaled(triangle(phase + 1_500, 2_000), 9),
         scaled(triangle(phase, 500), 11),
     ];
-    let mut frame = Frame { sender: id, sequence, tick: tick.into(), estimate: estimate.into() };
+    let mut frame = Frame::new(id, sequence, tick.into(), estimate.into());
     match sequence % 40 {
         // From an unknown sender, implausible, and from the past.
         17 => frame.sender = 99,

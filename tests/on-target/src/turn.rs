@@ -229,7 +229,7 @@ fn frame(id: u32, turn: u32) -> FrameBytes {
         scaled(triangle(phase + 75, 300), 8),
         scaled(triangle(phase + 150, 300), 8),
     ];
-    Frame { sender: id, sequence: turn, tick: turn.into(), estimate: estimate.into() }.encode()
+    Frame::new(id, turn, turn.into(), estimate.into()).encode()
 }
 
 const _: () = assert!(FRAME_LENGTH_MAX < UNIT);

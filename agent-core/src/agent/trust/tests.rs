@@ -17,7 +17,7 @@ fn neighbour(id: AgentId) -> Neighbour {
 
 fn sampled(sender: AgentId, sequence: u32) -> Frame<1> {
     let estimate = [f32::from(sequence as u16)].into();
-    Frame { sender, sequence, tick: 10 * Tick::from(sequence), estimate }
+    Frame::new(sender, sequence, 10 * Tick::from(sequence), estimate)
 }
 
 /// Agent 1 and agent 2 after a boot with the given epochs.

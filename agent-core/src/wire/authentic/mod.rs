@@ -10,10 +10,10 @@
 //! | epoch | `u32` | variable-length integer, rises with every boot of the sender |
 //! | sequence | `u32` | variable-length integer, counts the broadcasts of an epoch from 0 |
 //! | tick | `u64` | variable-length integer, the step at which the sample was taken |
-//! | kind | enum | variable-length integer: 0 estimate, 1 hello, 2 sync |
+//! | kind | enum | variable-length integer: 0 estimate, 1 hello, 2 sync, 3 field, 4 field sync |
 //! | to | [`AgentId`] | variable-length integer; only in a sync |
 //! | epoch of the hello | `u32` | variable-length integer; only in a sync |
-//! | estimate | `[f32; n]` | four bytes each, little-endian; none in a hello |
+//! | content | `[f32]` | four bytes each, little-endian, as in version 1; none in a hello |
 //! | tag | `u64` | eight bytes, SipHash-2-4 of all bytes before it |
 //!
 //! The tag replaces the checksum of version 1. Its key is derived from the network key and the
@@ -29,9 +29,9 @@ pub use key::NetworkKey;
 
 use serde::{Deserialize, Serialize};
 
-use crate::wire::frame::{self, FrameError};
+use crate::wire::frame::{FrameError, Payload, WORDS_MAX};
 use crate::wire::writer;
-use crate::{AgentId, INPUTS_MAX, StateVector, Tick};
+use crate::{AgentId, Tick};
 
 /// Version of authentic frames.
 pub const VERSION: u8 = 2;
@@ -40,7 +40,7 @@ pub const VERSION: u8 = 2;
 pub const TAG_LENGTH: usize = 8;
 
 /// Length of the longest authentic frame: below the 127 bytes of IEEE 802.15.4. \[byte\]
-pub const LENGTH_MAX: usize = 1 + 1 + 5 + 5 + 5 + 10 + 1 + 5 + 5 + 4 * INPUTS_MAX + TAG_LENGTH;
+pub const LENGTH_MAX: usize = 1 + 1 + 5 + 5 + 5 + 10 + 1 + 5 + 5 + 4 * WORDS_MAX + TAG_LENGTH;
 
 const _: () = assert!(LENGTH_MAX <= 127);
 
@@ -85,21 +85,74 @@ pub enum Kind {
         /// The epoch of that hello.
         epoch: u32,
     },
+    /// Like [`Kind::Estimate`], from an agent with the field observer.
+    #[cfg(feature = "field")]
+    Field,
+    /// Like [`Kind::Sync`], from an agent with the field observer.
+    #[cfg(feature = "field")]
+    FieldSync {
+        /// The agent whose hello is answered.
+        to: AgentId,
+        /// The epoch of that hello.
+        epoch: u32,
+    },
 }
 
-/// Returns the bytes to broadcast, tagged with `key`. The estimate has at most [`INPUTS_MAX`]
-/// components; a longer one gives no bytes.
+impl Kind {
+    /// The kind of a broadcast with this content.
+    #[must_use]
+    pub fn broadcast(payload: Payload) -> Self {
+        match payload {
+            Payload::Estimate => Self::Estimate,
+            #[cfg(feature = "field")]
+            Payload::Field => Self::Field,
+        }
+    }
+
+    /// The kind of an answer to `to`'s hello in `epoch` with this content.
+    #[must_use]
+    pub fn answer(payload: Payload, to: AgentId, epoch: u32) -> Self {
+        match payload {
+            Payload::Estimate => Self::Sync { to, epoch },
+            #[cfg(feature = "field")]
+            Payload::Field => Self::FieldSync { to, epoch },
+        }
+    }
+
+    /// Returns what the frame's words are; `None` for a hello.
+    #[must_use]
+    pub fn payload(self) -> Option<Payload> {
+        match self {
+            Self::Hello => None,
+            Self::Estimate | Self::Sync { .. } => Some(Payload::Estimate),
+            #[cfg(feature = "field")]
+            Self::Field | Self::FieldSync { .. } => Some(Payload::Field),
+        }
+    }
+
+    /// Returns agent and epoch of the hello that the frame answers, if any.
+    #[must_use]
+    pub fn answered(self) -> Option<(AgentId, u32)> {
+        match self {
+            Self::Sync { to, epoch } => Some((to, epoch)),
+            #[cfg(feature = "field")]
+            Self::FieldSync { to, epoch } => Some((to, epoch)),
+            _ => None,
+        }
+    }
+}
+
+/// Returns the bytes to broadcast, tagged with `key`, with at most [`WORDS_MAX`] words of content;
+/// more give no bytes.
 #[must_use]
-pub fn seal(header: &Header, estimate: &[f32], key: &NetworkKey) -> Bytes {
+pub fn seal(header: &Header, words: &[[u8; 4]], key: &NetworkKey) -> Bytes {
     let mut bytes = Bytes::new();
     // Everything fits: LENGTH_MAX is the sum of every field's largest size.
     let is_written = writer::append(&(VERSION, key.number(), header), &mut bytes).is_some();
-    if !is_written || estimate.len() > INPUTS_MAX {
+    if !is_written || words.len() > WORDS_MAX {
         return Bytes::new();
     }
-    for component in estimate {
-        let _ = bytes.extend_from_slice(&component.to_le_bytes());
-    }
+    let _ = bytes.extend_from_slice(words.as_flattened());
     let tag = key.tag(header.sender, &bytes).to_le_bytes();
     let _ = bytes.extend_from_slice(&tag);
     bytes
@@ -138,17 +191,6 @@ pub fn open<'b>(
         (words, []) if (kind == Kind::Hello) == words.is_empty() => Ok((header, words)),
         _ => Err(FrameError::Malformed),
     }
-}
-
-/// Returns the estimate of an authentic frame from its words.
-///
-/// # Errors
-/// [`FrameError::Dimension`] or [`FrameError::NotFinite`].
-pub fn estimate<const N: usize>(
-    sender: AgentId,
-    words: &[[u8; 4]],
-) -> Result<StateVector<N>, FrameError> {
-    frame::estimate(sender, words)
 }
 
 #[cfg(test)]

@@ -33,5 +33,6 @@ pub(crate) fn fallback() -> Option<AgentConfig<'static>> {
         },
         step_size: 1e-3,
         exchange: ExchangeParams::PAPER,
+        field: &[],
     })
 }

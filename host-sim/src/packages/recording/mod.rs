@@ -90,6 +90,31 @@ impl Recording {
             .filter_map(|(start, end)| self.samples.select(&(start..end).collect::<Vec<_>>()))
     }
 
+    /// Joins recordings of several agents, for one network for all: samples one after the other, with a
+    /// gap between them, and the outer weights of the first. `None` without samples.
+    #[must_use]
+    pub fn joined(recordings: &[Self]) -> Option<Self> {
+        let first = recordings.first()?;
+        let part = |pick: fn(&Dataset) -> &[f64]| -> Vec<f64> {
+            recordings.iter().flat_map(|recording| pick(&recording.samples)).copied().collect()
+        };
+        let samples =
+            Dataset::new(first.samples.dimension(), part(Dataset::inputs), part(Dataset::targets));
+        let mut joined = Self { samples: samples.ok()?, gaps: Vec::new(), ..first.clone() };
+        joined.timing.missing.clear();
+        let mut before = 0;
+        for recording in recordings {
+            if before > 0 {
+                joined.gaps.push(before);
+                joined.timing.missing.push(1);
+            }
+            joined.gaps.extend(recording.gaps.iter().map(|gap| before + gap));
+            joined.timing.missing.extend(&recording.timing.missing);
+            before += recording.samples.len();
+        }
+        Some(joined)
+    }
+
     /// Writes the samples as a CSV file.
     ///
     /// # Errors

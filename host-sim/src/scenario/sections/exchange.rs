@@ -48,6 +48,18 @@ pub(in crate::scenario) fn exchange(
     }
 }
 
+/// Returns the exchange of the preset "robust" over links with this delay \[s\].
+pub(in crate::scenario) fn robust(time: &Time, delay: f64) -> ExchangeParams {
+    let steps = |seconds: f64| (seconds / time.step_size).round() as u32;
+    ExchangeParams {
+        heartbeat: steps(0.2),
+        gap: steps(0.01),
+        repeat: steps(0.03),
+        delay: steps(delay),
+        ..ExchangeParams::PAPER
+    }
+}
+
 /// Returns a time in steps, rounded; a time above 0 is at least one step.
 fn in_steps(value: &Value<'_>, time: &Time) -> Result<u32, ScenarioError> {
     let seconds = value.not_negative()?;

@@ -43,7 +43,15 @@ fn cycle(
     agents: usize,
     recipes: &[Recipe],
 ) -> Result<LearningCycle, ScenarioError> {
-    table.only(&["agents", "collect_from", "collect_to", "stride", "apply_at", "recipe"])?;
+    table.only(&[
+        "agents",
+        "collect_from",
+        "collect_to",
+        "stride",
+        "apply_at",
+        "recipe",
+        "shared",
+    ])?;
     let learners = match table.get("agents", "[1, 2]") {
         Some(value) => learners(&value, agents)?,
         None => (0..agents).collect(),
@@ -83,7 +91,9 @@ fn cycle(
         };
         return Err(recipe_value.error(format_args!("unknown recipe `{recipe}`"), hint));
     }
-    Ok(LearningCycle { agents: learners, collect, stride, apply_at, recipe: recipe.to_owned() })
+    let is_shared = table.get("shared", "true").map_or(Ok(false), |value| value.boolean())?;
+    let recipe = recipe.to_owned();
+    Ok(LearningCycle { agents: learners, collect, stride, apply_at, recipe, is_shared })
 }
 
 fn learners(value: &Value<'_>, agents: usize) -> Result<Vec<usize>, ScenarioError> {

@@ -27,6 +27,13 @@ impl LinkSettings {
     pub fn is_ideal(&self) -> bool {
         *self == Self::default()
     }
+
+    /// Returns the longest delay of a frame that does not wait for the medium. \[s\]
+    #[must_use]
+    pub fn longest_delay(&self) -> f64 {
+        let edges = self.rules.iter().map(|rule| &rule.edge).chain([&self.edge]);
+        edges.fold(0.0, |longest: f64, edge| longest.max(edge.delay + edge.jitter))
+    }
 }
 
 /// What an edge does to the frames that it carries.

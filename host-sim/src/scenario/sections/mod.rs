@@ -10,6 +10,7 @@ pub(super) mod learning;
 pub(super) mod life;
 pub(super) mod link;
 pub(super) mod network;
+pub(super) mod observer;
 pub(super) mod plant;
 pub(super) mod run;
 pub(super) mod sensor;

@@ -63,6 +63,18 @@ impl SensorSettings {
     pub fn is_ideal(&self) -> bool {
         Self { is_held: true, ..*self } == Self::default()
     }
+
+    /// Returns the standard deviation of noise and rounding together. \[output unit\]
+    #[must_use]
+    pub fn deviation(&self) -> f64 {
+        let rounding = match (self.range, self.bits) {
+            (Some([low, high]), Some(bits)) => {
+                (high - low) / libm::exp2(f64::from(bits)) / 12f64.sqrt()
+            }
+            _ => 0.0,
+        };
+        libm::hypot(self.noise, rounding)
+    }
 }
 
 /// Reads `[sensor]`.

@@ -1,0 +1,122 @@
+//! The disturbance of a measured direction, estimated at its root: a bias `b` and, with harmonics, an
+//! oscillation `p`, `q` of known frequency `omega`:
+//!
+//! `d/dt b = l_b nu`, `d/dt p = omega q + l_p nu`, `d/dt q = -omega p + l_q nu`, `d_hat = b + p`.
+//!
+//! The oscillation is rotated exactly, so that it keeps its amplitude; `b` and `d_hat` are clipped.
+//! Cost: some 15 operations. Memory: 12 bytes for each direction.
+
+use crate::math::parameter::{ParameterError, finite, not_negative};
+
+/// State of the model of one direction. \[unit of `xi`/s\]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Disturbance {
+    /// `b`.
+    pub bias: f32,
+    /// `p`.
+    pub cosine: f32,
+    /// `q`.
+    pub sine: f32,
+}
+
+impl Disturbance {
+    /// No disturbance.
+    pub const NONE: Self = Self { bias: 0.0, cosine: 0.0, sine: 0.0 };
+
+    /// Whether all numbers are finite.
+    #[must_use]
+    pub fn is_finite(&self) -> bool {
+        self.bias.is_finite() && self.cosine.is_finite() && self.sine.is_finite()
+    }
+}
+
+/// Gains and constants of the model of one direction; all 0 for none.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Model {
+    /// `l_b`. \[1/s^2\]
+    pub bias_gain: f32,
+    /// `l_p`. \[1/s^2\]
+    pub cosine_gain: f32,
+    /// `l_q`. \[1/s^2\]
+    pub sine_gain: f32,
+    /// `cos(omega dt)`.
+    pub rotation_cosine: f32,
+    /// `sin(omega dt)`.
+    pub rotation_sine: f32,
+    /// Largest magnitude of `b` and of `d_hat`. \[unit of `xi`/s\]
+    pub clip: f32,
+}
+
+impl Model {
+    /// No model: the disturbance stays 0.
+    pub const NONE: Self = Self {
+        bias_gain: 0.0,
+        cosine_gain: 0.0,
+        sine_gain: 0.0,
+        rotation_cosine: 1.0,
+        rotation_sine: 0.0,
+        clip: 0.0,
+    };
+
+    pub(super) fn validate(&self) -> Result<(), ParameterError> {
+        not_negative("field.bias_gain", self.bias_gain)?;
+        not_negative("field.clip", self.clip)?;
+        finite("field.harmonic_gains", &[self.cosine_gain, self.sine_gain])?;
+        let (cosine, sine) = (self.rotation_cosine, self.rotation_sine);
+        let square = cosine * cosine + sine * sine;
+        // A rotation that grows would be an oscillation that grows.
+        if (0.999..=1.0001).contains(&square) {
+            return Ok(());
+        }
+        let (parameter, value) = ("field.rotation", square);
+        Err(ParameterError::OutOfRange { parameter, value, expected: "a rotation" })
+    }
+
+    /// Returns `b + p` within the clip.
+    #[inline]
+    #[must_use]
+    pub fn clipped(&self, disturbance: &Disturbance) -> f32 {
+        self.limited(disturbance.bias + disturbance.cosine)
+    }
+
+    #[inline]
+    fn limited(&self, value: f32) -> f32 {
+        if value > self.clip {
+            self.clip
+        } else if value < -self.clip {
+            -self.clip
+        } else {
+            value
+        }
+    }
+
+    /// Returns the oscillation a step later.
+    #[inline]
+    #[must_use]
+    pub fn rotated(&self, disturbance: &Disturbance) -> Disturbance {
+        let Disturbance { bias, cosine, sine } = *disturbance;
+        let (c, s) = (self.rotation_cosine, self.rotation_sine);
+        Disturbance { bias, cosine: c * cosine + s * sine, sine: c * sine - s * cosine }
+    }
+
+    /// Returns the model's state a step later; `impulse` is `dt nu`.
+    #[inline]
+    #[must_use]
+    pub fn corrected(&self, disturbance: &Disturbance, impulse: f32) -> Disturbance {
+        let mut next = self.rotated(disturbance);
+        next.bias = self.limited(next.bias + self.bias_gain * impulse);
+        // The oscillation is clipped, too, so that nothing grows for ever.
+        next.cosine = self.limited(next.cosine + self.cosine_gain * impulse);
+        next.sine = self.limited(next.sine + self.sine_gain * impulse);
+        next
+    }
+
+    /// Returns the model's state a step later without a measurement.
+    #[inline]
+    #[must_use]
+    pub fn unmeasured(&self, disturbance: &Disturbance, bias_kept: f32) -> Disturbance {
+        let mut next = self.rotated(disturbance);
+        next.bias *= bias_kept;
+        next
+    }
+}

@@ -1,0 +1,410 @@
+//! The field observer of a scenario: settings, from its `[observer]` or derived, as the words of
+//! packages.
+//!
+//! What the scenario leaves open follows from the plant's course without agents, as the simulator
+//! knows it, and from the network in the package.
+
+use agent_core::observer::field::disturbance::Model;
+use agent_core::observer::field::{Coupling, Direction, HoldKind, Options};
+use agent_core::observer::network::Scratch;
+use agent_core::observer::trigger::TriggerParams;
+use agent_core::package::OnSwitch;
+use agent_core::wire::crc::crc32;
+
+use super::{
+    DirectionSettings, Gate, Geometry, NotCovered, Statistics, Trajectory, Trees, Wanted, gains,
+    settings,
+};
+use crate::analysis::{adjacency_norm, laplacian_norm};
+use crate::packages::{Draft, DraftError, PackageBytes, with_dimension};
+use crate::plant::Stepper;
+use crate::scenario::{DisturbanceModel, ObserverSettings, Scenario};
+
+/// Standard deviations around the mean to which the network's inputs are limited.
+const LIMIT: f64 = 5.0;
+
+/// The field observer of a scenario, before it is known which network is used.
+#[derive(Debug)]
+pub struct Plan<'s> {
+    scenario: &'s Scenario,
+    observer: &'s ObserverSettings,
+    geometry: Geometry,
+    trees: Trees,
+    trajectory: Trajectory,
+    /// Limits of the network's inputs.
+    low: Vec<f32>,
+    high: Vec<f32>,
+}
+
+/// Why a scenario has no field observer.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PlanError {
+    /// The agents do not measure the whole state.
+    #[error(transparent)]
+    NotCovered(#[from] NotCovered),
+    /// The rules do not hold.
+    #[error(transparent)]
+    Gate(#[from] Gate),
+    /// The package cannot be made.
+    #[error("{0}")]
+    Draft(#[from] DraftError),
+    /// A neighbour is too far down the list.
+    #[error(
+        "agent {agent} has more than 250 neighbours, so [observer] cannot name its parent; use a \
+         sparser graph"
+    )]
+    Neighbours {
+        /// The agent, from 1.
+        agent: usize,
+    },
+    /// The plant has no finite course.
+    #[error(
+        "the plant without agents is not finite at t = {time}, so [observer] cannot derive settings \
+         from it; lower time.step or change the plant"
+    )]
+    Plant {
+        /// The time. \[s\]
+        time: f64,
+    },
+}
+
+/// What the package of one agent needs beside its network.
+struct Derived {
+    directions: Vec<DirectionSettings>,
+    bias_decay: f64,
+    model_hold: bool,
+}
+
+impl<'s> Plan<'s> {
+    /// Prepares the observer of a scenario; `None` for the paper's.
+    ///
+    /// # Errors
+    /// If the agents do not measure the whole state, or the plant diverges.
+    pub fn new(scenario: &'s Scenario) -> Result<Option<Self>, PlanError> {
+        let Some(observer) = &scenario.observer else { return Ok(None) };
+        let trajectory = plant_course(scenario)?;
+        let matrices: Vec<_> = scenario.agents.iter().map(|agent| &agent.output_matrix).collect();
+        let geometry = if observer.is_in_state_units() {
+            Geometry::in_state_units(&matrices)?
+        } else {
+            Geometry::scaled(&matrices, &trajectory)?
+        };
+        let trees = Trees::new(&scenario.graph, &geometry);
+        let (mean, deviation) = (trajectory.mean(), trajectory.deviation());
+        let n = scenario.dimension();
+        let extreme = |c: usize, pick: fn(f64, f64) -> f64, start: f64| {
+            trajectory.states.iter().skip(c).step_by(n).fold(start, |so_far, &x| pick(so_far, x))
+        };
+        let low = |c: usize| (mean[c] - LIMIT * deviation[c]).min(extreme(c, f64::min, mean[c]));
+        let high = |c: usize| (mean[c] + LIMIT * deviation[c]).max(extreme(c, f64::max, mean[c]));
+        let [low, high] =
+            [(0..n).map(|c| low(c) as f32).collect(), (0..n).map(|c| high(c) as f32).collect()];
+        Ok(Some(Self { scenario, observer, geometry, trees, trajectory, low, high }))
+    }
+
+    /// Returns the first step of the observer.
+    #[must_use]
+    pub fn starts_at(&self) -> u64 {
+        self.scenario.time.tick(self.observer.from)
+    }
+
+    /// Returns the package after `package`: the same network with the observer's parameters.
+    ///
+    /// # Errors
+    /// See [`PlanError`].
+    pub fn next(&self, package: &PackageBytes, index: usize) -> Result<PackageBytes, PlanError> {
+        let mut draft = Draft::copy(&self.equip(package, index)?.package());
+        draft.version = draft.version.saturating_add(1);
+        Ok(draft.seal()?)
+    }
+
+    /// Returns coordinates and roots.
+    #[must_use]
+    pub fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
+    /// Returns who follows whom.
+    #[must_use]
+    pub fn trees(&self) -> &Trees {
+        &self.trees
+    }
+
+    /// Returns the package of agent `index` with the observer's parameters. A network that is not
+    /// trained is left out of the observer.
+    ///
+    /// # Errors
+    /// See [`PlanError`].
+    pub fn equip(&self, package: &PackageBytes, index: usize) -> Result<PackageBytes, PlanError> {
+        let mut draft = Draft::copy(&package.package());
+        let uses_network = self.observer.network && draft.samples > 0;
+        draft.node.field = self.words(package, index, uses_network)?;
+        if self.observer.coupling != Coupling::Trees {
+            draft.node.trigger = self.trigger();
+        }
+        // All agents predict samples with the same outer weights.
+        draft.on_switch = OnSwitch::Replace;
+        Ok(draft.seal()?)
+    }
+
+    fn words(
+        &self,
+        package: &PackageBytes,
+        index: usize,
+        uses_network: bool,
+    ) -> Result<Vec<f32>, PlanError> {
+        let Self { scenario, observer, geometry, .. } = self;
+        let step = scenario.time.step_size;
+        let derived = self.derive(package, uses_network)?;
+        let (frequencies, has_harmonics) = match &observer.disturbance {
+            DisturbanceModel::Harmonic { frequencies, .. } => (frequencies.as_deref(), true),
+            _ => (None, false),
+        };
+        let directions: Vec<_> = (0..scenario.dimension())
+            .map(|c| {
+                let frequency = frequencies.map(|all| all[c]).filter(|&frequency| frequency > 0.0);
+                self.direction(index, c, &derived.directions[c], frequency)
+            })
+            .collect::<Result<_, _>>()?;
+        let derived_hold = if derived.model_hold { HoldKind::Model } else { HoldKind::Rate };
+        let options = Options {
+            digest: self.digest(package, &directions),
+            hold: observer.hold.unwrap_or(derived_hold),
+            coupling: observer.coupling,
+            uses_network,
+            adapts: observer.adapts && uses_network,
+            has_harmonics,
+            is_half: observer.is_half,
+            timeout: (observer.timeout / step).round() as u32,
+            bias_kept: (1.0 - step * derived.bias_decay).max(0.0) as f32,
+            relay_share: observer.relay_share as f32,
+        };
+        let rows = |matrix: &nalgebra::DMatrix<f64>| -> Vec<f32> {
+            matrix.transpose().iter().map(|&entry| entry as f32).collect()
+        };
+        let mut words = options.words().to_vec();
+        words.extend(rows(&geometry.transform));
+        words.extend(rows(&geometry.inverse));
+        words.extend(&self.low);
+        words.extend(&self.high);
+        words.extend(directions.iter().flat_map(Direction::words));
+        Ok(words)
+    }
+
+    /// Returns the paper's trigger for this coupling and radius: with the agent's own current
+    /// estimate, `phi_1` has the adjacency matrix in place of the Laplacian.
+    fn trigger(&self) -> TriggerParams {
+        let Self { scenario, observer, .. } = self;
+        let laplacian = laplacian_norm(&scenario.graph);
+        let coupling = match observer.coupling {
+            Coupling::Current => adjacency_norm(&scenario.graph),
+            _ => laplacian,
+        };
+        let largest = |gains: &Option<Vec<f64>>| {
+            gains.iter().flatten().fold(0.0, |largest: f64, &gain| largest.max(gain))
+        };
+        let gain = largest(&observer.tree_gain);
+        let design = &scenario.design;
+        let (share, size) = (coupling / laplacian, coupling * gain);
+        let phi1 = 0.5 * design.k2 * share * share + 0.5 * design.kappa * size * size;
+        let radius = observer.radius.iter().flatten().copied().fold(f64::INFINITY, f64::min);
+        let threshold = match radius.is_finite() {
+            true => phi1 * radius * radius,
+            false => design.epsilon / scenario.agents.len() as f64,
+        };
+        TriggerParams {
+            hold_error_weight: phi1 as f32,
+            consensus_weight: (0.25 * design.k2 / (laplacian * laplacian)) as f32,
+            threshold: threshold as f32,
+        }
+    }
+
+    /// Returns what the scenario sets, and what the rules say where it does not.
+    fn derive(&self, package: &PackageBytes, uses_network: bool) -> Result<Derived, PlanError> {
+        let Self { scenario, observer, geometry, trajectory, .. } = self;
+        let n = scenario.dimension();
+        let evaluate = |x: &[f64], f: &mut [f64]| self.model(package, x, f);
+        let model: Option<&dyn Fn(&[f64], &mut [f64])> =
+            if uses_network { Some(&evaluate) } else { None };
+        let mut derived = if observer.is_complete() {
+            let unset = DirectionSettings {
+                radius: 0.0,
+                bandwidth: 0.0,
+                root_gain: 0.0,
+                bias_gain: 0.0,
+                tree_gain: 0.0,
+                clip: 0.0,
+            };
+            Derived { directions: vec![unset; n], bias_decay: 1.0, model_hold: uses_network }
+        } else {
+            let statistics = Statistics::new(trajectory, geometry, model);
+            let wanted = Wanted {
+                error: observer.error,
+                noise: self.noise(),
+                hop_delay: scenario.link.longest_delay() + scenario.time.step_size,
+                step: scenario.time.step_size,
+            };
+            let settings = settings(geometry, &statistics, &wanted)?;
+            Derived {
+                directions: settings.directions,
+                bias_decay: settings.bias_decay,
+                model_hold: settings.model_hold,
+            }
+        };
+        if let Some(decay) = observer.bias_decay {
+            derived.bias_decay = decay;
+        }
+        for (c, direction) in derived.directions.iter_mut().enumerate() {
+            for (place, given) in [
+                (&mut direction.radius, &observer.radius),
+                (&mut direction.root_gain, &observer.root_gain),
+                (&mut direction.tree_gain, &observer.tree_gain),
+                (&mut direction.clip, &observer.clip),
+            ] {
+                if let Some(given) = given {
+                    *place = given[c];
+                }
+            }
+        }
+        Ok(derived)
+    }
+
+    fn direction(
+        &self,
+        agent: usize,
+        c: usize,
+        derived: &DirectionSettings,
+        frequency: Option<f64>,
+    ) -> Result<Direction, PlanError> {
+        let Self { scenario, observer, geometry, trees, .. } = self;
+        let step = scenario.time.step_size;
+        let root = geometry.roots[agent][c];
+        let (rotation_sine, rotation_cosine) = match frequency {
+            Some(frequency) => (libm::sin(frequency * step), libm::cos(frequency * step)),
+            None => (0.0, 1.0),
+        };
+        let found = match &observer.disturbance {
+            DisturbanceModel::None => None,
+            DisturbanceModel::Bias { bandwidth: None } => {
+                Some((derived.root_gain, derived.bias_gain, 0.0, 0.0))
+            }
+            DisturbanceModel::Bias { bandwidth: Some(bandwidth) } => {
+                let gains = gains(None, 0.0, *bandwidth, 0.0, step);
+                Some((gains.state, gains.bias, 0.0, 0.0))
+            }
+            DisturbanceModel::Harmonic { bandwidth, harmonic_bandwidth, process, .. } => {
+                let gains =
+                    gains(frequency, process * process, *bandwidth, *harmonic_bandwidth, step);
+                Some((gains.state, gains.bias, gains.cosine, gains.sine))
+            }
+        };
+        let (root_gain, bias_gain, cosine_gain, sine_gain) =
+            found.unwrap_or((derived.root_gain, 0.0, 0.0, 0.0));
+        let root_gain = observer.root_gain.as_ref().map_or(root_gain, |given| given[c]);
+        let place = |parent: Option<usize>| -> Result<Option<u8>, PlanError> {
+            let Some(parent) = parent else { return Ok(None) };
+            let neighbours = scenario.graph.neighbours(agent);
+            let place = neighbours.iter().position(|edge| edge.agent == parent);
+            let place = place.and_then(|place| u8::try_from(place).ok()).filter(|&p| p < 250);
+            place.map(Some).ok_or(PlanError::Neighbours { agent: agent + 1 })
+        };
+        let is_tree = observer.coupling == Coupling::Trees;
+        let parent = trees.parent[agent][c].filter(|_| is_tree && root.is_none());
+        Ok(Direction {
+            output: root.map(|root| root.output as u8),
+            parent: place(parent)?,
+            spare: None,
+            is_announced: if is_tree { trees.announces(agent, c) } else { true },
+            scale: root.map_or(1.0, |root| root.scale) as f32,
+            root_gain: root_gain as f32,
+            tree_gain: derived.tree_gain as f32,
+            radius: derived.radius as f32,
+            model: Model {
+                bias_gain: bias_gain as f32,
+                cosine_gain: cosine_gain as f32,
+                sine_gain: sine_gain as f32,
+                rotation_cosine: rotation_cosine as f32,
+                rotation_sine: rotation_sine as f32,
+                clip: if found.is_some() { derived.clip as f32 } else { 0.0 },
+            },
+        })
+    }
+
+    /// Returns the standard deviation of the noise in each direction, if any sensor has some.
+    fn noise(&self) -> Option<Vec<f64>> {
+        let n = self.scenario.dimension();
+        let mut noise = vec![0.0_f64; n];
+        for (agent, roots) in self.scenario.agents.iter().zip(&self.geometry.roots) {
+            for (place, root) in noise.iter_mut().zip(roots) {
+                if let Some(root) = root {
+                    *place = place.max(root.scale.abs() * agent.sensor.deviation());
+                }
+            }
+        }
+        noise.iter().any(|&sigma| sigma > 0.0).then_some(noise)
+    }
+
+    /// Writes `f_hat(x)` of a package's network.
+    fn model(&self, package: &PackageBytes, x: &[f64], f: &mut [f64]) {
+        let limits = x.iter().zip(self.low.iter().zip(&self.high));
+        let x: Vec<f32> = limits.map(|(&x, (&low, &high))| (x as f32).clamp(low, high)).collect();
+        let output = with_dimension!(x.len(), output(package, &x), else Vec::new());
+        f.fill(0.0);
+        for (f, output) in f.iter_mut().zip(output) {
+            *f = f64::from(output);
+        }
+    }
+
+    /// Returns a digest of all that samples are predicted with; never 0.
+    fn digest(&self, package: &PackageBytes, directions: &[Direction]) -> u16 {
+        let package = package.package();
+        let transform: Vec<f64> = self.geometry.transform.iter().copied().collect();
+        let models = directions.iter().flat_map(|direction| {
+            [direction.model.rotation_cosine, direction.model.rotation_sine, direction.model.clip]
+        });
+        let models: Vec<f32> = models.collect();
+        let hash = crc32(&[
+            bytemuck::cast_slice(package.network.parameters()),
+            bytemuck::cast_slice(package.outer_weights),
+            bytemuck::cast_slice(&transform),
+            bytemuck::cast_slice(&self.low),
+            bytemuck::cast_slice(&self.high),
+            bytemuck::cast_slice(&models),
+        ]);
+        ((hash ^ hash >> 16) as u16).max(1)
+    }
+}
+
+fn output<const N: usize>(package: &PackageBytes, x: &[f32]) -> Vec<f32> {
+    let state = agent_core::StateVector::<N>::from_column_slice(x);
+    let mut scratch = Scratch::NEW;
+    let output = package.package().evaluate(&state, &mut scratch).map(|(_, output)| output);
+    output.map_or_else(Vec::new, |output| output.as_slice().to_vec())
+}
+
+/// Returns the course of the plant, without process noise.
+fn plant_course(scenario: &Scenario) -> Result<Trajectory, PlanError> {
+    let (n, time) = (scenario.dimension(), scenario.time);
+    let mut states = scenario.initial_state.clone();
+    with_dimension!(n, plant_states(scenario, &mut states), else Ok(()))?;
+    Ok(Trajectory { dimension: n, step: time.step_size, states })
+}
+
+fn plant_states<const N: usize>(
+    scenario: &Scenario,
+    states: &mut Vec<f64>,
+) -> Result<(), PlanError> {
+    let time = scenario.time;
+    let mut state: [f64; N] = std::array::from_fn(|c| scenario.initial_state[c]);
+    let mut plant = Stepper::new(time.integrator);
+    for tick in 0..scenario.steps() {
+        let (plant_model, disturbance) = (&scenario.plant, &scenario.disturbance);
+        plant.step(plant_model, disturbance, time.at(tick), time.step_size, &mut state);
+        if !state.iter().all(|&x| (x as f32).is_finite()) {
+            return Err(PlanError::Plant { time: time.at(tick) });
+        }
+        states.extend(state);
+    }
+    Ok(())
+}
