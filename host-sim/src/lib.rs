@@ -14,6 +14,7 @@
 //! | [`service`] | client for a running node: packages, samples |
 //! | [`cosim`] | co-simulation with real nodes, compared bit for bit |
 //! | [`analysis`] | constants and bounds of the theorems, compared with a run |
+//! | [`flow`] | design of flow observers: directions, trees, gains, certificates |
 //! | [`figures`], [`report`] | figures; tables and CSV files |
 //! | [`files`], [`number`] | reading and writing files, tables, hashes; number formatting |
 //! | [`terminal`] | terminal output |
@@ -35,6 +36,7 @@ pub mod engine;
 pub mod figures;
 pub mod files;
 pub mod flash;
+pub mod flow;
 pub mod graph;
 pub mod image;
 pub mod interruption;
