@@ -14,6 +14,7 @@
 //! | [`service`] | client for a running node: packages, samples |
 //! | [`cosim`] | co-simulation with real nodes, compared bit for bit |
 //! | [`analysis`] | constants and bounds of the theorems, compared with a run |
+//! | [`flow`] | design of flow observers: directions, trees, gains, certificates |
 //! | [`figures`], [`report`] | figures; tables and CSV files |
 //! | [`files`], [`number`] | reading and writing files, tables, hashes; number formatting |
 //! | [`terminal`] | terminal output |

@@ -249,9 +249,9 @@ mod tests {
                 1e-12,
             );
         }
-        close(&[found.directions[0].tree_gain], &[2.0 * 2f64.sqrt() * bandwidth[0]], 1e-12);
+        let tree = [found.directions[0].tree_gain, found.directions[1].tree_gain];
+        close(&tree, &[1.7 * 30.0, 2.0 * 2f64.sqrt() * bandwidth[1]], 1e-12);
         assert_eq!((found.directions[1].clip, found.bias_decay), (15.0, 1.0));
-        // The mean residual is 0.15 but for rounding.
         let mut better = statistics(30.0);
         better.residual = vec![0.05, 0.2];
         assert!(settings(&geometry(), &better, &wanted()).unwrap().model_hold);
