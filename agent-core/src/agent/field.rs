@@ -20,7 +20,7 @@ use crate::agent::capture::Sample;
 use crate::agent::hold::{Hold, HoldSlots};
 use crate::agent::inbox::Inbox;
 use crate::agent::{AgentParams, AgentState, StepError, StepOutput};
-use crate::math::numeric::{add_scaled, all_finite, components_mut, difference, zeros};
+use crate::math::numeric::{add_scaled, all_finite, components, components_mut, difference, zeros};
 use crate::math::parameter::ParameterError;
 use crate::observer::field::{
     Announced, Coupling, Direction, Disturbance, FieldParams, FieldWords, HoldKind,
@@ -31,7 +31,8 @@ use crate::observer::outer_law::combine;
 /// Parameters and state of the field observer; none for the paper's.
 #[derive(Clone, Debug)]
 pub(super) struct Field<const N: usize, const FEATURES: usize> {
-    params: Option<FieldParams<N>>,
+    /// One or none; an option would not be zero for none.
+    params: heapless::Vec<FieldParams<N>, 1>,
     /// The models of the directions that the agent measures.
     disturbances: [Disturbance; N],
     /// Outer weights for samples, which do not adapt: those at the switch.
@@ -42,7 +43,7 @@ pub(super) struct Field<const N: usize, const FEATURES: usize> {
 impl<const N: usize, const FEATURES: usize> Field<N, FEATURES> {
     pub(super) const fn none() -> Self {
         Self {
-            params: None,
+            params: heapless::Vec::new(),
             disturbances: [Disturbance::NONE; N],
             outer_weights: heapless::Vec::new(),
             must_announce: false,
@@ -50,7 +51,7 @@ impl<const N: usize, const FEATURES: usize> Field<N, FEATURES> {
     }
 
     pub(super) fn is_in_use(&self) -> bool {
-        self.params.is_some()
+        !self.params.is_empty()
     }
 
     /// Starts again without a disturbance.
@@ -72,6 +73,7 @@ struct Prediction<'a, const N: usize, P> {
 
 impl<const N: usize, P: AsRef<[f32]>> Prediction<'_, N, P> {
     /// Returns `f_hat` with these outer weights, from the limited state.
+    #[inline(never)]
     fn flow(
         &self,
         outer_weights: &[StateVector<N>],
@@ -89,8 +91,9 @@ impl<const N: usize, P: AsRef<[f32]>> Prediction<'_, N, P> {
     }
 
     /// Moves a sample on by `time`, which is `steps` steps.
+    #[inline(never)]
     fn advance(&self, hold: &mut Hold<N>, steps: u32, scratch: &mut Scratch) {
-        let Some(mut announced) = *hold.announced() else { return };
+        let Some(mut announced) = hold.announced().copied() else { return };
         let rate = match announced.hold {
             HoldKind::ZeroOrder => zeros(),
             HoldKind::Rate => announced.rate,
@@ -120,11 +123,12 @@ impl<const N: usize, P: AsRef<[f32]>> Prediction<'_, N, P> {
 
 /// Returns the disturbance that a sample announces in direction `c`.
 fn announced_in<const N: usize>(hold: &Hold<N>, c: usize) -> Option<&Disturbance> {
-    hold.announced().as_ref().and_then(|announced| announced.disturbance(c))
+    hold.announced().and_then(|announced| announced.disturbance(c))
 }
 
 /// Returns the sample that an agent follows: its parent's, or the spare parent's if the parent is
 /// silent for longer than the time-out and the spare is not.
+#[inline(never)]
 fn followed<'h, const N: usize>(
     direction: &Direction,
     timeout: u32,
@@ -163,10 +167,14 @@ where
             }
         };
         let Self { field: Field { params, outer_weights, must_announce, disturbances }, .. } = self;
-        if params.is_none() {
+        if params.is_empty() {
             *disturbances = [Disturbance::NONE; N];
         }
-        *params = field;
+        params.clear();
+        if let Some(field) = field {
+            // There is room: it was cleared.
+            let _ = params.push(field);
+        }
         outer_weights.clear();
         let _ = outer_weights.extend_from_slice(self.outer_weights.rows());
         *must_announce = true;
@@ -176,7 +184,7 @@ where
     /// Returns the field observer's parameters, if it is in use.
     #[must_use]
     pub fn field(&self) -> Option<&FieldParams<N>> {
-        self.field.params.as_ref()
+        self.field.params.first()
     }
 
     /// Returns the disturbances that the agent estimates at the directions it measures.
@@ -201,11 +209,8 @@ where
         I: HoldSlots<N>,
     {
         let Self { field, scratch, exchange, .. } = self;
-        let Field { params: Some(own), disturbances, outer_weights: shipped, must_announce } =
-            field
-        else {
-            return Err(StepError::Diverged);
-        };
+        let Field { params: own, disturbances, outer_weights: shipped, must_announce } = field;
+        let Some(own) = own.first() else { return Err(StepError::Diverged) };
         let step_size = params.step_size;
         let network = network.filter(|_| own.options.uses_network);
         let digest = if network.is_some() { own.options.digest } else { 0 };
@@ -225,23 +230,30 @@ where
 
         // Innovations and corrections, in the coordinates `xi`.
         let estimate = self.estimate;
-        let (mut innovation, mut correction) = (zeros(), zeros());
-        let mut consensus = zeros();
+        let (mut innovation, mut correction) = (zeros::<N>(), zeros::<N>());
+        let mut consensus = zeros::<N>();
         let reference = match own.options.coupling {
             Coupling::Held => *self.own_hold.estimate(),
             _ => estimate,
         };
-        for (c, direction) in own.directions.iter().enumerate() {
+        let places = components_mut(&mut innovation)
+            .iter_mut()
+            .zip(components_mut(&mut correction))
+            .zip(components_mut(&mut consensus))
+            .zip(disturbances.iter());
+        for ((c, direction), (((innovation, correction), consensus), disturbance)) in
+            own.directions.iter().enumerate().zip(places)
+        {
             let current = own.coordinate(c, &estimate);
             let mut sum = 0.0;
             if let Some(output) = direction.output {
                 let measured = measurement.and_then(|values| values.get(usize::from(output)));
                 if let Some(measured) = measured {
                     let nu = direction.scale * measured - current;
-                    components_mut::<N>(&mut innovation)[c] = nu;
+                    *innovation = nu;
                     sum += direction.root_gain * nu;
                 }
-                sum += direction.model.clipped(&disturbances[c]);
+                sum += direction.model.clipped(disturbance);
             }
             if own.options.coupling == Coupling::Trees {
                 let followed = followed(direction, own.options.timeout, holds, tick);
@@ -264,10 +276,10 @@ where
                     let difference = own.coordinate(c, hold.estimate()) - reference;
                     term += neighbour.weight * share * difference;
                 }
-                components_mut::<N>(&mut consensus)[c] = term;
+                *consensus = term;
                 sum += direction.tree_gain * term;
             }
-            components_mut::<N>(&mut correction)[c] = sum;
+            *correction = sum;
         }
         let mut output_error = zeros();
         if let Some(measurement) = measurement {
@@ -277,9 +289,10 @@ where
 
         let mut derivative = zeros();
         let mut adaptation = zeros();
-        for c in 0..N {
-            own.shift(&mut derivative, c, correction[c]);
-            own.shift(&mut adaptation, c, -innovation[c]);
+        let amounts = components(&correction).iter().zip(components(&innovation));
+        for (c, (&correction, &innovation)) in amounts.enumerate() {
+            own.shift(&mut derivative, c, correction);
+            own.shift(&mut adaptation, c, -innovation);
         }
         let input = own.limited(&estimate);
         let features = network.and_then(|network| network.features(input.as_slice(), scratch));
@@ -300,7 +313,7 @@ where
 
         // Nothing can fail from here on.
         for ((direction, disturbance), &nu) in
-            own.directions.iter().zip(disturbances.iter_mut()).zip(innovation.iter())
+            own.directions.iter().zip(disturbances.iter_mut()).zip(components(&innovation))
         {
             let Some(output) = direction.output else { continue };
             let is_measured = measurement.is_some_and(|values| values.len() > usize::from(output));
@@ -336,7 +349,7 @@ where
                 params.trigger.fires(held, &hold_error, &self.consensus_term)
             }
         };
-        let known = self.own_hold.announced().as_ref().map(|announced| announced.digest);
+        let known = self.own_hold.announced().map(|announced| announced.digest);
         let must = *must_announce || known != Some(digest);
         if !self.exchange.is_due(&params.exchange, event, now, held) && !must {
             return Ok(StepOutput { broadcast: None, sample });
@@ -351,6 +364,7 @@ where
 }
 
 /// Whether direction `c` of the agent's sample has to be announced again.
+#[inline(never)]
 fn is_due<const N: usize>(
     own: &FieldParams<N>,
     c: usize,
@@ -374,6 +388,7 @@ fn is_due<const N: usize>(
 }
 
 /// Returns what the agent announces at `now`, and the sample with it.
+#[inline(never)]
 fn announcement<const N: usize, P: AsRef<[f32]>>(
     prediction: &Prediction<'_, N, P>,
     disturbances: &[Disturbance; N],
@@ -405,8 +420,8 @@ fn announcement<const N: usize, P: AsRef<[f32]>>(
         rate: zeros(),
         disturbances: [Disturbance::NONE; N],
     };
-    for (c, (direction, place)) in
-        own.directions.iter().zip(announced.disturbances.iter_mut()).enumerate()
+    let places = announced.disturbances.iter_mut().zip(disturbances);
+    for (c, (direction, (place, own_disturbance))) in own.directions.iter().zip(places).enumerate()
     {
         let followed = match (own.options.coupling, direction.output) {
             (Coupling::Trees, None) => followed(direction, own.options.timeout, holds, now),
@@ -421,7 +436,7 @@ fn announcement<const N: usize, P: AsRef<[f32]>>(
                     own.shift(&mut sample, c, own.coordinate(c, &error));
                 }
             }
-            None if direction.output.is_some() => *place = disturbances[c],
+            None if direction.output.is_some() => *place = *own_disturbance,
             None => {}
         }
         if direction.is_announced && direction.model.clip > 0.0 {
@@ -431,9 +446,9 @@ fn announcement<const N: usize, P: AsRef<[f32]>>(
     if hold == HoldKind::Rate {
         // The rate holds for all directions, so it counts all disturbances that the agent knows.
         announced.rate = prediction.flow(prediction.outer_weights, &sample, scratch);
-        for (c, direction) in own.directions.iter().enumerate() {
-            let disturbance = direction.model.clipped(&announced.disturbances[c]);
-            own.shift(&mut announced.rate, c, disturbance);
+        let Announced { rate, disturbances, .. } = &mut announced;
+        for (c, (direction, disturbance)) in own.directions.iter().zip(disturbances).enumerate() {
+            own.shift(rate, c, direction.model.clipped(disturbance));
         }
         if !all_finite(&announced.rate) {
             announced.rate = zeros();

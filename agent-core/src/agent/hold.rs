@@ -49,9 +49,12 @@ pub struct Hold<const N: usize> {
     offset: Option<i64>,
     /// Steps for which the sample was on its way.
     lag: u32,
-    /// How the sample goes on, if not as in the paper.
+    /// Whether the sample goes on as it is announced; if not, as in the paper. An option would not be
+    /// zero for nothing, and a static of an agent would have to be kept in flash.
     #[cfg(feature = "field")]
-    announced: Option<Announced<N>>,
+    goes_on: bool,
+    #[cfg(feature = "field")]
+    announced: Announced<N>,
     /// Steps for which it has gone on.
     #[cfg(feature = "field")]
     moved: u32,
@@ -86,7 +89,9 @@ impl<const N: usize> Hold<N> {
             offset: None,
             lag: 0,
             #[cfg(feature = "field")]
-            announced: None,
+            goes_on: false,
+            #[cfg(feature = "field")]
+            announced: Announced::NONE,
             #[cfg(feature = "field")]
             moved: 0,
         }
@@ -96,7 +101,11 @@ impl<const N: usize> Hold<N> {
     pub(crate) fn of_frame(frame: &Frame<N>) -> Self {
         let hold = Self::new(frame.estimate, frame.tick, frame.sequence);
         #[cfg(feature = "field")]
-        let hold = Self { announced: frame.announced, ..hold };
+        let hold = Self {
+            goes_on: frame.announced.is_some(),
+            announced: frame.announced.unwrap_or(Announced::NONE),
+            ..hold
+        };
         hold
     }
 
@@ -108,28 +117,28 @@ impl<const N: usize> Hold<N> {
         let tick = self.tick;
         let frame = Frame::new(sender, self.sequence, tick, self.sample);
         #[cfg(feature = "field")]
-        let frame = Frame { announced: self.announced, ..frame };
+        let frame = Frame { announced: self.announced().copied(), ..frame };
         frame
     }
 
     /// Returns how the sample goes on; `None` for the paper's hold.
     #[cfg(feature = "field")]
     #[must_use]
-    pub fn announced(&self) -> &Option<Announced<N>> {
-        &self.announced
+    pub fn announced(&self) -> Option<&Announced<N>> {
+        self.goes_on.then_some(&self.announced)
     }
 
     /// Returns the sample with this announcement.
     #[cfg(feature = "field")]
     pub(crate) fn announcing(self, announced: Announced<N>) -> Self {
-        Self { announced: Some(announced), ..self }
+        Self { goes_on: true, announced, ..self }
     }
 
     /// Goes on by `steps` to this estimate.
     #[cfg(feature = "field")]
     pub(crate) fn go_on(&mut self, estimate: StateVector<N>, announced: Announced<N>, steps: u32) {
         self.sample = estimate;
-        self.announced = Some(announced);
+        self.announced = announced;
         self.moved = self.moved.saturating_add(steps);
     }
 

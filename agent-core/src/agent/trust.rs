@@ -152,8 +152,9 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         }
         (self.epoch, self.sealed) = (epoch, Some(frame.sequence));
         let stamp = Stamp { epoch, sequence: frame.sequence };
-        let (payload, words) = frame.content();
-        Some(self.bytes(stamp, frame.tick, Kind::broadcast(payload), &words, key))
+        Some(frame.with_content(|payload, words| {
+            self.bytes(stamp, frame.tick, Kind::broadcast(payload), words, key)
+        }))
     }
 
     /// Returns a hello if one is due at the receiver's tick `now`.
@@ -182,8 +183,9 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         let sequence = self.sealed.filter(|&sealed| sealed == last.sequence)?;
         let (to, epoch) = self.asking(now)?;
         let stamp = Stamp { epoch: self.epoch, sequence };
-        let (payload, words) = last.content();
-        Some(self.bytes(stamp, last.tick, Kind::answer(payload, to, epoch), &words, key))
+        Some(last.with_content(|payload, words| {
+            self.bytes(stamp, last.tick, Kind::answer(payload, to, epoch), words, key)
+        }))
     }
 
     /// Returns whether a hello waits, but the agent has not said anything in its epoch: it must then

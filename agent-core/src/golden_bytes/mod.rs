@@ -31,11 +31,14 @@ use crate::service::{
 use crate::store::{Slot, StoreError};
 use crate::wire::cobs::Decoder;
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
-use crate::wire::frame::{FRAME_LENGTH_MAX, Frame, FrameError};
+use crate::wire::frame::{FRAME_LENGTH_MAX, Frame, FrameError, WORDS_MAX};
 use crate::{AgentId, INPUTS_MAX, StateVector};
 
 /// FNV-1a, 64 bits.
 struct Hash(u64);
+
+/// Length of the longest frame with an estimate. \[byte\]
+const LONGEST_ESTIMATE: usize = FRAME_LENGTH_MAX - 4 * (WORDS_MAX - INPUTS_MAX);
 
 impl Hash {
     fn add(&mut self, bytes: &[u8]) {
@@ -281,9 +284,9 @@ impl Lines {
     /// What agent numbers of 32 bits brought.
     fn wide_numbers(&mut self) {
         let frame = body::<12>(AgentId::MAX, u32::MAX, u64::MAX, f32::MAX);
-        assert_eq!(frame.len() + CHECKSUM_LENGTH, FRAME_LENGTH_MAX);
+        assert_eq!(frame.len() + CHECKSUM_LENGTH, LONGEST_ESTIMATE);
         self.add("frame-wide", &frame, verdicts(&frame, usize::MAX, frame_taken));
-        let bytes = sent(&Request::Frame { bytes: &[0xa5; FRAME_LENGTH_MAX] });
+        let bytes = sent(&Request::Frame { bytes: &[0xa5; LONGEST_ESTIMATE] });
         self.add("request-wide", &bytes, verdicts(&bytes, usize::MAX, heard));
     }
 

@@ -237,7 +237,7 @@ fn unknown_sections_are_skipped_unless_they_are_required() {
     let content = Content::new();
     let bytes = bytes_of(&content.package());
     let original = sections(&bytes);
-    for (number, content_length) in [(10, 1), (300, 4), (0x7fff, 21)] {
+    for (number, content_length) in [(11, 1), (300, 4), (0x7fff, 21)] {
         let content_bytes = std::vec![0xa5; content_length];
         let with = |kind| {
             let mut all = original.clone();

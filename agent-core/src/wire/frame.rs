@@ -22,7 +22,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::INPUTS_MAX;
-use crate::math::numeric::all_finite;
+use crate::math::numeric::{all_finite, components};
 #[cfg(feature = "field")]
 use crate::observer::field::Announced;
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
@@ -203,18 +203,20 @@ impl<const N: usize> Frame<N> {
     #[must_use]
     pub fn encode(&self) -> FrameBytes {
         const { assert!(N >= 1 && N <= INPUTS_MAX, "the state dimension is 1 to 12") };
-        let (payload, words) = self.content();
-        encode(self.sender, self.sequence, self.tick, payload, &words)
+        self.with_content(|payload, words| {
+            encode(self.sender, self.sequence, self.tick, payload, words)
+        })
     }
 
-    /// Returns what the frame carries.
+    /// Calls `use_content` with what the frame carries.
     #[inline]
-    pub(crate) fn content(&self) -> (Payload, Words) {
+    pub(crate) fn with_content<R>(&self, use_content: impl FnOnce(Payload, &[[u8; 4]]) -> R) -> R {
         #[cfg(feature = "field")]
         if let Some(announced) = &self.announced {
-            return (Payload::Field, announced.words(&self.estimate));
+            return use_content(Payload::Field, &announced.words(&self.estimate));
         }
-        (Payload::Estimate, self.estimate.iter().map(|x| x.to_le_bytes()).collect())
+        let words = components(&self.estimate).map(f32::to_le_bytes);
+        use_content(Payload::Estimate, &words)
     }
 
     /// Returns the frame with this content.
@@ -398,7 +400,7 @@ mod tests {
             StateVector::repeat(f32::MAX),
         );
         let bytes = frame.encode();
-        assert_eq!(bytes.len(), FRAME_LENGTH_MAX);
+        assert_eq!(bytes.len(), FRAME_LENGTH_MAX - 4 * (WORDS_MAX - INPUTS_MAX));
         assert_eq!(Frame::decode(&bytes), Ok(frame));
     }
 
@@ -428,7 +430,7 @@ mod tests {
         let decode = Frame::<3>::decode;
         assert_eq!(decode(&[]), Err(FrameError::Length { found: 0 }));
         assert_eq!(decode(&[0; 4]), Err(FrameError::Length { found: 4 }));
-        assert_eq!(decode(&[0; 100]), Err(FrameError::Length { found: 100 }));
+        assert_eq!(decode(&[0; 200]), Err(FrameError::Length { found: 200 }));
         assert_eq!(decode(&bytes[..bytes.len() - 1]), Err(FrameError::Checksum));
         assert_eq!(decode(&resealed(|b| b[0] = 9)), Err(FrameError::Version { found: 9 }));
         assert_eq!(decode(&resealed(|b| b[7] = 1)), Err(FrameError::Malformed));

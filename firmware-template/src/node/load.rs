@@ -187,6 +187,11 @@ impl<
             let weights = package.as_ref().map_or(&[0.0; N][..], |package| package.outer_weights);
             agent.begun = agent.begin(&params, estimate, weights);
             agent.begun.then_some(())?;
+            #[cfg(feature = "field")]
+            {
+                let words = package.as_ref().map_or(&[][..], |package| package.node.field);
+                agent.state.set_field(&params, words).ok()?;
+            }
         }
         let network = slot
             .zip(package)

@@ -246,7 +246,7 @@ fn run(
     let stranger = NetworkKey::new(1, Secret::new([0xee; 16]));
     let stamp = Stamp { epoch: u32::MAX, sequence: 1 };
     let header = Header { sender: 2, stamp, tick: 9, kind: Kind::Estimate };
-    let forged = authentic::seal(&header, &[1e3; N], &stranger);
+    let forged = authentic::seal(&header, &[1e3_f32.to_le_bytes(); N], &stranger);
     let settings = Settings {
         layout: LAYOUT,
         public_key: None,

@@ -27,7 +27,8 @@ pub(crate) fn digest(meter: &mut impl Meter, figures: &mut Figures) -> Result<u6
             _ => Kind::Estimate,
         };
         let header = Header { sender: 2, stamp, tick: (1_000 * round).into(), kind };
-        let (bytes, instructions) = meter.count(|| authentic::seal(&header, &estimate, &network));
+        let (bytes, instructions) =
+            meter.count(|| authentic::seal(&header, &estimate.map(f32::to_le_bytes), &network));
         figures.add(Figure::Tag, instructions);
         digest.bytes(&bytes);
         let (opened, instructions) =

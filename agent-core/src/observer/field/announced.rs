@@ -84,6 +84,17 @@ impl Numbers {
 }
 
 impl<const N: usize> Announced<N> {
+    /// Nothing: all zero.
+    pub const NONE: Self = Self {
+        digest: 0,
+        hold: HoldKind::ZeroOrder,
+        has_harmonics: false,
+        is_half: false,
+        directions: 0,
+        rate: zeros(),
+        disturbances: [Disturbance::NONE; N],
+    };
+
     /// Returns the number of words with this many rates and announced directions.
     pub(super) const fn words_for(
         rates: usize,

@@ -6,8 +6,6 @@
 //! The oscillation is rotated exactly, so that it keeps its amplitude; `b` and `d_hat` are clipped.
 //! Cost: some 15 operations. Memory: 12 bytes for each direction.
 
-use crate::math::parameter::{ParameterError, finite, not_negative};
-
 /// State of the model of one direction. \[unit of `xi`/s\]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Disturbance {
@@ -58,18 +56,9 @@ impl Model {
         clip: 0.0,
     };
 
-    pub(super) fn validate(&self) -> Result<(), ParameterError> {
-        not_negative("field.bias_gain", self.bias_gain)?;
-        not_negative("field.clip", self.clip)?;
-        finite("field.harmonic_gains", &[self.cosine_gain, self.sine_gain])?;
-        let (cosine, sine) = (self.rotation_cosine, self.rotation_sine);
-        let square = cosine * cosine + sine * sine;
-        // A rotation that grows would be an oscillation that grows.
-        if (0.999..=1.0001).contains(&square) {
-            return Ok(());
-        }
-        let (parameter, value) = ("field.rotation", square);
-        Err(ParameterError::OutOfRange { parameter, value, expected: "a rotation" })
+    /// Returns `cos^2 + sin^2` of the rotation.
+    pub(super) fn rotation_square(&self) -> f32 {
+        self.rotation_cosine * self.rotation_cosine + self.rotation_sine * self.rotation_sine
     }
 
     /// Returns `b + p` within the clip.

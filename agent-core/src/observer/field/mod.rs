@@ -28,7 +28,7 @@ use nalgebra::SMatrix;
 
 use crate::StateVector;
 use crate::math::numeric::{components, components_mut, zeros};
-use crate::math::parameter::{ParameterError, not_negative, positive};
+use crate::math::parameter::ParameterError;
 use crate::wire::frame::WORDS_MAX;
 
 /// How an agent's estimate is coupled to its neighbours' samples.
@@ -127,65 +127,62 @@ impl<const N: usize> FieldParams<N> {
         neighbours: usize,
         step_size: f32,
     ) -> Result<(), ParameterError> {
-        let out_of_range = |parameter, value, expected| {
-            Err(ParameterError::OutOfRange { parameter, value, expected })
-        };
-        let within = |parameter, value: f32| match (0.0..=1.0).contains(&value) {
-            true => Ok(()),
-            false => out_of_range(parameter, value, "0 to 1"),
-        };
-        within("field.bias_kept", self.options.bias_kept)?;
-        positive("field.relay_share", self.options.relay_share)?;
-        within("field.relay_share", self.options.relay_share)?;
-        let limits = components(&self.low).iter().zip(components(&self.high));
-        for (&low, &high) in limits {
-            if !(low.is_finite() && high.is_finite() && low <= high) {
-                return out_of_range("field.low", low, "finite limits in order");
+        let mut fault = None;
+        // Not numbers fail every comparison.
+        let mut require = |holds: bool, value: f32, expected| {
+            if !holds && fault.is_none() {
+                fault = Some((value, expected));
             }
+        };
+        let Options { bias_kept, relay_share, has_harmonics, is_half, hold, .. } = self.options;
+        let within = |value: f32, low: f32, high: f32| low <= value && value <= high;
+        require(within(bias_kept, 0.0, 1.0), bias_kept, "a kept bias from 0 to 1");
+        require(within(relay_share, f32::MIN_POSITIVE, 1.0), relay_share, "a share up to 1");
+        for (&low, &high) in components(&self.low).iter().zip(components(&self.high)) {
+            require(low <= high, low, "limits in order");
         }
         let mut announced = 0;
         for direction in &self.directions {
-            let Direction { root_gain, tree_gain, radius, .. } = *direction;
-            for (parameter, gain) in
-                [("field.root_gain", root_gain), ("field.tree_gain", tree_gain)]
-            {
-                not_negative(parameter, gain)?;
-                // Euler's method would diverge.
-                if gain * step_size >= 2.0 {
-                    return out_of_range(parameter, gain, "below 2 / step_size");
-                }
+            let Direction { root_gain, tree_gain, radius, model, .. } = *direction;
+            for gain in [root_gain, tree_gain] {
+                // Euler's method would diverge beyond.
+                require(gain >= 0.0 && gain * step_size < 2.0, gain, "a gain below 2 / step_size");
             }
-            positive("field.radius", radius)?;
-            direction.model.validate()?;
+            require(radius > 0.0, radius, "a radius above 0");
+            let positive = model.clip >= 0.0 && model.bias_gain >= 0.0;
+            require(positive, model.clip, "a clip and a gain of 0 or above");
+            let rotation = model.rotation_square();
+            // A rotation that grows would be an oscillation that grows.
+            require(within(rotation, 0.999, 1.0001), rotation, "a rotation");
             let output = direction.output.map_or(0, |output| usize::from(output) + 1);
-            if output > outputs {
-                return out_of_range("field.output", output as f32, "an output of the agent");
-            }
+            require(output <= outputs, output as f32, "an output of the agent");
             for place in [direction.parent, direction.spare].into_iter().flatten() {
-                if usize::from(place) >= neighbours {
-                    return out_of_range("field.parent", place.into(), "a neighbour's place");
-                }
+                require(usize::from(place) < neighbours, place.into(), "a neighbour's place");
             }
-            announced += usize::from(direction.is_announced && direction.model.clip > 0.0);
+            announced += usize::from(direction.is_announced && model.clip > 0.0);
         }
-        let rates = if self.options.hold == HoldKind::ZeroOrder { 0 } else { N };
-        let Options { has_harmonics, is_half, .. } = self.options;
+        let rates = if hold == HoldKind::ZeroOrder { 0 } else { N };
         let words = Announced::<N>::words_for(rates, announced, has_harmonics, is_half);
-        if words > WORDS_MAX {
-            return out_of_range("words of a field frame", words as f32, "at most 20");
+        require(words <= WORDS_MAX, words as f32, "at most 20 words in a frame");
+        let (is_inverse, entry) = self.is_inverse();
+        require(is_inverse, entry, "the inverse of the transform");
+        match fault {
+            None => Ok(()),
+            Some((value, expected)) => {
+                Err(ParameterError::OutOfRange { parameter: "field", value, expected })
+            }
         }
-        self.validate_transform()
     }
 
-    /// Checks that `T T^-1` is the identity, to rounding.
+    /// Whether `T T^-1` is the identity, to rounding; if not, with an entry that is wrong.
     #[inline(never)]
-    fn validate_transform(&self) -> Result<(), ParameterError> {
-        for row in 0..N {
-            for column in 0..N {
+    fn is_inverse(&self) -> (bool, f32) {
+        for (column, inverse) in self.inverse.data.0.iter().enumerate() {
+            for row in 0..N {
                 let mut entry = 0.0;
                 let mut size = 1.0;
-                for k in 0..N {
-                    let term = self.transform[(row, k)] * self.inverse[(k, column)];
+                for (transform, inverse) in self.transform.data.0.iter().zip(inverse) {
+                    let term = transform.get(row).copied().unwrap_or(0.0) * inverse;
                     entry += term;
                     size += term.abs();
                 }
@@ -193,13 +190,11 @@ impl<const N: usize> FieldParams<N> {
                 let error = (entry - expected).abs();
                 // False for numbers that are not finite, too.
                 if !(error <= 1e-4 * size) {
-                    let (parameter, value) = ("field.inverse", entry);
-                    let expected = "the inverse of field.transform";
-                    return Err(ParameterError::OutOfRange { parameter, value, expected });
+                    return (false, entry);
                 }
             }
         }
-        Ok(())
+        (true, 1.0)
     }
 
     /// Returns `xi_c` of a state.
@@ -211,7 +206,7 @@ impl<const N: usize> FieldParams<N> {
     }
 
     /// Returns the state within the limits, component by component.
-    #[inline]
+    #[inline(never)]
     #[must_use]
     pub fn limited(&self, state: &StateVector<N>) -> StateVector<N> {
         let mut limited = *state;
@@ -227,7 +222,7 @@ impl<const N: usize> FieldParams<N> {
     }
 
     /// Adds `T^-1 e_c` times `amount` to a state: changes `xi_c` only.
-    #[inline]
+    #[inline(never)]
     pub fn shift(&self, state: &mut StateVector<N>, c: usize, amount: f32) {
         if let Some(column) = self.inverse.data.0.get(c) {
             for (x, entry) in components_mut(state).iter_mut().zip(column) {

@@ -130,7 +130,8 @@ impl<const N: usize> FieldParams<N> {
         let mut directions = [Direction::NONE; N];
         for (direction, words) in directions.iter_mut().zip(rest.as_chunks().0) {
             *direction = Direction::from_words(words).ok_or(length)?;
-            finite(PARAMETER, &words[1..])?;
+            let [_, numbers @ ..] = words;
+            finite(PARAMETER, numbers)?;
         }
         for numbers in [&[bias_kept, relay_share][..], transform, inverse, low, high] {
             finite(PARAMETER, numbers)?;
@@ -195,9 +196,9 @@ impl Direction {
 /// Returns the matrix with these entries, row by row.
 fn from_rows<const N: usize>(entries: &[f32]) -> SMatrix<f32, N, N> {
     let mut matrix = SMatrix::zeros();
-    for (row, entries) in entries.chunks_exact(N).enumerate() {
-        for (column, &entry) in entries.iter().enumerate() {
-            matrix[(row, column)] = entry;
+    for (column, place) in matrix.data.0.iter_mut().enumerate() {
+        for (place, &entry) in place.iter_mut().zip(entries.iter().skip(column).step_by(N)) {
+            *place = entry;
         }
     }
     matrix
