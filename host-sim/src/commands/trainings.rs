@@ -27,6 +27,9 @@ pub(super) struct TrainingSummary {
     test_error: Option<f64>,
     explained_variance: ExplainedVariance,
     switched_in: bool,
+    /// Frequency of the disturbance found in each direction, with the field observer. \[rad/s\]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    frequencies: Vec<Option<f64>>,
 }
 
 impl TrainingSummary {
@@ -43,6 +46,10 @@ impl TrainingSummary {
             test_error: quality.test.map(|fit| fit.error),
             explained_variance: ExplainedVariance::of(quality),
             switched_in: record.switched_in,
+            frequencies: match record.harmonics.iter().any(Option::is_some) {
+                true => record.harmonics.iter().map(|found| Some((*found)?.frequency)).collect(),
+                false => Vec::new(),
+            },
         }
     }
 }
@@ -84,6 +91,13 @@ pub(super) fn text(trainings: &[TrainingSummary]) -> String {
             training.explained_variance,
             if training.switched_in { "" } else { "; NOT switched in" },
         );
+        if !training.frequencies.is_empty() {
+            let found = training.frequencies.iter().map(|frequency| {
+                frequency.map_or("none".to_owned(), |frequency| significant(frequency, 3))
+            });
+            let found: Vec<_> = found.collect();
+            let _ = writeln!(text, "    disturbance: {} rad/s", found.join(", "));
+        }
     }
     if trainings.len() > LINES {
         let more = trainings.len() - LINES;

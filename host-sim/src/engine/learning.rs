@@ -185,6 +185,9 @@ impl<'s> Learning<'s> {
     }
 }
 
+/// Trainings with harmonics, after one without.
+const HARMONIC_ROUNDS: usize = 2;
+
 /// What training a job needs beside the job.
 struct Context<'c> {
     scenario: &'c Scenario,
@@ -238,9 +241,26 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
         progress.epoch(agent + 1, cycle + 1, epoch);
         ControlFlow::Continue(())
     };
-    let trained = task.carry_out(recording, &mut report_epoch).map_err(failed)?;
-    let trigger = TriggerConstants::new(scenario);
+    let mut trained = task.carry_out(recording, &mut report_epoch).map_err(failed)?;
     let plan = plan.filter(|plan| scenario.time.tick(description.apply_at) >= plan.starts_at());
+    let mut harmonics = vec![None; scenario.dimension()];
+    if let Some(plan) = plan.filter(|plan| plan.finds_frequencies()) {
+        let agents: Vec<usize> = group.iter().map(|job| job.agent).collect();
+        for _ in 0..HARMONIC_ROUNDS {
+            harmonics = plan.harmonics(&trained.package, &agents, &recordings, &harmonics);
+            if harmonics.iter().all(Option::is_none) {
+                break;
+            }
+            let without = plan
+                .without(&harmonics, &recordings)
+                .and_then(|recordings| Recording::joined(&recordings))
+                .ok_or(DataError::TooFewSamples { found: 0, needed: 1 })
+                .map_err(|error| failed(error.into()))?;
+            trained = task.carry_out(&without, &mut report_epoch).map_err(failed)?;
+        }
+        harmonics = plan.harmonics(&trained.package, &agents, &recordings, &harmonics);
+    }
+    let trigger = TriggerConstants::new(scenario);
     let mut records = Vec::with_capacity(group.len());
     for (place, (job, recording)) in group.into_iter().zip(recordings).enumerate() {
         let mut package = trained.package.clone();
@@ -253,7 +273,7 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
             package = draft.seal().map_err(|error| failed(error.into()))?;
         }
         if let Some(plan) = plan {
-            package = plan.equip(&package, job.agent).map_err(RunError::Observer)?;
+            package = plan.equip(&package, job.agent, &harmonics).map_err(RunError::Observer)?;
         }
         job.trained = true;
         job.package = trained.accepted.then(|| package.clone());
@@ -267,6 +287,7 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
             agent: job.agent + 1,
             cycle: cycle + 1,
             samples: trained.samples,
+            harmonics: harmonics.clone(),
             report: trained.report.clone(),
             quality: trained.quality.clone(),
             switched_in: trained.accepted,

@@ -32,6 +32,7 @@ use agent_core::package::Refusal;
 
 use crate::analysis::StepCheck;
 use crate::flow::PlanError;
+use crate::learning::harmonic::Harmonic;
 use crate::learning::quality::Quality;
 use crate::learning::trained::TrainedError;
 use crate::packages::parameter::InScenario;
@@ -109,6 +110,8 @@ pub struct TrainingRecord {
     pub samples: usize,
     /// The course of the training.
     pub report: TrainingReport,
+    /// The harmonic found in each direction, with the field observer.
+    pub harmonics: Vec<Option<Harmonic>>,
     /// How well the trained network fits its samples.
     pub quality: Quality,
     /// Whether it was switched in; see [`Quality::explains`].

@@ -243,7 +243,7 @@ impl<'s> Starts<'s> {
         let package = trained::initial(scenario, trigger, network, inner, index, options.seed)
             .map_err(|error| RunError::Package { agent: index + 1, error })?;
         match plan {
-            Some(plan) => plan.equip(&package, index).map(Some).map_err(RunError::Observer),
+            Some(plan) => plan.equip(&package, index, &[]).map(Some).map_err(RunError::Observer),
             None => Ok(Some(package)),
         }
     }

@@ -16,7 +16,8 @@ use super::{
     settings,
 };
 use crate::analysis::{adjacency_norm, laplacian_norm};
-use crate::packages::{Draft, DraftError, PackageBytes, with_dimension};
+use crate::learning::harmonic::Harmonic;
+use crate::packages::{Draft, DraftError, PackageBytes, Recording, with_dimension};
 use crate::plant::Stepper;
 use crate::scenario::{DisturbanceModel, ObserverSettings, Scenario};
 
@@ -114,9 +115,57 @@ impl<'s> Plan<'s> {
     /// # Errors
     /// See [`PlanError`].
     pub fn next(&self, package: &PackageBytes, index: usize) -> Result<PackageBytes, PlanError> {
-        let mut draft = Draft::copy(&self.equip(package, index)?.package());
+        let mut draft = Draft::copy(&self.equip(package, index, &[])?.package());
         draft.version = draft.version.saturating_add(1);
         Ok(draft.seal()?)
+    }
+
+    /// Whether frequencies of the disturbance are to be found while learning.
+    #[must_use]
+    pub fn finds_frequencies(&self) -> bool {
+        matches!(self.observer.disturbance, DisturbanceModel::Harmonic { frequencies: None, .. })
+    }
+
+    /// Returns the harmonic in each direction in what the network of `package` leaves of the recording
+    /// of an agent that measures it; near the frequencies `known`, if there are any.
+    #[must_use]
+    pub fn harmonics(
+        &self,
+        package: &PackageBytes,
+        agents: &[usize],
+        recordings: &[Recording],
+        known: &[Option<Harmonic>],
+    ) -> Vec<Option<Harmonic>> {
+        let model = |x: &[f64], f: &mut [f64]| self.model(package, x, f);
+        let is_first = known.iter().all(Option::is_none);
+        (0..self.scenario.dimension())
+            .map(|c| {
+                let known = known.get(c).copied().flatten().map(|harmonic| harmonic.frequency);
+                // What was not found at first is not looked for again.
+                (is_first || known.is_some()).then_some(())?;
+                let root = agents.iter().position(|&i| self.geometry.roots[i][c].is_some())?;
+                let row: Vec<f64> = self.geometry.transform.row(c).iter().copied().collect();
+                Harmonic::find(&recordings[root], &row, &model, known)
+            })
+            .collect()
+    }
+
+    /// Returns the recordings without these harmonics.
+    #[must_use]
+    pub fn without(
+        &self,
+        harmonics: &[Option<Harmonic>],
+        recordings: &[Recording],
+    ) -> Option<Vec<Recording>> {
+        let mut without = recordings.to_vec();
+        for (c, harmonic) in harmonics.iter().enumerate() {
+            let Some(harmonic) = harmonic else { continue };
+            let column: Vec<f64> = self.geometry.inverse.column(c).iter().copied().collect();
+            for recording in &mut without {
+                *recording = harmonic.taken_from(recording, &column)?;
+            }
+        }
+        Some(without)
     }
 
     /// Returns coordinates and roots.
@@ -136,10 +185,15 @@ impl<'s> Plan<'s> {
     ///
     /// # Errors
     /// See [`PlanError`].
-    pub fn equip(&self, package: &PackageBytes, index: usize) -> Result<PackageBytes, PlanError> {
+    pub fn equip(
+        &self,
+        package: &PackageBytes,
+        index: usize,
+        harmonics: &[Option<Harmonic>],
+    ) -> Result<PackageBytes, PlanError> {
         let mut draft = Draft::copy(&package.package());
         let uses_network = self.observer.network && draft.samples > 0;
-        draft.node.field = self.words(package, index, uses_network)?;
+        draft.node.field = self.words(package, index, uses_network, harmonics)?;
         if self.observer.coupling != Coupling::Trees {
             draft.node.trigger = self.trigger();
         }
@@ -153,19 +207,24 @@ impl<'s> Plan<'s> {
         package: &PackageBytes,
         index: usize,
         uses_network: bool,
+        harmonics: &[Option<Harmonic>],
     ) -> Result<Vec<f32>, PlanError> {
         let Self { scenario, observer, geometry, .. } = self;
         let step = scenario.time.step_size;
         let derived = self.derive(package, uses_network)?;
-        let (frequencies, has_harmonics) = match &observer.disturbance {
-            DisturbanceModel::Harmonic { frequencies, .. } => (frequencies.as_deref(), true),
-            _ => (None, false),
+        let frequencies: Vec<Option<f64>> = match &observer.disturbance {
+            DisturbanceModel::Harmonic { frequencies: Some(given), .. } => {
+                given.iter().map(|&frequency| Some(frequency).filter(|&w| w > 0.0)).collect()
+            }
+            DisturbanceModel::Harmonic { frequencies: None, .. } => {
+                let found = |c: usize| harmonics.get(c).copied().flatten();
+                (0..scenario.dimension()).map(|c| Some(found(c)?.frequency)).collect()
+            }
+            _ => vec![None; scenario.dimension()],
         };
+        let has_harmonics = frequencies.iter().any(Option::is_some);
         let directions: Vec<_> = (0..scenario.dimension())
-            .map(|c| {
-                let frequency = frequencies.map(|all| all[c]).filter(|&frequency| frequency > 0.0);
-                self.direction(index, c, &derived.directions[c], frequency)
-            })
+            .map(|c| self.direction(index, c, &derived.directions[c], frequencies[c]))
             .collect::<Result<_, _>>()?;
         let derived_hold = if derived.model_hold { HoldKind::Model } else { HoldKind::Rate };
         let options = Options {

@@ -5,6 +5,7 @@
 //! | [`mod@agent_config`] | an agent's configuration, from a scenario |
 //! | [`cleaning`] | recorded samples prepared for training |
 //! | [`judgement`] | warnings about samples and trained networks |
+//! | [`harmonic`] | the harmonic in what a network leaves of the samples |
 //! | [`promise`] | what a package promises for its trial |
 //! | [`quality`] | how well a trained network fits the samples |
 //! | [`trained`] | training a package from recorded samples |
@@ -13,6 +14,7 @@
 
 pub mod agent_config;
 pub mod cleaning;
+pub mod harmonic;
 pub mod judgement;
 pub mod promise;
 pub mod quality;
