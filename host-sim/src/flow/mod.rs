@@ -32,7 +32,7 @@ pub use gate::{BadSettings, Gate, Limits};
 pub use geometry::{Geometry, NotCovered, Root};
 pub use kalman::{DisturbanceGains, gains};
 pub use rules::{DirectionSettings, Settings, Wanted, settings};
-pub use statistics::Statistics;
+pub use statistics::{Model, Statistics};
 pub use trajectory::Trajectory;
 pub use trees::Trees;
 pub use ultimate::{UltimateBound, ultimate, ultimate_plain, ultimate_weighted};
