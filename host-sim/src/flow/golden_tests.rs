@@ -6,7 +6,8 @@ use serde_json::Value;
 
 use super::testing::{close, graph, references, unit_outputs};
 use super::{
-    Certificate, Geometry, Statistics, Trajectory, Trees, Wanted, gains, settings, ultimate_plain,
+    Certificate, Geometry, Model, Statistics, Trajectory, Trees, Wanted, gains, settings,
+    ultimate_plain,
 };
 
 fn golden() -> Value {
@@ -203,8 +204,7 @@ fn rules_on_three_plants_and_random_geometries() {
                 dx[c] = 1.05 * dx[c] + 0.05 * deviation[c] * libm::sin(x[next] / deviation[next]);
             }
         };
-        let model: Option<&dyn Fn(&[f64], &mut [f64])> =
-            if flag("modelled") { Some(&model) } else { None };
+        let model: Option<&Model<'_>> = if flag("modelled") { Some(&model) } else { None };
         let found = Statistics::new(&states, &geometry, model);
         close(&found.speed, &list(&case["speed"]), 1e-6);
         close(&found.residual, &list(&case["residual"]), 1e-6);

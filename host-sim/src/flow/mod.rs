@@ -34,7 +34,7 @@ pub use geometry::{Geometry, NotCovered, Root};
 pub use kalman::{DisturbanceGains, gains};
 pub use plan::{Plan, PlanError};
 pub use rules::{DirectionSettings, Settings, Wanted, settings};
-pub use statistics::Statistics;
+pub use statistics::{Model, Statistics};
 pub use trajectory::Trajectory;
 pub use trees::Trees;
 pub use ultimate::{UltimateBound, ultimate, ultimate_plain, ultimate_weighted};

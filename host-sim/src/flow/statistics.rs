@@ -28,6 +28,9 @@ const DIFFERENCE: f64 = 1e-5;
 /// Quantile that stands for the largest value, outliers aside.
 const QUANTILE: f64 = 0.95;
 
+/// A model: writes `f(x)` \[state unit/s\] for its first argument, both of shape `[n]`.
+pub type Model<'m> = dyn Fn(&[f64], &mut [f64]) + 'm;
+
 /// Statistics of a plant's states and of a model's error.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Statistics {
@@ -50,16 +53,12 @@ pub struct Statistics {
 }
 
 impl Statistics {
-    /// Computes them. The model writes `f(x)`, both of shape `[n]`, \[state unit/s\].
+    /// Computes them from at least two samples, and a model if there is one.
     ///
     /// # Panics
     /// If there are less than two samples, or the trajectory's dimension is not the geometry's.
     #[must_use]
-    pub fn new(
-        trajectory: &Trajectory,
-        geometry: &Geometry,
-        model: Option<&dyn Fn(&[f64], &mut [f64])>,
-    ) -> Self {
+    pub fn new(trajectory: &Trajectory, geometry: &Geometry, model: Option<&Model<'_>>) -> Self {
         let n = geometry.dimension();
         assert_eq!(trajectory.dimension, n, "trajectory and geometry have the same state");
         let intervals = trajectory.samples().checked_sub(1).filter(|&k| k > 0);
@@ -107,11 +106,7 @@ impl Statistics {
 }
 
 /// Returns the norm of the elementwise largest `|T J T^-1|`. \[1/s\]
-fn largest_slopes(
-    trajectory: &Trajectory,
-    geometry: &Geometry,
-    model: &dyn Fn(&[f64], &mut [f64]),
-) -> f64 {
+fn largest_slopes(trajectory: &Trajectory, geometry: &Geometry, model: &Model<'_>) -> f64 {
     let n = geometry.dimension();
     let unit = units(&trajectory.deviation());
     let mut largest = DMatrix::zeros(n, n);
