@@ -185,9 +185,6 @@ impl<'s> Learning<'s> {
     }
 }
 
-/// Trainings with harmonics, after one without.
-const HARMONIC_ROUNDS: usize = 2;
-
 /// What training a job needs beside the job.
 struct Context<'c> {
     scenario: &'c Scenario,
@@ -225,8 +222,15 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
         .map(|job| recording(scenario, job))
         .collect::<Result<_, _>>()
         .map_err(failed)?;
-    let joined;
-    let recording = match recordings.as_slice() {
+    let serial_plan = plan;
+    let plan = plan.filter(|plan| scenario.time.tick(description.apply_at) >= plan.starts_at());
+    let agents: Vec<usize> = group.iter().map(|job| job.agent).collect();
+    let harmonics = plan.map_or_else(Vec::new, |plan| plan.harmonics(&agents, &recordings));
+    // The network learns what the disturbance model of the observer does not.
+    let without = plan.and_then(|plan| plan.without(&harmonics, &recordings));
+    let training = without.as_deref().unwrap_or(&recordings);
+    let joined: Recording;
+    let recording = match training {
         [recording] => recording,
         recordings => {
             joined = Recording::joined(recordings)
@@ -235,31 +239,13 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
             &joined
         }
     };
-    let Serial { epoch, version } = serial(scenario, plan, agent, cycle);
+    let Serial { epoch, version } = serial(scenario, serial_plan, agent, cycle);
     let task = TrainingTask { scenario, network, recipe, agent, cycle, seed, epoch, version };
     let mut report_epoch = |epoch: &EpochReport| {
         progress.epoch(agent + 1, cycle + 1, epoch);
         ControlFlow::Continue(())
     };
-    let mut trained = task.carry_out(recording, &mut report_epoch).map_err(failed)?;
-    let plan = plan.filter(|plan| scenario.time.tick(description.apply_at) >= plan.starts_at());
-    let mut harmonics = vec![None; scenario.dimension()];
-    if let Some(plan) = plan.filter(|plan| plan.finds_frequencies()) {
-        let agents: Vec<usize> = group.iter().map(|job| job.agent).collect();
-        for _ in 0..HARMONIC_ROUNDS {
-            harmonics = plan.harmonics(&trained.package, &agents, &recordings, &harmonics);
-            if harmonics.iter().all(Option::is_none) {
-                break;
-            }
-            let without = plan
-                .without(&harmonics, &recordings)
-                .and_then(|recordings| Recording::joined(&recordings))
-                .ok_or(DataError::TooFewSamples { found: 0, needed: 1 })
-                .map_err(|error| failed(error.into()))?;
-            trained = task.carry_out(&without, &mut report_epoch).map_err(failed)?;
-        }
-        harmonics = plan.harmonics(&trained.package, &agents, &recordings, &harmonics);
-    }
+    let trained = task.carry_out(recording, &mut report_epoch).map_err(failed)?;
     let trigger = TriggerConstants::new(scenario);
     let mut records = Vec::with_capacity(group.len());
     for (place, (job, recording)) in group.into_iter().zip(recordings).enumerate() {
@@ -269,7 +255,7 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
             let mut draft = Draft::copy(&package.package());
             draft.node = agent_config(scenario, &trigger, job.agent);
             Serial { epoch: draft.epoch, version: draft.version } =
-                serial(scenario, context.plan, job.agent, cycle);
+                serial(scenario, serial_plan, job.agent, cycle);
             package = draft.seal().map_err(|error| failed(error.into()))?;
         }
         if let Some(plan) = plan {

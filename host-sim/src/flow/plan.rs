@@ -120,43 +120,32 @@ impl<'s> Plan<'s> {
         Ok(draft.seal()?)
     }
 
-    /// Whether frequencies of the disturbance are to be found while learning.
+    /// Returns the harmonic in each direction, found in the recording of an agent that measures it; none
+    /// unless the scenario leaves the frequencies open.
     #[must_use]
-    pub fn finds_frequencies(&self) -> bool {
-        matches!(self.observer.disturbance, DisturbanceModel::Harmonic { frequencies: None, .. })
-    }
-
-    /// Returns the harmonic in each direction in what the network of `package` leaves of the recording
-    /// of an agent that measures it; near the frequencies `known`, if there are any.
-    #[must_use]
-    pub fn harmonics(
-        &self,
-        package: &PackageBytes,
-        agents: &[usize],
-        recordings: &[Recording],
-        known: &[Option<Harmonic>],
-    ) -> Vec<Option<Harmonic>> {
-        let model = |x: &[f64], f: &mut [f64]| self.model(package, x, f);
-        let is_first = known.iter().all(Option::is_none);
+    pub fn harmonics(&self, agents: &[usize], recordings: &[Recording]) -> Vec<Option<Harmonic>> {
+        let DisturbanceModel::Harmonic { frequencies: None, .. } = self.observer.disturbance else {
+            return Vec::new();
+        };
         (0..self.scenario.dimension())
             .map(|c| {
-                let known = known.get(c).copied().flatten().map(|harmonic| harmonic.frequency);
-                // What was not found at first is not looked for again.
-                (is_first || known.is_some()).then_some(())?;
                 let root = agents.iter().position(|&i| self.geometry.roots[i][c].is_some())?;
                 let row: Vec<f64> = self.geometry.transform.row(c).iter().copied().collect();
-                Harmonic::find(&recordings[root], &row, &model, known)
+                Harmonic::find(&recordings[root], &row)
             })
             .collect()
     }
 
-    /// Returns the recordings without these harmonics.
+    /// Returns the recordings without these harmonics; `None` if there are none.
     #[must_use]
     pub fn without(
         &self,
         harmonics: &[Option<Harmonic>],
         recordings: &[Recording],
     ) -> Option<Vec<Recording>> {
+        if harmonics.iter().all(Option::is_none) {
+            return None;
+        }
         let mut without = recordings.to_vec();
         for (c, harmonic) in harmonics.iter().enumerate() {
             let Some(harmonic) = harmonic else { continue };

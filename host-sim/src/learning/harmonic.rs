@@ -1,13 +1,17 @@
-//! The harmonic in what a network leaves of a recorded direction:
+//! The harmonic in the recorded rate of a direction:
 //!
-//! `r(t) = mean of (d/dt xi - (T f_hat)(xi_hat)) = a cos omega t + b sin omega t + c + rest`
+//! `mean of d/dt xi = g(x_hat) + a cos omega t + b sin omega t + rest`
 //!
-//! The frequency is the one that explains most of `r`: the best of a grid, then refined by golden
-//! section. Samples are averaged over a window, which shrinks the harmonic by a known factor.
+//! with a polynomial `g` of the state. Polynomial and harmonic are fitted together: a network that is
+//! trained first learns the disturbance along the recorded path as if it were a function of the state,
+//! and leaves nothing to find; so does a polynomial of degree 3. The frequency is the one that leaves
+//! least: the best of a grid, then refined by golden section. It counts if polynomials of degree 1 and
+//! 2 agree on it: what is an oscillation of the plant to one is a function of the state to the other.
+//! Samples are averaged over a window, which shrinks the harmonic by a known factor.
 //!
-//! Cost: one least-squares fit of three unknowns for each frequency of the grid.
+//! Cost: two least-squares fits for each of some 260 frequencies.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector};
 
 use crate::packages::Recording;
 use crate::training::Dataset;
@@ -27,14 +31,20 @@ const WINDOW: f64 = 0.4;
 /// Averages in a window.
 const PER_WINDOW: usize = 20;
 
-/// Least share of the rest that a harmonic must explain.
+/// Least share of what the smooth functions leave that a harmonic must explain.
 const EXPLAINED_MIN: f64 = 0.5;
 
-/// Least size of the rest, as a share of the rate's deviation.
-const REST_MIN: f64 = 0.02;
+/// Least size of a harmonic, as a share of the rate's deviation.
+const SIZE_MIN: f64 = 0.02;
 
-/// Half-width of the interval in which a known frequency is looked for again. \[rad/s\]
-const AGAIN: f64 = 0.4;
+/// Largest difference between the frequencies found with polynomials of degree 1 and 2. \[rad/s\]
+const AGREEMENT: f64 = 0.2;
+
+/// Averages for each smooth function, at least.
+const SAMPLES_PER_FUNCTION: usize = 8;
+
+/// Share of the squares of a function that its coefficient costs.
+const RIDGE: f64 = 1e-8;
 
 /// A harmonic, `amplitude[0] cos(omega t) + amplitude[1] sin(omega t)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,32 +65,32 @@ impl Harmonic {
         self.amplitude[0] * libm::cos(phase) + self.amplitude[1] * libm::sin(phase)
     }
 
-    /// Finds the harmonic in what `model`, `f_hat`, leaves of the direction `row` of `T`, shape `[n]`;
-    /// near `known` \[rad/s\] if that is given. `None` if there is none worth mentioning.
+    /// Finds the harmonic in the rate along the direction `row` of `T`, shape `[n]`; `None` if there is
+    /// none worth mentioning, or there are too few samples.
     #[must_use]
-    pub fn find(
-        recording: &Recording,
-        row: &[f64],
-        model: &dyn Fn(&[f64], &mut [f64]),
-        known: Option<f64>,
-    ) -> Option<Self> {
-        let averages = Averages::new(recording, row, model)?;
-        let range = known.map_or(RANGE, |known| [(known - AGAIN).max(0.3), known + AGAIN]);
-        let count = ((range[1] - range[0]) / GRID).ceil().max(1.0) as usize;
-        let grid = |k: usize| range[0] + k as f64 * GRID;
-        let explained = |frequency: f64| averages.fit(frequency).map_or(0.0, |fit| fit.explained);
-        let best = (0..=count).map(|k| (k, explained(grid(k))));
-        let (best, _) = best.max_by(|a, b| a.1.total_cmp(&b.1))?;
-        let (mut low, mut high) = (grid(best.saturating_sub(1)), grid((best + 1).min(count)));
-        let golden = (5f64.sqrt() - 1.0) / 2.0;
-        for _ in 0..REFINEMENTS {
-            let (left, right) = (high - golden * (high - low), low + golden * (high - low));
-            if explained(left) > explained(right) { high = right } else { low = left }
+    pub fn find(recording: &Recording, row: &[f64]) -> Option<Self> {
+        let [first, second] = [1, 2].map(|degree| {
+            let averages = Averages::new(recording, row, degree)?;
+            let frequency = averages.best_frequency()?;
+            Some((averages, frequency))
+        });
+        let ((_, of_first), (averages, of_second)) = (first?, second?);
+        if (of_first - of_second).abs() > AGREEMENT {
+            return None;
         }
-        let harmonic = averages.fit(0.5 * (low + high))?;
-        eprintln!("DBG {harmonic:?} rest {} rate {}", averages.rest_deviation(), averages.rate_deviation);
-        let is_large = averages.rest_deviation() >= REST_MIN * averages.rate_deviation;
-        (known.is_some() || (is_large && harmonic.explained >= EXPLAINED_MIN)).then_some(harmonic)
+        let frequency = 0.5 * (of_first + of_second);
+        let (smooth, fit) = (averages.rest(None)?, averages.rest(Some(frequency))?);
+        // Averages shrink the harmonic.
+        let half = 0.5 * frequency * WINDOW;
+        let shrunk = libm::sin(half) / half;
+        let harmonic = Self {
+            frequency,
+            amplitude: fit.amplitude.map(|amplitude| amplitude / shrunk),
+            explained: 1.0 - fit.rest / smooth.rest,
+        };
+        let size = libm::hypot(harmonic.amplitude[0], harmonic.amplitude[1]) / 2f64.sqrt();
+        let is_large = size >= SIZE_MIN * averages.deviation;
+        (is_large && harmonic.explained >= EXPLAINED_MIN).then_some(harmonic)
     }
 
     /// Returns the recording without this harmonic along `column`, the direction's column of `T^-1`.
@@ -99,83 +109,137 @@ impl Harmonic {
     }
 }
 
-/// Averages of what a model leaves.
+/// Averages of states and rates, with the smooth functions of the state.
 struct Averages {
-    /// Time and rest of each.
-    rests: Vec<(f64, f64)>,
-    rate_deviation: f64,
+    times: Vec<f64>,
+    /// Row by row, one column for each function.
+    functions: DMatrix<f64>,
+    /// Along the direction.
+    rates: DVector<f64>,
+    /// Standard deviation of the rates.
+    deviation: f64,
+}
+
+/// A fit of the rates.
+struct Fit {
+    /// Of cosine and sine; 0 without a harmonic.
+    amplitude: [f64; 2],
+    /// Sum of the squares that are left.
+    rest: f64,
 }
 
 impl Averages {
-    fn new(recording: &Recording, row: &[f64], model: &dyn Fn(&[f64], &mut [f64])) -> Option<Self> {
+    fn new(recording: &Recording, row: &[f64], degree: usize) -> Option<Self> {
         let n = recording.samples.dimension();
         let (inputs, targets) = (recording.samples.inputs(), recording.samples.targets());
         let ticks = recording.ticks();
         let width = ((WINDOW / recording.interval).round() as usize).max(1);
         let stride = (width / PER_WINDOW).max(1);
-        let (mut rests, mut rates) = (Vec::new(), Vec::new());
-        let mut flow = vec![0.0; n];
-        let mut start = 0;
-        while start + width <= ticks.len() {
+        let (mut times, mut states, mut rates) = (Vec::new(), Vec::new(), Vec::new());
+        for start in (0..(ticks.len() + 1).saturating_sub(width)).step_by(stride) {
             // A window does not bridge a gap.
-            if ticks[start + width - 1] - ticks[start] == width as u64 - 1 {
-                let mean = |values: &[f64]| -> Vec<f64> {
-                    let rows = values[start * n..(start + width) * n].chunks_exact(n);
-                    let mut sum = vec![0.0; n];
-                    for row in rows {
-                        sum.iter_mut().zip(row).for_each(|(sum, x)| *sum += x);
-                    }
-                    sum.iter().map(|sum| sum / width as f64).collect()
-                };
-                model(&mean(inputs), &mut flow);
-                let along = |x: &[f64]| row.iter().zip(x).fold(0.0, |sum, (row, x)| sum + row * x);
-                let rate = along(&mean(targets));
-                let middle = ticks[start] as f64 + 0.5 * (width as f64 - 1.0);
-                rests.push((recording.start + middle * recording.interval, rate - along(&flow)));
-                rates.push(rate);
+            if ticks[start + width - 1] - ticks[start] != width as u64 - 1 {
+                continue;
             }
-            start += stride;
+            let mean = |values: &[f64]| -> Vec<f64> {
+                let mut sum = vec![0.0; n];
+                for row in values[start * n..(start + width) * n].chunks_exact(n) {
+                    sum.iter_mut().zip(row).for_each(|(sum, x)| *sum += x);
+                }
+                sum.iter().map(|sum| sum / width as f64).collect()
+            };
+            let middle = ticks[start] as f64 + 0.5 * (width as f64 - 1.0);
+            times.push(recording.start + middle * recording.interval);
+            states.push(mean(inputs));
+            let rate = mean(targets);
+            rates.push(row.iter().zip(&rate).fold(0.0, |sum, (row, rate)| sum + row * rate));
         }
-        let rate_deviation = deviation(rates.iter().copied());
-        (rests.len() >= 4 * PER_WINDOW).then_some(Self { rests, rate_deviation })
-    }
-
-    fn rest_deviation(&self) -> f64 {
-        deviation(self.rests.iter().map(|&(_, rest)| rest))
-    }
-
-    /// Fits a harmonic of this frequency.
-    fn fit(&self, frequency: f64) -> Option<Harmonic> {
-        let mut normal = Matrix3::zeros();
-        let mut right = Vector3::zeros();
-        let basis =
-            |time: f64| Vector3::new(libm::cos(frequency * time), libm::sin(frequency * time), 1.0);
-        for &(time, rest) in &self.rests {
-            let basis = basis(time);
-            normal += basis * basis.transpose();
-            right += basis * rest;
+        if times.len() < 4 * PER_WINDOW {
+            return None;
         }
-        let solution = normal.cholesky()?.solve(&right);
-        let left = self.rests.iter().fold(0.0, |sum, &(time, rest)| {
-            let error = rest - basis(time).dot(&solution);
-            sum + error * error
+        if monomials(n, degree).len() * SAMPLES_PER_FUNCTION > times.len() {
+            return None;
+        }
+        scale(&mut states);
+        let monomials = monomials(n, degree);
+        let functions = DMatrix::from_fn(times.len(), monomials.len(), |k, m| {
+            monomials[m].iter().fold(1.0, |product, &c| product * states[k][c])
         });
-        let size = self.rest_deviation();
-        let all = size * size * self.rests.len() as f64;
-        let half = 0.5 * frequency * WINDOW;
-        let shrunk = libm::sin(half) / half;
-        Some(Harmonic {
-            frequency,
-            amplitude: [solution[0] / shrunk, solution[1] / shrunk],
-            explained: 1.0 - left / all.max(f64::MIN_POSITIVE),
-        })
+        let rates = DVector::from_vec(rates);
+        let mean = rates.mean();
+        let squares = rates.iter().fold(0.0, |sum, rate| sum + (rate - mean) * (rate - mean));
+        let deviation = (squares / rates.len() as f64).sqrt();
+        Some(Self { times, functions, rates, deviation })
+    }
+
+    /// Returns the frequency of the harmonic that leaves least.
+    fn best_frequency(&self) -> Option<f64> {
+        let count = ((RANGE[1] - RANGE[0]) / GRID).ceil() as usize;
+        let grid = |k: usize| RANGE[0] + k as f64 * GRID;
+        let rest = |frequency: f64| self.rest(Some(frequency)).map_or(f64::MAX, |fit| fit.rest);
+        let rests = (0..=count).map(|k| (k, rest(grid(k))));
+        let best = rests.min_by(|a, b| a.1.total_cmp(&b.1))?.0;
+        let (mut low, mut high) = (grid(best.saturating_sub(1)), grid(best + 1));
+        let golden = (5f64.sqrt() - 1.0) / 2.0;
+        for _ in 0..REFINEMENTS {
+            let (left, right) = (high - golden * (high - low), low + golden * (high - low));
+            if rest(left) < rest(right) { high = right } else { low = left }
+        }
+        Some(0.5 * (low + high))
+    }
+
+    /// Fits the smooth functions, and a harmonic of this frequency.
+    fn rest(&self, frequency: Option<f64>) -> Option<Fit> {
+        let (rows, columns) = self.functions.shape();
+        let harmonic = if frequency.is_some() { 2 } else { 0 };
+        let mut basis = self.functions.clone().resize_horizontally(columns + harmonic, 0.0);
+        if let Some(frequency) = frequency {
+            for (k, time) in self.times.iter().enumerate() {
+                basis[(k, columns)] = libm::cos(frequency * time);
+                basis[(k, columns + 1)] = libm::sin(frequency * time);
+            }
+        }
+        let mut normal = basis.tr_mul(&basis);
+        for k in 0..normal.nrows() {
+            // Functions that the path does not tell apart share what they explain.
+            normal[(k, k)] *= 1.0 + RIDGE;
+            normal[(k, k)] += RIDGE * rows as f64;
+        }
+        let solution = normal.cholesky()?.solve(&basis.tr_mul(&self.rates));
+        let rest = (&self.rates - &basis * &solution).norm_squared();
+        let amplitude = match frequency {
+            Some(_) => [solution[columns], solution[columns + 1]],
+            None => [0.0; 2],
+        };
+        Some(Fit { amplitude, rest })
     }
 }
 
-fn deviation(values: impl Iterator<Item = f64> + Clone) -> f64 {
-    let count = values.clone().count().max(1) as f64;
-    let mean = values.clone().fold(0.0, |sum, x| sum + x) / count;
-    (values.fold(0.0, |sum, x| sum + (x - mean) * (x - mean)) / count).sqrt()
+/// Brings every component to mean 0 and deviation 1.
+fn scale(states: &mut [Vec<f64>]) {
+    let count = states.len() as f64;
+    for c in 0..states.first().map_or(0, Vec::len) {
+        let mean = states.iter().fold(0.0, |sum, state| sum + state[c]) / count;
+        let squares =
+            states.iter().fold(0.0, |sum, state| sum + (state[c] - mean) * (state[c] - mean));
+        let deviation = (squares / count).sqrt().max(f64::MIN_POSITIVE);
+        states.iter_mut().for_each(|state| state[c] = (state[c] - mean) / deviation);
+    }
+}
+
+/// Returns all products of up to `degree` of `n` components, as lists of the components.
+fn monomials(n: usize, degree: usize) -> Vec<Vec<usize>> {
+    let mut all = vec![Vec::new()];
+    let mut last = all.clone();
+    for _ in 0..degree {
+        let longer = |short: &Vec<usize>| -> Vec<Vec<usize>> {
+            let from = short.last().copied().unwrap_or(0);
+            (from..n).map(|c| [short.as_slice(), &[c]].concat()).collect()
+        };
+        last = last.iter().flat_map(longer).collect();
+        all.extend(last.iter().cloned());
+    }
+    all
 }
 
 #[cfg(test)]
@@ -205,21 +269,17 @@ mod tests {
         }
     }
 
-    fn exact(x: &[f64], f: &mut [f64]) {
-        f.copy_from_slice(&[0.7 * x[1], -0.7 * x[0]]);
-    }
-
     #[test]
     fn a_harmonic_is_found_and_taken_away() {
         for frequency in [2.5, 3.75, 6.2] {
             let recording = recording(frequency);
-            let found = Harmonic::find(&recording, &[0.0, 1.0], &exact, None).unwrap();
+            let found = Harmonic::find(&recording, &[0.0, 1.0]).unwrap();
             assert!((found.frequency - frequency).abs() < 0.1, "{found:?}");
             let size = libm::hypot(found.amplitude[0], found.amplitude[1]);
             assert!((size - 0.4).abs() < 0.06, "{found:?}");
             let rest = found.taken_from(&recording, &[0.0, 1.0]).unwrap();
-            let left = Harmonic::find(&rest, &[0.0, 1.0], &exact, Some(frequency)).unwrap();
-            assert!(libm::hypot(left.amplitude[0], left.amplitude[1]) < 0.06, "{left:?}");
+            let left = Harmonic::find(&rest, &[0.0, 1.0]);
+            assert!(left.is_none_or(|left| left.amplitude[0].abs() < 0.02), "{left:?}");
             // The other component is as before.
             let first = |r: &Recording| -> Vec<f64> {
                 r.samples.targets().iter().step_by(2).copied().collect()
@@ -231,12 +291,12 @@ mod tests {
     #[test]
     fn nothing_is_found_where_there_is_nothing() {
         let recording = recording(3.0);
-        assert_eq!(Harmonic::find(&recording, &[1.0, 0.0], &exact, None), None);
+        assert_eq!(Harmonic::find(&recording, &[1.0, 0.0]), None);
         let short = Recording {
             samples: recording.samples.select(&(0..300).collect::<Vec<_>>()).unwrap(),
             gaps: Vec::new(),
             ..recording
         };
-        assert_eq!(Harmonic::find(&short, &[0.0, 1.0], &exact, None), None);
+        assert_eq!(Harmonic::find(&short, &[0.0, 1.0]), None);
     }
 }
