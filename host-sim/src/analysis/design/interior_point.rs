@@ -36,12 +36,13 @@ pub(super) struct Solution {
     pub(super) x: Vec<f64>,
     /// `c^T x`.
     pub(super) cost: f64,
+    /// `tr(C Z)`, below which no cost can be; 0 if `Z` was not found.
+    pub(super) bound: f64,
 }
 
 /// Solves the problem to a relative gap of `tolerance`, or as far as rounding allows; `None` if
 /// there is no start.
 pub(super) fn solve(pencil: &Pencil, tolerance: f64) -> Option<Solution> {
-    let unknowns = pencil.costs.len();
     let costs = DVector::from_column_slice(&pencil.costs);
     let mut x = start(pencil)?;
     let mut s = Cholesky::new(slack(pencil, &x))?;
@@ -107,8 +108,10 @@ pub(super) fn solve(pencil: &Pencil, tolerance: f64) -> Option<Solution> {
         }
     }
     let cost = costs.dot(&x);
-    debug_assert_eq!(x.len(), unknowns);
-    x.iter().all(|x| x.is_finite()).then(|| Solution { x: x.as_slice().to_vec(), cost })
+    let residual = (&costs - traces(pencil, &z)).amax() / costs.amax();
+    let dual = pencil.constant.iter().enumerate().fold(0.0, |sum, (i, c)| sum + c * z[(i, i)]);
+    let bound = if residual < 1e-10 { dual } else { 0.0 };
+    x.iter().all(|x| x.is_finite()).then(|| Solution { x: x.as_slice().to_vec(), cost, bound })
 }
 
 /// Returns a multiple of the pencil's ray well inside the inequality.

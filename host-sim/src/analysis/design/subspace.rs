@@ -1,8 +1,8 @@
 //! Solves the inequality for large networks in small subspaces.
 //!
 //! `V^T M V >= I` follows from `M >= I`, so the solution in a subspace has the smaller cost: a lower
-//! bound. Its multiple by `1 / lambda_min(M)` satisfies the whole inequality: an upper bound, `1 /
-//! lambda_min` times the lower one. The eigenvectors of the smallest eigenvalues join the subspace
+//! bound, which the dual problem confirms. Its multiple by `1 / lambda_min(M)` satisfies the whole
+//! inequality: an upper bound, `1 / lambda_min` times the lower one. The eigenvectors of the smallest eigenvalues join the subspace
 //! until both agree; near the solution the subspace then holds all eigenvectors that count, and the
 //! gap closes faster than linearly. `V` starts with the consensus `x_1 = .. = x_N`, on which the
 //! inequality already bounds every gain from below.
@@ -55,7 +55,7 @@ pub(super) fn solve(problem: &Problem<'_>, report: Report<'_>) -> Option<Found> 
     let mut best: Option<Found> = None;
     for round in 1..=ROUNDS_MAX {
         let columns = DMatrix::from_fn(dimension, basis.len(), |row, k| basis[k][row]);
-        let gap = best.as_ref().map_or(1.0, |best| best.gap);
+        let gap = best.as_ref().map_or(1.0, |best| best.gap.min(1.0));
         // While the subspace is far too small, a rough solution will do.
         let tolerance = if whole { 1e-10 } else { (1e-3 * gap).clamp(1e-10, 1e-4) };
         let solution = interior_point::solve(&problem.project(&columns), tolerance)?;
@@ -71,7 +71,7 @@ pub(super) fn solve(problem: &Problem<'_>, report: Report<'_>) -> Option<Found> 
         let structure = BlockCholesky::new(&matrix);
         let smallest = Smallest::new(&matrix, &structure);
         if smallest.lower > 0.0 {
-            let gap = (1.0 / smallest.lower - 1.0).max(0.0);
+            let gap = (solution.cost / (smallest.lower * solution.bound) - 1.0).max(0.0);
             if best.as_ref().is_none_or(|best| gap < best.gap) {
                 best = Some(Found { gain, eigenvalue_min: smallest.lower, gap });
             }

@@ -37,8 +37,10 @@ impl Unseen {
         let rows = DMatrix::from_fn(count, n, |k, i| eigen.vectors[(i, k)] / unit(i));
         let names = scenario.plant.state_names();
         let rows = echelon(rows);
-        let directions =
-            rows.row_iter().map(|row| combination(row.iter().copied(), &names)).collect();
+        let mut rows: Vec<Vec<f64>> =
+            rows.row_iter().map(|row| row.iter().copied().collect()).collect();
+        rows.sort_by_key(|row| row.iter().position(|x| x.abs() > 1e-6));
+        let directions = rows.into_iter().map(|row| combination(row.into_iter(), &names)).collect();
         Some(Self { directions })
     }
 }
