@@ -114,14 +114,18 @@ impl DesignedGain {
             Objective::Decay => norm(&scenario.design.gain) / norm(&found.gain),
             Objective::Trace | Objective::Norm => k1 / found.eigenvalue_min,
         };
-        for exponent in 0..FACTORS {
-            // The first factor makes up for rounding to nine digits.
-            let margin = libm::pow(10.0, f64::from(exponent - DIGITS));
+        let own = norm(&scenario.design.gain) * (1.0 + 1e-14);
+        for attempt in 0..=FACTORS {
+            // The first margin is that of rounding to nine digits.
+            let margin = libm::pow(10.0, f64::from(attempt - 1 - DIGITS));
+            let margin = if attempt > 0 { margin } else { 0.0 };
             let towards = if objective == Objective::Decay { -margin } else { margin };
             let gain = rounded(&(&found.gain * (size * (1.0 + towards))));
             let certificate = certify(scenario, &gain, k1);
             let reached = match objective {
-                Objective::Decay => certificate.eigenvalue_min > certificate.uncertainty,
+                Objective::Decay => {
+                    certificate.eigenvalue_min > certificate.uncertainty && norm(&gain) <= own
+                }
                 Objective::Trace | Objective::Norm => certificate.holds(),
             };
             if reached {

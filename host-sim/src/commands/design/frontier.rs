@@ -19,6 +19,8 @@ use crate::scenario::Scenario;
 
 /// Most rounds of three runs until there is a bracket.
 const ROUNDS_MAX: usize = 6;
+/// Broadcasts per step from which on a smaller radius gives no more of them.
+const EVERY_STEP: f64 = 0.99;
 /// Rounds that divide the bracket by 4.
 const DIVISIONS: usize = 2;
 
@@ -89,6 +91,7 @@ pub(super) fn search(
     let mut last = None;
     let mut next = vec![0.5 * start, start, 2.0 * start];
     let (mut rounds, mut divisions) = (0, 0);
+    let step = scenario.time.step_size;
     while !next.is_empty() {
         let total = (points.len() + next.len()) as u64 * scenario.steps();
         let progress = || SharedProgress::new(&bars, &done, total);
@@ -133,6 +136,8 @@ pub(super) fn search(
                 }
             }
             _ if rounds >= ROUNDS_MAX => Vec::new(),
+            // A smaller radius changes nothing where agents broadcast in every step already.
+            Some(_) if points[0].rate.is_some_and(|rate| rate * step >= EVERY_STEP) => Vec::new(),
             Some(_) => [0.125, 0.25, 0.5].map(|factor| factor * points[0].radius).into(),
             None => {
                 let high = points.last().map_or(start, |point| point.radius);
@@ -158,7 +163,8 @@ pub(super) fn search(
             };
             let text = format!(
                 "scenario {}: no radius gives {}; the smallest error is {}, the lowest rate {}; allow \
-                 more of one of them, or train a better network\n{}",
+                 more, choose a larger gain (a larger k2 in [design], or --objective decay), or train a \
+                 better network\n{}",
                 scenario.name,
                 wanted.in_words(),
                 significant(best(|point| point.error), 3),
