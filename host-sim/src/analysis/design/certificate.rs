@@ -9,9 +9,9 @@
 //! bound^2 = 2 (delta + epsilon) / (k_2 - 1/kappa)
 //! ```
 //!
-//! apart from the weight error, which depends on none of them. For a given `k_2` this is `2 (P kappa
-//! + Q kappa^2) / (k_2 kappa - 1)` with `P = delta + N r^2 k_2 / 2` and `Q = N r^2 |L (x) K_1|^2 /
-//! 2`, smallest at
+//! apart from the weight error, which depends on none of them. For a given `k_2` this is
+//! `2 (P kappa + Q kappa^2) / (k_2 kappa - 1)` with `P = delta + N r^2 k_2 / 2` and
+//! `Q = N r^2 |L (x) K_1|^2 / 2`, smallest at
 //!
 //! ```text
 //! kappa = (1 + sqrt(1 + k_2 P / Q)) / k_2
@@ -165,6 +165,7 @@ impl Plan {
     }
 }
 
+#[derive(Clone, Copy)]
 enum Rounding {
     Nearest,
     Up,

@@ -7,7 +7,8 @@
 //! gap closes faster than linearly. `V` starts with the consensus `x_1 = .. = x_N`, on which the
 //! inequality already bounds every gain from below.
 //!
-//! Networks of up to [`WHOLE`] numbers use the whole space. Larger ones cost a few sparse
+//! Networks of up to [`WHOLE`] numbers use the whole space, and so do those of up to
+//! [`WHOLE_AT_LAST`] whose subspace has grown to a quarter of it. Larger ones cost a few sparse
 //! factorisations and a dense problem of order 20 to 150 in each of about 10 rounds.
 
 use nalgebra::DMatrix;
@@ -22,6 +23,8 @@ use crate::analysis::smallest::{Smallest, smallest_vectors};
 
 /// Order up to which no subspace is needed.
 const WHOLE: usize = 100;
+/// Order up to which the whole space follows a subspace of a quarter of its order.
+const WHOLE_AT_LAST: usize = 300;
 /// Relative gap at which the search ends.
 const TOLERANCE: f64 = 1e-8;
 const ROUNDS_MAX: usize = 40;
@@ -42,9 +45,9 @@ pub(super) struct Found {
 pub(super) fn solve(problem: &Problem<'_>, report: Report<'_>) -> Option<Found> {
     let (n, dimension) = (problem.block(), problem.dimension());
     let mut basis: Vec<Vec<f64>> = Vec::new();
-    let whole = dimension <= WHOLE;
+    let mut whole = dimension <= WHOLE;
+    let unit = |k: usize| (0..dimension).map(|i| f64::from(u8::from(i == k))).collect();
     if whole {
-        let unit = |k: usize| (0..dimension).map(|i| f64::from(u8::from(i == k))).collect();
         basis.extend((0..dimension).map(unit));
     } else {
         let size = (dimension as f64 / n as f64).sqrt().recip();
@@ -87,6 +90,10 @@ pub(super) fn solve(problem: &Problem<'_>, report: Report<'_>) -> Option<Found> 
         }
         if basis.len() == before {
             break;
+        }
+        if dimension <= WHOLE_AT_LAST && 4 * basis.len() > dimension {
+            basis = (0..dimension).map(unit).collect();
+            whole = true;
         }
     }
     best

@@ -150,10 +150,11 @@ pub(super) fn search(
     if let (true, Some(error)) = (points.iter().all(|point| point.error.is_none()), last) {
         return Err(CommandError::from(error).within("every run of the frontier failed; the last"));
     }
-    let kept = points.iter().filter(|point| wanted.error_kept(point) && wanted.rate_kept(point));
+    let mut kept =
+        points.iter().filter(|point| wanted.error_kept(point) && wanted.rate_kept(point));
     let chosen = match wanted.error {
-        Some(_) => kept.last(),
-        None => kept.into_iter().next(),
+        Some(_) => kept.next_back(),
+        None => kept.next(),
     };
     match chosen {
         Some(point) => Ok((point.radius, points)),
