@@ -27,7 +27,7 @@ fn keys(value: &Value, found: &mut BTreeSet<String>) {
     }
 }
 
-fn assert_documented(value: &Value, at_least: &[&str]) {
+pub(super) fn assert_documented(value: &Value, at_least: &[&str]) {
     let mut found = BTreeSet::new();
     keys(value, &mut found);
     for key in at_least {

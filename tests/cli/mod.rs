@@ -3,6 +3,7 @@
 mod baselines;
 mod borders;
 pub(crate) mod command_line;
+mod design;
 mod documentation;
 mod endings;
 mod files;

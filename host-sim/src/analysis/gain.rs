@@ -153,20 +153,22 @@ fn certain_from(structure: &BlockCholesky<'_>, k1: f64, upper: f64) -> bool {
 
 /// Returns the left side of `BMI` for the gain `gain`.
 fn left_side<'s>(scenario: &'s Scenario, gain: &DMatrix<f64>) -> BlockMatrix<'s> {
-    let n = scenario.dimension();
-    let blocks = scenario.agents.iter().map(|agent| {
-        let measured = gram(&agent.output_matrix);
-        DMatrix::from_fn(n, n, |row, column| {
-            (0..n).fold(0.0, |sum, k| {
-                sum + 0.5 * (gain[(row, k)] * measured[(k, column)])
-                    + 0.5 * (measured[(row, k)] * gain[(k, column)])
-            })
+    let blocks =
+        scenario.agents.iter().map(|agent| half_products(gain, &gram(&agent.output_matrix)));
+    BlockMatrix { diagonal: blocks.collect(), coupling: gain.clone(), graph: &scenario.graph }
+}
+
+/// Returns `(1/2) K_1 C^T C + (1/2) C^T C K_1`.
+pub(super) fn half_products(gain: &DMatrix<f64>, measured: &DMatrix<f64>) -> DMatrix<f64> {
+    let n = gain.nrows();
+    let block = DMatrix::from_fn(n, n, |row, column| {
+        (0..n).fold(0.0, |sum, k| {
+            sum + 0.5 * (gain[(row, k)] * measured[(k, column)])
+                + 0.5 * (measured[(row, k)] * gain[(k, column)])
         })
     });
     // Rounding makes entries (i, j) and (j, i) differ; make them equal.
-    let blocks =
-        blocks.map(|b: DMatrix<f64>| DMatrix::from_fn(n, n, |i, j| b[(i.max(j), i.min(j))]));
-    BlockMatrix { diagonal: blocks.collect(), coupling: gain.clone(), graph: &scenario.graph }
+    DMatrix::from_fn(n, n, |i, j| block[(i.max(j), i.min(j))])
 }
 
 /// Returns `C^T C`.
@@ -181,11 +183,7 @@ pub(crate) fn gram(output_matrix: &DMatrix<f64>) -> DMatrix<f64> {
 /// definite. Otherwise no gain solves `BMI`.
 #[must_use]
 pub fn outputs_determine_state(scenario: &Scenario) -> bool {
-    let n = scenario.dimension();
-    let mut seen = DMatrix::zeros(n, n);
-    for agent in &scenario.agents {
-        seen += gram(&agent.output_matrix);
-    }
+    let (n, seen) = (scenario.dimension(), seen(scenario));
     if (0..n).any(|i| seen[(i, i)] <= 0.0) {
         return false;
     }
@@ -193,6 +191,16 @@ pub fn outputs_determine_state(scenario: &Scenario) -> bool {
     let scaled = DMatrix::from_fn(n, n, |i, j| seen[(i, j)] / (seen[(i, i)] * seen[(j, j)]).sqrt());
     // Rounding of the sums, with a margin.
     Eigen::new(&scaled).values[0] > 1e-12
+}
+
+/// Returns the sum of all `C_i^T C_i`.
+pub(super) fn seen(scenario: &Scenario) -> DMatrix<f64> {
+    let n = scenario.dimension();
+    let mut seen = DMatrix::zeros(n, n);
+    for agent in &scenario.agents {
+        seen += gram(&agent.output_matrix);
+    }
+    seen
 }
 
 /// Returns the next number above `x` with three digits.

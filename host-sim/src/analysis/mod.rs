@@ -6,11 +6,13 @@
 //! * [`TriggerConstants`]: `phi_1`, `phi_2` and the hold error at which the trigger fires.
 //! * [`UltimateBound`]: Theorem 1's bound on `|e_1(t)|^2` (equation `UUB Bound`).
 //! * [`LumpedUncertainty`]: the required size of `rho`.
+//! * [`design`]: chooses the gain and the constants.
 //! * [`minimum_interval`]: Theorem 2's bound on the time between broadcasts (`Zeno Bound`).
 
 mod block_cholesky;
 mod block_kernels;
 mod block_matrix;
+pub mod design;
 mod elimination;
 mod gain;
 mod jacobi;

@@ -41,7 +41,9 @@ impl Smallest {
         let Some((mut factor, mut shift)) = below_all(matrix, structure) else { return found };
         found.lower = factor.lower;
         for _ in 0..ROUNDS_MAX {
-            vector = largest_of_inverse(&factor, vector);
+            let mut largest = largest_of_inverse(&factor, vector, 1);
+            let Some(found_vector) = largest.pop() else { break };
+            vector = found_vector;
             let (estimate, error) = matrix.rayleigh_quotient(&vector);
             let gained = found.upper - (estimate + error);
             if gained > 0.0 {
@@ -103,8 +105,24 @@ fn below_all<'s, 'm>(
     None
 }
 
-/// Returns the Ritz vector of the largest eigenvalue of `(M - s I)^-1`, from a start near it.
-fn largest_of_inverse(factor: &Factor<'_, '_>, start: Vec<f64>) -> Vec<f64> {
+/// Returns approximate eigenvectors of up to `count` of the smallest eigenvalues, unit vectors. The
+/// shift keeps its distance from the smallest one, so that its neighbours converge, too.
+pub(super) fn smallest_vectors(
+    matrix: &BlockMatrix<'_>,
+    structure: &BlockCholesky<'_>,
+    bounds: Smallest,
+    count: usize,
+) -> Vec<Vec<f64>> {
+    let distance = 1e-2 * bounds.estimate.abs() + (bounds.upper - bounds.lower);
+    let factor = structure.factor(bounds.lower - distance);
+    let factor = factor.or_else(|| Some(below_all(matrix, structure)?.0));
+    let Some(factor) = factor else { return Vec::new() };
+    largest_of_inverse(&factor, random_direction(matrix.dimension()), count)
+}
+
+/// Returns the Ritz vectors of the `count` largest eigenvalues of `(M - s I)^-1`, from a start near
+/// the largest one, which comes last.
+fn largest_of_inverse(factor: &Factor<'_, '_>, start: Vec<f64>, count: usize) -> Vec<Vec<f64>> {
     let dimension = start.len();
     let steps = STEPS.min(dimension);
     let (mut basis, mut projected) = (vec![start], DMatrix::zeros(steps, steps));
@@ -133,13 +151,16 @@ fn largest_of_inverse(factor: &Factor<'_, '_>, start: Vec<f64>) -> Vec<f64> {
         basis.push(image);
     }
     let eigen = Eigen::new(&projected);
-    let weights = eigen.vectors.column(eigen.values.len() - 1);
-    let mut vector = vec![0.0; dimension];
-    for (weight, direction) in weights.iter().zip(&basis) {
-        vector.iter_mut().zip(direction).for_each(|(x, d)| *x += weight * d);
-    }
-    normalise(&mut vector);
-    vector
+    let ritz = |index: usize| {
+        let mut vector = vec![0.0; dimension];
+        for (weight, direction) in eigen.vectors.column(index).iter().zip(&basis) {
+            vector.iter_mut().zip(direction).for_each(|(x, d)| *x += weight * d);
+        }
+        normalise(&mut vector);
+        vector
+    };
+    let found = eigen.values.len();
+    (found.saturating_sub(count)..found).map(ritz).collect()
 }
 
 /// Returns `|M v - lambda v|` of a unit vector.

@@ -16,6 +16,7 @@ mod check;
 mod connection;
 #[cfg(unix)]
 mod cosim;
+mod design;
 mod error;
 mod health;
 mod key;
@@ -83,6 +84,9 @@ enum Command {
     /// Exits with 0 even if there are warnings, with 1 if a run would be meaningless (for example
     /// if the step is too long for the observer), and with 2 on bad input.
     Check(check::Arguments),
+    /// Choose the gain and the constants of the theorems for a scenario, and write them into a copy of
+    /// it
+    Design(design::Arguments),
     /// Run a scenario together with emulated or real nodes and compare every bit
     #[cfg(unix)]
     Cosim(cosim::Arguments),
@@ -149,6 +153,9 @@ pub fn main() -> ExitCode {
             with_threads(arguments.common.threads, || run::execute(&arguments))
         }
         Command::Check(arguments) => check::execute(&arguments),
+        Command::Design(arguments) => {
+            with_threads(arguments.common.threads, || design::execute(&arguments))
+        }
         #[cfg(unix)]
         Command::Cosim(arguments) => {
             with_threads(arguments.common.threads, || cosim::execute(&arguments))
@@ -228,6 +235,17 @@ fn load_scenario(path: &Path) -> Result<Scenario, CommandError> {
         ));
     }
     Ok(Scenario::parse(name, text)?)
+}
+
+/// Returns the text of the scenario that [`load_scenario`] has read.
+fn scenario_text(path: &Path) -> Result<String, CommandError> {
+    match path.to_str().and_then(built_in) {
+        Some(text) => Ok(text.to_owned()),
+        None => std::fs::read_to_string(path).map_err(|error| {
+            let text = format!("{}: cannot be read: {error}; check the path", path.display());
+            CommandError::new(ErrorCode::Scenario, text).about(path)
+        }),
+    }
 }
 
 /// Converts an agent number from the command line, from 1, to an index, from 0.

@@ -70,6 +70,8 @@ error_codes! {
     Expression = "expression-undefined", 1;
     /// The estimates grow without bound, or would in a run.
     Unstable = "unstable", 1;
+    /// No gain, or no radius, gives what was requested.
+    NoDesign = "no-design", 1;
     /// The plant's state grew without bound.
     Diverged = "plant-diverged", 1;
     /// A network cannot be trained.

@@ -1,0 +1,111 @@
+//! The design as text, and in the text of a scenario.
+
+use toml_edit::{Array, DocumentMut, Value};
+
+use super::frontier::Point;
+use super::{Designed, rows};
+use crate::number::significant;
+use crate::report::checks;
+use crate::report::columns::aligned;
+use crate::report::tables::number;
+use crate::scenario::Scenario;
+
+/// Formats the report.
+pub(super) fn of(scenario: &Scenario, designed: &Designed) -> String {
+    let Designed { gain, step, certificate, knee, frontier: points, checks, .. } = designed;
+    let shown = |x: f64| significant(x, 6);
+    let step_max = step.largest_stable_step.map_or("none".to_owned(), |step| significant(step, 4));
+    let mut text = format!("Design of scenario {}\n", scenario.name);
+    text += &format!(
+        "  gain = {}\n\
+        \x20 trace {} 1/s, norm {} 1/s, within {} of the optimum\n\
+        \x20 lambda_min = {} 1/s (+- {}), checked apart from the solver\n\
+        \x20 largest stable step {step_max} s\n\
+        \x20 rho = {}, from chi_bar_max of the confirming run\n\
+        \x20 k1 = {} 1/s, k2 = {} 1/s, kappa = {} s, delta = {}, epsilon = {}\n\
+        \x20 phi1 = {} 1/s, phi2 = {} 1/s: the trigger's radius is {}\n\
+        \x20 Theorem 1: ultimate bound |e_1| <= {} without the weight error{}\n\
+        \x20 knee: a radius below {} (epsilon {}) hardly lowers that bound, {}\n\n",
+        gain_text(designed),
+        shown(gain.trace()),
+        shown(gain.norm()),
+        significant(gain.gap, 1),
+        significant(gain.certificate.eigenvalue_min, 9),
+        significant(gain.certificate.uncertainty, 1),
+        certificate.rho,
+        shown(certificate.k1),
+        certificate.k2,
+        certificate.kappa,
+        certificate.delta,
+        certificate.epsilon,
+        shown(certificate.phi1),
+        shown(certificate.phi2),
+        shown(certificate.radius),
+        significant(certificate.bound, 4),
+        checks.design.ultimate_bound.map_or(String::new(), |bound| format!(
+            ", {} with it",
+            significant(bound.ultimate().sqrt(), 4)
+        )),
+        significant(knee.radius, 3),
+        significant(knee.epsilon, 3),
+        significant(knee.bound, 3),
+    );
+    if !points.is_empty() {
+        text += &frontier(points);
+        text.push('\n');
+    }
+    text + &checks::text(checks)
+}
+
+/// Formats the runs that a radius was chosen from.
+pub(super) fn frontier(points: &[Point]) -> String {
+    let headings = [
+        ["", "radius"],
+        ["", "epsilon"],
+        ["largest", "RMSE"],
+        ["broadcasts per", "agent and s"],
+        ["ultimate", "bound"],
+    ];
+    let row = |point: &Point| {
+        let entries = [Some(point.radius), Some(point.epsilon), point.error, point.rate];
+        entries.into_iter().chain([Some(point.bound)]).map(number).collect::<Vec<_>>()
+    };
+    aligned(&headings, &points.iter().map(row).collect::<Vec<_>>())
+}
+
+/// Formats the gain as a scenario has it: a diagonal, or rows.
+fn gain_text(designed: &Designed) -> String {
+    gain_value(designed).to_string()
+}
+
+fn gain_value(designed: &Designed) -> Value {
+    let gain = &designed.gain.gain;
+    let is_diagonal = (0..gain.nrows()).all(|i| (0..i).all(|j| gain[(i, j)] == 0.0));
+    if is_diagonal {
+        gain.diagonal().iter().copied().collect::<Array>().into()
+    } else {
+        let rows = rows(&designed.gain).into_iter();
+        rows.map(|row| Value::from(row.into_iter().collect::<Array>())).collect::<Array>().into()
+    }
+}
+
+/// Returns the scenario's text with the chosen numbers in `[design]`; `None` without such a table.
+pub(super) fn edited(source: &str, designed: &Designed) -> Option<String> {
+    let mut document: DocumentMut = source.parse().ok()?;
+    let table = document.get_mut("design")?.as_table_like_mut()?;
+    let certificate = &designed.certificate;
+    let mut replace = |key: &str, mut value: Value| -> Option<()> {
+        let old = table.get_mut(key)?.as_value_mut()?;
+        // Blanks and the comment behind the value.
+        *value.decor_mut() = old.decor().clone();
+        *old = value;
+        Some(())
+    };
+    replace("gain", gain_value(designed))?;
+    replace("k2", certificate.k2.into())?;
+    replace("kappa", certificate.kappa.into())?;
+    replace("rho", certificate.rho.into())?;
+    replace("delta", certificate.delta.into())?;
+    replace("epsilon", certificate.epsilon.into())?;
+    Some(document.to_string())
+}
