@@ -10,6 +10,7 @@ use std::{fs, io, path::Path};
 
 use agent_core::math::activation::Activation::{Gaussian, Logistic, Tanh};
 use agent_core::math::symmetric::MatrixForm;
+use agent_core::observer::field::{Announced, Disturbance, HoldKind};
 use agent_core::package::{CHECKED_FIRST, Format, HEADER2_LENGTH, signature_block};
 use agent_core::wire::frame::Frame;
 use fuzz::{Event, SamplePackage};
@@ -47,7 +48,9 @@ fn main() -> io::Result<()> {
         outer_gain: MatrixForm::Diagonal,
         test_vectors: 8,
         recipe: "wide",
+        has_field: false,
     };
+    let field = SamplePackage { outputs: 1, neighbours: vec![4, 9], has_field: true, ..two(&deep) };
     for (name, bytes) in [
         ("smallest", SamplePackage::smallest().encode::<1>()),
         ("signed", signed),
@@ -58,6 +61,7 @@ fn main() -> io::Result<()> {
         ("signed-2", signed2),
         ("deep-2", two(&deep).encode::<3>()),
         ("wide-2", two(&wide).encode::<4>()),
+        ("field-2", field.encode::<3>()),
     ] {
         write("package", name, &bytes)?;
     }
@@ -68,8 +72,29 @@ fn main() -> io::Result<()> {
     let wrapped = Frame { sequence: 0, ..other };
     let unknown = Frame { sender: 5, ..frame };
     let far = Frame { sender: 9, estimate: [3e38, -3e38, 1e-45].into(), ..frame };
+    let announced = Announced {
+        digest: 0x1234,
+        hold: HoldKind::Rate,
+        has_harmonics: true,
+        is_half: false,
+        directions: 0b101,
+        rate: [1.0, -0.5, 0.25].into(),
+        disturbances: [
+            Disturbance { bias: 0.5, cosine: 1.0, sine: -1.0 },
+            Disturbance::NONE,
+            Disturbance { bias: f32::MAX, cosine: f32::MAX, sine: f32::MIN },
+        ],
+    };
+    let rate = Frame { announced: Some(announced), ..frame };
+    let model = Announced { hold: HoldKind::Model, is_half: true, rate: [0.0; 3].into(), ..announced };
+    let model = Frame { announced: Some(model), ..other };
+    let constant = Announced { hold: HoldKind::ZeroOrder, ..Announced::NONE };
+    let constant = Frame { announced: Some(constant), ..newer };
     for (name, frames) in [
-        ("one", &[frame][..]),
+        ("field-rate", &[rate][..]),
+        ("field-model", &[model]),
+        ("field-all", &[rate, model, far, constant]),
+        ("one", &[frame]),
         ("newer", &[frame, newer]),
         ("duplicate", &[newer, frame]),
         ("wrapped", &[other, wrapped]),

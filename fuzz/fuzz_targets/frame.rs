@@ -11,6 +11,7 @@ use agent_core::agent::{AgentParams, AgentState, StepError};
 use agent_core::math::numeric::all_finite;
 use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
+use agent_core::observer::field::{Coupling, Direction, Disturbance, HoldKind, Options};
 use agent_core::observer::network::InnerNetwork;
 use agent_core::observer::outer_law::OuterLawParams;
 use agent_core::observer::projection::ProjectionParams;
@@ -44,6 +45,9 @@ fuzz_target!(|data: &[u8]| {
     .expect("the parameters are valid");
     let mut inbox = Inbox::<N, ParamBuffers>::new([None; NEIGHBOURS.len()]);
     let mut model = Model::default();
+    // The same agent with the field observer, which moves samples on.
+    let (mut field, mut field_inbox) = (state.clone(), inbox.clone());
+    field.set_field(&params, &field_words()).expect("the parameters are valid");
     let mut tick = 0;
     for event in Event::read(data) {
         match event {
@@ -55,9 +59,11 @@ fuzz_target!(|data: &[u8]| {
                 check_decoding::<12>(&bytes);
                 let expected = model.receive(&bytes);
                 assert_eq!(inbox.accept(&NEIGHBOURS, &bytes), expected);
+                let _ = field_inbox.accept(&NEIGHBOURS, &bytes);
             }
             Event::Step => {
                 check_step(&params, &mut state, tick, &mut inbox, &mut model);
+                check_field_step(&params, &mut field, tick, &mut field_inbox);
                 tick += 1;
             }
         }
@@ -182,6 +188,71 @@ fn check_step(
             model.waiting.clear();
         }
     }
+}
+
+/// A step takes all frames, and all results and samples are finite.
+fn check_field_step(
+    params: &AgentParams<'_, N>,
+    state: &mut AgentState<N, 1, ParamBuffers>,
+    tick: u64,
+    inbox: &mut Inbox<N, ParamBuffers>,
+) {
+    let network = None::<&InnerNetwork<&[f32]>>;
+    match state.step(params, network, tick, &[0.0], inbox) {
+        Ok(output) => {
+            assert!(all_finite(&output.sample.derivative) && all_finite(state.estimate()));
+            if let Some(frame) = output.broadcast {
+                assert_eq!(Frame::<N>::decode(&frame.encode()), Ok(frame));
+            }
+        }
+        Err(error) => assert!(matches!(error, StepError::Diverged)),
+    }
+    assert!(inbox.is_empty());
+    for held in state.neighbour_holds().iter().flatten() {
+        assert!(all_finite(held.estimate()));
+        let disturbances = held.announced().iter().flat_map(|a| a.disturbances).collect::<Vec<_>>();
+        assert!(disturbances.iter().all(Disturbance::is_finite));
+    }
+}
+
+/// Measures the first direction and follows the neighbours in the others.
+fn field_words() -> Vec<f32> {
+    let options = Options {
+        digest: 0x1234,
+        hold: HoldKind::Model,
+        coupling: Coupling::Trees,
+        uses_network: false,
+        adapts: false,
+        has_harmonics: true,
+        is_half: false,
+        timeout: 3,
+        bias_kept: 0.5,
+        relay_share: 0.9,
+    };
+    let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let mut words = [&options.words()[..], &identity, &identity, &[-4.0; N], &[4.0; N]].concat();
+    for c in 0..N as u8 {
+        let direction = Direction {
+            output: (c == 0).then_some(0),
+            parent: (c > 0).then_some(c - 1),
+            spare: (c > 0).then_some(2),
+            is_announced: c < 2,
+            scale: 1.0,
+            root_gain: 50.0,
+            tree_gain: 100.0,
+            radius: 0.125,
+            model: agent_core::observer::field::disturbance::Model {
+                bias_gain: 400.0,
+                cosine_gain: 100.0,
+                sine_gain: 200.0,
+                rotation_cosine: 0.0,
+                rotation_sine: 1.0,
+                clip: 8.0,
+            },
+        };
+        words.extend(direction.words());
+    }
+    words
 }
 
 fn params() -> AgentParams<'static, N> {

@@ -253,6 +253,7 @@ fn check_accepted<const N: usize>(bytes: &[u8], package: &Package<'_>) {
         vec![None; places],
     )
     .expect("was accepted");
+    state.set_field(&params, package.node.field).expect("was accepted");
     let mut inbox = Inbox::<N, _>::new(vec![None; places]);
     let measurement = vec![0.0; package.node.outputs(N)];
     for tick in 0..3 {

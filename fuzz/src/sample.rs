@@ -6,6 +6,8 @@ use agent_core::agent::exchange::ExchangeParams;
 use agent_core::agent::region::StateBox;
 use agent_core::math::activation::Activation;
 use agent_core::math::symmetric::MatrixForm;
+use agent_core::observer::field::disturbance::Model;
+use agent_core::observer::field::{Coupling, Direction, HoldKind, Options};
 use agent_core::observer::network::{Architecture, InnerNetwork, Layer, Scratch};
 use agent_core::observer::outer_law::OuterLawParams;
 use agent_core::observer::projection::ProjectionParams;
@@ -48,6 +50,8 @@ pub struct SamplePackage {
     pub test_vectors: usize,
     /// Name of the training recipe.
     pub recipe: &'static str,
+    /// Whether it has the field observer; in format 2 only.
+    pub has_field: bool,
 }
 
 impl SamplePackage {
@@ -65,6 +69,7 @@ impl SamplePackage {
             outer_gain: MatrixForm::Scalar,
             test_vectors: 1,
             recipe: "",
+            has_field: false,
         }
     }
 
@@ -83,6 +88,7 @@ impl SamplePackage {
         let gain = entries(self.gain, N);
         let outer_gain = entries(self.outer_gain, architecture.features());
         let is_first = self.format == Format::One;
+        let field = if self.has_field { field::<N>(self.neighbours.len()) } else { vec![] };
         let node = AgentConfig {
             agent: self.agent,
             output_matrix: &output_matrix,
@@ -109,7 +115,7 @@ impl SamplePackage {
             } else {
                 ExchangeParams { heartbeat: self.version, fade_to: 9, ..ExchangeParams::PAPER }
             },
-            field: &[],
+            field: &field,
         };
         let package = Package {
             epoch: if is_first { 0 } else { self.version / 2 },
@@ -157,6 +163,50 @@ impl SamplePackage {
         buffer.truncate(length);
         buffer
     }
+}
+
+/// Returns the words of a field observer in the state's own coordinates: the agent measures the first
+/// direction, and follows its neighbours in turn in the others.
+fn field<const N: usize>(neighbours: usize) -> Vec<f32> {
+    let options = Options {
+        digest: 0x1234,
+        hold: HoldKind::Model,
+        coupling: Coupling::Trees,
+        uses_network: true,
+        adapts: false,
+        has_harmonics: true,
+        is_half: true,
+        timeout: 200,
+        bias_kept: 0.999,
+        relay_share: 0.9,
+    };
+    let identity = (0..N * N).map(|entry| if entry % (N + 1) == 0 { 1.0 } else { 0.0 });
+    let mut words = options.words().to_vec();
+    words.extend(identity.clone().chain(identity));
+    words.extend([-2.0; N].into_iter().chain([2.0; N]));
+    for c in 0..N {
+        let place = |next: usize| (c > 0 && neighbours > 0).then(|| ((c + next) % neighbours) as u8);
+        let direction = Direction {
+            output: (c == 0).then_some(0),
+            parent: place(0),
+            spare: place(1),
+            is_announced: c < 2,
+            scale: 1.0,
+            root_gain: 60.0,
+            tree_gain: 120.0,
+            radius: 0.0625,
+            model: Model {
+                bias_gain: 400.0,
+                cosine_gain: 100.0,
+                sine_gain: 200.0,
+                rotation_cosine: 0.9375,
+                rotation_sine: 0.347_985_27,
+                clip: 8.0,
+            },
+        };
+        words.extend(direction.words());
+    }
+    words
 }
 
 /// Returns pseudorandom numbers between -0.25 and 0.25.

@@ -2,6 +2,7 @@
 
 mod against_oracle;
 pub(crate) mod bits;
+mod field_oracle;
 pub(crate) mod health;
 pub(crate) mod oracle;
 mod properties;

@@ -2,6 +2,7 @@
 
 mod determinism;
 mod examples;
+mod field_observer;
 mod levenberg_marquardt;
 mod links;
 mod networks;

@@ -95,6 +95,11 @@ fn invalid_learning_cycles() {
 }
 
 #[test]
+fn invalid_observers() {
+    check(include_str!("scenario_errors/observer.txt"));
+}
+
+#[test]
 fn invalid_health_settings() {
     check(include_str!("scenario_errors/health.txt"));
 }

@@ -17,7 +17,8 @@
 use crate::StateVector;
 use crate::Tick;
 use crate::agent::capture::Sample;
-use crate::agent::hold::{Hold, HoldSlots};
+use crate::agent::exchange::Exchange;
+use crate::agent::hold::{Hold, HoldSlots, LAG_MAX};
 use crate::agent::inbox::Inbox;
 use crate::agent::{AgentParams, AgentState, StepError, StepOutput};
 use crate::math::numeric::{add_scaled, all_finite, components, components_mut, difference, zeros};
@@ -38,6 +39,8 @@ pub(super) struct Field<const N: usize, const FEATURES: usize> {
     /// Outer weights for samples, which do not adapt: those at the switch.
     outer_weights: heapless::Vec<StateVector<N>, FEATURES>,
     must_announce: bool,
+    /// What measurements, neighbours and disturbances contributed to the last derivative.
+    feedback: StateVector<N>,
 }
 
 impl<const N: usize, const FEATURES: usize> Field<N, FEATURES> {
@@ -47,7 +50,14 @@ impl<const N: usize, const FEATURES: usize> Field<N, FEATURES> {
             disturbances: [Disturbance::NONE; N],
             outer_weights: heapless::Vec::new(),
             must_announce: false,
+            feedback: zeros(),
         }
+    }
+
+    /// Returns the part of the last derivative that is not the network's, if the field observer is in
+    /// use.
+    pub(super) fn feedback(&self) -> Option<&StateVector<N>> {
+        Some(&self.feedback).filter(|_| self.is_in_use())
     }
 
     pub(super) fn is_in_use(&self) -> bool {
@@ -58,6 +68,7 @@ impl<const N: usize, const FEATURES: usize> Field<N, FEATURES> {
     pub(super) fn restart(&mut self) {
         self.disturbances = [Disturbance::NONE; N];
         self.must_announce = true;
+        self.feedback = zeros();
     }
 }
 
@@ -90,10 +101,21 @@ impl<const N: usize, P: AsRef<[f32]>> Prediction<'_, N, P> {
         announced.hold == HoldKind::Model && announced.digest == self.digest
     }
 
-    /// Moves a sample on by `time`, which is `steps` steps.
+    /// Whether all neighbours that have been heard predict samples as this agent does.
+    fn is_shared(&self, holds: &[Option<Hold<N>>]) -> bool {
+        holds.iter().flatten().all(|hold| match hold.announced() {
+            Some(announced) => announced.digest == self.digest,
+            None => false,
+        })
+    }
+
+    /// Moves a sample on by this many steps, of which at most [`LAG_MAX`] count.
     #[inline(never)]
-    fn advance(&self, hold: &mut Hold<N>, steps: u32, scratch: &mut Scratch) {
-        let Some(mut announced) = hold.announced().copied() else { return };
+    fn advance(&self, hold: &mut Hold<N>, all_steps: u32, scratch: &mut Scratch) {
+        let Some(mut announced) = hold.announced().copied().filter(|_| all_steps > 0) else {
+            return;
+        };
+        let steps = all_steps.min(LAG_MAX);
         let rate = match announced.hold {
             HoldKind::ZeroOrder => zeros(),
             HoldKind::Rate => announced.rate,
@@ -116,7 +138,7 @@ impl<const N: usize, P: AsRef<[f32]>> Prediction<'_, N, P> {
             self.params.move_on(&mut announced);
         }
         if all_finite(&estimate) {
-            hold.go_on(estimate, announced, steps);
+            hold.go_on(estimate, announced, all_steps);
         }
     }
 }
@@ -166,12 +188,16 @@ where
                 Some(field)
             }
         };
-        let Self { field: Field { params, outer_weights, must_announce, disturbances }, .. } = self;
+        let Self {
+            field: Field { params, outer_weights, must_announce, disturbances, .. }, ..
+        } = self;
         if params.is_empty() {
             *disturbances = [Disturbance::NONE; N];
         }
         params.clear();
         if let Some(field) = field {
+            // A late sample goes on as it is announced, and not by the mean velocity.
+            self.exchange = Exchange::new();
             // There is room: it was cleared.
             let _ = params.push(field);
         }
@@ -209,7 +235,8 @@ where
         I: HoldSlots<N>,
     {
         let Self { field, scratch, exchange, .. } = self;
-        let Field { params: own, disturbances, outer_weights: shipped, must_announce } = field;
+        let Field { params: own, disturbances, outer_weights: shipped, must_announce, feedback } =
+            field;
         let Some(own) = own.first() else { return Err(StepError::Diverged) };
         let step_size = params.step_size;
         let network = network.filter(|_| own.options.uses_network);
@@ -222,16 +249,14 @@ where
             exchange.arrived(&params.exchange, step_size, sample, held, tick)
         };
         self.stale_frames = inbox.drain_into(holds, tick, params.restart_silence, arrived);
-        for hold in holds.iter_mut().flatten() {
-            if hold.is_taken_over_at(tick) && hold.lag() > 0 {
-                prediction.advance(hold, hold.lag(), scratch);
-            }
+        for hold in holds.iter_mut().flatten().chain([&mut self.own_hold]) {
+            prediction.advance(hold, hold.behind(tick), scratch);
         }
 
         // Innovations and corrections, in the coordinates `xi`.
         let estimate = self.estimate;
         let (mut innovation, mut correction) = (zeros::<N>(), zeros::<N>());
-        let mut consensus = zeros::<N>();
+        let mut consensus = zeros();
         let reference = match own.options.coupling {
             Coupling::Held => *self.own_hold.estimate(),
             _ => estimate,
@@ -239,9 +264,8 @@ where
         let places = components_mut(&mut innovation)
             .iter_mut()
             .zip(components_mut(&mut correction))
-            .zip(components_mut(&mut consensus))
             .zip(disturbances.iter());
-        for ((c, direction), (((innovation, correction), consensus), disturbance)) in
+        for ((c, direction), ((innovation, correction), disturbance)) in
             own.directions.iter().enumerate().zip(places)
         {
             let current = own.coordinate(c, &estimate);
@@ -276,7 +300,8 @@ where
                     let difference = own.coordinate(c, hold.estimate()) - reference;
                     term += neighbour.weight * share * difference;
                 }
-                *consensus = term;
+                // In the state's units, like the hold error beside it in the trigger.
+                own.shift(&mut consensus, c, term);
                 sum += direction.tree_gain * term;
             }
             *correction = sum;
@@ -294,6 +319,7 @@ where
             own.shift(&mut derivative, c, correction);
             own.shift(&mut adaptation, c, -innovation);
         }
+        let by_feedback = derivative;
         let input = own.limited(&estimate);
         let features = network.and_then(|network| network.features(input.as_slice(), scratch));
         let mut planned = None;
@@ -331,6 +357,7 @@ where
             prediction.advance(hold, 1, scratch);
         }
         let sample = Sample { tick, estimate, derivative };
+        *feedback = by_feedback;
         self.last_tick = Some(tick);
         self.estimate = next;
         self.consensus_term = consensus;
@@ -349,8 +376,12 @@ where
                 params.trigger.fires(held, &hold_error, &self.consensus_term)
             }
         };
-        let known = self.own_hold.announced().map(|announced| announced.digest);
-        let must = *must_announce || known != Some(digest);
+        // A sample that neighbours cannot follow any more is replaced at once.
+        let is_followed = self.own_hold.announced().is_some_and(|announced| {
+            announced.digest == digest
+                && (announced.hold != HoldKind::Model || prediction.is_shared(holds))
+        });
+        let must = *must_announce || !is_followed;
         if !self.exchange.is_due(&params.exchange, event, now, held) && !must {
             return Ok(StepOutput { broadcast: None, sample });
         }
@@ -398,14 +429,8 @@ fn announcement<const N: usize, P: AsRef<[f32]>>(
     scratch: &mut Scratch,
 ) -> (Announced<N>, StateVector<N>) {
     let own = prediction.params;
-    let is_shared = |hold: &Hold<N>| match hold.announced() {
-        Some(announced) => announced.digest == prediction.digest,
-        None => false,
-    };
     let hold = match own.options.hold {
-        HoldKind::Model
-            if prediction.network.is_none() || !holds.iter().flatten().all(is_shared) =>
-        {
+        HoldKind::Model if prediction.network.is_none() || !prediction.is_shared(holds) => {
             HoldKind::Rate
         }
         hold => hold,
@@ -464,3 +489,6 @@ fn announcement<const N: usize, P: AsRef<[f32]>>(
     announced.round(&mut sample);
     (announced, sample)
 }
+
+#[cfg(test)]
+mod tests;

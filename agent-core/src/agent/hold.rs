@@ -117,7 +117,14 @@ impl<const N: usize> Hold<N> {
         let tick = self.tick;
         let frame = Frame::new(sender, self.sequence, tick, self.sample);
         #[cfg(feature = "field")]
-        let frame = Frame { announced: self.announced().copied(), ..frame };
+        let frame = Frame {
+            announced: self.announced().map(|announced| match self.moved {
+                0 => *announced,
+                // It was rounded when it was taken; a sample that has gone on is not.
+                _ => announced.unrounded(),
+            }),
+            ..frame
+        };
         frame
     }
 
@@ -142,10 +149,12 @@ impl<const N: usize> Hold<N> {
         self.moved = self.moved.saturating_add(steps);
     }
 
-    /// Whether the sample was accepted at the receiver's step `now`.
+    /// Returns the steps by which the sample has to go on to belong to `now`: its time on the way, and
+    /// the ticks that its holder has skipped.
     #[cfg(feature = "field")]
-    pub(crate) fn is_taken_over_at(&self, now: Tick) -> bool {
-        self.taken_over == now
+    pub(crate) fn behind(&self, now: Tick) -> u32 {
+        let behind = self.age_here(now).saturating_sub(Tick::from(self.moved));
+        u32::try_from(behind).unwrap_or(u32::MAX)
     }
 
     /// Returns the same sample, accepted by another agent at that agent's step `now`.

@@ -345,6 +345,9 @@ where
         let hold_error = difference(self.own_hold.estimate(), &self.estimate);
         let held = self.own_hold.age(tick);
         let event = params.trigger.fires(held, &hold_error, &self.consensus_term);
+        // After the field observer, neighbours must not let the last sample go on any longer.
+        #[cfg(feature = "field")]
+        let event = event || self.own_hold.announced().is_some();
         if !self.exchange.is_due(&params.exchange, event, tick, held) {
             return None;
         }
@@ -493,9 +496,14 @@ where
         &self.output_error.as_slice()[..params.outputs().min(N)]
     }
 
-    /// Returns `K_1 (z_i - C_i^T e_3i)` of the last step, shape `[N]`. \[state unit/s\]
+    /// Returns `K_1 (z_i - C_i^T e_3i)` of the last step, shape `[N]`, or what the field observer has in
+    /// its place. \[state unit/s\]
     #[must_use]
     pub fn feedback(&self, params: &AgentParams<'_, N>) -> StateVector<N> {
+        #[cfg(feature = "field")]
+        if let Some(feedback) = self.field.feedback() {
+            return *feedback;
+        }
         let mut innovation = zeros();
         let rows = params.observer.output_matrix.rows().iter();
         for (row, &error) in rows.zip(components(&self.output_error)) {

@@ -11,7 +11,7 @@
 use super::Disturbance;
 use crate::math::half::{from_half, to_half};
 use crate::math::numeric::{all_finite, components, components_mut, zeros};
-use crate::wire::frame::Words;
+use crate::wire::frame::{WORDS_MAX, Words};
 use crate::{INPUTS_MAX, StateVector};
 
 /// How a sample goes on until the next one.
@@ -157,6 +157,14 @@ impl<const N: usize> Announced<N> {
         for Disturbance { bias, cosine, sine } in &mut self.disturbances {
             [bias, cosine, sine].into_iter().for_each(round);
         }
+    }
+
+    /// Returns the announcement with all digits, if they fit into a frame.
+    pub(crate) fn unrounded(&self) -> Self {
+        let rates = if self.hold == HoldKind::Rate { N } else { 0 };
+        let directions = self.directions.count_ones() as usize;
+        let words = Self::words_for(rates, directions, self.has_harmonics, false);
+        Self { is_half: self.is_half && words > WORDS_MAX, ..*self }
     }
 
     /// Decodes the words of a frame into estimate and announcement; `None` for others, or if a number

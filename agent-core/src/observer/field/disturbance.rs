@@ -79,13 +79,15 @@ impl Model {
         }
     }
 
-    /// Returns the oscillation a step later.
+    /// Returns the oscillation a step later, within the clip: a frame can announce any finite numbers,
+    /// whose sums need not be finite.
     #[inline]
     #[must_use]
     pub fn rotated(&self, disturbance: &Disturbance) -> Disturbance {
         let Disturbance { bias, cosine, sine } = *disturbance;
         let (c, s) = (self.rotation_cosine, self.rotation_sine);
-        Disturbance { bias, cosine: c * cosine + s * sine, sine: c * sine - s * cosine }
+        let (next_cosine, next_sine) = (c * cosine + s * sine, c * sine - s * cosine);
+        Disturbance { bias, cosine: self.limited(next_cosine), sine: self.limited(next_sine) }
     }
 
     /// Returns the model's state a step later; `impulse` is `dt nu`.

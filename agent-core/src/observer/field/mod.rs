@@ -257,3 +257,6 @@ impl<const N: usize> FieldParams<N> {
         }
     }
 }
+
+#[cfg(test)]
+pub(crate) mod tests;

@@ -1,0 +1,105 @@
+//! Scenarios with `[observer]`: the paper's bits without it, the same bits on any number of threads, and
+//! estimates that stay with the plant over links that lose and delay frames.
+
+use host_sim::engine::{RunOptions, RunResult, Silent, run};
+use host_sim::scenario::{PAPER, Scenario};
+
+/// Returns the paper's scenario, shortened to a few seconds, with more tables before `[evaluation]`.
+fn scenario(tables: &str) -> Scenario {
+    let text = PAPER.replacen("[evaluation]", &format!("{tables}\n[evaluation]"), 1);
+    let mut scenario = Scenario::parse("field.toml", &text).unwrap_or_else(|e| panic!("{e}"));
+    scenario.time.duration = 4.0;
+    scenario.learning.clear();
+    scenario.evaluation = host_sim::scenario::Window { from: 2.0, to: 4.0 };
+    scenario
+}
+
+fn simulate(scenario: &Scenario) -> RunResult {
+    run(scenario, RunOptions { seed: 2, learning: false, bounds: false }, &Silent).unwrap()
+}
+
+fn on_threads(threads: usize, scenario: &Scenario) -> RunResult {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    pool.install(|| simulate(scenario))
+}
+
+fn broadcasts(result: &RunResult) -> Vec<u64> {
+    result.agents.iter().map(|agent| agent.broadcasts()).collect()
+}
+
+/// The largest error of each agent in the time of evaluation.
+fn errors(result: &RunResult) -> Vec<f64> {
+    result.agents.iter().map(|agent| agent.max_error().unwrap()).collect()
+}
+
+#[test]
+fn the_preset_paper_is_a_scenario_without_an_observer() {
+    let [without, with] =
+        ["", "[observer]\npreset = \"paper\"\n"].map(|tables| simulate(&scenario(tables)));
+    assert_eq!(without.digest, with.digest);
+    assert_eq!(broadcasts(&without), broadcasts(&with));
+    assert!(broadcasts(&with).iter().all(|&count| count > 100));
+}
+
+#[test]
+fn trees_broadcast_less_and_estimate_as_well() {
+    let paper = simulate(&scenario(""));
+    for settings in [
+        "from = 0.0",
+        "from = 0.0\nhold = \"model\"",
+        "from = 0.0\nhold = \"zero-order\"\nerror = 0.1",
+        "from = 0.0\ndisturbance = \"harmonic\"\nfrequencies = [3.0, 1.0, 3.75]\nclip = 5.0",
+        "from = 0.0\nprecision = 16\nerror = 0.05",
+        "from = 1.0",
+    ] {
+        let scenario = scenario(&format!("[observer]\n{settings}\n"));
+        let field = simulate(&scenario);
+        let (few, many) = (broadcasts(&field), broadcasts(&paper));
+        let [few, many] = [few, many].map(|counts| counts.iter().sum::<u64>());
+        assert!(few > 30 && few < many, "{settings}: {few} of {many}");
+        for (agent, error) in errors(&field).iter().enumerate() {
+            assert!(*error < 1.0, "{settings}: agent {}, {error}", agent + 1);
+        }
+    }
+}
+
+#[test]
+fn bits_are_independent_of_the_number_of_threads() {
+    for settings in ["from = 0.0", "preset = \"robust\"\nfrom = 1.0\nprecision = 16"] {
+        let scenario = scenario(&format!("[observer]\n{settings}\n"));
+        let [one, again, two] = [1, 1, 2].map(|threads| on_threads(threads, &scenario));
+        assert_eq!(one.digest, again.digest, "{settings}");
+        assert_eq!(one.digest, two.digest, "{settings}");
+        assert_eq!(broadcasts(&one), broadcasts(&two));
+        assert_ne!(one.digest, simulate(&self::scenario("")).digest);
+    }
+}
+
+/// Agent 2 is down for a while, frames are lost, late, changed and repeated, and sensors are noisy.
+#[test]
+fn reboots_and_bad_links_leave_errors_bounded() {
+    for (settings, life) in [
+        ("preset = \"robust\"\nfrom = 0.0", [1.0, 1.5]),
+        ("preset = \"robust\"\nfrom = 0.0\nhold = \"rate\"\nprecision = 16", [1.0, 1.5]),
+        // Down when the others switch.
+        ("preset = \"robust\"\nfrom = 1.0", [0.8, 1.4]),
+    ] {
+        let tables = format!(
+            "[observer]\n{settings}\n[[life]]\nagent = 2\nfrom = {:?}\nto = {:?}\n",
+            life[0], life[1]
+        );
+        let mut scenario = scenario(&tables);
+        scenario.link.edge.loss = 0.2;
+        scenario.link.edge.delay = 0.005;
+        scenario.link.edge.jitter = 0.002;
+        scenario.link.edge.duplicate = 0.02;
+        scenario.link.edge.corrupt = 0.02;
+        scenario.exchange.delay = 5;
+        let [first, again] = [1, 2].map(|threads| on_threads(threads, &scenario));
+        assert_eq!(first.digest, again.digest);
+        for (agent, error) in errors(&first).iter().enumerate() {
+            assert!(*error < 2.0, "{settings}: agent {}, {error}", agent + 1);
+        }
+        assert!(first.missed.is_empty(), "{settings}: {:?}", first.missed);
+    }
+}
