@@ -5,12 +5,13 @@ use std::path::Path;
 
 use agent_core::AgentId;
 use agent_core::agent::exchange::ExchangeParams;
+use agent_core::observer::field::{Coupling, Direction, FieldParams, FieldWords, HoldKind};
 use agent_core::math::symmetric::SymmetricMatrix;
 use agent_core::package::{OnSwitch, SIGNATURE_BLOCK_LENGTH, TrialLimits};
 use serde::Serialize;
 
 use crate::number::significant;
-use crate::packages::{PackageBytes, PackageSummary};
+use crate::packages::{PackageBytes, PackageSummary, with_dimension};
 use crate::terminal;
 
 /// The contents of a package.
@@ -25,6 +26,7 @@ pub(super) struct Facts {
     pub(super) trial: Option<TrialLimits>,
     /// What the agent does about links that fail, if anything.
     pub(super) exchange: Option<Exchange>,
+    pub(super) observer: Option<Observer>,
     pub(super) dimension: usize,
     pub(super) layers: Vec<Layer>,
     pub(super) inner_parameters: usize,
@@ -104,6 +106,7 @@ impl Facts {
             trial: package.trial,
             exchange: (node.exchange != ExchangeParams::PAPER)
                 .then(|| Exchange::new(&node.exchange, node.step_size)),
+            observer: Observer::new(node.field, package.dimension(), node.step_size),
             dimension: package.dimension(),
             layers: architecture
                 .layers()
@@ -240,9 +243,99 @@ impl Facts {
         line("made by", format!("version {}", self.tool_version));
         line("test vectors", self.test_vectors.to_string());
         line("exchange", self.exchange.as_ref().map_or("the paper's".to_owned(), Exchange::words));
+        line("observer", self.observer.as_ref().map_or("the paper's".to_owned(), Observer::words));
         line("limits of the trial", self.trial.as_ref().map_or("none".to_owned(), limits));
         text
     }
+}
+
+/// The field observer of an agent.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Observer {
+    coupling: &'static str,
+    hold: &'static str,
+    uses_network: bool,
+    adapts: bool,
+    /// In hexadecimal.
+    digest: String,
+    half_precision: bool,
+    /// One for each direction.
+    directions: Vec<ObserverDirection>,
+}
+
+/// One direction of the field observer.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct ObserverDirection {
+    /// The output that measures it, from 1.
+    output: Option<u8>,
+    announced: bool,
+    gain: f32,
+    radius: f32,
+    /// Frequency of the disturbance. \[rad/s\]
+    frequency: Option<f64>,
+}
+
+impl Observer {
+    fn new(words: &[f32], dimension: usize, step_size: f32) -> Option<Self> {
+        with_dimension!(dimension, observer(words, step_size), else None)
+    }
+
+    fn words(&self) -> String {
+        let count = |is: fn(&ObserverDirection) -> bool| {
+            self.directions.iter().filter(|direction| is(direction)).count()
+        };
+        let network = if self.uses_network { "with the network" } else { "without the network" };
+        format!(
+            "field: coupled by {}, {} hold, {network}, digest {}; measures {} and announces {} of {} \
+             directions, radius {}",
+            self.coupling,
+            self.hold,
+            self.digest,
+            count(|direction| direction.output.is_some()),
+            count(|direction| direction.announced),
+            self.directions.len(),
+            self.directions
+                .iter()
+                .map(|direction| significant(direction.radius.into(), 3))
+                .collect::<Vec<_>>()
+                .join(", ")
+        )
+    }
+}
+
+fn observer<const N: usize>(words: &[f32], step_size: f32) -> Option<Observer> {
+    let params = FieldParams::<N>::from_words(FieldWords(words)).ok()?;
+    let direction = |direction: &Direction| ObserverDirection {
+        output: direction.output.map(|output| output.saturating_add(1)),
+        announced: direction.is_announced,
+        gain: match direction.output {
+            Some(_) => direction.root_gain,
+            None => direction.tree_gain,
+        },
+        radius: direction.radius,
+        frequency: (direction.model.rotation_sine != 0.0).then(|| {
+            let model = &direction.model;
+            let (sine, cosine) = (model.rotation_sine.into(), model.rotation_cosine.into());
+            libm::atan2(sine, cosine) / significant_value(step_size)
+        }),
+    };
+    Some(Observer {
+        coupling: match params.options.coupling {
+            Coupling::Held => "held estimates",
+            Coupling::Current => "current estimates",
+            Coupling::Trees => "trees",
+        },
+        hold: match params.options.hold {
+            HoldKind::ZeroOrder => "zero-order",
+            HoldKind::Rate => "rate",
+            HoldKind::Model => "model",
+        },
+        uses_network: params.options.uses_network,
+        adapts: params.options.adapts,
+        digest: format!("{:04x}", params.options.digest),
+        half_precision: params.options.is_half,
+        directions: params.directions.iter().map(direction).collect(),
+    })
 }
 
 /// How an agent copes with links that fail; `None` for what it does not do. \[s\]
