@@ -17,6 +17,7 @@ mod connection;
 #[cfg(unix)]
 mod cosim;
 mod error;
+mod frontier;
 mod health;
 mod key;
 mod keygen;
@@ -83,6 +84,8 @@ enum Command {
     /// Exits with 0 even if there are warnings, with 1 if a run would be meaningless (for example
     /// if the step is too long for the observer), and with 2 on bad input.
     Check(check::Arguments),
+    /// Compare forms of the observer: error against broadcasts, bytes and battery life
+    Frontier(frontier::Arguments),
     /// Run a scenario together with emulated or real nodes and compare every bit
     #[cfg(unix)]
     Cosim(cosim::Arguments),
@@ -149,6 +152,9 @@ pub fn main() -> ExitCode {
             with_threads(arguments.common.threads, || run::execute(&arguments))
         }
         Command::Check(arguments) => check::execute(&arguments),
+        Command::Frontier(arguments) => {
+            with_threads(arguments.common.threads, || frontier::execute(&arguments))
+        }
         #[cfg(unix)]
         Command::Cosim(arguments) => {
             with_threads(arguments.common.threads, || cosim::execute(&arguments))
