@@ -287,10 +287,7 @@ impl Canvas {
 }
 
 fn circle(centre: (f64, f64), radius: f64) -> Circle {
-    Circle::new()
-        .set("cx", number(centre.0))
-        .set("cy", number(centre.1))
-        .set("r", number(radius))
+    Circle::new().set("cx", number(centre.0)).set("cy", number(centre.1)).set("r", number(radius))
 }
 
 fn rectangle(area: Rect) -> Rectangle {

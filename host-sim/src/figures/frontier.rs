@@ -5,6 +5,7 @@
 
 use super::Figure;
 use super::axis::Axis;
+use super::canvas::{Anchor, TextAt};
 use super::canvas::{Canvas, INK, PathData, Rect, Stroke, WIDTH};
 use super::clip::ClippedLine;
 use super::palette::{self, SIGNAL};
@@ -12,7 +13,6 @@ use super::panel::{
     BOTTOM_MARGIN, Entry, LABEL_BASELINE, LABEL_SPACE, LEGEND_ROW, LEGEND_TOP, Labels, Panel,
     RIGHT_MARGIN, Sample, TICK_SIZE, draw_legend, draw_title, legend_rows,
 };
-use super::canvas::{Anchor, TextAt};
 
 /// Input of [`frontier`].
 #[derive(Clone, Debug)]
@@ -187,9 +187,8 @@ fn draw_fine_labels(canvas: &mut Canvas, panel: &Panel) {
 
 fn draw_form(canvas: &mut Canvas, panel: &Panel, form: &FrontierForm<'_>, color: &'static str) {
     let area = panel.area;
-    let at = |broadcasts: f64, error: f64| {
-        (panel.at_x(broadcasts.log10()), panel.at_y(error.log10()))
-    };
+    let at =
+        |broadcasts: f64, error: f64| (panel.at_x(broadcasts.log10()), panel.at_y(error.log10()));
     let points = || form.points.iter().filter(|point| point.is_drawable());
     let mut line = ClippedLine::new(area);
     for point in points() {
@@ -227,7 +226,9 @@ fn legend(figure: &FrontierFigure<'_>) -> Vec<Entry> {
     let entry = |text: &str, sample| Entry { text: text.to_owned(), sample };
     let forms = figure.forms.iter().enumerate();
     let mut entries: Vec<Entry> = forms
-        .map(|(index, form)| entry(form.name, Sample::Line(Stroke::solid(palette::agent(index), LINE))))
+        .map(|(index, form)| {
+            entry(form.name, Sample::Line(Stroke::solid(palette::agent(index), LINE)))
+        })
         .collect();
     entries.push(entry("certified", Sample::Mark { is_filled: true, is_ringed: false }));
     entries.push(entry("simulation only", Sample::Mark { is_filled: false, is_ringed: false }));

@@ -14,7 +14,9 @@ use agent_core::observer::field::{Coupling, FieldParams, FieldWords};
 use agent_core::observer::network::Scratch;
 use nalgebra::{DMatrix, DVector};
 
-use crate::analysis::{GainCertificate, TriggerConstants, UltimateBound, laplacian_norm, spectral_norm};
+use crate::analysis::{
+    GainCertificate, TriggerConstants, UltimateBound, laplacian_norm, spectral_norm,
+};
 use crate::engine::RunResult;
 use crate::flow::{Certificate, Plan, plant_course, ultimate_plain, ultimate_weighted};
 use crate::learning::trained;
@@ -184,7 +186,8 @@ fn largest_rate(
     for k in (scenario.time.tick(from) as usize..course.samples()).step_by(STRIDE) {
         write(scenario.time.at(k as u64), course.state(k), &mut rate)?;
         let rate = DVector::from_column_slice(&rate);
-        largest = largest.max(transform.map_or(rate.norm(), |transform| (transform * &rate).norm()));
+        largest =
+            largest.max(transform.map_or(rate.norm(), |transform| (transform * &rate).norm()));
     }
     Some(largest)
 }

@@ -102,7 +102,7 @@ pub(super) enum Level {
 }
 
 /// Epsilon of the paper's trigger, as multiples of the scenario's.
-const EPSILONS: [f64; 5] = [0.0625, 0.25, 1.0, 1.44, 2.25];
+const EPSILONS: [f64; 5] = [0.0625, 0.25, 1.0, 2.25, 4.0];
 
 /// Radii, as multiples of that in `[observer]`.
 const RADII: [f64; 5] = [0.25, 0.5, 1.0, 1.5, 2.0];
@@ -163,10 +163,10 @@ impl<'s> Forms<'s> {
             Form::Periodic | Form::KnownF => Vec::new(),
             Form::PaperModel => self.held(form, &[0.03, 0.045, 0.05, 0.055]),
             Form::Split => self.held(form, &[0.03, 0.045, 0.06, 0.07]),
-            Form::Flow => self.trees(form, &[0.02, 0.035, 0.05, 0.065, 0.08]),
-            Form::FlowEso => self.trees(form, &[0.01, 0.02, 0.04, 0.06, 0.08, 0.1]),
-            Form::FlowHarmonic => self.trees(form, &[0.01, 0.02, 0.05, 0.08, 0.1]),
-            Form::NoNetwork => self.trees(form, &[0.02, 0.04, 0.06, 0.08]),
+            Form::Flow => self.trees(form, &[0.02, 0.035, 0.05, 0.065, 0.08, 0.095]),
+            Form::FlowEso => self.trees(form, &[0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12]),
+            Form::FlowHarmonic => self.trees(form, &[0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12]),
+            Form::NoNetwork => self.trees(form, &[0.02, 0.04, 0.06, 0.08, 0.1]),
         }
     }
 

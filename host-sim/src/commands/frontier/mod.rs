@@ -13,12 +13,12 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
+use super::print_text;
 use super::progress::ProgressBars;
 use super::run_folder::RunFolder;
 use super::{CommandError, Common, ErrorCode, Format, load_scenario, output, print_outcome};
-use super::print_text;
-use crate::figures::{FrontierFigure, FrontierForm, FrontierPoint, frontier, write_all};
 use crate::engine::RunError;
+use crate::figures::{FrontierFigure, FrontierForm, FrontierPoint, frontier, write_all};
 use crate::files::output::{FileKind, OutputError, write_result};
 use crate::flow::plant_course;
 use crate::interruption::{self, SecondSignal};
@@ -107,8 +107,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let file = folder.stage().join("frontier.csv");
     let table = Table::create(&file, scenario.agents.len())
         .map_err(|error| folder.placed(CommandError::from(error)))?;
-    let (variants, points) = carry_out(&scenario, &wanted, &study, table)
-        .map_err(|error| folder.placed(error))?;
+    let (variants, points) =
+        carry_out(&scenario, &wanted, &study, table).map_err(|error| folder.placed(error))?;
     let is_complete = points.len() == variants.len() * study.runs();
     let settings = match is_complete {
         true => Setting::all(&variants, &points, study.runs()),
@@ -140,7 +140,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 text += &failures(&settings);
             }
             text += &format!(
-                "Written to {}: {}\n{others}\nScenario {}, {} runs, seeds {seed} to {}, {} initial states, \
+                "Written to {}: {}\n{others}\nScenario {}, {} runs, seeds {seed} to {}, initial states: {}, \
                  {:.1} s\n",
                 out.display(),
                 files.join(", "),
@@ -192,7 +192,8 @@ fn initial_states(
     }
     let course = plant_course(scenario).map_err(RunError::Observer)?;
     let n = course.dimension;
-    let size = |c: usize| course.states.iter().skip(c).step_by(n).fold(0.0f64, |m, x| m.max(x.abs()));
+    let size =
+        |c: usize| course.states.iter().skip(c).step_by(n).fold(0.0f64, |m, x| m.max(x.abs()));
     let sizes: Vec<f64> = (0..n).map(size).collect();
     let random = Random::new(seed, Purpose::InitialState);
     states.extend((1..count).map(|k| {
@@ -266,9 +267,9 @@ fn write_files(
     target_label: &str,
 ) -> Result<(), CommandError> {
     let path = folder.join(FILE);
-    let json = serde_json::to_vec(report).map_err(std::io::Error::from).map_err(|error| {
-        OutputError::Write { path: path.clone(), error }
-    })?;
+    let json = serde_json::to_vec(report)
+        .map_err(std::io::Error::from)
+        .map_err(|error| OutputError::Write { path: path.clone(), error })?;
     write_result(&path, KIND, |file| {
         file.write_all(&json)?;
         file.write_all(b"\n")
@@ -294,11 +295,11 @@ fn write_files(
     if forms.is_empty() {
         return Ok(());
     }
-    let extreme = |start: f64, pick: fn(f64, f64) -> f64| {
-        report.target.iter().copied().fold(start, pick)
-    };
+    let extreme =
+        |start: f64, pick: fn(f64, f64) -> f64| report.target.iter().copied().fold(start, pick);
     let runs = report.seeds as usize * report.initial_states.len();
-    let title = format!("{}: error against broadcasts, {runs} runs each", scenario.name);
+    let each = if runs == 1 { "one run".to_owned() } else { format!("{runs} runs") };
+    let title = format!("{}: error against broadcasts, {each} each", scenario.name);
     let window = scenario.evaluation;
     let broadcasts_label =
         format!("broadcasts of all agents, t in [{}, {}] s", window.from, window.to);

@@ -5,9 +5,10 @@
 //! if a receiver were awake for exactly these. Not counted are waiting for a free channel, start-up,
 //! computing, sleep, and what a battery loses by itself; so lives are upper limits.
 //!
-//! Sources: data sheets nRF52840 (PS 1.11, section RADIO, currents with DC/DC at 3 V), AT86RF233 (Atmel
-//! 8351E, front page and section 12), SX1276 (rev. 7, table 6; time on air in section 4.1.1.7); IEEE
-//! 802.15.4-2020, 2.4 GHz O-QPSK; batteries Energizer CR2032 (to 2.0 V at 0.2 mA) and E91 (25 mA).
+//! Sources, typical currents of the data sheets: nRF52840 product specification (radio alone, DC/DC at 3 V),
+//! Atmel AT86RF233 (8351), Semtech SX1276 (output RFO, low-noise amplifier without boost; time on air by
+//! the formula there); packets of IEEE 802.15.4, 2.4 GHz O-QPSK; batteries Energizer CR2032 (0.2 mA) and
+//! E91 (25 mA).
 
 use serde::Serialize;
 
@@ -103,9 +104,9 @@ pub(super) fn cost(radio: &Radio, nodes: &[[Frames; 2]], window: f64) -> Cost {
         0 => 0.0,
         count => count as f64 * radio.airtime(frames.bytes as f64 / count as f64),
     };
-    let charges = nodes.iter().map(|&[sent, heard]| {
-        [airtime(sent) * radio.transmit, airtime(heard) * radio.receive]
-    });
+    let charges = nodes
+        .iter()
+        .map(|&[sent, heard]| [airtime(sent) * radio.transmit, airtime(heard) * radio.receive]);
     let most = |a: [f64; 2], b: [f64; 2]| if b[0] + b[1] > a[0] + a[1] { b } else { a };
     let [sent, heard] = charges.fold([0.0, 0.0], most);
     let channel_share = nodes.iter().map(|&[sent, _]| airtime(sent)).sum::<f64>() / window;

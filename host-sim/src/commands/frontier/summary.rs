@@ -73,7 +73,8 @@ impl<'p> Setting<'p> {
         let mut costs: Vec<Vec<Cost>> = RADIOS.iter().map(|_| Vec::new()).collect();
         for point in self.points {
             let heard = |agent: usize| {
-                let neighbours = graph.neighbours(agent).iter().map(|edge| point.frames[edge.agent]);
+                let neighbours =
+                    graph.neighbours(agent).iter().map(|edge| point.frames[edge.agent]);
                 neighbours.fold(Frames::default(), |sum, frames| Frames {
                     count: sum.count + frames.count,
                     bytes: sum.bytes + frames.bytes,
@@ -198,7 +199,11 @@ pub(super) fn text(best: &[Best], target: &[f64], target_label: &str) -> String 
         }
         let shown = |of: fn(&Spread) -> f64| -> Vec<f64> {
             let all = best.rmse.iter().map(of);
-            if agents <= COLUMNS { all.collect() } else { all.reduce(f64::max).into_iter().collect() }
+            if agents <= COLUMNS {
+                all.collect()
+            } else {
+                all.reduce(f64::max).into_iter().collect()
+            }
         };
         let number = |value: &f64| significant(*value, 3);
         row.extend(shown(|spread| spread.median).iter().map(number));
