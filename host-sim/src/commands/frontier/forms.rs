@@ -108,7 +108,7 @@ const EPSILONS: [f64; 5] = [0.0625, 0.25, 1.0, 2.25, 4.0];
 const RADII: [f64; 5] = [0.25, 0.5, 1.0, 1.5, 2.0];
 
 /// Wanted errors, as fractions of the state's standard deviation.
-const ERRORS: [f64; 5] = [0.005, 0.01, 0.014, 0.025, 0.05];
+const ERRORS: [f64; 6] = [0.005, 0.01, 0.014, 0.025, 0.05, 0.1];
 
 /// The smallest-trace solution of `BMI` for the paper's network. \[1/s\]
 const SMALLEST_TRACE: [f64; 3] = [87.0, 117.65, 117.65];
@@ -179,7 +179,9 @@ impl<'s> Forms<'s> {
         if let Some(observer) = &mut variant.scenario.observer {
             observer.radius = Some(vec![OUT_OF_REACH; self.scenario.dimension()]);
         }
-        variant.scenario.exchange.heartbeat = every;
+        let exchange = &mut variant.scenario.exchange;
+        exchange.heartbeat = every;
+        exchange.gap = exchange.gap.min(every);
         variant
     }
 

@@ -1,4 +1,6 @@
 use super::*;
+use crate::engine::{RunOptions, Silent, run};
+use crate::scenario::Window;
 use agent_core::observer::field::Coupling;
 
 fn parse(more: &str) -> Scenario {
@@ -92,4 +94,24 @@ fn the_best_setting_has_the_fewest_broadcasts_within_the_target_in_every_run() {
     let found = summary::best(&settings, &[0.001], &scenario.graph, 20.0);
     let text = summary::text(&found, &[0.001], "the target");
     assert!(text.contains("flow*") && text.contains("410"), "{text}");
+}
+
+#[test]
+fn runs_are_certified_unless_they_depart_from_what_the_theorems_allow_for() {
+    let mut scenario = parse("");
+    scenario.learning.clear();
+    scenario.time.duration = 0.4;
+    scenario.evaluation = Window { from: 0.3, to: 0.4 };
+    let forms = Forms::new(&scenario).unwrap();
+    let options = RunOptions { seed: 0, learning: true, bounds: false };
+    for form in [Form::Paper, Form::Split, Form::Flow, Form::FlowEso, Form::NoNetwork] {
+        let mut variant = forms.variants(form).swap_remove(1);
+        let result = run(&variant.scenario, options, &Silent).unwrap();
+        let bound = certified::bound(&variant.scenario, &result);
+        let squared = result.agents.iter().filter_map(|agent| agent.rmse()).map(|e| e * e);
+        let error = squared.sum::<f64>().sqrt();
+        assert!(bound.is_some_and(|bound| bound > error), "{form:?}: {bound:?}, {error}");
+        variant.scenario.exchange.heartbeat = 100;
+        assert_eq!(certified::bound(&variant.scenario, &result), None, "{form:?}");
+    }
 }
