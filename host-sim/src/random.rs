@@ -34,6 +34,8 @@ pub enum Purpose {
     ClockJitter,
     /// Whether a node misses a tick.
     MissedTick,
+    /// Initial states of the plant.
+    InitialState,
 }
 
 /// Draws the random numbers of one purpose.

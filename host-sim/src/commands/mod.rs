@@ -18,6 +18,7 @@ mod connection;
 mod cosim;
 mod design;
 mod error;
+mod frontier;
 mod health;
 mod key;
 mod keygen;
@@ -87,6 +88,8 @@ enum Command {
     /// Choose the gain and the constants of the theorems for a scenario, and write them into a copy of
     /// it
     Design(design::Arguments),
+    /// Compare forms of the observer: error against broadcasts, bytes and battery life
+    Frontier(frontier::Arguments),
     /// Run a scenario together with emulated or real nodes and compare every bit
     #[cfg(unix)]
     Cosim(cosim::Arguments),
@@ -155,6 +158,9 @@ pub fn main() -> ExitCode {
         Command::Check(arguments) => check::execute(&arguments),
         Command::Design(arguments) => {
             with_threads(arguments.common.threads, || design::execute(&arguments))
+        }
+        Command::Frontier(arguments) => {
+            with_threads(arguments.common.threads, || frontier::execute(&arguments))
         }
         #[cfg(unix)]
         Command::Cosim(arguments) => {

@@ -8,7 +8,7 @@ use std::fmt::Write;
 
 use svg::Document;
 use svg::node::Value;
-use svg::node::element::{Group, Path, Rectangle, Text};
+use svg::node::element::{Circle, Group, Path, Rectangle, Text};
 
 use super::font;
 
@@ -223,6 +223,18 @@ impl Canvas {
         self.add(path);
     }
 
+    /// Draws a disc with an outline.
+    pub(super) fn mark(&mut self, centre: (f64, f64), radius: f64, fill: &str, outline: &str) {
+        let disc = circle(centre, radius).set("fill", fill).set("stroke", outline);
+        self.add(disc.set("stroke-width", number(1.1)));
+    }
+
+    /// Draws a circle.
+    pub(super) fn ring(&mut self, centre: (f64, f64), radius: f64, stroke: Stroke) {
+        let ring = circle(centre, radius).set("fill", "none").set("stroke", stroke.color);
+        self.add(ring.set("stroke-width", number(stroke.width)));
+    }
+
     /// Fills a rectangle.
     pub(super) fn fill(&mut self, area: Rect, color: &str) {
         self.add(rectangle(area).set("fill", color));
@@ -272,6 +284,10 @@ impl Canvas {
             .add(self.group);
         document.to_string()
     }
+}
+
+fn circle(centre: (f64, f64), radius: f64) -> Circle {
+    Circle::new().set("cx", number(centre.0)).set("cy", number(centre.1)).set("r", number(radius))
 }
 
 fn rectangle(area: Rect) -> Rectangle {

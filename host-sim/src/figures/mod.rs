@@ -1,4 +1,5 @@
-//! Figures of a run: errors, broadcasts and states, as SVG and PNG.
+//! Figures of a run: errors, broadcasts and states; and of a study: error against broadcasts. As SVG and
+//! PNG.
 //!
 //! The SVG is the only source; the PNG is rendered from it with an embedded typeface, so both look
 //! the same on every machine. The same data give the same bytes.
@@ -14,6 +15,7 @@ mod event_figure;
 mod event_map;
 mod events;
 mod font;
+mod frontier;
 #[cfg(test)]
 mod label_tests;
 mod marks;
@@ -34,6 +36,7 @@ use crate::files::output::{FileKind, OutputError, write_result};
 pub use error_norms::{ErrorFigure, error_axis_limit, error_norms};
 pub use event_figure::EventFigure;
 pub use events::events;
+pub use frontier::{FrontierFigure, FrontierForm, FrontierPoint, frontier};
 pub use marks::{Marker, Reference};
 pub use raster::{PNG_WIDTH, RenderError};
 pub use states::{StateFigure, states};

@@ -187,8 +187,17 @@ pub(super) enum Sample {
     Upright(Stroke),
     /// A filled patch with colour and opacity.
     Patch(&'static str, f64),
+    /// A point.
+    Mark {
+        is_filled: bool,
+        is_ringed: bool,
+    },
     None,
 }
+
+/// Radii of a point in a legend, and of the ring around it. \[user unit\]
+const MARK: f64 = 3.0;
+const MARK_RING: f64 = 5.4;
 
 const SAMPLE_WIDTH: f64 = 16.0;
 const SAMPLE_GAP: f64 = 4.0;
@@ -222,6 +231,7 @@ fn sample_width(sample: Sample) -> f64 {
     match sample {
         Sample::None => 0.0,
         Sample::Upright(_) => 4.0 + SAMPLE_GAP,
+        Sample::Mark { .. } => 2.0 * MARK_RING + SAMPLE_GAP,
         Sample::Line(_) | Sample::Patch(..) => SAMPLE_WIDTH + SAMPLE_GAP,
     }
 }
@@ -249,6 +259,13 @@ pub(super) fn draw_legend(canvas: &mut Canvas, rows: &[Vec<&Entry>], left: f64, 
                         patch.line_to(x + dx, middle + dy);
                     }
                     canvas.area(patch, color, opacity);
+                }
+                Sample::Mark { is_filled, is_ringed } => {
+                    let centre = (x + MARK_RING, middle);
+                    canvas.mark(centre, MARK, if is_filled { INK } else { "#ffffff" }, INK);
+                    if is_ringed {
+                        canvas.ring(centre, MARK_RING, Stroke::solid(INK, 1.0));
+                    }
                 }
                 Sample::None => {}
             }

@@ -32,7 +32,7 @@ pub use certificate::Certificate;
 pub use gate::{BadSettings, Gate, Limits};
 pub use geometry::{Geometry, NotCovered, Root};
 pub use kalman::{DisturbanceGains, gains};
-pub use plan::{Plan, PlanError};
+pub use plan::{Plan, PlanError, plant_course};
 pub use rules::{DirectionSettings, Settings, Wanted, settings};
 pub use statistics::{Model, Statistics};
 pub use trajectory::Trajectory;

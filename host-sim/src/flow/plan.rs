@@ -431,8 +431,11 @@ fn output<const N: usize>(package: &PackageBytes, x: &[f32]) -> Vec<f32> {
     output.map_or_else(Vec::new, |output| output.as_slice().to_vec())
 }
 
-/// Returns the course of the plant, without process noise.
-fn plant_course(scenario: &Scenario) -> Result<Trajectory, PlanError> {
+/// Returns the course of the plant without agents and without process noise.
+///
+/// # Errors
+/// If it is not finite.
+pub fn plant_course(scenario: &Scenario) -> Result<Trajectory, PlanError> {
     let (n, time) = (scenario.dimension(), scenario.time);
     let mut states = scenario.initial_state.clone();
     with_dimension!(n, plant_states(scenario, &mut states), else Ok(()))?;

@@ -7,6 +7,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::commands::frontier;
 use crate::files::input::read_limited;
 use crate::files::output::FileKind;
 use crate::packages::PackageBytes;
@@ -90,6 +91,7 @@ pub(super) fn kind_of(name: &str) -> Option<FileKind> {
         "svg" => Some(FileKind::SVG),
         "png" => Some(FileKind::PNG),
         "weights" => Some(PackageBytes::KIND),
+        "json" if name == frontier::FILE => Some(frontier::KIND),
         "json" => Some(Manifest::KIND).filter(|_| name == NAME),
         _ => None,
     }

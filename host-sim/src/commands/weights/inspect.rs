@@ -5,8 +5,8 @@ use std::path::Path;
 
 use agent_core::AgentId;
 use agent_core::agent::exchange::ExchangeParams;
-use agent_core::observer::field::{Coupling, Direction, FieldParams, FieldWords, HoldKind};
 use agent_core::math::symmetric::SymmetricMatrix;
+use agent_core::observer::field::{Coupling, Direction, FieldParams, FieldWords, HoldKind};
 use agent_core::package::{OnSwitch, SIGNATURE_BLOCK_LENGTH, TrialLimits};
 use serde::Serialize;
 

@@ -66,6 +66,29 @@ pub enum DisturbanceModel {
 }
 
 impl ObserverSettings {
+    /// Returns the settings of an empty `[observer]` in a scenario with a network, from a time on
+    /// \[s\].
+    #[must_use]
+    pub fn derived(from: f64) -> Self {
+        Self {
+            from,
+            error: ERROR,
+            coupling: Coupling::Trees,
+            hold: None,
+            network: true,
+            adapts: false,
+            root_gain: None,
+            tree_gain: None,
+            radius: None,
+            disturbance: DisturbanceModel::Bias { bandwidth: None },
+            clip: None,
+            bias_decay: None,
+            is_half: false,
+            relay_share: RELAY_SHARE,
+            timeout: 0.0,
+        }
+    }
+
     /// Whether gains and radii are all given, so that nothing has to be derived.
     #[must_use]
     pub fn is_complete(&self) -> bool {

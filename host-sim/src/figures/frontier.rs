@@ -1,0 +1,298 @@
+//! Error against broadcasts of several forms of the observer, on logarithmic axes.
+//!
+//! Each form has a line through its settings, from their medians, with bars over the range of all runs.
+//! Filled marks are certified. Down and left is better.
+
+use super::Figure;
+use super::axis::Axis;
+use super::canvas::{Anchor, TextAt};
+use super::canvas::{Canvas, INK, PathData, Rect, Stroke, WIDTH};
+use super::clip::ClippedLine;
+use super::palette::{self, SIGNAL};
+use super::panel::{
+    BOTTOM_MARGIN, Entry, LABEL_BASELINE, LABEL_SPACE, LEGEND_ROW, LEGEND_TOP, Labels, Panel,
+    RIGHT_MARGIN, Sample, TICK_SIZE, draw_legend, draw_title, legend_rows,
+};
+
+/// Input of [`frontier`].
+#[derive(Clone, Debug)]
+pub struct FrontierFigure<'a> {
+    /// Title of the figure.
+    pub title: &'a str,
+    /// Label of the horizontal axis.
+    pub broadcasts_label: &'a str,
+    /// The forms, in the order of their colours.
+    pub forms: Vec<FrontierForm<'a>>,
+    /// The wanted errors, smallest and largest. \[state unit\]
+    pub target: (f64, f64),
+    /// What the target is.
+    pub target_label: &'a str,
+    /// What the ringed point is.
+    pub own_label: &'a str,
+}
+
+/// One form of the observer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrontierForm<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Its settings, in the order of the line.
+    pub points: Vec<FrontierPoint>,
+}
+
+/// One setting: smallest, median and largest value over all runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrontierPoint {
+    /// Broadcasts of all agents.
+    pub broadcasts: [f64; 3],
+    /// The largest error of an agent. \[state unit\]
+    pub error: [f64; 3],
+    /// Whether every run is certified.
+    pub is_certified: bool,
+    /// Whether it is marked with a ring.
+    pub is_own: bool,
+}
+
+impl FrontierPoint {
+    fn is_drawable(&self) -> bool {
+        self.broadcasts.iter().chain(&self.error).all(|&value| value.is_finite() && value > 0.0)
+    }
+}
+
+const HEIGHT: f64 = 250.0;
+const BAR: f64 = 0.7;
+const LINE: f64 = 1.1;
+const MARK: f64 = 3.3;
+const RING: f64 = 6.2;
+const TARGET: Stroke = Stroke::solid(SIGNAL, 0.9).dashed(5.0, 3.0);
+const FAINT_GRID: Stroke = Stroke::solid("#ececec", 0.45);
+
+/// Errors above this multiple of the target are beyond the upper end of the axis.
+const FAR: f64 = 30.0;
+
+/// Draws the figure.
+#[must_use]
+pub fn frontier(figure: &FrontierFigure<'_>) -> Figure {
+    let points = || figure.forms.iter().flat_map(|form| &form.points).filter(|p| p.is_drawable());
+    let (low, high) = figure.target;
+    let far = FAR * high;
+    let values = |of: fn(&FrontierPoint) -> [f64; 3]| {
+        points().filter(move |p| p.error[1] <= far).flat_map(of)
+    };
+    let x = axis(values(|p| p.broadcasts));
+    let y = axis(values(|p| p.error).map(|error| error.min(far)).chain([low, high]));
+    let left = LABEL_SPACE + labels_width(&y);
+    let width = WIDTH - left - RIGHT_MARGIN;
+    let entries = legend(figure);
+    let rows = legend_rows(&entries, width);
+    let top = LEGEND_TOP + rows.len() as f64 * LEGEND_ROW + 5.0;
+    let panel = Panel::new(Rect { left, top, width, height: HEIGHT }, x, y);
+
+    let mut canvas = Canvas::new();
+    draw_title(&mut canvas, figure.title, left);
+    draw_legend(&mut canvas, &rows, left, LEGEND_TOP);
+    let labels = Labels { x_ticks: true, y_ticks: true, minor_grid: false };
+    draw_fine_grid(&mut canvas, &panel);
+    for level in if low < high { vec![low, high] } else { vec![high] } {
+        let y = panel.at_y(level.log10());
+        canvas.segment((panel.area.left, y), (panel.area.right(), y), TARGET);
+    }
+    for (index, form) in figure.forms.iter().enumerate() {
+        draw_form(&mut canvas, &panel, form, palette::agent(index));
+    }
+    panel.draw_frame(&mut canvas, labels);
+    draw_fine_labels(&mut canvas, &panel);
+    panel.label_x(&mut canvas, figure.broadcasts_label);
+    panel.label_y(&mut canvas, "largest RMSE of an agent [state unit]", LABEL_BASELINE);
+    Figure { svg: canvas.finish(panel.area.bottom() + BOTTOM_MARGIN) }
+}
+
+/// Creates an axis of decimal logarithms over these values, with some room.
+fn axis(values: impl Iterator<Item = f64>) -> Axis {
+    let (low, high) = values
+        .filter(|&value| value > 0.0)
+        .fold((f64::INFINITY, 0.0f64), |(low, high), value| (low.min(value), high.max(value)));
+    let (low, high) = if low <= high { (low, high) } else { (1.0, 10.0) };
+    let mut axis = Axis::powers(low, high);
+    let room = 0.05 * (high / low).log10().max(0.5);
+    (axis.from, axis.to) = (low.log10() - room, high.log10() + room);
+    axis
+}
+
+/// Returns 2 to 9 times all powers of ten of the axis, as value and leading digit.
+fn fine_ticks(axis: &Axis) -> Vec<(f64, u8)> {
+    let (first, last) = (axis.from.floor() as i32, axis.to.ceil() as i32);
+    let of = |power: i32| (2..=9u8).map(move |lead| (10f64.powi(power) * f64::from(lead), lead));
+    let inside = |&(value, _): &(f64, u8)| (axis.from..=axis.to).contains(&value.log10());
+    (first..=last).flat_map(of).filter(inside).collect()
+}
+
+fn draw_fine_grid(canvas: &mut Canvas, panel: &Panel) {
+    let area = panel.area;
+    canvas.fill(area, "#ffffff");
+    let mut grid = PathData::default();
+    for (value, _) in fine_ticks(&panel.x) {
+        let x = panel.at_x(value.log10());
+        grid.move_to(x, area.top);
+        grid.line_to(x, area.bottom());
+    }
+    for (value, _) in fine_ticks(&panel.y) {
+        let y = panel.at_y(value.log10());
+        grid.move_to(area.left, y);
+        grid.line_to(area.right(), y);
+    }
+    canvas.line(grid, FAINT_GRID);
+    let mut grid = PathData::default();
+    for tick in panel.x.ticks() {
+        grid.move_to(panel.at_x(tick), area.top);
+        grid.line_to(panel.at_x(tick), area.bottom());
+    }
+    for tick in panel.y.ticks() {
+        grid.move_to(area.left, panel.at_y(tick));
+        grid.line_to(area.right(), panel.at_y(tick));
+    }
+    canvas.line(grid, Stroke::solid("#d9d9d9", 0.6));
+}
+
+/// Font size of labels between powers of ten. \[user unit\]
+const FINE_SIZE: f64 = TICK_SIZE - 2.0;
+
+fn fine_label(value: f64) -> String {
+    if value >= 1.0 { format!("{value:.0}") } else { crate::number::significant(value, 1) }
+}
+
+/// Whether the ticks at 2 and 5 times powers of ten are labelled, too.
+fn is_labelled(lead: u8) -> bool {
+    lead == 2 || lead == 5
+}
+
+fn labels_width(y: &Axis) -> f64 {
+    let fine = fine_ticks(y).into_iter().filter(|(_, lead)| is_labelled(*lead));
+    let widths = fine.map(|(value, _)| super::font::width(&fine_label(value), FINE_SIZE));
+    widths.fold(Panel::y_labels_width(y, TICK_SIZE), |widest, width| widest.max(width + 5.5))
+}
+
+fn draw_fine_labels(canvas: &mut Canvas, panel: &Panel) {
+    let area = panel.area;
+    for (value, _) in fine_ticks(&panel.x).into_iter().filter(|(_, lead)| is_labelled(*lead)) {
+        let at = (panel.at_x(value.log10()), area.bottom() + 4.5 + TICK_SIZE);
+        let at = TextAt::new(at.0, at.1, FINE_SIZE, Anchor::Middle);
+        canvas.text(&fine_label(value), at);
+    }
+    for (value, _) in fine_ticks(&panel.y).into_iter().filter(|(_, lead)| is_labelled(*lead)) {
+        let at = (area.left - 5.5, panel.at_y(value.log10()) + 0.36 * FINE_SIZE);
+        canvas.text(&fine_label(value), TextAt::new(at.0, at.1, FINE_SIZE, Anchor::End));
+    }
+}
+
+fn draw_form(canvas: &mut Canvas, panel: &Panel, form: &FrontierForm<'_>, color: &'static str) {
+    let area = panel.area;
+    let at =
+        |broadcasts: f64, error: f64| (panel.at_x(broadcasts.log10()), panel.at_y(error.log10()));
+    let points = || form.points.iter().filter(|point| point.is_drawable());
+    let mut line = ClippedLine::new(area);
+    for point in points() {
+        let (x, y) = at(point.broadcasts[1], point.error[1]);
+        line.line_to(x, y);
+    }
+    canvas.line(line.finish(), Stroke::solid(color, LINE));
+    for point in points() {
+        let mut bars = ClippedLine::new(area);
+        for (ends, along) in [(point.error, true), (point.broadcasts, false)] {
+            let end = |value| match along {
+                true => at(point.broadcasts[1], value),
+                false => at(value, point.error[1]),
+            };
+            bars.lift();
+            for (x, y) in [end(ends[0]), end(ends[2])] {
+                bars.line_to(x, y);
+            }
+        }
+        canvas.line(bars.finish(), Stroke::solid(color, BAR).faint(0.6));
+    }
+    for point in points() {
+        let (x, y) = at(point.broadcasts[1], point.error[1]);
+        if y < area.top {
+            continue;
+        }
+        canvas.mark((x, y), MARK, if point.is_certified { color } else { "#ffffff" }, color);
+        if point.is_own {
+            canvas.ring((x, y), RING, Stroke::solid(INK, 1.0));
+        }
+    }
+}
+
+fn legend(figure: &FrontierFigure<'_>) -> Vec<Entry> {
+    let entry = |text: &str, sample| Entry { text: text.to_owned(), sample };
+    let forms = figure.forms.iter().enumerate();
+    let mut entries: Vec<Entry> = forms
+        .map(|(index, form)| {
+            entry(form.name, Sample::Line(Stroke::solid(palette::agent(index), LINE)))
+        })
+        .collect();
+    entries.push(entry("certified", Sample::Mark { is_filled: true, is_ringed: false }));
+    entries.push(entry("simulation only", Sample::Mark { is_filled: false, is_ringed: false }));
+    let has_own = figure.forms.iter().any(|form| form.points.iter().any(|point| point.is_own));
+    if has_own {
+        let ringed = Sample::Mark { is_filled: true, is_ringed: true };
+        entries.push(entry(figure.own_label, ringed));
+    }
+    entries.push(entry(figure.target_label, Sample::Line(TARGET)));
+    entries.push(entry("bars: all runs", Sample::None));
+    entries
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn figure(error: f64) -> String {
+        let point = |broadcasts: f64, is_certified, is_own| FrontierPoint {
+            broadcasts: [0.9 * broadcasts, broadcasts, 1.1 * broadcasts],
+            error: [0.5 * error, error, 2.0 * error],
+            is_certified,
+            is_own,
+        };
+        let forms = vec![
+            FrontierForm { name: "paper", points: vec![point(8000.0, true, true)] },
+            FrontierForm {
+                name: "flow",
+                points: vec![point(700.0, true, false), point(300.0, false, false)],
+            },
+        ];
+        let figure = FrontierFigure {
+            title: "a < b",
+            broadcasts_label: "broadcasts",
+            forms,
+            target: (0.06, 0.09),
+            target_label: "target",
+            own_label: "as set",
+        };
+        frontier(&figure).svg().to_owned()
+    }
+
+    #[test]
+    fn marks_tell_certified_settings_and_the_scenarios_own() {
+        let svg = figure(0.05);
+        for text in ["paper", "flow", "certified", "simulation only", "as set", "target"] {
+            assert!(svg.contains(&format!("\n{text}\n")) || svg.contains(text), "{text}: {svg}");
+        }
+        // A ring in the panel and one in the legend.
+        assert_eq!(svg.matches("stroke-width=\"1\"").count(), 2, "{svg}");
+    }
+
+    #[test]
+    fn values_without_a_logarithm_are_left_out() {
+        for error in [0.0, f64::NAN, f64::INFINITY] {
+            let svg = figure(error);
+            assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+        }
+    }
+
+    #[test]
+    fn ticks_between_powers_of_ten() {
+        let ticks = fine_ticks(&axis([30.0, 400.0].into_iter()));
+        let values: Vec<f64> = ticks.into_iter().map(|(value, _)| value).collect();
+        assert_eq!(values, [30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 200.0, 300.0, 400.0]);
+    }
+}
