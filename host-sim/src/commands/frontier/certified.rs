@@ -104,7 +104,7 @@ fn trees<const N: usize>(
     }
     let plan = Plan::new(scenario).ok()??;
     let package = in_use(scenario, run)?;
-    let equipped = plan.equip(&package, 0).ok()?;
+    let equipped = plan.equip(&package, 0, &[]).ok()?;
     let field = FieldParams::<N>::from_words(FieldWords(equipped.package().node.field)).ok()?;
     if field.options.adapts {
         return None;
