@@ -326,8 +326,7 @@ fn found_warnings(scenario: &Scenario, result: &RunResult, checks: &Checks) -> V
     warnings
 }
 
-/// The name at the start of a scenario with this name, by which `--out` recognises a file that it may
-/// replace.
+/// A scenario, recognised by its required tables.
 const SCENARIO: FileKind = FileKind {
     name: "a scenario",
     recognises: |bytes| {
