@@ -156,9 +156,8 @@ fn agents_agree_with_the_oracle_in_every_broadcast() {
         let ticks = rows(&case["broadcasts"]);
         let ticks: Vec<Vec<u64>> =
             ticks.iter().map(|ticks| ticks.iter().map(|&tick| tick as u64).collect()).collect();
-        let mut members: Vec<_> = (0..3)
-            .map(|i| member(&golden, case, i, &neighbours[i], &ticks[i]))
-            .collect();
+        let mut members: Vec<_> =
+            (0..3).map(|i| member(&golden, case, i, &neighbours[i], &ticks[i])).collect();
         let mut x = [5.0, 7.0, 8.0];
         let expected = rows(&case["estimates"]);
         for tick in 0..steps {
@@ -182,7 +181,12 @@ fn agents_agree_with_the_oracle_in_every_broadcast() {
                 let is_due = broadcasts.first() == Some(&(tick + 1));
                 let used = case["network"].as_bool().unwrap().then_some(&network);
                 let output = state.step(params, used, tick, &[y as f32], inbox).unwrap();
-                assert_eq!(output.broadcast.is_some(), is_due, "{name}, tick {tick}, agent {}", i + 1);
+                assert_eq!(
+                    output.broadcast.is_some(),
+                    is_due,
+                    "{name}, tick {tick}, agent {}",
+                    i + 1
+                );
                 if let Some(frame) = output.broadcast {
                     assert_eq!(frame.tick, tick + 1);
                     *broadcasts = &broadcasts[1..];
