@@ -232,7 +232,8 @@ fn forged(recorded: &[Vec<u8>], random: &mut ChaCha8Rng) -> Vec<u8> {
             let stamp = Stamp { epoch: u32::MAX, sequence: u32::MAX };
             let (sender, tick) = (random.random_range(0..4), random.random());
             let header = Header { sender, stamp, tick, kind: Kind::Estimate };
-            bytes = authentic::seal(&header, &[1e3; DIMENSION], &foreign).to_vec();
+            bytes =
+                authentic::seal(&header, &[1e3_f32.to_le_bytes(); DIMENSION], &foreign).to_vec();
         }
         _ => bytes.iter_mut().skip(1).for_each(|byte| *byte = random.random()),
     }

@@ -195,7 +195,7 @@ fn forged(recorded: &[Bytes], random: &mut ChaCha8Rng, now: Tick) -> Vec<u8> {
         5 => {
             let foreign = NetworkKey::new(random.random_range(0..4), Secret::new([99; 16]));
             let header = Header { sender, stamp: latest, tick: now, kind: Kind::Estimate };
-            bytes = authentic::seal(&header, &[1e3], &foreign).to_vec();
+            bytes = authentic::seal(&header, &[1e3_f32.to_le_bytes()], &foreign).to_vec();
         }
         _ => bytes.iter_mut().skip(1).for_each(|byte| *byte = random.random()),
     }

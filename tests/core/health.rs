@@ -47,15 +47,15 @@ fn nonsense(draw: &mut Draw) -> f32 {
 
 /// Returns a valid frame that no agent has sent: a huge estimate with an arbitrary sequence.
 fn huge_frame(draw: &mut Draw) -> Frame<3> {
-    Frame {
-        sender: draw.whole(0, 2) as u32,
-        sequence: draw.whole(0, u32::MAX as usize) as u32,
-        tick: draw.whole(0, 1 << 40) as Tick,
-        estimate: StateVector::from_fn(|_, _| {
+    Frame::new(
+        draw.whole(0, 2) as u32,
+        draw.whole(0, u32::MAX as usize) as u32,
+        draw.whole(0, 1 << 40) as Tick,
+        StateVector::from_fn(|_, _| {
             let size = draw.positive(1e7, 3e38);
             if draw.whole(0, 1) == 0 { -size } else { size }
         }),
-    }
+    )
 }
 
 /// Feeds invalid data to agents and links for a while.

@@ -19,10 +19,11 @@ import numpy as np
 
 SINGLE = lambda x: np.asarray(x, np.float32).astype(float)
 DT = float(np.float32(1e-3))
-STEPS = 1200
-EVERY = 100
-# Relative to the radius; rounding errors are ten times smaller.
-CLOSEST = 1e-4
+STEPS = 400
+EVERY = 50
+# Relative to the radius: of a fresh sample, and more for every step that it has gone on, since a constant
+# rate is rounded the same way each time.
+CLOSEST, EACH_STEP = 1e-4, 1e-5
 
 AGENTS = 3
 NEIGHBOURS = [[1, 2], [0], [0]]
@@ -68,8 +69,10 @@ def simulate(case, start):
         return network(np.clip(states, low, high)) if case["network"] else np.zeros_like(states)
 
     def turn(model):
+        # p and q stay within the clip one by one, in samples as in agents.
         b, p, q = np.moveaxis(model, -1, 0)
-        return np.stack([b, cosine * p + sine * q, cosine * q - sine * p], -1)
+        turned = np.stack([cosine * p + sine * q, cosine * q - sine * p], -1)
+        return np.concatenate([b[..., None], np.clip(turned, -clip, clip)], -1)
 
     def level(model):
         return np.clip(model[..., 0] + model[..., 1], -clip, clip)
@@ -136,7 +139,7 @@ def simulate(case, start):
             if kind[i, i]:
                 share = (abs(T @ sample[i, i] - aim) / limit)[ANNOUNCED[i]].max()
                 due = share >= 1 or (kind[i, i] == "model" and not agree)
-                if abs(share - 1) < CLOSEST:
+                if abs(share - 1) < CLOSEST + EACH_STEP * (k + 1 - ticks[i][-1]):
                     return None
             else:
                 due = True
@@ -167,7 +170,7 @@ CASES = {
     "model, bias": {"hold": "model", "gains": ESO},
     "model, harmonic": {"hold": "model", "gains": HARMONIC},
     "model, another network at agent 3": {"hold": "model", "gains": HARMONIC, "digests": [7, 7, 8]},
-    "model, narrow limits": {"hold": "model", "gains": ESO, "high": [1.5, 30.0, 6.5]},
+    "model, narrow limits": {"hold": "model", "gains": ESO, "high": [30.0, 30.0, 7.0]},
 }
 
 
@@ -177,7 +180,7 @@ def main():
         harmonic = given["gains"] is HARMONIC
         case = {
             "network": True, "digests": [7, 7, 7], "frequency": 3.8 if harmonic else 0.0,
-            "clip": 6.0 if given["gains"][1] else 0.0, "radius": float(np.float32(0.02)), "tree_gain": 150.0,
+            "clip": 6.0 if given["gains"][1] else 0.0, "radius": float(np.float32(0.05)), "tree_gain": 150.0,
             "relay_share": float(np.float32(0.9)), "bias_kept": float(np.float32(0.999)),
             "low": [-30.0] * 3, "high": [30.0] * 3, **given,
         }

@@ -24,7 +24,8 @@
 //! Cost: the sum of the modules'. Memory: [`AgentState`] takes `4 N (FEATURES + 6) + 8 FEATURES`
 //! bytes, the network's scratch, and a [`Hold`] per neighbour.
 //!
-//! Invariants: every number in the state is finite; an error leaves state and inbox unchanged.
+//! Invariants: every number in the state is finite; an error leaves state and inbox unchanged, except that
+//! the field observer has then taken over the frames.
 
 pub mod capture;
 mod error;

@@ -3,7 +3,8 @@
 //!
 //! `d/dt b = l_b nu`, `d/dt p = omega q + l_p nu`, `d/dt q = -omega p + l_q nu`, `d_hat = b + p`.
 //!
-//! The oscillation is rotated exactly, so that it keeps its amplitude; `b` and `d_hat` are clipped.
+//! The oscillation is rotated exactly, so that it keeps its amplitude; `b`, `p`, `q` and `d_hat` are clipped
+//! one by one, in agents and in samples.
 //! Cost: some 15 operations. Memory: 12 bytes for each direction.
 
 /// State of the model of one direction. \[unit of `xi`/s\]
