@@ -82,22 +82,22 @@ impl Study {
     ) -> Result<Vec<Point>, OutputError> {
         let runs = self.runs();
         let first = lock(table).reserve(variants.len() * runs);
-        let points: Vec<Option<Point>> = (0..variants.len() * runs)
-            .into_par_iter()
-            .with_max_len(1)
-            .map(|job| {
+        // Handed out one by one, so that rows are written soon after their runs.
+        let mut points: Vec<(usize, Point)> = (0..variants.len() * runs)
+            .par_bridge()
+            .filter_map(|job| {
                 if interruption::requested() {
-                    return Ok(None);
+                    return None;
                 }
                 let (variant, place) = (&variants[job / runs], job % runs);
                 let (state, seed) =
                     (place / self.seeds as usize, self.first_seed + place as u64 % self.seeds);
                 let point = self.run(variant, state, seed, &progress.of_one_run());
-                lock(table).add(first + job, &point)?;
-                Ok(Some(point))
+                Some(lock(table).add(first + job, &point).map(|()| (job, point)))
             })
             .collect::<Result<_, OutputError>>()?;
-        Ok(points.into_iter().flatten().collect())
+        points.sort_by_key(|&(job, _)| job);
+        Ok(points.into_iter().map(|(_, point)| point).collect())
     }
 
     fn run(&self, variant: &Variant, state: usize, seed: u64, progress: &dyn Progress) -> Point {
