@@ -11,6 +11,7 @@ mod agent_table;
 mod baselines;
 #[cfg(unix)]
 mod board_report;
+mod certified;
 mod check;
 #[cfg(unix)]
 mod connection;

@@ -7,13 +7,17 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
+use agent_core::observer::field::Coupling;
+
 use super::agent_table::AgentReport;
 use super::baselines::{Baseline, Baselines, Choice, Comparison, Plan, States, has_packages};
 use super::health::{self, HealthReport};
 use super::package_format::PackageFormat;
 use super::run_folder::RunFolder;
 use super::trainings::{self, TrainingSummary};
-use super::{CommandError, Common, Format, SharedProgress, agent_table, output, warnings};
+use super::{
+    CommandError, Common, Format, SharedProgress, agent_table, certified, output, warnings,
+};
 use super::{load_scenario, print_outcome, print_text};
 use crate::commands::progress::ProgressBars;
 use crate::engine::link::LayerCount;
@@ -21,6 +25,7 @@ use crate::engine::{RunOptions, RunResult, run};
 use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_norms, events, states, write_all,
 };
+use crate::number::significant;
 use crate::packages::PackageBytes;
 use crate::report::checks::{self, ChecksReport};
 use crate::report::theorems::{Checks, DesignChecks};
@@ -66,6 +71,8 @@ struct Report<'a> {
     /// What each layer of the link did; empty for the paper's link.
     link: &'a [LayerCount],
     checks: ChecksReport,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    observer: Option<&'a ObserverCertificate>,
     warnings: &'a [Warning],
 }
 
@@ -96,6 +103,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let mut found = warnings::after(&scenario, &result, &checks, &warnings);
     found.extend(baselines.warnings());
     let agents = agent_reports(&scenario, &result, &baselines);
+    let certificate = ObserverCertificate::new(&scenario, &result);
     let trainings = trainings::summaries(&result.trainings);
     let format = arguments.package_format;
     write_files(folder.stage(), format, &scenario, &result, &baselines, &agents)
@@ -115,6 +123,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 trainings,
                 link: &result.layers,
                 checks: ChecksReport::new(&checks),
+                observer: certificate.as_ref(),
                 warnings: &warnings,
             };
             print_outcome(&report, outcome)
@@ -126,6 +135,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             text += &trainings::text(&trainings);
             text += &health::table(&result.agents);
             text += &checks::text(&checks);
+            text += &certificate.as_ref().map_or(String::new(), ObserverCertificate::text);
             text += &warnings::lines(&found);
             text += &format!(
                 "Written to {}: {}\n{others}\nScenario {}, seed {}, {elapsed_s:.2} s\n",
@@ -136,6 +146,50 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             );
             let printed = print_text(&text);
             outcome.and(printed)
+        }
+    }
+}
+
+/// What is certified of a run with the field observer.
+#[derive(Debug, Serialize)]
+struct ObserverCertificate {
+    certified: bool,
+    /// Bound on `|e_1|`, all agents stacked, after a long time. \[state unit\]
+    bound: Option<f64>,
+    /// Why nothing is certified.
+    reasons: Vec<String>,
+}
+
+impl ObserverCertificate {
+    /// `None` for the paper's observer, of which the theorems' checks speak.
+    fn new(scenario: &Scenario, result: &RunResult) -> Option<Self> {
+        let observer = scenario.observer.as_ref()?;
+        let bound = certified::bound(scenario, result);
+        let mut reasons = Vec::new();
+        if bound.is_none() {
+            reasons.extend(
+                scenario.trigger.departure().map(|when| format!("agents broadcast {when}")),
+            );
+            let departures = scenario.departures().into_iter().map(str::to_owned);
+            reasons.extend(departures.filter(|clause| !clause.contains("[observer]")));
+            if observer.coupling == Coupling::Current {
+                reasons.push("the certificate of current estimates is not computed".to_owned());
+            }
+            if reasons.is_empty() {
+                reasons.push("its inequality does not hold for these gains".to_owned());
+            }
+        }
+        Some(Self { certified: bound.is_some(), bound, reasons })
+    }
+
+    fn text(&self) -> String {
+        match self.bound {
+            Some(bound) => format!(
+                "Field observer: certified; after a long time |e_1| of all agents together stays below {} \
+                 (docs/field-observer.md)\n",
+                significant(bound, 3)
+            ),
+            None => format!("Field observer: nothing is certified: {}\n", self.reasons.join("; ")),
         }
     }
 }

@@ -1,6 +1,5 @@
 //! `frontier`: error against broadcasts and bytes of several forms of the observer.
 
-mod certified;
 mod forms;
 mod points;
 mod radio;

@@ -10,11 +10,11 @@ use std::sync::{Mutex, PoisonError};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::certified;
 use super::forms::{Form, Level, Variant};
 use super::radio::Frames;
 use crate::commands::SharedProgress;
 use crate::commands::baselines::NOTHING;
+use crate::commands::certified;
 use crate::commands::progress::ProgressBars;
 use crate::engine::{Progress, RunOptions, run};
 use crate::files::output::OutputError;

@@ -1,4 +1,5 @@
 use super::*;
+use crate::commands::certified;
 use crate::engine::{RunOptions, Silent, run};
 use crate::scenario::Window;
 use agent_core::observer::field::Coupling;
