@@ -16,7 +16,8 @@ fn scenario(tables: &str) -> Scenario {
 
 fn simulate(scenario: &Scenario) -> RunResult {
     let options = RunOptions { seed: 2, learning: false, bounds: false };
-    run(scenario, options, &Silent).unwrap_or_else(|error| panic!("{error}: {:?}", scenario.observer))
+    run(scenario, options, &Silent)
+        .unwrap_or_else(|error| panic!("{error}: {:?}", scenario.observer))
 }
 
 fn on_threads(threads: usize, scenario: &Scenario) -> RunResult {
