@@ -15,7 +15,9 @@ fn scenario(tables: &str) -> Scenario {
 }
 
 fn simulate(scenario: &Scenario) -> RunResult {
-    run(scenario, RunOptions { seed: 2, learning: false, bounds: false }, &Silent).unwrap()
+    let options = RunOptions { seed: 2, learning: false, bounds: false };
+    run(scenario, options, &Silent)
+        .unwrap_or_else(|error| panic!("{error}: {:?}", scenario.observer))
 }
 
 fn on_threads(threads: usize, scenario: &Scenario) -> RunResult {
@@ -47,7 +49,7 @@ fn trees_broadcast_less_and_estimate_as_well() {
     for settings in [
         "from = 0.0",
         "from = 0.0\nhold = \"model\"",
-        "from = 0.0\nhold = \"zero-order\"\nerror = 0.1",
+        "from = 0.0\nhold = \"zero-order\"\nerror = 0.05",
         "from = 0.0\ndisturbance = \"harmonic\"\nfrequencies = [3.0, 1.0, 3.75]\nclip = 5.0",
         "from = 0.0\nprecision = 16\nerror = 0.05",
         "from = 1.0",
@@ -65,7 +67,7 @@ fn trees_broadcast_less_and_estimate_as_well() {
 
 #[test]
 fn bits_are_independent_of_the_number_of_threads() {
-    for settings in ["from = 0.0", "preset = \"robust\"\nfrom = 1.0\nprecision = 16"] {
+    for settings in ["from = 0.0", "preset = \"robust\"\nfrom = 0.0\nprecision = 16"] {
         let scenario = scenario(&format!("[observer]\n{settings}\n"));
         let [one, again, two] = [1, 1, 2].map(|threads| on_threads(threads, &scenario));
         assert_eq!(one.digest, again.digest, "{settings}");
@@ -81,8 +83,9 @@ fn reboots_and_bad_links_leave_errors_bounded() {
     for (settings, life) in [
         ("preset = \"robust\"\nfrom = 0.0", [1.0, 1.5]),
         ("preset = \"robust\"\nfrom = 0.0\nhold = \"rate\"\nprecision = 16", [1.0, 1.5]),
-        // Down when the others switch.
-        ("preset = \"robust\"\nfrom = 1.0", [0.8, 1.4]),
+        // Down when the others switch. The paper's observer before has no gap between broadcasts: with its
+        // gains, one of 10 ms makes it diverge.
+        ("from = 1.0", [0.8, 1.4]),
     ] {
         let tables = format!(
             "[observer]\n{settings}\n[[life]]\nagent = 2\nfrom = {:?}\nto = {:?}\n",
