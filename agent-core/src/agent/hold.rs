@@ -110,7 +110,7 @@ impl<const N: usize> Hold<N> {
     }
 
     /// Returns the sample as a frame from `sender`: as it is now, if it goes on.
-    pub(crate) fn to_frame(&self, sender: AgentId) -> Frame<N> {
+    pub(crate) fn frame_from(&self, sender: AgentId) -> Frame<N> {
         #[cfg(feature = "field")]
         let tick = self.tick.saturating_add(Tick::from(self.moved));
         #[cfg(not(feature = "field"))]

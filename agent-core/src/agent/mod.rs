@@ -237,7 +237,7 @@ where
     /// neighbour that joined late.
     #[must_use]
     pub fn announcement(&self, params: &AgentParams<'_, N>) -> Frame<N> {
-        self.own_hold.to_frame(params.id)
+        self.own_hold.frame_from(params.id)
     }
 
     /// Performs one step at `tick`: see the module documentation.

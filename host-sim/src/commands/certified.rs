@@ -36,7 +36,8 @@ const STRIDE: usize = 10;
 /// certificate. \[state unit\]
 pub(super) fn bound(scenario: &Scenario, run: &RunResult) -> Option<f64> {
     let own = usize::from(scenario.observer.is_some());
-    if scenario.trigger.departure().is_some() || scenario.departures().len() > own {
+    let is_robust = scenario.observer.as_ref().is_some_and(|observer| observer.exchange.is_some());
+    if is_robust || scenario.trigger.departure().is_some() || scenario.departures().len() > own {
         return None;
     }
     let bound = match &scenario.observer {

@@ -172,6 +172,11 @@ impl ObserverCertificate {
             );
             let departures = scenario.departures().into_iter().map(str::to_owned);
             reasons.extend(departures.filter(|clause| !clause.contains("[observer]")));
+            if observer.exchange.is_some() {
+                reasons.push(
+                    "the preset \"robust\" sets gaps, repetitions and a heartbeat".to_owned(),
+                );
+            }
             if observer.coupling == Coupling::Current {
                 reasons.push("the certificate of current estimates is not computed".to_owned());
             }

@@ -411,9 +411,13 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             *current = Some(bytes.clone());
         }
         self.watch = watch;
-        if self.state.field().is_some() && matches!(self.params.trigger(), Trigger::Event(_)) {
-            let trigger = Trigger::Event(package.node.trigger);
-            self.params = self.params.clone().with_trigger(trigger)?;
+        if self.state.field().is_some() {
+            // The switch to the field observer brings its own.
+            self.params = self.params.clone().with_exchange(package.node.exchange)?;
+            if matches!(self.params.trigger(), Trigger::Event(_)) {
+                let trigger = Trigger::Event(package.node.trigger);
+                self.params = self.params.clone().with_trigger(trigger)?;
+            }
         }
         Ok(())
     }

@@ -275,7 +275,7 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
             samples: trained.samples,
             harmonics: harmonics.clone(),
             report: trained.report.clone(),
-            quality: trained.quality.clone(),
+            quality: trained.quality,
             switched_in: trained.accepted,
             warnings: warnings.iter().map(of_this).collect(),
             package,

@@ -183,6 +183,9 @@ impl<'s> Plan<'s> {
         let mut draft = Draft::copy(&package.package());
         let uses_network = self.observer.network && draft.samples > 0;
         draft.node.field = self.words(package, index, uses_network, harmonics)?;
+        if let Some(exchange) = self.observer.exchange {
+            draft.node.exchange = exchange;
+        }
         if self.observer.coupling != Coupling::Trees {
             draft.node.trigger = self.trigger();
         }
@@ -273,7 +276,7 @@ impl<'s> Plan<'s> {
         let Self { scenario, observer, geometry, trajectory, .. } = self;
         let n = scenario.dimension();
         let evaluate = |x: &[f64], f: &mut [f64]| self.model(package, x, f);
-        let model: Option<&dyn Fn(&[f64], &mut [f64])> =
+        let model: Option<&super::statistics::Model<'_>> =
             if uses_network { Some(&evaluate) } else { None };
         let mut derived = if observer.is_complete() {
             let unset = DirectionSettings {

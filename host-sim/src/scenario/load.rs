@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use agent_core::observer::field::Coupling;
 use toml::de::DeTable;
 
 use super::error::{ScenarioError, closest};
@@ -10,7 +11,7 @@ use super::sections::{
     agents, clock, disturbance, exchange, gains, health, learning, life, link, network, observer,
     plant, run, sensor, trigger,
 };
-use super::{BUILT_IN, Scenario};
+use super::{BUILT_IN, Scenario, TriggerModel};
 use crate::files::fnv::Fnv;
 use crate::files::input::{is_too_large, read_limited};
 
@@ -123,11 +124,22 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let link = link::link(root, &time, &graph)?;
     let life = life::life(root, &time, agents.len())?;
     let trigger = trigger::trigger(root)?;
-    let (observer, is_robust) = observer::observer(root, &time, n, network.is_some())?;
-    let exchange = match is_robust && root.get_table("exchange")?.is_none() {
-        true => exchange::robust(&time, link.edge.delay),
-        false => exchange::exchange(root, &time)?,
-    };
+    let exchange = exchange::exchange(root, &time)?;
+    let (mut observer, is_robust) = observer::observer(root, &time, n, network.is_some())?;
+    if let Some(observer) = observer.as_mut().filter(|_| is_robust)
+        && root.get_table("exchange")?.is_none()
+    {
+        observer.exchange = Some(exchange::robust(&time, link.edge.delay));
+    }
+    if let (Some(table), Some(observer)) = (root.get_table("trigger")?, &observer)
+        && observer.coupling == Coupling::Trees
+        && trigger != TriggerModel::Event
+    {
+        let hint = "remove [trigger], or set observer.coupling = \"held\"";
+        return Err(
+            table.error("has no effect on trees, which have a radius in each direction", hint)
+        );
+    }
     let recipes = learning::recipes(root)?;
     let learning = learning::cycles(root, &time, agents.len(), &recipes, network.is_some())?;
     if let (Some(first), Some(network)) = (root.get_tables("learning")?.first(), &network) {

@@ -189,7 +189,8 @@ impl<const N: usize> FieldParams<N> {
                 let expected = if row == column { 1.0 } else { 0.0 };
                 let error = (entry - expected).abs();
                 // False for numbers that are not finite, too.
-                if !(error <= 1e-4 * size) {
+                let is_small = error <= 1e-4 * size;
+                if !is_small {
                     return (false, entry);
                 }
             }

@@ -1,5 +1,6 @@
 //! `[observer]`: the field observer in place of the paper's.
 
+use agent_core::agent::exchange::ExchangeParams;
 use agent_core::observer::field::{Coupling, HoldKind};
 
 use crate::scenario::Time;
@@ -40,6 +41,8 @@ pub struct ObserverSettings {
     pub relay_share: f64,
     /// Age of a parent's sample from which on another parent is followed; 0 for never. \[s\]
     pub timeout: f64,
+    /// The exchange of the preset "robust", from the switch on; the scenario's if `None`.
+    pub exchange: Option<ExchangeParams>,
 }
 
 /// What agents assume of the disturbance of a direction that they measure.
@@ -86,6 +89,7 @@ impl ObserverSettings {
             is_half: false,
             relay_share: RELAY_SHARE,
             timeout: 0.0,
+            exchange: None,
         }
     }
 
@@ -218,6 +222,7 @@ pub(in crate::scenario) fn observer(
             value.number_in("a number above 0 and up to 1", |share| share > 0.0 && share <= 1.0)
         })?,
         timeout: table.get("timeout", "1.0").map_or(Ok(0.0), |value| value.not_negative())?,
+        exchange: None,
     };
     if coupling != Coupling::Trees {
         for (key, value) in [("root_gain", &settings.root_gain), ("tree_gain", &settings.tree_gain)]
