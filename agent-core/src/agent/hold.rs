@@ -22,7 +22,7 @@
 
 use crate::math::numeric::{add_scaled, all_finite};
 #[cfg(feature = "field")]
-use crate::observer::field::Announced;
+use crate::wire::announced::Announced;
 use crate::wire::frame::Frame;
 use crate::wire::sequence::is_newer;
 use crate::{AgentId, StateVector, Tick};

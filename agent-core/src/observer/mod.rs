@@ -1,7 +1,7 @@
 //! The equations of the observer, one file each: network (`Phi func`), feedback (`Observer i`),
 //! adaptation (`What_i Dot`) with its projection, and trigger (`Trigger`).
 //!
-//! Depends on [`math`](crate::math) only. Every function is pure or changes only the state passed
+//! Depends on [`math`](crate::math) and, for announcements, [`wire`](crate::wire). Every function is pure or changes only the state passed
 //! to it.
 
 pub mod feedback;

@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 use crate::INPUTS_MAX;
 use crate::math::numeric::{all_finite, components};
 #[cfg(feature = "field")]
-use crate::observer::field::Announced;
+use crate::wire::announced::Announced;
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 use crate::wire::{codec, writer};
 use crate::{AgentId, StateVector, Tick};
@@ -320,7 +320,7 @@ struct Head {
 pub enum Payload {
     /// The estimate, as in the paper.
     Estimate,
-    /// A head, the estimate, and how it goes on: [`crate::observer::field::announced`].
+    /// A head, the estimate, and how it goes on: [`crate::wire::announced`].
     #[cfg(feature = "field")]
     Field,
 }

@@ -2,6 +2,8 @@
 //!
 //! Depends on [`math`](crate::math) only.
 
+#[cfg(feature = "field")]
+pub mod announced;
 #[cfg(feature = "authentic-frames")]
 pub mod authentic;
 pub mod cobs;

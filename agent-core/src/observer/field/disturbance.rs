@@ -7,27 +7,7 @@
 //! one by one, in agents and in samples.
 //! Cost: some 15 operations. Memory: 12 bytes for each direction.
 
-/// State of the model of one direction. \[unit of `xi`/s\]
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Disturbance {
-    /// `b`.
-    pub bias: f32,
-    /// `p`.
-    pub cosine: f32,
-    /// `q`.
-    pub sine: f32,
-}
-
-impl Disturbance {
-    /// No disturbance.
-    pub const NONE: Self = Self { bias: 0.0, cosine: 0.0, sine: 0.0 };
-
-    /// Whether all numbers are finite.
-    #[must_use]
-    pub fn is_finite(&self) -> bool {
-        self.bias.is_finite() && self.cosine.is_finite() && self.sine.is_finite()
-    }
-}
+use crate::wire::announced::Disturbance;
 
 /// Gains and constants of the model of one direction; all 0 for none.
 #[derive(Clone, Copy, Debug, PartialEq)]

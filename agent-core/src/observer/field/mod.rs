@@ -16,12 +16,10 @@
 //! Parameters are computed on the host and shipped in a section of the package; this module decodes
 //! and checks them. Memory: [`FieldParams`] takes `8 N^2 + 52 N + 20` bytes.
 
-pub mod announced;
 pub mod disturbance;
 mod words;
 
-pub use announced::{Announced, HoldKind};
-pub use disturbance::Disturbance;
+pub use crate::wire::announced::{Announced, Disturbance, HoldKind};
 pub use words::{DirectionWords, FieldWords, words_length};
 
 use nalgebra::SMatrix;

@@ -9,12 +9,14 @@ use std::sync::atomic::AtomicU64;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{apply, text};
+use super::apply;
 use crate::analysis::design::Plan;
 use crate::commands::progress::ProgressBars;
 use crate::commands::{CommandError, ErrorCode, SharedProgress};
 use crate::engine::{RunOptions, run};
 use crate::number::significant;
+use crate::report::columns::aligned;
+use crate::report::tables::number;
 use crate::scenario::Scenario;
 
 /// Most rounds of three runs until there is a bracket.
@@ -170,9 +172,25 @@ pub(super) fn search(
                 wanted.in_words(),
                 significant(best(|point| point.error), 3),
                 significant(best(|point| point.rate), 3),
-                text::frontier(&points),
+                table(&points),
             );
             Err(CommandError::new(ErrorCode::NoDesign, text.trim_end()))
         }
     }
+}
+
+/// Formats the runs that a radius was chosen from.
+pub(super) fn table(points: &[Point]) -> String {
+    let headings = [
+        ["", "radius"],
+        ["", "epsilon"],
+        ["largest", "RMSE"],
+        ["broadcasts per", "agent and s"],
+        ["ultimate", "bound"],
+    ];
+    let row = |point: &Point| {
+        let entries = [Some(point.radius), Some(point.epsilon), point.error, point.rate];
+        entries.into_iter().chain([Some(point.bound)]).map(number).collect::<Vec<_>>()
+    };
+    aligned(&headings, &points.iter().map(row).collect::<Vec<_>>())
 }

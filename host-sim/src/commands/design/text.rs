@@ -2,12 +2,10 @@
 
 use toml_edit::{Array, DocumentMut, Value};
 
-use super::frontier::Point;
+use super::frontier;
 use super::{Designed, rows};
 use crate::number::significant;
 use crate::report::checks;
-use crate::report::columns::aligned;
-use crate::report::tables::number;
 use crate::scenario::Scenario;
 
 /// Formats the report.
@@ -51,26 +49,10 @@ pub(super) fn of(scenario: &Scenario, designed: &Designed) -> String {
         significant(knee.bound, 3),
     );
     if !points.is_empty() {
-        text += &frontier(points);
+        text += &frontier::table(points);
         text.push('\n');
     }
     text + &checks::text(checks)
-}
-
-/// Formats the runs that a radius was chosen from.
-pub(super) fn frontier(points: &[Point]) -> String {
-    let headings = [
-        ["", "radius"],
-        ["", "epsilon"],
-        ["largest", "RMSE"],
-        ["broadcasts per", "agent and s"],
-        ["ultimate", "bound"],
-    ];
-    let row = |point: &Point| {
-        let entries = [Some(point.radius), Some(point.epsilon), point.error, point.rate];
-        entries.into_iter().chain([Some(point.bound)]).map(number).collect::<Vec<_>>()
-    };
-    aligned(&headings, &points.iter().map(row).collect::<Vec<_>>())
 }
 
 /// Formats the gain as a scenario has it: a diagonal, or rows.

@@ -14,11 +14,11 @@ use serde::Serialize;
 
 use super::print_text;
 use super::progress::ProgressBars;
-use super::run_folder::RunFolder;
+use super::run_folder::{FRONTIER, FRONTIER_KIND, RunFolder};
 use super::{CommandError, Common, ErrorCode, Format, load_scenario, output, print_outcome};
 use crate::engine::RunError;
 use crate::figures::{FrontierFigure, FrontierForm, FrontierPoint, frontier, write_all};
-use crate::files::output::{FileKind, OutputError, write_result};
+use crate::files::output::{OutputError, write_result};
 use crate::flow::plant_course;
 use crate::interruption::{self, SecondSignal};
 use crate::random::{Purpose, Random};
@@ -27,18 +27,6 @@ use crate::scenario::{PAPER, Scenario};
 use forms::{Form, Forms, Level, Variant};
 use points::{Counter, Point, Study, Table};
 use summary::{Best, Setting};
-
-/// Name of the file with all points.
-pub(super) const FILE: &str = "frontier.json";
-
-/// The kind of that file.
-pub(super) const KIND: FileKind = FileKind {
-    name: "the points of a frontier",
-    recognises: |bytes| {
-        let has = |key: &[u8]| bytes.windows(key.len()).any(|window| window == key);
-        bytes.starts_with(b"{\"scenario\"") && has(b"\"initial_states\"")
-    },
-};
 
 /// Arguments of `frontier`.
 #[derive(Debug, Args)]
@@ -95,7 +83,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
     let out = arguments.out.clone();
     let out = out.unwrap_or_else(|| Path::new("out").join(format!("{}-frontier", scenario.name)));
-    let mut planned = vec!["frontier.csv".to_owned(), FILE.to_owned()];
+    let mut planned = vec!["frontier.csv".to_owned(), FRONTIER.to_owned()];
     planned.extend(output::pictures(["frontier"]));
     let folder = RunFolder::claim(&out, &planned)?;
     let study = Study {
@@ -265,11 +253,11 @@ fn write_files(
     settings: &[Setting<'_>],
     target_label: &str,
 ) -> Result<(), CommandError> {
-    let path = folder.join(FILE);
+    let path = folder.join(FRONTIER);
     let json = serde_json::to_vec(report)
         .map_err(std::io::Error::from)
         .map_err(|error| OutputError::Write { path: path.clone(), error })?;
-    write_result(&path, KIND, |file| {
+    write_result(&path, FRONTIER_KIND, |file| {
         file.write_all(&json)?;
         file.write_all(b"\n")
     })?;

@@ -7,11 +7,22 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::commands::frontier;
 use crate::files::input::read_limited;
 use crate::files::output::FileKind;
 use crate::packages::PackageBytes;
 use crate::scenario::Scenario;
+
+/// Name of the file with all points of a frontier.
+pub(in crate::commands) const FRONTIER: &str = "frontier.json";
+
+/// The kind of that file.
+pub(in crate::commands) const FRONTIER_KIND: FileKind = FileKind {
+    name: "the points of a frontier",
+    recognises: |bytes| {
+        let has = |key: &[u8]| bytes.windows(key.len()).any(|window| window == key);
+        bytes.starts_with(b"{\"scenario\"") && has(b"\"initial_states\"")
+    },
+};
 
 /// Name of the manifest file.
 pub(super) const NAME: &str = "run.json";
@@ -91,7 +102,7 @@ pub(super) fn kind_of(name: &str) -> Option<FileKind> {
         "svg" => Some(FileKind::SVG),
         "png" => Some(FileKind::PNG),
         "weights" => Some(PackageBytes::KIND),
-        "json" if name == frontier::FILE => Some(frontier::KIND),
+        "json" if name == FRONTIER => Some(FRONTIER_KIND),
         "json" => Some(Manifest::KIND).filter(|_| name == NAME),
         _ => None,
     }

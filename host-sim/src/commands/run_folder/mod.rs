@@ -12,6 +12,7 @@ use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 
+pub(super) use manifest::{FRONTIER, FRONTIER_KIND};
 use manifest::{Manifest, kind_of};
 
 use super::CommandError;

@@ -8,11 +8,32 @@
 //!
 //! Invariant: any words decode to an announcement of finite numbers or to nothing.
 
-use super::Disturbance;
 use crate::math::half::{from_half, to_half};
 use crate::math::numeric::{all_finite, components, components_mut, zeros};
 use crate::wire::frame::{WORDS_MAX, Words};
 use crate::{INPUTS_MAX, StateVector};
+
+/// State of the model of one direction. \[unit of `xi`/s\]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Disturbance {
+    /// `b`.
+    pub bias: f32,
+    /// `p`.
+    pub cosine: f32,
+    /// `q`.
+    pub sine: f32,
+}
+
+impl Disturbance {
+    /// No disturbance.
+    pub const NONE: Self = Self { bias: 0.0, cosine: 0.0, sine: 0.0 };
+
+    /// Whether all numbers are finite.
+    #[must_use]
+    pub fn is_finite(&self) -> bool {
+        self.bias.is_finite() && self.cosine.is_finite() && self.sine.is_finite()
+    }
+}
 
 /// How a sample goes on until the next one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -96,7 +117,7 @@ impl<const N: usize> Announced<N> {
     };
 
     /// Returns the number of words with this many rates and announced directions.
-    pub(super) const fn words_for(
+    pub(crate) const fn words_for(
         rates: usize,
         directions: usize,
         has_harmonics: bool,
