@@ -86,7 +86,8 @@ fn main() -> io::Result<()> {
         ],
     };
     let rate = Frame { announced: Some(announced), ..frame };
-    let model = Announced { hold: HoldKind::Model, is_half: true, rate: [0.0; 3].into(), ..announced };
+    let model =
+        Announced { hold: HoldKind::Model, is_half: true, rate: [0.0; 3].into(), ..announced };
     let model = Frame { announced: Some(model), ..other };
     let constant = Announced { hold: HoldKind::ZeroOrder, ..Announced::NONE };
     let constant = Frame { announced: Some(constant), ..newer };
@@ -110,8 +111,7 @@ fn main() -> io::Result<()> {
         Event::Step.write(&mut input);
         write("frame", name, &input)?;
     }
-    let other_dimension =
-        Frame::<12>::new(4, 0, 1, [0.5; 12].into());
+    let other_dimension = Frame::<12>::new(4, 0, 1, [0.5; 12].into());
     let mut input = vec![];
     Event::Received(other_dimension.encode().to_vec()).write(&mut input);
     write("frame", "other-dimension", &input)?;

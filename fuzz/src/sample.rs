@@ -185,7 +185,8 @@ fn field<const N: usize>(neighbours: usize) -> Vec<f32> {
     words.extend(identity.clone().chain(identity));
     words.extend([-2.0; N].into_iter().chain([2.0; N]));
     for c in 0..N {
-        let place = |next: usize| (c > 0 && neighbours > 0).then(|| ((c + next) % neighbours) as u8);
+        let place =
+            |next: usize| (c > 0 && neighbours > 0).then(|| ((c + next) % neighbours) as u8);
         let direction = Direction {
             output: (c == 0).then_some(0),
             parent: place(0),

@@ -26,15 +26,12 @@ use crate::math::numeric::{all_finite, components};
 #[cfg(feature = "field")]
 use crate::wire::announced::Announced;
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
+pub use crate::wire::words::{WORDS_MAX, Words};
 use crate::wire::{codec, writer};
 use crate::{AgentId, StateVector, Tick};
 
 /// Version of the format that this crate reads and writes.
 pub const VERSION: u8 = 1;
-
-/// Largest number of words after the header: those of the longest estimate or field announcement. With
-/// them, authentic frames still fit into IEEE 802.15.4.
-pub const WORDS_MAX: usize = if cfg!(feature = "field") { 20 } else { INPUTS_MAX };
 
 /// Length of the longest encoded frame, in bytes: version, longest variable-length integers of the
 /// header, payload kind and length, most words, checksum.
@@ -42,9 +39,6 @@ pub const FRAME_LENGTH_MAX: usize = 1 + 5 + 5 + 10 + 1 + 1 + 4 * WORDS_MAX + CHE
 
 /// The components of a state or of a measurement.
 pub type Numbers = heapless::Vec<f32, INPUTS_MAX>;
-
-/// The words of a frame's content.
-pub type Words = heapless::Vec<[u8; 4], WORDS_MAX>;
 
 /// An encoded frame.
 pub type FrameBytes = heapless::Vec<u8, FRAME_LENGTH_MAX>;

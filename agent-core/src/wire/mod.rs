@@ -12,6 +12,7 @@ pub mod crc;
 pub mod frame;
 pub mod secret;
 pub(crate) mod sequence;
+pub mod words;
 pub(crate) mod writer;
 
 /// Length of the longest frame of any version, for buffers. \[byte\]

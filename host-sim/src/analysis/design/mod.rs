@@ -13,7 +13,7 @@
 //! * [`Unseen`]: why there is no solution
 //!
 //! `K_1 = k I` is a solution for a large enough `k` if the agents together measure the whole state
-//! and the graph is connected; otherwise there is none ([`super::gain`]).
+//! and the graph is connected; otherwise there is none ([`GainCertificate`]).
 //!
 //! The gain is rounded to nine digits, because matrix products of the solver may differ in their
 //! last bits between processors. What is returned satisfies [`GainCertificate`], which shares
