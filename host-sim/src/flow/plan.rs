@@ -10,6 +10,7 @@ use agent_core::observer::network::Scratch;
 use agent_core::observer::trigger::TriggerParams;
 use agent_core::package::OnSwitch;
 use agent_core::wire::crc::crc32;
+use agent_core::wire::words::WORDS_MAX;
 
 use super::{
     DirectionSettings, Gate, Geometry, NotCovered, Statistics, Trajectory, Trees, Wanted, gains,
@@ -226,7 +227,7 @@ impl<'s> Plan<'s> {
             uses_network,
             adapts: observer.adapts && uses_network,
             has_harmonics,
-            is_half: observer.is_half,
+            is_half: observer.is_half || self.is_too_long(&directions, has_harmonics),
             timeout: (observer.timeout / step).round() as u32,
             bias_kept: (1.0 - step * derived.bias_decay).max(0.0) as f32,
             relay_share: observer.relay_share as f32,
@@ -269,6 +270,19 @@ impl<'s> Plan<'s> {
             consensus_weight: (0.25 * design.k2 / (laplacian * laplacian)) as f32,
             threshold: threshold as f32,
         }
+    }
+
+    /// Whether a frame with numbers of 32 bits and rates would be too long.
+    fn is_too_long(&self, directions: &[Direction], has_harmonics: bool) -> bool {
+        let announced =
+            |direction: &&Direction| direction.is_announced && direction.model.clip > 0.0;
+        let states = if has_harmonics { 3 } else { 1 };
+        let rates = match self.observer.hold {
+            Some(HoldKind::ZeroOrder) => 0,
+            _ => directions.len(),
+        };
+        let disturbances = states * directions.iter().filter(announced).count();
+        1 + directions.len() + rates + disturbances > WORDS_MAX
     }
 
     /// Returns what the scenario sets, and what the rules say where it does not.

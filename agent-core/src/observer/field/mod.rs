@@ -161,7 +161,7 @@ impl<const N: usize> FieldParams<N> {
         }
         let rates = if hold == HoldKind::ZeroOrder { 0 } else { N };
         let words = Announced::<N>::words_for(rates, announced, has_harmonics, is_half);
-        require(words <= WORDS_MAX, words as f32, "at most 20 words in a frame");
+        require(words <= WORDS_MAX, words as f32, "at most 17 words in a frame");
         let (is_inverse, entry) = self.is_inverse();
         require(is_inverse, entry, "the inverse of the transform");
         match fault {

@@ -444,9 +444,9 @@ fn an_announcement_that_does_not_fit_is_refused() {
         params.validate(1, 0, 1e-3).is_ok()
     };
     // 1 + 6 + 6 + 3 k words, and without rates 1 + 6 + 3 k.
-    assert!(with(2, HoldKind::Rate, false, 1.0) && !with(3, HoldKind::Rate, false, 1.0));
-    assert!(!with(3, HoldKind::Model, false, 1.0)); // it falls back to rates
-    assert!(with(4, HoldKind::ZeroOrder, false, 1.0) && !with(5, HoldKind::ZeroOrder, false, 1.0));
+    assert!(with(1, HoldKind::Rate, false, 1.0) && !with(2, HoldKind::Rate, false, 1.0));
+    assert!(!with(2, HoldKind::Model, false, 1.0)); // it falls back to rates
+    assert!(with(3, HoldKind::ZeroOrder, false, 1.0) && !with(4, HoldKind::ZeroOrder, false, 1.0));
     assert!(with(6, HoldKind::Rate, true, 1.0));
     // Directions without a model are not announced.
     assert!(with(6, HoldKind::Rate, false, 0.0));
