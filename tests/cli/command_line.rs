@@ -293,6 +293,8 @@ fn run_in_json_is_one_object() {
         "max_error",
         "broadcasts",
         "frames_sent",
+        "broadcasts_evaluated",
+        "bytes_evaluated",
         "frames_delivered",
         "frames_lost",
         "bytes_sent",

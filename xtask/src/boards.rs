@@ -40,8 +40,8 @@ pub(crate) struct Board {
 }
 
 /// Features that every board may have.
-const SHARED_FEATURES: [&str; 5] =
-    ["default", "authentic-frames", "exchange", "signature", "in-the-loop"];
+const SHARED_FEATURES: [&str; 6] =
+    ["default", "authentic-frames", "exchange", "field", "signature", "in-the-loop"];
 
 /// Limits for a board's firmware. \[byte\]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

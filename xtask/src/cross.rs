@@ -54,7 +54,7 @@ const ARTIFACTS: [Artifact; 4] = [
     Artifact {
         package: "agent-core",
         // Features only add code: with them the library contains everything it has without them.
-        selection: &["--lib", "--features", "authentic-frames,exchange,signature"],
+        selection: &["--lib", "--features", "authentic-frames,exchange,field,signature"],
         file: "libagent_core.rlib",
     },
     Artifact {
