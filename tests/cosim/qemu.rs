@@ -96,6 +96,38 @@ fn cosim_in_qemu_has_the_same_bits_with_keys() {
     }
 }
 
+/// Trees, a disturbance model and samples that go on by the shared model, from the switch on;
+/// without and with keys.
+#[test]
+#[ignore = "requires the firmware and QEMU; run `cargo xtask test`"]
+fn cosim_in_qemu_has_the_same_bits_with_the_field_observer() {
+    let folder = Folder::new("cosim-qemu-field-observer");
+    let mut text = host_sim::scenario::PAPER.to_owned();
+    for (from, to) in [
+        ("collect_from = 10.0", "shared = true\ncollect_from = 0.2"),
+        ("collect_to = 16.0", "collect_to = 0.8"),
+        ("apply_at = 20.0", "apply_at = 1.0"),
+        ("smoothing_window = 0.4", "smoothing_window = 0.02"),
+        ("decimation = 20", "decimation = 2"),
+        ("epochs = 60", "epochs = 4"),
+        ("[recipes.better]", "[recipes.better]\nswitch_in = \"always\""),
+    ] {
+        assert!(text.contains(from), "{from}");
+        text = text.replace(from, to);
+    }
+    text += "\n[observer]\nfrom = 1.0\nhold = \"model\"\ndisturbance = \"harmonic\"\n\
+             frequencies = [3.0, 0.0, 3.75]\ntree_gain = 100.0\nradius = 0.05\nclip = 30.0\n\
+             precision = 16\n";
+    folder.write("observer.toml", &text);
+    for keys in ["", " --network-key"] {
+        let report = cosim(&folder, &firmware(), &format!("observer.toml --steps 3000{keys}"));
+        assert_eq!((&report["mismatches"], &report["steps"]), (&0.into(), &3_000.into()));
+        for board in report["boards"].as_array().unwrap() {
+            assert_eq!(board["switches"], 1);
+        }
+    }
+}
+
 /// Loss, delay, duplicates, corruption, a partition, drifting clocks, missing measurements, a reboot and
 /// a late joiner: the built-in scenario, with its times moved to the start.
 #[test]
