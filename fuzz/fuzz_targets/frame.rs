@@ -234,7 +234,7 @@ fn field_words() -> Vec<f32> {
     for c in 0..N as u8 {
         let direction = Direction {
             output: (c == 0).then_some(0),
-            parent: (c > 0).then_some(c - 1),
+            parent: c.checked_sub(1),
             spare: (c > 0).then_some(2),
             is_announced: c < 2,
             scale: 1.0,
