@@ -373,6 +373,24 @@ fn a_relay_announces_its_parents_sample() {
     }
 }
 
+#[test]
+fn a_relay_passes_on_what_moves_by_its_share_of_the_radius() {
+    // The radius is 0.02; the parent's sample moves by 0.015.
+    for (relay_share, passes_on) in [(0.5, true), (0.9, false)] {
+        let mut member = Member::new(0, ExchangeParams::PAPER);
+        member.network = None;
+        member.set(&field(0, Options { relay_share, ..options(HoldKind::ZeroOrder) }));
+        for (sequence, from, x) in [(0, 0, 0.3), (1, 200, 0.315)] {
+            member.hear(&sample(2, sequence, from, [0.3, x, 0.3]));
+            for tick in from..from + 200 {
+                member.step(tick, Some(0.3));
+            }
+        }
+        let late = member.sent.iter().any(|(tick, _)| *tick > 200);
+        assert_eq!(late, passes_on, "{relay_share}");
+    }
+}
+
 /// A sample of agent `sender` at `tick`, held constant.
 fn sample(sender: u32, sequence: u32, tick: Tick, estimate: [f32; 3]) -> Frame<3> {
     let announced = Announced { digest: 0x1234, ..Announced::NONE };
