@@ -106,3 +106,29 @@ fn reboots_and_bad_links_leave_errors_bounded() {
         assert!(first.missed.is_empty(), "{settings}: {:?}", first.missed);
     }
 }
+
+/// Agents 1 and 4 measure the same; those that follow agent 1 go on with agent 4 when it is down.
+#[test]
+fn another_parent_is_followed_when_the_parent_is_down() {
+    let errors = |timeout: f64| -> Vec<f64> {
+        let mut text = PAPER.replace("trace_stride = 1", "trace_stride = 0");
+        let last = text.rfind("[[agents]]").unwrap();
+        text.insert_str(last, "[[agents]]\noutput_matrix = [[1.0, 0.0, 0.0]]\n\n");
+        let star =
+            "adjacency = [\n    [0.0, 1.0, 1.0],\n    [1.0, 0.0, 0.0],\n    [1.0, 0.0, 0.0],\n]";
+        assert!(text.contains(star));
+        text = text.replace(star, "topology = \"complete\"");
+        text += &format!(
+            "\n[observer]\nfrom = 1.0\nnetwork = false\nbandwidth = 80.0\ntree_gain = 100.0\n\
+             radius = 0.06\nclip = 30.0\ntimeout = {timeout}\n[exchange]\nheartbeat = 0.2\n\
+             [[life]]\nagent = 1\nfrom = 25.0\nto = 30.0\n"
+        );
+        let scenario = Scenario::parse("spare.toml", &text).unwrap();
+        let options = RunOptions { seed: 0, learning: false, bounds: false };
+        let result = run(&scenario, options, &Silent).unwrap();
+        result.agents.iter().map(|agent| agent.rmse().unwrap()).collect()
+    };
+    let (without, with) = (errors(0.0), errors(0.3));
+    assert!(without[1] > 5.0 * with[1], "{without:?} {with:?}");
+    assert!(with[1..].iter().all(|&error| error < 0.2), "{with:?}");
+}

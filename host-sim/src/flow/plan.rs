@@ -379,8 +379,8 @@ impl<'s> Plan<'s> {
         Ok(Direction {
             output: root.map(|root| root.output as u8),
             parent: place(parent)?,
-            spare: None,
-            is_announced: if is_tree { trees.announces(agent, c) } else { true },
+            spare: place(self.spare(agent, c))?,
+            is_announced: !is_tree || trees.announces(agent, c) || self.is_spare(agent, c),
             scale: root.map_or(1.0, |root| root.scale) as f32,
             root_gain: root_gain as f32,
             tree_gain: derived.tree_gain as f32,
@@ -394,6 +394,27 @@ impl<'s> Plan<'s> {
                 clip: if found.is_some() { derived.clip as f32 } else { 0.0 },
             },
         })
+    }
+
+    /// Returns the agent that `agent` follows in direction `c` if its parent is silent: the neighbour with the
+    /// lowest number whose own path to a root avoids both.
+    fn spare(&self, agent: usize, c: usize) -> Option<usize> {
+        let Self { scenario, observer, geometry, trees, .. } = self;
+        let is_tree = observer.timeout > 0.0 && observer.coupling == Coupling::Trees;
+        let parent = trees.parent[agent][c].filter(|_| is_tree)?;
+        let avoids = |start: usize| {
+            let mut path = std::iter::successors(Some(start), |&at| trees.parent[at][c]);
+            path.all(|at| at != agent && at != parent)
+        };
+        let leads = |&j: &usize| geometry.is_root(j, c) || trees.parent[j][c].is_some();
+        let neighbours = scenario.graph.neighbours(agent).iter().map(|edge| edge.agent);
+        neighbours.filter(leads).filter(|&j| avoids(j)).min()
+    }
+
+    /// Whether a neighbour follows `agent` in direction `c` if its parent is silent.
+    fn is_spare(&self, agent: usize, c: usize) -> bool {
+        let neighbours = self.scenario.graph.neighbours(agent).iter();
+        neighbours.into_iter().any(|edge| self.spare(edge.agent, c) == Some(agent))
     }
 
     /// Returns the standard deviation of the noise in each direction, if any sensor has some.
