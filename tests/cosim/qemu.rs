@@ -27,15 +27,8 @@ fn processes_with(word: &str) -> Vec<String> {
     found.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
 }
 
-#[test]
-#[ignore = "requires the firmware and QEMU; run `cargo xtask test`"]
-fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
-    let folder = Folder::new("cosim-qemu");
-    // A copy, so that its processes are those of this test.
-    let own = folder.path("only-here.elf");
-    std::fs::copy(firmware(), &own).unwrap();
-    let own = own.to_str().unwrap();
-    // The paper's scenario with its learning cycle moved to the start.
+/// Returns the paper's scenario with its learning cycle moved to the start.
+fn early_learning() -> String {
     let mut text = host_sim::scenario::PAPER.to_owned();
     for (from, to) in [
         ("collect_from = 10.0", "collect_from = 0.2"),
@@ -49,7 +42,18 @@ fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
         assert!(text.contains(from), "{from}");
         text = text.replace(from, to);
     }
-    folder.write("early.toml", &text);
+    text
+}
+
+#[test]
+#[ignore = "requires the firmware and QEMU; run `cargo xtask test`"]
+fn cosim_in_qemu_has_the_same_bits_with_a_package_switched_in() {
+    let folder = Folder::new("cosim-qemu");
+    // A copy, so that its processes are those of this test.
+    let own = folder.path("only-here.elf");
+    std::fs::copy(firmware(), &own).unwrap();
+    let own = own.to_str().unwrap();
+    folder.write("early.toml", &early_learning());
     let pipes = cosim(&folder, own, "early.toml --steps 4000");
     let uart = cosim(&folder, own, "early.toml --steps 1500 --boards qemu-uart,qemu,qemu-uart");
     for (report, steps) in [(pipes, 4000), (uart, 1500)] {
@@ -102,19 +106,7 @@ fn cosim_in_qemu_has_the_same_bits_with_keys() {
 #[ignore = "requires the firmware and QEMU; run `cargo xtask test`"]
 fn cosim_in_qemu_has_the_same_bits_with_the_field_observer() {
     let folder = Folder::new("cosim-qemu-field-observer");
-    let mut text = host_sim::scenario::PAPER.to_owned();
-    for (from, to) in [
-        ("collect_from = 10.0", "shared = true\ncollect_from = 0.2"),
-        ("collect_to = 16.0", "collect_to = 0.8"),
-        ("apply_at = 20.0", "apply_at = 1.0"),
-        ("smoothing_window = 0.4", "smoothing_window = 0.02"),
-        ("decimation = 20", "decimation = 2"),
-        ("epochs = 60", "epochs = 4"),
-        ("[recipes.better]", "[recipes.better]\nswitch_in = \"always\""),
-    ] {
-        assert!(text.contains(from), "{from}");
-        text = text.replace(from, to);
-    }
+    let mut text = early_learning().replace("collect_from", "shared = true\ncollect_from");
     text += "\n[observer]\nfrom = 1.0\nhold = \"model\"\ndisturbance = \"harmonic\"\n\
              frequencies = [3.0, 0.0, 3.75]\ntree_gain = 100.0\nradius = 0.05\nclip = 30.0\n\
              precision = 16\n";

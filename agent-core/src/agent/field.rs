@@ -191,7 +191,11 @@ where
         let Self {
             field: Field { params, outer_weights, must_announce, disturbances, .. }, ..
         } = self;
-        if params.is_empty() {
+        let is_kept = params.first().zip(field.as_ref()).is_some_and(|(old, new)| {
+            // In other coordinates they mean something else.
+            old.transform == new.transform
+        });
+        if !is_kept {
             *disturbances = [Disturbance::NONE; N];
         }
         params.clear();

@@ -18,7 +18,7 @@ use crate::analysis::{
     GainCertificate, TriggerConstants, UltimateBound, laplacian_norm, spectral_norm,
 };
 use crate::engine::RunResult;
-use crate::flow::{Certificate, Plan, plant_course, ultimate_plain, ultimate_weighted};
+use crate::flow::{Certificate, Plan, plant_course, ultimate};
 use crate::learning::trained;
 use crate::packages::{PackageBytes, with_dimension};
 use crate::scenario::{ObserverSettings, Scenario};
@@ -105,7 +105,11 @@ fn trees<const N: usize>(
     }
     let plan = Plan::new(scenario).ok()??;
     let package = in_use(scenario, run)?;
-    let equipped = plan.equip(&package, 0, &[]).ok()?;
+    // A trained package has gains for the frequencies that were found.
+    let equipped = match package.package().node.field {
+        [] => plan.equip(&package, 0, &[]).ok()?,
+        _ => package,
+    };
     let field = FieldParams::<N>::from_words(FieldWords(equipped.package().node.field)).ok()?;
     if field.options.adapts {
         return None;
@@ -122,10 +126,8 @@ fn trees<const N: usize>(
     let limit = clips.iter().fold(0.0, |sum, clip| sum + clip * clip).sqrt();
     let agents = scenario.agents.len();
     let rho = (agents as f64).sqrt() * (residual + limit);
-    let plain = ultimate_plain(&certificate, rho, &radii, agents);
-    let weighted = ultimate_weighted(&certificate, rho, &radii, agents);
-    let radius = [plain, weighted].iter().flatten().map(|bound| bound.radius).reduce(f64::min)?;
-    Some(radius * spectral_norm(&geometry.inverse))
+    let bound = ultimate(&certificate, rho, &radii, agents);
+    Some(bound.radius * spectral_norm(&geometry.inverse))
 }
 
 /// Returns the last package of agent 1 that was switched in, or its initial one.

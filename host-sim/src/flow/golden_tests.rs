@@ -5,10 +5,8 @@ use nalgebra::DMatrix;
 use serde_json::Value;
 
 use super::testing::{close, graph, references, unit_outputs};
-use super::{
-    Certificate, Geometry, Model, Statistics, Trajectory, Trees, Wanted, gains, settings,
-    ultimate_plain,
-};
+use super::ultimate::ultimate_plain;
+use super::{Certificate, Geometry, Model, Statistics, Trajectory, Trees, Wanted, gains, settings};
 
 fn golden() -> Value {
     let text = include_str!("../../../tests/golden/flow.json");

@@ -37,7 +37,7 @@ pub use rules::{DirectionSettings, Settings, Wanted, settings};
 pub use statistics::{Model, Statistics};
 pub use trajectory::Trajectory;
 pub use trees::Trees;
-pub use ultimate::{UltimateBound, ultimate, ultimate_plain, ultimate_weighted};
+pub use ultimate::{UltimateBound, ultimate};
 
 #[cfg(test)]
 mod golden_tests;

@@ -301,7 +301,9 @@ impl<'s> Plan<'s> {
                 tree_gain: 0.0,
                 clip: 0.0,
             };
-            Derived { directions: vec![unset; n], bias_decay: 1.0, model_hold: uses_network }
+            let mut directions = vec![unset; n];
+            self.give(&mut directions);
+            Derived { directions, bias_decay: 1.0, model_hold: uses_network }
         } else {
             let statistics = Statistics::new(trajectory, geometry, model);
             let wanted = Wanted {
@@ -310,7 +312,9 @@ impl<'s> Plan<'s> {
                 hop_delay: scenario.link.longest_delay() + scenario.time.step_size,
                 step: scenario.time.step_size,
             };
-            let settings = settings(geometry, &statistics, &wanted)?;
+            let mut settings = settings(geometry, &statistics, &wanted)?;
+            self.give(&mut settings.directions);
+            settings.check(&statistics, &wanted)?;
             Derived {
                 directions: settings.directions,
                 bias_decay: settings.bias_decay,
@@ -320,7 +324,13 @@ impl<'s> Plan<'s> {
         if let Some(decay) = observer.bias_decay {
             derived.bias_decay = decay;
         }
-        for (c, direction) in derived.directions.iter_mut().enumerate() {
+        Ok(derived)
+    }
+
+    /// Puts what the scenario gives in place of what is derived.
+    fn give(&self, directions: &mut [DirectionSettings]) {
+        let observer = self.observer;
+        for (c, direction) in directions.iter_mut().enumerate() {
             for (place, given) in [
                 (&mut direction.radius, &observer.radius),
                 (&mut direction.root_gain, &observer.root_gain),
@@ -332,7 +342,6 @@ impl<'s> Plan<'s> {
                 }
             }
         }
-        Ok(derived)
     }
 
     fn direction(

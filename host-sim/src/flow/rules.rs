@@ -69,7 +69,7 @@ pub struct Wanted {
 /// Settings of one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DirectionSettings {
-    /// `r_c`, the deviation from the announced value at which an agent announces anew. \[unit of
+    /// `r_c`, the deviation from the announced value at which an agent announces again. \[unit of
     /// xi\]
     pub radius: f64,
     /// `omega_b`, the bandwidth of the root's disturbance estimate. \[rad/s\]

@@ -155,9 +155,9 @@ mod tests {
         let whole = Trees::new(&ring, &geometry);
         let column = |trees: &Trees| trees.parent.iter().map(|row| row[0]).collect::<Vec<_>>();
         assert_eq!(column(&whole), [None, Some(0), Some(1), Some(4), Some(0)]);
-        let mended = Trees::without(&ring, &geometry, &[1]);
-        assert_eq!(column(&mended), [None, None, Some(3), Some(4), Some(0)]);
-        assert_eq!((mended.depth[2][0], mended.orphans().count()), (3, 0));
+        let rebuilt = Trees::without(&ring, &geometry, &[1]);
+        assert_eq!(column(&rebuilt), [None, None, Some(3), Some(4), Some(0)]);
+        assert_eq!((rebuilt.depth[2][0], rebuilt.orphans().count()), (3, 0));
         let cut = Trees::without(&ring, &geometry, &[1, 4]);
         assert_eq!(cut.orphans().collect::<Vec<_>>(), [(2, 0), (3, 0)]);
         assert!(!cut.reached(2, 0) && cut.subtree[0][0] == 1);

@@ -42,13 +42,20 @@ pub struct UltimateBound {
 }
 
 /// Returns the smaller of the bounds of the plain and the weighted certificate for `rho`
-/// \[unit of xi/s\], one trigger radius for all directions \[unit of xi\], and the number of
+/// \[unit of xi/s\], the trigger's radius in each direction \[unit of xi\], and the number of
 /// `agents`, over whom epsilon is shared.
+///
+/// # Panics
+/// If the number of radii is not that of the directions.
 #[must_use]
-pub fn ultimate(certificate: &Certificate, rho: f64, radius: f64, agents: usize) -> UltimateBound {
-    let radii = vec![radius; certificate.hold.len()];
-    let plain = ultimate_plain(certificate, rho, &radii, agents);
-    let weighted = ultimate_weighted(certificate, rho, &radii, agents);
+pub fn ultimate(
+    certificate: &Certificate,
+    rho: f64,
+    radii: &[f64],
+    agents: usize,
+) -> UltimateBound {
+    let plain = ultimate_plain(certificate, rho, radii, agents);
+    let weighted = ultimate_weighted(certificate, rho, radii, agents);
     match (plain, weighted) {
         (Some(plain), Some(weighted)) if plain.radius <= weighted.radius => plain,
         (_, Some(weighted)) => weighted,
@@ -71,7 +78,7 @@ pub fn ultimate(certificate: &Certificate, rho: f64, radius: f64, agents: usize)
 /// # Panics
 /// If the number of radii is not that of the directions.
 #[must_use]
-pub fn ultimate_plain(
+pub(super) fn ultimate_plain(
     certificate: &Certificate,
     rho: f64,
     radii: &[f64],
@@ -95,7 +102,7 @@ pub fn ultimate_plain(
 /// # Panics
 /// If the number of radii is not that of the directions.
 #[must_use]
-pub fn ultimate_weighted(
+pub(super) fn ultimate_weighted(
     certificate: &Certificate,
     rho: f64,
     radii: &[f64],
@@ -211,7 +218,7 @@ mod tests {
             (34.0, 100.0 * root, 2.26, 0.08, [32.1, 0.067, 2.69, 21.9, 1.69]),
         ];
         for (rate, coupling, rho, radius, [k2, kappa, delta, epsilon, error]) in cases {
-            let found = ultimate(&certificate(rate, coupling), rho, radius, 3);
+            let found = ultimate(&certificate(rate, coupling), rho, &[radius], 3);
             let near = |found: f64, expected: f64, unit: f64| {
                 assert!((found - expected).abs() <= unit, "{found}, expected {expected}");
             };
@@ -223,15 +230,15 @@ mod tests {
             assert_eq!(found.threshold, found.epsilon / 3.0);
             assert!(!found.weighted);
         }
-        let wide = ultimate(&certificate(32.2, 100.0 * root), 12.0, 0.06, 3);
+        let wide = ultimate(&certificate(32.2, 100.0 * root), 12.0, &[0.06], 3);
         assert!((wide.radius - 2.24).abs() < 0.005, "{wide:?}");
-        let wide = ultimate(&certificate(34.0, 100.0 * root), 12.0, 0.08, 3);
+        let wide = ultimate(&certificate(34.0, 100.0 * root), 12.0, &[0.08], 3);
         assert!((wide.radius - 2.50).abs() < 0.005, "{wide:?}");
     }
 
     #[test]
     fn no_other_constants_give_a_smaller_bound() {
-        let found = ultimate(&certificate(50.0, 300.0), 3.0, 0.07, 3);
+        let found = ultimate(&certificate(50.0, 300.0), 3.0, &[0.07], 3);
         let hold = 5.0 * 0.07 * 0.07;
         for k2 in (1..500).map(|k| 0.1 * f64::from(k)) {
             for kappa in (1..1000).map(|k| 0.001 * f64::from(k)) {
@@ -247,13 +254,13 @@ mod tests {
 
     #[test]
     fn extremes_have_a_bound() {
-        let calm = ultimate(&certificate(50.0, 300.0), 0.0, 0.07, 3);
+        let calm = ultimate(&certificate(50.0, 300.0), 0.0, &[0.07], 3);
         assert!((calm.k2 - 50.0).abs() < 1e-6 && calm.delta == 0.0, "{calm:?}");
-        let alone = ultimate(&certificate(50.0, 0.0), 3.0, 0.0, 1);
+        let alone = ultimate(&certificate(50.0, 0.0), 3.0, &[0.0], 1);
         // 2 rho^2 / ((lambda - k2) k2) is least at half the rate.
         assert!((alone.k2 - 25.0).abs() < 1e-3 && alone.kappa.is_infinite(), "{alone:?}");
         assert!((alone.radius - (2.0 * 9.0 / 625.0f64).sqrt()).abs() < 1e-9);
-        let none = ultimate(&certificate(-1.0, 300.0), 3.0, 0.07, 3);
+        let none = ultimate(&certificate(-1.0, 300.0), 3.0, &[0.07], 3);
         assert!(none.radius.is_infinite());
     }
 }

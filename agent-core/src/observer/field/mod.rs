@@ -151,7 +151,7 @@ impl<const N: usize> FieldParams<N> {
             require(positive, model.clip, "a clip and a gain of 0 or above");
             let rotation = model.rotation_square();
             // A rotation that grows would be an oscillation that grows.
-            require(within(rotation, 0.999, 1.0001), rotation, "a rotation");
+            require(within(rotation, 0.999_99, 1.000_001), rotation, "a rotation");
             let output = direction.output.map_or(0, |output| usize::from(output) + 1);
             require(output <= outputs, output as f32, "an output of the agent");
             for place in [direction.parent, direction.spare].into_iter().flatten() {
