@@ -23,10 +23,11 @@ use crate::agent::inbox::Inbox;
 use crate::agent::{AgentParams, AgentState, StepError, StepOutput};
 use crate::math::numeric::{add_scaled, all_finite, components, components_mut, difference, zeros};
 use crate::math::parameter::ParameterError;
+use crate::observer::features::Features;
 use crate::observer::field::{
     Announced, Coupling, Direction, Disturbance, FieldParams, FieldWords, HoldKind,
 };
-use crate::observer::network::{InnerNetwork, Scratch};
+use crate::observer::network::Scratch;
 use crate::observer::outer_law::combine;
 
 /// Parameters and state of the field observer; none for the paper's.
@@ -73,16 +74,16 @@ impl<const N: usize, const FEATURES: usize> Field<N, FEATURES> {
 }
 
 /// What samples are predicted with.
-struct Prediction<'a, const N: usize, P> {
+struct Prediction<'a, const N: usize, F> {
     params: &'a FieldParams<N>,
-    network: Option<&'a InnerNetwork<P>>,
+    network: Option<&'a F>,
     outer_weights: &'a [StateVector<N>],
     /// Digest of all that; 0 without a network.
     digest: u16,
     step_size: f32,
 }
 
-impl<const N: usize, P: AsRef<[f32]>> Prediction<'_, N, P> {
+impl<const N: usize, F: Features> Prediction<'_, N, F> {
     /// Returns `f_hat` with these outer weights, from the limited state.
     #[inline(never)]
     fn flow(
@@ -226,16 +227,16 @@ where
     /// Attempts a step as [`Self::attempt`] does, with the field observer. Frames are taken over even
     /// if the step is refused afterwards.
     #[inline(never)]
-    pub(super) fn attempt_field<P, I>(
+    pub(super) fn attempt_field<F, I>(
         &mut self,
         params: &AgentParams<'_, N>,
-        network: Option<&InnerNetwork<P>>,
+        network: Option<&F>,
         tick: Tick,
         measurement: Option<&[f32]>,
         inbox: &mut Inbox<N, I>,
     ) -> Result<StepOutput<N>, StepError>
     where
-        P: AsRef<[f32]>,
+        F: Features,
         I: HoldSlots<N>,
     {
         let Self { field, scratch, exchange, .. } = self;
@@ -424,8 +425,8 @@ fn is_due<const N: usize>(
 
 /// Returns what the agent announces at `now`, and the sample with it.
 #[inline(never)]
-fn announcement<const N: usize, P: AsRef<[f32]>>(
-    prediction: &Prediction<'_, N, P>,
+fn announcement<const N: usize, F: Features>(
+    prediction: &Prediction<'_, N, F>,
     disturbances: &[Disturbance; N],
     estimate: &StateVector<N>,
     holds: &[Option<Hold<N>>],

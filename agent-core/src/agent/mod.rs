@@ -49,8 +49,9 @@ use crate::agent::hold::{Hold, HoldSlots};
 use crate::agent::inbox::Inbox;
 use crate::math::numeric::{add_scaled, all_finite, components, difference, product, zeros};
 use crate::math::parameter::{ParameterError, finite};
+use crate::observer::features::Features;
 use crate::observer::feedback::ObserverParams;
-use crate::observer::network::{InnerNetwork, Scratch};
+use crate::observer::network::Scratch;
 use crate::observer::outer_law::OuterWeights;
 use crate::wire::frame::Frame;
 use crate::{StateVector, Tick};
@@ -250,16 +251,16 @@ where
     /// Input of the wrong size or not finite, or a result that would not be finite. State and inbox
     /// are then unchanged and frames stay pending.
     #[inline]
-    pub fn step<P, I>(
+    pub fn step<F, I>(
         &mut self,
         params: &AgentParams<'_, N>,
-        network: Option<&InnerNetwork<P>>,
+        network: Option<&F>,
         tick: Tick,
         measurement: &[f32],
         inbox: &mut Inbox<N, I>,
     ) -> Result<StepOutput<N>, StepError>
     where
-        P: AsRef<[f32]>,
+        F: Features,
         I: HoldSlots<N>,
     {
         self.attempt(params, network, tick, Some(measurement), inbox)
@@ -272,16 +273,16 @@ where
     /// # Errors
     /// As for [`Self::step`].
     #[inline]
-    pub fn attempt<P, I>(
+    pub fn attempt<F, I>(
         &mut self,
         params: &AgentParams<'_, N>,
-        network: Option<&InnerNetwork<P>>,
+        network: Option<&F>,
         tick: Tick,
         measurement: Option<&[f32]>,
         inbox: &mut Inbox<N, I>,
     ) -> Result<StepOutput<N>, StepError>
     where
-        P: AsRef<[f32]>,
+        F: Features,
         I: HoldSlots<N>,
     {
         self.check(params, network, tick, measurement, inbox)?;
@@ -404,16 +405,16 @@ where
 
     /// Checks the arguments of a step.
     #[inline]
-    fn check<P, I>(
+    fn check<F, I>(
         &self,
         params: &AgentParams<'_, N>,
-        network: Option<&InnerNetwork<P>>,
+        network: Option<&F>,
         tick: Tick,
         measurement: Option<&[f32]>,
         inbox: &Inbox<N, I>,
     ) -> Result<(), StepError>
     where
-        P: AsRef<[f32]>,
+        F: Features,
         I: HoldSlots<N>,
     {
         let last = self.last_tick;
@@ -436,12 +437,11 @@ where
             }
         }
         if let Some(network) = network {
-            let (expected, found) =
-                (self.outer_weights.rows().len(), network.architecture().features());
+            let (expected, found) = (self.outer_weights.rows().len(), network.count());
             if expected != found {
                 return Err(StepError::Features { expected, found });
             }
-            let found = network.architecture().inputs();
+            let found = network.inputs();
             if N != found {
                 return Err(StepError::NetworkInputs { expected: N, found });
             }

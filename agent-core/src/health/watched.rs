@@ -18,7 +18,7 @@ use crate::agent::capture::Sample;
 use crate::agent::hold::HoldSlots;
 use crate::agent::inbox::Inbox;
 use crate::agent::{AgentParams, AgentState, StepError, StepOutput};
-use crate::observer::network::InnerNetwork;
+use crate::observer::features::Features;
 use crate::wire::frame::{Frame, FrameError};
 
 /// An agent and its health monitoring, borrowed for one step.
@@ -106,9 +106,9 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
     ///
     /// If a restart is due and `outer_weights` are invalid, the outcome is that of the step.
     #[inline]
-    pub fn step<P: AsRef<[f32]>>(
+    pub fn step<F: Features>(
         &mut self,
-        network: Option<&InnerNetwork<P>>,
+        network: Option<&F>,
         outer_weights: &[f32],
         tick: Tick,
         measurement: &[f32],
@@ -119,9 +119,9 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
     /// Like [`Self::step`], but goes on without a measurement if there is none:
     /// [`AgentState::attempt`].
     #[inline]
-    pub fn attempt<P: AsRef<[f32]>>(
+    pub fn attempt<F: Features>(
         &mut self,
-        network: Option<&InnerNetwork<P>>,
+        network: Option<&F>,
         outer_weights: &[f32],
         tick: Tick,
         measurement: Option<&[f32]>,
@@ -132,9 +132,9 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
     /// Like [`Self::step`], but calls `observe` with the resulting state and the step's output
     /// before a restart can replace them.
     #[inline]
-    pub fn step_observed<P: AsRef<[f32]>>(
+    pub fn step_observed<F: Features>(
         &mut self,
-        network: Option<&InnerNetwork<P>>,
+        network: Option<&F>,
         outer_weights: &[f32],
         tick: Tick,
         measurement: &[f32],
@@ -145,9 +145,9 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
 
     /// Like [`Self::attempt`], but calls `observe` as [`Self::step_observed`] does.
     #[inline]
-    pub fn attempt_observed<P: AsRef<[f32]>>(
+    pub fn attempt_observed<F: Features>(
         &mut self,
-        network: Option<&InnerNetwork<P>>,
+        network: Option<&F>,
         outer_weights: &[f32],
         tick: Tick,
         measurement: Option<&[f32]>,

@@ -4,6 +4,7 @@
 //! Depends on [`math`](crate::math) and, for announcements, [`wire`](crate::wire). Every function is pure or changes only the state passed
 //! to it.
 
+pub mod features;
 pub mod feedback;
 #[cfg(feature = "field")]
 pub mod field;
