@@ -29,6 +29,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod analysis;
+pub mod basis;
 pub mod commands;
 #[cfg(unix)]
 pub mod cosim;

@@ -5,6 +5,7 @@ mod examples;
 mod field_observer;
 mod levenberg_marquardt;
 mod links;
+mod methods;
 mod networks;
 mod packages;
 mod paper_run;

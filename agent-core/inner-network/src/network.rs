@@ -285,6 +285,11 @@ pub struct Scratch {
 impl Scratch {
     /// Empty scratch memory, for a `static`.
     pub const NEW: Self = Self { first: [0.0; LAYER_WIDTH_MAX], second: [0.0; LAYER_WIDTH_MAX] };
+
+    /// Returns room for the features of another basis than a network.
+    pub fn outputs(&mut self) -> &mut [f32; LAYER_WIDTH_MAX] {
+        &mut self.first
+    }
 }
 
 /// Computes `outputs = biases + weights^T inputs` for the first layer in `parameters`; `None` if

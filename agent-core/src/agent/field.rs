@@ -330,7 +330,8 @@ where
         let mut planned = None;
         if let Some(features) = features {
             add_scaled(&mut derivative, 1.0, &self.outer_weights.combine(features));
-            if own.options.adapts && measurement.is_some() {
+            let adapts = own.options.adapts && network.is_some_and(Features::adapts);
+            if adapts && measurement.is_some() {
                 let law = &params.outer_law;
                 let step = self.outer_weights.plan_step(law, step_size, features, &adaptation);
                 planned = Some(step.ok_or(StepError::Diverged)?);

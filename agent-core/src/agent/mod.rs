@@ -307,7 +307,7 @@ where
         let mut planned = None;
         if let Some(features) = features {
             add_scaled(&mut derivative, 1.0, &self.outer_weights.combine(features));
-            if measurement.is_some() {
+            if measurement.is_some() && network.is_some_and(Features::adapts) {
                 let step = self
                     .outer_weights
                     .plan_step(&params.outer_law, params.step_size, features, &innovation)

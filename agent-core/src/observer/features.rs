@@ -14,6 +14,12 @@ pub trait Features {
     /// Returns `L`, the number of features.
     fn count(&self) -> usize;
 
+    /// Whether the outer weights adapt online.
+    #[inline]
+    fn adapts(&self) -> bool {
+        true
+    }
+
     /// Returns the features at the estimate `x`, shape `[L]`, which may be stored in `scratch`; `None` if
     /// `x` does not have the dimension [`Self::inputs`].
     fn features<'s>(&'s self, x: &[f32], scratch: &'s mut Scratch) -> Option<&'s [f32]>;

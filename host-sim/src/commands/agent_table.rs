@@ -28,6 +28,8 @@ pub(super) struct AgentReport {
     /// Share of the smoothed targets' variance that the agent's last training explains.
     pub(super) explained_variance: Option<f64>,
     pub(super) max_error: Option<f64>,
+    /// Of a recording, in the evaluation window. \[output unit\]
+    pub(super) innovation_rms: Option<f64>,
     pub(super) broadcasts: u64,
     /// Broadcasts, as handed to the radio; each has one copy for every neighbour.
     pub(super) frames_sent: u64,
@@ -77,7 +79,12 @@ pub(super) fn text(
     if against_none {
         headings.push(["change against", "no network [%]"]);
     }
-    headings.extend([["", "maximum"], ["", "broadcasts"]]);
+    headings.push(["", "maximum"]);
+    let has_innovation = agents.iter().any(|agent| agent.innovation_rms.is_some());
+    if has_innovation {
+        headings.push(["innovation", "RMS"]);
+    }
+    headings.push(["", "broadcasts"]);
     headings.extend([["interval [s]", "mean"], ["interval [s]", "shortest"]]);
     let row = |agent: &AgentReport| {
         let mut row = vec![agent.agent.to_string()];
@@ -85,7 +92,11 @@ pub(super) fn text(
         if against_none {
             row.push(percent(agent.change_percent_no_network));
         }
-        row.extend([number(agent.max_error), agent.broadcasts.to_string()]);
+        row.push(number(agent.max_error));
+        if has_innovation {
+            row.push(number(agent.innovation_rms));
+        }
+        row.push(agent.broadcasts.to_string());
         row.extend([number(agent.mean_interval), number(agent.min_interval)]);
         row
     };
@@ -157,6 +168,7 @@ pub(super) fn write_csv(path: &Path, agents: &[AgentReport]) -> Result<(), Outpu
         "change [%]",
         "explained_variance [-]",
         "max_error [state unit]",
+        "innovation_rms [output unit]",
         "broadcasts",
         "frames_delivered",
         "frames_lost",
@@ -180,6 +192,7 @@ pub(super) fn write_csv(path: &Path, agents: &[AgentReport]) -> Result<(), Outpu
         row.optional(agent.change_percent)?;
         row.optional(agent.explained_variance)?;
         row.optional(agent.max_error)?;
+        row.optional(agent.innovation_rms)?;
         row.integer(agent.broadcasts)?;
         count(row, agent.frames_delivered)?;
         count(row, agent.frames_lost)?;

@@ -13,19 +13,90 @@
 use clap::ValueEnum;
 use serde::Serialize;
 
+use super::CommandError;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{Progress, RunError, RunOptions, RunResult, run};
 use crate::report::tables::change_percent;
-use crate::scenario::{Record, Scenario};
+use crate::scenario::{Method, Record, Scenario};
 use crate::warning::{Warning, WarningCode};
 
-/// Which baselines to run.
+/// What to run beside the run itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Choice {
-    /// Without a network, and with the untrained network
+    /// All of them
     All,
     /// Only the run itself
     None,
+    /// Without a network
+    NoNetwork,
+    /// With the untrained network
+    Untrained,
+    /// With broadcasts at fixed times, as often as at events
+    Periodic,
+    /// With cubic polynomials in place of the network
+    Regression,
+    /// With the plant's `f` in place of the network
+    KnownF,
+    /// Consensus Kalman filter, with `f` linearised at the plant's mean state
+    Kalman,
+    /// Consensus Kalman filter, with `f` linearised at the estimate
+    ExtendedKalman,
+}
+
+impl Choice {
+    /// Returns the method; `None` for all or none.
+    fn method(self) -> Option<Method> {
+        Some(match self {
+            Self::All | Self::None => return None,
+            Self::NoNetwork => Method::NoNetwork,
+            Self::Untrained => Method::Untrained,
+            Self::Periodic => Method::Periodic,
+            Self::Regression => Method::Regression,
+            Self::KnownF => Method::KnownModel,
+            Self::Kalman => Method::Kalman,
+            Self::ExtendedKalman => Method::ExtendedKalman,
+        })
+    }
+}
+
+/// Returns the methods beside the baselines that are asked for and that the scenario allows, in the order
+/// of the table.
+///
+/// # Errors
+/// If `all` or `none` is not alone.
+pub(super) fn methods(
+    scenario: &Scenario,
+    choices: &[Choice],
+) -> Result<Vec<Method>, CommandError> {
+    if let Some(alone) = choices.iter().find(|choice| choice.method().is_none())
+        && choices.len() > 1
+    {
+        let name = if *alone == Choice::All { "all" } else { "none" };
+        let problem =
+            format!("--baselines: `{name}` cannot be combined with others; give it alone");
+        return Err(CommandError::usage(problem));
+    }
+    let learns = !scenario.learning.is_empty() && scenario.network.is_some();
+    let is_extra = |method: &Method| {
+        !matches!(method, Method::Observer | Method::NoNetwork | Method::Untrained)
+    };
+    let mut methods: Vec<Method> = match choices {
+        [Choice::All] => {
+            let all = Method::NAMES.iter().map(|&(_, method)| method).filter(is_extra);
+            all.filter(|&method| learns || method != Method::Regression).collect()
+        }
+        choices => choices.iter().filter_map(|choice| choice.method()).filter(is_extra).collect(),
+    };
+    methods.retain(|&method| method != scenario.method);
+    methods.sort();
+    methods.dedup();
+    if methods.contains(&Method::Regression) && !learns {
+        let name = &scenario.name;
+        return Err(CommandError::usage(format!(
+            "--baselines regression: scenario {name} has no learning cycle whose samples it could fit; add              [[learning]], or leave it out"
+        )));
+    }
+    Ok(methods)
 }
 
 /// A baseline run.
@@ -53,13 +124,10 @@ impl Baseline {
     pub(super) fn scenario(self, scenario: &Scenario) -> Scenario {
         let mut scenario = scenario.clone();
         scenario.record = NOTHING;
-        scenario.learning.clear();
-        for agent in &mut scenario.agents {
-            agent.package = None;
-        }
-        if self == Self::NoNetwork {
-            scenario.network = None;
-        }
+        scenario.method = match self {
+            Self::NoNetwork => Method::NoNetwork,
+            Self::Untrained => Method::Untrained,
+        };
         scenario
     }
 
@@ -113,11 +181,16 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    pub(super) fn new(scenario: &Scenario, choice: Option<Choice>) -> Self {
+    /// `choices` is empty for the default: both if something is trained.
+    pub(super) fn new(scenario: &Scenario, choices: &[Choice]) -> Self {
         let trained = !scenario.learning.is_empty() || has_packages(scenario);
-        let wanted = choice.map_or(trained, |choice| choice == Choice::All);
-        let compared = wanted && scenario.network.is_some();
-        Self { runs: [compared, compared && trained], itself: compared && !trained }
+        let is_own = scenario.method == Method::Observer && scenario.network.is_some();
+        let wanted = |choice: Choice| {
+            let asked = choices.contains(&choice) || choices.contains(&Choice::All);
+            is_own && if choices.is_empty() { trained } else { asked }
+        };
+        let [no_network, untrained] = [wanted(Choice::NoNetwork), wanted(Choice::Untrained)];
+        Self { runs: [no_network, untrained && trained], itself: untrained && !trained }
     }
 
     /// Returns the number of baselines to run.
@@ -258,27 +331,27 @@ mod tests {
         scenario
     }
 
-    fn plan(change: impl Fn(&mut Scenario), choice: Option<Choice>) -> ([bool; 2], bool) {
+    fn plan(change: impl Fn(&mut Scenario), choices: &[Choice]) -> ([bool; 2], bool) {
         let mut scenario = paper(1.0);
         change(&mut scenario);
-        let plan = Plan::new(&scenario, choice);
+        let plan = Plan::new(&scenario, choices);
         (plan.runs, plan.itself)
     }
 
     #[test]
     fn only_meaningful_baselines_are_planned() {
-        let (all, none) = (Some(Choice::All), Some(Choice::None));
+        let (all, none): (&[Choice], &[Choice]) = (&[Choice::All], &[Choice::None]);
         let unchanged = |_: &mut Scenario| ();
         let no_learning = |scenario: &mut Scenario| scenario.learning.clear();
         let no_network = |scenario: &mut Scenario| {
             scenario.learning.clear();
             scenario.network = None;
         };
-        assert_eq!(plan(unchanged, None), ([true, true], false));
+        assert_eq!(plan(unchanged, &[]), ([true, true], false));
         assert_eq!(plan(unchanged, none), ([false, false], false));
-        assert_eq!(plan(no_learning, None), ([false, false], false));
+        assert_eq!(plan(no_learning, &[]), ([false, false], false));
         assert_eq!(plan(no_learning, all), ([true, false], true));
-        assert_eq!(plan(no_network, None), ([false, false], false));
+        assert_eq!(plan(no_network, &[]), ([false, false], false));
         assert_eq!(plan(no_network, all), ([false, false], false));
     }
 
@@ -299,7 +372,7 @@ mod tests {
         let mut scenario = paper(0.1);
         // The outer law refuses this bound; without a network there is no outer law.
         scenario.network.as_mut().unwrap().outer_law.bound = -1.0;
-        let plan = Plan::new(&scenario, None);
+        let plan = Plan::new(&scenario, &[]);
         let baselines = plan.carry_out(&scenario, 0, || Silent);
         let warnings = baselines.warnings();
         assert_eq!(warnings.len(), 1, "{warnings:?}");

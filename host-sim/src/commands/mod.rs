@@ -23,6 +23,7 @@ mod frontier;
 mod health;
 mod key;
 mod keygen;
+mod methods;
 #[cfg(unix)]
 mod monitor;
 #[cfg(unix)]

@@ -74,7 +74,7 @@ pub(super) fn packages(
     scenario: &Scenario,
     run: &RunResult,
 ) -> Result<(), CommandError> {
-    let for_nodes = scenario.trigger.check_for_nodes().is_ok();
+    let for_nodes = scenario.check_for_nodes().is_ok();
     for training in &run.trainings {
         let stem = format!("agent{}_cycle{}", training.agent, training.cycle);
         if for_nodes {

@@ -10,13 +10,13 @@ use serde::Serialize;
 use agent_core::observer::field::Coupling;
 
 use super::agent_table::AgentReport;
-use super::baselines::{Baseline, Baselines, Choice, Comparison, Plan, States, has_packages};
+use super::baselines::{self, Baseline, Baselines, Choice, Comparison, Plan, States, has_packages};
 use super::health::{self, HealthReport};
 use super::package_format::PackageFormat;
 use super::run_folder::RunFolder;
 use super::trainings::{self, TrainingSummary};
 use super::{
-    CommandError, Common, Format, SharedProgress, agent_table, certified, output, warnings,
+    CommandError, Common, Format, SharedProgress, agent_table, certified, methods, output, warnings,
 };
 use super::{load_scenario, print_outcome, print_text};
 use crate::commands::progress::ProgressBars;
@@ -29,7 +29,7 @@ use crate::number::significant;
 use crate::packages::PackageBytes;
 use crate::report::checks::{self, ChecksReport};
 use crate::report::theorems::{Checks, DesignChecks};
-use crate::scenario::Scenario;
+use crate::scenario::{Method, Scenario};
 use crate::terminal::one_line;
 use crate::warning::Warning;
 
@@ -46,10 +46,10 @@ pub(super) struct Arguments {
     /// Skip the scenario's learning cycles
     #[arg(long)]
     without_learning: bool,
-    /// Baselines to compare the errors with: the observer without a network and with the untrained
-    /// network, or none [default: all if there is learning or a package, else none]
-    #[arg(long, value_enum)]
-    baselines: Option<Choice>,
+    /// Methods to compare with, separated by commas [default: no-network and untrained if there is
+    /// learning or a package, else none]
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "METHODS")]
+    baselines: Vec<Choice>,
     /// Output folder for figures and tables [default: out/NAME or out/NAME-without-learning, where
     /// NAME is the scenario's name]
     #[arg(long)]
@@ -66,6 +66,8 @@ struct Report<'a> {
     seed: u64,
     elapsed_s: f64,
     baselines: States,
+    /// The run beside other methods, if there are any.
+    methods: &'a [methods::Row],
     agents: Vec<AgentReport>,
     trainings: Vec<TrainingSummary>,
     /// What each layer of the link did; empty for the paper's link.
@@ -92,21 +94,26 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     };
     let mut planned = output::planned(&scenario, "", true);
     planned.push("agents.csv".to_owned());
-    planned.extend(output::pictures(["errors", "states", "events"]));
+    planned.push("methods.csv".to_owned());
+    planned.extend(output::pictures(["errors", "states", "events", "methods"]));
     let folder = RunFolder::claim(&out, &planned)?;
     let design = DesignChecks::new(&scenario);
     let mut warnings = warnings::before(&scenario, &design);
     warnings::print(&warnings);
-    let plan = Plan::new(&scenario, arguments.baselines);
-    let (result, baselines) = simulate(&scenario, arguments.common.seed, plan)?;
+    let plan = Plan::new(&scenario, &arguments.baselines);
+    let others = baselines::methods(&scenario, &arguments.baselines)?;
+    let (result, baselines, others) = simulate(&scenario, arguments.common.seed, plan, &others)?;
+    let rows = method_rows(&scenario, &result, &baselines, others);
     let checks = Checks::of(design, &scenario, &result);
     let mut found = warnings::after(&scenario, &result, &checks, &warnings);
     found.extend(baselines.warnings());
+    found.extend(rows.iter().filter_map(methods::Row::warning));
     let agents = agent_reports(&scenario, &result, &baselines);
     let certificate = ObserverCertificate::new(&scenario, &result);
     let trainings = trainings::summaries(&result.trainings);
     let format = arguments.package_format;
     write_files(folder.stage(), format, &scenario, &result, &baselines, &agents)
+        .and_then(|()| write_methods(folder.stage(), &scenario, &rows))
         .map_err(|error| folder.placed(error))?;
     let (files, others) = folder.publish(&scenario, arguments.common.seed)?;
     let outcome = warnings::outcome(&checks);
@@ -119,6 +126,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 seed: arguments.common.seed,
                 elapsed_s,
                 baselines: baselines.states(),
+                methods: &rows,
                 agents,
                 trainings,
                 link: &result.layers,
@@ -132,6 +140,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             let mut text = packages_in_use(&scenario);
             text += &agent_table::text(&scenario, &agents, &baselines, name_of(&scenario));
             text += &agent_table::traffic(&result, &agents);
+            if !rows.is_empty() {
+                text += &methods::text(&rows);
+            }
             text += &trainings::text(&trainings);
             text += &health::table(&result.agents);
             text += &checks::text(&checks);
@@ -236,7 +247,9 @@ fn packages_in_use(scenario: &Scenario) -> String {
 
 /// Returns the name of the run beside its baselines.
 fn name_of(scenario: &Scenario) -> &'static str {
-    if !scenario.learning.is_empty() {
+    if scenario.method != Method::Observer {
+        scenario.method.name()
+    } else if !scenario.learning.is_empty() {
         "learned"
     } else if has_packages(scenario) {
         "packages"
@@ -247,23 +260,66 @@ fn name_of(scenario: &Scenario) -> &'static str {
     }
 }
 
-/// Runs the scenario and its baselines in parallel.
+/// Returns a row for each method, the run itself first; none unless the run is compared with other methods
+/// than its baselines.
+fn method_rows(
+    scenario: &Scenario,
+    result: &RunResult,
+    baselines: &Baselines,
+    others: Vec<methods::Row>,
+) -> Vec<methods::Row> {
+    if others.is_empty() {
+        return Vec::new();
+    }
+    let mut rows = vec![methods::Row::new(scenario.method, &result.agents)];
+    for (baseline, method) in
+        [(Baseline::NoNetwork, Method::NoNetwork), (Baseline::Untrained, Method::Untrained)]
+    {
+        let agents = baselines.agents(baseline, &result.agents);
+        rows.extend(agents.map(|agents| methods::Row::new(method, agents)));
+    }
+    rows.extend(others);
+    rows
+}
+
+fn write_methods(
+    out: &Path,
+    scenario: &Scenario,
+    rows: &[methods::Row],
+) -> Result<(), CommandError> {
+    if rows.is_empty() {
+        return Ok(());
+    }
+    methods::write_csv(&out.join("methods.csv"), rows)?;
+    if let Some(picture) = methods::picture(scenario, rows) {
+        write_all(out, &[("methods", picture)])?;
+    }
+    Ok(())
+}
+
+/// Runs the scenario, its baselines and other methods in parallel.
 fn simulate(
     scenario: &Scenario,
     seed: u64,
     plan: Plan,
-) -> Result<(RunResult, Baselines), CommandError> {
+    others: &[Method],
+) -> Result<(RunResult, Baselines, Vec<methods::Row>), CommandError> {
     let bars = ProgressBars::new("simulating");
     let done = AtomicU64::new(0);
-    let total = scenario.steps() * (1 + plan.count());
+    let total = scenario.steps() * (1 + plan.count() + others.len() as u64);
     let progress = || SharedProgress::new(&bars, &done, total);
     let options = RunOptions { seed, learning: true, bounds: true };
-    let (result, baselines) = rayon::join(
+    let (result, (baselines, others)) = rayon::join(
         || run(scenario, options, &progress()),
-        || plan.carry_out(scenario, seed, progress),
+        || {
+            rayon::join(
+                || plan.carry_out(scenario, seed, progress),
+                || methods::carry_out(scenario, others, seed, progress),
+            )
+        },
     );
     bars.finish();
-    Ok((result?, baselines))
+    Ok((result?, baselines, others))
 }
 
 fn agent_reports(
@@ -284,6 +340,7 @@ fn agent_reports(
                 change_percent: comparison.change_untrained,
                 explained_variance: trainings::explained(&result.trainings, index + 1),
                 max_error: agent.max_error(),
+                innovation_rms: agent.innovation_rms(),
                 broadcasts: agent.broadcasts(),
                 frames_sent: agent.broadcasts(),
                 broadcasts_evaluated: agent.broadcasts_evaluated,
@@ -332,7 +389,7 @@ fn write_figures(
     let window = output::event_window(scenario);
     let (traces, name) = (&result.traces, scenario.name.as_str());
     let mut figures = Vec::new();
-    if traces.rows() > 0 {
+    if traces.rows() > 0 && scenario.plant.is_known() {
         let title = format!("{name}: estimation errors");
         let errors = Baseline::ALL.map(|baseline| {
             baselines
@@ -349,6 +406,8 @@ fn write_figures(
             error_limit: None,
         };
         figures.push(("errors", error_norms(&figure)));
+    }
+    if traces.rows() > 0 {
         let title = format!("{name}: true state and estimates");
         figures.push((
             "states",

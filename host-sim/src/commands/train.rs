@@ -109,7 +109,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     interruption::listen(SecondSignal::Exit);
     let scenario = load_scenario(&arguments.scenario)?;
     let about = |error: SimulationOnly| CommandError::from(error).about(&arguments.scenario);
-    scenario.trigger.check_for_nodes().map_err(about)?;
+    scenario.check_for_nodes().map_err(about)?;
     let index = agent_index(&scenario, arguments.agent)?;
     let network = network_of(&scenario)?;
     let (recipe, cycle) = recipe(arguments, &scenario, index)?;

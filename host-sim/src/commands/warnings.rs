@@ -69,7 +69,7 @@ pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning>
     let outer = to_train.and_then(|n| outer_weights(&n.outer, scenario.dimension()));
     warnings.extend(outer);
     let trained = |agent: &Agent| agent.package.is_some();
-    if let Err(error) = scenario.trigger.check_for_nodes()
+    if let Err(error) = scenario.check_for_nodes()
         && !scenario.learning.is_empty()
     {
         let text = format!("trained packages are not written: {error}");

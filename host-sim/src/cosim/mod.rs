@@ -303,7 +303,7 @@ pub fn prepared(scenario: &Scenario) -> Result<Scenario, CosimError> {
     if scenario.network.is_none() {
         return Err(CosimError::NoNetwork { scenario: name() });
     }
-    scenario.trigger.check_for_nodes()?;
+    scenario.check_for_nodes()?;
     // The interval of reports does not affect the agent.
     let telemetry_interval = HealthSettings::RECOMMENDED.telemetry_interval;
     let differs = |own: HealthSettings| {

@@ -7,6 +7,7 @@ use agent_core::agent::inbox::Inbox;
 use agent_core::agent::{AgentParams, AgentState, StepError};
 use agent_core::health::{HealthSettings, WatchedStep};
 use agent_core::math::parameter::ParameterError;
+use agent_core::observer::features::Features;
 use agent_core::observer::feedback::Neighbour;
 use agent_core::observer::network::{LAYER_WIDTH_MAX, Scratch};
 use agent_core::observer::trigger::Trigger;
@@ -18,13 +19,15 @@ use agent_core::{StateVector, Tick};
 use super::clock::Clock;
 use super::learning::Observation;
 use super::link::Link;
-use super::networks::{Networks, SharedNetwork};
+use super::networks::Networks;
 use super::run_observer::AgentStep;
 use super::sensor::Sensor;
 use super::statistics::AgentStatistics;
 use super::watch::{Watch, is_recoverable};
+use crate::basis::{Basis, substitute};
 use crate::packages::PackageBytes;
-use crate::scenario;
+use crate::plant::Recorded;
+use crate::scenario::{self, Scenario};
 
 type HeldPlaces<const N: usize> = Vec<Option<Hold<N>>>;
 
@@ -80,11 +83,14 @@ pub(super) struct SimulatedAgent<'s, const N: usize> {
     params: AgentParams<'s, N>,
     state: SimulatedState<N>,
     inbox: SimulatedInbox<N>,
-    network: Option<SharedNetwork>,
+    network: Option<Basis<'s>>,
+    scenario: &'s Scenario,
     /// Epoch and version of the newest package so far, for the check against older ones.
     highest: Option<Serial>,
     /// `C_i` in double precision, `m` rows.
     output_matrix: Vec<[f64; N]>,
+    /// Columns of the recording that it measures, if the plant is one.
+    columns: Vec<usize>,
     /// The sensor model; `None` for an exact sensor.
     sensor: Option<Box<Sensor>>,
     /// The clock; `None` for the engine's.
@@ -117,7 +123,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     /// Creates an agent, which uses feedback and consensus only until a package is loaded.
     pub(super) fn new(
         params: AgentParams<'s, N>,
-        agent: &scenario::Agent,
+        (scenario, agent): (&'s Scenario, &scenario::Agent),
         (sensor, clock): (Option<Sensor>, Option<Clock>),
         reboots: bool,
         outer_weights: &[f32],
@@ -138,8 +144,10 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             state,
             inbox: Inbox::new(places),
             network: None,
+            scenario,
             highest: None,
             output_matrix,
+            columns: agent.measured.clone(),
             sensor: sensor.map(Box::new),
             clock: clock.map(Box::new),
             measurement: [0.0; N],
@@ -197,6 +205,9 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
                 *truth += late * (*truth - before);
             }
         }
+        if let Some(recorded) = self.scenario.plant.recording() {
+            return self.measure_recorded(recorded, around.tick, &truth);
+        }
         let exact = |row: &[f64; N]| row.iter().zip(&truth).fold(0.0, |sum, (c, x)| sum + c * x);
         match &mut self.sensor {
             None => {
@@ -215,6 +226,31 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         }
     }
 
+    /// Writes what the recording has for this step, or outputs of its reference.
+    fn measure_recorded(&mut self, recorded: &Recorded, tick: Tick, truth: &[f64; N]) {
+        let time = &self.scenario.time;
+        let mut outputs = [f64::NAN; N];
+        for (place, (output, row)) in outputs.iter_mut().zip(&self.output_matrix).enumerate() {
+            *output = match self.columns.get(place) {
+                Some(&column) => {
+                    recorded.measured(column, time.at(tick), time.step_size).unwrap_or(f64::NAN)
+                }
+                None => row.iter().zip(truth).fold(0.0, |sum, (c, x)| sum + c * x),
+            };
+        }
+        let outputs = &outputs[..self.output_matrix.len()];
+        let is_recorded = outputs.iter().all(|output| output.is_finite());
+        self.is_measured = match &mut self.sensor {
+            _ if !is_recorded => false,
+            Some(sensor) => sensor.measure(tick, outputs, &mut self.measurement),
+            None => {
+                let values = self.measurement.iter_mut().zip(outputs);
+                values.for_each(|(measured, &output)| *measured = output as f32);
+                true
+            }
+        };
+    }
+
     /// Keeps the frames that have arrived for the next step.
     fn receive(&mut self, around: &Surroundings<'_, N, impl Link>, index: usize) {
         let Self { params, state, inbox, watch, statistics, .. } = self;
@@ -231,8 +267,11 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
 
     #[inline]
     fn step_at(&mut self, tick: Tick, around: &Surroundings<'_, N, impl Link>, index: usize) {
-        let Self { params, state, inbox, watch, network, norms, statistics, .. } = self;
+        let Self { params, state, inbox, watch, network, norms, statistics, scenario, .. } = self;
         let measurement = self.is_measured.then_some(&self.measurement[..self.output_matrix.len()]);
+        if let Some(network) = network {
+            network.set_time(scenario.time.at(tick));
+        }
         let network = network.as_ref();
         let mut bounds = Bounds::default();
         let mut refused = 0;
@@ -405,7 +444,10 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         self.state.switch(neighbours, &self.params, &package, &mut self.inbox)?;
         let after = requirements.serial_after_activation(&package);
         self.highest = self.highest.max(Some(after));
-        self.network = Some(networks.of(bytes));
+        self.network = Some(match substitute(self.scenario, &package) {
+            None => Basis::Network(networks.of(bytes)),
+            Some(basis) => basis,
+        });
         if let Some((first, current)) = &mut self.packages {
             first.get_or_insert_with(|| bytes.clone());
             *current = Some(bytes.clone());
@@ -440,7 +482,7 @@ struct Bounds {
 impl Bounds {
     fn of<const N: usize>(
         params: &AgentParams<'_, N>,
-        network: Option<&SharedNetwork>,
+        network: Option<&Basis<'_>>,
         state: &SimulatedState<N>,
         sample: &Sample<N>,
         norms: &mut Option<(GainNorms, Box<Scratch>)>,

@@ -20,7 +20,7 @@ use crate::learning::agent_config;
 use crate::learning::trained::{INITIAL_VERSION, TrainedError, TrainingTask};
 use crate::packages::recording::Observed;
 use crate::packages::{Draft, PackageBytes, Recording, Timing};
-use crate::scenario::{LearningCycle, Scenario};
+use crate::scenario::{LearningCycle, Method, Scenario};
 use crate::training::{DataError, Dataset, EpochReport};
 use crate::warning::Warning;
 
@@ -241,6 +241,21 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
     };
     let Serial { epoch, version } = serial(scenario, serial_plan, agent, cycle);
     let task = TrainingTask { scenario, network, recipe, agent, cycle, seed, epoch, version };
+    if scenario.method == Method::Regression {
+        let fitted = task.fit_polynomials(recording).map_err(failed)?;
+        for job in group {
+            let mut draft = Draft::copy(&fitted.package());
+            draft.node = agent_config(scenario, &TriggerConstants::new(scenario), job.agent);
+            let mut package = draft.seal().map_err(|error| failed(error.into()))?;
+            if let Some(plan) = plan {
+                package =
+                    plan.equip(&package, job.agent, &harmonics).map_err(RunError::Observer)?;
+            }
+            job.trained = true;
+            job.package = Some(package);
+        }
+        return Ok(Vec::new());
+    }
     let mut report_epoch = |epoch: &EpochReport| {
         progress.epoch(agent + 1, cycle + 1, epoch);
         ControlFlow::Continue(())

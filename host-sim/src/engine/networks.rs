@@ -3,14 +3,10 @@
 //! Agents that start with the scenario's network have equal parameters in packages of their own. A single
 //! copy of them stays in the processor's cache, whereas thousands do not.
 
-use std::sync::Arc;
-
 use agent_core::observer::network::InnerNetwork;
 
+use crate::basis::SharedNetwork;
 use crate::packages::PackageBytes;
-
-/// A network whose parameters may be those of other agents, too.
-pub(super) type SharedNetwork = InnerNetwork<Arc<[f32]>>;
 
 /// The newest networks in use.
 #[derive(Debug, Default)]

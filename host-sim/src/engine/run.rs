@@ -11,11 +11,14 @@ use super::agents::{GainNorms, ParamBuffers, SimulatedAgent, Surroundings};
 use super::bounds::BoundsMeter;
 use super::clock::Clock;
 use super::failure::plant_error;
+use super::kalman;
 use super::learning::Learning;
 use super::link::{Link, ScenarioLink};
+use super::method;
 use super::networks::Networks;
 use super::run_observer::{AgentStart, RunObserver, Switch};
 use super::sensor::Sensor;
+use super::simulated_plant::SimulatedPlant;
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
 use crate::analysis::{StepCheck, TriggerConstants, spectral_norm};
@@ -23,8 +26,6 @@ use crate::files::fnv::Fnv;
 use crate::flow::Plan;
 use crate::learning::{agent_config, trained};
 use crate::packages::{OwnedAgentConfig, PackageBytes, with_dimension};
-use crate::plant::Stepper;
-use crate::random::{Purpose, Random};
 use crate::scenario::{Downtime, Network, Scenario};
 use crate::training::{Dataset, TrainingError};
 
@@ -88,6 +89,11 @@ fn run_any(
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
     let n = scenario.dimension();
+    let prepared = method::prepared(scenario, options, progress)?;
+    let scenario = prepared.as_ref();
+    if scenario.method.is_kalman() {
+        return kalman::run(scenario, link, options, progress);
+    }
     with_dimension!(
         n,
         run_fixed(scenario, link, run_observer, options, progress),
@@ -141,11 +147,11 @@ fn run_fixed<const N: usize>(
         truth: initial_state(scenario),
         before: initial_state(scenario),
         evaluation: scenario.evaluation.ticks(&scenario.time),
-        process_noise: Random::new(options.seed, Purpose::ProcessNoise),
         down: vec![false; scenario.agents.len()],
         missed: Vec::new(),
-        traces: empty_traces(scenario),
-        bounds: options.bounds.then(|| BoundsMeter::new(scenario)),
+        traces: Traces::of(scenario),
+        bounds: (options.bounds && scenario.plant.recording().is_none())
+            .then(|| BoundsMeter::new(scenario)),
         digest: Fnv::default(),
     };
     simulation.update_life(0)?;
@@ -160,7 +166,7 @@ fn initial_state<const N: usize>(scenario: &Scenario) -> [f64; N] {
 
 /// Creates agent `index`, which starts with the outer weights of `package`.
 fn build_agent<'s, const N: usize>(
-    scenario: &Scenario,
+    scenario: &'s Scenario,
     index: usize,
     content: &OwnedAgentConfig,
     package: Option<&PackageBytes>,
@@ -186,9 +192,13 @@ fn build_agent<'s, const N: usize>(
     match package {
         Some(package) => {
             let (outer_weights, health) = (package.package().outer_weights, scenario.health);
-            SimulatedAgent::new(params, agent, models, reboots, outer_weights, norms, health)
+            let description = (scenario, agent);
+            SimulatedAgent::new(params, description, models, reboots, outer_weights, norms, health)
         }
-        None => SimulatedAgent::new(params, agent, models, reboots, &[0.0; N], norms, None),
+        None => {
+            let description = (scenario, agent);
+            SimulatedAgent::new(params, description, models, reboots, &[0.0; N], norms, None)
+        }
     }
 }
 
@@ -284,15 +294,6 @@ fn initial_parameters(
     Ok(parameters.iter().map(|&parameter| parameter as f32).collect())
 }
 
-fn empty_traces(scenario: &Scenario) -> Traces {
-    let (dimension, agents) = (scenario.dimension(), scenario.agents.len());
-    let rows = scenario
-        .record
-        .trace_stride
-        .map_or(0, |stride| scenario.steps() / u64::from(stride.get()) + 1);
-    Traces::with_capacity(dimension, agents, usize::try_from(rows).unwrap_or(0))
-}
-
 struct Simulation<'s, 'c, const N: usize, L> {
     scenario: &'s Scenario,
     plan: Option<Arc<Plan<'s>>>,
@@ -309,7 +310,6 @@ struct Simulation<'s, 'c, const N: usize, L> {
     before: [f64; N],
     /// Ticks of the evaluation window.
     evaluation: std::ops::Range<Tick>,
-    process_noise: Random,
     /// Whether each agent is down.
     down: Vec<bool>,
     /// What agents missed of the learning cycles.
@@ -357,14 +357,14 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
     }
 
     fn all_steps(&mut self, progress: &dyn Progress) -> Result<Vec<TrainingRecord>, RunError> {
-        let (scenario, time) = (self.scenario, self.scenario.time);
+        let scenario = self.scenario;
         let steps = scenario.steps();
         let plan = self.plan.clone();
         let mut learning = self
             .options
             .learning
             .then(|| Learning::new(scenario, plan.as_deref(), self.options.seed));
-        let mut plant = Stepper::new(time.integrator);
+        let mut plant = SimulatedPlant::new(scenario, self.options.seed);
         let mut trainings = Vec::new();
         self.send_broadcasts(0);
         for tick in 0..steps {
@@ -381,6 +381,9 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
             }
             self.note(tick, self.evaluation.contains(&tick));
             self.step_agents(tick)?;
+            if scenario.plant.recording().is_some() && self.evaluation.contains(&tick) {
+                self.note_innovations();
+            }
             if let Some(learning) = &mut learning {
                 let agents = &self.agents;
                 learning.collect(
@@ -397,17 +400,11 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
             self.update_life(tick + 1)?;
             self.send_broadcasts(tick + 1);
             self.before = self.truth;
-            plant.step(
-                &scenario.plant,
-                &scenario.disturbance,
-                time.at(tick),
-                time.step_size,
-                &mut self.truth,
-            );
-            self.disturb_plant(tick);
+            plant.advance(tick, &mut self.truth);
             // Agents measure in single precision.
-            if !self.truth.iter().all(|&x| (x as f32).is_finite()) {
-                return Err(plant_error(scenario, &mut plant, tick, &self.before));
+            let is_known = scenario.plant.is_known();
+            if is_known && !self.truth.iter().all(|&x| (x as f32).is_finite()) {
+                return Err(plant_error(scenario, plant.stepper(), tick, &self.before));
             }
             if tick.is_multiple_of(PROGRESS_STRIDE) {
                 progress.step(tick, steps);
@@ -466,19 +463,6 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
         });
     }
 
-    /// Adds the noise that drove the plant in the step at `tick`.
-    #[inline]
-    fn disturb_plant(&mut self, tick: Tick) {
-        if self.scenario.process_noise.is_empty() {
-            return;
-        }
-        let root = self.scenario.time.step_size.sqrt();
-        let intensities = self.truth.iter_mut().zip(&self.scenario.process_noise).enumerate();
-        for (component, (x, intensity)) in intensities.filter(|(_, (_, noise))| **noise > 0.0) {
-            *x += intensity * root * self.process_noise.normal([0, component as u64, tick]);
-        }
-    }
-
     /// Takes agents down and boots them again at `tick`, before its broadcasts.
     fn update_life(&mut self, tick: Tick) -> Result<(), RunError> {
         let scenario = self.scenario;
@@ -508,12 +492,13 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
     #[inline]
     fn note(&mut self, tick: Tick, evaluated: bool) {
         let truth = &self.truth;
+        let is_known = self.scenario.plant.is_known();
         if evaluated || self.bounds.is_some() {
             let mut stacked = 0.0;
             for (index, agent) in self.agents.iter_mut().enumerate() {
                 let squared = squared_error(agent.estimate(), truth);
                 stacked += squared;
-                if evaluated && !self.down[index] {
+                if evaluated && is_known && !self.down[index] {
                     agent.statistics.error(squared);
                 }
             }
@@ -529,6 +514,14 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
         {
             let estimates = self.agents.iter().map(SimulatedAgent::estimate);
             self.traces.push(self.scenario.time.at(tick), &self.truth, estimates);
+        }
+    }
+
+    /// Records the innovations of the last step.
+    fn note_innovations(&mut self) {
+        for agent in &mut self.agents {
+            let step = agent.observation();
+            agent.statistics.innovation(step.squares, step.outputs);
         }
     }
 

@@ -13,6 +13,8 @@ pub struct AgentStatistics {
     sum_squared: f64,
     samples: u64,
     max_squared: f64,
+    innovation_squared: f64,
+    innovations: u64,
     first_broadcast: Tick,
     last_broadcast: Tick,
     broadcasts: u64,
@@ -44,6 +46,19 @@ impl AgentStatistics {
         self.sum_squared += squared;
         self.samples += 1;
         self.max_squared = self.max_squared.max(squared);
+    }
+
+    /// Records the sum of the squares of this many innovations in the evaluation window.
+    pub fn innovation(&mut self, squared: f64, count: u64) {
+        self.innovation_squared += squared;
+        self.innovations += count;
+    }
+
+    /// Returns the root mean square of the innovation over the evaluation window; `None` if it was not
+    /// recorded, as in runs of a simulated plant. \[output unit\]
+    #[must_use]
+    pub fn innovation_rms(&self) -> Option<f64> {
+        (self.innovations > 0).then(|| (self.innovation_squared / self.innovations as f64).sqrt())
     }
 
     /// Records a broadcast of this many bytes at `tick`, in the evaluation window or not.

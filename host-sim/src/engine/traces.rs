@@ -1,5 +1,7 @@
 //! Recorded traces of plant and agents.
 
+use crate::scenario::Scenario;
+
 /// True state and every agent's estimate, one row every `trace_stride` steps.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Traces {
@@ -11,6 +13,16 @@ pub struct Traces {
 }
 
 impl Traces {
+    /// Creates empty traces with room for what `scenario` records.
+    pub(super) fn of(scenario: &Scenario) -> Self {
+        let (dimension, agents) = (scenario.dimension(), scenario.agents.len());
+        let rows = scenario
+            .record
+            .trace_stride
+            .map_or(0, |stride| scenario.steps() / u64::from(stride.get()) + 1);
+        Self::with_capacity(dimension, agents, usize::try_from(rows).unwrap_or(0))
+    }
+
     /// Creates empty traces with room for `rows`.
     #[must_use]
     pub fn with_capacity(dimension: usize, agents: usize, rows: usize) -> Self {

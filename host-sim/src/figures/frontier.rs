@@ -27,6 +27,8 @@ pub struct FrontierFigure<'a> {
     pub target: (f64, f64),
     /// What the target is.
     pub target_label: &'a str,
+    /// Whether marks tell what is certified.
+    pub has_certificates: bool,
     /// What the ringed point is.
     pub own_label: &'a str,
 }
@@ -230,15 +232,20 @@ fn legend(figure: &FrontierFigure<'_>) -> Vec<Entry> {
             entry(form.name, Sample::Line(Stroke::solid(palette::agent(index), LINE)))
         })
         .collect();
-    entries.push(entry("certified", Sample::Mark { is_filled: true, is_ringed: false }));
-    entries.push(entry("simulation only", Sample::Mark { is_filled: false, is_ringed: false }));
+    if figure.has_certificates {
+        entries.push(entry("certified", Sample::Mark { is_filled: true, is_ringed: false }));
+        entries.push(entry("simulation only", Sample::Mark { is_filled: false, is_ringed: false }));
+    }
     let has_own = figure.forms.iter().any(|form| form.points.iter().any(|point| point.is_own));
     if has_own {
         let ringed = Sample::Mark { is_filled: true, is_ringed: true };
         entries.push(entry(figure.own_label, ringed));
     }
     entries.push(entry(figure.target_label, Sample::Line(TARGET)));
-    entries.push(entry("bars: all runs", Sample::None));
+    let is_spread = |point: &FrontierPoint| point.error[0] < point.error[2];
+    if figure.forms.iter().any(|form| form.points.iter().any(is_spread)) {
+        entries.push(entry("bars: all runs", Sample::None));
+    }
     entries
 }
 
@@ -266,6 +273,7 @@ mod tests {
             forms,
             target: (0.06, 0.09),
             target_label: "target",
+            has_certificates: true,
             own_label: "as set",
         };
         frontier(&figure).svg().to_owned()

@@ -17,10 +17,11 @@ use super::{
     settings,
 };
 use crate::analysis::{adjacency_norm, laplacian_norm};
+use crate::basis::substitute;
 use crate::learning::harmonic::Harmonic;
 use crate::packages::{Draft, DraftError, PackageBytes, Recording, with_dimension};
 use crate::plant::Stepper;
-use crate::scenario::{DisturbanceModel, ObserverSettings, Scenario};
+use crate::scenario::{DisturbanceModel, Method, ObserverSettings, Scenario};
 
 /// Standard deviations around the mean to which the network's inputs are limited.
 const LIMIT: f64 = 5.0;
@@ -60,6 +61,11 @@ pub enum PlanError {
         /// The agent, from 1.
         agent: usize,
     },
+    /// The plant is a recording without the state.
+    #[error(
+        "the recording has no reference for the state, from which settings could be derived; add plant.reference"
+    )]
+    NoReference,
     /// The plant has no finite course.
     #[error(
         "the plant without agents is not finite at t = {time}, so [observer] cannot derive settings \
@@ -182,7 +188,8 @@ impl<'s> Plan<'s> {
         harmonics: &[Option<Harmonic>],
     ) -> Result<PackageBytes, PlanError> {
         let mut draft = Draft::copy(&package.package());
-        let uses_network = self.observer.network && draft.samples > 0;
+        let knows = draft.samples > 0 || self.scenario.method == Method::KnownModel;
+        let uses_network = self.observer.network && knows;
         draft.node.field = self.words(package, index, uses_network, harmonics)?;
         if let Some(exchange) = self.observer.exchange {
             draft.node.exchange = exchange;
@@ -444,8 +451,11 @@ impl<'s> Plan<'s> {
     fn model(&self, package: &PackageBytes, x: &[f64], f: &mut [f64]) {
         let limits = x.iter().zip(self.low.iter().zip(&self.high));
         let x: Vec<f32> = limits.map(|(&x, (&low, &high))| (x as f32).clamp(low, high)).collect();
-        let output = with_dimension!(x.len(), output(package, &x), else Vec::new());
         f.fill(0.0);
+        if let Some(basis) = substitute(self.scenario, &package.package()) {
+            return basis.combine(package.package().outer_weights, &x, f);
+        }
+        let output = with_dimension!(x.len(), output(package, &x), else Vec::new());
         for (f, output) in f.iter_mut().zip(output) {
             *f = f64::from(output);
         }
@@ -484,6 +494,9 @@ fn output<const N: usize>(package: &PackageBytes, x: &[f32]) -> Vec<f32> {
 /// If it is not finite.
 pub fn plant_course(scenario: &Scenario) -> Result<Trajectory, PlanError> {
     let (n, time) = (scenario.dimension(), scenario.time);
+    if !scenario.plant.is_known() {
+        return Err(PlanError::NoReference);
+    }
     let mut states = scenario.initial_state.clone();
     with_dimension!(n, plant_states(scenario, &mut states), else Ok(()))?;
     Ok(Trajectory { dimension: n, step: time.step_size, states })

@@ -11,6 +11,7 @@ use super::judgement::{Samples, judgement};
 use super::promise::trial_limits;
 use super::quality::{Fit, LAST_SHARE, Quality, estimates, explained, mean_squared_error};
 use crate::analysis::TriggerConstants;
+use crate::basis::Polynomial;
 use crate::packages::{Draft, DraftError, PackageBytes, Recording};
 use crate::scenario::{Network, Recipe, Scenario, SwitchIn};
 use crate::training::data::divide_at_random;
@@ -99,6 +100,9 @@ pub enum TrainedError {
         /// The largest magnitude in the samples.
         largest: f64,
     },
+    /// Polynomials cannot be fitted.
+    #[error("the samples do not determine the polynomials; record more, or more varied ones")]
+    LeastSquares,
     /// The error of the trained network is not finite.
     #[error(
         "the mean squared error of the trained network is {error}, so it is unusable; the largest value \
@@ -160,6 +164,28 @@ impl<'s> TrainingTask<'s> {
         }
         .warnings();
         Ok(Prepared { task: self, recording, cleaned, outer_weights, scaling, warnings })
+    }
+
+    /// Fits polynomials to the samples by least squares instead of training the network, and returns a
+    /// package with the scenario's placeholder for them.
+    ///
+    /// # Errors
+    /// If the samples cannot be cleaned, or the least squares have no solution.
+    pub fn fit_polynomials(&self, recording: &Recording) -> Result<PackageBytes, TrainedError> {
+        let cleaned = self.prepare(recording)?.cleaned;
+        let (low, high) = limits(&recording.samples);
+        let fitted = Polynomial::new(&low, &high).fit(&cleaned.data);
+        let outer_weights = fitted.ok_or(TrainedError::LeastSquares)?;
+        let trigger = TriggerConstants::new(self.scenario);
+        let inner = vec![0.0; self.network.architecture.parameter_count()];
+        let initial =
+            initial(self.scenario, &trigger, self.network, &inner, self.agent, self.seed)?;
+        let mut draft = Draft::copy(&initial.package());
+        (draft.epoch, draft.version) = (self.epoch, self.version);
+        (draft.on_switch, draft.outer_weights) = (OnSwitch::Replace, outer_weights);
+        (draft.low, draft.high) = (low, high);
+        draft.samples = u32::try_from(cleaned.data.len()).unwrap_or(u32::MAX);
+        Ok(draft.seal()?)
     }
 
     /// Prepares the samples and trains.

@@ -13,10 +13,14 @@
 mod disturbance;
 pub mod expression;
 mod integrator;
+mod recorded;
 
 pub use disturbance::{Disturbance, Harmonic, Wave};
 pub use expression::{ExpressionFault, ExpressionSystem};
 pub use integrator::{Integrator, Stepper};
+pub use recorded::{Between, Recorded};
+
+use std::sync::Arc;
 
 use nalgebra::DMatrix;
 
@@ -66,6 +70,8 @@ pub enum Plant {
     Linear(DMatrix<f64>),
     /// User-defined expressions.
     Expressions(ExpressionSystem),
+    /// A recorded experiment, whose `f` and `d` are not known.
+    Recording(Arc<Recorded>),
 }
 
 impl Plant {
@@ -77,6 +83,7 @@ impl Plant {
             Self::Duffing { .. } | Self::DampedPendulum { .. } => 2,
             Self::Linear(matrix) => matrix.nrows(),
             Self::Expressions(system) => system.dimension(),
+            Self::Recording(recorded) => recorded.states.len(),
         }
     }
 
@@ -90,11 +97,27 @@ impl Plant {
             Self::DampedPendulum { .. } => fixed(&["angle", "rate"]),
             Self::Linear(matrix) => (1..=matrix.nrows()).map(|i| format!("x{i}")).collect(),
             Self::Expressions(system) => system.state_names().to_vec(),
+            Self::Recording(recorded) => recorded.states.clone(),
         }
     }
 
+    /// Returns the recording in place of equations, if the plant is one.
+    #[must_use]
+    pub fn recording(&self) -> Option<&Recorded> {
+        match self {
+            Self::Recording(recorded) => Some(recorded),
+            _ => None,
+        }
+    }
+
+    /// Whether the true state is known.
+    #[must_use]
+    pub fn is_known(&self) -> bool {
+        self.recording().is_none_or(Recorded::has_reference)
+    }
+
     /// Writes `f` at `time` \[s\] and state `x`, shape `[n]`, to `dx`, shape `[n]`. Only
-    /// expressions may depend on time; `dx` is not finite where one is undefined.
+    /// expressions may depend on time; a recording has the slope of its reference; `dx` is not finite where one is undefined.
     ///
     /// # Panics
     /// If `x` or `dx` is shorter than the dimension.
@@ -129,6 +152,7 @@ impl Plant {
                 }
             }
             Self::Expressions(system) => system.evaluate(time, x, dx),
+            Self::Recording(recorded) => recorded.slope_at(time, dx),
         }
     }
 }

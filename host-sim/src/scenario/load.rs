@@ -8,12 +8,13 @@ use toml::de::DeTable;
 use super::error::{ScenarioError, closest};
 use super::reader::{Source, Table};
 use super::sections::{
-    agents, clock, disturbance, exchange, gains, health, learning, life, link, network, observer,
-    plant, run, sensor, trigger,
+    agents, clock, disturbance, exchange, gains, health, learning, life, link, method, network,
+    observer, plant, run, sensor, trigger,
 };
 use super::{BUILT_IN, Scenario, TriggerModel};
 use crate::files::fnv::Fnv;
 use crate::files::input::{is_too_large, read_limited};
+use crate::plant::Recorded;
 
 /// Size limit of a scenario file, with room for thousands of agents with their own matrices.
 /// \[bytes\]
@@ -75,7 +76,11 @@ impl Scenario {
             source.error(line.or(Some(1)), None, problem, hint)
         })?;
         let scenario = read(&Table::root(&source, document.get_ref()))?;
-        Ok(Scenario { hash: text_hash(text), ..scenario })
+        let hash = match scenario.plant.recording() {
+            None => text_hash(text),
+            Some(recorded) => text_hash(text) ^ numbers_hash(recorded),
+        };
+        Ok(Scenario { hash, ..scenario })
     }
 }
 
@@ -88,9 +93,19 @@ fn text_hash(text: &str) -> u64 {
     hash.finish()
 }
 
+fn numbers_hash(recorded: &Recorded) -> u64 {
+    let mut hash = Fnv::default();
+    for number in recorded.time.iter().chain(recorded.columns.iter().flatten()) {
+        hash.add(&number.to_le_bytes());
+    }
+    hash.finish()
+}
+
 fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     root.only(&[
         "name",
+        "method",
+        "kalman",
         "plant",
         "disturbance",
         "time",
@@ -116,14 +131,20 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let time = run::time(root)?;
     let (plant, initial_state, process_noise) = plant::plant(root)?;
     let n = plant.dimension();
+    if let Some(recorded) = plant.recording() {
+        run::check_recorded(root, &time, recorded.duration())?;
+    }
     let disturbance = disturbance::disturbance(root, &plant)?;
     let design = gains::design(root, n)?;
     let network = network::network(root, n)?;
-    let agents = agents::agents(root, n, sensor::sensor(root)?, clock::clock(root, &time)?, &time)?;
+    let (sensor, clock) = (sensor::sensor(root)?, clock::clock(root, &time)?);
+    let agents = agents::agents(root, n, sensor, clock, &time, &plant)?;
     let graph = agents::graph(root, agents.len())?;
     let link = link::link(root, &time, &graph)?;
     let life = life::life(root, &time, agents.len())?;
     let trigger = trigger::trigger(root)?;
+    let method = method::method(root, network.is_some(), &plant)?;
+    let kalman = method::kalman(root)?;
     let exchange = exchange::exchange(root, &time)?;
     let (mut observer, is_robust) = observer::observer(root, &time, n, network.is_some())?;
     if let Some(observer) = observer.as_mut().filter(|_| is_robust)
@@ -162,6 +183,8 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         link,
         life,
         trigger,
+        method,
+        kalman,
         exchange,
         observer,
         agents,

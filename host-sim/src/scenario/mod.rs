@@ -16,9 +16,10 @@ pub use error::ScenarioError;
 pub use sections::clock::ClockSettings;
 pub use sections::life::Downtime;
 pub use sections::link::{Burst, EdgeRule, EdgeSettings, LinkSettings, MediumSettings, Partition};
+pub use sections::method::{KalmanSettings, Method};
 pub use sections::observer::{DisturbanceModel, ObserverSettings};
 pub use sections::sensor::{Outliers, SensorSettings};
-pub use sections::trigger::{SimulationOnly, TriggerModel};
+pub use sections::trigger::TriggerModel;
 
 use std::num::NonZeroU32;
 
@@ -62,6 +63,10 @@ pub struct Scenario {
     pub life: Vec<Downtime>,
     /// When agents broadcast.
     pub trigger: TriggerModel,
+    /// How agents estimate: the observer, or a baseline.
+    pub method: Method,
+    /// Settings of the Kalman filters.
+    pub kalman: KalmanSettings,
     /// When agents broadcast beside their events, and how they treat late and old samples.
     pub exchange: ExchangeParams,
     /// The field observer; `None` for the paper's.
@@ -111,14 +116,27 @@ impl Scenario {
                 self.exchange != ExchangeParams::PAPER,
                 "agents broadcast and use samples otherwise than in the paper ([exchange])",
             ),
+            (self.plant.recording().is_some(), "the plant is a recording (plant.model)"),
             (!self.process_noise.is_empty(), "noise drives the plant (plant.noise)"),
             (self.agents.iter().any(|a| a.clock != clock), "clocks differ ([clock])"),
             (!self.life.is_empty(), "agents are down at times ([[life]])"),
             (self.observer.is_some(), "agents run the field observer ([observer])"),
+            (self.method != Method::Observer, "agents run another method (method)"),
         ]
         .into_iter()
         .filter_map(|(departs, clause)| departs.then_some(clause))
         .collect()
+    }
+
+    /// Checks that nodes can run what the scenario describes.
+    ///
+    /// # Errors
+    /// If it is for simulation only.
+    pub fn check_for_nodes(&self) -> Result<(), SimulationOnly> {
+        if self.method != Method::Observer {
+            return Err(SimulationOnly::Method { method: self.method.name() });
+        }
+        self.trigger.departure().map_or(Ok(()), |model| Err(SimulationOnly::Trigger { model }))
     }
 
     /// Returns whether every broadcast reaches all neighbours at once and unharmed.
@@ -132,6 +150,29 @@ impl Scenario {
     pub fn recipe(&self, name: &str) -> Option<&Recipe> {
         self.recipes.iter().find(|recipe| recipe.name == name)
     }
+}
+
+/// Why nodes cannot run a scenario.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SimulationOnly {
+    /// Weight packages cannot carry the trigger.
+    #[error(
+        "trigger.kind: broadcasting {model} is for simulation only, because weight packages carry the \
+         event trigger; remove [trigger], or write kind = \"event\""
+    )]
+    Trigger {
+        /// When agents broadcast.
+        model: String,
+    },
+    /// Nodes run the observer only.
+    #[error(
+        "method = {method:?} is for simulation only, because nodes run the observer; remove it, or write \
+         method = \"observer\""
+    )]
+    Method {
+        /// The method.
+        method: &'static str,
+    },
 }
 
 /// Duration and step.
@@ -220,6 +261,8 @@ pub struct Network {
 pub struct Agent {
     /// `C_i`, shape `[m, n]`.
     pub output_matrix: DMatrix<f64>,
+    /// Columns of the plant's recording that the agent measures, one for each output; empty for `C_i x_0`.
+    pub measured: Vec<usize>,
     /// `x_hat_i(0)`, shape `[n]`.
     pub initial_estimate: Vec<f64>,
     /// The weight package to start with, instead of the scenario's own network.

@@ -69,6 +69,11 @@ impl<'a> Table<'a> {
         self.source.error(Some(self.source.line(self.offset)), key, problem, hint)
     }
 
+    /// Returns the name of the file, as the user gave it.
+    pub(super) fn file(&self) -> &'a str {
+        self.source.file
+    }
+
     /// Rejects every key that is not in `known`.
     pub(super) fn only(&self, known: &[&str]) -> Result<(), ScenarioError> {
         let unknown = |key: &&Spanned<_>| !known.contains(&name(key));

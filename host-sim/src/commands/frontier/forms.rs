@@ -10,6 +10,7 @@
 //! | `flow-harmonic` | trees, a slowly changing and an oscillating disturbance |
 //! | `periodic` | `flow-eso` with broadcasts at fixed times instead of events, as often |
 //! | `no-network` | trees and a disturbance model alone |
+//! | `known-f` | `flow-eso` with the plant's own model in place of the network |
 //!
 //! For the paper's plant without `[observer]` the settings are those that a study of it found, in the
 //! unit of the state. Otherwise they are derived for several wanted errors, as a fraction of the
@@ -21,7 +22,7 @@ use serde::{Serialize, Serializer};
 
 use crate::analysis::TriggerConstants;
 use crate::flow::{PlanError, plant_course};
-use crate::scenario::{DisturbanceModel, ObserverSettings, PAPER, Scenario, TriggerModel};
+use crate::scenario::{DisturbanceModel, Method, ObserverSettings, PAPER, Scenario, TriggerModel};
 
 /// A form of the observer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
@@ -42,7 +43,7 @@ pub(super) enum Form {
     Periodic,
     /// Along trees, with a disturbance model instead of the network
     NoNetwork,
-    /// With the plant's own model; not available
+    /// As `flow-eso`, with the plant's own model in place of the network
     KnownF,
 }
 
@@ -160,11 +161,12 @@ impl<'s> Forms<'s> {
     pub(super) fn variants(&self, form: Form) -> Vec<Variant> {
         match form {
             Form::Paper => EPSILONS.into_iter().map(|factor| self.paper(factor)).collect(),
-            Form::Periodic | Form::KnownF => Vec::new(),
+            Form::Periodic => Vec::new(),
             Form::PaperModel => self.held(form, &[0.03, 0.045, 0.05, 0.055]),
             Form::Split => self.held(form, &[0.03, 0.045, 0.06, 0.07]),
             Form::Flow => self.trees(form, &[0.02, 0.035, 0.05, 0.065, 0.08, 0.095]),
             Form::FlowEso => self.trees(form, &[0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12]),
+            Form::KnownF => self.trees(form, &[0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12]),
             Form::FlowHarmonic => self.trees(form, &[0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12]),
             Form::NoNetwork => self.trees(form, &[0.02, 0.04, 0.06, 0.08, 0.1]),
         }
@@ -298,6 +300,9 @@ impl<'s> Forms<'s> {
             cycle.is_shared = true;
         }
         scenario.observer = Some(observer);
+        if form == Form::KnownF {
+            scenario.method = Method::KnownModel;
+        }
         Variant { form, level, is_own: false, scenario }
     }
 }

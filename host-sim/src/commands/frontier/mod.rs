@@ -146,11 +146,6 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
 /// Returns the forms to compare: those asked for, and those that they are compared with.
 fn wanted(arguments: &Arguments, scenario: &Scenario) -> Result<Vec<Form>, CommandError> {
     let mut forms = arguments.forms.clone();
-    if forms.contains(&Form::KnownF) {
-        let problem = "--forms known-f: not available, because agents evaluate the network of their package \
-                       and nothing else; leave it out";
-        return Err(CommandError::usage(problem));
-    }
     if forms.is_empty() {
         forms = Form::DEFAULT.to_vec();
     }
@@ -296,6 +291,7 @@ fn write_files(
         forms,
         target: (extreme(f64::INFINITY, f64::min), extreme(0.0, f64::max)),
         target_label,
+        has_certificates: true,
         own_label: "paper's observer as set",
     };
     write_all(folder, &[("frontier", frontier(&figure))])?;

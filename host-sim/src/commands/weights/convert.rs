@@ -264,7 +264,7 @@ fn draft(arguments: &Import) -> Result<Draft, CommandError> {
 fn of_scenario(path: &Path, agent: usize) -> Result<Draft, CommandError> {
     let scenario = load_scenario(path)?;
     let about = |error: SimulationOnly| CommandError::from(error).about(path);
-    scenario.trigger.check_for_nodes().map_err(about)?;
+    scenario.check_for_nodes().map_err(about)?;
     let index = agent_index(&scenario, agent)?;
     let network = network_of(&scenario)?;
     let n = scenario.dimension();

@@ -3,8 +3,10 @@
 use std::collections::BTreeSet;
 
 use super::clock::{self, ClockSettings};
+use super::recording::columns;
 use super::sensor::{self, SensorSettings};
 use crate::graph::{Edge, Graph, GraphError};
+use crate::plant::Plant;
 use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::{STATE, Table, Value, counted, has};
 use crate::scenario::{Agent, Time};
@@ -24,6 +26,7 @@ pub(in crate::scenario) fn agents(
     sensor: SensorSettings,
     clock: ClockSettings,
     time: &Time,
+    plant: &Plant,
 ) -> Result<Vec<Agent>, ScenarioError> {
     let tables = root.get_tables("agents")?;
     if tables.is_empty() {
@@ -31,7 +34,14 @@ pub(in crate::scenario) fn agents(
     }
     let mut agents = Vec::new();
     for table in &tables {
-        table.only(&["output_matrix", "initial_estimate", "count", "sensor", "clock"])?;
+        table.only(&[
+            "output_matrix",
+            "initial_estimate",
+            "count",
+            "sensor",
+            "clock",
+            "measured",
+        ])?;
         let output_value = table.require("output_matrix", "[[1.0, 0.0]]")?;
         let output_matrix = output_value.matrix(n, STATE)?;
         if output_matrix.nrows() > n {
@@ -57,10 +67,29 @@ pub(in crate::scenario) fn agents(
             Some(own) => clock::settings(&own, clock, time)?,
             None => clock,
         };
-        let agent = Agent { output_matrix, initial_estimate, package: None, sensor, clock };
+        let measured = measured(table, plant, output_matrix.nrows())?;
+        let agent =
+            Agent { output_matrix, measured, initial_estimate, package: None, sensor, clock };
         agents.resize(total, agent);
     }
     Ok(agents)
+}
+
+/// Reads the columns of a recording that an agent with this many outputs measures; none for the plant's own
+/// outputs.
+fn measured(table: &Table<'_>, plant: &Plant, outputs: usize) -> Result<Vec<usize>, ScenarioError> {
+    match (table.get("measured", "[\"y1\"]"), plant.recording()) {
+        (Some(value), Some(recorded)) => columns(recorded, &value, outputs, "row of output_matrix"),
+        (Some(value), None) => Err(value.error(
+            "only a recording has columns",
+            "remove it, or set plant.model = \"recording\"",
+        )),
+        (None, Some(recorded)) if !recorded.has_reference() => Err(table.error(
+            "there is nothing to measure: the recording has no reference for the state",
+            "name the columns with what this agent measured, such as measured = [\"y1\"]",
+        )),
+        (None, _) => Ok(Vec::new()),
+    }
 }
 
 /// `agents` is the number of agents.

@@ -17,6 +17,10 @@ pub(in crate::scenario) fn disturbance(
     plant: &Plant,
 ) -> Result<Disturbance, ScenarioError> {
     let Some(table) = root.get_table("disturbance")? else { return Ok(Disturbance::None) };
+    if plant.recording().is_some() {
+        let hint = "remove [disturbance]: what disturbed the experiment is in its recording";
+        return Err(table.error("has no effect on a recording", hint));
+    }
     let read: Read = table.require("model", "\"none\"")?.choice(&MODELS)?;
     read(&table, plant)
 }

@@ -1,5 +1,8 @@
 //! `[plant]`.
 
+use std::sync::Arc;
+
+use super::recording::recording;
 use crate::plant::expression::{ExpressionError, hint, name_problem};
 use crate::plant::{DIMENSION_MAX, ExpressionSystem, Plant};
 use crate::scenario::error::ScenarioError;
@@ -15,6 +18,7 @@ enum Model {
     DampedPendulum,
     Linear,
     Expressions,
+    Recording,
 }
 
 /// Reads the plant, its initial state, shape `[n]`, and the intensity of its noise, shape `[n]`, or
@@ -30,7 +34,14 @@ pub(in crate::scenario) fn plant(
         ("damped-pendulum", Model::DampedPendulum),
         ("linear", Model::Linear),
         ("expressions", Model::Expressions),
+        ("recording", Model::Recording),
     ])?;
+    if let Model::Recording = model {
+        let recorded = recording(&table)?;
+        let mut initial_state = vec![0.0; recorded.states.len()];
+        recorded.reference_at(0.0, &mut initial_state);
+        return Ok((Plant::Recording(Arc::new(recorded)), initial_state, Vec::new()));
+    }
     let plant = if let Model::Expressions = model {
         table.only(&["model", "parameters", "initial_state", "noise", "states", "derivative"])?;
         Plant::Expressions(expressions(&table)?)
@@ -89,7 +100,7 @@ fn built_in(model: Model, table: &Table<'_>) -> Result<Plant, ScenarioError> {
                 damping: number("damping")?,
             }
         }
-        Model::Linear | Model::Expressions => {
+        Model::Linear | Model::Expressions | Model::Recording => {
             only(&["matrix"])?;
             let value = parameters.require("matrix", "[[0.0, 1.0], [-1.0, 0.0]]")?;
             let rows = value.list("write each row as a list of numbers")?.len();
@@ -99,7 +110,7 @@ fn built_in(model: Model, table: &Table<'_>) -> Result<Plant, ScenarioError> {
     })
 }
 
-fn check_dimension(
+pub(super) fn check_dimension(
     value: &Value<'_>,
     found: usize,
     one: &str,
@@ -134,7 +145,11 @@ fn expressions(table: &Table<'_>) -> Result<ExpressionSystem, ScenarioError> {
 }
 
 /// Rejects a name that is not valid in expressions, or that a state already has.
-fn check_name(value: &Value<'_>, name: &str, states: &[String]) -> Result<(), ScenarioError> {
+pub(super) fn check_name(
+    value: &Value<'_>,
+    name: &str,
+    states: &[String],
+) -> Result<(), ScenarioError> {
     let taken = states.iter().any(|state| state == name).then_some("is a state");
     match name_problem(name).or(taken) {
         Some(problem) => Err(value.error(

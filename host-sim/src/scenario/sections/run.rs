@@ -50,6 +50,24 @@ pub(in crate::scenario) fn time(root: &Table<'_>) -> Result<Time, ScenarioError>
     Ok(Time { duration, step_size, integrator })
 }
 
+/// Checks that the run is not longer than a recording of this duration \[s\].
+pub(in crate::scenario) fn check_recorded(
+    root: &Table<'_>,
+    time: &Time,
+    recorded: f64,
+) -> Result<(), ScenarioError> {
+    if time.duration <= recorded + 1e-9 {
+        return Ok(());
+    }
+    let value = root.require_table("time")?.require("duration", "10.0")?;
+    let steps = (recorded / time.step_size).floor();
+    let longest = (steps * time.step_size * 1e9).round() / 1e9;
+    Err(value.error(
+        format_args!("is {}, longer than the recording of {recorded} s", value.written()),
+        format_args!("use at most {longest}"),
+    ))
+}
+
 pub(in crate::scenario) fn evaluation(
     root: &Table<'_>,
     time: &Time,

@@ -20,16 +20,6 @@ pub enum TriggerModel {
     },
 }
 
-/// A trigger that weight packages cannot carry.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "trigger.kind: broadcasting {model} is for simulation only, because weight packages carry the \
-     event trigger; remove [trigger], or write kind = \"event\""
-)]
-pub struct SimulationOnly {
-    model: String,
-}
-
 impl TriggerModel {
     /// Returns the trigger that simulated agents use instead of the event trigger of their packages;
     /// `None` for the event trigger.
@@ -52,14 +42,6 @@ impl TriggerModel {
                 every => format!("every {every} steps"),
             }),
         }
-    }
-
-    /// Checks that packages can carry the trigger.
-    ///
-    /// # Errors
-    /// If they cannot.
-    pub fn check_for_nodes(self) -> Result<(), SimulationOnly> {
-        self.departure().map_or(Ok(()), |model| Err(SimulationOnly { model }))
     }
 }
 

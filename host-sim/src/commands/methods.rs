@@ -1,0 +1,175 @@
+//! A run beside other methods on the same plant, links, sensors and frames: one row each of errors,
+//! broadcasts and bytes, with what the method knows.
+
+use std::path::Path;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::baselines::NOTHING;
+use crate::engine::statistics::AgentStatistics;
+use crate::engine::{Progress, RunError, RunOptions, run};
+use crate::figures::{Figure, FrontierFigure, FrontierForm, FrontierPoint, frontier};
+use crate::files::output::OutputError;
+use crate::files::table::write_table;
+use crate::number::significant;
+use crate::report::columns::aligned;
+use crate::scenario::{Method, Scenario};
+use crate::warning::{Warning, WarningCode};
+
+/// Up to this many agents have columns of their own.
+const COLUMNS: usize = 6;
+
+/// What a method reached.
+#[derive(Debug, Serialize)]
+pub(super) struct Row {
+    #[serde(serialize_with = "name")]
+    method: Method,
+    /// What it knows of the plant, in words.
+    knows: &'static str,
+    /// RMSE of each agent in the evaluation window; empty if the run failed.
+    rmse: Vec<Option<f64>>,
+    /// Of all agents in the evaluation window.
+    broadcasts: Option<u64>,
+    /// Length of their frames.
+    bytes: Option<u64>,
+    /// Why the run failed.
+    reason: Option<String>,
+}
+
+fn name<S: serde::Serializer>(method: &Method, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(method.name())
+}
+
+impl Row {
+    /// Returns the row of a method with these results.
+    pub(super) fn new(method: Method, agents: &[AgentStatistics]) -> Self {
+        let sum = |of: fn(&AgentStatistics) -> u64| Some(agents.iter().map(of).sum());
+        Self {
+            method,
+            knows: method.knows(),
+            rmse: agents.iter().map(AgentStatistics::rmse).collect(),
+            broadcasts: sum(|agent| agent.broadcasts_evaluated),
+            bytes: sum(|agent| agent.bytes_evaluated),
+            reason: None,
+        }
+    }
+
+    pub(super) fn failed(method: Method, error: &RunError) -> Self {
+        let reason = Some(error.to_string());
+        Self { rmse: Vec::new(), broadcasts: None, bytes: None, reason, ..Self::new(method, &[]) }
+    }
+
+    fn largest_error(&self) -> Option<f64> {
+        let errors: Option<Vec<f64>> = self.rmse.iter().copied().collect();
+        errors?.into_iter().reduce(f64::max)
+    }
+
+    /// Returns a warning if the run failed.
+    pub(super) fn warning(&self) -> Option<Warning> {
+        let reason = self.reason.as_ref()?;
+        let method = self.method.name();
+        let text = format!("the method {method} failed, so its errors are missing: {reason}");
+        Some(Warning::new(WarningCode::BaselineFailed, text))
+    }
+}
+
+/// Runs the scenario with each of these methods, in parallel. `progress` is called once per run.
+pub(super) fn carry_out<P: Progress>(
+    scenario: &Scenario,
+    methods: &[Method],
+    seed: u64,
+    progress: impl Fn() -> P + Sync,
+) -> Vec<Row> {
+    let one = |&method: &Method| {
+        let scenario = Scenario { method, record: NOTHING, ..scenario.clone() };
+        let options = RunOptions { seed, learning: true, bounds: false };
+        match run(&scenario, options, &progress()) {
+            Ok(result) => Row::new(method, &result.agents),
+            Err(error) => Row::failed(method, &error),
+        }
+    };
+    methods.par_iter().map(one).collect()
+}
+
+/// Formats the rows as a table.
+pub(super) fn text(rows: &[Row]) -> String {
+    let agents = rows.iter().map(|row| row.rmse.len()).max().unwrap_or(0);
+    let columns: Vec<String> = match agents {
+        0..=COLUMNS => (1..=agents).map(|agent| format!("agent {agent}")).collect(),
+        _ => vec!["largest".to_owned()],
+    };
+    let mut headings = vec![["", "method"]];
+    headings.extend(columns.iter().map(|column| ["RMSE", column.as_str()]));
+    headings.extend([["evaluated", "broadcasts"], ["evaluated", "bytes"], ["", "knows"]]);
+    let entries: Vec<Vec<String>> = rows
+        .iter()
+        .map(|row| {
+            let number = |value: Option<f64>| value.map_or("-".to_owned(), |v| significant(v, 3));
+            let count = |value: Option<u64>| value.map_or("-".to_owned(), |v| v.to_string());
+            let mut entries = vec![row.method.name().to_owned()];
+            match agents {
+                0..=COLUMNS => entries.extend(
+                    (0..agents).map(|agent| number(row.rmse.get(agent).copied().flatten())),
+                ),
+                _ => entries.push(number(row.largest_error())),
+            }
+            entries.extend([count(row.broadcasts), count(row.bytes), row.knows.to_owned()]);
+            entries
+        })
+        .collect();
+    format!("Methods on the same plant, links and sensors\n\n{}\n", aligned(&headings, &entries))
+}
+
+/// Writes `methods.csv`, one line for each method and agent.
+pub(super) fn write_csv(path: &Path, rows: &[Row]) -> Result<(), OutputError> {
+    let header = ["method", "agent", "rmse", "broadcasts_all", "bytes_all", "knows"];
+    let lines = rows.iter().flat_map(|row| {
+        row.rmse.iter().enumerate().map(move |(index, rmse)| (row, index + 1, *rmse))
+    });
+    write_table(path, &header, lines, |line, (row, agent, rmse)| {
+        line.text(row.method.name())?;
+        line.integer(agent as u64)?;
+        line.optional(rmse)?;
+        for count in [row.broadcasts, row.bytes] {
+            match count {
+                Some(count) => line.integer(count)?,
+                None => line.text("")?,
+            }
+        }
+        line.text(row.knows)
+    })
+}
+
+/// Draws the largest error of an agent against the broadcasts of all, one mark for each method; `None` if
+/// no method has both.
+pub(super) fn picture(scenario: &Scenario, rows: &[Row]) -> Option<Figure> {
+    let point = |row: &Row| {
+        let (error, broadcasts) = (row.largest_error()?, row.broadcasts? as f64);
+        Some(FrontierPoint {
+            broadcasts: [broadcasts; 3],
+            error: [error; 3],
+            is_certified: true,
+            is_own: row.method == scenario.method,
+        })
+    };
+    let forms: Vec<_> = rows
+        .iter()
+        .filter_map(|row| Some(FrontierForm { name: row.method.name(), points: vec![point(row)?] }))
+        .collect();
+    let own = rows.iter().find(|row| row.method == scenario.method)?;
+    let target = own.largest_error()?;
+    let title = format!("{}: methods on the same plant, links and sensors", scenario.name);
+    let window = scenario.evaluation;
+    let broadcasts_label =
+        format!("broadcasts of all agents, t in [{}, {}] s", window.from, window.to);
+    Some(frontier(&FrontierFigure {
+        title: &title,
+        broadcasts_label: &broadcasts_label,
+        forms,
+        target: (target, target),
+        target_label: "error of the run itself",
+        has_certificates: false,
+        own_label: "the run itself",
+    }))
+}

@@ -1,0 +1,79 @@
+//! Turns a scenario with a baseline's method into what the engine runs.
+
+use std::borrow::Cow;
+use std::num::NonZeroU32;
+
+use super::run::run;
+use super::{Progress, RunError, RunOptions};
+use crate::basis::placeholder;
+use crate::scenario::{Method, Record, Scenario, TriggerModel};
+
+/// Recording settings of a run made for comparison only.
+const NOTHING: Record = Record { trace_stride: None, events: false, samples: false };
+
+/// A step at which no heartbeat is due any more and no trigger fires. \[state unit\]
+const OUT_OF_REACH: f64 = 1e6;
+
+/// Returns the scenario that the engine runs for the scenario's method. For `periodic` this runs the
+/// observer once, to know how often it broadcasts.
+///
+/// # Errors
+/// Those of that run.
+pub(super) fn prepared<'s>(
+    scenario: &'s Scenario,
+    options: RunOptions,
+    progress: &dyn Progress,
+) -> Result<Cow<'s, Scenario>, RunError> {
+    let mut changed = match scenario.method {
+        Method::Observer | Method::Kalman | Method::ExtendedKalman => {
+            return Ok(Cow::Borrowed(scenario));
+        }
+        Method::Periodic => return periodic(scenario, options, progress).map(Cow::Owned),
+        _ => scenario.clone(),
+    };
+    for agent in &mut changed.agents {
+        agent.package = None;
+    }
+    match changed.method {
+        Method::NoNetwork => {
+            changed.learning.clear();
+            match &mut changed.observer {
+                Some(observer) => observer.network = false,
+                None => changed.network = None,
+            }
+        }
+        Method::Untrained => changed.learning.clear(),
+        Method::KnownModel => {
+            changed.learning.clear();
+            changed.network = placeholder(scenario);
+        }
+        _ => changed.network = placeholder(scenario),
+    }
+    Ok(Cow::Owned(changed))
+}
+
+/// Returns the scenario with broadcasts at fixed times, as often as at events.
+fn periodic(
+    scenario: &Scenario,
+    options: RunOptions,
+    progress: &dyn Progress,
+) -> Result<Scenario, RunError> {
+    let mut changed = Scenario { method: Method::Observer, record: NOTHING, ..scenario.clone() };
+    let result = run(&changed, RunOptions { bounds: false, ..options }, progress)?;
+    let broadcasts: u64 = result.agents.iter().map(|agent| agent.broadcasts_evaluated).sum();
+    let window = scenario.evaluation.ticks(&scenario.time);
+    let steps = (window.end - window.start) * scenario.agents.len() as u64;
+    let every = (steps as f64 / broadcasts.max(1) as f64).round().clamp(1.0, f64::from(u32::MAX));
+    let every = NonZeroU32::new(every as u32).unwrap_or(NonZeroU32::MIN);
+    changed.record = scenario.record;
+    match &mut changed.observer {
+        Some(observer) => {
+            observer.radius = Some(vec![OUT_OF_REACH; scenario.dimension()]);
+            let exchange = observer.exchange.as_mut().unwrap_or(&mut changed.exchange);
+            exchange.heartbeat = every.get();
+            exchange.gap = exchange.gap.min(every.get());
+        }
+        None => changed.trigger = TriggerModel::Periodic { every },
+    }
+    Ok(changed)
+}

@@ -1,0 +1,177 @@
+//! `[plant]` with `model = "recording"`: reads the table of an experiment.
+
+use std::path::{Path, PathBuf};
+
+use super::plant::{check_dimension, check_name};
+use crate::files::input::{is_too_large, read_limited};
+use crate::plant::{Between, Recorded};
+use crate::scenario::error::{ScenarioError, closest};
+use crate::scenario::reader::{Table, Value};
+
+/// Size limit of the file. \[bytes\]
+const BYTES_MAX: u64 = 1 << 30;
+
+/// The keys of the table.
+pub(super) const KEYS: [&str; 6] = ["model", "file", "time", "states", "reference", "between"];
+
+/// Reads the recording that the table names.
+pub(super) fn recording(table: &Table<'_>) -> Result<Recorded, ScenarioError> {
+    table.only(&KEYS)?;
+    let states_value = table.require("states", "[\"x\", \"v\"]")?;
+    let list = states_value.list("write a name in quotes")?;
+    check_dimension(&states_value, list.len(), "state", "states")?;
+    let mut states: Vec<String> = Vec::with_capacity(list.len());
+    for value in &list {
+        let name = value.text()?;
+        check_name(value, name, &states)?;
+        states.push(name.to_owned());
+    }
+    let file = table.require("file", "\"experiment.csv\"")?;
+    let mut recorded = read(&file, &place(table, file.text()?))?;
+    recorded.states = states;
+    take_time(&mut recorded, table, &file)?;
+    if let Some(value) = table.get("reference", "[\"x\", \"v\"]") {
+        recorded.reference = columns(&recorded, &value, recorded.states.len(), "state")?;
+        for (&column, value) in recorded.reference.iter().zip(value.list("name a column")?) {
+            if let Some(row) = recorded.columns[column].iter().position(|x| !x.is_finite()) {
+                let problem = format!("line {} of the file has no number there", row + 2);
+                return Err(value.error(problem, "remove that line, or leave the reference out"));
+            }
+        }
+    }
+    if let Some(value) = table.get("between", "\"hold\"") {
+        recorded.between = value.choice(&[
+            ("hold", Between::Hold),
+            ("linear", Between::Linear),
+            ("nothing", Between::Nothing),
+        ])?;
+    }
+    Ok(recorded)
+}
+
+/// Returns the columns that `value` names, of which there must be `count`, one for each `owner`.
+pub(super) fn columns(
+    recorded: &Recorded,
+    value: &Value<'_>,
+    count: usize,
+    owner: &str,
+) -> Result<Vec<usize>, ScenarioError> {
+    let list = value.list("name a column of the recording in quotes")?;
+    if list.len() != count {
+        let problem =
+            format!("names {} columns, expected {count}, one for each {owner}", list.len());
+        return Err(value.error(problem, format!("name {count} columns of the recording")));
+    }
+    list.iter().map(|name| column(recorded, name)).collect()
+}
+
+fn column(recorded: &Recorded, value: &Value<'_>) -> Result<usize, ScenarioError> {
+    let name = value.text()?;
+    recorded.column(name).ok_or_else(|| {
+        let known = recorded.names.iter().map(String::as_str);
+        let hint = match closest(name, known) {
+            Some(close) => format!("did you mean {close}?"),
+            None => format!("columns of the recording: {}", recorded.names.join(", ")),
+        };
+        value.error(format_args!("the recording has no column `{name}`"), hint)
+    })
+}
+
+/// Returns the path of a file that is named relative to the scenario's folder.
+fn place(table: &Table<'_>, name: &str) -> PathBuf {
+    let folder = Path::new(table.file()).parent().unwrap_or(Path::new(""));
+    folder.join(name)
+}
+
+fn read(value: &Value<'_>, path: &Path) -> Result<Recorded, ScenarioError> {
+    let shown = path.display();
+    let bytes = read_limited(path, BYTES_MAX).map_err(|error| {
+        if is_too_large(&error) {
+            let problem = format!("{shown} is larger than {} GiB", BYTES_MAX >> 30);
+            return value.error(problem, "record less, or keep only the columns that are used");
+        }
+        value.error(
+            format_args!("{shown} cannot be read: {error}"),
+            "name a CSV file; the path is relative to the scenario's folder",
+        )
+    })?;
+    let first = bytes.split(|&byte| byte == b'\n').find(|line| !line.starts_with(b"#"));
+    let delimiter = delimiter(first.unwrap_or_default());
+    let mut reader = csv::ReaderBuilder::new()
+        .delimiter(delimiter)
+        .comment(Some(b'#'))
+        .trim(csv::Trim::All)
+        .from_reader(bytes.as_slice());
+    let wrong = |problem: String, hint: &str| value.error(format!("{shown}: {problem}"), hint);
+    let table =
+        "write one line with the names of the columns, and one line of numbers for each time";
+    let names = reader.headers().map_err(|error| wrong(error.to_string(), table))?;
+    let names: Vec<String> = names.iter().map(str::to_owned).collect();
+    if names.iter().any(|name| name.parse::<f64>().is_ok()) {
+        return Err(wrong("the first line has numbers instead of names".to_owned(), table));
+    }
+    if let Some(name) = names
+        .iter()
+        .enumerate()
+        .find_map(|(place, name)| names[..place].contains(name).then_some(name))
+    {
+        return Err(wrong(format!("two columns are called `{name}`"), "give each its own name"));
+    }
+    let mut columns = vec![Vec::new(); names.len()];
+    for record in reader.records() {
+        let record = record.map_err(|error| wrong(error.to_string(), table))?;
+        let line = record.position().map_or(0, csv::Position::line);
+        for ((cell, column), name) in record.iter().zip(&mut columns).zip(&names) {
+            let number = match cell {
+                "" => f64::NAN,
+                cell => cell.parse::<f64>().map_err(|_| {
+                    let problem = format!("line {line}, column `{name}`: `{cell}` is not a number");
+                    wrong(problem, "write a number, or leave the cell empty")
+                })?,
+            };
+            column.push(number);
+        }
+    }
+    let empty = Between::default();
+    let (states, time, reference) = (Vec::new(), Vec::new(), Vec::new());
+    Ok(Recorded { states, time, names, columns, reference, between: empty })
+}
+
+/// Returns what separates the columns of this header.
+fn delimiter(header: &[u8]) -> u8 {
+    let count = |delimiter: u8| header.iter().filter(|&&byte| byte == delimiter).count();
+    [b',', b';', b'\t', b'|'].into_iter().max_by_key(|&d| (count(d), d == b',')).unwrap_or(b',')
+}
+
+/// Takes the column of the time, which is counted from its first row.
+fn take_time(
+    recorded: &mut Recorded,
+    table: &Table<'_>,
+    file: &Value<'_>,
+) -> Result<(), ScenarioError> {
+    let column = match table.get("time", "\"t\"") {
+        Some(value) => column(recorded, &value)?,
+        None => ["time", "t"].iter().find_map(|name| recorded.column(name)).ok_or_else(|| {
+            let hint = "name the column with the time in seconds, such as time = \"t\"";
+            file.error("the recording has no column `time` or `t`", hint)
+        })?,
+    };
+    let time = &recorded.columns[column];
+    if time.len() < 2 {
+        return Err(file.error("the recording has fewer than 2 rows", "record more"));
+    }
+    let wrong = time.windows(2).position(|pair| !(pair[0] < pair[1] && pair[1].is_finite()));
+    if let Some(row) = wrong.or((!time[0].is_finite()).then_some(0)) {
+        let (before, after) = (time[row], time[row + 1]);
+        return Err(file.error(
+            format_args!(
+                "time does not increase in line {} of the file: {after} after {before}",
+                row + 3
+            ),
+            "sort the rows by time, and keep one row for each time",
+        ));
+    }
+    let start = time[0];
+    recorded.time = time.iter().map(|time| time - start).collect();
+    Ok(())
+}

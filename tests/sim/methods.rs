@@ -1,0 +1,101 @@
+//! Baselines that run in place of the observer: what they know shows in their errors.
+
+use host_sim::engine::{RunOptions, RunResult, Silent, run};
+use host_sim::scenario::{Method, PAPER, Scenario};
+
+fn scenario(method: Method) -> Scenario {
+    let mut scenario = Scenario::parse("paper.toml", PAPER).unwrap();
+    scenario.method = method;
+    scenario.record.events = false;
+    scenario.record.trace_stride = None;
+    scenario
+}
+
+fn result(scenario: &Scenario) -> RunResult {
+    let options = RunOptions { seed: 0, learning: true, bounds: false };
+    run(scenario, options, &Silent).unwrap()
+}
+
+fn largest_error(result: &RunResult) -> f64 {
+    result.agents.iter().map(|agent| agent.rmse().unwrap()).fold(0.0, f64::max)
+}
+
+fn without_disturbance(method: Method) -> Scenario {
+    let mut scenario = scenario(method);
+    scenario.disturbance = host_sim::plant::Disturbance::None;
+    scenario
+}
+
+#[test]
+fn the_plants_own_model_is_better_than_polynomials_and_those_than_no_network() {
+    let [known, regression, none] = [Method::KnownModel, Method::Regression, Method::NoNetwork]
+        .map(|method| largest_error(&result(&scenario(method))));
+    assert!(known < regression && regression < 0.6 * none, "{known} {regression} {none}");
+    // Without a disturbance there is nothing left but the broadcasts' errors.
+    let known = result(&without_disturbance(Method::KnownModel));
+    let none = result(&without_disturbance(Method::NoNetwork));
+    assert!(largest_error(&known) < 0.3 * largest_error(&none));
+}
+
+#[test]
+fn an_extended_kalman_filter_is_exact_where_its_model_is() {
+    let mut scenario = without_disturbance(Method::ExtendedKalman);
+    scenario.kalman.radius = Some(0.02);
+    let extended = result(&scenario);
+    // Its neighbours predict as it does, so there is next to nothing to broadcast.
+    let broadcasts: u64 = extended.agents.iter().map(|agent| agent.broadcasts_evaluated).sum();
+    assert!(broadcasts < 60, "{broadcasts}");
+    assert!(largest_error(&extended) < 0.03, "{}", largest_error(&extended));
+    // A linear one knows the plant near its mean state only.
+    scenario.method = Method::Kalman;
+    assert!(largest_error(&result(&scenario)) > 2.0 * largest_error(&extended));
+}
+
+#[test]
+fn kalman_filters_do_not_depend_on_threads_and_feel_the_link() {
+    let mut scenario = scenario(Method::ExtendedKalman);
+    scenario.time.duration = 4.0;
+    (scenario.evaluation.from, scenario.evaluation.to) = (2.0, 4.0);
+    scenario.learning.clear();
+    assert_eq!(result(&scenario).digest, result(&scenario).digest);
+    let error = largest_error(&result(&scenario));
+    scenario.link.edge.loss = 0.5;
+    let lossy = result(&scenario);
+    assert!(largest_error(&lossy) > 1.1 * error, "{} {error}", largest_error(&lossy));
+    assert!(lossy.agents.iter().all(|agent| agent.traffic.unwrap().lost > 0));
+}
+
+#[test]
+fn broadcasts_at_fixed_times_are_as_many_as_those_at_events() {
+    let mut events = scenario(Method::Observer);
+    events.learning.clear();
+    events.time.duration = 4.0;
+    (events.evaluation.from, events.evaluation.to) = (2.0, 4.0);
+    // At the paper's epsilon the intervals are too long for the observer without events.
+    events.design.epsilon = 750.0;
+    let mut periodic = events.clone();
+    periodic.method = Method::Periodic;
+    let count = |scenario: &Scenario| -> u64 {
+        result(scenario).agents.iter().map(|agent| agent.broadcasts_evaluated).sum()
+    };
+    let (events, periodic) = (count(&events) as f64, count(&periodic) as f64);
+    assert!((periodic / events - 1.0).abs() < 0.15, "{periodic}, {events} at events");
+}
+
+#[test]
+fn a_field_observer_with_the_plants_model_needs_fewer_broadcasts() {
+    let field = |method: Method| {
+        let text = PAPER.replace(
+            "[trigger]\nkind = \"event\"\n",
+            "[observer]\npreset = \"field\"\nerror = 0.014\n",
+        );
+        let mut scenario = Scenario::parse("field.toml", &text).unwrap();
+        scenario.method = method;
+        result(&scenario)
+    };
+    let [known, none] = [Method::KnownModel, Method::NoNetwork].map(field);
+    let count = |result: &RunResult| -> u64 {
+        result.agents.iter().map(|agent| agent.broadcasts_evaluated).sum()
+    };
+    assert!(count(&known) < count(&none), "{} {}", count(&known), count(&none));
+}
