@@ -118,6 +118,12 @@ fn simulator_arguments(command: &str) -> Option<&str> {
 fn checkout(name: &str) -> Folder {
     let folder = Folder::new(name);
     fs::copy(Path::new(ROOT).join("memory.x"), folder.path("memory.x")).unwrap();
+    let experiment = "host-sim/examples/experiment";
+    fs::create_dir_all(folder.path(experiment)).unwrap();
+    for name in ["tanks.csv", "tanks.toml"] {
+        let name = format!("{experiment}/{name}");
+        fs::copy(Path::new(ROOT).join(&name), folder.path(&name)).unwrap();
+    }
     folder
 }
 

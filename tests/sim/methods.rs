@@ -43,7 +43,7 @@ fn an_extended_kalman_filter_is_exact_where_its_model_is() {
     scenario.kalman.radius = Some(0.02);
     let extended = result(&scenario);
     // Its neighbours predict as it does, so there is next to nothing to broadcast.
-    let broadcasts: u64 = extended.agents.iter().map(|agent| agent.broadcasts_evaluated).sum();
+    let broadcasts = broadcasts(&extended);
     assert!(broadcasts < 60, "{broadcasts}");
     assert!(largest_error(&extended) < 0.03, "{}", largest_error(&extended));
     // A linear one knows the plant near its mean state only.
@@ -65,37 +65,36 @@ fn kalman_filters_do_not_depend_on_threads_and_feel_the_link() {
     assert!(lossy.agents.iter().all(|agent| agent.traffic.unwrap().lost > 0));
 }
 
+fn field(method: Method) -> Scenario {
+    let text = PAPER.replace(
+        "[trigger]\nkind = \"event\"\n",
+        "[observer]\npreset = \"field\"\nerror = 0.014\n",
+    );
+    // The trigger is the last table with this key.
+    let mut scenario = Scenario::parse("field.toml", &text).unwrap();
+    assert!(scenario.observer.is_some());
+    (scenario.method, scenario.record.events) = (method, false);
+    scenario.record.trace_stride = None;
+    scenario
+}
+
+fn broadcasts(result: &RunResult) -> u64 {
+    result.agents.iter().map(|agent| agent.broadcasts_evaluated).sum()
+}
+
+/// The paper's own form diverges with so few broadcasts at fixed times, and says so.
 #[test]
 fn broadcasts_at_fixed_times_are_as_many_as_those_at_events() {
-    let mut events = scenario(Method::Observer);
-    events.learning.clear();
-    events.time.duration = 4.0;
-    (events.evaluation.from, events.evaluation.to) = (2.0, 4.0);
-    // At the paper's epsilon the intervals are too long for the observer without events.
-    events.design.epsilon = 750.0;
-    let mut periodic = events.clone();
-    periodic.method = Method::Periodic;
-    let count = |scenario: &Scenario| -> u64 {
-        result(scenario).agents.iter().map(|agent| agent.broadcasts_evaluated).sum()
-    };
-    let (events, periodic) = (count(&events) as f64, count(&periodic) as f64);
-    assert!((periodic / events - 1.0).abs() < 0.15, "{periodic}, {events} at events");
+    let events = broadcasts(&result(&field(Method::Observer))) as f64;
+    let periodic = broadcasts(&result(&field(Method::Periodic))) as f64;
+    assert!((periodic / events - 1.0).abs() < 0.05, "{periodic}, {events} at events");
+    let options = RunOptions { seed: 0, learning: true, bounds: false };
+    assert!(run(&scenario(Method::Periodic), options, &Silent).is_err());
 }
 
 #[test]
 fn a_field_observer_with_the_plants_model_needs_fewer_broadcasts() {
-    let field = |method: Method| {
-        let text = PAPER.replace(
-            "[trigger]\nkind = \"event\"\n",
-            "[observer]\npreset = \"field\"\nerror = 0.014\n",
-        );
-        let mut scenario = Scenario::parse("field.toml", &text).unwrap();
-        scenario.method = method;
-        result(&scenario)
-    };
-    let [known, none] = [Method::KnownModel, Method::NoNetwork].map(field);
-    let count = |result: &RunResult| -> u64 {
-        result.agents.iter().map(|agent| agent.broadcasts_evaluated).sum()
-    };
-    assert!(count(&known) < count(&none), "{} {}", count(&known), count(&none));
+    let [known, none] =
+        [Method::KnownModel, Method::NoNetwork].map(|method| broadcasts(&result(&field(method))));
+    assert!(known < none, "{known} {none}");
 }

@@ -1,0 +1,117 @@
+//! A recording in place of the plant.
+
+use std::fs;
+
+use host_sim::engine::{RunOptions, RunResult, Silent, run};
+use host_sim::scenario::{PAPER, Scenario};
+
+use crate::cli::command_line::{Folder, object};
+
+fn result(scenario: &Scenario) -> RunResult {
+    run(scenario, RunOptions { seed: 0, learning: true, bounds: true }, &Silent).unwrap()
+}
+
+/// The paper's scenario for four seconds, recorded in every step by its own traces.
+fn recorded(folder: &Folder, agent_keys: &str, plant_keys: &str) -> String {
+    let short = PAPER
+        .replace("duration = 40.0", "duration = 4.0")
+        .replace("\nfrom = 20.0", "\nfrom = 2.0")
+        .replace("\nto = 40.0", "\nto = 4.0");
+    let (before, _) = short.split_once("[[learning]]").unwrap();
+    let (_, evaluation) = short.split_once("[evaluation]").unwrap();
+    let text = format!("{before}\n[evaluation]{evaluation}");
+    folder.write("simulated.toml", &text);
+    folder.succeed("run simulated.toml --out simulated --baselines none");
+    let (_, rest) = text.split_once("[plant]").unwrap();
+    let (_, rest) = rest.split_once("[disturbance]").unwrap();
+    let (_, rest) = rest.split_once("[time]").unwrap();
+    let rest = rest.replace("output_matrix = [[1.0, 0.0, 0.0]]", &format!(
+        "output_matrix = [[1.0, 0.0, 0.0]]\n{agent_keys}"
+    ));
+    let plant = format!(
+        "name = \"recorded\"\n[plant]\nmodel = \"recording\"\nfile = \"simulated/traces.csv\"\n\
+         time = \"time [s]\"\nstates = [\"x\", \"y\", \"z\"]\n{plant_keys}\n[time]"
+    );
+    plant + &rest
+}
+
+const REFERENCE: &str =
+    "reference = [\"x [state unit]\", \"y [state unit]\", \"z [state unit]\"]";
+
+#[test]
+fn a_recording_of_every_step_is_as_good_as_the_plant() {
+    let folder = Folder::new("recording-of-every-step");
+    let text = recorded(&folder, "measured = [\"x [state unit]\"]", REFERENCE);
+    folder.write("recorded.toml", &text);
+    let scenario = Scenario::load(&folder.path("recorded.toml")).unwrap();
+    let simulated = Scenario::load(&folder.path("simulated.toml")).unwrap();
+    let (recorded, simulated) = (result(&scenario), result(&simulated));
+    assert_eq!(recorded.digest, simulated.digest);
+    for (recorded, simulated) in recorded.agents.iter().zip(&simulated.agents) {
+        assert_eq!(recorded.rmse(), simulated.rmse());
+        assert!(recorded.innovation_rms().is_some_and(|rms| rms > 0.0));
+    }
+}
+
+#[test]
+fn without_a_reference_there_are_innovations_and_no_errors() {
+    let folder = Folder::new("recording-without-reference");
+    let measured = |column: &str| format!("measured = [\"{column} [state unit]\"]");
+    let text = recorded(&folder, &measured("x"), "")
+        .replace("output_matrix = [[0.0, 1.0, 0.0]]", &format!(
+            "output_matrix = [[0.0, 1.0, 0.0]]\n{}", measured("y")
+        ))
+        .replace("output_matrix = [[0.0, 0.0, 1.0]]", &format!(
+            "output_matrix = [[0.0, 0.0, 1.0]]\n{}", measured("z")
+        ));
+    folder.write("recorded.toml", &text);
+    let report = object(&folder.succeed("run recorded.toml --out out --format json"));
+    for agent in report["agents"].as_array().unwrap() {
+        assert!(agent["rmse"].is_null() && agent["max_error"].is_null(), "{agent}");
+        assert!(agent["innovation_rms"].as_f64().unwrap() > 0.0, "{agent}");
+    }
+    let text = folder.succeed("run recorded.toml --out out");
+    assert!(text.contains("innovation"), "{text}");
+}
+
+#[test]
+fn a_recording_that_does_not_fit_is_refused_with_its_place() {
+    let folder = Folder::new("recordings-refused");
+    let good = "t,y1,y2\n0,1,2\n0.5,1,2\n4.0,1,2\n";
+    let scenario = |plant: &str, agent: &str| {
+        format!(
+            "name = \"mine\"\n[plant]\nmodel = \"recording\"\nfile = \"data.csv\"\n\
+             states = [\"a\", \"b\"]\n{plant}\n[time]\nduration = 4.0\nstep = 0.5\n\
+             [design]\ngain = [1.0, 1.0]\nk2 = 1.0\nkappa = 1.0\nrho = 1.0\ndelta = 1.0\nepsilon = 1.0\n\
+             [[agents]]\noutput_matrix = [[1.0, 0.0], [0.0, 1.0]]\n{agent}\n"
+        )
+    };
+    let both = "measured = [\"y1\", \"y2\"]";
+    for (data, plant, agent, expected) in [
+        (good, "", both, ""),
+        (good, "", "measured = [\"y1\", \"y3\"]", "no column `y3`; did you mean y"),
+        (good, "", "measured = [\"y1\"]", "names 1 columns, expected 2"),
+        (good, "", "", "there is nothing to measure"),
+        (good, "reference = [\"y1\", \"nothing\"]", both, "no column `nothing`"),
+        (good, "time = \"seconds\"", both, "no column `seconds`"),
+        (good, "between = \"maybe\"", both, "maybe"),
+        (good, "initial_state = [1.0, 2.0]", both, "unknown key"),
+        ("t,y1,y2\n0,1,2\n0.5,1,2\n3.5,1,2\n", "", both, "longer than the recording of 3.5 s"),
+        ("t,y1,y2\n0,1,2\n0.5,1,2\n0.5,1,2\n", "", both, "does not increase in line 4"),
+        ("t,y1,y2\n0,1,2\n0.5,x,2\n4,1,2\n", "", both, "line 3, column `y1`: `x` is not a number"),
+        ("0,1,2\n0.5,1,2\n4,1,2\n", "", both, "numbers instead of names"),
+        ("t,y1,y1\n0,1,2\n4,1,2\n", "", both, "two columns are called `y1`"),
+        ("t,y1,y2\n0,1,2\n0.5,,2\n4,1,2\n", "reference = [\"y1\", \"y2\"]", both, "line 3"),
+        ("t,y1,y2\n0,1,2\n", "", both, "fewer than 2 rows"),
+    ] {
+        fs::write(folder.path("data.csv"), data).unwrap();
+        folder.write("mine.toml", &scenario(plant, agent));
+        let found = Scenario::load(&folder.path("mine.toml")).map(|_| ());
+        let found = found.map_err(|error| error.to_string()).err().unwrap_or_default();
+        assert_eq!(expected.is_empty(), found.is_empty(), "{found}");
+        assert!(found.contains(expected), "{expected}: {found}");
+    }
+    folder.write("mine.toml", &("method = \"kalman\"\n".to_owned() + &scenario("", both)));
+    let error = Scenario::load(&folder.path("mine.toml")).unwrap_err().to_string();
+    assert!(error.contains("f is not known of a recording"), "{error}");
+}
