@@ -119,6 +119,47 @@ fn no_baselines_without_learning_unless_requested() {
 }
 
 #[test]
+fn other_methods_are_listed_with_what_they_know() {
+    let folder = Folder::new("methods");
+    folder.write("mine.toml", &short().text());
+    let line =
+        "run mine.toml --baselines known-f,extended-kalman,no-network --out out --format json";
+    let report = object(&folder.succeed(line));
+    let methods = report["methods"].as_array().unwrap();
+    let names: Vec<_> = methods.iter().map(|row| row["method"].as_str().unwrap()).collect();
+    assert_eq!(names, ["observer", "no-network", "known-f", "extended-kalman"]);
+    for row in methods {
+        assert_eq!(row["rmse"].as_array().unwrap().len(), 2, "{row}");
+        assert!(row["reason"].is_null() && row["bytes"].is_u64(), "{row}");
+    }
+    for file in ["methods.csv", "methods.svg", "methods.png"] {
+        assert!(folder.path("out").join(file).is_file(), "{file}");
+    }
+    // The method as a key of the scenario is the same run.
+    folder.write("kalman.toml", &format!("method = \"extended-kalman\"\n{}", short().text()));
+    let own = object(&folder.succeed("run kalman.toml --format json --out other"));
+    for (index, agent) in agents(&own).iter().enumerate() {
+        assert_eq!(agent["rmse"], methods[3]["rmse"][index]);
+    }
+    for (choice, problem) in [
+        ("all,kalman", "`all` cannot be combined"),
+        ("kalman,none", "`none` cannot be combined"),
+        ("karman", "invalid value"),
+    ] {
+        let error = folder.fail(&format!("run mine.toml --baselines {choice} --out out"), 2);
+        assert!(error.contains(problem), "{error}");
+    }
+    let error = folder.fail("run mine.toml --without-learning --baselines regression", 2);
+    assert!(error.contains("no learning cycle"), "{error}");
+    for command in
+        ["cosim kalman.toml --steps 1", "train x.csv --scenario kalman.toml --agent 1 --out a"]
+    {
+        let error = folder.fail(command, 2);
+        assert!(error.contains("for simulation only"), "{error}");
+    }
+}
+
+#[test]
 fn packages_are_compared_with_the_scenarios_own_network() {
     let folder = Folder::new("package-baselines");
     let text = short().text();

@@ -277,6 +277,7 @@ fn run_in_json_is_one_object() {
         "agents",
         "trainings",
         "link",
+        "methods",
         "checks",
         "warnings",
     ];
@@ -291,6 +292,7 @@ fn run_in_json_is_one_object() {
         "change_percent",
         "explained_variance",
         "max_error",
+        "innovation_rms",
         "broadcasts",
         "frames_sent",
         "broadcasts_evaluated",

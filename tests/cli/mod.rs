@@ -8,6 +8,7 @@ mod documentation;
 mod endings;
 mod files;
 mod flash;
+mod fleet;
 pub(crate) mod image;
 mod json_documented;
 pub(crate) mod memory_map;

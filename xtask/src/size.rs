@@ -171,11 +171,12 @@ fn content(program: &Path) -> Result<Content, Failure> {
 /// 20.
 fn stack_unused(program: &Path) -> Result<u64, Failure> {
     println!("==> painted stack: the paper's experiment as a co-simulation");
-    // With the features of the test builds, so that nothing is compiled twice.
+    // What the integration tests use, so that nothing is compiled twice.
     let mut build = crate::step::cargo("build");
-    build.args(["--quiet", "--workspace", "--bin", "host-sim"]);
+    let parts = ["--bin", "simulator-under-test", "--test", "integration"];
+    build.args(["--quiet", "--workspace"]).args(parts);
     run("host-sim", &mut build, "see the error above")?;
-    let name = format!("debug/host-sim{}", std::env::consts::EXE_SUFFIX);
+    let name = format!("debug/simulator-under-test{}", std::env::consts::EXE_SUFFIX);
     let mut command = std::process::Command::new(target_folder().join(name));
     command.current_dir(crate::step::workspace()).args(["cosim", "--format", "json"]);
     command.arg("--firmware").arg(program);

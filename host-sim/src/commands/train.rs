@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use agent_core::package::Serial;
@@ -18,9 +18,13 @@ use super::{
 };
 use crate::analysis::TriggerConstants;
 use crate::commands::progress::ProgressBars;
+use crate::engine::RunError;
+use crate::engine::fleet::{FleetSamples, fleet_packages};
 use crate::files::output::OutputFile;
+use crate::flow::Plan;
 use crate::interruption::{self, SecondSignal};
 use crate::learning::agent_config;
+use crate::learning::agent_config::agent_id;
 use crate::learning::trained::{INITIAL_VERSION, Prepared, Trained, TrainedError, TrainingTask};
 use crate::packages::recording_source::{RecordingSource, SourceScenario};
 use crate::packages::{PackageBytes, PackageSummary, Recording};
@@ -33,16 +37,17 @@ use crate::warning::{Warning, WarningCode};
 /// Arguments of `train`.
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
-    /// Recorded samples: a CSV file with the columns time, xhat1.., dxhat1.. and optionally w1_1..;
+    /// Recorded samples: CSV files with the columns time, xhat1.., dxhat1.. and optionally w1_1..;
     /// `run` writes such files if the scenario sets record.samples = true
-    data: PathBuf,
+    #[arg(required = true)]
+    data: Vec<PathBuf>,
     /// Scenario that describes agent, network and recipe: a file or the name of a built-in scenario
     #[arg(long)]
     scenario: PathBuf,
-    /// Number of the agent that the package is for, from 1
-    #[arg(long)]
-    agent: usize,
-    /// Package file to write
+    /// Numbers of the agents that get the network, from 1, separated by commas
+    #[arg(long, required = true, value_delimiter = ',', value_name = "AGENTS")]
+    agent: Vec<usize>,
+    /// Package file to write; for several agents a folder, in which each gets agentN.weights
     #[arg(long)]
     out: PathBuf,
     /// Training recipe of the scenario [default: that of the agent's first learning cycle]
@@ -70,6 +75,8 @@ pub(super) struct Arguments {
 #[derive(Serialize)]
 struct Report<'a> {
     package: String,
+    /// All files written, one for each agent.
+    packages: Vec<String>,
     #[serde(flatten)]
     summary: PackageSummary,
     recipe: &'a str,
@@ -110,30 +117,40 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let scenario = load_scenario(&arguments.scenario)?;
     let about = |error: SimulationOnly| CommandError::from(error).about(&arguments.scenario);
     scenario.check_for_nodes().map_err(about)?;
-    let index = agent_index(&scenario, arguments.agent)?;
+    let agents = agents(arguments, &scenario)?;
+    let index = agents[0];
     let network = network_of(&scenario)?;
     let (recipe, cycle) = recipe(arguments, &scenario, index)?;
     let features = network.architecture.features();
     let base = arguments.base.as_deref().map(PackageBytes::load).transpose()?;
     if let (Some(base), Some(path)) = (&base, &arguments.base) {
-        let node = agent_config(&scenario, &TriggerConstants::new(&scenario), index);
-        if let Some(parameter) = node.first_difference(&base.package().node) {
-            let problem = format!("{}: its {parameter} differs from that of", path.display());
-            let number = arguments.agent;
-            return Err(CommandError::usage(format!(
-                "{problem} agent {number} in the scenario; give a package of this agent as --base"
-            ))
-            .about(path));
+        check_base(&scenario, &agents, base, path)?;
+    }
+    let (recorded_by, elsewhere) = check_sources(arguments, &scenario, &agents)?;
+    let load = |path: &PathBuf| Recording::load(path, scenario.dimension(), features);
+    let mut recordings: Vec<Recording> =
+        arguments.data.iter().map(load).collect::<Result<_, _>>()?;
+    for recording in &mut recordings {
+        if let (None, Some(base)) = (&recording.outer_weights, &base) {
+            recording.outer_weights = Some(base.package().outer_weights.to_vec());
         }
     }
-    let elsewhere = check_source(arguments, &scenario)?;
-    let mut recording = Recording::load(&arguments.data, scenario.dimension(), features)?;
-    if let (None, Some(base)) = (&recording.outer_weights, &base) {
-        recording.outer_weights = Some(base.package().outer_weights.to_vec());
-    }
-    let Serial { epoch, version } = serial(arguments, base.as_ref())?;
-    // Check the output path before training.
-    let output = OutputFile::prepare(&arguments.out, PackageBytes::KIND)?;
+    let plan = plan(&scenario, cycle)?;
+    let samples = FleetSamples::new(plan.as_ref(), &recorded_by, &recordings)
+        .ok_or_else(|| CommandError::usage("no samples; give at least one recording".to_owned()))?;
+    let FleetSamples { recording, harmonics } = &samples;
+    let places = places(arguments, &agents)?;
+    let members = agents
+        .iter()
+        .zip(&places)
+        .map(|(&agent, place)| Ok((agent, serial(arguments, base.as_ref(), place)?)))
+        .collect::<Result<Vec<_>, CommandError>>()?;
+    // Check the output paths before training.
+    let outputs = places
+        .iter()
+        .map(|place| OutputFile::prepare(place, PackageBytes::KIND))
+        .collect::<Result<Vec<_>, _>>()?;
+    let Serial { epoch, version } = members[0].1;
     let task = TrainingTask {
         scenario: &scenario,
         network,
@@ -150,12 +167,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             CommandError::from(error)
         }
         _ => {
-            let path = &arguments.data;
-            CommandError::usage(format!("{}: {error}", path.display())).about(path)
+            let path = &arguments.data[0];
+            CommandError::usage(format!("{}: {error}", names(&arguments.data))).about(path)
         }
     };
-    let mut prepared = task.prepare(&recording).map_err(with_file)?;
-    prepared.warnings.extend(elsewhere.into_iter().chain(dense(arguments, &scenario, &recording)));
+    let mut prepared = task.prepare(recording).map_err(with_file)?;
+    let dense = arguments.data.iter().zip(&recordings);
+    let dense = dense.filter_map(|(path, recording)| dense_samples(path, &scenario, recording));
+    prepared.warnings.extend(elsewhere.into_iter().chain(dense));
     let printed = prepared.warnings.len();
     prepared.warnings.iter().for_each(warn);
     let mut trained = train(&task, prepared).map_err(with_file)?;
@@ -172,40 +191,117 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         let text = format!("{}: {problem}", arguments.out.display());
         return Err(CommandError::new(ErrorCode::NotPacked, text).about(&arguments.out));
     }
-    let (package, chosen) = (trained.package.clone(), arguments.package_version);
+    let chosen = arguments.package_version;
     let format = arguments.package_format;
-    let package = versions::save(package, chosen, format, key.as_ref(), &arguments.out, output)?;
+    let packages = fleet_packages(&scenario, plan.as_ref(), harmonics, &trained.package, &members)
+        .map_err(RunError::Observer)?;
+    let mut written = Vec::with_capacity(packages.len());
+    for ((package, place), output) in packages.into_iter().zip(&places).zip(outputs) {
+        written.push(versions::save(package, chosen, format, key.as_ref(), place, output)?);
+    }
     let elapsed_s = start.elapsed().as_secs_f64();
-    let report = report(arguments, &task, &recording, &trained, &package, elapsed_s);
+    let report = report(&places, &task, recording, &trained, &written[0], elapsed_s);
     match arguments.common.format {
         Format::Json => print_json(&report),
-        Format::Text => print_text(&text(arguments, &report)),
+        Format::Text => print_text(&text(&places, &report)),
     }
 }
 
+/// Returns the agents that get the network, from 0.
+fn agents(arguments: &Arguments, scenario: &Scenario) -> Result<Vec<usize>, CommandError> {
+    let mut agents = Vec::with_capacity(arguments.agent.len());
+    for &number in &arguments.agent {
+        let index = agent_index(scenario, number)?;
+        if agents.contains(&index) {
+            return Err(CommandError::usage(format!(
+                "--agent {number}: given twice; give it once"
+            )));
+        }
+        agents.push(index);
+    }
+    Ok(agents)
+}
+
+/// Returns the files to write, one for each agent; creates the folder of several.
+fn places(arguments: &Arguments, agents: &[usize]) -> Result<Vec<PathBuf>, CommandError> {
+    if agents.len() == 1 {
+        return Ok(vec![arguments.out.clone()]);
+    }
+    let out = &arguments.out;
+    std::fs::create_dir_all(out).map_err(|error| {
+        let problem =
+            format!("{}: cannot be a folder for several packages: {error}", out.display());
+        CommandError::usage(problem + "; give the path of a folder as --out").about(out)
+    })?;
+    Ok(agents.iter().map(|index| out.join(format!("agent{}.weights", index + 1))).collect())
+}
+
+/// Checks that the package in use is one of an agent that is trained for.
+fn check_base(
+    scenario: &Scenario,
+    agents: &[usize],
+    base: &PackageBytes,
+    path: &Path,
+) -> Result<(), CommandError> {
+    let trigger = TriggerConstants::new(scenario);
+    let own = agents.iter().find(|&&index| base.package().node.agent == agent_id(index));
+    let index = *own.unwrap_or(&agents[0]);
+    let node = agent_config(scenario, &trigger, index);
+    let Some(parameter) = node.first_difference(&base.package().node) else { return Ok(()) };
+    let (problem, number) =
+        (format!("{}: its {parameter} differs from that of", path.display()), index + 1);
+    Err(CommandError::usage(format!(
+        "{problem} agent {number} in the scenario; give a package of this agent as --base"
+    ))
+    .about(path))
+}
+
+/// Returns the plan of the field observer, if nodes run it once this cycle's network is in use.
+fn plan(scenario: &Scenario, cycle: usize) -> Result<Option<Plan<'_>>, CommandError> {
+    let plan = Plan::new(scenario).map_err(RunError::Observer)?;
+    let applied = scenario.learning.get(cycle).map(|cycle| scenario.time.tick(cycle.apply_at));
+    Ok(plan.filter(|plan| applied.is_none_or(|tick| tick >= plan.starts_at())))
+}
+
 /// Warns if samples are closer together than a node could record them.
-fn dense(arguments: &Arguments, scenario: &Scenario, recording: &Recording) -> Option<Warning> {
+fn dense_samples(path: &Path, scenario: &Scenario, recording: &Recording) -> Option<Warning> {
     let (interval, step) = (recording.interval, scenario.time.step_size);
     (interval < 0.5 * step).then(|| {
         let text = format!(
             "{}: samples are {interval:e} s apart, but the scenario's step is {step:e} s; check the \
              time unit in the header",
-            arguments.data.display(),
+            path.display(),
         );
         Warning::new(WarningCode::DenseSamples, text)
     })
 }
 
-/// Checks that the samples are not from another agent or scenario, as far as the file says.
-fn check_source(
+/// Returns which agent, from 0, recorded each file, and warnings about them.
+///
+/// # Errors
+/// As far as the files say, if one is from an agent that gets no network, or from another step.
+fn check_sources(
     arguments: &Arguments,
     scenario: &Scenario,
-) -> Result<Option<Warning>, CommandError> {
-    // Errors are reported when the samples are read.
-    let source = RecordingSource::read(&arguments.data).unwrap_or_default();
-    let (name, hash, step) = (scenario.name.as_str(), scenario.hash, scenario.time.step_size);
-    let scenario = SourceScenario { name, hash, step };
-    Ok(source.check(&arguments.data, arguments.agent, &scenario)?)
+    agents: &[usize],
+) -> Result<(Vec<usize>, Vec<Warning>), CommandError> {
+    let (mut recorded_by, mut warnings) = (Vec::new(), Vec::new());
+    for path in &arguments.data {
+        // Errors are reported when the samples are read.
+        let source = RecordingSource::read(path).unwrap_or_default();
+        let said = source.agent.and_then(|own| usize::try_from(own).ok());
+        let known = said.filter(|own| arguments.agent.contains(own));
+        let number = known.unwrap_or(agents[0] + 1);
+        let (name, hash, step) = (scenario.name.as_str(), scenario.hash, scenario.time.step_size);
+        let scenario = SourceScenario { name, hash, step };
+        warnings.extend(source.check(path, number, &scenario)?);
+        recorded_by.push(number - 1);
+    }
+    Ok((recorded_by, warnings))
+}
+
+fn names(paths: &[PathBuf]) -> String {
+    paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
 /// Returns the recipe and the learning cycle, from 0, that it belongs to.
@@ -237,14 +333,17 @@ fn recipe<'s>(
 
 /// Returns the epoch of the base and of the file to replace, and the version after theirs or the
 /// chosen one.
-fn serial(arguments: &Arguments, base: Option<&PackageBytes>) -> Result<Serial, CommandError> {
+fn serial(
+    arguments: &Arguments,
+    base: Option<&PackageBytes>,
+    place: &Path,
+) -> Result<Serial, CommandError> {
     // Whether the file may be replaced is checked later.
-    let replaced =
-        if arguments.out.is_file() { PackageBytes::load(&arguments.out).ok() } else { None };
+    let replaced = if place.is_file() { PackageBytes::load(place).ok() } else { None };
     let before = base
         .zip(arguments.base.as_deref())
         .into_iter()
-        .chain(replaced.as_ref().map(|replaced| (replaced, arguments.out.as_path())))
+        .chain(replaced.as_ref().map(|replaced| (replaced, place)))
         .map(|(package, path)| (package.package().serial(), path))
         .max();
     let epoch = before.map_or(0, |(serial, _)| serial.epoch);
@@ -276,7 +375,7 @@ fn warn(warning: &Warning) {
 }
 
 fn report<'a>(
-    arguments: &Arguments,
+    places: &[PathBuf],
     task: &TrainingTask<'a>,
     recording: &Recording,
     trained: &'a Trained,
@@ -285,7 +384,8 @@ fn report<'a>(
 ) -> Report<'a> {
     let quality = &trained.quality;
     Report {
-        package: arguments.out.display().to_string(),
+        package: places[0].display().to_string(),
+        packages: places.iter().map(|place| place.display().to_string()).collect(),
         summary: PackageSummary::new(package),
         recipe: &task.recipe.name,
         seed: task.seed,
@@ -322,7 +422,7 @@ fn report<'a>(
     }
 }
 
-fn text(arguments: &Arguments, report: &Report<'_>) -> String {
+fn text(places: &[PathBuf], report: &Report<'_>) -> String {
     let error = |error: Option<f64>| error.map_or("none".to_owned(), |e| format!("{e:.3e}"));
     let kept = if report.stopped_by == "interruption" { " (the best network so far)" } else { "" };
     let intervals = report.recorded_samples as f64 + report.missing_samples as f64;
@@ -353,13 +453,13 @@ fn text(arguments: &Arguments, report: &Report<'_>) -> String {
         "Written to {}: {}, {}\n\
          Recipe {}, seed {}, {:.2} s\n\
          Next: host-sim weights verify {}",
-        report.package,
+        report.packages.join(", "),
         report.summary,
         if report.signed { "signed" } else { "not signed" },
         terminal::one_line(report.recipe),
         report.seed,
         report.elapsed_s,
-        shell_word(&arguments.out),
+        shell_word(&places[0]),
     );
     text
 }

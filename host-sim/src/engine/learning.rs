@@ -12,14 +12,13 @@ use agent_core::agent::capture::{Sample, is_due};
 use agent_core::package::Serial;
 use rayon::prelude::*;
 
+use super::fleet::{FleetSamples, fleet_packages};
 use super::run_observer::Switch;
 use super::{Progress, RunError, TrainingRecord};
-use crate::analysis::TriggerConstants;
 use crate::flow::Plan;
-use crate::learning::agent_config;
 use crate::learning::trained::{INITIAL_VERSION, TrainedError, TrainingTask};
 use crate::packages::recording::Observed;
-use crate::packages::{Draft, PackageBytes, Recording, Timing};
+use crate::packages::{PackageBytes, Recording, Timing};
 use crate::scenario::{LearningCycle, Method, Scenario};
 use crate::training::{DataError, Dataset, EpochReport};
 use crate::warning::Warning;
@@ -225,32 +224,19 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
     let serial_plan = plan;
     let plan = plan.filter(|plan| scenario.time.tick(description.apply_at) >= plan.starts_at());
     let agents: Vec<usize> = group.iter().map(|job| job.agent).collect();
-    let harmonics = plan.map_or_else(Vec::new, |plan| plan.harmonics(&agents, &recordings));
-    // The network learns what the disturbance model of the observer does not.
-    let without = plan.and_then(|plan| plan.without(&harmonics, &recordings));
-    let training = without.as_deref().unwrap_or(&recordings);
-    let joined: Recording;
-    let recording = match training {
-        [recording] => recording,
-        recordings => {
-            joined = Recording::joined(recordings)
-                .ok_or(DataError::TooFewSamples { found: 0, needed: 1 })
-                .map_err(|error| failed(error.into()))?;
-            &joined
-        }
+    let samples = FleetSamples::new(plan, &agents, &recordings)
+        .ok_or_else(|| failed(DataError::TooFewSamples { found: 0, needed: 1 }.into()))?;
+    let FleetSamples { recording, harmonics } = &samples;
+    let members: Vec<_> =
+        agents.iter().map(|&agent| (agent, serial(scenario, serial_plan, agent, cycle))).collect();
+    let packages = |trained: &PackageBytes| {
+        fleet_packages(scenario, plan, harmonics, trained, &members).map_err(RunError::Observer)
     };
     let Serial { epoch, version } = serial(scenario, serial_plan, agent, cycle);
     let task = TrainingTask { scenario, network, recipe, agent, cycle, seed, epoch, version };
     if scenario.method == Method::Regression {
         let fitted = task.fit_polynomials(recording).map_err(failed)?;
-        for job in group {
-            let mut draft = Draft::copy(&fitted.package());
-            draft.node = agent_config(scenario, &TriggerConstants::new(scenario), job.agent);
-            let mut package = draft.seal().map_err(|error| failed(error.into()))?;
-            if let Some(plan) = plan {
-                package =
-                    plan.equip(&package, job.agent, &harmonics).map_err(RunError::Observer)?;
-            }
+        for (job, package) in group.into_iter().zip(packages(&fitted)?) {
             job.trained = true;
             job.package = Some(package);
         }
@@ -261,21 +247,10 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
         ControlFlow::Continue(())
     };
     let trained = task.carry_out(recording, &mut report_epoch).map_err(failed)?;
-    let trigger = TriggerConstants::new(scenario);
     let mut records = Vec::with_capacity(group.len());
-    for (place, (job, recording)) in group.into_iter().zip(recordings).enumerate() {
-        let mut package = trained.package.clone();
-        if place > 0 {
-            // The same network, for another agent.
-            let mut draft = Draft::copy(&package.package());
-            draft.node = agent_config(scenario, &trigger, job.agent);
-            Serial { epoch: draft.epoch, version: draft.version } =
-                serial(scenario, serial_plan, job.agent, cycle);
-            package = draft.seal().map_err(|error| failed(error.into()))?;
-        }
-        if let Some(plan) = plan {
-            package = plan.equip(&package, job.agent, &harmonics).map_err(RunError::Observer)?;
-        }
+    let packages = packages(&trained.package)?;
+    let parts = group.into_iter().zip(recordings).zip(packages);
+    for (place, ((job, recording), package)) in parts.enumerate() {
         job.trained = true;
         job.package = trained.accepted.then(|| package.clone());
         let of_this = |warning: &Warning| {

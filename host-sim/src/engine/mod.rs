@@ -16,6 +16,7 @@ mod agents;
 pub mod bounds;
 mod clock;
 mod failure;
+pub mod fleet;
 mod kalman;
 mod learning;
 pub mod link;
