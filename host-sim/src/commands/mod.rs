@@ -21,6 +21,7 @@ mod design;
 mod error;
 mod frontier;
 mod health;
+mod initial_states;
 mod key;
 mod keygen;
 #[cfg(unix)]
@@ -40,6 +41,7 @@ mod reproduce;
 mod run;
 mod run_folder;
 mod scenario;
+mod scenario_source;
 mod seeds;
 mod summary;
 mod train;
@@ -48,7 +50,6 @@ mod versions;
 mod warnings;
 mod weights;
 
-use std::path::Path;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -57,11 +58,12 @@ use serde::Serialize;
 
 use crate::engine::Progress;
 use crate::interruption;
-use crate::scenario::{Network, Scenario, built_in};
+use crate::scenario::{Network, Scenario};
 use crate::terminal;
 use crate::training::EpochReport;
 use error::{CommandError, ErrorCode};
 use progress::ProgressBars;
+use scenario_source::{Changes, load_scenario};
 
 /// Simulates distributed, event-triggered state estimation with deep networks.
 ///
@@ -227,31 +229,6 @@ fn print_outcome(
     match outcome {
         Ok(()) => printed,
         Err(error) => Err(error.printed()),
-    }
-}
-
-/// Loads the built-in scenario of that name, or the file `path`. A built-in name takes precedence
-/// over a file of the same name; `./NAME` refers to the file.
-fn load_scenario(path: &Path) -> Result<Scenario, CommandError> {
-    let Some((name, text)) = path.to_str().and_then(|name| Some((name, built_in(name)?))) else {
-        return Ok(Scenario::load(path)?);
-    };
-    if path.is_file() {
-        terminal::note(format_args!(
-            "using the built-in scenario {name}; write ./{name} to use the file of that name"
-        ));
-    }
-    Ok(Scenario::parse(name, text)?)
-}
-
-/// Returns the text of the scenario that [`load_scenario`] has read.
-fn scenario_text(path: &Path) -> Result<String, CommandError> {
-    match path.to_str().and_then(built_in) {
-        Some(text) => Ok(text.to_owned()),
-        None => std::fs::read_to_string(path).map_err(|error| {
-            let text = format!("{}: cannot be read: {error}; check the path", path.display());
-            CommandError::new(ErrorCode::Scenario, text).about(path)
-        }),
     }
 }
 

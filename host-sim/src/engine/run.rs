@@ -88,9 +88,10 @@ fn run_any(
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
     let n = scenario.dimension();
+    let scenario = scenario.drawn(options.seed);
     with_dimension!(
         n,
-        run_fixed(scenario, link, run_observer, options, progress),
+        run_fixed(&scenario, link, run_observer, options, progress),
         else panic!("{n} state components, expected 1 to 12")
     )
 }
