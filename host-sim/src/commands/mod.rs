@@ -44,6 +44,7 @@ mod scenario;
 mod scenario_source;
 mod seeds;
 mod summary;
+mod sweep;
 mod train;
 mod trainings;
 mod versions;
@@ -93,6 +94,11 @@ enum Command {
     Design(design::Arguments),
     /// Compare forms of the observer: error against broadcasts, bytes and battery life
     Frontier(frontier::Arguments),
+    /// Run a scenario over values of its keys, seeds and initial states: one table of all runs
+    ///
+    /// The same command continues a study that was interrupted. `--shard K/N` runs one of N parts, on
+    /// any machine; their tables one after the other are the table of the whole study.
+    Sweep(sweep::Arguments),
     /// Run a scenario together with emulated or real nodes and compare every bit
     #[cfg(unix)]
     Cosim(cosim::Arguments),
@@ -164,6 +170,9 @@ pub fn main() -> ExitCode {
         }
         Command::Frontier(arguments) => {
             with_threads(arguments.common.threads, || frontier::execute(&arguments))
+        }
+        Command::Sweep(arguments) => {
+            with_threads(arguments.common.threads, || sweep::execute(&arguments))
         }
         #[cfg(unix)]
         Command::Cosim(arguments) => {
