@@ -36,6 +36,8 @@ pub enum Purpose {
     MissedTick,
     /// Initial states of the plant.
     InitialState,
+    /// Points of a Latin hypercube.
+    LatinHypercube,
 }
 
 /// Draws the random numbers of one purpose.

@@ -272,6 +272,7 @@ fn run_in_json_is_one_object() {
     let keys = [
         "scenario",
         "seed",
+        "initial_state",
         "elapsed_s",
         "baselines",
         "agents",

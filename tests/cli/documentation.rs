@@ -17,7 +17,7 @@ use super::command_line::{Folder, texts};
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 
 /// Commands that other parts of CI run, some of them in a shorter form, by their first words.
-const RUN_BY_CI: [&str; 17] = [
+const RUN_BY_CI: [&str; 18] = [
     "STORE_CUTS=all cargo test --release -p integration-tests",
     "STORE_HISTORIES=1000000 cargo test --release -p integration-tests",
     "cp -r firmware-template/boards/",
@@ -35,6 +35,7 @@ const RUN_BY_CI: [&str; 17] = [
     "cargo xtask new",
     "cargo xtask size",
     "cargo xtask soak",
+    "cargo xtask studies",
 ];
 
 /// What stands behind the three backticks of a block.

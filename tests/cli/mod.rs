@@ -15,4 +15,5 @@ pub(crate) mod memory_map;
 #[cfg(unix)]
 pub(crate) mod node_commands;
 mod signatures_and_versions;
+mod sweep;
 mod weights_commands;

@@ -23,6 +23,7 @@ mod size;
 mod soak;
 mod stack;
 mod step;
+mod studies;
 
 use std::{process::ExitCode, time::Instant};
 
@@ -38,6 +39,7 @@ Usage: cargo xtask <task> [--debian]
        cargo xtask soak [--steps N] [--seed S] [--debian]
        cargo xtask attack [--tries N] [--seed S] [--format text|json]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
+       cargo xtask studies [--debian]
 
 Tasks:
   test    run all tests: the workspace on the host, including doctests, then `cross`, `emulate`,
@@ -76,6 +78,8 @@ Tasks:
           Requires the stable toolchain and a C++ compiler (for libFuzzer), but not cargo-fuzz;
           with cargo-fuzz and a nightly toolchain, `cargo +nightly fuzz run TARGET` adds the
           address sanitizer.
+  studies run one small study in one go, by the script for Slurm arrays, with GNU parallel, and on
+          a Dask cluster of two workers (from PyPI): the tables must have the same bytes
   help    print this text
 
 Boards are the folders in firmware-template/boards; CONTRIBUTING.md says how to add one.
@@ -97,6 +101,7 @@ fn main() -> ExitCode {
         ["size", ref rest @ ..] if rest.iter().all(|name| !name.starts_with('-')) => {
             size::size(rest, debian)
         }
+        ["studies"] => studies::studies(debian),
         ["boot"] => boot::boot(debian),
         ["emulate"] => emulate::emulate(debian),
         ["lint"] => circles::check(step::workspace())

@@ -5,7 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
-use super::{CommandError, ErrorCode, Format, load_scenario, print_outcome, print_text, warnings};
+use super::{
+    Changes, CommandError, ErrorCode, Format, load_scenario, print_outcome, print_text, warnings,
+};
 use crate::engine::RunError;
 use crate::number::significant;
 use crate::plant::RateFault;
@@ -19,6 +21,8 @@ use crate::warning::Warning;
 pub(super) struct Arguments {
     /// Scenario: a TOML file or the name of a built-in scenario
     scenario: PathBuf,
+    #[command(flatten)]
+    changes: Changes,
     /// Output format
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -35,7 +39,7 @@ struct Report<'a> {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
-    let scenario = load_scenario(&arguments.scenario)?;
+    let scenario = load_scenario(&arguments.scenario, &arguments.changes)?;
     let design = DesignChecks::new(&scenario);
     let warnings = warnings::before(&scenario, &design);
     let state = &scenario.initial_state;

@@ -21,6 +21,7 @@ mod design;
 mod error;
 mod frontier;
 mod health;
+mod initial_states;
 mod key;
 mod keygen;
 mod methods;
@@ -41,15 +42,16 @@ mod reproduce;
 mod run;
 mod run_folder;
 mod scenario;
+mod scenario_source;
 mod seeds;
 mod summary;
+mod sweep;
 mod train;
 mod trainings;
 mod versions;
 mod warnings;
 mod weights;
 
-use std::path::Path;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -58,11 +60,12 @@ use serde::Serialize;
 
 use crate::engine::Progress;
 use crate::interruption;
-use crate::scenario::{Network, Scenario, built_in};
+use crate::scenario::{Network, Scenario};
 use crate::terminal;
 use crate::training::EpochReport;
 use error::{CommandError, ErrorCode};
 use progress::ProgressBars;
+use scenario_source::{Changes, load_scenario};
 
 /// Simulates distributed, event-triggered state estimation with deep networks.
 ///
@@ -92,6 +95,11 @@ enum Command {
     Design(design::Arguments),
     /// Compare forms of the observer: error against broadcasts, bytes and battery life
     Frontier(frontier::Arguments),
+    /// Run a scenario over values of its keys, seeds and initial states: one table of all runs
+    ///
+    /// The same command continues a study that was interrupted. `--shard K/N` runs one of N parts, on
+    /// any machine; their tables one after the other are the table of the whole study.
+    Sweep(sweep::Arguments),
     /// Run a scenario together with emulated or real nodes and compare every bit
     #[cfg(unix)]
     Cosim(cosim::Arguments),
@@ -164,6 +172,9 @@ pub fn main() -> ExitCode {
         Command::Frontier(arguments) => {
             with_threads(arguments.common.threads, || frontier::execute(&arguments))
         }
+        Command::Sweep(arguments) => {
+            with_threads(arguments.common.threads, || sweep::execute(&arguments))
+        }
         #[cfg(unix)]
         Command::Cosim(arguments) => {
             with_threads(arguments.common.threads, || cosim::execute(&arguments))
@@ -228,31 +239,6 @@ fn print_outcome(
     match outcome {
         Ok(()) => printed,
         Err(error) => Err(error.printed()),
-    }
-}
-
-/// Loads the built-in scenario of that name, or the file `path`. A built-in name takes precedence
-/// over a file of the same name; `./NAME` refers to the file.
-fn load_scenario(path: &Path) -> Result<Scenario, CommandError> {
-    let Some((name, text)) = path.to_str().and_then(|name| Some((name, built_in(name)?))) else {
-        return Ok(Scenario::load(path)?);
-    };
-    if path.is_file() {
-        terminal::note(format_args!(
-            "using the built-in scenario {name}; write ./{name} to use the file of that name"
-        ));
-    }
-    Ok(Scenario::parse(name, text)?)
-}
-
-/// Returns the text of the scenario that [`load_scenario`] has read.
-fn scenario_text(path: &Path) -> Result<String, CommandError> {
-    match path.to_str().and_then(built_in) {
-        Some(text) => Ok(text.to_owned()),
-        None => std::fs::read_to_string(path).map_err(|error| {
-            let text = format!("{}: cannot be read: {error}; check the path", path.display());
-            CommandError::new(ErrorCode::Scenario, text).about(path)
-        }),
     }
 }
 

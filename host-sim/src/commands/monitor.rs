@@ -15,7 +15,9 @@ use super::connection::{RETRY_POLICY, connect};
 use super::key::NodeKeys;
 use super::node::text;
 use super::node_report::reason_text;
-use super::{CommandError, ErrorCode, Format, health, load_scenario, print_json, print_text};
+use super::{
+    Changes, CommandError, ErrorCode, Format, health, load_scenario, print_json, print_text,
+};
 use crate::interruption::{self, SecondSignal};
 use crate::packages::{PackageBytes, RecordingSource};
 use crate::service::client::decode;
@@ -49,6 +51,8 @@ pub(super) struct Arguments {
     /// `cosim --serve` runs]
     #[arg(long, requires = "record")]
     scenario: Option<PathBuf>,
+    #[command(flatten)]
+    changes: Changes,
     /// With --record: the package in use, whose recipe is noted in the file
     #[arg(long, requires = "record")]
     package: Option<PathBuf>,
@@ -186,7 +190,7 @@ fn source(
         source.scenario_hash = Some(u64::from_be_bytes(provenance.scenario_hash));
     }
     if let Some(path) = &arguments.scenario {
-        let scenario = load_scenario(path)?;
+        let scenario = load_scenario(path, &arguments.changes)?;
         source.scenario = Some(scenario.name.clone());
         source.scenario_hash = Some(scenario.hash);
     } else if let Address::Socket(socket) = &arguments.endpoint

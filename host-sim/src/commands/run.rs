@@ -16,7 +16,8 @@ use super::package_format::PackageFormat;
 use super::run_folder::RunFolder;
 use super::trainings::{self, TrainingSummary};
 use super::{
-    CommandError, Common, Format, SharedProgress, agent_table, certified, methods, output, warnings,
+    Changes, CommandError, Common, Format, SharedProgress, agent_table, certified, methods, output,
+    warnings,
 };
 use super::{load_scenario, print_outcome, print_text};
 use crate::commands::progress::ProgressBars;
@@ -39,6 +40,8 @@ pub(super) struct Arguments {
     /// Scenario: a TOML file or the name of a built-in scenario; `host-sim scenario paper` prints
     /// one to start from
     scenario: PathBuf,
+    #[command(flatten)]
+    changes: Changes,
     /// Weight package for the agent it names, instead of the scenario's network; can be given
     /// several times
     #[arg(long, value_name = "PACKAGE")]
@@ -64,6 +67,8 @@ pub(super) struct Arguments {
 struct Report<'a> {
     scenario: &'a str,
     seed: u64,
+    /// The plant's state at `t = 0`. \[state unit\]
+    initial_state: &'a [f64],
     elapsed_s: f64,
     baselines: States,
     /// The run beside other methods, if there are any.
@@ -80,7 +85,8 @@ struct Report<'a> {
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let start = Instant::now();
-    let mut scenario = load_scenario(&arguments.scenario)?;
+    let scenario = load_scenario(&arguments.scenario, &arguments.changes)?;
+    let mut scenario = scenario.drawn(arguments.common.seed).into_owned();
     give_packages(&mut scenario, &arguments.weights)?;
     if arguments.without_learning {
         scenario.learning.clear();
@@ -124,6 +130,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             let report = Report {
                 scenario: &scenario.name,
                 seed: arguments.common.seed,
+                initial_state: &scenario.initial_state,
                 elapsed_s,
                 baselines: baselines.states(),
                 methods: &rows,
@@ -137,7 +144,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             print_outcome(&report, outcome)
         }
         Format::Text => {
-            let mut text = packages_in_use(&scenario);
+            let mut text = packages_in_use(&scenario) + &initial_state_text(&scenario);
             text += &agent_table::text(&scenario, &agents, &baselines, name_of(&scenario));
             text += &agent_table::traffic(&result, &agents);
             if !rows.is_empty() {
@@ -243,6 +250,15 @@ fn packages_in_use(scenario: &Scenario) -> String {
         Some(format!("Agent {} starts with package version {version} ({recipe})\n", index + 1))
     });
     lines.collect()
+}
+
+/// Says which initial state the seed drew, if it did.
+fn initial_state_text(scenario: &Scenario) -> String {
+    if scenario.initial_spread.is_none() {
+        return String::new();
+    }
+    let state: Vec<_> = scenario.initial_state.iter().map(|x| significant(*x, 6)).collect();
+    format!("Initial state, drawn: [{}]\n", state.join(", "))
 }
 
 /// Returns the name of the run beside its baselines.

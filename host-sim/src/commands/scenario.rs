@@ -4,19 +4,22 @@ use std::fmt::Write;
 
 use clap::Args;
 
-use super::{CommandError, print_text};
-use crate::scenario::BUILT_IN;
+use super::{Changes, CommandError, print_text};
+use crate::scenario::{BUILT_IN, Scenario};
 
 /// Arguments of `scenario`.
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
     /// Name of the scenario [default: list all names]
     name: Option<String>,
+    #[command(flatten)]
+    changes: Changes,
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     match &arguments.name {
         None => {
+            arguments.changes.refuse_without_scenario()?;
             let mut list = String::new();
             for (name, text) in BUILT_IN {
                 // The first line of every file describes it.
@@ -35,7 +38,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                     names.join(", ")
                 )));
             };
-            print_text(text)
+            print_text(&Scenario::parse_changed(wanted, text, &arguments.changes.set)?.1)
         }
     }
 }

@@ -13,8 +13,8 @@ use super::key::Passphrase;
 use super::package_format::PackageFormat;
 use super::summary::ExplainedVariance;
 use super::{
-    CommandError, Common, ErrorCode, Format, agent_index, load_scenario, network_of, print_json,
-    print_text, summary, versions,
+    Changes, CommandError, Common, ErrorCode, Format, agent_index, load_scenario, network_of,
+    print_json, print_text, summary, versions,
 };
 use crate::analysis::TriggerConstants;
 use crate::commands::progress::ProgressBars;
@@ -44,6 +44,8 @@ pub(super) struct Arguments {
     /// Scenario that describes agent, network and recipe: a file or the name of a built-in scenario
     #[arg(long)]
     scenario: PathBuf,
+    #[command(flatten)]
+    changes: Changes,
     /// Numbers of the agents that get the network, from 1, separated by commas
     #[arg(long, required = true, value_delimiter = ',', value_name = "AGENTS")]
     agent: Vec<usize>,
@@ -114,7 +116,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let start = Instant::now();
     // A second Ctrl-C exits without waiting for the end of the epoch.
     interruption::listen(SecondSignal::Exit);
-    let scenario = load_scenario(&arguments.scenario)?;
+    let scenario = load_scenario(&arguments.scenario, &arguments.changes)?;
     let about = |error: SimulationOnly| CommandError::from(error).about(&arguments.scenario);
     scenario.check_for_nodes().map_err(about)?;
     let agents = agents(arguments, &scenario)?;

@@ -89,7 +89,8 @@ fn run_any(
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
     let n = scenario.dimension();
-    let prepared = method::prepared(scenario, options, progress)?;
+    let drawn = scenario.drawn(options.seed);
+    let prepared = method::prepared(&drawn, options, progress)?;
     let scenario = prepared.as_ref();
     if scenario.method.is_kalman() {
         return kalman::run(scenario, link, options, progress);

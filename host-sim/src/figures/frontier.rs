@@ -4,14 +4,13 @@
 //! Filled marks are certified. Down and left is better.
 
 use super::Figure;
-use super::axis::Axis;
-use super::canvas::{Anchor, TextAt};
-use super::canvas::{Canvas, INK, PathData, Rect, Stroke, WIDTH};
+use super::canvas::{Canvas, INK, Rect, Stroke, WIDTH};
 use super::clip::ClippedLine;
+use super::logarithmic::{axis, draw_fine_grid, draw_fine_labels, labels_width};
 use super::palette::{self, SIGNAL};
 use super::panel::{
     BOTTOM_MARGIN, Entry, LABEL_BASELINE, LABEL_SPACE, LEGEND_ROW, LEGEND_TOP, Labels, Panel,
-    RIGHT_MARGIN, Sample, TICK_SIZE, draw_legend, draw_title, legend_rows,
+    RIGHT_MARGIN, Sample, draw_legend, draw_title, legend_rows,
 };
 
 /// Input of [`frontier`].
@@ -67,7 +66,6 @@ const LINE: f64 = 1.1;
 const MARK: f64 = 3.3;
 const RING: f64 = 6.2;
 const TARGET: Stroke = Stroke::solid(SIGNAL, 0.9).dashed(5.0, 3.0);
-const FAINT_GRID: Stroke = Stroke::solid("#ececec", 0.45);
 
 /// Errors above this multiple of the target are beyond the upper end of the axis.
 const FAR: f64 = 30.0;
@@ -107,84 +105,6 @@ pub fn frontier(figure: &FrontierFigure<'_>) -> Figure {
     panel.label_x(&mut canvas, figure.broadcasts_label);
     panel.label_y(&mut canvas, "largest RMSE of an agent [state unit]", LABEL_BASELINE);
     Figure { svg: canvas.finish(panel.area.bottom() + BOTTOM_MARGIN) }
-}
-
-/// Creates an axis of decimal logarithms over these values, with some room.
-fn axis(values: impl Iterator<Item = f64>) -> Axis {
-    let (low, high) = values
-        .filter(|&value| value > 0.0)
-        .fold((f64::INFINITY, 0.0f64), |(low, high), value| (low.min(value), high.max(value)));
-    let (low, high) = if low <= high { (low, high) } else { (1.0, 10.0) };
-    let mut axis = Axis::powers(low, high);
-    let room = 0.05 * (high / low).log10().max(0.5);
-    (axis.from, axis.to) = (low.log10() - room, high.log10() + room);
-    axis
-}
-
-/// Returns 2 to 9 times all powers of ten of the axis, as value and leading digit.
-fn fine_ticks(axis: &Axis) -> Vec<(f64, u8)> {
-    let (first, last) = (axis.from.floor() as i32, axis.to.ceil() as i32);
-    let of = |power: i32| (2..=9u8).map(move |lead| (10f64.powi(power) * f64::from(lead), lead));
-    let inside = |&(value, _): &(f64, u8)| (axis.from..=axis.to).contains(&value.log10());
-    (first..=last).flat_map(of).filter(inside).collect()
-}
-
-fn draw_fine_grid(canvas: &mut Canvas, panel: &Panel) {
-    let area = panel.area;
-    canvas.fill(area, "#ffffff");
-    let mut grid = PathData::default();
-    for (value, _) in fine_ticks(&panel.x) {
-        let x = panel.at_x(value.log10());
-        grid.move_to(x, area.top);
-        grid.line_to(x, area.bottom());
-    }
-    for (value, _) in fine_ticks(&panel.y) {
-        let y = panel.at_y(value.log10());
-        grid.move_to(area.left, y);
-        grid.line_to(area.right(), y);
-    }
-    canvas.line(grid, FAINT_GRID);
-    let mut grid = PathData::default();
-    for tick in panel.x.ticks() {
-        grid.move_to(panel.at_x(tick), area.top);
-        grid.line_to(panel.at_x(tick), area.bottom());
-    }
-    for tick in panel.y.ticks() {
-        grid.move_to(area.left, panel.at_y(tick));
-        grid.line_to(area.right(), panel.at_y(tick));
-    }
-    canvas.line(grid, Stroke::solid("#d9d9d9", 0.6));
-}
-
-/// Font size of labels between powers of ten. \[user unit\]
-const FINE_SIZE: f64 = TICK_SIZE - 2.0;
-
-fn fine_label(value: f64) -> String {
-    if value >= 1.0 { format!("{value:.0}") } else { crate::number::significant(value, 1) }
-}
-
-/// Whether the ticks at 2 and 5 times powers of ten are labelled, too.
-fn is_labelled(lead: u8) -> bool {
-    lead == 2 || lead == 5
-}
-
-fn labels_width(y: &Axis) -> f64 {
-    let fine = fine_ticks(y).into_iter().filter(|(_, lead)| is_labelled(*lead));
-    let widths = fine.map(|(value, _)| super::font::width(&fine_label(value), FINE_SIZE));
-    widths.fold(Panel::y_labels_width(y, TICK_SIZE), |widest, width| widest.max(width + 5.5))
-}
-
-fn draw_fine_labels(canvas: &mut Canvas, panel: &Panel) {
-    let area = panel.area;
-    for (value, _) in fine_ticks(&panel.x).into_iter().filter(|(_, lead)| is_labelled(*lead)) {
-        let at = (panel.at_x(value.log10()), area.bottom() + 4.5 + TICK_SIZE);
-        let at = TextAt::new(at.0, at.1, FINE_SIZE, Anchor::Middle);
-        canvas.text(&fine_label(value), at);
-    }
-    for (value, _) in fine_ticks(&panel.y).into_iter().filter(|(_, lead)| is_labelled(*lead)) {
-        let at = (area.left - 5.5, panel.at_y(value.log10()) + 0.36 * FINE_SIZE);
-        canvas.text(&fine_label(value), TextAt::new(at.0, at.1, FINE_SIZE, Anchor::End));
-    }
 }
 
 fn draw_form(canvas: &mut Canvas, panel: &Panel, form: &FrontierForm<'_>, color: &'static str) {
@@ -295,12 +215,5 @@ mod tests {
             let svg = figure(error);
             assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
         }
-    }
-
-    #[test]
-    fn ticks_between_powers_of_ten() {
-        let ticks = fine_ticks(&axis([30.0, 400.0].into_iter()));
-        let values: Vec<f64> = ticks.into_iter().map(|(value, _)| value).collect();
-        assert_eq!(values, [30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 200.0, 300.0, 400.0]);
     }
 }

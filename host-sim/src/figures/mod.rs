@@ -18,6 +18,7 @@ mod font;
 mod frontier;
 #[cfg(test)]
 mod label_tests;
+mod logarithmic;
 mod marks;
 mod palette;
 mod panel;
@@ -26,6 +27,7 @@ mod series;
 mod states;
 #[cfg(test)]
 mod tests;
+mod tradeoff;
 
 use std::path::{Path, PathBuf};
 
@@ -40,6 +42,7 @@ pub use frontier::{FrontierFigure, FrontierForm, FrontierPoint, frontier};
 pub use marks::{Marker, Reference};
 pub use raster::{PNG_WIDTH, RenderError};
 pub use states::{StateFigure, states};
+pub use tradeoff::{TradeoffFigure, TradeoffLine, TradeoffPoint, tradeoff};
 
 /// A finished figure.
 #[derive(Clone, Debug, PartialEq, Eq)]

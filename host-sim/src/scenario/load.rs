@@ -5,6 +5,7 @@ use std::path::Path;
 use agent_core::observer::field::Coupling;
 use toml::de::DeTable;
 
+use super::changes::{self, Change};
 use super::error::{ScenarioError, closest};
 use super::reader::{Source, Table};
 use super::sections::{
@@ -26,6 +27,14 @@ impl Scenario {
     /// # Errors
     /// Returns the first problem found, with file, line, key and hint.
     pub fn load(path: &Path) -> Result<Self, ScenarioError> {
+        Self::parse(&path.display().to_string(), &Self::read_text(path)?)
+    }
+
+    /// Reads the text of a file without checking it.
+    ///
+    /// # Errors
+    /// If the file cannot be read, is too large, or is not UTF-8.
+    pub fn read_text(path: &Path) -> Result<String, ScenarioError> {
         let file = path.display().to_string();
         let unread = Source { file: &file, text: "" };
         let bytes = read_limited(path, BYTES_MAX).map_err(|error| {
@@ -43,12 +52,52 @@ impl Scenario {
             );
             unread.error(None, None, format_args!("cannot be read: {error}"), hint)
         })?;
-        let text = String::from_utf8(bytes).map_err(|error| {
+        String::from_utf8(bytes).map_err(|error| {
             let valid = &error.as_bytes()[..error.utf8_error().valid_up_to()];
             let line = valid.iter().filter(|&&byte| byte == b'\n').count() + 1;
             unread.error(Some(line), None, "is not UTF-8", "save the file as UTF-8 text")
-        })?;
-        Self::parse(&file, &text)
+        })
+    }
+
+    /// Changes keys in the text of a scenario, and reads and checks the result. Returns the changed
+    /// text, too. `file` is the name used in errors.
+    ///
+    /// ```
+    /// use host_sim::scenario::{Change, PAPER, Scenario};
+    ///
+    /// let change = Change::parse("--set", "design.epsilon=500")?;
+    /// let (scenario, text) = Scenario::parse_changed("paper.toml", PAPER, &[change])?;
+    /// assert_eq!(scenario.design.epsilon, 500.0);
+    /// assert!(text.contains("epsilon = 500\n"));
+    /// # Ok::<(), Box<dyn core::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Scenario::parse`]; an error that a change caused names it.
+    pub fn parse_changed(
+        file: &str,
+        text: &str,
+        changes: &[Change],
+    ) -> Result<(Self, String), ScenarioError> {
+        let unchanged = || Self::parse(file, text).map(|scenario| (scenario, text.to_owned()));
+        if changes.is_empty() {
+            return unchanged();
+        }
+        let Some(changed) = changes::applied(file, text, changes) else { return unchanged() };
+        let changed = changed?;
+        match Self::parse(file, &changed) {
+            Ok(scenario) => Ok((scenario, changed)),
+            Err(error) => {
+                let own = Self::parse(file, text).err();
+                if let Some(own) =
+                    own.filter(|own| (&own.key, &own.problem) == (&error.key, &error.problem))
+                {
+                    return Err(own);
+                }
+                let moved = changed.lines().count() != text.lines().count();
+                Err(changes::blamed(error, changes, moved))
+            }
+        }
     }
 
     /// Reads and checks the text of a scenario. `file` is the name used in errors.
@@ -129,7 +178,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     ])?;
     let name = run::name(root)?;
     let time = run::time(root)?;
-    let (plant, initial_state, process_noise) = plant::plant(root)?;
+    let (plant, initial, process_noise) = plant::plant(root)?;
     let n = plant.dimension();
     if let Some(recorded) = plant.recording() {
         run::check_recorded(root, &time, recorded.duration())?;
@@ -174,7 +223,8 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         hash: 0,
         plant,
         disturbance,
-        initial_state,
+        initial_state: initial.state,
+        initial_spread: initial.spread,
         process_noise,
         time,
         design,

@@ -6,13 +6,17 @@
 //! of the file: states as the user scales them, time in \[s\].
 
 mod builtin;
+mod changes;
 mod error;
+mod initial_state;
 mod load;
 mod reader;
 mod sections;
 
 pub use builtin::{BUILT_IN, PAPER, built_in};
+pub use changes::{Change, ChangeError};
 pub use error::ScenarioError;
+pub use initial_state::drawn_state;
 pub use sections::clock::ClockSettings;
 pub use sections::life::Downtime;
 pub use sections::link::{Burst, EdgeRule, EdgeSettings, LinkSettings, MediumSettings, Partition};
@@ -21,6 +25,7 @@ pub use sections::observer::{DisturbanceModel, ObserverSettings};
 pub use sections::sensor::{Outliers, SensorSettings};
 pub use sections::trigger::TriggerModel;
 
+use std::borrow::Cow;
 use std::num::NonZeroU32;
 
 use agent_core::agent::exchange::ExchangeParams;
@@ -44,8 +49,12 @@ pub struct Scenario {
     pub plant: Plant,
     /// `d`, the disturbance of the plant.
     pub disturbance: Disturbance,
-    /// `x_0(0)`, shape `[n]`.
+    /// `x_0(0)`, shape `[n]`; with [`Self::initial_spread`] the one of seed 0, until
+    /// [`Self::drawn`].
     pub initial_state: Vec<f64>,
+    /// Half widths of the uniform distribution that the run's seed draws `x_0(0)` from, shape `[n]`;
+    /// `None` if it is given.
+    pub initial_spread: Option<Vec<f64>>,
     /// Intensity of the white noise that drives the plant, shape `[n]`; empty without noise.
     /// \[state unit/sqrt(s)\]
     pub process_noise: Vec<f64>,
@@ -90,6 +99,18 @@ impl Scenario {
     #[must_use]
     pub fn dimension(&self) -> usize {
         self.initial_state.len()
+    }
+
+    /// Returns the scenario with the initial state that a run with this seed begins in: itself, unless
+    /// that is drawn.
+    #[must_use]
+    pub fn drawn(&self, seed: u64) -> Cow<'_, Self> {
+        match &self.initial_spread {
+            None => Cow::Borrowed(self),
+            Some(spread) => {
+                Cow::Owned(Self { initial_state: drawn_state(spread, seed, 0), ..self.clone() })
+            }
+        }
     }
 
     /// Returns the number of steps in the run.

@@ -14,7 +14,7 @@ use emulated::{FlashFolder, Signing};
 use super::key::Passphrase;
 use super::warnings;
 use super::{
-    CommandError, Common, ErrorCode, Format, SharedProgress, load_scenario, print_outcome,
+    Changes, CommandError, Common, ErrorCode, Format, SharedProgress, load_scenario, print_outcome,
     print_text,
 };
 use crate::analysis::StepCheck;
@@ -40,6 +40,8 @@ pub(super) struct Arguments {
     /// Scenario: a TOML file or the name of a built-in scenario
     #[arg(default_value = "paper")]
     scenario: PathBuf,
+    #[command(flatten)]
+    changes: Changes,
     /// Boards, one for all agents or one per agent: qemu (pipes, fastest), qemu-uart (emulated
     /// serial line), serial:/dev/tty...[@BAUD] (real board), unix:PATH
     #[arg(long, value_delimiter = ',', default_value = "qemu")]
@@ -279,7 +281,8 @@ fn served(arguments: &Arguments, agents: usize) -> String {
 }
 
 fn scenario(arguments: &Arguments) -> Result<Scenario, CommandError> {
-    let mut scenario = load_scenario(&arguments.scenario)?;
+    let scenario = load_scenario(&arguments.scenario, &arguments.changes)?;
+    let mut scenario = scenario.drawn(arguments.common.seed).into_owned();
     if let Some(recipe) = &arguments.recipe {
         if scenario.recipe(recipe).is_none() {
             let names: Vec<_> = scenario.recipes.iter().map(|r| r.name.as_str()).collect();

@@ -20,9 +20,10 @@ use serde::Serialize;
 use super::baselines::NOTHING;
 use super::error::Reported;
 use super::progress::ProgressBars;
+use super::scenario_source::load_with_text;
 use super::{
-    CommandError, Common, ErrorCode, Format, SharedProgress, load_scenario, print_json, print_text,
-    scenario_text, warnings,
+    Changes, CommandError, Common, ErrorCode, Format, SharedProgress, print_json, print_text,
+    warnings,
 };
 use crate::analysis::design::{
     Certificate, DesignError, DesignedGain, Knee, Objective, Plan, Shape,
@@ -47,6 +48,8 @@ const MARGIN: f64 = 1.02;
 pub(super) struct Arguments {
     /// Scenario: a TOML file or the name of a built-in scenario
     scenario: PathBuf,
+    #[command(flatten)]
+    changes: Changes,
     /// What the gain is chosen for: smallest trace or smallest spectral norm for the scenario's k1, or
     /// fastest decay with the spectral norm of the scenario's gain
     #[arg(long, value_enum, default_value_t)]
@@ -150,8 +153,8 @@ struct Designed {
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let start = Instant::now();
-    let scenario = load_scenario(&arguments.scenario)?;
-    let source = scenario_text(&arguments.scenario)?;
+    let (scenario, source) = load_with_text(&arguments.scenario, &arguments.changes)?;
+    let scenario = scenario.drawn(arguments.common.seed).into_owned();
     let out = arguments.out.as_deref().map(|path| prepare(path, &scenario)).transpose()?;
     let designed = design(&scenario, arguments)?;
     if let (Some(out), Some(path)) = (out, &arguments.out) {

@@ -1,6 +1,6 @@
 //! The design as text, and in the text of a scenario.
 
-use toml_edit::{Array, DocumentMut, Value};
+use toml_edit::{Array, DocumentMut, Item, Value};
 
 use super::frontier;
 use super::{Designed, rows};
@@ -77,10 +77,12 @@ pub(super) fn edited(source: &str, designed: &Designed) -> Option<String> {
     let table = document.get_mut("design")?.as_table_like_mut()?;
     let certificate = &designed.certificate;
     let mut replace = |key: &str, mut value: Value| -> Option<()> {
-        let old = table.get_mut(key)?.as_value_mut()?;
-        // Blanks and the comment behind the value.
-        *value.decor_mut() = old.decor().clone();
-        *old = value;
+        let item = table.get_mut(key)?;
+        // Blanks and the comment behind the value; a table, such as a scaled gain, has none.
+        if let Some(old) = item.as_value() {
+            *value.decor_mut() = old.decor().clone();
+        }
+        *item = Item::Value(value);
         Some(())
     };
     replace("gain", gain_value(designed))?;

@@ -15,13 +15,14 @@ use serde::Serialize;
 use super::print_text;
 use super::progress::ProgressBars;
 use super::run_folder::{FRONTIER, FRONTIER_KIND, RunFolder};
-use super::{CommandError, Common, ErrorCode, Format, load_scenario, output, print_outcome};
+use super::{
+    Changes, CommandError, Common, ErrorCode, Format, initial_states, load_scenario, output,
+    print_outcome,
+};
 use crate::engine::RunError;
 use crate::figures::{FrontierFigure, FrontierForm, FrontierPoint, frontier, write_all};
 use crate::files::output::{OutputError, write_result};
-use crate::flow::plant_course;
 use crate::interruption::{self, SecondSignal};
-use crate::random::{Purpose, Random};
 use crate::report::paper::PUBLISHED;
 use crate::scenario::{PAPER, Scenario};
 use forms::{Form, Forms, Level, Variant};
@@ -33,6 +34,8 @@ use summary::{Best, Setting};
 pub(super) struct Arguments {
     /// Scenario: a TOML file or the name of a built-in scenario
     scenario: PathBuf,
+    #[command(flatten)]
+    changes: Changes,
     /// Forms to compare, separated by commas [default: all but paper-model and known-f]
     #[arg(long, value_enum, value_delimiter = ',', value_name = "FORMS")]
     forms: Vec<Form>,
@@ -74,9 +77,9 @@ struct Report<'a> {
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let start = Instant::now();
     interruption::listen(SecondSignal::Exit);
-    let scenario = load_scenario(&arguments.scenario)?;
-    let wanted = wanted(arguments, &scenario)?;
     let seed = arguments.common.seed;
+    let scenario = load_scenario(&arguments.scenario, &arguments.changes)?.drawn(seed).into_owned();
+    let wanted = wanted(arguments, &scenario)?;
     if seed.checked_add(arguments.seeds).is_none() {
         let problem = format!("--seed {seed}: too few seeds remain after it; choose a smaller one");
         return Err(CommandError::usage(problem));
@@ -161,27 +164,14 @@ fn is_built_in_paper(scenario: &Scenario) -> bool {
     Scenario::parse("paper.toml", PAPER).is_ok_and(|paper| paper.hash == scenario.hash)
 }
 
-/// Returns the scenario's initial state, and others that are uniform within plus and minus the largest
-/// magnitude of each component along the plant's course.
+/// Returns the scenario's initial state, and others.
 fn initial_states(
     scenario: &Scenario,
     count: u64,
     seed: u64,
 ) -> Result<Vec<Vec<f64>>, CommandError> {
     let mut states = vec![scenario.initial_state.clone()];
-    if count == 1 {
-        return Ok(states);
-    }
-    let course = plant_course(scenario).map_err(RunError::Observer)?;
-    let n = course.dimension;
-    let size =
-        |c: usize| course.states.iter().skip(c).step_by(n).fold(0.0f64, |m, x| m.max(x.abs()));
-    let sizes: Vec<f64> = (0..n).map(size).collect();
-    let random = Random::new(seed, Purpose::InitialState);
-    states.extend((1..count).map(|k| {
-        let component = |c: usize| sizes[c] * (2.0 * random.uniform([k, c as u64, 0]) - 1.0);
-        (0..n).map(component).collect()
-    }));
+    states.extend(initial_states::others(scenario, count, seed)?);
     Ok(states)
 }
 

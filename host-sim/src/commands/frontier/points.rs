@@ -15,11 +15,11 @@ use super::radio::Frames;
 use crate::commands::SharedProgress;
 use crate::commands::baselines::NOTHING;
 use crate::commands::certified;
+use crate::commands::initial_states::begun_in;
 use crate::commands::progress::ProgressBars;
 use crate::engine::{Progress, RunOptions, run};
 use crate::files::output::OutputError;
 use crate::interruption;
-use crate::scenario::Scenario;
 
 /// One run.
 #[derive(Clone, Debug, Serialize)]
@@ -101,11 +101,8 @@ impl Study {
     }
 
     fn run(&self, variant: &Variant, state: usize, seed: u64, progress: &dyn Progress) -> Point {
-        let scenario = Scenario {
-            record: NOTHING,
-            initial_state: self.initial_states[state].clone(),
-            ..variant.scenario.clone()
-        };
+        let mut scenario = begun_in(&variant.scenario, &self.initial_states[state]);
+        scenario.record = NOTHING;
         let mut point = Point {
             form: variant.form,
             radius: None,

@@ -106,7 +106,7 @@ impl RunFolder {
 }
 
 /// Locks the folder itself, which leaves no lock file behind.
-fn lock(path: &Path) -> Result<Option<File>, CommandError> {
+pub(super) fn lock(path: &Path) -> Result<Option<File>, CommandError> {
     let locked = File::open(path).map_err(TryLockError::Error).and_then(|folder| {
         folder.try_lock()?;
         Ok(folder)

@@ -12,7 +12,8 @@ use crate::analysis::TriggerConstants;
 use crate::commands::key::Passphrase;
 use crate::commands::package_format::PackageFormat;
 use crate::commands::{
-    CommandError, Format, agent_index, load_scenario, network_of, print_json, print_text, versions,
+    Changes, CommandError, Format, agent_index, load_scenario, network_of, print_json, print_text,
+    versions,
 };
 use crate::files::output::OutputFile;
 use crate::learning::agent_config;
@@ -49,6 +50,8 @@ pub(in crate::commands) struct Import {
     /// Scenario that describes the node, instead of --base
     #[arg(long, requires = "agent")]
     scenario: Option<PathBuf>,
+    #[command(flatten)]
+    changes: Changes,
     /// Number of the agent in the scenario, from 1
     #[arg(long)]
     agent: Option<usize>,
@@ -232,10 +235,13 @@ fn check_fit(
 
 /// Returns the package without its network.
 fn draft(arguments: &Import) -> Result<Draft, CommandError> {
+    if arguments.scenario.is_none() {
+        arguments.changes.refuse_without_scenario()?;
+    }
     let base = arguments.base.as_deref().map(PackageBytes::load).transpose()?;
     let mut draft = match (&base, &arguments.scenario, arguments.agent) {
         (Some(base), ..) => Draft::copy(&base.package()),
-        (None, Some(scenario), Some(agent)) => of_scenario(scenario, agent)?,
+        (None, Some(scenario), Some(agent)) => of_scenario(scenario, &arguments.changes, agent)?,
         _ => {
             let problem = "no node to import for".to_owned();
             return Err(CommandError::usage(problem + "; give --base, or --scenario and --agent"));
@@ -261,8 +267,8 @@ fn draft(arguments: &Import) -> Result<Draft, CommandError> {
     Ok(draft)
 }
 
-fn of_scenario(path: &Path, agent: usize) -> Result<Draft, CommandError> {
-    let scenario = load_scenario(path)?;
+fn of_scenario(path: &Path, changes: &Changes, agent: usize) -> Result<Draft, CommandError> {
+    let scenario = load_scenario(path, changes)?;
     let about = |error: SimulationOnly| CommandError::from(error).about(path);
     scenario.check_for_nodes().map_err(about)?;
     let index = agent_index(&scenario, agent)?;

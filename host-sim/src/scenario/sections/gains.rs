@@ -17,7 +17,7 @@ pub(in crate::scenario) fn design(root: &Table<'_>, n: usize) -> Result<Design, 
     let table = root.require_table("design")?;
     table.only(&["gain", "k2", "kappa", "rho", "delta", "epsilon"])?;
     let gain_value = table.require("gain", "80.0")?;
-    let gain = symmetric(&gain_value, n, STATE)?;
+    let gain = scaled(&gain_value, n, STATE)?;
     if !is_positive_definite(&gain) {
         // An eigenvector `v` with an eigenvalue <= 0 violates `BMI` when all agents are at `v`.
         return Err(gain_value.error("is not positive definite", POSITIVE_DEFINITE));
@@ -49,7 +49,7 @@ pub(super) fn outer_law(root: &Table<'_>, features: usize) -> Result<OuterLaw, S
     let table = root.require_table("outer_law")?;
     table.only(&["gain", "bound", "boundary_layer", "smoothing", "smoothness"])?;
     let gain_value = table.require("gain", "2.0")?;
-    let gain = symmetric(&gain_value, features, "the width of the last layer")?;
+    let gain = scaled(&gain_value, features, "the width of the last layer")?;
     if !is_positive_definite(&gain) {
         return Err(gain_value.error("is not positive definite", POSITIVE_DEFINITE));
     }
@@ -76,6 +76,23 @@ fn is_positive_definite(gain: &OuterGain) -> bool {
         OuterGain::Diagonal(diagonal) => diagonal.iter().all(|&gain| gain > 0.0),
         OuterGain::Full(matrix) => Cholesky::new(matrix.clone()).is_some(),
     }
+}
+
+/// Reads a gain of shape `[size, size]`: a symmetric matrix, or such a matrix and a factor on it.
+fn scaled(value: &Value<'_>, size: usize, owner: &str) -> Result<OuterGain, ScenarioError> {
+    if !value.is_table() {
+        return symmetric(value, size, owner);
+    }
+    let table = value.table()?;
+    table.only(&["values", "scale"])?;
+    let scale = table.get("scale", "1.5").map_or(Ok(1.0), |value| value.positive())?;
+    Ok(match symmetric(&table.require("values", "80.0")?, size, owner)? {
+        OuterGain::Scalar(gain) => OuterGain::Scalar(scale * gain),
+        OuterGain::Diagonal(gains) => {
+            OuterGain::Diagonal(gains.into_iter().map(|gain| scale * gain).collect())
+        }
+        OuterGain::Full(matrix) => OuterGain::Full(matrix * scale),
+    })
 }
 
 /// Reads a symmetric matrix of shape `[size, size]`, given as a number, a diagonal, or its rows.

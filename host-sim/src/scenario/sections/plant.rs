@@ -6,6 +6,7 @@ use super::recording::recording;
 use crate::plant::expression::{ExpressionError, hint, name_problem};
 use crate::plant::{DIMENSION_MAX, ExpressionSystem, Plant};
 use crate::scenario::error::ScenarioError;
+use crate::scenario::initial_state::InitialState;
 use crate::scenario::reader::{STATE, Table, Value, has};
 
 const EXPRESSION: &str = "\"0.5*x - sin(t)^2\"";
@@ -21,11 +22,11 @@ enum Model {
     Recording,
 }
 
-/// Reads the plant, its initial state, shape `[n]`, and the intensity of its noise, shape `[n]`, or
-/// empty without noise.
+/// Reads the plant, its initial state, and the intensity of its noise, shape `[n]`, or empty without
+/// noise.
 pub(in crate::scenario) fn plant(
     root: &Table<'_>,
-) -> Result<(Plant, Vec<f64>, Vec<f64>), ScenarioError> {
+) -> Result<(Plant, InitialState, Vec<f64>), ScenarioError> {
     let table = root.require_table("plant")?;
     let model = table.require("model", "\"lorenz\"")?.choice(&[
         ("van-der-pol", Model::VanDerPol),
@@ -40,6 +41,7 @@ pub(in crate::scenario) fn plant(
         let recorded = recording(&table)?;
         let mut initial_state = vec![0.0; recorded.states.len()];
         recorded.reference_at(0.0, &mut initial_state);
+        let initial_state = InitialState { state: initial_state, spread: None };
         return Ok((Plant::Recording(Arc::new(recorded)), initial_state, Vec::new()));
     }
     let plant = if let Model::Expressions = model {
@@ -50,7 +52,7 @@ pub(in crate::scenario) fn plant(
         built_in(model, &table)?
     };
     let initial_state = table.require("initial_state", "[1.0, 0.0]")?;
-    let initial_state = initial_state.numbers_of(plant.dimension(), STATE)?;
+    let initial_state = InitialState::read(&initial_state, plant.dimension())?;
     let noise = match table.get("noise", "0.1") {
         Some(value) => noise(&value, plant.dimension())?,
         None => Vec::new(),

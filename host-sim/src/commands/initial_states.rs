@@ -1,0 +1,43 @@
+//! The initial states of a study: the scenario's own, and others within the plant's reach.
+
+use crate::engine::RunError;
+use crate::flow::plant_course;
+use crate::scenario::{Scenario, drawn_state};
+
+use super::CommandError;
+
+/// Draws `count - 1` initial states beside the scenario's own: uniform within plus and minus the half
+/// widths that the scenario draws its own state from, or else the largest magnitude of each component
+/// along the plant's course.
+pub(super) fn others(
+    scenario: &Scenario,
+    count: u64,
+    seed: u64,
+) -> Result<Vec<Vec<f64>>, CommandError> {
+    if count <= 1 {
+        return Ok(Vec::new());
+    }
+    if scenario.plant.recording().is_some() {
+        let problem = "--initial-states: a recording begins in one state only; leave it out";
+        return Err(CommandError::usage(problem));
+    }
+    let half_widths = match &scenario.initial_spread {
+        Some(spread) => spread.clone(),
+        None => reach(scenario)?,
+    };
+    Ok((1..count).map(|number| drawn_state(&half_widths, seed, number)).collect())
+}
+
+/// Returns the largest magnitude of each component of the state along the plant's course.
+fn reach(scenario: &Scenario) -> Result<Vec<f64>, CommandError> {
+    let course = plant_course(scenario).map_err(RunError::Observer)?;
+    let n = course.dimension;
+    let size =
+        |c: usize| course.states.iter().skip(c).step_by(n).fold(0.0f64, |m, x| m.max(x.abs()));
+    Ok((0..n).map(size).collect())
+}
+
+/// Returns the scenario that begins in this state.
+pub(super) fn begun_in(scenario: &Scenario, state: &[f64]) -> Scenario {
+    Scenario { initial_state: state.to_owned(), initial_spread: None, ..scenario.clone() }
+}

@@ -1,0 +1,338 @@
+//! `sweep`: a scenario over values of its keys, seeds and initial states.
+//!
+//! | file | content |
+//! | --- | --- |
+//! | `results.csv` | a row for each agent of each run, written while the runs go on |
+//! | `scenario.toml`, `sweep.json` | what the results depend on; the same command continues them |
+//! | `summary.csv` | mean, median and interval of each cell |
+//! | `tradeoff.svg`, `tradeoff.png` | error against broadcasts |
+
+mod cells;
+mod picture;
+mod results;
+mod resume;
+mod runs;
+mod shard;
+mod study;
+mod summary;
+mod vary;
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::run_folder::lock;
+use super::scenario_source::{ScenarioSource, load_with_text};
+use super::{
+    Changes, CommandError, Common, ErrorCode, Format, initial_states, print_outcome, print_text,
+};
+use crate::figures::{tradeoff, write_all};
+use crate::files::output::{OutputError, make_folder};
+use crate::interruption::{self, SecondSignal};
+use crate::scenario::Scenario;
+use crate::shell::shell_word;
+use cells::Cells;
+use results::Results;
+use runs::{Outcome, Runs};
+use shard::Shard;
+use study::Study;
+use summary::{CellSummary, Summary};
+use vary::Vary;
+
+/// Arguments of `sweep`.
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// Scenario: a TOML file or the name of a built-in scenario
+    #[arg(required_unless_present = "summarise")]
+    scenario: Option<PathBuf>,
+    #[command(flatten)]
+    changes: Changes,
+    /// Vary a key of the scenario: a list (a,b,c), N numbers (lo:hi:N), or N numbers on a logarithmic
+    /// scale (lo:hi:logN); several keys give all combinations
+    #[arg(long, value_name = "KEY=SPEC")]
+    vary: Vec<Vary>,
+    /// Draw N points of a Latin hypercube instead of all combinations; ranges are then lo:hi or
+    /// lo:hi:log
+    #[arg(long, value_name = "N", requires = "vary", value_parser = clap::value_parser!(u32).range(1..))]
+    latin: Option<u32>,
+    /// Take the values of keys from a CSV file: its first line has the keys, each further line the
+    /// values of a cell
+    #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["vary", "latin"])]
+    points: Option<PathBuf>,
+    /// Number of seeds of each cell, starting at --seed
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    seeds: u64,
+    /// Number of initial states of the plant: the scenario's own, and others drawn within its course
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    initial_states: u64,
+    /// Run one of N parts of the study, such as 1/8; it is written to a folder of its own in the output
+    /// folder
+    #[arg(long, value_name = "K/N", default_value_t = Shard::WHOLE)]
+    shard: Shard,
+    /// Output folder [default: out/NAME-sweep]
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Run nothing: write summary and picture of results that are already there
+    #[arg(
+        long, value_name = "RESULTS.csv",
+        conflicts_with_all = ["scenario", "set", "vary", "latin", "points", "seeds", "initial_states", "shard"],
+    )]
+    summarise: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) common: Common,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    scenario: Option<&'a str>,
+    /// The varied keys.
+    keys: &'a [String],
+    /// Number of combinations of their values.
+    cells: usize,
+    seed: Option<u64>,
+    seeds: Option<u64>,
+    initial_states: Option<u64>,
+    shard: Option<&'a str>,
+    /// Number of runs of the study, or of this part of it.
+    runs: u64,
+    /// Of these, the number that was there before.
+    runs_before: u64,
+    runs_done: u64,
+    elapsed_s: f64,
+    /// Time that all threads together spent in runs. \[s\]
+    engine_s: f64,
+    results: String,
+    /// Empty for a part of a study.
+    summary: &'a [CellSummary],
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
+    match (&arguments.summarise, &arguments.scenario) {
+        (Some(results), _) => summarise(arguments, results),
+        (None, Some(scenario)) => carry_out(arguments, scenario),
+        (None, None) => Err(CommandError::usage("name a scenario")),
+    }
+}
+
+/// Writes summary and picture of existing results.
+fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> {
+    let start = Instant::now();
+    let folder = match &arguments.out {
+        Some(out) => out.clone(),
+        None => results.parent().unwrap_or(Path::new("")).to_owned(),
+    };
+    let summary = Summary::read(results)?;
+    if !folder.as_os_str().is_empty() {
+        make_folder(&folder)?;
+    }
+    let written = write_files(&folder, &summary)?;
+    let report = Report {
+        scenario: None,
+        keys: &summary.keys,
+        cells: summary.cells.len(),
+        seed: None,
+        seeds: None,
+        initial_states: None,
+        shard: None,
+        runs: summary.runs(),
+        runs_before: summary.runs(),
+        runs_done: 0,
+        elapsed_s: start.elapsed().as_secs_f64(),
+        engine_s: 0.0,
+        results: results.display().to_string(),
+        summary: &summary.cells,
+    };
+    match arguments.common.format {
+        Format::Json => print_outcome(&report, Ok(())),
+        Format::Text => print_text(&format!(
+            "{}\n{} runs of {}\nWritten to {}: {written}\n",
+            summary.text(),
+            summary.runs(),
+            results.display(),
+            if folder.as_os_str().is_empty() { Path::new(".") } else { &folder }.display(),
+        )),
+    }
+}
+
+fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
+    let start = Instant::now();
+    interruption::listen(SecondSignal::Exit);
+    let (base, text) = load_with_text(path, &arguments.changes)?;
+    let name = path.display().to_string();
+    let cells = cells(arguments)?;
+    let (study, runs) =
+        plan(arguments, &base, &ScenarioSource { name, text: text.clone() }, &cells)?;
+    let out = arguments.out.clone();
+    let out = out.unwrap_or_else(|| Path::new("out").join(format!("{}-sweep", base.name)));
+    let folder = match arguments.shard.is_whole() {
+        true => out.clone(),
+        false => out.join(arguments.shard.folder()),
+    };
+    make_folder(&folder)?;
+    let _lock = lock(&folder)?;
+    let file = folder.join(results::NAME);
+    if resume::is_foreign(&file) && !folder.join(study::NAME).exists() {
+        let kind = results::KIND.name;
+        return Err(OutputError::OtherKind { path: file, kind }.into());
+    }
+    study.claim(&folder, &text)?;
+    let part = arguments.shard.of(total(arguments, &cells)?);
+    let (opened, before) = resume::open(&file, part.start, &runs)?;
+    let next = part.start + before;
+    let outcome = runs.carry_out(next, Results::new(&file, opened, next))?;
+    let is_complete = before + outcome.done == study.runs;
+    let mut written = vec![results::NAME.to_owned()];
+    let mut summary = Summary { keys: cells.keys.clone(), cells: Vec::new() };
+    if arguments.shard.is_whole() && is_complete {
+        summary = Summary::read(&file)?;
+        written.push(write_files(&folder, &summary)?);
+    }
+    let report = Report {
+        scenario: Some(&base.name),
+        keys: &cells.keys,
+        cells: cells.rows.len(),
+        seed: Some(study.seed),
+        seeds: Some(study.seeds),
+        initial_states: Some(study.initial_states),
+        shard: Some(&study.shard),
+        runs: study.runs,
+        runs_before: before,
+        runs_done: outcome.done,
+        elapsed_s: start.elapsed().as_secs_f64(),
+        engine_s: outcome.in_runs.as_secs_f64(),
+        results: file.display().to_string(),
+        summary: &summary.cells,
+    };
+    let result = result(&study, &outcome, before, &file);
+    match arguments.common.format {
+        Format::Json => print_outcome(&report, result),
+        Format::Text => {
+            let mut text = String::new();
+            if !summary.cells.is_empty() {
+                text += &format!("{}\n", summary.text());
+            }
+            if let Some((run, reason)) = &outcome.first_failure {
+                let name = runs.name(*run, &cells.keys);
+                text += &format!("{} runs failed; the first: {name}: {reason}\n", outcome.failed);
+            }
+            if before == study.runs {
+                text += &format!("All {} runs were there already\n", study.runs);
+            } else if before > 0 {
+                text += &format!("Continued after {before} of {} runs\n", study.runs);
+            }
+            text += &format!("Written to {}: {}\n", folder.display(), written.join(", "));
+            if !arguments.shard.is_whole() {
+                text += &how_to_merge(&out);
+            }
+            text += &format!(
+                "Scenario {}, {} cells, {} of {} runs, {:.1} s\n",
+                base.name,
+                cells.rows.len(),
+                before + outcome.done,
+                study.runs,
+                report.elapsed_s
+            );
+            let printed = print_text(&text);
+            result.and(printed)
+        }
+    }
+}
+
+fn cells(arguments: &Arguments) -> Result<Cells, CommandError> {
+    let cells = match (&arguments.points, arguments.latin) {
+        (Some(path), _) => Cells::points(path),
+        (None, Some(count)) => Cells::latin(&arguments.vary, count as usize, arguments.common.seed),
+        (None, None) => Cells::grid(&arguments.vary),
+    }?;
+    for change in &cells.changes(0)? {
+        if let Some(set) = arguments.changes.set.iter().find(|set| set.is_about_same_key(change)) {
+            let problem = format!("{set}: the key is varied, too; leave one of both out");
+            return Err(CommandError::usage(problem));
+        }
+    }
+    Ok(cells)
+}
+
+/// Returns the number of runs of the whole study.
+fn total(arguments: &Arguments, cells: &Cells) -> Result<u64, CommandError> {
+    let each = arguments.seeds.checked_mul(arguments.initial_states);
+    each.and_then(|each| each.checked_mul(cells.rows.len() as u64))
+        .ok_or_else(|| CommandError::usage("too many runs; choose fewer seeds or initial states"))
+}
+
+/// Checks all cells and prepares the runs of this part.
+fn plan(
+    arguments: &Arguments,
+    base: &Scenario,
+    source: &ScenarioSource,
+    cells: &Cells,
+) -> Result<(Study, Runs), CommandError> {
+    let (seed, seeds, states) = (arguments.common.seed, arguments.seeds, arguments.initial_states);
+    if seed.checked_add(seeds).is_none() {
+        let problem = format!("--seed {seed}: too few seeds remain after it; choose a smaller one");
+        return Err(CommandError::usage(problem));
+    }
+    let part = arguments.shard.of(total(arguments, cells)?);
+    let others = initial_states::others(base, states, seed)?;
+    let dimension = (states > 1).then(|| base.dimension());
+    let own = cells.load(source, Runs::cells_of(&part, seeds, states), dimension)?;
+    let header = arguments.shard.is_first().then(|| results::header(&cells.keys));
+    let study = Study {
+        host_sim: env!("CARGO_PKG_VERSION").to_owned(),
+        scenario: base.name.clone(),
+        scenario_hash: format!("{:#018x}", base.hash),
+        keys: cells.keys.clone(),
+        cells: cells.rows.len(),
+        cells_hash: Study::hash(cells),
+        seed,
+        seeds,
+        initial_states: states,
+        shard: arguments.shard.to_string(),
+        runs: part.end - part.start,
+    };
+    Ok((study, Runs::new(own, (seed, seeds), others, part, header)))
+}
+
+/// Writes `summary.csv` and the picture; returns their names.
+fn write_files(folder: &Path, summary: &Summary) -> Result<String, CommandError> {
+    summary.write(folder)?;
+    let mut names = vec![summary::NAME];
+    let (cells, runs) = (summary.cells.len(), summary.runs());
+    let title = format!("Error against broadcasts: {cells} cells, {runs} runs");
+    if let Some(figure) = picture::tradeoff(title, summary) {
+        write_all(folder, &[("tradeoff", tradeoff(&figure))])?;
+        names.extend(["tradeoff.svg", "tradeoff.png"]);
+    }
+    Ok(names.join(", "))
+}
+
+/// Says how the parts of a study become one table.
+fn how_to_merge(out: &Path) -> String {
+    let folder = shell_word(out);
+    let merged = shell_word(&out.join(results::NAME));
+    format!(
+        "When all parts are complete:\n  cat {folder}/shard-*/{} > {merged}\n  host-sim sweep --summarise \
+         {merged}\n",
+        results::NAME
+    )
+}
+
+fn result(study: &Study, outcome: &Outcome, before: u64, file: &Path) -> Result<(), CommandError> {
+    let done = before + outcome.done;
+    if done < study.runs {
+        let text = format!(
+            "interrupted after {done} of {} runs, which are in {}; the same command continues",
+            study.runs,
+            file.display()
+        );
+        return Err(CommandError::new(ErrorCode::Interrupted, text));
+    }
+    match &outcome.first_failure {
+        Some((_, reason)) if before == 0 && outcome.failed == study.runs => {
+            Err(CommandError::new(ErrorCode::Run, format!("every run failed; the first: {reason}")))
+        }
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,188 @@
+//! What a folder with results is about: `sweep.json` and `scenario.toml`.
+//!
+//! A study is continued only if everything that its results depend on is the same: the scenario
+//! with the changes of `--set`, the cells, seeds and initial states, the part, and the version of this
+//! program.
+
+use std::fs;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::cells::Cells;
+use crate::commands::{CommandError, ErrorCode};
+use crate::files::fnv::Fnv;
+use crate::files::input::read_limited;
+use crate::files::output::{FileKind, OutputError, write_result};
+
+/// Name of the description.
+pub(super) const NAME: &str = "sweep.json";
+/// Name of the scenario, with the changes of `--set`.
+pub(super) const SCENARIO: &str = "scenario.toml";
+
+/// Largest description or scenario. \[bytes\]
+const BYTES_MAX: u64 = 64 << 20;
+
+const KIND: FileKind = FileKind {
+    name: "the description of a sweep",
+    recognises: |bytes| serde_json::from_slice::<Study>(bytes).is_ok(),
+};
+
+/// Everything that the results depend on.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+pub(super) struct Study {
+    /// Version of this program.
+    pub(super) host_sim: String,
+    /// Name of the scenario.
+    pub(super) scenario: String,
+    /// Hash of its text, hexadecimal.
+    pub(super) scenario_hash: String,
+    /// The varied keys.
+    pub(super) keys: Vec<String>,
+    /// Number of combinations of their values.
+    pub(super) cells: usize,
+    /// Hash of all of them, hexadecimal.
+    pub(super) cells_hash: String,
+    /// The first seed.
+    pub(super) seed: u64,
+    pub(super) seeds: u64,
+    pub(super) initial_states: u64,
+    /// The part of the study, `K/N`.
+    pub(super) shard: String,
+    /// Number of runs of this part.
+    pub(super) runs: u64,
+}
+
+impl Study {
+    /// Returns the hash of cells.
+    pub(super) fn hash(cells: &Cells) -> String {
+        let mut hash = Fnv::default();
+        for value in cells.keys.iter().chain(cells.rows.iter().flatten()) {
+            hash.add(value.as_bytes());
+            hash.add(&[0]);
+        }
+        format!("{:#018x}", hash.finish())
+    }
+
+    /// Checks that a folder holds this study, or nothing that it would replace; then writes its
+    /// description there. `text` is that of the scenario.
+    pub(super) fn claim(&self, folder: &Path, text: &str) -> Result<(), CommandError> {
+        let (description, scenario) = (folder.join(NAME), folder.join(SCENARIO));
+        let before = read_limited(&description, BYTES_MAX).unwrap_or_default();
+        let text_before = fs::read_to_string(&scenario).unwrap_or_default();
+        if before.is_empty() {
+            if !text_before.is_empty() && text_before != text {
+                let error =
+                    OutputError::OtherKind { path: scenario, kind: "the scenario of this sweep" };
+                return Err(error.into());
+            }
+            write_result(&scenario, ANY, |file| file.write_all(text.as_bytes()))?;
+            let json = serde_json::to_string_pretty(self).map_err(|error| OutputError::Write {
+                path: description.clone(),
+                error: error.into(),
+            })?;
+            write_result(&description, KIND, |file| writeln!(file, "{json}"))?;
+            return Ok(());
+        }
+        let before: Self = serde_json::from_slice(&before).map_err(|_| {
+            CommandError::from(OutputError::OtherKind { path: description, kind: KIND.name })
+        })?;
+        let mut differences = self.differences(&before);
+        if text_before != text {
+            differences.push(text_difference(&text_before, text));
+        }
+        if differences.is_empty() {
+            return Ok(());
+        }
+        let folder_shown = folder.display();
+        let text = format!(
+            "{folder_shown}: holds another study: {}; repeat its command to continue it, or choose another \
+             folder with --out",
+            differences.join(", ")
+        );
+        Err(CommandError::new(ErrorCode::OutputRefused, text).about(folder))
+    }
+
+    /// Returns what differs, in words.
+    fn differences(&self, before: &Self) -> Vec<String> {
+        let shown =
+            |text: &str| if text.is_empty() { "nothing".to_owned() } else { text.to_owned() };
+        let pairs = [
+            ("host-sim", before.host_sim.clone(), self.host_sim.clone()),
+            ("the scenario", before.scenario.clone(), self.scenario.clone()),
+            ("what is varied", before.keys.join(" and "), self.keys.join(" and ")),
+            ("the number of cells", before.cells.to_string(), self.cells.to_string()),
+            ("--seed", before.seed.to_string(), self.seed.to_string()),
+            ("--seeds", before.seeds.to_string(), self.seeds.to_string()),
+            (
+                "--initial-states",
+                before.initial_states.to_string(),
+                self.initial_states.to_string(),
+            ),
+            ("--shard", before.shard.clone(), self.shard.clone()),
+        ];
+        let differs = |(name, before, now): (&str, String, String)| {
+            let (there, here) = (shown(&before), shown(&now));
+            (before != now).then(|| format!("{name} is {there} there and {here} here"))
+        };
+        let mut differences: Vec<String> = pairs.into_iter().filter_map(differs).collect();
+        if differences.is_empty() && before.cells_hash != self.cells_hash {
+            differences.push("the values of the varied keys are other ones there".to_owned());
+        }
+        differences
+    }
+}
+
+/// The caller has checked what is replaced.
+const ANY: FileKind = FileKind { name: "a scenario", recognises: |_| true };
+
+/// Names the first line that differs.
+fn text_difference(before: &str, now: &str) -> String {
+    let count = before.lines().count().max(now.lines().count());
+    let (mut there, mut here) = (before.lines(), now.lines());
+    for number in 1..=count {
+        let (there, here) = (there.next().unwrap_or_default(), here.next().unwrap_or_default());
+        if there != here {
+            return format!("line {number} of {SCENARIO} is `{there}` there and `{here}` here");
+        }
+    }
+    format!("{SCENARIO} has other line ends there")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn study(seeds: u64) -> Study {
+        Study {
+            host_sim: "1".to_owned(),
+            scenario: "paper".to_owned(),
+            scenario_hash: "0x0".to_owned(),
+            keys: vec!["a".to_owned()],
+            cells: 1,
+            cells_hash: "0x1".to_owned(),
+            seed: u64::MAX,
+            seeds,
+            initial_states: 1,
+            shard: "1/2".to_owned(),
+            runs: 7,
+        }
+    }
+
+    #[test]
+    fn differences_are_named() {
+        assert!(study(3).differences(&study(3)).is_empty());
+        assert_eq!(study(3).differences(&study(4)), ["--seeds is 4 there and 3 here"]);
+        let other = Study { cells_hash: "0x2".to_owned(), ..study(3) };
+        assert_eq!(
+            study(3).differences(&other),
+            ["the values of the varied keys are other ones there"]
+        );
+        assert_eq!(
+            text_difference("a\nb = 1\n", "a\nb = 2\n"),
+            "line 2 of scenario.toml is `b = 1` there and `b = 2` here"
+        );
+        let json = serde_json::to_string_pretty(&study(3)).unwrap();
+        assert!((KIND.recognises)(json.as_bytes()));
+    }
+}

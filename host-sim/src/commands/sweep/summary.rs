@@ -1,0 +1,376 @@
+//! `summary.csv`: mean, median and interval of the results of each cell.
+//!
+//! All numbers come from the rows of `results.csv`, so a table put together from several parts has
+//! the same summary as one that was written in one go. For each cell there is a row for each agent
+//! and one for `all`: the largest error of an agent, and the broadcasts and bytes of all agents
+//! together.
+//!
+//! The interval is from the 2.5th to the 97.5th percentile over the runs with a result, interpolated
+//! between neighbouring values. The number of runs without one is counted beside it.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::results::{COLUMNS, line};
+use crate::commands::{CommandError, ErrorCode};
+use crate::files::output::{FileKind, OutputError, write_result};
+use crate::number::significant;
+use crate::report::columns::aligned;
+
+/// Name of the file.
+pub(super) const NAME: &str = "summary.csv";
+
+/// Percentiles of the interval, as fractions.
+const INTERVAL: [f64; 2] = [0.025, 0.975];
+
+/// Cells that the text shows at most.
+const SHOWN_MAX: usize = 40;
+
+const KIND: FileKind = FileKind {
+    name: "the summary of a sweep",
+    recognises: |bytes| {
+        let line = bytes.split(|&byte| byte == b'\n').next().unwrap_or_default();
+        line.ends_with(b"max_error_low,max_error_high")
+    },
+};
+
+/// Mean, median and interval of some values.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(super) struct Interval {
+    pub(super) mean: f64,
+    pub(super) median: f64,
+    pub(super) low: f64,
+    pub(super) high: f64,
+}
+
+impl Interval {
+    /// `None` without values.
+    fn of(mut values: Vec<f64>) -> Option<Self> {
+        if values.is_empty() {
+            return None;
+        }
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        values.sort_by(f64::total_cmp);
+        let at = |part: f64| {
+            let place = part * (values.len() - 1) as f64;
+            let (below, above) = (values[place.floor() as usize], values[place.ceil() as usize]);
+            below + (place - place.floor()) * (above - below)
+        };
+        let [low, high] = INTERVAL.map(at);
+        Some(Self { mean, median: at(0.5), low, high })
+    }
+}
+
+/// What a row measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Measured {
+    /// In the order of [`MEASURES`].
+    values: [f64; 4],
+}
+
+/// The measured columns.
+const MEASURES: [&str; 4] = ["rmse", "broadcasts", "bytes", "max_error"];
+
+/// The results of one cell.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct CellSummary {
+    /// Of the varied keys.
+    pub(super) values: Vec<String>,
+    /// Number of runs.
+    pub(super) runs: u64,
+    /// Number of runs without a result.
+    pub(super) diverged: u64,
+    #[serde(flatten)]
+    pub(super) all: Measures,
+    pub(super) agents: Vec<Measures>,
+}
+
+/// The measured numbers over all runs with a result.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(super) struct Measures {
+    pub(super) rmse: Option<Interval>,
+    pub(super) broadcasts: Option<Interval>,
+    pub(super) bytes: Option<Interval>,
+    pub(super) max_error: Option<Interval>,
+}
+
+impl Measures {
+    fn of(rows: &[Measured]) -> Self {
+        let column = |index: usize| {
+            let values = rows.iter().map(|row| row.values[index]);
+            Interval::of(values.filter(|value| value.is_finite()).collect())
+        };
+        Self { rmse: column(0), broadcasts: column(1), bytes: column(2), max_error: column(3) }
+    }
+
+    fn all(&self) -> [Option<Interval>; 4] {
+        [self.rmse, self.broadcasts, self.bytes, self.max_error]
+    }
+}
+
+/// The results of a study.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Summary {
+    pub(super) keys: Vec<String>,
+    pub(super) cells: Vec<CellSummary>,
+}
+
+/// The rows of a cell in progress.
+struct Collected {
+    values: Vec<String>,
+    /// Seed and initial state of the last run.
+    last: Option<[String; 2]>,
+    /// For each run the measured numbers of each agent; `None` for one without a result.
+    runs: Vec<Option<Vec<Measured>>>,
+}
+
+impl Collected {
+    fn summary(self) -> CellSummary {
+        let complete: Vec<&Vec<Measured>> = self.runs.iter().flatten().collect();
+        let together = |agents: &&Vec<Measured>| {
+            let largest = |index: usize| {
+                agents.iter().map(|agent| agent.values[index]).fold(f64::NAN, f64::max)
+            };
+            let sum = |index: usize| agents.iter().map(|agent| agent.values[index]).sum();
+            Measured { values: [largest(0), sum(1), sum(2), largest(3)] }
+        };
+        let count = complete.iter().map(|agents| agents.len()).max().unwrap_or(0);
+        let agent = |index: usize| {
+            let rows = complete.iter().filter_map(|agents| agents.get(index).copied());
+            Measures::of(&rows.collect::<Vec<_>>())
+        };
+        CellSummary {
+            runs: self.runs.len() as u64,
+            diverged: (self.runs.len() - complete.len()) as u64,
+            all: Measures::of(&complete.iter().map(together).collect::<Vec<_>>()),
+            agents: (0..count).map(agent).collect(),
+            values: self.values,
+        }
+    }
+}
+
+impl Summary {
+    /// Reads `results.csv`.
+    pub(super) fn read(path: &Path) -> Result<Self, CommandError> {
+        let refused = |line: Option<u64>, problem: &str| {
+            let line = line.map_or(String::new(), |line| format!(":{line}"));
+            let hint = "pass the results.csv of a sweep, or those of all its parts in the order of their \
+                        numbers, one after the other";
+            let text = format!("{}{line}: {problem}; {hint}", path.display());
+            CommandError::new(ErrorCode::Samples, text).about(path)
+        };
+        let mut reader = csv::Reader::from_path(path)
+            .map_err(|error| refused(None, &format!("cannot be read: {error}")))?;
+        let header = reader.headers().map_err(|error| refused(Some(1), &error.to_string()))?;
+        let header: Vec<String> = header.iter().map(str::to_owned).collect();
+        let keys =
+            header.len().checked_sub(COLUMNS.len()).filter(|&keys| header[keys..] == COLUMNS);
+        let keys = keys.ok_or_else(|| refused(Some(1), "is not the header of results"))?;
+        let mut cells: Vec<CellSummary> = Vec::new();
+        let mut current: Option<Collected> = None;
+        for record in reader.records() {
+            let record = record.map_err(|error| {
+                refused(error.position().map(csv::Position::line), "is not a row of results")
+            })?;
+            let number = record.position().map(csv::Position::line);
+            let row = Row::read(&record, keys).ok_or_else(|| refused(number, "invalid row"))?;
+            let is_same = current.as_ref().is_some_and(|cell| cell.values == row.values);
+            if !is_same {
+                cells.extend(current.take().map(Collected::summary));
+            }
+            let cell = current.get_or_insert_with(|| Collected {
+                values: row.values.clone(),
+                last: None,
+                runs: Vec::new(),
+            });
+            if cell.last.as_ref() != Some(&row.run) {
+                cell.last = Some(row.run);
+                cell.runs.push(Some(Vec::new()));
+            }
+            if let Some(run) = cell.runs.last_mut() {
+                match (row.measured, run.as_mut()) {
+                    (Some(measured), Some(agents)) => agents.push(measured),
+                    _ => *run = None,
+                }
+            }
+        }
+        cells.extend(current.map(Collected::summary));
+        Ok(Self { keys: header[..keys].to_vec(), cells })
+    }
+
+    /// Returns the number of all runs.
+    pub(super) fn runs(&self) -> u64 {
+        self.cells.iter().map(|cell| cell.runs).sum()
+    }
+
+    /// Writes `summary.csv`.
+    pub(super) fn write(&self, folder: &Path) -> Result<(), OutputError> {
+        let mut header = self.keys.clone();
+        header.extend(["agent", "runs", "diverged"].map(str::to_owned));
+        let levels = ["mean", "median", "low", "high"];
+        let measures = MEASURES.iter();
+        header.extend(measures.flat_map(|of| levels.map(|level| format!("{of}_{level}"))));
+        write_result(&folder.join(NAME), KIND, |file| {
+            file.write_all(csv_line(&header).as_bytes())?;
+            for cell in &self.cells {
+                let agents =
+                    cell.agents.iter().zip(1..).map(|(agent, number)| (number.to_string(), agent));
+                for (agent, measures) in agents.chain([("all".to_owned(), &cell.all)]) {
+                    let mut fields = cell.values.clone();
+                    fields.extend([agent, cell.runs.to_string(), cell.diverged.to_string()]);
+                    for interval in measures.all() {
+                        fields.extend(entries(interval));
+                    }
+                    file.write_all(csv_line(&fields).as_bytes())?;
+                }
+            }
+            Ok(())
+        })
+    }
+
+    /// Formats a table of all agents together.
+    pub(super) fn text(&self) -> String {
+        let mut headings: Vec<[&str; 2]> = self.keys.iter().map(|key| ["", key.as_str()]).collect();
+        headings.extend([["", "runs"], ["", "diverged"]]);
+        let groups = ["largest RMSE of an agent", "broadcasts of all agents"];
+        let levels = ["median", "2.5 %", "97.5 %"];
+        headings.extend(groups.iter().flat_map(|group| levels.map(|level| [*group, level])));
+        let row = |cell: &CellSummary| {
+            let mut row: Vec<String> = cell.values.iter().map(|value| short(value)).collect();
+            row.extend([cell.runs.to_string(), cell.diverged.to_string()]);
+            row.extend(levels_of(cell.all.rmse, |x| significant(x, 4)));
+            row.extend(levels_of(cell.all.broadcasts, |x| format!("{x:.0}")));
+            row
+        };
+        let rows: Vec<_> = self.cells.iter().take(SHOWN_MAX).map(row).collect();
+        let mut text = aligned(&headings, &rows);
+        if let Some(more) = self.cells.len().checked_sub(SHOWN_MAX).filter(|&more| more > 0) {
+            text += &format!("... and {more} more cells in {NAME}\n");
+        }
+        text
+    }
+}
+
+/// A row of `results.csv`.
+struct Row {
+    values: Vec<String>,
+    /// Seed and initial state.
+    run: [String; 2],
+    /// `None` for a run without a result.
+    measured: Option<Measured>,
+}
+
+impl Row {
+    fn read(record: &csv::StringRecord, keys: usize) -> Option<Self> {
+        let field = |index: usize| record.get(index);
+        let number = |index: usize| match field(index)? {
+            "" => Some(f64::NAN),
+            text => text.parse().ok(),
+        };
+        let run = [field(keys)?.to_owned(), field(keys + 1)?.to_owned()];
+        let first = keys + 3;
+        let measured = match field(first + 4)? {
+            "true" => None,
+            "false" => Some(Measured {
+                values: [
+                    number(first)?,
+                    number(first + 1)?,
+                    number(first + 2)?,
+                    number(first + 3)?,
+                ],
+            }),
+            _ => return None,
+        };
+        let values = record.iter().take(keys).map(str::to_owned).collect();
+        Some(Self { values, run, measured })
+    }
+}
+
+fn csv_line(fields: &[String]) -> String {
+    line(&fields.iter().map(String::as_str).collect::<Vec<_>>())
+}
+
+fn entries(interval: Option<Interval>) -> [String; 4] {
+    match interval {
+        Some(Interval { mean, median, low, high }) => {
+            [mean, median, low, high].map(|value| ryu::Buffer::new().format(value).to_owned())
+        }
+        None => Default::default(),
+    }
+}
+
+fn levels_of(interval: Option<Interval>, entry: impl Fn(f64) -> String) -> [String; 3] {
+    match interval {
+        Some(Interval { median, low, high, .. }) => [median, low, high].map(entry),
+        None => ["-"; 3].map(str::to_owned),
+    }
+}
+
+/// Shortens a number that was drawn or computed.
+fn short(value: &str) -> String {
+    match value.parse::<f64>() {
+        Ok(number) if value.len() > 8 => significant(number, 5),
+        _ => value.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    fn read(name: &str, text: &str) -> Result<Summary, String> {
+        let path = std::env::temp_dir().join(format!("host-sim-{name}-{}", std::process::id()));
+        fs::write(&path, text).unwrap();
+        let summary = Summary::read(&path);
+        fs::remove_file(&path).unwrap();
+        summary.map_err(|error| error.to_string())
+    }
+
+    const HEADER: &str = "k,seed,initial_state,agent,rmse,broadcasts,bytes,max_error,diverged\n";
+
+    #[test]
+    fn percentiles_are_interpolated() {
+        assert_eq!(Interval::of(Vec::new()), None);
+        let one = Interval::of(vec![3.0]).unwrap();
+        assert_eq!(one, Interval { mean: 3.0, median: 3.0, low: 3.0, high: 3.0 });
+        let many = Interval::of((0..=40).rev().map(f64::from).collect()).unwrap();
+        assert_eq!(many, Interval { mean: 20.0, median: 20.0, low: 1.0, high: 39.0 });
+        assert_eq!(Interval::of(vec![1.0, 2.0]).unwrap().median, 1.5);
+    }
+
+    #[test]
+    fn runs_without_a_result_are_counted_and_left_out() {
+        let rows = "a,0,1,1,0.1,5,50,0.5,false\na,0,1,2,0.3,7,70,0.4,false\n\
+                    a,1,1,1,,,,,true\na,1,1,2,,,,,true\n\
+                    b,0,1,1,0.2,1,10,0.2,false\nb,0,1,2,0.1,2,20,0.1,false\n";
+        let summary = read("summary", &format!("{HEADER}{rows}")).unwrap();
+        assert_eq!(summary.keys, ["k"]);
+        let [first, second] = &summary.cells[..] else { panic!("{summary:?}") };
+        assert_eq!((first.runs, first.diverged, second.runs), (2, 1, 1));
+        let median = |interval: Option<Interval>| interval.unwrap().median;
+        assert_eq!((median(first.all.rmse), median(first.all.broadcasts)), (0.3, 12.0));
+        assert_eq!((median(first.all.bytes), median(first.all.max_error)), (120.0, 0.5));
+        assert_eq!(median(first.agents[1].max_error), 0.4);
+        let text = summary.text();
+        assert!(text.contains("0.3000") && text.lines().count() == 5, "{text}");
+    }
+
+    #[test]
+    fn a_cell_without_any_result_has_no_numbers() {
+        let summary = read("none", &format!("{HEADER}a,0,1,1,,,,,true\n")).unwrap();
+        assert_eq!((summary.cells[0].diverged, summary.cells[0].all.rmse), (1, None));
+        assert!(summary.text().contains('-'));
+    }
+
+    #[test]
+    fn other_tables_are_refused() {
+        let error = read("second", "b,0,1,1,0.2,1,10,0.2,false\n").unwrap_err();
+        assert!(error.contains(":1: is not the header") && error.contains("order"), "{error}");
+        let error = read("row", &format!("{HEADER}a,0,1,1,0.1,5,50,0.5,maybe\n")).unwrap_err();
+        assert!(error.contains(":2: invalid row"), "{error}");
+        let error = read("short", &format!("{HEADER}a,0,1\n")).unwrap_err();
+        assert!(error.contains(":2: is not a row"), "{error}");
+    }
+}
