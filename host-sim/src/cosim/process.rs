@@ -3,9 +3,14 @@
 //! A process that is killed cannot end its children. So a small shell guards each child: it reads
 //! from a pipe that only this process holds open, and if the pipe closes without a message, it
 //! kills the child and removes its folder.
+//!
+//! The child itself writes its number into that pipe before it becomes the program that was asked for, and
+//! holds the pipe open until then. So there is no moment at which it runs and nothing guards it.
 
 use std::collections::VecDeque;
 use std::io::{self, Read, Write};
+use std::os::fd::AsFd;
+use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -23,8 +28,11 @@ const GRACE: Duration = Duration::from_secs(1);
 const TAIL: usize = 2000;
 
 /// Script of the guard; its arguments are the files and folders to remove.
-const GUARD: &str =
-    "read -r id || exit 0; read -r end && exit 0; kill -KILL \"$id\"; rm -rf -- \"$@\"";
+const GUARD: &str = "read -r id || id=; [ \"$id\" = end ] && exit 0; read -r end && exit 0; \
+                     [ -n \"$id\" ] && kill -KILL \"$id\"; rm -rf -- \"$@\"";
+
+/// Script of the child, whose standard input is the guard's pipe; its arguments are the command.
+const CHILD: &str = "echo \"$$\" >&0; exec \"$@\" </dev/null";
 
 /// A running process. Dropping it ends the process and waits for it.
 #[derive(Debug)]
@@ -41,6 +49,7 @@ impl Process {
     /// # Errors
     /// The system's error.
     pub fn start(command: &mut Command, folders: &[&Path]) -> io::Result<Self> {
+        find_program(command)?;
         let (console, output) = Console::open()?;
         let absolute = folders.iter().map(std::path::absolute).collect::<io::Result<Vec<_>>>()?;
         // Start the guard first, so that the child is always guarded.
@@ -53,8 +62,21 @@ impl Process {
             .stderr(Stdio::null())
             .process_group(0)
             .spawn()?;
-        let child = command
-            .stdin(Stdio::null())
+        let pipe =
+            guard.stdin.as_ref().map(|pipe| pipe.as_fd().try_clone_to_owned()).transpose()?;
+        let mut announced = Command::new("/bin/sh");
+        announced.args(["-c", CHILD, "sh"]).arg(command.get_program()).args(command.get_args());
+        for (name, value) in command.get_envs() {
+            match value {
+                Some(value) => announced.env(name, value),
+                None => announced.env_remove(name),
+            };
+        }
+        if let Some(folder) = command.get_current_dir() {
+            announced.current_dir(folder);
+        }
+        let child = announced
+            .stdin(pipe.map_or(Stdio::null(), Stdio::from))
             .stdout(output.try_clone()?)
             .stderr(output)
             // Not in the terminal's process group: Ctrl-C is handled here.
@@ -63,24 +85,13 @@ impl Process {
         let child = match child {
             Ok(child) => child,
             Err(error) => {
-                // The pipe closes before the guard knows of a process, so it exits.
-                drop(guard.stdin.take());
-                let _ = guard.wait();
+                end_guard(&mut guard);
                 return Err(error);
             }
         };
-        let mut process = Self { child, guard, console };
-        let id = process.id();
-        // If this fails, the drop ends the process.
-        process.tell_guard(&format!("{id}\n"))?;
-        Ok(process)
-    }
-
-    fn tell_guard(&mut self, text: &str) -> io::Result<()> {
-        match &mut self.guard.stdin {
-            Some(pipe) => pipe.write_all(text.as_bytes()),
-            None => Ok(()),
-        }
+        // The command holds the other copy of the pipe.
+        drop(announced);
+        Ok(Self { child, guard, console })
     }
 
     /// Kills the process and waits for it.
@@ -179,10 +190,36 @@ impl Drop for Process {
         if self.ends_within(GRACE).is_none() {
             self.kill();
         }
-        let _ = self.tell_guard("end\n");
-        drop(self.guard.stdin.take());
-        let _ = self.guard.wait();
+        end_guard(&mut self.guard);
     }
+}
+
+/// Ends a guard without anything being killed or removed.
+fn end_guard(guard: &mut Child) {
+    if let Some(mut pipe) = guard.stdin.take() {
+        let _ = pipe.write_all(b"end\n");
+    }
+    let _ = guard.wait();
+}
+
+/// Checks that there is a program to start, because the shell that starts it only reports a failure in
+/// its output.
+fn find_program(command: &Command) -> io::Result<()> {
+    let program = Path::new(command.get_program());
+    let is_program = |path: &Path| {
+        let data = path.metadata().ok()?;
+        (data.is_file() && data.permissions().mode() & 0o111 != 0).then_some(())
+    };
+    let found = if program.components().count() > 1 {
+        let folder = command.get_current_dir().unwrap_or(Path::new(""));
+        is_program(&folder.join(program))
+    } else {
+        let own = command.get_envs().find(|(name, _)| *name == "PATH");
+        let path = own.map_or_else(|| std::env::var_os("PATH"), |(_, path)| path.map(Into::into));
+        std::env::split_paths(&path.unwrap_or_default())
+            .find_map(|folder| is_program(&folder.join(program)))
+    };
+    found.ok_or_else(|| io::Error::from(io::ErrorKind::NotFound))
 }
 
 #[cfg(test)]
@@ -222,6 +259,14 @@ mod tests {
         let mut process = start("echo fine; echo wrong >&2; exit 3");
         let status = process.ends_within(Duration::from_secs(10)).unwrap();
         assert_eq!((status.code(), process.output().as_str()), (Some(3), "fine\nwrong"));
+    }
+
+    #[test]
+    fn a_program_that_is_missing_is_an_error_at_once() {
+        for program in ["no-such-program", "/no/such/program", "/etc/passwd"] {
+            let error = Process::start(&mut Command::new(program), &[]).unwrap_err();
+            assert_eq!(error.kind(), io::ErrorKind::NotFound, "{program}");
+        }
     }
 
     #[test]

@@ -14,7 +14,8 @@
 //! | `keys` | authentic frames and sealed requests |
 //! | `turn` | a whole node of the firmware template: all its broadcasts and messages |
 //!
-//! [`flood`] is a program of its own (feature `flood`): how late the steps of a flooded node are.
+//! Two parts are programs of their own: [`flood`] (feature `flood`): how late the steps of a flooded node
+//! are, and `field` (feature `field`): how long a step of the field observer takes.
 //!
 //! All inputs are derived from integers, and the weights from a package trained on the host
 //! (`fixtures/agent1.weights`, agent 1 of `host-sim run paper`, seed 0).
@@ -28,6 +29,8 @@ mod activations;
 mod agent;
 mod digest;
 mod draw;
+#[cfg(feature = "field")]
+pub mod field;
 pub mod flood;
 pub mod golden;
 mod keys;
@@ -98,8 +101,18 @@ mod tests {
         assert_eq!(wrong, [""; 0], "sections whose digests differ from the golden ones");
         assert_eq!(sections, golden::DIGESTS.len());
         for (figure, statistics) in outcome.unwrap().iter() {
-            let is_flood = figure == Figure::Flood;
-            assert!(statistics.count > 3 || is_flood, "{} is rarely counted", figure.name());
+            let is_apart = matches!(figure, Figure::Flood | Figure::FieldRate | Figure::FieldModel);
+            assert!(statistics.count > 3 || is_apart, "{} is rarely counted", figure.name());
+        }
+    }
+
+    #[cfg(feature = "field")]
+    #[test]
+    fn the_field_observer_takes_its_steps() {
+        let figures = field::field(&mut NoMeter).unwrap();
+        for wanted in [Figure::FieldRate, Figure::FieldModel] {
+            let found = figures.iter().find(|(figure, _)| *figure == wanted);
+            assert!(found.is_some_and(|(_, statistics)| statistics.count > 50));
         }
     }
 

@@ -53,11 +53,15 @@ pub enum Figure {
     Seal,
     /// From the beginning of a period to the end of its turn, while port and radio are flooded.
     Flood,
+    /// A step of the field observer without a broadcast, with samples that go on by their rates.
+    FieldRate,
+    /// The same with samples that go on by the network: four evaluations of it.
+    FieldModel,
 }
 
 impl Figure {
     /// Every figure.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 13] = [
         Self::Forward,
         Self::Step,
         Self::Broadcast,
@@ -69,6 +73,8 @@ impl Figure {
         Self::TagCheck,
         Self::Seal,
         Self::Flood,
+        Self::FieldRate,
+        Self::FieldModel,
     ];
 
     /// Returns its name, a single word.
@@ -86,6 +92,8 @@ impl Figure {
             Self::TagCheck => "tag-check",
             Self::Seal => "seal",
             Self::Flood => "flood",
+            Self::FieldRate => "field-rate",
+            Self::FieldModel => "field-model",
         }
     }
 }

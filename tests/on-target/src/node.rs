@@ -11,7 +11,7 @@ use agent_core::health::{
 };
 use agent_core::observer::feedback::Neighbour;
 use agent_core::observer::network::Scratch;
-use agent_core::package::NetworkPlace;
+use agent_core::package::{AgentConfig, NetworkPlace};
 use agent_core::wire::frame::{FrameBytes, FrameError};
 
 use crate::Unusable;
@@ -45,6 +45,16 @@ pub(crate) struct ParamBuffers {
 impl ParamBuffers {
     pub(crate) const EMPTY: Self =
         Self { neighbours: [Neighbour { id: 0, weight: 0.0 }; NEIGHBOURS], gain: [0.0] };
+
+    /// Returns the parameters of a package's agent.
+    pub(crate) fn params(
+        &mut self,
+        config: &AgentConfig<'_>,
+    ) -> Result<AgentParams<'_, N>, Unusable> {
+        config
+            .params::<N>(&mut self.neighbours, &mut self.gain)
+            .map_err(|_| Unusable { what: "the package's parameters are invalid" })
+    }
 }
 
 /// A node that uses the embedded package.
@@ -65,10 +75,7 @@ impl<'a> Node<'a> {
         scratch: &mut Scratch,
     ) -> Result<Self, Unusable> {
         let package = package::package(scratch)?;
-        let params = package
-            .node
-            .params::<N>(&mut places.neighbours, &mut places.gain)
-            .map_err(|_| Unusable { what: "the package's parameters are invalid" })?;
+        let params = places.params(&package.node)?;
         let state = AgentState::new(
             &params,
             StateVector::zeros(),

@@ -24,7 +24,9 @@ fn run() -> ! {
     };
     #[cfg(feature = "flood")]
     let (equal, outcome) = (true, on_target::flood::flood(&mut counter));
-    #[cfg(not(feature = "flood"))]
+    #[cfg(feature = "field")]
+    let (equal, outcome) = (true, on_target::field::field(&mut counter));
+    #[cfg(not(any(feature = "flood", feature = "field")))]
     let (equal, outcome) = examined(&mut counter);
     match outcome {
         Ok(figures) => {
@@ -50,7 +52,7 @@ fn run() -> ! {
 }
 
 /// Runs the examination and prints its sections; returns also whether all digests are the golden ones.
-#[cfg(not(feature = "flood"))]
+#[cfg(not(any(feature = "flood", feature = "field")))]
 fn examined(
     meter: &mut impl on_target::Meter,
 ) -> (bool, Result<on_target::Figures, on_target::Unusable>) {

@@ -28,6 +28,7 @@ impl Line {
         self
     }
 
+    #[cfg(not(any(feature = "flood", feature = "field")))]
     pub(super) fn hexadecimal(mut self, number: u64) -> Self {
         for shift in (0..16).rev() {
             let digit = (number >> (4 * shift)) as u8 & 0xf;
