@@ -10,19 +10,24 @@
 //!
 //! A run is a pure function of scenario, seed and link. Agents only read frames that the link
 //! has delivered before any of them steps, so they can be stepped in parallel, and the result is the same to the last bit
-//! for any number of threads.
+//! for any number of threads. The networks of many agents are evaluated at once, in the lanes of the processor's vectors ([`LaneMode`]),
+//! which changes no bit either.
 
 mod agents;
 pub mod bounds;
 mod clock;
 mod failure;
+mod lanes;
 mod learning;
 pub mod link;
 mod networks;
+mod norms;
 mod run;
 pub mod run_observer;
 mod sensor;
+mod sent;
 pub mod statistics;
+mod stepping;
 pub mod traces;
 mod watch;
 
@@ -46,7 +51,8 @@ use link::LayerCount;
 use statistics::AgentStatistics;
 use traces::Traces;
 
-pub use run::{run, run_observed, run_over};
+pub use lanes::LaneMode;
+pub use run::{run, run_in_lanes, run_observed, run_over};
 pub use run_observer::{RunObserver, RunObserverError};
 
 /// Receives progress reports of a run; the methods do nothing by default.
