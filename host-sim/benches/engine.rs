@@ -1,12 +1,12 @@
 //! The engine without recording: agent-steps per second on one thread, for the paper's network, for the
-//! same network over layers that do nothing, and for many agents on a sparse graph.
+//! same network over layers that do nothing, and for many agents on sparse graphs, with and without lanes.
 //!
 //! `RAYON_NUM_THREADS` sets the number of threads.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use host_sim::engine::link::Layered;
-use host_sim::engine::{RunOptions, Silent, run, run_over};
+use host_sim::engine::{LaneMode, RunOptions, Silent, run, run_in_lanes, run_over};
 use host_sim::graph::{Edge, Graph};
 use host_sim::scenario::{ClockSettings, PAPER, Record, Scenario, SensorSettings, Window};
 
@@ -53,15 +53,15 @@ fn neutral_layers(bencher: Bencher) {
     });
 }
 
-/// The paper's agents on a ring in which each hears the six nearest on both sides, with the trigger's
-/// share per agent and a gain that is stable there.
-fn sparse(agents: usize, duration: f64) -> Scenario {
+/// The paper's agents on a ring in which each hears so many on both sides, with the trigger's share per
+/// agent and a gain that is stable there.
+fn ring(agents: usize, on_each_side: usize, weight: f64, duration: f64) -> Scenario {
     let mut scenario = paper(duration);
     let edges = (0..agents).flat_map(|first| {
-        (1..=6).map(move |distance| Edge {
+        (1..=on_each_side).map(move |distance| Edge {
             first,
             second: (first + distance) % agents,
-            weight: 1.0 / 6.0,
+            weight,
         })
     });
     scenario.graph = Graph::new(agents, &edges.collect::<Vec<_>>()).expect("a connected graph");
@@ -70,11 +70,48 @@ fn sparse(agents: usize, duration: f64) -> Scenario {
     scenario
 }
 
-/// 3, and 10,000 agents with 12 neighbours each.
-#[divan::bench(sample_count = 3)]
-fn ten_thousand_agents(bencher: Bencher) {
-    let scenario = sparse(10_000, 0.5);
-    bencher
-        .counter(agent_steps(&scenario))
-        .bench(|| run(divan::black_box(&scenario), OPTIONS, &Silent).expect("the run succeeds"));
+/// With and without lanes.
+const MODES: [Mode; 2] = [Mode(LaneMode::Longest), Mode(LaneMode::Off)];
+
+#[derive(Clone, Copy)]
+struct Mode(LaneMode);
+
+impl std::fmt::Display for Mode {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:?}", self.0)
+    }
+}
+
+/// Agents on a ring with two neighbours each, whose weights add up to the mean of the paper's agents.
+fn on_a_ring(bencher: Bencher, agents: usize, duration: f64, mode: Mode) {
+    let scenario = ring(agents, 1, 2.0 / 3.0, duration);
+    bencher.counter(agent_steps(&scenario)).bench(|| {
+        run_in_lanes(divan::black_box(&scenario), mode.0, OPTIONS, &Silent)
+            .expect("the run succeeds")
+    });
+}
+
+#[divan::bench(sample_count = 10, args = MODES)]
+fn eight_agents(bencher: Bencher, mode: Mode) {
+    on_a_ring(bencher, 8, 40.0, mode);
+}
+
+#[divan::bench(sample_count = 10, args = MODES)]
+fn sixty_four_agents(bencher: Bencher, mode: Mode) {
+    on_a_ring(bencher, 64, 40.0, mode);
+}
+
+#[divan::bench(sample_count = 5, args = MODES)]
+fn thousand_agents(bencher: Bencher, mode: Mode) {
+    on_a_ring(bencher, 1_000, 4.0, mode);
+}
+
+/// 10,000 agents with 12 neighbours each.
+#[divan::bench(sample_count = 3, args = MODES)]
+fn ten_thousand_agents(bencher: Bencher, mode: Mode) {
+    let scenario = ring(10_000, 6, 1.0 / 6.0, 0.5);
+    bencher.counter(agent_steps(&scenario)).bench(|| {
+        run_in_lanes(divan::black_box(&scenario), mode.0, OPTIONS, &Silent)
+            .expect("the run succeeds")
+    });
 }

@@ -87,7 +87,9 @@ use serde::{Deserialize, Serialize};
 
 /// Where `tanh` changes its form: just above atanh(1/2) = 0.5493, so that `1 - 2 / (m + 2)`
 /// never gives a result in the finer binade below 1/2. Chosen, not fitted.
-const TANH_SMALL_BELOW: f32 = 0.55;
+///
+/// [`tanh_below`] and [`tanh_above`] are the two forms.
+pub const TANH_SMALL_BELOW: f32 = 0.55;
 
 /// P of the module's equations, lowest degree first: minimax in the relative error of
 /// `tanh` on (0, 0.55^2], 0.62 * 2^-24 (`fit_activations.py`, `TANH_SMALL`).
@@ -185,6 +187,19 @@ macro_rules! activations {
                     $(Self::$variant => $in_place(values),)+
                 }
             }
+
+            /// Does the same as [`Self::apply`] in the caller's own code, so that a caller that is compiled
+            /// for longer vectors uses them.
+            #[inline(always)]
+            pub fn apply_inlined(self, values: &mut [f32]) {
+                match self {
+                    $(Self::$variant => {
+                        for value in values {
+                            *value = $value(*value);
+                        }
+                    })+
+                }
+            }
         }
     };
 }
@@ -232,6 +247,20 @@ pub fn tanh(x: f32) -> f32 {
     f32::from_bits(tanh_bits(x.to_bits()))
 }
 
+/// [`tanh`] of an `x` with `|x| <` [`TANH_SMALL_BELOW`], for callers that know that of several numbers.
+#[inline(always)]
+#[must_use]
+pub fn tanh_below(x: f32) -> f32 {
+    f32::from_bits(with_sign_of(x.to_bits(), tanh_small(f32::from_bits(x.to_bits() & !SIGN))))
+}
+
+/// [`tanh`] of every other `x`, NaN included.
+#[inline(always)]
+#[must_use]
+pub fn tanh_above(x: f32) -> f32 {
+    f32::from_bits(with_sign_of(x.to_bits(), tanh_large(f32::from_bits(x.to_bits() & !SIGN))))
+}
+
 /// [`tanh`] on bit patterns. Sign and comparison use integers (positive floats are in the order of
 /// their bits), which avoids moves between register files, and a call on targets that compare floats
 /// in software.
@@ -240,7 +269,12 @@ fn tanh_bits(x: u32) -> u32 {
     let magnitude = f32::from_bits(x & !SIGN);
     let is_small = x & !SIGN < TANH_SMALL_BELOW.to_bits();
     let result = if is_small { tanh_small(magnitude) } else { tanh_large(magnitude) };
-    x & SIGN | result.to_bits() & !SIGN
+    with_sign_of(x, result)
+}
+
+#[inline(always)]
+fn with_sign_of(x: u32, magnitude: f32) -> u32 {
+    x & SIGN | magnitude.to_bits() & !SIGN
 }
 
 #[inline(always)]

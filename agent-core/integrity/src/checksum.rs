@@ -2,12 +2,14 @@
 
 use crc::{CRC_32_ISO_HDLC, Crc, Digest, Table};
 
-/// One table of 1 KiB, in flash.
-static ALGORITHM: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
+/// One table of 1 KiB, in a node's flash. A host has room for 16, which take 16 bytes at a time.
+const TABLES: usize = if cfg!(target_pointer_width = "64") { 16 } else { 1 };
+
+static ALGORITHM: Crc<u32, Table<TABLES>> = Crc::<u32, Table<TABLES>>::new(&CRC_32_ISO_HDLC);
 
 /// Computes the checksum of bytes that arrive in pieces.
 #[derive(Clone)]
-pub struct Checksum(Digest<'static, u32, Table<1>>);
+pub struct Checksum(Digest<'static, u32, Table<TABLES>>);
 
 impl Checksum {
     /// Starts with no bytes.

@@ -94,6 +94,34 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
         self.keep(neighbours, &frame)
     }
 
+    /// Like [`Self::accept`], with a frame that has been decoded before, for another receiver.
+    ///
+    /// # Errors
+    /// As for [`Self::accept`], except those of [`Frame::decode`].
+    pub fn accept_decoded(
+        &mut self,
+        neighbours: &[Neighbour],
+        frame: &Frame<N>,
+    ) -> Result<(), FrameError> {
+        self.keep(neighbours, frame)
+    }
+
+    /// Like [`Self::accept_within`], with a frame that has been decoded before, for another receiver.
+    ///
+    /// # Errors
+    /// As for [`Self::accept_within`], except those of [`Frame::decode`].
+    pub fn accept_decoded_within(
+        &mut self,
+        neighbours: &[Neighbour],
+        region: &Region<N>,
+        frame: &Frame<N>,
+    ) -> Result<(), FrameError> {
+        if !region.contains(&frame.estimate) {
+            return Err(FrameError::Implausible { sender: frame.sender });
+        }
+        self.keep(neighbours, frame)
+    }
+
     /// Keeps a frame that [`Trust`](crate::agent::trust::Trust) believes, if its estimate is in
     /// `region`. From now on every frame replaces the one before from the same sender: the stamps
     /// have decided which is newer, so sequence, tick and silence do not matter any more.
@@ -370,5 +398,25 @@ mod tests {
         inbox.discard_outside(&region);
         assert_eq!(inbox.len(), 1);
         assert!(inbox.pending()[0].is_some() && inbox.pending()[1].is_none());
+    }
+
+    #[test]
+    fn a_decoded_frame_is_kept_as_its_bytes_are() {
+        let region = Region::new([-5.0, -5.0].into(), [5.0, 5.0].into()).unwrap();
+        let huge = Frame::<2> { estimate: [1.0, 1e30].into(), ..frame(4) };
+        for frame in [frame(4), frame(9), frame(9), frame(5), huge] {
+            let mut inboxes = [(); 4].map(|()| Inbox::<2, _>::new([None; 2]));
+            let [bytes, decoded, bytes_within, decoded_within] = &mut inboxes;
+            assert_eq!(
+                bytes.accept(&NEIGHBOURS, &frame.encode()),
+                decoded.accept_decoded(&NEIGHBOURS, &frame)
+            );
+            assert_eq!(bytes.pending(), decoded.pending());
+            assert_eq!(
+                bytes_within.accept_within(&NEIGHBOURS, &region, &frame.encode()),
+                decoded_within.accept_decoded_within(&NEIGHBOURS, &region, &frame)
+            );
+            assert_eq!(bytes_within.pending(), decoded_within.pending());
+        }
     }
 }

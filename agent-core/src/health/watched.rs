@@ -86,6 +86,18 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
             .inspect_err(|error| self.health.frame_refused(error))
     }
 
+    /// Like [`Self::receive`], with a frame that has been decoded before, for another receiver.
+    ///
+    /// # Errors
+    /// As for [`Inbox::accept_decoded_within`]; the refusal is counted.
+    #[inline]
+    pub fn receive_decoded(&mut self, frame: &Frame<N>) -> Result<(), FrameError> {
+        let region = self.health_params.plausible_region();
+        self.inbox
+            .accept_decoded_within(self.params.neighbours(), region, frame)
+            .inspect_err(|error| self.health.frame_refused(error))
+    }
+
     /// Keeps a frame that [`Trust`](crate::agent::trust::Trust) believes for the next step if its
     /// estimate is plausible.
     ///

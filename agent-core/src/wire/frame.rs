@@ -319,6 +319,16 @@ pub enum Payload {
     Field,
 }
 
+/// Returns the sender that these bytes name, if they begin like a frame. Nothing is checked.
+#[must_use]
+pub fn named_sender(bytes: &[u8]) -> Option<AgentId> {
+    let (&version, rest) = bytes.split_first()?;
+    if version != VERSION {
+        return None;
+    }
+    postcard::take_from_bytes(rest).ok().map(|(sender, _)| sender)
+}
+
 // One function for all dimensions.
 fn encode(
     sender: AgentId,
@@ -383,6 +393,17 @@ mod tests {
         ];
         assert_eq!(&bytes[..body.len()], body);
         assert_eq!(&bytes[body.len()..], crc32(&[&body]).to_le_bytes());
+    }
+
+    #[test]
+    fn the_sender_is_named_before_anything_is_checked() {
+        let mut bytes = Frame::<3> { sender: 70_000, ..frame() }.encode();
+        bytes.truncate(6);
+        assert_eq!(named_sender(&bytes), Some(70_000));
+        assert_eq!(named_sender(&bytes[..2]), None);
+        bytes[0] = VERSION + 1;
+        assert_eq!(named_sender(&bytes), None);
+        assert_eq!(named_sender(&[]), None);
     }
 
     #[test]

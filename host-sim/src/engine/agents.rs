@@ -17,14 +17,17 @@ use agent_core::wire::frame::FrameBytes;
 use agent_core::{StateVector, Tick};
 
 use super::clock::Clock;
+use super::lanes::{Ahead, Computed};
 use super::learning::Observation;
 use super::link::Link;
 use super::networks::Networks;
+use super::norms::{GainNorms, Norms};
 use super::run_observer::AgentStep;
 use super::sensor::Sensor;
+use super::sent::Sent;
 use super::statistics::AgentStatistics;
 use super::watch::{Watch, is_recoverable};
-use crate::basis::{Basis, substitute};
+use crate::basis::{Basis, SharedNetwork, substitute};
 use crate::packages::PackageBytes;
 use crate::plant::Recorded;
 use crate::scenario::{self, Scenario};
@@ -58,15 +61,6 @@ impl ParamBuffers {
     }
 }
 
-/// Norms for Theorem 2's bounding constant.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct GainNorms {
-    /// `|K_1|`.
-    pub(super) gain: f64,
-    /// `|K_1 C_i^T|`.
-    pub(super) gain_output: f64,
-}
-
 /// What surrounds the agents in a step of the engine.
 pub(super) struct Surroundings<'r, const N: usize, L> {
     /// The engine's tick.
@@ -76,6 +70,8 @@ pub(super) struct Surroundings<'r, const N: usize, L> {
     /// `x_0` at the tick before.
     pub(super) before: &'r [f64; N],
     pub(super) link: &'r L,
+    /// What the agents broadcast last.
+    pub(super) sent: &'r Sent<N>,
 }
 
 /// A simulated agent.
@@ -167,9 +163,14 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     }
 
     /// Receives frames, measures, and steps the core. A failure is stored for the engine, because
-    /// agents are stepped in parallel.
+    /// agents are stepped in parallel. `computed` are features that its network has been evaluated to.
     #[inline]
-    pub(super) fn step(&mut self, around: &Surroundings<'_, N, impl Link>, index: usize) {
+    pub(super) fn step(
+        &mut self,
+        around: &Surroundings<'_, N, impl Link>,
+        index: usize,
+        computed: Option<Computed<'_, N>>,
+    ) {
         let tick = match &mut self.clock {
             None => Some(around.tick),
             Some(clock) => clock.step(around.tick),
@@ -178,7 +179,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         match tick {
             Some(tick) => {
                 self.measure(around);
-                self.step_at(tick, around, index);
+                self.step_at(tick, around, index, computed);
             }
             None => {
                 self.receive(around, index);
@@ -257,8 +258,8 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         let mut refused = 0;
         around.link.deliver(index, around.tick, |bytes| {
             let kept = match watch {
-                None => inbox.accept(params.neighbours(), bytes),
-                Some(watch) => watch.agent(params, state, inbox).0.receive(bytes),
+                None => around.sent.accept(inbox, params.neighbours(), bytes),
+                Some(watch) => around.sent.receive(&mut watch.agent(params, state, inbox).0, bytes),
             };
             refused += u64::from(kept.is_err());
         });
@@ -266,25 +267,33 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     }
 
     #[inline]
-    fn step_at(&mut self, tick: Tick, around: &Surroundings<'_, N, impl Link>, index: usize) {
+    fn step_at(
+        &mut self,
+        tick: Tick,
+        around: &Surroundings<'_, N, impl Link>,
+        index: usize,
+        computed: Option<Computed<'_, N>>,
+    ) {
         let Self { params, state, inbox, watch, network, norms, statistics, scenario, .. } = self;
         let measurement = self.is_measured.then_some(&self.measurement[..self.output_matrix.len()]);
         if let Some(network) = network {
             network.set_time(scenario.time.at(tick));
         }
+        let network = network.as_ref().map(|source| Ahead { source, computed });
         let network = network.as_ref();
-        let mut bounds = Bounds::default();
+        let mut bounds = Norms::default();
         let mut refused = 0;
         let is_watched = watch.is_some();
         let step = match watch {
             // The paper's agent: without a trained box or restarts.
             None => {
                 around.link.deliver(index, around.tick, |bytes| {
-                    refused += u64::from(inbox.accept(params.neighbours(), bytes).is_err());
+                    refused +=
+                        u64::from(around.sent.accept(inbox, params.neighbours(), bytes).is_err());
                 });
                 match state.attempt(params, network, tick, measurement, inbox) {
                     Ok(output) => {
-                        bounds = Bounds::of(params, network, state, &output.sample, norms);
+                        bounds = Norms::of(params, network, state, &output.sample, norms);
                         WatchedStep::Taken(output)
                     }
                     Err(error) => WatchedStep::Refused(error),
@@ -295,7 +304,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
                 let (mut agent, outer_weights) = watch.agent(params, state, inbox);
                 // Like a node, drop unusable frames and continue.
                 around.link.deliver(index, around.tick, |bytes| {
-                    refused += u64::from(agent.receive(bytes).is_err());
+                    refused += u64::from(around.sent.receive(&mut agent, bytes).is_err());
                 });
                 agent.attempt_observed(
                     network,
@@ -304,7 +313,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
                     measurement,
                     |state, output| {
                         let network = network.filter(|_| network_in_use);
-                        bounds = Bounds::of(params, network, state, &output.sample, norms);
+                        bounds = Norms::of(params, network, state, &output.sample, norms);
                     },
                 )
             }
@@ -367,6 +376,26 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         match network.features(self.state.estimate().as_slice(), scratch) {
             Some(features) => use_features(Some((features, &weights))),
             None => use_features(None),
+        }
+    }
+
+    /// Returns the network that its steps use, unless its monitor has fallen back.
+    #[inline]
+    pub(super) fn network(&self) -> Option<&SharedNetwork> {
+        let is_used = self.state.field().is_none_or(|field| field.options.uses_network);
+        match &self.network {
+            Some(Basis::Network(network)) if is_used => Some(network),
+            _ => None,
+        }
+    }
+
+    /// Returns the input at which the next step evaluates the network.
+    #[inline]
+    pub(super) fn network_input(&self) -> [f32; N] {
+        let estimate = self.state.estimate();
+        match self.state.field() {
+            Some(field) => field.limited(estimate).into(),
+            None => (*estimate).into(),
         }
     }
 
@@ -469,37 +498,4 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         self.statistics.health = self.watch.as_ref().map(Watch::counters);
         self.statistics
     }
-}
-
-/// Norms after a step, for the theorems' bounds; 0 if not requested.
-#[derive(Default)]
-struct Bounds {
-    /// `e_2i_max` of Theorem 2.
-    hold_error_rate: f64,
-    outer_weights_norm: f64,
-}
-
-impl Bounds {
-    fn of<const N: usize>(
-        params: &AgentParams<'_, N>,
-        network: Option<&Basis<'_>>,
-        state: &SimulatedState<N>,
-        sample: &Sample<N>,
-        norms: &mut Option<(GainNorms, Box<Scratch>)>,
-    ) -> Self {
-        let Some((norms, scratch)) = norms else { return Self::default() };
-        let features = network.and_then(|network| {
-            let features = network.features(sample.estimate.as_slice(), scratch)?;
-            Some(norm(features))
-        });
-        let outer_weights_norm = f64::from(state.outer_weights().norm_squared()).sqrt();
-        let hold_error_rate = outer_weights_norm * features.unwrap_or(0.0)
-            + norms.gain * norm(state.consensus_term().as_slice())
-            + norms.gain_output * norm(state.output_error(params));
-        Self { hold_error_rate, outer_weights_norm }
-    }
-}
-
-fn norm(values: &[f32]) -> f64 {
-    values.iter().fold(0.0, |sum, &v| sum + f64::from(v) * f64::from(v)).sqrt()
 }

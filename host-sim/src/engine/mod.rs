@@ -10,7 +10,8 @@
 //!
 //! A run is a pure function of scenario, seed and link. Agents only read frames that the link
 //! has delivered before any of them steps, so they can be stepped in parallel, and the result is the same to the last bit
-//! for any number of threads.
+//! for any number of threads. The networks of many agents are evaluated at once, in the lanes of the processor's vectors ([`LaneMode`]),
+//! which changes no bit either.
 
 mod agents;
 pub mod bounds;
@@ -18,15 +19,19 @@ mod clock;
 mod failure;
 pub mod fleet;
 mod kalman;
+mod lanes;
 mod learning;
 pub mod link;
 mod method;
 mod networks;
+mod norms;
 mod run;
 pub mod run_observer;
 mod sensor;
+mod sent;
 mod simulated_plant;
 pub mod statistics;
+mod stepping;
 pub mod traces;
 mod watch;
 
@@ -50,7 +55,8 @@ use link::LayerCount;
 use statistics::AgentStatistics;
 use traces::Traces;
 
-pub use run::{run, run_observed, run_over};
+pub use lanes::LaneMode;
+pub use run::{run, run_in_lanes, run_observed, run_over};
 pub use run_observer::{RunObserver, RunObserverError};
 
 /// Receives progress reports of a run; the methods do nothing by default.

@@ -5,20 +5,23 @@ use std::sync::Arc;
 
 use agent_core::Tick;
 use agent_core::math::parameter::ParameterError;
-use rayon::prelude::*;
 
-use super::agents::{GainNorms, ParamBuffers, SimulatedAgent, Surroundings};
+use super::agents::{ParamBuffers, SimulatedAgent, Surroundings};
 use super::bounds::BoundsMeter;
 use super::clock::Clock;
 use super::failure::plant_error;
 use super::kalman;
+use super::lanes::{LaneMode, Lanes};
 use super::learning::Learning;
 use super::link::{Link, ScenarioLink};
 use super::method;
 use super::networks::Networks;
+use super::norms::GainNorms;
 use super::run_observer::{AgentStart, RunObserver, Switch};
 use super::sensor::Sensor;
+use super::sent::Sent;
 use super::simulated_plant::SimulatedPlant;
+use super::stepping;
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
 use crate::analysis::{StepCheck, TriggerConstants, spectral_norm};
@@ -28,9 +31,6 @@ use crate::learning::{agent_config, trained};
 use crate::packages::{OwnedAgentConfig, PackageBytes, with_dimension};
 use crate::scenario::{Downtime, Network, Scenario};
 use crate::training::{Dataset, TrainingError};
-
-/// Minimum number of agents per thread: for fewer, waking a thread costs more than stepping them.
-const AGENTS_PER_THREAD: usize = 32;
 
 /// Steps between progress reports.
 const PROGRESS_STRIDE: Tick = 512;
@@ -62,7 +62,21 @@ pub fn run_observed(
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
     let link = ScenarioLink::new(scenario, options.seed);
-    run_any(scenario, link, Some(run_observer), options, progress)
+    run_any(scenario, link, Some(run_observer), LaneMode::Longest, options, progress)
+}
+
+/// Runs `scenario` as [`run`] does, but evaluates the networks of many agents as `lanes` says, to compare.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_in_lanes(
+    scenario: &Scenario,
+    lanes: LaneMode,
+    options: RunOptions,
+    progress: &dyn Progress,
+) -> Result<RunResult, RunError> {
+    let link = ScenarioLink::new(scenario, options.seed);
+    run_any(scenario, link, None, lanes, options, progress)
 }
 
 /// Runs `scenario` over `link`.
@@ -78,13 +92,14 @@ pub fn run_over(
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
-    run_any(scenario, link, None, options, progress)
+    run_any(scenario, link, None, LaneMode::Longest, options, progress)
 }
 
 fn run_any(
     scenario: &Scenario,
     link: impl Link,
     run_observer: Option<&mut dyn RunObserver>,
+    lanes: LaneMode,
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
@@ -97,7 +112,7 @@ fn run_any(
     }
     with_dimension!(
         n,
-        run_fixed(scenario, link, run_observer, options, progress),
+        run_fixed(scenario, link, run_observer, lanes, options, progress),
         else panic!("{n} state components, expected 1 to 12")
     )
 }
@@ -106,6 +121,7 @@ fn run_fixed<const N: usize>(
     scenario: &Scenario,
     link: impl Link,
     run_observer: Option<&mut dyn RunObserver>,
+    lanes: LaneMode,
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
@@ -143,6 +159,9 @@ fn run_fixed<const N: usize>(
         options,
         link,
         run_observer,
+        sent: Sent::new(agents.len()),
+        lanes: stepping::lanes(&agents, lanes),
+        lane_mode: lanes,
         agents,
         networks,
         truth: initial_state(scenario),
@@ -305,6 +324,11 @@ struct Simulation<'s, 'c, const N: usize, L> {
     run_observer: Option<&'c mut dyn RunObserver>,
     agents: Vec<SimulatedAgent<'s, N>>,
     networks: Networks,
+    /// What the agents broadcast last.
+    sent: Sent<N>,
+    /// The networks of the agents, chunk by chunk.
+    lanes: Vec<Lanes<N>>,
+    lane_mode: LaneMode,
     /// `x_0` at this tick.
     truth: [f64; N],
     /// `x_0` at the tick before.
@@ -345,6 +369,7 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
         {
             return Ok(ControlFlow::Break(()));
         }
+        let is_any = !switches.is_empty();
         for Switch { agent: index, package, back } in switches {
             let agent = &mut self.agents[index];
             let networks = &mut self.networks;
@@ -353,6 +378,9 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
                 false => agent.load(&package, networks),
             };
             switched.map_err(|refusal| RunError::Refused { agent: index + 1, refusal })?;
+        }
+        if is_any {
+            self.lanes = stepping::lanes(&self.agents, self.lane_mode);
         }
         Ok(ControlFlow::Continue(()))
     }
@@ -475,12 +503,17 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
             scenario.life.iter().map(ticks)
         };
         let last = scenario.steps();
+        let mut has_booted = false;
         for (downtime, _) in life().filter(|(_, ticks)| ticks.end == tick && tick < last) {
             let index = downtime.agent;
             self.down[index] = false;
+            has_booted = true;
             self.agents[index]
                 .reboot(downtime.is_replaced, &mut self.networks)
                 .map_err(|refusal| RunError::Refused { agent: index + 1, refusal })?;
+        }
+        if has_booted {
+            self.lanes = stepping::lanes(&self.agents, self.lane_mode);
         }
         for (downtime, _) in life().filter(|(_, ticks)| ticks.start == tick) {
             self.down[downtime.agent] = true;
@@ -544,20 +577,10 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
 
     #[inline]
     fn step_agents(&mut self, tick: Tick) -> Result<(), RunError> {
-        let Self { link, truth, before, down, .. } = self;
-        let around = Surroundings { tick, truth, before, link: &*link };
-        let up = |(index, _): &(usize, &mut SimulatedAgent<'_, N>)| !down[*index];
-        if self.agents.len() < 2 * AGENTS_PER_THREAD {
-            for (index, agent) in self.agents.iter_mut().enumerate().filter(up) {
-                agent.step(&around, index);
-            }
-        } else {
-            self.agents
-                .par_iter_mut()
-                .with_min_len(AGENTS_PER_THREAD)
-                .enumerate()
-                .filter(up)
-                .for_each(|(index, agent)| agent.step(&around, index));
+        let Self { link, sent, truth, before, down, agents, lanes, .. } = self;
+        let around = Surroundings { tick, truth, before, link: &*link, sent };
+        if !stepping::step(agents, lanes, down, &around) {
+            return Ok(());
         }
         let failure = self.agents.iter().position(|agent| agent.failure.is_some());
         match failure.and_then(|index| Some((index, self.agents[index].failure?))) {
@@ -578,10 +601,12 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
         let keep = self.scenario.record.events;
         let is_evaluated = self.evaluation.contains(&tick);
         for (index, agent) in self.agents.iter_mut().enumerate() {
-            if let Some(bytes) = agent.outgoing.take() {
+            if let Some(bytes) = &agent.outgoing {
                 agent.statistics.broadcast(tick, bytes.len(), keep, is_evaluated);
-                self.digest.add(&bytes);
-                self.link.send(index, tick, &bytes);
+                self.digest.add(bytes);
+                self.link.send(index, tick, bytes);
+                self.sent.note(index, bytes);
+                agent.outgoing = None;
             }
         }
         self.link.advance(tick);

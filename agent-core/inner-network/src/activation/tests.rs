@@ -187,3 +187,14 @@ fn golden_bits() {
         assert_eq!(tanh(x).to_bits(), bits, "tanh({x})");
     }
 }
+
+#[test]
+fn the_forms_of_tanh_are_tanh_where_they_hold() {
+    for i in 0..GOLDEN_SAMPLES {
+        let x = f32::from_bits(sample_bits(i));
+        let form = if x.abs() < TANH_SMALL_BELOW { tanh_below } else { tanh_above };
+        let (found, expected) = (form(x), tanh(x));
+        assert!(found.to_bits() == expected.to_bits() || x.is_nan(), "{x}");
+        assert_eq!(found.is_nan(), x.is_nan());
+    }
+}

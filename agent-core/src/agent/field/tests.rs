@@ -19,7 +19,7 @@ use crate::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
 use crate::observer::field::Options;
 use crate::observer::field::disturbance::Model;
 use crate::observer::field::tests::words;
-use crate::observer::network::{Architecture, Layer};
+use crate::observer::network::{Architecture, InnerNetwork, Layer};
 use crate::observer::outer_law::OuterLawParams;
 use crate::observer::projection::ProjectionParams;
 use crate::observer::trigger::{Trigger, TriggerParams};
