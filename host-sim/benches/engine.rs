@@ -78,7 +78,10 @@ struct Mode(LaneMode);
 
 impl std::fmt::Display for Mode {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{:?}", self.0)
+        match self.0 {
+            LaneMode::Only(pulp::Arch::Scalar) => write!(f, "vectors of four"),
+            mode => write!(f, "{mode:?}"),
+        }
     }
 }
 
@@ -96,7 +99,16 @@ fn eight_agents(bencher: Bencher, mode: Mode) {
     on_a_ring(bencher, 8, 40.0, mode);
 }
 
-#[divan::bench(sample_count = 10, args = MODES)]
+/// The same for every set of instructions of this machine.
+fn modes() -> Vec<Mode> {
+    let mut modes = MODES.to_vec();
+    #[cfg(target_arch = "x86_64")]
+    modes.extend(pulp::x86::V3::try_new().map(|v3| Mode(LaneMode::Only(pulp::Arch::V3(v3)))));
+    modes.push(Mode(LaneMode::Only(pulp::Arch::Scalar)));
+    modes
+}
+
+#[divan::bench(sample_count = 10, args = modes())]
 fn sixty_four_agents(bencher: Bencher, mode: Mode) {
     on_a_ring(bencher, 64, 40.0, mode);
 }
