@@ -320,3 +320,21 @@ fn drawn_initial_states_depend_on_the_seed_only() {
         folder.succeed(&format!("{command} {random} mine.toml"));
     }
 }
+
+#[test]
+fn tables_for_papers_are_latex() {
+    let folder = Folder::new("latex");
+    folder.write("mine.toml", &short().text());
+    for command in [
+        "run mine.toml --baselines known-f --out run",
+        "sweep mine.toml --vary design.epsilon=50,100 --seeds 1 --out sweep",
+        "sweep --summarise sweep/results.csv",
+    ] {
+        let text = folder.succeed(&format!("{command} --format latex"));
+        assert!(text.starts_with("% ") && text.contains("\\begin{tabular}"), "{text}");
+        let rows = text.matches(" \\\\\n").count();
+        assert!(rows >= 3 && text.trim_end().ends_with("\\end{tabular}"), "{text}");
+    }
+    let error = folder.fail("design mine.toml --format latex", 2);
+    assert!(error.contains("no table for papers"), "{error}");
+}

@@ -11,7 +11,7 @@ use super::seeds::Spread;
 use crate::engine::RunResult;
 use crate::files::output::OutputError;
 use crate::files::table::{Row, write_table};
-use crate::report::columns::aligned;
+use crate::report::columns::{Table, aligned};
 use crate::report::tables::{number, percent};
 use crate::scenario::Scenario;
 
@@ -56,22 +56,19 @@ const LINES: usize = 20;
 /// A column of errors: its heading and how to get an agent's error.
 type Errors<'a> = (&'a str, fn(&AgentReport) -> Option<f64>);
 
-/// Returns the table as text; `name` is the column heading of the run itself.
-pub(super) fn text(
-    scenario: &Scenario,
-    agents: &[AgentReport],
-    baselines: &Baselines,
-    name: &str,
-) -> String {
+/// The columns of errors: those of the baselines that are shown, and of the run itself, called `name`.
+fn errors<'n>(baselines: &Baselines, name: &'n str) -> Vec<Errors<'n>> {
     let columns: [(Baseline, Errors<'_>); 2] = [
         (Baseline::NoNetwork, ("no network", |agent| agent.rmse_no_network)),
         (Baseline::Untrained, ("untrained", |agent| agent.rmse_untrained)),
     ];
     let compared = columns.iter().filter(|(baseline, _)| baselines.is_shown(*baseline));
-    let errors: Vec<Errors<'_>> = compared
-        .map(|(_, errors)| *errors)
-        .chain([(name, rmse as fn(&AgentReport) -> _)])
-        .collect();
+    compared.map(|(_, errors)| *errors).chain([(name, rmse as fn(&AgentReport) -> _)]).collect()
+}
+
+/// Returns the table; `name` is the column heading of the run itself.
+pub(super) fn table(agents: &[AgentReport], baselines: &Baselines, name: &str) -> Table {
+    let errors = errors(baselines, name);
     let against_none = baselines.is_shown(Baseline::NoNetwork);
 
     let mut headings = vec![["", "agent"]];
@@ -100,17 +97,26 @@ pub(super) fn text(
         row.extend([number(agent.mean_interval), number(agent.min_interval)]);
         row
     };
-    let rows: Vec<_> = agents.iter().take(LINES).map(row).collect();
+    Table::new(&headings, agents.iter().take(LINES).map(row).collect())
+}
+
+/// Returns the table as text; `name` is the column heading of the run itself.
+pub(super) fn text(
+    scenario: &Scenario,
+    agents: &[AgentReport],
+    baselines: &Baselines,
+    name: &str,
+) -> String {
     let window = &scenario.evaluation;
     let mut text = format!(
         "\n|e_1i(t)| for t in [{}, {}] s [state unit], and broadcasts over the whole run\n\n{}",
         window.from,
         window.to,
-        aligned(&headings, &rows),
+        table(agents, baselines, name).text(),
     );
     if agents.len() > LINES {
         text += &format!("and {} more agents, in agents.csv\n\n", agents.len() - LINES);
-        text += &spread(agents, &errors);
+        text += &spread(agents, &errors(baselines, name));
     }
     text.push('\n');
     text

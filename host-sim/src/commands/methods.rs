@@ -13,7 +13,7 @@ use crate::figures::{Figure, FrontierFigure, FrontierForm, FrontierPoint, fronti
 use crate::files::output::OutputError;
 use crate::files::table::write_table;
 use crate::number::significant;
-use crate::report::columns::aligned;
+use crate::report::columns::Table;
 use crate::scenario::{Method, Scenario};
 use crate::warning::{Warning, WarningCode};
 
@@ -92,8 +92,16 @@ pub(super) fn carry_out<P: Progress>(
     methods.par_iter().map(one).collect()
 }
 
-/// Formats the rows as a table.
+/// Heading of the table.
+pub(super) const TITLE: &str = "Methods on the same plant, links and sensors";
+
+/// Formats the rows.
 pub(super) fn text(rows: &[Row]) -> String {
+    format!("{TITLE}\n\n{}\n", table(rows).text())
+}
+
+/// Returns the rows as a table.
+pub(super) fn table(rows: &[Row]) -> Table {
     let agents = rows.iter().map(|row| row.rmse.len()).max().unwrap_or(0);
     let columns: Vec<String> = match agents {
         0..=COLUMNS => (1..=agents).map(|agent| format!("agent {agent}")).collect(),
@@ -118,7 +126,7 @@ pub(super) fn text(rows: &[Row]) -> String {
             entries
         })
         .collect();
-    format!("Methods on the same plant, links and sensors\n\n{}\n", aligned(&headings, &entries))
+    Table::new(&headings, entries)
 }
 
 /// Writes `methods.csv`, one line for each method and agent.

@@ -11,7 +11,7 @@ use super::baselines::Baseline;
 use super::run_folder::RunFolder;
 use super::seeds::{self, SeedRun};
 use super::trainings::{self, TrainingSummary};
-use super::{CommandError, Common, Format, SharedProgress, print_outcome, print_text};
+use super::{CommandError, Common, SharedProgress, TableFormat, print_outcome, print_text};
 use super::{output, warnings};
 use crate::commands::progress::ProgressBars;
 use crate::engine::statistics::AgentStatistics;
@@ -20,6 +20,7 @@ use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_axis_limit, error_norms, events, states, write_all,
 };
 use crate::report::checks::{self, ChecksReport};
+use crate::report::latex::latex;
 use crate::report::paper::PUBLISHED;
 use crate::report::tables::{AgentResult, ComparisonTable, change_percent};
 use crate::report::theorems::Checks;
@@ -129,7 +130,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let outcome = warnings::outcome(&checks);
     let elapsed_s = start.elapsed().as_secs_f64();
     match arguments.common.format {
-        Format::Json => {
+        TableFormat::Json => {
             let report = Report {
                 seed,
                 recipe: &arguments.recipe,
@@ -142,7 +143,13 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             };
             print_outcome(&report, outcome)
         }
-        Format::Text => {
+        TableFormat::Latex => {
+            let tables = table.tables();
+            let texts = tables.iter().map(|(title, table)| latex(title, table));
+            let printed = print_text(&texts.collect::<Vec<_>>().join("\n"));
+            outcome.and(printed)
+        }
+        TableFormat::Text => {
             let mut text = format!("\n{}\n", table.to_text());
             text += &seeds.map_or_else(String::new, |seeds| seeds.text());
             text += &trainings::text(&trainings);

@@ -16,8 +16,8 @@ use super::package_format::PackageFormat;
 use super::run_folder::RunFolder;
 use super::trainings::{self, TrainingSummary};
 use super::{
-    Changes, CommandError, Common, Format, SharedProgress, agent_table, certified, methods, output,
-    warnings,
+    Changes, CommandError, Common, SharedProgress, TableFormat, agent_table, certified, methods,
+    output, warnings,
 };
 use super::{load_scenario, print_outcome, print_text};
 use crate::commands::progress::ProgressBars;
@@ -29,6 +29,7 @@ use crate::figures::{
 use crate::number::significant;
 use crate::packages::PackageBytes;
 use crate::report::checks::{self, ChecksReport};
+use crate::report::latex::latex;
 use crate::report::theorems::{Checks, DesignChecks};
 use crate::scenario::{Method, Scenario};
 use crate::terminal::one_line;
@@ -125,7 +126,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let outcome = warnings::outcome(&checks);
     let elapsed_s = start.elapsed().as_secs_f64();
     match arguments.common.format {
-        Format::Json => {
+        TableFormat::Json => {
             warnings.extend(found);
             let report = Report {
                 scenario: &scenario.name,
@@ -143,7 +144,20 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             };
             print_outcome(&report, outcome)
         }
-        Format::Text => {
+        TableFormat::Latex => {
+            let (window, name) = (&scenario.evaluation, name_of(&scenario));
+            let title = format!(
+                "|e_1i(t)| for t in [{}, {}] s [state unit], and broadcasts over the whole run",
+                window.from, window.to
+            );
+            let mut text = latex(&title, &agent_table::table(&agents, &baselines, name));
+            if !rows.is_empty() {
+                text += &format!("\n{}", latex(methods::TITLE, &methods::table(&rows)));
+            }
+            let printed = print_text(&text);
+            outcome.and(printed)
+        }
+        TableFormat::Text => {
             let mut text = packages_in_use(&scenario) + &initial_state_text(&scenario);
             text += &agent_table::text(&scenario, &agents, &baselines, name_of(&scenario));
             text += &agent_table::traffic(&result, &agents);

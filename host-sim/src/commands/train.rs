@@ -111,6 +111,7 @@ struct Report<'a> {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
+    let format = arguments.common.format.without_tables()?;
     // While prompting for a passphrase, Ctrl-C ends the program.
     let key = arguments.sign.as_deref().map(|path| arguments.passphrase.key(path)).transpose()?;
     let start = Instant::now();
@@ -194,16 +195,16 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         return Err(CommandError::new(ErrorCode::NotPacked, text).about(&arguments.out));
     }
     let chosen = arguments.package_version;
-    let format = arguments.package_format;
+    let package_format = arguments.package_format;
     let packages = fleet_packages(&scenario, plan.as_ref(), harmonics, &trained.package, &members)
         .map_err(RunError::Observer)?;
     let mut written = Vec::with_capacity(packages.len());
     for ((package, place), output) in packages.into_iter().zip(&places).zip(outputs) {
-        written.push(versions::save(package, chosen, format, key.as_ref(), place, output)?);
+        written.push(versions::save(package, chosen, package_format, key.as_ref(), place, output)?);
     }
     let elapsed_s = start.elapsed().as_secs_f64();
     let report = report(&places, &task, recording, &trained, &written[0], elapsed_s);
-    match arguments.common.format {
+    match format {
         Format::Json => print_json(&report),
         Format::Text => print_text(&text(&places, &report)),
     }

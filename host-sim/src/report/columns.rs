@@ -1,5 +1,31 @@
 //! Text tables: right-aligned columns as wide as their widest entry.
 
+/// A table: two lines of headings, and rows.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Table {
+    /// Adjacent columns with the same first line share it.
+    pub headings: Vec<[String; 2]>,
+    /// One entry for each column.
+    pub rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    /// Creates a table.
+    #[must_use]
+    pub fn new(headings: &[[&str; 2]], rows: Vec<Vec<String>>) -> Self {
+        let headings = headings.iter().map(|heading| heading.map(str::to_owned)).collect();
+        Self { headings, rows }
+    }
+
+    /// Formats it as [`aligned`] does.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let headings: Vec<[&str; 2]> =
+            self.headings.iter().map(|[group, name]| [group.as_str(), name.as_str()]).collect();
+        aligned(&headings, &self.rows)
+    }
+}
+
 /// Formats a table with two heading lines, a rule, and the rows; missing entries are blank.
 /// Adjacent columns with the same first line share it.
 ///

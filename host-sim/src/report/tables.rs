@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::columns::aligned;
+use super::columns::Table;
 use super::paper::Published;
 use crate::files::output::OutputError;
 use crate::files::table::{Row, write_table};
@@ -70,12 +70,22 @@ impl ComparisonTable<'_> {
              Mean time between broadcasts [s]\n\n{}",
             self.window.0,
             self.window.1,
-            self.errors(),
-            self.intervals(),
+            self.errors().text(),
+            self.intervals().text(),
         )
     }
 
-    fn errors(&self) -> String {
+    /// Returns the tables with their titles.
+    #[must_use]
+    pub fn tables(&self) -> [(String, Table); 2] {
+        let (from, to) = self.window;
+        [
+            (format!("RMSE of |e_1i(t)| for t in [{from}, {to}] s [state unit]"), self.errors()),
+            ("Mean time between broadcasts [s]".to_owned(), self.intervals()),
+        ]
+    }
+
+    fn errors(&self) -> Table {
         let untrained = "change against untrained [%]";
         let columns = [
             (["", "agent"], true),
@@ -104,7 +114,7 @@ impl ComparisonTable<'_> {
         })
     }
 
-    fn intervals(&self) -> String {
+    fn intervals(&self) -> Table {
         let columns = [
             (["", "agent"], true),
             (["", "no network"], true),
@@ -124,18 +134,18 @@ impl ComparisonTable<'_> {
         &self,
         columns: &[([&str; 2], bool)],
         entries: impl Fn(&Line) -> Vec<String>,
-    ) -> String {
+    ) -> Table {
         let shown = |always: bool| always || !self.published.is_empty();
         let headings: Vec<_> =
             columns.iter().filter(|(_, always)| shown(*always)).map(|(names, _)| *names).collect();
-        let rows: Vec<Vec<String>> = self
+        let rows = self
             .lines()
             .map(|line| {
                 let entries = entries(&line).into_iter().zip(columns);
                 entries.filter(|(_, (_, always))| shown(*always)).map(|(entry, _)| entry).collect()
             })
             .collect();
-        aligned(&headings, &rows)
+        Table::new(&headings, rows)
     }
 
     /// Writes the table as CSV; missing numbers are empty fields.

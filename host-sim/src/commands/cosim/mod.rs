@@ -118,6 +118,7 @@ fn number_in(text: &str, low: f64, high: f64) -> Result<f64, String> {
 const ENDLESS: u64 = 1 << 40;
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
+    let format = arguments.common.format.without_tables()?;
     interruption::listen(SecondSignal::Wait);
     let mut scenario = scenario(arguments)?;
     let endpoints =
@@ -185,7 +186,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     };
     let done = AtomicU64::new(0);
     let progress = SharedProgress::new(&bars, &done, scenario.steps());
-    let quiet = arguments.common.format == Format::Json;
+    let quiet = format == Format::Json;
     let notice = &mut |notice: &Notice<'_>| {
         if !(quiet && matches!(notice, Notice::Reachable)) {
             let text = notice_text(arguments, endpoints.len(), notice);
@@ -205,7 +206,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let report = cosimulate(&scenario, arguments.common.seed, setup, service.as_ref(), &progress)?;
     bars.finish();
     let outcome = outcome(&report, scenario.steps());
-    match arguments.common.format {
+    match format {
         Format::Json => print_outcome(&report, outcome),
         Format::Text => {
             let printed = print_text(&text(&scenario, arguments, &report));

@@ -152,6 +152,7 @@ struct Designed {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
+    let format = arguments.common.format.without_tables()?;
     let start = Instant::now();
     let (scenario, source) = load_with_text(&arguments.scenario, &arguments.changes)?;
     let scenario = scenario.drawn(arguments.common.seed).into_owned();
@@ -161,7 +162,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         write(out, path, &source, &designed)?;
     }
     let (gain, certificate) = (&designed.gain, &designed.certificate);
-    match arguments.common.format {
+    match format {
         Format::Json => print_json(&Report {
             scenario: &scenario.name,
             objective: name(arguments.objective),

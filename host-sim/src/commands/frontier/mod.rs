@@ -16,13 +16,14 @@ use super::print_text;
 use super::progress::ProgressBars;
 use super::run_folder::{FRONTIER, FRONTIER_KIND, RunFolder};
 use super::{
-    Changes, CommandError, Common, ErrorCode, Format, initial_states, load_scenario, output,
+    Changes, CommandError, Common, ErrorCode, TableFormat, initial_states, load_scenario, output,
     print_outcome,
 };
 use crate::engine::RunError;
 use crate::figures::{FrontierFigure, FrontierForm, FrontierPoint, frontier, write_all};
 use crate::files::output::{OutputError, write_result};
 use crate::interruption::{self, SecondSignal};
+use crate::report::latex::latex;
 use crate::report::paper::PUBLISHED;
 use crate::scenario::{PAPER, Scenario};
 use forms::{Form, Forms, Level, Variant};
@@ -122,8 +123,19 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let (files, others) = folder.publish(&scenario, seed)?;
     let outcome = outcome(&points, is_complete);
     match arguments.common.format {
-        Format::Json => print_outcome(&report, outcome),
-        Format::Text => {
+        TableFormat::Json => print_outcome(&report, outcome),
+        TableFormat::Latex => {
+            let mut text = String::new();
+            if is_complete {
+                let title = format!("Fewest broadcasts within {target_label}");
+                text += &latex(&title, &summary::table(&best, target.len()));
+                let title = "Time on air and battery life";
+                text += &format!("\n{}", latex(title, &summary::radio_table(&best)));
+            }
+            let printed = print_text(&text);
+            outcome.and(printed)
+        }
+        TableFormat::Text => {
             let mut text = String::new();
             if is_complete {
                 text += &summary::text(&best, &target, target_label);

@@ -9,7 +9,7 @@ use super::radio::{Cost, Frames, RADIOS, cost};
 use crate::commands::seeds::Spread;
 use crate::graph::Graph;
 use crate::number::significant;
-use crate::report::columns::aligned;
+use crate::report::columns::Table;
 
 /// The runs of one setting.
 #[derive(Clone, Debug)]
@@ -172,9 +172,8 @@ pub(super) fn best(
 /// Up to this many agents have columns of their own.
 const COLUMNS: usize = 4;
 
-/// Formats the best settings and what they cost on radios.
-pub(super) fn text(best: &[Best], target: &[f64], target_label: &str) -> String {
-    let agents = target.len();
+/// Returns a table of the best settings for so many agents.
+pub(super) fn table(best: &[Best], agents: usize) -> Table {
     let errors: Vec<String> = match agents {
         0..=COLUMNS => (1..=agents).map(|agent| format!("agent {agent}")).collect(),
         _ => vec!["largest".to_owned()],
@@ -212,7 +211,11 @@ pub(super) fn text(best: &[Best], target: &[f64], target_label: &str) -> String 
         row.push(bound.map_or("-".to_owned(), |bound| significant(bound, 3)));
         row
     };
-    let rows: Vec<_> = best.iter().map(row).collect();
+    Table::new(&headings, best.iter().map(row).collect())
+}
+
+/// Formats the best settings and what they cost on radios.
+pub(super) fn text(best: &[Best], target: &[f64], target_label: &str) -> String {
     let smallest = target.iter().copied().fold(f64::INFINITY, f64::min);
     let largest = target.iter().copied().fold(0.0, f64::max);
     let range = match smallest < largest {
@@ -221,7 +224,7 @@ pub(super) fn text(best: &[Best], target: &[f64], target_label: &str) -> String 
     };
     let mut text = format!(
         "Fewest broadcasts with every agent of every run within {target_label} ({range})\n\n{}",
-        aligned(&headings, &rows)
+        table(best, target.len()).text()
     );
     if best.iter().any(|best| !best.within_target) {
         text += "* no setting is within the target; the one with the smallest errors\n";
@@ -239,7 +242,8 @@ fn setting_in_words(best: &Best) -> String {
     }
 }
 
-fn radio_text(best: &[Best]) -> String {
+/// Returns a table of what the best settings cost on radios.
+pub(super) fn radio_table(best: &[Best]) -> Table {
     let mut headings = vec![["", "form"]];
     for radio in &RADIOS {
         headings.extend(["air [%]", "CR2032 [d]", "2 AA [d]"].map(|name| [radio.name, name]));
@@ -253,11 +257,14 @@ fn radio_text(best: &[Best]) -> String {
         }
         row
     };
-    let rows: Vec<_> = best.iter().map(row).collect();
+    Table::new(&headings, best.iter().map(row).collect())
+}
+
+fn radio_text(best: &[Best]) -> String {
     format!(
         "Radio: the channel's time taken by all agents, and the days that a battery of the busiest node lasts \
          if it\npowers nothing but sending its frames and hearing those of its neighbours; - if the channel is \
          too slow\n\n{}\n",
-        aligned(&headings, &rows)
+        radio_table(best).text()
     )
 }

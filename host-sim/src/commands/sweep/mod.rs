@@ -26,11 +26,13 @@ use serde::Serialize;
 use super::run_folder::lock;
 use super::scenario_source::{ScenarioSource, load_with_text};
 use super::{
-    Changes, CommandError, Common, ErrorCode, Format, initial_states, print_outcome, print_text,
+    Changes, CommandError, Common, ErrorCode, TableFormat, initial_states, print_outcome,
+    print_text,
 };
 use crate::figures::{tradeoff, write_all};
 use crate::files::output::{OutputError, make_folder};
 use crate::interruption::{self, SecondSignal};
+use crate::report::latex::latex;
 use crate::scenario::Scenario;
 use crate::shell::shell_word;
 use cells::Cells;
@@ -40,6 +42,9 @@ use shard::Shard;
 use study::Study;
 use summary::{CellSummary, Summary};
 use vary::Vary;
+
+/// Title of the table.
+const TITLE: &str = "Error and broadcasts: median and 95 % of the runs of each cell";
 
 /// Arguments of `sweep`.
 #[derive(Debug, Args)]
@@ -145,8 +150,9 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
         summary: &summary.cells,
     };
     match arguments.common.format {
-        Format::Json => print_outcome(&report, Ok(())),
-        Format::Text => print_text(&format!(
+        TableFormat::Json => print_outcome(&report, Ok(())),
+        TableFormat::Latex => print_text(&latex(TITLE, &summary.table(usize::MAX))),
+        TableFormat::Text => print_text(&format!(
             "{}\n{} runs of {}\nWritten to {}: {written}\n",
             summary.text(),
             summary.runs(),
@@ -207,8 +213,13 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
     };
     let result = result(&study, &outcome, before, &file);
     match arguments.common.format {
-        Format::Json => print_outcome(&report, result),
-        Format::Text => {
+        TableFormat::Json => print_outcome(&report, result),
+        TableFormat::Latex => {
+            let table = latex(TITLE, &summary.table(usize::MAX));
+            let printed = if summary.cells.is_empty() { Ok(()) } else { print_text(&table) };
+            result.and(printed)
+        }
+        TableFormat::Text => {
             let mut text = String::new();
             if !summary.cells.is_empty() {
                 text += &format!("{}\n", summary.text());

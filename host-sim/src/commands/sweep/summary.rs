@@ -16,7 +16,7 @@ use super::results::{COLUMNS, line};
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::output::{FileKind, OutputError, write_result};
 use crate::number::significant;
-use crate::report::columns::aligned;
+use crate::report::columns::Table;
 
 /// Name of the file.
 pub(super) const NAME: &str = "summary.csv";
@@ -229,8 +229,8 @@ impl Summary {
         })
     }
 
-    /// Formats a table of all agents together.
-    pub(super) fn text(&self) -> String {
+    /// Returns a table of all agents together, of these cells.
+    pub(super) fn table(&self, cells: usize) -> Table {
         let mut headings: Vec<[&str; 2]> = self.keys.iter().map(|key| ["", key.as_str()]).collect();
         headings.extend([["", "runs"], ["", "diverged"]]);
         let groups = ["largest RMSE of an agent", "broadcasts of all agents"];
@@ -243,8 +243,12 @@ impl Summary {
             row.extend(levels_of(cell.all.broadcasts, |x| format!("{x:.0}")));
             row
         };
-        let rows: Vec<_> = self.cells.iter().take(SHOWN_MAX).map(row).collect();
-        let mut text = aligned(&headings, &rows);
+        Table::new(&headings, self.cells.iter().take(cells).map(row).collect())
+    }
+
+    /// Formats a table of all agents together.
+    pub(super) fn text(&self) -> String {
+        let mut text = self.table(SHOWN_MAX).text();
         if let Some(more) = self.cells.len().checked_sub(SHOWN_MAX).filter(|&more| more > 0) {
             text += &format!("... and {more} more cells in {NAME}\n");
         }
