@@ -98,7 +98,8 @@ fn a_recording_that_does_not_fit_is_refused_with_its_place() {
         (good, "initial_state = [1.0, 2.0]", both, "unknown key"),
         ("t,y1,y2\n0,1,2\n0.5,1,2\n3.5,1,2\n", "", both, "longer than the recording of 3.5 s"),
         ("t,y1,y2\n0,1,2\n0.5,1,2\n0.5,1,2\n", "", both, "does not increase in line 4"),
-        ("t,y1,y2\n0,1,2\n0.5,x,2\n4,1,2\n", "", both, "line 3, column `y1`: `x` is not a number"),
+        ("t,y1,y2\n0,1,2\n0.5,x,2\n4,1,2\n", "", both, "line 3, column `y1`: `x` is not a finite"),
+        ("t,y1,y2\n# a comment\n\n0,1,2\n,1,2\n4,1,2\n", "", both, "line 5 of the file has no time"),
         ("0,1,2\n0.5,1,2\n4,1,2\n", "", both, "numbers instead of names"),
         ("t,y1,y1\n0,1,2\n4,1,2\n", "", both, "two columns are called `y1`"),
         ("t,y1,y2\n0,1,2\n0.5,,2\n4,1,2\n", "reference = [\"y1\", \"y2\"]", both, "line 3"),
@@ -113,5 +114,5 @@ fn a_recording_that_does_not_fit_is_refused_with_its_place() {
     }
     folder.write("mine.toml", &("method = \"kalman\"\n".to_owned() + &scenario("", both)));
     let error = Scenario::load(&folder.path("mine.toml")).unwrap_err().to_string();
-    assert!(error.contains("f is not known of a recording"), "{error}");
+    assert!(error.contains("a recording does not define f"), "{error}");
 }

@@ -79,7 +79,7 @@ Tasks:
           with cargo-fuzz and a nightly toolchain, `cargo +nightly fuzz run TARGET` adds the
           address sanitizer.
   studies run one small study in one go, by the script for Slurm arrays, with GNU parallel, and on
-          a Dask cluster of two workers (from PyPI): the tables must have the same bytes
+          a Dask cluster of two workers: the tables must have the same bytes
   help    print this text
 
 Boards are the folders in firmware-template/boards; CONTRIBUTING.md says how to add one.

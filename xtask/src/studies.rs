@@ -3,7 +3,7 @@
 //! and two workers. All must have the same bytes.
 //!
 //! Slurm itself is not started: its script is run with the variables that Slurm sets. Dask is installed
-//! into `target/studies/python` from PyPI.
+//! into `target/studies/python` by pip.
 
 use std::{
     collections::BTreeSet,
@@ -49,14 +49,21 @@ pub(crate) fn studies(debian: bool) -> Result<(), Failure> {
     require(debian)?;
     let mut build = cargo("build");
     // The whole workspace, as for tests, so that crates have the same features and are not built again.
-    build.args(["--quiet", "--workspace", "--bin", "host-sim"]);
+    build.args([
+        "--quiet",
+        "--workspace",
+        "--bin",
+        "simulator-under-test",
+        "--test",
+        "integration",
+    ]);
     run("the program", &mut build, "see the error above")?;
     let folder = target_folder().join("studies");
     let results = folder.join("results");
     // Left by an earlier call, which would otherwise be continued.
     let _ = fs::remove_dir_all(&results);
     let study = Study {
-        program: target_folder().join("debug/host-sim"),
+        program: target_folder().join("debug/simulator-under-test"),
         scripts: workspace().join("host-sim/examples/studies"),
         results,
     };
@@ -140,7 +147,7 @@ impl Study {
         let mut install = Command::new(python.join("bin/pip"));
         install.args(["install", "--quiet", "--disable-pip-version-check", "--requirement"]);
         install.arg(self.scripts.join("requirements.txt"));
-        run("Dask from PyPI", &mut install, "check the connection to pypi.org")?;
+        run("Dask", &mut install, "check that pip can install packages here")?;
         let port = free_port()?;
         let address = format!("tcp://127.0.0.1:{port}");
         let log = self.results.join("dask.log");

@@ -66,8 +66,13 @@ fn errors<'n>(baselines: &Baselines, name: &'n str) -> Vec<Errors<'n>> {
     compared.map(|(_, errors)| *errors).chain([(name, rmse as fn(&AgentReport) -> _)]).collect()
 }
 
-/// Returns the table; `name` is the column heading of the run itself.
-pub(super) fn table(agents: &[AgentReport], baselines: &Baselines, name: &str) -> Table {
+/// Returns the table of so many agents at most; `name` is the column heading of the run itself.
+pub(super) fn table(
+    agents: &[AgentReport],
+    baselines: &Baselines,
+    name: &str,
+    most: usize,
+) -> Table {
     let errors = errors(baselines, name);
     let against_none = baselines.is_shown(Baseline::NoNetwork);
 
@@ -97,7 +102,7 @@ pub(super) fn table(agents: &[AgentReport], baselines: &Baselines, name: &str) -
         row.extend([number(agent.mean_interval), number(agent.min_interval)]);
         row
     };
-    Table::new(&headings, agents.iter().take(LINES).map(row).collect())
+    Table::new(&headings, agents.iter().take(most).map(row).collect())
 }
 
 /// Returns the table as text; `name` is the column heading of the run itself.
@@ -112,7 +117,7 @@ pub(super) fn text(
         "\n|e_1i(t)| for t in [{}, {}] s [state unit], and broadcasts over the whole run\n\n{}",
         window.from,
         window.to,
-        table(agents, baselines, name).text(),
+        table(agents, baselines, name, LINES).text(),
     );
     if agents.len() > LINES {
         text += &format!("and {} more agents, in agents.csv\n\n", agents.len() - LINES);

@@ -27,6 +27,8 @@ pub(super) enum Choice {
     All,
     /// Only the run itself
     None,
+    /// The observer itself, if the scenario has another method
+    Observer,
     /// Without a network
     NoNetwork,
     /// With the untrained network
@@ -48,6 +50,7 @@ impl Choice {
     fn method(self) -> Option<Method> {
         Some(match self {
             Self::All | Self::None => return None,
+            Self::Observer => Method::Observer,
             Self::NoNetwork => Method::NoNetwork,
             Self::Untrained => Method::Untrained,
             Self::Periodic => Method::Periodic,
@@ -77,8 +80,12 @@ pub(super) fn methods(
         return Err(CommandError::usage(problem));
     }
     let learns = !scenario.learning.is_empty() && scenario.network.is_some();
-    let is_extra = |method: &Method| {
-        !matches!(method, Method::Observer | Method::NoNetwork | Method::Untrained)
+    // Those of an observer with a network have columns of their own.
+    let has_columns = scenario.method == Method::Observer && scenario.network.is_some();
+    let is_extra = |method: &Method| match method {
+        Method::Observer => !has_columns,
+        Method::NoNetwork | Method::Untrained => !has_columns && scenario.network.is_some(),
+        _ => true,
     };
     let mut methods: Vec<Method> = match choices {
         [Choice::All] => {
@@ -93,7 +100,8 @@ pub(super) fn methods(
     if methods.contains(&Method::Regression) && !learns {
         let name = &scenario.name;
         return Err(CommandError::usage(format!(
-            "--baselines regression: scenario {name} has no learning cycle whose samples it could fit; add              [[learning]], or leave it out"
+            "--baselines regression: scenario {name} has no learning cycle whose samples it could fit; \
+             add [[learning]], or leave it out"
         )));
     }
     Ok(methods)
@@ -123,7 +131,7 @@ impl Baseline {
     /// Returns the scenario of this baseline.
     pub(super) fn scenario(self, scenario: &Scenario) -> Scenario {
         let mut scenario = scenario.clone();
-        scenario.record = NOTHING;
+        scenario.record = Record::NOTHING;
         scenario.method = match self {
             Self::NoNetwork => Method::NoNetwork,
             Self::Untrained => Method::Untrained,
@@ -142,9 +150,6 @@ impl Baseline {
         run(&self.scenario(scenario), options, progress)
     }
 }
-
-/// Recording settings of a run made for comparison only.
-pub(super) const NOTHING: Record = Record { trace_stride: None, events: false, samples: false };
 
 /// The outcome of a baseline.
 #[derive(Debug)]
@@ -242,6 +247,14 @@ impl Baselines {
     /// Returns whether a baseline has its own column in tables: it was run, even if it failed.
     pub(super) fn is_shown(&self, baseline: Baseline) -> bool {
         matches!(self.outcomes[baseline as usize], Outcome::Done(_) | Outcome::Failed(_))
+    }
+
+    /// Returns why a baseline failed, if it did.
+    pub(super) fn failure(&self, baseline: Baseline) -> Option<&RunError> {
+        match &self.outcomes[baseline as usize] {
+            Outcome::Failed(error) => Some(error),
+            _ => None,
+        }
     }
 
     /// Returns a warning for each baseline that failed.

@@ -6,7 +6,6 @@ use std::path::Path;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::baselines::NOTHING;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{Progress, RunError, RunOptions, run};
 use crate::figures::{Figure, FrontierFigure, FrontierForm, FrontierPoint, frontier};
@@ -14,7 +13,7 @@ use crate::files::output::OutputError;
 use crate::files::table::write_table;
 use crate::number::significant;
 use crate::report::columns::Table;
-use crate::scenario::{Method, Scenario};
+use crate::scenario::{Method, Record, Scenario};
 use crate::warning::{Warning, WarningCode};
 
 /// Up to this many agents have columns of their own.
@@ -24,7 +23,7 @@ const COLUMNS: usize = 6;
 #[derive(Debug, Serialize)]
 pub(super) struct Row {
     #[serde(serialize_with = "name")]
-    method: Method,
+    pub(super) method: Method,
     /// What it knows of the plant, in words.
     knows: &'static str,
     /// RMSE of each agent in the evaluation window; empty if the run failed.
@@ -61,7 +60,8 @@ impl Row {
     }
 
     fn largest_error(&self) -> Option<f64> {
-        let errors: Option<Vec<f64>> = self.rmse.iter().copied().collect();
+        let errors: Option<Vec<f64>> =
+            self.rmse.iter().map(|error| error.filter(|error| error.is_finite())).collect();
         errors?.into_iter().reduce(f64::max)
     }
 
@@ -82,7 +82,7 @@ pub(super) fn carry_out<P: Progress>(
     progress: impl Fn() -> P + Sync,
 ) -> Vec<Row> {
     let one = |&method: &Method| {
-        let scenario = Scenario { method, record: NOTHING, ..scenario.clone() };
+        let scenario = Scenario { method, record: Record::NOTHING, ..scenario.clone() };
         let options = RunOptions { seed, learning: true, bounds: false };
         match run(&scenario, options, &progress()) {
             Ok(result) => Row::new(method, &result.agents),
@@ -132,8 +132,9 @@ pub(super) fn table(rows: &[Row]) -> Table {
 /// Writes `methods.csv`, one line for each method and agent.
 pub(super) fn write_csv(path: &Path, rows: &[Row]) -> Result<(), OutputError> {
     let header = ["method", "agent", "rmse", "broadcasts_all", "bytes_all", "knows"];
+    let agents = rows.iter().map(|row| row.rmse.len()).max().unwrap_or(0);
     let lines = rows.iter().flat_map(|row| {
-        row.rmse.iter().enumerate().map(move |(index, rmse)| (row, index + 1, *rmse))
+        (0..agents).map(move |index| (row, index + 1, row.rmse.get(index).copied().flatten()))
     });
     write_table(path, &header, lines, |line, (row, agent, rmse)| {
         line.text(row.method.name())?;

@@ -90,6 +90,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let mut scenario = scenario.drawn(arguments.common.seed).into_owned();
     give_packages(&mut scenario, &arguments.weights)?;
     if arguments.without_learning {
+        if scenario.method == Method::Regression {
+            let problem = "--without-learning: method = \"regression\" fits the samples of learning cycles; leave \
+                           one of them out";
+            return Err(CommandError::usage(problem));
+        }
         scenario.learning.clear();
     }
     let out = match &arguments.out {
@@ -114,7 +119,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let checks = Checks::of(design, &scenario, &result);
     let mut found = warnings::after(&scenario, &result, &checks, &warnings);
     found.extend(baselines.warnings());
-    found.extend(rows.iter().filter_map(methods::Row::warning));
+    let own = [Method::NoNetwork, Method::Untrained];
+    let others = rows.iter().filter(|row| !own.contains(&row.method));
+    found.extend(others.filter_map(methods::Row::warning));
     let agents = agent_reports(&scenario, &result, &baselines);
     let certificate = ObserverCertificate::new(&scenario, &result);
     let trainings = trainings::summaries(&result.trainings);
@@ -150,7 +157,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 "|e_1i(t)| for t in [{}, {}] s [state unit], and broadcasts over the whole run",
                 window.from, window.to
             );
-            let mut text = latex(&title, &agent_table::table(&agents, &baselines, name));
+            let mut text =
+                latex(&title, &agent_table::table(&agents, &baselines, name, usize::MAX));
             if !rows.is_empty() {
                 text += &format!("\n{}", latex(methods::TITLE, &methods::table(&rows)));
             }
@@ -307,6 +315,7 @@ fn method_rows(
     {
         let agents = baselines.agents(baseline, &result.agents);
         rows.extend(agents.map(|agents| methods::Row::new(method, agents)));
+        rows.extend(baselines.failure(baseline).map(|error| methods::Row::failed(method, error)));
     }
     rows.extend(others);
     rows

@@ -10,14 +10,13 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::CommandError;
-use super::baselines::NOTHING;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{Progress, RunOptions, run};
 use crate::files::output::OutputError;
 use crate::files::table::write_table;
 use crate::report::columns::aligned;
 use crate::report::tables::{change_percent, number, percent};
-use crate::scenario::{Scenario, Time};
+use crate::scenario::{Record, Scenario, Time};
 
 /// Results of one agent with one seed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,7 +54,7 @@ pub(super) fn run_all<P: Progress>(
     seeds: std::ops::Range<u64>,
     progress: impl Fn() -> P + Sync,
 ) -> Result<Vec<SeedRun>, CommandError> {
-    let scenario = Scenario { record: NOTHING, ..scenario.clone() };
+    let scenario = Scenario { record: Record::NOTHING, ..scenario.clone() };
     let one = |seed| {
         let options = RunOptions { seed, learning: true, bounds: false };
         let result = run(&scenario, options, &progress());

@@ -19,9 +19,8 @@ use super::{
 use crate::analysis::TriggerConstants;
 use crate::commands::progress::ProgressBars;
 use crate::engine::RunError;
-use crate::engine::fleet::{FleetSamples, fleet_packages};
 use crate::files::output::OutputFile;
-use crate::flow::Plan;
+use crate::flow::{FleetSamples, Plan, fleet_packages};
 use crate::interruption::{self, SecondSignal};
 use crate::learning::agent_config;
 use crate::learning::agent_config::agent_id;
@@ -138,11 +137,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             recording.outer_weights = Some(base.package().outer_weights.to_vec());
         }
     }
+    check_intervals(arguments, &recordings)?;
     let plan = plan(&scenario, cycle)?;
     let samples = FleetSamples::new(plan.as_ref(), &recorded_by, &recordings)
         .ok_or_else(|| CommandError::usage("no samples; give at least one recording".to_owned()))?;
     let FleetSamples { recording, harmonics } = &samples;
-    let places = places(arguments, &agents)?;
+    let places = places(arguments, &agents);
     let members = agents
         .iter()
         .zip(&places)
@@ -225,18 +225,13 @@ fn agents(arguments: &Arguments, scenario: &Scenario) -> Result<Vec<usize>, Comm
     Ok(agents)
 }
 
-/// Returns the files to write, one for each agent; creates the folder of several.
-fn places(arguments: &Arguments, agents: &[usize]) -> Result<Vec<PathBuf>, CommandError> {
+/// Returns the files to write, one for each agent.
+fn places(arguments: &Arguments, agents: &[usize]) -> Vec<PathBuf> {
     if agents.len() == 1 {
-        return Ok(vec![arguments.out.clone()]);
+        return vec![arguments.out.clone()];
     }
     let out = &arguments.out;
-    std::fs::create_dir_all(out).map_err(|error| {
-        let problem =
-            format!("{}: cannot be a folder for several packages: {error}", out.display());
-        CommandError::usage(problem + "; give the path of a folder as --out").about(out)
-    })?;
-    Ok(agents.iter().map(|index| out.join(format!("agent{}.weights", index + 1))).collect())
+    agents.iter().map(|index| out.join(format!("agent{}.weights", index + 1))).collect()
 }
 
 /// Checks that the package in use is one of an agent that is trained for.
@@ -301,6 +296,24 @@ fn check_sources(
         recorded_by.push(number - 1);
     }
     Ok((recorded_by, warnings))
+}
+
+/// Checks that all recordings have the same time between samples, because they are averaged over the same
+/// windows.
+fn check_intervals(arguments: &Arguments, recordings: &[Recording]) -> Result<(), CommandError> {
+    let (first, interval) = (&arguments.data[0], recordings[0].interval);
+    let differs = |other: f64| (other - interval).abs() > 1e-6 * interval;
+    match arguments.data.iter().zip(recordings).find(|(_, other)| differs(other.interval)) {
+        None => Ok(()),
+        Some((path, other)) => Err(CommandError::usage(format!(
+            "{}: samples are {} s apart, and those of {} {interval} s; record them at the same interval, or \
+             train on one of them",
+            path.display(),
+            other.interval,
+            first.display(),
+        ))
+        .about(path)),
+    }
 }
 
 fn names(paths: &[PathBuf]) -> String {

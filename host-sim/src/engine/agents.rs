@@ -163,7 +163,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     }
 
     /// Receives frames, measures, and steps the core. A failure is stored for the engine, because
-    /// agents are stepped in parallel. `computed` are features that its network has been evaluated to.
+    /// agents are stepped in parallel. `computed` are the network's features, if they were computed ahead.
     #[inline]
     pub(super) fn step(
         &mut self,

@@ -12,10 +12,9 @@ use agent_core::agent::capture::{Sample, is_due};
 use agent_core::package::Serial;
 use rayon::prelude::*;
 
-use super::fleet::{FleetSamples, fleet_packages};
 use super::run_observer::Switch;
 use super::{Progress, RunError, TrainingRecord};
-use crate::flow::Plan;
+use crate::flow::{FleetSamples, Plan, fleet_packages};
 use crate::learning::trained::{INITIAL_VERSION, TrainedError, TrainingTask};
 use crate::packages::recording::Observed;
 use crate::packages::{PackageBytes, Recording, Timing};

@@ -8,10 +8,7 @@ use super::{Progress, RunError, RunOptions};
 use crate::basis::placeholder;
 use crate::scenario::{Method, Record, Scenario, TriggerModel};
 
-/// Recording settings of a run made for comparison only.
-const NOTHING: Record = Record { trace_stride: None, events: false, samples: false };
-
-/// A step at which no heartbeat is due any more and no trigger fires. \[state unit\]
+/// A radius that no deviation reaches. \[state unit\]
 const OUT_OF_REACH: f64 = 1e6;
 
 /// Returns the scenario that the engine runs for the scenario's method. For `periodic` this runs the
@@ -45,11 +42,19 @@ pub(super) fn prepared<'s>(
         Method::Untrained => changed.learning.clear(),
         Method::KnownModel => {
             changed.learning.clear();
-            changed.network = placeholder(scenario);
+            use_placeholder(&mut changed);
         }
-        _ => changed.network = placeholder(scenario),
+        _ => use_placeholder(&mut changed),
     }
     Ok(Cow::Owned(changed))
+}
+
+/// Lets the agents use other features in place of a network's.
+fn use_placeholder(scenario: &mut Scenario) {
+    scenario.network = placeholder(scenario);
+    if let Some(observer) = &mut scenario.observer {
+        observer.network = true;
+    }
 }
 
 /// Returns the scenario with broadcasts at fixed times, as often as at events.
@@ -58,7 +63,8 @@ fn periodic(
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<Scenario, RunError> {
-    let mut changed = Scenario { method: Method::Observer, record: NOTHING, ..scenario.clone() };
+    let mut changed =
+        Scenario { method: Method::Observer, record: Record::NOTHING, ..scenario.clone() };
     let result = run(&changed, RunOptions { bounds: false, ..options }, progress)?;
     let broadcasts: u64 = result.agents.iter().map(|agent| agent.broadcasts_evaluated).sum();
     let window = scenario.evaluation.ticks(&scenario.time);

@@ -17,7 +17,6 @@ mod agents;
 pub mod bounds;
 mod clock;
 mod failure;
-pub mod fleet;
 mod kalman;
 mod lanes;
 mod learning;
@@ -244,6 +243,25 @@ pub enum RunError {
     /// The run observer ended the run.
     #[error(transparent)]
     RunObserver(RunObserverError),
+    /// The estimate of a Kalman filter overflows.
+    #[error(
+        "the Kalman filter of agent {agent} diverged at t = {time}; lower kalman.consensus_gain"
+    )]
+    KalmanDiverged {
+        /// The agent, from 1.
+        agent: usize,
+        /// Time of the divergence. \[s\]
+        time: f64,
+    },
+    /// A Kalman filter in a scenario with clocks.
+    #[error(
+        "the Kalman filters have no clocks of their own; remove [clock] and the agents' clock, or choose \
+         another method"
+    )]
+    KalmanClock,
+    /// The settings of a Kalman filter cannot be derived.
+    #[error("[kalman]: {0}")]
+    KalmanSettings(PlanError),
     /// The field observer cannot be set up.
     #[error("[observer]: {0}")]
     Observer(PlanError),

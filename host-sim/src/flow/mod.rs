@@ -17,6 +17,7 @@
 
 mod certificate;
 mod dense;
+mod fleet;
 mod forest;
 mod gate;
 mod geometry;
@@ -29,6 +30,7 @@ mod trees;
 mod ultimate;
 
 pub use certificate::Certificate;
+pub use fleet::{FleetSamples, fleet_packages};
 pub use gate::{BadSettings, Gate, Limits};
 pub use geometry::{Geometry, NotCovered, Root};
 pub use kalman::{DisturbanceGains, gains};

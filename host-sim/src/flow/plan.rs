@@ -68,8 +68,8 @@ pub enum PlanError {
     NoReference,
     /// The plant has no finite course.
     #[error(
-        "the plant without agents is not finite at t = {time}, so [observer] cannot derive settings \
-         from it; lower time.step or change the plant"
+        "the plant without agents is not finite at t = {time}, so no settings can be derived from it; \
+         lower time.step or change the plant"
     )]
     Plant {
         /// The time. \[s\]

@@ -144,6 +144,10 @@ fn text_hash(text: &str) -> u64 {
 
 fn numbers_hash(recorded: &Recorded) -> u64 {
     let mut hash = Fnv::default();
+    for name in &recorded.names {
+        hash.add(name.as_bytes());
+        hash.add(&[0]);
+    }
     for number in recorded.time.iter().chain(recorded.columns.iter().flatten()) {
         hash.add(&number.to_le_bytes());
     }
@@ -192,7 +196,6 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let link = link::link(root, &time, &graph)?;
     let life = life::life(root, &time, agents.len())?;
     let trigger = trigger::trigger(root)?;
-    let method = method::method(root, network.is_some(), &plant)?;
     let kalman = method::kalman(root)?;
     let exchange = exchange::exchange(root, &time)?;
     let (mut observer, is_robust) = observer::observer(root, &time, n, network.is_some())?;
@@ -215,6 +218,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     if let (Some(first), Some(network)) = (root.get_tables("learning")?.first(), &network) {
         learning::check_size(first, network.architecture.parameter_count())?;
     }
+    let method = method::method(root, network.is_some(), !learning.is_empty(), &plant)?;
     let health = health::health(root, network.is_some())?;
     let evaluation = run::evaluation(root, &time)?;
     let record = run::record(root, &time, n, agents.len())?;

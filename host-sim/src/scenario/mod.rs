@@ -387,5 +387,10 @@ pub struct Record {
     pub samples: bool,
 }
 
+impl Record {
+    /// Nothing: for a run made for comparison only.
+    pub const NOTHING: Self = Self { trace_stride: None, events: false, samples: false };
+}
+
 #[cfg(test)]
 mod tests;

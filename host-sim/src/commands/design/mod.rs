@@ -17,7 +17,6 @@ use std::time::Instant;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::baselines::NOTHING;
 use super::error::Reported;
 use super::progress::ProgressBars;
 use super::scenario_source::load_with_text;
@@ -34,7 +33,7 @@ use crate::files::output::{FileKind, OutputFile};
 use crate::number::significant;
 use crate::report::checks::ChecksReport;
 use crate::report::theorems::Checks;
-use crate::scenario::Scenario;
+use crate::scenario::{Record, Scenario};
 use crate::warning::Warning;
 use frontier::{Point, Wanted};
 
@@ -234,7 +233,7 @@ fn design(scenario: &Scenario, arguments: &Arguments) -> Result<Designed, Comman
     let gain = solve(scenario, arguments)?;
     let seed = arguments.common.seed;
     let radius = arguments.radius.unwrap_or_else(|| TriggerConstants::new(scenario).radius());
-    let mut changed = Scenario { record: NOTHING, ..scenario.clone() };
+    let mut changed = Scenario { record: Record::NOTHING, ..scenario.clone() };
     changed.design.gain.clone_from(&gain.gain);
     let step = StepCheck::new(&changed);
     if !step.is_stable() {

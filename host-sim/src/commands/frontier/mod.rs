@@ -129,6 +129,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             if is_complete {
                 let title = format!("Fewest broadcasts within {target_label}");
                 text += &latex(&title, &summary::table(&best, target.len()));
+                text += "% * no setting is within the target; the one with the smallest errors\n\
+                         % bound: certified for |e_1| of all agents together; -- without a certificate\n";
                 let title = "Time on air and battery life";
                 text += &format!("\n{}", latex(title, &summary::radio_table(&best)));
             }

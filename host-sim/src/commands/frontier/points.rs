@@ -13,13 +13,13 @@ use serde::Serialize;
 use super::forms::{Form, Level, Variant};
 use super::radio::Frames;
 use crate::commands::SharedProgress;
-use crate::commands::baselines::NOTHING;
 use crate::commands::certified;
 use crate::commands::initial_states::begun_in;
 use crate::commands::progress::ProgressBars;
 use crate::engine::{Progress, RunOptions, run};
 use crate::files::output::OutputError;
 use crate::interruption;
+use crate::scenario::Record;
 
 /// One run.
 #[derive(Clone, Debug, Serialize)]
@@ -102,7 +102,7 @@ impl Study {
 
     fn run(&self, variant: &Variant, state: usize, seed: u64, progress: &dyn Progress) -> Point {
         let mut scenario = begun_in(&variant.scenario, &self.initial_states[state]);
-        scenario.record = NOTHING;
+        scenario.record = Record::NOTHING;
         let mut point = Point {
             form: variant.form,
             radius: None,

@@ -9,17 +9,17 @@
 //! In a Latin hypercube each range is divided into N parts of the same size, and each part holds one
 //! point. Which points share a part, and where they are within it, is drawn from the seed.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use rayon::prelude::*;
 
 use super::vary::{Range, Spec, Vary};
 use crate::commands::CommandError;
-use crate::commands::baselines::NOTHING;
 use crate::commands::scenario_source::ScenarioSource;
 use crate::files::input::read_limited;
 use crate::random::{Purpose, Random};
-use crate::scenario::{Change, Scenario};
+use crate::scenario::{Change, Record, Scenario};
 
 /// Most cells of a study.
 const CELLS_MAX: usize = 1_000_000;
@@ -131,6 +131,15 @@ impl Cells {
             }
             changes.push(change);
         }
+        let mut seen = BTreeSet::new();
+        if let Some(row) = self.rows.iter().find(|row| !seen.insert(*row)) {
+            let problem = format!(
+                "{}: the values {} appear twice; give them once",
+                self.origin,
+                row.join(", ")
+            );
+            return Err(CommandError::usage(problem));
+        }
         Ok(self)
     }
 
@@ -174,7 +183,7 @@ impl Cells {
             }
             let cell = || Cell {
                 values: changes.iter().map(Change::shown).collect(),
-                scenario: Scenario { record: NOTHING, ..scenario },
+                scenario: Scenario { record: Record::NOTHING, ..scenario },
             };
             Ok(wanted.contains(&index).then(cell))
         };
@@ -255,6 +264,7 @@ mod tests {
             (Cells::grid(&varied(&["a=1:2"])), "how many values?"),
             (Cells::grid(&varied(&["a..b=1"])), "invalid key"),
             (Cells::grid(&varied(&["a=1:2:1000", "b=1:2:1001"])), "more than 1000000 cells"),
+            (Cells::grid(&varied(&["a=1,2,1"])), "the values 1 appear twice"),
             (Cells::latin(&varied(&["a=1:2:3"]), 4, 0), "are drawn from a range"),
         ] {
             let error = cells.unwrap_err().to_string();
@@ -275,6 +285,6 @@ mod tests {
         let values: Vec<String> = loaded.iter().map(|cell| cell.values.join(" ")).collect();
         assert_eq!(values, ["500 2", "600 1"]);
         assert_eq!(loaded[0].scenario.design.epsilon, 500.0);
-        assert_eq!(loaded[0].scenario.record, NOTHING);
+        assert_eq!(loaded[0].scenario.record, Record::NOTHING);
     }
 }

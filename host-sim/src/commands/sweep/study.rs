@@ -91,6 +91,9 @@ impl Study {
         if text_before != text {
             differences.push(text_difference(&text_before, text));
         }
+        if differences.is_empty() && before.scenario_hash != self.scenario_hash {
+            differences.push("the recording that drives the agents differs".to_owned());
+        }
         if differences.is_empty() {
             return Ok(());
         }
@@ -127,7 +130,7 @@ impl Study {
         };
         let mut differences: Vec<String> = pairs.into_iter().filter_map(differs).collect();
         if differences.is_empty() && before.cells_hash != self.cells_hash {
-            differences.push("the values of the varied keys are other ones there".to_owned());
+            differences.push("the values of the varied keys differ".to_owned());
         }
         differences
     }
@@ -174,10 +177,7 @@ mod tests {
         assert!(study(3).differences(&study(3)).is_empty());
         assert_eq!(study(3).differences(&study(4)), ["--seeds is 4 there and 3 here"]);
         let other = Study { cells_hash: "0x2".to_owned(), ..study(3) };
-        assert_eq!(
-            study(3).differences(&other),
-            ["the values of the varied keys are other ones there"]
-        );
+        assert_eq!(study(3).differences(&other), ["the values of the varied keys differ"]);
         assert_eq!(
             text_difference("a\nb = 1\n", "a\nb = 2\n"),
             "line 2 of scenario.toml is `b = 1` there and `b = 2` here"

@@ -8,6 +8,7 @@
 //! The interval is from the 2.5th to the 97.5th percentile over the runs with a result, interpolated
 //! between neighbouring values. The number of runs without one is counted beside it.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use serde::Serialize;
@@ -169,6 +170,7 @@ impl Summary {
         let keys = keys.ok_or_else(|| refused(Some(1), "is not the header of results"))?;
         let mut cells: Vec<CellSummary> = Vec::new();
         let mut current: Option<Collected> = None;
+        let (mut seen, mut next) = (BTreeSet::new(), 1);
         for record in reader.records() {
             let record = record.map_err(|error| {
                 refused(error.position().map(csv::Position::line), "is not a row of results")
@@ -184,10 +186,18 @@ impl Summary {
                 last: None,
                 runs: Vec::new(),
             });
-            if cell.last.as_ref() != Some(&row.run) {
+            if cell.last.as_ref() != Some(&row.run) || row.agent == 1 {
+                if !seen.insert((row.values, row.run.clone())) {
+                    return Err(refused(number, "a run that is in the table already"));
+                }
                 cell.last = Some(row.run);
                 cell.runs.push(Some(Vec::new()));
+                next = 1;
             }
+            if row.agent != next {
+                return Err(refused(number, &format!("agent {}, expected {next}", row.agent)));
+            }
+            next += 1;
             if let Some(run) = cell.runs.last_mut() {
                 match (row.measured, run.as_mut()) {
                     (Some(measured), Some(agents)) => agents.push(measured),
@@ -261,6 +271,8 @@ struct Row {
     values: Vec<String>,
     /// Seed and initial state.
     run: [String; 2],
+    /// From 1.
+    agent: u64,
     /// `None` for a run without a result.
     measured: Option<Measured>,
 }
@@ -286,8 +298,9 @@ impl Row {
             }),
             _ => return None,
         };
+        let agent = field(keys + 2)?.parse().ok()?;
         let values = record.iter().take(keys).map(str::to_owned).collect();
-        Some(Self { values, run, measured })
+        Some(Self { values, run, agent, measured })
     }
 }
 

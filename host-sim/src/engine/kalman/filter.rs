@@ -20,13 +20,16 @@ use crate::scenario::Time;
 /// Step of the central differences relative to the state's size.
 const DIFFERENCE: f64 = 1e-6;
 
+/// A state, `f` and its derivative there.
+type Linear = (DVector<f64>, DVector<f64>, DMatrix<f64>);
+
 /// What the filter knows of the plant.
 pub(super) struct Model<'s> {
     plant: &'s Plant,
     stepper: Stepper,
     time: Time,
     /// Mean state, `f` and its derivative there, for the linear filter.
-    linear: Option<(DVector<f64>, DVector<f64>, DMatrix<f64>)>,
+    linear: Option<Linear>,
     /// `Q`, the diagonal. \[squared state unit/s\]
     pub(super) noise: DVector<f64>,
     /// Standard deviation of each component.
@@ -46,11 +49,21 @@ impl<'s> Model<'s> {
 
     /// Uses the linearisation at `mean` from now on.
     pub(super) fn linearise_at(&mut self, mean: &[f64]) {
-        let mut rate = vec![0.0; mean.len()];
-        self.plant.derivative(0.0, mean, &mut rate);
-        let jacobian = self.jacobian(0.0, mean);
-        let [mean, rate] = [mean, &rate].map(DVector::from_column_slice);
-        self.linear = Some((mean, rate, jacobian));
+        self.linear = Some(self.linearised(0.0, DVector::from_column_slice(mean)));
+    }
+
+    /// Linearises again at `time` \[s\], if the filter is linear and the plant may depend on time.
+    pub(super) fn linearise(&mut self, time: f64) {
+        if let (Some((mean, ..)), Plant::Expressions(_)) = (&self.linear, self.plant) {
+            self.linear = Some(self.linearised(time, mean.clone()));
+        }
+    }
+
+    fn linearised(&self, time: f64, mean: DVector<f64>) -> Linear {
+        let mut rate = DVector::zeros(mean.len());
+        self.plant.derivative(time, mean.as_slice(), rate.as_mut_slice());
+        let jacobian = self.jacobian(time, mean.as_slice());
+        (mean, rate, jacobian)
     }
 
     /// Returns `df/dx`, shape `[n, n]`. \[1/s\]

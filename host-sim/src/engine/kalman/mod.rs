@@ -6,7 +6,7 @@
 //! what its neighbours predict by `f` from its last broadcast than the trigger's radius. Frames are
 //! those of the observer, so bytes are counted alike; what they carry is in single precision.
 //!
-//! Clocks of nodes are not simulated here.
+//! Scenarios with clocks of their own are refused; `[exchange]` is the observer's and has no effect here.
 
 mod filter;
 
@@ -24,7 +24,7 @@ use super::{Progress, RunError, RunOptions, RunResult};
 use crate::files::fnv::Fnv;
 use crate::flow::{Trajectory, plant_course};
 use crate::learning::agent_config::agent_id;
-use crate::scenario::{Method, Scenario, Time};
+use crate::scenario::{ClockSettings, Method, Scenario, Time};
 use filter::{Filter, Model};
 
 /// Radius of the trigger relative to the state's standard deviation, as `observer.error`.
@@ -68,7 +68,10 @@ struct Simulation<'s> {
     /// `dt c`.
     consensus: f64,
     radius: f64,
-    initial: DMatrix<f64>,
+    /// Of each component along the plant's course.
+    deviation: Vec<f64>,
+    /// Smallest standard deviation of noise. \[state unit\]
+    least: f64,
 }
 
 /// Runs the Kalman filter of a scenario's method.
@@ -81,6 +84,9 @@ pub(super) fn run(
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
+    if scenario.agents.iter().any(|agent| agent.clock != ClockSettings::default()) {
+        return Err(RunError::KalmanClock);
+    }
     let mut simulation = Simulation::new(scenario, options)?;
     let (time, steps) = (scenario.time, scenario.steps());
     let evaluation = scenario.evaluation.ticks(&time);
@@ -93,6 +99,9 @@ pub(super) fn run(
     for tick in 0..steps {
         simulation.note(tick, evaluation.contains(&tick), &truth, &mut traces);
         simulation.step(tick, &truth, &link);
+        if let Some(agent) = simulation.diverged() {
+            return Err(RunError::KalmanDiverged { agent: agent + 1, time: time.at(tick + 1) });
+        }
         simulation.update_life(tick + 1);
         simulation.send(tick + 1, evaluation.contains(&(tick + 1)), &mut link, &mut digest);
         let before = truth.clone();
@@ -123,7 +132,7 @@ pub(super) fn run(
 
 impl<'s> Simulation<'s> {
     fn new(scenario: &'s Scenario, options: RunOptions) -> Result<Self, RunError> {
-        let course = plant_course(scenario).map_err(RunError::Observer)?;
+        let course = plant_course(scenario).map_err(RunError::KalmanSettings)?;
         let settings = &scenario.kalman;
         let deviation = course.deviation();
         let size = deviation.iter().fold(0.0, |sum, d| sum + d * d).sqrt();
@@ -153,16 +162,14 @@ impl<'s> Simulation<'s> {
                 outgoing: None,
             }
         });
-        let spread = deviation.iter().zip(&scenario.initial_state);
-        let spread = spread.map(|(d, x)| d * d + x * x + least * least);
-        let initial = DMatrix::from_diagonal(&DVector::from_iterator(deviation.len(), spread));
         let mut simulation = Self {
             scenario,
             model,
             agents: agents.collect(),
             consensus: consensus(scenario),
             radius: settings.radius.unwrap_or(RADIUS * size),
-            initial,
+            deviation,
+            least,
         };
         for index in 0..simulation.agents.len() {
             simulation.boot(index, 0);
@@ -175,7 +182,12 @@ impl<'s> Simulation<'s> {
         let agent = &mut self.agents[index];
         let initial = &self.scenario.agents[index].initial_estimate;
         agent.filter.estimate = DVector::from_column_slice(initial);
-        agent.filter.covariance = self.initial.clone();
+        // The variance of the state, and the error of the initial estimate, which the filter knows.
+        let errors = initial.iter().zip(&self.scenario.initial_state).map(|(x, x0)| x - x0);
+        let spread = self.deviation.iter().zip(errors);
+        let spread = spread.map(|(d, error)| d * d + error * error + self.least * self.least);
+        let spread = DVector::from_iterator(self.deviation.len(), spread);
+        agent.filter.covariance = DMatrix::from_diagonal(&spread);
         agent.held.fill(None);
         agent.is_down = false;
         agent.broadcast(index, tick);
@@ -196,6 +208,15 @@ impl<'s> Simulation<'s> {
                 (agent.is_down, agent.outgoing) = (true, None);
             }
         }
+    }
+
+    /// Returns an agent whose estimate is no longer finite in single precision.
+    fn diverged(&self) -> Option<usize> {
+        let is_finite = |agent: &Agent| {
+            let covariance = agent.filter.covariance.iter();
+            covariance.chain(&agent.filter.estimate).all(|&x| (x as f32).is_finite())
+        };
+        self.agents.iter().position(|agent| !is_finite(agent))
     }
 
     fn note(&mut self, tick: Tick, evaluated: bool, truth: &[f64], traces: &mut Traces) {
@@ -222,6 +243,7 @@ impl<'s> Simulation<'s> {
     fn step(&mut self, tick: Tick, truth: &[f64], link: &impl Link) {
         let time = self.scenario.time.at(tick);
         let state = DVector::from_column_slice(truth);
+        self.model.linearise(time);
         for (index, agent) in self.agents.iter_mut().enumerate() {
             if agent.is_down {
                 continue;
@@ -264,8 +286,7 @@ impl<'s> Simulation<'s> {
                 model.advance(time, &mut sample.estimate);
             }
             let distance = (&agent.filter.estimate - &agent.own.estimate).norm();
-            // An estimate that is not finite is broadcast, and refused by the neighbours.
-            if !(distance <= self.radius) {
+            if distance > self.radius {
                 agent.broadcast(index, tick + 1);
             }
         }

@@ -102,6 +102,10 @@ impl Recording {
             Dataset::new(first.samples.dimension(), part(Dataset::inputs), part(Dataset::targets));
         let mut joined = Self { samples: samples.ok()?, gaps: Vec::new(), ..first.clone() };
         joined.timing.missing.clear();
+        let timings = || recordings.iter().map(|recording| &recording.timing);
+        joined.timing.repeated = timings().map(|timing| timing.repeated).sum();
+        joined.timing.uneven = timings().map(|timing| timing.uneven).sum();
+        joined.timing.jitter = timings().fold(0.0, |largest, timing| timing.jitter.max(largest));
         let mut before = 0;
         for recording in recordings {
             if before > 0 {

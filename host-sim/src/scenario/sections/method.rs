@@ -80,7 +80,7 @@ impl Method {
 pub struct KalmanSettings {
     /// Intensity of the noise that stands for the disturbance. \[state unit/sqrt(s)\]
     pub process_noise: Option<f64>,
-    /// Standard deviation of a measurement. \[state unit\]
+    /// Standard deviation of a measurement. \[output unit\]
     pub measurement_noise: Option<f64>,
     /// Gain of the consensus term relative to the covariance. \[1/s\]
     pub consensus_gain: Option<f64>,
@@ -91,6 +91,7 @@ pub struct KalmanSettings {
 pub(in crate::scenario) fn method(
     root: &Table<'_>,
     has_network: bool,
+    learns: bool,
     plant: &Plant,
 ) -> Result<Method, ScenarioError> {
     let Some(value) = root.get("method", "\"observer\"") else { return Ok(Method::default()) };
@@ -101,9 +102,15 @@ pub(in crate::scenario) fn method(
             "add [network] and [outer_law], or choose another method",
         ));
     }
+    if method == Method::Regression && !learns {
+        return Err(value.error(
+            "there is no learning cycle whose samples it could fit",
+            "add [[learning]], or choose another method",
+        ));
+    }
     if method.knows_f() && plant.recording().is_some() {
         return Err(value.error(
-            "f is not known of a recording",
+            "a recording does not define f",
             "choose a method that does not know it, such as no-network",
         ));
     }

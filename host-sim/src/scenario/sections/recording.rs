@@ -12,7 +12,7 @@ use crate::scenario::reader::{Table, Value};
 const BYTES_MAX: u64 = 1 << 30;
 
 /// The keys of the table.
-pub(super) const KEYS: [&str; 6] = ["model", "file", "time", "states", "reference", "between"];
+const KEYS: [&str; 6] = ["model", "file", "time", "states", "reference", "between"];
 
 /// Reads the recording that the table names.
 pub(super) fn recording(table: &Table<'_>) -> Result<Recorded, ScenarioError> {
@@ -27,14 +27,14 @@ pub(super) fn recording(table: &Table<'_>) -> Result<Recorded, ScenarioError> {
         states.push(name.to_owned());
     }
     let file = table.require("file", "\"experiment.csv\"")?;
-    let mut recorded = read(&file, &place(table, file.text()?))?;
+    let (mut recorded, lines) = read(&file, &place(table, file.text()?))?;
     recorded.states = states;
-    take_time(&mut recorded, table, &file)?;
+    take_time(&mut recorded, &lines, table, &file)?;
     if let Some(value) = table.get("reference", "[\"x\", \"v\"]") {
         recorded.reference = columns(&recorded, &value, recorded.states.len(), "state")?;
         for (&column, value) in recorded.reference.iter().zip(value.list("name a column")?) {
             if let Some(row) = recorded.columns[column].iter().position(|x| !x.is_finite()) {
-                let problem = format!("line {} of the file has no number there", row + 2);
+                let problem = format!("line {} of the file has no number there", lines[row]);
                 return Err(value.error(problem, "remove that line, or leave the reference out"));
             }
         }
@@ -83,7 +83,8 @@ fn place(table: &Table<'_>, name: &str) -> PathBuf {
     folder.join(name)
 }
 
-fn read(value: &Value<'_>, path: &Path) -> Result<Recorded, ScenarioError> {
+/// Reads the file at `path`; also returns the line of each row.
+fn read(value: &Value<'_>, path: &Path) -> Result<(Recorded, Vec<u64>), ScenarioError> {
     let shown = path.display();
     let bytes = read_limited(path, BYTES_MAX).map_err(|error| {
         if is_too_large(&error) {
@@ -95,7 +96,8 @@ fn read(value: &Value<'_>, path: &Path) -> Result<Recorded, ScenarioError> {
             "name a CSV file; the path is relative to the scenario's folder",
         )
     })?;
-    let first = bytes.split(|&byte| byte == b'\n').find(|line| !line.starts_with(b"#"));
+    let is_header = |line: &&[u8]| !line.starts_with(b"#") && !line.trim_ascii().is_empty();
+    let first = bytes.split(|&byte| byte == b'\n').find(is_header);
     let delimiter = delimiter(first.unwrap_or_default());
     let mut reader = csv::ReaderBuilder::new()
         .delimiter(delimiter)
@@ -107,7 +109,8 @@ fn read(value: &Value<'_>, path: &Path) -> Result<Recorded, ScenarioError> {
         "write one line with the names of the columns, and one line of numbers for each time";
     let names = reader.headers().map_err(|error| wrong(error.to_string(), table))?;
     let names: Vec<String> = names.iter().map(str::to_owned).collect();
-    if names.iter().any(|name| name.parse::<f64>().is_ok()) {
+    let is_number = |name: &String| name.parse::<f64>().is_ok_and(f64::is_finite);
+    if names.iter().any(is_number) {
         return Err(wrong("the first line has numbers instead of names".to_owned(), table));
     }
     if let Some(name) = names
@@ -117,24 +120,26 @@ fn read(value: &Value<'_>, path: &Path) -> Result<Recorded, ScenarioError> {
     {
         return Err(wrong(format!("two columns are called `{name}`"), "give each its own name"));
     }
-    let mut columns = vec![Vec::new(); names.len()];
+    let (mut columns, mut lines) = (vec![Vec::new(); names.len()], Vec::new());
     for record in reader.records() {
         let record = record.map_err(|error| wrong(error.to_string(), table))?;
         let line = record.position().map_or(0, csv::Position::line);
         for ((cell, column), name) in record.iter().zip(&mut columns).zip(&names) {
             let number = match cell {
                 "" => f64::NAN,
-                cell => cell.parse::<f64>().map_err(|_| {
-                    let problem = format!("line {line}, column `{name}`: `{cell}` is not a number");
+                cell => cell.parse::<f64>().ok().filter(|x| x.is_finite()).ok_or_else(|| {
+                    let problem =
+                        format!("line {line}, column `{name}`: `{cell}` is not a finite number");
                     wrong(problem, "write a number, or leave the cell empty")
                 })?,
             };
             column.push(number);
         }
+        lines.push(line);
     }
     let empty = Between::default();
     let (states, time, reference) = (Vec::new(), Vec::new(), Vec::new());
-    Ok(Recorded { states, time, names, columns, reference, between: empty })
+    Ok((Recorded { states, time, names, columns, reference, between: empty }, lines))
 }
 
 /// Returns what separates the columns of this header.
@@ -146,6 +151,7 @@ fn delimiter(header: &[u8]) -> u8 {
 /// Takes the column of the time, which is counted from its first row.
 fn take_time(
     recorded: &mut Recorded,
+    lines: &[u64],
     table: &Table<'_>,
     file: &Value<'_>,
 ) -> Result<(), ScenarioError> {
@@ -158,15 +164,18 @@ fn take_time(
     };
     let time = &recorded.columns[column];
     if time.len() < 2 {
-        return Err(file.error("the recording has fewer than 2 rows", "record more"));
+        let hint = "give at least two rows of numbers";
+        return Err(file.error("the recording has fewer than 2 rows", hint));
     }
-    let wrong = time.windows(2).position(|pair| !(pair[0] < pair[1] && pair[1].is_finite()));
-    if let Some(row) = wrong.or((!time[0].is_finite()).then_some(0)) {
-        let (before, after) = (time[row], time[row + 1]);
+    if let Some(row) = time.iter().position(|time| !time.is_finite()) {
+        let problem = format!("line {} of the file has no time", lines[row]);
+        return Err(file.error(problem, "write the time of every row, in seconds"));
+    }
+    if let Some(row) = time.windows(2).position(|pair| pair[0] >= pair[1]) {
+        let (before, after, line) = (time[row], time[row + 1], lines[row + 1]);
         return Err(file.error(
             format_args!(
-                "time does not increase in line {} of the file: {after} after {before}",
-                row + 3
+                "time does not increase in line {line} of the file: {after} after {before}"
             ),
             "sort the rows by time, and keep one row for each time",
         ));

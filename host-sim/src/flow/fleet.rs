@@ -2,8 +2,8 @@
 
 use agent_core::package::Serial;
 
+use super::{Plan, PlanError};
 use crate::analysis::TriggerConstants;
-use crate::flow::{Plan, PlanError};
 use crate::learning::agent_config;
 use crate::learning::harmonic::Harmonic;
 use crate::packages::{Draft, PackageBytes, Recording};
