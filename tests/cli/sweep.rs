@@ -154,7 +154,7 @@ fn a_folder_with_other_results_is_refused() {
     for (other, problem) in [
         (format!("{small} --seeds 3"), "--seeds is 1 there and 3 here"),
         (format!("{small} --seed 3"), "--seed is 0 there and 3 here"),
-        (small.replace("10,20", "10,30"), "the values of the varied keys are other ones there"),
+        (small.replace("10,20", "10,30"), "the values of the varied keys differ"),
         (
             small.replace("epsilon", "rho"),
             "what is varied is design.epsilon there and design.rho here",

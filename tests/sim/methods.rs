@@ -52,6 +52,19 @@ fn an_extended_kalman_filter_is_exact_where_its_model_is() {
 }
 
 #[test]
+fn a_method_that_diverges_is_told_apart() {
+    let mut scenario = scenario(Method::ExtendedKalman);
+    (scenario.kalman.consensus_gain, scenario.time.duration) = (Some(1e4), 2.0);
+    (scenario.evaluation.from, scenario.evaluation.to) = (1.0, 2.0);
+    scenario.learning.clear();
+    let options = RunOptions { seed: 0, learning: true, bounds: false };
+    let error = run(&scenario, options, &Silent).unwrap_err().to_string();
+    assert!(error.contains("kalman.consensus_gain"), "{error}");
+    scenario.kalman.consensus_gain = None;
+    assert_eq!(result(&scenario).excessive_error(), None);
+}
+
+#[test]
 fn kalman_filters_do_not_depend_on_threads_and_feel_the_link() {
     let mut scenario = scenario(Method::ExtendedKalman);
     scenario.time.duration = 4.0;

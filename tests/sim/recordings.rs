@@ -116,3 +116,27 @@ fn a_recording_that_does_not_fit_is_refused_with_its_place() {
     let error = Scenario::load(&folder.path("mine.toml")).unwrap_err().to_string();
     assert!(error.contains("a recording does not define f"), "{error}");
 }
+
+#[test]
+fn what_a_recording_does_not_define_is_refused_everywhere() {
+    let folder = Folder::new("recordings-without-f");
+    let text = recorded(&folder, "measured = [\"x [state unit]\"]", REFERENCE);
+    folder.write("recorded.toml", &text);
+    for command in [
+        "run recorded.toml --baselines known-f",
+        "run recorded.toml --baselines kalman",
+        "frontier recorded.toml --forms known-f",
+        "design recorded.toml",
+        "run recorded.toml --set method=extended-kalman",
+    ] {
+        let error = folder.fail(command, 2);
+        assert!(error.contains("recording"), "{command}: {error}");
+    }
+    // `all` leaves them out.
+    let report = object(&folder.succeed("run recorded.toml --baselines all --out out --format json"));
+    let methods = report["methods"].as_array().unwrap();
+    assert!(methods.iter().all(|row| !row["knows"].as_str().unwrap().contains("f exactly")));
+    // A second and a third run replace what the first one wrote.
+    folder.succeed("run recorded.toml --out out");
+    folder.succeed("run recorded.toml --out out");
+}

@@ -11,6 +11,7 @@
 //! If a baseline fails, the reason is reported and the run itself continues.
 
 use clap::ValueEnum;
+use clap::builder::PossibleValue;
 use serde::Serialize;
 
 use super::CommandError;
@@ -21,43 +22,49 @@ use crate::scenario::{Method, Record, Scenario};
 use crate::warning::{Warning, WarningCode};
 
 /// What to run beside the run itself.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Choice {
-    /// All of them
+    /// All methods.
     All,
-    /// Only the run itself
+    /// Only the run itself.
     None,
-    /// The observer itself, if the scenario has another method
-    Observer,
-    /// Without a network
-    NoNetwork,
-    /// With the untrained network
-    Untrained,
-    /// With broadcasts at fixed times, as often as at events
-    Periodic,
-    /// With cubic polynomials in place of the network
-    Regression,
-    /// With the plant's `f` in place of the network
-    KnownF,
-    /// Consensus Kalman filter, with `f` linearised at the plant's mean state
-    Kalman,
-    /// Consensus Kalman filter, with `f` linearised at the estimate
-    ExtendedKalman,
+    /// This method.
+    Only(Method),
 }
 
 impl Choice {
-    /// Returns the method; `None` for all or none.
+    /// All and none, and every method.
+    const VARIANTS: [Self; Method::NAMES.len() + 2] = {
+        let mut variants = [Self::All; Method::NAMES.len() + 2];
+        variants[1] = Self::None;
+        let mut place = 0;
+        while place < Method::NAMES.len() {
+            variants[place + 2] = Self::Only(Method::NAMES[place].1);
+            place += 1;
+        }
+        variants
+    };
+
     fn method(self) -> Option<Method> {
+        match self {
+            Self::All | Self::None => None,
+            Self::Only(method) => Some(method),
+        }
+    }
+}
+
+impl ValueEnum for Choice {
+    fn value_variants<'a>() -> &'a [Self] {
+        &Self::VARIANTS
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
         Some(match self {
-            Self::All | Self::None => return None,
-            Self::Observer => Method::Observer,
-            Self::NoNetwork => Method::NoNetwork,
-            Self::Untrained => Method::Untrained,
-            Self::Periodic => Method::Periodic,
-            Self::Regression => Method::Regression,
-            Self::KnownF => Method::KnownModel,
-            Self::Kalman => Method::Kalman,
-            Self::ExtendedKalman => Method::ExtendedKalman,
+            Self::All => PossibleValue::new("all").help("All of them"),
+            Self::None => PossibleValue::new("none").help("Only the run itself"),
+            Self::Only(method) => {
+                PossibleValue::new(method.name()).help(format!("Knows {}", method.knows()))
+            }
         })
     }
 }
@@ -79,6 +86,7 @@ pub(super) fn methods(
             format!("--baselines: `{name}` cannot be combined with others; give it alone");
         return Err(CommandError::usage(problem));
     }
+    let knows = scenario.plant.recording().is_none();
     let learns = !scenario.learning.is_empty() && scenario.network.is_some();
     // Those of an observer with a network have columns of their own.
     let has_columns = scenario.method == Method::Observer && scenario.network.is_some();
@@ -90,13 +98,21 @@ pub(super) fn methods(
     let mut methods: Vec<Method> = match choices {
         [Choice::All] => {
             let all = Method::NAMES.iter().map(|&(_, method)| method).filter(is_extra);
-            all.filter(|&method| learns || method != Method::Regression).collect()
+            all.filter(|&method| learns || method != Method::Regression)
+                .filter(|&method| knows || !method.knows_f())
+                .collect()
         }
         choices => choices.iter().filter_map(|choice| choice.method()).filter(is_extra).collect(),
     };
     methods.retain(|&method| method != scenario.method);
     methods.sort();
     methods.dedup();
+    if let Some(method) = methods.iter().find(|method| !knows && method.knows_f()) {
+        return Err(CommandError::usage(format!(
+            "--baselines {}: a recording does not define f; choose a method that does not know it",
+            method.name()
+        )));
+    }
     if methods.contains(&Method::Regression) && !learns {
         let name = &scenario.name;
         return Err(CommandError::usage(format!(
@@ -194,7 +210,8 @@ impl Plan {
             let asked = choices.contains(&choice) || choices.contains(&Choice::All);
             is_own && if choices.is_empty() { trained } else { asked }
         };
-        let [no_network, untrained] = [wanted(Choice::NoNetwork), wanted(Choice::Untrained)];
+        let [no_network, untrained] =
+            [Method::NoNetwork, Method::Untrained].map(|method| wanted(Choice::Only(method)));
         Self { runs: [no_network, untrained && trained], itself: untrained && !trained }
     }
 

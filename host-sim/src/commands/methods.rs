@@ -59,6 +59,13 @@ impl Row {
         Self { rmse: Vec::new(), broadcasts: None, bytes: None, reason, ..Self::new(method, &[]) }
     }
 
+    /// Returns the row of a method whose errors are excessive.
+    fn diverged(method: Method, error: f64) -> Self {
+        let reason = format!("it diverged: an error of {error:.1e} in the evaluation window");
+        let reason = Some(reason);
+        Self { rmse: Vec::new(), broadcasts: None, bytes: None, reason, ..Self::new(method, &[]) }
+    }
+
     fn largest_error(&self) -> Option<f64> {
         let errors: Option<Vec<f64>> =
             self.rmse.iter().map(|error| error.filter(|error| error.is_finite())).collect();
@@ -85,7 +92,10 @@ pub(super) fn carry_out<P: Progress>(
         let scenario = Scenario { method, record: Record::NOTHING, ..scenario.clone() };
         let options = RunOptions { seed, learning: true, bounds: false };
         match run(&scenario, options, &progress()) {
-            Ok(result) => Row::new(method, &result.agents),
+            Ok(result) => match result.excessive_error() {
+                None => Row::new(method, &result.agents),
+                Some(error) => Row::diverged(method, error),
+            },
             Err(error) => Row::failed(method, &error),
         }
     };

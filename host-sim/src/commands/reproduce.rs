@@ -290,6 +290,7 @@ fn write_figures(out: &Path, scenario: &Scenario, runs: &Runs) -> Result<(), Com
             title: "Figure 4: with learning",
             traces: &with.traces,
             names: &scenario.plant.state_names(),
+            truth: Some("true state"),
         }),
     };
     let figures: Vec<_> =

@@ -166,7 +166,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             outcome.and(printed)
         }
         TableFormat::Text => {
-            let mut text = packages_in_use(&scenario) + &initial_state_text(&scenario);
+            let mut text = packages_in_use(&scenario)
+                + &initial_state_text(&scenario)
+                + &recording_text(&scenario);
             text += &agent_table::text(&scenario, &agents, &baselines, name_of(&scenario));
             text += &agent_table::traffic(&result, &agents);
             if !rows.is_empty() {
@@ -283,6 +285,18 @@ fn initial_state_text(scenario: &Scenario) -> String {
     format!("Initial state, drawn: [{}]\n", state.join(", "))
 }
 
+/// Describes the recording in place of the plant, if there is one.
+fn recording_text(scenario: &Scenario) -> String {
+    let Some(recorded) = scenario.plant.recording() else { return String::new() };
+    let (rows, duration) = (recorded.time.len(), recorded.duration());
+    format!(
+        "Recording: {rows} rows over {} s, one every {} s in the mean; agents step every {} s\n",
+        significant(duration, 6),
+        significant(duration / (rows - 1) as f64, 4),
+        scenario.time.step_size,
+    )
+}
+
 /// Returns the name of the run beside its baselines.
 fn name_of(scenario: &Scenario) -> &'static str {
     if scenario.method != Method::Observer {
@@ -345,7 +359,8 @@ fn simulate(
 ) -> Result<(RunResult, Baselines, Vec<methods::Row>), CommandError> {
     let bars = ProgressBars::new("simulating");
     let done = AtomicU64::new(0);
-    let total = scenario.steps() * (1 + plan.count() + others.len() as u64);
+    let others_runs: u64 = others.iter().map(|method| method.runs()).sum();
+    let total = scenario.steps() * (scenario.method.runs() + plan.count() + others_runs);
     let progress = || SharedProgress::new(&bars, &done, total);
     let options = RunOptions { seed, learning: true, bounds: true };
     let (result, (baselines, others)) = rayon::join(
@@ -447,11 +462,17 @@ fn write_figures(
         figures.push(("errors", error_norms(&figure)));
     }
     if traces.rows() > 0 {
-        let title = format!("{name}: true state and estimates");
-        figures.push((
-            "states",
-            states(&StateFigure { title: &title, traces, names: &scenario.plant.state_names() }),
-        ));
+        let truth = match scenario.plant.recording() {
+            None => Some("true state"),
+            Some(recorded) => recorded.has_reference().then_some("reference"),
+        };
+        let title = match truth {
+            Some(truth) => format!("{name}: {truth} and estimates"),
+            None => format!("{name}: estimates"),
+        };
+        let names = scenario.plant.state_names();
+        let figure = StateFigure { title: &title, traces, names: &names, truth };
+        figures.push(("states", states(&figure)));
     }
     if scenario.record.events {
         let title = format!("{name}: broadcasts");

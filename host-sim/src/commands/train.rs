@@ -203,7 +203,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         written.push(versions::save(package, chosen, package_format, key.as_ref(), place, output)?);
     }
     let elapsed_s = start.elapsed().as_secs_f64();
-    let report = report(&places, &task, recording, &trained, &written[0], elapsed_s);
+    let report = report(&places, &task, &recordings, &trained, &written[0], elapsed_s);
     match format {
         Format::Json => print_json(&report),
         Format::Text => print_text(&text(&places, &report)),
@@ -393,25 +393,27 @@ fn warn(warning: &Warning) {
 fn report<'a>(
     places: &[PathBuf],
     task: &TrainingTask<'a>,
-    recording: &Recording,
+    recordings: &[Recording],
     trained: &'a Trained,
     package: &PackageBytes,
     elapsed_s: f64,
 ) -> Report<'a> {
     let quality = &trained.quality;
+    let timings = || recordings.iter().map(|recording| &recording.timing);
     Report {
         package: places[0].display().to_string(),
         packages: places.iter().map(|place| place.display().to_string()).collect(),
         summary: PackageSummary::new(package),
         recipe: &task.recipe.name,
         seed: task.seed,
-        recorded_samples: recording.samples.len(),
-        interval_s: recording.interval,
-        gaps: recording.gaps.len(),
-        missing_samples: recording.timing.missing_samples(),
-        repeated_samples: recording.timing.repeated,
-        uneven_intervals: recording.timing.uneven,
-        largest_jitter_s: recording.timing.jitter,
+        recorded_samples: recordings.iter().map(|recording| recording.samples.len()).sum(),
+        interval_s: recordings[0].interval,
+        gaps: recordings.iter().map(|recording| recording.gaps.len()).sum(),
+        missing_samples: timings()
+            .fold(0, |sum: u64, timing| sum.saturating_add(timing.missing_samples())),
+        repeated_samples: timings().map(|timing| timing.repeated).sum(),
+        uneven_intervals: timings().map(|timing| timing.uneven).sum(),
+        largest_jitter_s: timings().fold(0.0, |largest, timing| timing.jitter.max(largest)),
         pieces: trained.cleaning.pieces,
         pieces_left_out: trained.cleaning.pieces_left_out,
         samples_left_out: trained.cleaning.samples_left_out,

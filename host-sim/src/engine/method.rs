@@ -3,29 +3,27 @@
 use std::borrow::Cow;
 use std::num::NonZeroU32;
 
-use super::run::run;
-use super::{Progress, RunError, RunOptions};
+use super::{RunError, RunResult};
 use crate::basis::placeholder;
 use crate::scenario::{Method, Record, Scenario, TriggerModel};
 
 /// A radius that no deviation reaches. \[state unit\]
 const OUT_OF_REACH: f64 = 1e6;
 
-/// Returns the scenario that the engine runs for the scenario's method. For `periodic` this runs the
-/// observer once, to know how often it broadcasts.
+/// Returns the scenario that the engine runs for the scenario's method. `observe` runs a scenario: for
+/// `periodic`, the observer at events, to know how often it broadcasts.
 ///
 /// # Errors
 /// Those of that run.
 pub(super) fn prepared<'s>(
     scenario: &'s Scenario,
-    options: RunOptions,
-    progress: &dyn Progress,
+    observe: impl FnOnce(&Scenario) -> Result<RunResult, RunError>,
 ) -> Result<Cow<'s, Scenario>, RunError> {
     let mut changed = match scenario.method {
         Method::Observer | Method::Kalman | Method::ExtendedKalman => {
             return Ok(Cow::Borrowed(scenario));
         }
-        Method::Periodic => return periodic(scenario, options, progress).map(Cow::Owned),
+        Method::Periodic => return periodic(scenario, observe).map(Cow::Owned),
         _ => scenario.clone(),
     };
     for agent in &mut changed.agents {
@@ -60,12 +58,11 @@ fn use_placeholder(scenario: &mut Scenario) {
 /// Returns the scenario with broadcasts at fixed times, as often as at events.
 fn periodic(
     scenario: &Scenario,
-    options: RunOptions,
-    progress: &dyn Progress,
+    observe: impl FnOnce(&Scenario) -> Result<RunResult, RunError>,
 ) -> Result<Scenario, RunError> {
     let mut changed =
         Scenario { method: Method::Observer, record: Record::NOTHING, ..scenario.clone() };
-    let result = run(&changed, RunOptions { bounds: false, ..options }, progress)?;
+    let result = observe(&changed)?;
     let broadcasts: u64 = result.agents.iter().map(|agent| agent.broadcasts_evaluated).sum();
     let window = scenario.evaluation.ticks(&scenario.time);
     let steps = (window.end - window.start) * scenario.agents.len() as u64;
@@ -79,7 +76,11 @@ fn periodic(
             exchange.heartbeat = every.get();
             exchange.gap = exchange.gap.min(every.get());
         }
-        None => changed.trigger = TriggerModel::Periodic { every },
+        None => {
+            changed.trigger = TriggerModel::Periodic { every };
+            // Nothing else may broadcast.
+            (changed.exchange.heartbeat, changed.exchange.repeat) = (0, 0);
+        }
     }
     Ok(changed)
 }

@@ -103,9 +103,26 @@ pub struct RunResult {
     pub layers: Vec<LayerCount>,
     /// Measurements for the theorems' bounds; `None` if not requested.
     pub bounds: Option<Bounds>,
+    /// The largest `|x_0|`; 0 if it is not known. \[state unit\]
+    pub largest_state: f64,
     /// A hash of every broadcast and of the final state of every agent. Equal digests mean, except
     /// for hash collisions, that two runs behaved identically.
     pub digest: u64,
+}
+
+impl RunResult {
+    /// Returns the largest error in the evaluation window if it is excessive: not finite, or more than
+    /// [`Growth::FAR`](bounds::Growth::FAR) times the largest state, which an observer that always estimates
+    /// zero would not exceed. \[state unit\]
+    #[must_use]
+    pub fn excessive_error(&self) -> Option<f64> {
+        let errors =
+            self.agents.iter().filter_map(|agent| Some((agent.rmse()?, agent.max_error()?)));
+        let largest = errors.map(|(rmse, largest)| if rmse.is_finite() { largest } else { rmse });
+        let excessive =
+            |&error: &f64| !error.is_finite() || error > bounds::Growth::FAR * self.largest_state;
+        largest.filter(excessive).reduce(f64::max)
+    }
 }
 
 /// One training.

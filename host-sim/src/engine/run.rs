@@ -105,7 +105,9 @@ fn run_any(
 ) -> Result<RunResult, RunError> {
     let n = scenario.dimension();
     let drawn = scenario.drawn(options.seed);
-    let prepared = method::prepared(&drawn, options, progress)?;
+    let observe =
+        |scenario: &Scenario| run(scenario, RunOptions { bounds: false, ..options }, progress);
+    let prepared = method::prepared(&drawn, observe)?;
     let scenario = prepared.as_ref();
     if scenario.method.is_kalman() {
         return kalman::run(scenario, link, options, progress);
@@ -170,6 +172,7 @@ fn run_fixed<const N: usize>(
         down: vec![false; scenario.agents.len()],
         missed: Vec::new(),
         traces: Traces::of(scenario),
+        largest_state: 0.0,
         bounds: (options.bounds && scenario.plant.recording().is_none())
             .then(|| BoundsMeter::new(scenario)),
         digest: Fnv::default(),
@@ -340,6 +343,8 @@ struct Simulation<'s, 'c, const N: usize, L> {
     /// What agents missed of the learning cycles.
     missed: Vec<String>,
     traces: Traces,
+    /// The square of the largest `|x_0|`.
+    largest_state: f64,
     bounds: Option<BoundsMeter<'s>>,
     digest: Fnv,
 }
@@ -526,6 +531,7 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
     #[inline]
     fn note(&mut self, tick: Tick, evaluated: bool) {
         let truth = &self.truth;
+        self.largest_state = self.largest_state.max(truth.iter().fold(0.0, |sum, x| sum + x * x));
         let is_known = self.scenario.plant.is_known();
         if evaluated || self.bounds.is_some() {
             let mut stacked = 0.0;
@@ -629,6 +635,7 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
             agents: self.agents.into_iter().map(SimulatedAgent::finish).collect(),
             trainings,
             traces: self.traces,
+            largest_state: self.largest_state.sqrt(),
             bounds: self.bounds.map(BoundsMeter::finish),
             digest: self.digest.finish(),
         }

@@ -133,7 +133,9 @@ fn labels_do_not_overlap() {
             error_limit: None,
         });
         assert_legible(&format!("{name}, errors"), &errors);
-        let states = states(&StateFigure { title: "States", traces: &traces, names: &names });
+        let truth = Some("true state");
+        let states =
+            states(&StateFigure { title: "States", traces: &traces, names: &names, truth });
         assert_legible(&format!("{name}, states"), &states);
         // A name in a smaller size is still present.
         assert!(names.iter().all(|name| states.svg().contains(name)), "{name}");

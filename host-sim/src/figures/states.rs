@@ -32,6 +32,8 @@ pub struct StateFigure<'a> {
     pub traces: &'a Traces,
     /// Names of the components, shape `[n]`.
     pub names: &'a [String],
+    /// What the true state is called; `None` if it is not known.
+    pub truth: Option<&'a str>,
 }
 
 /// Draws `x_0(t)` and every agent's `x_hat_i(t)`.
@@ -41,7 +43,7 @@ pub fn states(figure: &StateFigure<'_>) -> Figure {
     let mut canvas = Canvas::new();
     let layout = if traces.dimension() <= STACKED { stack(figure) } else { grid(figure) };
     draw_title(&mut canvas, figure.title, layout.left);
-    let entries = legend(traces);
+    let entries = legend(traces, figure.truth);
     let rows = legend_rows(&entries, WIDTH - layout.left - RIGHT_MARGIN);
     draw_legend(&mut canvas, &rows, layout.left, LEGEND_TOP);
     let top = LEGEND_TOP + rows.len() as f64 * LEGEND_ROW + 5.0;
@@ -65,21 +67,21 @@ pub fn states(figure: &StateFigure<'_>) -> Figure {
     Figure { svg: canvas.finish(bottom + BOTTOM_MARGIN) }
 }
 
-fn legend(traces: &Traces) -> Vec<Entry> {
+fn legend(traces: &Traces, truth: Option<&str>) -> Vec<Entry> {
     let entry = |text: &str, sample| Entry { text: text.to_owned(), sample };
+    let truth = truth.map(|name| entry(name, Sample::Line(TRUTH)));
     if traces.agents() > LINES {
-        return vec![
-            entry("true state", Sample::Line(TRUTH)),
+        let estimates = [
             entry(&format!("{} estimates:", traces.agents()), Sample::None),
             entry("median", Sample::Line(MEDIAN)),
             entry("5–95 %", Sample::Patch(palette::TOGETHER, BANDS[0] + BANDS[1])),
             entry("min–max", Sample::Patch(palette::TOGETHER, BANDS[0])),
         ];
+        return truth.into_iter().chain(estimates).collect();
     }
     let agents = (0..traces.agents())
         .map(|agent| entry(&format!("agent {}", agent + 1), Sample::Line(estimate_line(agent))));
-    let first = [entry("true state", Sample::Line(TRUTH)), entry("estimates:", Sample::None)];
-    first.into_iter().chain(agents).collect()
+    truth.into_iter().chain([entry("estimates:", Sample::None)]).chain(agents).collect()
 }
 
 const fn estimate_line(agent: usize) -> Stroke {
@@ -241,11 +243,18 @@ fn value_axis(traces: &Traces, component: usize, (from, to): (f64, f64)) -> Axis
         let estimate = move |agent| f64::from(traces.estimate(row, agent)[component]);
         (0..traces.agents()).map(estimate)
     };
-    let Some((low, high)) = extent(truth.chain(rows.clone().take(1).flat_map(estimates))) else {
-        return Axis::exact(0.0, 1.0, 3.0);
-    };
-    let room = 0.5 * (high - low);
     let sampled = rows.len().div_ceil(AXIS_SAMPLES).max(1);
+    let known = extent(truth);
+    let first = extent(rows.clone().take(1).flat_map(estimates));
+    // Without the true state all estimates count.
+    let all = || extent(rows.clone().step_by(sampled).flat_map(estimates));
+    let base = match (known, first) {
+        (None, _) => all(),
+        (Some(known), None) => Some(known),
+        (Some(known), Some(first)) => Some((known.0.min(first.0), known.1.max(first.1))),
+    };
+    let Some((low, high)) = base else { return Axis::exact(0.0, 1.0, 3.0) };
+    let room = 0.5 * (high - low);
     let (least, greatest) =
         extent(rows.step_by(sampled).flat_map(estimates)).unwrap_or((low, high));
     let (low, high) = (least.clamp(low - room, low), greatest.clamp(high, high + room));

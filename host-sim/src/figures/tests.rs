@@ -145,7 +145,7 @@ fn errors_of(title: &str, traces: &Traces) -> Figure {
 
 fn states_of(title: &str, traces: &Traces) -> Figure {
     let names: Vec<String> = (1..=traces.dimension()).map(|i| format!("x{i}")).collect();
-    states(&StateFigure { title, traces, names: &names })
+    states(&StateFigure { title, traces, names: &names, truth: Some("true state") })
 }
 
 fn events_of(events: &[Vec<u64>], from: f64, to: f64) -> Figure {

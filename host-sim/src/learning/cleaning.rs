@@ -227,6 +227,18 @@ mod tests {
     }
 
     #[test]
+    fn no_window_bridges_two_recordings() {
+        let constant = |value: f64| Recording {
+            samples: Dataset::new(1, vec![value; 400], vec![-value; 400]).unwrap(),
+            ..recording(&[])
+        };
+        let joined = Recording::joined(&[constant(1.0), constant(5.0)]).unwrap();
+        let cleaned = Cleaned::new(&joined, &recipe(Some(0.2), Some(1))).unwrap();
+        let is_one = |x: &f64| (x - 1.0).abs() < 1e-9 || (x - 5.0).abs() < 1e-9;
+        assert!(cleaned.data.len() > 700 && cleaned.data.inputs().iter().all(is_one));
+    }
+
+    #[test]
     fn lost_samples_change_the_window_little() {
         let whole = recording(&[]);
         let window = Cleaned::new(&whole, &recipe(None, None)).unwrap().window;

@@ -155,6 +155,13 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let start = Instant::now();
     let (scenario, source) = load_with_text(&arguments.scenario, &arguments.changes)?;
     let scenario = scenario.drawn(arguments.common.seed).into_owned();
+    if scenario.plant.recording().is_some() {
+        let name = &scenario.name;
+        return Err(CommandError::usage(format!(
+            "scenario {name}: its plant is a recording, of which f and d are not known, so there are no constants \
+             to design; use [observer], which is set from the reference, or design for a model of the plant"
+        )));
+    }
     let out = arguments.out.as_deref().map(|path| prepare(path, &scenario)).transpose()?;
     let designed = design(&scenario, arguments)?;
     if let (Some(out), Some(path)) = (out, &arguments.out) {

@@ -163,6 +163,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
 /// Returns the forms to compare: those asked for, and those that they are compared with.
 fn wanted(arguments: &Arguments, scenario: &Scenario) -> Result<Vec<Form>, CommandError> {
     let mut forms = arguments.forms.clone();
+    if forms.contains(&Form::KnownF) && scenario.plant.recording().is_some() {
+        let problem = "--forms known-f: a recording does not define f; leave it out";
+        return Err(CommandError::usage(problem));
+    }
     if forms.is_empty() {
         forms = Form::DEFAULT.to_vec();
     }

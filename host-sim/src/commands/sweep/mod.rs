@@ -35,6 +35,7 @@ use crate::interruption::{self, SecondSignal};
 use crate::report::latex::latex;
 use crate::scenario::Scenario;
 use crate::shell::shell_word;
+use crate::terminal;
 use cells::Cells;
 use results::Results;
 use runs::{Outcome, Runs};
@@ -129,6 +130,9 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
         None => results.parent().unwrap_or(Path::new("")).to_owned(),
     };
     let summary = Summary::read(results)?;
+    if let Some(text) = summary.incomplete() {
+        terminal::warning(&text);
+    }
     if !folder.as_os_str().is_empty() {
         make_folder(&folder)?;
     }

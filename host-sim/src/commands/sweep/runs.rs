@@ -15,7 +15,7 @@ use super::resume::Expected;
 use crate::commands::initial_states::begun_in;
 use crate::commands::progress::ProgressBars;
 use crate::commands::{CommandError, ErrorCode, SharedProgress};
-use crate::engine::{Progress, RunOptions, run};
+use crate::engine::{Progress, RunOptions, RunResult, run};
 use crate::interruption;
 
 /// The runs of one part of a study. Runs are numbered through the whole study, from 0, in the order of
@@ -41,6 +41,13 @@ struct Job<'r> {
     seed: u64,
     /// From 0, which is the scenario's own.
     state: u64,
+}
+
+impl Job<'_> {
+    /// Returns the number of steps to simulate.
+    fn steps(&self) -> u64 {
+        self.cell.scenario.steps() * self.cell.scenario.method.runs()
+    }
 }
 
 /// What was done.
@@ -119,7 +126,7 @@ impl Runs {
         let threads = rayon::current_num_threads();
         let workers = usize::try_from(left).unwrap_or(usize::MAX).clamp(1, threads);
         let bars = ProgressBars::new("simulating");
-        let steps = |run: u64| self.job(run).map_or(0, |job| job.cell.scenario.steps());
+        let steps = |run: u64| self.job(run).map_or(0, |job| job.steps());
         let steps = (next..self.range.end).map(steps).sum();
         let shared = Shared {
             runs: self,
@@ -199,11 +206,16 @@ impl Shared<'_> {
         let took = start.elapsed();
         let steps = job.cell.scenario.steps();
         progress.step(steps, steps);
-        let agents = result.as_ref().ok().map(|result| result.agents.as_slice());
+        let excessive = result.as_ref().ok().and_then(RunResult::excessive_error);
+        let agents = result.as_ref().ok().filter(|_| excessive.is_none());
+        let agents = agents.map(|result| result.agents.as_slice());
         let rows = job.rows.run(job.seed, job.state + 1, agents);
         let reason = match &result {
             Err(error) => Some(error.to_string()),
-            Ok(_) if rows.ends_with(",true\n") => Some("errors are not finite".to_owned()),
+            Ok(_) if rows.ends_with(",true\n") => Some(match excessive {
+                Some(error) if error.is_finite() => format!("an error of {error:.1e}"),
+                _ => "errors are not finite".to_owned(),
+            }),
             Ok(_) => None,
         };
         let mut shared = self.lock();

@@ -206,7 +206,21 @@ impl Summary {
             }
         }
         cells.extend(current.map(Collected::summary));
+        if cells.is_empty() {
+            return Err(refused(None, "has no runs"));
+        }
         Ok(Self { keys: header[..keys].to_vec(), cells })
+    }
+
+    /// Returns what looks incomplete: cells with fewer runs than others.
+    pub(super) fn incomplete(&self) -> Option<String> {
+        let most = self.cells.iter().map(|cell| cell.runs).max()?;
+        let few = self.cells.iter().find(|cell| cell.runs < most)?;
+        let (values, runs) = (few.values.join(", "), few.runs);
+        Some(format!(
+            "the study is not complete: the cell {values} has {runs} of {most} runs; add the missing parts, or let \
+             the study run to its end"
+        ))
     }
 
     /// Returns the number of all runs.

@@ -94,9 +94,11 @@ pub(super) fn run(
     let mut truth = scenario.initial_state.clone();
     let mut traces = Traces::of(scenario);
     let mut digest = Fnv::default();
+    let mut largest_state = 0.0f64;
     simulation.update_life(0);
     simulation.send(0, evaluation.contains(&0), &mut link, &mut digest);
     for tick in 0..steps {
+        largest_state = largest_state.max(truth.iter().fold(0.0, |sum, x| sum + x * x));
         simulation.note(tick, evaluation.contains(&tick), &truth, &mut traces);
         simulation.step(tick, &truth, &link);
         if let Some(agent) = simulation.diverged() {
@@ -125,6 +127,7 @@ pub(super) fn run(
         traces,
         missed: Vec::new(),
         layers: link.layer_counts(),
+        largest_state: largest_state.sqrt(),
         bounds: None,
         digest: digest.finish(),
     })

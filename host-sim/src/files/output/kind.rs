@@ -28,7 +28,8 @@ impl FileKind {
             let line = bytes.split(|&byte| byte == b'\n').next().unwrap_or_default();
             let columns = line.split(|&byte| byte == b',');
             let first = columns.clone().next().unwrap_or_default().trim_ascii();
-            [b"agent".as_slice(), b"time [s]", b"form"].contains(&first) && columns.count() > 1
+            [b"agent".as_slice(), b"time [s]", b"form", b"method"].contains(&first)
+                && columns.count() > 1
         },
     };
 

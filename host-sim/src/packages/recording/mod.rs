@@ -91,7 +91,7 @@ impl Recording {
     }
 
     /// Joins recordings of several agents, for one network for all: samples one after the other, with a
-    /// gap between them, and the outer weights of the first. `None` without samples.
+    /// gap between them that no window bridges, and the outer weights of the first. `None` without samples.
     #[must_use]
     pub fn joined(recordings: &[Self]) -> Option<Self> {
         let first = recordings.first()?;
@@ -102,15 +102,11 @@ impl Recording {
             Dataset::new(first.samples.dimension(), part(Dataset::inputs), part(Dataset::targets));
         let mut joined = Self { samples: samples.ok()?, gaps: Vec::new(), ..first.clone() };
         joined.timing.missing.clear();
-        let timings = || recordings.iter().map(|recording| &recording.timing);
-        joined.timing.repeated = timings().map(|timing| timing.repeated).sum();
-        joined.timing.uneven = timings().map(|timing| timing.uneven).sum();
-        joined.timing.jitter = timings().fold(0.0, |largest, timing| timing.jitter.max(largest));
         let mut before = 0;
         for recording in recordings {
             if before > 0 {
                 joined.gaps.push(before);
-                joined.timing.missing.push(1);
+                joined.timing.missing.push(MISSING_MAX);
             }
             joined.gaps.extend(recording.gaps.iter().map(|gap| before + gap));
             joined.timing.missing.extend(&recording.timing.missing);

@@ -54,12 +54,18 @@ impl Method {
             Self::Observer => "samples of its own estimates",
             Self::NoNetwork => "nothing of f",
             Self::Untrained => "nothing of f before it adapts",
-            Self::Periodic => "as the observer, and how often that broadcasts",
+            Self::Periodic => "samples of its own estimates, and how often the observer broadcasts",
             Self::Regression => "samples of its own estimates",
             Self::KnownModel => "f exactly, not the disturbance",
             Self::Kalman => "f near the mean state; the size of disturbance and noise",
             Self::ExtendedKalman => "f exactly; the size of disturbance and noise",
         }
+    }
+
+    /// Returns how many runs it takes: fixed times are chosen after a run at events.
+    #[must_use]
+    pub fn runs(self) -> u64 {
+        if self == Self::Periodic { 2 } else { 1 }
     }
 
     /// Whether it evaluates `f`.

@@ -16,5 +16,6 @@ pub(super) mod plant;
 pub(super) mod recording;
 pub(super) mod run;
 pub(super) mod sensor;
+pub(super) mod state_names;
 pub(super) mod trainer;
 pub(super) mod trigger;

@@ -3,8 +3,9 @@
 use std::sync::Arc;
 
 use super::recording::recording;
-use crate::plant::expression::{ExpressionError, hint, name_problem};
-use crate::plant::{DIMENSION_MAX, ExpressionSystem, Plant};
+use super::state_names::{check_dimension, check_name, states};
+use crate::plant::expression::{ExpressionError, hint};
+use crate::plant::{ExpressionSystem, Plant};
 use crate::scenario::error::ScenarioError;
 use crate::scenario::initial_state::InitialState;
 use crate::scenario::reader::{STATE, Table, Value, has};
@@ -102,6 +103,7 @@ fn built_in(model: Model, table: &Table<'_>) -> Result<Plant, ScenarioError> {
                 damping: number("damping")?,
             }
         }
+        // The others are read elsewhere.
         Model::Linear | Model::Expressions | Model::Recording => {
             only(&["matrix"])?;
             let value = parameters.require("matrix", "[[0.0, 1.0], [-1.0, 0.0]]")?;
@@ -112,29 +114,8 @@ fn built_in(model: Model, table: &Table<'_>) -> Result<Plant, ScenarioError> {
     })
 }
 
-pub(super) fn check_dimension(
-    value: &Value<'_>,
-    found: usize,
-    one: &str,
-    many: &str,
-) -> Result<(), ScenarioError> {
-    if (1..=DIMENSION_MAX).contains(&found) {
-        return Ok(());
-    }
-    let hint = format!("use a dimension of 1 to {DIMENSION_MAX}");
-    Err(value.error(has(found, one, many), hint))
-}
-
 fn expressions(table: &Table<'_>) -> Result<ExpressionSystem, ScenarioError> {
-    let states_value = table.require("states", "[\"x\", \"v\"]")?;
-    let list = states_value.list("write a name in quotes")?;
-    check_dimension(&states_value, list.len(), "state", "states")?;
-    let mut states: Vec<String> = Vec::with_capacity(list.len());
-    for value in &list {
-        let name = value.text()?;
-        check_name(value, name, &states)?;
-        states.push(name.to_owned());
-    }
+    let states = states(table)?;
     let mut parameters = Vec::new();
     if let Some(table) = table.get_table("parameters")? {
         for (name, value) in table.entries("1.0") {
@@ -144,22 +125,6 @@ fn expressions(table: &Table<'_>) -> Result<ExpressionSystem, ScenarioError> {
     }
     let derivative = table.require("derivative", "[\"v\", \"-x\"]")?;
     system(&derivative, &states, &parameters)
-}
-
-/// Rejects a name that is not valid in expressions, or that a state already has.
-pub(super) fn check_name(
-    value: &Value<'_>,
-    name: &str,
-    states: &[String],
-) -> Result<(), ScenarioError> {
-    let taken = states.iter().any(|state| state == name).then_some("is a state");
-    match name_problem(name).or(taken) {
-        Some(problem) => Err(value.error(
-            format_args!("`{name}` {problem}"),
-            "use another name of letters, digits and _ that starts with a letter",
-        )),
-        None => Ok(()),
-    }
 }
 
 /// Parses one expression per state.

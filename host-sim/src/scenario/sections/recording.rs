@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::plant::{check_dimension, check_name};
+use super::state_names::states;
 use crate::files::input::{is_too_large, read_limited};
 use crate::plant::{Between, Recorded};
 use crate::scenario::error::{ScenarioError, closest};
@@ -17,15 +17,7 @@ const KEYS: [&str; 6] = ["model", "file", "time", "states", "reference", "betwee
 /// Reads the recording that the table names.
 pub(super) fn recording(table: &Table<'_>) -> Result<Recorded, ScenarioError> {
     table.only(&KEYS)?;
-    let states_value = table.require("states", "[\"x\", \"v\"]")?;
-    let list = states_value.list("write a name in quotes")?;
-    check_dimension(&states_value, list.len(), "state", "states")?;
-    let mut states: Vec<String> = Vec::with_capacity(list.len());
-    for value in &list {
-        let name = value.text()?;
-        check_name(value, name, &states)?;
-        states.push(name.to_owned());
-    }
+    let states = states(table)?;
     let file = table.require("file", "\"experiment.csv\"")?;
     let (mut recorded, lines) = read(&file, &place(table, file.text()?))?;
     recorded.states = states;
@@ -157,11 +149,24 @@ fn take_time(
 ) -> Result<(), ScenarioError> {
     let column = match table.get("time", "\"t\"") {
         Some(value) => column(recorded, &value)?,
-        None => ["time", "t"].iter().find_map(|name| recorded.column(name)).ok_or_else(|| {
-            let hint = "name the column with the time in seconds, such as time = \"t\"";
-            file.error("the recording has no column `time` or `t`", hint)
-        })?,
+        None => ["time", "t", "time [s]"]
+            .iter()
+            .find_map(|name| recorded.column(name))
+            .ok_or_else(|| {
+                let hint = "name the column with the time in seconds, such as time = \"t\"";
+                file.error("the recording has no column `time` or `t`", hint)
+            })?,
     };
+    let name = &recorded.names[column];
+    let units = ["ms", "us", "ns", "min", "h"];
+    let unit =
+        name.rsplit(['[', '(', ' ', '_']).next().unwrap_or_default().trim_end_matches([']', ')']);
+    if name.len() > unit.len() && units.contains(&unit) {
+        let problem = format!("the time of the recording, `{name}`, is in {unit}");
+        return Err(
+            file.error(problem, "convert it to seconds, and name the column `time [s]` or `t`")
+        );
+    }
     let time = &recorded.columns[column];
     if time.len() < 2 {
         let hint = "give at least two rows of numbers";
