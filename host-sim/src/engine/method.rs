@@ -75,6 +75,8 @@ fn periodic(
             let exchange = observer.exchange.as_mut().unwrap_or(&mut changed.exchange);
             exchange.heartbeat = every.get();
             exchange.gap = exchange.gap.min(every.get());
+            // Nothing else may broadcast.
+            exchange.repeat = 0;
         }
         None => {
             changed.trigger = TriggerModel::Periodic { every };
