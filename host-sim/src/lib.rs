@@ -23,6 +23,7 @@
 //! | [`signing`] | signing weight packages with the operator's key |
 //! | [`keys`] | an operator's folder of keys: signing, ports of nodes, networks |
 //! | [`tensors`] | exchange of networks with PyTorch, JAX and NumPy |
+//! | [`error`] | errors with their stable codes |
 //! | [`warning`] | warnings about a scenario, a training or a run |
 //! | [`commands`] | the command line |
 #![forbid(unsafe_code)]
@@ -34,6 +35,7 @@ pub mod commands;
 #[cfg(unix)]
 pub mod cosim;
 pub mod engine;
+pub mod error;
 pub mod figures;
 pub mod files;
 pub mod flash;

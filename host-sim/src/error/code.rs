@@ -7,24 +7,26 @@ macro_rules! error_codes {
     ($($(#[doc = $doc:literal])* $variant:ident = $name:literal, $exit:literal;)*) => {
         /// The kind of an error. The names are stable; `docs/errors.md` explains each.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub(in crate::commands) enum ErrorCode {
+        #[non_exhaustive]
+        pub enum ErrorCode {
             $($(#[doc = $doc])* $variant,)*
         }
 
         impl ErrorCode {
             /// Every code.
-            #[cfg(test)]
-            pub(super) const ALL: &'static [Self] = &[$(Self::$variant,)*];
+            pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
 
             /// Returns the code as it appears in JSON.
-            pub(in crate::commands) fn as_str(self) -> &'static str {
+            #[must_use]
+            pub fn as_str(self) -> &'static str {
                 match self {
                     $(Self::$variant => $name,)*
                 }
             }
 
-            /// Returns the exit code of the process.
-            pub(in crate::commands) fn exit(self) -> u8 {
+            /// Returns the exit code of a command that fails with it.
+            #[must_use]
+            pub fn exit(self) -> u8 {
                 match self {
                     $(Self::$variant => $exit,)*
                 }
@@ -112,7 +114,7 @@ mod tests {
 
     #[test]
     fn the_documented_codes_are_complete_and_correct() {
-        let text = include_str!("../../../../docs/errors.md");
+        let text = include_str!("../../../docs/errors.md");
         let row = |line: &str| {
             let mut cells = line.strip_prefix("| `")?.split('|');
             let code = cells.next()?.trim().trim_end_matches('`').to_owned();

@@ -326,12 +326,11 @@ mod nodes {
         use agent_core::service::Problem;
 
         use super::*;
-        use crate::commands::CommandError;
 
         #[test]
         fn a_refusal_by_a_node_is_reported_as_refused() {
             let code = |error: ServiceError| {
-                let code = CommandError::from(error).code();
+                let code = error.code();
                 (code.as_str(), code.exit())
             };
             assert_eq!(code(ServiceError::Refused(Problem::NoPackage)), ("node-refused", 2));
