@@ -23,7 +23,7 @@ use crate::warning::{Warning, WarningCode};
 
 /// What to run beside the run itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Choice {
+pub enum Choice {
     /// All methods.
     All,
     /// Only the run itself.

@@ -63,7 +63,10 @@ use crate::interruption;
 use crate::scenario::{Network, Scenario};
 use crate::terminal;
 use crate::training::EpochReport;
-use error::{CommandError, ErrorCode};
+pub use baselines::Choice;
+pub use error::{CommandError, ErrorCode};
+pub use run::{PreparedRun, ReportedRun};
+
 use progress::ProgressBars;
 use scenario_source::{Changes, load_scenario};
 
@@ -285,17 +288,17 @@ fn network_of(scenario: &Scenario) -> Result<&Network, CommandError> {
     })
 }
 
-/// The progress of one of several concurrent runs that share the progress bars.
+/// The progress of one of several concurrent runs, as part of that of all.
 struct SharedProgress<'p> {
-    bars: &'p ProgressBars,
+    whole: &'p dyn Progress,
     done: &'p AtomicU64,
     total: u64,
     own: AtomicU64,
 }
 
 impl<'p> SharedProgress<'p> {
-    fn new(bars: &'p ProgressBars, done: &'p AtomicU64, total: u64) -> Self {
-        Self { bars, done, total, own: AtomicU64::new(0) }
+    fn new(whole: &'p dyn Progress, done: &'p AtomicU64, total: u64) -> Self {
+        Self { whole, done, total, own: AtomicU64::new(0) }
     }
 }
 
@@ -304,10 +307,10 @@ impl Progress for SharedProgress<'_> {
         let before = self.own.swap(tick, Ordering::Relaxed);
         let advanced = tick.saturating_sub(before);
         let done = self.done.fetch_add(advanced, Ordering::Relaxed) + advanced;
-        self.bars.step(done, self.total);
+        self.whole.step(done, self.total);
     }
 
     fn epoch(&self, agent: usize, cycle: usize, report: &EpochReport) {
-        self.bars.epoch(agent, cycle, report.epoch, report.train);
+        self.whole.epoch(agent, cycle, report);
     }
 }

@@ -28,7 +28,7 @@ use crate::analysis::design::{
     Certificate, DesignError, DesignedGain, Knee, Objective, Plan, Shape,
 };
 use crate::analysis::{StepCheck, TriggerConstants};
-use crate::engine::{RunOptions, RunResult, run};
+use crate::engine::{Progress, RunOptions, RunResult, run};
 use crate::files::output::{FileKind, OutputFile};
 use crate::number::significant;
 use crate::report::checks::ChecksReport;

@@ -7,7 +7,7 @@ macro_rules! error_codes {
     ($($(#[doc = $doc:literal])* $variant:ident = $name:literal, $exit:literal;)*) => {
         /// The kind of an error. The names are stable; `docs/errors.md` explains each.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub(in crate::commands) enum ErrorCode {
+        pub enum ErrorCode {
             $($(#[doc = $doc])* $variant,)*
         }
 
@@ -17,14 +17,16 @@ macro_rules! error_codes {
             pub(super) const ALL: &'static [Self] = &[$(Self::$variant,)*];
 
             /// Returns the code as it appears in JSON.
-            pub(in crate::commands) fn as_str(self) -> &'static str {
+            #[must_use]
+            pub fn as_str(self) -> &'static str {
                 match self {
                     $(Self::$variant => $name,)*
                 }
             }
 
             /// Returns the exit code of the process.
-            pub(in crate::commands) fn exit(self) -> u8 {
+            #[must_use]
+            pub fn exit(self) -> u8 {
                 match self {
                     $(Self::$variant => $exit,)*
                 }

@@ -15,14 +15,14 @@ use std::process::ExitCode;
 use agent_core::package::Refusal;
 use serde::Serialize;
 
-pub(super) use code::ErrorCode;
+pub use code::ErrorCode;
 
 use crate::packages::refusal::{hint, kind};
 use crate::terminal;
 
 /// Why a command failed.
 #[derive(Debug)]
-pub(super) enum CommandError {
+pub enum CommandError {
     /// The command line or a file it names is invalid or refused: exit code 2.
     BadInput(Box<ErrorReport>),
     /// Any other failure: exit code 1.
@@ -33,7 +33,7 @@ pub(super) enum CommandError {
 
 /// An error in the JSON report.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct ErrorReport {
+pub struct ErrorReport {
     code: ErrorCode,
     text: String,
     /// Path of the file concerned.
@@ -46,7 +46,7 @@ pub(super) struct ErrorReport {
 }
 
 /// An error of the library that commands report.
-pub(super) trait Reported: fmt::Display {
+pub trait Reported: fmt::Display {
     /// Returns the error's code.
     fn code(&self) -> ErrorCode;
 
