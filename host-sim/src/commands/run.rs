@@ -72,7 +72,7 @@ struct Report<'a> {
     initial_state: &'a [f64],
     elapsed_s: f64,
     baselines: States,
-    /// The run beside other methods, if there are any.
+    /// The run compared with other methods, if there are any.
     methods: &'a [methods::Row],
     agents: Vec<AgentReport>,
     trainings: Vec<TrainingSummary>,
@@ -203,7 +203,7 @@ struct ObserverCertificate {
 }
 
 impl ObserverCertificate {
-    /// `None` for the paper's observer, of which the theorems' checks speak.
+    /// `None` for the paper's observer, which the theorems' checks cover.
     fn new(scenario: &Scenario, result: &RunResult) -> Option<Self> {
         let observer = scenario.observer.as_ref()?;
         let bound = certified::bound(scenario, result);
@@ -290,7 +290,7 @@ fn recording_text(scenario: &Scenario) -> String {
     let Some(recorded) = scenario.plant.recording() else { return String::new() };
     let (rows, duration) = (recorded.time.len(), recorded.duration());
     format!(
-        "Recording: {rows} rows over {} s, one every {} s in the mean; agents step every {} s\n",
+        "Recording: {rows} rows over {} s, one every {} s on average; agents step every {} s\n",
         significant(duration, 6),
         significant(duration / (rows - 1) as f64, 4),
         scenario.time.step_size,
