@@ -98,10 +98,10 @@ enum Command {
     Design(design::Arguments),
     /// Compare forms of the observer: error against broadcasts, bytes and battery life
     Frontier(frontier::Arguments),
-    /// Run a scenario over values of its keys, seeds and initial states: one table of all runs
+    /// Run a scenario with varied keys, seeds and initial states: one table of all runs
     ///
     /// The same command continues a study that was interrupted. `--shard K/N` runs one of N parts, on
-    /// any machine; their tables one after the other are the table of the whole study.
+    /// any machine; their tables, concatenated, are the table of the whole study.
     Sweep(sweep::Arguments),
     /// Run a scenario together with emulated or real nodes and compare every bit
     #[cfg(unix)]
@@ -124,7 +124,7 @@ enum Command {
     Flash(weights::FlashArguments),
     /// Create a folder with an operator's keys, or rotate the network key in it
     Keygen(keygen::Arguments),
-    /// Print a built-in scenario to start from, or list their names
+    /// Print a built-in scenario to start from, or list the names of all
     Scenario(scenario::Arguments),
 }
 
@@ -146,7 +146,7 @@ enum TableFormat {
     Text,
     /// One JSON object
     Json,
-    /// The tables for LaTeX; of run, reproduce, frontier and sweep
+    /// The tables for LaTeX; only for run, reproduce, frontier and sweep
     Latex,
 }
 

@@ -277,7 +277,7 @@ fn dense_samples(path: &Path, scenario: &Scenario, recording: &Recording) -> Opt
 /// Returns which agent, from 0, recorded each file, and warnings about them.
 ///
 /// # Errors
-/// As far as the files say, if one is from an agent that gets no network, or from another step.
+/// As far as the files say, if one is from an agent that gets no network, or has a different step.
 fn check_sources(
     arguments: &Arguments,
     scenario: &Scenario,

@@ -153,7 +153,7 @@ impl CommandError {
         self
     }
 
-    /// Replaces the folder `from` by `to` in text and file.
+    /// Replaces the folder `from` with `to` in text and file.
     pub(super) fn renamed(mut self, from: &Path, to: &Path) -> Self {
         if let Self::BadInput(report) | Self::Failed(report) = &mut self {
             // With a trailing separator, except for an empty path.

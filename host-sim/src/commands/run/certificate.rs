@@ -20,7 +20,7 @@ pub(super) struct ObserverCertificate {
 }
 
 impl ObserverCertificate {
-    /// `None` for the paper's observer, of which the theorems' checks speak.
+    /// `None` for the paper's observer, which the theorems' checks cover.
     pub(super) fn new(scenario: &Scenario, result: &RunResult) -> Option<Self> {
         let observer = scenario.observer.as_ref()?;
         let bound = certified::bound(scenario, result);

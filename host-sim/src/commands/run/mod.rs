@@ -183,7 +183,7 @@ fn recording_text(scenario: &Scenario) -> String {
     let Some(recorded) = scenario.plant.recording() else { return String::new() };
     let (rows, duration) = (recorded.time.len(), recorded.duration());
     format!(
-        "Recording: {rows} rows over {} s, one every {} s in the mean; agents step every {} s\n",
+        "Recording: {rows} rows over {} s, one every {} s on average; agents step every {} s\n",
         significant(duration, 6),
         significant(duration / (rows - 1) as f64, 4),
         scenario.time.step_size,

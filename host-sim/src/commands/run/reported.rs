@@ -124,7 +124,7 @@ struct Report<'a> {
     initial_state: &'a [f64],
     elapsed_s: f64,
     baselines: States,
-    /// The run beside other methods, if there are any.
+    /// The run compared with other methods, if there are any.
     methods: &'a [methods::Row],
     agents: &'a [AgentReport],
     trainings: &'a [TrainingSummary],
@@ -192,7 +192,7 @@ impl ReportedRun {
         warnings::outcome(&self.checks)
     }
 
-    /// Returns the name of the run beside its baselines.
+    /// Returns the name of the run in comparison with its baselines.
     pub(super) fn name(&self) -> &'static str {
         let scenario = &self.scenario;
         if scenario.method != Method::Observer {
