@@ -12,7 +12,7 @@
 //! reference| with the reference not rounded, in ulps of the binary32 binade that contains the
 //! reference (2^-149 below the normal numbers). The resolution is the reference's own error, about
 //! 2^-29 of such an ulp. Inputs are visited in the order of their bits, each sign separately, and
-//! every value is compared with the previous one, also across the boundaries of the threads'
+//! every value is compared with the previous one, including across the boundaries of the threads'
 //! blocks.
 
 use agent_core::math::activation::Activation;

@@ -49,7 +49,7 @@ fn link() -> Result<(), Box<dyn Error>> {
     }
     println!("cargo::rustc-link-arg-bins=--nmagic");
     println!("cargo::rustc-link-arg-bins=-Tlink.x");
-    // The second-stage boot loader, for chips that have one.
+    // The second-stage bootloader, for chips that have one.
     if Path::new("boot2.x").exists() {
         println!("cargo::rerun-if-changed=boot2.x");
         println!("cargo::rustc-link-arg-bins=-Tboot2.x");

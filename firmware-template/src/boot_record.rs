@@ -77,7 +77,7 @@ impl BootRecord {
     }
 
     /// Counts a start whose reset had `cause`, according to the chip, and returns what there is to
-    /// tell of it.
+    /// report about it.
     pub fn start(&mut self, cause: ResetCause) -> Start {
         self.boots = self.boots.saturating_add(1);
         let cause = if self.failed { ResetCause::Panic } else { cause };

@@ -1,7 +1,7 @@
 //! A button that must be held for a while.
 
-/// Returns whether a button is pressed, and stays so while `wait` is called 100 times. The first time
-/// that it is not ends it, so that a start without the button takes no time.
+/// Returns whether a button is pressed, and stays so while `wait` is called 100 times. Ends the first
+/// time that it is not, so that a start without the button takes no time.
 pub fn is_held(mut is_pressed: impl FnMut() -> bool, mut wait: impl FnMut()) -> bool {
     (0..100).all(|_| {
         let is_pressed = is_pressed();
@@ -16,7 +16,7 @@ pub fn is_held(mut is_pressed: impl FnMut() -> bool, mut wait: impl FnMut()) -> 
 mod tests {
     use super::*;
 
-    /// For a button that is pressed for so many looks.
+    /// For a button that is pressed for this many looks.
     fn held(looks: u32) -> (bool, u32) {
         let (mut seen, mut waits) = (0, 0);
         let is_pressed = || {

@@ -174,7 +174,7 @@ pub fn stack_unused() -> u32 {
 static mut BOOT_RECORD: core::mem::MaybeUninit<[u32; BootRecord::WORDS]> =
     core::mem::MaybeUninit::uninit();
 
-/// Returns what there is to tell of this start, whose reset had `cause` according to the chip. To be
+/// Returns what there is to report about this start, whose reset had `cause` according to the chip. To be
 /// called once, before interrupts are enabled.
 #[cfg(all(target_os = "none", target_arch = "arm"))]
 pub fn start(cause: ResetCause) -> Start {

@@ -28,7 +28,7 @@ pub fn correct_package(bytes: &mut [u8]) {
     }
 }
 
-/// As [`correct_package`]; the signature's checksum is corrected if there is a signature.
+/// Like [`correct_package`]; the signature's checksum is corrected if there is a signature.
 fn correct_format2(bytes: &mut [u8]) {
     let length = bytes.len() as u32;
     let Some((start, sections)) = bytes.split_first_chunk_mut::<CHECKED_FIRST>() else { return };
@@ -44,7 +44,7 @@ fn correct_format2(bytes: &mut [u8]) {
     }
 }
 
-/// As [`correct_package`]; the signature's checksum is corrected if the old header's length leaves
+/// Like [`correct_package`]; the signature's checksum is corrected if the old header's length leaves
 /// exactly a signature at the end.
 fn correct_format1(bytes: &mut [u8]) {
     let Some((header, rest)) = bytes.split_first_chunk_mut::<HEADER_LENGTH>() else { return };

@@ -34,7 +34,7 @@ const TERMINATE: i32 = 15;
 pub enum SecondSignal {
     /// Ends the process at once.
     Exit,
-    /// Is ignored: the command is removing processes and files, which takes little time.
+    /// Nothing: the command is removing processes and files, which takes little time.
     Wait,
 }
 

@@ -52,7 +52,7 @@ pub enum WarningCode {
     DenseSamples,
     /// Trained networks are not written as packages, which cannot carry the scenario's trigger.
     SimulationOnly,
-    /// Moving late samples on may be unstable: they are averaged over too short a time.
+    /// Extrapolating late samples may be unstable: they are averaged over too short a time.
     ShortSmoothing,
     /// The package's limits for its trial do not fit into its format.
     TrialLimitsDropped,

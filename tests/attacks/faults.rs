@@ -13,7 +13,7 @@ pub(super) fn flipped_bits(_tries: u64, _seed: u64) -> Outcome {
 
 /// Cuts the power in every action of a node, once and again, on flash with words of 1 to 32 bytes. Harm:
 /// kinds of flash on which a node then has no package or the wrong one, finds something else at the
-/// next boot, or takes no update any more.
+/// next boot, or no longer takes updates.
 pub(super) fn power_cuts(_tries: u64, _seed: u64) -> Outcome {
     let kinds: [fn() -> u64; 6] = [
         cut_every_way::<1, 256>,

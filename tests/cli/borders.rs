@@ -151,7 +151,7 @@ fn rejects_parts_that_share_a_sector() {
     let uf2 = "weights image node1.weights --slot b --memory nrf.x --out i.uf2 --family nrf52840";
     folder.succeed(uf2);
     let notes = &json(&folder, &image("nrf.x", "").replace("i.hex", "j.hex --format hex"))["notes"];
-    assert!(notes.to_string().contains("boot loaders erase whole sectors"), "{notes}");
+    assert!(notes.to_string().contains("bootloaders erase whole sectors"), "{notes}");
 }
 
 #[test]

@@ -38,7 +38,7 @@ const RUN_BY_CI: [&str; 18] = [
     "cargo xtask studies",
 ];
 
-/// What stands behind the three backticks of a block.
+/// What follows the three backticks of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Run,
@@ -184,7 +184,7 @@ fn documented_commands_for_hardware_are_understood() {
     }
 }
 
-/// A command that goes on until it is killed.
+/// A command that runs until it is killed.
 struct Background(Child);
 
 impl Drop for Background {

@@ -275,7 +275,7 @@ fn detects_an_invalid_weights_region_without_assertions() {
 #[test]
 fn skips_statements_unrelated_to_the_weights() {
     let standard = [
-        // The RP2040 with its second-stage boot loader, as rp-hal writes it.
+        // The RP2040 with its second-stage bootloader, as rp-hal writes it.
         "EXTERN(BOOT2_FIRMWARE)\nSECTIONS {\n  .boot2 ORIGIN(BOOT2) : { KEEP(*(.boot2)); } > BOOT2\n\
          } INSERT BEFORE .text;",
         // The RP2350's image definition.

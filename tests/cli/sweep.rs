@@ -63,7 +63,7 @@ fn every_row_is_what_run_measures() {
         assert_eq!(row[9], "false");
     }
     let again = folder.succeed(&format!("{STUDY} --out out"));
-    assert!(again.contains("All 12 runs were there already"), "{again}");
+    assert!(again.contains("All 12 runs had already been done"), "{again}");
 }
 
 #[test]
@@ -189,8 +189,11 @@ fn mistakes_are_found_before_anything_runs() {
         ),
         ("--vary design.epsilom=10,20", "design.epsilom: unknown key; did you mean epsilon?"),
         ("--vary design.epsilon=10:20", "how many values?"),
-        ("--vary design.epsilon=10,20 --set design.epsilon=3", "the key is varied, too"),
-        ("--vary agents.3.count=1,2", "agents is a list with 2 entries, and \"3\" is none"),
+        ("--vary design.epsilon=10,20 --set design.epsilon=3", "the key is also varied"),
+        (
+            "--vary agents.3.count=1,2",
+            "agents is a list with 2 entries, and \"3\" is not one of them",
+        ),
         ("--vary design.epsilon=1,2 --latin 3", "are drawn from a range"),
         ("--points points.csv", "points.csv:3: design.rho has no value"),
         ("--points none.csv", "none.csv: cannot be read"),

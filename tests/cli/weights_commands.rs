@@ -32,7 +32,7 @@ fn json(folder: &Folder, arguments: &str) -> Value {
 }
 
 #[test]
-fn from_samples_to_a_signed_package_that_nobody_can_change() {
+fn from_samples_to_a_signed_package_that_cannot_be_changed() {
     let folder = folder("operator");
     let report = json(&folder, &format!("{TRAIN} --out node1.weights --sign operator.key"));
     assert_eq!((&report["agent"], &report["version"]), (&1.into(), &2.into()));
@@ -57,7 +57,7 @@ fn from_samples_to_a_signed_package_that_nobody_can_change() {
     assert!(error.contains("not signed"), "{error}");
 
     let error = folder.fail("weights verify node1.weights --features 3", 2);
-    assert!(error.contains("4 features, the node has room for 3"), "{error}");
+    assert!(error.contains("4 features, but the node has room for 3"), "{error}");
 
     let mut bytes = own.clone();
     bytes[own.len() / 2] ^= 0x10;
@@ -233,7 +233,7 @@ fn ctrl_c_ends_training_with_the_best_so_far() {
     assert!(start.elapsed() < Duration::from_secs(60), "it went on for {:?}", start.elapsed());
     let (standard, error) = texts(&output);
     assert_eq!(output.status.code(), Some(0), "{standard}{error}");
-    // Noise is not to be learned, and that is told; what was asked for is written all the same.
+    // Noise is not to be learned, and that is reported; what was asked for is written all the same.
     assert!(error.lines().all(|line| line.starts_with("warning: ")), "{error}");
     let report = object(&standard);
     assert_eq!(report["stopped_by"], "interruption", "{report}");

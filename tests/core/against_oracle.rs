@@ -189,7 +189,7 @@ fn median(values: &mut [f64]) -> f64 {
     values[values.len() / 2]
 }
 
-/// Runs the network of one seed beside the oracle; `observe` gets the oracle's network, the state
+/// Runs the network of one seed alongside the oracle; `observe` gets the oracle's network, the state
 /// before a step, the measurement, and the core's results with their bounds.
 fn run<const N: usize>(
     seed: u64,

@@ -58,7 +58,7 @@ fn network<const N: usize>(drawn: &DrawnAgent<N>, dense: &[Dense]) -> InnerNetwo
     InnerNetwork::new(Architecture::new(N, &layers).unwrap(), parameters.collect()).unwrap()
 }
 
-/// Runs agent 0 of a random network beside a copy with capacity for `WIDE` features, arrays for its
+/// Runs agent 0 of a random network alongside a copy with capacity for `WIDE` features, arrays for its
 /// `PLACES` neighbours, and its network in a larger static buffer.
 fn spare_capacity_run<const N: usize, const WIDE: usize, const PLACES: usize>(
     drawn: &DrawnNetwork<N>,
@@ -196,7 +196,7 @@ fn any_order_of_stepping<const N: usize>(seed: u64) -> Result<(), TestCaseError>
     Ok(())
 }
 
-/// Runs agent 0 with neighbours some of which are never heard, beside one without them.
+/// Runs agent 0 with neighbours some of which are never heard, alongside one without them.
 fn silent_neighbours_contribute_nothing<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
     let mut draw = Draw::new(seed);
     let full = draw.network::<N>();

@@ -122,7 +122,7 @@ fn refused_steps<const N: usize>(seed: u64) -> Result<(), TestCaseError> {
             }
             prop_assert_eq!(inbox.len(), waiting);
         }
-        // An inbox for another number of neighbours is unchanged too.
+        // An inbox for a different number of neighbours is unchanged too.
         let mut other = Inbox::new(vec![None; calm.neighbours().len() + 1]);
         let frame = Frame::<N>::new(calm.neighbours()[0].id, 9, 9, draw.vector(1.0));
         other.accept(calm.neighbours(), &frame.encode()).unwrap();

@@ -100,7 +100,7 @@ fn cosim_in_qemu_has_the_same_bits_with_keys() {
     }
 }
 
-/// Trees, a disturbance model and samples that go on by the shared model, from the switch on;
+/// Trees, a disturbance model and samples that evolve by the shared model, from the switch on;
 /// without and with keys.
 #[test]
 #[ignore = "requires the firmware and QEMU; run `cargo xtask test`"]

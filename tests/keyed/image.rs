@@ -132,7 +132,7 @@ fn firmware_that_does_not_fit_the_image_is_refused() {
         ("empty", elf(&[]), "it loads nothing"),
         ("weights", elf(&[(0x2100_6000, &[1; 4])]), "overlap WEIGHTS"),
         ("border", elf(&[(0x20ff_fffe, &[1; 4])]), "overlap WEIGHTS"),
-        ("twice", elf(&[(0, &[1; 9]), (8, &[1; 9])]), "others of its bytes"),
+        ("twice", elf(&[(0, &[1; 9]), (8, &[1; 9])]), "other bytes of the firmware"),
         ("end", elf(&[(u32::MAX - 2, &[1; 4])]), "overlap WEIGHTS"),
     ] {
         fs::write(folder.path(name), program).unwrap();

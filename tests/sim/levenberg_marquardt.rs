@@ -150,7 +150,7 @@ fn solves_classical_problems_like_scipy() {
         println!("{name}: {:?} after {} epochs, {last:?}", report.stop, last.epoch);
         assert!(
             matches!(report.stop, StopReason::Gradient | StopReason::DampingMax),
-            "{name}: {:?} is no stationary point",
+            "{name}: {:?} is not a stationary point",
             report.stop
         );
         let residuals = problem["residuals"].as_f64().expect("a number");

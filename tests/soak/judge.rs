@@ -266,7 +266,7 @@ impl Judge {
         }
         let tick = self.next_tick + Tick::from(periods) - 1;
         self.next_tick = tick + 1;
-        // Each of the paper's agents measures one component. Without a usable measurement it goes on
+        // Each of the paper's agents measures one component. Without a usable measurement it continues
         // observing, which may restart it, too.
         let usual = match measurement {
             None => Outcome::NoMeasurement,

@@ -128,7 +128,7 @@ impl<const WRITE: usize, const ERASE: usize> Node<WRITE, ERASE> {
             // Opening changes nothing that a reboot would not change in the same way.
             return None;
         }
-        assert!(!store.is_blocked(), "the node takes no update any more");
+        assert!(!store.is_blocked(), "the node no longer takes updates");
         let mut found = Model::of(&store);
         if let Some(revert) = &mut found.last_revert
             && revert.serial == Serial::default()

@@ -159,7 +159,7 @@ pub(crate) fn shared_config() -> Result<DocumentMut, Failure> {
 /// outside their folder.
 ///
 /// # Errors
-/// As for [`shared_config`].
+/// Same as for [`shared_config`].
 pub(crate) fn profile() -> Result<Vec<String>, Failure> {
     let config = shared_config()?;
     let mut settings = Vec::new();

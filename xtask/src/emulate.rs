@@ -136,7 +136,7 @@ pub(crate) fn emulate(debian: bool) -> Result<(), Failure> {
     find_emulators(debian)?;
     let mut table = String::from(
         "machine     core                     sections  instructions, mean (largest): forward, \
-         step, with broadcast, frame, package, turn, turn with outer weights told, authentic frame \
+         step, with broadcast, frame, package, turn, turn with outer weights reported, authentic frame \
          sealed, opened, sealed request opened\n",
     );
     for machine in &MACHINES {

@@ -116,7 +116,7 @@ pub(crate) fn firmware(options: &Options, debian: bool) -> Result<(), Failure> {
 /// Builds the firmware of the emulated board.
 ///
 /// # Errors
-/// As for [`firmware`].
+/// Same as for [`firmware`].
 pub(crate) fn emulated(debian: bool) -> Result<(Board, PathBuf), Failure> {
     let board = boards::find(boards::EMULATED)?;
     let compiler = Compiler::find(&[&board.target], debian)?;
@@ -176,7 +176,7 @@ pub(crate) fn build(
 /// Runs a build of a board's crate and returns the path of the program, which is not empty.
 ///
 /// # Errors
-/// As for [`build`].
+/// Same as for [`build`].
 pub(crate) fn build_with(
     compiler: &Compiler,
     board: &Board,

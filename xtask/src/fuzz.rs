@@ -5,8 +5,7 @@
 //! libFuzzer, whose sources are in the crate libfuzzer-sys and need a C++ compiler. The address
 //! sanitizer is not available: it would find nothing in code without `unsafe`, but it would also
 //! report the operands of `memcmp`. A target therefore cannot learn a long byte string that is
-//! compared as a slice; numbers and small arrays it can.
-//! as a slice; numbers and small arrays it can.
+//! compared as a slice; it can learn numbers and small arrays.
 
 use std::{
     env, fs, io,

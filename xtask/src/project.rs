@@ -81,7 +81,7 @@ pub(crate) fn new(options: &Options) -> Result<(), Failure> {
 /// each other board with the crates in this checkout.
 ///
 /// # Errors
-/// As for [`new`], or a build fails.
+/// Same as for [`new`], or a build fails.
 pub(crate) fn check(compiler: &Compiler, boards: &[Board]) -> Result<(), Failure> {
     for board in boards {
         let path = target_folder().join("projects").join(&board.name);

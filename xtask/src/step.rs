@@ -79,10 +79,10 @@ pub(crate) fn run(name: &str, command: &mut Command, hint: &str) -> Result<(), F
     run_reading(name, command, hint, |_| ())
 }
 
-/// As [`run`], and passes every line of the standard output to `read`.
+/// Like [`run`], and passes every line of the standard output to `read`.
 ///
 /// # Errors
-/// As [`run`].
+/// Same as [`run`].
 pub(crate) fn run_reading(
     name: &str,
     command: &mut Command,
@@ -95,11 +95,11 @@ pub(crate) fn run_reading(
     })
 }
 
-/// As [`run`], and passes only those lines of the standard error output through that `keep`
+/// Like [`run`], and passes through only those lines of the standard error output that `keep`
 /// selects.
 ///
 /// # Errors
-/// As [`run`].
+/// Same as [`run`].
 pub(crate) fn run_filtering(
     name: &str,
     command: &mut Command,

@@ -71,7 +71,9 @@ pub(crate) fn studies(debian: bool) -> Result<(), Failure> {
     study.slurm()?;
     study.parallel()?;
     study.dask(&folder.join("python"))?;
-    println!("studies: 5 parts by Slurm's script, GNU parallel and Dask: the bytes of one go");
+    println!(
+        "studies: 5 parts by Slurm's script, GNU parallel and Dask: the same bytes as in one go"
+    );
     Ok(())
 }
 

@@ -286,7 +286,7 @@ impl Scratch {
     /// Empty scratch memory, for a `static`.
     pub const NEW: Self = Self { first: [0.0; LAYER_WIDTH_MAX], second: [0.0; LAYER_WIDTH_MAX] };
 
-    /// Returns room for the features of another basis than a network.
+    /// Returns room for the features of a basis other than a network.
     pub fn outputs(&mut self) -> &mut [f32; LAYER_WIDTH_MAX] {
         &mut self.first
     }

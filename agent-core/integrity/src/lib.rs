@@ -1,6 +1,6 @@
 //! What handles every byte of frames and messages: a checksum, a keyed hash and a cipher.
 //!
-//! A crate of its own, so that firmware compiles it at a level of its own: at which these loops are
+//! A crate of its own, so that firmware compiles it at an optimisation level of its own, at which these loops are
 //! fast, and no path that panics remains in the cipher.
 #![no_std]
 

@@ -3,12 +3,12 @@
 //! The paper's agents broadcast at events only, over links that deliver every frame at once. An event
 //! whose frame is lost leaves the neighbours with an old sample until the next event, a delayed sample
 //! describes a state that has passed, and the last sample of a neighbour that is gone is held for ever.
-//! Against that, an agent can
+//! To counter this, an agent can
 //! - broadcast at the latest after a *heartbeat*, keep a *gap* between broadcasts, and *repeat* each
 //!   event with its newest estimate some time later;
 //! - *fade* the weight `a_ij` of a neighbour by the age of its sample: full up to an age, then falling
 //!   to zero at another;
-//! - *compensate* delays: an arriving sample is moved on by its age times the agent's own mean velocity.
+//! - *compensate* delays: an arriving sample is extrapolated by its age times the agent's own mean velocity.
 //!
 //! # The age of a sample
 //! Clocks of agents differ, so the age is counted on the receiver's. Since a frame arrived: its steps.
@@ -47,11 +47,11 @@ pub struct ExchangeParams {
     pub repeat: u32,
     /// Age of a sample up to which it has its full weight.
     pub fade_from: u32,
-    /// Age from which on it has none.
+    /// Age at which it has none left.
     pub fade_to: u32,
     /// Smallest delay of the link.
     pub delay: u32,
-    /// Time constant of the mean velocity by which late samples are moved on.
+    /// Time constant of the mean velocity by which late samples are extrapolated.
     pub smoothing: u32,
 }
 
@@ -110,7 +110,7 @@ impl ExchangeParams {
         ENABLED && self.fade_to > 0
     }
 
-    /// Whether late samples are moved on.
+    /// Whether late samples are extrapolated.
     #[inline]
     pub(crate) fn compensates(&self) -> bool {
         ENABLED && self.smoothing > 0
@@ -180,8 +180,8 @@ impl<const N: usize> Exchange<N> {
         }
     }
 
-    /// Returns a sample that arrives at the receiver's step `now`, in place of `held`: with its time on
-    /// the way, and moved on by it.
+    /// Returns a sample that arrives at the receiver's step `now`, in place of `held`: with its time in
+    /// transit, and extrapolated by it.
     #[inline]
     pub(crate) fn arrived(
         &self,
@@ -263,7 +263,7 @@ mod tests {
         assert_eq!(ExchangeParams::PAPER.share(Tick::MAX), 1.0);
     }
 
-    /// Returns the estimated time on the way of each sample, given by its tick and its arrival.
+    /// Returns the estimated time in transit of each sample, given by its tick and its arrival.
     fn lags(delay: u32, samples: impl IntoIterator<Item = (Tick, Tick)>) -> Vec<u32> {
         let mut held: Option<Hold<1>> = None;
         let lag = |(sequence, (tick, arrival)): (u32, (Tick, Tick))| {

@@ -5,7 +5,7 @@
 //! agent has moved away from its sample by the radius. A relay announces what it holds of its parent,
 //! so that errors do not add up along a path; it sees the parent's sample one step later.
 //!
-//! All ends of an edge move a sample on by the same operations, so they hold the same bits as long as
+//! All ends of an edge extrapolate a sample by the same operations, so they hold the same bits as long as
 //! no frame is lost or late. Where the predictions of two agents differ, by their digests, the sender
 //! announces rates instead.
 //!
@@ -110,7 +110,7 @@ impl<const N: usize, F: Features> Prediction<'_, N, F> {
         })
     }
 
-    /// Moves a sample on by this many steps, of which at most [`LAG_MAX`] count.
+    /// Extrapolates a sample by this many steps, of which at most [`LAG_MAX`] count.
     #[inline(never)]
     fn advance(&self, hold: &mut Hold<N>, all_steps: u32, scratch: &mut Scratch) {
         let Some(mut announced) = hold.announced().copied().filter(|_| all_steps > 0) else {
@@ -201,7 +201,7 @@ where
         }
         params.clear();
         if let Some(field) = field {
-            // A late sample goes on as it is announced, and not by the mean velocity.
+            // A late sample evolves as announced, and not by the mean velocity.
             self.exchange = Exchange::new();
             // There is room: it was cleared.
             let _ = params.push(field);
@@ -382,7 +382,7 @@ where
                 params.trigger.fires(held, &hold_error, &self.consensus_term)
             }
         };
-        // A sample that neighbours cannot follow any more is replaced at once.
+        // A sample that neighbours can no longer follow is replaced at once.
         let is_followed = self.own_hold.announced().is_some_and(|announced| {
             announced.digest == digest
                 && (announced.hold != HoldKind::Model || prediction.is_shared(holds))

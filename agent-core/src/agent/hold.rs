@@ -49,13 +49,13 @@ pub struct Hold<const N: usize> {
     offset: Option<i64>,
     /// Steps for which the sample was on its way.
     lag: u32,
-    /// Whether the sample goes on as it is announced; if not, as in the paper. An option would not be
+    /// Whether the sample evolves as announced; if not, as in the paper. An option would not be
     /// zero for nothing, and a static of an agent would have to be kept in flash.
     #[cfg(feature = "field")]
     goes_on: bool,
     #[cfg(feature = "field")]
     announced: Announced<N>,
-    /// Steps for which it has gone on.
+    /// Steps for which it has evolved.
     #[cfg(feature = "field")]
     moved: u32,
 }
@@ -74,7 +74,7 @@ pub const RESTART_SILENCE: Tick = 1_000;
 /// Steps after which the estimated difference of two clocks has risen by one step: 244 ppm.
 pub const LEAK: i64 = 4_096;
 
-/// Longest time on the way that is believed. \[step\]
+/// Longest time in transit that is believed. \[step\]
 pub const LAG_MAX: u32 = 1_000;
 
 impl<const N: usize> Hold<N> {
@@ -109,7 +109,7 @@ impl<const N: usize> Hold<N> {
         hold
     }
 
-    /// Returns the sample as a frame from `sender`: as it is now, if it goes on.
+    /// Returns the sample as a frame from `sender`: as it is now, if it evolves.
     pub(crate) fn frame_from(&self, sender: AgentId) -> Frame<N> {
         #[cfg(feature = "field")]
         let tick = self.tick.saturating_add(Tick::from(self.moved));
@@ -120,7 +120,7 @@ impl<const N: usize> Hold<N> {
         let frame = Frame {
             announced: self.announced().map(|announced| match self.moved {
                 0 => *announced,
-                // It was rounded when it was taken; a sample that has gone on is not.
+                // It was rounded when it was taken; a sample that has evolved is not.
                 _ => announced.unrounded(),
             }),
             ..frame
@@ -128,7 +128,7 @@ impl<const N: usize> Hold<N> {
         frame
     }
 
-    /// Returns how the sample goes on; `None` for the paper's hold.
+    /// Returns how the sample evolves; `None` for the paper's hold.
     #[cfg(feature = "field")]
     #[must_use]
     pub fn announced(&self) -> Option<&Announced<N>> {
@@ -141,7 +141,7 @@ impl<const N: usize> Hold<N> {
         Self { goes_on: true, announced, ..self }
     }
 
-    /// Goes on by `steps` to this estimate.
+    /// Advances by `steps` to this estimate.
     #[cfg(feature = "field")]
     pub(crate) fn go_on(&mut self, estimate: StateVector<N>, announced: Announced<N>, steps: u32) {
         self.sample = estimate;
@@ -149,7 +149,7 @@ impl<const N: usize> Hold<N> {
         self.moved = self.moved.saturating_add(steps);
     }
 
-    /// Returns the steps by which the sample has to go on to belong to `now`: its time on the way, and
+    /// Returns the steps by which the sample has to advance to belong to `now`: its time in transit, and
     /// the ticks that its holder has skipped.
     #[cfg(feature = "field")]
     pub(crate) fn behind(&self, now: Tick) -> u32 {
@@ -180,7 +180,7 @@ impl<const N: usize> Hold<N> {
         (self.offset, self.lag) = (Some(offset), lag.saturating_add(delay));
     }
 
-    /// Moves the sample on by `velocity` times `time` \[s\], unless the result is not finite.
+    /// Extrapolates the sample by `velocity` times `time` \[s\], unless the result is not finite.
     pub(crate) fn move_on(&mut self, velocity: &StateVector<N>, time: f32) {
         let mut moved = self.sample;
         add_scaled(&mut moved, time, velocity);
@@ -196,13 +196,13 @@ impl<const N: usize> Hold<N> {
     }
 
     /// Returns the age of the sample on the clock of the agent that holds it: the steps since it
-    /// arrived, and its time on the way.
+    /// arrived, and its time in transit.
     #[must_use]
     pub fn age_here(&self, now: Tick) -> Tick {
         now.saturating_sub(self.taken_over).saturating_add(Tick::from(self.lag))
     }
 
-    /// Returns whether this sample was taken after `other`, also across the wrap of the sequence
+    /// Returns whether this sample was taken after `other`, including across the wrap of the sequence
     /// from `u32::MAX` to 0.
     #[inline]
     pub(crate) fn is_newer_than(&self, other: &Self) -> bool {

@@ -42,7 +42,7 @@ use crate::wire::frame::{Frame, FrameError};
 pub struct Inbox<const N: usize, S> {
     pending: S,
     count: usize,
-    /// Whether frames come from [`crate::agent::trust`], each newer than those before.
+    /// Whether frames come from [`crate::agent::trust`], each newer than the previous ones.
     #[cfg(feature = "authentic-frames")]
     is_trusted: bool,
 }
@@ -80,7 +80,7 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
     /// those of a neighbour that has diverged or observes another plant.
     ///
     /// # Errors
-    /// As for [`Self::accept`], and [`FrameError::Implausible`].
+    /// Same as for [`Self::accept`], and [`FrameError::Implausible`].
     pub fn accept_within(
         &mut self,
         neighbours: &[Neighbour],
@@ -97,7 +97,7 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
     /// Like [`Self::accept`], with a frame that has been decoded before, for another receiver.
     ///
     /// # Errors
-    /// As for [`Self::accept`], except those of [`Frame::decode`].
+    /// Same as for [`Self::accept`], except those of [`Frame::decode`].
     pub fn accept_decoded(
         &mut self,
         neighbours: &[Neighbour],
@@ -109,7 +109,7 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
     /// Like [`Self::accept_within`], with a frame that has been decoded before, for another receiver.
     ///
     /// # Errors
-    /// As for [`Self::accept_within`], except those of [`Frame::decode`].
+    /// Same as for [`Self::accept_within`], except those of [`Frame::decode`].
     pub fn accept_decoded_within(
         &mut self,
         neighbours: &[Neighbour],
@@ -123,8 +123,8 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
     }
 
     /// Keeps a frame that [`Trust`](crate::agent::trust::Trust) believes, if its estimate is in
-    /// `region`. From now on every frame replaces the one before from the same sender: the stamps
-    /// have decided which is newer, so sequence, tick and silence do not matter any more.
+    /// `region`. From now on every frame replaces the previous one from the same sender: the stamps
+    /// have decided which is newer, so sequence, tick and silence no longer matter.
     ///
     /// # Errors
     /// [`FrameError::UnknownSender`] or [`FrameError::Implausible`].

@@ -197,7 +197,7 @@ where
     /// Initialises the state in place as [`Self::new`] does, with the slots it already has.
     ///
     /// # Errors
-    /// As for [`Self::new`]; the state is then unchanged.
+    /// Same as for [`Self::new`]; the state is then unchanged.
     pub fn begin(
         &mut self,
         params: &AgentParams<'_, N>,
@@ -266,12 +266,12 @@ where
         self.attempt(params, network, tick, Some(measurement), inbox)
     }
 
-    /// Like [`Self::step`], but goes on without a measurement if there is none: the estimate then
+    /// Like [`Self::step`], but continues without a measurement if there is none: the estimate then
     /// follows the network and the neighbours, `e_3` counts as 0, and the outer weights stay
     /// constant.
     ///
     /// # Errors
-    /// As for [`Self::step`].
+    /// Same as for [`Self::step`].
     #[inline]
     pub fn attempt<F, I>(
         &mut self,
@@ -347,7 +347,7 @@ where
         let hold_error = difference(self.own_hold.estimate(), &self.estimate);
         let held = self.own_hold.age(tick);
         let event = params.trigger.fires(held, &hold_error, &self.consensus_term);
-        // After the field observer, neighbours must not let the last sample go on any longer.
+        // After the field observer, neighbours must not let the last sample evolve any longer.
         #[cfg(feature = "field")]
         let event = event || self.own_hold.announced().is_some();
         if !self.exchange.is_due(&params.exchange, event, tick, held) {
@@ -449,8 +449,8 @@ where
         Ok(())
     }
 
-    /// Replaces the outer weights, row by row, shape `[L, N]`, for a network with another
-    /// number of features.
+    /// Replaces the outer weights, row by row, shape `[L, N]`, for a network with a
+    /// different number of features.
     ///
     /// # Errors
     /// A number that is not finite, or a wrong length; the weights are then unchanged.

@@ -92,7 +92,7 @@ impl<'a, const N: usize> AgentParams<'a, N> {
         Self { restart_silence, ..self }
     }
 
-    /// Returns the same parameters with another trigger than the event trigger. Packages carry no other, so
+    /// Returns the same parameters with a trigger other than the event trigger. Packages carry no other, so
     /// this is for simulations.
     ///
     /// # Errors
@@ -102,7 +102,7 @@ impl<'a, const N: usize> AgentParams<'a, N> {
         Ok(Self { trigger, ..self })
     }
 
-    /// The same with neighbours and `Gamma` that lie elsewhere: copies of what was checked.
+    /// The same with neighbours and `Gamma` that are stored elsewhere: copies of what was checked.
     #[inline(always)] // A node does it in every step, and a call copies everything once more.
     pub(crate) fn relocated<'b>(
         &self,

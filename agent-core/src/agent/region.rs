@@ -76,7 +76,7 @@ impl<const N: usize> Region<N> {
     /// Copies the limits of a package.
     ///
     /// # Errors
-    /// As for [`Self::new`], or a box of another dimension.
+    /// Same as for [`Self::new`], or a box of a different dimension.
     pub fn copied(limits: &StateBox<'_>) -> Result<Self, ParameterError> {
         let copied = |parameter, limits: &[f32]| match <[f32; N]>::try_from(limits) {
             Ok(limits) => Ok(StateVector::from(limits)),
@@ -175,7 +175,7 @@ impl<const N: usize> Region<N> {
     }
 }
 
-/// Replaces an infinite limit by the largest finite number of its sign.
+/// Replaces an infinite limit with the largest finite number of its sign.
 #[inline(never)]
 fn limited(limit: f32) -> f32 {
     limit.clamp(f32::MIN, f32::MAX)

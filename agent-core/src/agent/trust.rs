@@ -69,7 +69,7 @@ pub struct Trust<const NEIGHBOURS: usize> {
 
 impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
     /// Creates the state of the agent `own` after a boot: nothing is believed yet. The epochs from
-    /// `first` up to, but without, `end` have been reserved in the store, read back, and never been
+    /// `first` up to, but excluding, `end` have been reserved in the store, read back, and never been
     /// used before; there may be none.
     #[must_use]
     pub fn new(own: AgentId, (first, end): (u32, u32), params: TrustParams) -> Self {
@@ -86,7 +86,7 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
     }
 
     /// Makes these the agent's neighbours, and sets how often hellos are sent and answered. Those that
-    /// were neighbours before stay believed. For new ones the agent goes on in another epoch, since
+    /// were neighbours before stay believed. For new ones the agent continues in another epoch, since
     /// answers to its hellos of this one may have been recorded. Returns whether there is room.
     pub fn set_neighbours(&mut self, neighbours: &[Neighbour], params: TrustParams) -> bool {
         self.params = params;
@@ -113,8 +113,8 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
         self.epochs_end.saturating_sub(self.epoch)
     }
 
-    /// Goes on with the epochs from `first` up to, but without, `end`, which have been reserved in the
-    /// store and read back; all are greater than those before.
+    /// Continues with the epochs from `first` up to, but excluding, `end`, which have been reserved in the
+    /// store and read back; all are greater than the previous ones.
     pub fn extend(&mut self, (first, end): (u32, u32)) {
         if first >= self.epochs_end {
             if self.epoch >= self.epochs_end {
@@ -207,11 +207,11 @@ impl<const NEIGHBOURS: usize> Trust<NEIGHBOURS> {
     }
 
     /// Opens the frame in `bytes` with one of `keys` and believes it or not. Returns a sample that is
-    /// newer than all before from its sender, or `None` for what is nothing to the observer: a hello,
+    /// newer than all earlier ones from its sender, or `None` for what is nothing to the observer: a hello,
     /// or a sync without news.
     ///
     /// # Errors
-    /// As for [`authentic::open`] and [`Frame::decode`]; [`FrameError::UnknownSender`],
+    /// Same as for [`authentic::open`] and [`Frame::decode`]; [`FrameError::UnknownSender`],
     /// [`FrameError::NotBelieved`] or [`FrameError::Replayed`].
     pub fn open<const N: usize>(
         &mut self,

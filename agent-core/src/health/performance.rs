@@ -164,8 +164,8 @@ impl<const N: usize> Performance<N> {
         block
     }
 
-    /// Returns the means, or `None` until enough blocks without a fault have been recorded: a quarter
-    /// of what the record looks back.
+    /// Returns the means, or `None` until enough blocks without a fault have been recorded: a quarter of
+    /// the time over which the record looks back.
     #[must_use]
     pub fn reference(&self) -> Option<Means> {
         (self.blocks >= self.memory / 4).then_some(self.means)

@@ -23,11 +23,11 @@
 //!
 //! Without a bound of the innovation, and without a record of what was in use before, nothing tells
 //! a bad package from a good one: then only the operator can confirm it, before the deadline. The same
-//! holds for a package with another output matrix than the one before: it changes what the innovation
+//! holds for a package with a different output matrix from the one before: it changes what the innovation
 //! is, and a wrong one can make all agents agree on a wrong state.
 //!
 //! # What happens at the deadline
-//! The package goes, also if nothing was in use before: an agent without a package does no harm to
+//! The package goes, even if nothing was in use before: an agent without a package does no harm to
 //! its neighbours, and one with a bad package may. Its reason is kept.
 //!
 //! Cost: about 40 operations per block. Memory: 160 bytes. Invariant: every comparison is written so
@@ -90,7 +90,7 @@ pub enum RevertReason {
     SkippedTicks,
     /// The innovation is too large.
     Innovation,
-    /// The estimate is too far from those of the neighbours, or none of them is heard any more.
+    /// The estimate is too far from those of the neighbours, or none of them is heard any longer.
     Disagreement,
     /// More broadcasts per second than the limit.
     Broadcasts,
@@ -98,10 +98,10 @@ pub enum RevertReason {
     Faults,
     /// Too few measurements before the deadline.
     Measurements,
-    /// Nothing to compare with, or another output matrix than before, and no confirmation by the
+    /// Nothing to compare with, or a different output matrix from before, and no confirmation by the
     /// operator before the deadline.
     NotConfirmed,
-    /// No agent can be made of the package.
+    /// No agent can be built from the package.
     Unusable,
     /// The feedback has to correct too much of what the network predicts.
     Effort,
@@ -161,9 +161,9 @@ impl RevertReason {
 /// How a trial stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Verdict {
-    /// It goes on.
+    /// It continues.
     Running,
-    /// It goes on, and only the operator can confirm the package.
+    /// It continues, and only the operator can confirm the package.
     AwaitsOperator,
     /// The package has passed.
     Passed,
@@ -230,8 +230,8 @@ impl Trial {
         }
     }
 
-    /// Leaves the trial to the operator, for a package that what was in use before does not compare
-    /// with. Limits of the whole trial still apply.
+    /// Leaves the trial to the operator, for a package that cannot be compared with what was in use
+    /// before. Limits of the whole trial still apply.
     #[must_use]
     pub fn left_to_operator(self) -> Self {
         Self { verdict: Verdict::AwaitsOperator, ..self }
@@ -303,7 +303,7 @@ impl Trial {
         matches!(self.verdict, Verdict::Passed | Verdict::Failed(_))
     }
 
-    /// Ends the trial, because no agent can be made of the package.
+    /// Ends the trial, because no agent can be built from the package.
     pub fn unusable(&mut self) -> Verdict {
         self.fail(RevertReason::Unusable)
     }

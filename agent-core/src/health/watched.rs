@@ -77,7 +77,7 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
     /// Keeps a received frame for the next step if its estimate is plausible.
     ///
     /// # Errors
-    /// As for [`Inbox::accept_within`]; the refusal is counted.
+    /// Same as for [`Inbox::accept_within`]; the refusal is counted.
     #[inline]
     pub fn receive(&mut self, bytes: &[u8]) -> Result<(), FrameError> {
         let region = self.health_params.plausible_region();
@@ -89,7 +89,7 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
     /// Like [`Self::receive`], with a frame that has been decoded before, for another receiver.
     ///
     /// # Errors
-    /// As for [`Inbox::accept_decoded_within`]; the refusal is counted.
+    /// Same as for [`Inbox::accept_decoded_within`]; the refusal is counted.
     #[inline]
     pub fn receive_decoded(&mut self, frame: &Frame<N>) -> Result<(), FrameError> {
         let region = self.health_params.plausible_region();
@@ -102,7 +102,7 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
     /// estimate is plausible.
     ///
     /// # Errors
-    /// As for [`Inbox::accept_believed`]; the refusal is counted.
+    /// Same as for [`Inbox::accept_believed`]; the refusal is counted.
     #[cfg(feature = "authentic-frames")]
     #[inline]
     pub fn receive_believed(&mut self, frame: &Frame<N>) -> Result<(), FrameError> {
@@ -128,7 +128,7 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
         self.step_observed(network, outer_weights, tick, measurement, |_, _| ())
     }
 
-    /// Like [`Self::step`], but goes on without a measurement if there is none:
+    /// Like [`Self::step`], but continues without a measurement if there is none:
     /// [`AgentState::attempt`].
     #[inline]
     pub fn attempt<F: Features>(

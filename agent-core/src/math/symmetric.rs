@@ -57,7 +57,7 @@ impl MatrixForm {
     }
 }
 
-/// A symmetric matrix, shape `[size, size]`; which size, its user knows.
+/// A symmetric matrix, shape `[size, size]`; its user knows which size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SymmetricMatrix<'a> {
     /// A multiple of the identity.

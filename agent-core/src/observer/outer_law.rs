@@ -117,7 +117,7 @@ impl<const N: usize, const FEATURES: usize> OuterWeights<N, FEATURES> {
     /// Replaces the weights in place, as [`Self::new`] creates them.
     ///
     /// # Errors
-    /// As for [`Self::new`]; the weights are then unchanged.
+    /// Same as for [`Self::new`]; the weights are then unchanged.
     pub(crate) fn replace(
         &mut self,
         entries: &[f32],

@@ -21,7 +21,7 @@ use crate::package::signature::{PublicKey, verify};
 pub struct Requirements<'k> {
     /// If there are any, only packages signed with the private key of one of them are accepted.
     pub public_keys: &'k [PublicKey],
-    /// The node's agent, if a package has told it.
+    /// The node's agent, if a package has named it.
     pub agent: Option<AgentId>,
     /// Epoch and version of the newest package that was ever activated, if any: also of one whose
     /// trial failed. Only newer packages are accepted.
@@ -107,7 +107,7 @@ pub enum Refusal {
     Unsigned,
     /// The signature was made with another key or for another package.
     Signature,
-    /// The package is for a state of another dimension.
+    /// The package is for a state of a different dimension.
     Dimension {
         /// Dimension of the node.
         expected: usize,
@@ -180,10 +180,13 @@ impl core::fmt::Display for Refusal {
             }
             Self::Signature => write!(f, "the signature does not match the package and the key"),
             Self::Dimension { expected, found } => {
-                write!(f, "the package is for {found} state components, the node has {expected}")
+                write!(
+                    f,
+                    "the package is for {found} state components, but the node has {expected}"
+                )
             }
             Self::Capacity { what, capacity, found } => {
-                write!(f, "the package has {found} {what}, the node has room for {capacity}")
+                write!(f, "the package has {found} {what}, but the node has room for {capacity}")
             }
             Self::Parameter(error) => write!(f, "{error}"),
             Self::NeighbourOrder { id } => {
@@ -193,7 +196,7 @@ impl core::fmt::Display for Refusal {
                 write!(f, "the box of trained inputs is empty in component {component}")
             }
             Self::Agent { expected, found } => {
-                write!(f, "the package is for agent {found}, this node is agent {expected}")
+                write!(f, "the package is for agent {found}, but this node is agent {expected}")
             }
             Self::Older { highest, found } if highest.epoch == 0 && found.epoch == 0 => write!(
                 f,
@@ -208,7 +211,7 @@ impl core::fmt::Display for Refusal {
             }
             Self::Step { range, found } => write!(
                 f,
-                "the package's step is {found:e} s, the board's range is {:e} to {:e} s",
+                "the package's step is {found:e} s, but the board's range is {:e} to {:e} s",
                 range.min, range.max
             ),
             Self::NoTestVectors => write!(f, "the package has no test vectors"),
@@ -268,8 +271,8 @@ pub fn accept<'a, const N: usize>(
 /// the rest: its header's checksum, its signature if the node has a public key, dimension, sizes,
 /// step, agent, epoch and version. Needs [`CHECKED_FIRST`](super::CHECKED_FIRST) bytes.
 ///
-/// [`accept`] repeats all of this on the complete package. Of a package of format 1 nothing can be
-/// told this early; for one, this is `None`.
+/// [`accept`] repeats all of this on the complete package. A package of format 1 reveals nothing
+/// this early; for one, this is `None`.
 ///
 /// # Errors
 /// The first check that fails; see [`Refusal`].

@@ -177,7 +177,7 @@ fn patch(bad: &mut Bad, index: usize, word: usize, bytes: &[u8]) {
 
 fn results(bad: &mut Bad) {
     bad.package("no test vectors", |package| package.test_vectors = &[]);
-    // A network that computes something else than was tested, by the last bit of one number.
+    // A network that computes something other than what was tested, by the last bit of one number.
     for index in 0..9 {
         bad.package(&format!("inner parameter {index}"), |_| {});
         let bits = Content::new().inner[index].to_bits() ^ 1 << 20;

@@ -45,10 +45,10 @@ impl<'a> Package<'a> {
         }
     }
 
-    /// As [`Self::from_envelope`], but the origin is not decoded: it is [`Provenance::NONE`].
+    /// Like [`Self::from_envelope`], but the origin is not decoded: it is [`Provenance::NONE`].
     ///
     /// # Errors
-    /// As [`Self::from_envelope`], except for an invalid origin.
+    /// Same as [`Self::from_envelope`], except for an invalid origin.
     // Separate from its callers, so that the stack used only for decoding is free again afterwards.
     #[inline(never)]
     pub fn without_origin(envelope: &Envelope<'a>) -> Result<Self, PackageError> {

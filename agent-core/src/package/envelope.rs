@@ -59,7 +59,7 @@ impl<'a> Envelope<'a> {
     /// it has shown; its own checksums are not computed again.
     ///
     /// # Errors
-    /// As [`Self::open`], except for checksums.
+    /// Same as [`Self::open`], except for checksums.
     pub fn open_unchanged(bytes: &'a [u8]) -> Result<Self, PackageError> {
         Self::split(bytes, false)
     }

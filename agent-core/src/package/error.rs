@@ -16,7 +16,7 @@ pub enum PackageError {
     },
     /// The bytes do not start with [`MAGIC`](super::MAGIC).
     Magic,
-    /// The package has another format version.
+    /// The package has a different format version.
     FormatVersion {
         /// The format version found.
         found: u8,
@@ -55,7 +55,7 @@ pub enum PackageError {
     TrainingErrorNotFinite,
     /// The network is invalid.
     Network(NetworkError),
-    /// The network has other inputs than the state's components, which this crate cannot use.
+    /// The network has inputs other than the state's components, which this crate cannot use.
     Inputs {
         /// Inputs of the network.
         inputs: usize,

@@ -1,4 +1,4 @@
-//! The header of format 2: 128 bytes that say what a package is, and that are what gets signed.
+//! The header of format 2: 128 bytes that say what a package is, and that are signed.
 //!
 //! | bytes | contents |
 //! | --- | --- |
@@ -16,7 +16,7 @@
 //!
 //! All other bytes are zero. A little-endian CRC-32 after the bytes that it covers would leave the
 //! CRC-32 of the whole package the same for every header, and nodes tell packages apart by that. The signature block follows, zero if the package is not signed, so that
-//! the first [`CHECKED_FIRST`] bytes of a transfer tell a node in RAM whether the package is for it,
+//! the first [`CHECKED_FIRST`] bytes of a transfer, still in RAM, tell a node whether the package is for it,
 //! new, and from its operator, before it erases anything. Cost: two short checksums, and the
 //! verification of a signature over 128 bytes.
 
@@ -218,7 +218,7 @@ pub fn digest(sections: &[u8]) -> [u8; DIGEST_LENGTH] {
 }
 
 /// Gives an unsigned or signed package of format 2 another epoch and version, in place, and removes
-/// its signature, which was for the old ones. Its sections stay as they are, also unknown ones.
+/// its signature, which was for the old ones. Its sections stay as they are, including unknown ones.
 ///
 /// # Errors
 /// If `bytes` do not start with the header of a package of format 2.

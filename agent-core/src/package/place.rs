@@ -113,7 +113,7 @@ impl<const N: usize, const NEIGHBOURS: usize> ParamsPlace<N, NEIGHBOURS> {
     /// Creates the parameters of an agent that is built into the firmware.
     ///
     /// # Errors
-    /// As for [`Self::new`].
+    /// Same as for [`Self::new`].
     pub fn built_in(config: &AgentConfig<'static>) -> Result<Self, ParameterError> {
         Self::with_gain(config, GainPlace::Elsewhere(config.outer_law.gain))
     }

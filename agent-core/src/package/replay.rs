@@ -39,14 +39,14 @@ impl Requirements<'_> {
     /// Returns what [`Self::highest`] becomes when an accepted `package` is activated. A node has to
     /// store it no later than the activation itself.
     ///
-    /// A permission to replace newer versions is used up by the first activation, also if that did
+    /// A permission to replace newer versions is used up by the first activation, even if that did
     /// not need it. Otherwise the same bytes could come back once a later version is in use.
     #[must_use]
     pub fn serial_after_activation(&self, package: &Package<'_>) -> Serial {
         self.serial_after(package.serial(), package.replaces)
     }
 
-    /// As [`Self::serial_after_activation`], for a package of which only these are known.
+    /// Like [`Self::serial_after_activation`], for a package of which only these are known.
     #[must_use]
     pub fn serial_after(&self, serial: Serial, replaces: Option<u32>) -> Serial {
         let used_up = self.permission(serial, replaces).map(Serial::after_exception);

@@ -14,7 +14,7 @@ where
 {
     /// Prepares the next step for `package`, whose parameters are `new`, after steps with the
     /// neighbours `old`. The estimate is kept. The adapted outer weights are kept too, unless the
-    /// package replaces them or has another number of features. Samples and pending frames are
+    /// package replaces them or has a different number of features. Samples and pending frames are
     /// dropped from slots whose neighbour changes.
     ///
     /// # Errors

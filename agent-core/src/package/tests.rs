@@ -472,7 +472,7 @@ fn an_agent_switches_to_another_package() {
     assert_eq!(state.outer_weights().rows()[2].as_slice(), &content.outer_weights[4..]);
     state.step(&new, Some(&other.network), 1, &[0.4], &mut inbox).unwrap();
 
-    // The slots do not match another number of neighbours.
+    // The slots do not match a different number of neighbours.
     let one = Content { neighbours: [3, 265], ..content.clone() };
     let mut one = one.package();
     one.node.neighbours = NeighbourIds::new(&[3]);

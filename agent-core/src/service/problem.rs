@@ -229,21 +229,21 @@ impl core::fmt::Display for RefusalReport {
             Kind::Unsigned => write!(f, "it is not signed, but this node requires a signature"),
             Kind::Signature => write!(f, "its signature does not match the node's key"),
             Kind::Dimension => {
-                write!(f, "it is for {found} state components, the node has {expected}")
+                write!(f, "it is for {found} state components, but the node has {expected}")
             }
             Kind::Capacity => {
-                write!(f, "it needs {found} entries, the node has room for {expected}")
+                write!(f, "it needs {found} entries, but the node has room for {expected}")
             }
             Kind::Parameter => {
                 write!(f, "a parameter is out of range (run `weights verify` to see which)")
             }
             Kind::NeighbourOrder => write!(f, "neighbour {found} is out of order"),
             Kind::EmptyBox => write!(f, "the trained box is empty in component {found}"),
-            Kind::Agent => write!(f, "it is for agent {found}, this node is agent {expected}"),
+            Kind::Agent => write!(f, "it is for agent {found}, but this node is agent {expected}"),
             Kind::Older => {
                 write!(f, "it has version {found}, but version {expected} has been in use")
             }
-            Kind::Epoch => write!(f, "it is of epoch {found}, the node is in epoch {expected}"),
+            Kind::Epoch => write!(f, "it is of epoch {found}, but the node is in epoch {expected}"),
             Kind::Repeated => {
                 write!(f, "version {found} of epoch {expected} has been in use already")
             }

@@ -64,7 +64,7 @@ pub enum Request<'a> {
     },
     /// Report how the package in use performs, its trial, and what the board knows of its resets.
     Report,
-    /// Give up the entries of the journal that cannot be read, so that updates go on.
+    /// Discard the journal entries that cannot be read, so that updates can continue.
     ForgetUnreadable,
     /// The head of a numbered request: the request itself follows, and so does each part of its
     /// answer a [`Response::Answer`](super::Response::Answer) with this number.
@@ -82,7 +82,7 @@ pub enum Request<'a> {
         /// A [`Provision`], encoded.
         bytes: &'a [u8],
     },
-    /// Use these network keys in place of those before, the one for sending first. Only sealed.
+    /// Use these network keys in place of the previous ones, the one for sending first. Only sealed.
     NetworkKeys {
         /// One or two keys: for each, its number and its 16 bytes.
         bytes: &'a [u8],
@@ -136,7 +136,7 @@ impl Provision {
     pub const LENGTH: usize = 4 + SECRET_LENGTH + 4;
 
     /// Returns its encoding: agent, port key, epoch, little-endian. The request has these bytes, and
-    /// behind them nothing or the operator's signature of [`Self::signed_bytes`].
+    /// after them nothing or the operator's signature of [`Self::signed_bytes`].
     #[must_use]
     pub fn to_bytes(&self) -> [u8; Self::LENGTH] {
         let parts =
@@ -156,7 +156,7 @@ impl Provision {
         bytes
     }
 
-    /// Decodes the bytes of a request; returns also what is behind.
+    /// Decodes the bytes of a request; also returns what follows.
     #[must_use]
     pub fn split(bytes: &[u8]) -> Option<(Self, &[u8])> {
         let (agent, rest) = bytes.split_first_chunk()?;

@@ -132,7 +132,7 @@ pub enum Event {
         /// Version of the package.
         version: u32,
     },
-    /// Something on the board does not work, and the node goes on without it. Told after every greeting
+    /// Something on the board does not work, and the node carries on without it. Sent after every greeting
     /// and before every status.
     BoardFault(BoardFault),
     /// The trial of a package has failed, and what was in use before is in use again from the next

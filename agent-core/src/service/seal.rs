@@ -19,7 +19,7 @@
 //! | nonce | epoch, then counter, `u32` each, little-endian, then the salt |
 //! | associated data | none |
 //!
-//! Before its first request, a laptop asks for the [`Session`], which tells the epoch and proves that
+//! Before its first request, a laptop asks for the [`Session`], which states the epoch and proves that
 //! the node has the port key. So a laptop never seals requests for an epoch that is still to
 //! come. Answers are not sealed.
 //!
@@ -42,7 +42,7 @@ impl PortKey {
         Self(secret)
     }
 
-    /// Returns the proof that a node with this key has told this `session`, whose own proof does not
+    /// Returns the proof that a node with this key has reported this `session`, whose own proof does not
     /// matter.
     #[must_use]
     pub fn proof(&self, session: &Session) -> u64 {

@@ -159,7 +159,7 @@ fn the_wire_format_of_requests_is_stable() {
 #[test]
 fn a_refusal_keeps_its_numbers_and_text() {
     let report = RefusalReport::from(&Refusal::Agent { expected: 1, found: 2 });
-    assert_eq!(std::format!("{report}"), "it is for agent 2, this node is agent 1");
+    assert_eq!(std::format!("{report}"), "it is for agent 2, but this node is agent 1");
 }
 
 proptest! {

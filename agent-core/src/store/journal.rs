@@ -6,9 +6,9 @@
 //!              one pair            one pair
 //! ```
 //!
-//! Each record stands twice, in the two places of a pair, and each record has a kind. Of each kind
-//! the last one counts, whatever surrounds it. The next record goes to the first pair behind all
-//! that was ever written in the active half, the one that holds the last record of every kind. If
+//! Each record is stored twice, in the two places of a pair, and each record has a kind. Of each kind
+//! the last one counts, whatever surrounds it. The next record goes to the first pair after
+//! everything ever written in the active half, the one that holds the last record of every kind. If
 //! that half is full or refuses the write, the other half is erased and takes a copy of the last
 //! record of every kind. The copy of the state is the last one and says that all are there. Until
 //! then both halves say the same. The new record follows the copies.
@@ -18,14 +18,14 @@
 //!   them exists at every instant, in two copies.
 //! - No word is written twice, because a pair counts as free only if it and all following pairs are
 //!   erased.
-//! - No number that a torn place behind the last record may contain is used again.
+//! - No number that a torn place after the last record may contain is used again.
 //!
 //! # What power cuts leave behind
 //! A word whose write was cut can read differently each time. Therefore a boot settles what it has
 //! found before anything acts on it:
 //! - A record of which there is only one copy, as after a cut between the two, is written again.
-//! - A pair behind the last record that holds something else may read as a record at a later boot.
-//!   The state is then written again behind it, and says how many pairs right before it are void.
+//! - A pair after the last record that holds something else may read as a record at a later boot.
+//!   The state is then written again after it, and says how many pairs right before it are void.
 //! - If the record that says that the copies are complete has one copy itself, the other half still
 //!   counts, and a half that has to be erased is the one with the copies as long as nothing follows
 //!   them. If a copy is missing, the half is being erased again, and that record does not count.
@@ -33,10 +33,10 @@
 //!
 //! # Unreadable places
 //! A place that the driver fails to read twice in a row may hold a record behind a fault that
-//! passes. What a call has returned `Ok` for stands in both places of a pair, so a pair with a free
+//! passes. What a call has returned `Ok` for is stored in both places of a pair, so a pair with a free
 //! place holds nothing of the kind: it is a write that was cut, which flash with error correction
 //! reports as unreadable. A pair without a record, without a free place and with an unreadable one
-//! is in doubt. Behind the last record it keeps a boot from writing anything; calls still append.
+//! is in doubt. After the last record it keeps a boot from writing anything; calls still append.
 //! A half without any record, or with incomplete copies, is the remainder of an interrupted erasure,
 //! if the other half has records: that was full when the erasure began. A boot erases it. Only if no
 //! record is found at all and a pair is in doubt does the store refuse to record anything.
@@ -132,11 +132,11 @@ struct Scan {
     newest: Option<u32>,
     /// The pair after the last one that is not free.
     end: u32,
-    /// Pairs behind the last record that hold something else.
+    /// Pairs after the last record that hold something else.
     unknown: u32,
     /// How many of them are right before the end and not in doubt.
     void: u8,
-    /// An unreadable place behind the last record that may hold a newer one.
+    /// An unreadable place after the last record that may hold a newer one.
     in_doubt: Option<u32>,
     kinds: u32,
     /// Kinds whose last record has one copy.
@@ -286,7 +286,7 @@ impl Journal {
     }
 
     /// Makes sure that every other boot finds the same: repeats what has only one copy, and the
-    /// state behind anything that may become readable. Returns `None` if there is nothing to do.
+    /// state after anything that may become readable. Returns `None` if there is nothing to do.
     #[inline(never)]
     pub(super) fn settle<F: MappedFlash>(
         &mut self,

@@ -47,7 +47,7 @@ impl<F: MappedFlash> Store<F> {
         self.note(NETWORK_KEYS).map(|note| network_keys(note.as_bytes())).unwrap_or_default()
     }
 
-    /// Records network keys in place of those before, the one in use first: for each, its number and
+    /// Records network keys in place of the previous ones, the one in use first: for each, its number and
     /// its 16 bytes.
     ///
     /// # Errors
@@ -69,7 +69,7 @@ impl<F: MappedFlash> Store<F> {
         Some((Secret::new(*key), AgentId::from_le_bytes(agent.try_into().ok()?)))
     }
 
-    /// Records port key and agent in place of those before.
+    /// Records port key and agent in place of the previous ones.
     ///
     /// # Errors
     /// A failure to write the journal.
@@ -115,7 +115,7 @@ impl<F: MappedFlash> Store<F> {
     /// see [`Self::remove_keys`].
     ///
     /// # Errors
-    /// A failure to write the journal; what has been forgotten until then stays forgotten.
+    /// A failure to write the journal; what has been forgotten by then stays forgotten.
     pub fn reset(&mut self) -> Result<(), StoreError> {
         self.upload = None;
         let packages = [None; 2];
@@ -127,7 +127,7 @@ impl<F: MappedFlash> Store<F> {
     /// They are in flash, in two copies that have been read back.
     ///
     /// # Errors
-    /// [`StoreError::Note`] if fewer are left, if the record of those before is damaged, or if the
+    /// [`StoreError::Note`] if fewer are left, if the record of the previous ones is damaged, or if the
     /// journal has no room; [`StoreError::Unreadable`] if it may hold a newer record behind a fault
     /// that passes; a failure to write it.
     pub fn reserve_epochs(&mut self, count: u32) -> Result<(u32, u32), StoreError> {
@@ -140,7 +140,7 @@ impl<F: MappedFlash> Store<F> {
     /// Skips all epochs below `first`; does nothing if they are in use already.
     ///
     /// # Errors
-    /// As for [`Self::reserve_epochs`].
+    /// Same as for [`Self::reserve_epochs`].
     pub fn skip_epochs(&mut self, first: u32) -> Result<(), StoreError> {
         if first <= self.epochs_end()? {
             return Ok(());
@@ -151,7 +151,7 @@ impl<F: MappedFlash> Store<F> {
     /// Returns the end of the epochs that have been reserved so far.
     ///
     /// # Errors
-    /// As for [`Self::reserve_epochs`].
+    /// Same as for [`Self::reserve_epochs`].
     pub fn epochs_end(&mut self) -> Result<u32, StoreError> {
         if let Some(offset) = self.journal.held_by() {
             return Err(StoreError::Unreadable { offset });

@@ -3,7 +3,7 @@
 use super::Slot;
 use crate::wire::crc::CHECKSUM_LENGTH;
 
-/// Length of a record in bytes; it stands twice.
+/// Length of a record in bytes; it is stored twice.
 pub const RECORD_LENGTH: usize = 64;
 
 /// Length of the part of a record before its content. \[byte\]

@@ -11,7 +11,7 @@ use super::StoreError;
 /// How often an action may be taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RateLimit {
-    /// In the long run: so many an hour. 0 is no limit.
+    /// In the long run: this many per hour. 0 means no limit.
     pub per_hour: u16,
     /// At most this many in a row; at least 1.
     pub burst: u8,

@@ -88,7 +88,7 @@ use serde::{Deserialize, Serialize};
 use upload::Upload;
 
 /// How many of a package's first bytes are checked before anything is erased: a header of 128 bytes
-/// and the signature block behind it.
+/// and the signature block after it.
 pub const HEADER_LENGTH: usize = crate::package::CHECKED_FIRST;
 
 /// The kind of the note that counts boots; other users choose kinds from 2 to 30.
@@ -485,7 +485,7 @@ impl<F: MappedFlash> Store<F> {
     }
 
     /// Ends a complete upload: the bytes in flash are checked and recorded, and the package stays
-    /// staged, also across a reboot. Returns the result of the check.
+    /// staged, even across a reboot. Returns the result of the check.
     ///
     /// # Errors
     /// [`StoreError::NoUpload`], [`StoreError::Incomplete`], a refusal by `check`, or a failure to
@@ -580,7 +580,7 @@ impl<F: MappedFlash> Store<F> {
         Some(Note { length, bytes: payload })
     }
 
-    /// Records a note of a kind from 2 to 30, which replaces the one before; an empty one removes
+    /// Records a note of a kind from 2 to 30, which replaces the previous one; an empty one removes
     /// it. Kinds 2 to 5 are a node's keys and epochs (feature `authentic-frames`).
     ///
     /// # Errors

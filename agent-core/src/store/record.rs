@@ -18,7 +18,7 @@
 //! | 9 | phase | one byte: 0 confirmed, 1 staged, 2 trial |
 //! | 10 | reason of the last revert | one byte |
 //! | 11 | flags | bit 0: a package was activated; bit 1: one was reverted; others 0 |
-//! | 12, 16 | package in slot A: length, checksum | two `u32`; length 0 is no package |
+//! | 12, 16 | package in slot A: length, checksum | two `u32`; length 0 means no package |
 //! | 20, 24 | package in slot B | likewise |
 //! | 28, 32 | highest serial ever activated: epoch, version | two `u32` |
 //! | 36, 40 | serial on trial | likewise |
@@ -28,7 +28,7 @@
 //! The last four bytes of the payload of a record with void 255 are the kinds of which its half holds
 //! a record, one bit each.
 //!
-//! All little-endian. Each record is complete and stands twice, so one valid copy is enough. Its
+//! All little-endian. Each record is complete and stored twice, so one valid copy is enough. Its
 //! length is a multiple of every supported word, so no two records share a word. Erased or zeroed
 //! flash is not a valid record.
 //!
@@ -60,8 +60,8 @@ pub(super) const STATE: u8 = 0;
 
 /// A note that only declares what is before it void.
 pub(super) const VOID: u8 = KINDS - 1;
-/// Instead of a count of void pairs: the copies into this half are complete, and the other half does
-/// not count any more, whatever it holds.
+/// Instead of a count of void pairs: the copies into this half are complete, and the other half
+/// no longer counts, whatever it holds.
 pub(super) const OTHER_HALF: u8 = u8::MAX;
 
 const FORMAT_1: u8 = 1;
@@ -90,7 +90,7 @@ pub(super) struct Extent {
     pub(super) checksum: u32,
 }
 
-/// Contents and purpose of both slots, and what is remembered of packages before.
+/// Contents and purpose of both slots, and what is remembered of earlier packages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Contents {
     pub(super) in_use: Option<Slot>,
@@ -133,7 +133,7 @@ impl Record {
         Some(note)
     }
 
-    /// Returns whether it says the same, wherever it stands.
+    /// Returns whether it says the same, wherever it is stored.
     pub(super) fn says_the_same(&self, other: &Self) -> bool {
         let both_are_empty = self.length == 0 && other.length == 0;
         self.kind == other.kind

@@ -1,4 +1,4 @@
-//! What the store tells: what it found, and what it remembers.
+//! What the store reports: what it found, and what it remembers.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,9 +15,9 @@ pub struct Revert {
 }
 
 impl Revert {
-    /// The reason of a trial that the operator has ended.
+    /// The reason given when the operator has ended a trial.
     pub const BY_OPERATOR: u8 = 0;
-    /// The reason of a trial that a reset has ended.
+    /// The reason given when a reset has ended a trial.
     pub const BY_RESET: u8 = 1;
 }
 

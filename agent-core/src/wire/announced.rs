@@ -1,4 +1,4 @@
-//! What a broadcast of the field observer says beside the estimate: how the sample goes on, and the
+//! What a broadcast of the field observer says besides the estimate: how the sample evolves, and the
 //! disturbances of the directions in which neighbours follow the sender.
 //!
 //! In a frame of kind 1 these words follow each other: a head, the estimate, the rates (with a rate
@@ -35,7 +35,7 @@ impl Disturbance {
     }
 }
 
-/// How a sample goes on until the next one.
+/// How a sample evolves until the next one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum HoldKind {
     /// It is held constant, as in the paper.
@@ -52,12 +52,12 @@ impl HoldKind {
     pub const ALL: [Self; 3] = [Self::ZeroOrder, Self::Rate, Self::Model];
 }
 
-/// The part of a field frame beside the estimate.
+/// The part of a field frame besides the estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Announced<const N: usize> {
     /// Digest of what the sender predicts with; 0 without a network.
     pub digest: u16,
-    /// How the sample goes on.
+    /// How the sample evolves.
     pub hold: HoldKind,
     /// Whether disturbances have a harmonic part.
     pub has_harmonics: bool,
@@ -188,7 +188,7 @@ impl<const N: usize> Announced<N> {
         Self { is_half: self.is_half && words > WORDS_MAX, ..*self }
     }
 
-    /// Decodes the words of a frame into estimate and announcement; `None` for others, or if a number
+    /// Decodes the words of a frame into estimate and announcement; `None` if they are anything else, or if a number
     /// is not finite.
     #[must_use]
     pub fn from_words(words: &[[u8; 4]]) -> Option<(StateVector<N>, Self)> {

@@ -2,7 +2,7 @@
 //! (<https://postcard.jamesmunns.com/wire-format>), restricted to one byte string per value.
 //!
 //! postcard also accepts integers with superfluous continuation bytes. Such an encoding is longer than
-//! that which postcard writes, and no other choice is left to a writer, so comparing lengths is enough:
+//! the one postcard writes, and no other choice is left to a writer, so comparing lengths is enough:
 //! each value has exactly one encoding on processors of any word length, and no ignored byte can differ
 //! between two copies.
 //!

@@ -66,7 +66,7 @@ pub struct Frame<const N: usize> {
     pub tick: Tick,
     /// `x_hat_i(t_k)`, shape `[N]`.
     pub estimate: StateVector<N>,
-    /// How the sample goes on, from an agent with the field observer.
+    /// How the sample evolves, from an agent with the field observer.
     #[cfg(feature = "field")]
     pub announced: Option<Announced<N>>,
 }
@@ -84,7 +84,7 @@ pub enum FrameError {
     Checksum,
     /// The checksum matches, but the bytes are not a frame of this version.
     Malformed,
-    /// The frame has another version.
+    /// The frame has a different version.
     Version {
         /// Version of the frame.
         found: u8,
@@ -96,7 +96,7 @@ pub enum FrameError {
         /// The sender it claims to come from.
         sender: AgentId,
     },
-    /// The frame is authentic, but not newer than all before: it was recorded, repeated or
+    /// The frame is authentic, but not newer than all earlier ones: it was recorded, repeated or
     /// overtaken.
     #[cfg(feature = "authentic-frames")]
     Replayed {
@@ -110,7 +110,7 @@ pub enum FrameError {
         /// The sender.
         sender: AgentId,
     },
-    /// The estimate has another dimension than the receiver's.
+    /// The estimate has a different dimension from the receiver's.
     Dimension {
         /// Dimension that the receiver expects.
         expected: usize,
@@ -216,7 +216,7 @@ impl<const N: usize> Frame<N> {
     /// Returns the frame with this content.
     ///
     /// # Errors
-    /// As for [`Self::decode`], of the content.
+    /// Same as for [`Self::decode`], of the content.
     pub(crate) fn of_content(
         (sender, sequence, tick): (AgentId, u32, Tick),
         payload: Payload,
@@ -314,7 +314,7 @@ struct Head {
 pub enum Payload {
     /// The estimate, as in the paper.
     Estimate,
-    /// A head, the estimate, and how it goes on: [`crate::wire::announced`].
+    /// A head, the estimate, and how it evolves: [`crate::wire::announced`].
     #[cfg(feature = "field")]
     Field,
 }

@@ -1,6 +1,6 @@
 //! Sequence numbers that wrap: of broadcasts, and of records in flash.
 
-/// Returns whether `sequence` is after `other`, also across the wrap from `u32::MAX` to 0.
+/// Returns whether `sequence` is after `other`, including across the wrap from `u32::MAX` to 0.
 pub(crate) fn is_newer(sequence: u32, other: u32) -> bool {
     let ahead = sequence.wrapping_sub(other);
     ahead != 0 && ahead < 1 << 31

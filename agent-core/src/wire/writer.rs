@@ -3,7 +3,7 @@
 //!
 //! postcard's serialiser is compiled once for each type and destination, and slices the varints that
 //! it writes. This one is compiled once for each type: where the bytes go is decided at run time.
-//! The types that node and host exchange need no characters, maps and 128-bit integers, so those are
+//! The types that node and host exchange need no characters, maps or 128-bit integers, so those are
 //! refused.
 //!
 //! Cost: one indirect call per field. Invariant: what is written is what postcard would write, which

@@ -175,7 +175,7 @@ impl<
         Verified::of(&package, &self.requirements()).in_slot(slot, &self.store)
     }
 
-    /// Restarts from another estimate and informs the neighbours.
+    /// Restarts from a different estimate and informs the neighbours.
     fn start<B: Board>(&mut self, board: &mut B, estimate: &[f32]) -> Answer<'static> {
         if self.memory.session.is_empty() {
             return Err(Problem::NoPackage);

@@ -139,7 +139,7 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
         self.port.as_ref().map(|&(_, agent)| agent)
     }
 
-    /// The public keys of which packages need one; empty if they need not be signed.
+    /// The public keys, one of which must match a package's signature; empty if none is needed.
     pub(super) fn operators<'s>(&'s self, settings: &'s Settings) -> &'s [PublicKey] {
         match (&settings.public_key, self.operators.as_slice()) {
             (None, _) => &[],
@@ -329,7 +329,7 @@ impl<const NEIGHBOURS: usize> Guard<NEIGHBOURS> {
         Ok(())
     }
 
-    /// Records the operator's public keys, unless the package in use is not signed for any of them: the
+    /// Records the operator's public keys, unless the package in use is not signed with any of them: the
     /// next boot would refuse it.
     pub(super) fn replace_operators<F: MappedFlash>(
         &mut self,

@@ -37,7 +37,7 @@ impl Limits {
     }
 }
 
-/// Pays for an action, if the node has the time to wait for.
+/// Pays for an action, if time passes for the node.
 pub(super) fn take(limiter: &mut Limiter, has_time: bool) -> Result<(), StoreError> {
     if has_time { limiter.take() } else { Ok(()) }
 }

@@ -19,7 +19,7 @@ pub struct Settings {
     pub step_range: StepRange,
     /// Settings of the health monitoring.
     pub health: HealthSettings,
-    /// How often uploads, complete packages and activations are accepted, each for itself.
+    /// How often uploads, complete packages and activations are accepted, each counted separately.
     pub update_limit: RateLimit,
     /// Limits of every package on trial, besides those that it carries itself.
     /// [`RECOMMENDED_TRIAL`] is a start.
@@ -58,7 +58,7 @@ pub struct Start {
     pub epochs: Epochs,
 }
 
-/// Epochs that have been reserved in the journal: from `next` up to, but without, `end`.
+/// Epochs that have been reserved in the journal: from `next` up to, but excluding, `end`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Epochs {
     /// The next one.

@@ -82,7 +82,7 @@ impl<
         let outputs = board.measure(&mut measurement);
         let taken =
             outputs.and_then(|outputs| measurement.get(..outputs).ok_or(SensorErrorKind::Other));
-        // Without a usable measurement the node goes on observing from its neighbours.
+        // Without a usable measurement the node keeps observing from its neighbours.
         let (measurement, unmeasured) = match taken {
             Ok(measurement) if measurement.iter().all(|value| value.is_finite()) => {
                 (Some(measurement), None)
@@ -127,7 +127,7 @@ impl<
         (outcome, sample)
     }
 
-    /// Sends what is to be told of this turn.
+    /// Sends what is to be reported about this turn.
     fn tell<B: Board>(
         &mut self,
         board: &mut B,

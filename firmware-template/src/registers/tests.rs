@@ -75,7 +75,7 @@ fn settings_that_cannot_be_right_are_named() {
     bus.done();
 }
 
-/// What a register with these bytes is read as; the mock checks that so many are asked for.
+/// What a register with these bytes is read as; the mock checks that this many are asked for.
 fn raw(format: Format, bytes: &[u8]) -> f32 {
     let mut bus = Mock::new(&[Transaction::write_read(ADDRESS, vec![7], bytes.to_vec())]);
     let channels = [Channel { register: 7, format, ..RAW }];

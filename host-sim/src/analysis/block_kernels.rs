@@ -40,7 +40,7 @@ pub(super) fn factor_block(a: &mut [f64], n: usize) -> bool {
     true
 }
 
-/// Replaces `X` by `X L^-T`.
+/// Replaces `X` with `X L^-T`.
 pub(super) fn divide_block(x: &mut [f64], l: &[f64], n: usize) {
     for row in x.chunks_exact_mut(n) {
         for j in 0..n {

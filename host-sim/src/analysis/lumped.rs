@@ -1,4 +1,4 @@
-//! `chi_bar_max`, the size of the lumped uncertainty along a run, which `rho` must reach.
+//! `chi_bar_max`, the size of the lumped uncertainty along a run, which `rho` must not be below.
 //!
 //! With the samples of [`LumpedSamples`],
 //!

@@ -20,7 +20,7 @@
 //! ([`crate::analysis::LumpedUncertainty`] searches for it). Without a network, or while
 //! an agent leaves its network out, `chi_bar_i = -f(x_0) - d`.
 //!
-//! Kept are `sigma_i` and `g_i` of some steps: all of the first ones, where the estimates still
+//! `sigma_i` and `g_i` are kept for some steps: all of the first ones, where the estimates still
 //! move fast, and from there on evenly spaced ones, [`POINTS`] at most and fewer in large networks.
 
 use super::gram;

@@ -125,7 +125,7 @@ pub struct UltimateBound {
 
 impl UltimateBound {
     /// Computes the bound for this scenario; `None` where the theorem does not apply: if `alpha <= 0`,
-    /// or with another trigger than the event trigger.
+    /// or with a trigger other than the event trigger.
     #[must_use]
     pub fn new(scenario: &Scenario) -> Option<Self> {
         let Design { k2, kappa, delta, epsilon, .. } = scenario.design;

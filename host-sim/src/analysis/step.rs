@@ -42,7 +42,7 @@ pub struct StepCheck {
     pub step_size: f64,
     /// `lambda_max(G)`, the fastest rate of the observer's error dynamics. \[1/s\]
     pub eigenvalue_max: f64,
-    /// The limit from which errors grow; `None` if they grow with any step. \[s\]
+    /// The limit above which errors grow; `None` if they grow with any step. \[s\]
     pub largest_stable_step: Option<f64>,
 }
 

@@ -7,8 +7,8 @@
 //! | `known-f` | `f(t, x)` | the identity, constant |
 //! | `regression` | cubic monomials of the scaled state | fitted by least squares; adapt |
 //!
-//! Packages of the baselines carry a placeholder network with the right number of features, so all
-//! else about an agent is as with the observer.
+//! Packages of the baselines carry a placeholder network with the right number of features, so everything
+//! else about an agent is the same as with the observer.
 
 mod polynomial;
 
@@ -123,7 +123,7 @@ impl<'s> KnownModel<'s> {
     }
 }
 
-/// Returns what an agent with this package combines, if the scenario's method has something else than
+/// Returns what an agent with this package combines, if the scenario's method has something other than
 /// the package's network.
 #[must_use]
 pub fn substitute<'s>(scenario: &'s Scenario, package: &Package<'_>) -> Option<Basis<'s>> {

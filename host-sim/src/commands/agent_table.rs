@@ -66,7 +66,7 @@ fn errors<'n>(baselines: &Baselines, name: &'n str) -> Vec<Errors<'n>> {
     compared.map(|(_, errors)| *errors).chain([(name, rmse as fn(&AgentReport) -> _)]).collect()
 }
 
-/// Returns the table of so many agents at most; `name` is the column heading of the run itself.
+/// Returns the table of at most this many agents; `name` is the column heading of the run itself.
 pub(super) fn table(
     agents: &[AgentReport],
     baselines: &Baselines,

@@ -21,9 +21,9 @@ use crate::report::tables::change_percent;
 use crate::scenario::{Method, Record, Scenario};
 use crate::warning::{Warning, WarningCode};
 
-/// What to run beside the run itself.
+/// What to run besides the run itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Choice {
+pub enum Choice {
     /// All methods.
     All,
     /// Only the run itself.
@@ -69,7 +69,7 @@ impl ValueEnum for Choice {
     }
 }
 
-/// Returns the methods beside the baselines that are asked for and that the scenario allows, in the order
+/// Returns the methods besides the baselines that are asked for and that the scenario allows, in the order
 /// of the table.
 ///
 /// # Errors
@@ -193,7 +193,7 @@ pub(super) struct Baselines {
     outcomes: [Outcome; 2],
 }
 
-/// Which baselines to run beside a scenario (after `--without-learning` and `--weights`), and
+/// Which baselines to run alongside a scenario (after `--without-learning` and `--weights`), and
 /// whether the run is itself one of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Plan {

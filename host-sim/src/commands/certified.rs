@@ -5,10 +5,10 @@
 //! | the paper's graph, one gain or separate ones | smallest eigenvalue of the left side of `BMI` | Theorem 1's, with the smallest `delta` that this eigenvalue allows |
 //! | trees | [`Certificate`] | [`UltimateBound`](crate::flow::UltimateBound) |
 //!
-//! `rho` is that of the plant's course: the largest disturbance, stacked over all agents. Along trees, where
+//! `rho` is that of the plant's trajectory: the largest disturbance, stacked over all agents. Along trees, where
 //! the outer weights do not adapt, it is the largest rate that the network in use does not explain, plus
 //! the limit of the disturbance estimate. Nothing is certified where the scenario departs from what
-//! the theorems allow for, beside the observer itself.
+//! the theorems allow for, apart from the observer itself.
 
 use agent_core::observer::field::{Coupling, FieldParams, FieldWords};
 use agent_core::observer::network::Scratch;
@@ -29,7 +29,7 @@ const AGENTS_MAX: usize = 128;
 /// Relays announce at up to this share of the radius in the certificate.
 const RELAY_SHARE_MAX: f64 = 0.9;
 
-/// Samples of the course between those at which the network is compared with the plant.
+/// Samples of the trajectory between those at which the network is compared with the plant.
 const STRIDE: usize = 10;
 
 /// Returns the certified bound on `|e_1|`, all agents stacked, after a long time; `None` without a
@@ -145,7 +145,7 @@ fn in_use(scenario: &Scenario, run: &RunResult) -> Option<PackageBytes> {
     trained::initial(scenario, &trigger, network, &inner, 0, 0).ok()
 }
 
-/// Returns the largest `|T d|` along the plant's course.
+/// Returns the largest `|T d|` along the plant's trajectory.
 fn largest_disturbance(scenario: &Scenario, transform: Option<&DMatrix<f64>>) -> Option<f64> {
     largest_rate(scenario, transform, |time, state, rate| {
         scenario.disturbance.evaluate(time, state, rate);
@@ -153,7 +153,7 @@ fn largest_disturbance(scenario: &Scenario, transform: Option<&DMatrix<f64>>) ->
     })
 }
 
-/// Returns the largest `|T (f + d - f_hat)|` along the plant's course, with `f_hat` zero without a
+/// Returns the largest `|T (f + d - f_hat)|` along the plant's trajectory, with `f_hat` zero without a
 /// network.
 fn largest_residual<const N: usize>(
     scenario: &Scenario,
@@ -176,7 +176,7 @@ fn largest_residual<const N: usize>(
     })
 }
 
-/// Returns the largest norm of `T` times a rate along the plant's course, from the observer's start on.
+/// Returns the largest norm of `T` times a rate along the plant's trajectory, from the observer's start on.
 fn largest_rate(
     scenario: &Scenario,
     transform: Option<&DMatrix<f64>>,

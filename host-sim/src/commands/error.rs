@@ -9,16 +9,18 @@ use std::process::ExitCode;
 use agent_core::package::Refusal;
 use serde::Serialize;
 
-pub(super) use crate::error::{ErrorCode, ErrorReport, Reported};
+pub(super) use crate::error::{ErrorReport, Reported};
+pub use crate::error::ErrorCode;
 
 use crate::packages::refusal;
 use crate::terminal;
 
 /// Why a command failed.
 #[derive(Debug)]
-pub(super) enum CommandError {
+pub enum CommandError {
     /// An error with a code, which decides about the exit code.
     Failed {
+        /// Code, text, file and line.
         report: Box<ErrorReport>,
         /// Whether an already printed result contains this error.
         is_printed: bool,
@@ -91,7 +93,7 @@ impl CommandError {
         }
     }
 
-    /// Replaces the folder `from` by `to` in text and file.
+    /// Replaces the folder `from` with `to` in text and file.
     pub(super) fn renamed(self, from: &Path, to: &Path) -> Self {
         // With a trailing separator, except for an empty path.
         let shown = |folder: &Path| folder.join("").display().to_string();
@@ -101,7 +103,8 @@ impl CommandError {
     }
 
     /// Returns the error's code.
-    pub(super) fn code(&self) -> ErrorCode {
+    #[must_use]
+    pub fn code(&self) -> ErrorCode {
         match self {
             Self::Failed { report, .. } => report.code(),
             Self::Output(_) => ErrorCode::StandardOutput,
@@ -109,7 +112,8 @@ impl CommandError {
     }
 
     /// Returns the error in its JSON form.
-    pub(super) fn report(&self) -> ErrorReport {
+    #[must_use]
+    pub fn report(&self) -> ErrorReport {
         match self {
             Self::Failed { report, .. } => (**report).clone(),
             Self::Output(_) => ErrorReport::new(self.code(), self.to_string()),

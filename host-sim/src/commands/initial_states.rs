@@ -6,9 +6,9 @@ use crate::scenario::{Scenario, drawn_state};
 
 use super::CommandError;
 
-/// Draws `count - 1` initial states beside the scenario's own: uniform within plus and minus the half
+/// Draws `count - 1` initial states besides the scenario's own: uniform within plus and minus the half
 /// widths that the scenario draws its own state from, or else the largest magnitude of each component
-/// along the plant's course.
+/// along the plant's trajectory.
 pub(super) fn others(
     scenario: &Scenario,
     count: u64,
@@ -18,7 +18,8 @@ pub(super) fn others(
         return Ok(Vec::new());
     }
     if scenario.plant.recording().is_some() {
-        let problem = "--initial-states: a recording begins in one state only; leave it out";
+        let problem =
+            "--initial-states: a recording has only one initial state; leave the option out";
         return Err(CommandError::usage(problem));
     }
     let half_widths = match &scenario.initial_spread {
@@ -28,7 +29,7 @@ pub(super) fn others(
     Ok((1..count).map(|number| drawn_state(&half_widths, seed, number)).collect())
 }
 
-/// Returns the largest magnitude of each component of the state along the plant's course.
+/// Returns the largest magnitude of each component of the state along the plant's trajectory.
 fn reach(scenario: &Scenario) -> Result<Vec<f64>, CommandError> {
     let course = plant_course(scenario).map_err(RunError::Observer)?;
     let n = course.dimension;

@@ -69,7 +69,7 @@ fn create(arguments: &Arguments) -> Result<(), CommandError> {
         "Key folder: {} (keep it secret and back it up; without it, provisioned nodes are out of reach)\n\
          \x20 operator.pem      signs packages and first keys\n\
          \x20 operator.pub.pem  its public key, for nodes and for `weights verify --key`\n\
-         \x20 secret.pem        the keys of all nodes and of the network follow from it\n\
+         \x20 secret.pem        the keys of all nodes and of the network are derived from it\n\
          \x20 network.toml      numbers of the network keys in use\n\
          Fingerprint: {}\n\
          For firmware (NODE_PUBLIC_KEY, or cargo xtask firmware --public-key): {hex}\n\

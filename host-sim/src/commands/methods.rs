@@ -1,4 +1,4 @@
-//! A run beside other methods on the same plant, links, sensors and frames: one row each of errors,
+//! A run compared with other methods on the same plant, links, sensors and frames: one row each of errors,
 //! broadcasts and bytes, with what the method knows.
 
 use std::path::Path;

@@ -63,7 +63,10 @@ use crate::interruption;
 use crate::scenario::{Network, Scenario};
 use crate::terminal;
 use crate::training::EpochReport;
-use error::{CommandError, ErrorCode};
+pub use baselines::Choice;
+pub use error::{CommandError, ErrorCode};
+pub use run::{PreparedRun, ReportedRun};
+
 use progress::ProgressBars;
 use scenario_source::{Changes, load_scenario};
 
@@ -95,10 +98,10 @@ enum Command {
     Design(design::Arguments),
     /// Compare forms of the observer: error against broadcasts, bytes and battery life
     Frontier(frontier::Arguments),
-    /// Run a scenario over values of its keys, seeds and initial states: one table of all runs
+    /// Run a scenario with varied keys, seeds and initial states: one table of all runs
     ///
     /// The same command continues a study that was interrupted. `--shard K/N` runs one of N parts, on
-    /// any machine; their tables one after the other are the table of the whole study.
+    /// any machine; their tables, concatenated, are the table of the whole study.
     Sweep(sweep::Arguments),
     /// Run a scenario together with emulated or real nodes and compare every bit
     #[cfg(unix)]
@@ -121,7 +124,7 @@ enum Command {
     Flash(weights::FlashArguments),
     /// Create a folder with an operator's keys, or rotate the network key in it
     Keygen(keygen::Arguments),
-    /// Print a built-in scenario to start from, or list their names
+    /// Print a built-in scenario to start from, or list the names of all
     Scenario(scenario::Arguments),
 }
 
@@ -143,7 +146,7 @@ enum TableFormat {
     Text,
     /// One JSON object
     Json,
-    /// The tables for LaTeX; of run, reproduce, frontier and sweep
+    /// The tables for LaTeX; only for run, reproduce, frontier and sweep
     Latex,
 }
 
@@ -285,17 +288,17 @@ fn network_of(scenario: &Scenario) -> Result<&Network, CommandError> {
     })
 }
 
-/// The progress of one of several concurrent runs that share the progress bars.
+/// The progress of one of several concurrent runs, as part of that of all.
 struct SharedProgress<'p> {
-    bars: &'p ProgressBars,
+    whole: &'p dyn Progress,
     done: &'p AtomicU64,
     total: u64,
     own: AtomicU64,
 }
 
 impl<'p> SharedProgress<'p> {
-    fn new(bars: &'p ProgressBars, done: &'p AtomicU64, total: u64) -> Self {
-        Self { bars, done, total, own: AtomicU64::new(0) }
+    fn new(whole: &'p dyn Progress, done: &'p AtomicU64, total: u64) -> Self {
+        Self { whole, done, total, own: AtomicU64::new(0) }
     }
 }
 
@@ -304,10 +307,10 @@ impl Progress for SharedProgress<'_> {
         let before = self.own.swap(tick, Ordering::Relaxed);
         let advanced = tick.saturating_sub(before);
         let done = self.done.fetch_add(advanced, Ordering::Relaxed) + advanced;
-        self.bars.step(done, self.total);
+        self.whole.step(done, self.total);
     }
 
     fn epoch(&self, agent: usize, cycle: usize, report: &EpochReport) {
-        self.bars.epoch(agent, cycle, report.epoch, report.train);
+        self.whole.epoch(agent, cycle, report);
     }
 }

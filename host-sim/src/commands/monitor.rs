@@ -57,7 +57,7 @@ pub(super) struct Arguments {
     #[arg(long, requires = "record")]
     package: Option<PathBuf>,
     /// Report the state every N steps [default: 500; with --record, 1]. With 1, the sample of every
-    /// step is recorded; with more, the samples that the node keeps itself are recorded
+    /// step is recorded; with more, the samples that the node itself keeps are recorded
     #[arg(long, value_name = "N")]
     every: Option<NonZeroU32>,
     /// Exit after N states
@@ -180,7 +180,7 @@ fn source(
         let package = PackageBytes::load(path)?;
         if in_use(before, package.as_bytes()).is_none() {
             return Err(CommandError::usage(format!(
-                "{}: not the package in use on the node; give the one in use as --package, or leave it out",
+                "{}: not the package in use on the node; give the one in use as --package, or leave --package out",
                 path.display()
             ))
             .about(path));
@@ -304,7 +304,7 @@ impl Monitor<'_> {
         if let Some(recorder) = &mut self.recorder {
             if package.map(|package| package.agent) != self.agent {
                 return Err(CommandError::new(ErrorCode::Node,
-                    "the node runs a different agent since its reset, so the recording ends; record \
+                    "the node has run a different agent since its reset, so the recording ends; record \
                      the new agent to another file"
                         .to_owned(),
                 ));

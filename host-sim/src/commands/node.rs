@@ -45,7 +45,7 @@ enum Action {
     Revert,
     /// Restart, as after power-on
     Reset,
-    /// Give up entries of its journal that cannot be read, so that updates go on
+    /// Discard journal entries that cannot be read, so that updates can continue
     ForgetUnreadable,
     /// Give it the keys of --keys and make it --agent; its first keys cross the line in the clear
     Provision,

@@ -1,4 +1,4 @@
-//! A node's keys: giving and taking them, and what a status tells of them.
+//! A node's keys: giving and taking them, and what a status says about them.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use crate::service::provision::{self, NewKeys};
 use crate::service::{Client, ServiceError, push};
 use crate::terminal;
 
-/// What a node tells of its keys, for JSON.
+/// What a node says about its keys, for JSON.
 #[derive(Serialize)]
 pub(super) struct KeysReport {
     provisioned: bool,

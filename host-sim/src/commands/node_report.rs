@@ -116,7 +116,7 @@ pub(super) fn text(report: &Report) -> String {
                  decided within {deadline_seconds:.1} s\n"
             ),
             Verdict::AwaitsOperator => format!(
-                "  trial: nothing to compare the package with, or another output matrix than before; \
+                "  trial: nothing to compare the package with, or a different output matrix from before; \
                  confirm it within {deadline_seconds:.1} s of its activation with `host-sim node ENDPOINT confirm`\n"
             ),
             Verdict::Passed => "  last trial: confirmed\n".to_owned(),
@@ -180,10 +180,10 @@ pub(super) fn reason_text(reason: RevertReason) -> &'static str {
         RevertReason::Faults => "too many of its steps were faulty",
         RevertReason::Measurements => "there were too few measurements to judge it by",
         RevertReason::NotConfirmed => {
-            "there was nothing to compare it with, or it has another output matrix, and it was not \
+            "there was nothing to compare it with, or it has a different output matrix, and it was not \
              confirmed in time"
         }
-        RevertReason::Unusable => "no agent could be made of it",
+        RevertReason::Unusable => "no agent could be built from it",
         RevertReason::Effort => {
             "the feedback had to correct too much of what its network predicted"
         }

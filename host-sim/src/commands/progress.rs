@@ -6,6 +6,9 @@
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use crate::engine::Progress;
+use crate::training::EpochReport;
+
 /// Maximum drawing rate. \[1/s\]
 const DRAWS: u8 = 10;
 
@@ -63,14 +66,6 @@ impl ProgressBars {
         Self { bars, steps, epochs, endless: false }
     }
 
-    /// Reports that the run has reached `tick` of `steps`.
-    pub(super) fn step(&self, tick: u64, steps: u64) {
-        if !self.endless && self.steps.length() != Some(steps) {
-            self.steps.set_length(steps);
-        }
-        self.steps.set_position(tick);
-    }
-
     /// Reports that `bytes` of `total` bytes have been sent.
     pub(super) fn transferred(&self, bytes: u64, total: u64) {
         if self.steps.length() != Some(total) {
@@ -82,7 +77,7 @@ impl ProgressBars {
 
     /// Reports that training of `agent` in `cycle` (both from 1) has finished epoch `number` with a
     /// mean squared error of `train_mse` \[squared state unit/s\].
-    pub(super) fn epoch(&self, agent: usize, cycle: usize, number: usize, train_mse: f64) {
+    pub(super) fn trained(&self, agent: usize, cycle: usize, number: usize, train_mse: f64) {
         self.epochs.inc(1);
         if !self.epochs.is_hidden() {
             let message =
@@ -95,6 +90,19 @@ impl ProgressBars {
     pub(super) fn finish(&self) {
         self.steps.finish_and_clear();
         self.epochs.finish_and_clear();
+    }
+}
+
+impl Progress for ProgressBars {
+    fn step(&self, tick: u64, steps: u64) {
+        if !self.endless && self.steps.length() != Some(steps) {
+            self.steps.set_length(steps);
+        }
+        self.steps.set_position(tick);
+    }
+
+    fn epoch(&self, agent: usize, cycle: usize, report: &EpochReport) {
+        self.trained(agent, cycle, report.epoch, report.train);
     }
 }
 
@@ -127,7 +135,8 @@ mod tests {
         std::thread::scope(|scope| {
             for agent in 1..=4 {
                 let bars = &bars;
-                scope.spawn(move || (1..=25).for_each(|number| bars.epoch(agent, 1, number, 0.5)));
+                scope
+                    .spawn(move || (1..=25).for_each(|number| bars.trained(agent, 1, number, 0.5)));
             }
             bars.step(512, 40_000);
         });

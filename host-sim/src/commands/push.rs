@@ -11,6 +11,7 @@ use super::connection::{RETRY_POLICY, connect};
 use super::key::NodeKeys;
 use super::{CommandError, ErrorCode, Format, print_json, print_text};
 use crate::commands::progress::ProgressBars;
+use crate::engine::Progress as _;
 use crate::interruption::{self, SecondSignal};
 use crate::keys::KeyFolder;
 use crate::packages::{PackageBytes, PackageFileError, bytes};

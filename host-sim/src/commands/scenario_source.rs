@@ -22,7 +22,7 @@ fn parse(text: &str) -> Result<Change, String> {
 }
 
 impl Changes {
-    /// Refuses changes where no scenario is given that they could be applied to.
+    /// Refuses changes if there is no scenario to apply them to.
     pub(super) fn refuse_without_scenario(&self) -> Result<(), CommandError> {
         match self.set.first() {
             Some(change) => {
@@ -69,7 +69,7 @@ pub(super) fn load_scenario(path: &Path, changes: &Changes) -> Result<Scenario, 
     Ok(load_with_text(path, changes)?.0)
 }
 
-/// As [`load_scenario`]; returns the changed text, too.
+/// Like [`load_scenario`]; also returns the changed text.
 pub(super) fn load_with_text(
     path: &Path,
     changes: &Changes,

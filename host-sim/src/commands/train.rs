@@ -18,7 +18,7 @@ use super::{
 };
 use crate::analysis::TriggerConstants;
 use crate::commands::progress::ProgressBars;
-use crate::engine::RunError;
+use crate::engine::{Progress, RunError};
 use crate::files::output::OutputFile;
 use crate::flow::{FleetSamples, Plan, fleet_packages};
 use crate::interruption::{self, SecondSignal};
@@ -277,7 +277,7 @@ fn dense_samples(path: &Path, scenario: &Scenario, recording: &Recording) -> Opt
 /// Returns which agent, from 0, recorded each file, and warnings about them.
 ///
 /// # Errors
-/// As far as the files say, if one is from an agent that gets no network, or from another step.
+/// As far as the files say, if one is from an agent that gets no network, or has a different step.
 fn check_sources(
     arguments: &Arguments,
     scenario: &Scenario,
@@ -378,7 +378,7 @@ fn train(task: &TrainingTask<'_>, prepared: Prepared<'_, '_>) -> Result<Trained,
     let total = task.recipe.trainer.trainer().epochs_max() as u64;
     let mut report_epoch = |epoch: &EpochReport| {
         bars.step(epoch.epoch as u64, total);
-        bars.epoch(task.agent + 1, task.cycle + 1, epoch.epoch, epoch.train);
+        bars.trained(task.agent + 1, task.cycle + 1, epoch.epoch, epoch.train);
         if interruption::requested() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let trained = prepared.carry_out_until(&mut report_epoch, Some(interruption::stop().flag()));

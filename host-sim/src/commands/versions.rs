@@ -38,7 +38,7 @@ pub(super) fn after(serial: Serial, of: &Path) -> Result<u32, CommandError> {
 /// one.
 ///
 /// # Errors
-/// As [`OutputFile::write`] and [`after`], or if the format cannot hold the package.
+/// Same as [`OutputFile::write`] and [`after`], or if the format cannot hold the package.
 pub(super) fn save(
     mut package: PackageBytes,
     chosen: Option<u32>,

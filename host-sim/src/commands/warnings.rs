@@ -103,8 +103,8 @@ fn short_smoothing(scenario: &Scenario) -> Option<String> {
     let needed = 2.0 * delay * (gain * delay).max(1.0);
     (smoothing > 0.0 && smoothing < needed).then(|| {
         format!(
-            "exchange.smoothing = {} s may be too short for a delay of up to {} s: late samples are moved \
-             on by a velocity that they change themselves, and the error can grow without bound; use at \
+            "exchange.smoothing = {} s may be too short for a delay of up to {} s: late samples are extrapolated \
+             with a velocity that they themselves change, and the error can grow without bound; use at \
              least {} s, or lower design.gain",
             significant(smoothing, 3),
             significant(delay, 3),

@@ -83,7 +83,7 @@ pub enum Fault {
         /// The reason.
         problem: Problem,
     },
-    /// The node uses another version of the protocol.
+    /// The node uses a different version of the protocol.
     #[error(
         "the node's firmware uses protocol version {found}, but this program uses version \
          {PROTOCOL_VERSION}; build both from the same source"
@@ -95,7 +95,7 @@ pub enum Fault {
     /// The firmware's capacity is too small for the agent.
     #[error(
         "the agent has {needed} {what}, but the firmware has room for {room}; run a scenario that fits, \
-         or build the firmware with other capacities"
+         or build the firmware with larger capacities"
     )]
     Capacity {
         /// The limited quantity.

@@ -77,7 +77,7 @@ pub struct Setup<'s> {
     /// Signs every package for a node, if its firmware requires signatures.
     pub signer: Option<&'s OperatorKey>,
     /// Gives every node keys: its own port key, and the network keys of all. Nodes then broadcast
-    /// authentic frames, and take only sealed requests.
+    /// authentic frames, and accept only sealed requests.
     pub keys: Option<&'s FleetKeys>,
     /// Whether nodes start with erased flash and wait for packages.
     pub erased: bool,

@@ -46,7 +46,7 @@ impl Socket {
     /// Creates the socket.
     ///
     /// # Errors
-    /// As [`Socket::check`], and the system's errors.
+    /// Same as [`Socket::check`], and the system's errors.
     pub(super) fn bind(path: PathBuf) -> Result<Self, CosimError> {
         let stale = Self::check(&path)?;
         let bound = || {

@@ -188,7 +188,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         }
     }
 
-    /// Has done nothing in a step of the engine.
+    /// Records that the agent did nothing in a step of the engine.
     pub(super) fn rest(&mut self) {
         self.tick = None;
         self.outgoing = None;
@@ -448,7 +448,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         self.load_after(bytes, self.highest, networks)
     }
 
-    /// Like [`Self::load`], but goes back to the package before, as a node does when a trial fails.
+    /// Like [`Self::load`], but goes back to the previous package, as a node does when a trial fails.
     pub(super) fn revert(
         &mut self,
         bytes: &PackageBytes,

@@ -55,10 +55,10 @@ pub struct Growth {
 }
 
 impl Growth {
-    /// Ratio of error to state from which on an error is excessive.
+    /// Ratio of error to state above which an error is excessive.
     pub const FAR: f64 = 10.0;
 
-    /// Returns whether the error grew without bound. `stable_step` tells whether the step is short
+    /// Returns whether the error grew without bound. `stable_step` says whether the step is short
     /// enough for the observer itself.
     #[must_use]
     pub fn without_bound(&self, stable_step: bool) -> bool {

@@ -7,7 +7,7 @@ use crate::analysis::StepCheck;
 use crate::plant::{ExpressionFault, Stepper};
 use crate::scenario::Scenario;
 
-/// Norm of the plant's state from which on the plant is the cause of a divergence, not the agent.
+/// Norm of the plant's state above which the plant is the cause of a divergence, not the agent.
 const RUNAWAY: f64 = 1e6;
 
 /// Returns a hint for an agent that diverged while the state had this norm.

@@ -183,7 +183,7 @@ impl<'s> Learning<'s> {
     }
 }
 
-/// What training a job needs beside the job.
+/// What training a job needs besides the job.
 struct Context<'c> {
     scenario: &'c Scenario,
     plan: Option<&'c Plan<'c>>,

@@ -51,10 +51,10 @@ pub fn run(
 /// Runs `scenario` over the link it describes, and reports every step to `run_observer`.
 ///
 /// # Errors
-/// As [`run`], and those of the observer.
+/// Same as [`run`], and those of the observer.
 ///
 /// # Panics
-/// As [`run_over`].
+/// Same as [`run_over`].
 pub fn run_observed(
     scenario: &Scenario,
     run_observer: &mut dyn RunObserver,
@@ -68,7 +68,7 @@ pub fn run_observed(
 /// Runs `scenario` as [`run`] does, but evaluates the networks of many agents as `lanes` says, to compare.
 ///
 /// # Errors
-/// As [`run`].
+/// Same as [`run`].
 pub fn run_in_lanes(
     scenario: &Scenario,
     lanes: LaneMode,
@@ -82,7 +82,7 @@ pub fn run_in_lanes(
 /// Runs `scenario` over `link`.
 ///
 /// # Errors
-/// As [`run`].
+/// Same as [`run`].
 ///
 /// # Panics
 /// If the state dimension is not 1 to 12, which a loaded scenario guarantees.
@@ -490,7 +490,7 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
             if down {
                 let agent = switch.agent + 1;
                 self.missed.push(format!(
-                    "agent {agent} is down when its trained network is switched in; it keeps the one before"
+                    "agent {agent} is down when its trained network is switched in; it keeps the previous one"
                 ));
             }
             !down

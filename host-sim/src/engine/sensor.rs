@@ -43,7 +43,7 @@ impl Sensor {
         })
     }
 
-    /// Measures at `tick`: replaces the exact outputs in `exact` by values of the sensor in `measured`,
+    /// Measures at `tick`: replaces the exact outputs in `exact` with values of the sensor in `measured`,
     /// which holds those of the step before. Returns whether there are any.
     pub(super) fn measure(&mut self, tick: Tick, exact: &[f64], measured: &mut [f32]) -> bool {
         let time = self.time.at(tick);

@@ -26,7 +26,7 @@ pub struct FrontierFigure<'a> {
     pub target: (f64, f64),
     /// What the target is.
     pub target_label: &'a str,
-    /// Whether marks tell what is certified.
+    /// Whether marks show what is certified.
     pub has_certificates: bool,
     /// What the ringed point is.
     pub own_label: &'a str,

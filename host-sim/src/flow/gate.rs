@@ -21,7 +21,7 @@ const BANDWIDTH_STEP: f64 = SQRT_2;
 /// Limit of `K_c dt`.
 const TREE_STEP: f64 = 2.0;
 
-/// Why a flow observer cannot be designed as wanted. Directions are numbered from 0 in the fields,
+/// Why a flow observer cannot be designed as requested. Directions are numbered from 0 in the fields,
 /// from 1 in the message.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -40,7 +40,7 @@ pub enum Gate {
     /// The model's slopes are too large for the gain along the trees.
     #[error(
         "the model's slopes reach {} 1/s, more than {SLOPE_MAX} of the tree gain {} 1/s of direction \
-         {}; leave the model out, measure directions closer to orthogonal, or take a smaller step",
+         {}; leave the model out, measure directions closer to orthogonal, or use a smaller step",
         significant(*.lipschitz, 3), significant(*.tree_gain, 3), .direction + 1
     )]
     Slope {
@@ -67,7 +67,7 @@ pub enum Gate {
     /// The root's filter would be unstable.
     #[error(
         "the bandwidth {} rad/s of direction {} times the step of {} s is {}, not below 1.41; lower \
-         the bandwidth or take a smaller step", significant(*.bandwidth, 3), .direction + 1,
+         the bandwidth or use a smaller step", significant(*.bandwidth, 3), .direction + 1,
         significant(*.step, 3), significant(.bandwidth * .step, 3)
     )]
     Bandwidth {
@@ -81,7 +81,7 @@ pub enum Gate {
     /// The coupling along the trees would be unstable.
     #[error(
         "the tree gain {} 1/s of direction {} times the step of {} s is {}, not below {TREE_STEP}; \
-         lower the gain or take a smaller step", significant(*.tree_gain, 3), .direction + 1,
+         lower the gain or use a smaller step", significant(*.tree_gain, 3), .direction + 1,
         significant(*.step, 3), significant(.tree_gain * .step, 3)
     )]
     TreeGain {
@@ -117,7 +117,7 @@ pub enum BadSettings {
         value: f64,
     },
     /// The number of noise levels.
-    #[error("{found} noise levels for {directions} directions; give one each")]
+    #[error("{found} noise levels for {directions} directions; give one for each")]
     NoiseLength {
         /// The number of noise levels.
         found: usize,

@@ -110,7 +110,7 @@ impl Geometry {
         let n = unit.len();
         let mut rows = Vec::new();
         for (agent, matrix) in output_matrices.iter().enumerate() {
-            assert_eq!(matrix.ncols(), n, "agent {agent} has another number of states");
+            assert_eq!(matrix.ncols(), n, "agent {agent} has a different number of states");
             for output in 0..matrix.nrows() {
                 let row: Vec<f64> = (0..n).map(|j| matrix[(output, j)] * unit[j]).collect();
                 let length = norm(&row);

@@ -1,7 +1,7 @@
 //! The field observer of a scenario: settings, from its `[observer]` or derived, as the words of
 //! packages.
 //!
-//! What the scenario leaves open follows from the plant's course without agents, as the simulator
+//! What the scenario leaves open follows from the plant's trajectory without agents, as the simulator
 //! knows it, and from the network in the package.
 
 use agent_core::observer::field::disturbance::Model;
@@ -66,9 +66,9 @@ pub enum PlanError {
         "the recording has no reference for the state, from which settings could be derived; add plant.reference"
     )]
     NoReference,
-    /// The plant has no finite course.
+    /// The plant has no finite trajectory.
     #[error(
-        "the plant without agents is not finite at t = {time}, so no settings can be derived from it; \
+        "the plant's state without agents is not finite at t = {time}, so no settings can be derived from it; \
          lower time.step or change the plant"
     )]
     Plant {
@@ -77,7 +77,7 @@ pub enum PlanError {
     },
 }
 
-/// What the package of one agent needs beside its network.
+/// What the package of one agent needs besides its network.
 struct Derived {
     directions: Vec<DirectionSettings>,
     bias_decay: f64,
@@ -488,7 +488,7 @@ fn output<const N: usize>(package: &PackageBytes, x: &[f32]) -> Vec<f32> {
     output.map_or_else(Vec::new, |output| output.as_slice().to_vec())
 }
 
-/// Returns the course of the plant without agents and without process noise.
+/// Returns the trajectory of the plant without agents and without process noise.
 ///
 /// # Errors
 /// If it is not finite.

@@ -52,7 +52,7 @@ const MODEL_HOLD_MAX: f64 = 0.15;
 /// correct anything.
 const RESIDUAL_MIN: f64 = 1e-3;
 
-/// What the observer shall achieve, and with what.
+/// What the observer is to achieve, and with what.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wanted {
     /// `eps`, the RMS error in standard deviations of the state.
@@ -121,7 +121,7 @@ impl Settings {
 /// limit: see [`Gate`].
 ///
 /// # Panics
-/// If the statistics are of another number of directions.
+/// If the statistics have a different number of directions.
 pub fn settings(
     geometry: &Geometry,
     statistics: &Statistics,
@@ -293,7 +293,7 @@ mod tests {
         assert_eq!(
             text,
             "the model's slopes reach 700 1/s, more than 0.6 of the tree gain 900 1/s of direction \
-             1; leave the model out, measure directions closer to orthogonal, or take a smaller step"
+             1; leave the model out, measure directions closer to orthogonal, or use a smaller step"
         );
         let slow = Wanted { hop_delay: 0.05, ..wanted() };
         let text = refused(&statistics(30.0), &slow).to_string();

@@ -56,7 +56,7 @@ impl Statistics {
     /// Computes them from at least two samples, and a model if there is one.
     ///
     /// # Panics
-    /// If there are less than two samples, or the trajectory's dimension is not the geometry's.
+    /// If there are fewer than two samples, or the trajectory's dimension is not the geometry's.
     #[must_use]
     pub fn new(trajectory: &Trajectory, geometry: &Geometry, model: Option<&Model<'_>>) -> Self {
         let n = geometry.dimension();

@@ -49,7 +49,7 @@ pub enum ImageError {
     },
     /// The firmware is where the weights or other parts of it are.
     #[error(
-        "the firmware has bytes at {start:#x} to {end:#x}, which overlap WEIGHTS or others of its bytes; \
+        "the firmware has bytes at {start:#x} to {end:#x}, which overlap WEIGHTS or other bytes of the firmware; \
              pass the memory.x that it is linked with"
     )]
     FirmwareOverlaps {
@@ -69,7 +69,7 @@ pub enum ImageError {
     },
     /// The firmware is linked with another memory map.
     #[error(
-        "the firmware has {symbol} at {found:#x}, the memory map at {expected:#x}; pass the memory.x \
+        "the firmware has {symbol} at {found:#x}, but the memory map has it at {expected:#x}; pass the memory.x \
              that it is linked with"
     )]
     OtherMemoryMap {
@@ -138,7 +138,7 @@ pub enum ImageError {
     /// The chip cannot erase the part without erasing something else.
     #[error(
         "{name} is at {start:#x} to {end:#x}, but {chip} can only erase all of {sector:#x} to \
-             {sector_end:#x}, including what else is stored there; align every part in memory.x to the \
+             {sector_end:#x}, including whatever else is stored there; align every part in memory.x to the \
              chip's sectors and set _weights_erase_size to their length"
     )]
     Sector {

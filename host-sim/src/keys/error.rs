@@ -66,7 +66,7 @@ pub enum KeyFolderError {
         problem: String,
     },
     /// A key of another rotation is in the way.
-    #[error("{}: left from another rotation; move it out of the folder, and try again", path.display())]
+    #[error("{}: left over from another rotation; move it out of the folder, and try again", path.display())]
     Leftover {
         /// The file.
         path: PathBuf,

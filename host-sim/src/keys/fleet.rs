@@ -33,7 +33,7 @@ impl FleetKeys {
     /// Creates keys from the operating system's randomness.
     ///
     /// # Errors
-    /// There is none.
+    /// If the system provides no random numbers.
     pub fn generate() -> Result<Self, getrandom::Error> {
         let mut bytes = [0; 32];
         getrandom::fill(&mut bytes)?;

@@ -8,7 +8,7 @@
 //! | `network.toml` | numbers of the network keys in use | |
 //! | `operator.next.pem`, `operator.toml` and others | a rotation of the operator's keys: [`Operators`] | |
 //!
-//! The keys of all nodes and networks follow from the one secret ([`FleetSecret`]), so a fleet of any
+//! The keys of all nodes and networks are derived from the one secret ([`FleetSecret`]), so a fleet of any
 //! size needs no list of keys, and a backup made once stays complete. The secret has the form of a
 //! private key so that a passphrase can protect it like one: `openssl pkcs8 -topk8`.
 //!
@@ -56,7 +56,7 @@ pub struct KeyFolder {
 }
 
 impl KeyFolder {
-    /// Creates a folder with new keys, and missing folders above it. Returns the operator's key, too.
+    /// Creates a folder with new keys, and missing folders above it. Also returns the operator's key.
     ///
     /// # Errors
     /// [`KeyFolderError::Exists`] if one of the files already exists; otherwise if one cannot be

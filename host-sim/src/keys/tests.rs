@@ -180,7 +180,10 @@ fn a_rotation_of_the_operator_key_has_three_stages() {
 
     // The old private key is not overwritten by another rotation.
     let error = operators.advance().unwrap_err();
-    assert!(error.to_string().contains("operator.old.pem: left from another rotation"), "{error}");
+    assert!(
+        error.to_string().contains("operator.old.pem: left over from another rotation"),
+        "{error}"
+    );
     for name in ["operator.old.pem", "operator.old.pub.pem"] {
         fs::remove_file(file(name)).unwrap();
     }

@@ -187,7 +187,7 @@ fn check_inside(map: &MemoryMap, region: &Region, part: Part) -> Result<(), Memo
             map,
             length_symbol,
             &format!(
-                "{name} starts at {origin:#x} and has {length:#x} bytes, {REGION} ends at {:#x}",
+                "{name} starts at {origin:#x} and has {length:#x} bytes, but {REGION} ends at {:#x}",
                 region.end()
             ),
             &format!("shorten it, or make {REGION} longer"),

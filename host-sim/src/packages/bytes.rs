@@ -77,7 +77,7 @@ impl PackageBytes {
     /// Copies `bytes` if they are a valid package.
     ///
     /// # Errors
-    /// As [`Package::decode`], except for the alignment, which the copy ensures.
+    /// Same as [`Package::decode`], except for the alignment, which the copy ensures.
     pub fn new(bytes: &[u8]) -> Result<Self, PackageError> {
         let mut words = vec![0u32; bytes.len().div_ceil(4)];
         bytemuck::cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
@@ -178,7 +178,7 @@ impl PackageBytes {
             // In place, so that sections that only later versions know stay.
             Format::Two => set_serial(&mut bytes, serial).expect("bytes that decoded before"),
         }
-        Ok(Self::new(&bytes).expect("a package that decoded under another version"))
+        Ok(Self::new(&bytes).expect("a package that decoded with another version"))
     }
 
     /// Returns the package of format 1 with the permission to replace versions up to `newest`,

@@ -9,7 +9,7 @@
 //! # step: 0.001 s
 //! ```
 //!
-//! Unknown fields are omitted. `train` refuses samples from another agent or with another step, and
+//! Unknown fields are omitted. `train` refuses samples from another agent or with a different step, and
 //! warns if the scenario differs, because recipes may have been changed on purpose.
 
 use std::fmt::Write;
@@ -158,7 +158,7 @@ impl RecordingSource {
                 WarningCode::OtherScenario,
                 format!(
                     "{}: recorded with scenario {name} (hash {hash:#018x}), but this is {} (hash \
-                     {:#018x}); ignore this if only recipes were changed, otherwise give the former",
+                     {:#018x}); ignore this if only recipes were changed, otherwise give the scenario it was recorded with",
                     path.display(),
                     scenario.name,
                     scenario.hash
@@ -179,7 +179,7 @@ pub struct SourceScenario<'s> {
     pub step: f64,
 }
 
-/// Replaces control characters by spaces.
+/// Replaces control characters with spaces.
 fn plain(text: &str) -> String {
     text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }

@@ -13,8 +13,8 @@ pub fn hint(kind: RefusalKind) -> &'static str {
     use RefusalKind as Kind;
     match kind {
         Kind::Older | Kind::Repeated => {
-            "give it a newer version with `host-sim weights renumber`, or go back to this network with \
-             --epoch, one more than the node's, of `weights renumber` or `weights sign`"
+            "give it a newer version with `host-sim weights renumber`; to go back to this older network, give it \
+             the epoch after the node's with `weights renumber --epoch` or `weights sign --epoch`"
         }
         Kind::Epoch => {
             "give it the node's epoch and a newer version, or the next epoch, with `host-sim weights \

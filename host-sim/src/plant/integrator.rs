@@ -57,7 +57,7 @@ impl Stepper {
     /// without a finite value, or `None` if the state merely grows too large.
     ///
     /// # Panics
-    /// As [`Self::step`].
+    /// Same as [`Self::step`].
     #[must_use]
     pub fn fault(
         &mut self,

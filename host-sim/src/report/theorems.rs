@@ -30,7 +30,7 @@ pub struct DesignChecks {
     pub gain: GainCertificate,
     /// When agents broadcast.
     pub trigger: TriggerModel,
-    /// What the theorems do not allow for, beside the trigger.
+    /// What the theorems do not allow for, apart from the trigger.
     pub departures: Vec<&'static str>,
     /// `phi_1`, `phi_2` and the threshold; `None` if agents do not use the event trigger.
     pub trigger_constants: Option<TriggerConstants>,

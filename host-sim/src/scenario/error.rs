@@ -14,7 +14,7 @@ pub struct ScenarioError {
     /// Line of the key or value, from 1; the line of the table header if a key is missing. `None`
     /// if the file cannot be opened.
     pub line: Option<usize>,
-    /// Dotted path of the key; list entries count from 1. Behind the change that the error is about,
+    /// Dotted path of the key; list entries count from 1. After the change that the error is about,
     /// if there is one: `--set design.epsilon=-1: design.epsilon`. `None` if the text is not TOML.
     pub key: Option<String>,
     /// What is wrong.

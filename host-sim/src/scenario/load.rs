@@ -59,8 +59,8 @@ impl Scenario {
         })
     }
 
-    /// Changes keys in the text of a scenario, and reads and checks the result. Returns the changed
-    /// text, too. `file` is the name used in errors.
+    /// Changes keys in the text of a scenario, and reads and checks the result. Also returns the
+    /// changed text. `file` is the name used in errors.
     ///
     /// ```
     /// use host_sim::scenario::{Change, PAPER, Scenario};
@@ -73,7 +73,7 @@ impl Scenario {
     /// ```
     ///
     /// # Errors
-    /// As [`Scenario::parse`]; an error that a change caused names it.
+    /// Same as [`Scenario::parse`]; an error that a change caused names it.
     pub fn parse_changed(
         file: &str,
         text: &str,

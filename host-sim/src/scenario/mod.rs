@@ -76,7 +76,7 @@ pub struct Scenario {
     pub method: Method,
     /// Settings of the Kalman filters.
     pub kalman: KalmanSettings,
-    /// When agents broadcast beside their events, and how they treat late and old samples.
+    /// When agents broadcast other than at their events, and how they treat late and old samples.
     pub exchange: ExchangeParams,
     /// The field observer; `None` for the paper's.
     pub observer: Option<ObserverSettings>,
@@ -119,7 +119,7 @@ impl Scenario {
         self.time.tick(self.time.duration)
     }
 
-    /// Returns what the paper's theorems do not allow for, beside the trigger: one clause for each, such
+    /// Returns what the paper's theorems do not allow for, apart from the trigger: one clause for each, such
     /// as "frames can be lost or late".
     #[must_use]
     pub fn departures(&self) -> Vec<&'static str> {
@@ -135,7 +135,7 @@ impl Scenario {
             ),
             (
                 self.exchange != ExchangeParams::PAPER,
-                "agents broadcast and use samples otherwise than in the paper ([exchange])",
+                "agents broadcast and use samples differently from the paper ([exchange])",
             ),
             (self.plant.recording().is_some(), "the plant is a recording (plant.model)"),
             (!self.process_noise.is_empty(), "noise drives the plant (plant.noise)"),

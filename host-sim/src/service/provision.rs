@@ -71,7 +71,7 @@ pub fn provision(
     network_keys(client, &fleet.network_keys(), retry_policy)
 }
 
-/// Gives a node network keys in place of those before.
+/// Gives a node network keys in place of the previous ones.
 ///
 /// # Errors
 /// See [`ServiceError`].

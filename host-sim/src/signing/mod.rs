@@ -163,8 +163,8 @@ impl EitherKey {
     /// and encrypted. A file with both is a public key.
     ///
     /// # Errors
-    /// As [`OperatorKey::read_encrypted`]; [`KeyFileError::Refused`] for a public key that no node
-    /// takes.
+    /// Same as [`OperatorKey::read_encrypted`]; [`KeyFileError::Refused`] for a public key that no node
+    /// accepts.
     pub fn read(path: &Path, passphrase: &mut AskPassphrase<'_>) -> Result<Self, KeyFileError> {
         let text = read_text(path)?;
         if let Ok(bytes) = pem::public_key(path, &text) {

@@ -173,7 +173,7 @@ pub enum TensorProblem {
         /// Number of layers.
         layers: usize,
     },
-    /// The caller requests other activations than the file states.
+    /// The caller requests activations other than those the file states.
     #[error(
         "the file states the activations {stated}, but {asked} were requested; use those of the file, or correct the file"
     )]

@@ -1,5 +1,5 @@
 //! The field observer at the centre of a star: instructions of a step in which all three held samples
-//! go on by their rates, and by the network.
+//! evolve by their rates, and by the network.
 //!
 //! A program of its own, because `agent-core` then has another feature.
 

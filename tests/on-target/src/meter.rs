@@ -53,9 +53,9 @@ pub enum Figure {
     Seal,
     /// From the beginning of a period to the end of its turn, while port and radio are flooded.
     Flood,
-    /// A step of the field observer without a broadcast, with samples that go on by their rates.
+    /// A step of the field observer without a broadcast, with samples that evolve by their rates.
     FieldRate,
-    /// The same with samples that go on by the network: four evaluations of it.
+    /// The same with samples that evolve by the network: four evaluations of it.
     FieldModel,
 }
 

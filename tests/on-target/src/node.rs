@@ -103,7 +103,7 @@ impl<'a> Node<'a> {
         })
     }
 
-    /// Replaces the outer weights by the package's multiplied by `factor`.
+    /// Replaces the outer weights with the package's multiplied by `factor`.
     pub(crate) fn enlarge_outer_weights(&mut self, factor: f32) -> Result<(), Unusable> {
         let mut entries = [0.0; FEATURES * N];
         for (entry, original) in entries.iter_mut().zip(self.outer_weights) {

@@ -224,7 +224,7 @@ impl Fleet {
     }
 }
 
-/// Bits of a held sample, and of what goes on with it.
+/// Bits of a held sample, and of what evolves with it.
 fn bits(hold: &Hold<3>) -> Vec<u32> {
     let announced = hold.announced().map(|announced| {
         let disturbances = announced.disturbances.iter();
@@ -294,7 +294,7 @@ fn agents_with_other_predictions_announce_rates() {
     assert!(same.iter().all(|&kind| kind == Some(HoldKind::Model)));
 }
 
-/// A sample that goes on by the model cannot be followed by a neighbour that falls back to feedback, so
+/// A sample that evolves by the model cannot be followed by a neighbour that falls back to feedback, so
 /// its sender must not wait for the next event.
 #[test]
 fn a_neighbour_that_leaves_its_network_gets_a_rate_at_once() {
@@ -503,7 +503,7 @@ fn a_restart_begins_without_disturbances_and_announces_itself() {
     let Member { params, state, .. } = &mut fleet.0[1];
     assert_ne!(state.disturbances(), &[Disturbance::NONE; 3]);
     let frame = state.restart(params, 500, [0.0; 3].into(), &OUTER_WEIGHTS).unwrap();
-    // The sample is held constant until the next step announces how it goes on.
+    // The sample is held constant until the next step announces how it evolves.
     assert_eq!((frame.announced, frame.tick), (None, 501));
     assert_eq!(state.disturbances(), &[Disturbance::NONE; 3]);
     assert_eq!(state.feedback(params), StateVector::<3>::zeros());
@@ -577,7 +577,7 @@ fn agents_switch_from_the_papers_observer_and_back() {
         agreements += fleet.agreements(sent);
     }
     assert!(agreements > 1_500);
-    // An agent that goes back says so at once: its sample does not go on any more.
+    // An agent that goes back says so at once: its sample no longer evolves.
     let Member { state, params, .. } = &mut fleet.0[1];
     state.set_field(params, &[]).unwrap();
     assert!(state.field().is_none());
@@ -667,13 +667,13 @@ fn a_late_sample_goes_on_by_its_own_motion() {
             }
         }
         assert!(sender.sent.len() > 5);
-        // The model is moved on by one long step in place of short ones.
+        // The model is advanced by one long step in place of short ones.
         let tolerance = if hold == HoldKind::Model { 1e-3 } else { 1e-6 };
         assert!(largest < tolerance, "{hold:?} {largest}");
     }
 }
 
-/// The mean velocity of the paper's observer must not move samples that go on by themselves.
+/// The mean velocity of the paper's observer must not move samples that evolve by themselves.
 #[test]
 fn the_mean_velocity_ends_with_the_papers_observer() {
     let exchange = ExchangeParams { delay: 20, smoothing: 2, ..ExchangeParams::PAPER };
@@ -701,7 +701,7 @@ fn an_absurd_delay_does_not_stop_the_agent() {
     }
 }
 
-/// What a neighbour that joins late is told is what the others hold, although the sample has gone on.
+/// What a neighbour that joins late is told is what the others hold, although the sample has evolved.
 #[test]
 fn an_answer_brings_the_sample_as_it_is_now() {
     for hold in HoldKind::ALL {
@@ -710,7 +710,7 @@ fn an_answer_brings_the_sample_as_it_is_now() {
             let mut newcomer = Member::new(1, ExchangeParams::PAPER);
             newcomer.set(&field(1, Options { is_half, ..options(hold) }));
             let mut tick = 0;
-            // Until the sample has gone on for a while.
+            // Until the sample has evolved for a while.
             loop {
                 fleet.step(tick);
                 let own = fleet.0[0].state.own_hold();

@@ -78,7 +78,7 @@ fn a_rebooted_sender_is_believed_at_once() {
     let mut rebooted = trust(2, (18, 28));
     let frame = rebooted.seal(&sampled(2, 0), &KEY).unwrap();
     assert_eq!(one.open(&[KEY], &frame), Ok(Some(sampled(2, 0))));
-    // Its hello of the life before is not answered any more.
+    // Its hello of the life before is no longer answered.
     let old = two.hello(10, &KEY).unwrap();
     let replayed = Err(FrameError::Replayed { sender: 2 });
     assert_eq!(one.open::<1>(&[KEY], &old), replayed);

@@ -9,7 +9,7 @@
 //!   the parent announced them.
 //!
 //! Three ways to couple agents ([`Coupling`]): the paper's, the paper's with the agent's own current
-//! estimate, and trees. A sample goes on between broadcasts as its sender says ([`HoldKind`]); a root
+//! estimate, and trees. A sample evolves between broadcasts as its sender says ([`HoldKind`]); a root
 //! estimates the disturbance of its direction ([`disturbance`]). `docs/field-observer.md` derives all of
 //! it and says what is certified.
 //!
@@ -59,11 +59,11 @@ pub struct Direction {
     pub is_announced: bool,
     /// Factor from the output to `xi_c`.
     pub scale: f32,
-    /// `k_c`, gain of the own innovation. \[1/s\]
+    /// `k_c`, gain of the agent's own innovation. \[1/s\]
     pub root_gain: f32,
     /// `K_c`, gain towards neighbours' samples. \[1/s\]
     pub tree_gain: f32,
-    /// Deviation of the own sample at which a broadcast is due. \[unit of `xi`\]
+    /// Deviation of the agent's own sample at which a broadcast is due. \[unit of `xi`\]
     pub radius: f32,
     /// The disturbance model; used by a root.
     pub model: disturbance::Model,
@@ -75,7 +75,7 @@ pub struct Options {
     /// Tells whether two agents predict samples in the same way: a digest of the network, its outer
     /// weights, and the coordinates.
     pub digest: u16,
-    /// How the agent's samples go on.
+    /// How the agent's samples evolve.
     pub hold: HoldKind,
     /// How the agent is coupled.
     pub coupling: Coupling,
@@ -87,7 +87,7 @@ pub struct Options {
     pub has_harmonics: bool,
     /// Whether numbers are sent in half precision.
     pub is_half: bool,
-    /// Age of a parent's sample from which on the spare parent is followed; 0 for never. \[step\]
+    /// Age of a parent's sample at which the spare parent is followed; 0 for never. \[step\]
     pub timeout: u32,
     /// Part of an announced bias that is left after a step.
     pub bias_kept: f32,
@@ -243,7 +243,7 @@ impl<const N: usize> FieldParams<N> {
         sum
     }
 
-    /// Moves announced disturbances on by a step.
+    /// Advances announced disturbances by a step.
     #[inline]
     pub fn move_on(&self, announced: &mut Announced<N>) {
         for (c, direction) in self.directions.iter().enumerate() {

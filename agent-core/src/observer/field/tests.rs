@@ -258,7 +258,7 @@ fn a_field_frame_has_kind_1() {
     let bytes = frame.encode();
     let body = [1, 2, 7, 0xac, 0x02, 1, 2, 5, 0, 0, 0, 0, 0, 0xc0, 0x3f];
     assert_eq!(&bytes[..body.len()], body);
-    // Words that are not an announcement are refused, as is another dimension.
+    // Words that are not an announcement are refused, as is a different dimension.
     assert_eq!(Frame::<2>::decode(&bytes), Err(FrameError::Malformed));
     let empty = Frame { announced: Some(Announced { directions: 2, ..announced }), ..frame };
     assert_eq!(Frame::<1>::decode(&empty.encode()), Err(FrameError::Malformed));

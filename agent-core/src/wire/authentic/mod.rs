@@ -17,7 +17,7 @@
 //! | tag | `u64` | eight bytes, SipHash-2-4 of all bytes before it |
 //!
 //! The tag replaces the checksum of version 1. Its key is derived from the network key and the
-//! sender's number. Which authentic frames are *believed*, because they are newer than all before,
+//! sender's number. Which authentic frames are *believed*, because they are newer than all earlier ones,
 //! is decided by [`crate::agent::trust`].
 //!
 //! Cost: linear in the length; see `docs/decisions` for the choice of the algorithm. Invariant:

@@ -15,7 +15,7 @@ use rp2040_hal::rom_data;
 const START: usize = 0x1000_0000;
 /// Length of a write. \[byte\]
 const PAGE: usize = 256;
-/// Length of the second-stage boot loader in words.
+/// Length of the second-stage bootloader in words.
 const BOOT2: usize = 64;
 
 /// The region for weights.
@@ -33,7 +33,7 @@ struct Rom {
     flush: unsafe extern "C" fn(),
 }
 
-/// A copy of the second-stage boot loader, which maps the chip into memory again.
+/// A copy of the second-stage bootloader, which maps the chip into memory again.
 struct Loader(UnsafeCell<[u32; BOOT2]>);
 
 // SAFETY: written once, by `Flash::new`, and only executed afterwards.

@@ -92,7 +92,7 @@ const FLUSH_DELAY_CYCLES: u32 = 125_000_000 / 10;
 /// Time between two looks at the button: a hundredth of the time for which it must be held. \[cycle\]
 const BUTTON_CYCLES: u32 = 125_000_000 / 100;
 
-/// The boot loader for the flash chip on this board.
+/// The bootloader for the flash chip on this board.
 #[unsafe(link_section = ".boot2")]
 #[used]
 static BOOT2: [u8; 256] = rp2040_boot2::BOOT_LOADER_W25Q080;

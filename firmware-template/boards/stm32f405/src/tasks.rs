@@ -1,4 +1,4 @@
-//! The node as a task of embassy's executor, beside other tasks (feature `embassy`).
+//! The node as a task of embassy's executor, alongside other tasks (feature `embassy`).
 //!
 //! `Node::run` owns the processor. Here the executor does: the node's task polls it, yields after
 //! each piece of work, and waits while there is none. [`blink`] stands for your own tasks.

@@ -1,7 +1,7 @@
 //! Chooses `k_2`, `kappa`, `delta` and `epsilon` for the tightest ultimate bound of Theorem 1.
 //!
-//! Given are `K_1` with `lambda = lambda_min(M)`, `rho`, and the radius `r`: the hold error at which
-//! the trigger fires while the consensus term is zero. Then `k_1 = lambda` and
+//! For given `K_1` with `lambda = lambda_min(M)`, `rho`, and radius `r` (the hold error at which
+//! the trigger fires while the consensus term is zero), `k_1 = lambda` and
 //!
 //! ```text
 //! delta   = rho^2 / (lambda - k_2)

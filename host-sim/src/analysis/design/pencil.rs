@@ -22,7 +22,7 @@ use crate::analysis::gain::gram;
 use crate::graph::Graph;
 use crate::scenario::Scenario;
 
-/// Weight of the trace beside the norm: the norm alone leaves smaller eigenvalues undetermined.
+/// Weight of the trace relative to the norm: the norm alone leaves smaller eigenvalues undetermined.
 const TRACE_WEIGHT: f64 = 1e-6;
 
 /// The problem, independent of the subspace.

@@ -21,7 +21,7 @@ use crate::scenario::Scenario;
 
 /// Most rounds of three runs until there is a bracket.
 const ROUNDS_MAX: usize = 6;
-/// Broadcasts per step from which on a smaller radius gives no more of them.
+/// Broadcasts per step above which a smaller radius gives no more of them.
 const EVERY_STEP: f64 = 0.99;
 /// Rounds that divide the bracket by 4.
 const DIVISIONS: usize = 2;

@@ -1,11 +1,11 @@
 //! `design`: chooses the gain and the constants of the theorems for a scenario.
 //!
 //! 1. `K_1` solves `BMI` for the scenario's `k_1` ([`DesignedGain`]).
-//! 2. A run with this gain and the wanted radius measures `chi_bar_max`, which `rho` must reach.
+//! 2. A run with this gain and the requested radius measures `chi_bar_max`, which `rho` must not be below.
 //! 3. `k_2`, `kappa`, `delta` and `epsilon` give the tightest bound for it ([`Plan`]).
-//! 4. A run with all of them confirms `rho`, or raises it and goes back to 3.
+//! 4. A run with all of them confirms `rho`, or raises it and goes back to step 3.
 //!
-//! With `--max-error` or `--max-rate`, 3 comes with a search for the radius ([`frontier`]).
+//! With `--max-error` or `--max-rate`, step 3 includes a search for the radius ([`frontier`]).
 
 mod frontier;
 mod text;
@@ -28,7 +28,7 @@ use crate::analysis::design::{
     Certificate, DesignError, DesignedGain, Knee, Objective, Plan, Shape,
 };
 use crate::analysis::{StepCheck, TriggerConstants};
-use crate::engine::{RunOptions, RunResult, run};
+use crate::engine::{Progress, RunOptions, RunResult, run};
 use crate::files::output::{FileKind, OutputFile};
 use crate::number::significant;
 use crate::report::checks::ChecksReport;
@@ -158,7 +158,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     if scenario.plant.recording().is_some() {
         let name = &scenario.name;
         return Err(CommandError::usage(format!(
-            "scenario {name}: its plant is a recording, of which f and d are not known, so there are no constants \
+            "scenario {name}: its plant is a recording, whose f and d are not known, so there are no constants \
              to design; use [observer], which is set from the reference, or design for a model of the plant"
         )));
     }
@@ -275,7 +275,7 @@ fn design(scenario: &Scenario, arguments: &Arguments) -> Result<Designed, Comman
         rho = round_up(found * MARGIN);
     }
     let text = format!(
-        "scenario {}: no rho agrees with its own run: each run needs a larger one, at last {}; choose a \
+        "scenario {}: no rho agrees with its own run: each run needs a larger one, finally {}; choose a \
          smaller --radius, or a larger k2 in [design]",
         scenario.name,
         significant(rho, 3)

@@ -17,7 +17,7 @@ pub(super) fn of(scenario: &Scenario, designed: &Designed) -> String {
     text += &format!(
         "  gain = {}\n\
         \x20 trace {} 1/s, norm {} 1/s, within {} of the optimum\n\
-        \x20 lambda_min = {} 1/s (+- {}), checked apart from the solver\n\
+        \x20 lambda_min = {} 1/s (+- {}), checked independently of the solver\n\
         \x20 largest stable step {step_max} s\n\
         \x20 rho = {}, from chi_bar_max of the confirming run\n\
         \x20 k1 = {} 1/s, k2 = {} 1/s, kappa = {} s, delta = {}, epsilon = {}\n\
@@ -78,7 +78,7 @@ pub(super) fn edited(source: &str, designed: &Designed) -> Option<String> {
     let certificate = &designed.certificate;
     let mut replace = |key: &str, mut value: Value| -> Option<()> {
         let item = table.get_mut(key)?;
-        // Blanks and the comment behind the value; a table, such as a scaled gain, has none.
+        // Blanks and the comment after the value; a table, such as a scaled gain, has none.
         if let Some(old) = item.as_value() {
             *value.decor_mut() = old.decor().clone();
         }

@@ -3,12 +3,12 @@
 //! | form | observer |
 //! | --- | --- |
 //! | `paper` | the paper's, as the scenario sets it; epsilon varies |
-//! | `paper-model` | the same coupling with samples that go on by the model, gain 0.9 of the designed one |
-//! | `split` | separate gains for the own measurement and towards neighbours, model hold |
+//! | `paper-model` | the same coupling with samples that evolve by the model, gain 0.9 of the designed one |
+//! | `split` | separate gains for the agent's own measurement and towards neighbours, model hold |
 //! | `flow` | trees, no disturbance model |
 //! | `flow-eso` | trees, a slowly changing disturbance at the roots |
 //! | `flow-harmonic` | trees, a slowly changing and an oscillating disturbance |
-//! | `periodic` | `flow-eso` with broadcasts at fixed times instead of events, as often |
+//! | `periodic` | `flow-eso` with broadcasts at fixed times instead of events, equally often |
 //! | `no-network` | trees and a disturbance model alone |
 //! | `known-f` | `flow-eso` with the plant's own model in place of the network |
 //!
@@ -29,9 +29,9 @@ use crate::scenario::{DisturbanceModel, Method, ObserverSettings, PAPER, Scenari
 pub(super) enum Form {
     /// The paper's observer
     Paper,
-    /// The paper's coupling with samples that go on by the model; only on request
+    /// The paper's coupling with samples that evolve by the model; only on request
     PaperModel,
-    /// Separate gains for the own measurement and towards neighbours
+    /// Separate gains for the agent's own measurement and towards neighbours
     Split,
     /// Along trees, without a disturbance model
     Flow,
@@ -39,11 +39,11 @@ pub(super) enum Form {
     FlowEso,
     /// Along trees, with a disturbance that also oscillates
     FlowHarmonic,
-    /// As `flow-eso`, but with broadcasts at fixed times, as often as there
+    /// Like `flow-eso`, but with broadcasts at fixed times, equally often
     Periodic,
     /// Along trees, with a disturbance model instead of the network
     NoNetwork,
-    /// As `flow-eso`, with the plant's own model in place of the network
+    /// Like `flow-eso`, with the plant's own model in place of the network
     KnownF,
 }
 
@@ -114,10 +114,10 @@ const ERRORS: [f64; 6] = [0.005, 0.01, 0.014, 0.025, 0.05, 0.1];
 /// The smallest-trace solution of `BMI` for the paper's network. \[1/s\]
 const SMALLEST_TRACE: [f64; 3] = [87.0, 117.65, 117.65];
 
-/// Gain of the own innovation with separate gains. \[1/s\]
+/// Gain of the agent's own innovation with separate gains. \[1/s\]
 const ROOT_GAIN: f64 = 500.0;
 
-/// Largest gain of the own innovation times the step.
+/// Largest gain of the agent's own innovation times the step.
 const ROOT_GAIN_STEP: f64 = 0.5;
 
 /// A radius at which no trigger fires. \[state unit\]
@@ -138,7 +138,7 @@ impl<'s> Forms<'s> {
     /// Prepares the forms of a scenario.
     ///
     /// # Errors
-    /// If the plant has no finite course.
+    /// If the plant has no finite trajectory.
     pub(super) fn new(scenario: &'s Scenario) -> Result<Self, PlanError> {
         let last = scenario.learning.iter().map(|cycle| cycle.apply_at);
         let last = last.filter(|&time| time <= scenario.evaluation.from).reduce(f64::max);

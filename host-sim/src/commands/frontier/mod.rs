@@ -43,7 +43,7 @@ pub(super) struct Arguments {
     /// Number of seeds for each setting, starting at --seed
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     seeds: u64,
-    /// Number of initial states of the plant: the scenario's own, and others drawn within its course
+    /// Number of initial states of the plant: the scenario's own, and others drawn from the range of its trajectory
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     initial_states: u64,
     /// Largest RMSE of an agent [default: what the form `paper` reaches as the scenario is; for the

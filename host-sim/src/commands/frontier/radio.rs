@@ -1,9 +1,9 @@
 //! What broadcasts cost on real radios: time on air, charge, and the life of a battery.
 //!
-//! Frames travel as payloads of the radio's own packets, longer ones in several. Counted are the time on
-//! air at the transmit current, and the time on air of the neighbours' frames at the receive current, as
-//! if a receiver were awake for exactly these. Not counted are waiting for a free channel, start-up,
-//! computing, sleep, and what a battery loses by itself; so lives are upper limits.
+//! Frames travel as payloads of the radio's own packets, longer ones in several. The time on air counts
+//! at the transmit current, and the time on air of the neighbours' frames at the receive current, as
+//! if a receiver were awake for exactly these. Waiting for a free channel, start-up, computing, sleep, and
+//! what a battery loses by itself do not count; so lives are upper limits.
 //!
 //! Sources, typical currents of the data sheets: nRF52840 product specification (radio alone, DC/DC at 3 V),
 //! Atmel AT86RF233 (8351), Semtech SX1276 (output RFO, low-noise amplifier without boost; time on air by
@@ -25,9 +25,9 @@ pub(super) struct Radio {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Packet {
-    /// 250 kbit/s, 6 bytes before the packet, 11 bytes of header and check sum in it.
+    /// 250 kbit/s, 6 bytes before the packet, 11 bytes of header and checksum in it.
     Ieee802154,
-    /// Spreading factor 7, 125 kHz, code rate 4/5, explicit header, check sum, preamble of 8.
+    /// Spreading factor 7, 125 kHz, code rate 4/5, explicit header, checksum, preamble of 8.
     LoRa7,
 }
 
@@ -60,7 +60,7 @@ const BATTERIES: [f64; 2] = [0.235 * 3600.0, 2.5 * 3600.0];
 const DAY: f64 = 86_400.0;
 
 impl Radio {
-    /// Returns the time on air of a frame of so many bytes. \[s\]
+    /// Returns the time on air of a frame of this many bytes. \[s\]
     pub(super) fn airtime(&self, bytes: f64) -> f64 {
         let split = |payload: f64, most: f64, one: &dyn Fn(f64) -> f64| {
             let parts = (payload / most).ceil().max(1.0);

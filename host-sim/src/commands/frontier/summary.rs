@@ -172,7 +172,7 @@ pub(super) fn best(
 /// Up to this many agents have columns of their own.
 const COLUMNS: usize = 4;
 
-/// Returns a table of the best settings for so many agents.
+/// Returns a table of the best settings for this many agents.
 pub(super) fn table(best: &[Best], agents: usize) -> Table {
     let errors: Vec<String> = match agents {
         0..=COLUMNS => (1..=agents).map(|agent| format!("agent {agent}")).collect(),

@@ -53,7 +53,7 @@ impl RunFolder {
         self.stage.path()
     }
 
-    /// Replaces the path of a staged file in an error by its final path.
+    /// Replaces the path of a staged file in an error with its final path.
     pub(super) fn placed(&self, error: CommandError) -> CommandError {
         error.renamed(self.stage(), &self.path)
     }

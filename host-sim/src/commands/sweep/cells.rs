@@ -30,7 +30,7 @@ const POINTS_BYTES_MAX: u64 = 256 << 20;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Cells {
     pub(super) keys: Vec<String>,
-    /// One row a cell, as many values as keys.
+    /// One row per cell, as many values as keys.
     pub(super) rows: Vec<Vec<String>>,
     /// The option that they come from, for errors.
     origin: &'static str,
@@ -162,7 +162,7 @@ impl Cells {
     /// Reads and checks the scenarios of all cells, and returns those of `wanted`, without recording.
     ///
     /// # Errors
-    /// That of the first cell that is refused, or whose state has another dimension.
+    /// That of the first cell that is refused, or whose state has a different dimension.
     pub(super) fn load(
         &self,
         base: &ScenarioSource,

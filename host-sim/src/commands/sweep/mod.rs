@@ -1,4 +1,4 @@
-//! `sweep`: a scenario over values of its keys, seeds and initial states.
+//! `sweep`: runs a scenario with varied keys, seeds and initial states.
 //!
 //! | file | content |
 //! | --- | --- |
@@ -63,14 +63,14 @@ pub(super) struct Arguments {
     /// lo:hi:log
     #[arg(long, value_name = "N", requires = "vary", value_parser = clap::value_parser!(u32).range(1..))]
     latin: Option<u32>,
-    /// Take the values of keys from a CSV file: its first line has the keys, each further line the
-    /// values of a cell
+    /// Take the values of keys from a CSV file: its first line has the keys, and each further line has
+    /// the values of a cell
     #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["vary", "latin"])]
     points: Option<PathBuf>,
     /// Number of seeds of each cell, starting at --seed
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     seeds: u64,
-    /// Number of initial states of the plant: the scenario's own, and others drawn within its course
+    /// Number of initial states of the plant: the scenario's own, and others drawn from the range of its trajectory
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     initial_states: u64,
     /// Run one of N parts of the study, such as 1/8; it is written to a folder of its own in the output
@@ -233,7 +233,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
                 text += &format!("{} runs failed; the first: {name}: {reason}\n", outcome.failed);
             }
             if before == study.runs {
-                text += &format!("All {} runs were there already\n", study.runs);
+                text += &format!("All {} runs had already been done\n", study.runs);
             } else if before > 0 {
                 text += &format!("Continued after {before} of {} runs\n", study.runs);
             }
@@ -263,7 +263,7 @@ fn cells(arguments: &Arguments) -> Result<Cells, CommandError> {
     }?;
     for change in &cells.changes(0)? {
         if let Some(set) = arguments.changes.set.iter().find(|set| set.is_about_same_key(change)) {
-            let problem = format!("{set}: the key is varied, too; leave one of both out");
+            let problem = format!("{set}: the key is also varied; leave out one of the two");
             return Err(CommandError::usage(problem));
         }
     }

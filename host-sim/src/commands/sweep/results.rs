@@ -53,7 +53,7 @@ pub(super) fn line(fields: &[&str]) -> String {
 /// The rows of the runs of one cell.
 #[derive(Clone, Debug)]
 pub(super) struct CellRows {
-    /// The values of the varied keys, with the comma behind them.
+    /// The values of the varied keys, with the comma after them.
     start: String,
     /// Number of agents.
     pub(super) agents: usize,

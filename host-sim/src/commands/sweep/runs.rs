@@ -28,7 +28,7 @@ pub(super) struct Runs {
     first_cell: u64,
     first_seed: u64,
     seeds: u64,
-    /// Initial states beside the scenario's own.
+    /// Initial states besides the scenario's own.
     other_states: Vec<Vec<f64>>,
     range: Range<u64>,
     header: Option<String>,

@@ -149,7 +149,7 @@ fn text_difference(before: &str, now: &str) -> String {
             return format!("line {number} of {SCENARIO} is `{there}` there and `{here}` here");
         }
     }
-    format!("{SCENARIO} has other line ends there")
+    format!("{SCENARIO} has different line endings there")
 }
 
 #[cfg(test)]

@@ -63,7 +63,7 @@ pub(in crate::commands) struct Import {
     #[arg(long)]
     package_version: Option<u32>,
     /// Keep the node's adapted outer weights when the package is switched in, instead of replacing
-    /// them by the imported ones
+    /// them with the imported ones
     #[arg(long)]
     keep_outer_weights: bool,
     /// Private key to sign the package with

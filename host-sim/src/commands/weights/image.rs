@@ -145,7 +145,7 @@ fn provisioned(
     }
     let mut warnings = vec![format!(
         "WARNING: this file holds the keys of agent {agent} and of the network. Keep it secret, write it \
-         into one board only, and delete it then."
+         to one board only, and then delete it."
     )];
     let valid = keys.operators().valid_keys()?;
     if check(package, &super::verify::requirements(&valid, None)).is_err() {
@@ -253,7 +253,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     for note in &notes {
         text += &format!("  {note}\n");
     }
-    text += "To write it into the chip, one of\n";
+    text += "To write it to the chip, use one of\n";
     for command in &commands {
         text += &format!("  {command}\n");
     }
@@ -266,7 +266,7 @@ fn contradiction(image: &Image, family: Uf2Family) -> Result<Option<String>, Com
     match image.check_part(&part, true) {
         Ok(()) => Ok(None),
         Err(error @ ImageError::NotFlash { .. }) => {
-            Ok(Some(format!("WARNING: {error}. Its boot loader would not write this file.")))
+            Ok(Some(format!("WARNING: {error}. Its bootloader would not write this file.")))
         }
         Err(error) => Err(error.into()),
     }
@@ -290,7 +290,7 @@ fn notes(image: &Image, format: image::Format) -> Vec<String> {
         }
     }
     notes.push(format!(
-        "OpenOCD, st-flash, dfu-util, picotool and boot loaders erase whole sectors of the chip. If \
+        "OpenOCD, st-flash, dfu-util, picotool and bootloaders erase whole sectors of the chip. If \
          these are larger than _weights_erase_size ({} bytes), their other contents are lost; \
          probe-rs restores them. --chip checks the map against the chip.",
         image.region().erase_size

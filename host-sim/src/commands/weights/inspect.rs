@@ -377,7 +377,7 @@ impl Exchange {
             time("events repeated after", self.repeat_s),
             fade,
             time("smallest delay", self.delay_s),
-            time("late samples moved on by the velocity over", self.smoothing_s),
+            time("late samples extrapolated by the velocity over", self.smoothing_s),
         ];
         found.into_iter().flatten().collect::<Vec<_>>().join(", ")
     }

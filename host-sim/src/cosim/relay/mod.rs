@@ -8,7 +8,7 @@
 //! itself: the node always reports everything to the co-simulation, whatever its clients subscribe
 //! to, and time and frames come only from the simulator.
 //!
-//! Sealed requests go to the node unchanged. Only the node's port key tells what is in them, so the
+//! Sealed requests go to the node unchanged. Only the node's port key reveals what is in them, so the
 //! relay opens copies: with the co-simulation's keys, or with the key by which a client provisioned the
 //! node in its presence. There is no third way by which a node can have a key, since the
 //! co-simulation could not have started it; so what the relay cannot open, the node refuses. The two
@@ -19,8 +19,8 @@
 //! place, and a reset request restarts it.
 //!
 //! A package activated by a client is also switched in for the simulated agent before the next
-//! step, so that comparing continues. Comparing stops for a node that a client resets or starts at
-//! another estimate, and for a node that receives frames from such a node which the simulated
+//! step, so that comparing continues. Comparing stops for a node that a client resets or starts from
+//! a different estimate, and for a node that receives frames from such a node which the simulated
 //! neighbour did not send.
 
 mod client;

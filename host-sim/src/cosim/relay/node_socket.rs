@@ -243,7 +243,7 @@ impl NodeSocket {
                 return Effect::Switched { back: true };
             }
             (Request::StartAt { .. }, Some(Message::Done)) => {
-                return Effect::Deviates("it was started at another estimate");
+                return Effect::Deviates("it was started from a different estimate");
             }
             (Request::Reset, Some(Message::Done)) => return Effect::Restarts("it was reset"),
             (Request::FactoryReset, Some(Message::Done)) => {

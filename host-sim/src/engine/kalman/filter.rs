@@ -85,7 +85,7 @@ impl<'s> Model<'s> {
         jacobian
     }
 
-    /// Moves a state on by one step from `time` \[s\].
+    /// Advances a state by one step from `time` \[s\].
     pub(super) fn advance(&mut self, time: f64, x: &mut DVector<f64>) {
         let step = self.time.step_size;
         match &self.linear {

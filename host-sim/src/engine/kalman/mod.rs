@@ -68,7 +68,7 @@ struct Simulation<'s> {
     /// `dt c`.
     consensus: f64,
     radius: f64,
-    /// Of each component along the plant's course.
+    /// Of each component along the plant's trajectory.
     deviation: Vec<f64>,
     /// Smallest standard deviation of noise. \[state unit\]
     least: f64,

@@ -12,7 +12,7 @@
 //! result. A lane has the bits that the network gives on its own, so a run has the same bits with and
 //! without lanes, for any instructions.
 //!
-//! Memory: the parameters of agents whose network is their own once more, and 8 KiB for each chunk.
+//! Memory: a second copy of the parameters of agents that have a network of their own, and 8 KiB for each chunk.
 
 mod ahead;
 mod forward;

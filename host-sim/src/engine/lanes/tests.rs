@@ -1,4 +1,4 @@
-//! Lanes beside the network itself, bit by bit.
+//! Lanes compared with the network itself, bit by bit.
 
 use std::sync::Arc;
 

@@ -1,6 +1,6 @@
 //! Timing of samples: interval, gaps and jitter.
 
-/// Time between two samples, in intervals, from which on it is a gap. Smaller deviations are jitter
+/// Time between two samples, in intervals, above which it is a gap. Smaller deviations are jitter
 /// of the recording clock.
 const GAP: f64 = 1.5;
 

@@ -53,7 +53,7 @@ impl Change {
     /// Creates a change from `KEY=VALUE`.
     ///
     /// # Errors
-    /// As [`Change::new`], and if there is no `=`.
+    /// Same as [`Change::new`], and if there is no `=`.
     pub fn parse(origin: &'static str, text: &str) -> Result<Self, ChangeError> {
         let (key, value) = text.split_once('=').ok_or(ChangeError::NoValue)?;
         Self::new(origin, key, value)
@@ -102,7 +102,7 @@ pub enum ChangeError {
     /// There is no `=`.
     #[error("has no value; write KEY=VALUE, such as design.epsilon=500")]
     NoValue,
-    /// There is nothing behind `=`.
+    /// There is nothing after `=`.
     #[error(
         "has an empty value; write KEY=VALUE, such as design.epsilon=500, or KEY='\"\"' for an empty string"
     )]
@@ -290,7 +290,8 @@ impl Place<'_> {
     fn no_entry(&self, count: usize) -> Refusal {
         let above = self.above();
         let entries = if count == 1 { "1 entry" } else { &format!("{count} entries") };
-        let problem = format!("{above} is a list with {entries}, and {:?} is none", self.part());
+        let problem =
+            format!("{above} is a list with {entries}, and {:?} is not one of them", self.part());
         let hint = match count {
             0 => format!("set {above} itself"),
             _ => format!("write the number of an entry, {above}.1 to {above}.{count}"),
@@ -308,7 +309,7 @@ impl Place<'_> {
     }
 }
 
-/// Replaces a value; blanks and the comment behind it stay.
+/// Replaces a value; blanks and the comment after it stay.
 fn replace(item: &mut Item, value: &Value) {
     let mut value = value.clone();
     if let Some(old) = item.as_value() {

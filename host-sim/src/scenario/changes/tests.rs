@@ -100,7 +100,7 @@ fn refusals_name_the_change() {
     ));
     assert_eq!(
         refusal(&["agents.4.sensor.noise=1"]),
-        "paper: --set agents.4.sensor.noise=1: agents is a list with 3 entries, and \"4\" is none; \
+        "paper: --set agents.4.sensor.noise=1: agents is a list with 3 entries, and \"4\" is not one of them; \
          write the number of an entry, agents.1 to agents.3"
     );
     assert_eq!(

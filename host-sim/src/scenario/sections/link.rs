@@ -82,7 +82,7 @@ pub struct Burst {
 /// What one edge does differently for some time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EdgeRule {
-    /// The two agents, from 0; frames in both directions are meant.
+    /// The two agents, from 0; the rule applies to frames in both directions.
     pub ends: [usize; 2],
     /// When. \[s\]
     pub window: Window,

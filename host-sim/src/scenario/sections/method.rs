@@ -14,7 +14,7 @@ pub enum Method {
     NoNetwork,
     /// The observer with its initial network, of which only the outer weights adapt.
     Untrained,
-    /// The observer, which broadcasts at fixed times instead of at events, as often on average.
+    /// The observer, which broadcasts at fixed times instead of at events, equally often on average.
     Periodic,
     /// The observer with cubic polynomials of the state in place of the network, fitted by least
     /// squares to the samples that the network is trained on.

@@ -7,7 +7,7 @@ use crate::scenario::Time;
 use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::{STATE, Table, Value};
 
-/// The field observer. What is `None` is derived from the plant's own course; see
+/// The field observer. What is `None` is derived from the plant's own trajectory; see
 /// `docs/field-observer.md`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObserverSettings {
@@ -17,13 +17,13 @@ pub struct ObserverSettings {
     pub error: f64,
     /// How agents are coupled.
     pub coupling: Coupling,
-    /// How samples go on between broadcasts.
+    /// How samples evolve between broadcasts.
     pub hold: Option<HoldKind>,
     /// Whether the network is used once it is trained.
     pub network: bool,
     /// Whether the outer weights adapt.
     pub adapts: bool,
-    /// Gain of the own innovation, one for each direction. \[1/s\]
+    /// Gain of the agent's own innovation, one for each direction. \[1/s\]
     pub root_gain: Option<Vec<f64>>,
     /// Gain towards neighbours' samples, one for each direction. \[1/s\]
     pub tree_gain: Option<Vec<f64>>,
@@ -39,7 +39,7 @@ pub struct ObserverSettings {
     pub is_half: bool,
     /// Share of the radius at which a relay passes on its parent's sample.
     pub relay_share: f64,
-    /// Age of a parent's sample from which on another parent is followed; 0 for never. \[s\]
+    /// Age of a parent's sample at which another parent is followed; 0 for never. \[s\]
     pub timeout: f64,
     /// The exchange of the preset "robust", from the switch on; the scenario's if `None`.
     pub exchange: Option<ExchangeParams>,
@@ -147,7 +147,7 @@ const KEYS: [&str; 17] = [
 ];
 
 /// Reads `[observer]` for a state of dimension `n`; `None` for the paper's observer. The second value
-/// tells whether the exchange of the preset "robust" is asked for.
+/// says whether the exchange of the preset "robust" is asked for.
 pub(in crate::scenario) fn observer(
     root: &Table<'_>,
     time: &Time,

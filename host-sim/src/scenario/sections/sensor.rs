@@ -106,7 +106,7 @@ pub(super) fn settings(
     };
     let bits = match table.get("bits", "12") {
         Some(value) if range.is_none() => {
-            return Err(value.error("needs a range", "add range = [-10.0, 10.0] beside it"));
+            return Err(value.error("needs a range", "add range = [-10.0, 10.0] next to it"));
         }
         Some(value) => Some(value.integer(1..=32)?),
         None => default.bits,

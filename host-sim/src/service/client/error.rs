@@ -28,7 +28,7 @@ pub enum ServiceError {
         /// What to do.
         hint: String,
     },
-    /// The node uses another version of the protocol.
+    /// The node uses a different version of the protocol.
     #[error(
         "the node's firmware uses protocol version {found}, but this program uses version \
          {PROTOCOL_VERSION}; build both from the same source"
@@ -75,7 +75,9 @@ pub enum ServiceError {
     #[error("the node is not provisioned; {hint}", hint = of_refusal(Problem::NotProvisioned))]
     NotProvisioned,
     /// Every counter of the node's epoch has been used.
-    #[error("the node has counted all sealed requests that it can; power-cycle it, and try again")]
+    #[error(
+        "the node's counter of sealed requests has reached its end; power-cycle it, and try again"
+    )]
     CounterUsedUp,
     /// The operating system provides no random numbers.
     #[error(

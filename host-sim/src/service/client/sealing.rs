@@ -1,6 +1,6 @@
 //! Seals requests to a provisioned node.
 //!
-//! The node tells in its [`Session`] what a seal needs, and proves that it has the port key of the
+//! In its [`Session`] the node states what a seal needs, and proves that it has the port key of the
 //! agent it claims to be. A session ends when the node restarts, and is out of step after another
 //! client has sealed a request; both show as refusals, after which the client asks for it again.
 //!

@@ -1,4 +1,4 @@
-//! Trainers: problem in, parameters and report out. One file a trainer.
+//! Trainers: problem in, parameters and report out. One file per trainer.
 //!
 //! A new trainer is a file here, a variant of [`TrainerSettings`], and the keys that
 //! `scenario/sections/trainer.rs` reads for it.

@@ -1,0 +1,106 @@
+//! The files that `run` writes.
+
+use std::path::Path;
+
+use super::ReportedRun;
+use crate::commands::baselines::Baseline;
+use crate::commands::package_format::PackageFormat;
+use crate::commands::{CommandError, agent_table, methods, output};
+use crate::figures::{
+    ErrorFigure, EventFigure, StateFigure, error_norms, events, states, write_all,
+};
+use crate::scenario::Scenario;
+
+/// Returns the names of all files that [`write`] may write.
+pub(super) fn planned(scenario: &Scenario) -> Vec<String> {
+    let mut planned = output::planned(scenario, "", true);
+    planned.push("agents.csv".to_owned());
+    planned.push("methods.csv".to_owned());
+    planned.extend(output::pictures(["errors", "states", "events", "methods"]));
+    planned
+}
+
+/// Writes all tables, figures and packages to the folder `out`.
+pub(super) fn write(
+    out: &Path,
+    format: PackageFormat,
+    run: &ReportedRun,
+) -> Result<(), CommandError> {
+    agent_table::write_csv(&out.join("agents.csv"), &run.agents)?;
+    let (tables, figures) = rayon::join(
+        || output::tables(out, "", &run.scenario, &run.result),
+        || write_figures(out, run),
+    );
+    tables?;
+    figures?;
+    output::packages(out, format, &run.scenario, &run.result)?;
+    write_methods(out, &run.scenario, &run.rows)
+}
+
+fn write_methods(
+    out: &Path,
+    scenario: &Scenario,
+    rows: &[methods::Row],
+) -> Result<(), CommandError> {
+    if rows.is_empty() {
+        return Ok(());
+    }
+    methods::write_csv(&out.join("methods.csv"), rows)?;
+    if let Some(picture) = methods::picture(scenario, rows) {
+        write_all(out, &[("methods", picture)])?;
+    }
+    Ok(())
+}
+
+fn write_figures(out: &Path, run: &ReportedRun) -> Result<(), CommandError> {
+    let ReportedRun { scenario, result, baselines, .. } = run;
+    let markers = output::markers(scenario, &result.trainings);
+    let event_ticks = output::events_of(result);
+    let window = output::event_window(scenario);
+    let (traces, name) = (&result.traces, scenario.name.as_str());
+    let mut figures = Vec::new();
+    if traces.rows() > 0 && scenario.plant.is_known() {
+        let title = format!("{name}: estimation errors");
+        let errors = Baseline::ALL.map(|baseline| {
+            baselines
+                .is_shown(baseline)
+                .then(|| baselines.agents(baseline, &result.agents))
+                .flatten()
+        });
+        let references = output::references(scenario, errors);
+        let figure = ErrorFigure {
+            title: &title,
+            traces,
+            markers: &markers,
+            references: &references,
+            error_limit: None,
+        };
+        figures.push(("errors", error_norms(&figure)));
+    }
+    if traces.rows() > 0 {
+        let truth = match scenario.plant.recording() {
+            None => Some("true state"),
+            Some(recorded) => recorded.has_reference().then_some("reference"),
+        };
+        let title = match truth {
+            Some(truth) => format!("{name}: {truth} and estimates"),
+            None => format!("{name}: estimates"),
+        };
+        let names = scenario.plant.state_names();
+        let figure = StateFigure { title: &title, traces, names: &names, truth };
+        figures.push(("states", states(&figure)));
+    }
+    if scenario.record.events {
+        let title = format!("{name}: broadcasts");
+        let figure = EventFigure {
+            title: &title,
+            events: &event_ticks,
+            step_size: scenario.time.step_size,
+            from: window.from,
+            to: window.to,
+        };
+        figures.push(("events", events(&figure)));
+    }
+    write_all(out, &figures)?;
+    Ok(())
+}
