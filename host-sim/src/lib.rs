@@ -5,6 +5,7 @@
 //! | [`scenario`] | experiments, read from TOML files and checked |
 //! | [`plant`] | drift, disturbance and integrators, in f64 |
 //! | [`graph`] | the communication graph |
+//! | [`agent`], [`frames`] | an agent outside a run; the content of frames |
 //! | [`engine`] | runs: agents, links, learning cycles, statistics, traces |
 //! | [`training`] | offline training of the inner layers |
 //! | [`packages`] | weight packages: creating, checking, reading and writing them |
@@ -29,6 +30,7 @@
 #![forbid(unsafe_code)]
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
+pub mod agent;
 pub mod analysis;
 pub mod basis;
 pub mod commands;
@@ -40,6 +42,7 @@ pub mod figures;
 pub mod files;
 pub mod flash;
 pub mod flow;
+pub mod frames;
 pub mod graph;
 pub mod image;
 pub mod interruption;

@@ -9,8 +9,8 @@ use std::process::ExitCode;
 use agent_core::package::Refusal;
 use serde::Serialize;
 
-pub(super) use crate::error::{ErrorReport, Reported};
 pub use crate::error::ErrorCode;
+pub(super) use crate::error::{ErrorReport, Reported};
 
 use crate::packages::refusal;
 use crate::terminal;

@@ -313,4 +313,8 @@ impl Progress for SharedProgress<'_> {
     fn epoch(&self, agent: usize, cycle: usize, report: &EpochReport) {
         self.whole.epoch(agent, cycle, report);
     }
+
+    fn is_stopped(&self) -> bool {
+        self.whole.is_stopped()
+    }
 }

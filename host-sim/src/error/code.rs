@@ -52,6 +52,8 @@ error_codes! {
     Key = "invalid-key", 2;
     /// A memory map cannot be read.
     MemoryMap = "invalid-memory-map", 2;
+    /// A frame is invalid, or its receiver refuses it.
+    Frame = "invalid-frame", 2;
     /// A package does not fit into flash, or into the requested format.
     Image = "invalid-image", 2;
     /// The output path holds something that must not be replaced.

@@ -205,6 +205,7 @@ impl Reported for RunError {
             Self::PlantDiverged { .. } => ErrorCode::Diverged,
             Self::Expression(_) => ErrorCode::Expression,
             Self::Training { .. } => ErrorCode::Training,
+            Self::Interrupted => ErrorCode::Interrupted,
             _ => ErrorCode::Run,
         }
     }
