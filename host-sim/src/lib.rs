@@ -54,6 +54,7 @@ pub mod packages;
 pub mod plant;
 pub mod random;
 pub mod report;
+mod reported;
 pub mod scenario;
 #[cfg(unix)]
 pub mod service;

@@ -1,11 +1,10 @@
 //! Errors as people and scripts see them: code, text, file and line. The command line and the Python
 //! module report the library's errors in this one form.
 //!
-//! Every error type of the library that users can meet implements [`Reported`], in `library` or in the
-//! module of the only command that reports it.
+//! Every error type of the library that users can meet implements [`Reported`]: in `reported.rs`, or in the
+//! module of the only command that reports it. This module itself knows no other.
 
 mod code;
-mod library;
 
 use std::fmt;
 use std::path::{Path, PathBuf};

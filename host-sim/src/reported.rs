@@ -1,9 +1,9 @@
-//! Error codes and file names of the library's errors.
+//! Codes and file names of the library's errors. No module depends on this one.
 
 use std::path::{Path, PathBuf};
 
-use super::{ErrorCode, Reported};
 use crate::engine::RunError;
+use crate::error::{ErrorCode, Reported};
 use crate::figures::FigureError;
 use crate::files::output::OutputError;
 use crate::flash::FlashError;
