@@ -10,6 +10,7 @@
 //! | [`training`] | offline training of the inner layers |
 //! | [`packages`] | weight packages: creating, checking, reading and writing them |
 //! | [`learning`] | from scenarios and recorded samples to packages |
+//! | [`offline`] | training on recordings, outside a run |
 //! | [`memory_map`] | a board's memory layout, read from its `memory.x` |
 //! | [`image`], [`flash`] | weight packages as flash images; flashing them with probe-rs |
 //! | [`service`] | client for a running node: packages, samples |
@@ -50,6 +51,7 @@ pub mod keys;
 pub mod learning;
 pub mod memory_map;
 pub mod number;
+pub mod offline;
 pub mod packages;
 pub mod plant;
 pub mod random;

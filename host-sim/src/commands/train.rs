@@ -18,7 +18,7 @@ use crate::commands::progress::ProgressBars;
 use crate::engine::Progress;
 use crate::files::output::OutputFile;
 use crate::interruption::{self, SecondSignal};
-use crate::learning::offline::{
+use crate::offline::{
     Follower, OfflineTask, OfflineTraining, agent_index, network_of, serial_after,
 };
 use crate::packages::{PackageBytes, PackageSummary, Recording};

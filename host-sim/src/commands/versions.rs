@@ -9,7 +9,7 @@ use agent_core::package::Serial;
 use super::CommandError;
 use super::package_format::{PackageFormat, unfit};
 use crate::files::output::OutputFile;
-use crate::learning::offline::version_after;
+use crate::offline::version_after;
 use crate::packages::PackageBytes;
 use crate::signing::OperatorKey;
 

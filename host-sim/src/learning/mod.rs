@@ -6,7 +6,6 @@
 //! | [`cleaning`] | recorded samples prepared for training |
 //! | [`judgement`] | warnings about samples and trained networks |
 //! | [`harmonic`] | the harmonic in what a network leaves of the samples |
-//! | [`offline`] | training on recordings, outside a run |
 //! | [`promise`] | what a package promises for its trial |
 //! | [`quality`] | how well a trained network fits the samples |
 //! | [`trained`] | training a package from recorded samples |
@@ -17,7 +16,6 @@ pub mod agent_config;
 pub mod cleaning;
 pub mod harmonic;
 pub mod judgement;
-pub mod offline;
 pub mod promise;
 pub mod quality;
 pub mod trained;

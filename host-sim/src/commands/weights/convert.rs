@@ -16,8 +16,8 @@ use crate::commands::{
 };
 use crate::files::output::OutputFile;
 use crate::learning::agent_config;
-use crate::learning::offline::{agent_index, network_of, version_after};
 use crate::learning::trained::INITIAL_VERSION;
+use crate::offline::{agent_index, network_of, version_after};
 use crate::packages::{Draft, PackageBytes, PackageSummary};
 use crate::scenario::SimulationOnly;
 use crate::shell::shell_word;

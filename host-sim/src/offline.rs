@@ -9,12 +9,12 @@ use std::sync::atomic::AtomicBool;
 
 use agent_core::package::Serial;
 
-use super::agent_config::{agent_config, agent_id};
-use super::trained::{INITIAL_VERSION, Trained, TrainedError, TrainingTask};
 use crate::analysis::TriggerConstants;
 use crate::engine::RunError;
 use crate::error::{ErrorCode, ErrorReport};
 use crate::flow::{FleetSamples, Plan, fleet_packages};
+use crate::learning::agent_config::{agent_config, agent_id};
+use crate::learning::trained::{INITIAL_VERSION, Trained, TrainedError, TrainingTask};
 use crate::packages::recording_source::{RecordingSource, SourceScenario};
 use crate::packages::{PackageBytes, Recording};
 use crate::scenario::{Network, Recipe, Scenario};
