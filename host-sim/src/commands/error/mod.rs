@@ -129,6 +129,14 @@ impl CommandError {
         Self::new(ErrorCode::FolderInUse, text).about(path)
     }
 
+    /// Creates an error about results at `path`, which cannot be read.
+    pub(super) fn unreadable(path: &Path, error: impl fmt::Display) -> Self {
+        let path_shown = path.display();
+        let text =
+            format!("{path_shown}: cannot read: {error}; run the command that wrote it again");
+        Self::new(ErrorCode::Results, text).about(path)
+    }
+
     /// Sets the file concerned.
     pub(super) fn about(mut self, path: &Path) -> Self {
         if let Self::BadInput(report) | Self::Failed(report) = &mut self {
