@@ -18,6 +18,7 @@
 //! | [`analysis`] | constants and bounds of the theorems, compared with a run |
 //! | [`flow`] | design of flow observers: directions, trees, gains, certificates |
 //! | [`figures`], [`report`] | figures; tables and CSV files |
+//! | [`page`] | a page about results, to look at in a browser |
 //! | [`files`], [`number`] | reading and writing files, tables, hashes; number formatting |
 //! | [`terminal`] | terminal output |
 //! | [`random`] | the random numbers of links, sensors, plant and clocks |
@@ -53,6 +54,7 @@ pub mod memory_map;
 pub mod number;
 pub mod offline;
 pub mod packages;
+pub mod page;
 pub mod plant;
 pub mod random;
 pub mod report;

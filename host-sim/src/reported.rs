@@ -12,6 +12,7 @@ use crate::keys::KeyFolderError;
 use crate::learning::trained::TrainedError;
 use crate::memory_map::MemoryMapError;
 use crate::packages::{DraftError, PackageFileError, RecordingError};
+use crate::page::TableError;
 use crate::scenario::{ScenarioError, SimulationOnly};
 use crate::signing::KeyFileError;
 use crate::tensors::{TensorError, TensorProblem};
@@ -37,6 +38,27 @@ impl Reported for ScenarioError {
 impl Reported for SimulationOnly {
     fn code(&self) -> ErrorCode {
         ErrorCode::Scenario
+    }
+}
+
+impl Reported for TableError {
+    fn code(&self) -> ErrorCode {
+        ErrorCode::Results
+    }
+
+    fn file(&self) -> Option<PathBuf> {
+        match self {
+            Self::Read { path, .. } | Self::Field { path, .. } | Self::Header { path, .. } => {
+                owned(path)
+            }
+        }
+    }
+
+    fn line(&self) -> Option<u64> {
+        match self {
+            Self::Field { line, .. } => Some(*line),
+            Self::Read { .. } | Self::Header { .. } => None,
+        }
     }
 }
 

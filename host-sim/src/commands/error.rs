@@ -66,6 +66,14 @@ impl CommandError {
         Self::new(ErrorCode::FolderInUse, text).about(path)
     }
 
+    /// Creates an error about results at `path`, which cannot be read.
+    pub(super) fn unreadable(path: &Path, error: impl fmt::Display) -> Self {
+        let path_shown = path.display();
+        let text =
+            format!("{path_shown}: cannot read: {error}; run the command that wrote it again");
+        Self::new(ErrorCode::Results, text).about(path)
+    }
+
     fn changed(self, change: impl FnOnce(ErrorReport) -> ErrorReport) -> Self {
         match self {
             Self::Failed { report, is_printed } => {

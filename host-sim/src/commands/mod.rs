@@ -38,6 +38,7 @@ mod package_format;
 mod progress;
 #[cfg(unix)]
 mod push;
+mod report;
 mod reproduce;
 mod run;
 mod run_folder;
@@ -123,6 +124,8 @@ enum Command {
     Flash(weights::FlashArguments),
     /// Create a folder with an operator's keys, or rotate the network key in it
     Keygen(keygen::Arguments),
+    /// Write a page about the results in a folder: one HTML file to look at in a browser
+    Report(report::Arguments),
     /// Print a built-in scenario to start from, or list the names of all
     Scenario(scenario::Arguments),
 }
@@ -218,6 +221,7 @@ pub fn main() -> ExitCode {
         Command::Weights(command) => weights::execute(&command),
         Command::Flash(arguments) => weights::flash(&arguments),
         Command::Keygen(arguments) => keygen::execute(&arguments),
+        Command::Report(arguments) => report::execute(&arguments),
         Command::Scenario(arguments) => scenario::execute(&arguments),
     };
     match done {

@@ -9,7 +9,7 @@ use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunResult, TrainingRecord};
 use crate::figures::{Marker, Reference};
 use crate::files::output::OutputError;
-use crate::report::csv::{EpochRow, write_epochs, write_events, write_traces};
+use crate::report::csv::{EpochRow, write_epochs, write_events, write_innovations, write_traces};
 use crate::scenario::{LearningCycle, Scenario, Window};
 
 /// Length of the event figure's window, as in the paper. \[steps\]
@@ -17,16 +17,26 @@ const EVENT_WINDOW: f64 = 500.0;
 
 /// Returns the names of all files that [`tables`], with this suffix, and [`packages`] may write.
 pub(super) fn planned(scenario: &Scenario, suffix: &str, learning: bool) -> Vec<String> {
-    let mut names: Vec<_> =
-        ["traces", "events", "training"].map(|stem| format!("{stem}{suffix}.csv")).into();
+    let mut names: Vec<_> = ["traces", "innovations", "events", "training"]
+        .map(|stem| format!("{stem}{suffix}.csv"))
+        .into();
     let cycles = scenario.learning.iter().zip(1..).filter(|_| learning);
     for (agent, cycle) in
         cycles.flat_map(|(cycle, number)| cycle.agents.iter().map(move |agent| (agent + 1, number)))
     {
-        let stem = format!("agent{agent}_cycle{cycle}");
-        names.extend([format!("{stem}.weights"), format!("{stem}_samples.csv")]);
+        names.extend([package_name(agent, cycle), samples_name(agent, cycle)]);
     }
     names
+}
+
+/// Returns the file name of the package that an agent was trained for in a cycle, both from 1.
+pub(super) fn package_name(agent: usize, cycle: usize) -> String {
+    format!("agent{agent}_cycle{cycle}.weights")
+}
+
+/// Returns the file name of the samples of that training.
+fn samples_name(agent: usize, cycle: usize) -> String {
+    format!("agent{agent}_cycle{cycle}_samples.csv")
 }
 
 /// Returns the file names of figures with these stems.
@@ -48,7 +58,11 @@ pub(super) fn tables(
             return Ok(());
         }
         let names = scenario.plant.state_names();
-        write_traces(&folder.join(name("traces")), &run.traces, &names)
+        write_traces(&folder.join(name("traces")), &run.traces, &names)?;
+        match run.traces.has_innovations() {
+            true => write_innovations(&folder.join(name("innovations")), &run.traces),
+            false => Ok(()),
+        }
     };
     let events = || -> Result<(), OutputError> {
         if !scenario.record.events {
@@ -76,13 +90,13 @@ pub(super) fn packages(
 ) -> Result<(), CommandError> {
     let for_nodes = scenario.check_for_nodes().is_ok();
     for training in &run.trainings {
-        let stem = format!("agent{}_cycle{}", training.agent, training.cycle);
         if for_nodes {
-            let name = format!("{stem}.weights");
+            let name = package_name(training.agent, training.cycle);
             format.apply(&training.package, Path::new(&name))?.save(&folder.join(name))?;
         }
         if let Some(recording) = &training.recording {
-            recording.save(&folder.join(format!("{stem}_samples.csv")))?;
+            let name = samples_name(training.agent, training.cycle);
+            recording.save(&folder.join(name))?;
         }
     }
     Ok(())

@@ -424,6 +424,12 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         }
     }
 
+    /// Returns `|e_3i|` of the last step; `None` without a step or a measurement. \[output unit\]
+    pub(super) fn innovation(&self) -> Option<f32> {
+        let step = self.observation();
+        (step.outputs > 0).then(|| step.squares.sqrt() as f32)
+    }
+
     /// Returns inputs and results of the last step; `None` if the agent did not take part in it.
     pub(super) fn last_step(&self) -> Option<AgentStep<'_>> {
         let measurement = &self.measurement[..self.output_matrix.len()];

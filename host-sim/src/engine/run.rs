@@ -439,6 +439,10 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
             if scenario.plant.recording().is_some() && self.evaluation.contains(&tick) {
                 self.note_innovations();
             }
+            if self.is_traced(tick) {
+                let innovations = self.agents.iter().map(SimulatedAgent::innovation);
+                self.traces.push_innovations(innovations);
+            }
             if let Some(learning) = &mut learning {
                 let agents = &self.agents;
                 learning.collect(
@@ -573,15 +577,19 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
                 }
             }
         }
-        if let Some(stride) = self.scenario.record.trace_stride
-            && tick.is_multiple_of(u64::from(stride.get()))
-        {
+        if self.is_traced(tick) {
             let estimates = self.agents.iter().map(SimulatedAgent::estimate);
             self.traces.push(self.scenario.time.at(tick), &self.truth, estimates);
         }
     }
 
-    /// Records the innovations of the last step.
+    /// Returns whether traces have a row for `tick`.
+    fn is_traced(&self, tick: Tick) -> bool {
+        let stride = self.scenario.record.trace_stride;
+        stride.is_some_and(|stride| tick.is_multiple_of(u64::from(stride.get())))
+    }
+
+    /// Records the innovations of the last step, for their root mean square.
     fn note_innovations(&mut self) {
         for agent in &mut self.agents {
             let step = agent.observation();

@@ -2,7 +2,7 @@
 
 use crate::scenario::Scenario;
 
-/// True state and every agent's estimate, one row every `trace_stride` steps.
+/// True state, every agent's estimate and its innovation, one row every `trace_stride` steps.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Traces {
     dimension: usize,
@@ -10,6 +10,8 @@ pub struct Traces {
     time: Vec<f64>,
     truth: Vec<f64>,
     estimates: Vec<f32>,
+    /// `|e_3i|` of the step at each row; shorter than the rows if not recorded.
+    innovations: Vec<Option<f32>>,
 }
 
 impl Traces {
@@ -32,6 +34,7 @@ impl Traces {
             time: Vec::with_capacity(rows),
             truth: Vec::with_capacity(rows * dimension),
             estimates: Vec::with_capacity(rows * dimension * agents),
+            innovations: Vec::new(),
         }
     }
 
@@ -45,6 +48,25 @@ impl Traces {
         self.time.push(time);
         self.truth.extend_from_slice(truth);
         estimates.for_each(|estimate| self.estimates.extend_from_slice(estimate));
+    }
+
+    /// Adds `|e_3i|` of the step that begins at the last row, for each agent; `None` for one without a
+    /// measurement. The last row of a run has none. \[output unit\]
+    pub fn push_innovations(&mut self, innovations: impl Iterator<Item = Option<f32>>) {
+        self.innovations.extend(innovations);
+    }
+
+    /// Returns `|e_3i|` of the step at a row, agents from 0; `None` if it was not measured or not recorded.
+    /// \[output unit\]
+    #[must_use]
+    pub fn innovation(&self, row: usize, agent: usize) -> Option<f32> {
+        self.innovations.get(row * self.agents + agent).copied().flatten()
+    }
+
+    /// Returns whether innovations were recorded.
+    #[must_use]
+    pub fn has_innovations(&self) -> bool {
+        !self.innovations.is_empty()
     }
 
     /// Returns the number of rows.

@@ -48,6 +48,8 @@ error_codes! {
     Network = "invalid-network", 2;
     /// Samples cannot be read.
     Samples = "invalid-samples", 2;
+    /// A folder or table of results cannot be read.
+    Results = "invalid-results", 2;
     /// A key cannot be read, or is not the node's.
     Key = "invalid-key", 2;
     /// A memory map cannot be read.

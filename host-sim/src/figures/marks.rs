@@ -34,6 +34,18 @@ impl<'a> Marker<'a> {
         Self { time, label, stroke: Stroke::solid(SIGNAL, 1.3).dashed(5.0, 3.0), jump: true }
     }
 
+    /// Returns its time. \[s\]
+    #[must_use]
+    pub const fn time(&self) -> f64 {
+        self.time
+    }
+
+    /// Returns what happens there.
+    #[must_use]
+    pub const fn label(&self) -> &str {
+        self.label
+    }
+
     fn is_shown(&self, panel: &Panel) -> bool {
         (panel.x.from..=panel.x.to).contains(&self.time)
     }

@@ -40,6 +40,23 @@ pub fn write_traces(path: &Path, traces: &Traces, names: &[String]) -> Result<()
     })
 }
 
+/// Writes innovations: one line per row of the traces with `|e_3i|` of every agent, in the unit of its
+/// outputs; empty where there was no measurement.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write_innovations(path: &Path, traces: &Traces) -> Result<(), OutputError> {
+    let mut header = vec!["time [s]".to_owned()];
+    header.extend((1..=traces.agents()).map(|agent| format!("agent{agent} [output unit]")));
+    write_table(path, &header, 0..traces.rows(), |line, row| {
+        line.double(traces.time()[row])?;
+        (0..traces.agents()).try_for_each(|agent| match traces.innovation(row, agent) {
+            Some(innovation) => line.single(innovation),
+            None => line.text(""),
+        })
+    })
+}
+
 /// Writes broadcasts agent by agent: number of the agent, sequence number (from 1), and time.
 /// `events` are the steps at whose start each agent broadcast; a step is `step_size` \[s\] long.
 ///

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use super::ReportedRun;
+use super::{ReportedRun, results};
 use crate::commands::baselines::Baseline;
 use crate::commands::package_format::PackageFormat;
-use crate::commands::{CommandError, agent_table, methods, output};
+use crate::commands::{CommandError, agent_table, methods, output, report};
 use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_norms, events, states, write_all,
 };
@@ -16,15 +16,19 @@ pub(super) fn planned(scenario: &Scenario) -> Vec<String> {
     let mut planned = output::planned(scenario, "", true);
     planned.push("agents.csv".to_owned());
     planned.push("methods.csv".to_owned());
+    planned.extend([results::NAME, report::NAME].map(str::to_owned));
     planned.extend(output::pictures(["errors", "states", "events", "methods"]));
     planned
 }
 
-/// Writes all tables, figures and packages to the folder `out`.
+/// Writes all tables, figures and packages to the folder `out`, then a page about them if `has_page`. `text`
+/// is that of the scenario.
 pub(super) fn write(
     out: &Path,
     format: PackageFormat,
     run: &ReportedRun,
+    text: &str,
+    has_page: bool,
 ) -> Result<(), CommandError> {
     agent_table::write_csv(&out.join("agents.csv"), &run.agents)?;
     let (tables, figures) = rayon::join(
@@ -34,7 +38,12 @@ pub(super) fn write(
     tables?;
     figures?;
     output::packages(out, format, &run.scenario, &run.result)?;
-    write_methods(out, &run.scenario, &run.rows)
+    write_methods(out, &run.scenario, &run.rows)?;
+    results::write(out, run, text)?;
+    if has_page {
+        report::write(&out.join(report::NAME), &report::of_folder(out)?)?;
+    }
+    Ok(())
 }
 
 fn write_methods(

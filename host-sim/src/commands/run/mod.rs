@@ -3,6 +3,7 @@
 mod certificate;
 mod files;
 mod reported;
+pub(super) mod results;
 
 use std::path::{Path, PathBuf};
 
@@ -13,11 +14,12 @@ pub use reported::{PreparedRun, ReportedRun};
 use super::baselines::Choice;
 use super::package_format::PackageFormat;
 use super::run_folder::RunFolder;
+use super::scenario_source::load_with_text;
 use super::{
     Changes, CommandError, Common, ProgressBars, TableFormat, agent_table, health, methods,
     trainings, warnings,
 };
-use super::{load_scenario, print_outcome, print_text};
+use super::{print_outcome, print_text};
 use crate::number::significant;
 use crate::packages::PackageBytes;
 use crate::report::checks;
@@ -49,6 +51,9 @@ pub(super) struct Arguments {
     /// NAME is the scenario's name]
     #[arg(long)]
     out: Option<PathBuf>,
+    /// Write a page about the run as well, report.html, to look at in a browser
+    #[arg(long)]
+    report: bool,
     #[command(flatten)]
     package_format: PackageFormat,
     #[command(flatten)]
@@ -56,7 +61,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
-    let mut scenario = load_scenario(&arguments.scenario, &arguments.changes)?;
+    let (mut scenario, text) = load_with_text(&arguments.scenario, &arguments.changes)?;
     give_packages(&mut scenario, &arguments.weights)?;
     if arguments.without_learning {
         if scenario.method == Method::Regression {
@@ -80,7 +85,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         let bars = ProgressBars::new("simulating");
         prepared.carry_out(&bars)?
     };
-    files::write(folder.stage(), arguments.package_format, &run)
+    files::write(folder.stage(), arguments.package_format, &run, &text, arguments.report)
         .map_err(|error| folder.placed(error))?;
     let (files, others) = folder.publish(run.scenario(), arguments.common.seed)?;
     let outcome = run.outcome();

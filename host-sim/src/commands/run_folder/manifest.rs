@@ -7,6 +7,8 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::commands::report;
+use crate::commands::run::results;
 use crate::files::input::read_limited;
 use crate::files::output::FileKind;
 use crate::packages::PackageBytes;
@@ -102,6 +104,8 @@ pub(super) fn kind_of(name: &str) -> Option<FileKind> {
         "svg" => Some(FileKind::SVG),
         "png" => Some(FileKind::PNG),
         "weights" => Some(PackageBytes::KIND),
+        "html" => Some(report::KIND),
+        "json" if name == results::NAME => Some(results::KIND),
         "json" if name == FRONTIER => Some(FRONTIER_KIND),
         "json" => Some(Manifest::KIND).filter(|_| name == NAME),
         _ => None,

@@ -8,6 +8,7 @@
 //! | `tradeoff.svg`, `tradeoff.png` | error against broadcasts |
 
 mod cells;
+pub(super) mod page;
 mod picture;
 mod results;
 mod resume;

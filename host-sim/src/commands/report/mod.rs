@@ -1,0 +1,66 @@
+//! `report`: a page about the results in a folder.
+
+mod pages;
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::Serialize;
+
+use super::{CommandError, Format, print_json, print_text};
+use crate::files::output::{FileKind, write_whole};
+use crate::page::GENERATOR;
+
+/// Name of the page in a folder of results.
+pub(super) const NAME: &str = "report.html";
+
+/// The kind of pages.
+pub(super) const KIND: FileKind = FileKind {
+    name: "a page about results",
+    recognises: |bytes| {
+        let head = &bytes[..bytes.len().min(1024)];
+        head.windows(GENERATOR.len()).any(|window| window == GENERATOR.as_bytes())
+    },
+};
+
+/// Arguments of `report`.
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// Folder that `run` or `sweep` wrote
+    folder: PathBuf,
+    /// The page [default: report.html in the folder]
+    #[arg(long, value_name = "FILE.html")]
+    out: Option<PathBuf>,
+    /// Output format
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
+    #[derive(Serialize)]
+    struct Written<'a> {
+        report: &'a Path,
+        bytes: usize,
+    }
+    let folder = &arguments.folder;
+    let out = arguments.out.clone().unwrap_or_else(|| folder.join(NAME));
+    let page = of_folder(folder)?;
+    write(&out, &page)?;
+    match arguments.format {
+        Format::Json => print_json(&Written { report: &out, bytes: page.len() }),
+        Format::Text => {
+            let kilobytes = page.len().div_ceil(1000);
+            print_text(&format!("Written to {} ({kilobytes} kB)\n", out.display()))
+        }
+    }
+}
+
+/// Returns the page about the results in `folder`.
+pub(super) fn of_folder(folder: &Path) -> Result<String, CommandError> {
+    pages::of_folder(folder)
+}
+
+/// Writes a page; another one is replaced, any other file is refused.
+pub(super) fn write(path: &Path, page: &str) -> Result<(), CommandError> {
+    Ok(write_whole(path, KIND, |file| file.write_all(page.as_bytes()))?)
+}

@@ -1,0 +1,159 @@
+//! `results.json`: all that is reported of a run, with what a page about it needs beside the tables.
+
+use std::fmt::Write as _;
+use std::io;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::ReportedRun;
+use crate::commands::error::ErrorReport;
+use crate::commands::{CommandError, output};
+use crate::files::output::{FileKind, write_result};
+use crate::packages::{PackageBytes, PackageSummary};
+
+/// Name of the file.
+pub(in crate::commands) const NAME: &str = "results.json";
+
+/// The kind of this file.
+pub(in crate::commands) const KIND: FileKind = FileKind {
+    name: "the results of a run",
+    recognises: |bytes| bytes.starts_with(b"{\"results\":1,"),
+};
+
+/// What the page about a run takes from [`Results`] itself; the rest is for its script.
+#[derive(Debug, Deserialize)]
+pub(in crate::commands) struct Outline {
+    pub(in crate::commands) scenario: String,
+    pub(in crate::commands) steps: u64,
+    pub(in crate::commands) step_s: f64,
+    pub(in crate::commands) agents: Vec<AgentOutline>,
+    pub(in crate::commands) graph: Graph,
+}
+
+#[derive(Debug, Deserialize)]
+pub(in crate::commands) struct AgentOutline {
+    pub(in crate::commands) rmse: Option<f64>,
+}
+
+#[derive(Debug, Deserialize, Serialize)]
+pub(in crate::commands) struct Graph {
+    /// Agents, counted from 1, and `a_ij`.
+    pub(in crate::commands) edges: Vec<(usize, usize, f64)>,
+}
+
+#[derive(Serialize)]
+struct Results<'a, R: Serialize> {
+    /// Version of this file's keys.
+    results: u8,
+    #[serde(flatten)]
+    report: R,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error: Option<ErrorReport>,
+    /// Version of this program.
+    host_sim: &'static str,
+    command: Vec<String>,
+    scenario_hash: String,
+    scenario_text: &'a str,
+    digest: String,
+    /// Name of the run in comparison with its baselines.
+    run_name: &'static str,
+    method: &'static str,
+    steps: u64,
+    step_s: f64,
+    evaluation: [f64; 2],
+    states: Vec<String>,
+    /// Whether the true state is known, so that there are errors.
+    is_known: bool,
+    markers: Vec<Mark>,
+    graph: Graph,
+    packages: Vec<Packed>,
+}
+
+/// A point in time that matters.
+#[derive(Serialize)]
+struct Mark {
+    time: f64,
+    label: String,
+}
+
+/// A package that was used or trained.
+#[derive(Serialize)]
+struct Packed {
+    /// Its file in the folder of the run, or `null` for one that was given.
+    file: Option<String>,
+    #[serde(flatten)]
+    summary: PackageSummary,
+    sha256: String,
+    signed: bool,
+    recipe: String,
+}
+
+impl Packed {
+    fn new(file: Option<String>, bytes: &PackageBytes) -> Self {
+        let sha256 =
+            Sha256::digest(bytes.as_bytes()).iter().fold(String::new(), |mut text, byte| {
+                // Writing into a string cannot fail.
+                let _ = write!(text, "{byte:02x}");
+                text
+            });
+        Self {
+            file,
+            summary: PackageSummary::new(bytes),
+            sha256,
+            signed: bytes.is_signed(),
+            recipe: bytes.package().provenance.recipe.to_owned(),
+        }
+    }
+}
+
+/// Writes the file into `folder`, where the run's packages already are. `text` is that of the scenario.
+pub(super) fn write(folder: &Path, run: &ReportedRun, text: &str) -> Result<(), CommandError> {
+    let (scenario, result) = (&run.scenario, &run.result);
+    let mark = |marker: &crate::figures::Marker<'_>| Mark {
+        time: marker.time(),
+        label: marker.label().to_owned(),
+    };
+    let edge = |edge: &crate::graph::Edge| (edge.first + 1, edge.second + 1, edge.weight);
+    let results = Results {
+        results: 1,
+        report: run.report(),
+        error: run.outcome().err().map(|error| error.report()),
+        host_sim: env!("CARGO_PKG_VERSION"),
+        command: std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect(),
+        scenario_hash: format!("{:#018x}", scenario.hash),
+        scenario_text: text,
+        digest: format!("{:#018x}", result.digest),
+        run_name: run.name(),
+        method: scenario.method.name(),
+        steps: scenario.steps(),
+        step_s: scenario.time.step_size,
+        evaluation: [scenario.evaluation.from, scenario.evaluation.to],
+        states: scenario.plant.state_names(),
+        is_known: scenario.plant.is_known(),
+        markers: output::markers(scenario, &result.trainings).iter().map(mark).collect(),
+        graph: Graph { edges: scenario.graph.edges().iter().map(edge).collect() },
+        packages: packages(folder, run)?,
+    };
+    let path = folder.join(NAME);
+    write_result(&path, KIND, |file| {
+        serde_json::to_writer(&mut *file, &results).map_err(io::Error::from)?;
+        file.write_all(b"\n")
+    })?;
+    Ok(())
+}
+
+/// Returns the packages that were given, and those that the run wrote to `folder`.
+fn packages(folder: &Path, run: &ReportedRun) -> Result<Vec<Packed>, CommandError> {
+    let given = run.scenario.agents.iter().filter_map(|agent| agent.package.as_ref());
+    let mut packages: Vec<Packed> = given.map(|bytes| Packed::new(None, bytes)).collect();
+    for training in &run.result.trainings {
+        let name = output::package_name(training.agent, training.cycle);
+        let path = folder.join(&name);
+        if path.exists() {
+            packages.push(Packed::new(Some(name), &PackageBytes::load(&path)?));
+        }
+    }
+    Ok(packages)
+}
