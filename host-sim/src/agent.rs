@@ -24,6 +24,15 @@ use crate::error::{ErrorCode, Reported};
 use crate::packages::refusal::{hint, kind};
 use crate::packages::{PackageBytes, with_dimension};
 
+/// Settings of a health monitor that only counts: every neighbour is believed, and the agent never restarts, as in
+/// a scenario without `[health]`.
+pub const COUNTING: HealthSettings = HealthSettings {
+    fall_back: None,
+    plausible_margin: 1e15,
+    restart_after: None,
+    telemetry_interval: HealthSettings::RECOMMENDED.telemetry_interval,
+};
+
 /// Largest number of neighbours of an agent outside a run.
 pub const NEIGHBOURS_MAX: usize = 1024;
 

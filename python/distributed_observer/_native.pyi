@@ -87,7 +87,9 @@ class Scenario:
 
 @final
 class Agent:
-    def __new__(cls, package: _Package, *, estimate: ArrayLike | None = None) -> Agent: ...
+    def __new__(
+        cls, package: _Package, *, estimate: ArrayLike | None = None, health: bool = True
+    ) -> Agent: ...
     def receive(self, frame: bytes) -> None: ...
     def step(
         self, measurement: ArrayLike | None = None, *, tick: int | None = None

@@ -13,7 +13,8 @@ use crate::{json, packages};
 /// One agent, as a node runs it: made from a weight package, stepped by hand.
 ///
 /// `estimate` is where it begins, shape `[n]`; by default in the middle of the box that its network was trained
-/// on, as a node does.
+/// on, as a node does. With `health=False` its monitor only counts: it believes every neighbour and never restarts, as in
+/// a scenario without `[health]`.
 #[pyclass(module = "distributed_observer")]
 #[derive(Debug)]
 pub(crate) struct Agent {
@@ -26,8 +27,12 @@ pub(crate) struct Agent {
 #[pymethods]
 impl Agent {
     #[new]
-    #[pyo3(signature = (package, *, estimate = None))]
-    fn new(package: &Bound<'_, PyAny>, estimate: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
+    #[pyo3(signature = (package, *, estimate = None, health = true))]
+    fn new(
+        package: &Bound<'_, PyAny>,
+        estimate: Option<&Bound<'_, PyAny>>,
+        health: bool,
+    ) -> PyResult<Self> {
         let py = package.py();
         let (package, _) = packages::read(package)?;
         let mut begin = Vec::new();
@@ -35,8 +40,8 @@ impl Agent {
             read_singles("estimate", estimate, &mut begin)?;
         }
         let begin = estimate.map(|_| &begin[..]);
-        let agent =
-            agent::Agent::new(&package, begin, &HealthSettings::RECOMMENDED).or_raise(py)?;
+        let health = if health { &HealthSettings::RECOMMENDED } else { &agent::COUNTING };
+        let agent = agent::Agent::new(&package, begin, health).or_raise(py)?;
         Ok(Self { agent, tick: 0, measurement: Vec::new() })
     }
 

@@ -19,6 +19,7 @@ mod install;
 mod machine_code;
 mod packages;
 mod project;
+mod python;
 mod size;
 mod soak;
 mod stack;
@@ -40,6 +41,7 @@ Usage: cargo xtask <task> [--debian]
        cargo xtask attack [--tries N] [--seed S] [--format text|json]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
        cargo xtask studies [--debian]
+       cargo xtask python [--debian]
 
 Tasks:
   test    run all tests: the workspace on the host, including doctests, then `cross`, `emulate`,
@@ -80,6 +82,8 @@ Tasks:
           address sanitizer.
   studies run one small study in one go, by the script for Slurm arrays, with GNU parallel, and on
           a Dask cluster of two workers: the tables must have the same bytes
+  python  build the Python module's wheel, install it into target/python, and run its tests, its type
+          checks and its notebook
   help    print this text
 
 Boards are the folders in firmware-template/boards; CONTRIBUTING.md says how to add one.
@@ -102,6 +106,7 @@ fn main() -> ExitCode {
             size::size(rest, debian)
         }
         ["studies"] => studies::studies(debian),
+        ["python"] => python::python(debian),
         ["boot"] => boot::boot(debian),
         ["emulate"] => emulate::emulate(debian),
         ["lint"] => circles::check(step::workspace())
