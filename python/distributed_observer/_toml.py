@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,11 +22,20 @@ def _toml(key: str, value: Any) -> str:
     if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        return _text(value)
     if isinstance(value, Mapping):
-        parts = (f"{json.dumps(str(name))} = {_toml(key, part)}" for name, part in value.items())
+        parts = (f"{_name(str(name))} = {_toml(key, part)}" for name, part in value.items())
         return "{ " + ", ".join(parts) + " }"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_toml(key, part) for part in value) + "]"
     found = type(value).__name__
     raise TypeError(f"set: {key}: {found} is not a TOML value; give a number, text, list or dict")
+
+
+def _text(value: str) -> str:
+    # A text of JSON is one of TOML, but for one character.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _name(name: str) -> str:
+    return name if re.fullmatch("[A-Za-z0-9_-]+", name) else _text(name)

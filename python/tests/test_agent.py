@@ -52,9 +52,11 @@ def test_the_field_observer_steps_by_hand():
     packages = [scenario.package(number) for number in (1, 2, 3)]
     found = drive(scenario, packages, result.traces, scenario.steps)
     assert found.tobytes() == result.traces["estimates"].tobytes()
-    frame = do.Agent(packages[0]).announcement()
-    assert do.decode(frame)["kind"] == "field"
-    assert do.decode(frame, dimension=3)["announced"]["hold"] in {"zero-order", "rate", "model"}
+    frame = do.Agent(packages[0]).step([1.0])
+    assert do.decode(frame)["kind"] == "field" and do.decode(frame)["estimate"] is None
+    content = do.decode(frame, dimension=3)
+    assert content["estimate"].shape == (3,)
+    assert content["announced"]["hold"] == "rate" and content["announced"]["rate"].shape == (3,)
 
 
 @pytest.mark.parametrize("name", ["lorenz", "duffing", "pendulum", "expressions"])

@@ -37,7 +37,11 @@ pub(crate) fn python(debian: bool) -> Result<(), Failure> {
     let mut install = Command::new(folder.join("bin/pip"));
     install.args(["install", "--quiet", "--disable-pip-version-check"]);
     install.arg(format!("{}[test]", module.display()));
-    run("the wheel", &mut install, "see the error above; pip has to be able to install packages here")?;
+    run(
+        "the wheel",
+        &mut install,
+        "see the error above; pip has to be able to install packages here",
+    )?;
     let program = target_folder().join("debug/simulator-under-test");
     let python = |arguments: &[&str]| {
         let mut command = Command::new(folder.join("bin/python"));
@@ -45,7 +49,8 @@ pub(crate) fn python(debian: bool) -> Result<(), Failure> {
         command.args(arguments).current_dir(workspace()).env("HOST_SIM", &program);
         command
     };
-    let hint = "see the failures above; `target/python/bin/pytest python/tests -k NAME` repeats one";
+    let hint =
+        "see the failures above; `target/python/bin/pytest python/tests -k NAME` repeats one";
     run("tests in Python", &mut python(&["-m", "pytest", "-q", "python/tests"]), hint)?;
     let hint = "bring python/distributed_observer/_native.pyi up to date";
     run("type stubs", &mut python(&["-m", "mypy.stubtest", "distributed_observer"]), hint)?;
