@@ -7,6 +7,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from distributed_observer._result import Result
 
+__all__ = [
+    "Agent",
+    "Samples",
+    "Scenario",
+    "decode",
+    "inspect",
+    "keygen",
+    "load",
+    "scenarios",
+    "sign",
+    "train",
+    "verify",
+]
+
 _Path: TypeAlias = str | os.PathLike[str]
 _Package: TypeAlias = bytes | bytearray | str | os.PathLike[str]
 _Samples: TypeAlias = _Path | ArrayLike | Samples | list[_Path] | list[ArrayLike] | list[Samples]

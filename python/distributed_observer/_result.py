@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    import pandas
+    import pandas as _pd
 
     from distributed_observer._native import Samples
 
@@ -74,16 +74,16 @@ class Result:
         warnings: list[dict[str, str]] = self.report["warnings"]
         return warnings
 
-    def agents_frame(self) -> pandas.DataFrame:
+    def agents_frame(self) -> _pd.DataFrame:
         """Return :attr:`agents` as a data frame with a row for each agent."""
         rows = [{key: value for key, value in agent.items() if key != "health"} for agent in self.agents]
         return _pandas().DataFrame(rows).set_index("agent")
 
-    def trainings_frame(self) -> pandas.DataFrame:
+    def trainings_frame(self) -> _pd.DataFrame:
         """Return :attr:`trainings` as a data frame with a row for each training."""
         return _pandas().json_normalize(self.trainings)
 
-    def traces_frame(self) -> pandas.DataFrame:
+    def traces_frame(self) -> _pd.DataFrame:
         """Return :attr:`traces` as a data frame over time, with the columns of ``traces.csv``."""
         traces, names = self.traces, self.state_names
         columns = {name: traces["state"][:, place] for place, name in enumerate(names)}

@@ -1,5 +1,7 @@
 //! Runs, and their results as Python's own types.
 
+use std::path::Path;
+
 use host_sim::commands::{Choice, PreparedRun, ReportedRun};
 use host_sim::engine::TrainingRecord;
 use host_sim::error::ErrorReport;
@@ -11,8 +13,8 @@ use pyo3::types::{PyBytes, PyDict, PyList};
 
 use crate::attended::attended;
 use crate::errors::{OrRaise, exception, usage};
+use crate::plant::CallablePlant;
 use crate::samples::Samples;
-use crate::scenario::{Scenario, no_such_agent};
 use crate::{json, packages};
 
 /// What to run, beside the scenario.
@@ -46,12 +48,11 @@ pub(crate) fn choices(py: Python<'_>, names: &[String]) -> PyResult<Vec<Choice>>
 /// Runs a scenario, with packages for the agents that they name.
 pub(crate) fn run<'py>(
     py: Python<'py>,
-    given: &Scenario,
+    (mut scenario, callable): (scenario::Scenario, Option<CallablePlant>),
     request: &Request,
     packages: &[Bound<'py, PyAny>],
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let (mut scenario, callable) = given.for_run();
     give_packages(py, &mut scenario, packages)?;
     if !request.learning {
         if scenario.method == Method::Regression {
@@ -102,6 +103,16 @@ fn give_packages(
         }
     }
     Ok(())
+}
+
+/// Returns the error of a package for an agent that the scenario does not have.
+fn no_such_agent(path: &Path, number: usize, scenario: &scenario::Scenario) -> ErrorReport {
+    let (agents, name) = (scenario.agents.len(), &scenario.name);
+    let path_shown = path.display();
+    let text = format!(
+        "{path_shown}: package for agent {number}, but scenario {name} has agents 1 to {agents}"
+    );
+    ErrorReport::usage(text).about(path)
 }
 
 static RESULT: PyOnceLock<Py<PyAny>> = PyOnceLock::new();

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use host_sim::engine::start_package;
-use host_sim::error::ErrorReport;
 use host_sim::offline::agent_index;
 use host_sim::scenario::{self, BUILT_IN, Change, ScenarioSource};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
@@ -260,7 +259,7 @@ impl Scenario {
         let packages = packages.unwrap_or_default();
         let choices = crate::runs::choices(py, &baselines.unwrap_or_default())?;
         let request = crate::runs::Request { seed, threads, learning, choices };
-        crate::runs::run(py, self, &request, &packages, progress)
+        crate::runs::run(py, self.for_run(), &request, &packages, progress)
     }
 
     fn __repr__(&self) -> String {
@@ -270,18 +269,4 @@ impl Scenario {
             (scenario.agents.len(), scenario.dimension(), scenario.time.duration);
         format!("<Scenario {}: {agents} agents, {n} states, {duration} s{plant}>", scenario.name)
     }
-}
-
-/// Returns the error of a package for an agent that the scenario does not have.
-pub(crate) fn no_such_agent(
-    path: &Path,
-    number: usize,
-    scenario: &scenario::Scenario,
-) -> ErrorReport {
-    let (agents, name) = (scenario.agents.len(), &scenario.name);
-    let path_shown = path.display();
-    let text = format!(
-        "{path_shown}: package for agent {number}, but scenario {name} has agents 1 to {agents}"
-    );
-    ErrorReport::usage(text).about(path)
 }

@@ -21,6 +21,7 @@ const SOURCES: [&str; 6] = [
     "agent-core/integrity/src",
     "host-sim/src",
     "firmware-template/src",
+    "python/src",
     "xtask/src",
 ];
 

@@ -52,10 +52,12 @@ pub(crate) fn python(debian: bool) -> Result<(), Failure> {
     let hint =
         "see the failures above; `target/python/bin/pytest python/tests -k NAME` repeats one";
     run("tests in Python", &mut python(&["-m", "pytest", "-q", "python/tests"]), hint)?;
+    let config = "--mypy-config-file=python/pyproject.toml";
     let hint = "bring python/distributed_observer/_native.pyi up to date";
-    run("type stubs", &mut python(&["-m", "mypy.stubtest", "distributed_observer"]), hint)?;
-    let mut types = python(&["-m", "mypy", "--strict", "--package", "distributed_observer"]);
-    run("types", types.args(["--ignore-missing-imports"]), "follow mypy")
+    let module = "distributed_observer";
+    run("type stubs", &mut python(&["-m", "mypy.stubtest", config, module]), hint)?;
+    let config = "--config-file=python/pyproject.toml";
+    run("types", &mut python(&["-m", "mypy", config, "--package", module]), "follow mypy")
 }
 
 /// Installs what is missing, if that is allowed.
