@@ -2,12 +2,12 @@
 //!
 //! | module | what Python sees |
 //! | --- | --- |
-//! | [`scenario`], [`runs`] | `load`, `Scenario` and its runs |
-//! | [`agent`] | `Agent`, stepped by hand |
-//! | [`samples`], [`training`] | `Samples` and `train` |
-//! | [`packages`], [`frames`] | packages and frames as bytes |
-//! | [`plant`] | a Python callable as the plant |
-//! | [`errors`], [`arrays`], [`json`], [`attended`] | conversions; long work that Python can watch and interrupt |
+//! | `scenario`, `runs` | `load`, `Scenario` and its runs |
+//! | `agent` | `Agent`, stepped by hand |
+//! | `samples`, `training` | `Samples` and `train` |
+//! | `packages`, `frames` | packages and frames as bytes |
+//! | `plant` | a Python callable as the plant |
+//! | `errors`, `arrays`, `json`, `attended` | conversions; long work that Python can watch and interrupt |
 //!
 //! Nothing is computed here: every function converts its arguments, calls the library, and converts what
 //! comes back. The Python package beside this crate adds what is easier to write in Python: results, data
