@@ -11,7 +11,7 @@ nbclient = pytest.importorskip("nbclient")
 pytest.importorskip("ipykernel")
 pytest.importorskip("matplotlib")
 
-NOTEBOOK = Path(__file__).parents[1] / "paper.ipynb"
+NOTEBOOK = Path(__file__).parents[1] / "notebooks/paper.ipynb"
 
 
 def test_the_notebook_runs_in_its_bounded_form(monkeypatch, tmp_path):

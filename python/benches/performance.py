@@ -1,4 +1,4 @@
-"""Measure the module beside the command line, in turns: `python bench.py PATH-OF-HOST-SIM`.
+"""Measure the module beside the command line, in turns: `python python/benches/performance.py PATH-OF-HOST-SIM`.
 
 Prints the fastest and the median of a step of one agent, and of the paper's run.
 """
