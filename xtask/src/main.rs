@@ -18,6 +18,7 @@ mod host;
 mod install;
 mod machine_code;
 mod packages;
+mod page;
 mod project;
 mod size;
 mod soak;
@@ -40,6 +41,7 @@ Usage: cargo xtask <task> [--debian]
        cargo xtask attack [--tries N] [--seed S] [--format text|json]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
        cargo xtask studies [--debian]
+       cargo xtask page [--debian]
 
 Tasks:
   test    run all tests: the workspace on the host, including doctests, then `cross`, `emulate`,
@@ -80,6 +82,8 @@ Tasks:
           address sanitizer.
   studies run one small study in one go, by the script for Slurm arrays, with GNU parallel, and on
           a Dask cluster of two workers: the tables must have the same bytes
+  page    open pages about results (`run --report`, `report FOLDER`) in a headless Chromium and
+          check values, zoom, accessibility and width; screenshots are in target/page
   help    print this text
 
 Boards are the folders in firmware-template/boards; CONTRIBUTING.md says how to add one.
@@ -102,6 +106,7 @@ fn main() -> ExitCode {
             size::size(rest, debian)
         }
         ["studies"] => studies::studies(debian),
+        ["page"] => page::page(debian),
         ["boot"] => boot::boot(debian),
         ["emulate"] => emulate::emulate(debian),
         ["lint"] => circles::check(step::workspace())
