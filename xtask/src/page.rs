@@ -37,7 +37,14 @@ pub(crate) fn page(debian: bool) -> Result<(), Failure> {
     fs::create_dir_all(&folder)
         .map_err(|error| Failure::new(format!("{}: {error}", folder.display()), "free the path"))?;
     let mut install = Command::new("npm");
-    install.args(["install", "--no-save", "--no-package-lock", "--no-audit", "--no-fund", "--silent"]);
+    install.args([
+        "install",
+        "--no-save",
+        "--no-package-lock",
+        "--no-audit",
+        "--no-fund",
+        "--silent",
+    ]);
     install.arg("--prefix").arg(&folder).args(MODULES).current_dir(&folder);
     run("playwright-core and axe-core", &mut install, "check the network, or npm's settings")?;
     let mut test = Command::new("node");
@@ -46,7 +53,11 @@ pub(crate) fn page(debian: bool) -> Result<(), Failure> {
         .env("HOST_SIM", target_folder().join("debug/simulator-under-test"))
         .env("FOLDER", &folder)
         .env("CHROMIUM", browser);
-    run("pages in a browser", &mut test, "see the failed test above; screenshots are in target/page")
+    run(
+        "pages in a browser",
+        &mut test,
+        "see the failed test above; screenshots are in target/page",
+    )
 }
 
 /// Installs what is missing, if that is allowed; returns the browser.

@@ -231,7 +231,7 @@ function showRun(run) {
       ["Seed", `${run.seed}`],
       ["Scenario's hash", element("code", {}, run.scenario_hash)],
       ["Digest of the run", element("code", {}, run.digest)],
-      ["Repeat it", command(run.command)],
+      ["Repeat it", run.command.length ? command(run.command) : null],
     ]);
   const shown = new ShownAgents(run.agents);
   section("Agents", agentTable(run), run.link.length ? table("What the link did", [
