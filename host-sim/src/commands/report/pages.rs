@@ -3,9 +3,8 @@
 use std::io;
 use std::path::Path;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use crate::commands::run::results::Outline;
 use crate::commands::run_folder::RESULTS;
 use crate::commands::sweep;
 use crate::commands::{CommandError, ErrorCode};
@@ -16,6 +15,27 @@ use crate::page::{curves, events, html, layout, traces};
 const ESTIMATES: usize = 20;
 /// Largest description of a run or a study. \[bytes\]
 const BYTES_MAX: u64 = 256 << 20;
+
+/// What is taken from `results.json` here; the rest is for the page's script.
+#[derive(Deserialize)]
+struct Outline {
+    scenario: String,
+    steps: u64,
+    step_s: f64,
+    agents: Vec<AgentOutline>,
+    graph: GraphOutline,
+}
+
+#[derive(Deserialize)]
+struct AgentOutline {
+    rmse: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct GraphOutline {
+    /// Agents, counted from 1, and `a_ij`.
+    edges: Vec<(usize, usize, f64)>,
+}
 
 /// What a page needs besides `results.json`.
 #[derive(Serialize)]

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::io;
 use std::path::Path;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::ReportedRun;
@@ -15,25 +15,10 @@ use crate::commands::{CommandError, output};
 use crate::files::output::write_result;
 use crate::packages::{PackageBytes, PackageSummary};
 
-/// What the page about a run takes from [`Results`] itself; the rest is for its script.
-#[derive(Debug, Deserialize)]
-pub(in crate::commands) struct Outline {
-    pub(in crate::commands) scenario: String,
-    pub(in crate::commands) steps: u64,
-    pub(in crate::commands) step_s: f64,
-    pub(in crate::commands) agents: Vec<AgentOutline>,
-    pub(in crate::commands) graph: Graph,
-}
-
-#[derive(Debug, Deserialize)]
-pub(in crate::commands) struct AgentOutline {
-    pub(in crate::commands) rmse: Option<f64>,
-}
-
-#[derive(Debug, Deserialize, Serialize)]
-pub(in crate::commands) struct Graph {
+#[derive(Serialize)]
+struct Graph {
     /// Agents, counted from 1, and `a_ij`.
-    pub(in crate::commands) edges: Vec<(usize, usize, f64)>,
+    edges: Vec<(usize, usize, f64)>,
 }
 
 #[derive(Serialize)]
