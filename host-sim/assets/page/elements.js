@@ -30,7 +30,7 @@ function number(value, digits = 4) {
 
 function percent(value) {
   if (value == null || !Number.isFinite(value)) return "–";
-  return `${value > 0 ? "+" : ""}${value.toFixed(1)} %`;
+  return `${value > 0 ? "+" : ""}${value.toFixed(1)} %`.replace("-", "−");
 }
 
 // columns: name, value of a row, and how it is shown; `isText` aligns to the left.

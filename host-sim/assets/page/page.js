@@ -50,7 +50,8 @@ function verdicts(run) {
   const theorem = (name, check) => {
     const kind = { kept: "good", broken: "bad" }[check.status] || "open";
     const text = { kept: "its premises hold, and the run kept its bound", broken: "its premises hold, and the run BROKE its bound" }[check.status];
-    found.push([kind, name, text || `not applicable: ${check.premise}`]);
+    const premise = /^not /.test(check.premise) ? check.premise : `not applicable: ${check.premise}`;
+    found.push([kind, name, text || premise]);
   };
   if (run.observer) {
     const { certified, bound, reasons } = run.observer;
