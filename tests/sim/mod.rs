@@ -1,6 +1,7 @@
 //! The simulator, its scenarios, its training, and its verdicts.
 
 mod determinism;
+mod embedding;
 mod examples;
 mod field_observer;
 mod levenberg_marquardt;

@@ -15,12 +15,13 @@ use proc_macro2::{Delimiter, TokenStream, TokenTree};
 use crate::step::Failure;
 
 /// The crates to check.
-const SOURCES: [&str; 6] = [
+const SOURCES: [&str; 7] = [
     "agent-core/src",
     "agent-core/inner-network/src",
     "agent-core/integrity/src",
     "host-sim/src",
     "firmware-template/src",
+    "python/src",
     "xtask/src",
 ];
 

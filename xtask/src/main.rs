@@ -20,6 +20,7 @@ mod machine_code;
 mod packages;
 mod page;
 mod project;
+mod python;
 mod size;
 mod soak;
 mod stack;
@@ -42,6 +43,7 @@ Usage: cargo xtask <task> [--debian]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
        cargo xtask studies [--debian]
        cargo xtask page [--debian]
+       cargo xtask python [--debian]
 
 Tasks:
   test    run all tests: the workspace on the host, including doctests, then `cross`, `emulate`,
@@ -84,6 +86,8 @@ Tasks:
           a Dask cluster of two workers: the tables must have the same bytes
   page    open pages about results (`run --report`, `report FOLDER`) in a headless Chromium and
           check values, zoom, accessibility and width; screenshots are in target/page
+  python  build the Python module's wheel, install it into target/python, and run its tests, its type
+          checks and its notebook
   help    print this text
 
 Boards are the folders in firmware-template/boards; CONTRIBUTING.md says how to add one.
@@ -107,6 +111,7 @@ fn main() -> ExitCode {
         }
         ["studies"] => studies::studies(debian),
         ["page"] => page::page(debian),
+        ["python"] => python::python(debian),
         ["boot"] => boot::boot(debian),
         ["emulate"] => emulate::emulate(debian),
         ["lint"] => circles::check(step::workspace())

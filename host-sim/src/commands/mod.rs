@@ -61,7 +61,6 @@ use serde::Serialize;
 
 use crate::engine::Progress;
 use crate::interruption;
-use crate::scenario::{Network, Scenario};
 use crate::terminal;
 use crate::training::EpochReport;
 pub use baselines::Choice;
@@ -274,24 +273,6 @@ fn print_outcome(
     }
 }
 
-/// Converts an agent number from the command line, from 1, to an index, from 0.
-fn agent_index(scenario: &Scenario, number: usize) -> Result<usize, CommandError> {
-    let agents = scenario.agents.len();
-    number.checked_sub(1).filter(|&index| index < agents).ok_or_else(|| {
-        let name = &scenario.name;
-        CommandError::usage(format!("--agent {number}: scenario {name} has agents 1 to {agents}"))
-    })
-}
-
-/// Returns the scenario's network, which a package requires.
-fn network_of(scenario: &Scenario) -> Result<&Network, CommandError> {
-    scenario.network.as_ref().ok_or_else(|| {
-        let name = &scenario.name;
-        let problem = format!("scenario {name} has no network; add [network] and [outer_law]");
-        CommandError::usage(problem)
-    })
-}
-
 /// The progress of one of several concurrent runs, as part of that of all.
 struct SharedProgress<'p> {
     whole: &'p dyn Progress,
@@ -316,5 +297,9 @@ impl Progress for SharedProgress<'_> {
 
     fn epoch(&self, agent: usize, cycle: usize, report: &EpochReport) {
         self.whole.epoch(agent, cycle, report);
+    }
+
+    fn is_stopped(&self) -> bool {
+        self.whole.is_stopped()
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use clap::Args;
 
 use super::CommandError;
-use crate::scenario::{Change, Scenario, built_in};
+use crate::scenario::{Change, Scenario, ScenarioSource, built_in};
 use crate::terminal;
 
 /// Changes of a scenario's keys, an option of every command that reads one.
@@ -34,34 +34,17 @@ impl Changes {
     }
 }
 
-/// The text of a scenario that has not been read yet.
-#[derive(Clone, Debug)]
-pub(super) struct ScenarioSource {
-    /// Its name in errors: the path, or the name of the built-in scenario.
-    pub(super) name: String,
-    pub(super) text: String,
-}
-
-impl ScenarioSource {
-    /// Finds the built-in scenario of that name, or reads the file `path`. A built-in name takes
-    /// precedence over a file of the same name; `./NAME` refers to the file.
-    pub(super) fn find(path: &Path) -> Result<Self, CommandError> {
-        let Some((name, text)) = path.to_str().and_then(|name| Some((name, built_in(name)?)))
-        else {
-            return Ok(Self { name: path.display().to_string(), text: Scenario::read_text(path)? });
-        };
-        if path.is_file() {
-            terminal::note(format_args!(
-                "using the built-in scenario {name}; write ./{name} to use the file of that name"
-            ));
-        }
-        Ok(Self { name: name.to_owned(), text: text.to_owned() })
+/// Finds the text of a scenario, as [`ScenarioSource::find`] does, and says so if a file of the same name is passed over.
+pub(super) fn find(path: &Path) -> Result<ScenarioSource, CommandError> {
+    let source = ScenarioSource::find(path)?;
+    // A path such as ./NAME is not the name.
+    if built_in(&source.name).is_some() && path.is_file() {
+        let name = &source.name;
+        terminal::note(format_args!(
+            "using the built-in scenario {name}; write ./{name} to use the file of that name"
+        ));
     }
-
-    /// Reads and checks the scenario; returns it with its changed text.
-    pub(super) fn load(&self, changes: &[Change]) -> Result<(Scenario, String), CommandError> {
-        Ok(Scenario::parse_changed(&self.name, &self.text, changes)?)
-    }
+    Ok(source)
 }
 
 /// Loads the built-in scenario of that name, or the file `path`, with these changes.
@@ -74,5 +57,5 @@ pub(super) fn load_with_text(
     path: &Path,
     changes: &Changes,
 ) -> Result<(Scenario, String), CommandError> {
-    ScenarioSource::find(path)?.load(&changes.set)
+    Ok(find(path)?.load(&changes.set)?)
 }

@@ -9,29 +9,13 @@ use agent_core::package::Serial;
 use super::CommandError;
 use super::package_format::{PackageFormat, unfit};
 use crate::files::output::OutputFile;
+use crate::offline::version_after;
 use crate::packages::PackageBytes;
 use crate::signing::OperatorKey;
 
 /// How long to wait for a folder that another command has locked. A training holds it only to write
 /// its package, but a run holds it until its end.
 const LOCK_WAIT: Duration = Duration::from_secs(2);
-
-/// Returns the version after `serial`, of the same epoch.
-///
-/// # Errors
-/// Returns an error if the version is the largest one.
-pub(super) fn after(serial: Serial, of: &Path) -> Result<u32, CommandError> {
-    serial.version.checked_add(1).ok_or_else(|| {
-        let Serial { epoch, version } = serial;
-        CommandError::usage(format!(
-            "{}: version {version} is the largest possible, so nodes accept no later one of its epoch; \
-             choose a version with --package-version and sign the package with --epoch {}",
-            of.display(),
-            epoch.saturating_add(1)
-        ))
-        .about(of)
-    })
-}
 
 /// Writes `package`, in this format and signed with `key`, to `out`, and returns it as written. If a package of the
 /// same or a later version is there by now, the version is increased, unless the user has `chosen`
@@ -54,7 +38,7 @@ pub(super) fn save(
         let there = PackageBytes::load(out)?;
         let (there, own) = (there.package().serial(), package.package().serial());
         if there >= own {
-            let serial = Serial { epoch: there.epoch, version: after(there, out)? };
+            let serial = Serial { epoch: there.epoch, version: version_after(there, out)? };
             package = package.with_serial(serial).map_err(|error| unfit(error, out))?;
         }
     }

@@ -19,7 +19,7 @@ use crate::learning::trained::{INITIAL_VERSION, TrainedError, TrainingTask};
 use crate::packages::recording::Observed;
 use crate::packages::{PackageBytes, Recording, Timing};
 use crate::scenario::{LearningCycle, Method, Scenario};
-use crate::training::{DataError, Dataset, EpochReport};
+use crate::training::{DataError, Dataset, EpochReport, StopReason};
 use crate::warning::Warning;
 
 /// The samples and the state of one agent in one cycle.
@@ -243,9 +243,12 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
     }
     let mut report_epoch = |epoch: &EpochReport| {
         progress.epoch(agent + 1, cycle + 1, epoch);
-        ControlFlow::Continue(())
+        if progress.is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let trained = task.carry_out(recording, &mut report_epoch).map_err(failed)?;
+    if trained.report.stop == StopReason::Callback {
+        return Err(RunError::Interrupted);
+    }
     let mut records = Vec::with_capacity(group.len());
     let packages = packages(&trained.package)?;
     let parts = group.into_iter().zip(recordings).zip(packages);

@@ -55,7 +55,7 @@ use statistics::AgentStatistics;
 use traces::Traces;
 
 pub use lanes::LaneMode;
-pub use run::{run, run_in_lanes, run_observed, run_over};
+pub use run::{run, run_in_lanes, run_observed, run_over, start_package};
 pub use run_observer::{RunObserver, RunObserverError};
 
 /// Receives progress reports of a run; the methods do nothing by default.
@@ -68,6 +68,12 @@ pub trait Progress: Sync {
     /// Reports that training of `agent` in `cycle`, both from 1, has finished an epoch.
     fn epoch(&self, agent: usize, cycle: usize, report: &EpochReport) {
         let _ = (agent, cycle, report);
+    }
+
+    /// Whether the run is to end, which is asked now and then: the run then fails with
+    /// [`RunError::Interrupted`].
+    fn is_stopped(&self) -> bool {
+        false
     }
 }
 
@@ -257,6 +263,9 @@ pub enum RunError {
         /// The name.
         recipe: String,
     },
+    /// [`Progress::is_stopped`] ended the run.
+    #[error("the run was interrupted")]
+    Interrupted,
     /// The run observer ended the run.
     #[error(transparent)]
     RunObserver(RunObserverError),

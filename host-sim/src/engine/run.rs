@@ -95,6 +95,27 @@ pub fn run_over(
     run_any(scenario, link, None, LaneMode::Longest, options, progress)
 }
 
+/// Returns the package that an agent, from 0, starts a run of this seed with: the one given in the scenario, or
+/// one with the scenario's initial network. `None` without a network.
+///
+/// # Errors
+/// As [`run`], about packages and networks.
+///
+/// # Panics
+/// If there is no such agent.
+pub fn start_package(
+    scenario: &Scenario,
+    agent: usize,
+    seed: u64,
+) -> Result<Option<PackageBytes>, RunError> {
+    let scenario = &*scenario.drawn(seed);
+    let trigger = TriggerConstants::new(scenario);
+    let plan = Plan::new(scenario).map_err(RunError::Observer)?;
+    let options = RunOptions { seed, learning: true, bounds: false };
+    let starts = Starts::new(scenario, &trigger, options, plan.as_ref())?;
+    starts.package(agent, &agent_config(scenario, &trigger, agent))
+}
+
 fn run_any(
     scenario: &Scenario,
     link: impl Link,
@@ -446,6 +467,9 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
             }
             if tick.is_multiple_of(PROGRESS_STRIDE) {
                 progress.step(tick, steps);
+                if progress.is_stopped() {
+                    return Err(RunError::Interrupted);
+                }
             }
         }
         self.note(steps, false);

@@ -8,6 +8,7 @@
 //! | `encode` | the bytes of a package |
 //! | [`draft`] | the content of a package, and creating packages |
 //! | [`check`] | the node's own acceptance, for any state dimension |
+//! | [`facts`] | what a package contains, as text and JSON |
 //! | [`recording`] | recorded samples, in memory and in files |
 //! | [`refusal`] | hints for refused packages |
 //! | [`summary`] | a one-line summary of a package |
@@ -19,6 +20,7 @@ pub mod bytes;
 pub mod check;
 pub mod draft;
 mod encode;
+pub mod facts;
 pub mod node;
 pub mod parameter;
 pub mod recording;
@@ -28,6 +30,7 @@ pub mod summary;
 
 pub use bytes::{PackageBytes, PackageFileError};
 pub use draft::{Draft, DraftError};
+pub use facts::Facts;
 pub use node::OwnedAgentConfig;
 pub use recording::{Recording, RecordingError, Timing};
 pub use recording_source::RecordingSource;

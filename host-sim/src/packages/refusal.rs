@@ -1,7 +1,11 @@
-//! Hints for packages that a node refuses or would refuse.
+//! Errors and hints for packages that a node refuses or would refuse.
+
+use std::path::Path;
 
 use agent_core::package::Refusal;
 use agent_core::service::{RefusalKind, RefusalReport};
+
+use crate::error::{ErrorCode, ErrorReport};
 
 /// Returns the hint for a package that fails this check.
 #[must_use]
@@ -45,4 +49,18 @@ pub fn hint(kind: RefusalKind) -> &'static str {
 #[must_use]
 pub fn kind(refusal: &Refusal) -> RefusalKind {
     RefusalReport::from(refusal).kind
+}
+
+/// Returns the error about the package at `path`, which a node would refuse.
+#[must_use]
+pub fn refused(path: &Path, refusal: &Refusal) -> ErrorReport {
+    unfit(path, &refusal.to_string(), hint(kind(refusal)))
+}
+
+/// Returns the error about the package at `path`, which a node would refuse for this reason.
+#[must_use]
+pub fn unfit(path: &Path, refusal: &str, hint: &str) -> ErrorReport {
+    let shown = path.display();
+    let text = format!("{shown}: a node would refuse it: {refusal}; {hint}");
+    ErrorReport::new(ErrorCode::PackageRefused, text).about(path)
 }

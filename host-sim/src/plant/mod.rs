@@ -12,11 +12,13 @@
 
 mod disturbance;
 pub mod expression;
+mod function;
 mod integrator;
 mod recorded;
 
 pub use disturbance::{Disturbance, Harmonic, Wave};
 pub use expression::{ExpressionFault, ExpressionSystem};
+pub use function::{FunctionPlant, Rate};
 pub use integrator::{Integrator, Stepper};
 pub use recorded::{Between, Recorded};
 
@@ -70,6 +72,8 @@ pub enum Plant {
     Linear(DMatrix<f64>),
     /// User-defined expressions.
     Expressions(ExpressionSystem),
+    /// A function of the program that uses this library.
+    Function(FunctionPlant),
     /// A recorded experiment, whose `f` and `d` are not known.
     Recording(Arc<Recorded>),
 }
@@ -83,6 +87,7 @@ impl Plant {
             Self::Duffing { .. } | Self::DampedPendulum { .. } => 2,
             Self::Linear(matrix) => matrix.nrows(),
             Self::Expressions(system) => system.dimension(),
+            Self::Function(function) => function.state_names().len(),
             Self::Recording(recorded) => recorded.states.len(),
         }
     }
@@ -97,6 +102,7 @@ impl Plant {
             Self::DampedPendulum { .. } => fixed(&["angle", "rate"]),
             Self::Linear(matrix) => (1..=matrix.nrows()).map(|i| format!("x{i}")).collect(),
             Self::Expressions(system) => system.state_names().to_vec(),
+            Self::Function(function) => function.state_names().to_vec(),
             Self::Recording(recorded) => recorded.states.clone(),
         }
     }
@@ -117,7 +123,7 @@ impl Plant {
     }
 
     /// Writes `f` at `time` \[s\] and state `x`, shape `[n]`, to `dx`, shape `[n]`. Only
-    /// expressions may depend on time; a recording has the slope of its reference; `dx` is not finite where one is undefined.
+    /// expressions and functions may depend on time; a recording has the slope of its reference; `dx` is not finite where one is undefined.
     ///
     /// # Panics
     /// If `x` or `dx` is shorter than the dimension.
@@ -152,6 +158,7 @@ impl Plant {
                 }
             }
             Self::Expressions(system) => system.evaluate(time, x, dx),
+            Self::Function(function) => function.rate().evaluate(time, x, dx),
             Self::Recording(recorded) => recorded.slope_at(time, dx),
         }
     }

@@ -12,6 +12,7 @@ mod initial_state;
 mod load;
 mod reader;
 mod sections;
+mod source;
 
 pub use builtin::{BUILT_IN, PAPER, built_in};
 pub use changes::{Change, ChangeError};
@@ -24,6 +25,7 @@ pub use sections::method::{KalmanSettings, Method};
 pub use sections::observer::{DisturbanceModel, ObserverSettings};
 pub use sections::sensor::{Outliers, SensorSettings};
 pub use sections::trigger::TriggerModel;
+pub use source::ScenarioSource;
 
 use std::borrow::Cow;
 use std::num::NonZeroU32;

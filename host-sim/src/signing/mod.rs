@@ -10,6 +10,7 @@
 //! A private key that other users can read is rejected, as in OpenSSH.
 
 mod error;
+mod pair;
 mod pem;
 
 use std::fs::{self, OpenOptions};
@@ -24,6 +25,7 @@ use sha2::{Digest, Sha256};
 use zeroize::Zeroizing;
 
 pub use error::KeyFileError;
+pub use pair::KeyPair;
 
 use crate::files::input::read_limited;
 use crate::files::output::{FileKind, write_whole};

@@ -16,10 +16,9 @@ use rayon::prelude::*;
 
 use super::vary::{Range, Spec, Vary};
 use crate::commands::CommandError;
-use crate::commands::scenario_source::ScenarioSource;
 use crate::files::input::read_limited;
 use crate::random::{Purpose, Random};
-use crate::scenario::{Change, Record, Scenario};
+use crate::scenario::{Change, Record, Scenario, ScenarioSource};
 
 /// Most cells of a study.
 const CELLS_MAX: usize = 1_000_000;

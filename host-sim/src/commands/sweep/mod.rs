@@ -25,7 +25,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::run_folder::lock;
-use super::scenario_source::{ScenarioSource, load_with_text};
+use super::scenario_source::load_with_text;
 use super::{
     Changes, CommandError, Common, ErrorCode, TableFormat, initial_states, print_outcome,
     print_text,
@@ -34,7 +34,7 @@ use crate::figures::{tradeoff, write_all};
 use crate::files::output::{OutputError, make_folder};
 use crate::interruption::{self, SecondSignal};
 use crate::report::latex::latex;
-use crate::scenario::Scenario;
+use crate::scenario::{Scenario, ScenarioSource};
 use crate::shell::shell_word;
 use crate::terminal;
 use cells::Cells;

@@ -12,12 +12,12 @@ use crate::analysis::TriggerConstants;
 use crate::commands::key::Passphrase;
 use crate::commands::package_format::PackageFormat;
 use crate::commands::{
-    Changes, CommandError, Format, agent_index, load_scenario, network_of, print_json, print_text,
-    versions,
+    Changes, CommandError, Format, load_scenario, print_json, print_text, versions,
 };
 use crate::files::output::OutputFile;
 use crate::learning::agent_config;
 use crate::learning::trained::INITIAL_VERSION;
+use crate::offline::{agent_index, network_of, version_after};
 use crate::packages::{Draft, PackageBytes, PackageSummary};
 use crate::scenario::SimulationOnly;
 use crate::shell::shell_word;
@@ -251,7 +251,7 @@ fn draft(arguments: &Import) -> Result<Draft, CommandError> {
         (Some(version), _) => version,
         (None, Some(base)) => {
             let (epoch, version) = (draft.epoch, draft.version);
-            versions::after(Serial { epoch, version }, base)?
+            version_after(Serial { epoch, version }, base)?
         }
         (None, None) => draft.version + 1,
     };

@@ -6,9 +6,8 @@ use clap::Args;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::inspect::Facts;
 use crate::commands::{CommandError, Format, print_json, print_text};
-use crate::packages::PackageBytes;
+use crate::packages::{Facts, PackageBytes};
 
 /// Arguments of `weights diff`.
 #[derive(Debug, Args)]

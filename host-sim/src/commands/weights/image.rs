@@ -18,7 +18,7 @@ use crate::interruption::{self, SecondSignal};
 use crate::keys::epoch_now;
 use crate::memory_map::MemoryMap;
 use crate::packages::PackageBytes;
-use crate::packages::check::check;
+use crate::packages::check::{check, requirements};
 use crate::signing::read_public_key;
 use crate::terminal;
 
@@ -120,7 +120,7 @@ fn image(path: &Path, place: &Place) -> Result<(Image, PackageBytes), CommandErr
     let region = MemoryMap::read(&place.memory)?.weights()?;
     let key = place.key.as_deref().map(read_public_key).transpose()?;
     let package = PackageBytes::load(path)?;
-    let requirements = super::verify::requirements(key.as_slice(), None);
+    let requirements = requirements(key.as_slice(), None);
     check(&package, &requirements).map_err(|refusal| CommandError::refused(path, &refusal))?;
     Ok((Image::of_package(&region, place.slot, &package)?, package))
 }
@@ -148,7 +148,7 @@ fn provisioned(
          to one board only, and then delete it."
     )];
     let valid = keys.operators().valid_keys()?;
-    if check(package, &super::verify::requirements(&valid, None)).is_err() {
+    if check(package, &requirements(&valid, None)).is_err() {
         warnings.push(format!(
             "WARNING: the package is not signed with an operator key of {}. Firmware with its public key \
              will not use it.",

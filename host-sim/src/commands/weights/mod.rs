@@ -4,7 +4,6 @@ mod convert;
 mod diff;
 mod evaluate;
 mod image;
-mod inspect;
 mod renumber;
 mod verify;
 
@@ -16,11 +15,10 @@ use serde::Serialize;
 
 use super::key::Passphrase;
 use super::{CommandError, Format, package_format, print_json, print_text};
-use crate::files::output::{FileKind, OutputFile};
 use crate::keys::Operators;
-use crate::packages::PackageBytes;
-use crate::packages::check::check;
-use crate::signing::{OperatorKey, fingerprint};
+use crate::packages::check::{check_signature_before, signed};
+use crate::packages::{Facts, PackageBytes};
+use crate::signing::{KeyPair, fingerprint};
 
 pub(super) use image::{FlashArguments, flash};
 
@@ -119,7 +117,7 @@ pub(super) fn execute(command: &Command) -> Result<(), CommandError> {
 
 fn inspect(arguments: &Inspect) -> Result<(), CommandError> {
     let bytes = PackageBytes::load(&arguments.package)?;
-    let facts = inspect::Facts::new(&bytes);
+    let facts = Facts::new(&bytes);
     match arguments.format {
         Format::Json => print_json(&facts),
         Format::Text => print_text(&facts.text(&arguments.package)),
@@ -147,15 +145,9 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
             return Err(CommandError::usage("no key; pass --key FILE or --keys FOLDER"));
         }
     };
-    let replaced_signature = bytes.is_signed() && !bytes.is_signed_by(key.public_key());
-    if replaced_signature && !arguments.replace_signature {
-        return Err(CommandError::usage(format!(
-            "{}: already signed with a key other than {}; give --replace-signature to replace it",
-            arguments.package.display(),
-            fingerprint(key.public_key())
-        ))
-        .about(&arguments.package));
-    }
+    let package = &arguments.package;
+    let replaced_signature =
+        check_signature_before(package, &bytes, &key, arguments.replace_signature)?;
     let out = arguments.out.as_ref().unwrap_or(&arguments.package);
     if let Some(newest) = arguments.replaces {
         let replacing = bytes.replacing(newest);
@@ -165,10 +157,7 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
         let serial = Serial { epoch, ..bytes.package().serial() };
         bytes = renumber::in_epoch(&bytes, serial, None, out)?;
     }
-    // Do not sign a package that nodes would refuse.
-    check(&bytes, &verify::requirements(&[], None))
-        .map_err(|refusal| CommandError::refused(&arguments.package, &refusal))?;
-    let signed = bytes.signed(&key);
+    let signed = signed(package, &bytes, &key)?;
     signed.save(out)?;
     let report = Report {
         package: out.display().to_string(),
@@ -198,27 +187,7 @@ fn keygen(arguments: &Keygen) -> Result<(), CommandError> {
         fingerprint: String,
         public_key_bytes: [u8; 32],
     }
-    let with_ending = |ending: &str| {
-        let mut name = arguments.out.clone().into_os_string();
-        name.push(ending);
-        PathBuf::from(name)
-    };
-    let (private, public) = (with_ending(".key"), with_ending(".pub"));
-    if public.symlink_metadata().is_ok() {
-        let problem = format!("{}: already exists", public.display());
-        return Err(
-            CommandError::usage(problem + "; choose another name, or move it away").about(&public)
-        );
-    }
-    // Write both keys or neither.
-    drop(OutputFile::prepare(&public, FileKind::NEW)?);
-    let key = OperatorKey::generate()?;
-    key.write_new(&private)?;
-    if let Err(error) = key.write_public(&public) {
-        // Best effort: the first error is reported.
-        let _ = std::fs::remove_file(&private);
-        return Err(error.into());
-    }
+    let KeyPair { key, private, public } = KeyPair::write(&arguments.out)?;
     let report = Report {
         private_key: private.display().to_string(),
         public_key: public.display().to_string(),

@@ -3,14 +3,13 @@
 use std::path::PathBuf;
 
 use agent_core::AgentId;
-use agent_core::package::signature::PublicKey;
 use agent_core::package::{Capacity, Requirements, StepRange};
 use clap::Args;
 use serde::Serialize;
 
 use crate::commands::{CommandError, Format, print_json, print_outcome, print_text};
 use crate::memory_map::MemoryMap;
-use crate::packages::check::check;
+use crate::packages::check::{check, requirements};
 use crate::packages::{PackageBytes, PackageFileError};
 use crate::signing::{fingerprint, read_public_key};
 
@@ -115,21 +114,6 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Format::Json => print_json(&report),
         Format::Text => print_text(&text(arguments, &report)),
     }
-}
-
-/// Returns the requirements of a node with this key and this package in use.
-pub(super) fn requirements<'k>(
-    public_keys: &'k [PublicKey],
-    in_use: Option<&PackageBytes>,
-) -> Requirements<'k> {
-    let before = in_use.map(PackageBytes::package);
-    let requirements = Requirements {
-        public_keys,
-        agent: before.as_ref().map(|package| package.node.agent),
-        ..Requirements::ANY
-    };
-    let highest = before.map(|package| requirements.serial_after_activation(&package));
-    Requirements { highest, ..requirements }
 }
 
 /// Checks the package. The inner error is the node's refusal; the outer error means that a file

@@ -54,7 +54,9 @@ impl<'s> Model<'s> {
 
     /// Linearises again at `time` \[s\], if the filter is linear and the plant may depend on time.
     pub(super) fn linearise(&mut self, time: f64) {
-        if let (Some((mean, ..)), Plant::Expressions(_)) = (&self.linear, self.plant) {
+        if let (Some((mean, ..)), Plant::Expressions(_) | Plant::Function(_)) =
+            (&self.linear, self.plant)
+        {
             self.linear = Some(self.linearised(time, mean.clone()));
         }
     }

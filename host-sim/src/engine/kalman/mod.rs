@@ -113,6 +113,9 @@ pub(super) fn run(
         }
         if tick.is_multiple_of(PROGRESS_STRIDE) {
             progress.step(tick, steps);
+            if progress.is_stopped() {
+                return Err(RunError::Interrupted);
+            }
         }
     }
     simulation.note(steps, false, &truth, &mut traces);

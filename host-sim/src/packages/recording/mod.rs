@@ -15,6 +15,7 @@
 //! order, separated by commas, semicolons, tabs or bars; other columns are ignored.
 
 mod columns;
+mod rows;
 mod source;
 mod timing;
 
@@ -23,10 +24,10 @@ use std::path::{Path, PathBuf};
 use crate::files::input::is_too_large;
 use crate::files::output::OutputError;
 use crate::files::table::write_table;
-use crate::training::{DataError, Dataset};
+use crate::training::Dataset;
 use columns::Columns;
+use rows::Rows;
 pub use timing::Timing;
-use timing::timing;
 
 /// Recorded samples of one agent.
 #[derive(Clone, Debug, PartialEq)]
@@ -173,9 +174,9 @@ impl Recording {
         let header_line = source::line_of(path, 0, 1);
         let columns = Columns::find(&headers, dimension, features)
             .map_err(|(problem, hint)| wrong(Some(header_line), problem, &hint))?;
-        let (mut times, mut inputs, mut targets) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut rows, mut numbers) = (Rows::new(dimension), Vec::with_capacity(2 * dimension));
         let (mut outer_weights, mut observed) = (None, None);
-        let (mut record, mut repeated) = (csv::ByteRecord::new(), 0);
+        let mut record = csv::ByteRecord::new();
         loop {
             let at = reader.position().clone();
             if !reader.read_byte_record(&mut record).map_err(|error| unreadable(&at, &error))? {
@@ -200,31 +201,11 @@ impl Recording {
                 ));
             }
             let time = columns.time_scale.map_or(time, |scale| scaled(time, scale));
-            let first = inputs.len();
-            for &column in &columns.estimate {
-                inputs.push(number(column)?);
+            numbers.clear();
+            for &column in columns.estimate.iter().chain(&columns.derivative) {
+                numbers.push(number(column)?);
             }
-            for &column in &columns.derivative {
-                targets.push(number(column)?);
-            }
-            if let Some(&before) = times.last().filter(|&&before| time <= before) {
-                let same = first >= dimension
-                    && time == before
-                    && inputs[first - dimension..first] == inputs[first..]
-                    && targets[first - dimension..first] == targets[first..];
-                if !same {
-                    return Err(wrong(
-                        line(),
-                        format!("time not increasing: {before} s, then {time} s"),
-                        "write samples at a fixed interval, in time order",
-                    ));
-                }
-                inputs.truncate(first);
-                targets.truncate(first);
-                repeated += 1;
-            } else {
-                times.push(time);
-            }
+            rows.push(time, &numbers).map_err(|(problem, hint)| wrong(line(), problem, hint))?;
             if let Some([rms, rate]) = columns.observed {
                 let number = |column: usize| -> Option<f64> {
                     let text = std::str::from_utf8(record.get(column)?).ok()?;
@@ -244,15 +225,7 @@ impl Recording {
                 outer_weights = Some(row.collect::<Result<Vec<f32>, _>>()?);
             }
         }
-        if times.len() < 2 {
-            let problem = format!("{} samples, expected at least 2", times.len());
-            return Err(wrong(None, problem, "record more samples"));
-        }
-        let (interval, gaps, mut timing) = timing(&times);
-        timing.repeated = repeated;
-        let samples = Dataset::new(dimension, inputs, targets)
-            .map_err(|e: DataError| wrong(None, e.to_string(), "record more samples"))?;
-        Ok(Self { samples, gaps, start: times[0], interval, timing, outer_weights, observed })
+        rows.finish(outer_weights, observed).map_err(|(problem, hint)| wrong(None, problem, hint))
     }
 
     /// Returns the time of each sample, in intervals since the first.

@@ -1,4 +1,4 @@
-//! The contents of a package, as text and JSON.
+//! The contents of a package, as text and as JSON, whose keys `docs/json.md` lists under `weights inspect`.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -16,66 +16,66 @@ use crate::terminal;
 
 /// The contents of a package.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Facts {
-    pub(super) format_version: u8,
+pub struct Facts {
+    pub(crate) format_version: u8,
     #[serde(flatten)]
-    pub(super) summary: PackageSummary,
-    pub(super) signed: bool,
-    pub(super) replaces: Option<u32>,
+    pub(crate) summary: PackageSummary,
+    pub(crate) signed: bool,
+    pub(crate) replaces: Option<u32>,
     /// Limits of the trial, if the package has any.
-    pub(super) trial: Option<TrialLimits>,
+    pub(crate) trial: Option<TrialLimits>,
     /// What the agent does about links that fail, if anything.
-    pub(super) exchange: Option<Exchange>,
-    pub(super) observer: Option<Observer>,
-    pub(super) dimension: usize,
-    pub(super) layers: Vec<Layer>,
-    pub(super) inner_parameters: usize,
-    pub(super) inner_parameters_largest: f32,
-    pub(super) outer_parameters: usize,
-    pub(super) outer_weights: Vec<f32>,
-    pub(super) outer_weights_norm: f64,
-    pub(super) outer_weights_on_switch: &'static str,
-    pub(super) output_matrix: Vec<f32>,
-    pub(super) gain: Matrix,
-    pub(super) neighbours: Vec<Neighbour>,
-    pub(super) outer_gain: Matrix,
-    pub(super) outer_weights_bound: f32,
-    pub(super) boundary_layer: f32,
-    pub(super) smoothing: f32,
-    pub(super) smoothness: u8,
-    pub(super) phi1: f32,
-    pub(super) phi2: f32,
-    pub(super) threshold: f32,
-    pub(super) step_s: f32,
-    pub(super) broadcast_interval_min_s: f32,
-    pub(super) trained_low: Vec<f32>,
-    pub(super) trained_high: Vec<f32>,
-    pub(super) scenario_hash: String,
-    pub(super) recipe: String,
-    pub(super) seed: u64,
-    pub(super) samples: u32,
-    pub(super) training_error: Option<f32>,
-    pub(super) held_out_error: Option<f32>,
-    pub(super) tool_version: String,
-    pub(super) test_vectors: usize,
+    pub(crate) exchange: Option<Exchange>,
+    pub(crate) observer: Option<Observer>,
+    pub(crate) dimension: usize,
+    pub(crate) layers: Vec<Layer>,
+    pub(crate) inner_parameters: usize,
+    pub(crate) inner_parameters_largest: f32,
+    pub(crate) outer_parameters: usize,
+    pub(crate) outer_weights: Vec<f32>,
+    pub(crate) outer_weights_norm: f64,
+    pub(crate) outer_weights_on_switch: &'static str,
+    pub(crate) output_matrix: Vec<f32>,
+    pub(crate) gain: Matrix,
+    pub(crate) neighbours: Vec<Neighbour>,
+    pub(crate) outer_gain: Matrix,
+    pub(crate) outer_weights_bound: f32,
+    pub(crate) boundary_layer: f32,
+    pub(crate) smoothing: f32,
+    pub(crate) smoothness: u8,
+    pub(crate) phi1: f32,
+    pub(crate) phi2: f32,
+    pub(crate) threshold: f32,
+    pub(crate) step_s: f32,
+    pub(crate) broadcast_interval_min_s: f32,
+    pub(crate) trained_low: Vec<f32>,
+    pub(crate) trained_high: Vec<f32>,
+    pub(crate) scenario_hash: String,
+    pub(crate) recipe: String,
+    pub(crate) seed: u64,
+    pub(crate) samples: u32,
+    pub(crate) training_error: Option<f32>,
+    pub(crate) held_out_error: Option<f32>,
+    pub(crate) tool_version: String,
+    pub(crate) test_vectors: usize,
     /// Bytes other than parameters, test vectors and signature.
-    pub(super) overhead_bytes: usize,
+    pub(crate) overhead_bytes: usize,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub(super) struct Layer {
+pub(crate) struct Layer {
     nodes: u8,
     activation: &'static str,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Matrix {
+pub(crate) struct Matrix {
     form: &'static str,
     entries: Vec<f32>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Neighbour {
+pub(crate) struct Neighbour {
     agent: AgentId,
     weight: f32,
 }
@@ -87,7 +87,9 @@ impl Matrix {
 }
 
 impl Facts {
-    pub(super) fn new(bytes: &PackageBytes) -> Self {
+    /// Reads a package.
+    #[must_use]
+    pub fn new(bytes: &PackageBytes) -> Self {
         let package = bytes.package();
         let (node, provenance) = (&package.node, &package.provenance);
         let architecture = package.network.architecture();
@@ -152,7 +154,9 @@ impl Facts {
         }
     }
 
-    pub(super) fn text(&self, path: &Path) -> String {
+    /// Returns a text with one line for each fact; `path` is the file of the package.
+    #[must_use]
+    pub fn text(&self, path: &Path) -> String {
         let mut text = String::new();
         // Writing into a string cannot fail.
         let mut line = |name: &str, value: String| {
@@ -251,7 +255,7 @@ impl Facts {
 
 /// The field observer of an agent.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Observer {
+pub(crate) struct Observer {
     coupling: &'static str,
     hold: &'static str,
     uses_network: bool,
@@ -340,7 +344,7 @@ fn observer<const N: usize>(words: &[f32], step_size: f32) -> Option<Observer> {
 
 /// How an agent copes with links that fail; `None` for what it does not do. \[s\]
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Exchange {
+pub(crate) struct Exchange {
     heartbeat_s: Option<f64>,
     gap_s: Option<f64>,
     repeat_s: Option<f64>,

@@ -7,14 +7,14 @@ macro_rules! error_codes {
     ($($(#[doc = $doc:literal])* $variant:ident = $name:literal, $exit:literal;)*) => {
         /// The kind of an error. The names are stable; `docs/errors.md` explains each.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[non_exhaustive]
         pub enum ErrorCode {
             $($(#[doc = $doc])* $variant,)*
         }
 
         impl ErrorCode {
             /// Every code.
-            #[cfg(test)]
-            pub(super) const ALL: &'static [Self] = &[$(Self::$variant,)*];
+            pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
 
             /// Returns the code as it appears in JSON.
             #[must_use]
@@ -24,7 +24,7 @@ macro_rules! error_codes {
                 }
             }
 
-            /// Returns the exit code of the process.
+            /// Returns the exit code of a command that fails with it.
             #[must_use]
             pub fn exit(self) -> u8 {
                 match self {
@@ -54,6 +54,8 @@ error_codes! {
     Key = "invalid-key", 2;
     /// A memory map cannot be read.
     MemoryMap = "invalid-memory-map", 2;
+    /// A frame is invalid, or its receiver refuses it.
+    Frame = "invalid-frame", 2;
     /// A package does not fit into flash, or into the requested format.
     Image = "invalid-image", 2;
     /// The output path holds something that must not be replaced.
@@ -116,7 +118,7 @@ mod tests {
 
     #[test]
     fn the_documented_codes_are_complete_and_correct() {
-        let text = include_str!("../../../../docs/errors.md");
+        let text = include_str!("../../../docs/errors.md");
         let row = |line: &str| {
             let mut cells = line.strip_prefix("| `")?.split('|');
             let code = cells.next()?.trim().trim_end_matches('`').to_owned();

@@ -1,122 +1,59 @@
-//! Errors of commands: code, text, file and line, for people and scripts.
-//!
-//! Library errors are converted through [`Reported`], which is implemented in `library` or in the
-//! module of the only command that reports the error.
-
-mod code;
-mod library;
+//! Errors of commands, for people and scripts. Library errors are converted through [`Reported`].
 
 use std::ffi::OsString;
 use std::fmt;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 
 use agent_core::package::Refusal;
 use serde::Serialize;
 
-pub use code::ErrorCode;
+pub use crate::error::ErrorCode;
+pub(super) use crate::error::{ErrorReport, Reported};
 
-use crate::packages::refusal::{hint, kind};
+use crate::packages::refusal;
 use crate::terminal;
 
 /// Why a command failed.
 #[derive(Debug)]
 pub enum CommandError {
-    /// The command line or a file it names is invalid or refused: exit code 2.
-    BadInput(Box<ErrorReport>),
-    /// Any other failure: exit code 1.
-    Failed(Box<ErrorReport>),
+    /// An error with a code, which decides about the exit code.
+    Failed {
+        /// Code, text, file and line.
+        report: Box<ErrorReport>,
+        /// Whether an already printed result contains this error.
+        is_printed: bool,
+    },
     /// Standard output cannot be written: exit code 1.
     Output(io::Error),
 }
 
-/// An error in the JSON report.
-#[derive(Clone, Debug, Serialize)]
-pub struct ErrorReport {
-    code: ErrorCode,
-    text: String,
-    /// Path of the file concerned.
-    file: Option<String>,
-    /// Line in that file, from 1.
-    line: Option<u64>,
-    /// Whether an already printed result contains this error.
-    #[serde(skip)]
-    printed: bool,
-}
-
-/// An error of the library that commands report.
-pub trait Reported: fmt::Display {
-    /// Returns the error's code.
-    fn code(&self) -> ErrorCode;
-
-    /// Returns the path of the file concerned.
-    fn file(&self) -> Option<PathBuf> {
-        None
-    }
-
-    /// Returns the line in that file, from 1.
-    fn line(&self) -> Option<u64> {
-        None
-    }
-}
-
 impl<E: Reported> From<E> for CommandError {
     fn from(error: E) -> Self {
-        let file = error.file().map(|file| file.display().to_string());
-        ErrorReport {
-            file,
-            line: error.line(),
-            ..ErrorReport::new(error.code(), error.to_string())
-        }
-        .into_error()
-    }
-}
-
-impl ErrorReport {
-    fn new(code: ErrorCode, text: String) -> Self {
-        Self { code, text, file: None, line: None, printed: false }
-    }
-
-    fn into_error(self) -> CommandError {
-        match self.code.exit() {
-            2 => CommandError::BadInput(Box::new(self)),
-            _ => CommandError::Failed(Box::new(self)),
-        }
-    }
-
-    /// Prints the error on standard output, as its only JSON object. A failure is ignored: the text
-    /// is also printed on standard error.
-    fn print(self) {
-        #[derive(Serialize)]
-        struct Printed {
-            error: ErrorReport,
-        }
-        let _ = terminal::print_json(&Printed { error: self });
+        Self::Failed { report: Box::new(ErrorReport::of(&error)), is_printed: false }
     }
 }
 
 impl CommandError {
     /// Creates an error with this code.
     pub(super) fn new(code: ErrorCode, text: impl Into<String>) -> Self {
-        ErrorReport::new(code, text.into()).into_error()
+        ErrorReport::new(code, text).into()
     }
 
     /// Creates an error about the command line.
     pub(super) fn usage(text: impl Into<String>) -> Self {
-        Self::new(ErrorCode::Usage, text)
+        ErrorReport::usage(text).into()
     }
 
     /// Creates an error about the package at `path`, which a node would refuse.
     pub(super) fn refused(path: &Path, refusal: &Refusal) -> Self {
-        Self::unfit(path, &refusal.to_string(), hint(kind(refusal)))
+        refusal::refused(path, refusal).into()
     }
 
     /// Creates an error about the package at `path`, which a node would refuse for this reason.
     pub(super) fn unfit(path: &Path, refusal: &str, hint: &str) -> Self {
-        let path_shown = path.display();
-        let text = format!("{path_shown}: a node would refuse it: {refusal}; {hint}");
-        Self::new(ErrorCode::PackageRefused, text).about(path)
+        refusal::unfit(path, refusal, hint).into()
     }
 
     /// Creates an error about the folder `path`, which another command is writing to.
@@ -137,54 +74,56 @@ impl CommandError {
         Self::new(ErrorCode::Results, text).about(path)
     }
 
-    /// Sets the file concerned.
-    pub(super) fn about(mut self, path: &Path) -> Self {
-        if let Self::BadInput(report) | Self::Failed(report) = &mut self {
-            report.file = Some(path.display().to_string());
+    fn changed(self, change: impl FnOnce(ErrorReport) -> ErrorReport) -> Self {
+        match self {
+            Self::Failed { report, is_printed } => {
+                Self::Failed { report: Box::new(change(*report)), is_printed }
+            }
+            output => output,
         }
-        self
+    }
+
+    /// Sets the file concerned.
+    pub(super) fn about(self, path: &Path) -> Self {
+        self.changed(|report| report.about(path))
     }
 
     /// Prepends `prefix` to the text.
-    pub(super) fn within(mut self, prefix: &str) -> Self {
-        if let Self::BadInput(report) | Self::Failed(report) = &mut self {
-            report.text = format!("{prefix}: {}", report.text);
-        }
-        self
+    pub(super) fn within(self, prefix: &str) -> Self {
+        self.changed(|report| report.reworded(|text| format!("{prefix}: {text}")))
     }
 
     /// Marks the error as part of a result that is already printed.
-    pub(super) fn printed(mut self) -> Self {
-        if let Self::BadInput(report) | Self::Failed(report) = &mut self {
-            report.printed = true;
+    pub(super) fn printed(self) -> Self {
+        match self {
+            Self::Failed { report, .. } => Self::Failed { report, is_printed: true },
+            output => output,
         }
-        self
     }
 
     /// Replaces the folder `from` with `to` in text and file.
-    pub(super) fn renamed(mut self, from: &Path, to: &Path) -> Self {
-        if let Self::BadInput(report) | Self::Failed(report) = &mut self {
-            // With a trailing separator, except for an empty path.
-            let shown = |folder: &Path| folder.join("").display().to_string();
-            let (from, to) = (shown(from), shown(to));
-            report.text = report.text.replace(&from, &to);
-            report.file = report.file.take().map(|file| file.replace(&from, &to));
-        }
-        self
+    pub(super) fn renamed(self, from: &Path, to: &Path) -> Self {
+        // With a trailing separator, except for an empty path.
+        let shown = |folder: &Path| folder.join("").display().to_string();
+        let (from, to) = (shown(from), shown(to));
+        let renamed = |text: &str| text.replace(&from, &to);
+        self.changed(|report| report.reworded(renamed).refiled(renamed))
     }
 
     /// Returns the error's code.
-    pub(super) fn code(&self) -> ErrorCode {
+    #[must_use]
+    pub fn code(&self) -> ErrorCode {
         match self {
-            Self::BadInput(report) | Self::Failed(report) => report.code,
+            Self::Failed { report, .. } => report.code(),
             Self::Output(_) => ErrorCode::StandardOutput,
         }
     }
 
     /// Returns the error in its JSON form.
-    pub(super) fn report(&self) -> ErrorReport {
+    #[must_use]
+    pub fn report(&self) -> ErrorReport {
         match self {
-            Self::BadInput(report) | Self::Failed(report) => (**report).clone(),
+            Self::Failed { report, .. } => (**report).clone(),
             Self::Output(_) => ErrorReport::new(self.code(), self.to_string()),
         }
     }
@@ -193,10 +132,20 @@ impl CommandError {
 impl fmt::Display for CommandError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::BadInput(report) | Self::Failed(report) => f.write_str(&report.text),
+            Self::Failed { report, .. } => report.fmt(f),
             Self::Output(error) => write!(f, "cannot write to standard output: {error}"),
         }
     }
+}
+
+/// Prints the error on standard output, as its only JSON object. A failure is ignored: the text is
+/// also printed on standard error.
+fn print_alone(error: &ErrorReport) {
+    #[derive(Serialize)]
+    struct Printed<'e> {
+        error: &'e ErrorReport,
+    }
+    let _ = terminal::print_json(&Printed { error });
 }
 
 /// Prints an error, with `json` also on standard output, and returns the exit code.
@@ -206,11 +155,7 @@ pub(super) fn report(error: &CommandError, json: bool) -> ExitCode {
         CommandError::Output(error) if error.kind() == io::ErrorKind::BrokenPipe => {
             return ExitCode::SUCCESS;
         }
-        CommandError::BadInput(report) | CommandError::Failed(report)
-            if json && !report.printed =>
-        {
-            (**report).clone().print();
-        }
+        CommandError::Failed { report, is_printed: false } if json => print_alone(report),
         _ => {}
     }
     terminal::error(error);
@@ -229,7 +174,7 @@ pub(super) fn bad_usage(problem: &clap::Error, json: bool) -> ExitCode {
     if json {
         let first = text.split("\n\n").next().unwrap_or_default();
         let text = first.trim_start_matches("error: ").trim_end().to_owned();
-        ErrorReport::new(ErrorCode::Usage, text).print();
+        print_alone(&ErrorReport::usage(text));
     }
     terminal::note(text.trim_end());
     ExitCode::from(ErrorCode::Usage.exit())
@@ -266,18 +211,11 @@ mod tests {
     }
 
     #[test]
-    fn the_kind_follows_the_exit_code() {
-        for &code in ErrorCode::ALL {
-            let bad_input = matches!(CommandError::new(code, ""), CommandError::BadInput(_));
-            assert_eq!(bad_input, code.exit() == 2, "{}", code.as_str());
-        }
-    }
-
-    #[test]
     fn a_staged_file_is_reported_by_its_final_path() {
         let staged =
             CommandError::usage("out/.stage/a.csv: no").about(Path::new("out/.stage/a.csv"));
         let report = staged.renamed(Path::new("out/.stage"), Path::new("out")).report();
-        assert_eq!((&*report.text, report.file.as_deref()), ("out/a.csv: no", Some("out/a.csv")));
+        assert_eq!(report.to_string(), "out/a.csv: no");
+        assert_eq!(report.file(), Some("out/a.csv".into()));
     }
 }
