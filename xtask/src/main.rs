@@ -47,7 +47,8 @@ Usage: cargo xtask <task> [--debian]
 
 Tasks:
   test    run all tests: the workspace on the host, including doctests, then `cross`, `emulate`,
-          `size`, `boot`, a co-simulation with the emulated board's firmware, and `soak`
+          `size`, `boot`, a co-simulation with the emulated board's firmware, `soak`, `studies`,
+          `python`, and `page`
   cross   compile the node's libraries for bare metal, check the machine code for fused
           multiply-add and calls of platform math libraries, build every board in
           firmware-template/boards and a project with it, and link the memory maps
@@ -171,6 +172,9 @@ fn test(debian: bool) -> Result<(), Failure> {
     boot::boot(debian)?;
     cosim::test(debian)?;
     soak::soak(&soak::Options::default(), debian)?;
+    studies::studies(debian)?;
+    python::python(debian)?;
+    page::page(debian)?;
     println!("tests: {count}");
     Ok(())
 }
