@@ -334,7 +334,7 @@ fn run_in_json_is_one_object() {
     }
     let files = folder.results("out/scenario_builder");
     assert_pictures(&files, &["errors", "events", "states"]);
-    assert_tables(&files, &["agents", "events", "traces", "training"]);
+    assert_tables(&files, &["agents", "events", "innovations", "traces", "training"]);
     // The same seed draws the same pictures; another one, others.
     folder.succeed("run mine.toml --format json --seed 7 --out again --threads 2");
     assert!(files == folder.results("again"));
@@ -391,7 +391,11 @@ fn a_run_that_records_nothing_draws_nothing() {
     (bare.trace_stride, bare.events, bare.learning) = (0, false, String::new());
     folder.write("bare.toml", &bare.text());
     folder.succeed("run bare.toml");
-    assert!(folder.files("out/scenario_builder").keys().eq(["agents.csv", "run.json"]));
+    assert!(folder.files("out/scenario_builder").keys().eq([
+        "agents.csv",
+        "results.json",
+        "run.json"
+    ]));
 }
 
 #[test]

@@ -17,7 +17,7 @@ use super::command_line::{Folder, texts};
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 
 /// Commands that other parts of CI run, some of them in a shorter form, by their first words.
-const RUN_BY_CI: [&str; 18] = [
+const RUN_BY_CI: [&str; 20] = [
     "STORE_CUTS=all cargo test --release -p integration-tests",
     "STORE_HISTORIES=1000000 cargo test --release -p integration-tests",
     "cp -r firmware-template/boards/",
@@ -33,6 +33,8 @@ const RUN_BY_CI: [&str; 18] = [
     "cargo xtask fuzz",
     "cargo xtask lint",
     "cargo xtask new",
+    "cargo xtask page",
+    "cargo xtask python",
     "cargo xtask size",
     "cargo xtask soak",
     "cargo xtask studies",

@@ -14,6 +14,7 @@ mod json_documented;
 pub(crate) mod memory_map;
 #[cfg(unix)]
 pub(crate) mod node_commands;
+mod report;
 mod signatures_and_versions;
 mod sweep;
 mod weights_commands;

@@ -18,6 +18,7 @@ mod host;
 mod install;
 mod machine_code;
 mod packages;
+mod page;
 mod project;
 mod python;
 mod size;
@@ -41,11 +42,13 @@ Usage: cargo xtask <task> [--debian]
        cargo xtask attack [--tries N] [--seed S] [--format text|json]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
        cargo xtask studies [--debian]
+       cargo xtask page [--debian]
        cargo xtask python [--debian]
 
 Tasks:
   test    run all tests: the workspace on the host, including doctests, then `cross`, `emulate`,
-          `size`, `boot`, a co-simulation with the emulated board's firmware, and `soak`
+          `size`, `boot`, a co-simulation with the emulated board's firmware, `soak`, `studies`,
+          `python`, and `page`
   cross   compile the node's libraries for bare metal, check the machine code for fused
           multiply-add and calls of platform math libraries, build every board in
           firmware-template/boards and a project with it, and link the memory maps
@@ -82,6 +85,8 @@ Tasks:
           address sanitizer.
   studies run one small study in one go, by the script for Slurm arrays, with GNU parallel, and on
           a Dask cluster of two workers: the tables must have the same bytes
+  page    open pages about results (`run --report`, `report FOLDER`) in a headless Chromium and
+          check values, zoom, accessibility and width; screenshots are in target/page
   python  build the Python module's wheel, install it into target/python, and run its tests, its type
           checks and its notebook
   help    print this text
@@ -106,6 +111,7 @@ fn main() -> ExitCode {
             size::size(rest, debian)
         }
         ["studies"] => studies::studies(debian),
+        ["page"] => page::page(debian),
         ["python"] => python::python(debian),
         ["boot"] => boot::boot(debian),
         ["emulate"] => emulate::emulate(debian),
@@ -166,6 +172,9 @@ fn test(debian: bool) -> Result<(), Failure> {
     boot::boot(debian)?;
     cosim::test(debian)?;
     soak::soak(&soak::Options::default(), debian)?;
+    studies::studies(debian)?;
+    python::python(debian)?;
+    page::page(debian)?;
     println!("tests: {count}");
     Ok(())
 }

@@ -9,7 +9,7 @@ use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunResult, TrainingRecord};
 use crate::figures::{Marker, Reference};
 use crate::files::output::OutputError;
-use crate::report::csv::{EpochRow, write_epochs, write_events, write_innovations, write_traces};
+use crate::report::csv::{EpochRow, write_epochs, write_events, write_traces};
 use crate::scenario::{LearningCycle, Scenario, Window};
 
 /// Length of the event figure's window, as in the paper. \[steps\]
@@ -17,9 +17,8 @@ const EVENT_WINDOW: f64 = 500.0;
 
 /// Returns the names of all files that [`tables`], with this suffix, and [`packages`] may write.
 pub(super) fn planned(scenario: &Scenario, suffix: &str, learning: bool) -> Vec<String> {
-    let mut names: Vec<_> = ["traces", "innovations", "events", "training"]
-        .map(|stem| format!("{stem}{suffix}.csv"))
-        .into();
+    let mut names: Vec<_> =
+        ["traces", "events", "training"].map(|stem| format!("{stem}{suffix}.csv")).into();
     let cycles = scenario.learning.iter().zip(1..).filter(|_| learning);
     for (agent, cycle) in
         cycles.flat_map(|(cycle, number)| cycle.agents.iter().map(move |agent| (agent + 1, number)))
@@ -58,11 +57,7 @@ pub(super) fn tables(
             return Ok(());
         }
         let names = scenario.plant.state_names();
-        write_traces(&folder.join(name("traces")), &run.traces, &names)?;
-        match run.traces.has_innovations() {
-            true => write_innovations(&folder.join(name("innovations")), &run.traces),
-            false => Ok(()),
-        }
+        write_traces(&folder.join(name("traces")), &run.traces, &names)
     };
     let events = || -> Result<(), OutputError> {
         if !scenario.record.events {

@@ -1,7 +1,12 @@
 //! Where the agents of a graph are drawn: small ones on a circle, others by forces.
 //!
-//! Source: T. Fruchterman and E. Reingold, "Graph drawing by force-directed placement" (1991). All agents
-//! repel each other and edges pull; the largest movement shrinks with every round. Cost: `N²` per round.
+//! Agents begin at their distances, in edges, from two pairs of agents that are far apart, so that large
+//! graphs do not fold. Then all repel each other and edges pull; the largest movement shrinks with every
+//! round. Cost: `N²` per round.
+//!
+//! Source: T. Fruchterman and E. Reingold, "Graph drawing by force-directed placement" (1991).
+
+use std::collections::VecDeque;
 
 /// Up to this many agents are placed on a circle.
 const CIRCLE: usize = 12;
@@ -18,11 +23,11 @@ pub fn places(agents: usize, edges: &[(usize, usize)]) -> Vec<[f64; 2]> {
         let angle = std::f64::consts::TAU * (index as f64 / agents as f64 - 0.25);
         [0.5 + 0.5 * libm::cos(angle), 0.5 + 0.5 * libm::sin(angle)]
     };
-    let mut places: Vec<[f64; 2]> = (0..agents).map(circle).collect();
     let rounds = (PAIRS / (agents * agents).max(1)).min(ROUNDS);
     if agents <= CIRCLE || rounds == 0 {
-        return places;
+        return (0..agents).map(circle).collect();
     }
+    let mut places = by_distances(agents, edges);
     let distance = (1.0 / agents as f64).sqrt();
     let mut moves = vec![[0.0; 2]; agents];
     for round in 0..rounds {
@@ -44,6 +49,55 @@ pub fn places(agents: usize, edges: &[(usize, usize)]) -> Vec<[f64; 2]> {
     }
     fill_square(&mut places);
     places
+}
+
+/// Returns places by the distances from far agents, each a little off, so that no two are the same.
+fn by_distances(agents: usize, edges: &[(usize, usize)]) -> Vec<[f64; 2]> {
+    let mut neighbours = vec![Vec::new(); agents];
+    for &(a, b) in edges {
+        neighbours[a].push(b);
+        neighbours[b].push(a);
+    }
+    let farthest = |key: &dyn Fn(usize) -> u32| (0..agents).max_by_key(|&agent| key(agent));
+    let from = |agent: Option<usize>| distances(&neighbours, agent.unwrap_or(0));
+    let first = from(Some(0));
+    let west = from(farthest(&|agent| first[agent]));
+    let east = from(farthest(&|agent| west[agent]));
+    // As far from both as possible.
+    let north = from(farthest(&|agent| west[agent].min(east[agent])));
+    let south = from(farthest(&|agent| {
+        let apart = west[agent].abs_diff(east[agent]);
+        (north[agent] + west[agent].min(east[agent])).saturating_sub(apart)
+    }));
+    let difference = |a: &[u32], b: &[u32], agent: usize| f64::from(a[agent]) - f64::from(b[agent]);
+    let place = |agent: usize| {
+        // The golden angle spreads the offsets.
+        let angle = 2.399_963 * agent as f64;
+        [
+            difference(&west, &east, agent) + 0.3 * libm::cos(angle),
+            difference(&north, &south, agent) + 0.3 * libm::sin(angle),
+        ]
+    };
+    let mut places = (0..agents).map(place).collect::<Vec<_>>();
+    fill_square(&mut places);
+    places
+}
+
+/// Returns the number of edges from `start` to each agent; 0 if there is no way.
+fn distances(neighbours: &[Vec<usize>], start: usize) -> Vec<u32> {
+    let mut distances = vec![None; neighbours.len()];
+    distances[start] = Some(0);
+    let mut next = VecDeque::from([start]);
+    while let Some(agent) = next.pop_front() {
+        let distance = distances[agent].unwrap_or(0) + 1;
+        for &neighbour in &neighbours[agent] {
+            if distances[neighbour].is_none() {
+                distances[neighbour] = Some(distance);
+                next.push_back(neighbour);
+            }
+        }
+    }
+    distances.into_iter().map(|distance| distance.unwrap_or(0)).collect()
 }
 
 fn length([x, y]: [f64; 2]) -> f64 {

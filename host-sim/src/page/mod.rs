@@ -19,6 +19,8 @@ pub mod traces;
 
 use std::path::PathBuf;
 
+use crate::files::output::FileKind;
+
 const PAGE: &str = include_str!("../../assets/page/page.html");
 const STYLE: &str = include_str!("../../assets/page/style.css");
 const LIBRARY: &str = include_str!("../../assets/page/uplot/uPlot.iife.min.js");
@@ -33,6 +35,15 @@ const SCRIPTS: [&str; 5] = [
 
 /// Marks a page of this program.
 pub const GENERATOR: &str = "<meta name=\"generator\" content=\"host-sim\">";
+
+/// The kind of pages.
+pub const KIND: FileKind = FileKind {
+    name: "a page about results",
+    recognises: |bytes| {
+        let head = &bytes[..bytes.len().min(1024)];
+        head.windows(GENERATOR.len()).any(|window| window == GENERATOR.as_bytes())
+    },
+};
 
 /// Why a table of results cannot be read.
 #[derive(Debug, thiserror::Error)]

@@ -7,21 +7,10 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
+use super::run_folder::{PAGE, command_of};
 use super::{CommandError, Format, print_json, print_text};
-use crate::files::output::{FileKind, write_whole};
-use crate::page::GENERATOR;
-
-/// Name of the page in a folder of results.
-pub(super) const NAME: &str = "report.html";
-
-/// The kind of pages.
-pub(super) const KIND: FileKind = FileKind {
-    name: "a page about results",
-    recognises: |bytes| {
-        let head = &bytes[..bytes.len().min(1024)];
-        head.windows(GENERATOR.len()).any(|window| window == GENERATOR.as_bytes())
-    },
-};
+use crate::files::output::write_whole;
+use crate::page::KIND;
 
 /// Arguments of `report`.
 #[derive(Debug, Args)]
@@ -43,8 +32,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         bytes: usize,
     }
     let folder = &arguments.folder;
-    let out = arguments.out.clone().unwrap_or_else(|| folder.join(NAME));
-    let page = of_folder(folder)?;
+    let out = arguments.out.clone().unwrap_or_else(|| folder.join(PAGE));
+    let page = of_folder(folder, || command_of(folder))?;
     write(&out, &page)?;
     match arguments.format {
         Format::Json => print_json(&Written { report: &out, bytes: page.len() }),
@@ -55,9 +44,13 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-/// Returns the page about the results in `folder`.
-pub(super) fn of_folder(folder: &Path) -> Result<String, CommandError> {
-    pages::of_folder(folder)
+/// Returns the page about the results in `folder`; `command` returns the words of the command that a run was
+/// written by.
+pub(super) fn of_folder(
+    folder: &Path,
+    command: impl FnOnce() -> Vec<String>,
+) -> Result<String, CommandError> {
+    pages::of_folder(folder, command)
 }
 
 /// Writes a page; another one is replaced, any other file is refused.

@@ -3,9 +3,9 @@
 use std::io;
 use std::path::Path;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use crate::commands::run::results::{self, Outline};
+use crate::commands::run_folder::RESULTS;
 use crate::commands::sweep;
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::input::read_limited;
@@ -16,9 +16,31 @@ const ESTIMATES: usize = 20;
 /// Largest description of a run or a study. \[bytes\]
 const BYTES_MAX: u64 = 256 << 20;
 
-/// What a page needs beside `results.json`.
+/// What is taken from `results.json` here; the rest is for the page's script.
+#[derive(Deserialize)]
+struct Outline {
+    scenario: String,
+    steps: u64,
+    step_s: f64,
+    agents: Vec<AgentOutline>,
+    graph: GraphOutline,
+}
+
+#[derive(Deserialize)]
+struct AgentOutline {
+    rmse: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct GraphOutline {
+    /// Agents, counted from 1, and `a_ij`.
+    edges: Vec<(usize, usize, f64)>,
+}
+
+/// What a page needs besides `results.json`.
 #[derive(Serialize)]
 struct Tables {
+    command: Vec<String>,
     traces: Option<traces::Thinned>,
     events: Option<events::Events>,
     curves: Vec<curves::Curve>,
@@ -27,10 +49,13 @@ struct Tables {
 }
 
 /// Returns the page about the results in `folder`.
-pub(super) fn of_folder(folder: &Path) -> Result<String, CommandError> {
-    let path = folder.join(results::NAME);
+pub(super) fn of_folder(
+    folder: &Path,
+    command: impl FnOnce() -> Vec<String>,
+) -> Result<String, CommandError> {
+    let path = folder.join(RESULTS);
     match read_limited(&path, BYTES_MAX) {
-        Ok(text) => of_run(folder, text),
+        Ok(text) => of_run(folder, text, command()),
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
             if let Some(page) = sweep::page::of_study(folder)? {
                 return Ok(page);
@@ -45,8 +70,8 @@ pub(super) fn of_folder(folder: &Path) -> Result<String, CommandError> {
     }
 }
 
-fn of_run(folder: &Path, results: Vec<u8>) -> Result<String, CommandError> {
-    let path = folder.join(results::NAME);
+fn of_run(folder: &Path, results: Vec<u8>, command: Vec<String>) -> Result<String, CommandError> {
+    let path = folder.join(RESULTS);
     let outline: Outline =
         serde_json::from_slice(&results).map_err(|error| CommandError::unreadable(&path, error))?;
     let results =
@@ -82,6 +107,7 @@ fn of_run(folder: &Path, results: Vec<u8>) -> Result<String, CommandError> {
         .ok_or_else(|| CommandError::unreadable(&path, "an edge joins agents that do not exist"))?;
     let places = layout::places(count, &edges);
     let tables = Tables {
+        command,
         traces: traces?,
         events: events?,
         curves: curves?.unwrap_or_default(),

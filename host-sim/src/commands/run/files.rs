@@ -5,18 +5,20 @@ use std::path::Path;
 use super::{ReportedRun, results};
 use crate::commands::baselines::Baseline;
 use crate::commands::package_format::PackageFormat;
+use crate::commands::run_folder::{PAGE, RESULTS, command_line};
 use crate::commands::{CommandError, agent_table, methods, output, report};
 use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_norms, events, states, write_all,
 };
+use crate::report::csv::write_innovations;
 use crate::scenario::Scenario;
 
 /// Returns the names of all files that [`write`] may write.
 pub(super) fn planned(scenario: &Scenario) -> Vec<String> {
     let mut planned = output::planned(scenario, "", true);
     planned.push("agents.csv".to_owned());
-    planned.push("methods.csv".to_owned());
-    planned.extend([results::NAME, report::NAME].map(str::to_owned));
+    planned.extend(["methods.csv", "innovations.csv"].map(str::to_owned));
+    planned.extend([RESULTS, PAGE].map(str::to_owned));
     planned.extend(output::pictures(["errors", "states", "events", "methods"]));
     planned
 }
@@ -37,11 +39,14 @@ pub(super) fn write(
     );
     tables?;
     figures?;
+    if run.result.traces.has_innovations() {
+        write_innovations(&out.join("innovations.csv"), &run.result.traces)?;
+    }
     output::packages(out, format, &run.scenario, &run.result)?;
     write_methods(out, &run.scenario, &run.rows)?;
     results::write(out, run, text)?;
     if has_page {
-        report::write(&out.join(report::NAME), &report::of_folder(out)?)?;
+        report::write(&out.join(PAGE), &report::of_folder(out, command_line)?)?;
     }
     Ok(())
 }

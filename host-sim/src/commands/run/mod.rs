@@ -3,7 +3,7 @@
 mod certificate;
 mod files;
 mod reported;
-pub(super) mod results;
+mod results;
 
 use std::path::{Path, PathBuf};
 

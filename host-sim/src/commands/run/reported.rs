@@ -122,7 +122,8 @@ struct Report<'a> {
     seed: u64,
     /// The plant's state at `t = 0`. \[state unit\]
     initial_state: &'a [f64],
-    elapsed_s: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    elapsed_s: Option<f64>,
     baselines: States,
     /// The run compared with other methods, if there are any.
     methods: &'a [methods::Row],
@@ -168,11 +169,20 @@ impl ReportedRun {
 
     /// Returns the report with the keys of `run --format json`, without the error of [`Self::outcome`].
     pub fn report(&self) -> impl Serialize {
+        self.report_after(Some(self.elapsed_s()))
+    }
+
+    /// Returns the report without `elapsed_s`: the same for every run of this scenario and seed.
+    pub(super) fn report_without_time(&self) -> impl Serialize {
+        self.report_after(None)
+    }
+
+    fn report_after(&self, elapsed_s: Option<f64>) -> Report<'_> {
         Report {
             scenario: &self.scenario.name,
             seed: self.seed,
             initial_state: &self.scenario.initial_state,
-            elapsed_s: self.elapsed_s(),
+            elapsed_s,
             baselines: self.baselines.states(),
             methods: &self.rows,
             agents: &self.agents,

@@ -1,46 +1,24 @@
-//! `results.json`: all that is reported of a run, with what a page about it needs beside the tables.
+//! `results.json`: all that is reported of a run, with what a page about it needs besides the tables.
+//! Nothing in it depends on when, where and how fast the run was.
 
 use std::fmt::Write as _;
 use std::io;
 use std::path::Path;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::ReportedRun;
 use crate::commands::error::ErrorReport;
+use crate::commands::run_folder::{RESULTS, RESULTS_KIND};
 use crate::commands::{CommandError, output};
-use crate::files::output::{FileKind, write_result};
+use crate::files::output::write_result;
 use crate::packages::{PackageBytes, PackageSummary};
 
-/// Name of the file.
-pub(in crate::commands) const NAME: &str = "results.json";
-
-/// The kind of this file.
-pub(in crate::commands) const KIND: FileKind = FileKind {
-    name: "the results of a run",
-    recognises: |bytes| bytes.starts_with(b"{\"results\":1,"),
-};
-
-/// What the page about a run takes from [`Results`] itself; the rest is for its script.
-#[derive(Debug, Deserialize)]
-pub(in crate::commands) struct Outline {
-    pub(in crate::commands) scenario: String,
-    pub(in crate::commands) steps: u64,
-    pub(in crate::commands) step_s: f64,
-    pub(in crate::commands) agents: Vec<AgentOutline>,
-    pub(in crate::commands) graph: Graph,
-}
-
-#[derive(Debug, Deserialize)]
-pub(in crate::commands) struct AgentOutline {
-    pub(in crate::commands) rmse: Option<f64>,
-}
-
-#[derive(Debug, Deserialize, Serialize)]
-pub(in crate::commands) struct Graph {
+#[derive(Serialize)]
+struct Graph {
     /// Agents, counted from 1, and `a_ij`.
-    pub(in crate::commands) edges: Vec<(usize, usize, f64)>,
+    edges: Vec<(usize, usize, f64)>,
 }
 
 #[derive(Serialize)]
@@ -53,7 +31,6 @@ struct Results<'a, R: Serialize> {
     error: Option<ErrorReport>,
     /// Version of this program.
     host_sim: &'static str,
-    command: Vec<String>,
     scenario_hash: String,
     scenario_text: &'a str,
     digest: String,
@@ -118,10 +95,9 @@ pub(super) fn write(folder: &Path, run: &ReportedRun, text: &str) -> Result<(), 
     let edge = |edge: &crate::graph::Edge| (edge.first + 1, edge.second + 1, edge.weight);
     let results = Results {
         results: 1,
-        report: run.report(),
+        report: run.report_without_time(),
         error: run.outcome().err().map(|error| error.report()),
         host_sim: env!("CARGO_PKG_VERSION"),
-        command: std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect(),
         scenario_hash: format!("{:#018x}", scenario.hash),
         scenario_text: text,
         digest: format!("{:#018x}", result.digest),
@@ -136,8 +112,8 @@ pub(super) fn write(folder: &Path, run: &ReportedRun, text: &str) -> Result<(), 
         graph: Graph { edges: scenario.graph.edges().iter().map(edge).collect() },
         packages: packages(folder, run)?,
     };
-    let path = folder.join(NAME);
-    write_result(&path, KIND, |file| {
+    let path = folder.join(RESULTS);
+    write_result(&path, RESULTS_KIND, |file| {
         serde_json::to_writer(&mut *file, &results).map_err(io::Error::from)?;
         file.write_all(b"\n")
     })?;

@@ -7,17 +7,28 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::commands::report;
-use crate::commands::run::results;
 use crate::files::input::read_limited;
 use crate::files::output::FileKind;
 use crate::packages::PackageBytes;
+use crate::page;
 use crate::scenario::Scenario;
 
 /// Name of the file with all points of a frontier.
 pub(in crate::commands) const FRONTIER: &str = "frontier.json";
 
+/// Name of the file with all that is reported of a run.
+pub(in crate::commands) const RESULTS: &str = "results.json";
+
 /// The kind of that file.
+pub(in crate::commands) const RESULTS_KIND: FileKind = FileKind {
+    name: "the results of a run",
+    recognises: |bytes| bytes.starts_with(b"{\"results\":1,"),
+};
+
+/// Name of the page about a run.
+pub(in crate::commands) const PAGE: &str = "report.html";
+
+/// The kind of [`FRONTIER`].
 pub(in crate::commands) const FRONTIER_KIND: FileKind = FileKind {
     name: "the points of a frontier",
     recognises: |bytes| {
@@ -53,13 +64,12 @@ pub(super) struct Manifest {
 
 impl Manifest {
     pub(super) fn new(scenario: &Scenario, seed: u64) -> Self {
-        let words = std::env::args_os().map(|word| word.to_string_lossy().into_owned());
         Self {
             host_sim: env!("CARGO_PKG_VERSION").to_owned(),
             scenario: scenario.name.clone(),
             scenario_hash: format!("{:#018x}", scenario.hash),
             seed,
-            command: words.collect(),
+            command: command_line(),
             complete: false,
             files: BTreeSet::new(),
         }
@@ -91,6 +101,16 @@ impl Manifest {
     }
 }
 
+/// Returns the words of this process's command line.
+pub(in crate::commands) fn command_line() -> Vec<String> {
+    std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect()
+}
+
+/// Returns the command that wrote a folder, if its manifest says so.
+pub(in crate::commands) fn command_of(folder: &Path) -> Vec<String> {
+    Manifest::read(folder).map(|manifest| manifest.command).unwrap_or_default()
+}
+
 /// Returns whether `name` is that of a result directly in the folder.
 fn is_plain(name: &str) -> bool {
     let letter = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
@@ -104,8 +124,8 @@ pub(super) fn kind_of(name: &str) -> Option<FileKind> {
         "svg" => Some(FileKind::SVG),
         "png" => Some(FileKind::PNG),
         "weights" => Some(PackageBytes::KIND),
-        "html" => Some(report::KIND),
-        "json" if name == results::NAME => Some(results::KIND),
+        "html" => Some(page::KIND),
+        "json" if name == RESULTS => Some(RESULTS_KIND),
         "json" if name == FRONTIER => Some(FRONTIER_KIND),
         "json" => Some(Manifest::KIND).filter(|_| name == NAME),
         _ => None,

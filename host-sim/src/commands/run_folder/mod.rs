@@ -12,7 +12,9 @@ use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 
-pub(super) use manifest::{FRONTIER, FRONTIER_KIND};
+pub(super) use manifest::{
+    FRONTIER, FRONTIER_KIND, PAGE, RESULTS, RESULTS_KIND, command_line, command_of,
+};
 use manifest::{Manifest, kind_of};
 
 use super::CommandError;
