@@ -17,7 +17,8 @@ use super::command_line::{Folder, texts};
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 
 /// Commands that other parts of CI run, some of them in a shorter form, by their first words.
-const RUN_BY_CI: [&str; 20] = [
+const RUN_BY_CI: [&str; 22] = [
+    ".venv/bin/pip install './python[",
     "STORE_CUTS=all cargo test --release -p integration-tests",
     "STORE_HISTORIES=1000000 cargo test --release -p integration-tests",
     "cp -r firmware-template/boards/",
@@ -38,6 +39,7 @@ const RUN_BY_CI: [&str; 20] = [
     "cargo xtask size",
     "cargo xtask soak",
     "cargo xtask studies",
+    "python3 -m venv .venv",
 ];
 
 /// What follows the three backticks of a block.
