@@ -11,26 +11,35 @@ use crate::figures::{
     ErrorFigure, EventFigure, StateFigure, error_norms, events, states, write_all,
 };
 use crate::report::csv::write_innovations;
+use crate::report::mcap::write_mcap;
 use crate::scenario::Scenario;
 
 /// Returns the names of all files that [`write`] may write.
 pub(super) fn planned(scenario: &Scenario) -> Vec<String> {
     let mut planned = output::planned(scenario, "", true);
     planned.push("agents.csv".to_owned());
-    planned.extend(["methods.csv", "innovations.csv"].map(str::to_owned));
+    planned.extend(["methods.csv", "innovations.csv", "run.mcap"].map(str::to_owned));
     planned.extend([RESULTS, PAGE].map(str::to_owned));
     planned.extend(output::pictures(["errors", "states", "events", "methods"]));
     planned
 }
 
-/// Writes all tables, figures and packages to the folder `out`, then a page about them if `has_page`. `text`
-/// is that of the scenario.
+/// What is written, and how.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Options {
+    pub(super) package_format: PackageFormat,
+    /// Whether to write a page about all the rest.
+    pub(super) has_page: bool,
+    /// Whether to write an MCAP recording.
+    pub(super) has_mcap: bool,
+}
+
+/// Writes all tables, figures and packages to the folder `out`. `text` is that of the scenario.
 pub(super) fn write(
     out: &Path,
-    format: PackageFormat,
+    options: Options,
     run: &ReportedRun,
     text: &str,
-    has_page: bool,
 ) -> Result<(), CommandError> {
     agent_table::write_csv(&out.join("agents.csv"), &run.agents)?;
     let (tables, figures) = rayon::join(
@@ -42,10 +51,13 @@ pub(super) fn write(
     if run.result.traces.has_innovations() {
         write_innovations(&out.join("innovations.csv"), &run.result.traces)?;
     }
-    output::packages(out, format, &run.scenario, &run.result)?;
+    output::packages(out, options.package_format, &run.scenario, &run.result)?;
     write_methods(out, &run.scenario, &run.rows)?;
     results::write(out, run, text)?;
-    if has_page {
+    if options.has_mcap {
+        write_mcap(&out.join("run.mcap"), &run.scenario, &run.result)?;
+    }
+    if options.has_page {
         report::write(&out.join(PAGE), &report::of_folder(out, command_line)?)?;
     }
     Ok(())

@@ -54,6 +54,9 @@ pub(super) struct Arguments {
     /// Write a page about the run as well, report.html, to look at in a browser
     #[arg(long)]
     report: bool,
+    /// Write traces and broadcasts as run.mcap as well, for Foxglove and PlotJuggler
+    #[arg(long)]
+    mcap: bool,
     #[command(flatten)]
     package_format: PackageFormat,
     #[command(flatten)]
@@ -85,8 +88,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         let bars = ProgressBars::new("simulating");
         prepared.carry_out(&bars)?
     };
-    files::write(folder.stage(), arguments.package_format, &run, &text, arguments.report)
-        .map_err(|error| folder.placed(error))?;
+    let options = files::Options {
+        package_format: arguments.package_format,
+        has_page: arguments.report,
+        has_mcap: arguments.mcap,
+    };
+    files::write(folder.stage(), options, &run, &text).map_err(|error| folder.placed(error))?;
     let (files, others) = folder.publish(run.scenario(), arguments.common.seed)?;
     let outcome = run.outcome();
     match arguments.common.format {

@@ -11,6 +11,7 @@ use crate::files::input::read_limited;
 use crate::files::output::FileKind;
 use crate::packages::PackageBytes;
 use crate::page;
+use crate::report::mcap;
 use crate::scenario::Scenario;
 
 /// Name of the file with all points of a frontier.
@@ -125,6 +126,7 @@ pub(super) fn kind_of(name: &str) -> Option<FileKind> {
         "png" => Some(FileKind::PNG),
         "weights" => Some(PackageBytes::KIND),
         "html" => Some(page::KIND),
+        "mcap" => Some(mcap::KIND),
         "json" if name == RESULTS => Some(RESULTS_KIND),
         "json" if name == FRONTIER => Some(FRONTIER_KIND),
         "json" => Some(Manifest::KIND).filter(|_| name == NAME),
