@@ -51,7 +51,7 @@ impl Reported for TableError {
 
     fn file(&self) -> Option<PathBuf> {
         match self {
-            Self::Read { path, .. } | Self::Field { path, .. } | Self::Header { path, .. } => {
+            Self::Read { path, .. } | Self::Field { path, .. } | Self::Kind { path, .. } => {
                 owned(path)
             }
         }
@@ -60,7 +60,7 @@ impl Reported for TableError {
     fn line(&self) -> Option<u64> {
         match self {
             Self::Field { line, .. } => Some(*line),
-            Self::Read { .. } | Self::Header { .. } => None,
+            Self::Read { .. } | Self::Kind { .. } => None,
         }
     }
 }

@@ -28,6 +28,15 @@ function number(value, digits = 4) {
   return Number(value.toPrecision(digits)).toString();
 }
 
+// What a person has set: all its digits.
+function exact(value) {
+  return String(value);
+}
+
+function counted(count, word) {
+  return `${number(count)} ${word}${count === 1 ? "" : "s"}`;
+}
+
 function percent(value) {
   if (value == null || !Number.isFinite(value)) return "–";
   return `${value > 0 ? "+" : ""}${value.toFixed(1)} %`.replace("-", "−");

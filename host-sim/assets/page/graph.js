@@ -34,7 +34,7 @@ function graphSection(data, shown) {
     return name;
   });
   const total = sum(edges.map((edge) => edge.rate));
-  const label = `Graph of ${count} agents and ${edges.length} edges, ${number(total, 3)} frames per second over all edges`;
+  const label = `Graph of ${counted(count, "agent")} and ${counted(edges.length, "edge")}, ${number(total, 3)} frames per second over all edges`;
   const picture = svgElement("svg", { class: "graph", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label },
     ...lines, ...circles, ...names);
 
@@ -64,7 +64,7 @@ function graphSection(data, shown) {
   const more = edges.length > listed.length ? ` (the first ${listed.length} of ${edges.length})` : "";
   return [
     element("p", {}, `${label}. The width of an edge is the number of frames that its agents send over it; choose an agent to see its numbers.`),
-    element("div", { class: "tools" }, element("label", {}, "Agent", choice)),
+    element("div", { class: "tools" }, element("label", {}, "Agent to show", choice)),
     chosen, picture,
     element("details", {}, element("summary", {}, `The edges as a table${more}`), table("Edges of the graph", columns, listed)),
   ];

@@ -25,19 +25,29 @@ function range(values, show) {
   return low === high ? low : `${low} to ${high}`;
 }
 
+function interval([from, to]) {
+  return `[${exact(from)}, ${exact(to)}]`;
+}
+
 function verdicts(run) {
   const { agents, checks } = run;
   const found = [];
   if (run.error) found.push(["bad", "Not meaningful", run.error.text]);
-  const window = `t in [${number(run.evaluation[0])}, ${number(run.evaluation[1])}] s`;
+  const window = `t in ${interval(run.evaluation)} s`;
   const changes = agents.map((agent) => agent.change_percent_no_network).filter((change) => change != null);
+  const baseline = run.baselines.no_network;
   const errors = `RMSE ${range(agents.map((agent) => agent.rmse), (value) => number(value, 3))} over ${window}`;
   if (changes.length) {
-    const worse = changes.filter((change) => change >= 0).length;
+    const better = changes.filter((change) => change < 0).length;
+    const isEvery = better === agents.length && !run.error;
     const against = range(agents.map((agent) => agent.rmse_no_network), (value) => number(value, 3));
     const text = `${errors}; without a network ${against}, a change of ${range(changes, percent)}`;
-    found.push(worse ? ["open", `${worse} of ${agents.length} agents are not better than without a network`, text]
-      : ["good", "Every agent is better than without a network", text]);
+    found.push(isEvery ? ["good", "Every agent is better than without a network", text]
+      : ["open", `${better} of ${counted(agents.length, "agent")} better than without a network`, text]);
+  } else if (run.is_known && baseline?.status === "failed") {
+    found.push(["open", "Errors", `${errors}; the run without a network failed: ${baseline.reason}`]);
+  } else if (run.is_known && baseline?.status === "this_run") {
+    found.push(["", "Errors", `${errors}; the agents have no network`]);
   } else if (run.is_known) {
     found.push(["", "Errors", `${errors}; not compared with a run without a network (use --baselines)`]);
   } else {
@@ -49,7 +59,7 @@ function verdicts(run) {
   found.push(["", "Traffic", `${number(broadcasts)} broadcasts, ${number(100 * share, 3)} % of the agents' steps`]);
   const theorem = (name, check) => {
     const kind = { kept: "good", broken: "bad" }[check.status] || "open";
-    const text = { kept: "its premises hold, and the run kept its bound", broken: "its premises hold, and the run BROKE its bound" }[check.status];
+    const text = { kept: "kept; its premises hold as far as this run measured them", broken: "broken, though its premises hold as far as this run measured them" }[check.status];
     const premise = /^not /.test(check.premise) ? check.premise : `not applicable: ${check.premise}`;
     found.push([kind, name, text || premise]);
   };
@@ -68,12 +78,12 @@ function agentTable(run) {
   const column = (key, name, show) => (has(key) ? [{ name, value: (agent) => agent[key], show }] : []);
   const columns = [
     { name: "agent", value: (agent) => agent.agent },
-    ...column("rmse", `RMSE, ${run.run_name}`),
-    ...column("rmse_no_network", "RMSE, no network"),
-    ...column("rmse_untrained", "RMSE, untrained"),
+    ...column("rmse", `RMSE, ${run.run_name} [state unit]`),
+    ...column("rmse_no_network", "RMSE, no network [state unit]"),
+    ...column("rmse_untrained", "RMSE, untrained [state unit]"),
     ...column("change_percent_no_network", "change against no network", percent),
-    ...column("max_error", "largest error"),
-    ...column("innovation_rms", "innovation RMS"),
+    ...column("max_error", "largest error [state unit]"),
+    ...column("innovation_rms", "innovation RMS [output unit]"),
     ...column("explained_variance", "variance explained", (value) => percent(value == null ? value : 100 * value).replace("+", "")),
     ...column("broadcasts", "broadcasts"),
     ...column("mean_interval", "mean interval [s]"),
@@ -81,7 +91,7 @@ function agentTable(run) {
     ...column("frames_lost", "copies lost"),
     ...column("airtime_s", "time on air [s]"),
   ];
-  return table(`Errors [state unit] for t in [${run.evaluation.map((time) => number(time)).join(", ")}] s; broadcasts over the whole run`,
+  return table(`Errors for t in ${interval(run.evaluation)} s; broadcasts over the whole run`,
     columns, run.agents);
 }
 
@@ -102,7 +112,7 @@ function overTime(run, shown) {
   const group = new TimePlots(end, run.evaluation, run.markers);
   const plots = [];
   if (traces?.time.length && run.is_known) plots.push(errorPlot(group, shown, traces));
-  if (traces?.time.length && traces.estimates.length) plots.push(statePlot(group, traces, run.states));
+  if (traces?.time.length && traces.estimates.length) plots.push(statePlot(group, shown, traces, run.states, run.truth_name));
   if (traces?.innovations.length) plots.push(innovationPlot(group, shown, traces));
   if (events) plots.push(eventPlot(group, events, run.agents.length));
   if (!plots.length) return [element("p", {}, "The scenario recorded neither traces nor events.")];
@@ -115,7 +125,7 @@ function overTime(run, shown) {
     const where = events.gaps.length ? "where a point has several" : `over ${number(events.interval * events.step_s)} s each`;
     notes.push(`Broadcasts are counted ${where}: the darker, the more.`);
   }
-  notes.push("The evaluation window is shaded. Drag over a plot, or use the buttons, to change the range of all plots.");
+  notes.push("The evaluation window is shaded. Drag over a plot with a mouse, or use the fields and buttons, to change the range of all plots.");
   return [group.tools, element("p", { class: "note" }, notes.join(" ")), agentChooser(shown, run.agents),
     ...plots.map((plot) => plot.root), rangeTable(group, run.agents, traces, events)];
 }
@@ -148,12 +158,12 @@ function trainingSection(run) {
     { name: "cycle", value: (training) => training.cycle },
     { name: "samples", value: (training) => training.samples },
     { name: "epochs", value: (training) => training.epochs },
-    { name: "MSE, training", value: (training) => training.training_error },
-    { name: "MSE, validation", value: (training) => training.validation_error },
+    { name: "MSE, training [(state unit/s)²]", value: (training) => training.training_error },
+    { name: "MSE, validation [(state unit/s)²]", value: (training) => training.validation_error },
     { name: "variance explained, training", value: explained("training"), show: share },
     { name: "validation", value: explained("validation"), show: share },
     { name: "last 15 %", value: explained("last"), show: share },
-    { name: "used", value: (training) => (training.switched_in ? "yes" : "NO") },
+    { name: "used", value: (training) => (training.switched_in ? "yes" : "no") },
     { name: "stopped by", value: (training) => training.stopped_by, isText: true },
   ];
   const all = run.curves.length < run.trainings.length ? element("p", { class: "note" },
@@ -164,12 +174,12 @@ function trainingSection(run) {
 function theorySection({ checks, observer }) {
   const { theorem1, theorem2 } = checks;
   const rows = [
-    ["K₁ solves the matrix inequality", checks.solution ? "yes" : "NO",
+    ["K₁ solves the matrix inequality", checks.solution ? "yes" : "no",
       `λ_min = ${number(checks.eigenvalue_min, 6)} 1/s (± ${number(checks.eigenvalue_uncertainty, 1)}), k₁ = ${number(checks.k1, 6)} 1/s`],
-    ["The agents together measure the whole state", checks.state_covered ? "yes" : "NO", ""],
-    ["The step is short enough", checks.largest_stable_step == null || checks.step < checks.largest_stable_step ? "yes" : "NO",
+    ["The agents together measure the whole state", checks.state_covered ? "yes" : "no", ""],
+    ["The step is short enough", checks.largest_stable_step == null || checks.step < checks.largest_stable_step ? "yes" : "no",
       `${number(checks.step)} s of at most ${number(checks.largest_stable_step)} s`],
-    ["ρ bounds the uncertainty", theorem1.chi_bar_max == null ? "not measured" : theorem1.rho >= theorem1.chi_bar_max ? "yes" : "NO",
+    ["ρ bounds the uncertainty", theorem1.chi_bar_max == null ? "not measured" : theorem1.rho >= theorem1.chi_bar_max ? "yes, as measured" : "no",
       theorem1.chi_bar_max == null ? "" : `ρ = ${number(theorem1.rho)}; χ̄_max about ${number(theorem1.chi_bar_max)}, at least ${number(theorem1.chi_bar_max_at_least)}; the disturbance alone reaches ${number(theorem1.disturbance_max)}`],
     ["Trigger", "", checks.trigger_radius == null ? "not the paper's" : `φ₁ = ${number(checks.phi1, 6)} 1/s, φ₂ = ${number(checks.phi2)} 1/s; with z = 0 it fires at |e₂| = ${number(checks.trigger_radius)}`],
     ["Theorem 1", theorem1.status.replaceAll("_", " "), theorem1.premise || ""],
@@ -227,15 +237,15 @@ function command(words) {
 }
 
 function showRun(run) {
-  header(run.scenario, `Run by host-sim ${run.host_sim}: ${run.agents.length} agents, ${number(run.steps * run.step_s)} s in ${number(run.steps)} steps`,
+  header(run.scenario, `Run by host-sim ${run.host_sim}: ${counted(run.agents.length, "agent")}, ${number(run.steps * run.step_s, 6)} s in ${counted(run.steps, "step")}`,
     verdicts(run), [
-      ["Seed", `${run.seed}`],
+      ["Seed", run.seed_text],
       ["Scenario's hash", element("code", {}, run.scenario_hash)],
       ["Digest of the run", element("code", {}, run.digest)],
-      ["Repeat it", run.command.length ? command(run.command) : null],
+      ["Command", run.command.length ? command(run.command) : null],
     ]);
   const shown = new ShownAgents(run.agents);
-  section("Agents", agentTable(run), run.link.length ? table("What the link did", [
+  section("Agents", agentTable(run), run.link.length ? table("Link statistics", [
     { name: "layer", value: (layer) => layer.layer, isText: true }, { name: "count", value: (layer) => layer.count }], run.link) : null,
   healthTable(run));
   if (run.methods.length) section("Methods", methodTable(run));
@@ -254,12 +264,14 @@ function showStudy(study) {
   const described = study.study || {};
   const runs = sum(study.cells.map((cell) => cell.runs));
   const diverged = sum(study.cells.map((cell) => cell.diverged));
-  const verdict = [["", "Runs", `${number(runs)} of ${study.cells.length} cells`]];
+  const verdict = [["", "Runs", `${counted(runs, "run")} in ${counted(study.cells.length, "cell")}`]];
+  const isPart = described.shard && described.shard !== "1/1";
+  if (isPart) verdict.push(["open", "Part of a study", `${described.shard}; put the tables of all parts together, and summarise them with sweep --summarise`]);
   verdict.push(diverged ? ["bad", "Diverged", `${number(diverged)} runs have no result; medians are over the others`] : ["good", "Diverged", "none"]);
   if (described.runs && described.runs !== runs) verdict.push(["open", "Incomplete", `the study has ${number(described.runs)} runs`]);
-  header(`${described.scenario || "Study"}: study`, described.host_sim ? `By host-sim ${described.host_sim}` : "", verdict, [
+  header(described.scenario ? `${described.scenario}: study` : "Study", described.host_sim ? `By host-sim ${described.host_sim}` : "", verdict, [
     ["Varied", study.keys.join(", ") || "seeds and initial states only"],
-    ["Seeds", described.seeds && `${described.seeds}, from ${described.seed}`],
+    ["Seeds", described.seeds && `${described.seeds}, from ${study.seed_text}`],
     ["Initial states", described.initial_states && `${described.initial_states}`],
     ["Scenario's hash", described.scenario_hash && element("code", {}, described.scenario_hash)],
   ]);
@@ -268,5 +280,10 @@ function showStudy(study) {
   if (study.scenario_text) section("Scenario", scenarioText(study.scenario_text));
 }
 
-if (data.cells) showStudy(data);
-else if (data.agents) showRun(data);
+try {
+  if (data.cells) showStudy(data);
+  else showRun(data);
+} catch (error) {
+  mainPart.append(element("p", { role: "alert" }, `This page cannot show its data (${error.message}). Make it again with \`host-sim report\`.`));
+  throw error;
+}

@@ -1,14 +1,18 @@
 // A study: error against broadcasts of every cell.
 
 function tradeoffPlot(data) {
-  const points = data.lines.flatMap((line, place) => line.points.map((point) => ({ ...point, line, place })))
-    .filter((point) => [...point.broadcasts, ...point.error].every((value) => value > 0));
+  const all = data.lines.flatMap((line) => line.points.map((point) => ({ ...point, line })));
+  const points = all.filter((point) => point.broadcasts[1] > 0 && point.error[1] > 0);
+  const missing = all.length - points.length;
   if (!points.length) return element("p", {}, "No cell has a result with broadcasts, so there is nothing to draw.");
   const frame = element("div", { class: "frame", tabindex: 0, role: "group",
     "aria-label": "Error against broadcasts, one mark for each cell; the table below has the numbers. Drag to zoom, double click to show all." });
   const status = element("p", { class: "note", role: "status" }, "Bars reach over 95 % of the runs. Point at a mark for its numbers; drag to zoom, double click to show all.");
   const legend = element("ul", { class: "legend" });
-  const extent = (values) => [Math.min(...values) / 1.3, Math.max(...values) * 1.3];
+  const extent = (values) => {
+    const positive = values.filter((value) => value > 0);
+    return [Math.min(...positive) / 1.3, Math.max(...positive) * 1.3];
+  };
   const [xs, ys] = [extent(points.flatMap((point) => point.broadcasts)), extent(points.flatMap((point) => point.error))];
   let plot;
   let [shownX, shownY] = [xs, ys];
@@ -25,6 +29,8 @@ function tradeoffPlot(data) {
     plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
     show(x, y);
   };
+  // The end of a bar at zero is at the border.
+  const at = (value, axis) => plot.valToPos(value > 0 ? value : (axis === "x" ? xs : ys)[0], axis, true);
   const place = (point, index = 1) => [plot.valToPos(point.broadcasts[index], "x", true), plot.valToPos(point.error[index], "y", true)];
   const draw = () => {
     const { ctx, bbox } = plot;
@@ -45,10 +51,10 @@ function tradeoffPlot(data) {
       for (const point of own) {
         const [x, y] = place(point);
         ctx.beginPath();
-        ctx.moveTo(x, plot.valToPos(point.error[0], "y", true));
-        ctx.lineTo(x, plot.valToPos(point.error[2], "y", true));
-        ctx.moveTo(plot.valToPos(point.broadcasts[0], "x", true), y);
-        ctx.lineTo(plot.valToPos(point.broadcasts[2], "x", true), y);
+        ctx.moveTo(x, at(point.error[0], "y"));
+        ctx.lineTo(x, at(point.error[2], "y"));
+        ctx.moveTo(at(point.broadcasts[0], "x"), y);
+        ctx.lineTo(at(point.broadcasts[2], "x"), y);
         ctx.stroke();
         ctx.beginPath();
         ctx.arc(x, y, 4 * devicePixelRatio, 0, 2 * Math.PI);
@@ -94,7 +100,8 @@ function tradeoffPlot(data) {
     else if (plot.width !== width) plot.setSize({ width, height: 420 });
   }).observe(frame);
   darkGround.addEventListener("change", build);
-  return element("div", { class: "plot" }, frame, legend, status);
+  const note = missing ? element("p", { class: "note" }, `${counted(missing, "cell")} without broadcasts or errors cannot be drawn on these axes.`) : null;
+  return element("div", { class: "plot" }, frame, legend, status, ...(note ? [note] : []));
 }
 
 function cellTable(data) {

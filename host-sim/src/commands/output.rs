@@ -97,6 +97,14 @@ pub(super) fn packages(
     Ok(())
 }
 
+/// Returns what the plant's own state is called in figures; `None` if it is not known.
+pub(super) fn truth_name(scenario: &Scenario) -> Option<&'static str> {
+    match scenario.plant.recording() {
+        None => Some("true state"),
+        Some(recorded) => recorded.has_reference().then_some("reference"),
+    }
+}
+
 /// Returns the ticks of all broadcasts, one entry per agent.
 pub(super) fn events_of(run: &RunResult) -> Vec<&[u64]> {
     run.agents.iter().map(|agent| agent.events.as_slice()).collect()

@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::TableError;
+use super::table::each_row;
 
 /// Broadcasts that are listed one by one at most.
 const LISTED: usize = 150_000;
@@ -30,25 +31,18 @@ pub struct Events {
 /// # Errors
 /// If the table cannot be read or is not of its kind.
 pub fn read(path: &Path, agents: usize, steps: u64, step_size: f64) -> Result<Events, TableError> {
-    let failed = |error| TableError::Read { path: path.to_owned(), error };
-    let mut reader = csv::Reader::from_path(path).map_err(failed)?;
     let mut ticks: Vec<Vec<u64>> = vec![Vec::new(); agents];
-    for record in reader.records() {
-        let record = record.map_err(failed)?;
-        let field = |index: usize| record.get(index).unwrap_or_default();
-        let wrong = |index: usize, expected| TableError::Field {
-            path: path.to_owned(),
-            line: record.position().map_or(0, csv::Position::line),
-            field: field(index).to_owned(),
-            expected,
-        };
-        let agent = field(0).parse::<usize>().ok().and_then(|number| number.checked_sub(1));
-        let ticks = agent.and_then(|index| ticks.get_mut(index));
-        let time = field(2).parse::<f64>().ok().filter(|time| (0.0..1e15).contains(time));
-        let time = time.ok_or_else(|| wrong(2, "a time"))?;
-        let tick = (time / step_size).round() as u64;
-        ticks.ok_or_else(|| wrong(0, "the number of an agent"))?.push(tick);
-    }
+    each_row(path, |row| {
+        let agent = row.number::<usize>(0)?.checked_sub(1);
+        let of_agent = agent.and_then(|index| ticks.get_mut(index));
+        let of_agent = of_agent.ok_or_else(|| row.wrong(0, "the number of an agent"))?;
+        let time: f64 = row.number(2)?;
+        if !(0.0..1e15).contains(&time) {
+            return Err(row.wrong(2, "a time"));
+        }
+        of_agent.push((time / step_size).round() as u64);
+        Ok(true)
+    })?;
     Ok(Events::new(ticks, steps, step_size))
 }
 

@@ -15,6 +15,7 @@ pub mod curves;
 pub mod events;
 pub mod layout;
 mod number;
+mod table;
 pub mod traces;
 
 use std::path::PathBuf;
@@ -25,9 +26,10 @@ const PAGE: &str = include_str!("../../assets/page/page.html");
 const STYLE: &str = include_str!("../../assets/page/style.css");
 const LIBRARY: &str = include_str!("../../assets/page/uplot/uPlot.iife.min.js");
 const LIBRARY_STYLE: &str = include_str!("../../assets/page/uplot/uPlot.min.css");
-const SCRIPTS: [&str; 5] = [
+const SCRIPTS: [&str; 6] = [
     include_str!("../../assets/page/elements.js"),
     include_str!("../../assets/page/time_plots.js"),
+    include_str!("../../assets/page/agent_plots.js"),
     include_str!("../../assets/page/graph.js"),
     include_str!("../../assets/page/study.js"),
     include_str!("../../assets/page/page.js"),
@@ -72,15 +74,12 @@ pub enum TableError {
         /// What was expected.
         expected: &'static str,
     },
-    /// Columns are missing.
-    #[error(
-        "{}: its first line is not that of {expected}; run the command that wrote it again",
-        path.display()
-    )]
-    Header {
+    /// Columns or rows are missing.
+    #[error("{}: it is not {expected}; run the command that wrote it again", path.display())]
+    Kind {
         /// The file.
         path: PathBuf,
-        /// The kind of table.
+        /// What was expected.
         expected: &'static str,
     },
 }

@@ -2,19 +2,19 @@
 
 use serde::{Serialize, Serializer};
 
-/// Digits of a number on a page.
-const DIGITS: usize = 5;
+/// Digits of errors.
+pub(super) const DIGITS: usize = 5;
 
-/// A number that is written with few digits; `null` if it is not finite.
+/// A number that is written with this many digits; `null` if it is not finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Short(pub(super) f64);
+pub(super) struct Short(pub(super) f64, pub(super) usize);
 
 impl Serialize for Short {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         if !self.0.is_finite() {
             return serializer.serialize_none();
         }
-        let rounded: f64 = format!("{:.*e}", DIGITS - 1, self.0).parse().unwrap_or(self.0);
+        let rounded: f64 = format!("{:.*e}", self.1 - 1, self.0).parse().unwrap_or(self.0);
         // Whole numbers without ".0".
         if rounded.fract() == 0.0 && rounded.abs() < 1e9 {
             return serializer.serialize_i64(rounded as i64);
@@ -29,7 +29,7 @@ mod tests {
 
     #[test]
     fn numbers_have_five_digits() {
-        let text = |value: f64| serde_json::to_string(&Short(value)).unwrap();
+        let text = |value: f64| serde_json::to_string(&Short(value, DIGITS)).unwrap();
         let cases = [
             (0.123_456_789, "0.12346"),
             (-1.0e-7 / 3.0, "-3.3333e-8"),

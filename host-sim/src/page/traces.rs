@@ -12,7 +12,7 @@ use csv::ByteRecord;
 use serde::Serialize;
 
 use super::TableError;
-use super::number::Short;
+use super::number::{DIGITS, Short};
 
 /// Numbers that are kept at most, times two.
 const NUMBERS: usize = 300_000;
@@ -20,6 +20,10 @@ const NUMBERS: usize = 300_000;
 const POINTS: usize = 3_000;
 /// Points that are kept at least, if there are as many rows.
 const POINTS_MIN: usize = 100;
+/// Digits of times: a step of a run of days.
+const TIME_DIGITS: usize = 10;
+/// Digits of states and estimates: those of single precision.
+const STATE_DIGITS: usize = 7;
 
 /// Traces of a run, by point.
 #[derive(Debug, PartialEq, Serialize)]
@@ -62,6 +66,14 @@ enum Column {
 impl Column {
     fn merges_to_largest(self) -> bool {
         matches!(self, Self::Error | Self::Innovation)
+    }
+
+    fn digits(self) -> usize {
+        match self {
+            Self::Time => TIME_DIGITS,
+            Self::Truth | Self::Estimate(_) => STATE_DIGITS,
+            Self::Error | Self::Innovation | Self::Unused => DIGITS,
+        }
     }
 }
 
@@ -175,35 +187,52 @@ impl<'p> Table<'p> {
     }
 }
 
-/// Reads `traces.csv`, and `innovations.csv` if there is one. Estimates are kept of agents that
-/// `is_shown`, from 1.
+/// Reads `traces.csv` of this many agents, and `innovations.csv` if there is one. Estimates are kept of agents
+/// that `is_shown`, from 1.
 ///
 /// # Errors
 /// If a table cannot be read or is not of its kind.
 pub fn read(
     traces: &Path,
     innovations: Option<&Path>,
+    agents: usize,
     is_shown: impl Fn(usize) -> bool,
 ) -> Result<Thinned, TableError> {
     let mut table = Table::open(traces)?;
-    let wrong = || TableError::Header { path: traces.to_owned(), expected: "traces" };
+    let wrong = |path: &Path, expected| TableError::Kind { path: path.to_owned(), expected };
+    let not_traces = || wrong(traces, "the table of this run's traces");
     let mut kinds = Vec::new();
     for (index, name) in table.header()?.iter().enumerate() {
-        kinds.push(column(index, name, &is_shown).ok_or_else(wrong)?);
+        kinds.push(column(index, name, &is_shown).ok_or_else(not_traces)?);
+    }
+    if kinds.iter().filter(|&&kind| kind == Column::Error).count() != agents {
+        return Err(not_traces());
     }
     let columns = kinds.len();
     let mut other = innovations.map(Table::open).transpose()?;
+    let not_innovations =
+        || wrong(innovations.unwrap_or(traces), "the table of the innovations in these traces");
     if let Some(other) = &mut other {
-        let agents = other.header()?.len().saturating_sub(1);
-        kinds.push(Column::Unused);
+        let mut expected = vec!["time [s]".to_owned()];
+        expected.extend((1..=agents).map(|agent| format!("agent{agent} [output unit]")));
+        if other.header()? != expected {
+            return Err(not_innovations());
+        }
+        kinds.push(Column::Time);
         kinds.extend((0..agents).map(|_| Column::Innovation));
     }
-    let mut points = Points::new(kinds.clone());
+    let mut of_points = kinds.clone();
+    if let Some(second_time) = of_points.get_mut(columns) {
+        *second_time = Column::Unused;
+    }
+    let mut points = Points::new(of_points);
     let mut row = Vec::with_capacity(kinds.len());
     while table.next(&kinds[..columns], &mut row)? {
         if let Some(other) = &mut other {
-            other.next(&kinds[columns..], &mut row)?;
-            row.resize(kinds.len(), f64::NAN);
+            let is_there = other.next(&kinds[columns..], &mut row)?;
+            if !is_there || row.get(columns) != row.first() {
+                return Err(not_innovations());
+            }
         }
         points.add(&row);
         row.clear();
@@ -237,7 +266,8 @@ fn thinned(points: Points) -> Thinned {
     };
     let mut estimates: BTreeMap<usize, Vec<Vec<Short>>> = BTreeMap::new();
     for (kind, values) in points.kinds.into_iter().zip(points.values) {
-        let values: Vec<Short> = values.into_iter().map(Short).collect();
+        let digits = kind.digits();
+        let values: Vec<Short> = values.into_iter().map(|value| Short(value, digits)).collect();
         match kind {
             Column::Time => thinned.time = values,
             Column::Truth => thinned.truth.push(values),

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::commands::run_folder::RESULTS;
+use crate::commands::run_folder::{RESULTS, is_complete};
 use crate::commands::sweep;
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::input::read_limited;
@@ -19,7 +19,10 @@ const BYTES_MAX: u64 = 256 << 20;
 /// What is taken from `results.json` here; the rest is for the page's script.
 #[derive(Deserialize)]
 struct Outline {
+    /// Version of the keys.
+    results: u32,
     scenario: String,
+    seed: u64,
     steps: u64,
     step_s: f64,
     agents: Vec<AgentOutline>,
@@ -40,6 +43,8 @@ struct GraphOutline {
 /// What a page needs besides `results.json`.
 #[derive(Serialize)]
 struct Tables {
+    /// The seed, of which a number in JavaScript may not have all digits.
+    seed_text: String,
     command: Vec<String>,
     traces: Option<traces::Thinned>,
     events: Option<events::Events>,
@@ -74,6 +79,15 @@ fn of_run(folder: &Path, results: Vec<u8>, command: Vec<String>) -> Result<Strin
     let path = folder.join(RESULTS);
     let outline: Outline =
         serde_json::from_slice(&results).map_err(|error| CommandError::unreadable(&path, error))?;
+    if outline.results != 1 {
+        let problem =
+            format!("it is of version {}; this program reads version 1 only", outline.results);
+        return Err(CommandError::unreadable(&path, problem));
+    }
+    if !is_complete(folder) {
+        let problem = "the run was interrupted while it replaced the files of another one";
+        return Err(CommandError::unreadable(folder, problem));
+    }
     let results =
         String::from_utf8(results).map_err(|error| CommandError::unreadable(&path, error))?;
     let file = |name: &str| Some(folder.join(name)).filter(|path| path.is_file());
@@ -84,7 +98,9 @@ fn of_run(folder: &Path, results: Vec<u8>, command: Vec<String>) -> Result<Strin
             let is_shown = |agent: usize| shown.contains(&agent);
             let innovations = file("innovations.csv");
             let traces = file("traces.csv");
-            traces.map(|path| traces::read(&path, innovations.as_deref(), is_shown)).transpose()
+            traces
+                .map(|path| traces::read(&path, innovations.as_deref(), count, is_shown))
+                .transpose()
         },
         || {
             rayon::join(
@@ -107,6 +123,7 @@ fn of_run(folder: &Path, results: Vec<u8>, command: Vec<String>) -> Result<Strin
         .ok_or_else(|| CommandError::unreadable(&path, "an edge joins agents that do not exist"))?;
     let places = layout::places(count, &edges);
     let tables = Tables {
+        seed_text: outline.seed.to_string(),
         command,
         traces: traces?,
         events: events?,

@@ -104,10 +104,7 @@ fn write_figures(out: &Path, run: &ReportedRun) -> Result<(), CommandError> {
         figures.push(("errors", error_norms(&figure)));
     }
     if traces.rows() > 0 {
-        let truth = match scenario.plant.recording() {
-            None => Some("true state"),
-            Some(recorded) => recorded.has_reference().then_some("reference"),
-        };
+        let truth = output::truth_name(scenario);
         let title = match truth {
             Some(truth) => format!("{name}: {truth} and estimates"),
             None => format!("{name}: estimates"),

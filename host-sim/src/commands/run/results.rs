@@ -43,6 +43,8 @@ struct Results<'a, R: Serialize> {
     states: Vec<String>,
     /// Whether the true state is known, so that there are errors.
     is_known: bool,
+    /// What the plant's own state is; `None` if it is not known.
+    truth_name: Option<&'static str>,
     markers: Vec<Mark>,
     graph: Graph,
     packages: Vec<Packed>,
@@ -108,6 +110,7 @@ pub(super) fn write(folder: &Path, run: &ReportedRun, text: &str) -> Result<(), 
         evaluation: [scenario.evaluation.from, scenario.evaluation.to],
         states: scenario.plant.state_names(),
         is_known: scenario.plant.is_known(),
+        truth_name: output::truth_name(scenario),
         markers: output::markers(scenario, &result.trainings).iter().map(mark).collect(),
         graph: Graph { edges: scenario.graph.edges().iter().map(edge).collect() },
         packages: packages(folder, run)?,

@@ -112,6 +112,11 @@ pub(in crate::commands) fn command_of(folder: &Path) -> Vec<String> {
     Manifest::read(folder).map(|manifest| manifest.command).unwrap_or_default()
 }
 
+/// Returns whether all files of a run's folder are from one run, as far as its manifest knows.
+pub(in crate::commands) fn is_complete(folder: &Path) -> bool {
+    Manifest::read(folder).is_none_or(|manifest| manifest.complete)
+}
+
 /// Returns whether `name` is that of a result directly in the folder.
 fn is_plain(name: &str) -> bool {
     let letter = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');

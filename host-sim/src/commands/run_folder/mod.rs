@@ -13,7 +13,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 pub(super) use manifest::{
-    FRONTIER, FRONTIER_KIND, PAGE, RESULTS, RESULTS_KIND, command_line, command_of,
+    FRONTIER, FRONTIER_KIND, PAGE, RESULTS, RESULTS_KIND, command_line, command_of, is_complete,
 };
 use manifest::{Manifest, kind_of};
 
@@ -101,6 +101,10 @@ impl RunFolder {
         for name in self.before.difference(files) {
             remove_result(&place(name)).map_err(|error| named(name, error))?;
         }
+        // `report` may have made a page of the previous run.
+        if !files.contains(PAGE) {
+            remove_page(&self.path)?;
+        }
         manifest.files.clone_from(files);
         manifest.complete = true;
         write(manifest)
@@ -163,6 +167,12 @@ fn install(staged: &Path, place: &Path) -> Result<(), OutputError> {
         }
         moved => moved.map_err(failed),
     }
+}
+
+/// Removes the page about results in `folder` that are about to change; any other file of its name is left.
+pub(super) fn remove_page(folder: &Path) -> Result<(), OutputError> {
+    let path = folder.join(PAGE);
+    remove_result(&path).map_err(|error| OutputError::Write { path, error })
 }
 
 /// Removes a result of the previous run, if it still is one.

@@ -24,7 +24,7 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
-use super::run_folder::lock;
+use super::run_folder::{lock, remove_page};
 use super::scenario_source::load_with_text;
 use super::{
     Changes, CommandError, Common, ErrorCode, TableFormat, initial_states, print_outcome,
@@ -192,6 +192,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
     let part = arguments.shard.of(total(arguments, &cells)?);
     let (opened, before) = resume::open(&file, part.start, &runs)?;
     let next = part.start + before;
+    remove_page(&folder)?;
     let outcome = runs.carry_out(next, Results::new(&file, opened, next))?;
     let is_complete = before + outcome.done == study.runs;
     let mut written = vec![results::NAME.to_owned()];

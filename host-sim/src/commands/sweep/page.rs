@@ -1,5 +1,6 @@
 //! The page about a study.
 
+use std::io;
 use std::path::Path;
 
 use serde::Serialize;
@@ -17,6 +18,8 @@ const BYTES_MAX: u64 = 64 << 20;
 #[derive(Serialize)]
 struct Page<'a> {
     study: &'a serde_json::Value,
+    /// The first seed, of which a number in JavaScript may not have all digits.
+    seed_text: Option<String>,
     scenario_text: Option<String>,
     keys: &'a [String],
     cells: &'a [CellSummary],
@@ -51,7 +54,8 @@ pub(in crate::commands) fn of_study(folder: &Path) -> Result<Option<String>, Com
         Ok(text) => serde_json::from_slice(&text)
             .map_err(|error| CommandError::unreadable(&description, error))?,
         // Tables of several parts, put together.
-        Err(_) => serde_json::Value::Null,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => serde_json::Value::Null,
+        Err(error) => return Err(CommandError::unreadable(&description, error)),
     };
     let figure = tradeoff(String::new(), &summary);
     let lines = figure.iter().flat_map(|figure| &figure.lines).map(|line| Line {
@@ -69,7 +73,10 @@ pub(in crate::commands) fn of_study(folder: &Path) -> Result<Option<String>, Com
     });
     let page = Page {
         study: &study,
-        scenario_text: std::fs::read_to_string(folder.join(study::SCENARIO)).ok(),
+        seed_text: study["seed"].as_u64().map(|seed| seed.to_string()),
+        scenario_text: read_limited(&folder.join(study::SCENARIO), BYTES_MAX)
+            .ok()
+            .and_then(|text| String::from_utf8(text).ok()),
         keys: &summary.keys,
         cells: &summary.cells,
         along: figure.as_ref().map_or("", |figure| &figure.label),
@@ -77,6 +84,9 @@ pub(in crate::commands) fn of_study(folder: &Path) -> Result<Option<String>, Com
     };
     let data =
         serde_json::to_string(&page).map_err(|error| CommandError::unreadable(results, error))?;
-    let name = study["scenario"].as_str().unwrap_or("study");
-    Ok(Some(html(&format!("{name}: study"), &data)))
+    let title = match study["scenario"].as_str() {
+        Some(name) => &format!("{name}: study"),
+        None => "Study",
+    };
+    Ok(Some(html(title, &data)))
 }
