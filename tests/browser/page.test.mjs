@@ -181,8 +181,8 @@ test("a thousand agents fit into one page", async () => {
   assert.equal(await page.locator("svg.graph circle").count(), agents);
   assert.ok((await picture(page, "Estimation errors")).marks > 1000);
   assert.ok((await picture(page, "Broadcasts")).marks > 1000);
-  await page.getByLabel("Agent").first().fill("17");
-  await page.getByRole("button", { name: "Draw this agent, too" }).click();
+  await page.getByLabel("Agent to draw").fill("17");
+  await page.getByRole("button", { name: "Add agent" }).click();
   assert.match(await page.locator('section[aria-label="Estimation errors"] .legend').innerText(), /agent 17/);
   await page.screenshot({ path: join(FOLDER, "thousand.png"), fullPage: true });
   await done();
@@ -210,6 +210,55 @@ test("a study shows its trade-off and every cell", async () => {
   assert.notEqual(await shot(), whole);
   assert.deepEqual(await seriousFindings(page), []);
   await page.screenshot({ path: join(FOLDER, "study.png"), fullPage: true });
+  await done();
+});
+
+// Scenarios that leave something out, or add something, each of a second.
+const SHORT = ["--set", "time.duration=1", "--set", "evaluation={ from = 0.5, to = 1.0 }"];
+const KINDS = {
+  "one agent": { words: ["single.toml"], text: /the agents have no network|not compared/ },
+  "a Kalman filter": { words: ["expressions", ...SHORT, "--set", "method=kalman"], missing: "Innovations" },
+  "the field observer": { words: ["field", "--without-learning", "--set", "time.duration=2", "--set", "evaluation={ from = 1.0, to = 2.0 }"], text: /Link statistics/ },
+  "a large seed": { words: ["expressions", ...SHORT, "--seed", "9007199254740993"], text: /Seed\s+9007199254740993/ },
+  "an unstable run": { words: ["paper", "--set", "learning=[]", "--set", "time.step=0.0024", "--set", "time.duration=0.24", "--set", "evaluation={ from = 0.12, to = 0.24 }"], mayFail: true },
+  "no traces": { words: ["expressions", ...SHORT, "--set", "record={ trace_stride = 0, events = false }"], text: /recorded neither traces nor events/ },
+  "24 agents": { words: ["many.toml"], text: /95th percentile[\s\S]*those with the largest, the median and the smallest error/ },
+};
+
+for (const [name, { words, text, missing, mayFail }] of Object.entries(KINDS)) {
+  test(`the page shows ${name} without an error`, async () => {
+    const expressions = hostSim("scenario", "expressions").replace("duration = 40.0", "duration = 1.0");
+    const window = "\n[evaluation]\nfrom = 0.5\nto = 1.0\n";
+    writeFileSync(join(FOLDER, "single.toml"), `${expressions.split("[graph]")[0]}[graph]\nedges = []\n${window}[[agents]]\noutput_matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]\n`);
+    const edges = Array.from({ length: 23 }, (_, index) => [index + 1, index + 2]);
+    const agents = edges.concat([0]).map((_, index) => `[[agents]]\noutput_matrix = [[${[0, 1, 2].map((column) => (column === index % 3 ? "1.0" : "0.0")).join(", ")}]]\n`);
+    writeFileSync(join(FOLDER, "many.toml"), `${expressions.split("[graph]")[0].replace(/gain = .*/, "gain = [40.0, 80.0, 80.0]")}[graph]\nedges = ${JSON.stringify(edges)}\n${window}${agents.join("")}`);
+    const folder = join(FOLDER, name.replaceAll(" ", "-"));
+    try {
+      hostSim("run", ...words, "--report", "--out", folder);
+    } catch (error) {
+      assert.ok(mayFail, `${error.message}`);
+    }
+    const { page, done } = await opened(join(folder, "report.html"));
+    const shown = await page.locator("body").innerText();
+    if (text) assert.match(shown, text);
+    if (missing) assert.ok(!shown.includes(missing));
+    if (mayFail) assert.match(shown, /Not meaningful/);
+    assert.deepEqual(await seriousFindings(page), []);
+    await done();
+  });
+}
+
+test("pointing at a plot shows values of all plots over time, and of no other", async () => {
+  const { page, done } = await opened(join(FOLDER, "paper/report.html"));
+  const over = page.locator('section[aria-label="Estimation errors"] .u-over');
+  await over.scrollIntoViewIfNeeded();
+  const box = await over.boundingBox();
+  await page.mouse.move(box.x + 0.6 * box.width, box.y + 50);
+  await page.waitForTimeout(100);
+  const values = (title) => page.locator(`section[aria-label="${title}"] .value`).allInnerTexts();
+  assert.ok((await values("State and estimates")).every((value) => value !== ""));
+  assert.ok((await values("Mean squared error by epoch")).every((value) => value === ""));
   await done();
 });
 

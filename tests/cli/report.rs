@@ -60,9 +60,15 @@ fn the_page_of_a_run_holds_what_the_run_printed_and_recorded() {
         let count = column(&events, "agent").iter().filter(|of| **of == agent as f64).count();
         assert_eq!(held["events"]["gaps"][agent - 1].as_array().unwrap().len(), count);
     }
-    // Another run without a page removes that of the first.
-    folder.succeed("run mine.toml --seed 1 --out out");
-    assert!(!folder.path("out/report.html").exists());
+    // Another run without a page removes that of the first, also one that was made later.
+    for page in ["", "report out"] {
+        if !page.is_empty() {
+            folder.succeed(page);
+            assert!(folder.path("out/report.html").exists());
+        }
+        folder.succeed("run mine.toml --seed 1 --out out");
+        assert!(!folder.path("out/report.html").exists(), "{page}");
+    }
 }
 
 #[test]
@@ -87,16 +93,68 @@ fn a_page_can_be_made_later_and_replaced_but_replaces_nothing_else() {
     assert_eq!(cells["cells"].as_array().unwrap().len(), 2);
 }
 
+/// A number is missing.
+const TRACES: &str = "time [s],agent1.error [state unit],agent2.error [state unit]\n0,1,soon\n";
+/// Rows are missing.
+const INNOVATIONS: &str = "time [s],agent1 [output unit],agent2 [output unit]\n0.0,1,1\n";
+
+#[test]
+fn results_that_do_not_belong_together_are_refused() {
+    let folder = Folder::new("report-mixed");
+    folder.write("mine.toml", &short().text());
+    folder.succeed("run mine.toml --without-learning --out out");
+    for (name, from, to, expected) in [
+        ("run.json", "\"complete\": true", "\"complete\": false", "was interrupted"),
+        ("results.json", "{\"results\":1,", "{\"results\":2,", "version 2"),
+    ] {
+        let before = text(&folder, &format!("out/{name}"));
+        assert!(before.contains(from), "{before}");
+        folder.write(&format!("out/{name}"), &before.replacen(from, to, 1));
+        let message = folder.fail("report out", 2);
+        assert!(message.contains(expected), "{message}");
+        folder.write(&format!("out/{name}"), &before);
+    }
+    folder.succeed("report out");
+}
+
+#[test]
+fn the_page_of_a_study_is_removed_when_it_continues() {
+    let folder = Folder::new("report-study");
+    folder.write("mine.toml", &short().text());
+    let study = "sweep mine.toml --vary design.epsilon=10,90 --seed 9007199254740993";
+    folder.succeed(&format!("{study} --shard 1/2 --out study"));
+    folder.succeed(&format!("{study} --shard 2/2 --out study"));
+    folder.succeed("report study/shard-1");
+    let part = data(&text(&folder, "study/shard-1/report.html"));
+    assert_eq!(
+        (&part["seed_text"], &part["study"]["shard"]),
+        (&"9007199254740993".into(), &"1/2".into())
+    );
+    folder.succeed(&format!("{study} --shard 1/2 --out study"));
+    assert!(!folder.path("study/shard-1/report.html").exists());
+    // Put together by hand: nothing says what the study was.
+    let rows = |part: &str| text(&folder, &format!("study/{part}/results.csv"));
+    fs::create_dir(folder.path("whole")).unwrap();
+    let merged = rows("shard-1") + rows("shard-2").split_once('\n').map_or("", |(_, rows)| rows);
+    folder.write("whole/results.csv", &merged);
+    folder.succeed("report whole");
+    let whole = data(&text(&folder, "whole/report.html"));
+    assert!(whole["study"].is_null() && whole["cells"].as_array().unwrap().len() == 2);
+}
+
 #[test]
 fn a_folder_without_usable_results_is_refused() {
     let folder = Folder::new("report-bad");
     folder.write("mine.toml", &short().text());
-    let cases: [(&str, &str, &str); 6] = [
+    let cases: [(&str, &str, &str); 10] = [
         ("results.json", "", "cannot read"),
         ("results.json", "{\"results\":1,", "cannot read"),
         ("results.json", "{\"results\":1,\"agents\":[]}", "missing field"),
-        ("traces.csv", "time [s],x [state unit]\n0,soon\n", "line 2: \"soon\" is not a number"),
-        ("traces.csv", "t,x\n0,1\n", "not that of traces"),
+        ("traces.csv", "t,x\n0,1\n", "not the table of this run's traces"),
+        ("traces.csv", "time [s],x [state unit]\n0,1\n", "not the table of this run's traces"),
+        ("traces.csv", TRACES, "line 2: \"soon\" is not a number"),
+        ("innovations.csv", "time [s],foo\n0,1\n", "not the table of the innovations"),
+        ("innovations.csv", INNOVATIONS, "not the table of the innovations"),
         ("events.csv", "agent,sequence,time [s]\n9,1,0\n", "\"9\" is not the number of an agent"),
     ];
     for (name, content, expected) in cases {

@@ -1,10 +1,10 @@
 //! Tasks on the host: the tests of the whole workspace, and the lints.
 
-use std::fmt;
+use std::{env, fmt, path::PathBuf};
 
 use crate::{
     boards,
-    step::{Failure, cargo, cargo_in, run, run_reading},
+    step::{Failure, cargo, cargo_in, run, run_reading, target_folder},
 };
 
 /// Numbers of tests by result.
@@ -46,6 +46,20 @@ impl fmt::Display for TestCount {
         }
         Ok(())
     }
+}
+
+/// Builds the program that the integration tests use, with them, so that nothing is compiled twice; returns
+/// its path.
+///
+/// # Errors
+/// A build failed.
+pub(crate) fn simulator() -> Result<PathBuf, Failure> {
+    let mut build = cargo("build");
+    let parts = ["--bin", "simulator-under-test", "--test", "integration"];
+    build.args(["--quiet", "--workspace"]).args(parts);
+    run("host-sim", &mut build, "see the error above")?;
+    let name = format!("debug/simulator-under-test{}", env::consts::EXE_SUFFIX);
+    Ok(target_folder().join(name))
 }
 
 /// Runs the unit tests, integration tests, examples and doctests of every crate.

@@ -6,8 +6,9 @@
 use std::{fs, process::Command};
 
 use crate::{
+    host::simulator,
     packages,
-    step::{Failure, ask, cargo, run, target_folder, workspace},
+    step::{Failure, ask, run, target_folder, workspace},
 };
 
 /// What npm installs.
@@ -22,17 +23,7 @@ const BROWSERS: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
 /// A test fails, or something required is missing.
 pub(crate) fn page(debian: bool) -> Result<(), Failure> {
     let browser = require(debian)?;
-    let mut build = cargo("build");
-    // The whole workspace, as for tests, so that crates have the same features and are not built again.
-    build.args([
-        "--quiet",
-        "--workspace",
-        "--bin",
-        "simulator-under-test",
-        "--test",
-        "integration",
-    ]);
-    run("the program", &mut build, "see the error above")?;
+    let program = simulator()?;
     let folder = target_folder().join("page");
     fs::create_dir_all(&folder)
         .map_err(|error| Failure::new(format!("{}: {error}", folder.display()), "free the path"))?;
@@ -50,7 +41,7 @@ pub(crate) fn page(debian: bool) -> Result<(), Failure> {
     let mut test = Command::new("node");
     test.args(["--test", "--test-reporter=spec"])
         .arg(workspace().join("tests/browser/page.test.mjs"))
-        .env("HOST_SIM", target_folder().join("debug/simulator-under-test"))
+        .env("HOST_SIM", program)
         .env("FOLDER", &folder)
         .env("CHROMIUM", browser);
     run(

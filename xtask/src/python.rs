@@ -6,8 +6,9 @@
 use std::process::Command;
 
 use crate::{
+    host::simulator,
     packages,
-    step::{Failure, ask, cargo, run, target_folder, workspace},
+    step::{Failure, ask, run, target_folder, workspace},
 };
 
 /// Builds the wheel, installs it, and runs its tests.
@@ -16,17 +17,7 @@ use crate::{
 /// Something required is missing, or a test fails.
 pub(crate) fn python(debian: bool) -> Result<(), Failure> {
     require(debian)?;
-    let mut build = cargo("build");
-    // As for studies: the program that the tests compare with.
-    build.args([
-        "--quiet",
-        "--workspace",
-        "--bin",
-        "simulator-under-test",
-        "--test",
-        "integration",
-    ]);
-    run("the program", &mut build, "see the error above")?;
+    let program = simulator()?;
     let folder = target_folder().join("python");
     if !folder.join("bin/pip").exists() {
         let mut command = Command::new("python3");
@@ -42,7 +33,6 @@ pub(crate) fn python(debian: bool) -> Result<(), Failure> {
         &mut install,
         "see the error above; pip has to be able to install packages here",
     )?;
-    let program = target_folder().join("debug/simulator-under-test");
     let python = |arguments: &[&str]| {
         let mut command = Command::new(folder.join("bin/python"));
         // Not in the folder of the module, where Python would find it without its native part.

@@ -12,7 +12,7 @@ use crate::{
     firmware::{self, Variant},
     machine_code::Disassembler,
     stack::{CallGraph, Deepest},
-    step::{Failure, ask, run, target_folder},
+    step::{Failure, ask},
 };
 
 /// Index of `Reset` in the vector table; the later entries preempt it.
@@ -171,13 +171,7 @@ fn content(program: &Path) -> Result<Content, Failure> {
 /// 20.
 fn stack_unused(program: &Path) -> Result<u64, Failure> {
     println!("==> painted stack: the paper's experiment as a co-simulation");
-    // What the integration tests use, so that nothing is compiled twice.
-    let mut build = crate::step::cargo("build");
-    let parts = ["--bin", "simulator-under-test", "--test", "integration"];
-    build.args(["--quiet", "--workspace"]).args(parts);
-    run("host-sim", &mut build, "see the error above")?;
-    let name = format!("debug/simulator-under-test{}", std::env::consts::EXE_SUFFIX);
-    let mut command = std::process::Command::new(target_folder().join(name));
+    let mut command = std::process::Command::new(crate::host::simulator()?);
     command.current_dir(crate::step::workspace()).args(["cosim", "--format", "json"]);
     command.arg("--firmware").arg(program);
     let answer = ask(&mut command).unwrap_or_default();

@@ -14,8 +14,9 @@ use std::{
 };
 
 use crate::{
+    host::simulator,
     packages,
-    step::{Failure, ask, cargo, run, run_reading, target_folder, workspace},
+    step::{Failure, ask, run, run_reading, target_folder, workspace},
 };
 
 /// The study: a second of the paper's experiment, without learning; 12 cells with two seeds.
@@ -47,26 +48,12 @@ const PARTS: &str = "5";
 /// A run fails, a table differs, or something required is missing.
 pub(crate) fn studies(debian: bool) -> Result<(), Failure> {
     require(debian)?;
-    let mut build = cargo("build");
-    // The whole workspace, as for tests, so that crates have the same features and are not built again.
-    build.args([
-        "--quiet",
-        "--workspace",
-        "--bin",
-        "simulator-under-test",
-        "--test",
-        "integration",
-    ]);
-    run("the program", &mut build, "see the error above")?;
+    let program = simulator()?;
     let folder = target_folder().join("studies");
     let results = folder.join("results");
     // Left by an earlier call, which would otherwise be continued.
     let _ = fs::remove_dir_all(&results);
-    let study = Study {
-        program: target_folder().join("debug/simulator-under-test"),
-        scripts: workspace().join("host-sim/examples/studies"),
-        results,
-    };
+    let study = Study { program, scripts: workspace().join("host-sim/examples/studies"), results };
     study.in_one_go()?;
     study.slurm()?;
     study.parallel()?;
