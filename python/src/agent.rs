@@ -7,6 +7,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use crate::arrays::read_singles;
+use crate::bytes::bytes;
 use crate::errors::OrRaise;
 use crate::{json, packages};
 
@@ -47,8 +48,8 @@ impl Agent {
 
     /// Keep a received frame for the next step.
     #[inline]
-    fn receive(&mut self, py: Python<'_>, frame: &[u8]) -> PyResult<()> {
-        self.agent.receive(frame).or_raise(py)
+    fn receive(&mut self, frame: &Bound<'_, PyAny>) -> PyResult<()> {
+        self.agent.receive(&bytes("frame", frame)?).or_raise(frame.py())
     }
 
     /// Take a step and return the frame to broadcast, or `None` if the event trigger did not fire.

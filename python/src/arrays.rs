@@ -1,6 +1,9 @@
 //! Numbers from Python: NumPy arrays of any type and layout, sequences, and single numbers.
 
-use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{
+    Element, PyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
+    PyUntypedArrayMethods,
+};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
@@ -14,7 +17,10 @@ static DOUBLE: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
 /// Writes the numbers of `value` to `numbers`, in single precision: the nearest to each, as for a simulated
 /// sensor. `name` is that of the argument.
 ///
-/// Arrays of f32 and f64 are read where they are.
+/// Regular arrays of f32 and f64 are read where they are.
+///
+/// # Errors
+/// If the value is not a vector of real numbers.
 #[inline]
 pub(crate) fn read_singles(
     name: &str,
@@ -22,9 +28,13 @@ pub(crate) fn read_singles(
     numbers: &mut Vec<f32>,
 ) -> PyResult<()> {
     numbers.clear();
-    if let Ok(array) = value.cast::<PyArray1<f32>>() {
+    if let Ok(array) = value.cast::<PyArray1<f32>>()
+        && is_regular(array)
+    {
         numbers.extend(array.try_readonly()?.as_array().iter());
-    } else if let Ok(array) = value.cast::<PyArray1<f64>>() {
+    } else if let Ok(array) = value.cast::<PyArray1<f64>>()
+        && is_regular(array)
+    {
         numbers.extend(array.try_readonly()?.as_array().iter().map(|&number| number as f32));
     } else if let Ok(number) = value.cast::<PyFloat>() {
         numbers.push(number.extract::<f64>()? as f32);
@@ -35,7 +45,20 @@ pub(crate) fn read_singles(
     Ok(())
 }
 
-/// Returns `value` as an array of f64 with one axis, which is a copy only if it is not one already.
+/// Returns whether elements are aligned and whole elements apart. A field of a packed structured array is
+/// not, and cannot be read where it is.
+pub(crate) fn is_regular<T: Element, D: numpy::ndarray::Dimension>(
+    array: &Bound<'_, PyArray<T, D>>,
+) -> bool {
+    let size = size_of::<T>() as isize;
+    let is_aligned = (array.data() as usize).is_multiple_of(align_of::<T>());
+    is_aligned && array.strides().iter().all(|stride| stride % size == 0)
+}
+
+/// Returns `value` as a regular array of f64 with one axis, which is a copy only if it is not one already.
+///
+/// # Errors
+/// If the value is not a vector of real numbers.
 pub(crate) fn vector<'py>(
     name: &str,
     value: &Bound<'py, PyAny>,
@@ -52,7 +75,10 @@ pub(crate) fn vector<'py>(
     Ok(one.try_readonly()?)
 }
 
-/// Returns `value` as an array of f64 with two axes, which is a copy only if it is not one already.
+/// Returns `value` as a regular array of f64 with two axes, which is a copy only if it is not one already.
+///
+/// # Errors
+/// If the value is not a matrix of real numbers.
 pub(crate) fn matrix<'py>(
     name: &str,
     value: &Bound<'py, PyAny>,
@@ -87,5 +113,12 @@ fn doubles<'py>(name: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, Py
         return Err(PyTypeError::new_err(text));
     }
     let double = DOUBLE.import(py, "numpy", "float64")?;
-    asarray.call1((array, double))
+    let array = asarray.call1((array, double))?;
+    let is_whole = match (array.cast::<PyArray1<f64>>(), array.cast::<PyArray2<f64>>()) {
+        (Ok(array), _) => is_regular(array),
+        (_, Ok(array)) => is_regular(array),
+        // Refused later, for its number of axes.
+        _ => true,
+    };
+    if is_whole { Ok(array) } else { array.call_method0("copy") }
 }

@@ -5,6 +5,7 @@ use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use crate::bytes::bytes;
 use crate::errors::OrRaise;
 
 /// Decode a frame of version 1. `dimension` is the number of state components; only announcements of the
@@ -12,11 +13,11 @@ use crate::errors::OrRaise;
 #[pyfunction]
 #[pyo3(signature = (frame, dimension = None))]
 pub(crate) fn decode<'py>(
-    py: Python<'py>,
-    frame: &[u8],
+    frame: &Bound<'py, PyAny>,
     dimension: Option<usize>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let content = frames::decode(frame, dimension).or_raise(py)?;
+    let py = frame.py();
+    let content = frames::decode(&bytes("frame", frame)?, dimension).or_raise(py)?;
     let result = PyDict::new(py);
     result.set_item("sender", content.sender)?;
     result.set_item("sequence", content.sequence)?;

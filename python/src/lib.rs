@@ -19,6 +19,7 @@
 mod agent;
 mod arrays;
 mod attended;
+mod bytes;
 mod errors;
 mod frames;
 mod json;

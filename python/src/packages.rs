@@ -8,24 +8,25 @@ use host_sim::packages::check::{self, requirements};
 use host_sim::packages::refusal::refused;
 use host_sim::packages::{Facts, PackageBytes, PackageFileError};
 use host_sim::signing::{KeyFileError, KeyPair, OperatorKey, fingerprint, read_public_key};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
-use pyo3::types::{PyByteArray, PyBytes, PyDict};
+use pyo3::types::{PyBytes, PyDict};
 use zeroize::Zeroizing;
 
+use crate::bytes::bytes;
 use crate::errors::OrRaise;
 use crate::json;
 
 /// Reads a package; returns it with its name in errors.
 pub(crate) fn read(package: &Bound<'_, PyAny>) -> PyResult<(PackageBytes, PathBuf)> {
     let py = package.py();
-    if let Ok(bytes) = package.cast::<PyBytes>() {
-        return Ok((from_bytes(py, bytes.as_bytes())?, name()));
-    }
-    if package.is_instance_of::<PyByteArray>() {
-        let bytes: Vec<u8> = package.extract()?;
+    if let Ok(bytes) = bytes("package", package) {
         return Ok((from_bytes(py, &bytes)?, name()));
     }
-    let path: PathBuf = package.extract()?;
+    let path: PathBuf = package.extract().map_err(|_| {
+        let found = package.get_type().to_string();
+        PyTypeError::new_err(format!("a package is of type {found}; give bytes or a path"))
+    })?;
     Ok((PackageBytes::load(&path).or_raise(py)?, path))
 }
 

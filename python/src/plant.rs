@@ -6,7 +6,7 @@ use host_sim::plant::{FunctionPlant, Plant, Rate};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 
-use crate::arrays::vector;
+use crate::arrays::{is_regular, vector};
 use crate::errors::usage;
 
 /// The first exception in a run.
@@ -70,8 +70,8 @@ impl CallableRate {
         let state = PyArray1::from_slice(py, x);
         let result = self.function.bind(py).call1((state, time))?;
         let numbers = match result.cast::<PyArray1<f64>>() {
-            Ok(array) => array.try_readonly()?,
-            Err(_) => vector("the derivative of the plant", &result)?,
+            Ok(array) if is_regular(array) => array.try_readonly()?,
+            _ => vector("the derivative of the plant", &result)?,
         };
         let numbers = numbers.as_array();
         if numbers.len() != dx.len() {

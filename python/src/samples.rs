@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use host_sim::packages::Recording;
 use host_sim::scenario;
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
-use pyo3::types::PyList;
+use pyo3::types::{PyList, PyTuple};
 
 use crate::arrays::{matrix, vector};
 use crate::errors::{OrRaise, usage};
@@ -169,13 +170,23 @@ pub(crate) enum Given {
 /// `Samples`, or a list of these.
 pub(crate) fn given(value: &Bound<'_, PyAny>, scenario: &scenario::Scenario) -> PyResult<Given> {
     let py = value.py();
-    let parts: Vec<Bound<'_, PyAny>> = match value.cast::<PyList>() {
-        Ok(list) => list.iter().collect(),
-        Err(_) => vec![value.clone()],
-    };
-    let paths: Result<Vec<PathBuf>, _> = parts.iter().map(|part| part.extract()).collect();
-    if let Ok(paths) = paths {
+    let items: Option<Vec<Bound<'_, PyAny>>> =
+        match (value.cast::<PyList>(), value.cast::<PyTuple>()) {
+            (Ok(list), _) => Some(list.iter().collect()),
+            (_, Ok(tuple)) => Some(tuple.iter().collect()),
+            _ => None,
+        };
+    // Rows of numbers are one table, not several.
+    let is_table =
+        |items: &Vec<Bound<'_, PyAny>>| items.iter().all(|item| item.extract::<Vec<f64>>().is_ok());
+    let parts = items.filter(|items| !is_table(items)).unwrap_or_else(|| vec![value.clone()]);
+    let paths: Vec<PathBuf> = parts.iter().filter_map(|part| part.extract().ok()).collect();
+    if paths.len() == parts.len() {
         return Ok(Given::Paths(paths));
+    }
+    if !paths.is_empty() {
+        let text = "samples holds paths and samples in memory; give one or the other";
+        return Err(PyTypeError::new_err(text));
     }
     let name = |place: usize| match parts.len() {
         1 => PathBuf::from(NAME),

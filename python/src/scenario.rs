@@ -14,6 +14,9 @@ use pyo3::types::PyBytes;
 use crate::errors::{OrRaise, usage};
 use crate::plant::CallablePlant;
 
+/// The names of the state's components, if they are not the scenario's, and the plant.
+type PlantFunction = (Option<Vec<String>>, Arc<Py<PyAny>>);
+
 /// An experiment: plant, agents, network, learning. Made by `load` and `Scenario.from_toml`, and never changed.
 #[pyclass(module = "distributed_observer", frozen)]
 #[derive(Debug)]
@@ -23,7 +26,7 @@ pub(crate) struct Scenario {
     file: String,
     text: String,
     /// The callable in place of the plant.
-    function: Option<(Vec<String>, Arc<Py<PyAny>>)>,
+    function: Option<PlantFunction>,
 }
 
 /// Load a built-in scenario by its name, or a scenario file. `set` changes keys, as `--set` does:
@@ -60,11 +63,41 @@ impl Scenario {
     pub(crate) fn for_run(&self) -> (scenario::Scenario, Option<CallablePlant>) {
         let mut scenario = (*self.scenario).clone();
         let callable = self.function.as_ref().map(|(names, function)| {
-            let callable = CallablePlant::new(names.clone(), Arc::clone(function));
+            let names = names.clone().unwrap_or_else(|| scenario.plant.state_names());
+            let callable = CallablePlant::new(names, Arc::clone(function));
             scenario.plant = callable.plant();
             callable
         });
         (scenario, callable)
+    }
+
+    /// Returns the scenario with this function as the plant; `names` are those of the state's components, if they
+    /// are not the scenario's.
+    fn with_function(
+        &self,
+        py: Python<'_>,
+        function: Arc<Py<PyAny>>,
+        names: Option<Vec<String>>,
+    ) -> PyResult<Self> {
+        if self.scenario.plant.recording().is_some() {
+            let text = "the plant is a recording, which agents measure; choose a scenario with a plant of \
+                        equations";
+            return Err(usage(py, text));
+        }
+        let n = self.scenario.dimension();
+        if let Some(names) = &names
+            && names.len() != n
+        {
+            let text =
+                format!("{} state names; give one for each of the {n} components", names.len());
+            return Err(usage(py, text));
+        }
+        Ok(Self {
+            scenario: Arc::clone(&self.scenario),
+            file: self.file.clone(),
+            text: self.text.clone(),
+            function: Some((names, function)),
+        })
     }
 
     /// Returns the name in errors.
@@ -76,6 +109,13 @@ impl Scenario {
         let index = agent_index(&self.scenario, number).or_raise(py)?;
         Ok(&self.scenario.agents[index])
     }
+}
+
+/// A name, or a sequence of names.
+#[derive(FromPyObject)]
+enum Names {
+    One(String),
+    Several(Vec<String>),
 }
 
 /// Returns the changes of keys.
@@ -108,9 +148,12 @@ impl Scenario {
     fn with_changes(&self, py: Python<'_>, set: &Bound<'_, PyAny>) -> PyResult<Self> {
         let source = ScenarioSource { name: self.file.clone(), text: self.text.clone() };
         let changed = Self::read(py, source, Some(set))?;
-        let function =
-            self.function.as_ref().map(|(names, function)| (names.clone(), Arc::clone(function)));
-        Ok(Self { function, ..changed })
+        match &self.function {
+            None => Ok(changed),
+            Some((names, function)) => {
+                changed.with_function(py, Arc::clone(function), names.clone())
+            }
+        }
     }
 
     /// Return the scenario with `function(x, t)` as the plant: it gets the state as an array of shape `[n]` and the
@@ -126,24 +169,7 @@ impl Scenario {
         if !function.bind(py).is_callable() {
             return Err(PyTypeError::new_err("the plant is not callable; give a function f(x, t)"));
         }
-        if self.scenario.plant.recording().is_some() {
-            let text = "the plant is a recording, which agents measure; choose a scenario with a plant of \
-                        equations";
-            return Err(usage(py, text));
-        }
-        let n = self.scenario.dimension();
-        let names = state_names.unwrap_or_else(|| self.scenario.plant.state_names());
-        if names.len() != n {
-            let text =
-                format!("{} state names; give one for each of the {n} components", names.len());
-            return Err(usage(py, text));
-        }
-        Ok(Self {
-            scenario: Arc::clone(&self.scenario),
-            file: self.file.clone(),
-            text: self.text.clone(),
-            function: Some((names, Arc::new(function))),
-        })
+        self.with_function(py, Arc::new(function), state_names)
     }
 
     /// Return the package that an agent, from 1, starts a run with: the scenario's untrained network, or
@@ -214,10 +240,8 @@ impl Scenario {
     /// The names of the state components.
     #[getter]
     fn state_names(&self) -> Vec<String> {
-        match &self.function {
-            Some((names, _)) => names.clone(),
-            None => self.scenario.plant.state_names(),
-        }
+        let given = self.function.as_ref().and_then(|(names, _)| names.clone());
+        given.unwrap_or_else(|| self.scenario.plant.state_names())
     }
 
     /// The number of steps of a run.
@@ -253,11 +277,16 @@ impl Scenario {
         threads: u16,
         packages: Option<Vec<Bound<'py, PyAny>>>,
         learning: bool,
-        baselines: Option<Vec<String>>,
+        baselines: Option<Names>,
         progress: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let packages = packages.unwrap_or_default();
-        let choices = crate::runs::choices(py, &baselines.unwrap_or_default())?;
+        let baselines = match baselines {
+            Some(Names::One(name)) => vec![name],
+            Some(Names::Several(names)) => names,
+            None => Vec::new(),
+        };
+        let choices = crate::runs::choices(py, &baselines)?;
         let request = crate::runs::Request { seed, threads, learning, choices };
         crate::runs::run(py, self.for_run(), &request, &packages, progress)
     }

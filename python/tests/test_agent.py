@@ -192,3 +192,39 @@ def test_damaged_packages_are_refused():
     assert raised.value.code == "invalid-package"
     with pytest.raises(TypeError):
         do.Agent(5)
+
+
+def packed(values: np.ndarray) -> np.ndarray:
+    """The same numbers as a field of a packed structured array, which is not aligned."""
+    table = np.zeros(len(values), dtype=[("k", "i1"), ("t", values.dtype), ("rest", "i2")])
+    table["t"] = values
+    return table["t"]
+
+
+@pytest.mark.parametrize("dtype", ["<f4", "<f8", ">f4", ">f8", "i2"])
+@pytest.mark.parametrize("form", [packed, lambda values: values[::-1][::-1], np.ndarray.tolist])
+def test_numbers_are_the_same_in_every_layout(paper_result, dtype, form):
+    package = paper_result.packages[1, 1]
+    values = np.array([3, -2], dtype=dtype)
+    plain, other = do.Agent(package, estimate=[3, -2, 1]), None
+    other = do.Agent(package, estimate=form(np.array([3, -2, 1], dtype=dtype)))
+    assert plain.estimate.tobytes() == other.estimate.tobytes()
+    plain.step(values[:1].astype("f4"))
+    other.step(form(values[:1]))
+    assert plain.estimate.tobytes() == other.estimate.tobytes()
+
+
+def test_frames_may_be_in_any_buffer(paper_result):
+    sender, package = do.Agent(paper_result.packages[1, 1]), paper_result.packages[2, 1]
+    frame = sender.announcement()
+    expected = do.Agent(package)
+    expected.receive(frame)
+    expected.step([0.5])
+    for buffer in (bytearray(frame), memoryview(frame), memoryview(bytearray(frame))):
+        agent = do.Agent(package)
+        agent.receive(buffer)
+        agent.step([0.5])
+        assert agent.estimate.tobytes() == expected.estimate.tobytes()
+        assert do.decode(buffer)["sender"] == 1
+    with pytest.raises(TypeError, match="frame is of type str; give bytes"):
+        agent.receive("frame")

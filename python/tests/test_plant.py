@@ -117,3 +117,12 @@ def test_callables_learn_and_run_from_several_threads():
     for thread in threads:
         thread.join()
     assert len(digests) == 3 and len(set(digests)) == 1
+
+
+def test_changes_are_checked_against_the_plant():
+    changed = do.load("duffing").with_plant(lambda x, t: [x[1], -x[0]], state_names=["a", "b"])
+    assert changed.with_changes({"time.duration": 1.0}).state_names == ["a", "b"]
+    with pytest.raises(do.ObserverError):
+        changed.with_changes({"plant.model": "lorenz", "plant.initial_state": [1.0, 1.0, 1.0]})
+    default = do.load("duffing").with_plant(lambda x, t: [x[1], -x[0]])
+    assert default.state_names == ["x", "v"]

@@ -100,3 +100,17 @@ for call in (result.agents_frame, lambda: scenario.run(progress=True)):
         raise AssertionError
 """
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C is raised differently")
+def test_ctrl_c_ends_a_run_with_a_slow_plant():
+    def plant(x, t):
+        time.sleep(0.002)
+        return [x[1], -x[0]]
+
+    scenario = do.load("duffing", set={"learning": []}).with_plant(plant)
+    threading.Timer(0.5, _thread.interrupt_main).start()
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        scenario.run(progress=False)
+    assert time.monotonic() - begin < 3.0

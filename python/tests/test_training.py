@@ -117,3 +117,13 @@ def test_a_network_that_explains_nothing_is_not_packed(paper):
     with pytest.warns(do.ObserverWarning), pytest.raises(do.ObserverError) as raised:
         do.train(rows, paper, 1)
     assert raised.value.code == "not-packed"
+
+
+def test_rows_of_numbers_are_one_table(paper, paper_result):
+    samples = paper_result.samples[1, 1]
+    table = np.column_stack((samples.time, samples.estimates, samples.derivatives))
+    expected = do.train(table, paper, 1, progress=False)
+    assert do.train(table.tolist(), paper, 1, progress=False) == expected
+    assert do.train((table,), paper, 1, progress=False) == expected
+    with pytest.raises(TypeError, match="one or the other"):
+        do.train(["recording.csv", samples], paper, 1)

@@ -34,6 +34,8 @@ use crate::training::{Dataset, TrainingError};
 
 /// Steps between progress reports.
 const PROGRESS_STRIDE: Tick = 512;
+/// Steps between two questions whether to stop: few, because a plant may take milliseconds a step.
+const STOP_STRIDE: Tick = 8;
 
 /// Runs `scenario` over the link it describes.
 ///
@@ -467,9 +469,9 @@ impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
             }
             if tick.is_multiple_of(PROGRESS_STRIDE) {
                 progress.step(tick, steps);
-                if progress.is_stopped() {
-                    return Err(RunError::Interrupted);
-                }
+            }
+            if tick.is_multiple_of(STOP_STRIDE) && progress.is_stopped() {
+                return Err(RunError::Interrupted);
             }
         }
         self.note(steps, false);

@@ -37,6 +37,8 @@ const NOISE_MIN: f64 = 1e-3;
 const LAG_MAX: Tick = 1_000;
 /// Steps between progress reports.
 const PROGRESS_STRIDE: Tick = 512;
+/// Steps between two questions whether to stop: few, because a plant may take milliseconds a step.
+const STOP_STRIDE: Tick = 8;
 
 /// A sample of an agent, predicted to the present.
 #[derive(Clone, Debug)]
@@ -113,9 +115,9 @@ pub(super) fn run(
         }
         if tick.is_multiple_of(PROGRESS_STRIDE) {
             progress.step(tick, steps);
-            if progress.is_stopped() {
-                return Err(RunError::Interrupted);
-            }
+        }
+        if tick.is_multiple_of(STOP_STRIDE) && progress.is_stopped() {
+            return Err(RunError::Interrupted);
         }
     }
     simulation.note(steps, false, &truth, &mut traces);
