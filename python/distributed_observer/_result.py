@@ -84,7 +84,7 @@ class Result:
         return _pandas().json_normalize(self.trainings)
 
     def traces_frame(self) -> _pd.DataFrame:
-        """Return :attr:`traces` as a data frame over time, with the columns of ``traces.csv``."""
+        """Return :attr:`traces` as a data frame: the columns of ``traces.csv`` without their units, and the time as index."""
         traces, names = self.traces, self.state_names
         columns = {name: traces["state"][:, place] for place, name in enumerate(names)}
         for agent in range(traces["errors"].shape[1]):
