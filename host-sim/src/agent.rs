@@ -99,7 +99,7 @@ impl Reported for StepError {
 /// let package = start_package(&scenario, 0, 0)?.expect("the paper has a network");
 /// let mut agent = Agent::new(&package, None, &HealthSettings::RECOMMENDED)?;
 /// let first = agent.announcement(); // to its neighbours
-/// let frame = agent.step(0, Some(&[1.0, 2.0]))?;
+/// let frame = agent.step(0, Some(&[1.0]))?;
 /// assert_eq!((agent.id(), agent.estimate().len()), (1, 3));
 /// # let _ = (first, frame);
 /// # Ok::<(), Box<dyn core::error::Error>>(())

@@ -153,10 +153,13 @@ mod tests {
         assert_eq!(rows.len(), result.traces.rows());
         for (row, message) in rows.iter().enumerate() {
             let message = json(&message.data);
-            let (error, expected) = (&message["error"], result.traces.error(row, 1));
             // The reader of JSON may be off by the last bit.
-            assert!((error.as_f64().unwrap() - expected).abs() <= 1e-15 * expected);
-            assert_eq!(message["estimate"]["y"], f64::from(result.traces.estimate(row, 1)[1]));
+            let is_close = |found: &Value, expected: f64| {
+                (found.as_f64().unwrap() - expected).abs() <= 1e-15 * expected.abs()
+            };
+            assert!(is_close(&message["error"], result.traces.error(row, 1)));
+            let estimate = f64::from(result.traces.estimate(row, 1)[1]);
+            assert!(is_close(&message["estimate"]["y"], estimate));
             // The last row has no step.
             assert_eq!(message["innovation"].is_null(), row + 1 == rows.len());
         }
