@@ -142,7 +142,7 @@ describe("the page about the paper's run", () => {
 
     await page.getByText("The shown range in numbers").click();
     const events = readFileSync(join(folder, "events.csv"), "utf8").trim().split("\n").slice(1).map((line) => line.split(","));
-    const inRange = [1, 2, 3].map((agent) => events.filter(([of, , time]) => Number(of) === agent && Number(time) >= 30 && Number(time) < 40).length);
+    const inRange = [1, 2, 3].map((agent) => events.filter(([of, , time]) => Number(of) === agent && Number(time) >= 30 && Number(time) <= 40).length);
     const shown = await page.locator("details[open] tbody tr").evaluateAll((rows) => rows.map((row) => Number(row.lastChild.dataset.value)));
     assert.deepEqual(shown, inRange);
     await done();
@@ -218,7 +218,8 @@ const SHORT = ["--set", "time.duration=1", "--set", "evaluation={ from = 0.5, to
 const KINDS = {
   "one agent": { words: ["single.toml"], text: /the agents have no network|not compared/ },
   "a Kalman filter": { words: ["expressions", ...SHORT, "--set", "method=kalman"], missing: "Innovations" },
-  "the field observer": { words: ["field", "--without-learning", "--set", "time.duration=2", "--set", "evaluation={ from = 1.0, to = 2.0 }"], text: /Link statistics/ },
+  "links that fail": { words: ["field", "--without-learning"], text: /Link statistics/ },
+  "the field observer": { words: ["paper", "--set", "observer.preset=field", "--set", "learning=[]", "--set", "time.duration=2", "--set", "evaluation={ from = 1.0, to = 2.0 }"], text: /Field observer:/ },
   "a large seed": { words: ["expressions", ...SHORT, "--seed", "9007199254740993"], text: /Seed\s+9007199254740993/ },
   "an unstable run": { words: ["paper", "--set", "learning=[]", "--set", "time.step=0.0024", "--set", "time.duration=0.24", "--set", "evaluation={ from = 0.12, to = 0.24 }"], mayFail: true },
   "no traces": { words: ["expressions", ...SHORT, "--set", "record={ trace_stride = 0, events = false }"], text: /recorded neither traces nor events/ },
