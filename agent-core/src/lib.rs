@@ -43,6 +43,9 @@ mod golden_bytes;
 
 pub use inner_network::INPUTS_MAX;
 
+/// Largest state dimension of a node, and of what it exchanges with a host.
+pub const NODE_DIMENSION_MAX: usize = 12;
+
 pub use agent::hold::Hold;
 pub use agent::inbox::Inbox;
 pub use agent::region::{Region, StateBox};

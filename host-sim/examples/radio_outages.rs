@@ -47,7 +47,7 @@ impl Link for Outages {
         self.link.send(sender, tick, frame);
     }
 
-    fn deliver(&self, receiver: usize, tick: Tick, accept: impl FnMut(&[u8])) {
+    fn deliver(&self, receiver: usize, tick: Tick, accept: &mut dyn FnMut(&[u8])) {
         if !self.is_deaf(receiver, tick) {
             self.link.deliver(receiver, tick, accept);
         }

@@ -11,6 +11,7 @@ use pyo3::types::{PyList, PyTuple};
 
 use crate::arrays::{matrix, vector};
 use crate::errors::{OrRaise, usage};
+use agent_core::INPUTS_MAX;
 
 /// Samples of one agent, to train on: time in seconds, shape `[k]`; the estimates, shape `[k, n]`; and their
 /// derivatives, shape `[k, n]`, per second. `outer_weights`, shape `[L, n]`, are those that the network is trained for;
@@ -139,8 +140,8 @@ impl Samples {
 
 fn check_dimension(py: Python<'_>, n: usize) -> PyResult<()> {
     match n {
-        1..=12 => Ok(()),
-        n => Err(usage(py, format!("estimates have {n} columns; give 1 to 12"))),
+        1..=INPUTS_MAX => Ok(()),
+        n => Err(usage(py, format!("estimates have {n} columns; give 1 to {INPUTS_MAX}"))),
     }
 }
 

@@ -45,7 +45,7 @@ impl<F: Fn(usize, Tick, usize) -> Fate + Sync> Link for Tampering<'_, F> {
         self.sent[sender] = Some((tick, bytes.to_vec()));
     }
 
-    fn deliver(&self, receiver: usize, tick: Tick, mut accept: impl FnMut(&[u8])) {
+    fn deliver(&self, receiver: usize, tick: Tick, accept: &mut dyn FnMut(&[u8])) {
         for sender in self.scenario.graph.neighbours(receiver).iter().map(|edge| edge.agent) {
             let Some((_, bytes)) = self.sent[sender].as_ref().filter(|(sent, _)| *sent == tick)
             else {

@@ -3,6 +3,7 @@
 
 use agent_core::math::activation::Activation;
 use host_sim::engine::{RunOptions, RunResult, Silent, run};
+use host_sim::plant::DIMENSION_MAX;
 use host_sim::scenario::Scenario;
 
 use crate::sim::scenario_builder::{Described, SHORT_RECIPE, cycle, network, picks};
@@ -49,7 +50,8 @@ fn check(what: &str, scenario_builder: &Described, largest_remainder: f64) -> Ru
 
 #[test]
 fn every_state_dimension_and_number_of_outputs() {
-    for n in 1..=12usize {
+    // Above 12 with the feature `wide`.
+    for n in (1..=12).chain([13, 24, 40]).filter(|&n| n <= DIMENSION_MAX) {
         let mut outputs = vec![1, n.div_ceil(2), n];
         outputs.dedup();
         for m in outputs {

@@ -212,8 +212,8 @@ impl Link for Forging {
         self.0.send(sender, tick, bytes);
     }
 
-    fn deliver(&self, receiver: usize, tick: Tick, mut accept: impl FnMut(&[u8])) {
-        self.0.deliver(receiver, tick, |bytes| match Frame::<3>::decode(bytes) {
+    fn deliver(&self, receiver: usize, tick: Tick, accept: &mut dyn FnMut(&[u8])) {
+        self.0.deliver(receiver, tick, &mut |bytes| match Frame::<3>::decode(bytes) {
             Ok(frame) if frame.sender == 1 && (STRIKE..STRIKE + 200).contains(&tick) => {
                 accept(&Frame { estimate: [1e30; 3].into(), ..frame }.encode());
             }

@@ -98,7 +98,9 @@ pub(crate) fn lint() -> Result<(), Failure> {
     }
     run(
         "clippy",
-        cargo("clippy").args(["--workspace", "--all-targets", "--", "-D", "warnings"]),
+        cargo("clippy")
+            .args(["--workspace", "--all-targets", "--features", "host-sim/wide"])
+            .args(["--", "-D", "warnings"]),
         "follow clippy's suggestion, or allow the lint with a reason",
     )?;
     run(

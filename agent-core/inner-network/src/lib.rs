@@ -10,5 +10,5 @@
 pub mod activation;
 pub mod network;
 
-/// Largest number of network inputs, and largest state dimension.
-pub const INPUTS_MAX: usize = 12;
+/// Largest number of network inputs, and largest state dimension: more with the feature `wide`, for simulators.
+pub const INPUTS_MAX: usize = if cfg!(feature = "wide") { 40 } else { 12 };

@@ -43,6 +43,8 @@ pub mod trust;
 pub use error::StepError;
 pub use params::AgentParams;
 
+#[cfg(feature = "field")]
+use crate::NODE_DIMENSION_MAX;
 use crate::agent::capture::Sample;
 use crate::agent::exchange::Exchange;
 use crate::agent::hold::{Hold, HoldSlots};
@@ -287,7 +289,7 @@ where
     {
         self.check(params, network, tick, measurement, inbox)?;
         #[cfg(feature = "field")]
-        if self.field.is_in_use() {
+        if const { N <= NODE_DIMENSION_MAX } && self.field.is_in_use() {
             return self.attempt_field(params, network, tick, measurement, inbox);
         }
 

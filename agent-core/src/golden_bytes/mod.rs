@@ -32,13 +32,13 @@ use crate::store::{Slot, StoreError};
 use crate::wire::cobs::Decoder;
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
 use crate::wire::frame::{FRAME_LENGTH_MAX, Frame, FrameError, WORDS_MAX};
-use crate::{AgentId, INPUTS_MAX, StateVector};
+use crate::{AgentId, NODE_DIMENSION_MAX, StateVector};
 
 /// FNV-1a, 64 bits.
 struct Hash(u64);
 
 /// Length of the longest frame with an estimate. \[byte\]
-const LONGEST_ESTIMATE: usize = FRAME_LENGTH_MAX - 4 * (WORDS_MAX - INPUTS_MAX);
+const LONGEST_ESTIMATE: usize = FRAME_LENGTH_MAX - 4 * (WORDS_MAX - NODE_DIMENSION_MAX);
 
 impl Hash {
     fn add(&mut self, bytes: &[u8]) {
@@ -233,7 +233,7 @@ impl Lines {
             Request::Samples { from: u64::MAX, most: u8::MAX },
             Request::Samples { from: 70_000, most: 3 },
             Request::StartAt { estimate: numbers(&[1.0, -2.5, f32::MIN_POSITIVE]) },
-            Request::StartAt { estimate: numbers(&[f32::MAX; INPUTS_MAX]) },
+            Request::StartAt { estimate: numbers(&[f32::MAX; NODE_DIMENSION_MAX]) },
             Request::StartAt { estimate: numbers(&[]) },
             // The longest frame when agents had numbers of 16 bits.
             Request::Frame { bytes: &[0xa5; 73] },

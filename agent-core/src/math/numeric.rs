@@ -7,13 +7,15 @@
 use micromath::F32Ext;
 use nalgebra::{ArrayStorage, SMatrix, SVector};
 
-/// Repeats a block for every `lane` below a constant of at most 12, without a loop: firmware is
-/// optimised for size, where the compiler unrolls none, and a loop of three turns takes three times
-/// the instructions of its body.
+/// Repeats a block for every `lane` below a constant, in ascending order; up to the largest dimension of a
+/// node without a loop: firmware is optimised for size, where the compiler unrolls none, and a loop of
+/// three turns takes three times the instructions of its body.
 macro_rules! unrolled {
     ($lane:ident < $count:ident, $body:block) => {
-        const { assert!($count <= 12) };
         unrolled!($lane, $count, $body, 0 1 2 3 4 5 6 7 8 9 10 11);
+        if $count > crate::NODE_DIMENSION_MAX {
+            for $lane in crate::NODE_DIMENSION_MAX..$count $body
+        }
     };
     ($lane:ident, $count:ident, $body:block, $($number:literal)*) => {$(
         if $number < $count {

@@ -7,7 +7,7 @@ use embedded_storage::nor_flash::NorFlashErrorKind;
 use proptest::prelude::*;
 
 use super::*;
-use crate::INPUTS_MAX;
+use crate::NODE_DIMENSION_MAX;
 use crate::StateVector;
 use crate::health::{BoardErrors, HealthCounters};
 use crate::package::{Refusal, Serial};
@@ -64,7 +64,7 @@ fn status() -> Status {
 
 #[test]
 fn every_request_arrives_and_fits() {
-    let numbers = || Numbers::from_slice(&[f32::MAX; INPUTS_MAX]).unwrap();
+    let numbers = || Numbers::from_slice(&[f32::MAX; NODE_DIMENSION_MAX]).unwrap();
     let every = NonZeroU32::new(u32::MAX);
     for request in [
         Request::Query,

@@ -6,12 +6,14 @@
 //! 16 bits of digest, 12 of directions, 2 of the kind of hold, 1 for harmonics, 1 for numbers in half
 //! precision, of which two share a word.
 //!
+//! States of more than 12 components have no announcements.
+//!
 //! Invariant: any words decode to an announcement of finite numbers or to nothing.
 
 use crate::math::half::{from_half, to_half};
 use crate::math::numeric::{all_finite, components, components_mut, zeros};
 use crate::wire::frame::{WORDS_MAX, Words};
-use crate::{INPUTS_MAX, StateVector};
+use crate::{NODE_DIMENSION_MAX, StateVector};
 
 /// State of the model of one direction. \[unit of `xi`/s\]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -72,7 +74,7 @@ pub struct Announced<const N: usize> {
 }
 
 const DIRECTIONS_AT: u32 = 16;
-const HOLD_AT: u32 = DIRECTIONS_AT + INPUTS_MAX as u32;
+const HOLD_AT: u32 = DIRECTIONS_AT + NODE_DIMENSION_MAX as u32;
 const HARMONICS_AT: u32 = HOLD_AT + 2;
 const HALF_AT: u32 = HARMONICS_AT + 1;
 
@@ -192,6 +194,9 @@ impl<const N: usize> Announced<N> {
     /// is not finite.
     #[must_use]
     pub fn from_words(words: &[[u8; 4]]) -> Option<(StateVector<N>, Self)> {
+        if N > NODE_DIMENSION_MAX {
+            return None;
+        }
         let (head, rest) = words.split_first()?;
         let head = u32::from_le_bytes(*head);
         let directions = (head >> DIRECTIONS_AT) as u16 & 0xfff;

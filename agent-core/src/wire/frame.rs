@@ -21,27 +21,32 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::INPUTS_MAX;
 use crate::math::numeric::{all_finite, components};
 #[cfg(feature = "field")]
 use crate::wire::announced::Announced;
 use crate::wire::crc::{CHECKSUM_LENGTH, crc32};
+use crate::wire::words::{WORDS_CAPACITY, most_words};
 pub use crate::wire::words::{WORDS_MAX, Words};
 use crate::wire::{codec, writer};
-use crate::{AgentId, StateVector, Tick};
+use crate::{AgentId, INPUTS_MAX, NODE_DIMENSION_MAX, StateVector, Tick};
 
 /// Version of the format that this crate reads and writes.
 pub const VERSION: u8 = 1;
 
-/// Length of the longest encoded frame, in bytes: version, longest variable-length integers of the
-/// header, payload kind and length, most words, checksum.
-pub const FRAME_LENGTH_MAX: usize = 1 + 5 + 5 + 10 + 1 + 1 + 4 * WORDS_MAX + CHECKSUM_LENGTH;
+/// Length of a node's longest encoded frame, in bytes.
+pub const FRAME_LENGTH_MAX: usize = length_with(WORDS_MAX);
 
-/// The components of a state or of a measurement.
-pub type Numbers = heapless::Vec<f32, INPUTS_MAX>;
+/// Returns the length of the longest encoded frame with so many words, in bytes: version, longest
+/// variable-length integers of the header, payload kind and length, words, checksum.
+const fn length_with(words: usize) -> usize {
+    1 + 5 + 5 + 10 + 1 + 1 + 4 * words + CHECKSUM_LENGTH
+}
+
+/// The components of a node's state or measurement.
+pub type Numbers = heapless::Vec<f32, NODE_DIMENSION_MAX>;
 
 /// An encoded frame.
-pub type FrameBytes = heapless::Vec<u8, FRAME_LENGTH_MAX>;
+pub type FrameBytes = heapless::Vec<u8, { length_with(WORDS_CAPACITY) }>;
 
 /// One broadcast of an agent.
 ///
@@ -196,7 +201,7 @@ impl<const N: usize> Frame<N> {
     /// Returns the bytes to broadcast.
     #[must_use]
     pub fn encode(&self) -> FrameBytes {
-        const { assert!(N >= 1 && N <= INPUTS_MAX, "the state dimension is 1 to 12") };
+        const { assert!(N >= 1 && N <= INPUTS_MAX, "the state dimension is 1 to INPUTS_MAX") };
         self.with_content(|payload, words| {
             encode(self.sender, self.sequence, self.tick, payload, words)
         })
@@ -242,7 +247,8 @@ impl<const N: usize> Frame<N> {
     /// [`FrameError::Length`], [`FrameError::Checksum`], [`FrameError::Malformed`],
     /// [`FrameError::Version`], [`FrameError::Dimension`] or [`FrameError::NotFinite`].
     pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
-        let (Head { sender, sequence, tick, payload, .. }, words) = decode(bytes)?;
+        let (Head { sender, sequence, tick, payload, .. }, words) =
+            decode(bytes, const { most_words(N) })?;
         Self::of_content((sender, sequence, tick), payload, words)
     }
 }
@@ -276,7 +282,7 @@ impl AnyFrame {
     /// [`FrameError::Length`], [`FrameError::Checksum`], [`FrameError::Malformed`] or
     /// [`FrameError::Version`].
     pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
-        let (Head { sender, sequence, tick, payload, .. }, words) = decode(bytes)?;
+        let (Head { sender, sequence, tick, payload, .. }, words) = decode(bytes, WORDS_CAPACITY)?;
         Ok(Self { sender, sequence, tick, payload, words: words.iter().copied().collect() })
     }
 }
@@ -337,11 +343,11 @@ fn encode(
     payload: Payload,
     words: &[[u8; 4]],
 ) -> FrameBytes {
-    // At most WORDS_MAX.
+    // At most WORDS_CAPACITY.
     let count = words.len() as u16;
     let head = Head { sender, sequence, tick, payload, count };
     let mut bytes = FrameBytes::new();
-    // Everything fits: FRAME_LENGTH_MAX is the sum of every field's largest size.
+    // Everything fits: the capacity is the sum of every field's largest size.
     let _ = writer::append(&(VERSION, head), &mut bytes);
     let _ = bytes.extend_from_slice(words.as_flattened());
     let checksum = crc32(&[&bytes]).to_le_bytes();
@@ -349,11 +355,11 @@ fn encode(
     bytes
 }
 
-/// Decodes `bytes` without checking the components, which it returns as words in place: taking
-/// them through a vector would copy them four times.
-fn decode(bytes: &[u8]) -> Result<(Head, &[[u8; 4]]), FrameError> {
+/// Decodes `bytes` without checking the components, at most `most`, which it returns as words in place:
+/// taking them through a vector would copy them four times.
+fn decode(bytes: &[u8], most: usize) -> Result<(Head, &[[u8; 4]]), FrameError> {
     let length = FrameError::Length { found: bytes.len() };
-    if bytes.len() > FRAME_LENGTH_MAX {
+    if bytes.len() > length_with(most) {
         return Err(length);
     }
     let (body, checksum) = bytes.split_last_chunk::<CHECKSUM_LENGTH>().ok_or(length)?;
@@ -366,7 +372,7 @@ fn decode(bytes: &[u8]) -> Result<(Head, &[[u8; 4]]), FrameError> {
     }
     let (head, rest) = codec::take::<Head>(rest).ok_or(FrameError::Malformed)?;
     match rest.as_chunks() {
-        (words, []) if words.len() == usize::from(head.count) && words.len() <= WORDS_MAX => {
+        (words, []) if words.len() == usize::from(head.count) && words.len() <= most => {
             Ok((head, words))
         }
         _ => Err(FrameError::Malformed),
@@ -415,7 +421,7 @@ mod tests {
             StateVector::repeat(f32::MAX),
         );
         let bytes = frame.encode();
-        assert_eq!(bytes.len(), FRAME_LENGTH_MAX - 4 * (WORDS_MAX - INPUTS_MAX));
+        assert_eq!(bytes.len(), length_with(INPUTS_MAX));
         assert_eq!(Frame::decode(&bytes), Ok(frame));
     }
 

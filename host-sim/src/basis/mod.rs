@@ -168,7 +168,8 @@ pub fn placeholder(scenario: &Scenario) -> Option<Network> {
         _ => return None,
     };
     let layer = Layer { width: features as u8, activation: Activation::Tanh };
-    let architecture = Architecture::new(n, &[layer]).expect("at most 12 inputs and 64 features");
+    let architecture =
+        Architecture::new(n, &[layer]).expect("a plant's number of inputs and 64 features");
     Some(Network { architecture, inner: InitialParameters::Constant(0.0), outer, outer_law })
 }
 

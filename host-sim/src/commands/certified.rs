@@ -20,7 +20,7 @@ use crate::analysis::{
 use crate::engine::RunResult;
 use crate::flow::{Certificate, Plan, plant_course, ultimate};
 use crate::learning::trained;
-use crate::packages::{PackageBytes, with_dimension};
+use crate::packages::{PackageBytes, with_node_dimension};
 use crate::scenario::{ObserverSettings, Scenario};
 
 /// Above this, the eigenvalues of the graph coupling with separate gains are not computed.
@@ -48,7 +48,7 @@ pub(super) fn bound(scenario: &Scenario, run: &RunResult) -> Option<f64> {
         }
         Some(observer) if observer.coupling == Coupling::Held => held(scenario, observer),
         Some(observer) if observer.coupling == Coupling::Trees => {
-            with_dimension!(scenario.dimension(), trees(scenario, observer, run), else None)
+            with_node_dimension!(scenario.dimension(), trees(scenario, observer, run), else None)
         }
         Some(_) => None,
     };

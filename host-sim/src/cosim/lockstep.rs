@@ -180,7 +180,7 @@ impl<'s, 'r> Lockstep<'s, 'r> {
             let (before, rest) = self.nodes.split_at_mut(index);
             let Some((node, after)) = rest.split_first_mut() else { break };
             match &self.link {
-                Some(link) => link.deliver(index, tick, |bytes| {
+                Some(link) => link.deliver(index, tick, &mut |bytes| {
                     node.board.hand([Cow::from(bytes)].into_iter());
                 }),
                 None => {

@@ -19,7 +19,7 @@ use agent_core::{StateVector, Tick};
 use super::clock::Clock;
 use super::lanes::{Ahead, Computed};
 use super::learning::Observation;
-use super::link::Link;
+use super::link::{Link, RunLink};
 use super::networks::Networks;
 use super::norms::{GainNorms, Norms};
 use super::run_observer::AgentStep;
@@ -62,14 +62,14 @@ impl ParamBuffers {
 }
 
 /// What surrounds the agents in a step of the engine.
-pub(super) struct Surroundings<'r, const N: usize, L> {
+pub(super) struct Surroundings<'r, const N: usize> {
     /// The engine's tick.
     pub(super) tick: Tick,
     /// `x_0` at this tick.
     pub(super) truth: &'r [f64; N],
     /// `x_0` at the tick before.
     pub(super) before: &'r [f64; N],
-    pub(super) link: &'r L,
+    pub(super) link: &'r RunLink<'r>,
     /// What the agents broadcast last.
     pub(super) sent: &'r Sent<N>,
 }
@@ -167,7 +167,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     #[inline]
     pub(super) fn step(
         &mut self,
-        around: &Surroundings<'_, N, impl Link>,
+        around: &Surroundings<'_, N>,
         index: usize,
         computed: Option<Computed<'_, N>>,
     ) {
@@ -198,7 +198,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
 
     /// Writes the measurement for this step.
     #[inline]
-    fn measure(&mut self, around: &Surroundings<'_, N, impl Link>) {
+    fn measure(&mut self, around: &Surroundings<'_, N>) {
         let mut truth = *around.truth;
         if let Some(clock) = &self.clock {
             let late = clock.lateness(around.tick);
@@ -253,10 +253,10 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     }
 
     /// Keeps the frames that have arrived for the next step.
-    fn receive(&mut self, around: &Surroundings<'_, N, impl Link>, index: usize) {
+    fn receive(&mut self, around: &Surroundings<'_, N>, index: usize) {
         let Self { params, state, inbox, watch, statistics, .. } = self;
         let mut refused = 0;
-        around.link.deliver(index, around.tick, |bytes| {
+        around.link.deliver(index, around.tick, &mut |bytes| {
             let kept = match watch {
                 None => around.sent.accept(inbox, params.neighbours(), bytes),
                 Some(watch) => around.sent.receive(&mut watch.agent(params, state, inbox).0, bytes),
@@ -270,7 +270,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     fn step_at(
         &mut self,
         tick: Tick,
-        around: &Surroundings<'_, N, impl Link>,
+        around: &Surroundings<'_, N>,
         index: usize,
         computed: Option<Computed<'_, N>>,
     ) {
@@ -287,7 +287,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         let step = match watch {
             // The paper's agent: without a trained box or restarts.
             None => {
-                around.link.deliver(index, around.tick, |bytes| {
+                around.link.deliver(index, around.tick, &mut |bytes| {
                     refused +=
                         u64::from(around.sent.accept(inbox, params.neighbours(), bytes).is_err());
                 });
@@ -303,7 +303,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
                 let network_in_use = watch.network_in_use();
                 let (mut agent, outer_weights) = watch.agent(params, state, inbox);
                 // Like a node, drop unusable frames and continue.
-                around.link.deliver(index, around.tick, |bytes| {
+                around.link.deliver(index, around.tick, &mut |bytes| {
                     refused += u64::from(around.sent.receive(&mut agent, bytes).is_err());
                 });
                 agent.attempt_observed(

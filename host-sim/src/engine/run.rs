@@ -13,7 +13,7 @@ use super::failure::plant_error;
 use super::kalman;
 use super::lanes::{LaneMode, Lanes};
 use super::learning::Learning;
-use super::link::{Link, ScenarioLink};
+use super::link::{Link, RunLink};
 use super::method;
 use super::networks::Networks;
 use super::norms::GainNorms;
@@ -29,6 +29,7 @@ use crate::files::fnv::Fnv;
 use crate::flow::Plan;
 use crate::learning::{agent_config, trained};
 use crate::packages::{OwnedAgentConfig, PackageBytes, with_dimension};
+use crate::plant::DIMENSION_MAX;
 use crate::scenario::{Downtime, Network, Scenario};
 use crate::training::{Dataset, TrainingError};
 
@@ -47,7 +48,8 @@ pub fn run(
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
-    run_over(scenario, ScenarioLink::new(scenario, options.seed), options, progress)
+    let link = RunLink::new(scenario, options.seed);
+    run_any(scenario, link, None, LaneMode::Longest, options, progress)
 }
 
 /// Runs `scenario` over the link it describes, and reports every step to `run_observer`.
@@ -63,7 +65,7 @@ pub fn run_observed(
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
-    let link = ScenarioLink::new(scenario, options.seed);
+    let link = RunLink::new(scenario, options.seed);
     run_any(scenario, link, Some(run_observer), LaneMode::Longest, options, progress)
 }
 
@@ -77,7 +79,7 @@ pub fn run_in_lanes(
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
-    let link = ScenarioLink::new(scenario, options.seed);
+    let link = RunLink::new(scenario, options.seed);
     run_any(scenario, link, None, lanes, options, progress)
 }
 
@@ -87,14 +89,14 @@ pub fn run_in_lanes(
 /// Same as [`run`].
 ///
 /// # Panics
-/// If the state dimension is not 1 to 12, which a loaded scenario guarantees.
+/// If the state dimension is not one that this build simulates, which a loaded scenario guarantees.
 pub fn run_over(
     scenario: &Scenario,
     link: impl Link,
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
-    run_any(scenario, link, None, LaneMode::Longest, options, progress)
+    run_any(scenario, RunLink::Custom(Box::new(link)), None, LaneMode::Longest, options, progress)
 }
 
 /// Returns the package that an agent, from 0, starts a run of this seed with: the one given in the scenario, or
@@ -118,10 +120,10 @@ pub fn start_package(
     starts.package(agent, &agent_config(scenario, &trigger, agent))
 }
 
-fn run_any(
+fn run_any<'c>(
     scenario: &Scenario,
-    link: impl Link,
-    run_observer: Option<&mut dyn RunObserver>,
+    link: RunLink<'c>,
+    run_observer: Option<&'c mut dyn RunObserver>,
     lanes: LaneMode,
     options: RunOptions,
     progress: &dyn Progress,
@@ -138,14 +140,14 @@ fn run_any(
     with_dimension!(
         n,
         run_fixed(scenario, link, run_observer, lanes, options, progress),
-        else panic!("{n} state components, expected 1 to 12")
+        else panic!("{n} state components, expected 1 to {DIMENSION_MAX}")
     )
 }
 
-fn run_fixed<const N: usize>(
+fn run_fixed<'c, const N: usize>(
     scenario: &Scenario,
-    link: impl Link,
-    run_observer: Option<&mut dyn RunObserver>,
+    link: RunLink<'c>,
+    run_observer: Option<&'c mut dyn RunObserver>,
     lanes: LaneMode,
     options: RunOptions,
     progress: &dyn Progress,
@@ -340,13 +342,13 @@ fn initial_parameters(
     Ok(parameters.iter().map(|&parameter| parameter as f32).collect())
 }
 
-struct Simulation<'s, 'c, const N: usize, L> {
+struct Simulation<'s, 'c, const N: usize> {
     scenario: &'s Scenario,
     plan: Option<Arc<Plan<'s>>>,
     /// The packages in use, as long as agents have still to switch to the field observer.
     current: Vec<PackageBytes>,
     options: RunOptions,
-    link: L,
+    link: RunLink<'c>,
     run_observer: Option<&'c mut dyn RunObserver>,
     agents: Vec<SimulatedAgent<'s, N>>,
     networks: Networks,
@@ -372,7 +374,7 @@ struct Simulation<'s, 'c, const N: usize, L> {
     digest: Fnv,
 }
 
-impl<'s, const N: usize, L: Link> Simulation<'s, '_, N, L> {
+impl<'s, const N: usize> Simulation<'s, '_, N> {
     fn begin(&mut self, packages: &[PackageBytes]) -> Result<(), RunError> {
         let Some(run_observer) = &mut self.run_observer else { return Ok(()) };
         let graph = &self.scenario.graph;

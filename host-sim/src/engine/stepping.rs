@@ -4,7 +4,6 @@ use rayon::prelude::*;
 
 use super::agents::{SimulatedAgent, Surroundings};
 use super::lanes::{CHUNK, LaneMode, Lanes};
-use super::link::Link;
 
 /// Groups the networks of all agents, chunk by chunk. To be repeated when agents have other networks.
 pub(super) fn lanes<const N: usize>(
@@ -21,7 +20,7 @@ pub(super) fn step<const N: usize>(
     agents: &mut [SimulatedAgent<'_, N>],
     lanes: &mut [Lanes<N>],
     down: &[bool],
-    around: &Surroundings<'_, N, impl Link>,
+    around: &Surroundings<'_, N>,
 ) -> bool {
     // For fewer, waking a thread costs more than stepping them; and so does handing all to the only one.
     if agents.len() < 2 * CHUNK || rayon::current_num_threads() == 1 {
@@ -43,7 +42,7 @@ fn step_chunk<const N: usize>(
     agents: &mut [SimulatedAgent<'_, N>],
     lanes: &mut Lanes<N>,
     down: &[bool],
-    around: &Surroundings<'_, N, impl Link>,
+    around: &Surroundings<'_, N>,
     first: usize,
 ) -> bool {
     let mut failed = false;

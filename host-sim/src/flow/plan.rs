@@ -19,7 +19,9 @@ use super::{
 use crate::analysis::{adjacency_norm, laplacian_norm};
 use crate::basis::substitute;
 use crate::learning::harmonic::Harmonic;
-use crate::packages::{Draft, DraftError, PackageBytes, Recording, with_dimension};
+use crate::packages::{
+    Draft, DraftError, PackageBytes, Recording, with_dimension, with_node_dimension,
+};
 use crate::plant::Stepper;
 use crate::scenario::{DisturbanceModel, Method, ObserverSettings, Scenario};
 
@@ -455,7 +457,7 @@ impl<'s> Plan<'s> {
         if let Some(basis) = substitute(self.scenario, &package.package()) {
             return basis.combine(package.package().outer_weights, &x, f);
         }
-        let output = with_dimension!(x.len(), output(package, &x), else Vec::new());
+        let output = with_node_dimension!(x.len(), output(package, &x), else Vec::new());
         for (f, output) in f.iter_mut().zip(output) {
             *f = f64::from(output);
         }

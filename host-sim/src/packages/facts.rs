@@ -11,7 +11,7 @@ use agent_core::package::{OnSwitch, SIGNATURE_BLOCK_LENGTH, TrialLimits};
 use serde::Serialize;
 
 use crate::number::significant;
-use crate::packages::{PackageBytes, PackageSummary, with_dimension};
+use crate::packages::{PackageBytes, PackageSummary, with_node_dimension};
 use crate::terminal;
 
 /// The contents of a package.
@@ -281,7 +281,7 @@ struct ObserverDirection {
 
 impl Observer {
     fn new(words: &[f32], dimension: usize, step_size: f32) -> Option<Self> {
-        with_dimension!(dimension, observer(words, step_size), else None)
+        with_node_dimension!(dimension, observer(words, step_size), else None)
     }
 
     fn words(&self) -> String {

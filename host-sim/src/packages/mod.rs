@@ -36,24 +36,44 @@ pub use recording::{Recording, RecordingError, Timing};
 pub use recording_source::RecordingSource;
 pub use summary::PackageSummary;
 
-/// Calls `$function::<N>($arguments)` for the state dimension `$n`, 1 to 12.
-macro_rules! with_dimension {
-    ($n:expr, $function:ident($($argument:expr),* $(,)?), else $otherwise:expr) => {
+/// Calls `$function::<N>($arguments)` for the state dimension `$n`, if it is one of those listed.
+macro_rules! match_dimension {
+    ([$($dimension:literal)*], $n:expr, $function:ident $arguments:tt, else $otherwise:expr) => {
         match $n {
-            1 => $function::<1>($($argument),*),
-            2 => $function::<2>($($argument),*),
-            3 => $function::<3>($($argument),*),
-            4 => $function::<4>($($argument),*),
-            5 => $function::<5>($($argument),*),
-            6 => $function::<6>($($argument),*),
-            7 => $function::<7>($($argument),*),
-            8 => $function::<8>($($argument),*),
-            9 => $function::<9>($($argument),*),
-            10 => $function::<10>($($argument),*),
-            11 => $function::<11>($($argument),*),
-            12 => $function::<12>($($argument),*),
+            $($dimension => $function::<$dimension> $arguments,)*
             _ => $otherwise,
         }
     };
 }
-pub(crate) use with_dimension;
+pub(crate) use match_dimension;
+
+/// Calls `$function::<N>($arguments)` for the state dimension `$n` of a node, 1 to 12.
+macro_rules! with_node_dimension {
+    ($n:expr, $function:ident $arguments:tt, else $otherwise:expr) => {
+        $crate::packages::match_dimension!(
+            [1 2 3 4 5 6 7 8 9 10 11 12],
+            $n, $function $arguments, else $otherwise
+        )
+    };
+}
+pub(crate) use with_node_dimension;
+
+/// As [`with_node_dimension`], for up to 40.
+#[cfg(feature = "wide")]
+macro_rules! with_wide_dimension {
+    ($n:expr, $function:ident $arguments:tt, else $otherwise:expr) => {
+        $crate::packages::match_dimension!(
+            [
+                1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20
+                21 22 23 24 25 26 27 28 29 30 31 32 33 34 35 36 37 38 39 40
+            ],
+            $n, $function $arguments, else $otherwise
+        )
+    };
+}
+
+// Calls a function for any state dimension that this build simulates.
+#[cfg(not(feature = "wide"))]
+pub(crate) use with_node_dimension as with_dimension;
+#[cfg(feature = "wide")]
+pub(crate) use with_wide_dimension as with_dimension;

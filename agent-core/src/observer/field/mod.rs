@@ -24,10 +24,10 @@ pub use words::{DirectionWords, FieldWords, words_length};
 
 use nalgebra::SMatrix;
 
-use crate::StateVector;
 use crate::math::numeric::{components, components_mut, zeros};
 use crate::math::parameter::ParameterError;
 use crate::wire::frame::WORDS_MAX;
+use crate::{NODE_DIMENSION_MAX, StateVector};
 
 /// How an agent's estimate is coupled to its neighbours' samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -159,6 +159,7 @@ impl<const N: usize> FieldParams<N> {
             }
             announced += usize::from(direction.is_announced && model.clip > 0.0);
         }
+        require(N <= NODE_DIMENSION_MAX, N as f32, "at most 12 state components");
         let rates = if hold == HoldKind::ZeroOrder { 0 } else { N };
         let words = Announced::<N>::words_for(rates, announced, has_harmonics, is_half);
         require(words <= WORDS_MAX, words as f32, "at most 17 words in a frame");

@@ -15,7 +15,7 @@ use agent_core::{AgentId, Tick};
 use nalgebra::{DMatrix, DVector};
 
 use super::failure::plant_error;
-use super::link::Link;
+use super::link::{Link, RunLink};
 use super::sensor::Sensor;
 use super::simulated_plant::SimulatedPlant;
 use super::statistics::AgentStatistics;
@@ -82,7 +82,7 @@ struct Simulation<'s> {
 /// If the plant diverges.
 pub(super) fn run(
     scenario: &Scenario,
-    mut link: impl Link,
+    mut link: RunLink<'_>,
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
@@ -248,7 +248,7 @@ impl<'s> Simulation<'s> {
         }
     }
 
-    fn step(&mut self, tick: Tick, truth: &[f64], link: &impl Link) {
+    fn step(&mut self, tick: Tick, truth: &[f64], link: &RunLink<'_>) {
         let time = self.scenario.time.at(tick);
         let state = DVector::from_column_slice(truth);
         self.model.linearise(time);
@@ -258,7 +258,7 @@ impl<'s> Simulation<'s> {
             }
             let neighbours = self.scenario.graph.neighbours(index);
             let model = &mut self.model;
-            link.deliver(index, tick, |bytes| {
+            link.deliver(index, tick, &mut |bytes| {
                 let Some((sender, sample)) = received(bytes, state.len()) else {
                     agent.statistics.frames_refused += 1;
                     return;
@@ -300,7 +300,7 @@ impl<'s> Simulation<'s> {
         }
     }
 
-    fn send(&mut self, tick: Tick, evaluated: bool, link: &mut impl Link, digest: &mut Fnv) {
+    fn send(&mut self, tick: Tick, evaluated: bool, link: &mut RunLink<'_>, digest: &mut Fnv) {
         for (index, agent) in self.agents.iter_mut().enumerate() {
             if let Some(bytes) = agent.outgoing.take() {
                 let keep = self.scenario.record.events;

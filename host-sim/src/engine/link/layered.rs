@@ -212,7 +212,7 @@ impl Link for Layered {
     }
 
     #[inline]
-    fn deliver(&self, receiver: usize, _: Tick, mut accept: impl FnMut(&[u8])) {
+    fn deliver(&self, receiver: usize, _: Tick, accept: &mut dyn FnMut(&[u8])) {
         for bytes in &self.arrived[receiver] {
             accept(bytes);
         }

@@ -40,7 +40,7 @@ impl Link for Lossless {
     }
 
     #[inline]
-    fn deliver(&self, receiver: usize, tick: Tick, mut accept: impl FnMut(&[u8])) {
+    fn deliver(&self, receiver: usize, tick: Tick, accept: &mut dyn FnMut(&[u8])) {
         for &neighbour in &self.neighbours[receiver] {
             let (sent, bytes) = &self.last[neighbour];
             if *sent == Some(tick) {

@@ -51,7 +51,7 @@ pub trait Link: Sync {
     }
 
     /// Calls `accept` with every frame that reaches `receiver` in time for its step at `tick`.
-    fn deliver(&self, receiver: usize, tick: Tick, accept: impl FnMut(&[u8]));
+    fn deliver(&self, receiver: usize, tick: Tick, accept: &mut dyn FnMut(&[u8]));
 
     /// Returns what happened to the frames of `sender`; `None` if the link does not count.
     fn traffic(&self, sender: usize) -> Option<Traffic> {
@@ -85,19 +85,20 @@ pub struct LayerCount {
     pub count: u64,
 }
 
-/// The link described by a scenario.
-#[derive(Debug)]
-pub enum ScenarioLink {
+/// The link of a run: the one that the scenario describes, or one that the caller brings. One type for both,
+/// so that the engine is compiled once for each state dimension.
+pub(super) enum RunLink<'l> {
     /// See [`Lossless`].
     Lossless(Lossless),
     /// See [`Layered`].
     Layered(Box<Layered>),
+    /// The caller's.
+    Custom(Box<dyn Link + 'l>),
 }
 
-impl ScenarioLink {
+impl RunLink<'_> {
     /// Creates the link of a run. `seed` is the run's seed, for layers that draw random numbers.
-    #[must_use]
-    pub fn new(scenario: &Scenario, seed: u64) -> Self {
+    pub(super) fn new(scenario: &Scenario, seed: u64) -> Self {
         if scenario.delivers_all() {
             Self::Lossless(Lossless::new(&scenario.graph))
         } else {
@@ -106,12 +107,13 @@ impl ScenarioLink {
     }
 }
 
-impl Link for ScenarioLink {
+impl Link for RunLink<'_> {
     #[inline]
     fn send(&mut self, sender: usize, tick: Tick, frame: &[u8]) {
         match self {
             Self::Lossless(link) => link.send(sender, tick, frame),
             Self::Layered(link) => link.send(sender, tick, frame),
+            Self::Custom(link) => link.send(sender, tick, frame),
         }
     }
 
@@ -120,14 +122,16 @@ impl Link for ScenarioLink {
         match self {
             Self::Lossless(link) => link.advance(tick),
             Self::Layered(link) => link.advance(tick),
+            Self::Custom(link) => link.advance(tick),
         }
     }
 
     #[inline]
-    fn deliver(&self, receiver: usize, tick: Tick, accept: impl FnMut(&[u8])) {
+    fn deliver(&self, receiver: usize, tick: Tick, accept: &mut dyn FnMut(&[u8])) {
         match self {
             Self::Lossless(link) => link.deliver(receiver, tick, accept),
             Self::Layered(link) => link.deliver(receiver, tick, accept),
+            Self::Custom(link) => link.deliver(receiver, tick, accept),
         }
     }
 
@@ -135,6 +139,7 @@ impl Link for ScenarioLink {
         match self {
             Self::Lossless(link) => link.traffic(sender),
             Self::Layered(link) => link.traffic(sender),
+            Self::Custom(link) => link.traffic(sender),
         }
     }
 
@@ -142,6 +147,7 @@ impl Link for ScenarioLink {
         match self {
             Self::Lossless(link) => link.layer_counts(),
             Self::Layered(link) => link.layer_counts(),
+            Self::Custom(link) => link.layer_counts(),
         }
     }
 }

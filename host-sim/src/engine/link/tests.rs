@@ -37,7 +37,7 @@ fn carried(
         }
         link.advance(tick);
         for receiver in 0..3 {
-            link.deliver(receiver, tick, |bytes| {
+            link.deliver(receiver, tick, &mut |bytes| {
                 let sent = Tick::from_le_bytes(bytes[1..9].try_into().unwrap());
                 let sender = usize::from(bytes[0]).min(2);
                 let is_intact = bytes == frame(sender, sent);
@@ -48,9 +48,9 @@ fn carried(
     arrivals
 }
 
-fn received(link: &impl Link, receiver: usize, tick: Tick) -> Vec<Vec<u8>> {
+fn received(link: &dyn Link, receiver: usize, tick: Tick) -> Vec<Vec<u8>> {
     let mut frames = Vec::new();
-    link.deliver(receiver, tick, |bytes| frames.push(bytes.to_vec()));
+    link.deliver(receiver, tick, &mut |bytes| frames.push(bytes.to_vec()));
     frames
 }
 

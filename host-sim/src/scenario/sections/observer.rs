@@ -1,5 +1,6 @@
 //! `[observer]`: the field observer in place of the paper's.
 
+use agent_core::NODE_DIMENSION_MAX;
 use agent_core::agent::exchange::ExchangeParams;
 use agent_core::observer::field::{Coupling, HoldKind};
 
@@ -165,6 +166,12 @@ pub(in crate::scenario) fn observer(
     if preset == Preset::Paper {
         table.only(&["preset"])?;
         return Ok((None, false));
+    }
+    if n > NODE_DIMENSION_MAX {
+        let problem = format!(
+            "the state has {n} components, and frames of the field observer at most {NODE_DIMENSION_MAX}"
+        );
+        return Err(table.error(problem, "use preset = \"paper\", or fewer components"));
     }
     let from = table.get("from", "20.0").map_or(Ok(0.0), |value| {
         let from = value.not_negative()?;

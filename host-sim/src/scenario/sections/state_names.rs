@@ -5,6 +5,9 @@ use crate::plant::expression::name_problem;
 use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::{Table, Value, has};
 
+/// Largest dimension of a state with the feature `wide`.
+const WIDE_DIMENSION_MAX: usize = 40;
+
 /// Reads the names of the state's components.
 pub(super) fn states(table: &Table<'_>) -> Result<Vec<String>, ScenarioError> {
     let value = table.require("states", "[\"x\", \"v\"]")?;
@@ -45,6 +48,11 @@ pub(super) fn check_dimension(
     if (1..=DIMENSION_MAX).contains(&found) {
         return Ok(());
     }
-    let hint = format!("use a dimension of 1 to {DIMENSION_MAX}");
+    let mut hint = format!("use a dimension of 1 to {DIMENSION_MAX}");
+    if (1..=WIDE_DIMENSION_MAX).contains(&found) {
+        hint += &format!(
+            ", or build with `--features wide`, which simulates up to {WIDE_DIMENSION_MAX}"
+        );
+    }
     Err(value.error(has(found, one, many), hint))
 }
