@@ -6,6 +6,7 @@ mod examples;
 mod field_observer;
 mod levenberg_marquardt;
 mod links;
+mod lorenz96;
 mod methods;
 mod networks;
 mod packages;
