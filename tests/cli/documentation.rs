@@ -123,11 +123,11 @@ fn simulator_arguments(command: &str) -> Option<&str> {
 fn checkout(name: &str) -> Folder {
     let folder = Folder::new(name);
     fs::copy(Path::new(ROOT).join("memory.x"), folder.path("memory.x")).unwrap();
-    let experiment = "host-sim/examples/experiment";
-    fs::create_dir_all(folder.path(experiment)).unwrap();
-    for name in ["tanks.csv", "tanks.toml"] {
-        let name = format!("{experiment}/{name}");
-        fs::copy(Path::new(ROOT).join(&name), folder.path(&name)).unwrap();
+    for name in ["experiment/tanks.csv", "experiment/tanks.toml", "wscc9/wscc9.toml"] {
+        let name = format!("host-sim/examples/{name}");
+        let copy = folder.path(&name);
+        fs::create_dir_all(copy.parent().unwrap()).unwrap();
+        fs::copy(Path::new(ROOT).join(&name), copy).unwrap();
     }
     folder
 }

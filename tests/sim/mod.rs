@@ -20,3 +20,4 @@ mod trigger;
 mod units;
 mod verdicts;
 mod watched_runs;
+mod wscc9;
