@@ -19,8 +19,8 @@
 //! nodes.
 //!
 //! **Flash.** While a page is erased (85 ms) or a word is written (41 us; product specification,
-//! NVMC electrical specification), the processor is halted. The timer keeps running, so ticks stay
-//! correct.
+//! NVMC electrical specification), the processor is halted. Before an erasure the node says farewell to
+//! its neighbours. The timer keeps running, so ticks stay correct.
 //!
 //! **Faults.** A panic, a processor fault and a reset request all reset the chip. So does the watchdog
 //! if the main loop stops for 8 s; it is fed only there, once per iteration. A failed sensor or a held

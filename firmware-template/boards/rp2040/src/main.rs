@@ -17,7 +17,8 @@
 //! those of every other processor. A step takes about 170,000 instructions, 1.4 ms at 125 MHz.
 //!
 //! **Flash.** While a sector is erased (45 ms, at most 400 ms) or a page is written (0.4 ms, at
-//! most 3 ms; data sheet of the W25Q16JV), the program is halted with interrupts disabled. The
+//! most 3 ms; data sheet of the W25Q16JV), the program is halted with interrupts disabled. Before an
+//! erasure the node says farewell to its neighbours and waits until the link has sent it. The
 //! timer keeps running, so ticks stay correct. The serial ports buffer 32 bytes in hardware;
 //! further bytes are lost.
 //!
