@@ -274,7 +274,7 @@ fn a_farewell_comes_before_each_erasure_and_a_sample_right_after_it() {
         let end = offset + chunk.len();
         // The unit of the header is erased when it is complete, the others when their first word comes.
         let completes_header = offset < CHECKED_FIRST && end >= CHECKED_FIRST;
-        let enters_unit = offset >= CHECKED_FIRST && offset % UNIT == 0;
+        let enters_unit = offset >= CHECKED_FIRST && offset.is_multiple_of(UNIT);
         if !completes_header && !enters_unit {
             assert_eq!(seen, [], "{offset}");
             assert_eq!(rig.turn(), [], "{offset}");

@@ -112,7 +112,7 @@ fn the_store_foresees_what_erases_flash() {
             false
         });
     }
-    assert!(foreseen > 400 && not_foreseen == 199, "{foreseen} {not_foreseen}");
+    assert!(foreseen > 300 && not_foreseen == 199, "{foreseen} {not_foreseen}");
 }
 
 /// Makes the next boot unable to read a pair.

@@ -633,7 +633,7 @@ fn a_fleet_goes_on_without_an_agent_that_stands_still_and_takes_it_back() {
             for i in [1, 2] {
                 let frame = fleet.0[i].step(tick, Some(plant(i, tick)));
                 // Agent 1 cannot hear it.
-                assert_eq!(frame.is_some_and(|frame| frame.is_farewell), false);
+                assert!(frame.is_none_or(|frame| !frame.is_farewell));
                 assert!(fleet.0[i].hold_of(1).unwrap().is_absent());
                 let kind = fleet.0[i].kinds().last().copied().flatten();
                 assert_eq!(kind, Some(hold), "an absent neighbour does not predict otherwise");
