@@ -42,12 +42,12 @@ struct World {
     periods: u32,
 }
 
-type Shared = Rc<RefCell<World>>;
+type SeenWorld = Rc<RefCell<World>>;
 
 /// Flash in memory that takes its time if it `STALLS`.
 struct Ram<const STALLS: bool> {
     bytes: Vec<u8>,
-    world: Shared,
+    world: SeenWorld,
 }
 
 const UNIT: usize = 1024;
@@ -100,7 +100,7 @@ impl<const STALLS: bool> MappedFlash for Ram<STALLS> {
 
 /// A board without surprises; its plant rests.
 struct Desk {
-    world: Shared,
+    world: SeenWorld,
     requests: VecDeque<Vec<u8>>,
     said: Vec<u8>,
 }
@@ -197,7 +197,7 @@ impl<'m, const STALLS: bool> Rig<'m, STALLS> {
             factory_reset: false,
             version: [0, 1, 0],
         };
-        let world = Shared::default();
+        let world = SeenWorld::default();
         let flash = Ram { bytes: vec![0xff; 10 * UNIT], world: world.clone() };
         let node = Node::new(flash, settings, memory).unwrap();
         let board = Desk { world, requests: VecDeque::new(), said: Vec::new() };
