@@ -5,8 +5,8 @@
 //! master can send a start condition meanwhile. Nine clocks end any byte and its acknowledgement, and
 //! a stop condition ends the transfer (NXP UM10204, 3.1.16).
 //!
-//! Cost: at most ten periods of the bus, only if it is held. Invariant: with the data line high, the
-//! bus is left alone.
+//! Cost: at most eleven periods of the bus. Invariant: with the data line high, nothing is sent but the
+//! stop condition, which no device minds.
 
 use embedded_hal::delay::DelayNs;
 use embedded_hal::digital::{InputPin, OutputPin};

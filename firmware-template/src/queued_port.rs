@@ -48,6 +48,12 @@ impl QueuedEnd<'_> {
         let _ = self.received.enqueue(byte);
     }
 
+    /// Returns whether there is no byte to send.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        !self.to_send.ready()
+    }
+
     /// Returns the next byte to send.
     pub fn take(&mut self) -> Option<u8> {
         self.to_send.dequeue()

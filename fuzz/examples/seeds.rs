@@ -102,6 +102,8 @@ fn main() -> io::Result<()> {
         ("unknown", &[unknown]),
         ("far", &[frame, far]),
         ("all", &[frame, other, far]),
+        ("farewell", &[Frame::farewell(4, 1, 2)]),
+        ("farewell-old", &[newer, Frame::farewell(4, 0, 1)]),
     ] {
         let mut input = vec![];
         for frame in frames {
@@ -111,6 +113,13 @@ fn main() -> io::Result<()> {
         Event::Step.write(&mut input);
         write("frame", name, &input)?;
     }
+    let mut input = vec![];
+    for frame in [frame, Frame::farewell(4, 1, 2), newer, Frame { sequence: 2, ..newer }] {
+        Event::Received(frame.encode().to_vec()).write(&mut input);
+        Event::Step.write(&mut input);
+    }
+    write("frame", "farewell-and-back", &input)?;
+
     let other_dimension = Frame::<12>::new(4, 0, 1, [0.5; 12].into());
     let mut input = vec![];
     Event::Received(other_dimension.encode().to_vec()).write(&mut input);

@@ -131,6 +131,12 @@ impl Model {
         Ok(())
     }
 
+    /// Returns the senders that have said farewell and not been heard since.
+    fn absent(&self) -> Vec<AgentId> {
+        let held = self.held.iter().filter(|(_, (frame, _))| frame.is_farewell);
+        held.map(|(&sender, _)| sender).collect()
+    }
+
     /// Takes over pending frames that are newer, or after a long silence; returns how many frames
     /// are dropped.
     fn step(&mut self, now: Tick) -> u32 {
@@ -168,13 +174,17 @@ fn check_step(
     match state.step(params, network, tick, &[0.0], inbox) {
         Ok(output) => {
             assert!(all_finite(&output.sample.derivative) && all_finite(state.estimate()));
+            let was_absent = model.absent();
             assert_eq!(state.stale_frames(), model.step(tick));
+            let has_returned = was_absent.iter().any(|sender| !model.absent().contains(sender));
             for (held, neighbour) in state.neighbour_holds().iter().zip(NEIGHBOURS) {
                 let expected = model.held.get(&neighbour.id).map(|(frame, _)| frame);
                 assert_eq!(held.map(|held| *held.estimate()), expected.map(|f| f.estimate));
-                let numbers = held.map(|held| (held.tick(), held.sequence()));
-                assert_eq!(numbers, expected.map(|frame| (frame.tick, frame.sequence)));
+                let numbers = held.map(|held| (held.tick(), held.sequence(), held.is_absent()));
+                let frame = expected.map(|frame| (frame.tick, frame.sequence, frame.is_farewell));
+                assert_eq!(numbers, frame);
             }
+            assert!(!has_returned || output.broadcast.is_some());
             if let Some(frame) = output.broadcast {
                 assert_eq!(Frame::<N>::decode(&frame.encode()), Ok(frame));
             }

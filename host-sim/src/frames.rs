@@ -16,9 +16,9 @@ pub struct FrameContent {
     pub sequence: u32,
     /// Tick at which the sample was taken.
     pub tick: Tick,
-    /// `estimate`, or `field` from an agent with the field observer.
+    /// `estimate`, `field` from an agent with the field observer, or `farewell` from one that stands still.
     pub kind: &'static str,
-    /// `x_hat_i(t_k)`, shape `[n]`; `None` for a field announcement of unknown dimension.
+    /// `x_hat_i(t_k)`, shape `[n]`; `None` for a field announcement of unknown dimension and a farewell.
     pub estimate: Option<Vec<f32>>,
     /// How the sample goes on, from an agent with the field observer.
     pub announced: Option<AnnouncedContent>,
@@ -46,9 +46,10 @@ pub struct AnnouncedContent {
 /// As for [`Frame::decode`].
 pub fn decode(bytes: &[u8], dimension: Option<usize>) -> Result<FrameContent, FrameError> {
     let frame = AnyFrame::decode(bytes)?;
-    let expected = match frame.payload {
-        Payload::Estimate => Some(dimension.unwrap_or(frame.words.len())),
-        Payload::Field => dimension,
+    let (kind, expected) = match frame.payload {
+        Payload::Estimate => ("estimate", Some(dimension.unwrap_or(frame.words.len()))),
+        Payload::Field => ("field", dimension),
+        Payload::Farewell => ("farewell", None),
     };
     match expected {
         Some(n) => with_dimension!(n, content(bytes), else Err(FrameError::Malformed)),
@@ -56,7 +57,7 @@ pub fn decode(bytes: &[u8], dimension: Option<usize>) -> Result<FrameContent, Fr
             sender: frame.sender,
             sequence: frame.sequence,
             tick: frame.tick,
-            kind: "field",
+            kind,
             estimate: None,
             announced: None,
         }),
@@ -64,7 +65,7 @@ pub fn decode(bytes: &[u8], dimension: Option<usize>) -> Result<FrameContent, Fr
 }
 
 fn content<const N: usize>(bytes: &[u8]) -> Result<FrameContent, FrameError> {
-    let Frame { sender, sequence, tick, estimate, announced } = Frame::<N>::decode(bytes)?;
+    let Frame { sender, sequence, tick, estimate, announced, .. } = Frame::<N>::decode(bytes)?;
     Ok(FrameContent {
         sender,
         sequence,
@@ -109,6 +110,15 @@ mod tests {
         assert_eq!(decode(&bytes, Some(2)), Ok(found));
         assert_eq!(decode(&bytes, Some(3)), Err(FrameError::Dimension { expected: 3, found: 2 }));
         assert_eq!(decode(&bytes[1..], None), Err(FrameError::Checksum));
+    }
+
+    #[test]
+    fn a_farewell_has_no_estimate() {
+        let bytes = Frame::<2>::farewell(2, 7, 300).encode();
+        for dimension in [None, Some(2)] {
+            let found = decode(&bytes, dimension).unwrap();
+            assert_eq!((found.sequence, found.kind, found.estimate), (7, "farewell", None));
+        }
     }
 
     #[test]

@@ -37,7 +37,7 @@ class _Frame(TypedDict):
     sender: int
     sequence: int
     tick: int
-    kind: Literal["estimate", "field"]
+    kind: Literal["estimate", "field", "farewell"]
     estimate: NDArray[np.float32] | None
     announced: _Announced | None
 

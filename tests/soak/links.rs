@@ -114,6 +114,11 @@ impl Links {
         {
             foreign("old frame repeated", frame.clone());
         }
+        if rng.random_bool(rates.farewell) {
+            tally.fault("farewell that no agent has said");
+            let farewell = Frame::<3>::farewell(neighbour, rng.random(), rng.random());
+            arrived.push((step, farewell.encode().to_vec()));
+        }
         arrived.into_iter().map(|(_, frame)| frame).collect()
     }
 

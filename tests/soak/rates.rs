@@ -52,6 +52,8 @@ pub(super) struct Frame {
     pub(super) noise: f64,
     /// An old frame is repeated.
     pub(super) old: f64,
+    /// With a neighbour's number: a farewell, of any sequence and tick.
+    pub(super) farewell: f64,
 }
 
 /// For every measurement.
@@ -143,6 +145,7 @@ impl Rates {
                 implausible: 0.003,
                 noise: 0.003,
                 old: 0.005,
+                farewell: 0.001,
             },
             measurement: Measurement {
                 not_a_number: 0.004,

@@ -1,7 +1,7 @@
 //! A weight store whose flash driver temporarily or permanently cannot read places of the journal.
 
 use agent_core::store::{
-    Damage, Loaded, MappedFlash, Opening, RECORD_LENGTH, Slot, Store, StoreError,
+    Change, Damage, Loaded, MappedFlash, Opening, RECORD_LENGTH, Slot, Store, StoreError,
 };
 
 use test_support::nor_flash::{SimulatedFlash, Tear};
@@ -52,6 +52,67 @@ fn newest_pair(flash: &Flash) -> usize {
         u32::from_le_bytes(record[..4].try_into().unwrap()).wrapping_add(1)
     };
     (0..2 * PAIRS).max_by_key(number).unwrap()
+}
+
+/// A node tells its neighbours before its chip stands still, so it has to know.
+#[test]
+fn the_store_foresees_what_erases_flash() {
+    const UNITS: usize = 8;
+    let mut flash: Flash = erased_flash(UNITS, Tear::Prefix, 0);
+    let mut store = Store::open(&mut flash, layout(UNIT, UNITS)).unwrap();
+    let _ = store.load(check);
+    let (mut foreseen, mut not_foreseen) = (0, 0);
+    for number in 1..200 {
+        // Whole units, parts of words, and a last word that is padded.
+        let length = 8 + usize::from(number) * 37 % (UNIT * UNITS - 8);
+        let (bytes, chunk) = (package(number, length), 1 + usize::from(number) % 150);
+        let mut watched =
+            |store: &mut Store<&mut Flash>,
+             change,
+             act: &mut dyn FnMut(&mut Store<&mut Flash>) -> bool| {
+                let (expected, before) = (store.is_to_erase(change), store.flash().erasures);
+                let is_header = act(store);
+                let erases = store.flash().erasures > before;
+                assert_eq!(erases, expected || is_header, "{number}, {change:?}");
+                foreseen += u32::from(erases && expected);
+                not_foreseen += u32::from(erases && is_header);
+            };
+        store.begin(length as u32).unwrap();
+        for (index, part) in bytes.chunks(chunk).enumerate() {
+            let offset = (index * chunk) as u32;
+            let change = Change::Bytes { offset, length: part.len() };
+            watched(&mut store, change, &mut |store| {
+                let mut is_header = false;
+                let accept = |header: &[u8]| {
+                    is_header = true;
+                    any_header(header)
+                };
+                plain(store.write(offset, part, accept).map(|_| ())).unwrap();
+                is_header
+            });
+            // A repetition erases nothing.
+            watched(&mut store, change, &mut |store| {
+                plain(store.write(offset, part, any_header).map(|_| ())).unwrap();
+                false
+            });
+        }
+        watched(&mut store, Change::Stage, &mut |store| {
+            plain(store.stage(check)).unwrap();
+            false
+        });
+        watched(&mut store, Change::Records(1), &mut |store| {
+            plain(store.activate(check, serials)).unwrap();
+            false
+        });
+        watched(&mut store, Change::Records(1), &mut |store| {
+            match number % 3 {
+                0 => drop(store.revert(0).unwrap()),
+                _ => store.confirm().unwrap(),
+            }
+            false
+        });
+    }
+    assert!(foreseen > 300 && not_foreseen == 199, "{foreseen} {not_foreseen}");
 }
 
 /// Makes the next boot unable to read a pair.

@@ -10,6 +10,12 @@
 //!   to zero at another;
 //! - *compensate* delays: an arriving sample is extrapolated by its age times the agent's own mean velocity.
 //!
+//! # Farewells
+//! An agent whose chip is about to stand still, since it erases flash, says so. Its neighbours then have no
+//! sample of it, rather than one that ages, and its first step afterwards broadcasts whether its trigger
+//! fires or not. A neighbour that hears it again broadcasts, too, because the agent may have missed its
+//! last sample meanwhile. None of this needs a parameter.
+//!
 //! # The age of a sample
 //! Clocks of agents differ, so the age is counted on the receiver's. Since a frame arrived: its steps.
 //! On its way: `arrival - tick`, of which the smallest value so far is taken for the difference of the
@@ -22,13 +28,14 @@
 //! changes, so it must be slow: with a longest delay `D` and a gain `K` of the consensus term, `smoothing`
 //! should be at least `2 D max(1, K D)`; the host warns below that.
 //!
-//! With all parameters 0 the agent is the paper's, to the bit. The feature `exchange` can be left out
+//! With all parameters 0 and without a farewell the agent is the paper's, to the bit. The feature `exchange` can be left out
 //! where flash is short; then only the paper's exchange is accepted.
 //!
-//! Memory: `4 N + 8` bytes, and 24 bytes for each held sample. Cost: some 10 operations in a step, and
+//! Memory: `4 N + 12` bytes, and 24 bytes for each held sample. Cost: some 10 operations in a step, and
 //! with fading the consensus term in every step.
 
 use crate::agent::hold::Hold;
+use crate::agent::inbox::Drained;
 use crate::math::numeric::{add_scaled, all_finite, difference, zeros};
 use crate::math::parameter::ParameterError;
 use crate::{StateVector, Tick};
@@ -135,11 +142,64 @@ pub(crate) struct Exchange<const N: usize> {
     repeat_at: Tick,
     /// The mean velocity. \[state unit/s\]
     velocity: StateVector<N>,
+    /// Whether neighbours may lack the agent's sample: it has said farewell, or one of them had.
+    #[cfg(feature = "exchange")]
+    must_speak: bool,
 }
 
 impl<const N: usize> Exchange<N> {
     pub(crate) const fn new() -> Self {
-        Self { repeat_at: 0, velocity: zeros() }
+        Self {
+            repeat_at: 0,
+            velocity: zeros(),
+            #[cfg(feature = "exchange")]
+            must_speak: false,
+        }
+    }
+
+    /// Says farewell; returns whether that is news.
+    #[cfg(feature = "exchange")]
+    pub(crate) fn leave(&mut self) -> bool {
+        !core::mem::replace(&mut self.must_speak, true)
+    }
+
+    /// Takes note of the frames that have arrived.
+    #[inline]
+    pub(crate) fn heard(&mut self, drained: &Drained) {
+        #[cfg(feature = "exchange")]
+        {
+            self.must_speak |= drained.has_returned;
+        }
+        #[cfg(not(feature = "exchange"))]
+        let _ = drained;
+    }
+
+    /// Returns whether the agent has said farewell and not broadcast since; to be asked before frames are
+    /// taken over.
+    #[cfg(feature = "field")]
+    #[inline]
+    pub(crate) fn is_away(&self) -> bool {
+        #[cfg(feature = "exchange")]
+        {
+            self.must_speak
+        }
+        #[cfg(not(feature = "exchange"))]
+        {
+            false
+        }
+    }
+
+    /// Takes the obligation to broadcast, if there is one.
+    #[inline]
+    fn take_obligation(&mut self) -> bool {
+        #[cfg(feature = "exchange")]
+        {
+            core::mem::take(&mut self.must_speak)
+        }
+        #[cfg(not(feature = "exchange"))]
+        {
+            false
+        }
     }
 
     /// Returns whether to broadcast at `tick`, `held` steps after the last broadcast; `event` says
@@ -152,10 +212,12 @@ impl<const N: usize> Exchange<N> {
         tick: Tick,
         held: Tick,
     ) -> bool {
+        let must_speak = self.take_obligation();
+        let event = event || must_speak;
         if params.is_papers() {
             return event;
         }
-        if held < Tick::from(params.gap) {
+        if held < Tick::from(params.gap) && !must_speak {
             return false;
         }
         let repeats = self.repeat_at != 0 && tick >= self.repeat_at;
@@ -211,7 +273,9 @@ mod tests {
 
     use super::*;
     use crate::agent::inbox::Inbox;
+    use crate::agent::region::Region;
     use crate::agent::{AgentParams, AgentState};
+    use crate::health::performance::disagreement;
     use crate::math::symmetric::SymmetricMatrix;
     use crate::observer::feedback::{Neighbour, ObserverParams, OutputMatrix};
     use crate::observer::network::InnerNetwork;
@@ -346,6 +410,140 @@ mod tests {
             });
             assert_eq!(terms, expected);
         }
+    }
+
+    /// An agent with the neighbour 9, whose own trigger never fires.
+    struct Listener {
+        params: AgentParams<'static, 1>,
+        state: AgentState<1, 1, [Option<Hold<1>>; 1]>,
+        inbox: Inbox<1, [Option<Hold<1>>; 1]>,
+        next: Tick,
+    }
+
+    impl Listener {
+        fn new(exchange: ExchangeParams) -> Self {
+            let params = params(exchange);
+            let state = AgentState::new(&params, [0.0].into(), &[0.0], [None]).unwrap();
+            Self { params, state, inbox: Inbox::new([None]), next: 0 }
+        }
+
+        /// Takes a step in which these frames arrive; returns consensus term and frame.
+        fn step(&mut self, frames: &[Frame<1>]) -> (f32, Option<Frame<1>>) {
+            const NO_NETWORK: Option<&InnerNetwork<&[f32]>> = None;
+            let region = Region::new([5.0].into(), [50.0].into()).unwrap();
+            for frame in frames {
+                let _ = self.inbox.accept_within(&NEIGHBOURS, &region, &frame.encode());
+            }
+            let Self { params, state, inbox, next, .. } = self;
+            let output = state.step(params, NO_NETWORK, *next, &[0.0], inbox).unwrap();
+            *next += 1;
+            (state.consensus_term()[0], output.broadcast)
+        }
+
+        fn is_absent(&self) -> bool {
+            self.state.neighbour_holds()[0].is_some_and(|hold| hold.is_absent())
+        }
+    }
+
+    fn sample(sequence: u32, estimate: f32) -> Frame<1> {
+        Frame::new(9, sequence, Tick::from(sequence), [estimate].into())
+    }
+
+    fn farewell(sequence: u32) -> Frame<1> {
+        Frame::farewell(9, sequence, sequence.into())
+    }
+
+    #[test]
+    fn a_neighbour_that_says_farewell_is_left_out_until_its_next_frame() {
+        let fades = ExchangeParams { fade_from: 500, fade_to: 900, ..ExchangeParams::PAPER };
+        for exchange in [ExchangeParams::PAPER, fades] {
+            let mut listener = Listener::new(exchange);
+            assert_eq!(listener.step(&[sample(4, 10.0)]), (20.0, None));
+            assert!(disagreement(&listener.state).is_some());
+            // The plausible region does not contain 0, which a farewell does not mean.
+            assert_eq!(listener.step(&[farewell(5)]), (0.0, None));
+            assert_eq!(disagreement(&listener.state), None);
+            assert!(listener.is_absent());
+            assert_eq!(listener.step(&[]), (0.0, None));
+            // What was sent before it, and its repetition, change nothing.
+            for old in [sample(4, 10.0), sample(3, 30.0), farewell(5), farewell(4)] {
+                assert_eq!(listener.step(&[old]), (0.0, None));
+                assert_eq!(listener.state.stale_frames(), 1);
+                assert!(listener.is_absent());
+            }
+            // The next frame brings it back, and is answered once, since it may have missed a sample.
+            let (term, answer) = listener.step(&[sample(6, 15.0)]);
+            assert_eq!((term, answer.map(|frame| frame.sequence)), (30.0, Some(1)));
+            assert!(!listener.is_absent());
+            for old in [farewell(5), sample(5, 40.0)] {
+                let (term, frame) = listener.step(&[old]);
+                assert_eq!((listener.state.stale_frames(), frame), (1, None));
+                assert!(term > 25.0 && !listener.is_absent());
+            }
+        }
+    }
+
+    #[test]
+    fn the_newest_of_a_farewell_and_a_sample_counts() {
+        for order in [[0, 1], [1, 0]] {
+            for (frames, absent) in
+                [([farewell(5), sample(6, 10.0)], false), ([sample(5, 10.0), farewell(6)], true)]
+            {
+                let mut listener = Listener::new(ExchangeParams::PAPER);
+                listener.step(&[sample(4, 20.0)]);
+                listener.step(&order.map(|place| frames[place]));
+                assert_eq!(listener.is_absent(), absent);
+            }
+        }
+        // Before the first sample.
+        let mut listener = Listener::new(ExchangeParams::PAPER);
+        assert_eq!(listener.step(&[farewell(5)]), (0.0, None));
+        assert_eq!(listener.step(&[sample(5, 10.0)]), (0.0, None));
+        assert_eq!(listener.step(&[sample(6, 10.0)]).0, 20.0);
+    }
+
+    #[test]
+    fn a_neighbour_that_restarts_after_its_farewell_is_heard_after_the_silence() {
+        let mut listener = Listener::new(ExchangeParams::PAPER);
+        listener.params = listener.params.with_restart_silence(3);
+        listener.step(&[sample(400, 10.0)]);
+        let terms = [farewell(401), sample(0, 10.0), sample(1, 10.0), sample(2, 10.0)]
+            .map(|frame| listener.step(&[frame]).0);
+        assert_eq!(terms, [0.0; 4]);
+        assert_eq!(listener.step(&[sample(3, 10.0)]).0, 20.0);
+    }
+
+    #[test]
+    fn after_a_farewell_the_next_step_broadcasts_once() {
+        let gap = ExchangeParams { gap: 50, ..ExchangeParams::PAPER };
+        let beats = ExchangeParams { heartbeat: 90, repeat: 3, ..ExchangeParams::PAPER };
+        for (exchange, repeats) in [(ExchangeParams::PAPER, false), (gap, false), (beats, true)] {
+            let mut agent = Listener::new(exchange);
+            agent.step(&[]);
+            let frame = agent.state.farewell(1).unwrap();
+            assert_eq!(frame, Frame::farewell(1, 1, 1));
+            assert!(agent.state.farewell(1).is_none());
+            // The chip stands still for 30 ticks.
+            agent.next += 30;
+            let back = agent.step(&[]).1.unwrap();
+            assert_eq!((back.sequence, back.tick, back.is_farewell), (2, 32, false));
+            assert_eq!(back.estimate, *agent.state.estimate());
+            let next = [(); 4].map(|()| agent.step(&[]).1.is_some());
+            assert_eq!(next, [false, false, repeats, false]);
+            // Another one takes the next number.
+            assert_eq!(agent.state.farewell(1).unwrap().sequence, if repeats { 4 } else { 3 });
+        }
+    }
+
+    #[test]
+    fn a_refused_step_does_not_use_up_the_obligation() {
+        const NO_NETWORK: Option<&InnerNetwork<&[f32]>> = None;
+        let mut agent = Listener::new(ExchangeParams::PAPER);
+        let _ = agent.state.farewell(1);
+        let Listener { params, state, inbox, .. } = &mut agent;
+        assert!(state.step(params, NO_NETWORK, 0, &[f32::NAN], inbox).is_err());
+        assert!(agent.step(&[]).1.is_some());
+        assert!(agent.step(&[]).1.is_none());
     }
 
     #[test]

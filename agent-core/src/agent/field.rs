@@ -30,6 +30,10 @@ use crate::observer::field::{
 use crate::observer::network::Scratch;
 use crate::observer::outer_law::combine;
 
+/// Longest time for which a chip stands still while it erases: 2 s in steps of 1 ms, and as long again.
+/// \[step\]
+const STALL_MAX: Tick = 4_096;
+
 /// Parameters and state of the field observer; none for the paper's.
 #[derive(Clone, Debug)]
 pub(super) struct Field<const N: usize, const FEATURES: usize> {
@@ -104,7 +108,7 @@ impl<const N: usize, F: Features> Prediction<'_, N, F> {
 
     /// Whether all neighbours that have been heard predict samples as this agent does.
     fn is_shared(&self, holds: &[Option<Hold<N>>]) -> bool {
-        holds.iter().flatten().all(|hold| match hold.announced() {
+        holds.iter().filter_map(Hold::present).all(|hold| match hold.announced() {
             Some(announced) => announced.digest == self.digest,
             None => false,
         })
@@ -158,7 +162,7 @@ fn followed<'h, const N: usize>(
     holds: &'h [Option<Hold<N>>],
     now: Tick,
 ) -> Option<&'h Hold<N>> {
-    let hold = |place: Option<u8>| holds.get(usize::from(place?))?.as_ref();
+    let hold = |place: Option<u8>| Hold::present(holds.get(usize::from(place?))?);
     let parent = hold(direction.parent);
     if timeout == 0 || direction.spare.is_none() {
         return parent;
@@ -253,7 +257,19 @@ where
         let arrived = |sample: &Hold<N>, held: Option<&Hold<N>>| {
             exchange.arrived(&params.exchange, step_size, sample, held, tick)
         };
-        self.stale_frames = inbox.drain_into(holds, tick, params.restart_silence, arrived);
+        let drained = inbox.drain_into(holds, tick, params.restart_silence, arrived);
+        self.stale_frames = drained.stale;
+        let was_away = exchange.is_away();
+        exchange.heard(&drained);
+        if was_away {
+            // Oscillations have gone on while the chip stood still.
+            let next = self.last_tick.map_or(tick, |last| last.saturating_add(1));
+            for _ in 0..tick.saturating_sub(next).min(STALL_MAX) {
+                for (direction, disturbance) in own.directions.iter().zip(disturbances.iter_mut()) {
+                    *disturbance = direction.model.rotated(disturbance);
+                }
+            }
+        }
         for hold in holds.iter_mut().flatten().chain([&mut self.own_hold]) {
             prediction.advance(hold, hold.behind(tick), scratch);
         }
@@ -300,7 +316,7 @@ where
                 let reference = own.coordinate(c, &reference);
                 let mut term = 0.0;
                 for (neighbour, hold) in params.neighbours().iter().zip(holds.iter()) {
-                    let Some(hold) = hold else { continue };
+                    let Some(hold) = Hold::present(hold) else { continue };
                     let share = params.exchange.share(hold.age_here(tick));
                     let difference = own.coordinate(c, hold.estimate()) - reference;
                     term += neighbour.weight * share * difference;

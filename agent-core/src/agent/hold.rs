@@ -18,6 +18,10 @@
 //! recovers from a frame whose sequence was wrongly far ahead. It does not protect against replay
 //! attacks.
 //!
+//! # Farewells
+//! A neighbour that is about to stand still says so. Its hold is then *absent*: every sum leaves it out, as
+//! before its first sample, until a frame that is newer than the farewell.
+//!
 //! Memory: `4 N + 44` bytes, rounded up to a multiple of 8. Cost: a few comparisons per received sample.
 
 use crate::math::numeric::{add_scaled, all_finite};
@@ -49,6 +53,9 @@ pub struct Hold<const N: usize> {
     offset: Option<i64>,
     /// Steps for which the sample was on its way.
     lag: u32,
+    /// Whether it stands for a farewell, whose sender has no sample until its next frame.
+    #[cfg(feature = "exchange")]
+    is_absent: bool,
     /// Whether the sample evolves as announced; if not, as in the paper. An option would not be
     /// zero for nothing, and a static of an agent would have to be kept in flash.
     #[cfg(feature = "field")]
@@ -88,6 +95,8 @@ impl<const N: usize> Hold<N> {
             taken_over: tick,
             offset: None,
             lag: 0,
+            #[cfg(feature = "exchange")]
+            is_absent: false,
             #[cfg(feature = "field")]
             goes_on: false,
             #[cfg(feature = "field")]
@@ -100,6 +109,8 @@ impl<const N: usize> Hold<N> {
     /// Returns the sample that a frame brings.
     pub(crate) fn of_frame(frame: &Frame<N>) -> Self {
         let hold = Self::new(frame.estimate, frame.tick, frame.sequence);
+        #[cfg(feature = "exchange")]
+        let hold = Self { is_absent: frame.is_farewell, ..hold };
         #[cfg(feature = "field")]
         let hold = Self {
             goes_on: frame.announced.is_some(),
@@ -126,6 +137,35 @@ impl<const N: usize> Hold<N> {
             ..frame
         };
         frame
+    }
+
+    /// Returns whether the neighbour has said farewell and not been heard since. There is then no sample,
+    /// as before the first one; sequence and tick are those of the farewell, so that older frames do not
+    /// replace it.
+    #[inline]
+    #[must_use]
+    pub const fn is_absent(&self) -> bool {
+        #[cfg(feature = "exchange")]
+        {
+            self.is_absent
+        }
+        #[cfg(not(feature = "exchange"))]
+        {
+            false
+        }
+    }
+
+    /// Returns the hold in a slot if it has a sample.
+    #[inline]
+    pub(crate) fn present(slot: &Option<Self>) -> Option<&Self> {
+        slot.as_ref().filter(|hold| !hold.is_absent())
+    }
+
+    /// Takes the next number of the sequence, for a frame that has no sample; returns it.
+    #[cfg(feature = "exchange")]
+    pub(crate) fn take_number(&mut self) -> u32 {
+        self.sequence = self.sequence.wrapping_add(1);
+        self.sequence
     }
 
     /// Returns how the sample evolves; `None` for the paper's hold.

@@ -47,6 +47,15 @@ pub struct Inbox<const N: usize, S> {
     is_trusted: bool,
 }
 
+/// What became of pending frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Drained {
+    /// How many were dropped as stale.
+    pub(crate) stale: u32,
+    /// Whether a neighbour is heard again that had said farewell.
+    pub(crate) has_returned: bool,
+}
+
 impl<const N: usize, S> Inbox<N, S> {
     /// Creates an inbox with the given slots, which must all be empty, for a `static`.
     pub const fn blank(places: S) -> Self {
@@ -87,11 +96,7 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
         region: &Region<N>,
         bytes: &[u8],
     ) -> Result<(), FrameError> {
-        let frame = Frame::decode(bytes)?;
-        if !region.contains(&frame.estimate) {
-            return Err(FrameError::Implausible { sender: frame.sender });
-        }
-        self.keep(neighbours, &frame)
+        self.accept_decoded_within(neighbours, region, &Frame::decode(bytes)?)
     }
 
     /// Like [`Self::accept`], with a frame that has been decoded before, for another receiver.
@@ -116,10 +121,17 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
         region: &Region<N>,
         frame: &Frame<N>,
     ) -> Result<(), FrameError> {
-        if !region.contains(&frame.estimate) {
-            return Err(FrameError::Implausible { sender: frame.sender });
-        }
+        self.check_region(region, frame)?;
         self.keep(neighbours, frame)
+    }
+
+    /// Refuses an estimate outside `region`; a farewell has none.
+    #[inline]
+    fn check_region(&self, region: &Region<N>, frame: &Frame<N>) -> Result<(), FrameError> {
+        if frame.is_farewell() || region.contains(&frame.estimate) {
+            return Ok(());
+        }
+        Err(FrameError::Implausible { sender: frame.sender })
     }
 
     /// Keeps a frame that [`Trust`](crate::agent::trust::Trust) believes, if its estimate is in
@@ -135,9 +147,7 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
         region: &Region<N>,
         frame: &Frame<N>,
     ) -> Result<(), FrameError> {
-        if !region.contains(&frame.estimate) {
-            return Err(FrameError::Implausible { sender: frame.sender });
-        }
+        self.check_region(region, frame)?;
         self.is_trusted = true;
         self.keep(neighbours, frame)
     }
@@ -220,8 +230,7 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
     }
 
     /// Moves every pending frame into its sender's slot in `holds` at step `now`, as what `arrived`
-    /// makes of it and of the held one, unless that is newer; returns how many frames are dropped as
-    /// stale.
+    /// makes of it and of the held one, unless that is newer.
     #[inline]
     pub(crate) fn drain_into(
         &mut self,
@@ -229,11 +238,11 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
         now: Tick,
         silence: Tick,
         arrived: impl Fn(&Hold<N>, Option<&Hold<N>>) -> Hold<N>,
-    ) -> u32 {
+    ) -> Drained {
+        let mut drained = Drained::default();
         if self.is_empty() {
-            return 0;
+            return drained;
         }
-        let mut dropped = 0;
         let is_trusted = self.is_trusted();
         for (hold, pending) in holds.iter_mut().zip(self.pending.as_mut()) {
             match (pending.take(), *hold) {
@@ -241,13 +250,17 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
                 (Some(sample), Some(held))
                     if !is_trusted && !sample.replaces(&held, now, silence) =>
                 {
-                    dropped += 1;
+                    drained.stale += 1;
                 }
-                (Some(sample), held) => *hold = Some(arrived(&sample, held.as_ref())),
+                (Some(sample), held) => {
+                    let was_absent = held.is_some_and(|held| held.is_absent());
+                    drained.has_returned |= was_absent && !sample.is_absent();
+                    *hold = Some(arrived(&sample, held.as_ref()));
+                }
             }
         }
         self.count = 0;
-        dropped
+        drained
     }
 }
 
@@ -332,7 +345,7 @@ mod tests {
         now: Tick,
         silence: Tick,
     ) -> u32 {
-        inbox.drain_into(holds, now, silence, |sample, _| sample.taken_over(now))
+        inbox.drain_into(holds, now, silence, |sample, _| sample.taken_over(now)).stale
     }
 
     const NEIGHBOURS: [Neighbour; 2] =

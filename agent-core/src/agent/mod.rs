@@ -243,6 +243,19 @@ where
         self.own_hold.frame_from(params.id)
     }
 
+    /// Returns the frame that tells the neighbours that this agent is about to stand still, to be sent before
+    /// its next step; `None` if they know already. They leave it out of their sums until they hear it
+    /// again, and the next step that is taken broadcasts in any case.
+    #[cfg(feature = "exchange")]
+    pub fn farewell(&mut self, own: crate::AgentId) -> Option<Frame<N>> {
+        if !self.exchange.leave() {
+            return None;
+        }
+        let next = self.last_tick.map_or(0, |last| last.saturating_add(1));
+        let tick = next.max(self.own_hold.tick());
+        Some(Frame::farewell(own, self.own_hold.take_number(), tick))
+    }
+
     /// Performs one step at `tick`: see the module documentation.
     ///
     /// `network` is the inner network in use; passing a different one in the next step switches to
@@ -330,7 +343,9 @@ where
         let arrived = |sample: &Hold<N>, held: Option<&Hold<N>>| {
             exchange.arrived(&params.exchange, step_size, sample, held, tick)
         };
-        self.stale_frames = inbox.drain_into(self.neighbour_holds.as_mut(), tick, silence, arrived);
+        let drained = inbox.drain_into(self.neighbour_holds.as_mut(), tick, silence, arrived);
+        self.stale_frames = drained.stale;
+        self.exchange.heard(&drained);
         self.exchange.follow(&params.exchange, &derivative);
         self.last_tick = Some(tick);
         self.estimate = estimate;
@@ -393,7 +408,9 @@ where
             let arrived = arriving.map(|sample| {
                 self.exchange.arrived(exchange, params.step_size, sample, held, tick)
             });
-            let Some(hold) = arrived.as_ref().or(held) else { continue };
+            let Some(hold) = arrived.as_ref().or(held).filter(|hold| !hold.is_absent()) else {
+                continue;
+            };
             let weight = neighbour.weight * exchange.share(hold.age_here(tick));
             ObserverParams::<N>::add_to_consensus(
                 &mut term,
@@ -522,7 +539,7 @@ where
     }
 
     /// Returns the neighbours' held samples, in the order of the parameters; `None` for a neighbour
-    /// that has not been heard yet.
+    /// that has not been heard yet. One that has said farewell is [absent](Hold::is_absent).
     #[must_use]
     pub fn neighbour_holds(&self) -> &[Option<Hold<N>>] {
         self.neighbour_holds.as_ref()

@@ -159,7 +159,7 @@ impl<const N: usize> Region<N> {
     pub(crate) fn discard_outside(&self, places: &mut [Option<Hold<N>>]) -> usize {
         let mut discarded = 0;
         for place in places {
-            if place.as_ref().is_some_and(|held| !self.contains(held.estimate())) {
+            if Hold::present(place).is_some_and(|held| !self.contains(held.estimate())) {
                 *place = None;
                 discarded += 1;
             }

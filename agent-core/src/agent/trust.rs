@@ -10,7 +10,7 @@
 //! recorded before, since the epoch is new; so the answer's stamp is recent, and from then on the
 //! rule above holds. Until then a neighbour's frames are refused.
 //!
-//! | of a neighbour | estimate or sync for another | hello | sync for this agent |
+//! | of a neighbour | estimate, farewell or sync for another | hello | sync for this agent |
 //! | --- | --- | --- | --- |
 //! | not believed yet | refused | answered | believed if it repeats an epoch of this boot |
 //! | believed | believed if its stamp is greater | answered unless its epoch is lower | likewise |

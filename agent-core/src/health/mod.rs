@@ -125,6 +125,8 @@ pub struct Tally {
     pub overflows: u32,
     /// Ticks between two attempted steps.
     pub skipped_ticks: u32,
+    /// Ticks for which the chip stood still, which are no fault of the package.
+    pub stalled_ticks: u32,
 }
 
 impl Tally {
@@ -135,6 +137,7 @@ impl Tally {
             (&mut self.restarts, other.restarts),
             (&mut self.overflows, other.overflows),
             (&mut self.skipped_ticks, other.skipped_ticks),
+            (&mut self.stalled_ticks, other.stalled_ticks),
         ] {
             *sum = sum.saturating_add(other);
         }
@@ -253,10 +256,11 @@ impl Health {
     fn skipped(&mut self, ticks: Tick) {
         let ticks = u32::try_from(ticks).unwrap_or(u32::MAX);
         self.is_changed = true;
-        let blamed = ticks.saturating_sub(core::mem::take(&mut self.excused));
+        let excused = core::mem::take(&mut self.excused).min(ticks);
         let (counters, tally) = (&mut self.counters, &mut self.tally);
         counters.skipped_ticks = counters.skipped_ticks.saturating_add(ticks);
-        tally.skipped_ticks = tally.skipped_ticks.saturating_add(blamed);
+        tally.skipped_ticks = tally.skipped_ticks.saturating_add(ticks - excused);
+        tally.stalled_ticks = tally.stalled_ticks.saturating_add(excused);
     }
 
     fn notice_broadcast<const N: usize>(&mut self, params: &HealthParams<N>, tick: Tick) {

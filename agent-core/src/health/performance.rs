@@ -109,8 +109,9 @@ impl<const N: usize> Performance<N> {
         self.attempts >= BLOCK
     }
 
-    /// Ends a block and returns it. `tally` is what happened in it: a block with a restart or an
-    /// overflow is not part of the means, nor are the ones in which the estimate converges again.
+    /// Ends a block and returns it. `tally` is what happened in it: a block with a restart, an overflow
+    /// or a chip that stood still is not part of the means, nor are the ones in which the estimate
+    /// converges again.
     /// `params` and `state` are the agent's; `last` is the last step: its measurement and the
     /// derivative, if it was taken with one.
     #[inline(never)]
@@ -151,7 +152,7 @@ impl<const N: usize> Performance<N> {
         };
         let block = Block { taken: self.taken, means };
         (self.attempts, self.taken, self.broadcasts, self.squares) = (0, 0, 0, 0.0);
-        let is_lost = tally.restarts > 0 || tally.overflows > 0;
+        let is_lost = tally.restarts > 0 || tally.overflows > 0 || tally.stalled_ticks > 0;
         if is_lost || !means.innovation.is_finite() || !means.disagreement.is_finite() {
             self.settling = SETTLING;
         } else if self.settling > 0 {
@@ -224,7 +225,7 @@ pub fn disagreement<const N: usize, const FEATURES: usize, S: HoldSlots<N>>(
         sum_of_squares(components(&apart))
     };
     let (mut sum, mut heard) = (0.0, 0_u32);
-    for hold in state.neighbour_holds().iter().flatten() {
+    for hold in state.neighbour_holds().iter().filter_map(Hold::present) {
         sum += distance(hold);
         heard += 1;
     }

@@ -454,6 +454,51 @@ fn a_sample_that_led_to_an_overflow_does_not_wait_for_ever() {
     }
 }
 
+/// Ticks for which the chip stood still are counted, but not held against the package.
+#[test]
+fn ticks_of_a_chip_that_stood_still_are_excused_once() {
+    let mut rig = Rig::new(&SETTINGS, 0.0);
+    rig.step_to(1.0).unwrap();
+    rig.tick += 40;
+    rig.health.excuse(30);
+    rig.step_to(1.0).unwrap();
+    let tally = rig.health.take_tally();
+    assert_eq!((tally.skipped_ticks, tally.stalled_ticks), (10, 30));
+    rig.tick += 5;
+    rig.step_to(1.0).unwrap();
+    let tally = rig.health.take_tally();
+    assert_eq!((tally.skipped_ticks, tally.stalled_ticks), (5, 0));
+    // More than were missed.
+    rig.tick += 5;
+    rig.health.excuse(9);
+    rig.step_to(1.0).unwrap();
+    let tally = rig.health.take_tally();
+    assert_eq!((tally.skipped_ticks, tally.stalled_ticks), (0, 5));
+    assert_eq!(rig.health.counters().skipped_ticks, 50);
+}
+
+/// What an erasure does to the innovation is no part of the record with which a package is compared.
+#[test]
+fn blocks_in_which_the_chip_stood_still_are_not_part_of_the_means() {
+    let rig = Rig::new(&SETTINGS, 0.0);
+    let mut performance = Performance::<1>::new(1, 0.0625);
+    let mut block = |error: f32, stalled_ticks| {
+        let tally = Tally { stalled_ticks, ..Tally::default() };
+        for _ in 0..performance::BLOCK {
+            let _ = performance.observe(Some(&[error]), false);
+        }
+        let _ = performance.end_block(&rig.agent, &rig.state, None, &tally);
+        performance.means().map(|means| means.innovation)
+    };
+    let quiet = (0..40).map(|_| block(0.5, 0)).last().flatten();
+    assert_eq!(quiet, Some(0.25));
+    assert_eq!(block(8.0, 3), quiet);
+    // Nor are those in which the estimate catches up.
+    assert_eq!(block(2.0, 0), quiet);
+    let later = (0..40).map(|_| block(1.0, 0)).last().flatten();
+    assert!(later > quiet);
+}
+
 #[test]
 fn samples_up_to_the_ceiling_cannot_make_a_step_overflow() {
     for sign in [1.0, -1.0] {

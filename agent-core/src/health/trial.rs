@@ -19,7 +19,8 @@
 //! A package passes with an attempt that lasts as long as the trial needs. An attempt that can no
 //! longer pass ends at once and the next one begins, so a transient after the switch does no harm.
 //! The trial ends three times that long after it has begun, or as soon as the time that is left is
-//! too short for another attempt. Blocks with too few measurements neither help nor harm.
+//! too short for another attempt. Blocks with too few measurements, and those in which the chip stood
+//! still, neither help nor harm; only the first block is compared in any case.
 //!
 //! Without a bound of the innovation, and without a record of what was in use before, nothing tells
 //! a bad package from a good one: then only the operator can confirm it, before the deadline. The same
@@ -254,7 +255,7 @@ impl Trial {
                 return self.fail(RevertReason::Innovation);
             }
         }
-        if block.is_whole() {
+        if block.is_whole() && tally.stalled_ticks == 0 {
             self.attempt.add(&block.means);
             self.whole.add(&block.means);
             if let Some(reason) = self.cannot_pass() {

@@ -11,6 +11,10 @@ use super::StoreError;
 /// interrupted erasure only its own units. A driver whose flash erases to another value must invert
 /// reads and writes.
 pub trait MappedFlash: NorFlash {
+    /// Whether the chip stands still while it erases. A node on such a board says farewell to its
+    /// neighbours first; `erase` then begins with a wait for the link, so that the frame gets out.
+    const STALLS: bool = false;
+
     /// Returns the whole region from offset 0, with the contents that [`ReadNorFlash::read`]
     /// returns, also right after a write or an erasure. A driver for cached flash must invalidate
     /// the cache.
@@ -21,6 +25,8 @@ pub trait MappedFlash: NorFlash {
 }
 
 impl<F: MappedFlash> MappedFlash for &mut F {
+    const STALLS: bool = F::STALLS;
+
     fn mapped(&self) -> &[u8] {
         F::mapped(self)
     }

@@ -348,6 +348,12 @@ impl Journal {
         kinds < layout.pairs()
     }
 
+    /// Returns whether that many more records do not fit into the active half, so that the other one will
+    /// be erased for them.
+    pub(super) fn is_full_for(&self, layout: &Layout, records: u32) -> bool {
+        self.next_pair.saturating_add(records) > layout.pairs()
+    }
+
     /// Writes `record` durably, in two copies. After an error it may or may not survive a reboot.
     #[inline(never)]
     pub(super) fn append<F: MappedFlash>(

@@ -130,6 +130,23 @@ impl core::fmt::Display for Slot {
     }
 }
 
+/// What is about to be done with a store.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// So many records are appended to the journal: one by [`Store::activate`], [`Store::confirm`],
+    /// [`Store::revert`] and each note.
+    Records(u32),
+    /// [`Store::write`] gets so many bytes at this offset.
+    Bytes {
+        /// Where they begin.
+        offset: u32,
+        /// How many they are.
+        length: usize,
+    },
+    /// [`Store::stage`] ends the upload.
+    Stage,
+}
+
 /// The slots, the journal, and the current upload.
 ///
 /// ```
@@ -408,6 +425,26 @@ impl<F: MappedFlash> Store<F> {
         let slot = self.contents.spare();
         self.upload = Some(Upload::new(slot, self.layout.slot(slot), length));
         Ok(())
+    }
+
+    /// Returns whether this change is going to erase flash, if it is not refused. It does not tell so of
+    /// the bytes that complete a header: as soon as the check of [`Self::write`] has accepted it,
+    /// something is erased. Nor can it foresee that flash refuses a write and has to be erased for that.
+    #[must_use]
+    pub fn is_to_erase(&self, change: Change) -> bool {
+        let reaches = |end| self.upload.as_ref().is_some_and(|upload| upload.erases_for::<F>(end));
+        let records = match change {
+            Change::Records(records) => records,
+            Change::Bytes { offset, length } => {
+                let end =
+                    u32::try_from(length).map_or(u32::MAX, |length| offset.saturating_add(length));
+                // The bytes after the last whole word wait.
+                return reaches(end - end % F::WRITE_SIZE as u32);
+            }
+            Change::Stage if reaches(u32::MAX) => return true,
+            Change::Stage => 1,
+        };
+        self.journal.is_full_for(&self.layout, records)
     }
 
     /// Takes the bytes of the package from `offset` on, some or all of which may repeat earlier

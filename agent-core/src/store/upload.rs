@@ -114,6 +114,13 @@ impl Upload {
         Ok(())
     }
 
+    /// Returns whether a unit will be erased before the first `end` bytes are in flash. The first one is
+    /// erased as soon as the header has been accepted.
+    pub(super) fn erases_for<F: MappedFlash>(&self, end: u32) -> bool {
+        let next_unit = self.written.checked_next_multiple_of(F::ERASE_SIZE as u32);
+        self.is_started && next_unit.is_some_and(|unit| unit < end.min(self.length))
+    }
+
     /// Appends the next bytes. After an error the slot's contents are undefined.
     pub(super) fn append<F: MappedFlash>(
         &mut self,

@@ -9,18 +9,23 @@
 //! | sender | `u32` | variable-length integer |
 //! | sequence | `u32` | variable-length integer, counts broadcasts from 0 |
 //! | tick | `u64` | variable-length integer, the step at which the sample was taken |
-//! | payload kind | enum | variable-length integer: 0 is an estimate, 1 a field announcement |
+//! | payload kind | enum | variable-length integer: 0 is an estimate, 1 a field announcement, 2 a farewell |
 //! | content | `[f32]` | number of words as a variable-length integer, then little-endian words |
 //! | checksum | `u32` | four bytes |
 //!
-//! More kinds of payload can be added; a receiver refuses kinds it does not know. Delimiting and
-//! encryption are left to the layers below.
+//! More kinds of payload can be added; a receiver refuses kinds it does not know, or whose feature it was
+//! built without. Delimiting and encryption are left to the layers below.
+//!
+//! A farewell has no words: its sender is about to stand still, and neighbours leave it out until its
+//! next frame.
 //!
 //! Cost: linear in the length. Invariant: decoding gives either a frame with a finite estimate of
 //! the right dimension or an error; it never panics, whatever the bytes.
 
 use serde::{Deserialize, Serialize};
 
+#[cfg(feature = "exchange")]
+use crate::math::numeric::zeros;
 use crate::math::numeric::{all_finite, components};
 #[cfg(feature = "field")]
 use crate::wire::announced::Announced;
@@ -74,6 +79,9 @@ pub struct Frame<const N: usize> {
     /// How the sample evolves, from an agent with the field observer.
     #[cfg(feature = "field")]
     pub announced: Option<Announced<N>>,
+    /// Whether the sender is about to stand still. The estimate is then 0 and means nothing.
+    #[cfg(feature = "exchange")]
+    pub is_farewell: bool,
 }
 
 /// Why received bytes or a decoded frame were refused.
@@ -195,6 +203,29 @@ impl<const N: usize> Frame<N> {
             estimate,
             #[cfg(feature = "field")]
             announced: None,
+            #[cfg(feature = "exchange")]
+            is_farewell: false,
+        }
+    }
+
+    /// Creates the frame with which an agent tells its neighbours that it is about to stand still.
+    #[cfg(feature = "exchange")]
+    #[must_use]
+    pub const fn farewell(sender: AgentId, sequence: u32, tick: Tick) -> Self {
+        Self { is_farewell: true, ..Self::new(sender, sequence, tick, zeros()) }
+    }
+
+    /// Whether the frame is a farewell.
+    #[inline]
+    #[must_use]
+    pub const fn is_farewell(&self) -> bool {
+        #[cfg(feature = "exchange")]
+        {
+            self.is_farewell
+        }
+        #[cfg(not(feature = "exchange"))]
+        {
+            false
         }
     }
 
@@ -210,6 +241,9 @@ impl<const N: usize> Frame<N> {
     /// Calls `use_content` with what the frame carries.
     #[inline]
     pub(crate) fn with_content<R>(&self, use_content: impl FnOnce(Payload, &[[u8; 4]]) -> R) -> R {
+        if self.is_farewell() {
+            return use_content(Payload::Farewell, &[]);
+        }
         #[cfg(feature = "field")]
         if let Some(announced) = &self.announced {
             return use_content(Payload::Field, &announced.words(&self.estimate));
@@ -238,6 +272,9 @@ impl<const N: usize> Frame<N> {
                     ..Self::new(sender, sequence, tick, estimate)
                 })
             }
+            #[cfg(feature = "exchange")]
+            Payload::Farewell if words.is_empty() => Ok(Self::farewell(sender, sequence, tick)),
+            _ => Err(FrameError::Malformed),
         }
     }
 
@@ -315,14 +352,26 @@ struct Head {
     count: u16,
 }
 
-/// The kinds of payload.
+/// The kinds of payload. Without its feature a kind is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Payload {
     /// The estimate, as in the paper.
     Estimate,
-    /// A head, the estimate, and how it evolves: [`crate::wire::announced`].
-    #[cfg(feature = "field")]
+    /// A head, the estimate, and how it evolves (feature `field`): `crate::wire::announced`.
     Field,
+    /// Nothing: the sender is about to stand still (feature `exchange`).
+    Farewell,
+}
+
+impl Payload {
+    /// Whether this firmware knows what such a frame of this many words is.
+    pub(crate) const fn is_known(self, words: usize) -> bool {
+        match self {
+            Self::Estimate => true,
+            Self::Field => cfg!(feature = "field"),
+            Self::Farewell => cfg!(feature = "exchange") && words == 0,
+        }
+    }
 }
 
 /// Returns the sender that these bytes name, if they begin like a frame. Nothing is checked.
@@ -372,7 +421,11 @@ fn decode(bytes: &[u8], most: usize) -> Result<(Head, &[[u8; 4]]), FrameError> {
     }
     let (head, rest) = codec::take::<Head>(rest).ok_or(FrameError::Malformed)?;
     match rest.as_chunks() {
-        (words, []) if words.len() == usize::from(head.count) && words.len() <= most => {
+        (words, [])
+            if words.len() == usize::from(head.count)
+                && words.len() <= most
+                && head.payload.is_known(words.len()) =>
+        {
             Ok((head, words))
         }
         _ => Err(FrameError::Malformed),
@@ -455,6 +508,10 @@ mod tests {
         assert_eq!(decode(&bytes[..bytes.len() - 1]), Err(FrameError::Checksum));
         assert_eq!(decode(&resealed(|b| b[0] = 9)), Err(FrameError::Version { found: 9 }));
         assert_eq!(decode(&resealed(|b| b[7] = 1)), Err(FrameError::Malformed));
+        // A farewell with words, and a kind that does not exist.
+        assert_eq!(decode(&resealed(|b| b[7] = 2)), Err(FrameError::Malformed));
+        assert_eq!(AnyFrame::decode(&resealed(|b| b[7] = 2)), Err(FrameError::Malformed));
+        assert_eq!(decode(&resealed(|b| b[7] = 3)), Err(FrameError::Malformed));
         assert_eq!(decode(&resealed(|b| b.push(0).unwrap())), Err(FrameError::Malformed));
         assert_eq!(decode(&resealed(|b| b.truncate(b.len() - 1))), Err(FrameError::Malformed));
         // The sender 2, encoded with a superfluous byte.
@@ -469,6 +526,47 @@ mod tests {
         );
         let infinite = Frame::<3> { estimate: [1.0, f32::INFINITY, 0.0].into(), ..frame() };
         assert_eq!(decode(&infinite.encode()), Err(FrameError::NotFinite { sender: 2 }));
+    }
+
+    #[test]
+    fn a_farewell_has_no_words_and_one_byte_string() {
+        let body = [1, 2, 0xac, 0x02, 0xf0, 0xa2, 0x04, 2, 0];
+        let bytes = resealed(|bytes| *bytes = FrameBytes::from_slice(&body).unwrap());
+        #[cfg(feature = "exchange")]
+        {
+            let farewell = Frame::<3>::farewell(2, 300, 70_000);
+            assert_eq!(farewell.encode(), bytes);
+            assert_eq!(Frame::decode(&bytes), Ok(farewell));
+            assert_eq!(Frame::decode(&bytes), Ok(Frame::<1>::farewell(2, 300, 70_000)));
+            let any = AnyFrame::decode(&bytes).unwrap();
+            assert_eq!((any.payload, any.words.len()), (Payload::Farewell, 0));
+            assert_eq!(any.encode(), bytes);
+        }
+        #[cfg(not(feature = "exchange"))]
+        assert_eq!(Frame::<3>::decode(&bytes), Err(FrameError::Malformed));
+        // The kind in two bytes, more bytes after it, or fewer.
+        let changes: [fn(&mut FrameBytes); 4] = [
+            |b| {
+                b[7] = 0x82;
+                b.insert(8, 0).unwrap();
+            },
+            |b| b.push(0).unwrap(),
+            |b| b.truncate(8),
+            |b| b.extend_from_slice(&[0; 4]).unwrap(),
+        ];
+        for change in changes {
+            let changed = resealed(|bytes| {
+                *bytes = FrameBytes::from_slice(&body).unwrap();
+                change(bytes);
+            });
+            assert_eq!(Frame::<3>::decode(&changed), Err(FrameError::Malformed));
+            assert_eq!(AnyFrame::decode(&changed), Err(FrameError::Malformed));
+        }
+        for bit in 0..bytes.len() * 8 {
+            let mut flipped = bytes.clone();
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            assert_eq!(Frame::<3>::decode(&flipped), Err(FrameError::Checksum));
+        }
     }
 
     proptest! {
@@ -487,6 +585,7 @@ mod tests {
             for bytes in [bytes, resealed] {
                 if let Ok(frame) = Frame::<3>::decode(&bytes) {
                     prop_assert!(all_finite(&frame.estimate));
+                    prop_assert_eq!(&frame.encode()[..], &bytes[..]);
                 }
             }
         }

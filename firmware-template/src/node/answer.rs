@@ -3,7 +3,7 @@
 use agent_core::health::{RevertReason, Trial, Verdict};
 use agent_core::package::{Envelope, Package};
 use agent_core::service::{Problem, Upload, receive, split_number};
-use agent_core::store::{MappedFlash, Slot};
+use agent_core::store::{Change, MappedFlash, Slot};
 use agent_core::{StateVector, Tick};
 
 use super::limits::take;
@@ -45,7 +45,10 @@ impl<
                         Ok((Response::SamplesEnd { next }, Next::Continue))
                     }
                     Request::StartAt { estimate } => self.start(board, &estimate),
-                    request => self.carry_out(&request),
+                    request => {
+                        self.leave_before(board, &request);
+                        self.carry_out(board, &request)
+                    }
                 }
             });
         match answer {
@@ -64,7 +67,28 @@ impl<
         }
     }
 
-    fn carry_out(&mut self, request: &Request<'_>) -> Answer<'static> {
+    /// Says farewell if the request makes the chip stand still.
+    fn leave_before<B: Board>(&mut self, board: &mut B, request: &Request<'_>) {
+        self.leave_for(
+            board,
+            match *request {
+                Request::Chunk { offset, bytes } => Change::Bytes { offset, length: bytes.len() },
+                Request::Stage if self.store.received().is_some() => Change::Stage,
+                Request::Activate if self.store.staged().is_some() => Change::Records(1),
+                Request::Confirm | Request::Revert if self.store.is_on_trial() => {
+                    Change::Records(1)
+                }
+                Request::OperatorKeys { .. } => Change::Records(1),
+                // Keys and epochs, or all that is to be forgotten.
+                Request::Provision { .. } | Request::NetworkKeys { .. } | Request::FactoryReset => {
+                    Change::Records(4)
+                }
+                _ => return,
+            },
+        );
+    }
+
+    fn carry_out<B: Board>(&mut self, board: &mut B, request: &Request<'_>) -> Answer<'static> {
         self.flash_used |= matches!(
             request,
             Request::Begin { .. }
@@ -84,7 +108,7 @@ impl<
                 self.store.begin(length)?;
                 upload(0)
             }
-            Request::Chunk { offset, bytes } => upload(self.take_chunk(offset, bytes)?),
+            Request::Chunk { offset, bytes } => upload(self.take_chunk(board, offset, bytes)?),
             Request::Stage => self.stage(),
             Request::Activate => self.activate(),
             Request::Confirm => {
@@ -207,6 +231,7 @@ impl<
 
     /// Confirms the package on trial.
     pub(super) fn confirm<B: Board>(&mut self, board: &mut B, tick: Tick) {
+        self.leave_for(board, Change::Records(1));
         // If the journal cannot be written now, a later attempt may succeed.
         if self.store.confirm().is_ok()
             && let Some(package) = &self.in_use
@@ -226,6 +251,7 @@ impl<
     /// Ends the trial of a package that must not stay in use.
     #[inline(never)]
     pub(super) fn end_trial<B: Board>(&mut self, board: &mut B, tick: Tick, reason: RevertReason) {
+        self.leave_for(board, Change::Records(1));
         let failed = self.in_use.map_or(0, |package| package.serial.version);
         // If the journal cannot be written now, a later attempt may succeed.
         if self.revert(reason).is_ok() {

@@ -12,7 +12,7 @@ use agent_core::package::{
     Serial, TrialLimits, accept, accept_header,
 };
 use agent_core::service::RefusalReport;
-use agent_core::store::{self, MappedFlash, Store};
+use agent_core::store::{self, Change, MappedFlash, Store};
 use agent_core::{AgentId, StateVector};
 
 use super::limits::take;
@@ -71,21 +71,35 @@ impl<
     }
 
     /// Takes a part of an upload. Before anything is erased, its header is checked.
-    pub(super) fn take_chunk(
+    pub(super) fn take_chunk<B: Board>(
         &mut self,
+        board: &mut B,
         offset: u32,
         bytes: &[u8],
     ) -> Result<u32, store::CheckedError<Refusal>> {
         let agent = self.agent();
-        let Self { store, memory, settings, limits, guard, .. } = self;
-        let requirements =
-            Self::required(settings, guard.operators(settings), agent, store.activated());
+        let Self { store, memory, settings, limits, guard, counts, .. } = self;
+        let highest = store.activated();
         store.write(offset, bytes, |header| {
             take(&mut limits.uploads, !memory.session.is_empty())?;
+            let requirements = Self::required(settings, guard.operators(settings), agent, highest);
             // A package of format 1 is checked when it is complete.
             accept_header::<N>(header, &requirements).map_err(store::CheckedError::Refused)?;
+            if F::STALLS {
+                // Its first unit is erased now.
+                memory.leave(guard, board, counts);
+            }
             Ok(())
         })
+    }
+
+    /// Says farewell to the neighbours if this change makes the chip stand still.
+    pub(super) fn leave_for<B: Board>(&mut self, board: &mut B, change: Change) {
+        if F::STALLS && self.store.is_to_erase(change) {
+            let Self { memory, guard, counts, flash_used, .. } = self;
+            *flash_used = true;
+            memory.leave(guard, board, counts);
+        }
     }
 
     /// Puts the staged package on trial if it still passes all checks, its signature included.
@@ -225,6 +239,33 @@ impl<
         }
         Some(started)
     }
+}
+
+impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize, const SAMPLES: usize>
+    Memory<N, FEATURES, NEIGHBOURS, SAMPLES>
+{
+    /// Tells the neighbours that the chip is about to stand still, if they know the agent.
+    #[cfg(feature = "exchange")]
+    #[inline(never)]
+    fn leave<B: Board>(
+        &mut self,
+        guard: &mut Guard<NEIGHBOURS>,
+        board: &mut B,
+        counts: &mut Counts,
+    ) {
+        let Self { agent, session, .. } = self;
+        if let Some(session) = session.first().filter(|_| agent.announced)
+            && let Some(frame) = agent.state.farewell(session.agent)
+            && let Err(kind) = guard.broadcast(&frame, board)
+        {
+            counts.not_sent(kind);
+        }
+    }
+
+    /// Nothing: neighbours without the feature refuse such frames.
+    #[cfg(not(feature = "exchange"))]
+    #[expect(clippy::unused_self, reason = "as with the feature")]
+    fn leave<B: Board>(&mut self, _: &mut Guard<NEIGHBOURS>, _: &mut B, _: &mut Counts) {}
 }
 
 impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize>

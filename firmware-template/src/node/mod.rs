@@ -45,7 +45,7 @@ use agent_core::service::{
     Performance as PerformanceReport, RefusalReport, Report, Request, Response,
     Session as PortSession, Status, Subscription, TrialReport,
 };
-use agent_core::store::{LayoutError, MappedFlash, Slot, Store};
+use agent_core::store::{Change, LayoutError, MappedFlash, Slot, Store};
 use agent_core::{AgentId, Tick};
 
 pub use settings::{Epochs, RECOMMENDED_TRIAL, Settings, Start};
@@ -341,6 +341,8 @@ impl<
             }
             Due::Session => {
                 self.begin_session();
+                // It may have to reserve epochs.
+                self.leave_for(board, Change::Records(1));
                 self.prepare_guard();
                 if let Some(session) = self.memory.session.first() {
                     board.start(session.params.step_size());

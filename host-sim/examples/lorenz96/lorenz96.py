@@ -92,7 +92,7 @@ period = {PERIOD}
 # growth, and measurements have noise.
 [design]
 gain = 80.0
-k2 = 1.0
+k2 = 2.0
 kappa = 1.0
 rho = 30.0
 delta = 100.0

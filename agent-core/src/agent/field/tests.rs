@@ -618,6 +618,67 @@ fn samples_that_were_held_constant_catch_up() {
     }
 }
 
+/// A parent that says farewell is no longer followed; when it is back, the samples of all ends agree again.
+#[cfg(feature = "exchange")]
+#[test]
+fn a_fleet_goes_on_without_an_agent_that_stands_still_and_takes_it_back() {
+    for hold in HoldKind::ALL {
+        let mut fleet = Fleet::new(options(hold));
+        (0..400).for_each(|tick| {
+            fleet.step(tick);
+        });
+        let farewell = fleet.0[0].state.farewell(1).unwrap();
+        fleet.send(0, &farewell);
+        for tick in 400..440 {
+            for i in [1, 2] {
+                let frame = fleet.0[i].step(tick, Some(plant(i, tick)));
+                // Agent 1 cannot hear it.
+                assert!(frame.is_none_or(|frame| !frame.is_farewell));
+                assert!(fleet.0[i].hold_of(1).unwrap().is_absent());
+                let kind = fleet.0[i].kinds().last().copied().flatten();
+                assert_eq!(kind, Some(hold), "an absent neighbour does not predict otherwise");
+            }
+        }
+        let before = fleet.0[0].sent.len();
+        // All of them broadcast within two steps.
+        let first = fleet.step(440);
+        assert!(first[0] && fleet.0[0].sent.len() == before + 1);
+        let second = fleet.step(441);
+        assert!(second[1] && second[2], "{hold:?} {second:?}");
+        let mut agreements = 0;
+        for tick in 442..700 {
+            let sent = fleet.step(tick);
+            agreements += fleet.agreements(sent);
+        }
+        assert!(agreements > 800, "{agreements}");
+        for member in &fleet.0 {
+            assert!(error(member, 700) < 0.1, "{hold:?} {}", error(member, 700));
+        }
+    }
+}
+
+/// The agent's own model of a disturbance turns by what it has missed, but only after a farewell.
+#[cfg(feature = "exchange")]
+#[test]
+fn oscillations_go_on_while_the_chip_stands_still() {
+    let mut fleet = Fleet::new(options(HoldKind::Rate));
+    (0..400).for_each(|tick| {
+        fleet.step(tick);
+    });
+    let before = fleet.0[0].state.disturbances()[0];
+    let model = field(0, options(HoldKind::Rate)).directions[0].model;
+    let mut away = fleet.0[0].clone();
+    let mut late = fleet.0[0].clone();
+    let _ = away.state.farewell(1).unwrap();
+    for (member, steps) in [(&mut away, 501), (&mut late, 1)] {
+        member.step(900, None);
+        let expected = (0..steps).fold(before, |turned, _| model.rotated(&turned));
+        let found = member.state.disturbances()[0];
+        assert_eq!((found.cosine, found.sine), (expected.cosine, expected.sine), "{steps}");
+        assert!(expected.cosine != before.cosine);
+    }
+}
+
 #[test]
 fn the_exchange_beats_waits_and_repeats() {
     // Without a network and at rest, nothing happens by itself.

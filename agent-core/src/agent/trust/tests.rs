@@ -136,6 +136,37 @@ fn other_neighbours_do_not_make_recordings_believed_again() {
     assert!(one.open::<1>(&[KEY], &sync).unwrap().is_some());
 }
 
+/// A farewell is believed as an estimate is, and counts among them.
+#[cfg(feature = "exchange")]
+#[test]
+fn a_farewell_has_a_stamp_of_its_own() {
+    let [mut one, mut two] = pair(5, 8);
+    let farewell = Frame::<1>::farewell(2, 8, 90);
+    let sealed = two.seal(&farewell, &KEY).unwrap();
+    let refused = FrameError::NotBelieved { sender: 2 };
+    assert_eq!(one.open::<1>(&[KEY], &sealed), Err(refused));
+
+    let _ = two.seal(&sampled(2, 9), &KEY);
+    let _ = two.open::<1>(&[KEY], &one.hello(0, &KEY).unwrap());
+    let sync = two.answer(&sampled(2, 9), 3, &KEY).unwrap();
+    assert!(one.open::<1>(&[KEY], &sync).is_ok());
+    let replayed = Err(FrameError::Replayed { sender: 2 });
+    assert_eq!(one.open::<1>(&[KEY], &sealed), replayed);
+    let farewell = Frame { sequence: 10, ..farewell };
+    let sealed = two.seal(&farewell, &KEY).unwrap();
+    assert_eq!(one.open(&[KEY], &sealed), Ok(Some(farewell)));
+    assert_eq!(one.open::<1>(&[KEY], &sealed), replayed);
+    // A hello is not answered with the sample from before it.
+    let _ = two.open::<1>(&[KEY], &trust(1, (20, 30)).hello(0, &KEY).unwrap());
+    assert_eq!(two.answer(&sampled(2, 9), 1_000, &KEY), None);
+    let back = two.seal(&sampled(2, 11), &KEY).unwrap();
+    assert_eq!(one.open(&[KEY], &back), Ok(Some(sampled(2, 11))));
+    // A stranger cannot say farewell for it.
+    let stranger = NetworkKey::new(1, Secret::new([8; 16]));
+    let forged = two.seal(&Frame::<1>::farewell(2, 12, 120), &stranger).unwrap();
+    assert_eq!(one.open::<1>(&[KEY], &forged), Err(FrameError::Tag { sender: 2 }));
+}
+
 #[test]
 fn epochs_that_come_late_believe_no_answer_of_an_earlier_boot() {
     let [mut one, mut two] = pair(5, 8);

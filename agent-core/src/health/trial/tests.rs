@@ -78,6 +78,24 @@ fn a_transient_after_the_switch_costs_an_attempt_and_not_the_trial() {
     assert_eq!(run(&LIMITS, Some(BEFORE), transient), (Verdict::Passed, NEEDED + 4));
 }
 
+/// An erasure in the middle of an attempt, as for a key.
+#[test]
+fn a_chip_that_stands_still_costs_a_block_and_not_the_attempt() {
+    let stalled = |second| {
+        let stalled_ticks = u32::from(second == 10) * 2_000;
+        let innovation = if second == 10 { 200.0 } else { 4.0 };
+        (Means { innovation, ..BEFORE }, Tally { stalled_ticks, ..Tally::default() })
+    };
+    assert_eq!(run(&LIMITS, Some(BEFORE), stalled), (Verdict::Passed, NEEDED + 1));
+    // But the first block shows whether the package knows what is measured.
+    let first = |second| {
+        let (means, tally) = stalled(second + 9);
+        (Means { innovation: 100.0 * means.innovation, ..means }, tally)
+    };
+    let found = run(&LIMITS, Some(BEFORE), first);
+    assert_eq!(found, (Verdict::Failed(RevertReason::Innovation), 1));
+}
+
 #[test]
 fn an_estimate_that_no_longer_fits_the_measurement_at_the_switch_ends_it_at_once() {
     for innovation in [300.0, 1e30, f32::INFINITY, f32::NAN] {

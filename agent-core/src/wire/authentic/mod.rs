@@ -10,10 +10,10 @@
 //! | epoch | `u32` | variable-length integer, rises with every boot of the sender |
 //! | sequence | `u32` | variable-length integer, counts the broadcasts of an epoch from 0 |
 //! | tick | `u64` | variable-length integer, the step at which the sample was taken |
-//! | kind | enum | variable-length integer: 0 estimate, 1 hello, 2 sync, 3 field, 4 field sync |
+//! | kind | enum | variable-length integer: 0 estimate, 1 hello, 2 sync, 3 field, 4 field sync, 5 farewell |
 //! | to | [`AgentId`] | variable-length integer; only in a sync |
 //! | epoch of the hello | `u32` | variable-length integer; only in a sync |
-//! | content | `[f32]` | four bytes each, little-endian, as in version 1; none in a hello |
+//! | content | `[f32]` | four bytes each, little-endian, as in version 1; none in a hello or a farewell |
 //! | tag | `u64` | eight bytes, SipHash-2-4 of all bytes before it |
 //!
 //! The tag replaces the checksum of version 1. Its key is derived from the network key and the
@@ -70,7 +70,7 @@ pub struct Header {
     pub kind: Kind,
 }
 
-/// What an authentic frame is for.
+/// What an authentic frame is for. Without its feature a kind is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Kind {
     /// A broadcast of the observer: the estimate is `x_hat_i(t_k)`.
@@ -86,16 +86,16 @@ pub enum Kind {
         epoch: u32,
     },
     /// Like [`Kind::Estimate`], from an agent with the field observer.
-    #[cfg(feature = "field")]
     Field,
     /// Like [`Kind::Sync`], from an agent with the field observer.
-    #[cfg(feature = "field")]
     FieldSync {
         /// The agent whose hello is answered.
         to: AgentId,
         /// The epoch of that hello.
         epoch: u32,
     },
+    /// The sender is about to stand still. The frame has no estimate.
+    Farewell,
 }
 
 impl Kind {
@@ -104,18 +104,18 @@ impl Kind {
     pub fn broadcast(payload: Payload) -> Self {
         match payload {
             Payload::Estimate => Self::Estimate,
-            #[cfg(feature = "field")]
             Payload::Field => Self::Field,
+            Payload::Farewell => Self::Farewell,
         }
     }
 
-    /// The kind of an answer to `to`'s hello in `epoch` with this content.
+    /// The kind of an answer to `to`'s hello in `epoch` with this content. A farewell answers nothing.
     #[must_use]
     pub fn answer(payload: Payload, to: AgentId, epoch: u32) -> Self {
         match payload {
             Payload::Estimate => Self::Sync { to, epoch },
-            #[cfg(feature = "field")]
             Payload::Field => Self::FieldSync { to, epoch },
+            Payload::Farewell => Self::Farewell,
         }
     }
 
@@ -125,8 +125,8 @@ impl Kind {
         match self {
             Self::Hello => None,
             Self::Estimate | Self::Sync { .. } => Some(Payload::Estimate),
-            #[cfg(feature = "field")]
             Self::Field | Self::FieldSync { .. } => Some(Payload::Field),
+            Self::Farewell => Some(Payload::Farewell),
         }
     }
 
@@ -135,7 +135,6 @@ impl Kind {
     pub fn answered(self) -> Option<(AgentId, u32)> {
         match self {
             Self::Sync { to, epoch } => Some((to, epoch)),
-            #[cfg(feature = "field")]
             Self::FieldSync { to, epoch } => Some((to, epoch)),
             _ => None,
         }
@@ -187,8 +186,12 @@ pub fn open<'b>(
     if key.tag(sender, body) != u64::from_le_bytes(*tag) {
         return Err(refused);
     }
+    let has_words = !matches!(kind, Kind::Hello | Kind::Farewell);
+    let is_known = |words| kind.payload().is_none_or(|payload| payload.is_known(words));
     match rest.as_chunks() {
-        (words, []) if (kind == Kind::Hello) == words.is_empty() => Ok((header, words)),
+        (words, []) if has_words != words.is_empty() && is_known(words.len()) => {
+            Ok((header, words))
+        }
         _ => Err(FrameError::Malformed),
     }
 }

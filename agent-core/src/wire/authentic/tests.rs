@@ -97,8 +97,16 @@ fn an_estimate_of_another_dimension_or_not_finite_is_refused() {
 }
 
 #[test]
-fn only_a_hello_has_no_estimate() {
+fn only_a_hello_and_a_farewell_have_no_estimate() {
     assert_eq!(opened(&sealed(Kind::Hello, &[1.0, 2.0], &KEY)), Err(FrameError::Malformed));
+    assert_eq!(opened(&sealed(Kind::Farewell, &[1.0, 2.0], &KEY)), Err(FrameError::Malformed));
+    let farewell = sealed(Kind::Farewell, &[], &KEY);
+    assert_eq!(farewell[9..farewell.len() - TAG_LENGTH], [5]);
+    let expected = (header(Kind::Farewell), StateVector::zeros());
+    #[cfg(feature = "exchange")]
+    assert_eq!(opened(&farewell), Ok(expected));
+    #[cfg(not(feature = "exchange"))]
+    assert_ne!(opened(&farewell), Ok(expected));
     for kind in [Kind::Estimate, Kind::Sync { to: 1, epoch: 2 }] {
         assert_eq!(opened(&sealed(kind, &[], &KEY)), Err(FrameError::Malformed));
     }

@@ -80,6 +80,9 @@ impl NorFlash for Flash {
 }
 
 impl MappedFlash for Flash {
+    /// In the loop, time is that of the simulation.
+    const STALLS: bool = !cfg!(feature = "in-the-loop");
+
     fn mapped(&self) -> &[u8] {
         self.region.bytes()
     }

@@ -19,15 +19,17 @@
 //! nodes.
 //!
 //! **Flash.** While a page is erased (85 ms) or a word is written (41 us; product specification,
-//! NVMC electrical specification), the processor is halted. The timer keeps running, so ticks stay
-//! correct.
+//! NVMC electrical specification), the processor is halted. Before an erasure the node says farewell to
+//! its neighbours. The timer keeps running, so ticks stay correct.
 //!
 //! **Faults.** A panic, a processor fault and a reset request all reset the chip. So does the watchdog
-//! if the main loop stops for 8 s; it is fed only there, once per iteration.
+//! if the main loop stops for 8 s; it is fed only there, once per iteration. A failed sensor or a held
+//! bus costs one measurement (`bus.rs`), and the sensor is set up again for the next sample.
 #![no_std]
 #![no_main]
 #![allow(unsafe_code, reason = "accesses registers and unmasks interrupts")]
 
+mod bus;
 mod clock;
 mod flash;
 mod radio;
@@ -55,8 +57,8 @@ use hal::clocks::{ExternalOscillator, Internal, LfOscStopped};
 use hal::gpio::{Level, p0};
 use hal::ieee802154::Radio;
 use hal::pac::{self, Interrupt};
-use hal::twim::{self, Twim};
 
+use bus::Bus;
 use clock::Timer;
 use flash::Flash;
 use radio::RadioLink;
@@ -96,7 +98,7 @@ type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, SAMPLES>;
 /// The board with its own sensor, link and clock.
 #[cfg(not(feature = "in-the-loop"))]
 type ThisBoard = firmware_template::Hardware<
-    RegisterSensor<'static, Twim<pac::TWIM0>, 1>,
+    RegisterSensor<'static, Bus, 1>,
     RadioLink,
     Timer,
     QueuedPort<'static>,
@@ -153,11 +155,7 @@ fn hardware() -> Option<Parts> {
     let receive = pins.p0_08.into_floating_input().degrade();
     SERVICE.set(Uart::new(chip.UART0, transmit.psel_bits(), receive.psel_bits(), end));
 
-    let bus = twim::Pins {
-        scl: pins.p0_27.into_floating_input().degrade(),
-        sda: pins.p0_26.into_floating_input().degrade(),
-    };
-    let bus = Twim::new(chip.TWIM0, bus, twim::Frequency::K400);
+    let bus = Bus::new(chip.TWIM0, pins.p0_26, pins.p0_27);
     let sensor = RegisterSensor::new(bus, SENSOR, &REGISTERS).ok()?.with_set_up(&SET_UP);
 
     // Two bytes of the chip's factory-programmed number.

@@ -137,6 +137,7 @@ impl NorFlash for Flash {
     /// Enables interrupts between two sectors.
     fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
         check_erase(self, from, to)?;
+        crate::uart::wait_until_sent();
         for sector in (from..to).step_by(Self::ERASE_SIZE) {
             self.change(sector, &Change::Erase);
         }
@@ -160,6 +161,9 @@ impl NorFlash for Flash {
 }
 
 impl MappedFlash for Flash {
+    /// In the loop, time is that of the simulation.
+    const STALLS: bool = !cfg!(feature = "in-the-loop");
+
     fn mapped(&self) -> &[u8] {
         self.region.bytes()
     }

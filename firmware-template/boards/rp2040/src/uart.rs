@@ -46,6 +46,21 @@ impl<U: Deref<Target = uart0::RegisterBlock>> Uart<U> {
     }
 }
 
+/// Number of looks at the link while it sends: at 125 MHz and at least 15 cycles each 36 ms, longer than
+/// a full queue takes.
+const LOOKS: u32 = 300_000;
+
+/// Waits until the link has sent everything: interrupts do not run while flash is erased.
+pub(crate) fn wait_until_sent() {
+    for _ in 0..LOOKS {
+        let is_sending =
+            |uart: &mut Uart<UART1>| !uart.end.is_empty() || uart.registers.uartfr().read().busy().bit_is_set();
+        if LINK.with(is_sending) != Some(true) {
+            break;
+        }
+    }
+}
+
 #[interrupt]
 fn UART0_IRQ() {
     SERVICE.with(Uart::serve);

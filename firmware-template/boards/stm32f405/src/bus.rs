@@ -1,6 +1,6 @@
 //! The I2C bus with timeouts. The HAL, which sets up the bus, waits indefinitely for its flags; a
-//! stuck bus would then stop the node, although it can run without a measurement. After an error, a
-//! device that holds the data line is clocked until it lets go.
+//! stuck bus would then stop the node, although it can run without a measurement. After an error, and
+//! once at the start, a device that holds the data line is clocked until it lets go.
 
 use core::convert::Infallible;
 
@@ -46,10 +46,13 @@ impl Bus {
     /// times as long as a byte takes.
     const LOOKS: u32 = 20_000;
 
-    /// Creates the bus from the one that the HAL has set up.
+    /// Creates the bus from the one that the HAL has set up, and frees its lines: a reset in the middle of
+    /// a transfer leaves them held.
     pub(crate) fn new(bus: i2c::I2c<I2C1>) -> Self {
         let (registers, _) = bus.release();
-        Self { registers }
+        let mut bus = Self { registers };
+        bus.recover();
+        bus
     }
 
     /// Waits for a flag.

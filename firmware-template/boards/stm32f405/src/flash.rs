@@ -94,6 +94,7 @@ impl NorFlash for Flash {
 
     fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
         check_erase(self, from, to)?;
+        crate::uart::wait_until_sent();
         let first = 5 + (self.region.address(0) - Self::SECTOR_5) / Self::ERASE_SIZE;
         let sectors = from as usize / Self::ERASE_SIZE..to as usize / Self::ERASE_SIZE;
         let outcome = self.unlocked(|flash| {
@@ -131,6 +132,9 @@ impl NorFlash for Flash {
 }
 
 impl MappedFlash for Flash {
+    /// In the loop, time is that of the simulation.
+    const STALLS: bool = !cfg!(feature = "in-the-loop");
+
     fn mapped(&self) -> &[u8] {
         self.region.bytes()
     }

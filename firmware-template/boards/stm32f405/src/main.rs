@@ -17,8 +17,9 @@
 //!
 //! **Flash.** While a sector is erased (1 s, at most 2 s) or a word is written (16 us, at most 0.1
 //! ms; data sheet DS8626, flash memory programming, 32 bits at once, 2.7 to 3.6 V), the processor
-//! stalls when it fetches code. One upload erases one sector: the node misses the steps during that
-//! time, and all messages sent to it. The timer keeps running, so ticks stay correct. The uploader
+//! stalls when it fetches code. One upload erases one sector: the node says farewell to its
+//! neighbours, waits until the link has sent it, and misses the steps during that time, and all
+//! messages sent to it. The timer keeps running, so ticks stay correct. The uploader
 //! waits for each answer, so no part of the upload is lost.
 //!
 //! **Faults.** A panic, a processor fault and a reset request all reset the chip. So does the

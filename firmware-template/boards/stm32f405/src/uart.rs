@@ -18,6 +18,22 @@ pub(crate) struct Uart<U: Instance> {
     end: QueuedEnd<'static>,
     /// Switches an RS-485 transceiver to sending.
     driver: Option<AnyPin<Output>>,
+    /// Whether bytes are on their way, the last one included.
+    is_sending: bool,
+}
+
+/// Number of looks at the link while it sends: at 168 MHz and at least 15 cycles each 25 ms, longer than
+/// a full queue takes.
+const LOOKS: u32 = 300_000;
+
+/// Waits until the link has sent everything and let go of the line: interrupts do not run while flash is
+/// erased.
+pub(crate) fn wait_until_sent() {
+    for _ in 0..LOOKS {
+        if LINK.with(|uart| uart.is_sending || !uart.end.is_empty()) != Some(true) {
+            break;
+        }
+    }
 }
 
 impl<U: Instance> Uart<U> {
@@ -31,7 +47,7 @@ impl<U: Instance> Uart<U> {
         // The hardware supports the baud rates above.
         if let Ok(mut serial) = serial {
             serial.listen(Event::RxNotEmpty);
-            place.set(Self { serial, end, driver });
+            place.set(Self { serial, end, driver, is_sending: false });
         }
     }
 
@@ -61,6 +77,7 @@ impl<U: Instance> Uart<U> {
                 return;
             }
             if let Some(byte) = self.end.take() {
+                self.is_sending = true;
                 if let Some(driver) = &mut self.driver {
                     driver.set_high();
                 }
@@ -70,6 +87,7 @@ impl<U: Instance> Uart<U> {
                 continue;
             }
             if flags.contains(Flag::TransmissionComplete) {
+                self.is_sending = false;
                 self.serial.unlisten(Event::TxEmpty | Event::TransmissionComplete);
                 if let Some(driver) = &mut self.driver {
                     driver.set_low();
