@@ -27,7 +27,7 @@ const FORWARD_M4F: u32 = 2_650;
 /// Instruction budget of a Cortex-M4F for a step without a broadcast.
 const STEP_M4F: u32 = 4_000;
 /// Instruction budget of a Cortex-M4F for a complete turn of a node.
-const TURN_M4F: u32 = 14_600;
+const TURN_M4F: u32 = 14_800;
 /// Instruction budget of a Cortex-M4F for sealing or opening an authentic frame.
 const TAG_M4F: u32 = 3_000;
 /// Instruction budget of a Cortex-M4F for a turn of a node that is flooded, from the beginning of its
