@@ -70,6 +70,20 @@ fn a_run_is_compared_with_no_network_and_the_untrained_one() {
 }
 
 #[test]
+fn every_method_runs_on_its_own() {
+    let folder = Folder::new("methods-alone");
+    let methods = ["no-network", "untrained", "regression", "known-f", "kalman", "extended-kalman"];
+    for method in methods {
+        let report = object(
+            &folder
+                .succeed(&format!("run paper --set method={method} --format json --out {method}")),
+        );
+        assert_eq!(agents(&report).len(), 3, "{method}");
+        assert!(agents(&report).iter().all(|agent| agent["rmse"].is_f64()), "{method}");
+    }
+}
+
+#[test]
 fn baselines_change_no_bit_of_the_run() {
     let folder = Folder::new("no-baselines");
     folder.write("mine.toml", &short().text());

@@ -88,7 +88,7 @@ plant_integrator = "rk4"
 noise = 1.0
 period = {PERIOD}
 
-# The gain leaves 0.28 of the largest step. Theorem 1 promises nothing here: the gain is too small for the plant's
+# The step is half of the largest stable one. Theorem 1 promises nothing here: the gain is too small for the plant's
 # growth, and measurements have noise.
 [design]
 gain = 80.0

@@ -50,7 +50,7 @@ impl LumpedUncertainty {
     pub fn new(scenario: &Scenario, samples: &LumpedSamples) -> Self {
         let (mut estimate, mut at_least) = (f64::INFINITY, 0.0f64);
         match &scenario.network {
-            Some(network) if samples.samples() > 0 => {
+            Some(network) if samples.samples() > 0 && samples.features > 0 => {
                 let radius = network.outer_law.bound - network.outer_law.boundary_layer;
                 let mut search = Search::new(samples, radius);
                 for _ in 0..search.iterations() {
@@ -65,7 +65,8 @@ impl LumpedUncertainty {
             _ => {}
         }
         if !estimate.is_finite() {
-            // Without a network, or with uninformative features: W_0 = 0.
+            // Without a network, whether the scenario has none or the method leaves it out, or with
+            // uninformative features: W_0 = 0.
             let size = samples.kind.len() * samples.dimension;
             let largest = samples.rest.chunks(size.max(1)).map(|g| dot(g, g));
             estimate = largest.fold(0.0, f64::max).sqrt();

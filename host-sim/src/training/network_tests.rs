@@ -5,6 +5,7 @@ use super::data::Dataset;
 use super::network_problem::{NetworkProblem, ProblemError};
 use super::testing::{architecture, assert_close, instruction_sets, random_data, random_values};
 use super::trainer::levenberg_marquardt::LeastSquares;
+use agent_core::INPUTS_MAX;
 use agent_core::math::activation::Activation::{self, Gaussian, Logistic, Tanh};
 use agent_core::observer::network::Architecture;
 use proptest::prelude::*;
@@ -133,7 +134,7 @@ fn paper_network_matches_definition() {
 #[test]
 fn extreme_shapes_match_definition() {
     check_against_definitions(&architecture(1, &[(1, Tanh)]), 1, 1);
-    check_against_definitions(&architecture(12, &[(9, Logistic), (1, Gaussian)]), 65, 2);
+    check_against_definitions(&architecture(INPUTS_MAX, &[(9, Logistic), (1, Gaussian)]), 65, 2);
     check_against_definitions(&architecture(2, &[(2, Gaussian); 8]), 128, 3);
     check_against_definitions(&architecture(1, &[(64, Tanh), (2, Logistic)]), 10, 4);
     check_against_definitions(&architecture(2, &[(2, Logistic), (64, Gaussian)]), 10, 5);

@@ -297,7 +297,7 @@ impl WithSimd for SensitivityProducts<'_> {
             10 => self.all_samples::<S, 10>(simd),
             11 => self.all_samples::<S, 11>(simd),
             12 => self.all_samples::<S, 12>(simd),
-            outputs => unreachable!("{outputs} outputs, more than a network has inputs"),
+            _ => self.many_outputs(simd),
         }
     }
 }
@@ -337,6 +337,38 @@ impl SensitivityProducts<'_> {
                         store_dot(simd, factors, values, right, p * self.widths[1] + lane);
                     }
                 }
+            }
+        }
+    }
+}
+
+impl SensitivityProducts<'_> {
+    /// As [`Self::all_samples`], with the same sums in the same order, for more outputs than registers hold.
+    #[inline(always)]
+    fn many_outputs<S: Simd>(self, simd: S) {
+        let strides = self.widths.map(node_stride);
+        let samples = self.factors[0]
+            .chunks_exact(self.outputs * strides[0])
+            .zip(self.factors[1].chunks_exact(self.outputs * strides[1]))
+            .zip(self.right.chunks_exact_mut(self.stride));
+        for ((first, second), right) in samples {
+            let mut start = 0;
+            for p in 0..self.widths[0] {
+                let from = if self.symmetric { p } else { 0 };
+                for q in (from..self.widths[1]).step_by(S::F64_LANES) {
+                    let product = |o: usize| {
+                        let values = &second[o * strides[1] + q..][..S::F64_LANES];
+                        let factor = simd.splat_f64s(first[o * strides[0] + p]);
+                        simd.mul_f64s(factor, S::as_simd_f64s(values).0[0])
+                    };
+                    let mut sum = product(0);
+                    for o in 1..self.outputs {
+                        sum = simd.add_f64s(sum, product(o));
+                    }
+                    let target = &mut right[start + q - from..][..S::F64_LANES];
+                    S::as_mut_simd_f64s(target).0[0] = sum;
+                }
+                start += self.widths[1] - from;
             }
         }
     }
