@@ -1,5 +1,5 @@
-//! Builds the Python module as pip does from a checkout, but with the profile of the tests, and tests it: its
-//! bits and errors beside those of the command line, its type stubs, and its notebook in a bounded form.
+//! Builds the Python module as pip does from a checkout, and tests it: its bits and errors beside those of the
+//! command line, its type stubs, and its notebook in a bounded form.
 //!
 //! Everything that pip installs goes to `target/python`.
 
@@ -28,8 +28,6 @@ pub(crate) fn python(debian: bool) -> Result<(), Failure> {
     let mut install = Command::new(folder.join("bin/pip"));
     install.args(["install", "--quiet", "--disable-pip-version-check"]);
     install.arg(format!("{}[test]", module.display()));
-    // Link-time optimisation takes minutes and changes no bit.
-    install.env("MATURIN_PEP517_ARGS", "--profile dev");
     run(
         "the wheel",
         &mut install,
