@@ -121,8 +121,7 @@ impl Bus {
             return Err(BusError::NoAcknowledge);
         }
         let registers = &self.registers;
-        let amounts =
-            [registers.txd.amount.read().bits(), registers.rxd.amount.read().bits()];
+        let amounts = [registers.txd.amount.read().bits(), registers.rxd.amount.read().bits()];
         if errors != 0 || (sent > 0 && amounts[0] != sent as u32) {
             return Err(BusError::Length);
         }

@@ -53,8 +53,9 @@ const LOOKS: u32 = 300_000;
 /// Waits until the link has sent everything: interrupts do not run while flash is erased.
 pub(crate) fn wait_until_sent() {
     for _ in 0..LOOKS {
-        let is_sending =
-            |uart: &mut Uart<UART1>| !uart.end.is_empty() || uart.registers.uartfr().read().busy().bit_is_set();
+        let is_sending = |uart: &mut Uart<UART1>| {
+            !uart.end.is_empty() || uart.registers.uartfr().read().busy().bit_is_set()
+        };
         if LINK.with(is_sending) != Some(true) {
             break;
         }
