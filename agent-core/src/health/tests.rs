@@ -477,7 +477,7 @@ fn ticks_of_a_chip_that_stood_still_are_excused_once() {
     assert_eq!(rig.health.counters().skipped_ticks, 50);
 }
 
-/// What an erasure does to the innovation is no part of the record with which a package is compared.
+/// What an erasure does to the innovation is not part of the record with which a package is compared.
 #[test]
 fn blocks_in_which_the_chip_stood_still_are_not_part_of_the_means() {
     let rig = Rig::new(&SETTINGS, 0.0);
