@@ -2,12 +2,14 @@
 
 use std::path::Path;
 
+use clap::Args;
+
 use super::CommandError;
 use super::baselines::Baseline;
 use super::package_format::PackageFormat;
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunResult, TrainingRecord};
-use crate::figures::{Marker, Reference};
+use crate::figures::{FigureFormat, Marker, Reference};
 use crate::files::output::OutputError;
 use crate::report::csv::{EpochRow, write_epochs, write_events, write_traces};
 use crate::scenario::{LearningCycle, Scenario, Window};
@@ -38,9 +40,25 @@ fn samples_name(agent: usize, cycle: usize) -> String {
     format!("agent{agent}_cycle{cycle}_samples.csv")
 }
 
-/// Returns the file names of figures with these stems.
-pub(super) fn pictures<'s>(stems: impl IntoIterator<Item = &'s str>) -> Vec<String> {
-    stems.into_iter().flat_map(|stem| [format!("{stem}.svg"), format!("{stem}.png")]).collect()
+/// The argument about the format of figures.
+#[derive(Clone, Copy, Debug, Args)]
+pub(super) struct FigureFormats {
+    /// Write each figure as PDF as well, with embedded fonts
+    #[arg(long)]
+    pdf: bool,
+}
+
+impl FigureFormats {
+    /// Returns the formats to write.
+    pub(super) fn wanted(self) -> &'static [FigureFormat] {
+        if self.pdf { &FigureFormat::ALL } else { &FigureFormat::DEFAULT }
+    }
+
+    /// Returns the file names of figures with these stems.
+    pub(super) fn names<'s>(self, stems: impl IntoIterator<Item = &'s str>) -> Vec<String> {
+        let names = |stem| self.wanted().iter().map(move |format| format.file_name(stem));
+        stems.into_iter().flat_map(names).collect()
+    }
 }
 
 /// Writes the recorded traces, broadcast times and training of a run as `NAMEsuffix.csv` in

@@ -8,6 +8,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::baselines::Baseline;
+use super::output::FigureFormats;
 use super::run_folder::RunFolder;
 use super::seeds::{self, SeedRun};
 use super::trainings::{self, TrainingSummary};
@@ -40,6 +41,8 @@ pub(super) struct Arguments {
     /// Output folder for figures and tables
     #[arg(long, default_value = "out")]
     out: PathBuf,
+    #[command(flatten)]
+    figures: FigureFormats,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -98,7 +101,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     planned.extend(output::planned(&scenario, "_with", false));
     planned.push("table1.csv".to_owned());
     planned.extend((arguments.seeds > 1).then(|| "seeds.csv".to_owned()));
-    planned.extend(output::pictures(FIGURES.map(|(stem, _)| stem)));
+    planned.extend(arguments.figures.names(FIGURES.map(|(stem, _)| stem)));
     let folder = RunFolder::claim(&arguments.out, &planned)?;
     let (runs, others) = simulate(&scenario, seed..end)?;
     let Runs { no_network, without, with } = &runs;
@@ -121,7 +124,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let (out, stage) = (&arguments.out, folder.stage());
     let (files, figures) = rayon::join(
         || write_tables(stage, &scenario, &table, &runs, seeds.as_deref()),
-        || write_figures(stage, &scenario, &runs),
+        || write_figures(stage, arguments.figures, &scenario, &runs),
     );
     files.and(figures).map_err(|error| folder.placed(error))?;
     let (_, others) = folder.publish(&scenario, seed)?;
@@ -254,7 +257,12 @@ const FIGURES: [(&str, &str); 4] = [
 ];
 
 /// Writes the figures.
-fn write_figures(out: &Path, scenario: &Scenario, runs: &Runs) -> Result<(), CommandError> {
+fn write_figures(
+    out: &Path,
+    formats: FigureFormats,
+    scenario: &Scenario,
+    runs: &Runs,
+) -> Result<(), CommandError> {
     let Runs { no_network, without, with } = runs;
     let no_network = Some(no_network.agents.as_slice());
     let references = [None, Some(without.agents.as_slice())]
@@ -295,6 +303,6 @@ fn write_figures(out: &Path, scenario: &Scenario, runs: &Runs) -> Result<(), Com
     };
     let figures: Vec<_> =
         FIGURES.iter().enumerate().map(|(index, (stem, _))| (*stem, draw(index))).collect();
-    write_all(out, &figures)?;
+    write_all(out, &figures, formats.wanted())?;
     Ok(())
 }

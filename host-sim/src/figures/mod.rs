@@ -1,7 +1,7 @@
-//! Figures of a run: errors, broadcasts and states; and of a study: error against broadcasts. As SVG and
-//! PNG.
+//! Figures of a run: errors, broadcasts and states; and of a study: error against broadcasts. As SVG,
+//! PNG and PDF.
 //!
-//! The SVG is the only source; the PNG is rendered from it with an embedded typeface, so both look
+//! The SVG is the only source; PNG and PDF are made from it with an embedded typeface, so all look
 //! the same on every machine. The same data give the same bytes.
 //!
 //! Networks of up to eight agents are drawn line by line; larger ones as median, 5th to 95th
@@ -15,6 +15,7 @@ mod event_figure;
 mod event_map;
 mod events;
 mod font;
+mod format;
 mod frontier;
 #[cfg(test)]
 mod label_tests;
@@ -22,25 +23,30 @@ mod logarithmic;
 mod marks;
 mod palette;
 mod panel;
+mod pdf;
 mod raster;
+mod render;
 mod series;
 mod states;
 #[cfg(test)]
 mod tests;
 mod tradeoff;
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use crate::files::output::{FileKind, OutputError, write_result};
+use crate::files::output::{OutputError, write_result};
 
 pub use error_norms::{ErrorFigure, error_axis_limit, error_norms};
 pub use event_figure::EventFigure;
 pub use events::events;
+pub use format::FigureFormat;
 pub use frontier::{FrontierFigure, FrontierForm, FrontierPoint, frontier};
 pub use marks::{Marker, Reference};
-pub use raster::{PNG_WIDTH, RenderError};
+pub use raster::PNG_WIDTH;
+pub use render::RenderError;
 pub use states::{StateFigure, states};
 pub use tradeoff::{TradeoffFigure, TradeoffLine, TradeoffPoint, tradeoff};
 
@@ -65,29 +71,55 @@ impl Figure {
         raster::png(&self.svg)
     }
 
-    /// Writes `stem.svg` and `stem.png` to `folder`; returns their paths.
+    /// Returns the figure as a PDF file of one page, with vector graphics and embedded fonts.
+    ///
+    /// # Errors
+    /// If the renderer rejects the SVG, which would be a bug in this module.
+    pub fn pdf(&self) -> Result<Vec<u8>, RenderError> {
+        pdf::pdf(&self.svg)
+    }
+
+    /// Writes `stem.svg` and so on to `folder`, one file for each format; returns their paths.
     ///
     /// # Errors
     /// If a file cannot be written.
-    pub fn write(&self, folder: &Path, stem: &str) -> Result<[PathBuf; 2], FigureError> {
-        let paths = ["svg", "png"].map(|extension| folder.join(format!("{stem}.{extension}")));
-        write_result(&paths[0], FileKind::SVG, |file| file.write_all(self.svg.as_bytes()))?;
-        let png =
-            self.png().map_err(|error| FigureError::Render { path: paths[1].clone(), error })?;
-        write_result(&paths[1], FileKind::PNG, |file| file.write_all(&png))?;
-        Ok(paths)
+    pub fn write(
+        &self,
+        folder: &Path,
+        stem: &str,
+        formats: &[FigureFormat],
+    ) -> Result<Vec<PathBuf>, FigureError> {
+        formats.iter().map(|format| self.write_as(*format, folder, stem)).collect()
+    }
+
+    fn write_as(
+        &self,
+        format: FigureFormat,
+        folder: &Path,
+        stem: &str,
+    ) -> Result<PathBuf, FigureError> {
+        let path = folder.join(format.file_name(stem));
+        let bytes = match format {
+            FigureFormat::Svg => Ok(Cow::Borrowed(self.svg.as_bytes())),
+            FigureFormat::Png => self.png().map(Cow::Owned),
+            FigureFormat::Pdf => self.pdf().map(Cow::Owned),
+        };
+        let bytes = bytes.map_err(|error| FigureError::Render { path: path.clone(), error })?;
+        write_result(&path, format.kind(), |file| file.write_all(&bytes))?;
+        Ok(path)
     }
 }
 
-/// Writes several figures, each with its own stem, in parallel.
+/// Writes several figures, each with its own stem and in each of the formats, in parallel.
 ///
 /// # Errors
 /// If a file cannot be written.
 pub fn write_all(
     folder: &Path,
     figures: &[(&str, Figure)],
-) -> Result<Vec<[PathBuf; 2]>, FigureError> {
-    figures.par_iter().map(|(stem, figure)| figure.write(folder, stem)).collect()
+    formats: &[FigureFormat],
+) -> Result<Vec<Vec<PathBuf>>, FigureError> {
+    figures.par_iter().map(|(stem, figure)| figure.write(folder, stem, formats)).collect()
 }
 
 /// Why a figure could not be written.
@@ -97,10 +129,10 @@ pub enum FigureError {
     /// Why a file could not be written.
     #[error(transparent)]
     Write(#[from] OutputError),
-    /// The PNG could not be rendered.
+    /// The PNG or PDF could not be made.
     #[error("{}: {error}; the SVG beside it is complete", path.display())]
     Render {
-        /// Path of the PNG.
+        /// Path of the PNG or PDF.
         path: PathBuf,
         /// The renderer's error.
         error: RenderError,

@@ -2,40 +2,15 @@
 
 use png::{BitDepth, ColorType, Compression, Encoder, Filter};
 use resvg::tiny_skia::{Color, Pixmap, Transform};
-use resvg::usvg::{Options, Tree};
 
-use super::font;
+use super::render::{RenderError, tree};
 
 /// Width of every PNG. \[pixels\]
 pub const PNG_WIDTH: u32 = 1600;
 
-/// Why a figure could not be rendered.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum RenderError {
-    /// The renderer rejected the SVG.
-    #[error("the SVG cannot be rendered: {0}")]
-    Svg(String),
-    /// The picture would be empty or too large for memory.
-    #[error("cannot allocate a picture of {PNG_WIDTH} x {height} pixels")]
-    Size {
-        /// Height. \[pixels\]
-        height: u32,
-    },
-    /// The encoder failed.
-    #[error("the picture cannot be encoded: {0}")]
-    Png(#[from] png::EncodingError),
-}
-
 /// Renders a figure on a white background.
 pub(super) fn png(svg: &str) -> Result<Vec<u8>, RenderError> {
-    let options = Options {
-        fontdb: font::database(),
-        font_family: font::FAMILY.to_owned(),
-        ..Options::default()
-    };
-    let tree =
-        Tree::from_str(svg, &options).map_err(|error| RenderError::Svg(error.to_string()))?;
+    let tree = tree(svg)?;
     let scale = PNG_WIDTH as f32 / tree.size().width();
     let height = (tree.size().height() * scale).round() as u32;
     let mut picture = Pixmap::new(PNG_WIDTH, height).ok_or(RenderError::Size { height })?;

@@ -229,11 +229,12 @@ fn output_is_deterministic_and_written_to_files() {
     let (one, two) = (draw(), draw());
     assert_eq!(one, two);
     let folder = std::env::temp_dir().join(format!("figures-{}", std::process::id()));
-    let paths = write_all(&folder, &[("one", one), ("two", two)]).unwrap();
+    let paths = write_all(&folder, &[("one", one), ("two", two)], &FigureFormat::ALL).unwrap();
     let read = |path: &PathBuf| std::fs::read(path).unwrap();
     assert_eq!(read(&paths[0][0]), read(&paths[1][0]));
     assert_eq!(read(&paths[0][1]), read(&paths[1][1]));
-    assert_eq!(paths[1][1], folder.join("two.png"));
+    assert_eq!(read(&paths[0][2]), read(&paths[1][2]));
+    assert_eq!(paths[1][1..], [folder.join("two.png"), folder.join("two.pdf")]);
     std::fs::remove_dir_all(&folder).unwrap();
 }
 
@@ -242,7 +243,8 @@ fn error_names_the_file_that_cannot_be_written() {
     let folder = std::env::temp_dir().join(format!("in-the-way-{}", std::process::id()));
     std::fs::write(&folder, "a file").unwrap();
     let traces = traces(1, 1, 11);
-    let error = states_of("", &traces).write(&folder, "figure").unwrap_err();
+    let error =
+        states_of("", &traces).write(&folder, "figure", &FigureFormat::DEFAULT).unwrap_err();
     assert!(error.to_string().contains("figure.svg"), "{error}");
     std::fs::remove_file(&folder).unwrap();
 }

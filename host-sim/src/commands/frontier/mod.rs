@@ -12,6 +12,7 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
+use super::output::FigureFormats;
 use super::print_text;
 use super::progress::ProgressBars;
 use super::run_folder::{FRONTIER, FRONTIER_KIND, RunFolder};
@@ -20,7 +21,7 @@ use super::{
     print_outcome,
 };
 use crate::engine::RunError;
-use crate::figures::{FrontierFigure, FrontierForm, FrontierPoint, frontier, write_all};
+use crate::figures::{Figure, FrontierFigure, FrontierForm, FrontierPoint, frontier, write_all};
 use crate::files::output::{OutputError, write_result};
 use crate::interruption::{self, SecondSignal};
 use crate::report::latex::latex;
@@ -53,6 +54,8 @@ pub(super) struct Arguments {
     /// Output folder for tables and the picture [default: out/NAME-frontier]
     #[arg(long)]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    figures: FigureFormats,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -88,7 +91,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let out = arguments.out.clone();
     let out = out.unwrap_or_else(|| Path::new("out").join(format!("{}-frontier", scenario.name)));
     let mut planned = vec!["frontier.csv".to_owned(), FRONTIER.to_owned()];
-    planned.extend(output::pictures(["frontier"]));
+    planned.extend(arguments.figures.names(["frontier"]));
     let folder = RunFolder::claim(&out, &planned)?;
     let study = Study {
         first_seed: seed,
@@ -118,7 +121,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         best: &best,
         points: &points,
     };
-    write_files(folder.stage(), &report, &scenario, &settings, target_label)
+    let picture = picture(&report, &scenario, &settings, target_label);
+    write_files(folder.stage(), &report, picture, arguments.figures)
         .map_err(|error| folder.placed(error))?;
     let (files, others) = folder.publish(&scenario, seed)?;
     let outcome = outcome(&points, is_complete);
@@ -252,9 +256,8 @@ fn target(
 fn write_files(
     folder: &Path,
     report: &Report<'_>,
-    scenario: &Scenario,
-    settings: &[Setting<'_>],
-    target_label: &str,
+    picture: Option<Figure>,
+    formats: FigureFormats,
 ) -> Result<(), CommandError> {
     let path = folder.join(FRONTIER);
     let json = serde_json::to_vec(report)
@@ -264,6 +267,19 @@ fn write_files(
         file.write_all(&json)?;
         file.write_all(b"\n")
     })?;
+    if let Some(picture) = picture {
+        write_all(folder, &[("frontier", picture)], formats.wanted())?;
+    }
+    Ok(())
+}
+
+/// Draws error against broadcasts of the settings, if any of them has results.
+fn picture(
+    report: &Report<'_>,
+    scenario: &Scenario,
+    settings: &[Setting<'_>],
+    target_label: &str,
+) -> Option<Figure> {
     let mut forms: Vec<FrontierForm<'_>> = Vec::new();
     for setting in settings {
         let (Some(broadcasts), Some(errors)) = (setting.counts(|p| p.broadcasts), setting.errors())
@@ -283,7 +299,7 @@ fn write_files(
         }
     }
     if forms.is_empty() {
-        return Ok(());
+        return None;
     }
     let extreme =
         |start: f64, pick: fn(f64, f64) -> f64| report.target.iter().copied().fold(start, pick);
@@ -293,7 +309,7 @@ fn write_files(
     let window = scenario.evaluation;
     let broadcasts_label =
         format!("broadcasts of all agents, t in [{}, {}] s", window.from, window.to);
-    let figure = FrontierFigure {
+    Some(frontier(&FrontierFigure {
         title: &title,
         broadcasts_label: &broadcasts_label,
         forms,
@@ -301,9 +317,7 @@ fn write_files(
         target_label,
         has_certificates: true,
         own_label: "paper's observer as set",
-    };
-    write_all(folder, &[("frontier", frontier(&figure))])?;
-    Ok(())
+    }))
 }
 
 /// Lists the settings with runs that failed, with the first reason.

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::{ReportedRun, results};
 use crate::commands::baselines::Baseline;
+use crate::commands::output::FigureFormats;
 use crate::commands::package_format::PackageFormat;
 use crate::commands::run_folder::{PAGE, RESULTS, command_line};
 use crate::commands::{CommandError, agent_table, methods, output, report};
@@ -15,18 +16,19 @@ use crate::report::mcap::write_mcap;
 use crate::scenario::Scenario;
 
 /// Returns the names of all files that [`write`] may write.
-pub(super) fn planned(scenario: &Scenario) -> Vec<String> {
+pub(super) fn planned(scenario: &Scenario, figures: FigureFormats) -> Vec<String> {
     let mut planned = output::planned(scenario, "", true);
     planned.push("agents.csv".to_owned());
     planned.extend(["methods.csv", "innovations.csv", "run.mcap"].map(str::to_owned));
     planned.extend([RESULTS, PAGE].map(str::to_owned));
-    planned.extend(output::pictures(["errors", "states", "events", "methods"]));
+    planned.extend(figures.names(["errors", "states", "events", "methods"]));
     planned
 }
 
 /// What is written, and how.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Options {
+    pub(super) figures: FigureFormats,
     pub(super) package_format: PackageFormat,
     /// Whether to write a page about all the rest.
     pub(super) has_page: bool,
@@ -44,7 +46,7 @@ pub(super) fn write(
     agent_table::write_csv(&out.join("agents.csv"), &run.agents)?;
     let (tables, figures) = rayon::join(
         || output::tables(out, "", &run.scenario, &run.result),
-        || write_figures(out, run),
+        || write_figures(out, options.figures, run),
     );
     tables?;
     figures?;
@@ -52,7 +54,7 @@ pub(super) fn write(
         write_innovations(&out.join("innovations.csv"), &run.result.traces)?;
     }
     output::packages(out, options.package_format, &run.scenario, &run.result)?;
-    write_methods(out, &run.scenario, &run.rows)?;
+    write_methods(out, options.figures, &run.scenario, &run.rows)?;
     results::write(out, run, text)?;
     if options.has_mcap {
         write_mcap(&out.join("run.mcap"), &run.scenario, &run.result)?;
@@ -65,6 +67,7 @@ pub(super) fn write(
 
 fn write_methods(
     out: &Path,
+    formats: FigureFormats,
     scenario: &Scenario,
     rows: &[methods::Row],
 ) -> Result<(), CommandError> {
@@ -73,12 +76,16 @@ fn write_methods(
     }
     methods::write_csv(&out.join("methods.csv"), rows)?;
     if let Some(picture) = methods::picture(scenario, rows) {
-        write_all(out, &[("methods", picture)])?;
+        write_all(out, &[("methods", picture)], formats.wanted())?;
     }
     Ok(())
 }
 
-fn write_figures(out: &Path, run: &ReportedRun) -> Result<(), CommandError> {
+fn write_figures(
+    out: &Path,
+    formats: FigureFormats,
+    run: &ReportedRun,
+) -> Result<(), CommandError> {
     let ReportedRun { scenario, result, baselines, .. } = run;
     let markers = output::markers(scenario, &result.trainings);
     let event_ticks = output::events_of(result);
@@ -124,6 +131,6 @@ fn write_figures(out: &Path, run: &ReportedRun) -> Result<(), CommandError> {
         };
         figures.push(("events", events(&figure)));
     }
-    write_all(out, &figures)?;
+    write_all(out, &figures, formats.wanted())?;
     Ok(())
 }

@@ -12,6 +12,7 @@ use clap::Args;
 pub use reported::{PreparedRun, ReportedRun};
 
 use super::baselines::Choice;
+use super::output::FigureFormats;
 use super::package_format::PackageFormat;
 use super::run_folder::RunFolder;
 use super::scenario_source::load_with_text;
@@ -58,6 +59,8 @@ pub(super) struct Arguments {
     #[arg(long)]
     mcap: bool,
     #[command(flatten)]
+    figures: FigureFormats,
+    #[command(flatten)]
     package_format: PackageFormat,
     #[command(flatten)]
     pub(super) common: Common,
@@ -82,13 +85,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         None => Path::new("out").join(&scenario.name),
     };
     let prepared = PreparedRun::new(&scenario, arguments.common.seed, &arguments.baselines)?;
-    let folder = RunFolder::claim(&out, &files::planned(&scenario))?;
+    let folder = RunFolder::claim(&out, &files::planned(&scenario, arguments.figures))?;
     warnings::print(prepared.warnings());
     let run = {
         let bars = ProgressBars::new("simulating");
         prepared.carry_out(&bars)?
     };
     let options = files::Options {
+        figures: arguments.figures,
         package_format: arguments.package_format,
         has_page: arguments.report,
         has_mcap: arguments.mcap,

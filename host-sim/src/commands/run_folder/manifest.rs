@@ -129,6 +129,7 @@ pub(super) fn kind_of(name: &str) -> Option<FileKind> {
         "csv" => Some(FileKind::TABLE),
         "svg" => Some(FileKind::SVG),
         "png" => Some(FileKind::PNG),
+        "pdf" => Some(FileKind::PDF),
         "weights" => Some(PackageBytes::KIND),
         "html" => Some(page::KIND),
         "mcap" => Some(mcap::KIND),
@@ -147,7 +148,7 @@ mod tests {
     fn only_names_of_results_in_the_folder_are_taken_from_a_manifest() {
         let mut manifest =
             Manifest::new(&Scenario::parse("paper", crate::scenario::PAPER).unwrap(), 7);
-        manifest.files = ["traces.csv", "errors.svg", "agent1_cycle1.weights"]
+        manifest.files = ["traces.csv", "errors.svg", "errors.pdf", "agent1_cycle1.weights"]
             .iter()
             .map(|&name| name.to_owned())
             .collect();

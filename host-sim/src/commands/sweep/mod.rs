@@ -24,6 +24,7 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
+use super::output::FigureFormats;
 use super::run_folder::{lock, remove_page};
 use super::scenario_source::load_with_text;
 use super::{
@@ -88,6 +89,8 @@ pub(super) struct Arguments {
     )]
     summarise: Option<PathBuf>,
     #[command(flatten)]
+    figures: FigureFormats,
+    #[command(flatten)]
     pub(super) common: Common,
 }
 
@@ -137,7 +140,7 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
     if !folder.as_os_str().is_empty() {
         make_folder(&folder)?;
     }
-    let written = write_files(&folder, &summary)?;
+    let written = write_files(&folder, arguments.figures, &summary)?;
     let report = Report {
         scenario: None,
         keys: &summary.keys,
@@ -199,7 +202,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
     let mut summary = Summary { keys: cells.keys.clone(), cells: Vec::new() };
     if arguments.shard.is_whole() && is_complete {
         summary = Summary::read(&file)?;
-        written.push(write_files(&folder, &summary)?);
+        written.push(write_files(&folder, arguments.figures, &summary)?);
     }
     let report = Report {
         scenario: Some(&base.name),
@@ -313,14 +316,18 @@ fn plan(
 }
 
 /// Writes `summary.csv` and the picture; returns their names.
-fn write_files(folder: &Path, summary: &Summary) -> Result<String, CommandError> {
+fn write_files(
+    folder: &Path,
+    formats: FigureFormats,
+    summary: &Summary,
+) -> Result<String, CommandError> {
     summary.write(folder)?;
-    let mut names = vec![summary::NAME];
+    let mut names = vec![summary::NAME.to_owned()];
     let (cells, runs) = (summary.cells.len(), summary.runs());
     let title = format!("Error against broadcasts: {cells} cells, {runs} runs");
     if let Some(figure) = picture::tradeoff(title, summary) {
-        write_all(folder, &[("tradeoff", tradeoff(&figure))])?;
-        names.extend(["tradeoff.svg", "tradeoff.png"]);
+        write_all(folder, &[("tradeoff", tradeoff(&figure))], formats.wanted())?;
+        names.extend(formats.names(["tradeoff"]));
     }
     Ok(names.join(", "))
 }

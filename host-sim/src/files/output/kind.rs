@@ -47,6 +47,10 @@ impl FileKind {
     pub const PNG: Self =
         Self { name: "a PNG picture", recognises: |bytes| bytes.starts_with(b"\x89PNG\r\n\x1a\n") };
 
+    /// A PDF document.
+    pub const PDF: Self =
+        Self { name: "a PDF document", recognises: |bytes| bytes.starts_with(b"%PDF-") };
+
     /// Whether a regular file can be replaced by one of this kind: it is empty, or of the same
     /// kind.
     #[must_use]
