@@ -73,10 +73,13 @@ fn check_package(package: &Package<'_>, bytes: &[u8]) {
         assert!(errors.is_finite());
     }
     let (n, features) = (package.dimension(), package.features());
+    let inputs = package.network.architecture().inputs();
+    assert_eq!(inputs, n + package.known_inputs);
     assert_eq!(package.outer_weights.len(), n * features);
     assert_eq!(package.node.output_matrix.len(), n * package.node.outputs(n));
     assert_eq!(package.node.edge_weights.len(), package.node.neighbours().count());
-    assert_eq!(package.test_vectors.len(), package.test_vectors().count() * (2 * n + features));
+    assert_eq!(package.test_vectors.len(), package.test_vectors().count() * (inputs + features + n));
+    assert_eq!(package.trained_box.low.len(), inputs);
 
     let place = NetworkPlace::new(package, bytes).expect("it was decoded from there");
     assert_eq!(place.network(bytes).as_ref(), Some(&package.network));
@@ -140,7 +143,7 @@ fn check_package(package: &Package<'_>, bytes: &[u8]) {
 /// Returns the header of a package of this dimension, which has been decoded.
 fn accept_of_any_dimension(bytes: &[u8], dimension: usize) -> Header {
     let header = Header::decode(bytes).expect("it was decoded from there");
-    assert_eq!(header.architecture.inputs(), dimension);
+    assert_eq!(header.dimension, dimension);
     for accepted in [accept_header::<1>(bytes, &ANY), accept_header::<2>(bytes, &ANY)] {
         match accepted {
             Ok(Some(accepted)) => assert_eq!(accepted, header),

@@ -121,6 +121,7 @@ impl SamplePackage {
             epoch: if is_first { 0 } else { self.version / 2 },
             version: self.version,
             replaces: (is_first && self.version > 1).then_some(self.version),
+            known_inputs: 0,
             outer_weights_on_switch: match self.version % 2 {
                 0 => OnSwitch::Keep,
                 _ => OnSwitch::Replace,

@@ -15,7 +15,7 @@ use agent_core::health::{
 use agent_core::math::parameter::ParameterError;
 use agent_core::observer::network::{LAYER_WIDTH_MAX, Scratch};
 use agent_core::package::{
-    NetworkPlace, Package, PackageError, ParamsPlace, Refusal, Requirements, accept,
+    Capacity, NetworkPlace, Package, PackageError, ParamsPlace, Refusal, Requirements, accept,
 };
 use agent_core::wire::frame::{FrameBytes, FrameError};
 use agent_core::{AgentId, StateVector, Tick};
@@ -31,6 +31,12 @@ pub const COUNTING: HealthSettings = HealthSettings {
     plausible_margin: 1e15,
     restart_after: None,
     telemetry_interval: HealthSettings::RECOMMENDED.telemetry_interval,
+};
+
+/// What an agent outside a run requires of its package: it is not told known inputs.
+const REQUIREMENTS: Requirements<'static> = Requirements {
+    capacity: Capacity { known_inputs: 0, ..Capacity::UNLIMITED },
+    ..Requirements::ANY
 };
 
 /// Largest number of neighbours of an agent outside a run.
@@ -117,10 +123,9 @@ impl Agent {
         estimate: Option<&[f32]>,
         health: &HealthSettings,
     ) -> Result<Self, AgentError> {
-        let inputs = package.architecture().inputs();
         // The last arm is unreachable: `Architecture` bounds the number of inputs.
         with_dimension!(
-            inputs,
+            package.package().dimension(),
             fixed(package, estimate, health),
             else Err(AgentError::Refused { refusal: Refusal::Package(PackageError::Malformed) })
         )
@@ -242,7 +247,7 @@ fn fixed<const N: usize>(
     health: &HealthSettings,
 ) -> Result<Box<dyn AnyDimension + Send + Sync>, AgentError> {
     let bytes = package.clone();
-    let accepted = accept::<N>(bytes.as_bytes(), &Requirements::ANY, &mut Scratch::NEW.clone());
+    let accepted = accept::<N>(bytes.as_bytes(), &REQUIREMENTS, &mut Scratch::NEW.clone());
     let package = accepted.map_err(|refusal| AgentError::Refused { refusal })?;
     let place = ParamsPlace::<N, NEIGHBOURS_MAX>::new(&package, bytes.as_bytes())
         .map_err(AgentError::Parameter)?;
@@ -272,9 +277,13 @@ fn started<const N: usize>(
     estimate: Option<&[f32]>,
     health: &HealthSettings,
 ) -> Result<Started<N>, AgentError> {
-    let health_params =
-        HealthParams::new(params, &package.trained_box, package.broadcast_interval_min, health)
-            .map_err(AgentError::Parameter)?;
+    let health_params = HealthParams::new(
+        params,
+        &package.trained_states(),
+        package.broadcast_interval_min,
+        health,
+    )
+    .map_err(AgentError::Parameter)?;
     let estimate = match estimate {
         None => health_params.start_estimate(),
         Some(given) => {

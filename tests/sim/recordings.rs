@@ -25,9 +25,10 @@ fn recorded(folder: &Folder, agent_keys: &str, plant_keys: &str) -> String {
     let (_, rest) = text.split_once("[plant]").unwrap();
     let (_, rest) = rest.split_once("[disturbance]").unwrap();
     let (_, rest) = rest.split_once("[time]").unwrap();
-    let rest = rest.replace("output_matrix = [[1.0, 0.0, 0.0]]", &format!(
-        "output_matrix = [[1.0, 0.0, 0.0]]\n{agent_keys}"
-    ));
+    let rest = rest.replace(
+        "output_matrix = [[1.0, 0.0, 0.0]]",
+        &format!("output_matrix = [[1.0, 0.0, 0.0]]\n{agent_keys}"),
+    );
     let plant = format!(
         "name = \"recorded\"\n[plant]\nmodel = \"recording\"\nfile = \"simulated/traces.csv\"\n\
          time = \"time [s]\"\nstates = [\"x\", \"y\", \"z\"]\n{plant_keys}\n[time]"
@@ -35,8 +36,7 @@ fn recorded(folder: &Folder, agent_keys: &str, plant_keys: &str) -> String {
     plant + &rest
 }
 
-const REFERENCE: &str =
-    "reference = [\"x [state unit]\", \"y [state unit]\", \"z [state unit]\"]";
+const REFERENCE: &str = "reference = [\"x [state unit]\", \"y [state unit]\", \"z [state unit]\"]";
 
 #[test]
 fn a_recording_of_every_step_is_as_good_as_the_plant() {
@@ -58,12 +58,14 @@ fn without_a_reference_there_are_innovations_and_no_errors() {
     let folder = Folder::new("recording-without-reference");
     let measured = |column: &str| format!("measured = [\"{column} [state unit]\"]");
     let text = recorded(&folder, &measured("x"), "")
-        .replace("output_matrix = [[0.0, 1.0, 0.0]]", &format!(
-            "output_matrix = [[0.0, 1.0, 0.0]]\n{}", measured("y")
-        ))
-        .replace("output_matrix = [[0.0, 0.0, 1.0]]", &format!(
-            "output_matrix = [[0.0, 0.0, 1.0]]\n{}", measured("z")
-        ));
+        .replace(
+            "output_matrix = [[0.0, 1.0, 0.0]]",
+            &format!("output_matrix = [[0.0, 1.0, 0.0]]\n{}", measured("y")),
+        )
+        .replace(
+            "output_matrix = [[0.0, 0.0, 1.0]]",
+            &format!("output_matrix = [[0.0, 0.0, 1.0]]\n{}", measured("z")),
+        );
     folder.write("recorded.toml", &text);
     let report = object(&folder.succeed("run recorded.toml --out out --format json"));
     for agent in report["agents"].as_array().unwrap() {
@@ -99,7 +101,12 @@ fn a_recording_that_does_not_fit_is_refused_with_its_place() {
         ("t,y1,y2\n0,1,2\n0.5,1,2\n3.5,1,2\n", "", both, "longer than the recording of 3.5 s"),
         ("t,y1,y2\n0,1,2\n0.5,1,2\n0.5,1,2\n", "", both, "does not increase in line 4"),
         ("t,y1,y2\n0,1,2\n0.5,x,2\n4,1,2\n", "", both, "line 3, column `y1`: `x` is not a finite"),
-        ("t,y1,y2\n# a comment\n\n0,1,2\n,1,2\n4,1,2\n", "", both, "line 5 of the file has no time"),
+        (
+            "t,y1,y2\n# a comment\n\n0,1,2\n,1,2\n4,1,2\n",
+            "",
+            both,
+            "line 5 of the file has no time",
+        ),
         ("0,1,2\n0.5,1,2\n4,1,2\n", "", both, "numbers instead of names"),
         ("t,y1,y1\n0,1,2\n4,1,2\n", "", both, "two columns are called `y1`"),
         ("t,y1,y2\n0,1,2\n0.5,,2\n4,1,2\n", "reference = [\"y1\", \"y2\"]", both, "line 3"),
@@ -133,7 +140,8 @@ fn what_a_recording_does_not_define_is_refused_everywhere() {
         assert!(error.contains("recording"), "{command}: {error}");
     }
     // `all` leaves them out.
-    let report = object(&folder.succeed("run recorded.toml --baselines all --out out --format json"));
+    let report =
+        object(&folder.succeed("run recorded.toml --baselines all --out out --format json"));
     let methods = report["methods"].as_array().unwrap();
     assert!(methods.iter().all(|row| !row["knows"].as_str().unwrap().contains("f exactly")));
     // A second and a third run replace what the first one wrote.

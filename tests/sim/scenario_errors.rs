@@ -55,6 +55,11 @@ fn unknown_keys() {
 }
 
 #[test]
+fn known_inputs() {
+    check(include_str!("scenario_errors/inputs.txt"));
+}
+
+#[test]
 fn missing_keys() {
     check(include_str!("scenario_errors/missing.txt"));
 }

@@ -121,7 +121,12 @@ impl Store {
             agent: Some(agent as u32 + 1),
             highest: Some(Serial { epoch: 0, version: self.highest }),
             step_range: StepRange::DEFAULT,
-            capacity: Capacity { features: 8, neighbours: 4, gain_entries: usize::MAX },
+            capacity: Capacity {
+                features: 8,
+                neighbours: 4,
+                gain_entries: usize::MAX,
+                known_inputs: 0,
+            },
         }
     }
 

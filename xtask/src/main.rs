@@ -26,6 +26,7 @@ mod soak;
 mod stack;
 mod step;
 mod studies;
+mod unreached;
 
 use std::{process::ExitCode, time::Instant};
 
@@ -75,7 +76,7 @@ Tasks:
           against nodes, with N tries of each attack (default 1000000) drawn from the seed S
           (default 1), and print how many were accepted and how many did harm: every number
           must be 0
-  lint    check module cycles, formatting, clippy and documentation; warnings are errors.
+  lint    check module cycles, files that are not compiled, formatting, clippy and documentation; warnings are errors.
           Clippy reads the workspace, the fuzz targets, and the boards whose firmware CI runs
   fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (default 10)
           from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
@@ -116,6 +117,7 @@ fn main() -> ExitCode {
         ["boot"] => boot::boot(debian),
         ["emulate"] => emulate::emulate(debian),
         ["lint"] => circles::check(step::workspace())
+            .and_then(|()| unreached::check(step::workspace()))
             .and_then(|()| host::lint())
             .and_then(|()| firmware::lint(debian))
             .and_then(|()| fuzz::lint(debian)),

@@ -89,12 +89,18 @@ pub struct Capacity {
     pub neighbours: usize,
     /// Largest number of stored entries of `Gamma`.
     pub gain_entries: usize,
+    /// Number of the plant's inputs that the node knows in every step.
+    pub known_inputs: usize,
 }
 
 impl Capacity {
     /// Limited only by the format; for a host.
-    pub const UNLIMITED: Self =
-        Self { features: usize::MAX, neighbours: usize::MAX, gain_entries: usize::MAX };
+    pub const UNLIMITED: Self = Self {
+        features: usize::MAX,
+        neighbours: usize::MAX,
+        gain_entries: usize::MAX,
+        known_inputs: usize::MAX,
+    };
 }
 
 /// Why a node refuses a package.
@@ -257,6 +263,7 @@ pub fn accept<'a, const N: usize>(
         features: package.features(),
         neighbours: package.node.neighbours.len(),
         gain_entries: package.node.outer_law.gain.entries().len(),
+        known_inputs: package.known_inputs,
     };
     check_sizes(&sizes, &requirements.capacity)?;
     check_parameters::<N>(&package)?;
@@ -288,9 +295,11 @@ pub fn accept_header<const N: usize>(
         check_signature(&envelope, requirements.public_keys)?;
     }
     let header = envelope.header.ok_or(PackageError::Malformed)?;
-    check_dimension::<N>(header.architecture.inputs())?;
+    check_dimension::<N>(header.dimension)?;
     let (features, neighbours) = (header.architecture.features(), header.neighbours);
-    check_sizes(&Capacity { features, neighbours, gain_entries: 0 }, &requirements.capacity)?;
+    let known_inputs = header.known_inputs();
+    let sizes = Capacity { features, neighbours, gain_entries: 0, known_inputs };
+    check_sizes(&sizes, &requirements.capacity)?;
     requirements.step_range.check(header.step_size)?;
     check_agent(header.agent, requirements)?;
     requirements.check_serial(header.serial, None)?;
@@ -329,6 +338,7 @@ fn check_sizes(found: &Capacity, capacity: &Capacity) -> Result<(), Refusal> {
         ("features", capacity.features, found.features),
         ("neighbours", capacity.neighbours, found.neighbours),
         ("gain entries", capacity.gain_entries, found.gain_entries),
+        ("known inputs", capacity.known_inputs, found.known_inputs),
     ];
     for (what, capacity, found) in needs {
         if found > capacity {
@@ -428,13 +438,13 @@ fn same_bits(found: &[f32], expected: &[f32]) -> bool {
 impl Package<'_> {
     /// Computes the contents of a test vector with the package's own weights: `sigma(Phi_hat(x))`,
     /// shape `[L]`, and `W_hat^T sigma`, shape `[N]`. `None` if the network has a dimension other
-    /// than `N`.
+    /// than `N`, or `input` a length other than the number of the network's inputs.
     pub fn evaluate<'s, const N: usize>(
         &self,
-        input: &StateVector<N>,
+        input: &[f32],
         scratch: &'s mut Scratch,
     ) -> Option<(&'s [f32], StateVector<N>)> {
-        let features = self.network.features(input.as_slice(), scratch)?;
+        let features = self.network.features(input, scratch).filter(|_| self.dimension() == N)?;
         Some((features, combine(self.outer_weights, features)))
     }
 }

@@ -18,7 +18,7 @@ const NODE: Requirements<'static> = Requirements {
     agent: Some(7),
     highest: Some(Serial { epoch: 1, version: 4 }),
     step_range: StepRange::DEFAULT,
-    capacity: Capacity { features: 8, neighbours: 4, gain_entries: 64 },
+    capacity: Capacity { features: 8, neighbours: 4, gain_entries: 64, known_inputs: 0 },
     ..Requirements::ANY
 };
 

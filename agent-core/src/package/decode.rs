@@ -74,7 +74,7 @@ fn from_body(body: &[u8], origin: Origin) -> Result<Package<'_>, PackageError> {
     if usize::from(metadata.test_vectors) > TEST_VECTORS_MAX {
         return Err(PackageError::TestVectors { found: metadata.test_vectors.into() });
     }
-    let counts = Counts::new(&metadata, &architecture);
+    let counts = Counts::new(&metadata, &architecture, architecture.inputs());
     let (expected, found) = (counts.total(), numbers.len());
     if expected != found {
         return Err(PackageError::NumberCount { expected, found });
@@ -124,12 +124,13 @@ fn assemble<'a>(
         step_size,
         broadcast_interval_min,
     ] = constants;
-    let (low, high) = (take(numbers, counts.dimension), take(numbers, counts.dimension));
+    let (low, high) = (take(numbers, counts.inputs), take(numbers, counts.inputs));
     let test_vectors = take(numbers, counts.test_vectors);
     Package {
         epoch: 0,
         version: metadata.version,
         replaces: metadata.replaces,
+        known_inputs: 0,
         outer_weights_on_switch: metadata.outer_weights_on_switch,
         network,
         outer_weights,

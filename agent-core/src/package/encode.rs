@@ -2,7 +2,7 @@
 
 use super::envelope::header;
 use super::wire::{Counts, Metadata, WORD};
-use super::{Format, HEADER_LENGTH, Package, TEST_VECTORS_MAX, test_vector_length};
+use super::{Format, HEADER_LENGTH, Package, TEST_VECTORS_MAX};
 use crate::AgentId;
 use crate::agent::exchange::ExchangeParams;
 
@@ -33,6 +33,8 @@ pub enum EncodeError {
     Exchange,
     /// Format 1 has no room for the field observer.
     Field,
+    /// Format 1 has networks of the state only.
+    KnownInputs,
     /// Format 2 has no permission to replace newer versions: it has epochs.
     Replaces,
 }
@@ -61,6 +63,11 @@ impl core::fmt::Display for EncodeError {
             Self::Field => write!(
                 f,
                 "format 1 has no parameters of the field observer; leave out [observer], or use package \
+                 format 2"
+            ),
+            Self::KnownInputs => write!(
+                f,
+                "format 1 has no known inputs of the network; leave out plant.inputs, or use package \
                  format 2"
             ),
             Self::Replaces => write!(
@@ -96,6 +103,9 @@ impl Package<'_> {
         if !self.node.field.is_empty() {
             return Err(EncodeError::Field);
         }
+        if self.known_inputs != 0 {
+            return Err(EncodeError::KnownInputs);
+        }
         let ids = self.node.neighbours.iter().chain([self.node.agent]);
         if let Some(id) = ids.into_iter().find(|&id| id > u16::MAX.into()) {
             return Err(EncodeError::Agent { id });
@@ -129,14 +139,15 @@ impl Package<'_> {
     /// # Errors
     /// [`EncodeError::Counts`] if the metadata require another count.
     pub(super) fn check_counts(&self) -> Result<usize, EncodeError> {
-        let expected = Counts::new(&self.metadata()?, self.network.architecture()).total();
+        let expected =
+            Counts::new(&self.metadata()?, self.network.architecture(), self.dimension()).total();
         let found = self.numbers().count();
         if expected == found { Ok(found) } else { Err(EncodeError::Counts { expected, found }) }
     }
 
     fn metadata(&self) -> Result<Metadata<'_>, EncodeError> {
         let architecture = self.network.architecture();
-        let vector_length = test_vector_length(self.dimension(), self.features());
+        let vector_length = self.test_vector_length();
         let test_vectors = self.test_vectors.len() / vector_length.max(1);
         if test_vectors > TEST_VECTORS_MAX {
             let expected = TEST_VECTORS_MAX * vector_length;

@@ -83,6 +83,7 @@ impl Package<'_> {
             agent: self.node.agent,
             serial: self.serial(),
             length: u32::try_from(length).map_err(|_| EncodeError::Space)?,
+            dimension: self.dimension(),
             architecture: self.network.architecture().clone(),
             outputs: self.node.outputs(self.dimension()),
             neighbours: self.node.neighbours.len(),

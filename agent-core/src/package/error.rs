@@ -55,7 +55,7 @@ pub enum PackageError {
     TrainingErrorNotFinite,
     /// The network is invalid.
     Network(NetworkError),
-    /// The network has inputs other than the state's components, which this crate cannot use.
+    /// The network has fewer inputs than the state has components.
     Inputs {
         /// Inputs of the network.
         inputs: usize,

@@ -13,7 +13,7 @@ use super::tests::{
 };
 use super::*;
 use crate::math::parameter::ParameterError;
-use crate::observer::network::{NetworkError, Scratch};
+use crate::observer::network::{Architecture, NetworkError, Scratch};
 use crate::wire::crc::crc32;
 
 fn bytes_of(package: &Package<'_>) -> Vec<u8> {
@@ -135,6 +135,56 @@ fn packages_that_differ_in_their_header_only_have_different_checksums() {
 }
 
 #[test]
+fn a_network_can_have_known_inputs_that_most_nodes_refuse() {
+    let content = Content::new();
+    let base = content.package();
+    let layers = base.network.architecture().layers().to_vec();
+    let architecture = Architecture::new(3, &layers).unwrap();
+    let inner: Vec<f32> = (0..12).map(|k| 0.1 * k as f32 - 0.5).collect();
+    let (low, high) = ([-1.0, -2.0, -9.0], [1.0, 2.0, 9.0]);
+    let mut package = Package {
+        network: InnerNetwork::new(architecture, &inner[..]).unwrap(),
+        known_inputs: 1,
+        trained_box: StateBox { low: &low, high: &high },
+        test_vectors: &[],
+        ..base
+    };
+    let mut scratch = Scratch::NEW;
+    let input = [0.5, -0.25, 7.0];
+    let (features, output) = package.evaluate::<2>(&input, &mut scratch).unwrap();
+    let vectors = [&input[..], features, output.as_slice()].concat();
+    package.test_vectors = &vectors;
+    // Neither is the shape of the state.
+    assert_eq!(package.evaluate::<2>(&input[..2], &mut scratch), None);
+    assert_eq!(package.evaluate::<3>(&input, &mut scratch), None);
+
+    let mut buffer = [0; 4096];
+    assert_eq!(package.encode(Format::One, &mut buffer), Err(EncodeError::KnownInputs));
+    let bytes = Aligned::new(&bytes_of(&package));
+    let decoded = Package::decode(bytes.bytes()).unwrap();
+    assert_eq!(decoded, package);
+    assert_eq!((decoded.dimension(), decoded.trained_states().high), (2, &high[..2]));
+    assert_eq!(decoded.test_vectors().map(|vector| vector.input).collect::<Vec<_>>(), [&input]);
+    let place = NetworkPlace::new(&decoded, bytes.bytes()).unwrap();
+    assert_eq!(place.outer_weights(bytes.bytes()), Some(package.outer_weights));
+
+    let node = |known_inputs| Requirements {
+        capacity: Capacity { known_inputs, ..Capacity::UNLIMITED },
+        ..Requirements::ANY
+    };
+    let refusal = Refusal::Capacity { what: "known inputs", capacity: 0, found: 1 };
+    let whole = |known| {
+        let mut scratch = Scratch::NEW;
+        accept::<2>(bytes.bytes(), &node(known), &mut scratch).map(|_| ())
+    };
+    let early = |known| accept_header::<2>(bytes.bytes(), &node(known)).map(|_| ());
+    assert_eq!((whole(0), early(0)), (Err(refusal), Err(refusal)));
+    assert_eq!((whole(1), early(1)), (Ok(()), Ok(())));
+    let other = accept_header::<3>(bytes.bytes(), &node(1)).map(|_| ());
+    assert_eq!(other, Err(Refusal::Dimension { expected: 3, found: 2 }));
+}
+
+#[test]
 fn each_defect_of_the_header_is_refused() {
     let content = Content::new();
     let bytes = bytes_of(&content.package());
@@ -146,7 +196,9 @@ fn each_defect_of_the_header_is_refused() {
     assert_eq!(changed(20, 2), Ok(()));
     let inputs = |inputs, dimension| Err(PackageError::Inputs { inputs, dimension });
     assert_eq!(changed(20, 3), inputs(2, 3));
-    assert_eq!(changed(21, 3), inputs(3, 2));
+    assert_eq!(changed(21, 1), inputs(1, 2));
+    // Another known input needs more weights.
+    assert!(matches!(changed(21, 3), Err(PackageError::SectionLength { kind: kind::INNER, .. })));
     let network = |error| Err(PackageError::Network(error));
     assert_eq!(changed(21, 13), network(NetworkError::Inputs { found: 13 }));
     assert_eq!(changed(22, 0), Err(PackageError::Outputs { found: 0 }));

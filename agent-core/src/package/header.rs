@@ -55,7 +55,10 @@ pub struct Header {
     pub serial: Serial,
     /// Length of the whole package. \[bytes\]
     pub length: u32,
-    /// Inputs and inner layers of the network. Its inputs are the state's components.
+    /// `n`, the dimension of the state.
+    pub dimension: usize,
+    /// Inputs and inner layers of the network. Its inputs are the state's components, followed by known
+    /// inputs of the plant.
     pub architecture: Architecture,
     /// `m`, the number of measured outputs.
     pub outputs: usize,
@@ -105,7 +108,7 @@ impl Header {
             return Err(PackageError::Malformed);
         }
         let architecture = architecture(inputs, layers, &[a, b, c, d])?;
-        if inputs != dimension {
+        if inputs < dimension {
             let (inputs, dimension) = (inputs.into(), dimension.into());
             return Err(PackageError::Inputs { inputs, dimension });
         }
@@ -121,6 +124,7 @@ impl Header {
             agent: number(agent),
             serial: Serial { epoch: number(epoch), version: number(version) },
             length: number(length),
+            dimension: dimension.into(),
             architecture,
             outputs: outputs.into(),
             neighbours: u16::from_le_bytes([neighbours_low, neighbours_high]).into(),
@@ -133,12 +137,18 @@ impl Header {
         })
     }
 
+    /// Returns `p`, the number of known inputs.
+    #[must_use]
+    pub fn known_inputs(&self) -> usize {
+        self.architecture.inputs().saturating_sub(self.dimension)
+    }
+
     /// Returns the bytes of a header with this digest; `None` if there are more neighbours than its
     /// field can hold.
     pub(super) fn encode(&self, digest: &[u8; DIGEST_LENGTH]) -> Option<[u8; HEADER2_LENGTH]> {
         let [low, high] = u16::try_from(self.neighbours).ok()?.to_le_bytes();
-        // Bounded by the architecture and its number of outputs.
-        let inputs = self.architecture.inputs() as u8;
+        // Bounded by the architecture.
+        let (dimension, inputs) = (self.dimension as u8, self.architecture.inputs() as u8);
         let (outputs, layers) = (self.outputs as u8, self.architecture.layers().len() as u8);
         let flags = match self.outer_weights_on_switch {
             OnSwitch::Keep => 0,
@@ -151,7 +161,7 @@ impl Header {
             epoch.to_le_bytes(),
             version.to_le_bytes(),
             self.length.to_le_bytes(),
-            [inputs, inputs, outputs, layers],
+            [dimension, inputs, outputs, layers],
         ];
         let layers = self.architecture.layers().iter();
         let layers = layers.flat_map(|layer| [layer.width, layer.activation as u8]);

@@ -94,8 +94,10 @@ pub struct Package<'a> {
     pub replaces: Option<u32>,
     /// Whether the adapted outer weights are kept when the package is activated.
     pub outer_weights_on_switch: OnSwitch,
-    /// The inner network.
+    /// The inner network: its inputs are the state's `n` components and `p` known inputs of the plant.
     pub network: InnerNetwork<&'a [f32]>,
+    /// `p`, the number of known inputs. Format 2 only, unless it is 0.
+    pub known_inputs: usize,
     /// Initial `W_hat`, row by row, shape `[L, n]`.
     pub outer_weights: &'a [f32],
     /// The agent's parameters.
@@ -103,13 +105,13 @@ pub struct Package<'a> {
     /// Minimum time between broadcasts that Theorem 2 guarantees on the training trajectories; 0 if
     /// unknown. \[s\]
     pub broadcast_interval_min: f32,
-    /// The region of the training inputs.
+    /// The region of the training inputs, shape `[n + p]`.
     pub trained_box: StateBox<'a>,
     /// Limits within which the package has to stay while it is on trial. Format 2 only.
     pub trial: Option<TrialLimits>,
     /// Origin of the network.
     pub provenance: Provenance<'a>,
-    /// Inputs with their exact outputs, concatenated: `n` numbers of input, `L` features, `n`
+    /// Inputs with their exact outputs, concatenated: `n + p` numbers of input, `L` features, `n`
     /// numbers of `W_hat^T sigma`.
     pub test_vectors: &'a [f32],
 }
@@ -198,7 +200,7 @@ impl TrainingErrors {
 /// A test vector of a package.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TestVector<'a> {
-    /// `x_hat`, shape `[n]`.
+    /// `x_hat` and the known inputs, shape `[n + p]`.
     pub input: &'a [f32],
     /// `sigma(Phi_hat(x_hat))`, shape `[L]`, exact to the bit.
     pub features: &'a [f32],
@@ -210,7 +212,14 @@ impl<'a> Package<'a> {
     /// Returns `n`, the state dimension.
     #[must_use]
     pub fn dimension(&self) -> usize {
-        self.network.architecture().inputs()
+        self.network.architecture().inputs().saturating_sub(self.known_inputs)
+    }
+
+    /// Returns the region of the training states, shape `[n]`.
+    #[must_use]
+    pub fn trained_states(&self) -> StateBox<'a> {
+        let states = |limits: &'a [f32]| limits.get(..self.dimension()).unwrap_or(limits);
+        StateBox { low: states(self.trained_box.low), high: states(self.trained_box.high) }
     }
 
     /// Returns `L`, the width of the last inner layer.
@@ -221,13 +230,20 @@ impl<'a> Package<'a> {
 
     /// Returns the test vectors in order.
     pub fn test_vectors(&self) -> impl Iterator<Item = TestVector<'a>> + '_ {
-        let (n, features) = (self.dimension(), self.features());
-        let length = test_vector_length(n, features).max(1);
-        self.test_vectors.chunks_exact(length).filter_map(move |numbers| {
-            let (input, rest) = numbers.split_at_checked(n)?;
-            let (features, output) = rest.split_at_checked(features)?;
-            Some(TestVector { input, features, output })
-        })
+        let (inputs, features) = (self.network.architecture().inputs(), self.features());
+        self.test_vectors.chunks_exact(self.test_vector_length().max(1)).filter_map(
+            move |numbers| {
+                let (input, rest) = numbers.split_at_checked(inputs)?;
+                let (features, output) = rest.split_at_checked(features)?;
+                Some(TestVector { input, features, output })
+            },
+        )
+    }
+
+    /// Returns the numbers per test vector.
+    fn test_vector_length(&self) -> usize {
+        let inputs = self.network.architecture().inputs();
+        test_vector_length(inputs, self.features(), self.dimension())
     }
 }
 
@@ -314,8 +330,8 @@ impl AgentConfig<'_> {
 }
 
 /// Numbers per test vector.
-const fn test_vector_length(dimension: usize, features: usize) -> usize {
-    2 * dimension + features
+const fn test_vector_length(inputs: usize, features: usize, dimension: usize) -> usize {
+    inputs + features + dimension
 }
 
 #[cfg(test)]

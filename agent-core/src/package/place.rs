@@ -22,8 +22,8 @@ pub struct NetworkPlace {
     /// Offset of the inner parameters from the first byte of the package.
     start: usize,
     end: usize,
-    /// Offset of the outer weights.
-    outer_weights: usize,
+    /// Range of the outer weights.
+    outer_weights: Range<usize>,
 }
 
 impl NetworkPlace {
@@ -31,7 +31,7 @@ impl NetworkPlace {
     #[must_use]
     pub fn new(package: &Package<'_>, bytes: &[u8]) -> Option<Self> {
         let Range { start, end } = range_in(bytes, package.network.parameters())?;
-        let outer_weights = range_in(bytes, package.outer_weights)?.start;
+        let outer_weights = range_in(bytes, package.outer_weights)?;
         let architecture = package.network.architecture().clone();
         Some(Self { architecture, start, end, outer_weights })
     }
@@ -55,8 +55,7 @@ impl NetworkPlace {
     /// Returns the package's outer weights in the same bytes, row by row, shape `[L, n]`.
     #[must_use]
     pub fn outer_weights<'a>(&self, bytes: &'a [u8]) -> Option<&'a [f32]> {
-        let length = WORD * self.architecture.features() * self.architecture.inputs();
-        bytemuck::try_cast_slice(bytes.get(self.outer_weights..)?.get(..length)?).ok()
+        bytemuck::try_cast_slice(bytes.get(self.outer_weights.clone())?).ok()
     }
 
     /// Returns the widths and activations.

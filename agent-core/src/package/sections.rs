@@ -170,8 +170,9 @@ pub(super) fn decode<'a>(
 ) -> Result<Package<'a>, PackageError> {
     let sections = Contents::read(body)?;
     let architecture = header.architecture.clone();
-    let (n, features) = (architecture.inputs(), architecture.features());
-    let vector_length = test_vector_length(n, features).max(1);
+    let (n, features) = (header.dimension, architecture.features());
+    let inputs = architecture.inputs();
+    let vector_length = test_vector_length(inputs, features, n).max(1);
     let test_vectors = sections.test_vectors.len() / vector_length;
     if test_vectors > TEST_VECTORS_MAX {
         return Err(PackageError::TestVectors { found: test_vectors });
@@ -180,7 +181,7 @@ pub(super) fn decode<'a>(
         (kind::INNER, architecture.parameter_count(), sections.inner),
         (kind::OUTER_WEIGHTS, features * n, sections.outer_weights),
         (kind::CONSTANTS, CONSTANTS, sections.constants),
-        (kind::TRAINED_BOX, 2 * n, sections.trained_box),
+        (kind::TRAINED_BOX, 2 * inputs, sections.trained_box),
         (kind::TEST_VECTORS, test_vectors * vector_length, sections.test_vectors),
     ] {
         expect(kind, expected, numbers.len())?;
@@ -206,11 +207,12 @@ pub(super) fn decode<'a>(
         node.exchange = exchange_params(sections.exchange)?;
     }
     node.field = sections.field;
-    let (low, high) = sections.trained_box.split_at_checked(n).unwrap_or_default();
+    let (low, high) = sections.trained_box.split_at_checked(inputs).unwrap_or_default();
     Ok(Package {
         epoch: header.serial.epoch,
         version: header.serial.version,
         replaces: None,
+        known_inputs: header.known_inputs(),
         outer_weights_on_switch: header.outer_weights_on_switch,
         network: InnerNetwork::verified(architecture, sections.inner),
         outer_weights: sections.outer_weights,
@@ -241,7 +243,7 @@ fn agent_config<'a>(
     agent: &'a [f32],
     constants: &[f32],
 ) -> Result<AgentConfig<'a>, PackageError> {
-    let (n, features) = (header.architecture.inputs(), header.architecture.features());
+    let (n, features) = (header.dimension, header.architecture.features());
     let missing = PackageError::SectionLength { kind: kind::AGENT, expected: 1, found: 0 };
     let (forms, mut numbers) = agent.split_first().ok_or(missing)?;
     let [gain, outer_gain, smoothness, 0] = forms.to_bits().to_le_bytes() else {

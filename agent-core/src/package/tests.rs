@@ -59,8 +59,7 @@ impl Content {
         for (index, input) in [[0.5, -0.25], [-1.0, 2.0]].into_iter().enumerate() {
             let mut scratch = Scratch::NEW;
             let package = content.package();
-            let (features, output) =
-                package.evaluate(&StateVector::<2>::from(input), &mut scratch).unwrap();
+            let (features, output) = package.evaluate::<2>(&input, &mut scratch).unwrap();
             let vector = [&input[..], features, output.as_slice()].concat();
             content.test_vectors[7 * index..][..7].copy_from_slice(&vector);
         }
@@ -74,6 +73,7 @@ impl Content {
             epoch: 0,
             version: 5,
             replaces: None,
+            known_inputs: 0,
             outer_weights_on_switch: OnSwitch::Keep,
             network: InnerNetwork::new(architecture, &self.inner[..]).unwrap(),
             outer_weights: &self.outer_weights,
@@ -369,7 +369,7 @@ fn each_defect_of_the_content_has_its_own_refusal() {
 #[test]
 fn a_node_refuses_what_its_buffers_cannot_hold() {
     let bytes = encoded(Format::Two, &Content::new().package());
-    let fits = Capacity { features: 3, neighbours: 2, gain_entries: 1 };
+    let fits = Capacity { features: 3, neighbours: 2, gain_entries: 1, known_inputs: 0 };
     let with = |capacity| {
         let requirements = Requirements { capacity, ..ANY };
         accept::<2>(bytes.bytes(), &requirements, &mut Scratch::NEW.clone()).map(|_| ())

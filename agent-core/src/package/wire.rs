@@ -86,7 +86,8 @@ pub(super) struct Counts {
     pub(super) gain: usize,
     pub(super) outer_gain: usize,
     pub(super) edge_weights: usize,
-    pub(super) dimension: usize,
+    /// Inputs of the network.
+    pub(super) inputs: usize,
     pub(super) test_vectors: usize,
 }
 
@@ -94,8 +95,13 @@ pub(super) struct Counts {
 pub(super) const CONSTANTS: usize = 8;
 
 impl Counts {
-    pub(super) fn new(metadata: &Metadata<'_>, architecture: &Architecture) -> Self {
-        let (n, features) = (architecture.inputs(), architecture.features());
+    pub(super) fn new(
+        metadata: &Metadata<'_>,
+        architecture: &Architecture,
+        dimension: usize,
+    ) -> Self {
+        let (n, features) = (dimension, architecture.features());
+        let inputs = architecture.inputs();
         Self {
             inner: architecture.parameter_count(),
             outer_weights: features * n,
@@ -103,8 +109,9 @@ impl Counts {
             gain: metadata.gain.count(n),
             outer_gain: metadata.outer_gain.count(features),
             edge_weights: metadata.neighbours.len(),
-            dimension: n,
-            test_vectors: usize::from(metadata.test_vectors) * test_vector_length(n, features),
+            inputs,
+            test_vectors: usize::from(metadata.test_vectors)
+                * test_vector_length(inputs, features, n),
         }
     }
 
@@ -116,7 +123,7 @@ impl Counts {
             + self.outer_gain
             + self.edge_weights
             + CONSTANTS
-            + 2 * self.dimension
+            + 2 * self.inputs
             + self.test_vectors
     }
 }

@@ -28,8 +28,12 @@ impl<
 > Node<'_, F, N, FEATURES, NEIGHBOURS, SAMPLES>
 {
     /// `Gamma` stays in the package and needs no buffer.
-    const CAPACITY: Capacity =
-        Capacity { features: FEATURES, neighbours: NEIGHBOURS, gain_entries: usize::MAX };
+    const CAPACITY: Capacity = Capacity {
+        features: FEATURES,
+        neighbours: NEIGHBOURS,
+        gain_entries: usize::MAX,
+        known_inputs: 0,
+    };
 
     /// Reads the journal and loads the package in flash, after all checks.
     #[inline(never)]

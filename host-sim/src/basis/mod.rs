@@ -7,6 +7,8 @@
 //! | `known-f` | `f(t, x)` | the identity, constant |
 //! | `regression` | cubic monomials of the scaled state | fitted by least squares; adapt |
 //!
+//! Known inputs of the plant, if there are any, follow the state in network and monomials; `f` takes them, too.
+//!
 //! Packages of the baselines carry a placeholder network with the right number of features, so everything
 //! else about an agent is the same as with the observer.
 
@@ -123,6 +125,73 @@ impl<'s> KnownModel<'s> {
     }
 }
 
+/// A basis in a step, at whose time the plant and its known inputs are evaluated.
+#[derive(Clone, Debug)]
+pub struct Driven<'s> {
+    basis: Basis<'s>,
+    /// The known inputs that the basis takes beside the state, shape `[p]`.
+    known: Vec<f32>,
+}
+
+impl<'s> Driven<'s> {
+    /// Creates a basis for states with `n` components, at time 0.
+    #[must_use]
+    pub fn new(basis: Basis<'s>, n: usize) -> Self {
+        let known = vec![0.0; basis.inputs().saturating_sub(n)];
+        Self { basis, known }
+    }
+
+    /// Continues at `time` \[s\].
+    #[inline]
+    pub fn set_time(&mut self, plant: &Plant, time: f64) {
+        self.basis.set_time(time);
+        if !self.known.is_empty() {
+            let known = plant.known_inputs(time);
+            self.known.iter_mut().zip(known.iter()).for_each(|(own, &u)| *own = u as f32);
+        }
+    }
+
+    /// Returns the network, if that is what the outer weights combine.
+    #[inline]
+    #[must_use]
+    pub fn network(&self) -> Option<&SharedNetwork> {
+        match &self.basis {
+            Basis::Network(network) => Some(network),
+            _ => None,
+        }
+    }
+}
+
+impl Features for Driven<'_> {
+    #[inline]
+    fn inputs(&self) -> usize {
+        self.basis.inputs() - self.known.len()
+    }
+
+    #[inline]
+    fn count(&self) -> usize {
+        self.basis.count()
+    }
+
+    #[inline]
+    fn features<'s>(&'s self, x: &[f32], scratch: &'s mut Scratch) -> Option<&'s [f32]> {
+        if self.known.is_empty() {
+            return self.basis.features(x, scratch);
+        }
+        let mut inputs = [0.0; DIMENSION_MAX];
+        let (states, known) = inputs.get_mut(..x.len() + self.known.len())?.split_at_mut(x.len());
+        states.copy_from_slice(x);
+        known.copy_from_slice(&self.known);
+        let count = x.len() + self.known.len();
+        self.basis.features(inputs.get(..count)?, scratch)
+    }
+
+    #[inline]
+    fn adapts(&self) -> bool {
+        self.basis.adapts()
+    }
+}
+
 /// Returns what an agent with this package combines, if the scenario's method has something other than
 /// the package's network.
 #[must_use]
@@ -145,17 +214,19 @@ const POLYNOMIAL_BOUND: f64 = 1e4;
 /// features, and the outer weights to start with. `None` if the method uses the scenario's own network.
 ///
 /// # Panics
-/// If the plant has more states than an architecture has inputs, which a loaded scenario excludes.
+/// If the plant has more states and inputs than an architecture has inputs, which a loaded scenario excludes.
 #[must_use]
 pub fn placeholder(scenario: &Scenario) -> Option<Network> {
     let n = scenario.dimension();
+    let mut inputs = n;
     let (features, outer, outer_law) = match scenario.method {
         Method::KnownModel => {
             let outer = (0..n * n).map(|place| if place % (n + 1) == 0 { 1.0 } else { 0.0 });
             (n, outer.collect(), law(OuterGain::Scalar(1.0), 2.0 * n as f64))
         }
         Method::Regression => {
-            let features = polynomial::count(n);
+            inputs += scenario.plant.input_names().len();
+            let features = polynomial::count(inputs);
             let gain = match scenario.network.as_ref().map(|network| &network.outer_law.gain) {
                 Some(OuterGain::Scalar(gain)) => *gain,
                 Some(OuterGain::Diagonal(diagonal)) => mean(diagonal.iter()),
@@ -169,7 +240,7 @@ pub fn placeholder(scenario: &Scenario) -> Option<Network> {
     };
     let layer = Layer { width: features as u8, activation: Activation::Tanh };
     let architecture =
-        Architecture::new(n, &[layer]).expect("a plant's number of inputs and 64 features");
+        Architecture::new(inputs, &[layer]).expect("a plant's number of inputs and 64 features");
     Some(Network { architecture, inner: InitialParameters::Constant(0.0), outer, outer_law })
 }
 

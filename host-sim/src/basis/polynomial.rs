@@ -1,4 +1,4 @@
-//! Polynomials of the state in place of a network, fitted by least squares as in sparse identification
+//! Polynomials of the state and the known inputs in place of a network, fitted by least squares as in sparse identification
 //! of dynamics, without its thresholds.
 //!
 //! The state is scaled so that the training samples fill [-1, 1] in each component, and limited to that
@@ -48,7 +48,7 @@ impl Polynomial {
         }
     }
 
-    /// Returns the dimension of the state.
+    /// Returns the number of variables.
     #[must_use]
     pub fn dimension(&self) -> usize {
         self.middle.len()
@@ -96,7 +96,7 @@ impl Polynomial {
         let mut squares = DMatrix::<f64>::zeros(count, count);
         let mut products = DMatrix::<f64>::zeros(count, n);
         let mut outputs = [0.0; LAYER_WIDTH_MAX];
-        let rows = data.inputs().chunks_exact(n).zip(data.targets().chunks_exact(n));
+        let rows = data.inputs().chunks_exact(data.width()).zip(data.targets().chunks_exact(n));
         for (inputs, targets) in rows {
             let x: Vec<f32> = inputs.iter().map(|&x| x as f32).collect();
             let features = self.features(&x, &mut outputs)?;

@@ -169,7 +169,10 @@ fn largest_residual<const N: usize>(
         rate.iter_mut().zip(&drift).for_each(|(rate, drift)| *rate += drift);
         if let Some(package) = network {
             let x = agent_core::StateVector::<N>::from_fn(|c, _| state[c] as f32);
-            let (_, output) = package.package().evaluate(&field.limited(&x), &mut scratch)?;
+            let known = scenario.plant.known_inputs(time);
+            let known = known.iter().take(package.package().known_inputs).map(|&u| u as f32);
+            let inputs: Vec<f32> = field.limited(&x).iter().copied().chain(known).collect();
+            let (_, output) = package.package().evaluate::<N>(&inputs, &mut scratch)?;
             rate.iter_mut().zip(output.iter()).for_each(|(rate, &f)| *rate -= f64::from(f));
         }
         Some(())

@@ -27,7 +27,7 @@ use super::sensor::Sensor;
 use super::sent::Sent;
 use super::statistics::AgentStatistics;
 use super::watch::{Watch, is_recoverable};
-use crate::basis::{Basis, SharedNetwork, substitute};
+use crate::basis::{Basis, Driven, SharedNetwork, substitute};
 use crate::packages::PackageBytes;
 use crate::plant::Recorded;
 use crate::scenario::{self, Scenario};
@@ -79,7 +79,7 @@ pub(super) struct SimulatedAgent<'s, const N: usize> {
     params: AgentParams<'s, N>,
     state: SimulatedState<N>,
     inbox: SimulatedInbox<N>,
-    network: Option<Basis<'s>>,
+    network: Option<Driven<'s>>,
     scenario: &'s Scenario,
     /// Epoch and version of the newest package so far, for the check against older ones.
     highest: Option<Serial>,
@@ -277,7 +277,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         let Self { params, state, inbox, watch, network, norms, statistics, scenario, .. } = self;
         let measurement = self.is_measured.then_some(&self.measurement[..self.output_matrix.len()]);
         if let Some(network) = network {
-            network.set_time(scenario.time.at(tick));
+            network.set_time(&scenario.plant, scenario.time.at(tick));
         }
         let network = network.as_ref().map(|source| Ahead { source, computed });
         let network = network.as_ref();
@@ -363,10 +363,17 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         Ok(())
     }
 
-    /// Calls `use_features` with `sigma_i` at the estimate, shape `[L]`, and `W_hat_i`, row-major,
-    /// shape `[L, N]`; with `None` if the agent does not use a network.
-    pub(super) fn with_features(&mut self, use_features: impl FnOnce(Option<(&[f32], &[f32])>)) {
+    /// Calls `use_features` with `sigma_i` at the estimate and `time` \[s\], shape `[L]`, and `W_hat_i`,
+    /// row-major, shape `[L, N]`; with `None` if the agent does not use a network.
+    pub(super) fn with_features(
+        &mut self,
+        time: f64,
+        use_features: impl FnOnce(Option<(&[f32], &[f32])>),
+    ) {
         let network_in_use = self.watch.as_ref().is_none_or(Watch::network_in_use);
+        if let Some(network) = &mut self.network {
+            network.set_time(&self.scenario.plant, time);
+        }
         let network = self.network.as_ref().filter(|_| network_in_use);
         let (Some(network), Some((_, scratch))) = (network, &mut self.norms) else {
             return use_features(None);
@@ -383,10 +390,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     #[inline]
     pub(super) fn network(&self) -> Option<&SharedNetwork> {
         let is_used = self.state.field().is_none_or(|field| field.options.uses_network);
-        match &self.network {
-            Some(Basis::Network(network)) if is_used => Some(network),
-            _ => None,
-        }
+        self.network.as_ref().and_then(Driven::network).filter(|_| is_used)
     }
 
     /// Returns the input at which the next step evaluates the network.
@@ -479,10 +483,9 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         self.state.switch(neighbours, &self.params, &package, &mut self.inbox)?;
         let after = requirements.serial_after_activation(&package);
         self.highest = self.highest.max(Some(after));
-        self.network = Some(match substitute(self.scenario, &package) {
-            None => Basis::Network(networks.of(bytes)),
-            Some(basis) => basis,
-        });
+        let basis = substitute(self.scenario, &package);
+        let basis = basis.unwrap_or_else(|| Basis::Network(networks.of(bytes)));
+        self.network = Some(Driven::new(basis, N));
         if let Some((first, current)) = &mut self.packages {
             first.get_or_insert_with(|| bytes.clone());
             *current = Some(bytes.clone());

@@ -170,10 +170,12 @@ impl<'s> Learning<'s> {
                 let distance = job.last.replace(tick).map_or(0, |last| tick - last);
                 let missing = (distance / Tick::from(stride.get())).saturating_sub(1);
                 if missing > 0 {
-                    job.gaps.push((job.inputs.len() / sample.estimate.len(), missing));
+                    job.gaps.push((job.targets.len() / N, missing));
                 }
                 job.first.get_or_insert(tick);
                 job.inputs.extend(sample.estimate.iter().map(|&x| f64::from(x)));
+                let known = self.scenario.plant.known_inputs(self.scenario.time.at(tick));
+                job.inputs.extend(known.iter().map(|&u| f64::from(u as f32)));
                 job.targets.extend(sample.derivative.iter().map(|&x| f64::from(x)));
             }
             if tick + 1 == job.collect_to {
@@ -281,7 +283,8 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
 fn recording(scenario: &Scenario, job: &mut Job) -> Result<Recording, TrainedError> {
     let inputs = std::mem::take(&mut job.inputs);
     let targets = std::mem::take(&mut job.targets);
-    let samples = Dataset::new(scenario.dimension(), inputs, targets)?;
+    let known = scenario.plant.input_names().len();
+    let samples = Dataset::with_known_inputs(scenario.dimension(), known, inputs, targets)?;
     let stride = Tick::from(scenario.learning[job.cycle].stride.get());
     let first = job.first.unwrap_or_else(|| job.collect_from.next_multiple_of(stride));
     let (gaps, missing) = std::mem::take(&mut job.gaps).into_iter().unzip();

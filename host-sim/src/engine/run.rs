@@ -332,10 +332,10 @@ fn initial_parameters(
     network: &Network,
     seed: u64,
 ) -> Result<Vec<f32>, RunError> {
-    // No samples are recorded yet, so assume that every state component ranges over [-1, 1].
-    let n = scenario.dimension();
-    let corners = [vec![-1.0; n], vec![1.0; n]].concat();
-    let parameters = Dataset::new(n, corners.clone(), corners)
+    // No samples are recorded yet, so assume that every input ranges over [-1, 1].
+    let (n, known) = (scenario.dimension(), scenario.known_inputs_of(network));
+    let corners = |count: usize| [vec![-1.0; count], vec![1.0; count]].concat();
+    let parameters = Dataset::with_known_inputs(n, known, corners(n + known), corners(n))
         .map_err(TrainingError::from)
         .and_then(|data| Ok(network.inner.draw(&network.architecture, &data, seed)?))
         .map_err(RunError::InitialNetwork)?;
@@ -613,7 +613,7 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
         let samples = bounds.lumped();
         samples.disturbance(&disturbance);
         for (index, agent) in self.agents.iter_mut().enumerate() {
-            agent.with_features(|network| samples.agent(index, &rate, network));
+            agent.with_features(time, |network| samples.agent(index, &rate, network));
         }
     }
 

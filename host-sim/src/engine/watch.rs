@@ -29,7 +29,7 @@ impl<const N: usize> Watch<N> {
         let by_event = matches!(agent.trigger(), Trigger::Event(_));
         let interval = if by_event { package.broadcast_interval_min } else { 0.0 };
         Ok(Self {
-            params: HealthParams::new(agent, &package.trained_box, interval, settings)?,
+            params: HealthParams::new(agent, &package.trained_states(), interval, settings)?,
             outer_weights: package.outer_weights.to_vec(),
             health: before.map_or_else(Health::new, |before| before.health.clone()),
         })

@@ -239,6 +239,17 @@ fn output_is_deterministic_and_written_to_files() {
 }
 
 #[test]
+fn pdf_has_vectors_and_an_embedded_font() {
+    let traces = traces(3, 3, 2_001);
+    let pdf = states_of("Vectors", &traces).pdf().unwrap();
+    let has = |text: &str| pdf.windows(text.len()).any(|window| window == text.as_bytes());
+    assert!(pdf.starts_with(b"%PDF-") && has("/Type/Page"));
+    assert!(has("+DejaVuSans") && has("/FontFile2"));
+    // No date, so that the same data give the same bytes; and no pixels.
+    assert!(!has("/CreationDate") && !has("/Subtype/Image"));
+}
+
+#[test]
 fn error_names_the_file_that_cannot_be_written() {
     let folder = std::env::temp_dir().join(format!("in-the-way-{}", std::process::id()));
     std::fs::write(&folder, "a file").unwrap();

@@ -195,7 +195,7 @@ fn rules_on_three_plants_and_random_geometries() {
         close(&transform, &list(&case["transform"]), 1e-6);
 
         let deviation = states.deviation();
-        let model = |x: &[f64], dx: &mut [f64]| {
+        let model = |_: f64, x: &[f64], dx: &mut [f64]| {
             drift(name, x, dx);
             for c in 0..n {
                 let next = (c + 1) % n;

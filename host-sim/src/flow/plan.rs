@@ -4,6 +4,7 @@
 //! What the scenario leaves open follows from the plant's trajectory without agents, as the simulator
 //! knows it, and from the network in the package.
 
+use agent_core::observer::features::Features;
 use agent_core::observer::field::disturbance::Model;
 use agent_core::observer::field::{Coupling, Direction, HoldKind, Options};
 use agent_core::observer::network::Scratch;
@@ -298,7 +299,7 @@ impl<'s> Plan<'s> {
     fn derive(&self, package: &PackageBytes, uses_network: bool) -> Result<Derived, PlanError> {
         let Self { scenario, observer, geometry, trajectory, .. } = self;
         let n = scenario.dimension();
-        let evaluate = |x: &[f64], f: &mut [f64]| self.model(package, x, f);
+        let evaluate = |time: f64, x: &[f64], f: &mut [f64]| self.model(package, time, x, f);
         let model: Option<&super::statistics::Model<'_>> =
             if uses_network { Some(&evaluate) } else { None };
         let mut derived = if observer.is_complete() {
@@ -449,18 +450,29 @@ impl<'s> Plan<'s> {
         noise.iter().any(|&sigma| sigma > 0.0).then_some(noise)
     }
 
-    /// Writes `f_hat(x)` of a package's network.
-    fn model(&self, package: &PackageBytes, x: &[f64], f: &mut [f64]) {
+    /// Writes `f_hat(x)` of a package's network at a time of the run. \[s\]
+    fn model(&self, package: &PackageBytes, time: f64, x: &[f64], f: &mut [f64]) {
+        let n = x.len();
         let limits = x.iter().zip(self.low.iter().zip(&self.high));
-        let x: Vec<f32> = limits.map(|(&x, (&low, &high))| (x as f32).clamp(low, high)).collect();
+        let mut x: Vec<f32> =
+            limits.map(|(&x, (&low, &high))| (x as f32).clamp(low, high)).collect();
         f.fill(0.0);
-        if let Some(basis) = substitute(self.scenario, &package.package()) {
+        if let Some(mut basis) = substitute(self.scenario, &package.package()) {
+            basis.set_time(time);
+            x.extend(self.known_inputs(basis.inputs() - n, time));
             return basis.combine(package.package().outer_weights, &x, f);
         }
-        let output = with_node_dimension!(x.len(), output(package, &x), else Vec::new());
+        x.extend(self.known_inputs(package.package().known_inputs, time));
+        let output = with_node_dimension!(n, output(package, &x), else Vec::new());
         for (f, output) in f.iter_mut().zip(output) {
             *f = f64::from(output);
         }
+    }
+
+    /// Returns the known inputs at a time \[s\], if a network takes any.
+    fn known_inputs(&self, count: usize, time: f64) -> Vec<f32> {
+        let known = self.scenario.plant.known_inputs(time);
+        known.iter().take(count).map(|&u| u as f32).collect()
     }
 
     /// Returns a digest of all that samples are predicted with; never 0.
@@ -484,9 +496,8 @@ impl<'s> Plan<'s> {
 }
 
 fn output<const N: usize>(package: &PackageBytes, x: &[f32]) -> Vec<f32> {
-    let state = agent_core::StateVector::<N>::from_column_slice(x);
     let mut scratch = Scratch::NEW;
-    let output = package.package().evaluate(&state, &mut scratch).map(|(_, output)| output);
+    let output = package.package().evaluate::<N>(x, &mut scratch).map(|(_, output)| output);
     output.map_or_else(Vec::new, |output| output.as_slice().to_vec())
 }
 

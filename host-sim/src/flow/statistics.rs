@@ -28,8 +28,8 @@ const DIFFERENCE: f64 = 1e-5;
 /// Quantile that stands for the largest value, outliers aside.
 const QUANTILE: f64 = 0.95;
 
-/// A model: writes `f(x)` \[state unit/s\] for its first argument, both of shape `[n]`.
-pub type Model<'m> = dyn Fn(&[f64], &mut [f64]) + 'm;
+/// A model: writes `f(t, x)` \[state unit/s\] for a time \[s\] and a state, shape `[n]`.
+pub type Model<'m> = dyn Fn(f64, &[f64], &mut [f64]) + 'm;
 
 /// Statistics of a plant's states and of a model's error.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,7 +81,7 @@ impl Statistics {
             let mut errors = vec![Vec::new(); n];
             let (mut f, mut in_directions) = (vec![0.0; n], vec![0.0; n]);
             for k in (0..intervals).step_by(stride) {
-                model(trajectory.state(k), &mut f);
+                model(trajectory.time(k), trajectory.state(k), &mut f);
                 geometry.directions_of(&f, &mut in_directions);
                 for (c, errors) in errors.iter_mut().enumerate() {
                     errors.push((rate(k, c) - in_directions[c]).abs());
@@ -113,12 +113,12 @@ fn largest_slopes(trajectory: &Trajectory, geometry: &Geometry, model: &Model<'_
     let mut jacobian = DMatrix::zeros(n, n);
     let [mut here, mut there, mut moved] = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
     for k in (0..trajectory.samples()).step_by((trajectory.samples() / DIFFERENCED).max(1)) {
-        let state = trajectory.state(k);
-        model(state, &mut here);
+        let (time, state) = (trajectory.time(k), trajectory.state(k));
+        model(time, state, &mut here);
         for j in 0..n {
             moved.copy_from_slice(state);
             moved[j] += DIFFERENCE * unit[j];
-            model(&moved, &mut there);
+            model(time, &moved, &mut there);
             // What the state moved by after rounding.
             let by = moved[j] - state[j];
             for row in 0..n {
@@ -159,7 +159,7 @@ mod tests {
         let trajectory = Trajectory { dimension: 2, step, states };
         let outputs = [dmatrix![1.0, 0.0], dmatrix![0.0, 1.0]];
         let geometry = Geometry::in_state_units(&references(&outputs)).unwrap();
-        let exact = |x: &[f64], dx: &mut [f64]| {
+        let exact = |_: f64, x: &[f64], dx: &mut [f64]| {
             dx[0] = -0.5 * omega * x[1];
             dx[1] = 2.0 * omega * x[0];
         };

@@ -29,6 +29,12 @@ impl Trajectory {
         &self.states[k * self.dimension..(k + 1) * self.dimension]
     }
 
+    /// Returns the time of sample `k`, counted from the first. \[s\]
+    #[must_use]
+    pub fn time(&self, k: usize) -> f64 {
+        k as f64 * self.step
+    }
+
     /// Returns the mean of each component, shape `[n]`. \[state unit\]
     #[must_use]
     pub fn mean(&self) -> Vec<f64> {

@@ -93,31 +93,32 @@ impl Cleaned {
 /// choosing a window: without filling, lost samples would leave segments too short for a slow
 /// signal.
 fn filled(recording: &Recording) -> Vec<Dataset> {
-    let n = recording.samples.dimension();
-    let (inputs, targets) = (recording.samples.inputs(), recording.samples.targets());
+    let samples = &recording.samples;
+    let (n, width) = (samples.dimension(), samples.width());
+    let (inputs, targets) = (samples.inputs(), samples.targets());
     let ticks = recording.ticks();
     let mut pieces = Vec::new();
     let (mut filled_inputs, mut filled_targets) = (Vec::new(), Vec::new());
     for (index, &tick) in ticks.iter().enumerate() {
         let missing = index.checked_sub(1).map_or(0, |before| tick - ticks[before] - 1);
         if missing > FILLED_MAX {
-            pieces.extend(Dataset::new(n, filled_inputs, filled_targets));
+            pieces.extend(samples.of_shape(filled_inputs, filled_targets));
             (filled_inputs, filled_targets) = (Vec::new(), Vec::new());
         } else {
             for step in 1..=missing {
                 let share = step as f64 / (missing + 1) as f64;
-                let between = |values: &[f64], i: usize| {
+                let between = |values: &[f64], n: usize, i: usize| {
                     let (a, b) = (values[(index - 1) * n + i], values[index * n + i]);
                     a + share * (b - a)
                 };
-                filled_inputs.extend((0..n).map(|i| between(inputs, i)));
-                filled_targets.extend((0..n).map(|i| between(targets, i)));
+                filled_inputs.extend((0..width).map(|i| between(inputs, width, i)));
+                filled_targets.extend((0..n).map(|i| between(targets, n, i)));
             }
         }
-        filled_inputs.extend_from_slice(&inputs[index * n..(index + 1) * n]);
+        filled_inputs.extend_from_slice(&inputs[index * width..(index + 1) * width]);
         filled_targets.extend_from_slice(&targets[index * n..(index + 1) * n]);
     }
-    pieces.extend(Dataset::new(n, filled_inputs, filled_targets));
+    pieces.extend(samples.of_shape(filled_inputs, filled_targets));
     pieces
 }
 
@@ -135,19 +136,18 @@ fn judge_raw(
     let mut first_row = 0;
     for piece in pieces {
         if let Ok(smooth) = smoothing.apply(piece, interval) {
-            let n = smooth.dimension();
+            let (n, width) = (smooth.dimension(), smooth.width());
             let kept = (half..half + smooth.len()).filter(|sample| sample.is_multiple_of(stride));
             for sample in kept {
-                let place = (sample - half) * n..(sample - half + 1) * n;
-                inputs.extend_from_slice(&smooth.inputs()[place.clone()]);
-                targets.extend_from_slice(&smooth.targets()[place]);
+                let place = |n: usize| (sample - half) * n..(sample - half + 1) * n;
+                inputs.extend_from_slice(&smooth.inputs()[place(width)]);
+                targets.extend_from_slice(&smooth.targets()[place(n)]);
                 rows.push(first_row + sample / stride);
             }
         }
         first_row += piece.len().div_ceil(stride);
     }
-    let dimension = pieces.first()?.dimension();
-    Some((Dataset::new(dimension, inputs, targets).ok()?, rows))
+    Some((pieces.first()?.of_shape(inputs, targets).ok()?, rows))
 }
 
 #[cfg(test)]

@@ -14,7 +14,6 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::packages::Recording;
-use crate::training::Dataset;
 
 /// Least and greatest frequency that is looked for. \[rad/s\]
 const RANGE: [f64; 2] = [0.6, 12.0];
@@ -104,7 +103,8 @@ impl Harmonic {
                 *rate -= share * value;
             }
         }
-        let samples = Dataset::new(n, recording.samples.inputs().to_vec(), targets).ok()?;
+        let samples =
+            recording.samples.of_shape(recording.samples.inputs().to_vec(), targets).ok()?;
         Some(Recording { samples, ..recording.clone() })
     }
 }
@@ -130,7 +130,8 @@ struct Fit {
 
 impl Averages {
     fn new(recording: &Recording, row: &[f64], degree: usize) -> Option<Self> {
-        let n = recording.samples.dimension();
+        // The rates are functions of the state and of known inputs.
+        let (n, variables) = (recording.samples.dimension(), recording.samples.width());
         let (inputs, targets) = (recording.samples.inputs(), recording.samples.targets());
         let ticks = recording.ticks();
         let width = ((WINDOW / recording.interval).round() as usize).max(1);
@@ -141,7 +142,7 @@ impl Averages {
             if ticks[start + width - 1] - ticks[start] != width as u64 - 1 {
                 continue;
             }
-            let mean = |values: &[f64]| -> Vec<f64> {
+            let mean = |values: &[f64], n: usize| -> Vec<f64> {
                 let mut sum = vec![0.0; n];
                 for row in values[start * n..(start + width) * n].chunks_exact(n) {
                     sum.iter_mut().zip(row).for_each(|(sum, x)| *sum += x);
@@ -150,18 +151,18 @@ impl Averages {
             };
             let middle = ticks[start] as f64 + 0.5 * (width as f64 - 1.0);
             times.push(recording.start + middle * recording.interval);
-            states.push(mean(inputs));
-            let rate = mean(targets);
+            states.push(mean(inputs, variables));
+            let rate = mean(targets, n);
             rates.push(row.iter().zip(&rate).fold(0.0, |sum, (row, rate)| sum + row * rate));
         }
         if times.len() < 4 * PER_WINDOW {
             return None;
         }
-        if monomials(n, degree).len() * SAMPLES_PER_FUNCTION > times.len() {
+        if monomials(variables, degree).len() * SAMPLES_PER_FUNCTION > times.len() {
             return None;
         }
         scale(&mut states);
-        let monomials = monomials(n, degree);
+        let monomials = monomials(variables, degree);
         let functions = DMatrix::from_fn(times.len(), monomials.len(), |k, m| {
             monomials[m].iter().fold(1.0, |product, &c| product * states[k][c])
         });
@@ -246,6 +247,7 @@ fn monomials(n: usize, degree: usize) -> Vec<Vec<usize>> {
 mod tests {
     use super::*;
     use crate::packages::Timing;
+    use crate::training::Dataset;
 
     /// A recording at 1 kHz of a rotation at 0.7 rad/s whose second rate has a harmonic, with a gap of 50
     /// samples after the first 1,500.

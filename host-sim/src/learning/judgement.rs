@@ -33,10 +33,10 @@ impl Samples<'_> {
         let mut warnings: Vec<Warning> =
             outer_weights(self.outer_weights, self.train.dimension()).into_iter().collect();
         for input in self.scaling.constant_inputs() {
+            let (name, what) = self.name(input);
             let text = format!(
-                "xhat{0} does not vary in the samples, so the network ignores it; record while \
-                 component {0} varies",
-                input + 1
+                "{name} does not vary in the samples, so the network ignores it; record while \
+                 {what} varies"
             );
             warnings.push(Warning::new(WarningCode::ConstantInput, text));
         }
@@ -44,10 +44,10 @@ impl Samples<'_> {
             let Some(offset) = offset.filter(|&offset| offset > OFFSET_MAX) else { continue };
             let digits = libm::log10(16_777_216.0 / offset);
             let text = format!(
-                "xhat{} is {offset:.0} standard deviations away from 0, so single precision \
+                "{} is {offset:.0} standard deviations away from 0, so single precision \
                  leaves only {digits:.1} digits of its variation; subtract a constant from the \
                  measurement",
-                input + 1
+                self.name(input).0
             );
             warnings.push(Warning::new(WarningCode::InputResolution, text));
         }
@@ -72,6 +72,14 @@ impl Samples<'_> {
             warnings.push(Warning::new(WarningCode::FewSamples, text));
         }
         warnings
+    }
+
+    /// Returns the name of an input's column, and what it is.
+    fn name(&self, input: usize) -> (String, String) {
+        match input.checked_sub(self.train.dimension()) {
+            None => (format!("xhat{}", input + 1), format!("component {}", input + 1)),
+            Some(known) => (format!("u{}", known + 1), format!("known input {}", known + 1)),
+        }
     }
 }
 

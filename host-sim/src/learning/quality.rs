@@ -12,7 +12,6 @@
 //!
 //! Cost: one forward pass per sample.
 
-use agent_core::StateVector;
 use agent_core::observer::network::Scratch;
 
 use crate::packages::{PackageBytes, with_dimension};
@@ -66,17 +65,19 @@ pub const LAST_SHARE: f64 = 0.15;
 /// If the dimensions of samples and package differ.
 #[must_use]
 pub fn estimates(package: &PackageBytes, samples: &Dataset) -> Vec<f64> {
-    let n = package.architecture().inputs();
-    assert_eq!(samples.dimension(), n, "dimension of the samples");
-    with_dimension!(n, estimates_of(package, samples), else Vec::new())
+    let inputs = package.architecture().inputs();
+    assert_eq!(samples.width(), inputs, "inputs of the samples");
+    with_dimension!(samples.dimension(), estimates_of(package, samples), else Vec::new())
 }
 
 fn estimates_of<const N: usize>(bytes: &PackageBytes, samples: &Dataset) -> Vec<f64> {
     let (package, mut scratch) = (bytes.package(), Scratch::NEW);
-    let mut estimates = Vec::with_capacity(samples.inputs().len());
-    for input in samples.inputs().as_chunks::<N>().0 {
-        let state = StateVector::<N>::from_iterator(input.iter().map(|&x| x as f32));
-        match package.evaluate(&state, &mut scratch) {
+    let mut estimates = Vec::with_capacity(samples.targets().len());
+    let mut inputs = Vec::with_capacity(samples.width());
+    for row in samples.inputs().chunks_exact(samples.width()) {
+        inputs.clear();
+        inputs.extend(row.iter().map(|&x| x as f32));
+        match package.evaluate::<N>(&inputs, &mut scratch) {
             Some((_, estimate)) => estimates.extend(estimate.iter().map(|&f| f64::from(f))),
             None => estimates.extend([f64::NAN; N]),
         }

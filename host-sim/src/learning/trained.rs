@@ -249,6 +249,7 @@ impl Prepared<'_, '_> {
             version: task.version,
             on_switch: OnSwitch::Keep,
             architecture: task.network.architecture.clone(),
+            known_inputs: task.scenario.known_inputs_of(task.network),
             inner: parameters.iter().map(|&p| p as f32).collect(),
             outer_weights: std::mem::take(&mut self.outer_weights),
             node: agent_config(task.scenario, &trigger, task.agent),
@@ -346,18 +347,19 @@ pub fn initial(
     index: usize,
     seed: u64,
 ) -> Result<PackageBytes, DraftError> {
-    let n = scenario.dimension();
+    let inputs = network.architecture.inputs();
     let draft = Draft {
         epoch: 0,
         version: INITIAL_VERSION,
         on_switch: OnSwitch::Keep,
         architecture: network.architecture.clone(),
+        known_inputs: scenario.known_inputs_of(network),
         inner: inner.to_vec(),
         outer_weights: network.outer.iter().map(|&w| w as f32).collect(),
         node: agent_config(scenario, trigger, index),
         broadcast_interval_min: 0.0,
-        low: vec![f32::MIN; n],
-        high: vec![f32::MAX; n],
+        low: vec![f32::MIN; inputs],
+        high: vec![f32::MAX; inputs],
         trial: None,
         scenario_hash: scenario.hash,
         recipe: "initial".to_owned(),
@@ -379,7 +381,7 @@ fn largest(samples: &Dataset) -> f64 {
 
 /// Returns the smallest and largest value of each input.
 fn limits(samples: &Dataset) -> (Vec<f32>, Vec<f32>) {
-    let n = samples.dimension();
+    let n = samples.width();
     let column = |i: usize| samples.inputs().iter().skip(i).step_by(n);
     let low = |i| column(i).fold(f64::INFINITY, |low, &x| low.min(x)) as f32;
     let high = |i| column(i).fold(f64::NEG_INFINITY, |high, &x| high.max(x)) as f32;

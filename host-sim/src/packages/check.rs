@@ -20,11 +20,10 @@ pub fn check<'b>(
     bytes: &'b PackageBytes,
     requirements: &Requirements<'_>,
 ) -> Result<Package<'b>, Refusal> {
-    let inputs = bytes.architecture().inputs();
     let mut scratch = Scratch::NEW;
     // The last arm is unreachable: `Architecture` bounds the number of inputs.
     let accepted = with_dimension!(
-        inputs,
+        bytes.package().dimension(),
         accept(bytes.as_bytes(), requirements, &mut scratch),
         else Err(Refusal::Package(PackageError::Malformed))
     );

@@ -4,7 +4,6 @@
 //! for bit. Their inputs are inside the trained box, where activations are not saturated more than
 //! in operation.
 
-use agent_core::StateVector;
 use agent_core::agent::region::StateBox;
 use agent_core::observer::network::{Architecture, InnerNetwork, NetworkError, Scratch};
 use agent_core::package::{
@@ -28,6 +27,8 @@ pub struct Draft {
     pub version: u32,
     /// See [`Package::outer_weights_on_switch`].
     pub on_switch: OnSwitch,
+    /// See [`Package::known_inputs`].
+    pub known_inputs: usize,
     /// Inner layers.
     pub architecture: Architecture,
     /// Their parameters, in the core's flat order.
@@ -104,6 +105,7 @@ impl Draft {
             version: package.version,
             on_switch: package.outer_weights_on_switch,
             architecture: package.network.architecture().clone(),
+            known_inputs: package.known_inputs,
             inner: package.network.parameters().to_vec(),
             outer_weights: package.outer_weights.to_vec(),
             node: OwnedAgentConfig::copy(&package.node),
@@ -143,6 +145,7 @@ impl Draft {
             epoch: self.epoch,
             version: self.version,
             replaces: None,
+            known_inputs: self.known_inputs,
             outer_weights_on_switch: self.on_switch,
             network,
             outer_weights: &self.outer_weights,
@@ -193,8 +196,7 @@ fn test_vectors(package: &Package<'_>) -> Option<Vec<f32>> {
 
 fn test_vector<const N: usize>(package: &Package<'_>, input: &[f32]) -> Option<Vec<f32>> {
     let mut scratch = Scratch::NEW;
-    let state = (input.len() == N).then(|| StateVector::<N>::from_column_slice(input))?;
-    let (features, output) = package.evaluate(&state, &mut scratch)?;
+    let (features, output) = package.evaluate::<N>(input, &mut scratch)?;
     Some([input, features, output.as_slice()].concat())
 }
 

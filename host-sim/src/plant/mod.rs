@@ -107,6 +107,41 @@ impl Plant {
         }
     }
 
+    /// Returns the names of the known inputs, shape `[p]`: functions of time that every agent knows, and
+    /// that networks take beside the state.
+    #[must_use]
+    pub fn input_names(&self) -> Vec<String> {
+        match self {
+            Self::Expressions(system) => {
+                system.inputs().map_or(Vec::new(), |inputs| inputs.state_names().to_vec())
+            }
+            Self::Recording(recorded) => {
+                recorded.inputs.iter().map(|&column| recorded.names[column].clone()).collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    /// Returns the known inputs at `time` \[s\], shape `[p]`.
+    #[must_use]
+    pub fn known_inputs(&self, time: f64) -> KnownInputs {
+        let mut known = KnownInputs::default();
+        match self {
+            Self::Expressions(system) => {
+                if let Some(inputs) = system.inputs() {
+                    known.count = inputs.dimension();
+                    inputs.evaluate(time, &[], &mut known.values[..known.count]);
+                }
+            }
+            Self::Recording(recorded) => {
+                known.count = recorded.inputs.len();
+                recorded.inputs_at(time, &mut known.values[..known.count]);
+            }
+            _ => {}
+        }
+        known
+    }
+
     /// Returns the recording in place of equations, if the plant is one.
     #[must_use]
     pub fn recording(&self) -> Option<&Recorded> {
@@ -164,9 +199,28 @@ impl Plant {
     }
 }
 
+/// Values of the known inputs at a time, shape `[p]`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct KnownInputs {
+    values: [f64; DIMENSION_MAX],
+    count: usize,
+}
+
+impl std::ops::Deref for KnownInputs {
+    type Target = [f64];
+
+    #[inline]
+    fn deref(&self) -> &[f64] {
+        &self.values[..self.count]
+    }
+}
+
 /// An expression of the drift or the disturbance without a finite value, and why.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RateFault {
+    /// An expression of a known input.
+    #[error("plant.inputs, {0}")]
+    Input(ExpressionFault),
     /// An expression of the drift.
     #[error("plant.derivative, {0}")]
     Drift(ExpressionFault),
@@ -181,7 +235,10 @@ impl RateFault {
     #[must_use]
     pub fn find(plant: &Plant, disturbance: &Disturbance, time: f64, x: &[f64]) -> Option<Self> {
         let drift = match plant {
-            Plant::Expressions(system) => system.fault(time, x).map(Self::Drift),
+            Plant::Expressions(system) => {
+                let input = system.inputs().and_then(|inputs| inputs.fault(time, &[]));
+                input.map(Self::Input).or_else(|| system.fault(time, x).map(Self::Drift))
+            }
             _ => None,
         };
         drift.or_else(|| disturbance.fault(time, x).map(Self::Disturbance))
@@ -191,7 +248,7 @@ impl RateFault {
     #[must_use]
     pub fn expression(&self) -> &ExpressionFault {
         match self {
-            Self::Drift(fault) | Self::Disturbance(fault) => fault,
+            Self::Input(fault) | Self::Drift(fault) | Self::Disturbance(fault) => fault,
         }
     }
 }

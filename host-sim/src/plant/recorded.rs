@@ -30,6 +30,8 @@ pub struct Recorded {
     pub columns: Vec<Vec<f64>>,
     /// Columns of the reference, one for each state; empty without one.
     pub reference: Vec<usize>,
+    /// Columns of the known inputs, without an empty cell.
+    pub inputs: Vec<usize>,
     /// What agents measure between rows.
     pub between: Between,
 }
@@ -74,6 +76,14 @@ impl Recorded {
         for (dx, &column) in dx.iter_mut().zip(&self.reference) {
             let column = &self.columns[column];
             *dx = (column[row + 1] - column[row]) / (end - start);
+        }
+    }
+
+    /// Writes the known inputs at `time` \[s\], those of the last row, to `u`, shape `[p]`.
+    pub fn inputs_at(&self, time: f64, u: &mut [f64]) {
+        let row = self.row_at(time).unwrap_or(0);
+        for (u, &column) in u.iter_mut().zip(&self.inputs) {
+            *u = self.columns[column][row];
         }
     }
 
@@ -122,6 +132,7 @@ mod tests {
             names: vec!["y".to_owned()],
             columns: vec![vec![1.0, 2.0, 8.0]],
             reference: vec![0],
+            inputs: Vec::new(),
             between,
         }
     }

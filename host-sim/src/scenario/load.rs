@@ -189,7 +189,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     }
     let disturbance = disturbance::disturbance(root, &plant)?;
     let design = gains::design(root, n)?;
-    let network = network::network(root, n)?;
+    let network = network::network(root, n, plant.input_names().len())?;
     let (sensor, clock) = (sensor::sensor(root)?, clock::clock(root, &time)?);
     let agents = agents::agents(root, n, sensor, clock, &time, &plant)?;
     let graph = agents::graph(root, agents.len())?;

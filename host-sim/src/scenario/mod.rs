@@ -159,7 +159,16 @@ impl Scenario {
         if self.method != Method::Observer {
             return Err(SimulationOnly::Method { method: self.method.name() });
         }
+        if self.network.is_some() && !self.plant.input_names().is_empty() {
+            return Err(SimulationOnly::KnownInputs);
+        }
         self.trigger.departure().map_or(Ok(()), |model| Err(SimulationOnly::Trigger { model }))
+    }
+
+    /// Returns `p`, the number of known inputs that a network takes beside the state.
+    #[must_use]
+    pub fn known_inputs_of(&self, network: &Network) -> usize {
+        network.architecture.inputs().saturating_sub(self.dimension())
     }
 
     /// Returns whether every broadcast reaches all neighbours at once and unharmed.
@@ -187,6 +196,12 @@ pub enum SimulationOnly {
         /// When agents broadcast.
         model: String,
     },
+    /// Nodes do not know the plant's inputs.
+    #[error(
+        "plant.inputs: a network with known inputs is for simulation only, because nodes do not know them; \
+         remove plant.inputs, or [network]"
+    )]
+    KnownInputs,
     /// Nodes run the observer only.
     #[error(
         "method = {method:?} is for simulation only, because nodes run the observer; remove it, or write \

@@ -85,17 +85,17 @@ impl Component {
     /// Returns `None` if the input varies by no more than rounding, or there are too few samples.
     fn of(pieces: &[Dataset], index: usize, lengths: &[usize]) -> Option<Self> {
         let inputs: Vec<f64> = pieces.iter().flat_map(|piece| piece.inputs()).copied().collect();
-        let n = pieces.first()?.dimension();
-        Spread::of(&inputs, n, index).varies.then_some(())?;
-        let variances = |values: fn(&Dataset) -> &[f64]| -> Vec<f64> {
+        let (n, width) = (pieces.first()?.dimension(), pieces.first()?.width());
+        Spread::of(&inputs, width, index).varies.then_some(())?;
+        let variances = |values: fn(&Dataset) -> &[f64], n: usize| -> Vec<f64> {
             let sums: Vec<Vec<f64>> =
                 pieces.iter().map(|piece| running_sums(values(piece), n, index)).collect();
             lengths.iter().map(|&m| hadamard(&sums, m)).collect()
         };
-        let of_inputs = variances(Dataset::inputs);
+        let of_inputs = variances(Dataset::inputs, width);
         let peaks = of_inputs.iter().enumerate().map(|(index, &variance)| (variance, index));
         let (largest, peak) = peaks.reduce(|best, now| if now.0 > best.0 { now } else { best })?;
-        (largest > 0.0).then(|| Self { variances: variances(Dataset::targets), peak })
+        (largest > 0.0).then(|| Self { variances: variances(Dataset::targets, n), peak })
     }
 
     /// Returns V of the targets at a length, relative to V at the length of the motion; for longer

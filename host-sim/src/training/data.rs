@@ -9,10 +9,12 @@
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Inputs x̂ and targets ẋ̂.
+/// Inputs x̂, which known inputs of the plant may follow, and targets ẋ̂.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dataset {
     dimension: usize,
+    /// Inputs per sample: n and the known inputs.
+    width: usize,
     inputs: Vec<f64>,
     targets: Vec<f64>,
 }
@@ -77,39 +79,77 @@ impl Dataset {
     /// # Errors
     /// If the lengths do not match, there are no samples, or a value is not finite.
     pub fn new(dimension: usize, inputs: Vec<f64>, targets: Vec<f64>) -> Result<Self, DataError> {
+        Self::with_known_inputs(dimension, 0, inputs, targets)
+    }
+
+    /// Creates samples of dimension n with p known inputs; `inputs` are row-major, shape
+    /// `[samples][n + p]`, `targets` of shape `[samples][n]`.
+    ///
+    /// # Errors
+    /// Same as [`Self::new`].
+    pub fn with_known_inputs(
+        dimension: usize,
+        known: usize,
+        inputs: Vec<f64>,
+        targets: Vec<f64>,
+    ) -> Result<Self, DataError> {
         if dimension == 0 {
             return Err(DataError::Dimension);
         }
-        if inputs.len() != targets.len() || !inputs.len().is_multiple_of(dimension) {
+        let width = dimension + known;
+        let samples = targets.len() / dimension;
+        if inputs.len() != samples * width || !targets.len().is_multiple_of(dimension) {
             let (inputs, targets) = (inputs.len(), targets.len());
             return Err(DataError::Length { inputs, targets, dimension });
         }
         if inputs.is_empty() {
             return Err(DataError::TooFewSamples { found: 0, needed: 1 });
         }
-        for (part, values) in [(Part::Inputs, &inputs), (Part::Targets, &targets)] {
+        for (part, values, width) in
+            [(Part::Inputs, &inputs, width), (Part::Targets, &targets, dimension)]
+        {
             if let Some(index) = values.iter().position(|value| !value.is_finite()) {
-                let (sample, component) = (index / dimension, index % dimension);
+                let (sample, component) = (index / width, index % width);
                 return Err(DataError::NotFinite { part, sample, component });
             }
         }
-        Ok(Self { dimension, inputs, targets })
+        Ok(Self { dimension, width, inputs, targets })
+    }
+
+    /// Creates other samples with the same numbers of inputs and targets.
+    ///
+    /// # Errors
+    /// Same as [`Self::new`].
+    pub fn of_shape(&self, inputs: Vec<f64>, targets: Vec<f64>) -> Result<Self, DataError> {
+        Self::with_known_inputs(self.dimension, self.known_inputs(), inputs, targets)
     }
 
     /// Returns the number of samples.
     #[must_use]
     #[allow(clippy::len_without_is_empty, reason = "a data set is never empty")]
     pub fn len(&self) -> usize {
-        self.inputs.len() / self.dimension
+        self.targets.len() / self.dimension
     }
 
-    /// Returns n, the dimension of inputs and targets.
+    /// Returns n, the dimension of the targets.
     #[must_use]
     pub fn dimension(&self) -> usize {
         self.dimension
     }
 
-    /// Returns the inputs, row-major, shape `[samples][n]`.
+    /// Returns n + p, the number of inputs of a sample.
+    #[must_use]
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Returns p, the number of known inputs.
+    #[must_use]
+    pub fn known_inputs(&self) -> usize {
+        self.width - self.dimension
+    }
+
+    /// Returns the inputs, row-major, shape `[samples][n + p]`.
     #[must_use]
     pub fn inputs(&self) -> &[f64] {
         &self.inputs
@@ -124,7 +164,7 @@ impl Dataset {
     /// Replaces the values, which must be finite, for the same number of samples.
     pub(super) fn with_values(&self, inputs: Vec<f64>, targets: Vec<f64>) -> Self {
         debug_assert_eq!((inputs.len(), targets.len()), (self.inputs.len(), self.targets.len()));
-        Self { dimension: self.dimension, inputs, targets }
+        Self { dimension: self.dimension, width: self.width, inputs, targets }
     }
 
     /// Returns the samples with the given indices, or `None` if there are none.
@@ -133,14 +173,14 @@ impl Dataset {
     /// If an index is out of range.
     #[must_use]
     pub fn select(&self, indices: &[usize]) -> Option<Self> {
-        let n = self.dimension;
-        let rows = |values: &[f64]| -> Vec<f64> {
+        let rows = |values: &[f64], n: usize| -> Vec<f64> {
             indices.iter().flat_map(|&s| values[s * n..][..n].iter().copied()).collect()
         };
         (!indices.is_empty()).then(|| Self {
-            dimension: n,
-            inputs: rows(&self.inputs),
-            targets: rows(&self.targets),
+            dimension: self.dimension,
+            width: self.width,
+            inputs: rows(&self.inputs, self.width),
+            targets: rows(&self.targets, self.dimension),
         })
     }
 

@@ -107,7 +107,7 @@ impl InputRange {
 
 /// Returns mean and standard deviation of each input.
 fn standard_ranges(data: &Dataset) -> Vec<InputRange> {
-    let (n, count) = (data.dimension(), data.len() as f64);
+    let (n, count) = (data.width(), data.len() as f64);
     let column = |i: usize| data.inputs().iter().skip(i).step_by(n);
     let range = |i| {
         let mean = column(i).fold(0.0, |sum, x| sum + x) / count;
@@ -119,7 +119,7 @@ fn standard_ranges(data: &Dataset) -> Vec<InputRange> {
 
 /// Returns midpoint and half-width of each input's range.
 fn extreme_ranges(data: &Dataset) -> Vec<InputRange> {
-    let n = data.dimension();
+    let n = data.width();
     let column = |i: usize| data.inputs().iter().skip(i).step_by(n);
     let range = |i| {
         let low = column(i).fold(f64::INFINITY, |low, &x| low.min(x));

@@ -44,12 +44,12 @@ pub enum ProblemError {
         /// Its index in row-major order.
         index: usize,
     },
-    /// The dimension of the data differs from the number of inputs.
-    #[error("the data have dimension {found}, but the network has {expected} inputs")]
-    Dimension {
+    /// The data have other inputs than the network.
+    #[error("the data have {found} inputs, but the network has {expected}")]
+    Inputs {
         /// Number of inputs of the architecture.
         expected: usize,
-        /// Dimension of the data.
+        /// Number of inputs of the data.
         found: usize,
     },
     /// More than [`PARAMETERS_MAX`] parameters.
@@ -97,16 +97,17 @@ impl NetworkProblem {
         data: [Option<&Dataset>; 3],
         arch: Arch,
     ) -> Result<Self, ProblemError> {
-        let expected = architecture.inputs();
+        let (expected, features) = (architecture.inputs(), architecture.features());
+        let dimension = data.iter().flatten().next().map_or(expected, |data| data.dimension());
         for data in data.iter().flatten() {
-            let found = data.dimension();
+            let found = data.width();
             if found != expected {
-                return Err(ProblemError::Dimension { expected, found });
+                return Err(ProblemError::Inputs { expected, found });
             }
         }
-        let (found, features) = (outer_weights.len(), architecture.features());
-        if found != features * expected {
-            return Err(ProblemError::OuterWeightCount { found, features, dimension: expected });
+        let found = outer_weights.len();
+        if found != features * dimension {
+            return Err(ProblemError::OuterWeightCount { found, features, dimension });
         }
         if let Some(index) = outer_weights.iter().position(|weight| !weight.is_finite()) {
             return Err(ProblemError::OuterWeightNotFinite { index });
@@ -123,8 +124,8 @@ impl NetworkProblem {
             validation,
             test,
             propagation: Propagation::new(architecture, outer_weights, arch),
-            normal: NormalMatrix::new(&layer_shapes(architecture), expected, arch),
-            residuals: vec![0.0; expected * BATCH],
+            normal: NormalMatrix::new(&layer_shapes(architecture), dimension, arch),
+            residuals: vec![0.0; dimension * BATCH],
             stop: None,
         })
     }
@@ -216,8 +217,9 @@ fn mean_squared_error(
 #[derive(Clone, Debug, Default)]
 struct Samples {
     count: usize,
-    dimension: usize,
-    /// Shape `[batches][n][BATCH]`.
+    /// n, and inputs of a sample.
+    sizes: [usize; 2],
+    /// Shape `[batches][inputs][BATCH]`.
     inputs: Vec<f64>,
     /// Shape `[batches][n][BATCH]`.
     targets: Vec<f64>,
@@ -232,24 +234,25 @@ struct Batch<'a> {
 
 impl Samples {
     fn new(data: &Dataset) -> Self {
-        let (count, dimension) = (data.len(), data.dimension());
-        let block = dimension * BATCH;
-        let by_quantity = |rows: &[f64]| {
+        let (count, dimension, width) = (data.len(), data.dimension(), data.width());
+        let by_quantity = |rows: &[f64], width: usize| {
+            let block = width * BATCH;
             let mut batches = vec![0.0; count.div_ceil(BATCH) * block];
-            for (s, row) in rows.chunks_exact(dimension).enumerate() {
+            for (s, row) in rows.chunks_exact(width).enumerate() {
                 for (i, value) in row.iter().enumerate() {
                     batches[s / BATCH * block + i * BATCH + s % BATCH] = *value;
                 }
             }
             batches
         };
-        let (inputs, targets) = (by_quantity(data.inputs()), by_quantity(data.targets()));
-        Self { count, dimension, inputs, targets }
+        let inputs = by_quantity(data.inputs(), width);
+        let targets = by_quantity(data.targets(), dimension);
+        Self { count, sizes: [dimension, width], inputs, targets }
     }
 
     fn batches(&self) -> impl Iterator<Item = Batch<'_>> {
-        let block = self.dimension * BATCH;
-        self.inputs.chunks_exact(block).zip(self.targets.chunks_exact(block)).enumerate().map(
+        let [targets, inputs] = self.sizes.map(|size| size * BATCH);
+        self.inputs.chunks_exact(inputs).zip(self.targets.chunks_exact(targets)).enumerate().map(
             |(index, (inputs, targets))| Batch {
                 inputs,
                 targets,
@@ -260,7 +263,7 @@ impl Samples {
 
     /// Returns M as a divisor.
     fn residual_count(&self) -> f64 {
-        (self.count * self.dimension) as f64
+        (self.count * self.sizes[0]) as f64
     }
 }
 

@@ -196,7 +196,7 @@ fn rejects_mismatched_shapes() {
         NetworkProblem::new(architecture, outer, &data, None, None).map(|_| ())
     };
     assert_eq!(create(&small, &[1.0; 6], 2), Ok(()));
-    let error = ProblemError::Dimension { expected: 2, found: 3 };
+    let error = ProblemError::Inputs { expected: 2, found: 3 };
     assert_eq!(create(&small, &[1.0; 9], 3), Err(error));
     let error = ProblemError::OuterWeightCount { found: 5, features: 3, dimension: 2 };
     assert_eq!(create(&small, &[1.0; 5], 2), Err(error));

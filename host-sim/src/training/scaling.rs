@@ -79,8 +79,9 @@ impl Scaling {
     /// Computes the scaling of these training samples.
     #[must_use]
     pub fn of(train: &Dataset) -> Self {
-        let n = train.dimension();
-        let inputs: Vec<Spread> = (0..n).map(|i| Spread::of(train.inputs(), n, i)).collect();
+        let (n, width) = (train.dimension(), train.width());
+        let inputs: Vec<Spread> =
+            (0..width).map(|i| Spread::of(train.inputs(), width, i)).collect();
         let targets: Vec<Spread> = (0..n).map(|i| Spread::of(train.targets(), n, i)).collect();
         let varying = targets.iter().filter(|spread| spread.varies);
         let largest = varying.fold(0.0f64, |largest, spread| largest.max(spread.deviation));
@@ -102,9 +103,9 @@ impl Scaling {
     /// Returns scaled samples.
     #[must_use]
     pub fn apply(&self, data: &Dataset) -> Dataset {
-        let n = data.dimension();
+        let (n, count) = (data.dimension(), data.width());
         let inputs = data.inputs().iter().enumerate().map(|(index, x)| {
-            let (centre, width) = (self.centre[index % n], self.width[index % n]);
+            let (centre, width) = (self.centre[index % count], self.width[index % count]);
             width.map_or(0.0, |width| (x - centre) / width)
         });
         let targets = data.targets().iter().enumerate().map(|(i, y)| y / self.target[i % n]);

@@ -103,8 +103,7 @@ impl Smoothing {
         if found < needed {
             return Err(DataError::TooFewSamples { found, needed }.into());
         }
-        let n = data.dimension();
-        let average = |values: &[f64]| -> Vec<f64> {
+        let average = |values: &[f64], n: usize| -> Vec<f64> {
             let mut means = Vec::new();
             for first in (0..=found - needed).step_by(self.stride) {
                 let window = &values[first * n..(first + needed) * n];
@@ -115,7 +114,8 @@ impl Smoothing {
             }
             means
         };
-        Ok(Dataset::new(n, average(data.inputs()), average(data.targets()))?)
+        let inputs = average(data.inputs(), data.width());
+        Ok(data.of_shape(inputs, average(data.targets(), data.dimension()))?)
     }
 
     /// Smooths samples with gaps. `ticks`, ascending, are the times of the samples in intervals of
@@ -173,7 +173,7 @@ impl Smoothing {
         if inputs.is_empty() {
             return Err(SmoothingError::Gaps { samples, pieces, needed: window, longest });
         }
-        let data = Dataset::new(data.dimension(), inputs, targets)?;
+        let data = data.of_shape(inputs, targets)?;
         Ok(Smoothed { data, pieces, pieces_left_out, samples_left_out, windows_left_out, window })
     }
 
@@ -188,10 +188,11 @@ impl Smoothing {
         inputs: &mut Vec<f64>,
         targets: &mut Vec<f64>,
     ) -> usize {
-        let n = data.dimension();
         let mut mean = |first: usize, end: usize| {
-            for (values, means) in [(data.inputs(), &mut *inputs), (data.targets(), &mut *targets)]
-            {
+            for (values, means, n) in [
+                (data.inputs(), &mut *inputs, data.width()),
+                (data.targets(), &mut *targets, data.dimension()),
+            ] {
                 let values = &values[first * n..end * n];
                 for i in 0..n {
                     let sum = values.iter().skip(i).step_by(n).fold(0.0, |sum, x| sum + x);

@@ -17,7 +17,7 @@ use super::print_text;
 use super::progress::ProgressBars;
 use super::run_folder::{FRONTIER, FRONTIER_KIND, RunFolder};
 use super::{
-    Changes, CommandError, Common, ErrorCode, TableFormat, initial_states, load_scenario, output,
+    Changes, CommandError, Common, ErrorCode, TableFormat, initial_states, load_scenario,
     print_outcome,
 };
 use crate::engine::RunError;

@@ -280,6 +280,7 @@ fn of_scenario(path: &Path, changes: &Changes, agent: usize) -> Result<Draft, Co
         version: INITIAL_VERSION,
         on_switch: OnSwitch::Replace,
         architecture: network.architecture.clone(),
+        known_inputs: 0,
         inner: Vec::new(),
         outer_weights: Vec::new(),
         node: agent_config(&scenario, &trigger, index),

@@ -7,9 +7,9 @@
 use std::fmt::Write;
 use std::path::PathBuf;
 
+use agent_core::AgentId;
 use agent_core::observer::network::Scratch;
 use agent_core::package::{OnSwitch, Package};
-use agent_core::{AgentId, StateVector};
 use clap::Args;
 use serde::Serialize;
 
@@ -105,7 +105,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let finite = |row: &[f32]| row.iter().all(|value| value.is_finite());
     let not_finite = outputs.chunks_exact(n).filter(|row| !finite(row)).count();
     let components = components(&smoothed.data, &outputs);
-    let raw = recording.samples.inputs().chunks_exact(n);
+    let raw = recording.samples.inputs().chunks_exact(recording.samples.width());
     let outside_box = raw
         .filter(|row| {
             let row: Vec<f32> = row.iter().map(|&value| value as f32).collect();
@@ -137,8 +137,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
 /// Returns the network's output for every sample, row-major, shape `[samples, n]`.
 fn outputs(package: &Package<'_>, data: &Dataset) -> Vec<f32> {
     let mut scratch = Scratch::NEW;
-    let mut outputs = Vec::with_capacity(data.inputs().len());
-    for input in data.inputs().chunks_exact(data.dimension()) {
+    let mut outputs = Vec::with_capacity(data.targets().len());
+    for input in data.inputs().chunks_exact(data.width()) {
         let input: Vec<f32> = input.iter().map(|&value| value as f32).collect();
         let output =
             with_dimension!(package.dimension(), output(package, &input, &mut scratch), else None);
@@ -152,8 +152,7 @@ fn output<const N: usize>(
     input: &[f32],
     scratch: &mut Scratch,
 ) -> Option<Vec<f32>> {
-    let input = StateVector::<N>::from_column_slice(input);
-    package.evaluate(&input, scratch).map(|(_, output)| output.as_slice().to_vec())
+    package.evaluate::<N>(input, scratch).map(|(_, output)| output.as_slice().to_vec())
 }
 
 /// Returns the errors of each component over the samples with finite outputs.

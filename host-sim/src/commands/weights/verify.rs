@@ -71,6 +71,8 @@ impl Sizes {
             features: or_any(self.features),
             neighbours: or_any(self.neighbours),
             gain_entries: or_any(self.gain_entries),
+            // Nodes have none yet.
+            known_inputs: 0,
         }
     }
 }

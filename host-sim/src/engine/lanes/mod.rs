@@ -94,6 +94,7 @@ impl<const N: usize> Lanes<N> {
             };
             let agents: Vec<_> = waiting.iter().copied().filter(fits).take(LANES).collect();
             waiting.retain(|agent| !agents.contains(agent));
+            // Features at known inputs are not computed ahead.
             if agents.len() < BLOCK_MIN || first.architecture().inputs() != N {
                 continue;
             }

@@ -5,6 +5,7 @@
 //! | --- | --- |
 //! | `time [s]` | sampling time, at a fixed interval; missing samples are gaps; `[ms]`, `[us]`, `[ns]`, `[min]` and `[h]` are converted, and the default is seconds |
 //! | `xhat1` .. | the estimate, one column per component |
+//! | `u1` .. (only written) | known inputs of the plant, if there are any |
 //! | `dxhat1` .. | its derivative |
 //! | `w1_1` .. (optional) | `W_hat`, row (feature) and column (component); the last nonempty line counts |
 //! | `innovation_rms`, `broadcasts_per_second` (optional) | what the agent did meanwhile, see [`Observed`]; the last nonempty line counts |
@@ -99,8 +100,7 @@ impl Recording {
         let part = |pick: fn(&Dataset) -> &[f64]| -> Vec<f64> {
             recordings.iter().flat_map(|recording| pick(&recording.samples)).copied().collect()
         };
-        let samples =
-            Dataset::new(first.samples.dimension(), part(Dataset::inputs), part(Dataset::targets));
+        let samples = first.samples.of_shape(part(Dataset::inputs), part(Dataset::targets));
         let mut joined = Self { samples: samples.ok()?, gaps: Vec::new(), ..first.clone() };
         joined.timing.missing.clear();
         let mut before = 0;
@@ -285,9 +285,10 @@ pub fn write_samples(
     outer_weights: &[f32],
     observed: Option<&Observed>,
 ) -> Result<(), OutputError> {
-    let n = samples.dimension();
+    let (n, width) = (samples.dimension(), samples.width());
     let mut header = vec!["time [s]".to_owned()];
     header.extend((1..=n).map(|c| format!("xhat{c} [state unit]")));
+    header.extend((1..=samples.known_inputs()).map(|c| format!("u{c} [input unit]")));
     header.extend((1..=n).map(|c| format!("dxhat{c} [state unit/s]")));
     header.extend((0..outer_weights.len()).map(|i| format!("w{}_{}", i / n + 1, i % n + 1)));
     let observed = observed.map(|observed| {
@@ -298,11 +299,11 @@ pub fn write_samples(
     let last = samples.len() - 1;
     write_table(path, &header, 0..=last, |row, index| {
         row.double(time(index))?;
-        let place = index * n..(index + 1) * n;
-        for &value in &samples.inputs()[place.clone()] {
+        let place = |n: usize| index * n..(index + 1) * n;
+        for &value in &samples.inputs()[place(width)] {
             row.double(value)?;
         }
-        for &value in &samples.targets()[place] {
+        for &value in &samples.targets()[place(n)] {
             row.double(value)?;
         }
         for &weight in outer_weights {

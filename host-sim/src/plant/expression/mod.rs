@@ -11,7 +11,7 @@
 //! ```
 //!
 //! so `-x^2` is `-(x^2)`, as on paper. Numbers are written like `2`, `.5` or `1e-3`. A name is the
-//! time `t`, a state, a parameter, `pi` or `e`; the functions are listed in [`FUNCTIONS`].
+//! time `t`, a state, a known input, a parameter, `pi` or `e`; the functions are listed in [`FUNCTIONS`].
 //!
 //! An expression is compiled once into a program for a stack machine; parameters become constants,
 //! and constant subexpressions are folded. An evaluation costs about 1 ns per operation plus the
@@ -36,6 +36,7 @@ pub use hint::hint;
 pub use parser::ExpressionError;
 pub use program::{STACK_DEPTH_MAX, integer_power};
 
+use super::DIMENSION_MAX;
 use program::Program;
 
 /// Names that a state or a parameter cannot have, in addition to the functions: time and constants.
@@ -45,6 +46,8 @@ const RESERVED: [&str; 3] = ["t", "pi", "e"];
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExpressionSystem {
     names: Vec<String>,
+    /// Known inputs, functions of time that follow the states as variables.
+    inputs: Option<Box<Self>>,
     texts: Vec<String>,
     programs: Vec<Program>,
 }
@@ -125,14 +128,42 @@ impl ExpressionSystem {
         states: &[String],
         parameters: &[(String, f64)],
     ) -> Result<Self, SystemError> {
-        assert!(states.len() <= 256, "states are addressed by one byte");
-        let read = |(index, text): (usize, &S)| {
-            parser::parse(text.as_ref(), states, parameters)
-                .map_err(|error| SystemError { index, error })
-        };
-        let programs = expressions.iter().enumerate().map(read).collect::<Result<_, _>>()?;
-        let texts = expressions.iter().map(|text| text.as_ref().to_owned()).collect();
-        Ok(Self { names: states.to_vec(), texts, programs })
+        let programs = programs(expressions, states, parameters)?;
+        let texts = texts(expressions);
+        Ok(Self { names: states.to_vec(), inputs: None, texts, programs })
+    }
+
+    /// Parses functions of time alone, with the names of their values.
+    ///
+    /// # Errors
+    /// Same as [`Self::parse`].
+    pub fn of_time<S: AsRef<str>>(
+        expressions: &[S],
+        names: &[String],
+        parameters: &[(String, f64)],
+    ) -> Result<Self, SystemError> {
+        let programs = programs(expressions, &[], parameters)?;
+        Ok(Self { names: names.to_vec(), inputs: None, texts: texts(expressions), programs })
+    }
+
+    /// Parses one expression per state, which may also use the values of `inputs`, functions of time.
+    ///
+    /// # Errors
+    /// Same as [`Self::parse`].
+    ///
+    /// # Panics
+    /// If there are more states and inputs than [`DIMENSION_MAX`].
+    pub fn with_inputs<S: AsRef<str>>(
+        expressions: &[S],
+        states: &[String],
+        inputs: Self,
+        parameters: &[(String, f64)],
+    ) -> Result<Self, SystemError> {
+        let variables = [states, &inputs.names].concat();
+        assert!(variables.len() <= DIMENSION_MAX, "at most {DIMENSION_MAX} states and inputs");
+        let programs = programs(expressions, &variables, parameters)?;
+        let inputs = (inputs.dimension() > 0).then(|| Box::new(inputs));
+        Ok(Self { names: states.to_vec(), inputs, texts: texts(expressions), programs })
     }
 
     /// Returns the number of expressions.
@@ -147,6 +178,12 @@ impl ExpressionSystem {
         &self.names
     }
 
+    /// Returns the known inputs, if there are any.
+    #[must_use]
+    pub fn inputs(&self) -> Option<&Self> {
+        self.inputs.as_deref()
+    }
+
     /// Returns the first expression without a finite value at `time` \[s\] and state `x`, shape
     /// `[n]`; `None` if all values are finite, or `x` itself is not.
     #[must_use]
@@ -154,10 +191,16 @@ impl ExpressionSystem {
         if !x.iter().all(|x| x.is_finite()) {
             return None;
         }
+        let variables = self.variables(time, x);
+        let x = variables.as_ref().map_or(x, |variables| &variables[..]);
         let failures = self.programs.iter().map(|program| program.failure(time, x));
         let (index, failure) =
             failures.enumerate().find_map(|(index, failure)| Some((index, failure?)))?;
-        let states = self.programs[index].states();
+        let used = self.programs[index].states();
+        let name = |variable: usize| {
+            let inputs = self.inputs.iter().flat_map(|inputs| &inputs.names);
+            self.names.iter().chain(inputs).nth(variable).cloned().unwrap_or_default()
+        };
         Some(ExpressionFault {
             index,
             component: self.names.get(index).cloned().unwrap_or_default(),
@@ -166,7 +209,7 @@ impl ExpressionSystem {
             result: failure.result,
             overflow: failure.overflow,
             time,
-            values: states.into_iter().map(|state| (self.names[state].clone(), x[state])).collect(),
+            values: used.into_iter().map(|variable| (name(variable), x[variable])).collect(),
         })
     }
 
@@ -177,10 +220,48 @@ impl ExpressionSystem {
     /// If `x` has fewer components than there are states.
     #[inline]
     pub fn evaluate(&self, time: f64, x: &[f64], result: &mut [f64]) {
+        let variables = self.variables(time, x);
+        let x = variables.as_ref().map_or(x, |variables| &variables[..]);
         for (result, program) in result.iter_mut().zip(&self.programs) {
             *result = program.evaluate(time, x);
         }
     }
+}
+
+impl ExpressionSystem {
+    /// Returns the state followed by the known inputs, if there are any. All are NaN if an input is not
+    /// finite, so that its fault is found even where nothing depends on it.
+    #[inline]
+    fn variables(&self, time: f64, x: &[f64]) -> Option<[f64; DIMENSION_MAX]> {
+        let inputs = self.inputs.as_deref()?;
+        let mut variables = [0.0; DIMENSION_MAX];
+        let (states, rest) = variables.split_at_mut(self.names.len());
+        states.copy_from_slice(&x[..states.len()]);
+        let values = &mut rest[..inputs.dimension()];
+        inputs.evaluate(time, &[], values);
+        if !values.iter().all(|value| value.is_finite()) {
+            variables.fill(f64::NAN);
+        }
+        Some(variables)
+    }
+}
+
+/// Compiles expressions of these variables.
+fn programs<S: AsRef<str>>(
+    expressions: &[S],
+    variables: &[String],
+    parameters: &[(String, f64)],
+) -> Result<Vec<Program>, SystemError> {
+    assert!(variables.len() <= 256, "variables are addressed by one byte");
+    let read = |(index, text): (usize, &S)| {
+        parser::parse(text.as_ref(), variables, parameters)
+            .map_err(|error| SystemError { index, error })
+    };
+    expressions.iter().enumerate().map(read).collect()
+}
+
+fn texts<S: AsRef<str>>(expressions: &[S]) -> Vec<String> {
+    expressions.iter().map(|text| text.as_ref().to_owned()).collect()
 }
 
 /// Returns why `name` is not a valid name for a state or a parameter, worded to follow the name.

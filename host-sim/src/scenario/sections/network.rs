@@ -13,10 +13,11 @@ use crate::training::InitialParameters;
 
 const LAYERS: &str = "[{ nodes = 8, activation = \"tanh\" }]";
 
-/// `n` is the dimension of the state.
+/// `n` is the dimension of the state, and `known` the number of known inputs.
 pub(in crate::scenario) fn network(
     root: &Table<'_>,
     n: usize,
+    known: usize,
 ) -> Result<Option<Network>, ScenarioError> {
     let Some(table) = root.get_table("network")? else {
         return match root.get_table("outer_law")? {
@@ -35,7 +36,8 @@ pub(in crate::scenario) fn network(
         return Err(layers_value.error(problem, format!("use 1 to {INNER_LAYERS_MAX} layers")));
     }
     let layers = list.iter().map(layer).collect::<Result<Vec<_>, _>>()?;
-    let architecture = Architecture::new(n, &layers).map_err(|error| layers_value.wrong(error))?;
+    let architecture =
+        Architecture::new(n + known, &layers).map_err(|error| layers_value.wrong(error))?;
     let inner = initial_parameters(&table.require("inner", "{ random = \"glorot\" }")?)?;
     let features = architecture.features();
     let outer_value = table.require("outer", "{ fill = 0.0 }")?;

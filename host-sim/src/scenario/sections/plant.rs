@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use super::recording::recording;
-use super::state_names::{check_dimension, check_name, states};
-use crate::plant::expression::{ExpressionError, hint};
+use super::state_names::{check_dimension, check_inputs, check_name, states};
+use crate::plant::expression::{ExpressionError, SystemError, hint};
 use crate::plant::{ExpressionSystem, Plant};
 use crate::scenario::error::ScenarioError;
 use crate::scenario::initial_state::InitialState;
@@ -46,7 +46,15 @@ pub(in crate::scenario) fn plant(
         return Ok((Plant::Recording(Arc::new(recorded)), initial_state, Vec::new()));
     }
     let plant = if let Model::Expressions = model {
-        table.only(&["model", "parameters", "initial_state", "noise", "states", "derivative"])?;
+        table.only(&[
+            "model",
+            "parameters",
+            "initial_state",
+            "noise",
+            "states",
+            "inputs",
+            "derivative",
+        ])?;
         Plant::Expressions(expressions(&table)?)
     } else {
         table.only(&["model", "parameters", "initial_state", "noise"])?;
@@ -123,8 +131,44 @@ fn expressions(table: &Table<'_>) -> Result<ExpressionSystem, ScenarioError> {
             parameters.push((name.to_owned(), value.number()?));
         }
     }
+    let inputs = inputs(table, &states, &parameters)?;
     let derivative = table.require("derivative", "[\"v\", \"-x\"]")?;
-    system(&derivative, &states, &parameters)
+    let texts = expression_texts(&derivative, states.len())?;
+    ExpressionSystem::with_inputs(&texts, &states, inputs, &parameters)
+        .map_err(|refused| refused_expression(&derivative, &texts, &refused))
+}
+
+/// Reads `{ u = "sin(t)" }`: known inputs, in the order of the file.
+fn inputs(
+    table: &Table<'_>,
+    states: &[String],
+    parameters: &[(String, f64)],
+) -> Result<ExpressionSystem, ScenarioError> {
+    let (mut names, mut texts, mut values) = (Vec::new(), Vec::new(), Vec::new());
+    if let Some(inputs) = table.get_table("inputs")? {
+        for (name, value) in inputs.entries("\"sin(t)\"") {
+            check_name(&value, name, states)?;
+            if parameters.iter().any(|(parameter, _)| parameter == name) {
+                let problem = format!("`{name}` is a parameter");
+                return Err(value.error(problem, "use another name"));
+            }
+            check_inputs(&value, names.len() + 1, states.len())?;
+            names.push(name.to_owned());
+            texts.push(value.text()?.to_owned());
+            values.push(value);
+        }
+    }
+    ExpressionSystem::of_time(&texts, &names, parameters).map_err(|refused| {
+        let text = &texts[refused.index];
+        let problem = format!("in `{text}`: {}", refused.error);
+        let hint = match &refused.error {
+            ExpressionError::UnknownName { name, .. } if states.contains(name) => {
+                "write a function of time: an input does not depend on the state".to_owned()
+            }
+            error => expression_hint(error, text),
+        };
+        values[refused.index].error(problem, hint)
+    })
 }
 
 /// Parses one expression per state.
@@ -133,18 +177,31 @@ pub(super) fn system(
     states: &[String],
     parameters: &[(String, f64)],
 ) -> Result<ExpressionSystem, ScenarioError> {
+    let texts = expression_texts(value, states.len())?;
+    ExpressionSystem::parse(&texts, states, parameters)
+        .map_err(|refused| refused_expression(value, &texts, &refused))
+}
+
+/// Reads `n` texts.
+fn expression_texts<'v>(value: &Value<'v>, n: usize) -> Result<Vec<&'v str>, ScenarioError> {
     let list = value.list(&format!("write an expression such as {EXPRESSION}"))?;
-    if list.len() != states.len() {
+    if list.len() != n {
         let found = has(list.len(), "expression", "expressions");
-        let n = states.len();
         return Err(value
             .error(format!("{found}, expected {n} ({STATE})"), format!("write {n} expressions")));
     }
-    let texts = list.iter().map(Value::text).collect::<Result<Vec<_>, _>>()?;
-    ExpressionSystem::parse(&texts, states, parameters).map_err(|refused| {
-        let problem = format!("in `{}`: {}", texts[refused.index], refused.error);
-        list[refused.index].error(problem, expression_hint(&refused.error, texts[refused.index]))
-    })
+    list.iter().map(Value::text).collect()
+}
+
+/// Returns the error about one of the expressions in `value`.
+fn refused_expression(value: &Value<'_>, texts: &[&str], refused: &SystemError) -> ScenarioError {
+    let text = texts[refused.index];
+    let problem = format!("in `{text}`: {}", refused.error);
+    let hint = expression_hint(&refused.error, text);
+    match value.list(EXPRESSION) {
+        Ok(list) => list[refused.index].error(problem, hint),
+        Err(_) => value.error(problem, hint),
+    }
 }
 
 fn expression_hint(error: &ExpressionError, text: &str) -> String {

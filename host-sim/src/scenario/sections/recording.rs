@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::state_names::states;
+use super::state_names::{check_inputs, states};
 use crate::files::input::{is_too_large, read_limited};
 use crate::plant::{Between, Recorded};
 use crate::scenario::error::{ScenarioError, closest};
@@ -12,7 +12,9 @@ use crate::scenario::reader::{Table, Value};
 const BYTES_MAX: u64 = 1 << 30;
 
 /// The keys of the table.
-const KEYS: [&str; 6] = ["model", "file", "time", "states", "reference", "between"];
+const KEYS: [&str; 7] = ["model", "file", "time", "states", "reference", "inputs", "between"];
+
+const NAME_A_COLUMN: &str = "name a column of the recording in quotes";
 
 /// Reads the recording that the table names.
 pub(super) fn recording(table: &Table<'_>) -> Result<Recorded, ScenarioError> {
@@ -24,12 +26,15 @@ pub(super) fn recording(table: &Table<'_>) -> Result<Recorded, ScenarioError> {
     take_time(&mut recorded, &lines, table, &file)?;
     if let Some(value) = table.get("reference", "[\"x\", \"v\"]") {
         recorded.reference = columns(&recorded, &value, recorded.states.len(), "state")?;
-        for (&column, value) in recorded.reference.iter().zip(value.list("name a column")?) {
-            if let Some(row) = recorded.columns[column].iter().position(|x| !x.is_finite()) {
-                let problem = format!("line {} of the file has no number there", lines[row]);
-                return Err(value.error(problem, "remove that line, or leave the reference out"));
-            }
-        }
+        let hint = "remove that line, or leave the reference out";
+        check_complete(&recorded, &recorded.reference, &lines, &value, hint)?;
+    }
+    if let Some(value) = table.get("inputs", "[\"valve\"]") {
+        let count = value.list(NAME_A_COLUMN)?.len();
+        check_inputs(&value, count, recorded.states.len())?;
+        recorded.inputs = columns(&recorded, &value, count, "input")?;
+        let hint = "fill in the cell, or remove that line";
+        check_complete(&recorded, &recorded.inputs, &lines, &value, hint)?;
     }
     if let Some(value) = table.get("between", "\"hold\"") {
         recorded.between = value.choice(&[
@@ -41,6 +46,23 @@ pub(super) fn recording(table: &Table<'_>) -> Result<Recorded, ScenarioError> {
     Ok(recorded)
 }
 
+/// Checks that each of the columns that `value` names has a number in every row.
+fn check_complete(
+    recorded: &Recorded,
+    columns: &[usize],
+    lines: &[u64],
+    value: &Value<'_>,
+    hint: &str,
+) -> Result<(), ScenarioError> {
+    for (&column, value) in columns.iter().zip(value.list(NAME_A_COLUMN)?) {
+        if let Some(row) = recorded.columns[column].iter().position(|x| !x.is_finite()) {
+            let problem = format!("line {} of the file has no number there", lines[row]);
+            return Err(value.error(problem, hint));
+        }
+    }
+    Ok(())
+}
+
 /// Returns the columns that `value` names, of which there must be `count`, one for each `owner`.
 pub(super) fn columns(
     recorded: &Recorded,
@@ -48,7 +70,7 @@ pub(super) fn columns(
     count: usize,
     owner: &str,
 ) -> Result<Vec<usize>, ScenarioError> {
-    let list = value.list("name a column of the recording in quotes")?;
+    let list = value.list(NAME_A_COLUMN)?;
     if list.len() != count {
         let problem =
             format!("names {} columns, expected {count}, one for each {owner}", list.len());
@@ -130,8 +152,9 @@ fn read(value: &Value<'_>, path: &Path) -> Result<(Recorded, Vec<u64>), Scenario
         lines.push(line);
     }
     let empty = Between::default();
-    let (states, time, reference) = (Vec::new(), Vec::new(), Vec::new());
-    Ok((Recorded { states, time, names, columns, reference, between: empty }, lines))
+    let (states, time) = (Vec::new(), Vec::new());
+    let (reference, inputs) = (Vec::new(), Vec::new());
+    Ok((Recorded { states, time, names, columns, reference, inputs, between: empty }, lines))
 }
 
 /// Returns what separates the columns of this header.

@@ -3,7 +3,7 @@
 use crate::plant::DIMENSION_MAX;
 use crate::plant::expression::name_problem;
 use crate::scenario::error::ScenarioError;
-use crate::scenario::reader::{Table, Value, has};
+use crate::scenario::reader::{Table, Value, counted, has};
 
 /// Largest dimension of a state with the feature `wide`.
 const WIDE_DIMENSION_MAX: usize = 40;
@@ -36,6 +36,24 @@ pub(super) fn check_name(
         )),
         None => Ok(()),
     }
+}
+
+/// Checks that a network can take `inputs` known inputs beside `states` state components.
+pub(super) fn check_inputs(
+    value: &Value<'_>,
+    inputs: usize,
+    states: usize,
+) -> Result<(), ScenarioError> {
+    let room = DIMENSION_MAX.saturating_sub(states);
+    if inputs <= room {
+        return Ok(());
+    }
+    let found = has(inputs, "known input", "known inputs");
+    let problem = format!("{found} beside {}", counted(states, "state", "states"));
+    Err(value.error(
+        problem,
+        format!("use at most {room}: a network takes {DIMENSION_MAX} states and inputs"),
+    ))
 }
 
 /// Checks a number of state components; `one` and `many` say what there is one of for each.
