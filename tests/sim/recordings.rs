@@ -84,7 +84,7 @@ fn a_recording_that_does_not_fit_is_refused_with_its_place() {
         format!(
             "name = \"mine\"\n[plant]\nmodel = \"recording\"\nfile = \"data.csv\"\n\
              states = [\"a\", \"b\"]\n{plant}\n[time]\nduration = 4.0\nstep = 0.5\n\
-             [design]\ngain = [1.0, 1.0]\nk2 = 1.0\nkappa = 1.0\nrho = 1.0\ndelta = 1.0\nepsilon = 1.0\n\
+             [design]\ngain = [1.0, 1.0]\nk2 = 2.0\nkappa = 1.0\nrho = 1.0\ndelta = 1.0\nepsilon = 1.0\n\
              [[agents]]\noutput_matrix = [[1.0, 0.0], [0.0, 1.0]]\n{agent}\n"
         )
     };

@@ -99,7 +99,7 @@ pub(crate) fn lint() -> Result<(), Failure> {
     run(
         "clippy",
         cargo("clippy")
-            .args(["--workspace", "--all-targets", "--features", "host-sim/wide"])
+            .args(["--workspace", "--all-targets", "--features", "host-sim/wide,host-sim/parquet"])
             .args(["--", "-D", "warnings"]),
         "follow clippy's suggestion, or allow the lint with a reason",
     )?;

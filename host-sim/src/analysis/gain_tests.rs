@@ -40,7 +40,7 @@ fn dense(scenario: &Scenario) -> DMatrix<f64> {
     })
 }
 
-/// Computes the smallest eigenvalue with another library's dense algebra; separately for each
+/// Computes the smallest eigenvalue with nalgebra's dense algebra; separately for each
 /// component of the state if they are not coupled.
 fn dense_smallest(scenario: &Scenario) -> f64 {
     let (n, agents, matrix) = (scenario.dimension(), scenario.agents.len(), dense(scenario));
@@ -49,9 +49,8 @@ fn dense_smallest(scenario: &Scenario) -> f64 {
     let (parts, stride, order) = if touching { (1, 1, n * agents) } else { (n, n, agents) };
     let smallest = (0..parts).map(|part| {
         let entries =
-            faer::Mat::from_fn(order, order, |i, j| matrix[(i * stride + part, j * stride + part)]);
-        let values = entries.self_adjoint_eigenvalues(faer::Side::Lower).unwrap();
-        values.into_iter().fold(f64::INFINITY, f64::min)
+            DMatrix::from_fn(order, order, |i, j| matrix[(i * stride + part, j * stride + part)]);
+        entries.symmetric_eigenvalues().min()
     });
     smallest.fold(f64::INFINITY, f64::min)
 }

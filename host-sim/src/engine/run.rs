@@ -29,7 +29,7 @@ use crate::files::fnv::Fnv;
 use crate::flow::Plan;
 use crate::learning::{agent_config, trained};
 use crate::packages::{OwnedAgentConfig, PackageBytes, with_dimension};
-use crate::plant::DIMENSION_MAX;
+use crate::plant::{DIMENSION_MAX, RateFault};
 use crate::scenario::{Downtime, Network, Scenario};
 use crate::training::{Dataset, TrainingError};
 
@@ -625,10 +625,18 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
             return Ok(());
         }
         let failure = self.agents.iter().position(|agent| agent.failure.is_some());
+        let time = self.scenario.time.at(tick);
+        if failure.is_some()
+            && let Some(fault) =
+                RateFault::find(&self.scenario.plant, &self.scenario.disturbance, time, truth)
+        {
+            // A known input without a value reaches the networks first.
+            return Err(RunError::Expression(Box::new(fault)));
+        }
         match failure.and_then(|index| Some((index, self.agents[index].failure?))) {
             Some((index, error)) => Err(RunError::Step {
                 agent: index + 1,
-                time: self.scenario.time.at(tick),
+                time,
                 plant_norm: truth.iter().fold(0.0, |sum, x| sum + x * x).sqrt(),
                 step: StepCheck::new(self.scenario),
                 error,

@@ -6,9 +6,12 @@
 //! | `scenario.toml`, `sweep.json` | what the results depend on; the same command continues them |
 //! | `summary.csv` | mean, median and interval of each cell |
 //! | `tradeoff.svg`, `tradeoff.png` | error against broadcasts |
+//! | `results.parquet` | with `--parquet`: `results.csv` with types |
 
 mod cells;
 pub(super) mod page;
+#[cfg(feature = "parquet")]
+mod parquet;
 mod picture;
 mod results;
 mod resume;
@@ -88,6 +91,10 @@ pub(super) struct Arguments {
         conflicts_with_all = ["scenario", "set", "vary", "latin", "points", "seeds", "initial_states", "shard"],
     )]
     summarise: Option<PathBuf>,
+    /// Write the complete table as results.parquet as well, for pandas, Polars and DuckDB
+    #[cfg(feature = "parquet")]
+    #[arg(long)]
+    parquet: bool,
     #[command(flatten)]
     figures: FigureFormats,
     #[command(flatten)]
@@ -140,7 +147,7 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
     if !folder.as_os_str().is_empty() {
         make_folder(&folder)?;
     }
-    let written = write_files(&folder, arguments.figures, &summary)?;
+    let written = write_files(&folder, arguments, &summary, results)?;
     let report = Report {
         scenario: None,
         keys: &summary.keys,
@@ -202,7 +209,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
     let mut summary = Summary { keys: cells.keys.clone(), cells: Vec::new() };
     if arguments.shard.is_whole() && is_complete {
         summary = Summary::read(&file)?;
-        written.push(write_files(&folder, arguments.figures, &summary)?);
+        written.push(write_files(&folder, arguments, &summary, &file)?);
     }
     let report = Report {
         scenario: Some(&base.name),
@@ -315,19 +322,26 @@ fn plan(
     Ok((study, Runs::new(own, (seed, seeds), others, part, header)))
 }
 
-/// Writes `summary.csv` and the picture; returns their names.
+/// Writes what is made of a complete table, `summary.csv` and the picture; returns their names.
 fn write_files(
     folder: &Path,
-    formats: FigureFormats,
+    arguments: &Arguments,
     summary: &Summary,
+    #[cfg_attr(not(feature = "parquet"), allow(unused_variables))] results: &Path,
 ) -> Result<String, CommandError> {
     summary.write(folder)?;
     let mut names = vec![summary::NAME.to_owned()];
     let (cells, runs) = (summary.cells.len(), summary.runs());
     let title = format!("Error against broadcasts: {cells} cells, {runs} runs");
     if let Some(figure) = picture::tradeoff(title, summary) {
+        let formats = arguments.figures;
         write_all(folder, &[("tradeoff", tradeoff(&figure))], formats.wanted())?;
         names.extend(formats.names(["tradeoff"]));
+    }
+    #[cfg(feature = "parquet")]
+    if arguments.parquet {
+        parquet::write(folder, results)?;
+        names.push(parquet::NAME.to_owned());
     }
     Ok(names.join(", "))
 }
