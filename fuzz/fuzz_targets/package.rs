@@ -78,7 +78,10 @@ fn check_package(package: &Package<'_>, bytes: &[u8]) {
     assert_eq!(package.outer_weights.len(), n * features);
     assert_eq!(package.node.output_matrix.len(), n * package.node.outputs(n));
     assert_eq!(package.node.edge_weights.len(), package.node.neighbours().count());
-    assert_eq!(package.test_vectors.len(), package.test_vectors().count() * (inputs + features + n));
+    assert_eq!(
+        package.test_vectors.len(),
+        package.test_vectors().count() * (inputs + features + n)
+    );
     assert_eq!(package.trained_box.low.len(), inputs);
 
     let place = NetworkPlace::new(package, bytes).expect("it was decoded from there");
@@ -192,8 +195,7 @@ fn with_correct_test_vectors<const N: usize>(
     let mut scratch = Scratch::NEW;
     let mut numbers = vec![];
     for vector in package.test_vectors() {
-        let input = StateVector::<N>::from_column_slice(vector.input);
-        let (features, output) = package.evaluate(&input, &mut scratch)?;
+        let (features, output) = package.evaluate::<N>(vector.input, &mut scratch)?;
         numbers.extend_from_slice(vector.input);
         numbers.extend_from_slice(features);
         numbers.extend_from_slice(output.as_slice());
@@ -213,7 +215,12 @@ fn check_accepted<const N: usize>(bytes: &[u8], package: &Package<'_>) {
     // The limits of a node, each exactly sufficient, then one less.
     let (features, entries) = (package.features(), package.node.outer_law.gain.entries().len());
     let places = package.node.neighbours.len();
-    let fits = Capacity { features, neighbours: places, gain_entries: entries };
+    let fits = Capacity {
+        features,
+        neighbours: places,
+        gain_entries: entries,
+        known_inputs: package.known_inputs,
+    };
     let with = |requirements| judge::<N>(bytes, &requirements).map(|_| ());
     assert_eq!(with(Requirements { capacity: fits, ..ANY }), Ok(()));
     for capacity in [
@@ -243,6 +250,13 @@ fn check_accepted<const N: usize>(bytes: &[u8], package: &Package<'_>) {
         assert!(matches!(after(agent, next, 0), Err(Refusal::Older { .. })));
     }
     assert!(matches!(after(agent ^ 1, epoch, version), Err(Refusal::Agent { .. })));
+
+    // A node knows no inputs.
+    if let Some(fewer) = package.known_inputs.checked_sub(1) {
+        let capacity = Capacity { known_inputs: fewer, ..fits };
+        let refused = with(Requirements { capacity, ..ANY });
+        return assert!(matches!(refused, Err(Refusal::Capacity { what: "known inputs", .. })));
+    }
 
     // The parameters form an agent, and it takes steps.
     let mut neighbours = vec![Neighbour { id: 0, weight: 1.0 }; places];

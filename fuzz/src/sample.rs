@@ -1,7 +1,6 @@
 //! Real packages that a node accepts.
 
 use agent_core::AgentId;
-use agent_core::StateVector;
 use agent_core::agent::exchange::ExchangeParams;
 use agent_core::agent::region::StateBox;
 use agent_core::math::activation::Activation;
@@ -151,9 +150,8 @@ impl SamplePackage {
         let inputs = numbers(self.test_vectors * N);
         let mut test_vectors = vec![];
         for input in inputs.chunks_exact(N) {
-            let (features, output) = package
-                .evaluate(&StateVector::<N>::from_column_slice(input), &mut scratch)
-                .expect("the same dimension");
+            let (features, output) =
+                package.evaluate::<N>(input, &mut scratch).expect("the same dimension");
             test_vectors.extend_from_slice(input);
             test_vectors.extend_from_slice(features);
             test_vectors.extend_from_slice(output.as_slice());

@@ -37,7 +37,12 @@ const REQUIREMENTS: Requirements<'static> = Requirements {
     agent: None,
     highest: None,
     step_range: StepRange::ANY,
-    capacity: Capacity { features: FEATURES, neighbours: NEIGHBOURS, gain_entries: N },
+    capacity: Capacity {
+        features: FEATURES,
+        neighbours: NEIGHBOURS,
+        gain_entries: N,
+        known_inputs: 0,
+    },
 };
 
 type State = AgentState<N, FEATURES, [Option<Hold<N>>; NEIGHBOURS]>;
