@@ -123,7 +123,12 @@ fn simulator_arguments(command: &str) -> Option<&str> {
 fn checkout(name: &str) -> Folder {
     let folder = Folder::new(name);
     fs::copy(Path::new(ROOT).join("memory.x"), folder.path("memory.x")).unwrap();
-    for name in ["experiment/tanks.csv", "experiment/tanks.toml", "wscc9/wscc9.toml"] {
+    for name in [
+        "experiment/tanks.csv",
+        "experiment/tanks.toml",
+        "relearning/relearning.toml",
+        "wscc9/wscc9.toml",
+    ] {
         let name = format!("host-sim/examples/{name}");
         let copy = folder.path(&name);
         fs::create_dir_all(copy.parent().unwrap()).unwrap();

@@ -13,6 +13,7 @@ mod networks;
 mod packages;
 mod paper_run;
 mod recordings;
+mod relearning;
 pub(crate) mod reproduce;
 mod scales;
 pub(crate) mod scenario_builder;

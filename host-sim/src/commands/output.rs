@@ -21,7 +21,9 @@ const EVENT_WINDOW: f64 = 500.0;
 pub(super) fn planned(scenario: &Scenario, suffix: &str, learning: bool) -> Vec<String> {
     let mut names: Vec<_> =
         ["traces", "events", "training"].map(|stem| format!("{stem}{suffix}.csv")).into();
-    let cycles = scenario.learning.iter().zip(1..).filter(|_| learning);
+    let again = scenario.learning.last().into_iter();
+    let again = again.flat_map(|last| std::iter::repeat_n(last, scenario.relearnings_max()));
+    let cycles = scenario.learning.iter().chain(again).zip(1..).filter(|_| learning);
     for (agent, cycle) in
         cycles.flat_map(|(cycle, number)| cycle.agents.iter().map(move |agent| (agent + 1, number)))
     {
@@ -146,16 +148,19 @@ fn epochs(run: &RunResult) -> Vec<EpochRow> {
 
 /// Returns markers for the start and end of each cycle's collection and for each switch that took
 /// place, in ascending order and without duplicates.
-pub(super) fn markers(scenario: &Scenario, trainings: &[TrainingRecord]) -> Vec<Marker<'static>> {
+pub(super) fn markers(
+    cycles: &[LearningCycle],
+    trainings: &[TrainingRecord],
+) -> Vec<Marker<'static>> {
     let switched =
         |cycle| trainings.iter().any(|training| training.cycle == cycle && training.switched_in);
-    markers_of(scenario, switched)
+    markers_of(cycles, switched)
 }
 
 /// Returns the markers; `switched` returns whether a cycle, from 1, switched a network in.
-fn markers_of(scenario: &Scenario, switched: impl Fn(usize) -> bool) -> Vec<Marker<'static>> {
+fn markers_of(cycles: &[LearningCycle], switched: impl Fn(usize) -> bool) -> Vec<Marker<'static>> {
     let mut times: Vec<(f64, Marker<'static>)> = Vec::new();
-    for (cycle, LearningCycle { collect, apply_at, .. }) in (1..).zip(&scenario.learning) {
+    for (cycle, LearningCycle { collect, apply_at, .. }) in (1..).zip(cycles) {
         let switch = (*apply_at, Marker::apply(*apply_at, "apply"));
         for (time, marker) in [
             (collect.from, Marker::collection_start(collect.from, "collect")),
@@ -209,10 +214,10 @@ mod tests {
             Marker::collection_start(cycle.collect.from, "collect"),
             Marker::collection_end(cycle.collect.to, "train"),
         ];
-        assert_eq!(markers_of(&scenario, |_| false), collection);
+        assert_eq!(markers_of(&scenario.learning, |_| false), collection);
         let switch = Marker::apply(cycle.apply_at, "apply");
         assert_eq!(
-            markers_of(&scenario, |cycle| cycle == 1),
+            markers_of(&scenario.learning, |cycle| cycle == 1),
             [&collection[..], &[switch]].concat()
         );
     }

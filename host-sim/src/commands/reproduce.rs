@@ -271,7 +271,7 @@ fn write_figures(
     let error_limit = Some(error_axis_limit(&shown_runs, &references[1]));
     let window = output::event_window(scenario);
     let event_ticks = output::events_of(with);
-    let markers = output::markers(scenario, &with.trainings);
+    let markers = output::markers(&with.cycles, &with.trainings);
     let draw = |index: usize| match index {
         0 => error_norms(&ErrorFigure {
             title: "Figure 1: untrained networks",

@@ -18,6 +18,9 @@ const LINES: usize = 12;
 pub(super) struct TrainingSummary {
     agent: usize,
     cycle: usize,
+    /// When the cycle started by itself. \[s\]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    started_at: Option<f64>,
     /// Number of samples after cleaning and decimation.
     samples: usize,
     epochs: usize,
@@ -38,6 +41,7 @@ impl TrainingSummary {
         Self {
             agent: record.agent,
             cycle: record.cycle,
+            started_at: record.started_at,
             samples: record.samples,
             epochs: report.epochs.len().saturating_sub(1),
             stopped_by: reason(report.stop),
@@ -78,10 +82,13 @@ pub(super) fn text(trainings: &[TrainingSummary]) -> String {
         // Writing into a string cannot fail.
         let _ = writeln!(
             text,
-            "  agent {}, cycle {}: {} samples, {} epochs, stopped by {}; mean squared error: \
+            "  agent {}, cycle {}{}: {} samples, {} epochs, stopped by {}; mean squared error: \
              training {}, validation {}, test {}; variance explained: {}{}",
             training.agent,
             training.cycle,
+            training.started_at.map_or(String::new(), |time| {
+                format!(" (started by the rate of broadcasts at t = {} s)", significant(time, 5))
+            }),
             training.samples,
             training.epochs,
             training.stopped_by,

@@ -2,7 +2,8 @@
 //!
 //! A cycle collects `(x_hat, d/dt x_hat)` of its agents over a window, copies the outer weights at
 //! the end of the window, and switches the trained network in at the configured time. Training
-//! takes no simulated time. All jobs that are ready run in parallel, each with its own seed, so the
+//! takes no simulated time. Further cycles start by themselves if the scenario says so, when agents broadcast far more
+//! often than after the last switch. All jobs that are ready run in parallel, each with its own seed, so the
 //! result does not depend on the number of threads.
 
 use std::ops::ControlFlow;
@@ -18,7 +19,7 @@ use crate::flow::{FleetSamples, Plan, fleet_packages};
 use crate::learning::trained::{INITIAL_VERSION, TrainedError, TrainingTask};
 use crate::packages::recording::Observed;
 use crate::packages::{PackageBytes, Recording, Timing};
-use crate::scenario::{LearningCycle, Method, Scenario};
+use crate::scenario::{LearningCycle, Method, Relearning, Scenario, Time, Window};
 use crate::training::{DataError, Dataset, EpochReport, StopReason};
 use crate::warning::Warning;
 
@@ -79,33 +80,117 @@ pub(super) struct Learning<'s> {
     scenario: &'s Scenario,
     plan: Option<&'s Plan<'s>>,
     seed: u64,
+    /// The scenario's cycles, and those that started by themselves.
+    cycles: Vec<LearningCycle>,
     jobs: Vec<Job>,
+    watch: Option<RateWatch>,
+}
+
+/// Windows above the rate, one after the other, before a cycle starts.
+const WINDOWS: u32 = 2;
+
+/// Compares the rate of broadcasts with that after the last switch.
+struct RateWatch {
+    rate: f64,
+    /// Length of a window. \[steps\]
+    window: Tick,
+    /// Least time between two starts. \[steps\]
+    pause: Tick,
+    /// When the last cycle started by itself.
+    started: Option<Tick>,
+    /// First tick of the window.
+    since: Tick,
+    /// Broadcasts in it.
+    count: u64,
+    /// Windows since the last switch.
+    windows: u64,
+    /// Broadcasts in the second one.
+    promised: u64,
+    /// Windows above the rate, up to the last one.
+    above: u32,
+}
+
+impl RateWatch {
+    fn new(relearning: &Relearning, time: &Time) -> Self {
+        Self {
+            rate: relearning.rate,
+            window: time.tick(relearning.window).max(1),
+            pause: time.tick(relearning.pause),
+            started: None,
+            since: 0,
+            count: 0,
+            windows: 0,
+            promised: 0,
+            above: 0,
+        }
+    }
+
+    /// Begins again at `tick`, after a switch.
+    fn restart(&mut self, tick: Tick) {
+        (self.since, self.count, self.windows, self.above) = (tick, 0, 0, 0);
+    }
+
+    /// Counts broadcasts of the step at `tick`; returns whether a cycle is due.
+    fn note(&mut self, tick: Tick, broadcasts: u64) -> bool {
+        self.count += broadcasts;
+        if tick + 1 < self.since + self.window {
+            return false;
+        }
+        let count = std::mem::take(&mut self.count);
+        (self.since, self.windows) = (tick + 1, self.windows + 1);
+        match self.windows {
+            // The observer settles.
+            1 => {}
+            2 => self.promised = count.max(1),
+            _ if count as f64 > self.rate * self.promised as f64 => self.above += 1,
+            _ => self.above = 0,
+        }
+        let rests = self.started.is_some_and(|start| tick + 1 < start + self.pause);
+        self.above >= WINDOWS && !rests
+    }
 }
 
 impl<'s> Learning<'s> {
     pub(super) fn new(scenario: &'s Scenario, plan: Option<&'s Plan<'s>>, seed: u64) -> Self {
-        let time = &scenario.time;
-        let job = |cycle: usize, description: &LearningCycle, agent: usize| Job {
-            cycle,
-            agent,
-            collect_from: time.tick(description.collect.from),
-            collect_to: time.tick(description.collect.to),
-            apply_at: time.tick(description.apply_at),
-            inputs: Vec::new(),
-            targets: Vec::new(),
-            gaps: Vec::new(),
-            last: None,
-            first: None,
-            outer_weights: None,
-            observation: Observation::default(),
-            trained: false,
-            package: None,
-        };
-        let jobs = scenario.learning.iter().enumerate();
-        let jobs = jobs.flat_map(|(cycle, description)| {
-            description.agents.iter().map(move |&agent| job(cycle, description, agent))
-        });
-        Self { scenario, plan, seed, jobs: jobs.collect() }
+        let cycles = scenario.learning.clone();
+        let jobs = cycles.iter().enumerate();
+        let jobs = jobs.flat_map(|(number, cycle)| jobs_of(number, cycle, &scenario.time));
+        let jobs = jobs.collect();
+        let watch = scenario.relearning.as_ref().filter(|_| !cycles.is_empty());
+        let watch = watch.map(|relearning| RateWatch::new(relearning, &scenario.time));
+        Self { scenario, plan, seed, cycles, jobs, watch }
+    }
+
+    /// Returns the scenario's cycles, and those that started by themselves.
+    pub(super) fn into_cycles(self) -> Vec<LearningCycle> {
+        self.cycles
+    }
+
+    /// Whether the rate of broadcasts can start a cycle.
+    pub(super) fn watches_rate(&self) -> bool {
+        self.watch.is_some()
+    }
+
+    /// Notes how many agents broadcast in the step at `tick`, which can start a cycle like the last one.
+    pub(super) fn note_broadcasts(&mut self, tick: Tick, broadcasts: u64) {
+        let Some(watch) = &mut self.watch else { return };
+        if self.jobs.iter().any(|job| job.apply_at > tick) {
+            return watch.restart(tick + 1);
+        }
+        if !watch.note(tick, broadcasts) {
+            return;
+        }
+        let (time, Some(last)) = (&self.scenario.time, self.cycles.last()) else { return };
+        let from = time.at(tick + 1);
+        let to = from + (last.collect.to - last.collect.from);
+        let apply_at = to + (last.apply_at - last.collect.to);
+        let cycle = LearningCycle { collect: Window { from, to }, apply_at, ..last.clone() };
+        if time.tick(apply_at) >= self.scenario.steps() {
+            return;
+        }
+        watch.started = Some(tick + 1);
+        self.jobs.extend(jobs_of(self.cycles.len(), &cycle, time));
+        self.cycles.push(cycle);
     }
 
     /// Returns the packages to switch in before the step at `tick`. When one is due, trains all
@@ -121,10 +206,10 @@ impl<'s> Learning<'s> {
             let ready = |job: &&mut Job| {
                 job.outer_weights.is_some() && !job.trained && !job.inputs.is_empty()
             };
-            let jobs: Vec<&mut Job> = self.jobs.iter_mut().filter(ready).collect();
-            let context =
-                Context { scenario: self.scenario, plan: self.plan, seed: self.seed, progress };
-            records = groups(self.scenario, jobs)
+            let Self { scenario, plan, seed, cycles, jobs, .. } = self;
+            let jobs: Vec<&mut Job> = jobs.iter_mut().filter(ready).collect();
+            let context = Context { scenario, plan: *plan, cycles, seed: *seed, progress };
+            records = groups(cycles, jobs)
                 .into_par_iter()
                 .map(|group| train(&context, group))
                 // Collect all results, so that the error of the first job is reported.
@@ -163,7 +248,7 @@ impl<'s> Learning<'s> {
             if tick >= middle {
                 job.observation.add(observation(job.agent));
             }
-            let stride = self.scenario.learning[job.cycle].stride;
+            let stride = self.cycles[job.cycle].stride;
             if is_due(tick, stride)
                 && let Some(sample) = sample(job.agent)
             {
@@ -185,19 +270,46 @@ impl<'s> Learning<'s> {
     }
 }
 
+/// Returns the jobs of a cycle with this number, from 0.
+fn jobs_of<'c>(
+    number: usize,
+    cycle: &'c LearningCycle,
+    time: &Time,
+) -> impl Iterator<Item = Job> + use<'c> {
+    let [collect_from, collect_to, apply_at] =
+        [cycle.collect.from, cycle.collect.to, cycle.apply_at].map(|at| time.tick(at));
+    cycle.agents.iter().map(move |&agent| Job {
+        cycle: number,
+        agent,
+        collect_from,
+        collect_to,
+        apply_at,
+        inputs: Vec::new(),
+        targets: Vec::new(),
+        gaps: Vec::new(),
+        last: None,
+        first: None,
+        outer_weights: None,
+        observation: Observation::default(),
+        trained: false,
+        package: None,
+    })
+}
+
 /// What training a job needs besides the job.
 struct Context<'c> {
     scenario: &'c Scenario,
     plan: Option<&'c Plan<'c>>,
+    cycles: &'c [LearningCycle],
     seed: u64,
     progress: &'c dyn Progress,
 }
 
 /// Returns the jobs that are trained together: those of a shared cycle, and every other one alone.
-fn groups<'j>(scenario: &Scenario, jobs: Vec<&'j mut Job>) -> Vec<Vec<&'j mut Job>> {
+fn groups<'j>(cycles: &[LearningCycle], jobs: Vec<&'j mut Job>) -> Vec<Vec<&'j mut Job>> {
     let mut groups: Vec<Vec<&mut Job>> = Vec::new();
     for job in jobs {
-        let is_shared = scenario.learning[job.cycle].is_shared;
+        let is_shared = cycles[job.cycle].is_shared;
         match groups.last_mut().filter(|group| is_shared && group[0].cycle == job.cycle) {
             Some(group) => group.push(job),
             None => groups.push(vec![job]),
@@ -208,18 +320,18 @@ fn groups<'j>(scenario: &Scenario, jobs: Vec<&'j mut Job>) -> Vec<Vec<&'j mut Jo
 
 /// Trains one network for a group of jobs and packs it for each.
 fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<TrainingRecord>, RunError> {
-    let Context { scenario, plan, seed, progress } = *context;
+    let Context { scenario, plan, cycles, seed, progress } = *context;
     let (cycle, agent) = (group[0].cycle, group[0].agent);
     let failed =
         |error: TrainedError| RunError::Training { agent: agent + 1, cycle: cycle + 1, error };
-    let description = &scenario.learning[cycle];
+    let description = &cycles[cycle];
     let recipe = scenario
         .recipe(&description.recipe)
         .ok_or_else(|| RunError::Recipe { cycle: cycle + 1, recipe: description.recipe.clone() })?;
     let network = scenario.network.as_ref().ok_or(RunError::NoNetwork { cycle: cycle + 1 })?;
     let recordings: Vec<Recording> = group
         .iter_mut()
-        .map(|job| recording(scenario, job))
+        .map(|job| recording(scenario, description, job))
         .collect::<Result<_, _>>()
         .map_err(failed)?;
     let serial_plan = plan;
@@ -228,12 +340,14 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
     let samples = FleetSamples::new(plan, &agents, &recordings)
         .ok_or_else(|| failed(DataError::TooFewSamples { found: 0, needed: 1 }.into()))?;
     let FleetSamples { recording, harmonics } = &samples;
-    let members: Vec<_> =
-        agents.iter().map(|&agent| (agent, serial(scenario, serial_plan, agent, cycle))).collect();
+    let members: Vec<_> = agents
+        .iter()
+        .map(|&agent| (agent, serial(scenario, serial_plan, agent, (cycle, description))))
+        .collect();
     let packages = |trained: &PackageBytes| {
         fleet_packages(scenario, plan, harmonics, trained, &members).map_err(RunError::Observer)
     };
-    let Serial { epoch, version } = serial(scenario, serial_plan, agent, cycle);
+    let Serial { epoch, version } = serial(scenario, serial_plan, agent, (cycle, description));
     let task = TrainingTask { scenario, network, recipe, agent, cycle, seed, epoch, version };
     if scenario.method == Method::Regression {
         let fitted = task.fit_polynomials(recording).map_err(failed)?;
@@ -266,6 +380,7 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
         records.push(TrainingRecord {
             agent: job.agent + 1,
             cycle: cycle + 1,
+            started_at: (cycle >= scenario.learning.len()).then_some(description.collect.from),
             samples: trained.samples,
             harmonics: harmonics.clone(),
             report: trained.report.clone(),
@@ -280,12 +395,16 @@ fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<Training
 }
 
 /// Takes a job's samples.
-fn recording(scenario: &Scenario, job: &mut Job) -> Result<Recording, TrainedError> {
+fn recording(
+    scenario: &Scenario,
+    description: &LearningCycle,
+    job: &mut Job,
+) -> Result<Recording, TrainedError> {
     let inputs = std::mem::take(&mut job.inputs);
     let targets = std::mem::take(&mut job.targets);
     let known = scenario.plant.input_names().len();
     let samples = Dataset::with_known_inputs(scenario.dimension(), known, inputs, targets)?;
-    let stride = Tick::from(scenario.learning[job.cycle].stride.get());
+    let stride = Tick::from(description.stride.get());
     let first = job.first.unwrap_or_else(|| job.collect_from.next_multiple_of(stride));
     let (gaps, missing) = std::mem::take(&mut job.gaps).into_iter().unzip();
     Ok(Recording {
@@ -301,12 +420,17 @@ fn recording(scenario: &Scenario, job: &mut Job) -> Result<Recording, TrainedErr
 
 /// Returns the serial of an agent's package of a cycle: above the package before, in the next epoch if
 /// there are no versions left.
-fn serial(scenario: &Scenario, plan: Option<&Plan<'_>>, agent: usize, cycle: usize) -> Serial {
+fn serial(
+    scenario: &Scenario,
+    plan: Option<&Plan<'_>>,
+    agent: usize,
+    (cycle, description): (usize, &LearningCycle),
+) -> Serial {
     let before = scenario.agents[agent].package.as_ref();
     let initial = Serial { epoch: 0, version: INITIAL_VERSION };
     let before = before.map_or(initial, |package| package.package().serial());
     // The switch to the field observer may have taken one.
-    let apply_at = scenario.time.tick(scenario.learning[cycle].apply_at);
+    let apply_at = scenario.time.tick(description.apply_at);
     let is_after = plan.is_some_and(|plan| (1..apply_at).contains(&plan.starts_at()));
     let count = u32::try_from(cycle + 1 + usize::from(is_after)).unwrap_or(u32::MAX);
     match before.version.checked_add(count) {

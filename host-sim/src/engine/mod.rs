@@ -46,6 +46,7 @@ use crate::learning::trained::TrainedError;
 use crate::packages::parameter::InScenario;
 use crate::packages::{DraftError, PackageBytes, Recording};
 use crate::plant::RateFault;
+use crate::scenario::LearningCycle;
 use crate::training::{EpochReport, TrainingError, TrainingReport};
 use crate::warning::Warning;
 use bounds::Bounds;
@@ -99,6 +100,8 @@ pub struct RunOptions {
 pub struct RunResult {
     /// Statistics of each agent.
     pub agents: Vec<AgentStatistics>,
+    /// The learning cycles: the scenario's, and those that started by themselves.
+    pub cycles: Vec<LearningCycle>,
     /// All trainings, in the order of cycles and agents.
     pub trainings: Vec<TrainingRecord>,
     /// Rows of `x_0` and all `x_hat_i`; empty if the scenario records none.
@@ -138,6 +141,8 @@ pub struct TrainingRecord {
     pub agent: usize,
     /// The learning cycle, from 1.
     pub cycle: usize,
+    /// When the cycle started by itself; `None` for one of the scenario. \[s\]
+    pub started_at: Option<f64>,
     /// Number of samples after cleaning and decimation.
     pub samples: usize,
     /// The course of the training.

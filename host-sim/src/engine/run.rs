@@ -30,7 +30,7 @@ use crate::flow::Plan;
 use crate::learning::{agent_config, trained};
 use crate::packages::{OwnedAgentConfig, PackageBytes, with_dimension};
 use crate::plant::{DIMENSION_MAX, RateFault};
-use crate::scenario::{Downtime, Network, Scenario};
+use crate::scenario::{Downtime, LearningCycle, Network, Scenario};
 use crate::training::{Dataset, TrainingError};
 
 /// Steps between progress reports.
@@ -195,6 +195,7 @@ fn run_fixed<'c, const N: usize>(
         before: initial_state(scenario),
         evaluation: scenario.evaluation.ticks(&scenario.time),
         down: vec![false; scenario.agents.len()],
+        cycles: Vec::new(),
         missed: Vec::new(),
         traces: Traces::of(scenario),
         largest_state: 0.0,
@@ -365,6 +366,8 @@ struct Simulation<'s, 'c, const N: usize> {
     evaluation: std::ops::Range<Tick>,
     /// Whether each agent is down.
     down: Vec<bool>,
+    /// The learning cycles, at the end.
+    cycles: Vec<LearningCycle>,
     /// What agents missed of the learning cycles.
     missed: Vec<String>,
     traces: Traces,
@@ -455,6 +458,10 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
                     |agent| agents[agent].outer_weights(),
                     |agent| agents[agent].observation(),
                 );
+                if learning.watches_rate() {
+                    let broadcasts = agents.iter().filter(|agent| agent.outgoing.is_some());
+                    learning.note_broadcasts(tick, broadcasts.count() as u64);
+                }
             }
             if let Some(run_observer) = &mut self.run_observer {
                 let steps: Vec<_> = self.agents.iter().map(SimulatedAgent::last_step).collect();
@@ -478,6 +485,7 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
         }
         self.note(steps, false);
         progress.step(steps, steps);
+        self.cycles = learning.map_or_else(Vec::new, Learning::into_cycles);
         Ok(trainings)
     }
 
@@ -674,6 +682,7 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
             agent.statistics.traffic = self.link.traffic(index);
         }
         RunResult {
+            cycles: self.cycles,
             layers: self.link.layer_counts(),
             missed: self.missed,
             agents: self.agents.into_iter().map(SimulatedAgent::finish).collect(),

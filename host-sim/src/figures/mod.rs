@@ -45,8 +45,7 @@ pub use events::events;
 pub use format::FigureFormat;
 pub use frontier::{FrontierFigure, FrontierForm, FrontierPoint, frontier};
 pub use marks::{Marker, Reference};
-pub use raster::PNG_WIDTH;
-pub use render::RenderError;
+pub use render::{PNG_WIDTH, RenderError};
 pub use states::{StateFigure, states};
 pub use tradeoff::{TradeoffFigure, TradeoffLine, TradeoffPoint, tradeoff};
 

@@ -3,10 +3,7 @@
 use png::{BitDepth, ColorType, Compression, Encoder, Filter};
 use resvg::tiny_skia::{Color, Pixmap, Transform};
 
-use super::render::{RenderError, tree};
-
-/// Width of every PNG. \[pixels\]
-pub const PNG_WIDTH: u32 = 1600;
+use super::render::{PNG_WIDTH, RenderError, tree};
 
 /// Renders a figure on a white background.
 pub(super) fn png(svg: &str) -> Result<Vec<u8>, RenderError> {

@@ -3,7 +3,9 @@
 use resvg::usvg::{Options, Tree};
 
 use super::font;
-use super::raster::PNG_WIDTH;
+
+/// Width of every PNG. \[pixels\]
+pub const PNG_WIDTH: u32 = 1600;
 
 /// Why a figure could not be rendered.
 #[derive(Debug, thiserror::Error)]

@@ -175,6 +175,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         "life",
         "agents",
         "learning",
+        "relearning",
         "recipes",
         "health",
         "evaluation",
@@ -215,6 +216,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     }
     let recipes = learning::recipes(root)?;
     let learning = learning::cycles(root, &time, agents.len(), &recipes, network.is_some())?;
+    let relearning = learning::relearning(root, &time, learning.last())?;
     if let (Some(first), Some(network)) = (root.get_tables("learning")?.first(), &network) {
         learning::check_size(first, network.architecture.parameter_count())?;
     }
@@ -243,6 +245,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         observer,
         agents,
         learning,
+        relearning,
         recipes,
         health,
         evaluation,

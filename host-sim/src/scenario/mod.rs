@@ -86,6 +86,8 @@ pub struct Scenario {
     pub agents: Vec<Agent>,
     /// Learning cycles, in the order of the file.
     pub learning: Vec<LearningCycle>,
+    /// Cycles that follow the last of these by themselves; none without them.
+    pub relearning: Option<Relearning>,
     /// Training recipes that learning cycles refer to, in the order of the file.
     pub recipes: Vec<Recipe>,
     /// Health monitoring of the agents; `None` if they are not monitored.
@@ -175,6 +177,16 @@ impl Scenario {
     #[must_use]
     pub fn delivers_all(&self) -> bool {
         self.link.is_ideal() && self.life.is_empty()
+    }
+
+    /// Returns how many cycles can start by themselves.
+    #[must_use]
+    pub fn relearnings_max(&self) -> usize {
+        let (Some(relearning), Some(last)) = (&self.relearning, self.learning.last()) else {
+            return 0;
+        };
+        let each = relearning.pause.max(last.apply_at - last.collect.from);
+        ((self.time.duration - last.apply_at).max(0.0) / each).floor() as usize
     }
 
     /// Returns the recipe with this name.
@@ -326,6 +338,18 @@ pub struct LearningCycle {
     pub recipe: String,
     /// Whether all agents get one network, trained on the samples of all.
     pub is_shared: bool,
+}
+
+/// When further cycles, like the last of the scenario, start by themselves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Relearning {
+    /// Number of broadcasts of all agents in a window, as a multiple of that in the second window after the
+    /// last switch.
+    pub rate: f64,
+    /// Length of a window. \[s\]
+    pub window: f64,
+    /// Least time between the starts of two cycles. \[s\]
+    pub pause: f64,
 }
 
 /// How collected samples become a trained network.

@@ -87,7 +87,7 @@ fn write_figures(
     run: &ReportedRun,
 ) -> Result<(), CommandError> {
     let ReportedRun { scenario, result, baselines, .. } = run;
-    let markers = output::markers(scenario, &result.trainings);
+    let markers = output::markers(&result.cycles, &result.trainings);
     let event_ticks = output::events_of(result);
     let window = output::event_window(scenario);
     let (traces, name) = (&result.traces, scenario.name.as_str());

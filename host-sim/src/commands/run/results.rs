@@ -111,7 +111,7 @@ pub(super) fn write(folder: &Path, run: &ReportedRun, text: &str) -> Result<(), 
         states: scenario.plant.state_names(),
         is_known: scenario.plant.is_known(),
         truth_name: output::truth_name(scenario),
-        markers: output::markers(scenario, &result.trainings).iter().map(mark).collect(),
+        markers: output::markers(&result.cycles, &result.trainings).iter().map(mark).collect(),
         graph: Graph { edges: scenario.graph.edges().iter().map(edge).collect() },
         packages: packages(folder, run)?,
     };

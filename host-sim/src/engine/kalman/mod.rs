@@ -127,6 +127,7 @@ pub(super) fn run(
         agent.statistics.traffic = link.traffic(index);
     }
     Ok(RunResult {
+        cycles: Vec::new(),
         agents: simulation.agents.into_iter().map(|agent| agent.statistics).collect(),
         trainings: Vec::new(),
         traces,

@@ -1,4 +1,4 @@
-//! `[[learning]]` and `[recipes.*]`.
+//! `[[learning]]`, `[relearning]` and `[recipes.*]`.
 
 use std::num::NonZeroU32;
 
@@ -8,7 +8,7 @@ use super::run::after_the_end;
 use super::trainer;
 use crate::scenario::error::{ScenarioError, closest};
 use crate::scenario::reader::{Table, Value};
-use crate::scenario::{LearningCycle, Recipe, SwitchIn, Time, Window};
+use crate::scenario::{LearningCycle, Recipe, Relearning, SwitchIn, Time, Window};
 use crate::training::InitialParameters;
 use crate::training::network_problem::PARAMETERS_MAX;
 
@@ -94,6 +94,33 @@ fn cycle(
     let is_shared = table.get("shared", "true").map_or(Ok(false), |value| value.boolean())?;
     let recipe = recipe.to_owned();
     Ok(LearningCycle { agents: learners, collect, stride, apply_at, recipe, is_shared })
+}
+
+/// Reads when cycles like `last` start by themselves.
+pub(in crate::scenario) fn relearning(
+    root: &Table<'_>,
+    time: &Time,
+    last: Option<&LearningCycle>,
+) -> Result<Option<Relearning>, ScenarioError> {
+    let Some(table) = root.get_table("relearning")? else { return Ok(None) };
+    table.only(&["rate", "window", "pause"])?;
+    let Some(last) = last else {
+        let hint = "add a table [[learning]], which later cycles repeat, or remove this one";
+        return Err(table.error("there is no learning cycle to repeat", hint));
+    };
+    let rate = table
+        .get("rate", "2.0")
+        .map_or(Ok(2.0), |value| value.number_in("a number above 1", |rate| rate > 1.0))?;
+    let window_value = table.get("window", "2.0");
+    let window = window_value.as_ref().map_or(Ok(2.0), Value::positive)?;
+    if let Some(value) = window_value.filter(|_| time.tick(window) < 1) {
+        let hint = format!("use at least time.step, {}", time.step_size);
+        return Err(value.error("is shorter than a step", hint));
+    }
+    let pause = table
+        .get("pause", "10.0")
+        .map_or(Ok(last.collect.to - last.collect.from), |value| value.positive())?;
+    Ok(Some(Relearning { rate, window, pause }))
 }
 
 fn learners(value: &Value<'_>, agents: usize) -> Result<Vec<usize>, ScenarioError> {
