@@ -132,3 +132,64 @@ fn another_parent_is_followed_when_the_parent_is_down() {
     assert!(without[1] > 5.0 * with[1], "{without:?} {with:?}");
     assert!(with[1..].iter().all(|&error| error < 0.2), "{with:?}");
 }
+
+/// The scenarios that docs/field-observer.md measures: name, broadcasts of all agents that must suffice, and
+/// largest errors of the agents.
+const FORMS: [(&str, &str, u64, [f64; 3]); 9] = [
+    (
+        "theorem-1",
+        include_str!("../../host-sim/examples/field-observer/theorem-1.toml"),
+        3_300,
+        TABLE_1,
+    ),
+    ("split", include_str!("../../host-sim/examples/field-observer/split.toml"), 2_500, TABLE_1),
+    ("flow", include_str!("../../host-sim/examples/field-observer/flow.toml"), 750, TABLE_1),
+    (
+        "flow-eso",
+        include_str!("../../host-sim/examples/field-observer/flow-eso.toml"),
+        300,
+        TABLE_1,
+    ),
+    (
+        "flow-harmonic",
+        include_str!("../../host-sim/examples/field-observer/flow-harmonic.toml"),
+        300,
+        TABLE_1,
+    ),
+    (
+        "everything",
+        include_str!("../../host-sim/examples/field-observer/everything.toml"),
+        220,
+        TABLE_1,
+    ),
+    (
+        "no-network",
+        include_str!("../../host-sim/examples/field-observer/no-network.toml"),
+        450,
+        TABLE_1,
+    ),
+    (
+        "accurate",
+        include_str!("../../host-sim/examples/field-observer/accurate.toml"),
+        1_300,
+        [0.005; 3],
+    ),
+    ("robust", include_str!("../../host-sim/examples/field-observer/robust.toml"), 800, TABLE_1),
+];
+
+/// The paper's errors.
+const TABLE_1: [f64; 3] = [0.0777, 0.0634, 0.0876];
+
+#[test]
+fn every_form_keeps_its_errors_with_its_broadcasts() {
+    for (name, text, most, errors) in FORMS {
+        let scenario = Scenario::parse(name, text).unwrap_or_else(|error| panic!("{error}"));
+        let options = RunOptions { seed: 1, learning: true, bounds: false };
+        let result = run(&scenario, options, &Silent).unwrap();
+        let found: Vec<f64> = result.agents.iter().map(|agent| agent.rmse().unwrap()).collect();
+        let broadcasts: u64 = result.agents.iter().map(|agent| agent.broadcasts_evaluated).sum();
+        println!("{name}: {broadcasts} {found:?}");
+        assert!(broadcasts <= most, "{name}: {broadcasts}");
+        assert!(found.iter().zip(errors).all(|(e, most)| *e <= most), "{name}: {found:?}");
+    }
+}

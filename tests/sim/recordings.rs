@@ -119,6 +119,7 @@ fn a_recording_that_does_not_fit_is_refused_with_its_place() {
         assert_eq!(expected.is_empty(), found.is_empty(), "{found}");
         assert!(found.contains(expected), "{expected}: {found}");
     }
+    fs::write(folder.path("data.csv"), good).unwrap();
     folder.write("mine.toml", &("method = \"kalman\"\n".to_owned() + &scenario("", both)));
     let error = Scenario::load(&folder.path("mine.toml")).unwrap_err().to_string();
     assert!(error.contains("a recording does not define f"), "{error}");

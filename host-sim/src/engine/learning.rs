@@ -89,6 +89,9 @@ pub(super) struct Learning<'s> {
 /// Windows above the rate, one after the other, before a cycle starts.
 const WINDOWS: u32 = 2;
 
+/// Windows after the one in which the observer settles that say how often agents broadcast with a network.
+const REFERENCES: u64 = 3;
+
 /// Compares the rate of broadcasts with that after the last switch.
 struct RateWatch {
     rate: f64,
@@ -104,14 +107,16 @@ struct RateWatch {
     count: u64,
     /// Windows since the last switch.
     windows: u64,
-    /// Broadcasts in the second one.
+    /// Broadcasts in the [`REFERENCES`] windows after the first.
     promised: u64,
+    /// The least number of broadcasts in a window to compare with: one of each agent.
+    least: u64,
     /// Windows above the rate, up to the last one.
     above: u32,
 }
 
 impl RateWatch {
-    fn new(relearning: &Relearning, time: &Time) -> Self {
+    fn new(relearning: &Relearning, time: &Time, agents: usize) -> Self {
         Self {
             rate: relearning.rate,
             window: time.tick(relearning.window).max(1),
@@ -121,6 +126,7 @@ impl RateWatch {
             count: 0,
             windows: 0,
             promised: 0,
+            least: agents as u64,
             above: 0,
         }
     }
@@ -128,6 +134,7 @@ impl RateWatch {
     /// Begins again at `tick`, after a switch.
     fn restart(&mut self, tick: Tick) {
         (self.since, self.count, self.windows, self.above) = (tick, 0, 0, 0);
+        self.promised = 0;
     }
 
     /// Counts broadcasts of the step at `tick`; returns whether a cycle is due.
@@ -138,12 +145,14 @@ impl RateWatch {
         }
         let count = std::mem::take(&mut self.count);
         (self.since, self.windows) = (tick + 1, self.windows + 1);
-        match self.windows {
+        match self.windows - 1 {
             // The observer settles.
-            1 => {}
-            2 => self.promised = count.max(1),
-            _ if count as f64 > self.rate * self.promised as f64 => self.above += 1,
-            _ => self.above = 0,
+            0 => {}
+            1..=REFERENCES => self.promised += count,
+            _ => {
+                let promised = (self.promised as f64 / REFERENCES as f64).max(self.least as f64);
+                self.above = if count as f64 > self.rate * promised { self.above + 1 } else { 0 };
+            }
         }
         let rests = self.started.is_some_and(|start| tick + 1 < start + self.pause);
         self.above >= WINDOWS && !rests
@@ -157,7 +166,8 @@ impl<'s> Learning<'s> {
         let jobs = jobs.flat_map(|(number, cycle)| jobs_of(number, cycle, &scenario.time));
         let jobs = jobs.collect();
         let watch = scenario.relearning.as_ref().filter(|_| !cycles.is_empty());
-        let watch = watch.map(|relearning| RateWatch::new(relearning, &scenario.time));
+        let watch = watch
+            .map(|relearning| RateWatch::new(relearning, &scenario.time, scenario.agents.len()));
         Self { scenario, plan, seed, cycles, jobs, watch }
     }
 
@@ -436,5 +446,46 @@ fn serial(
     match before.version.checked_add(count) {
         Some(version) => Serial { version, ..before },
         None => Serial { epoch: before.epoch.saturating_add(1), version: count },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::Integrator;
+
+    /// Returns the windows, from 1, at whose end a cycle is due.
+    fn due(counts: &[u64], pause: f64) -> Vec<usize> {
+        let time = Time { duration: 100.0, step_size: 0.5, integrator: Integrator::Euler };
+        let relearning = Relearning { rate: 2.0, window: 1.0, pause };
+        let mut watch = RateWatch::new(&relearning, &time, 2);
+        let mut found = Vec::new();
+        for (window, &count) in counts.iter().enumerate() {
+            for (step, broadcasts) in [count / 2, count - count / 2].into_iter().enumerate() {
+                let tick = (2 * window + step) as Tick;
+                if watch.note(tick, broadcasts) {
+                    watch.started = Some(tick + 1);
+                    found.push(window + 1);
+                }
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn a_cycle_is_due_after_two_windows_above_the_rate() {
+        // The first window does not count; 10 in each of the next three.
+        assert_eq!(due(&[99, 9, 10, 11, 21, 20, 21, 22, 9], 1.0), [8]);
+        // Twice as many are not more.
+        assert_eq!(due(&[0, 10, 10, 10, 20, 20, 20, 20], 1.0), []);
+        // Both agents may broadcast once in a window.
+        assert_eq!(due(&[0, 0, 0, 0, 4, 4, 4, 5, 5], 1.0), [9]);
+    }
+
+    #[test]
+    fn a_pause_delays_the_next_cycle() {
+        let counts = [0, 1, 1, 1, 9, 9, 9, 9, 9, 9, 9];
+        assert_eq!(due(&counts, 0.5), [6, 7, 8, 9, 10, 11]);
+        assert_eq!(due(&counts, 3.0), [6, 9]);
     }
 }

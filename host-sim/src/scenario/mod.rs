@@ -343,8 +343,8 @@ pub struct LearningCycle {
 /// When further cycles, like the last of the scenario, start by themselves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Relearning {
-    /// Number of broadcasts of all agents in a window, as a multiple of that in the second window after the
-    /// last switch.
+    /// Number of broadcasts of all agents in a window, as a multiple of their mean in the three windows
+    /// after the first one after the last switch.
     pub rate: f64,
     /// Length of a window. \[s\]
     pub window: f64,
