@@ -33,7 +33,7 @@ pub const COUNTING: HealthSettings = HealthSettings {
     telemetry_interval: HealthSettings::RECOMMENDED.telemetry_interval,
 };
 
-/// What an agent outside a run requires of its package: it is not told known inputs.
+/// What an agent outside a run requires of its package: it has no known inputs.
 const REQUIREMENTS: Requirements<'static> = Requirements {
     capacity: Capacity { known_inputs: 0, ..Capacity::UNLIMITED },
     ..Requirements::ANY

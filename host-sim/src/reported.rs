@@ -225,6 +225,7 @@ impl Reported for RunError {
         match self {
             Self::Refused { .. }
             | Self::PackageNode { .. }
+            | Self::PackageInputs { .. }
             | Self::PackageLayers { .. }
             | Self::PackageWithoutNetwork { .. } => ErrorCode::PackageRefused,
             Self::PlantDiverged { .. } => ErrorCode::Diverged,

@@ -1,5 +1,6 @@
 //! Recorded samples as Python sees them.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use host_sim::packages::Recording;
@@ -87,13 +88,21 @@ impl Samples {
     /// The estimates, shape `[k, n]`.
     #[getter]
     fn estimates<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        self.rows(py, self.recording.samples.inputs())
+        self.inputs(py, 0..self.recording.samples.dimension())
+    }
+
+    /// The known inputs of the plant, shape `[k, p]`.
+    #[getter]
+    fn known_inputs<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let samples = &self.recording.samples;
+        self.inputs(py, samples.dimension()..samples.width())
     }
 
     /// Their derivatives, shape `[k, n]`, per second.
     #[getter]
     fn derivatives<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        self.rows(py, self.recording.samples.targets())
+        let samples = &self.recording.samples;
+        PyArray1::from_slice(py, samples.targets()).reshape([samples.len(), samples.dimension()])
     }
 
     /// The outer weights that the network is trained for, shape `[L, n]`, or `None`.
@@ -132,9 +141,16 @@ impl Samples {
 }
 
 impl Samples {
-    fn rows<'py>(&self, py: Python<'py>, numbers: &[f64]) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let n = self.recording.samples.dimension();
-        PyArray1::from_slice(py, numbers).reshape([numbers.len() / n, n])
+    /// Returns these columns of the network's inputs.
+    fn inputs<'py>(
+        &self,
+        py: Python<'py>,
+        columns: Range<usize>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let (samples, count) = (&self.recording.samples, columns.len());
+        let rows = samples.inputs().chunks_exact(samples.width());
+        let numbers = rows.flat_map(|row| row[columns.clone()].iter().copied()).collect();
+        PyArray1::from_vec(py, numbers).reshape([samples.len(), count])
     }
 }
 
@@ -215,6 +231,13 @@ fn check_features(
 ) -> PyResult<()> {
     let (found, n) = (recording.samples.dimension(), scenario.dimension());
     let shown = name.display();
+    if recording.samples.known_inputs() > 0 {
+        let text = format!(
+            "{shown}: samples have known inputs of the plant, which packages for nodes cannot use; learn in the \
+             run instead"
+        );
+        return Err(usage(py, text));
+    }
     if found != n {
         let text = format!(
             "{shown}: estimates have {found} components, but the scenario's state has {n}; give \

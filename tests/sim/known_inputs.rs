@@ -181,7 +181,10 @@ fn inputs_of_a_recording_are_those_of_the_plant() {
     folder.write("experiment.csv", &table.replacen(",1.0\n", ",\n", 1));
     let error = Scenario::load(&folder.path("recorded.toml")).unwrap_err();
     assert_eq!(error.key.as_deref(), Some("plant.inputs[2]"), "{error}");
-    assert!(error.problem.contains("line 2 of the file has no number there"), "{error}");
+    assert!(
+        error.problem.contains("line 2 of the file has no number that an agent can use there"),
+        "{error}"
+    );
 }
 
 #[test]

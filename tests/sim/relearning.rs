@@ -33,7 +33,7 @@ fn a_changed_plant_is_learned_again() {
     let [(1, 1, None), (1, 2, None), (2, 1, Some(first)), (2, 2, Some(second))] = starts[..] else {
         panic!("{starts:?}");
     };
-    // Two windows of 3 s after the change at 30 s, which begins in the middle of none.
+    // Two windows of 3 s after the change at 30 s, at which one begins.
     assert!(first == second && (36.0..=40.0).contains(&first), "{first}");
     assert_eq!(again.cycles.len(), 2);
     assert_eq!(again.cycles[1].apply_at, first + 10.0);

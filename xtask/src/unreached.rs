@@ -1,4 +1,5 @@
-//! Checks that every source file is a module of its crate: cargo compiles, formats and tests only those.
+//! Checks that every source file is a module of its crate: cargo compiles, formats and tests only those. Boards, fuzz
+//! targets, examples and benchmarks are programs of one file each, which their manifests name.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -7,7 +8,7 @@ use std::path::{Path, PathBuf};
 use crate::step::Failure;
 
 /// The folders to check, with all folders below them.
-const SOURCES: [&str; 10] = [
+const SOURCES: [&str; 8] = [
     "agent-core/src",
     "agent-core/inner-network/src",
     "agent-core/integrity/src",
@@ -15,13 +16,11 @@ const SOURCES: [&str; 10] = [
     "firmware-template/src",
     "python/src",
     "tests",
-    "tests/on-target/src",
-    "tests/support/src",
     "xtask/src",
 ];
 
-/// Names of files that no `mod` has to name: roots of crates, and modules with the name of their folder.
-const ROOTS: [&str; 5] = ["lib", "main", "mod", "build", "integration"];
+/// Names of files that no `mod` has to name: roots of crates, and of the programs that cargo builds.
+const ROOTS: [&str; 4] = ["lib", "main", "build", "integration"];
 
 /// Checks every file.
 ///
@@ -62,12 +61,35 @@ fn unreached(folder: &Path, found: &mut BTreeSet<PathBuf>) -> Result<(), std::io
     }
     // `folder.rs` beside the folder is the module that the files belong to.
     text += &fs::read_to_string(folder.with_extension("rs")).unwrap_or_default();
-    let is_root = |name: &str| ROOTS.contains(&name);
-    found.extend(files.into_iter().filter(|path| {
+    for path in files {
         let name = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
-        !is_root(name) && !is_named(&text, name)
-    }));
+        let is_named = match name {
+            // The module of the folder, which a file above it names.
+            "mod" => is_named(&text_above(folder)?, own_name(folder)),
+            name => ROOTS.contains(&name) || is_named(&text, name),
+        };
+        if !is_named {
+            found.insert(path);
+        }
+    }
     Ok(())
+}
+
+fn own_name(folder: &Path) -> &str {
+    folder.file_name().and_then(|name| name.to_str()).unwrap_or_default()
+}
+
+/// Returns the text of the files beside a folder, and of the module that these belong to.
+fn text_above(folder: &Path) -> Result<String, std::io::Error> {
+    let Some(above) = folder.parent() else { return Ok(String::new()) };
+    let mut text = fs::read_to_string(above.with_extension("rs")).unwrap_or_default();
+    for entry in fs::read_dir(above)? {
+        let path = entry?.path();
+        if path.extension().is_some_and(|extension| extension == "rs") {
+            text += &fs::read_to_string(path)?;
+        }
+    }
+    Ok(text)
 }
 
 /// Whether `text` has a `mod` of this name, or the path of its file.
@@ -84,8 +106,13 @@ mod tests {
     fn files_without_a_mod_are_found() {
         let folder = std::env::temp_dir().join(format!("unreached-{}", std::process::id()));
         fs::create_dir_all(folder.join("inner")).unwrap();
+        fs::create_dir_all(folder.join("lost")).unwrap();
+        fs::create_dir_all(folder.join("kept")).unwrap();
         for (name, text) in [
-            ("lib.rs", "mod inner;\n#[path = \"other_tests.rs\"]\nmod tests;"),
+            ("lost/mod.rs", "mod part;"),
+            ("lost/part.rs", ""),
+            ("kept/mod.rs", ""),
+            ("lib.rs", "mod kept;\nmod inner;\n#[path = \"other_tests.rs\"]\nmod tests;"),
             ("other_tests.rs", ""),
             ("inner.rs", "pub(crate) mod used;"),
             ("inner/used.rs", ""),
@@ -95,7 +122,8 @@ mod tests {
         }
         let mut found = BTreeSet::new();
         unreached(&folder, &mut found).unwrap();
-        assert_eq!(found.into_iter().collect::<Vec<_>>(), [folder.join("inner/forgotten.rs")]);
+        let expected = ["inner/forgotten.rs", "lost/mod.rs"].map(|name| folder.join(name));
+        assert_eq!(found.into_iter().collect::<Vec<_>>(), expected);
         fs::remove_dir_all(&folder).unwrap();
     }
 

@@ -122,7 +122,10 @@ impl core::fmt::Display for PackageError {
             Self::TrainingErrorNotFinite => write!(f, "a training error is not finite"),
             Self::Network(error) => write!(f, "{error}"),
             Self::Inputs { inputs, dimension } => {
-                write!(f, "the network has {inputs} inputs for a state of {dimension} components")
+                write!(
+                    f,
+                    "the network has fewer inputs ({inputs}) than the state has components ({dimension})"
+                )
             }
             Self::UnknownSection { kind } => {
                 write!(f, "section {} is required, but unknown to this version", number(kind))

@@ -51,6 +51,11 @@ pub(super) struct FigureFormats {
 }
 
 impl FigureFormats {
+    /// Whether PDF is wanted.
+    pub(super) fn has_pdf(self) -> bool {
+        self.pdf
+    }
+
     /// Returns the formats to write.
     pub(super) fn wanted(self) -> &'static [FigureFormat] {
         if self.pdf { &FigureFormat::ALL } else { &FigureFormat::DEFAULT }

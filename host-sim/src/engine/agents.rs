@@ -414,6 +414,11 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         self.state.outer_weights().rows().iter().flat_map(|row| row.iter().copied()).collect()
     }
 
+    /// Returns the sample of the last step, if it is usable for training, with the tick of the agent's clock.
+    pub(super) fn sample(&self) -> Option<(Tick, Sample<N>)> {
+        self.tick.zip(self.last_sample)
+    }
+
     /// Returns what the agent did in the last step.
     pub(super) fn observation(&self) -> Observation {
         if self.tick.is_none() {

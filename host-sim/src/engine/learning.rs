@@ -86,12 +86,6 @@ pub(super) struct Learning<'s> {
     watch: Option<RateWatch>,
 }
 
-/// Windows above the rate, one after the other, before a cycle starts.
-const WINDOWS: u32 = 2;
-
-/// Windows after the one in which the observer settles that say how often agents broadcast with a network.
-const REFERENCES: u64 = 3;
-
 /// Compares the rate of broadcasts with that after the last switch.
 struct RateWatch {
     rate: f64,
@@ -106,9 +100,9 @@ struct RateWatch {
     /// Broadcasts in it.
     count: u64,
     /// Windows since the last switch.
-    windows: u64,
-    /// Broadcasts in the [`REFERENCES`] windows after the first.
-    promised: u64,
+    windows: u32,
+    /// Broadcasts in the [`Relearning::REFERENCES`] windows after the first one after the last switch.
+    reference: u64,
     /// The least number of broadcasts in a window to compare with: one of each agent.
     least: u64,
     /// Windows above the rate, up to the last one.
@@ -125,37 +119,42 @@ impl RateWatch {
             since: 0,
             count: 0,
             windows: 0,
-            promised: 0,
+            reference: 0,
             least: agents as u64,
             above: 0,
         }
     }
 
-    /// Begins again at `tick`, after a switch.
+    /// Begins a window at `tick`.
     fn restart(&mut self, tick: Tick) {
-        (self.since, self.count, self.windows, self.above) = (tick, 0, 0, 0);
-        self.promised = 0;
+        (self.since, self.count, self.above) = (tick, 0, 0);
+    }
+
+    /// Measures the reference again, with a new network.
+    fn renew(&mut self) {
+        (self.windows, self.reference) = (0, 0);
     }
 
     /// Counts broadcasts of the step at `tick`; returns whether a cycle is due.
     fn note(&mut self, tick: Tick, broadcasts: u64) -> bool {
         self.count += broadcasts;
-        if tick + 1 < self.since + self.window {
+        if tick + 1 < self.since.saturating_add(self.window) {
             return false;
         }
         let count = std::mem::take(&mut self.count);
-        (self.since, self.windows) = (tick + 1, self.windows + 1);
+        (self.since, self.windows) = (tick + 1, self.windows.saturating_add(1));
         match self.windows - 1 {
             // The observer settles.
             0 => {}
-            1..=REFERENCES => self.promised += count,
+            1..=Relearning::REFERENCES => self.reference += count,
             _ => {
-                let promised = (self.promised as f64 / REFERENCES as f64).max(self.least as f64);
-                self.above = if count as f64 > self.rate * promised { self.above + 1 } else { 0 };
+                let reference = self.reference as f64 / f64::from(Relearning::REFERENCES);
+                let most = self.rate * reference.max(self.least as f64);
+                self.above = if count as f64 > most { self.above + 1 } else { 0 };
             }
         }
-        let rests = self.started.is_some_and(|start| tick + 1 < start + self.pause);
-        self.above >= WINDOWS && !rests
+        let rests = self.started.is_some_and(|start| tick + 1 < start.saturating_add(self.pause));
+        self.above >= Relearning::ABOVE && !rests
     }
 }
 
@@ -184,7 +183,8 @@ impl<'s> Learning<'s> {
     /// Notes how many agents broadcast in the step at `tick`, which can start a cycle like the last one.
     pub(super) fn note_broadcasts(&mut self, tick: Tick, broadcasts: u64) {
         let Some(watch) = &mut self.watch else { return };
-        if self.jobs.iter().any(|job| job.apply_at > tick) {
+        let is_before_field = self.plan.is_some_and(|plan| tick < plan.starts_at());
+        if is_before_field || self.jobs.iter().any(|job| job.apply_at > tick) {
             return watch.restart(tick + 1);
         }
         if !watch.note(tick, broadcasts) {
@@ -232,7 +232,11 @@ impl<'s> Learning<'s> {
         let switches = due.filter_map(|job| {
             Some(Switch { agent: job.agent, package: job.package.clone()?, back: false })
         });
-        Ok((switches.collect(), records))
+        let switches: Vec<Switch> = switches.collect();
+        if let Some(watch) = self.watch.as_mut().filter(|_| !switches.is_empty()) {
+            watch.renew();
+        }
+        Ok((switches, records))
     }
 
     /// Returns agent, from 0, and cycle, from 0, of the jobs due at `tick` without any sample.
@@ -246,7 +250,7 @@ impl<'s> Learning<'s> {
     pub(super) fn collect<const N: usize>(
         &mut self,
         tick: Tick,
-        sample: impl Fn(usize) -> Option<Sample<N>>,
+        sample: impl Fn(usize) -> Option<(Tick, Sample<N>)>,
         outer_weights: impl Fn(usize) -> Vec<f32>,
         observation: impl Fn(usize) -> Observation,
     ) {
@@ -260,7 +264,7 @@ impl<'s> Learning<'s> {
             }
             let stride = self.cycles[job.cycle].stride;
             if is_due(tick, stride)
-                && let Some(sample) = sample(job.agent)
+                && let Some((own_tick, sample)) = sample(job.agent)
             {
                 let distance = job.last.replace(tick).map_or(0, |last| tick - last);
                 let missing = (distance / Tick::from(stride.get())).saturating_sub(1);
@@ -269,7 +273,8 @@ impl<'s> Learning<'s> {
                 }
                 job.first.get_or_insert(tick);
                 job.inputs.extend(sample.estimate.iter().map(|&x| f64::from(x)));
-                let known = self.scenario.plant.known_inputs(self.scenario.time.at(tick));
+                // The agent's network took them by its own clock.
+                let known = self.scenario.plant.known_inputs(self.scenario.time.at(own_tick));
                 job.inputs.extend(known.iter().map(|&u| f64::from(u as f32)));
                 job.targets.extend(sample.derivative.iter().map(|&x| f64::from(x)));
             }

@@ -100,7 +100,7 @@ pub struct RunOptions {
 pub struct RunResult {
     /// Statistics of each agent.
     pub agents: Vec<AgentStatistics>,
-    /// The learning cycles: the scenario's, and those that started by themselves.
+    /// The learning cycles: the scenario's, and those that started by themselves; empty without learning.
     pub cycles: Vec<LearningCycle>,
     /// All trainings, in the order of cycles and agents.
     pub trainings: Vec<TrainingRecord>,
@@ -210,6 +210,19 @@ pub enum RunError {
     PackageLayers {
         /// The agent, from 1.
         agent: usize,
+    },
+    /// The network in a package takes other known inputs than the plant has.
+    #[error(
+        "the network in the package of agent {agent} takes {found} known inputs, but the plant has {expected}; \
+         give a package of this scenario"
+    )]
+    PackageInputs {
+        /// The agent, from 1.
+        agent: usize,
+        /// Known inputs of the network.
+        found: usize,
+        /// Known inputs of the plant.
+        expected: usize,
     },
     /// An agent has a package, but the scenario has no network.
     #[error(

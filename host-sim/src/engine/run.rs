@@ -320,6 +320,10 @@ fn check_start(
     if let Some(parameter) = content.first_difference(&package.package().node) {
         return Err(RunError::PackageNode { agent: index + 1, parameter });
     }
+    let (found, expected) = (package.package().known_inputs, scenario.plant.input_names().len());
+    if found != 0 && found != expected {
+        return Err(RunError::PackageInputs { agent: index + 1, found, expected });
+    }
     let learns = scenario.learning.iter().any(|cycle| cycle.agents.contains(&index));
     if options.learning && learns && *package.architecture() != network.architecture {
         return Err(RunError::PackageLayers { agent: index + 1 });
@@ -439,6 +443,7 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
             }
             self.start_field(tick, &mut switches)?;
             if let ControlFlow::Break(()) = self.switch(tick, switches)? {
+                self.cycles = learning.map_or_else(Vec::new, Learning::into_cycles);
                 return Ok(trainings);
             }
             self.note(tick, self.evaluation.contains(&tick));
@@ -454,7 +459,7 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
                 let agents = &self.agents;
                 learning.collect(
                     tick,
-                    |agent| agents[agent].last_sample,
+                    |agent| agents[agent].sample(),
                     |agent| agents[agent].outer_weights(),
                     |agent| agents[agent].observation(),
                 );

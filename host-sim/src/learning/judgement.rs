@@ -43,10 +43,11 @@ impl Samples<'_> {
         for (input, offset) in self.scaling.offsets().enumerate() {
             let Some(offset) = offset.filter(|&offset| offset > OFFSET_MAX) else { continue };
             let digits = libm::log10(16_777_216.0 / offset);
+            let from =
+                if input < self.train.dimension() { "the measurement" } else { "plant.inputs" };
             let text = format!(
                 "{} is {offset:.0} standard deviations away from 0, so single precision \
-                 leaves only {digits:.1} digits of its variation; subtract a constant from the \
-                 measurement",
+                 leaves only {digits:.1} digits of its variation; subtract a constant from {from}",
                 self.name(input).0
             );
             warnings.push(Warning::new(WarningCode::InputResolution, text));

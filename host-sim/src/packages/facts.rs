@@ -28,6 +28,7 @@ pub struct Facts {
     pub(crate) exchange: Option<Exchange>,
     pub(crate) observer: Option<Observer>,
     pub(crate) dimension: usize,
+    pub(crate) known_inputs: usize,
     pub(crate) layers: Vec<Layer>,
     pub(crate) inner_parameters: usize,
     pub(crate) inner_parameters_largest: f32,
@@ -110,6 +111,7 @@ impl Facts {
                 .then(|| Exchange::new(&node.exchange, node.step_size)),
             observer: Observer::new(node.field, package.dimension(), node.step_size),
             dimension: package.dimension(),
+            known_inputs: package.known_inputs,
             layers: architecture
                 .layers()
                 .iter()
@@ -175,7 +177,12 @@ impl Facts {
             self.layers.iter().map(|l| format!("{} {}", l.nodes, l.activation)).collect();
         line(
             "network",
-            format!("{} inputs, {}, {} outputs", self.dimension, layers.join(", "), self.dimension),
+            format!(
+                "{} inputs, {}, {} outputs",
+                self.dimension + self.known_inputs,
+                layers.join(", "),
+                self.dimension
+            ),
         );
         line(
             "inner parameters",

@@ -179,14 +179,22 @@ impl Scenario {
         self.link.is_ideal() && self.life.is_empty()
     }
 
-    /// Returns how many cycles can start by themselves.
+    /// Returns how many cycles can start by themselves at most.
     #[must_use]
     pub fn relearnings_max(&self) -> usize {
         let (Some(relearning), Some(last)) = (&self.relearning, self.learning.last()) else {
             return 0;
         };
-        let each = relearning.pause.max(last.apply_at - last.collect.from);
-        ((self.time.duration - last.apply_at).max(0.0) / each).floor() as usize
+        let length = last.apply_at - last.collect.from;
+        let windows = |count: u32| f64::from(count) * relearning.window;
+        let watched = windows(1 + Relearning::REFERENCES + Relearning::ABOVE);
+        let rest = self.time.duration - last.apply_at - watched - length;
+        if rest < 0.0 {
+            return 0;
+        }
+        // After a network that is not used the next cycle waits for fewer windows.
+        let between = relearning.pause.max(length + windows(Relearning::ABOVE));
+        1 + (rest / between) as usize
     }
 
     /// Returns the recipe with this name.
@@ -210,7 +218,7 @@ pub enum SimulationOnly {
     },
     /// Nodes do not know the plant's inputs.
     #[error(
-        "plant.inputs: a network with known inputs is for simulation only, because nodes do not know them; \
+        "plant.inputs: a network with known inputs is for simulation only, because nodes do not receive them; \
          remove plant.inputs, or [network]"
     )]
     KnownInputs,
@@ -348,8 +356,16 @@ pub struct Relearning {
     pub rate: f64,
     /// Length of a window. \[s\]
     pub window: f64,
-    /// Least time between the starts of two cycles. \[s\]
+    /// Least time between the starts of two cycles that started by themselves. \[s\]
     pub pause: f64,
+}
+
+impl Relearning {
+    /// Windows that say how often agents broadcast with a network, after the one in which the observer settles.
+    pub const REFERENCES: u32 = 3;
+
+    /// Windows above the rate, one after the other, before a cycle starts.
+    pub const ABOVE: u32 = 2;
 }
 
 /// How collected samples become a trained network.

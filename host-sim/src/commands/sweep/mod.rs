@@ -101,6 +101,24 @@ pub(super) struct Arguments {
     pub(super) common: Common,
 }
 
+impl Arguments {
+    /// Refuses formats of what only a complete study has.
+    fn check_formats(&self) -> Result<(), CommandError> {
+        #[cfg(feature = "parquet")]
+        let has_parquet = self.parquet;
+        #[cfg(not(feature = "parquet"))]
+        let has_parquet = false;
+        if !self.shard.is_whole() && (has_parquet || self.figures.has_pdf()) {
+            let option = if has_parquet { "--parquet" } else { "--pdf" };
+            let problem = format!(
+                "{option}: a part of a study has no such file; give it with --summarise, when all are complete"
+            );
+            return Err(CommandError::usage(problem));
+        }
+        Ok(())
+    }
+}
+
 #[derive(Serialize)]
 struct Report<'a> {
     scenario: Option<&'a str>,
@@ -179,6 +197,7 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
 
 fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
     let start = Instant::now();
+    arguments.check_formats()?;
     interruption::listen(SecondSignal::Exit);
     let (base, text) = load_with_text(path, &arguments.changes)?;
     let name = path.display().to_string();

@@ -27,6 +27,8 @@ const KIND: FileKind =
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Integer,
+    /// Never negative.
+    Count,
     Number,
     Flag,
     Text,
@@ -63,7 +65,7 @@ fn encoded(names: &[String], columns: &[Vec<String>]) -> Result<Vec<u8>, Parquet
             _ if place < keys => kind_of_key(cells),
             "rmse" | "max_error" => Kind::Number,
             "diverged" => Kind::Flag,
-            _ => Kind::Integer,
+            _ => Kind::Count,
         })
         .collect();
     let fields = names.iter().zip(&kinds).map(|(name, kind)| field(name, *kind).map(Arc::new));
@@ -99,7 +101,7 @@ fn kind_of_key(cells: &[String]) -> Kind {
 /// Returns the description of a column whose cells may be null.
 fn field(name: &str, kind: Kind) -> Result<Type, ParquetError> {
     let physical = match kind {
-        Kind::Integer => Physical::INT64,
+        Kind::Integer | Kind::Count => Physical::INT64,
         Kind::Number => Physical::DOUBLE,
         Kind::Flag => Physical::BOOLEAN,
         Kind::Text => Physical::BYTE_ARRAY,
@@ -110,6 +112,7 @@ fn field(name: &str, kind: Kind) -> Result<Type, ParquetError> {
             .with_converted_type(ConvertedType::UTF8)
             .with_logical_type(Some(LogicalType::String))
             .build(),
+        Kind::Count => field.with_converted_type(ConvertedType::UINT_64).build(),
         _ => field.build(),
     }
 }
@@ -126,6 +129,12 @@ fn fill(
     match kind {
         Kind::Integer => {
             let values = parsed::<i64>(filled())?;
+            column.typed::<Int64Type>().write_batch(&values, levels, None)?;
+        }
+        Kind::Count => {
+            // Unsigned numbers are stored as the signed ones with the same bits.
+            let values: Vec<i64> =
+                parsed::<u64>(filled())?.into_iter().map(u64::cast_signed).collect();
             column.typed::<Int64Type>().write_batch(&values, levels, None)?;
         }
         Kind::Number => {
@@ -160,7 +169,7 @@ mod tests {
     fn file(varied: &[&str]) -> Vec<u8> {
         let names: Vec<String> = ["key"].into_iter().chain(COLUMNS).map(str::to_owned).collect();
         let measured = [
-            ["1", "1", "1", "0.5", "7", "99", "1.25", "false"],
+            ["18446744073709551615", "1", "1", "0.5", "7", "99", "1.25", "false"],
             ["1", "1", "2", "", "", "", "", "true"],
         ];
         let mut columns = vec![varied.iter().map(|cell| (*cell).to_owned()).collect::<Vec<_>>()];
@@ -178,7 +187,7 @@ mod tests {
         assert_eq!(
             rows,
             [
-                "{key: 0.5, seed: 1, initial_state: 1, agent: 1, rmse: 0.5, broadcasts: 7, bytes: 99, \
+                "{key: 0.5, seed: 18446744073709551615, initial_state: 1, agent: 1, rmse: 0.5, broadcasts: 7, bytes: 99, \
                  max_error: 1.25, diverged: false}",
                 "{key: 2.0, seed: 1, initial_state: 1, agent: 2, rmse: null, broadcasts: null, \
                  bytes: null, max_error: null, diverged: true}",

@@ -85,6 +85,12 @@ impl Component {
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let bytes = PackageBytes::load(&arguments.package)?;
     let mut package = bytes.package();
+    if package.known_inputs > 0 {
+        let file = arguments.package.display();
+        let problem =
+            format!("{file}: the network takes known inputs, which samples in files do not have");
+        return Err(CommandError::usage(problem).about(&arguments.package));
+    }
     let recording = Recording::load(&arguments.samples, package.dimension(), package.features())?;
     let kept = recording.outer_weights.as_deref().filter(|_| {
         package.outer_weights_on_switch == OnSwitch::Keep && !arguments.own_outer_weights

@@ -55,8 +55,11 @@ fn check_complete(
     hint: &str,
 ) -> Result<(), ScenarioError> {
     for (&column, value) in columns.iter().zip(value.list(NAME_A_COLUMN)?) {
-        if let Some(row) = recorded.columns[column].iter().position(|x| !x.is_finite()) {
-            let problem = format!("line {} of the file has no number there", lines[row]);
+        if let Some(row) = recorded.columns[column].iter().position(|&x| !(x as f32).is_finite()) {
+            let problem = format!(
+                "line {} of the file has no number that an agent can use there",
+                lines[row]
+            );
             return Err(value.error(problem, hint));
         }
     }

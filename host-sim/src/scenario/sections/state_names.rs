@@ -50,9 +50,13 @@ pub(super) fn check_inputs(
     }
     let found = has(inputs, "known input", "known inputs");
     let problem = format!("{found} beside {}", counted(states, "state", "states"));
+    let hint = match room {
+        0 => "remove plant.inputs".to_owned(),
+        room => format!("use at most {room}"),
+    };
     Err(value.error(
         problem,
-        format!("use at most {room}: a network takes {DIMENSION_MAX} states and inputs"),
+        format!("{hint}: a network has at most {DIMENSION_MAX} inputs, including the states"),
     ))
 }
 
