@@ -130,3 +130,19 @@ def test_wrong_arguments_are_refused(short):
         short.run(seed=-1)
     with pytest.raises(TypeError):
         short.run(seed=0.5)
+
+
+def test_samples_tell_states_from_known_inputs():
+    tanks = CHECKOUT / "host-sim/examples/experiment/tanks.toml"
+    short = {"time.duration": 30.0, "learning.1.collect_to": 20.0, "learning.1.apply_at": 25.0}
+    window = {"evaluation.from": 26.0, "evaluation.to": 30.0, "record.samples": True}
+    scenario = do.load(tanks, set=short | window)
+    samples = scenario.run(baselines=[]).samples[1, 1]
+    rows = len(samples)
+    assert samples.estimates.shape == samples.derivatives.shape == (rows, 3)
+    assert samples.known_inputs.shape == (rows, 1)
+    # Levels move slowly; the inflow jumps by 0.24 dm/s.
+    assert np.abs(np.diff(samples.known_inputs[:, 0])).max() > 0.1
+    assert np.abs(np.diff(samples.estimates, axis=0)).max() < 0.1
+    with pytest.raises(do.ObserverError, match="known inputs"):
+        do.train(samples, scenario, agent=1)
