@@ -341,3 +341,25 @@ fn tables_for_papers_are_latex() {
     let error = folder.fail("design mine.toml --format latex", 2);
     assert!(error.contains("no table for papers"), "{error}");
 }
+
+#[test]
+fn a_pdf_is_of_the_table_beside_it_or_not_there() {
+    let folder = prepared("sweep-pdf");
+    let small = "sweep mine.toml --set learning=[] --vary design.epsilon=10,20";
+    // A foreign file is found before anything runs.
+    folder.write("foreign/tradeoff.pdf", "mine");
+    let message = folder.fail(&format!("{small} --out foreign --pdf"), 2);
+    assert!(message.contains("tradeoff.pdf: not a PDF document"), "{message}");
+    assert!(!folder.path("foreign/results.csv").exists());
+    folder.succeed(&format!("{small} --out out --pdf"));
+    let pdf = fs::read(folder.path("out/tradeoff.pdf")).unwrap();
+    assert!(pdf.starts_with(b"%PDF-"));
+    // Without --pdf an older one does not stay beside the new picture.
+    folder.succeed("sweep --summarise out/results.csv");
+    assert!(!folder.path("out/tradeoff.pdf").exists());
+    folder.succeed("sweep --summarise out/results.csv --pdf");
+    assert_eq!(fs::read(folder.path("out/tradeoff.pdf")).unwrap(), pdf);
+    // A part of a study has no picture.
+    let message = folder.fail(&format!("{small} --out parts --shard 1/2 --pdf"), 2);
+    assert!(message.contains("give it with --summarise"), "{message}");
+}

@@ -181,10 +181,7 @@ fn inputs_of_a_recording_are_those_of_the_plant() {
     folder.write("experiment.csv", &table.replacen(",1.0\n", ",\n", 1));
     let error = Scenario::load(&folder.path("recorded.toml")).unwrap_err();
     assert_eq!(error.key.as_deref(), Some("plant.inputs[2]"), "{error}");
-    assert!(
-        error.problem.contains("line 2 of the file has no number that an agent can use there"),
-        "{error}"
-    );
+    assert!(error.problem.contains("line 2 of the file has no number there"), "{error}");
 }
 
 #[test]
@@ -219,4 +216,50 @@ fn an_input_without_a_value_is_named() {
     let options = RunOptions { seed: 0, learning: false, bounds: false };
     let error = run(&parsed(&text), options, &Silent).err().unwrap().to_string();
     assert!(error.contains("plant.inputs, expression 1 for u"), "{error}");
+}
+
+#[test]
+fn an_input_without_a_value_on_an_agents_clock_is_named() {
+    // The plant ends at 24 s, but the clock of agent 1 is 3 s ahead.
+    let ahead = DRIVEN.replacen(
+        "output_matrix = [[1.0, 0.0]]",
+        "output_matrix = [[1.0, 0.0]]\nclock = { offset = 3.0 }",
+        1,
+    );
+    let options = RunOptions { seed: 0, learning: false, bounds: false };
+    for (input, expected) in [
+        ("0*sqrt(25 - t)", "plant.inputs, expression 1 for u"),
+        ("1e39*max(sign(t - 25), 0)", "agent 1: the known input u is 1e39 at t = 25"),
+    ] {
+        for health in ["", "\n[health]\n"] {
+            let text = ahead.replace("4*sin(w*t)", &format!("4*sin(w*t) + {input}"));
+            let result = run(&parsed(&(text + health)), options, &Silent);
+            let error = result.err().unwrap_or_else(|| panic!("{input}")).to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+    }
+}
+
+#[test]
+fn a_number_is_a_constant_input() {
+    let text = |k: &str| DRIVEN.replace("\"1 + 0.5*sin(0.7*t)\"", k);
+    let scenario = parsed(&text("1.5"));
+    assert_eq!(scenario.plant.known_inputs(3.0)[1], 1.5);
+    let warnings: Vec<String> = result(&scenario)
+        .trainings
+        .iter()
+        .flat_map(|training| training.warnings.iter().map(|warning| warning.text.clone()))
+        .collect();
+    assert!(warnings[0].contains("the known input k does not vary in the samples"), "{warnings:?}");
+}
+
+#[test]
+fn a_package_without_the_inputs_is_not_trained_further() {
+    let plain = parsed(&hidden());
+    let package = result(&plain).trainings[0].package.clone();
+    let mut scenario = parsed(DRIVEN);
+    scenario.agents[0].package = Some(package);
+    let options = RunOptions { seed: 0, learning: true, bounds: false };
+    let error = run(&scenario, options, &Silent).err().unwrap().to_string();
+    assert!(error.contains("takes 0 known inputs, but the plant has 2"), "{error}");
 }

@@ -151,6 +151,13 @@ impl<'s> Driven<'s> {
         }
     }
 
+    /// Whether a known input has no value that the basis can take.
+    #[inline]
+    #[must_use]
+    pub fn lacks_input(&self) -> bool {
+        !self.known.iter().all(|u| u.is_finite())
+    }
+
     /// Returns the network, if that is what the outer weights combine.
     #[inline]
     #[must_use]

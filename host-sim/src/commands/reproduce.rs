@@ -158,7 +158,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             text += &trainings::text(&trainings);
             text += &checks::text(&checks);
             text += &warnings::lines(&warnings);
-            text += "Figures, as SVG and PNG\n";
+            let pdf = if arguments.figures.has_pdf() { ", PDF" } else { "" };
+            text += &format!("Figures, as SVG, PNG{pdf}\n");
             for (name, what) in FIGURES {
                 text += &format!("  {}: {what}\n", out.join(name).display());
             }

@@ -334,6 +334,10 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             WatchedStep::Taken(_) | WatchedStep::Restarted(_) => None,
         }
         .filter(|&error| !is_watched || !is_recoverable(error));
+        if self.lacks_input() {
+            // No monitor recovers from it.
+            self.failure = Some(StepError::Diverged);
+        }
     }
 
     /// Boots again: what was in RAM is lost, the packages are kept. A node that `is_replaced` by
@@ -412,6 +416,16 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     /// Returns `W_hat`, row-major.
     pub(super) fn outer_weights(&self) -> Vec<f32> {
         self.state.outer_weights().rows().iter().flat_map(|row| row.iter().copied()).collect()
+    }
+
+    /// Whether a known input of the last step had no value that the network can take.
+    pub(super) fn lacks_input(&self) -> bool {
+        self.tick.is_some() && self.network.as_ref().is_some_and(Driven::lacks_input)
+    }
+
+    /// Returns the tick of its clock in the last step; `None` if it did not step.
+    pub(super) fn last_tick(&self) -> Option<Tick> {
+        self.tick
     }
 
     /// Returns the sample of the last step, if it is usable for training, with the tick of the agent's clock.

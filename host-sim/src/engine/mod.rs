@@ -211,6 +211,21 @@ pub enum RunError {
         /// The agent, from 1.
         agent: usize,
     },
+    /// A known input is too large for an agent.
+    #[error(
+        "agent {agent}: the known input {name} is {value:e} at t = {time}, too large for single precision; scale \
+         plant.inputs"
+    )]
+    KnownInput {
+        /// The agent, from 1.
+        agent: usize,
+        /// Name of the input.
+        name: String,
+        /// Its value.
+        value: f64,
+        /// The time of the agent's clock. \[s\]
+        time: f64,
+    },
     /// The network in a package takes other known inputs than the plant has.
     #[error(
         "the network in the package of agent {agent} takes {found} known inputs, but the plant has {expected}; \

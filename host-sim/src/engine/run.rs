@@ -320,11 +320,12 @@ fn check_start(
     if let Some(parameter) = content.first_difference(&package.package().node) {
         return Err(RunError::PackageNode { agent: index + 1, parameter });
     }
+    let learns = scenario.learning.iter().any(|cycle| cycle.agents.contains(&index));
     let (found, expected) = (package.package().known_inputs, scenario.plant.input_names().len());
-    if found != 0 && found != expected {
+    // A network without known inputs can be used, but not trained on.
+    if found != expected && (found != 0 || options.learning && learns) {
         return Err(RunError::PackageInputs { agent: index + 1, found, expected });
     }
-    let learns = scenario.learning.iter().any(|cycle| cycle.agents.contains(&index));
     if options.learning && learns && *package.architecture() != network.architecture {
         return Err(RunError::PackageLayers { agent: index + 1 });
     }
@@ -639,23 +640,34 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
         }
         let failure = self.agents.iter().position(|agent| agent.failure.is_some());
         let time = self.scenario.time.at(tick);
-        if failure.is_some()
-            && let Some(fault) =
-                RateFault::find(&self.scenario.plant, &self.scenario.disturbance, time, truth)
-        {
-            // A known input without a value reaches the networks first.
-            return Err(RunError::Expression(Box::new(fault)));
+        if let Some(index) = self.agents.iter().position(SimulatedAgent::lacks_input) {
+            return Err(self.without_input(index, time));
         }
         match failure.and_then(|index| Some((index, self.agents[index].failure?))) {
             Some((index, error)) => Err(RunError::Step {
                 agent: index + 1,
                 time,
-                plant_norm: truth.iter().fold(0.0, |sum, x| sum + x * x).sqrt(),
+                plant_norm: self.truth.iter().fold(0.0, |sum, x| sum + x * x).sqrt(),
                 step: StepCheck::new(self.scenario),
                 error,
             }),
             None => Ok(()),
         }
+    }
+
+    /// Returns the error of an agent for which a known input has no usable value by its own clock.
+    fn without_input(&self, index: usize, time: f64) -> RunError {
+        let Scenario { plant, disturbance, time: clock, .. } = self.scenario;
+        let own = self.agents[index].last_tick().map_or(time, |tick| clock.at(tick));
+        if let Some(fault @ RateFault::Input(_)) =
+            RateFault::find(plant, disturbance, own, &self.truth)
+        {
+            return RunError::Expression(Box::new(fault));
+        }
+        let known = plant.known_inputs(own);
+        let input = known.iter().position(|&u| !(u as f32).is_finite()).unwrap_or(0);
+        let name = plant.input_names().swap_remove(input);
+        RunError::KnownInput { agent: index + 1, name, value: known[input], time: own }
     }
 
     /// Sends the broadcasts of `tick` over the link.

@@ -32,7 +32,7 @@ impl FigureFormat {
     }
 
     /// Returns what such a file may replace.
-    pub(super) fn kind(self) -> FileKind {
+    pub(crate) fn kind(self) -> FileKind {
         match self {
             Self::Svg => FileKind::SVG,
             Self::Png => FileKind::PNG,

@@ -23,7 +23,7 @@ use crate::learning::harmonic::Harmonic;
 use crate::packages::{
     Draft, DraftError, PackageBytes, Recording, with_dimension, with_node_dimension,
 };
-use crate::plant::Stepper;
+use crate::plant::{RateFault, Stepper};
 use crate::scenario::{DisturbanceModel, Method, ObserverSettings, Scenario};
 
 /// Standard deviations around the mean to which the network's inputs are limited.
@@ -69,6 +69,9 @@ pub enum PlanError {
         "the recording has no reference for the state, from which settings could be derived; add plant.reference"
     )]
     NoReference,
+    /// An expression of the plant has no value.
+    #[error(transparent)]
+    Expression(Box<RateFault>),
     /// The plant has no finite trajectory.
     #[error(
         "the plant's state without agents is not finite at t = {time}, so no settings can be derived from it; \
@@ -524,9 +527,17 @@ fn plant_states<const N: usize>(
     let mut plant = Stepper::new(time.integrator);
     for tick in 0..scenario.steps() {
         let (plant_model, disturbance) = (&scenario.plant, &scenario.disturbance);
+        let before = state;
         plant.step(plant_model, disturbance, time.at(tick), time.step_size, &mut state);
         if !state.iter().all(|&x| (x as f32).is_finite()) {
-            return Err(PlanError::Plant { time: time.at(tick) });
+            let fault =
+                plant.fault(plant_model, disturbance, time.at(tick), time.step_size, &before);
+            return Err(match fault {
+                Some(fault) if !fault.expression().overflow => {
+                    PlanError::Expression(Box::new(fault))
+                }
+                _ => PlanError::Plant { time: time.at(tick) },
+            });
         }
         states.extend(state);
     }

@@ -19,6 +19,8 @@ pub(super) struct Samples<'a> {
     pub(super) scaling: &'a Scaling,
     /// `W_hat`, row-major, shape `[L, n]`.
     pub(super) outer_weights: &'a [f32],
+    /// Names of the known inputs.
+    pub(super) input_names: &'a [String],
     /// Number of inner parameters to train.
     pub(super) parameters: usize,
     /// Length of the averaging window. \[s\]
@@ -79,7 +81,10 @@ impl Samples<'_> {
     fn name(&self, input: usize) -> (String, String) {
         match input.checked_sub(self.train.dimension()) {
             None => (format!("xhat{}", input + 1), format!("component {}", input + 1)),
-            Some(known) => (format!("u{}", known + 1), format!("known input {}", known + 1)),
+            Some(known) => {
+                let name = self.input_names.get(known).map_or("", String::as_str);
+                (format!("the known input {name}"), "it".to_owned())
+            }
         }
     }
 }
@@ -192,8 +197,16 @@ mod tests {
             let outer_weights = &[1.0, 2.0, 2.0, 1.0];
             let period = Some(1.0);
             codes(
-                &Samples { train, scaling: &scaling, outer_weights, parameters, window, period }
-                    .warnings(),
+                &Samples {
+                    train,
+                    scaling: &scaling,
+                    outer_weights,
+                    input_names: &[],
+                    parameters,
+                    window,
+                    period,
+                }
+                .warnings(),
             )
         };
         assert_eq!(warnings(&data(0.0, 1.0), 80, 0.9), []);

@@ -158,6 +158,7 @@ impl<'s> TrainingTask<'s> {
             train: &train,
             scaling: &scaling,
             outer_weights: &outer_weights,
+            input_names: &self.scenario.plant.input_names(),
             parameters: self.network.architecture.parameter_count(),
             window: cleaned.window,
             period: cleaned.period,

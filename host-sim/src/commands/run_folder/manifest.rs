@@ -130,6 +130,7 @@ pub(super) fn kind_of(name: &str) -> Option<FileKind> {
         "svg" => Some(FileKind::SVG),
         "png" => Some(FileKind::PNG),
         "pdf" => Some(FileKind::PDF),
+        "parquet" => Some(FileKind::PARQUET),
         "weights" => Some(PackageBytes::KIND),
         "html" => Some(page::KIND),
         "mcap" => Some(mcap::KIND),

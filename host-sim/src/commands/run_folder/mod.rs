@@ -176,7 +176,7 @@ pub(super) fn remove_page(folder: &Path) -> Result<(), OutputError> {
 }
 
 /// Removes a result of the previous run, if it still is one.
-fn remove_result(path: &Path) -> io::Result<()> {
+pub(super) fn remove_result(path: &Path) -> io::Result<()> {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let is_file = fs::symlink_metadata(path).is_ok_and(|found| found.is_file());
     match kind_of(name) {

@@ -28,7 +28,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::output::FigureFormats;
-use super::run_folder::{lock, remove_page};
+use super::run_folder::{lock, remove_page, remove_result};
 use super::scenario_source::load_with_text;
 use super::{
     Changes, CommandError, Common, ErrorCode, TableFormat, initial_states, print_outcome,
@@ -101,7 +101,21 @@ pub(super) struct Arguments {
     pub(super) common: Common,
 }
 
+/// What only some calls write, in the place of those before.
+const OPTIONAL: [&str; 2] = ["tradeoff.pdf", "results.parquet"];
+
 impl Arguments {
+    /// Checks that the files made of a complete table can be written into `folder`.
+    fn check_files(&self, folder: &Path) -> Result<(), CommandError> {
+        for format in self.figures.wanted() {
+            let (path, kind) = (folder.join(format.file_name("tradeoff")), format.kind());
+            if path.exists() && !kind.replaces(&path) {
+                return Err(OutputError::OtherKind { path, kind: kind.name }.into());
+            }
+        }
+        Ok(())
+    }
+
     /// Refuses formats of what only a complete study has.
     fn check_formats(&self) -> Result<(), CommandError> {
         #[cfg(feature = "parquet")]
@@ -217,6 +231,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
         let kind = results::KIND.name;
         return Err(OutputError::OtherKind { path: file, kind }.into());
     }
+    arguments.check_files(&folder)?;
     study.claim(&folder, &text)?;
     let part = arguments.shard.of(total(arguments, &cells)?);
     let (opened, before) = resume::open(&file, part.start, &runs)?;
@@ -348,6 +363,12 @@ fn write_files(
     summary: &Summary,
     #[cfg_attr(not(feature = "parquet"), allow(unused_variables))] results: &Path,
 ) -> Result<String, CommandError> {
+    arguments.check_files(folder)?;
+    for name in OPTIONAL {
+        // Left by a call that wrote it; now it would not fit the table.
+        remove_result(&folder.join(name))
+            .map_err(|error| OutputError::Write { path: folder.join(name), error })?;
+    }
     summary.write(folder)?;
     let mut names = vec![summary::NAME.to_owned()];
     let (cells, runs) = (summary.cells.len(), summary.runs());

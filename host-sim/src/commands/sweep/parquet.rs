@@ -20,9 +20,6 @@ use crate::files::output::{FileKind, write_result};
 /// Name of the file.
 pub(super) const NAME: &str = "results.parquet";
 
-const KIND: FileKind =
-    FileKind { name: "a Parquet file", recognises: |bytes| bytes.starts_with(b"PAR1") };
-
 /// A column, with what its cells are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
@@ -51,7 +48,7 @@ pub(super) fn write(folder: &Path, results: &Path) -> Result<(), CommandError> {
     }
     let bytes = encoded(&names, &columns)
         .map_err(|error| failed(format!("cannot be written as Parquet: {error}")))?;
-    Ok(write_result(&folder.join(NAME), KIND, |file| file.write_all(&bytes))?)
+    Ok(write_result(&folder.join(NAME), FileKind::PARQUET, |file| file.write_all(&bytes))?)
 }
 
 /// Returns the file with these columns.

@@ -47,6 +47,10 @@ impl FileKind {
     pub const PNG: Self =
         Self { name: "a PNG picture", recognises: |bytes| bytes.starts_with(b"\x89PNG\r\n\x1a\n") };
 
+    /// A Parquet file.
+    pub const PARQUET: Self =
+        Self { name: "a Parquet file", recognises: |bytes| bytes.starts_with(b"PAR1") };
+
     /// A PDF document.
     pub const PDF: Self =
         Self { name: "a PDF document", recognises: |bytes| bytes.starts_with(b"%PDF-") };

@@ -113,7 +113,7 @@ pub(in crate::scenario) fn relearning(
         .map_or(Ok(2.0), |value| value.number_in("a number above 1", |rate| rate > 1.0))?;
     let window_value = table.get("window", "2.0");
     let window = window_value.as_ref().map_or(Ok(2.0), Value::positive)?;
-    if let Some(value) = window_value.filter(|_| time.tick(window) < 1) {
+    if let Some(value) = window_value.filter(|_| window < time.step_size) {
         let hint = format!("use at least time.step, {}", time.step_size);
         return Err(value.error("is shorter than a step", hint));
     }

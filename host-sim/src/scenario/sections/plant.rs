@@ -154,7 +154,11 @@ fn inputs(
             }
             check_inputs(&value, names.len() + 1, states.len())?;
             names.push(name.to_owned());
-            texts.push(value.text()?.to_owned());
+            // A number is a constant, as `--vary` writes it.
+            texts.push(match value.number() {
+                Ok(number) => format!("{number:?}"),
+                Err(_) => value.text()?.to_owned(),
+            });
             values.push(value);
         }
     }

@@ -55,11 +55,14 @@ fn check_complete(
     hint: &str,
 ) -> Result<(), ScenarioError> {
     for (&column, value) in columns.iter().zip(value.list(NAME_A_COLUMN)?) {
-        if let Some(row) = recorded.columns[column].iter().position(|&x| !(x as f32).is_finite()) {
-            let problem = format!(
-                "line {} of the file has no number that an agent can use there",
-                lines[row]
-            );
+        let cells = &recorded.columns[column];
+        if let Some(row) = cells.iter().position(|&x| !(x as f32).is_finite()) {
+            if cells[row].is_finite() {
+                let problem = format!("line {} of the file has {:e} there", lines[row], cells[row]);
+                let hint = "use a larger unit: agents calculate in single precision";
+                return Err(value.error(problem, hint));
+            }
+            let problem = format!("line {} of the file has no number there", lines[row]);
             return Err(value.error(problem, hint));
         }
     }
