@@ -347,6 +347,7 @@ fn a_pdf_is_of_the_table_beside_it_or_not_there() {
     let folder = prepared("sweep-pdf");
     let small = "sweep mine.toml --set learning=[] --vary design.epsilon=10,20";
     // A foreign file is found before anything runs.
+    fs::create_dir(folder.path("foreign")).unwrap();
     folder.write("foreign/tradeoff.pdf", "mine");
     let message = folder.fail(&format!("{small} --out foreign --pdf"), 2);
     assert!(message.contains("tradeoff.pdf: not a PDF document"), "{message}");
