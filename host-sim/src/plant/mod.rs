@@ -125,7 +125,7 @@ impl Plant {
     /// Returns the known inputs at `time` \[s\], shape `[p]`.
     #[must_use]
     pub fn known_inputs(&self, time: f64) -> KnownInputs {
-        let mut known = KnownInputs::default();
+        let mut known = KnownInputs { values: [0.0; DIMENSION_MAX], count: 0 };
         match self {
             Self::Expressions(system) => {
                 if let Some(inputs) = system.inputs() {
@@ -200,7 +200,7 @@ impl Plant {
 }
 
 /// Values of the known inputs at a time, shape `[p]`.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KnownInputs {
     values: [f64; DIMENSION_MAX],
     count: usize,
