@@ -158,8 +158,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             text += &trainings::text(&trainings);
             text += &checks::text(&checks);
             text += &warnings::lines(&warnings);
-            let pdf = if arguments.figures.has_pdf() { ", PDF" } else { "" };
-            text += &format!("Figures, as SVG, PNG{pdf}\n");
+            let formats =
+                if arguments.figures.has_pdf() { "SVG, PNG and PDF" } else { "SVG and PNG" };
+            text += &format!("Figures, as {formats}\n");
             for (name, what) in FIGURES {
                 text += &format!("  {}: {what}\n", out.join(name).display());
             }
