@@ -5,6 +5,7 @@
 #![forbid(unsafe_code)]
 
 mod attack;
+mod background;
 mod boards;
 mod boot;
 mod circles;
@@ -12,6 +13,7 @@ mod compiler;
 mod cosim;
 mod cross;
 mod emulate;
+mod features;
 mod firmware;
 mod fuzz;
 mod host;
@@ -30,6 +32,7 @@ mod unreached;
 
 use std::{process::ExitCode, time::Instant};
 
+use background::Background;
 use step::Failure;
 
 const HELP: &str = "\
@@ -47,9 +50,10 @@ Usage: cargo xtask <task> [--debian]
        cargo xtask python [--debian]
 
 Tasks:
-  test    run all tests: the workspace on the host, including doctests, then `cross`, `emulate`,
-          `size`, `boot`, a co-simulation with the emulated board's firmware, `soak`, `studies`,
-          `python`, and `page`
+  test    run all tests: the workspace on the host, including doctests, `studies`, `python` and `page`,
+          and at the same time `nodes`; then `boot`, a co-simulation with the emulated board's firmware,
+          and `soak`
+  nodes   `cross`, `emulate`, and `size` of every board
   cross   compile the node's libraries for bare metal, check the machine code for fused
           multiply-add and calls of platform math libraries, build every board in
           firmware-template/boards and a project with it, and link the memory maps
@@ -76,7 +80,8 @@ Tasks:
           against nodes, with N tries of each attack (default 1000000) drawn from the seed S
           (default 1), and print how many were accepted and how many did harm: every number
           must be 0
-  lint    check module cycles, files that are not compiled, formatting, clippy and documentation; warnings are errors.
+  lint    check module cycles, files that are not compiled, features of dependencies that would be built
+          twice, formatting, clippy and documentation; warnings are errors.
           Clippy reads the workspace, the fuzz targets, and the boards whose firmware CI runs
   fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (default 10)
           from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
@@ -111,6 +116,7 @@ fn main() -> ExitCode {
         ["size", ref rest @ ..] if rest.iter().all(|name| !name.starts_with('-')) => {
             size::size(rest, debian)
         }
+        ["nodes"] => nodes(debian),
         ["studies"] => studies::studies(debian),
         ["page"] => page::page(debian),
         ["python"] => python::python(debian),
@@ -118,6 +124,7 @@ fn main() -> ExitCode {
         ["emulate"] => emulate::emulate(debian),
         ["lint"] => circles::check(step::workspace())
             .and_then(|()| unreached::check(step::workspace()))
+            .and_then(|()| features::check())
             .and_then(|()| host::lint())
             .and_then(|()| firmware::lint(debian))
             .and_then(|()| fuzz::lint(debian)),
@@ -167,18 +174,24 @@ fn main() -> ExitCode {
 
 /// Runs everything that executes code of this workspace.
 fn test(debian: bool) -> Result<(), Failure> {
+    let nodes = Background::start("nodes", debian)?;
     let count = host::test()?;
-    cross::cross(debian)?;
-    emulate::emulate(debian)?;
-    size::size(&[], debian)?;
-    boot::boot(debian)?;
-    cosim::test(debian)?;
-    soak::soak(&soak::Options::default(), debian)?;
     studies::studies(debian)?;
     python::python(debian)?;
     page::page(debian)?;
+    nodes.finish()?;
+    boot::boot(debian)?;
+    cosim::test(debian)?;
+    soak::soak(&soak::Options::default(), debian)?;
     println!("tests: {count}");
     Ok(())
+}
+
+/// Runs everything that needs a compiler for nodes, and nothing else.
+fn nodes(debian: bool) -> Result<(), Failure> {
+    cross::cross(debian)?;
+    emulate::emulate(debian)?;
+    size::size(&[], debian)
 }
 
 /// Prints the help after an invalid command line.

@@ -1,8 +1,12 @@
 //! Installs Debian packages, on machines that have them.
 
-use std::{path::Path, process::Command};
+use std::{
+    fs::{self, File},
+    path::Path,
+    process::Command,
+};
 
-use crate::step::{Failure, ask, in_ci, on_path, run};
+use crate::step::{Failure, ask, in_ci, on_path, run, target_folder};
 
 /// Whether packages may be installed without asking: with `--debian`, in continuous integration, or
 /// as root on Debian.
@@ -32,6 +36,12 @@ pub(crate) fn install(packages: &[&str]) -> Result<(), Failure> {
             ),
         ));
     }
+    // Tasks run at the same time.
+    let lock = target_folder().join("packages.lock");
+    let held = fs::create_dir_all(target_folder()).and_then(|()| File::create(&lock));
+    let held = held.and_then(|file| file.lock().map(|()| file)).map_err(|error| {
+        Failure::new(format!("{}: {error}", lock.display()), "check that the file is writable")
+    })?;
     let hint = "see the output of apt-get; the packages are in Debian 12 with its security updates";
     // An old list may offer a compiler that is too old, so it is always updated.
     run("package list", apt_get().args(["update"]), hint)?;
@@ -39,7 +49,9 @@ pub(crate) fn install(packages: &[&str]) -> Result<(), Failure> {
         "packages",
         apt_get().args(["install", "--yes", "--no-install-recommends"]).args(packages),
         hint,
-    )
+    )?;
+    drop(held);
+    Ok(())
 }
 
 fn apt_get() -> Command {

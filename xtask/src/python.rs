@@ -28,6 +28,8 @@ pub(crate) fn python(debian: bool) -> Result<(), Failure> {
     let mut install = Command::new(folder.join("bin/pip"));
     install.args(["install", "--quiet", "--disable-pip-version-check"]);
     install.arg(format!("{}[test]", module.display()));
+    // The simulator in it is then the one that has been built for the other tests.
+    install.env("MATURIN_PEP517_ARGS", "--profile dev");
     run(
         "the wheel",
         &mut install,
