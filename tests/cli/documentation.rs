@@ -183,14 +183,20 @@ fn documented_commands_for_hardware_are_understood() {
     let blocks = pages().iter().flat_map(|page| blocks(page)).collect::<Vec<_>>();
     let hardware: Vec<_> = blocks.iter().filter(|block| block.kind == Kind::Hardware).collect();
     assert!(!hardware.is_empty());
-    for block in hardware {
-        for command in &block.commands {
-            let (told, _) = texts(&run(&folder, command, "--format json"));
-            let told: serde_json::Value = serde_json::from_str(&told).unwrap();
-            let code = told["error"]["code"].as_str();
-            assert!(code.is_some_and(|code| code != "usage"), "{}: {command}: {told}", block.place);
+    let check = |block: &Block, command: &String| {
+        let (told, _) = texts(&run(&folder, command, "--format json"));
+        let told: serde_json::Value = serde_json::from_str(&told).unwrap();
+        let code = told["error"]["code"].as_str();
+        assert!(code.is_some_and(|code| code != "usage"), "{}: {command}: {told}", block.place);
+    };
+    // At the same time, because most wait for a node.
+    std::thread::scope(|scope| {
+        for block in hardware {
+            for command in &block.commands {
+                scope.spawn(|| check(block, command));
+            }
         }
-    }
+    });
 }
 
 /// A command that runs until it is killed.
@@ -266,6 +272,9 @@ fn links_between_pages_lead_somewhere() {
     }
     for page in pages {
         let text = fs::read_to_string(&page).unwrap();
+        let is_mark =
+            |line: &str| ["<<<<<<< ", ">>>>>>> "].iter().any(|mark| line.starts_with(mark));
+        assert!(!text.lines().any(is_mark), "{}: an unfinished merge", page.display());
         for (_, rest) in text.match_indices("](").map(|(at, _)| text.split_at(at + 2)) {
             let target = rest.split(')').next().unwrap();
             if target.starts_with("http") || target.starts_with('#') {

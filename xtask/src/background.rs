@@ -54,7 +54,7 @@ impl Background {
     pub(crate) fn finish(mut self) -> Result<(), Failure> {
         self.ended = true;
         let status = self.child.wait();
-        print!("{}", fs::read_to_string(&self.log).unwrap_or_default());
+        print!("{}", String::from_utf8_lossy(&fs::read(&self.log).unwrap_or_default()));
         let success = status.as_ref().is_ok_and(std::process::ExitStatus::success);
         let what = self.task;
         if !success {
@@ -69,7 +69,7 @@ impl Background {
 impl Drop for Background {
     fn drop(&mut self) {
         if !self.ended {
-            println!("waiting for {}, which still runs", self.task);
+            println!("waiting for {}, which is still running", self.task);
             let _ = self.child.wait();
         }
     }

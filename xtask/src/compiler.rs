@@ -52,21 +52,11 @@ impl Compiler {
     /// The active toolchain lacks a target, and Debian's compiler is not allowed or cannot be set
     /// up.
     pub(crate) fn find(targets: &[&str], debian: bool) -> Result<Self, Failure> {
-        let missing: Vec<&str> =
-            targets.iter().copied().filter(|target| !active_toolchain_has(target)).collect();
-        if missing.is_empty() {
+        let Some(missing) = install_for(targets, debian)? else {
             println!("compiler: the active toolchain has every target");
             return Ok(Self { rustc: None });
-        }
-        let missing = missing.join(" ");
-        if !packages::allowed(debian) {
-            return Err(Failure::new(
-                format!("the active toolchain cannot compile for {missing}"),
-                format!("rustup target add {missing}   (or, on Debian: cargo xtask ... --debian)"),
-            ));
-        }
+        };
         println!("compiler: the active toolchain lacks {missing}; using Debian's");
-        install()?;
         Ok(Self { rustc: Some(sysroot()?) })
     }
 
@@ -102,6 +92,27 @@ impl Compiler {
         self.apply(&mut command);
         Ok(command)
     }
+}
+
+/// Installs Debian's compiler if the active toolchain lacks some of `targets`, and returns which.
+///
+/// # Errors
+/// Same as for [`Compiler::find`].
+pub(crate) fn install_for(targets: &[&str], debian: bool) -> Result<Option<String>, Failure> {
+    let missing: Vec<&str> =
+        targets.iter().copied().filter(|target| !active_toolchain_has(target)).collect();
+    if missing.is_empty() {
+        return Ok(None);
+    }
+    let missing = missing.join(" ");
+    if !packages::allowed(debian) {
+        return Err(Failure::new(
+            format!("the active toolchain cannot compile for {missing}"),
+            format!("rustup target add {missing}   (or, on Debian: cargo xtask ... --debian)"),
+        ));
+    }
+    install()?;
+    Ok(Some(missing))
 }
 
 /// Returns the target folder of the cross-builds.

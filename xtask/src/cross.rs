@@ -12,6 +12,7 @@ use object::{Object, ObjectSymbol};
 use crate::{
     boards::{self, Board},
     compiler::{self, Compiler, cross_folder},
+    emulate,
     firmware::{self, Variant},
     machine_code::{BINUTILS, Disassembler, Findings},
     packages, project,
@@ -41,27 +42,21 @@ struct Artifact {
     package: &'static str,
     /// The crate of the package, and its features, for cargo.
     selection: &'static [&'static str],
-    file: &'static str,
 }
 
+/// All features of firmware-template, and with them of agent-core.
+const NODE_FEATURES: &str = "firmware-template/authentic-frames,firmware-template/exchange,\
+                             firmware-template/field,firmware-template/signature";
+
 const ARTIFACTS: [Artifact; 4] = [
-    Artifact {
-        package: "integrity",
-        selection: &["--lib", "--features", "seals"],
-        file: "libintegrity.rlib",
-    },
-    Artifact { package: "inner-network", selection: &["--lib"], file: "libinner_network.rlib" },
+    Artifact { package: "integrity", selection: &["--lib", "--features", "seals"] },
+    Artifact { package: "inner-network", selection: &["--lib"] },
     Artifact {
         package: "agent-core",
         // Features only add code: with them the library contains everything it has without them.
         selection: &["--lib", "--features", "authentic-frames,exchange,field,signature"],
-        file: "libagent_core.rlib",
     },
-    Artifact {
-        package: "firmware-template",
-        selection: &["--lib"],
-        file: "libfirmware_template.rlib",
-    },
+    Artifact { package: "firmware-template", selection: &["--lib", "--features", NODE_FEATURES] },
 ];
 
 /// How a library is compiled for inspection: name, arguments for rustc.
@@ -81,6 +76,20 @@ const VARIATIONS: [Variation; 2] = [
     ),
 ];
 
+/// Installs what is missing to build for nodes and to emulate them, where that is allowed.
+///
+/// # Errors
+/// Something is missing and cannot be installed.
+pub(crate) fn install_tools(debian: bool) -> Result<(), Failure> {
+    let boards = boards::all()?;
+    let mut wanted = triples().to_vec();
+    wanted.extend(boards::targets(&boards));
+    compiler::install_for(&wanted, debian)?;
+    Disassembler::find(debian)?;
+    Linker::find(debian)?;
+    emulate::find_emulators(debian)
+}
+
 /// Builds for every target and checks the results.
 ///
 /// # Errors
@@ -90,12 +99,14 @@ pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
     let mut wanted = triples().to_vec();
     wanted.extend(boards::targets(&boards));
     let compiler = Compiler::find(&wanted, debian)?;
-    let disassembler = Disassembler::find(debian)?;
-    // Features only add code, and `emulate` builds the crates without them for every target.
+    let (disassembler, linker) = (Disassembler::find(debian)?, Linker::find(debian)?);
+    // With all features. `emulate` builds the crates without them for every target, and the libraries below are
+    // compiled with them for the others.
     let mut check = cargo("check");
     check.args(["--quiet", "--package", "agent-core", "--package", "firmware-template"]);
-    check.args(["--features", "agent-core/signature"]).args(boards::profile()?);
-    check.args(TARGETS.iter().flat_map(|to| ["--target", to.triple]));
+    check.args(["--features", NODE_FEATURES]).args(boards::profile()?);
+    let others = TARGETS.iter().filter(|target| !target.fused);
+    check.args(others.flat_map(|target| ["--target", target.triple]));
     run(
         "cross-check",
         compiler.apply(&mut check),
@@ -105,7 +116,8 @@ pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
         for variation in VARIATIONS {
             let mut instructions = 0;
             for artifact in &ARTIFACTS {
-                instructions += inspect(&compiler, &disassembler, target, artifact, variation)?;
+                instructions +=
+                    inspect(&compiler, (&disassembler, &linker), target, artifact, variation)?;
             }
             println!(
                 "machine code {}, {}: {instructions} instructions, no fused multiply-add, \
@@ -114,7 +126,6 @@ pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
             );
         }
     }
-    let linker = Linker::find(debian)?;
     for board in &boards {
         for variant in Variant::all(board) {
             let program = firmware::build(&compiler, board, &variant)?;
@@ -149,19 +160,20 @@ fn allow(name: &str, found: &Findings) -> Result<(), Failure> {
 /// A fused multiply-add, a call of platform mathematics, or no code where there must be some.
 fn inspect(
     compiler: &Compiler,
-    disassembler: &Disassembler,
+    (disassembler, linker): (&Disassembler, &Linker),
     target: &Target,
     artifact: &Artifact,
     (variation, flags): Variation,
 ) -> Result<usize, Failure> {
-    let name = format!("machine code {}, {variation}, {}", target.triple, artifact.file);
+    let name = format!("machine code {}, {variation}, {}", target.triple, artifact.package);
+    // One for each, because cargo does not compile again what it has compiled.
+    let file = cross_folder().join(format!("{}-{variation}-{}.o", target.triple, artifact.package));
     let mut build = cargo("rustc");
     build.args(["--quiet", "--target", target.triple]).args(boards::profile()?);
     build.args(["--package", artifact.package]).args(artifact.selection).arg("--").args(flags);
+    build.arg(format!("--emit=link,obj={}", file.display()));
     run(&name, compiler.apply(&mut build), "see the error above")?;
-
-    let file = cross_folder().join(target.triple).join("release").join(artifact.file);
-    let found = disassembler.read(&file)?;
+    let found = disassembler.read(&linker.merged(&file)?)?;
     allow(&name, &found)?;
     // If everything is generic or small, all optimised code is in the firmware.
     let may_be_empty = variation == "optimised" && artifact.package == "firmware-template";
@@ -200,6 +212,20 @@ impl Linker {
         Err(Failure::new("no linker for Arm found", format!("install {BINUTILS}")))
     }
 
+    /// Puts the code of an object, which is in a section for each function, into a single one: GNU's disassembler
+    /// takes a time that grows with the square of their number. Returns the new object.
+    ///
+    /// # Errors
+    /// The linker failed.
+    fn merged(&self, object: &Path) -> Result<PathBuf, Failure> {
+        let (script, merged) = (cross_folder().join("merge.ld"), object.with_extension("merged.o"));
+        write(&script, "SECTIONS { .text : { *(.text .text.*) } }\n")?;
+        let mut link = Command::new(&self.program);
+        link.args(self.flavor).args(["-r", "-T"]).arg(&script).arg("-o").arg(&merged).arg(object);
+        run("one section of code", &mut link, "delete the target folder and try again")?;
+        Ok(merged)
+    }
+
     /// Links an arbitrary file with only the board's memory map, which checks the map's assertions,
     /// and compares all symbols of the map with those of the board's program, to verify that it was
     /// linked with its own map.
@@ -208,12 +234,7 @@ impl Linker {
         let script = cross_folder().join("memory-map.ld");
         let text =
             format!("INCLUDE \"{}\"\nSECTIONS {{ .data : {{ *(.data) }} > RAM }}\n", map.display());
-        fs::write(&script, text).map_err(|error| {
-            Failure::new(
-                format!("{}: {error}", script.display()),
-                "check that the disk has free space",
-            )
-        })?;
+        write(&script, &text)?;
         let linked = cross_folder().join("memory-map.elf");
         run(
             &format!("memory map of {}", board.name),
@@ -240,6 +261,14 @@ impl Linker {
         }
         Ok(())
     }
+}
+
+/// Writes a linker's script.
+fn write(script: &Path, text: &str) -> Result<(), Failure> {
+    fs::write(script, text).map_err(|error| {
+        let what = format!("{}: {error}", script.display());
+        Failure::new(what, "check that the disk has free space")
+    })
 }
 
 /// Returns the symbols that a memory map defines, in alphabetical order.

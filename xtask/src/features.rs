@@ -1,6 +1,7 @@
-//! Checks that one crate of the workspace is built with the dependencies of all: cargo chooses the features of
-//! a dependency for everything that it builds in one go, so a feature that only tests ask for makes it build
-//! the dependency, and all that depends on it, once more for the Python module alone.
+//! Checks that the Python module, built alone, uses the dependencies of the workspace with the same features.
+//!
+//! Cargo chooses the features of a dependency for everything that it builds in one go. One that only tests ask
+//! for has the dependency, and all that depends on it, built again for the module.
 
 use std::collections::BTreeSet;
 
@@ -9,34 +10,61 @@ use crate::step::{Failure, ask, cargo};
 /// The crate that is built alone.
 const ALONE: &str = "distributed-observer";
 
+/// Dependencies of the program, and with those of the build itself; `dev` adds those of tests.
+const EDGES: [&str; 2] = ["normal,dev", "normal,build,dev"];
+
 /// Compares the features of dependencies.
 ///
 /// # Errors
 /// A dependency has other features than in a build of the workspace.
 pub(crate) fn check() -> Result<(), Failure> {
-    let alone = packages(&["--package", ALONE])?;
-    let workspace = packages(&["--workspace"])?;
-    let different: Vec<&str> = alone.difference(&workspace).map(String::as_str).collect();
-    if different.is_empty() && !alone.is_empty() {
-        println!("features: {} dependencies of {ALONE} are those of the workspace", alone.len());
-        return Ok(());
+    let mut count = 0;
+    for edges in EDGES {
+        let alone = tree(&["--package", ALONE], edges)?;
+        let different = different(&alone, &tree(&["--workspace"], edges)?);
+        if !different.is_empty() {
+            return Err(Failure::new(
+                format!(
+                    "{ALONE} alone is built with other features than the workspace: {}",
+                    different.join("; ")
+                ),
+                "`cargo tree --workspace --edges features --invert CRATE` names who asks for more; ask for the same \
+                 in the workspace's Cargo.toml, or for less there",
+            ));
+        }
+        count += alone.lines().count();
     }
-    Err(Failure::new(
-        format!(
-            "{ALONE} alone is built with other features than the workspace: {}",
-            different.join("; ")
-        ),
-        "`cargo tree --workspace -e features -i CRATE` names who asks for more; ask for the same in the \
-         workspace's Cargo.toml, or for less there",
-    ))
+    println!("features: {count} dependencies of {ALONE} are those of the workspace");
+    Ok(())
 }
 
-/// Returns every dependency that is built, with its version and features.
-fn packages(selection: &[&str]) -> Result<BTreeSet<String>, Failure> {
+/// Returns the lines of `alone` that are not in `workspace`.
+fn different<'a>(alone: &'a str, workspace: &str) -> Vec<&'a str> {
+    let workspace: BTreeSet<&str> = workspace.lines().collect();
+    let alone: BTreeSet<&str> = alone.lines().collect();
+    alone.into_iter().filter(|line| !workspace.contains(line)).collect()
+}
+
+/// Lists every dependency that is built, with its version and features, one in a line.
+fn tree(selection: &[&str], edges: &str) -> Result<String, Failure> {
     let mut tree = cargo("tree");
-    tree.args(selection).args(["--edges", "normal,build,dev", "--prefix", "none"]);
-    tree.args(["--no-dedupe", "--format", "{p} {f}"]);
-    let answer = ask(&mut tree)
-        .ok_or_else(|| Failure::new("cargo tree failed", "run it to see its message"))?;
-    Ok(answer.lines().map(str::to_owned).collect())
+    tree.args(selection).args(["--edges", edges, "--prefix", "none", "--no-dedupe"]);
+    tree.args(["--format", "{p} {f}"]);
+    let hint = "run `cargo tree --workspace` to see its message";
+    ask(&mut tree)
+        .filter(|answer| !answer.is_empty())
+        .ok_or_else(|| Failure::new("cargo tree failed", hint))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_feature_that_only_the_workspace_has_is_found() {
+        let alone = "clap v4.6.9 default,derive\nrand v0.10.4 std\nrand v0.10.4 std\n";
+        assert!(different(alone, alone).is_empty());
+        let workspace = "clap v4.6.9 default,derive,env\nrand v0.10.4 std\nmore v1.0.0\n";
+        assert_eq!(different(alone, workspace), ["clap v4.6.9 default,derive"]);
+    }
 }

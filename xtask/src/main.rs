@@ -45,6 +45,7 @@ Usage: cargo xtask <task> [--debian]
        cargo xtask soak [--steps N] [--seed S] [--debian]
        cargo xtask attack [--tries N] [--seed S] [--format text|json]
        cargo xtask fuzz [--seconds N] [TARGET...] [--debian]
+       cargo xtask nodes [--debian]
        cargo xtask studies [--debian]
        cargo xtask page [--debian]
        cargo xtask python [--debian]
@@ -164,9 +165,8 @@ fn main() -> ExitCode {
             println!("xtask {}: ok, {seconds:.1} s", names[0]);
             ExitCode::SUCCESS
         }
-        Err(Failure { what, hint }) => {
-            eprintln!("xtask {}: FAILED after {seconds:.1} s: {what}", names[0]);
-            eprintln!("  hint: {hint}");
+        Err(failure) => {
+            eprintln!("xtask {}: FAILED after {seconds:.1} s: {failure}", names[0]);
             ExitCode::FAILURE
         }
     }
@@ -174,17 +174,30 @@ fn main() -> ExitCode {
 
 /// Runs everything that executes code of this workspace.
 fn test(debian: bool) -> Result<(), Failure> {
+    // Before anything links that a package could replace.
+    cross::install_tools(debian)?;
     let nodes = Background::start("nodes", debian)?;
-    let count = host::test()?;
-    studies::studies(debian)?;
-    python::python(debian)?;
-    page::page(debian)?;
-    nodes.finish()?;
+    let host = test_host(debian);
+    if let Err(failure) = &host {
+        eprintln!("{failure}\nwaiting for the end of `nodes`");
+    }
+    let nodes = nodes.finish();
+    let count = host?;
+    nodes?;
     boot::boot(debian)?;
     cosim::test(debian)?;
     soak::soak(&soak::Options::default(), debian)?;
     println!("tests: {count}");
     Ok(())
+}
+
+/// Runs everything that needs no compiler for nodes.
+fn test_host(debian: bool) -> Result<host::TestCount, Failure> {
+    let count = host::test()?;
+    studies::studies(debian)?;
+    python::python(debian)?;
+    page::page(debian)?;
+    Ok(count)
 }
 
 /// Runs everything that needs a compiler for nodes, and nothing else.

@@ -2,6 +2,7 @@
 
 use std::{
     fs::{self, File},
+    io,
     path::Path,
     process::Command,
 };
@@ -39,7 +40,7 @@ pub(crate) fn install(packages: &[&str]) -> Result<(), Failure> {
     // Tasks run at the same time.
     let lock = target_folder().join("packages.lock");
     let held = fs::create_dir_all(target_folder()).and_then(|()| File::create(&lock));
-    let held = held.and_then(|file| file.lock().map(|()| file)).map_err(|error| {
+    let held = held.and_then(|file| wait_for(&file).map(|()| file)).map_err(|error| {
         Failure::new(format!("{}: {error}", lock.display()), "check that the file is writable")
     })?;
     let hint = "see the output of apt-get; the packages are in Debian 12 with its security updates";
@@ -52,6 +53,17 @@ pub(crate) fn install(packages: &[&str]) -> Result<(), Failure> {
     )?;
     drop(held);
     Ok(())
+}
+
+/// Locks the file, and says so if that takes time.
+fn wait_for(file: &File) -> io::Result<()> {
+    match file.try_lock() {
+        Ok(()) => Ok(()),
+        Err(_) => {
+            println!("waiting for another task that installs packages");
+            file.lock()
+        }
+    }
 }
 
 fn apt_get() -> Command {
