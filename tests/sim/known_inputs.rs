@@ -185,6 +185,29 @@ fn inputs_of_a_recording_are_those_of_the_plant() {
 }
 
 #[test]
+fn inputs_are_not_what_agents_estimate() {
+    let folder = Folder::new("inputs-that-are-not");
+    folder.write("experiment.csv", "t,x,y,u\n0,1,1,0\n1,2,2,1\n2,3,3,1\n");
+    let scenario = |inputs: &str| {
+        format!(
+            "name = \"own\"\n[plant]\nmodel = \"recording\"\nfile = \"experiment.csv\"\n\
+             states = [\"x\"]\nreference = [\"x\"]\ninputs = {inputs}\n[time]\nduration = 2.0\n\
+             step = 0.5\n[design]\ngain = 1.0\n[[agents]]\noutput_matrix = [[1.0]]\n\
+             measured = [\"y\"]\n"
+        )
+    };
+    for (inputs, key, problem) in [
+        ("[\"u\", \"u\"]", "plant.inputs[2]", "the column `u` is listed twice"),
+        ("[\"x\"]", "plant.inputs[1]", "the column `x` is the reference of a state"),
+        ("[\"y\"]", "agents[1].measured", "the column `y` is a known input of all agents"),
+    ] {
+        folder.write("own.toml", &scenario(inputs));
+        let error = Scenario::load(&folder.path("own.toml")).unwrap_err();
+        assert_eq!((error.key.as_deref(), &*error.problem), (Some(key), problem), "{error}");
+    }
+}
+
+#[test]
 fn every_method_and_the_field_observer_take_known_inputs() {
     // A cubic of four variables needs longer samples.
     let one = DRIVEN.replace(", k = \"1 + 0.5*sin(0.7*t)\"", "").replace("-k*x", "-x");

@@ -224,7 +224,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let health = health::health(root, network.is_some())?;
     let evaluation = run::evaluation(root, &time)?;
     let record = run::record(root, &time, n, agents.len())?;
-    Ok(Scenario {
+    let scenario = Scenario {
         name,
         hash: 0,
         plant,
@@ -250,5 +250,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         health,
         evaluation,
         record,
-    })
+    };
+    learning::check_relearning(root, &scenario)?;
+    Ok(scenario)
 }

@@ -179,6 +179,17 @@ impl Scenario {
         self.link.is_ideal() && self.life.is_empty()
     }
 
+    /// Returns when a cycle that starts by itself is applied at the earliest \[s\]; `None` if none does.
+    #[must_use]
+    pub fn relearning_end(&self) -> Option<f64> {
+        let (relearning, last) = (self.relearning.as_ref()?, self.learning.last()?);
+        let windows = 1 + Relearning::REFERENCES + Relearning::ABOVE;
+        let from = self.observer.as_ref().map_or(0.0, |observer| observer.from);
+        let watched_from = last.apply_at.max(from);
+        let length = last.apply_at - last.collect.from;
+        Some(watched_from + f64::from(windows) * relearning.window + length)
+    }
+
     /// Returns how many cycles can start by themselves at most.
     #[must_use]
     pub fn relearnings_max(&self) -> usize {
@@ -187,8 +198,7 @@ impl Scenario {
         };
         let length = last.apply_at - last.collect.from;
         let windows = |count: u32| f64::from(count) * relearning.window;
-        let watched = windows(1 + Relearning::REFERENCES + Relearning::ABOVE);
-        let rest = self.time.duration - last.apply_at - watched - length;
+        let Some(rest) = self.relearning_end().map(|end| self.time.duration - end) else { return 0 };
         if rest < 0.0 {
             return 0;
         }

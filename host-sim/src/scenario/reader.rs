@@ -11,6 +11,7 @@ use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue};
 
 use super::error::{ScenarioError, closest};
+use crate::number::counted;
 
 /// File name and text; maps offsets in the text to lines.
 #[derive(Debug)]
@@ -330,7 +331,7 @@ impl<'a> Value<'a> {
                 let found = has(found, "entry", "entries");
                 let problem = format!("row {} {found}, expected {columns} ({owner})", index + 1);
                 let hint =
-                    format_args!("write {} in every row", counted(columns, "entry", "entries"));
+                    format_args!("write {} in every row", counted(columns as u64, "entry", "entries"));
                 return Err(row.error_of(self, problem, hint));
             }
             entries.extend(row.numbers()?);
@@ -349,12 +350,7 @@ pub(super) const STATE: &str = "the dimension of the state";
 
 /// `has 1 entry`, `has 2 entries`.
 pub(super) fn has(count: usize, one: &str, many: &str) -> String {
-    format!("has {}", counted(count, one, many))
-}
-
-/// `1 entry`, `2 entries`.
-pub(super) fn counted(count: usize, one: &str, many: &str) -> String {
-    format!("{count} {}", if count == 1 { one } else { many })
+    format!("has {}", counted(count as u64, one, many))
 }
 
 /// Returns the number if an agent can represent it.

@@ -37,6 +37,7 @@ use super::{
 use crate::figures::{tradeoff, write_all};
 use crate::files::output::{OutputError, make_folder};
 use crate::interruption::{self, SecondSignal};
+use crate::number::counted;
 use crate::report::latex::latex;
 use crate::scenario::{Scenario, ScenarioSource};
 use crate::shell::shell_word;
@@ -288,11 +289,11 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
                 text += &how_to_merge(&out);
             }
             text += &format!(
-                "Scenario {}, {} cells, {} of {} runs, {:.1} s\n",
+                "Scenario {}, {}, {} of {}, {:.1} s\n",
                 base.name,
-                cells.rows.len(),
+                counted(cells.rows.len() as u64, "cell", "cells"),
                 before + outcome.done,
-                study.runs,
+                counted(study.runs, "run", "runs"),
                 report.elapsed_s
             );
             let printed = print_text(&text);
@@ -371,8 +372,9 @@ fn write_files(
     }
     summary.write(folder)?;
     let mut names = vec![summary::NAME.to_owned()];
-    let (cells, runs) = (summary.cells.len(), summary.runs());
-    let title = format!("Error against broadcasts: {cells} cells, {runs} runs");
+    let cells = counted(summary.cells.len() as u64, "cell", "cells");
+    let runs = counted(summary.runs(), "run", "runs");
+    let title = format!("Error against broadcasts: {cells}, {runs}");
     if let Some(figure) = picture::tradeoff(title, summary) {
         let formats = arguments.figures;
         write_all(folder, &[("tradeoff", tradeoff(&figure))], formats.wanted())?;

@@ -57,6 +57,18 @@ pub enum OutputError {
         /// What is there.
         what: &'static str,
     },
+    /// A file is where a folder should be.
+    #[error(
+        "{}: cannot be created: {} is a file; choose another folder",
+        path.display(),
+        file.display()
+    )]
+    NotAFolder {
+        /// The folder.
+        path: PathBuf,
+        /// The file, at this path or above.
+        file: PathBuf,
+    },
     /// The file belongs to another user.
     #[error(
             "{}: belongs to another user, and a replacement would change the owner; choose another file \
@@ -83,6 +95,7 @@ impl OutputError {
             Self::Write { path, .. }
             | Self::OtherKind { path, .. }
             | Self::NotAFile { path, .. }
+            | Self::NotAFolder { path, .. }
             | Self::Owner { path }
             | Self::NoReader { path } => path,
         }
@@ -91,7 +104,7 @@ impl OutputError {
     /// Whether writing was refused because of an existing file, not by the system.
     #[must_use]
     pub fn is_refusal(&self) -> bool {
-        matches!(self, Self::OtherKind { .. } | Self::NotAFile { .. } | Self::Owner { .. })
+        !matches!(self, Self::Write { .. } | Self::NoReader { .. })
     }
 }
 
@@ -264,6 +277,10 @@ pub fn copy_attributes(new: &Path, before: &fs::Metadata) -> io::Result<()> {
 /// # Errors
 /// The system's error.
 pub fn make_folder(folder: &Path) -> Result<(), OutputError> {
+    let is_file = |path: &&Path| fs::metadata(path).is_ok_and(|found| !found.is_dir());
+    if let Some(file) = folder.ancestors().find(is_file) {
+        return Err(OutputError::NotAFolder { path: folder.to_owned(), file: file.to_owned() });
+    }
     fs::create_dir_all(folder)
         .map_err(|error| OutputError::Write { path: folder.to_owned(), error })
 }

@@ -8,7 +8,8 @@
 //! value is TOML; what is not TOML is taken as a string, so `observer.preset=field` needs no quotes.
 //!
 //! `design.gain.scale` and `outer_law.gain.scale` also work on a plain gain, which then becomes
-//! `{ values = ..., scale = ... }`; `plant.initial_state.random` replaces a given state.
+//! `{ values = ..., scale = ... }`; `plant.initial_state.random` replaces a given state, and
+//! `observer.preset=paper` all keys of `[observer]`, which are those of another observer.
 
 use core::fmt;
 
@@ -203,6 +204,11 @@ impl Place<'_> {
 
     fn in_table(self, table: &mut dyn TableLike, is_inline: bool) -> Result<(), Refusal> {
         let part = self.part();
+        let change = self.change;
+        if change.path == ["observer", "preset"] && change.value.as_str() == Some("paper") && self.is_last()
+        {
+            table.clear();
+        }
         match table.get_mut(part) {
             Some(item) if self.is_last() => replace(item, &self.change.value),
             Some(item) => self.next().in_item(item)?,

@@ -86,6 +86,18 @@ fn a_plain_gain_becomes_a_scaled_one() {
 }
 
 #[test]
+fn the_papers_observer_replaces_any_other() {
+    let text = format!("{PAPER}\n[observer]\nradius = 0.1\nfrom = 20.0 # as in the study\n");
+    let other = Scenario::parse("paper", &text).unwrap();
+    assert!(other.observer.is_some());
+    let changes = [change("observer.preset=paper")];
+    let (scenario, text) = Scenario::parse_changed("paper", &text, &changes).unwrap();
+    assert_eq!(scenario.observer, None);
+    assert!(text.ends_with("[observer]\npreset = \"paper\"\n"), "{text}");
+    assert!(paper(&["observer.preset=paper", "observer.from=20"]).is_err());
+}
+
+#[test]
 fn refusals_name_the_change() {
     assert_eq!(
         refusal(&["design.rho=2.0", "design.epsilom=3"]),
