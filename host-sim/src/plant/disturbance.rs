@@ -1,6 +1,6 @@
 //! Disturbances of the plant.
 
-use super::{ExpressionFault, ExpressionSystem};
+use super::{ExpressionFault, ExpressionSystem, RandomDisturbance};
 
 /// `d`, the disturbance.
 #[derive(Clone, Debug, PartialEq)]
@@ -11,6 +11,8 @@ pub enum Disturbance {
     Harmonic(Vec<Harmonic>),
     /// User-defined expressions, one per component of the state.
     Expressions(ExpressionSystem),
+    /// An Ornstein-Uhlenbeck process.
+    Random(RandomDisturbance),
 }
 
 /// `offset + amplitude function(angular_frequency t + phase)` on one component.
@@ -56,6 +58,16 @@ impl Disturbance {
                 }
             }
             Self::Expressions(system) => system.evaluate(time, x, d),
+            Self::Random(random) => random.evaluate(time, d),
+        }
+    }
+
+    /// Returns the disturbance of a run with this seed; `None` if it is the same for all.
+    #[must_use]
+    pub fn drawn(&self, seed: u64) -> Option<Self> {
+        match self {
+            Self::None | Self::Harmonic(_) | Self::Expressions(_) => None,
+            Self::Random(random) => Some(Self::Random(random.drawn(seed))),
         }
     }
 
@@ -63,7 +75,7 @@ impl Disturbance {
     /// there is one.
     pub(super) fn fault(&self, time: f64, x: &[f64]) -> Option<ExpressionFault> {
         match self {
-            Self::None | Self::Harmonic(_) => None,
+            Self::None | Self::Harmonic(_) | Self::Random(_) => None,
             Self::Expressions(system) => system.fault(time, x),
         }
     }

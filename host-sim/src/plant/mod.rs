@@ -11,12 +11,14 @@
 //! multiplication is fused with an addition.
 
 mod disturbance;
+mod random_disturbance;
 pub mod expression;
 mod function;
 mod integrator;
 mod recorded;
 
 pub use disturbance::{Disturbance, Harmonic, Wave};
+pub use random_disturbance::RandomDisturbance;
 pub use expression::{ExpressionFault, ExpressionSystem};
 pub use function::{FunctionPlant, Rate};
 pub use integrator::{Integrator, Stepper};

@@ -188,7 +188,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     if let Some(recorded) = plant.recording() {
         run::check_recorded(root, &time, recorded.duration())?;
     }
-    let disturbance = disturbance::disturbance(root, &plant)?;
+    let disturbance = disturbance::disturbance(root, &plant, &time)?;
     let design = gains::design(root, n)?;
     let network = network::network(root, n, plant.input_names().len())?;
     let (sensor, clock) = (sensor::sensor(root)?, clock::clock(root, &time)?);

@@ -105,16 +105,19 @@ impl Scenario {
         self.initial_state.len()
     }
 
-    /// Returns the scenario with the initial state that a run with this seed begins in: itself, unless
-    /// that is drawn.
+    /// Returns the scenario with the initial state and the disturbance of a run with this seed: itself, unless one
+    /// of them is drawn.
     #[must_use]
     pub fn drawn(&self, seed: u64) -> Cow<'_, Self> {
-        match &self.initial_spread {
-            None => Cow::Borrowed(self),
-            Some(spread) => {
-                Cow::Owned(Self { initial_state: drawn_state(spread, seed, 0), ..self.clone() })
-            }
+        let initial_state = self.initial_spread.as_ref().map(|spread| drawn_state(spread, seed, 0));
+        let mut drawn = Cow::Borrowed(self);
+        if let Some(initial_state) = initial_state {
+            drawn.to_mut().initial_state = initial_state;
         }
+        if let Some(disturbance) = self.disturbance.drawn(seed) {
+            drawn.to_mut().disturbance = disturbance;
+        }
+        drawn
     }
 
     /// Returns the number of steps in the run.

@@ -314,6 +314,16 @@ impl<'a> Value<'a> {
         self.numbers()
     }
 
+    /// Returns one number >= 0 for all components of a state of dimension `n`, or one for each.
+    pub(super) fn not_negative_for_each(&self, n: usize) -> Result<Vec<f64>, ScenarioError> {
+        let numbers =
+            if self.is_list() { self.numbers_of(n, STATE)? } else { vec![self.number()?; n] };
+        if numbers.iter().any(|&number| number < 0.0) {
+            return Err(self.wrong("is negative"));
+        }
+        Ok(numbers)
+    }
+
     /// Returns a matrix given by its rows: at least one row, each of length `columns`.
     pub(super) fn matrix(
         &self,
