@@ -192,7 +192,8 @@ fn inputs_are_not_what_agents_estimate() {
         format!(
             "name = \"own\"\n[plant]\nmodel = \"recording\"\nfile = \"experiment.csv\"\n\
              states = [\"x\"]\nreference = [\"x\"]\ninputs = {inputs}\n[time]\nduration = 2.0\n\
-             step = 0.5\n[design]\ngain = 1.0\n[[agents]]\noutput_matrix = [[1.0]]\n\
+             step = 0.5\n[design]\ngain = [1.0]\nk2 = 2.0\nkappa = 1.0\nrho = 1.0\ndelta = 1.0\n\
+             epsilon = 1.0\n[[agents]]\noutput_matrix = [[1.0]]\n\
              measured = [\"y\"]\n"
         )
     };

@@ -5,7 +5,10 @@ use host_sim::scenario::{Scenario, built_in};
 
 fn scenario(model: &str) -> Scenario {
     let harmonic = "model = \"expressions\"\ncomponents = [\"0.5*sin(3*t)\", \"0.75*cos(t)\", \"cos(3.75*t)\"]";
-    let text = built_in("expressions").unwrap().replacen(harmonic, model, 1).replace("duration = 40.0", "duration = 4.0");
+    let text = built_in("expressions")
+        .unwrap()
+        .replacen(harmonic, model, 1)
+        .replace("duration = 40.0", "duration = 4.0");
     assert!(text.contains(model));
     Scenario::parse("random.toml", &text).unwrap_or_else(|error| panic!("{error}"))
 }

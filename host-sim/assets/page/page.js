@@ -100,6 +100,9 @@ function methodTable(run) {
   return table("Methods on the same plant, links and sensors", [
     { name: "method", value: (method) => method.method, isText: true },
     { name: "RMSE of the agents", value: errors, show: (text, method) => (method.reason ? "failed" : text) },
+    ...(run.methods.some((method) => method.innovation_rms.some((value) => value !== null))
+      ? [{ name: "innovation RMS", value: (method) => range(method.innovation_rms, (value) => number(value, 3)) }]
+      : []),
     { name: "broadcasts", value: (method) => method.broadcasts },
     { name: "bytes", value: (method) => method.bytes },
     { name: "knows", value: (method) => method.reason || method.knows, isText: true },

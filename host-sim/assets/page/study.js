@@ -81,7 +81,7 @@ function tradeoffPlot(data) {
       width: Math.max(50, Math.floor(frame.clientWidth)), height: 420, legend: { show: false },
       cursor: { drag: { x: true, y: true, setScale: false }, points: { show: false } },
       scales: { x: { time: false, distr: 3, range: () => shownX }, y: { distr: 3, range: () => shownY } },
-      axes: [{ ...axis, label: "broadcasts of all agents", labelSize: 20 }, { ...axis, label: "largest RMSE of an agent [state unit]", labelSize: 20, size: 62 }],
+      axes: [{ ...axis, label: "broadcasts of all agents", labelSize: 20 }, { ...axis, label: data.error_label, labelSize: 20, size: 62 }],
       series: [{}, { stroke: "transparent", points: { show: false } }],
       hooks: { draw: [draw], setCursor: [nearest], setSelect: [selected] },
     }, [xs, ys], frame);
@@ -116,6 +116,7 @@ function cellTable(data) {
     { name: "diverged", value: (cell) => cell.diverged },
     { name: "RMSE", ...interval("rmse") },
     { name: "largest error", ...interval("max_error") },
+    ...(data.cells.some((cell) => cell.innovation_rms) ? [{ name: "innovation RMS", ...interval("innovation_rms") }] : []),
     { name: "broadcasts", ...interval("broadcasts") },
     { name: "bytes", ...interval("bytes") },
   ];

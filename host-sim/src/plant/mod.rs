@@ -11,17 +11,17 @@
 //! multiplication is fused with an addition.
 
 mod disturbance;
-mod random_disturbance;
 pub mod expression;
 mod function;
 mod integrator;
+mod random_disturbance;
 mod recorded;
 
 pub use disturbance::{Disturbance, Harmonic, Wave};
-pub use random_disturbance::RandomDisturbance;
 pub use expression::{ExpressionFault, ExpressionSystem};
 pub use function::{FunctionPlant, Rate};
 pub use integrator::{Integrator, Stepper};
+pub use random_disturbance::RandomDisturbance;
 pub use recorded::{Between, Recorded};
 
 use std::sync::Arc;

@@ -201,7 +201,9 @@ impl Scenario {
         };
         let length = last.apply_at - last.collect.from;
         let windows = |count: u32| f64::from(count) * relearning.window;
-        let Some(rest) = self.relearning_end().map(|end| self.time.duration - end) else { return 0 };
+        let Some(rest) = self.relearning_end().map(|end| self.time.duration - end) else {
+            return 0;
+        };
         if rest < 0.0 {
             return 0;
         }

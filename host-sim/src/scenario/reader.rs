@@ -340,8 +340,10 @@ impl<'a> Value<'a> {
             if found != columns {
                 let found = has(found, "entry", "entries");
                 let problem = format!("row {} {found}, expected {columns} ({owner})", index + 1);
-                let hint =
-                    format_args!("write {} in every row", counted(columns as u64, "entry", "entries"));
+                let hint = format_args!(
+                    "write {} in every row",
+                    counted(columns as u64, "entry", "entries")
+                );
                 return Err(row.error_of(self, problem, hint));
             }
             entries.extend(row.numbers()?);

@@ -340,7 +340,8 @@ fn plan(
     let others = initial_states::others(base, states, seed)?;
     let dimension = (states > 1).then(|| base.dimension());
     let own = cells.load(source, Runs::cells_of(&part, seeds, states), dimension)?;
-    let header = arguments.shard.is_first().then(|| results::header(&cells.keys));
+    let is_recorded = base.plant.recording().is_some();
+    let header = arguments.shard.is_first().then(|| results::header(&cells.keys, is_recorded));
     let study = Study {
         host_sim: env!("CARGO_PKG_VERSION").to_owned(),
         scenario: base.name.clone(),
@@ -354,7 +355,7 @@ fn plan(
         shard: arguments.shard.to_string(),
         runs: part.end - part.start,
     };
-    Ok((study, Runs::new(own, (seed, seeds), others, part, header)))
+    Ok((study, Runs::new(own, (seed, seeds), others, part, (header, is_recorded))))
 }
 
 /// Writes what is made of a complete table, `summary.csv` and the picture; returns their names.

@@ -104,7 +104,8 @@ fn next_line(reader: &mut impl BufRead, line: &mut String) -> io::Result<bool> {
 fn is_row(line: &str, start: &str) -> bool {
     let Some(rest) = line.strip_prefix(start) else { return false };
     let mut fields = rest.trim_end_matches('\n').split(',');
-    fields.clone().count() == MEASURED && matches!(fields.next_back(), Some("true" | "false"))
+    MEASURED.contains(&fields.clone().count())
+        && matches!(fields.next_back(), Some("true" | "false"))
 }
 
 fn unreadable(path: &Path, error: &io::Error) -> CommandError {

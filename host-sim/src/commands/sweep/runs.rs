@@ -80,11 +80,11 @@ impl Runs {
         (first_seed, seeds): (u64, u64),
         other_states: Vec<Vec<f64>>,
         range: Range<u64>,
-        header: Option<String>,
+        (header, is_recorded): (Option<String>, bool),
     ) -> Self {
         let first_cell = range.start / (seeds * (1 + other_states.len() as u64));
         let with_rows = |cell: Cell| {
-            let rows = CellRows::new(&cell);
+            let rows = CellRows::new(&cell, is_recorded);
             (cell, rows)
         };
         let cells = cells.into_iter().map(with_rows).collect();

@@ -205,7 +205,9 @@ impl Place<'_> {
     fn in_table(self, table: &mut dyn TableLike, is_inline: bool) -> Result<(), Refusal> {
         let part = self.part();
         let change = self.change;
-        if change.path == ["observer", "preset"] && change.value.as_str() == Some("paper") && self.is_last()
+        if change.path == ["observer", "preset"]
+            && change.value.as_str() == Some("paper")
+            && self.is_last()
         {
             table.clear();
         }

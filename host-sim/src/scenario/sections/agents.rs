@@ -6,9 +6,9 @@ use super::clock::{self, ClockSettings};
 use super::recording::columns;
 use super::sensor::{self, SensorSettings};
 use crate::graph::{Edge, Graph, GraphError};
+use crate::number::counted;
 use crate::plant::Plant;
 use crate::scenario::error::ScenarioError;
-use crate::number::counted;
 use crate::scenario::reader::{STATE, Table, Value, has};
 use crate::scenario::{Agent, Time};
 
@@ -131,7 +131,8 @@ fn from_adjacency(value: &Value<'_>, agents: usize) -> Result<Graph, ScenarioErr
     let rows = value.list("write each row as a list of numbers")?;
     if rows.len() != agents {
         let found = has(rows.len(), "row", "rows");
-        let problem = format!("{found}, but there are {}", counted(agents as u64, "agent", "agents"));
+        let problem =
+            format!("{found}, but there are {}", counted(agents as u64, "agent", "agents"));
         return Err(value.error(problem, format!("write one row per agent, {agents} in all")));
     }
     let matrix = value.matrix(agents, "the number of agents")?;

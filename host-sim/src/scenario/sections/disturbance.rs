@@ -45,11 +45,7 @@ fn expressions(table: &Table<'_>, plant: &Plant, _: &Time) -> Result<Disturbance
     system(&value, &plant.state_names(), &[]).map(Disturbance::Expressions)
 }
 
-fn harmonic_sum(
-    table: &Table<'_>,
-    plant: &Plant,
-    _: &Time,
-) -> Result<Disturbance, ScenarioError> {
+fn harmonic_sum(table: &Table<'_>, plant: &Plant, _: &Time) -> Result<Disturbance, ScenarioError> {
     table.only(&["model", "components"])?;
     let value = table.require("components", HARMONICS)?;
     harmonics(&value, plant.dimension()).map(Disturbance::Harmonic)

@@ -6,9 +6,9 @@ use super::agents::agent;
 use super::network::initial_parameters;
 use super::run::{after_the_end, check_before_end};
 use super::trainer;
+use crate::number::significant;
 use crate::scenario::error::{ScenarioError, closest};
 use crate::scenario::reader::{Table, Value};
-use crate::number::significant;
 use crate::scenario::{LearningCycle, Recipe, Relearning, Scenario, SwitchIn, Time, Window};
 use crate::training::InitialParameters;
 use crate::training::network_problem::PARAMETERS_MAX;
@@ -111,7 +111,8 @@ pub(in crate::scenario) fn check_relearning(
          {duration} s",
         significant(least, 3)
     );
-    let hint = "use a shorter window, a longer time.duration or earlier cycles, or remove this table";
+    let hint =
+        "use a shorter window, a longer time.duration or earlier cycles, or remove this table";
     Err(table.error(problem, hint))
 }
 

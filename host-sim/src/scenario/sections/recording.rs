@@ -49,7 +49,8 @@ pub(super) fn recording(table: &Table<'_>) -> Result<Recorded, ScenarioError> {
 
 /// Checks that the inputs are different columns, and not the state that agents are to estimate.
 fn check_known(recorded: &Recorded, value: &Value<'_>) -> Result<(), ScenarioError> {
-    for (index, (column, value)) in recorded.inputs.iter().zip(value.list(NAME_A_COLUMN)?).enumerate()
+    for (index, (column, value)) in
+        recorded.inputs.iter().zip(value.list(NAME_A_COLUMN)?).enumerate()
     {
         let name = &recorded.names[*column];
         if recorded.inputs[..index].contains(column) {
