@@ -38,7 +38,7 @@ pub enum Purpose {
     InitialState,
     /// Points of a Latin hypercube.
     LatinHypercube,
-    /// A disturbance that is random.
+    /// A random disturbance.
     Disturbance,
 }
 

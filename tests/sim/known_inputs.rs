@@ -240,6 +240,13 @@ fn an_input_without_a_value_is_named() {
     let options = RunOptions { seed: 0, learning: false, bounds: false };
     let error = run(&parsed(&text), options, &Silent).err().unwrap().to_string();
     assert!(error.contains("plant.inputs, expression 1 for u"), "{error}");
+    let folder = Folder::new("input-without-a-value");
+    folder.write("driven.toml", &text);
+    let error = folder.fail("check driven.toml", 1);
+    assert!(
+        error.contains("plant.inputs, expression 1 for u") && error.contains("t = 0.5"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -250,6 +257,7 @@ fn an_input_without_a_value_on_an_agents_clock_is_named() {
         "output_matrix = [[1.0, 0.0]]\nclock = { offset = 3.0 }",
         1,
     );
+    let folder = Folder::new("input-on-a-clock");
     let options = RunOptions { seed: 0, learning: false, bounds: false };
     for (input, expected) in [
         ("0*sqrt(25 - t)", "plant.inputs, expression 1 for u"),
@@ -257,7 +265,11 @@ fn an_input_without_a_value_on_an_agents_clock_is_named() {
     ] {
         for health in ["", "\n[health]\n"] {
             let text = ahead.replace("4*sin(w*t)", &format!("4*sin(w*t) + {input}"));
-            let result = run(&parsed(&(text + health)), options, &Silent);
+            let text = text + health;
+            folder.write("ahead.toml", &text);
+            let early = folder.fail("check ahead.toml", 1);
+            assert!(early.contains(expected), "{early}");
+            let result = run(&parsed(&text), options, &Silent);
             let error = result.err().unwrap_or_else(|| panic!("{input}")).to_string();
             assert!(error.contains(expected), "{error}");
         }

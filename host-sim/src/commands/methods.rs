@@ -113,7 +113,7 @@ pub(super) fn carry_out<P: Progress>(
     methods.par_iter().map(one).collect()
 }
 
-/// Whether errors are against the plant's own state or a reference; otherwise there are only innovations.
+/// Whether errors are known; otherwise only innovations are.
 fn have_errors(rows: &[Row]) -> bool {
     let has = |numbers: &[Option<f64>]| numbers.iter().any(Option::is_some);
     rows.iter().any(|row| has(&row.rmse)) || !rows.iter().any(|row| has(&row.innovation_rms))
@@ -210,7 +210,10 @@ pub(super) fn picture(scenario: &Scenario, rows: &[Row]) -> Option<Figure> {
         error_label: if has_errors { RMSE_LABEL } else { INNOVATION_LABEL },
         forms,
         target: (target, target),
-        target_label: if has_errors { "error of the run itself" } else { "the run itself" },
+        target_label: match has_errors {
+            true => "error of the run itself",
+            false => "innovation of the run itself",
+        },
         has_certificates: false,
         own_label: "the run itself",
     }))

@@ -1,6 +1,7 @@
 //! Disturbances of the plant.
 
 use super::{ExpressionFault, ExpressionSystem, RandomDisturbance};
+use crate::scenario::Time;
 
 /// `d`, the disturbance.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,7 +47,8 @@ impl Disturbance {
     /// may depend on the state.
     ///
     /// # Panics
-    /// If `d` (or, for expressions, `x`) has too few components.
+    /// If `d` (or, for expressions, `x`) has too few components, or a random disturbance has not been
+    /// [`drawn`](Self::drawn).
     #[inline]
     pub fn evaluate(&self, time: f64, x: &[f64], d: &mut [f64]) {
         match self {
@@ -62,12 +64,12 @@ impl Disturbance {
         }
     }
 
-    /// Returns the disturbance of a run with this seed; `None` if it is the same for all.
+    /// Returns the disturbance of a run with this seed; `None` if it is this one.
     #[must_use]
-    pub fn drawn(&self, seed: u64) -> Option<Self> {
+    pub fn drawn(&self, seed: u64, time: &Time) -> Option<Self> {
         match self {
             Self::None | Self::Harmonic(_) | Self::Expressions(_) => None,
-            Self::Random(random) => Some(Self::Random(random.drawn(seed))),
+            Self::Random(random) => random.drawn(seed, time).map(Self::Random),
         }
     }
 

@@ -49,7 +49,7 @@ pub struct Scenario {
     pub hash: u64,
     /// `f`, the drift, unknown to the agents.
     pub plant: Plant,
-    /// `d`, the disturbance of the plant.
+    /// `d`, the disturbance of the plant; a random one has no path until [`Self::drawn`].
     pub disturbance: Disturbance,
     /// `x_0(0)`, shape `[n]`; with [`Self::initial_spread`] the one of seed 0, until
     /// [`Self::drawn`].
@@ -114,7 +114,7 @@ impl Scenario {
         if let Some(initial_state) = initial_state {
             drawn.to_mut().initial_state = initial_state;
         }
-        if let Some(disturbance) = self.disturbance.drawn(seed) {
+        if let Some(disturbance) = self.disturbance.drawn(seed, &self.time) {
             drawn.to_mut().disturbance = disturbance;
         }
         drawn
@@ -188,7 +188,7 @@ impl Scenario {
         let (relearning, last) = (self.relearning.as_ref()?, self.learning.last()?);
         let windows = 1 + Relearning::REFERENCES + Relearning::ABOVE;
         let from = self.observer.as_ref().map_or(0.0, |observer| observer.from);
-        let watched_from = last.apply_at.max(from);
+        let watched_from = self.learning.iter().map(|cycle| cycle.apply_at).fold(from, f64::max);
         let length = last.apply_at - last.collect.from;
         Some(watched_from + f64::from(windows) * relearning.window + length)
     }

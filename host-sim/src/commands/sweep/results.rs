@@ -38,8 +38,11 @@ pub(super) const RECORDED: [&str; 9] = [
     "diverged",
 ];
 
-/// Numbers of columns after `agent`.
-pub(super) const MEASURED: [usize; 2] = [COLUMNS.len() - 3, RECORDED.len() - 3];
+/// Returns the number of columns after `agent`.
+pub(super) fn measured(is_recorded: bool) -> usize {
+    let columns = if is_recorded { RECORDED.len() } else { COLUMNS.len() };
+    columns - 3
+}
 
 /// Returns the number of varied keys in a header, and whether it is of a recording.
 pub(super) fn keys_of(header: &[String]) -> Option<(usize, bool)> {
@@ -117,7 +120,7 @@ impl CellRows {
         let agents = agents.filter(|agents| agents.iter().all(is_finite));
         let row = |index: usize| {
             let start = self.start_of_row(seed, initial_state, index + 1);
-            start + &measured(agents.map(|agents| &agents[index]), self.is_recorded)
+            start + &measurements(agents.map(|agents| &agents[index]), self.is_recorded)
         };
         (0..self.agents).map(row).collect()
     }
@@ -131,7 +134,7 @@ fn is_finite(agent: &AgentStatistics) -> bool {
         .all(f64::is_finite)
 }
 
-fn measured(agent: Measured<'_>, is_recorded: bool) -> String {
+fn measurements(agent: Measured<'_>, is_recorded: bool) -> String {
     let Some(agent) = agent else {
         return if is_recorded { ",,,,,true\n" } else { ",,,,true\n" }.to_owned();
     };

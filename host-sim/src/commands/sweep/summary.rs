@@ -16,7 +16,7 @@ use serde::Serialize;
 use super::results::{keys_of, line};
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::output::{FileKind, OutputError, write_result};
-use crate::number::significant;
+use crate::number::{counted, significant};
 use crate::report::columns::Table;
 
 /// Name of the file.
@@ -96,7 +96,6 @@ pub(super) struct Measures {
     pub(super) bytes: Option<Interval>,
     pub(super) max_error: Option<Interval>,
     /// Of a recording.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) innovation_rms: Option<Interval>,
 }
 
@@ -267,7 +266,7 @@ impl Summary {
         })
     }
 
-    /// Whether errors are against the plant's own state or a reference; otherwise there are only innovations.
+    /// Whether errors are known; otherwise only innovations are.
     pub(super) fn has_errors(&self) -> bool {
         !self.is_recorded || self.cells.iter().any(|cell| cell.all.rmse.is_some())
     }
@@ -302,7 +301,8 @@ impl Summary {
     pub(super) fn text(&self) -> String {
         let mut text = self.table(SHOWN_MAX).text();
         if let Some(more) = self.cells.len().checked_sub(SHOWN_MAX).filter(|&more| more > 0) {
-            text += &format!("... and {more} more cells in {NAME}\n");
+            text +=
+                &format!("... and {} in {NAME}\n", counted(more as u64, "more cell", "more cells"));
         }
         text
     }

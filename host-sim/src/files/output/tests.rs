@@ -90,8 +90,13 @@ fn a_file_in_place_of_a_folder_is_named() {
     for path in [file.clone(), file.join("inner/deep")] {
         let error = make_folder(&path).unwrap_err();
         assert!(error.is_refusal(), "{error}");
-        assert!(error.to_string().ends_with("results is a file; choose another folder"), "{error}");
+        assert!(
+            error.to_string().ends_with("results is a file, not a folder; choose another folder"),
+            "{error}"
+        );
     }
+    let error = write(&file.join("inner"), "test").unwrap_err();
+    assert!(matches!(error, OutputError::NotAFolder { .. }), "{error}");
     assert_eq!(fs::read(&file).unwrap(), b"mine");
 }
 

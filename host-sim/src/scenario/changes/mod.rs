@@ -16,6 +16,7 @@ use core::fmt;
 use toml_edit::{Array, DocumentMut, InlineTable, Item, Key, Table, TableLike, Value};
 
 use super::error::ScenarioError;
+use crate::number::counted;
 
 /// Plain values that become a table when one of its keys is set, with the key for the old value, if
 /// it is kept.
@@ -81,6 +82,15 @@ impl Change {
         self.path == other.path
     }
 
+    fn is_preset(&self) -> bool {
+        self.path == ["observer", "preset"]
+    }
+
+    /// Whether it selects the paper's observer, which has none of the other keys of `[observer]`.
+    fn is_papers_preset(&self) -> bool {
+        self.is_preset() && self.value.as_str() == Some("paper")
+    }
+
     /// Whether the key of an error, such as `agents[2].sensor`, is the changed key, contains it, or is
     /// inside it.
     fn concerns(&self, key: &str) -> bool {
@@ -133,6 +143,8 @@ pub(super) fn applied(
     changes: &[Change],
 ) -> Option<Result<String, ScenarioError>> {
     let mut document: DocumentMut = text.parse().ok()?;
+    let preset = changes.iter().rev().find(|change| change.is_preset());
+    let is_paper = preset.is_some_and(Change::is_papers_preset);
     for change in changes {
         let refused = |(problem, hint): Refusal| ScenarioError {
             file: file.to_owned(),
@@ -141,6 +153,11 @@ pub(super) fn applied(
             problem,
             hint,
         };
+        if is_paper && change.path[0] == "observer" && change.path.len() > 1 && !change.is_preset()
+        {
+            let problem = "has no effect with observer.preset=paper".to_owned();
+            return Some(Err(refused((problem, "leave one of them out".to_owned()))));
+        }
         let place = Place { change, depth: 0 };
         if let Err(refusal) = place.in_table(document.as_table_mut(), false) {
             return Some(Err(refused(refusal)));
@@ -204,11 +221,7 @@ impl Place<'_> {
 
     fn in_table(self, table: &mut dyn TableLike, is_inline: bool) -> Result<(), Refusal> {
         let part = self.part();
-        let change = self.change;
-        if change.path == ["observer", "preset"]
-            && change.value.as_str() == Some("paper")
-            && self.is_last()
-        {
+        if self.is_last() && self.change.is_papers_preset() {
             table.clear();
         }
         match table.get_mut(part) {
@@ -297,7 +310,7 @@ impl Place<'_> {
 
     fn no_entry(&self, count: usize) -> Refusal {
         let above = self.above();
-        let entries = if count == 1 { "1 entry" } else { &format!("{count} entries") };
+        let entries = counted(count as u64, "entry", "entries");
         let problem =
             format!("{above} is a list with {entries}, and {:?} is not one of them", self.part());
         let hint = match count {

@@ -94,7 +94,18 @@ fn the_papers_observer_replaces_any_other() {
     let (scenario, text) = Scenario::parse_changed("paper", &text, &changes).unwrap();
     assert_eq!(scenario.observer, None);
     assert!(text.ends_with("[observer]\npreset = \"paper\"\n"), "{text}");
-    assert!(paper(&["observer.preset=paper", "observer.from=20"]).is_err());
+    for changes in [
+        ["observer.preset=paper", "observer.error=0.02"],
+        ["observer.error=0.02", "observer.preset=paper"],
+    ] {
+        assert_eq!(
+            refusal(&changes),
+            "paper: --set observer.error=0.02: has no effect with observer.preset=paper; leave one of them out"
+        );
+    }
+    assert!(
+        paper(&["observer.preset=paper", "observer.error=0.02", "observer.preset=field"]).is_ok()
+    );
 }
 
 #[test]

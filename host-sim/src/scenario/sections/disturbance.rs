@@ -17,8 +17,8 @@ const MODELS: [(&str, Read); 4] = [
     ("ornstein-uhlenbeck", ornstein_uhlenbeck),
 ];
 
-/// Limit for the numbers of a random path: 1 GiB.
-const PATH_MAX: u64 = 1 << 27;
+/// Limit for the numbers of a random path, 128 MiB: runs that are carried out together have one each.
+const PATH_MAX: u64 = 1 << 24;
 
 pub(in crate::scenario) fn disturbance(
     root: &Table<'_>,
@@ -51,7 +51,7 @@ fn harmonic_sum(table: &Table<'_>, plant: &Plant, _: &Time) -> Result<Disturbanc
     harmonics(&value, plant.dimension()).map(Disturbance::Harmonic)
 }
 
-/// Reads a random disturbance; its path is the one of seed 0 until a run draws its own.
+/// Reads a random disturbance; every run draws its own path.
 fn ornstein_uhlenbeck(
     table: &Table<'_>,
     plant: &Plant,
@@ -60,16 +60,15 @@ fn ornstein_uhlenbeck(
     table.only(&["model", "deviation", "correlation_time"])?;
     let n = plant.dimension();
     let deviation = table.require("deviation", "0.5")?.not_negative_for_each(n)?;
-    let correlation = table.require("correlation_time", "0.5")?;
-    let steps = time.tick(time.duration);
-    if steps.saturating_mul(n as u64) > PATH_MAX {
-        let most = PATH_MAX / n as u64;
-        let problem = format!("would be drawn for {steps} steps in advance");
-        return Err(table.error(problem, format!("use at most {most} steps")));
+    let correlation_time = table.require("correlation_time", "0.5")?.positive()?;
+    let (steps, most) = (time.tick(time.duration), PATH_MAX / n as u64);
+    if steps > most {
+        let problem = format!("is drawn before the run, for each of its {steps} steps");
+        let hint =
+            format!("use a shorter time.duration or a longer time.step, for at most {most} steps");
+        return Err(table.error(problem, hint));
     }
-    let steps = (time.step_size, steps);
-    let random = RandomDisturbance::new(deviation, correlation.positive()?, steps, 0);
-    Ok(Disturbance::Random(random))
+    Ok(Disturbance::Random(RandomDisturbance::new(deviation, correlation_time)))
 }
 
 const HARMONICS: &str = "[{ amplitude = 0.5, angular_frequency = 2.0, function = \"sin\" }, []]";

@@ -103,7 +103,7 @@ pub(in crate::scenario) fn check_relearning(
         return Ok(());
     };
     let duration = scenario.time.duration;
-    if least < duration {
+    if scenario.time.tick(least) < scenario.steps() {
         return Ok(());
     }
     let problem = format!(

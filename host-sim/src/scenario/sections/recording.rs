@@ -59,7 +59,7 @@ fn check_known(recorded: &Recorded, value: &Value<'_>) -> Result<(), ScenarioErr
         }
         if recorded.reference.contains(column) {
             let problem = format!("the column `{name}` is the reference of a state");
-            let hint = "remove it: agents know their inputs, and would know the state";
+            let hint = "remove it: agents know their inputs, so they would know the state";
             return Err(value.error(problem, hint));
         }
     }
