@@ -1,4 +1,4 @@
-//! Formats numbers with a fixed number of significant digits.
+//! Formats numbers with a fixed number of significant digits, and counts with their noun.
 
 /// Formats `value` with `digits` significant digits: plain from 1e-4 to below 1e6, otherwise
 /// scientific.
@@ -22,6 +22,12 @@ pub fn significant(value: f64, digits: usize) -> String {
         }
         _ => scientific,
     }
+}
+
+/// `1 entry`, `2 entries`.
+#[must_use]
+pub fn counted(count: u64, one: &str, many: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { many })
 }
 
 #[cfg(test)]

@@ -38,6 +38,8 @@ pub enum Purpose {
     InitialState,
     /// Points of a Latin hypercube.
     LatinHypercube,
+    /// A random disturbance.
+    Disturbance,
 }
 
 /// Draws the random numbers of one purpose.

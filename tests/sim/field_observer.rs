@@ -135,7 +135,7 @@ fn another_parent_is_followed_when_the_parent_is_down() {
 
 /// The scenarios that docs/field-observer.md measures: name, broadcasts of all agents that must suffice, and
 /// largest errors of the agents.
-const FORMS: [(&str, &str, u64, [f64; 3]); 9] = [
+const FORMS: [(&str, &str, u64, [f64; 3]); 11] = [
     (
         "theorem-1",
         include_str!("../../host-sim/examples/field-observer/theorem-1.toml"),
@@ -175,6 +175,18 @@ const FORMS: [(&str, &str, u64, [f64; 3]); 9] = [
         [0.005; 3],
     ),
     ("robust", include_str!("../../host-sim/examples/field-observer/robust.toml"), 800, TABLE_1),
+    (
+        "random disturbance",
+        include_str!("../../host-sim/examples/field-observer/random-disturbance.toml"),
+        300,
+        TABLE_1,
+    ),
+    (
+        "changing frequencies",
+        include_str!("../../host-sim/examples/field-observer/changing-frequencies.toml"),
+        300,
+        TABLE_1,
+    ),
 ];
 
 /// The paper's errors.

@@ -185,6 +185,30 @@ fn inputs_of_a_recording_are_those_of_the_plant() {
 }
 
 #[test]
+fn inputs_are_not_what_agents_estimate() {
+    let folder = Folder::new("inputs-that-are-not");
+    folder.write("experiment.csv", "t,x,y,u\n0,1,1,0\n1,2,2,1\n2,3,3,1\n");
+    let scenario = |inputs: &str| {
+        format!(
+            "name = \"own\"\n[plant]\nmodel = \"recording\"\nfile = \"experiment.csv\"\n\
+             states = [\"x\"]\nreference = [\"x\"]\ninputs = {inputs}\n[time]\nduration = 2.0\n\
+             step = 0.5\n[design]\ngain = [1.0]\nk2 = 2.0\nkappa = 1.0\nrho = 1.0\ndelta = 1.0\n\
+             epsilon = 1.0\n[[agents]]\noutput_matrix = [[1.0]]\n\
+             measured = [\"y\"]\n"
+        )
+    };
+    for (inputs, key, problem) in [
+        ("[\"u\", \"u\"]", "plant.inputs[2]", "the column `u` is listed twice"),
+        ("[\"x\"]", "plant.inputs[1]", "the column `x` is the reference of a state"),
+        ("[\"y\"]", "agents[1].measured", "the column `y` is a known input of all agents"),
+    ] {
+        folder.write("own.toml", &scenario(inputs));
+        let error = Scenario::load(&folder.path("own.toml")).unwrap_err();
+        assert_eq!((error.key.as_deref(), &*error.problem), (Some(key), problem), "{error}");
+    }
+}
+
+#[test]
 fn every_method_and_the_field_observer_take_known_inputs() {
     // A cubic of four variables needs longer samples.
     let one = DRIVEN.replace(", k = \"1 + 0.5*sin(0.7*t)\"", "").replace("-k*x", "-x");
@@ -216,6 +240,13 @@ fn an_input_without_a_value_is_named() {
     let options = RunOptions { seed: 0, learning: false, bounds: false };
     let error = run(&parsed(&text), options, &Silent).err().unwrap().to_string();
     assert!(error.contains("plant.inputs, expression 1 for u"), "{error}");
+    let folder = Folder::new("input-without-a-value");
+    folder.write("driven.toml", &text);
+    let error = folder.fail("check driven.toml", 1);
+    assert!(
+        error.contains("plant.inputs, expression 1 for u") && error.contains("t = 0.5"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -226,6 +257,7 @@ fn an_input_without_a_value_on_an_agents_clock_is_named() {
         "output_matrix = [[1.0, 0.0]]\nclock = { offset = 3.0 }",
         1,
     );
+    let folder = Folder::new("input-on-a-clock");
     let options = RunOptions { seed: 0, learning: false, bounds: false };
     for (input, expected) in [
         ("0*sqrt(25 - t)", "plant.inputs, expression 1 for u"),
@@ -233,7 +265,11 @@ fn an_input_without_a_value_on_an_agents_clock_is_named() {
     ] {
         for health in ["", "\n[health]\n"] {
             let text = ahead.replace("4*sin(w*t)", &format!("4*sin(w*t) + {input}"));
-            let result = run(&parsed(&(text + health)), options, &Silent);
+            let text = text + health;
+            folder.write("ahead.toml", &text);
+            let early = folder.fail("check ahead.toml", 1);
+            assert!(early.contains(expected), "{early}");
+            let result = run(&parsed(&text), options, &Silent);
             let error = result.err().unwrap_or_else(|| panic!("{input}")).to_string();
             assert!(error.contains(expected), "{error}");
         }

@@ -12,6 +12,7 @@ mod methods;
 mod networks;
 mod packages;
 mod paper_run;
+mod random_disturbance;
 mod recordings;
 mod relearning;
 pub(crate) mod reproduce;

@@ -77,6 +77,52 @@ fn without_a_reference_there_are_innovations_and_no_errors() {
 }
 
 #[test]
+fn studies_and_methods_without_a_reference_show_innovations() {
+    let folder = Folder::new("recording-studied");
+    let measured = |column: &str| format!("measured = [\"{column} [state unit]\"]");
+    let rows = ["[0.0, 1.0, 0.0]", "[0.0, 0.0, 1.0]"];
+    let mut text = recorded(&folder, &measured("x"), "");
+    for (row, column) in rows.iter().zip(["y", "z"]) {
+        let plain = format!("output_matrix = [{row}]");
+        text = text.replace(&plain, &format!("{plain}\n{}", measured(column)));
+    }
+    folder.write("recorded.toml", &text);
+    let sweep = "sweep recorded.toml --vary design.epsilon=1000,3000 --seeds 2 --out study";
+    let study = object(&folder.succeed(&format!("{sweep} --format json")));
+    for cell in study["summary"].as_array().unwrap() {
+        assert!(cell["rmse"].is_null(), "{cell}");
+        assert!(cell["innovation_rms"]["median"].as_f64().unwrap() > 0.0, "{cell}");
+    }
+    let results = fs::read_to_string(folder.path("study/results.csv")).unwrap();
+    let (header, rows) = results.split_once('\n').unwrap();
+    assert!(header.ends_with("rmse,broadcasts,bytes,max_error,innovation_rms,diverged"));
+    for row in rows.lines() {
+        let fields: Vec<&str> = row.split(',').collect();
+        let ["", _, _, "", innovation, "false"] = fields[4..] else { panic!("{row}") };
+        assert!(innovation.parse::<f64>().unwrap() > 0.0, "{row}");
+    }
+    // Half of the table is continued to the same bytes.
+    let half = &results[..results.len() / 2];
+    fs::write(folder.path("study/results.csv"), half).unwrap();
+    let shown = folder.succeed(sweep);
+    assert!(shown.contains("largest innovation RMS of an agent"), "{shown}");
+    assert_eq!(fs::read_to_string(folder.path("study/results.csv")).unwrap(), results);
+    let picture = fs::read_to_string(folder.path("study/tradeoff.svg")).unwrap();
+    assert!(picture.contains("largest innovation RMS of an agent [output unit]"), "{picture}");
+
+    folder.write("plain.toml", &format!("method = \"no-network\"\n{text}"));
+    let text = folder.succeed("run plain.toml --baselines observer,untrained --out methods");
+    assert!(text.contains("innovation RMS"), "{text}");
+    let table = fs::read_to_string(folder.path("methods/methods.csv")).unwrap();
+    let mut lines = table.lines();
+    assert!(lines.next().unwrap().starts_with("method,agent,rmse,innovation_rms,broadcasts_all"));
+    for line in lines {
+        let fields: Vec<&str> = line.split(',').collect();
+        assert!(fields[2].is_empty() && fields[3].parse::<f64>().unwrap() > 0.0, "{line}");
+    }
+}
+
+#[test]
 fn a_recording_that_does_not_fit_is_refused_with_its_place() {
     let folder = Folder::new("recordings-refused");
     let good = "t,y1,y2\n0,1,2\n0.5,1,2\n4.0,1,2\n";

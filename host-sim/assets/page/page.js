@@ -96,10 +96,12 @@ function agentTable(run) {
 }
 
 function methodTable(run) {
-  const errors = (method) => range(method.rmse, (value) => number(value, 3));
   return table("Methods on the same plant, links and sensors", [
     { name: "method", value: (method) => method.method, isText: true },
-    { name: "RMSE of the agents", value: errors, show: (text, method) => (method.reason ? "failed" : text) },
+    ...[["RMSE of the agents", "rmse"], ["innovation RMS of the agents", "innovation_rms"]]
+      .filter(([, key]) => run.methods.some((method) => method[key]?.some((value) => value != null)))
+      .map(([name, key]) => ({ name, value: (method) => range(method[key] ?? [], (value) => number(value, 3)),
+        show: (text, method) => (method.reason ? "failed" : text) })),
     { name: "broadcasts", value: (method) => method.broadcasts },
     { name: "bytes", value: (method) => method.bytes },
     { name: "knows", value: (method) => method.reason || method.knows, isText: true },

@@ -6,7 +6,7 @@ function tradeoffPlot(data) {
   const missing = all.length - points.length;
   if (!points.length) return element("p", {}, "No cell has a result with broadcasts, so there is nothing to draw.");
   const frame = element("div", { class: "frame", tabindex: 0, role: "group",
-    "aria-label": "Error against broadcasts, one mark for each cell; the table below has the numbers. Drag to zoom, double click to show all." });
+    "aria-label": `${data.error_label} against broadcasts, one mark for each cell; the table below has the numbers. Drag to zoom, double click to show all.` });
   const status = element("p", { class: "note", role: "status" }, "Bars reach over 95 % of the runs. Point at a mark for its numbers; drag to zoom, double click to show all.");
   const legend = element("ul", { class: "legend" });
   const extent = (values) => {
@@ -71,7 +71,7 @@ function tradeoffPlot(data) {
     if (distance(found) > 25) return;
     const name = [found.line.name, found.label && `${data.along} = ${found.label}`].filter(Boolean).join(", ");
     const text = ([low, middle, high]) => `${number(middle)} (${number(low)} to ${number(high)})`;
-    status.textContent = `${name ? `${name}: ` : ""}error ${text(found.error)}, broadcasts ${text(found.broadcasts)}`;
+    status.textContent = `${name ? `${name}: ` : ""}${data.error_label}: ${text(found.error)}; broadcasts ${text(found.broadcasts)}`;
   };
   const build = () => {
     if (plot) plot.destroy();
@@ -81,7 +81,7 @@ function tradeoffPlot(data) {
       width: Math.max(50, Math.floor(frame.clientWidth)), height: 420, legend: { show: false },
       cursor: { drag: { x: true, y: true, setScale: false }, points: { show: false } },
       scales: { x: { time: false, distr: 3, range: () => shownX }, y: { distr: 3, range: () => shownY } },
-      axes: [{ ...axis, label: "broadcasts of all agents", labelSize: 20 }, { ...axis, label: "largest RMSE of an agent [state unit]", labelSize: 20, size: 62 }],
+      axes: [{ ...axis, label: "broadcasts of all agents", labelSize: 20 }, { ...axis, label: data.error_label, labelSize: 20, size: 62 }],
       series: [{}, { stroke: "transparent", points: { show: false } }],
       hooks: { draw: [draw], setCursor: [nearest], setSelect: [selected] },
     }, [xs, ys], frame);
@@ -114,10 +114,11 @@ function cellTable(data) {
     ...keys,
     { name: "runs", value: (cell) => cell.runs },
     { name: "diverged", value: (cell) => cell.diverged },
-    { name: "RMSE", ...interval("rmse") },
-    { name: "largest error", ...interval("max_error") },
+    ...[["RMSE", "rmse"], ["largest error", "max_error"], ["innovation RMS", "innovation_rms"]]
+      .filter(([, key]) => data.cells.some((cell) => cell[key]))
+      .map(([name, key]) => ({ name, ...interval(key) })),
     { name: "broadcasts", ...interval("broadcasts") },
     { name: "bytes", ...interval("bytes") },
   ];
-  return table("Median (and 95 % of the runs) of each cell: the largest error of an agent, and the broadcasts of all", columns, data.cells);
+  return table("Median (and 95 % of the runs) of each cell: the largest error or innovation of an agent, and the broadcasts of all", columns, data.cells);
 }

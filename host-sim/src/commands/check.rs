@@ -16,6 +16,9 @@ use crate::report::theorems::DesignChecks;
 use crate::scenario::Scenario;
 use crate::warning::Warning;
 
+/// Steps at which known inputs are evaluated at most; of a longer run, evenly spaced ones.
+const TICKS_CHECKED: u64 = 1 << 20;
+
 /// Arguments of `check`.
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
@@ -42,10 +45,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let scenario = load_scenario(&arguments.scenario, &arguments.changes)?;
     let design = DesignChecks::new(&scenario);
     let warnings = warnings::before(&scenario, &design);
-    let state = &scenario.initial_state;
-    let fault = RateFault::find(&scenario.plant, &scenario.disturbance, 0.0, state);
-    let outcome = if let Some(fault) = fault {
-        Err(RunError::Expression(Box::new(fault)).into())
+    let outcome = if let Some(error) = expression_error(&scenario) {
+        Err(error.into())
     } else if design.step.is_stable() {
         Ok(())
     } else {
@@ -70,6 +71,32 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             outcome.and(printed)
         }
     }
+}
+
+/// Returns what is wrong with an expression at the start, or with a known input at a step of the run by an agent's
+/// clock.
+fn expression_error(scenario: &Scenario) -> Option<RunError> {
+    let Scenario { plant, disturbance, initial_state, time, agents, .. } = scenario;
+    if let Some(fault) = RateFault::find(plant, disturbance, 0.0, initial_state) {
+        return Some(RunError::Expression(Box::new(fault)));
+    }
+    let names = plant.input_names();
+    if names.is_empty() {
+        return None;
+    }
+    let clocks = agents.iter().map(|agent| agent.clock.offset).enumerate();
+    let (agent, ahead) = clocks.max_by(|(_, a), (_, b)| a.total_cmp(b)).unwrap_or((0, 0.0));
+    let end = time.tick(time.duration + ahead);
+    let stride = end.div_ceil(TICKS_CHECKED).max(1) as usize;
+    (0..=end).step_by(stride).map(|tick| time.at(tick)).find_map(|time| {
+        if let Some(fault) = RateFault::of_inputs(plant, time) {
+            return Some(RunError::Expression(Box::new(fault)));
+        }
+        let known = plant.known_inputs(time);
+        let input = known.iter().position(|&u| !(u as f32).is_finite())?;
+        let (name, value) = (names[input].clone(), known[input]);
+        Some(RunError::KnownInput { agent: agent + 1, name, value, time })
+    })
 }
 
 fn text(scenario: &Scenario, design: &DesignChecks, warnings: &[Warning]) -> String {

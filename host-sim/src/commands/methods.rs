@@ -8,7 +8,9 @@ use serde::Serialize;
 
 use crate::engine::statistics::AgentStatistics;
 use crate::engine::{Progress, RunError, RunOptions, run};
-use crate::figures::{Figure, FrontierFigure, FrontierForm, FrontierPoint, frontier};
+use crate::figures::{
+    Figure, FrontierFigure, FrontierForm, FrontierPoint, INNOVATION_LABEL, RMSE_LABEL, frontier,
+};
 use crate::files::output::OutputError;
 use crate::files::table::write_table;
 use crate::number::significant;
@@ -28,6 +30,8 @@ pub(super) struct Row {
     knows: &'static str,
     /// RMSE of each agent in the evaluation window; empty if the run failed.
     rmse: Vec<Option<f64>>,
+    /// RMS of each agent's innovation there, if a recording is the plant; empty if the run failed.
+    innovation_rms: Vec<Option<f64>>,
     /// Of all agents in the evaluation window.
     broadcasts: Option<u64>,
     /// Length of their frames.
@@ -48,6 +52,7 @@ impl Row {
             method,
             knows: method.knows(),
             rmse: agents.iter().map(AgentStatistics::rmse).collect(),
+            innovation_rms: agents.iter().map(AgentStatistics::innovation_rms).collect(),
             broadcasts: sum(|agent| agent.broadcasts_evaluated),
             bytes: sum(|agent| agent.bytes_evaluated),
             reason: None,
@@ -56,19 +61,25 @@ impl Row {
 
     pub(super) fn failed(method: Method, error: &RunError) -> Self {
         let reason = Some(error.to_string());
-        Self { rmse: Vec::new(), broadcasts: None, bytes: None, reason, ..Self::new(method, &[]) }
+        Self { broadcasts: None, bytes: None, reason, ..Self::new(method, &[]) }
     }
 
     /// Returns the row of a method whose errors are excessive.
     fn diverged(method: Method, error: f64) -> Self {
         let reason = format!("it diverged: an error of {error:.1e} in the evaluation window");
         let reason = Some(reason);
-        Self { rmse: Vec::new(), broadcasts: None, bytes: None, reason, ..Self::new(method, &[]) }
+        Self { broadcasts: None, bytes: None, reason, ..Self::new(method, &[]) }
     }
 
-    fn largest_error(&self) -> Option<f64> {
+    /// Returns the errors of the agents, or their innovations if errors cannot be known.
+    fn errors(&self, has_errors: bool) -> &[Option<f64>] {
+        if has_errors { &self.rmse } else { &self.innovation_rms }
+    }
+
+    fn largest_error(&self, has_errors: bool) -> Option<f64> {
+        let errors = self.errors(has_errors).iter();
         let errors: Option<Vec<f64>> =
-            self.rmse.iter().map(|error| error.filter(|error| error.is_finite())).collect();
+            errors.map(|error| error.filter(|error| error.is_finite())).collect();
         errors?.into_iter().reduce(f64::max)
     }
 
@@ -102,6 +113,12 @@ pub(super) fn carry_out<P: Progress>(
     methods.par_iter().map(one).collect()
 }
 
+/// Whether errors are known; otherwise only innovations are.
+fn have_errors(rows: &[Row]) -> bool {
+    let has = |numbers: &[Option<f64>]| numbers.iter().any(Option::is_some);
+    rows.iter().any(|row| has(&row.rmse)) || !rows.iter().any(|row| has(&row.innovation_rms))
+}
+
 /// Heading of the table.
 pub(super) const TITLE: &str = "Methods on the same plant, links and sensors";
 
@@ -118,7 +135,9 @@ pub(super) fn table(rows: &[Row]) -> Table {
         _ => vec!["largest".to_owned()],
     };
     let mut headings = vec![["", "method"]];
-    headings.extend(columns.iter().map(|column| ["RMSE", column.as_str()]));
+    let has_errors = have_errors(rows);
+    let error = if has_errors { "RMSE" } else { "innovation RMS" };
+    headings.extend(columns.iter().map(|column| [error, column.as_str()]));
     headings.extend([["evaluated", "broadcasts"], ["evaluated", "bytes"], ["", "knows"]]);
     let entries: Vec<Vec<String>> = rows
         .iter()
@@ -128,9 +147,10 @@ pub(super) fn table(rows: &[Row]) -> Table {
             let mut entries = vec![row.method.name().to_owned()];
             match agents {
                 0..=COLUMNS => entries.extend(
-                    (0..agents).map(|agent| number(row.rmse.get(agent).copied().flatten())),
+                    (0..agents)
+                        .map(|agent| number(row.errors(has_errors).get(agent).copied().flatten())),
                 ),
-                _ => entries.push(number(row.largest_error())),
+                _ => entries.push(number(row.largest_error(has_errors))),
             }
             entries.extend([count(row.broadcasts), count(row.bytes), row.knows.to_owned()]);
             entries
@@ -141,15 +161,16 @@ pub(super) fn table(rows: &[Row]) -> Table {
 
 /// Writes `methods.csv`, one line for each method and agent.
 pub(super) fn write_csv(path: &Path, rows: &[Row]) -> Result<(), OutputError> {
-    let header = ["method", "agent", "rmse", "broadcasts_all", "bytes_all", "knows"];
+    let header =
+        ["method", "agent", "rmse", "innovation_rms", "broadcasts_all", "bytes_all", "knows"];
     let agents = rows.iter().map(|row| row.rmse.len()).max().unwrap_or(0);
-    let lines = rows.iter().flat_map(|row| {
-        (0..agents).map(move |index| (row, index + 1, row.rmse.get(index).copied().flatten()))
-    });
-    write_table(path, &header, lines, |line, (row, agent, rmse)| {
+    let lines = rows.iter().flat_map(|row| (0..agents).map(move |index| (row, index)));
+    write_table(path, &header, lines, |line, (row, index)| {
         line.text(row.method.name())?;
-        line.integer(agent as u64)?;
-        line.optional(rmse)?;
+        line.integer(index as u64 + 1)?;
+        for errors in [&row.rmse, &row.innovation_rms] {
+            line.optional(errors.get(index).copied().flatten())?;
+        }
         for count in [row.broadcasts, row.bytes] {
             match count {
                 Some(count) => line.integer(count)?,
@@ -163,8 +184,9 @@ pub(super) fn write_csv(path: &Path, rows: &[Row]) -> Result<(), OutputError> {
 /// Draws the largest error of an agent against the broadcasts of all, one mark for each method; `None` if
 /// no method has both.
 pub(super) fn picture(scenario: &Scenario, rows: &[Row]) -> Option<Figure> {
+    let has_errors = have_errors(rows);
     let point = |row: &Row| {
-        let (error, broadcasts) = (row.largest_error()?, row.broadcasts? as f64);
+        let (error, broadcasts) = (row.largest_error(has_errors)?, row.broadcasts? as f64);
         Some(FrontierPoint {
             broadcasts: [broadcasts; 3],
             error: [error; 3],
@@ -177,7 +199,7 @@ pub(super) fn picture(scenario: &Scenario, rows: &[Row]) -> Option<Figure> {
         .filter_map(|row| Some(FrontierForm { name: row.method.name(), points: vec![point(row)?] }))
         .collect();
     let own = rows.iter().find(|row| row.method == scenario.method)?;
-    let target = own.largest_error()?;
+    let target = own.largest_error(has_errors)?;
     let title = format!("{}: methods on the same plant, links and sensors", scenario.name);
     let window = scenario.evaluation;
     let broadcasts_label =
@@ -185,9 +207,13 @@ pub(super) fn picture(scenario: &Scenario, rows: &[Row]) -> Option<Figure> {
     Some(frontier(&FrontierFigure {
         title: &title,
         broadcasts_label: &broadcasts_label,
+        error_label: if has_errors { RMSE_LABEL } else { INNOVATION_LABEL },
         forms,
         target: (target, target),
-        target_label: "error of the run itself",
+        target_label: match has_errors {
+            true => "error of the run itself",
+            false => "innovation of the run itself",
+        },
         has_certificates: false,
         own_label: "the run itself",
     }))

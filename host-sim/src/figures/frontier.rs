@@ -20,6 +20,8 @@ pub struct FrontierFigure<'a> {
     pub title: &'a str,
     /// Label of the horizontal axis.
     pub broadcasts_label: &'a str,
+    /// Label of the vertical axis.
+    pub error_label: &'a str,
     /// The forms, in the order of their colours.
     pub forms: Vec<FrontierForm<'a>>,
     /// The wanted errors, smallest and largest. \[state unit\]
@@ -103,7 +105,7 @@ pub fn frontier(figure: &FrontierFigure<'_>) -> Figure {
     panel.draw_frame(&mut canvas, labels);
     draw_fine_labels(&mut canvas, &panel);
     panel.label_x(&mut canvas, figure.broadcasts_label);
-    panel.label_y(&mut canvas, "largest RMSE of an agent [state unit]", LABEL_BASELINE);
+    panel.label_y(&mut canvas, figure.error_label, LABEL_BASELINE);
     Figure { svg: canvas.finish(panel.area.bottom() + BOTTOM_MARGIN) }
 }
 
@@ -171,6 +173,7 @@ fn legend(figure: &FrontierFigure<'_>) -> Vec<Entry> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::RMSE_LABEL;
     use super::*;
 
     fn figure(error: f64) -> String {
@@ -190,6 +193,7 @@ mod tests {
         let figure = FrontierFigure {
             title: "a < b",
             broadcasts_label: "broadcasts",
+            error_label: RMSE_LABEL,
             forms,
             target: (0.06, 0.09),
             target_label: "target",

@@ -49,6 +49,11 @@ pub use render::{PNG_WIDTH, RenderError};
 pub use states::{StateFigure, states};
 pub use tradeoff::{TradeoffFigure, TradeoffLine, TradeoffPoint, tradeoff};
 
+/// Label of an axis with errors against the plant's own state or a reference.
+pub const RMSE_LABEL: &str = "largest RMSE of an agent [state unit]";
+/// Label of an axis with what stands in for errors where the state is not known.
+pub const INNOVATION_LABEL: &str = "largest innovation RMS of an agent [output unit]";
+
 /// A finished figure.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Figure {

@@ -21,6 +21,8 @@ pub struct TradeoffFigure {
     pub title: String,
     /// What the labels of marks are, such as the name of a key; empty without labels.
     pub label: String,
+    /// Label of the vertical axis.
+    pub error_label: &'static str,
     /// The lines, in the order of their colours.
     pub lines: Vec<TradeoffLine>,
 }
@@ -87,7 +89,7 @@ pub fn tradeoff(figure: &TradeoffFigure) -> Figure {
     panel.draw_frame(&mut canvas, Labels { x_ticks: true, y_ticks: true, minor_grid: false });
     draw_fine_labels(&mut canvas, &panel);
     panel.label_x(&mut canvas, "broadcasts of all agents in the evaluation window");
-    panel.label_y(&mut canvas, "largest RMSE of an agent [state unit]", LABEL_BASELINE);
+    panel.label_y(&mut canvas, figure.error_label, LABEL_BASELINE);
     Figure { svg: canvas.finish(panel.area.bottom() + BOTTOM_MARGIN) }
 }
 
@@ -187,6 +189,7 @@ fn legend(figure: &TradeoffFigure) -> Vec<Entry> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::RMSE_LABEL;
     use super::*;
 
     fn figure(lines: usize, error: f64) -> TradeoffFigure {
@@ -203,6 +206,7 @@ mod tests {
         TradeoffFigure {
             title: "a < b".to_owned(),
             label: "design.epsilon".to_owned(),
+            error_label: RMSE_LABEL,
             lines: (0..lines).map(line).collect(),
         }
     }

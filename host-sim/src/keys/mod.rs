@@ -29,6 +29,7 @@ pub use network_numbers::{NetworkNumbers, Stage};
 pub use operators::{OperatorStage, Operators};
 pub use secret::{FleetSecret, PortKeys};
 
+use crate::files::output::create_folders;
 use crate::signing::{AskPassphrase, OperatorKey};
 
 const OPERATOR: &str = "operator.pem";
@@ -154,7 +155,7 @@ fn create_folder(path: &Path) -> std::io::Result<()> {
         return Ok(());
     }
     if let Some(above) = path.parent().filter(|above| !above.as_os_str().is_empty()) {
-        fs::create_dir_all(above)?;
+        create_folders(above)?;
     }
     #[cfg_attr(not(unix), expect(unused_mut, reason = "there are no modes to set"))]
     let mut folder = fs::DirBuilder::new();

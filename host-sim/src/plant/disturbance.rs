@@ -1,6 +1,7 @@
 //! Disturbances of the plant.
 
-use super::{ExpressionFault, ExpressionSystem};
+use super::{ExpressionFault, ExpressionSystem, RandomDisturbance};
+use crate::scenario::Time;
 
 /// `d`, the disturbance.
 #[derive(Clone, Debug, PartialEq)]
@@ -11,6 +12,8 @@ pub enum Disturbance {
     Harmonic(Vec<Harmonic>),
     /// User-defined expressions, one per component of the state.
     Expressions(ExpressionSystem),
+    /// An Ornstein-Uhlenbeck process.
+    Random(RandomDisturbance),
 }
 
 /// `offset + amplitude function(angular_frequency t + phase)` on one component.
@@ -44,7 +47,8 @@ impl Disturbance {
     /// may depend on the state.
     ///
     /// # Panics
-    /// If `d` (or, for expressions, `x`) has too few components.
+    /// If `d` (or, for expressions, `x`) has too few components, or a random disturbance has not been
+    /// [`drawn`](Self::drawn).
     #[inline]
     pub fn evaluate(&self, time: f64, x: &[f64], d: &mut [f64]) {
         match self {
@@ -56,6 +60,16 @@ impl Disturbance {
                 }
             }
             Self::Expressions(system) => system.evaluate(time, x, d),
+            Self::Random(random) => random.evaluate(time, d),
+        }
+    }
+
+    /// Returns the disturbance of a run with this seed; `None` if it is this one.
+    #[must_use]
+    pub fn drawn(&self, seed: u64, time: &Time) -> Option<Self> {
+        match self {
+            Self::None | Self::Harmonic(_) | Self::Expressions(_) => None,
+            Self::Random(random) => random.drawn(seed, time).map(Self::Random),
         }
     }
 
@@ -63,7 +77,7 @@ impl Disturbance {
     /// there is one.
     pub(super) fn fault(&self, time: f64, x: &[f64]) -> Option<ExpressionFault> {
         match self {
-            Self::None | Self::Harmonic(_) => None,
+            Self::None | Self::Harmonic(_) | Self::Random(_) => None,
             Self::Expressions(system) => system.fault(time, x),
         }
     }

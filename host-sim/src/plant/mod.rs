@@ -14,12 +14,14 @@ mod disturbance;
 pub mod expression;
 mod function;
 mod integrator;
+mod random_disturbance;
 mod recorded;
 
 pub use disturbance::{Disturbance, Harmonic, Wave};
 pub use expression::{ExpressionFault, ExpressionSystem};
 pub use function::{FunctionPlant, Rate};
 pub use integrator::{Integrator, Stepper};
+pub use random_disturbance::RandomDisturbance;
 pub use recorded::{Between, Recorded};
 
 use std::sync::Arc;
@@ -236,12 +238,18 @@ impl RateFault {
     pub fn find(plant: &Plant, disturbance: &Disturbance, time: f64, x: &[f64]) -> Option<Self> {
         let drift = match plant {
             Plant::Expressions(system) => {
-                let input = system.inputs().and_then(|inputs| inputs.fault(time, &[]));
-                input.map(Self::Input).or_else(|| system.fault(time, x).map(Self::Drift))
+                Self::of_inputs(plant, time).or_else(|| system.fault(time, x).map(Self::Drift))
             }
             _ => None,
         };
         drift.or_else(|| disturbance.fault(time, x).map(Self::Disturbance))
+    }
+
+    /// Returns what is wrong with a known input at `time` \[s\].
+    #[must_use]
+    pub fn of_inputs(plant: &Plant, time: f64) -> Option<Self> {
+        let Plant::Expressions(system) = plant else { return None };
+        system.inputs().and_then(|inputs| inputs.fault(time, &[])).map(Self::Input)
     }
 
     /// Returns the expression.

@@ -188,7 +188,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     if let Some(recorded) = plant.recording() {
         run::check_recorded(root, &time, recorded.duration())?;
     }
-    let disturbance = disturbance::disturbance(root, &plant)?;
+    let disturbance = disturbance::disturbance(root, &plant, &time)?;
     let design = gains::design(root, n)?;
     let network = network::network(root, n, plant.input_names().len())?;
     let (sensor, clock) = (sensor::sensor(root)?, clock::clock(root, &time)?);
@@ -224,7 +224,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let health = health::health(root, network.is_some())?;
     let evaluation = run::evaluation(root, &time)?;
     let record = run::record(root, &time, n, agents.len())?;
-    Ok(Scenario {
+    let scenario = Scenario {
         name,
         hash: 0,
         plant,
@@ -250,5 +250,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         health,
         evaluation,
         record,
-    })
+    };
+    learning::check_relearning(root, &scenario)?;
+    Ok(scenario)
 }

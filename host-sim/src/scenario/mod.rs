@@ -49,7 +49,7 @@ pub struct Scenario {
     pub hash: u64,
     /// `f`, the drift, unknown to the agents.
     pub plant: Plant,
-    /// `d`, the disturbance of the plant.
+    /// `d`, the disturbance of the plant; a random one has no path until [`Self::drawn`].
     pub disturbance: Disturbance,
     /// `x_0(0)`, shape `[n]`; with [`Self::initial_spread`] the one of seed 0, until
     /// [`Self::drawn`].
@@ -105,16 +105,19 @@ impl Scenario {
         self.initial_state.len()
     }
 
-    /// Returns the scenario with the initial state that a run with this seed begins in: itself, unless
-    /// that is drawn.
+    /// Returns the scenario with the initial state and the disturbance of a run with this seed: itself, unless one
+    /// of them is drawn.
     #[must_use]
     pub fn drawn(&self, seed: u64) -> Cow<'_, Self> {
-        match &self.initial_spread {
-            None => Cow::Borrowed(self),
-            Some(spread) => {
-                Cow::Owned(Self { initial_state: drawn_state(spread, seed, 0), ..self.clone() })
-            }
+        let initial_state = self.initial_spread.as_ref().map(|spread| drawn_state(spread, seed, 0));
+        let mut drawn = Cow::Borrowed(self);
+        if let Some(initial_state) = initial_state {
+            drawn.to_mut().initial_state = initial_state;
         }
+        if let Some(disturbance) = self.disturbance.drawn(seed, &self.time) {
+            drawn.to_mut().disturbance = disturbance;
+        }
+        drawn
     }
 
     /// Returns the number of steps in the run.
@@ -179,6 +182,17 @@ impl Scenario {
         self.link.is_ideal() && self.life.is_empty()
     }
 
+    /// Returns when a cycle that starts by itself is applied at the earliest \[s\]; `None` if none does.
+    #[must_use]
+    pub fn relearning_end(&self) -> Option<f64> {
+        let (relearning, last) = (self.relearning.as_ref()?, self.learning.last()?);
+        let windows = 1 + Relearning::REFERENCES + Relearning::ABOVE;
+        let from = self.observer.as_ref().map_or(0.0, |observer| observer.from);
+        let watched_from = self.learning.iter().map(|cycle| cycle.apply_at).fold(from, f64::max);
+        let length = last.apply_at - last.collect.from;
+        Some(watched_from + f64::from(windows) * relearning.window + length)
+    }
+
     /// Returns how many cycles can start by themselves at most.
     #[must_use]
     pub fn relearnings_max(&self) -> usize {
@@ -187,8 +201,9 @@ impl Scenario {
         };
         let length = last.apply_at - last.collect.from;
         let windows = |count: u32| f64::from(count) * relearning.window;
-        let watched = windows(1 + Relearning::REFERENCES + Relearning::ABOVE);
-        let rest = self.time.duration - last.apply_at - watched - length;
+        let Some(rest) = self.relearning_end().map(|end| self.time.duration - end) else {
+            return 0;
+        };
         if rest < 0.0 {
             return 0;
         }

@@ -11,6 +11,7 @@ use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue};
 
 use super::error::{ScenarioError, closest};
+use crate::number::counted;
 
 /// File name and text; maps offsets in the text to lines.
 #[derive(Debug)]
@@ -313,6 +314,16 @@ impl<'a> Value<'a> {
         self.numbers()
     }
 
+    /// Returns one number >= 0 for all components of a state of dimension `n`, or one for each.
+    pub(super) fn not_negative_for_each(&self, n: usize) -> Result<Vec<f64>, ScenarioError> {
+        let numbers =
+            if self.is_list() { self.numbers_of(n, STATE)? } else { vec![self.number()?; n] };
+        if numbers.iter().any(|&number| number < 0.0) {
+            return Err(self.wrong("is negative"));
+        }
+        Ok(numbers)
+    }
+
     /// Returns a matrix given by its rows: at least one row, each of length `columns`.
     pub(super) fn matrix(
         &self,
@@ -329,8 +340,10 @@ impl<'a> Value<'a> {
             if found != columns {
                 let found = has(found, "entry", "entries");
                 let problem = format!("row {} {found}, expected {columns} ({owner})", index + 1);
-                let hint =
-                    format_args!("write {} in every row", counted(columns, "entry", "entries"));
+                let hint = format_args!(
+                    "write {} in every row",
+                    counted(columns as u64, "entry", "entries")
+                );
                 return Err(row.error_of(self, problem, hint));
             }
             entries.extend(row.numbers()?);
@@ -349,12 +362,7 @@ pub(super) const STATE: &str = "the dimension of the state";
 
 /// `has 1 entry`, `has 2 entries`.
 pub(super) fn has(count: usize, one: &str, many: &str) -> String {
-    format!("has {}", counted(count, one, many))
-}
-
-/// `1 entry`, `2 entries`.
-pub(super) fn counted(count: usize, one: &str, many: &str) -> String {
-    format!("{count} {}", if count == 1 { one } else { many })
+    format!("has {}", counted(count as u64, one, many))
 }
 
 /// Returns the number if an agent can represent it.

@@ -28,7 +28,7 @@ pub use error::KeyFileError;
 pub use pair::KeyPair;
 
 use crate::files::input::read_limited;
-use crate::files::output::{FileKind, write_whole};
+use crate::files::output::{FileKind, create_folders, write_whole};
 
 /// Size limit of a key file. \[bytes\]
 const FILE_MAX: u64 = 64 << 10;
@@ -96,7 +96,7 @@ impl OperatorKey {
             .to_pkcs8_pem(LineEnding::LF)
             .map_err(|error| failed(io::Error::other(error.to_string())))?;
         if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-            fs::create_dir_all(folder).map_err(failed)?;
+            create_folders(folder).map_err(failed)?;
         }
         let mut options = OpenOptions::new();
         options.write(true).create_new(true);

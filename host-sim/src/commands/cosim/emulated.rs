@@ -10,7 +10,7 @@ use crate::analysis::TriggerConstants;
 use crate::commands::CommandError;
 use crate::commands::key::Passphrase;
 use crate::cosim::qemu::Qemu;
-use crate::files::output::OutputError;
+use crate::files::output::{OutputError, make_folder};
 use crate::keys::KeyFolder;
 use crate::learning::agent_config;
 use crate::scenario::Scenario;
@@ -88,7 +88,7 @@ impl FlashFolder {
     /// Opens a folder that is kept, and creates it if necessary.
     pub(super) fn kept(folder: &Path) -> Result<Self, CommandError> {
         let failed = |error| OutputError::Write { path: folder.to_owned(), error };
-        std::fs::create_dir_all(folder).map_err(failed)?;
+        make_folder(folder)?;
         let lock = File::open(folder).map_err(failed)?;
         if lock.try_lock().is_err() {
             return Err(CommandError::usage(format!(

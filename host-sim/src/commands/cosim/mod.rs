@@ -28,6 +28,7 @@ use crate::interruption::{self, SecondSignal};
 use crate::keys::FleetKeys;
 use crate::memory_map::MemoryMap;
 use crate::packages::PackageBytes;
+use crate::plant::Disturbance;
 use crate::scenario::Scenario;
 use crate::shell::shell_word;
 use crate::signing::KeyFileError;
@@ -282,8 +283,7 @@ fn served(arguments: &Arguments, agents: usize) -> String {
 }
 
 fn scenario(arguments: &Arguments) -> Result<Scenario, CommandError> {
-    let scenario = load_scenario(&arguments.scenario, &arguments.changes)?;
-    let mut scenario = scenario.drawn(arguments.common.seed).into_owned();
+    let mut scenario = load_scenario(&arguments.scenario, &arguments.changes)?;
     if let Some(recipe) = &arguments.recipe {
         if scenario.recipe(recipe).is_none() {
             let names: Vec<_> = scenario.recipes.iter().map(|r| r.name.as_str()).collect();
@@ -302,7 +302,13 @@ fn scenario(arguments: &Arguments) -> Result<Scenario, CommandError> {
     if let Some(steps) = arguments.steps.or(endless) {
         scenario.time.duration = steps as f64 * scenario.time.step_size;
     }
-    Ok(scenario)
+    let is_endless = arguments.steps.is_none() && endless.is_some();
+    if is_endless && matches!(scenario.disturbance, Disturbance::Random(_)) {
+        let problem = "--serve: a random disturbance is drawn for a known number of steps; give --steps, or remove \
+                       [disturbance]";
+        return Err(CommandError::usage(problem));
+    }
+    Ok(scenario.drawn(arguments.common.seed).into_owned())
 }
 
 fn emulator(

@@ -21,7 +21,9 @@ use super::{
     print_outcome,
 };
 use crate::engine::RunError;
-use crate::figures::{Figure, FrontierFigure, FrontierForm, FrontierPoint, frontier, write_all};
+use crate::figures::{
+    Figure, FrontierFigure, FrontierForm, FrontierPoint, RMSE_LABEL, frontier, write_all,
+};
 use crate::files::output::{OutputError, write_result};
 use crate::interruption::{self, SecondSignal};
 use crate::report::latex::latex;
@@ -312,6 +314,7 @@ fn picture(
     Some(frontier(&FrontierFigure {
         title: &title,
         broadcasts_label: &broadcasts_label,
+        error_label: RMSE_LABEL,
         forms,
         target: (extreme(f64::INFINITY, f64::min), extreme(0.0, f64::max)),
         target_label,

@@ -37,6 +37,7 @@ use super::{
 use crate::figures::{tradeoff, write_all};
 use crate::files::output::{OutputError, make_folder};
 use crate::interruption::{self, SecondSignal};
+use crate::number::counted;
 use crate::report::latex::latex;
 use crate::scenario::{Scenario, ScenarioSource};
 use crate::shell::shell_word;
@@ -200,9 +201,9 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
         TableFormat::Json => print_outcome(&report, Ok(())),
         TableFormat::Latex => print_text(&latex(TITLE, &summary.table(usize::MAX))),
         TableFormat::Text => print_text(&format!(
-            "{}\n{} runs of {}\nWritten to {}: {written}\n",
+            "{}\n{} of {}\nWritten to {}: {written}\n",
             summary.text(),
-            summary.runs(),
+            counted(summary.runs(), "run", "runs"),
             results.display(),
             if folder.as_os_str().is_empty() { Path::new(".") } else { &folder }.display(),
         )),
@@ -240,7 +241,11 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
     let outcome = runs.carry_out(next, Results::new(&file, opened, next))?;
     let is_complete = before + outcome.done == study.runs;
     let mut written = vec![results::NAME.to_owned()];
-    let mut summary = Summary { keys: cells.keys.clone(), cells: Vec::new() };
+    let mut summary = Summary {
+        keys: cells.keys.clone(),
+        is_recorded: base.plant.recording().is_some(),
+        cells: Vec::new(),
+    };
     if arguments.shard.is_whole() && is_complete {
         summary = Summary::read(&file)?;
         written.push(write_files(&folder, arguments, &summary, &file)?);
@@ -276,23 +281,29 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
             }
             if let Some((run, reason)) = &outcome.first_failure {
                 let name = runs.name(*run, &cells.keys);
-                text += &format!("{} runs failed; the first: {name}: {reason}\n", outcome.failed);
+                text += &format!(
+                    "{} failed; the first: {name}: {reason}\n",
+                    counted(outcome.failed, "run", "runs")
+                );
             }
             if before == study.runs {
-                text += &format!("All {} runs had already been done\n", study.runs);
+                text += "All runs had already been done\n";
             } else if before > 0 {
-                text += &format!("Continued after {before} of {} runs\n", study.runs);
+                text += &format!(
+                    "Continued after {before} of {}\n",
+                    counted(study.runs, "run", "runs")
+                );
             }
             text += &format!("Written to {}: {}\n", folder.display(), written.join(", "));
             if !arguments.shard.is_whole() {
                 text += &how_to_merge(&out);
             }
             text += &format!(
-                "Scenario {}, {} cells, {} of {} runs, {:.1} s\n",
+                "Scenario {}, {}, {} of {}, {:.1} s\n",
                 base.name,
-                cells.rows.len(),
+                counted(cells.rows.len() as u64, "cell", "cells"),
                 before + outcome.done,
-                study.runs,
+                counted(study.runs, "run", "runs"),
                 report.elapsed_s
             );
             let printed = print_text(&text);
@@ -336,10 +347,11 @@ fn plan(
         return Err(CommandError::usage(problem));
     }
     let part = arguments.shard.of(total(arguments, cells)?);
-    let others = initial_states::others(base, states, seed)?;
+    let others = initial_states::others(&base.drawn(seed), states, seed)?;
     let dimension = (states > 1).then(|| base.dimension());
     let own = cells.load(source, Runs::cells_of(&part, seeds, states), dimension)?;
-    let header = arguments.shard.is_first().then(|| results::header(&cells.keys));
+    let is_recorded = base.plant.recording().is_some();
+    let header = arguments.shard.is_first().then(|| results::header(&cells.keys, is_recorded));
     let study = Study {
         host_sim: env!("CARGO_PKG_VERSION").to_owned(),
         scenario: base.name.clone(),
@@ -353,7 +365,7 @@ fn plan(
         shard: arguments.shard.to_string(),
         runs: part.end - part.start,
     };
-    Ok((study, Runs::new(own, (seed, seeds), others, part, header)))
+    Ok((study, Runs::new(own, (seed, seeds), others, part, (header, is_recorded))))
 }
 
 /// Writes what is made of a complete table, `summary.csv` and the picture; returns their names.
@@ -371,8 +383,10 @@ fn write_files(
     }
     summary.write(folder)?;
     let mut names = vec![summary::NAME.to_owned()];
-    let (cells, runs) = (summary.cells.len(), summary.runs());
-    let title = format!("Error against broadcasts: {cells} cells, {runs} runs");
+    let cells = counted(summary.cells.len() as u64, "cell", "cells");
+    let runs = counted(summary.runs(), "run", "runs");
+    let error = if summary.has_errors() { "Error" } else { "Innovation" };
+    let title = format!("{error} against broadcasts: {cells}, {runs}");
     if let Some(figure) = picture::tradeoff(title, summary) {
         let formats = arguments.figures;
         write_all(folder, &[("tradeoff", tradeoff(&figure))], formats.wanted())?;
@@ -401,8 +415,8 @@ fn result(study: &Study, outcome: &Outcome, before: u64, file: &Path) -> Result<
     let done = before + outcome.done;
     if done < study.runs {
         let text = format!(
-            "interrupted after {done} of {} runs, which are in {}; the same command continues",
-            study.runs,
+            "interrupted after {done} of {}, which are in {}; the same command continues",
+            counted(study.runs, "run", "runs"),
             file.display()
         );
         return Err(CommandError::new(ErrorCode::Interrupted, text));

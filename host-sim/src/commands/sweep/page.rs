@@ -23,6 +23,8 @@ struct Page<'a> {
     scenario_text: Option<String>,
     keys: &'a [String],
     cells: &'a [CellSummary],
+    /// Label of the vertical axis; empty without a plot.
+    error_label: &'a str,
     /// The key that lines go along; empty without lines.
     along: &'a str,
     lines: Vec<Line<'a>>,
@@ -79,6 +81,7 @@ pub(in crate::commands) fn of_study(folder: &Path) -> Result<Option<String>, Com
             .and_then(|text| String::from_utf8(text).ok()),
         keys: &summary.keys,
         cells: &summary.cells,
+        error_label: figure.as_ref().map_or("", |figure| figure.error_label),
         along: figure.as_ref().map_or("", |figure| &figure.label),
         lines: lines.collect(),
     };

@@ -13,7 +13,7 @@ use parquet::file::properties::WriterProperties;
 use parquet::file::writer::{SerializedColumnWriter, SerializedFileWriter};
 use parquet::schema::types::Type;
 
-use super::results::COLUMNS;
+use super::results::keys_of;
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::output::{FileKind, write_result};
 
@@ -53,14 +53,14 @@ pub(super) fn write(folder: &Path, results: &Path) -> Result<(), CommandError> {
 
 /// Returns the file with these columns.
 fn encoded(names: &[String], columns: &[Vec<String>]) -> Result<Vec<u8>, ParquetError> {
-    let keys = names.len().saturating_sub(COLUMNS.len());
+    let keys = keys_of(names).map_or(0, |(keys, _)| keys);
     let kinds: Vec<Kind> = names
         .iter()
         .zip(columns)
         .enumerate()
         .map(|(place, (name, cells))| match name.as_str() {
             _ if place < keys => kind_of_key(cells),
-            "rmse" | "max_error" => Kind::Number,
+            "rmse" | "max_error" | "innovation_rms" => Kind::Number,
             "diverged" => Kind::Flag,
             _ => Kind::Count,
         })
@@ -160,6 +160,7 @@ fn parsed<'c, T: std::str::FromStr>(
 
 #[cfg(test)]
 mod tests {
+    use super::super::results::COLUMNS;
     use super::*;
     use parquet::file::reader::{FileReader, SerializedFileReader};
 

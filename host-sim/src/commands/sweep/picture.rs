@@ -5,7 +5,7 @@
 //! than colours, all have the same.
 
 use super::summary::{CellSummary, Summary};
-use crate::figures::{TradeoffFigure, TradeoffLine, TradeoffPoint};
+use crate::figures::{INNOVATION_LABEL, RMSE_LABEL, TradeoffFigure, TradeoffLine, TradeoffPoint};
 use crate::number::significant;
 
 /// Up to this many cells have their own colours.
@@ -17,12 +17,18 @@ type Group = (Vec<String>, Vec<(f64, TradeoffPoint)>);
 /// Describes the picture of a study; `None` if no cell has a result.
 pub(super) fn tradeoff(title: String, summary: &Summary) -> Option<TradeoffFigure> {
     let cells: Vec<(&CellSummary, TradeoffPoint)> =
-        summary.cells.iter().filter_map(|cell| Some((cell, point(cell)?))).collect();
+        summary.cells.iter().filter_map(|cell| Some((cell, point(summary, cell)?))).collect();
     if cells.is_empty() {
         return None;
     }
+    let error_label = if summary.has_errors() { RMSE_LABEL } else { INNOVATION_LABEL };
     let Some(along) = key_of_lines(summary, &cells) else {
-        return Some(TradeoffFigure { title, label: String::new(), lines: single(summary, cells) });
+        return Some(TradeoffFigure {
+            title,
+            label: String::new(),
+            error_label,
+            lines: single(summary, cells),
+        });
     };
     let mut groups: Vec<Group> = Vec::new();
     for (cell, mut point) in cells {
@@ -44,7 +50,7 @@ pub(super) fn tradeoff(title: String, summary: &Summary) -> Option<TradeoffFigur
         }
     };
     let lines = groups.into_iter().map(line).collect();
-    Some(TradeoffFigure { title, label: summary.keys[along].clone(), lines })
+    Some(TradeoffFigure { title, label: summary.keys[along].clone(), error_label, lines })
 }
 
 /// Returns the key that lines go along.
@@ -92,8 +98,8 @@ fn single(summary: &Summary, cells: Vec<(&CellSummary, TradeoffPoint)>) -> Vec<T
     cells.into_iter().map(line).collect()
 }
 
-fn point(cell: &CellSummary) -> Option<TradeoffPoint> {
-    let (broadcasts, error) = (cell.all.broadcasts?, cell.all.rmse?);
+fn point(summary: &Summary, cell: &CellSummary) -> Option<TradeoffPoint> {
+    let (broadcasts, error) = (cell.all.broadcasts?, summary.error_of(cell)?);
     Some(TradeoffPoint {
         label: String::new(),
         broadcasts: [broadcasts.low, broadcasts.median, broadcasts.high],
@@ -118,7 +124,13 @@ mod tests {
 
     fn summary(keys: &[&str], rows: &[&[&str]]) -> Summary {
         let interval = Some(Interval { mean: 2.0, median: 2.0, low: 1.0, high: 3.0 });
-        let all = Measures { rmse: interval, broadcasts: interval, bytes: None, max_error: None };
+        let all = Measures {
+            rmse: interval,
+            broadcasts: interval,
+            bytes: None,
+            max_error: None,
+            innovation_rms: None,
+        };
         let cell = |row: &&[&str]| CellSummary {
             values: row.iter().map(|&value| value.to_owned()).collect(),
             runs: 1,
@@ -127,7 +139,7 @@ mod tests {
             agents: Vec::new(),
         };
         let keys = keys.iter().map(|&key| key.to_owned()).collect();
-        Summary { keys, cells: rows.iter().map(cell).collect() }
+        Summary { keys, is_recorded: false, cells: rows.iter().map(cell).collect() }
     }
 
     fn lines(summary: &Summary) -> Vec<(String, Vec<String>)> {

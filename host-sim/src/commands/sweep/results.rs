@@ -6,7 +6,8 @@
 //!
 //! Cells are written as in the scenario, seeds and counts as integers, and errors with the fewest
 //! digits that read back to the same bits. A run without a result has `diverged = true` and empty
-//! numbers.
+//! numbers. Studies of a recording have the column `innovation_rms` as well, because the recording may
+//! have no reference to take errors against.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -20,12 +21,38 @@ use crate::files::output::{FileKind, OutputError};
 /// Name of the file.
 pub(super) const NAME: &str = "results.csv";
 
-/// The columns after those of the varied keys.
+/// The columns after those of the varied keys, of a simulated plant.
 pub(super) const COLUMNS: [&str; 8] =
     ["seed", "initial_state", "agent", "rmse", "broadcasts", "bytes", "max_error", "diverged"];
 
-/// Number of columns after `agent`.
-pub(super) const MEASURED: usize = 5;
+/// The same, of a recording.
+pub(super) const RECORDED: [&str; 9] = [
+    "seed",
+    "initial_state",
+    "agent",
+    "rmse",
+    "broadcasts",
+    "bytes",
+    "max_error",
+    "innovation_rms",
+    "diverged",
+];
+
+/// Returns the number of columns after `agent`.
+pub(super) fn measured(is_recorded: bool) -> usize {
+    let columns = if is_recorded { RECORDED.len() } else { COLUMNS.len() };
+    columns - 3
+}
+
+/// Returns the number of varied keys in a header, and whether it is of a recording.
+pub(super) fn keys_of(header: &[String]) -> Option<(usize, bool)> {
+    let keys = |columns: &[&str]| {
+        let keys = header.len().checked_sub(columns.len())?;
+        (header[keys..] == *columns).then_some(keys)
+    };
+    let recorded = keys(&RECORDED).map(|keys| (keys, true));
+    recorded.or_else(|| keys(&COLUMNS).map(|keys| (keys, false)))
+}
 
 /// The kind of this file.
 pub(super) const KIND: FileKind = FileKind {
@@ -33,13 +60,15 @@ pub(super) const KIND: FileKind = FileKind {
     recognises: |bytes| {
         let line = bytes.split(|&byte| byte == b'\n').next().unwrap_or_default();
         line.ends_with(COLUMNS.join(",").as_bytes())
+            || line.ends_with(RECORDED.join(",").as_bytes())
     },
 };
 
 /// Returns the first line of the file.
-pub(super) fn header(keys: &[String]) -> String {
-    let columns: Vec<&str> = keys.iter().map(String::as_str).chain(COLUMNS).collect();
-    line(&columns)
+pub(super) fn header(keys: &[String], is_recorded: bool) -> String {
+    let columns: &[&str] = if is_recorded { &RECORDED } else { &COLUMNS };
+    let keys = keys.iter().map(String::as_str);
+    line(&keys.chain(columns.iter().copied()).collect::<Vec<_>>())
 }
 
 /// Returns a line of CSV with its end.
@@ -57,13 +86,15 @@ pub(super) struct CellRows {
     start: String,
     /// Number of agents.
     pub(super) agents: usize,
+    /// Whether the study is about a recording.
+    is_recorded: bool,
 }
 
 /// What a row says of one agent.
 type Measured<'m> = Option<&'m AgentStatistics>;
 
 impl CellRows {
-    pub(super) fn new(cell: &Cell) -> Self {
+    pub(super) fn new(cell: &Cell, is_recorded: bool) -> Self {
         let mut start = String::new();
         if !cell.values.is_empty() {
             let values: Vec<&str> = cell.values.iter().map(String::as_str).collect();
@@ -71,7 +102,7 @@ impl CellRows {
             start.pop();
             start.push(',');
         }
-        Self { start, agents: cell.scenario.agents.len() }
+        Self { start, agents: cell.scenario.agents.len(), is_recorded }
     }
 
     /// Returns the start of a row, up to the measured numbers. All numbers count from 1.
@@ -89,7 +120,7 @@ impl CellRows {
         let agents = agents.filter(|agents| agents.iter().all(is_finite));
         let row = |index: usize| {
             let start = self.start_of_row(seed, initial_state, index + 1);
-            start + &measured(agents.map(|agents| &agents[index]))
+            start + &measurements(agents.map(|agents| &agents[index]), self.is_recorded)
         };
         (0..self.agents).map(row).collect()
     }
@@ -97,16 +128,22 @@ impl CellRows {
 
 /// Whether an agent's errors are numbers.
 fn is_finite(agent: &AgentStatistics) -> bool {
-    [agent.rmse(), agent.max_error()].into_iter().flatten().all(f64::is_finite)
+    [agent.rmse(), agent.max_error(), agent.innovation_rms()]
+        .into_iter()
+        .flatten()
+        .all(f64::is_finite)
 }
 
-fn measured(agent: Measured<'_>) -> String {
-    let Some(agent) = agent else { return ",,,,true\n".to_owned() };
+fn measurements(agent: Measured<'_>, is_recorded: bool) -> String {
+    let Some(agent) = agent else {
+        return if is_recorded { ",,,,,true\n" } else { ",,,,true\n" }.to_owned();
+    };
     let number = |value: Option<f64>| {
         value.map_or(String::new(), |value| ryu::Buffer::new().format(value).to_owned())
     };
+    let innovation = if is_recorded { number(agent.innovation_rms()) + "," } else { String::new() };
     format!(
-        "{},{},{},{},false\n",
+        "{},{},{},{},{innovation}false\n",
         number(agent.rmse()),
         agent.broadcasts_evaluated,
         agent.bytes_evaluated,
@@ -158,19 +195,19 @@ mod tests {
     fn rows(values: &[&str]) -> CellRows {
         let scenario = Scenario::parse("paper", PAPER).unwrap();
         let values = values.iter().map(|&value| value.to_owned()).collect();
-        CellRows::new(&Cell { values, scenario })
+        CellRows::new(&Cell { values, scenario }, false)
     }
 
     #[test]
     fn values_with_commas_are_quoted_and_errors_have_all_their_digits() {
         let keys = ["plant.initial_state".to_owned(), "k".to_owned()];
         assert_eq!(
-            header(&keys),
+            header(&keys, false),
             "plant.initial_state,k,seed,initial_state,agent,rmse,broadcasts,bytes,max_error,diverged\n"
         );
         assert!(
-            (KIND.recognises)(header(&keys).as_bytes())
-                && (KIND.recognises)(header(&[]).as_bytes())
+            (KIND.recognises)(header(&keys, false).as_bytes())
+                && (KIND.recognises)(header(&[], true).as_bytes())
         );
         let rows = rows(&["[1, 2]", "paper"]);
         let mut agent = AgentStatistics::default();

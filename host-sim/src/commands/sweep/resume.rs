@@ -7,7 +7,7 @@ use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Seek, SeekFrom, Write};
 use std::path::Path;
 
-use super::results::{self, MEASURED};
+use super::results;
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::output::{OutputError, destination};
 
@@ -15,6 +15,9 @@ use crate::files::output::{OutputError, destination};
 pub(super) trait Expected {
     /// Returns the first line of the file; `None` for a part without one.
     fn header(&self) -> Option<String>;
+
+    /// Returns the number of columns after `agent`.
+    fn measured(&self) -> usize;
 
     /// Returns the starts of the rows of a run; `None` after the last run.
     fn rows(&self, run: u64) -> Option<Vec<String>>;
@@ -69,7 +72,7 @@ pub(super) fn open(
                 break 'runs;
             }
             number += 1;
-            if !is_row(&line, &start) {
+            if !is_row(&line, &start, expected.measured()) {
                 let problem = format!("expected a row that starts with {start}");
                 return Err(refused(number, &problem));
             }
@@ -101,10 +104,10 @@ fn next_line(reader: &mut impl BufRead, line: &mut String) -> io::Result<bool> {
     Ok(line.ends_with('\n'))
 }
 
-fn is_row(line: &str, start: &str) -> bool {
+fn is_row(line: &str, start: &str, measured: usize) -> bool {
     let Some(rest) = line.strip_prefix(start) else { return false };
     let mut fields = rest.trim_end_matches('\n').split(',');
-    fields.clone().count() == MEASURED && matches!(fields.next_back(), Some("true" | "false"))
+    fields.clone().count() == measured && matches!(fields.next_back(), Some("true" | "false"))
 }
 
 fn unreadable(path: &Path, error: &io::Error) -> CommandError {
@@ -129,6 +132,10 @@ mod tests {
     impl Expected for Three {
         fn header(&self) -> Option<String> {
             Some("h,seed\n".to_owned())
+        }
+
+        fn measured(&self) -> usize {
+            5
         }
 
         fn rows(&self, run: u64) -> Option<Vec<String>> {

@@ -10,7 +10,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::cells::Cell;
-use super::results::{CellRows, Results};
+use super::results::{self, CellRows, Results};
 use super::resume::Expected;
 use crate::commands::initial_states::begun_in;
 use crate::commands::progress::ProgressBars;
@@ -32,6 +32,8 @@ pub(super) struct Runs {
     other_states: Vec<Vec<f64>>,
     range: Range<u64>,
     header: Option<String>,
+    /// Whether the study is about a recording.
+    is_recorded: bool,
 }
 
 /// One run.
@@ -80,15 +82,15 @@ impl Runs {
         (first_seed, seeds): (u64, u64),
         other_states: Vec<Vec<f64>>,
         range: Range<u64>,
-        header: Option<String>,
+        (header, is_recorded): (Option<String>, bool),
     ) -> Self {
         let first_cell = range.start / (seeds * (1 + other_states.len() as u64));
         let with_rows = |cell: Cell| {
-            let rows = CellRows::new(&cell);
+            let rows = CellRows::new(&cell, is_recorded);
             (cell, rows)
         };
         let cells = cells.into_iter().map(with_rows).collect();
-        Self { cells, first_cell, first_seed, seeds, other_states, range, header }
+        Self { cells, first_cell, first_seed, seeds, other_states, range, header, is_recorded }
     }
 
     fn states(&self) -> u64 {
@@ -157,6 +159,10 @@ impl Runs {
 impl Expected for Runs {
     fn header(&self) -> Option<String> {
         self.header.clone()
+    }
+
+    fn measured(&self) -> usize {
+        results::measured(self.is_recorded)
     }
 
     fn rows(&self, run: u64) -> Option<Vec<String>> {

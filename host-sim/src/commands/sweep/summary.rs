@@ -13,10 +13,10 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::results::{COLUMNS, line};
+use super::results::{keys_of, line};
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::output::{FileKind, OutputError, write_result};
-use crate::number::significant;
+use crate::number::{counted, significant};
 use crate::report::columns::Table;
 
 /// Name of the file.
@@ -33,6 +33,7 @@ const KIND: FileKind = FileKind {
     recognises: |bytes| {
         let line = bytes.split(|&byte| byte == b'\n').next().unwrap_or_default();
         line.ends_with(b"max_error_low,max_error_high")
+            || line.ends_with(b"innovation_rms_low,innovation_rms_high")
     },
 };
 
@@ -67,11 +68,11 @@ impl Interval {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Measured {
     /// In the order of [`MEASURES`].
-    values: [f64; 4],
+    values: [f64; 5],
 }
 
 /// The measured columns.
-const MEASURES: [&str; 4] = ["rmse", "broadcasts", "bytes", "max_error"];
+const MEASURES: [&str; 5] = ["rmse", "broadcasts", "bytes", "max_error", "innovation_rms"];
 
 /// The results of one cell.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -94,6 +95,8 @@ pub(super) struct Measures {
     pub(super) broadcasts: Option<Interval>,
     pub(super) bytes: Option<Interval>,
     pub(super) max_error: Option<Interval>,
+    /// Of a recording.
+    pub(super) innovation_rms: Option<Interval>,
 }
 
 impl Measures {
@@ -102,11 +105,18 @@ impl Measures {
             let values = rows.iter().map(|row| row.values[index]);
             Interval::of(values.filter(|value| value.is_finite()).collect())
         };
-        Self { rmse: column(0), broadcasts: column(1), bytes: column(2), max_error: column(3) }
+        Self {
+            rmse: column(0),
+            broadcasts: column(1),
+            bytes: column(2),
+            max_error: column(3),
+            innovation_rms: column(4),
+        }
     }
 
-    fn all(&self) -> [Option<Interval>; 4] {
-        [self.rmse, self.broadcasts, self.bytes, self.max_error]
+    /// In the order of [`MEASURES`].
+    fn all(&self) -> [Option<Interval>; 5] {
+        [self.rmse, self.broadcasts, self.bytes, self.max_error, self.innovation_rms]
     }
 }
 
@@ -114,6 +124,8 @@ impl Measures {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Summary {
     pub(super) keys: Vec<String>,
+    /// Whether the study is about a recording.
+    pub(super) is_recorded: bool,
     pub(super) cells: Vec<CellSummary>,
 }
 
@@ -134,7 +146,7 @@ impl Collected {
                 agents.iter().map(|agent| agent.values[index]).fold(f64::NAN, f64::max)
             };
             let sum = |index: usize| agents.iter().map(|agent| agent.values[index]).sum();
-            Measured { values: [largest(0), sum(1), sum(2), largest(3)] }
+            Measured { values: [largest(0), sum(1), sum(2), largest(3), largest(4)] }
         };
         let count = complete.iter().map(|agents| agents.len()).max().unwrap_or(0);
         let agent = |index: usize| {
@@ -165,9 +177,8 @@ impl Summary {
             .map_err(|error| refused(None, &format!("cannot be read: {error}")))?;
         let header = reader.headers().map_err(|error| refused(Some(1), &error.to_string()))?;
         let header: Vec<String> = header.iter().map(str::to_owned).collect();
-        let keys =
-            header.len().checked_sub(COLUMNS.len()).filter(|&keys| header[keys..] == COLUMNS);
-        let keys = keys.ok_or_else(|| refused(Some(1), "is not the header of results"))?;
+        let (keys, is_recorded) =
+            keys_of(&header).ok_or_else(|| refused(Some(1), "is not the header of results"))?;
         let mut cells: Vec<CellSummary> = Vec::new();
         let mut current: Option<Collected> = None;
         let (mut seen, mut next) = (BTreeSet::new(), 1);
@@ -176,7 +187,8 @@ impl Summary {
                 refused(error.position().map(csv::Position::line), "is not a row of results")
             })?;
             let number = record.position().map(csv::Position::line);
-            let row = Row::read(&record, keys).ok_or_else(|| refused(number, "invalid row"))?;
+            let row = Row::read(&record, keys, is_recorded)
+                .ok_or_else(|| refused(number, "invalid row"))?;
             let is_same = current.as_ref().is_some_and(|cell| cell.values == row.values);
             if !is_same {
                 cells.extend(current.take().map(Collected::summary));
@@ -209,7 +221,7 @@ impl Summary {
         if cells.is_empty() {
             return Err(refused(None, "has no runs"));
         }
-        Ok(Self { keys: header[..keys].to_vec(), cells })
+        Ok(Self { keys: header[..keys].to_vec(), is_recorded, cells })
     }
 
     /// Returns what looks incomplete: cells with fewer runs than others.
@@ -233,7 +245,8 @@ impl Summary {
         let mut header = self.keys.clone();
         header.extend(["agent", "runs", "diverged"].map(str::to_owned));
         let levels = ["mean", "median", "low", "high"];
-        let measures = MEASURES.iter();
+        let count = if self.is_recorded { MEASURES.len() } else { MEASURES.len() - 1 };
+        let measures = MEASURES.iter().take(count);
         header.extend(measures.flat_map(|of| levels.map(|level| format!("{of}_{level}"))));
         write_result(&folder.join(NAME), KIND, |file| {
             file.write_all(csv_line(&header).as_bytes())?;
@@ -243,7 +256,7 @@ impl Summary {
                 for (agent, measures) in agents.chain([("all".to_owned(), &cell.all)]) {
                     let mut fields = cell.values.clone();
                     fields.extend([agent, cell.runs.to_string(), cell.diverged.to_string()]);
-                    for interval in measures.all() {
+                    for interval in measures.all().into_iter().take(count) {
                         fields.extend(entries(interval));
                     }
                     file.write_all(csv_line(&fields).as_bytes())?;
@@ -253,17 +266,31 @@ impl Summary {
         })
     }
 
+    /// Whether errors are known; otherwise only innovations are.
+    pub(super) fn has_errors(&self) -> bool {
+        !self.is_recorded || self.cells.iter().any(|cell| cell.all.rmse.is_some())
+    }
+
+    /// Returns the largest error of an agent, or the largest innovation where there are no errors.
+    pub(super) fn error_of(&self, cell: &CellSummary) -> Option<Interval> {
+        if self.has_errors() { cell.all.rmse } else { cell.all.innovation_rms }
+    }
+
     /// Returns a table of all agents together, of these cells.
     pub(super) fn table(&self, cells: usize) -> Table {
         let mut headings: Vec<[&str; 2]> = self.keys.iter().map(|key| ["", key.as_str()]).collect();
         headings.extend([["", "runs"], ["", "diverged"]]);
-        let groups = ["largest RMSE of an agent", "broadcasts of all agents"];
+        let error = match self.has_errors() {
+            true => "largest RMSE of an agent",
+            false => "largest innovation RMS of an agent",
+        };
+        let groups = [error, "broadcasts of all agents"];
         let levels = ["median", "2.5 %", "97.5 %"];
         headings.extend(groups.iter().flat_map(|group| levels.map(|level| [*group, level])));
         let row = |cell: &CellSummary| {
             let mut row: Vec<String> = cell.values.iter().map(|value| short(value)).collect();
             row.extend([cell.runs.to_string(), cell.diverged.to_string()]);
-            row.extend(levels_of(cell.all.rmse, |x| significant(x, 4)));
+            row.extend(levels_of(self.error_of(cell), |x| significant(x, 4)));
             row.extend(levels_of(cell.all.broadcasts, |x| format!("{x:.0}")));
             row
         };
@@ -274,7 +301,8 @@ impl Summary {
     pub(super) fn text(&self) -> String {
         let mut text = self.table(SHOWN_MAX).text();
         if let Some(more) = self.cells.len().checked_sub(SHOWN_MAX).filter(|&more| more > 0) {
-            text += &format!("... and {more} more cells in {NAME}\n");
+            text +=
+                &format!("... and {} in {NAME}\n", counted(more as u64, "more cell", "more cells"));
         }
         text
     }
@@ -292,7 +320,7 @@ struct Row {
 }
 
 impl Row {
-    fn read(record: &csv::StringRecord, keys: usize) -> Option<Self> {
+    fn read(record: &csv::StringRecord, keys: usize, is_recorded: bool) -> Option<Self> {
         let field = |index: usize| record.get(index);
         let number = |index: usize| match field(index)? {
             "" => Some(f64::NAN),
@@ -300,7 +328,8 @@ impl Row {
         };
         let run = [field(keys)?.to_owned(), field(keys + 1)?.to_owned()];
         let first = keys + 3;
-        let measured = match field(first + 4)? {
+        let innovation = if is_recorded { number(first + 4)? } else { f64::NAN };
+        let measured = match field(first + 4 + usize::from(is_recorded))? {
             "true" => None,
             "false" => Some(Measured {
                 values: [
@@ -308,6 +337,7 @@ impl Row {
                     number(first + 1)?,
                     number(first + 2)?,
                     number(first + 3)?,
+                    innovation,
                 ],
             }),
             _ => return None,

@@ -148,8 +148,8 @@ fn list(spec: &str) -> Result<Vec<String>, String> {
                 values.push(String::new());
                 continue;
             }
-            (None, '[' | '{') => depth += 1,
-            (None, ']' | '}') => depth = depth.saturating_sub(1),
+            (None, '[' | '{' | '(') => depth += 1,
+            (None, ']' | '}' | ')') => depth = depth.saturating_sub(1),
             (None, '"' | '\'') => quote = Some(c),
             (Some(open), c) if c == open => quote = None,
             _ => {}
@@ -179,6 +179,7 @@ mod tests {
         assert_eq!(values("observer.preset=paper,field"), ["paper", "field"]);
         assert_eq!(values("x=[1, 2],[3, 4]"), ["[1, 2]", "[3, 4]"]);
         assert_eq!(values("x={ a = 1, b = 2 }"), ["{ a = 1, b = 2 }"]);
+        assert_eq!(values("x=max(t, 1),sin(t)"), ["max(t, 1)", "sin(t)"]);
         assert_eq!(values("x='a,b',\"c:1:2\""), ["'a,b'", "\"c:1:2\""]);
     }
 

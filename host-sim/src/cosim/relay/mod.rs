@@ -44,6 +44,7 @@ use super::loop_node::LoopNode;
 use super::socket::Socket;
 use super::{CosimError, Service};
 use crate::engine::run_observer::Switch;
+use crate::files::output::create_folders;
 use crate::packages::PackageBytes;
 use crate::scenario::Scenario;
 use crate::service::nodes_file::{self, NodesFile};
@@ -91,7 +92,7 @@ impl Relay {
         seed: u64,
     ) -> Result<Self, CosimError> {
         let folder = &service.folder;
-        std::fs::create_dir_all(folder)
+        create_folders(folder)
             .map_err(|error| CosimError::Serve { path: folder.clone(), error })?;
         let path = |agent| folder.join(format!("agent-{agent}.sock"));
         let agents = 1..=scenario.agents.len();

@@ -57,6 +57,15 @@ pub enum OutputError {
         /// What is there.
         what: &'static str,
     },
+    /// A file is where a folder should be.
+    #[error("{}: {error}; choose another folder", path.display())]
+    NotAFolder {
+        /// The folder, or the file in it.
+        path: PathBuf,
+        /// Names the file.
+        #[source]
+        error: io::Error,
+    },
     /// The file belongs to another user.
     #[error(
             "{}: belongs to another user, and a replacement would change the owner; choose another file \
@@ -83,15 +92,25 @@ impl OutputError {
             Self::Write { path, .. }
             | Self::OtherKind { path, .. }
             | Self::NotAFile { path, .. }
+            | Self::NotAFolder { path, .. }
             | Self::Owner { path }
             | Self::NoReader { path } => path,
+        }
+    }
+
+    /// Returns the error of creating the folder `path`, or that of the file `path`.
+    fn of_folder(path: &Path, error: io::Error) -> Self {
+        let path = path.to_owned();
+        match error.kind() {
+            io::ErrorKind::NotADirectory => Self::NotAFolder { path, error },
+            _ => Self::Write { path, error },
         }
     }
 
     /// Whether writing was refused because of an existing file, not by the system.
     #[must_use]
     pub fn is_refusal(&self) -> bool {
-        matches!(self, Self::OtherKind { .. } | Self::NotAFile { .. } | Self::Owner { .. })
+        !matches!(self, Self::Write { .. } | Self::NoReader { .. })
     }
 }
 
@@ -139,7 +158,8 @@ impl OutputFile {
                     Some(folder) if !folder.as_os_str().is_empty() => folder,
                     _ => Path::new("."),
                 };
-                let made = MadeFolders::make(folder).map_err(failed)?;
+                let made = MadeFolders::make(folder)
+                    .map_err(|error| OutputError::of_folder(path, error))?;
                 let old_mode = before.as_ref().map(place::mode);
                 let (temporary, file) =
                     Temporary::file(folder, mode.or(old_mode)).map_err(failed)?;
@@ -262,10 +282,23 @@ pub fn copy_attributes(new: &Path, before: &fs::Metadata) -> io::Result<()> {
 /// Creates a folder for results, and its parents.
 ///
 /// # Errors
-/// The system's error.
+/// The system's error, or a file is where the folder or one above it should be.
 pub fn make_folder(folder: &Path) -> Result<(), OutputError> {
+    create_folders(folder).map_err(|error| OutputError::of_folder(folder, error))
+}
+
+/// Creates a folder and its parents.
+///
+/// # Errors
+/// The system's error; of the kind [`io::ErrorKind::NotADirectory`], with the name of the file, if one is where a
+/// folder should be.
+pub fn create_folders(folder: &Path) -> io::Result<()> {
+    let is_file = |path: &&Path| fs::metadata(path).is_ok_and(|found| !found.is_dir());
+    if let Some(file) = folder.ancestors().find(is_file) {
+        let text = format!("{} is a file, not a folder", file.display());
+        return Err(io::Error::new(io::ErrorKind::NotADirectory, text));
+    }
     fs::create_dir_all(folder)
-        .map_err(|error| OutputError::Write { path: folder.to_owned(), error })
 }
 
 /// Folders created for a file; removed again if it is not written.
@@ -279,7 +312,7 @@ impl MadeFolders {
         });
         // The innermost first.
         let made = Self(missing.map(Path::to_owned).collect());
-        fs::create_dir_all(folder)?;
+        create_folders(folder)?;
         Ok(made)
     }
 

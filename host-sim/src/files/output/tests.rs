@@ -83,6 +83,24 @@ fn replaces_only_empty_files_and_its_own_kind() {
 }
 
 #[test]
+fn a_file_in_place_of_a_folder_is_named() {
+    let folder = Folder::new("file-for-folder");
+    let file = folder.path("results");
+    fs::write(&file, "mine").unwrap();
+    for path in [file.clone(), file.join("inner/deep")] {
+        let error = make_folder(&path).unwrap_err();
+        assert!(error.is_refusal(), "{error}");
+        assert!(
+            error.to_string().ends_with("results is a file, not a folder; choose another folder"),
+            "{error}"
+        );
+    }
+    let error = write(&file.join("inner"), "test").unwrap_err();
+    assert!(matches!(error, OutputError::NotAFolder { .. }), "{error}");
+    assert_eq!(fs::read(&file).unwrap(), b"mine");
+}
+
+#[test]
 fn keeps_a_file_that_appears_after_prepare() {
     let folder = Folder::new("meanwhile");
     let path = folder.path("result");

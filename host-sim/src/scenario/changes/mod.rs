@@ -8,13 +8,15 @@
 //! value is TOML; what is not TOML is taken as a string, so `observer.preset=field` needs no quotes.
 //!
 //! `design.gain.scale` and `outer_law.gain.scale` also work on a plain gain, which then becomes
-//! `{ values = ..., scale = ... }`; `plant.initial_state.random` replaces a given state.
+//! `{ values = ..., scale = ... }`; `plant.initial_state.random` replaces a given state, and
+//! `observer.preset=paper` all keys of `[observer]`, which are those of another observer.
 
 use core::fmt;
 
 use toml_edit::{Array, DocumentMut, InlineTable, Item, Key, Table, TableLike, Value};
 
 use super::error::ScenarioError;
+use crate::number::counted;
 
 /// Plain values that become a table when one of its keys is set, with the key for the old value, if
 /// it is kept.
@@ -80,6 +82,15 @@ impl Change {
         self.path == other.path
     }
 
+    fn is_preset(&self) -> bool {
+        self.path == ["observer", "preset"]
+    }
+
+    /// Whether it selects the paper's observer, which has none of the other keys of `[observer]`.
+    fn is_papers_preset(&self) -> bool {
+        self.is_preset() && self.value.as_str() == Some("paper")
+    }
+
     /// Whether the key of an error, such as `agents[2].sensor`, is the changed key, contains it, or is
     /// inside it.
     fn concerns(&self, key: &str) -> bool {
@@ -132,6 +143,8 @@ pub(super) fn applied(
     changes: &[Change],
 ) -> Option<Result<String, ScenarioError>> {
     let mut document: DocumentMut = text.parse().ok()?;
+    let preset = changes.iter().rev().find(|change| change.is_preset());
+    let is_paper = preset.is_some_and(Change::is_papers_preset);
     for change in changes {
         let refused = |(problem, hint): Refusal| ScenarioError {
             file: file.to_owned(),
@@ -140,6 +153,11 @@ pub(super) fn applied(
             problem,
             hint,
         };
+        if is_paper && change.path[0] == "observer" && change.path.len() > 1 && !change.is_preset()
+        {
+            let problem = "has no effect with observer.preset=paper".to_owned();
+            return Some(Err(refused((problem, "leave one of them out".to_owned()))));
+        }
         let place = Place { change, depth: 0 };
         if let Err(refusal) = place.in_table(document.as_table_mut(), false) {
             return Some(Err(refused(refusal)));
@@ -203,6 +221,9 @@ impl Place<'_> {
 
     fn in_table(self, table: &mut dyn TableLike, is_inline: bool) -> Result<(), Refusal> {
         let part = self.part();
+        if self.is_last() && self.change.is_papers_preset() {
+            table.clear();
+        }
         match table.get_mut(part) {
             Some(item) if self.is_last() => replace(item, &self.change.value),
             Some(item) => self.next().in_item(item)?,
@@ -289,7 +310,7 @@ impl Place<'_> {
 
     fn no_entry(&self, count: usize) -> Refusal {
         let above = self.above();
-        let entries = if count == 1 { "1 entry" } else { &format!("{count} entries") };
+        let entries = counted(count as u64, "entry", "entries");
         let problem =
             format!("{above} is a list with {entries}, and {:?} is not one of them", self.part());
         let hint = match count {

@@ -86,6 +86,29 @@ fn a_plain_gain_becomes_a_scaled_one() {
 }
 
 #[test]
+fn the_papers_observer_replaces_any_other() {
+    let text = format!("{PAPER}\n[observer]\nradius = 0.1\nfrom = 20.0 # as in the study\n");
+    let other = Scenario::parse("paper", &text).unwrap();
+    assert!(other.observer.is_some());
+    let changes = [change("observer.preset=paper")];
+    let (scenario, text) = Scenario::parse_changed("paper", &text, &changes).unwrap();
+    assert_eq!(scenario.observer, None);
+    assert!(text.ends_with("[observer]\npreset = \"paper\"\n"), "{text}");
+    for changes in [
+        ["observer.preset=paper", "observer.error=0.02"],
+        ["observer.error=0.02", "observer.preset=paper"],
+    ] {
+        assert_eq!(
+            refusal(&changes),
+            "paper: --set observer.error=0.02: has no effect with observer.preset=paper; leave one of them out"
+        );
+    }
+    assert!(
+        paper(&["observer.preset=paper", "observer.error=0.02", "observer.preset=field"]).is_ok()
+    );
+}
+
+#[test]
 fn refusals_name_the_change() {
     assert_eq!(
         refusal(&["design.rho=2.0", "design.epsilom=3"]),

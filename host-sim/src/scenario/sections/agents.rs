@@ -6,9 +6,10 @@ use super::clock::{self, ClockSettings};
 use super::recording::columns;
 use super::sensor::{self, SensorSettings};
 use crate::graph::{Edge, Graph, GraphError};
+use crate::number::counted;
 use crate::plant::Plant;
 use crate::scenario::error::ScenarioError;
-use crate::scenario::reader::{STATE, Table, Value, counted, has};
+use crate::scenario::reader::{STATE, Table, Value, has};
 use crate::scenario::{Agent, Time};
 
 const EDGE: &str = "use [agent, agent] or [agent, agent, weight]";
@@ -79,7 +80,16 @@ pub(in crate::scenario) fn agents(
 /// outputs.
 fn measured(table: &Table<'_>, plant: &Plant, outputs: usize) -> Result<Vec<usize>, ScenarioError> {
     match (table.get("measured", "[\"y1\"]"), plant.recording()) {
-        (Some(value), Some(recorded)) => columns(recorded, &value, outputs, "row of output_matrix"),
+        (Some(value), Some(recorded)) => {
+            let columns = columns(recorded, &value, outputs, "row of output_matrix")?;
+            if let Some(&known) = columns.iter().find(|column| recorded.inputs.contains(column)) {
+                let name = &recorded.names[known];
+                let problem = format!("the column `{name}` is a known input of all agents");
+                let hint = "remove it here, or from plant.inputs";
+                return Err(value.error(problem, hint));
+            }
+            Ok(columns)
+        }
         (Some(value), None) => Err(value.error(
             "only a recording has columns",
             "remove it, or set plant.model = \"recording\"",
@@ -121,7 +131,8 @@ fn from_adjacency(value: &Value<'_>, agents: usize) -> Result<Graph, ScenarioErr
     let rows = value.list("write each row as a list of numbers")?;
     if rows.len() != agents {
         let found = has(rows.len(), "row", "rows");
-        let problem = format!("{found}, but there are {}", counted(agents, "agent", "agents"));
+        let problem =
+            format!("{found}, but there are {}", counted(agents as u64, "agent", "agents"));
         return Err(value.error(problem, format!("write one row per agent, {agents} in all")));
     }
     let matrix = value.matrix(agents, "the number of agents")?;

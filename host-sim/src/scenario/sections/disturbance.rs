@@ -1,20 +1,29 @@
 //! `[disturbance]`.
 
 use super::plant::system;
-use crate::plant::{Disturbance, Harmonic, Plant, Wave};
+use crate::plant::{Disturbance, Harmonic, Plant, RandomDisturbance, Wave};
+use crate::scenario::Time;
 use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::{STATE, Table, Value, has};
 
 /// Reads the keys of one model from the table.
-type Read = fn(&Table<'_>, &Plant) -> Result<Disturbance, ScenarioError>;
+type Read = fn(&Table<'_>, &Plant, &Time) -> Result<Disturbance, ScenarioError>;
 
 /// The models by their names.
-const MODELS: [(&str, Read); 3] =
-    [("none", none), ("harmonic", harmonic_sum), ("expressions", expressions)];
+const MODELS: [(&str, Read); 4] = [
+    ("none", none),
+    ("harmonic", harmonic_sum),
+    ("expressions", expressions),
+    ("ornstein-uhlenbeck", ornstein_uhlenbeck),
+];
+
+/// Limit for the numbers of a random path, 128 MiB: runs that are carried out together have one each.
+const PATH_MAX: u64 = 1 << 24;
 
 pub(in crate::scenario) fn disturbance(
     root: &Table<'_>,
     plant: &Plant,
+    time: &Time,
 ) -> Result<Disturbance, ScenarioError> {
     let Some(table) = root.get_table("disturbance")? else { return Ok(Disturbance::None) };
     if plant.recording().is_some() {
@@ -22,24 +31,44 @@ pub(in crate::scenario) fn disturbance(
         return Err(table.error("has no effect on a recording", hint));
     }
     let read: Read = table.require("model", "\"none\"")?.choice(&MODELS)?;
-    read(&table, plant)
+    read(&table, plant, time)
 }
 
-fn none(table: &Table<'_>, _: &Plant) -> Result<Disturbance, ScenarioError> {
+fn none(table: &Table<'_>, _: &Plant, _: &Time) -> Result<Disturbance, ScenarioError> {
     table.only(&["model"])?;
     Ok(Disturbance::None)
 }
 
-fn expressions(table: &Table<'_>, plant: &Plant) -> Result<Disturbance, ScenarioError> {
+fn expressions(table: &Table<'_>, plant: &Plant, _: &Time) -> Result<Disturbance, ScenarioError> {
     table.only(&["model", "components"])?;
     let value = table.require("components", "[\"0.5*sin(2*t)\", \"0\"]")?;
     system(&value, &plant.state_names(), &[]).map(Disturbance::Expressions)
 }
 
-fn harmonic_sum(table: &Table<'_>, plant: &Plant) -> Result<Disturbance, ScenarioError> {
+fn harmonic_sum(table: &Table<'_>, plant: &Plant, _: &Time) -> Result<Disturbance, ScenarioError> {
     table.only(&["model", "components"])?;
     let value = table.require("components", HARMONICS)?;
     harmonics(&value, plant.dimension()).map(Disturbance::Harmonic)
+}
+
+/// Reads a random disturbance; every run draws its own path.
+fn ornstein_uhlenbeck(
+    table: &Table<'_>,
+    plant: &Plant,
+    time: &Time,
+) -> Result<Disturbance, ScenarioError> {
+    table.only(&["model", "deviation", "correlation_time"])?;
+    let n = plant.dimension();
+    let deviation = table.require("deviation", "0.5")?.not_negative_for_each(n)?;
+    let correlation_time = table.require("correlation_time", "0.5")?.positive()?;
+    let (steps, most) = (time.tick(time.duration), PATH_MAX / n as u64);
+    if steps > most {
+        let problem = format!("is drawn before the run, for each of its {steps} steps");
+        let hint =
+            format!("use a shorter time.duration or a longer time.step, for at most {most} steps");
+        return Err(table.error(problem, hint));
+    }
+    Ok(Disturbance::Random(RandomDisturbance::new(deviation, correlation_time)))
 }
 
 const HARMONICS: &str = "[{ amplitude = 0.5, angular_frequency = 2.0, function = \"sin\" }, []]";

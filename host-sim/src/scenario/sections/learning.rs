@@ -4,11 +4,12 @@ use std::num::NonZeroU32;
 
 use super::agents::agent;
 use super::network::initial_parameters;
-use super::run::after_the_end;
+use super::run::{after_the_end, check_before_end};
 use super::trainer;
+use crate::number::significant;
 use crate::scenario::error::{ScenarioError, closest};
 use crate::scenario::reader::{Table, Value};
-use crate::scenario::{LearningCycle, Recipe, Relearning, SwitchIn, Time, Window};
+use crate::scenario::{LearningCycle, Recipe, Relearning, Scenario, SwitchIn, Time, Window};
 use crate::training::InitialParameters;
 use crate::training::network_problem::PARAMETERS_MAX;
 
@@ -70,11 +71,7 @@ fn cycle(
     let stride = stride(table, "stride")?.unwrap_or(NonZeroU32::MIN);
     let apply_value = table.require("apply_at", "10.0")?;
     let apply_at = apply_value.positive()?;
-    if time.tick(apply_at) >= time.tick(time.duration) {
-        let problem = format!("is {}, after the end of the run", apply_value.written());
-        let hint = format!("use a time below time.duration, {}", time.duration);
-        return Err(apply_value.error(problem, hint));
-    }
+    check_before_end(&apply_value, apply_at, time)?;
     if apply_at < to {
         let problem = format!("is {}, before collecting ends", apply_value.written());
         return Err(apply_value.error(problem, format!("use a time not before collect_to, {to}")));
@@ -94,6 +91,29 @@ fn cycle(
     let is_shared = table.get("shared", "true").map_or(Ok(false), |value| value.boolean())?;
     let recipe = recipe.to_owned();
     Ok(LearningCycle { agents: learners, collect, stride, apply_at, recipe, is_shared })
+}
+
+/// Checks that a cycle can start by itself, and end, within the run.
+pub(in crate::scenario) fn check_relearning(
+    root: &Table<'_>,
+    scenario: &Scenario,
+) -> Result<(), ScenarioError> {
+    let (Some(table), Some(least)) = (root.get_table("relearning")?, scenario.relearning_end())
+    else {
+        return Ok(());
+    };
+    let duration = scenario.time.duration;
+    if scenario.time.tick(least) < scenario.steps() {
+        return Ok(());
+    }
+    let problem = format!(
+        "has no effect: a cycle that starts by itself is applied at {} s at the earliest, and the run ends at \
+         {duration} s",
+        significant(least, 3)
+    );
+    let hint =
+        "use a shorter window, a longer time.duration or earlier cycles, or remove this table";
+    Err(table.error(problem, hint))
 }
 
 /// Reads when cycles like `last` start by themselves.

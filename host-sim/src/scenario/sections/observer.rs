@@ -4,6 +4,7 @@ use agent_core::NODE_DIMENSION_MAX;
 use agent_core::agent::exchange::ExchangeParams;
 use agent_core::observer::field::{Coupling, HoldKind};
 
+use super::run::check_before_end;
 use crate::scenario::Time;
 use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::{STATE, Table, Value};
@@ -164,7 +165,11 @@ pub(in crate::scenario) fn observer(
         .get("preset", "\"field\"")
         .map_or(Ok(Preset::Field), |value| value.choice(&presets))?;
     if preset == Preset::Paper {
-        table.only(&["preset"])?;
+        let mut others = known.iter().filter(|&&key| key != "preset");
+        if let Some(value) = others.find_map(|key| table.get(key, "")) {
+            let hint = "remove it, or use preset = \"field\"";
+            return Err(value.error("has no effect with preset = \"paper\"", hint));
+        }
         return Ok((None, false));
     }
     if n > NODE_DIMENSION_MAX {
@@ -175,9 +180,7 @@ pub(in crate::scenario) fn observer(
     }
     let from = table.get("from", "20.0").map_or(Ok(0.0), |value| {
         let from = value.not_negative()?;
-        if from > 0.0 && time.tick(from) >= time.tick(time.duration) {
-            return Err(super::run::after_the_end(&value, time));
-        }
+        check_before_end(&value, from, time)?;
         Ok(from)
     })?;
     let couplings =

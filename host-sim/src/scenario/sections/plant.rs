@@ -71,11 +71,7 @@ pub(in crate::scenario) fn plant(
 
 /// Reads one intensity for all components of the state, or one for each of the `n`.
 fn noise(value: &Value<'_>, n: usize) -> Result<Vec<f64>, ScenarioError> {
-    let noise =
-        if value.is_list() { value.numbers_of(n, STATE)? } else { vec![value.number()?; n] };
-    if noise.iter().any(|&intensity| intensity < 0.0) {
-        return Err(value.wrong("is negative"));
-    }
+    let noise = value.not_negative_for_each(n)?;
     Ok(if noise.iter().all(|&intensity| intensity == 0.0) { Vec::new() } else { noise })
 }
 

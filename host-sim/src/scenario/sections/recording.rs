@@ -33,6 +33,7 @@ pub(super) fn recording(table: &Table<'_>) -> Result<Recorded, ScenarioError> {
         let count = value.list(NAME_A_COLUMN)?.len();
         check_inputs(&value, count, recorded.states.len())?;
         recorded.inputs = columns(&recorded, &value, count, "input")?;
+        check_known(&recorded, &value)?;
         let hint = "fill in the cell, or remove that line";
         check_complete(&recorded, &recorded.inputs, &lines, &value, hint)?;
     }
@@ -44,6 +45,25 @@ pub(super) fn recording(table: &Table<'_>) -> Result<Recorded, ScenarioError> {
         ])?;
     }
     Ok(recorded)
+}
+
+/// Checks that the inputs are different columns, and not the state that agents are to estimate.
+fn check_known(recorded: &Recorded, value: &Value<'_>) -> Result<(), ScenarioError> {
+    for (index, (column, value)) in
+        recorded.inputs.iter().zip(value.list(NAME_A_COLUMN)?).enumerate()
+    {
+        let name = &recorded.names[*column];
+        if recorded.inputs[..index].contains(column) {
+            let problem = format!("the column `{name}` is listed twice");
+            return Err(value.error(problem, "list each column once"));
+        }
+        if recorded.reference.contains(column) {
+            let problem = format!("the column `{name}` is the reference of a state");
+            let hint = "remove it: agents know their inputs, so they would know the state";
+            return Err(value.error(problem, hint));
+        }
+    }
+    Ok(())
 }
 
 /// Checks that each of the columns that `value` names has a number in every row.

@@ -116,6 +116,20 @@ pub(super) fn after_the_end(value: &Value<'_>, time: &Time) -> ScenarioError {
     value.error(problem, format_args!("use a time up to time.duration, {}", time.duration))
 }
 
+/// Checks that something at `at` \[s\] happens before the run ends.
+pub(super) fn check_before_end(
+    value: &Value<'_>,
+    at: f64,
+    time: &Time,
+) -> Result<(), ScenarioError> {
+    if time.tick(at) < time.tick(time.duration) {
+        return Ok(());
+    }
+    let place = if at > time.duration { "after" } else { "at" };
+    let problem = format!("is {}, {place} the end of the run", value.written());
+    Err(value.error(problem, format_args!("use a time below time.duration, {}", time.duration)))
+}
+
 /// Limit for the traces kept in memory. \[bytes\]
 const TRACE_BYTES_MAX: u64 = 1 << 31;
 

@@ -1,9 +1,10 @@
 //! Names of the state's components.
 
+use crate::number::counted;
 use crate::plant::DIMENSION_MAX;
 use crate::plant::expression::name_problem;
 use crate::scenario::error::ScenarioError;
-use crate::scenario::reader::{Table, Value, counted, has};
+use crate::scenario::reader::{Table, Value, has};
 
 /// Largest dimension of a state with the feature `wide`.
 const WIDE_DIMENSION_MAX: usize = 40;
@@ -49,7 +50,7 @@ pub(super) fn check_inputs(
         return Ok(());
     }
     let found = has(inputs, "known input", "known inputs");
-    let problem = format!("{found} beside {}", counted(states, "state", "states"));
+    let problem = format!("{found} beside {}", counted(states as u64, "state", "states"));
     let hint = match room {
         0 => "remove plant.inputs".to_owned(),
         room => format!("use at most {room}"),
