@@ -5,7 +5,7 @@ use std::fs;
 use host_sim::engine::{RunOptions, RunResult, Silent, run};
 use host_sim::scenario::Scenario;
 
-use crate::cli::command_line::Folder;
+use crate::cli::command_line::{Folder, texts};
 
 /// A driven oscillator whose drive is most of its acceleration.
 const DRIVEN: &str = r#"
@@ -234,6 +234,13 @@ fn nodes_do_not_know_inputs() {
     assert!(Scenario { network: None, ..scenario }.check_for_nodes().is_ok());
 }
 
+/// Returns the error of `check`, which also prints what it found.
+fn checked(folder: &Folder, file: &str) -> String {
+    let output = folder.run(&format!("check {file}"));
+    assert_eq!(output.status.code(), Some(1));
+    texts(&output).1
+}
+
 #[test]
 fn an_input_without_a_value_is_named() {
     let text = DRIVEN.replace("4*sin(w*t)", "1/(t - 0.5)");
@@ -242,7 +249,7 @@ fn an_input_without_a_value_is_named() {
     assert!(error.contains("plant.inputs, expression 1 for u"), "{error}");
     let folder = Folder::new("input-without-a-value");
     folder.write("driven.toml", &text);
-    let error = folder.fail("check driven.toml", 1);
+    let error = checked(&folder, "driven.toml");
     assert!(
         error.contains("plant.inputs, expression 1 for u") && error.contains("t = 0.5"),
         "{error}"
@@ -267,7 +274,7 @@ fn an_input_without_a_value_on_an_agents_clock_is_named() {
             let text = ahead.replace("4*sin(w*t)", &format!("4*sin(w*t) + {input}"));
             let text = text + health;
             folder.write("ahead.toml", &text);
-            let early = folder.fail("check ahead.toml", 1);
+            let early = checked(&folder, "ahead.toml");
             assert!(early.contains(expected), "{early}");
             let result = run(&parsed(&text), options, &Silent);
             let error = result.err().unwrap_or_else(|| panic!("{input}")).to_string();

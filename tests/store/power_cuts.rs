@@ -20,9 +20,9 @@ use test_support::store_model::{
 };
 
 /// Distance between the second cuts for one first cut. \[byte\]
-const STRIDE: usize = 3100;
+const STRIDE: usize = 1900;
 /// One of so many starting states is tested with each kind of flash.
-const SHARE: usize = 11;
+const SHARE: usize = 7;
 /// Lengths of packages, in turn; none is a multiple of a word, and not all have more than a header.
 const LENGTHS: [usize; 3] = [50, 231, 198];
 /// Length of the chunks of an upload. \[byte\]

@@ -12,7 +12,6 @@ use object::{Object, ObjectSymbol};
 use crate::{
     boards::{self, Board},
     compiler::{self, Compiler, cross_folder},
-    emulate,
     firmware::{self, Variant},
     machine_code::{BINUTILS, Disassembler, Findings},
     packages, project,
@@ -76,7 +75,7 @@ const VARIATIONS: [Variation; 2] = [
     ),
 ];
 
-/// Installs what is missing to build for nodes and to emulate them, where that is allowed.
+/// Installs what is missing to build for nodes, where that is allowed.
 ///
 /// # Errors
 /// Something is missing and cannot be installed.
@@ -87,7 +86,7 @@ pub(crate) fn install_tools(debian: bool) -> Result<(), Failure> {
     compiler::install_for(&wanted, debian)?;
     Disassembler::find(debian)?;
     Linker::find(debian)?;
-    emulate::find_emulators(debian)
+    Ok(())
 }
 
 /// Builds for every target and checks the results.

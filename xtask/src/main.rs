@@ -176,6 +176,7 @@ fn main() -> ExitCode {
 fn test(debian: bool) -> Result<(), Failure> {
     // Before anything links that a package could replace.
     cross::install_tools(debian)?;
+    emulate::find_emulators(debian)?;
     let nodes = Background::start("nodes", debian)?;
     let host = test_host(debian);
     if let Err(failure) = &host {

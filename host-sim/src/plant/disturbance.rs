@@ -1,7 +1,6 @@
 //! Disturbances of the plant.
 
 use super::{ExpressionFault, ExpressionSystem, RandomDisturbance};
-use crate::scenario::Time;
 
 /// `d`, the disturbance.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,12 +63,13 @@ impl Disturbance {
         }
     }
 
-    /// Returns the disturbance of a run with this seed; `None` if it is this one.
+    /// Returns the disturbance of a run with this seed and `steps` steps of `step_size` \[s\]; `None` if it is this
+    /// one.
     #[must_use]
-    pub fn drawn(&self, seed: u64, time: &Time) -> Option<Self> {
+    pub fn drawn(&self, seed: u64, step_size: f64, steps: u64) -> Option<Self> {
         match self {
             Self::None | Self::Harmonic(_) | Self::Expressions(_) => None,
-            Self::Random(random) => random.drawn(seed, time).map(Self::Random),
+            Self::Random(random) => random.drawn(seed, step_size, steps).map(Self::Random),
         }
     }
 

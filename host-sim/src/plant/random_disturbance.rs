@@ -15,7 +15,6 @@
 use std::sync::Arc;
 
 use crate::random::{Purpose, Random};
-use crate::scenario::Time;
 
 /// An Ornstein-Uhlenbeck process, and its path in a run.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,11 +44,10 @@ impl RandomDisturbance {
         Self { deviation, correlation_time, path: None }
     }
 
-    /// Draws the path of a run with this seed; `None` if it is drawn already.
+    /// Draws the path of a run with this seed and `steps` steps of `step_size` \[s\]; `None` if it is drawn already.
     #[must_use]
-    pub fn drawn(&self, seed: u64, time: &Time) -> Option<Self> {
-        let (n, steps, step_size) =
-            (self.deviation.len(), time.tick(time.duration), time.step_size);
+    pub fn drawn(&self, seed: u64, step_size: f64, steps: u64) -> Option<Self> {
+        let n = self.deviation.len();
         let is_drawn = |path: &Path| {
             let is_complete = path.values.len() as u64 == (steps + 1) * n as u64;
             is_complete && path.seed == seed && path.step_size == step_size
@@ -98,12 +96,9 @@ impl RandomDisturbance {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::Integrator;
 
-    fn process(deviation: &[f64], steps: u32, seed: u64) -> RandomDisturbance {
-        let duration = 0.01 * f64::from(steps);
-        let time = Time { duration, step_size: 0.01, integrator: Integrator::Euler };
-        RandomDisturbance::new(deviation.to_vec(), 0.25).drawn(seed, &time).unwrap()
+    fn process(deviation: &[f64], steps: u64, seed: u64) -> RandomDisturbance {
+        RandomDisturbance::new(deviation.to_vec(), 0.25).drawn(seed, 0.01, steps).unwrap()
     }
 
     fn values(process: &RandomDisturbance) -> &[f64] {
@@ -142,13 +137,12 @@ mod tests {
         assert!((second[0] - path[2]).abs() < 1e-12);
         assert!((at(0.005)[1] - 0.5 * (first[1] + second[1])).abs() < 1e-12);
         assert_eq!((at(-1.0), &at(1e9)[..]), (first, &path[path.len() - 2..]));
-        let time = |duration| Time { duration, step_size: 0.01, integrator: Integrator::Rk4 };
-        assert_eq!(process.drawn(7, &time(1.0)), None);
-        let other = process.drawn(8, &time(1.0)).unwrap();
+        assert_eq!(process.drawn(7, 0.01, 100), None);
+        let other = process.drawn(8, 0.01, 100).unwrap();
         assert_ne!(other, process);
-        assert_eq!(other.drawn(7, &time(1.0)), Some(process.clone()));
+        assert_eq!(other.drawn(7, 0.01, 100), Some(process.clone()));
         // A longer run begins with the same path.
-        let longer = process.drawn(7, &time(2.0)).unwrap();
+        let longer = process.drawn(7, 0.01, 200).unwrap();
         assert_eq!(&values(&longer)[..path.len()], path);
         assert_eq!(values(&longer).len(), 402);
         // The second component does not change that of the first.

@@ -114,7 +114,7 @@ impl Scenario {
         if let Some(initial_state) = initial_state {
             drawn.to_mut().initial_state = initial_state;
         }
-        if let Some(disturbance) = self.disturbance.drawn(seed, &self.time) {
+        if let Some(disturbance) = self.disturbance.drawn(seed, self.time.step_size, self.steps()) {
             drawn.to_mut().disturbance = disturbance;
         }
         drawn

@@ -58,13 +58,12 @@ pub enum OutputError {
         what: &'static str,
     },
     /// A file is where a folder should be.
-    #[error("{}: {error}; choose another folder", path.display())]
+    #[error("{}: {} is a file, not a folder; choose another folder", path.display(), file.display())]
     NotAFolder {
         /// The folder, or the file in it.
         path: PathBuf,
-        /// Names the file.
-        #[source]
-        error: io::Error,
+        /// The file in place of the folder.
+        file: PathBuf,
     },
     /// The file belongs to another user.
     #[error(
@@ -98,19 +97,23 @@ impl OutputError {
         }
     }
 
-    /// Returns the error of creating the folder `path`, or that of the file `path`.
-    fn of_folder(path: &Path, error: io::Error) -> Self {
+    /// Returns the error of writing the file or folder `path`.
+    fn of(path: &Path, error: io::Error) -> Self {
         let path = path.to_owned();
-        match error.kind() {
-            io::ErrorKind::NotADirectory => Self::NotAFolder { path, error },
-            _ => Self::Write { path, error },
+        let file = match error.kind() {
+            io::ErrorKind::NotADirectory => file_on(&path),
+            _ => None,
+        };
+        match file {
+            Some(file) => Self::NotAFolder { file: file.to_owned(), path },
+            None => Self::Write { path, error },
         }
     }
 
     /// Whether writing was refused because of an existing file, not by the system.
     #[must_use]
     pub fn is_refusal(&self) -> bool {
-        !matches!(self, Self::Write { .. } | Self::NoReader { .. })
+        matches!(self, Self::OtherKind { .. } | Self::NotAFile { .. } | Self::Owner { .. })
     }
 }
 
@@ -145,7 +148,7 @@ impl OutputFile {
 
     /// With a `mode`, the file has that one and belongs to this user, whatever was there before.
     fn prepare_with(path: &Path, kind: FileKind, mode: Option<u32>) -> Result<Self, OutputError> {
-        let failed = |error| OutputError::Write { path: path.to_owned(), error };
+        let failed = |error| OutputError::of(path, error);
         let target = match place::find(path)? {
             Place::Stream(file) => Target::Stream(file),
             Place::File(place) => {
@@ -158,8 +161,7 @@ impl OutputFile {
                     Some(folder) if !folder.as_os_str().is_empty() => folder,
                     _ => Path::new("."),
                 };
-                let made = MadeFolders::make(folder)
-                    .map_err(|error| OutputError::of_folder(path, error))?;
+                let made = MadeFolders::make(folder).map_err(failed)?;
                 let old_mode = before.as_ref().map(place::mode);
                 let (temporary, file) =
                     Temporary::file(folder, mode.or(old_mode)).map_err(failed)?;
@@ -192,7 +194,7 @@ impl OutputFile {
         durable: bool,
     ) -> Result<(), OutputError> {
         let Self { path, kind, target } = self;
-        let failed = |error| OutputError::Write { path: path.clone(), error };
+        let failed = |error| OutputError::of(&path, error);
         match target {
             Target::Stream(file) => filled(file, fill).map(drop).map_err(failed),
             Target::File { temporary, file, place, made } => {
@@ -284,7 +286,7 @@ pub fn copy_attributes(new: &Path, before: &fs::Metadata) -> io::Result<()> {
 /// # Errors
 /// The system's error, or a file is where the folder or one above it should be.
 pub fn make_folder(folder: &Path) -> Result<(), OutputError> {
-    create_folders(folder).map_err(|error| OutputError::of_folder(folder, error))
+    create_folders(folder).map_err(|error| OutputError::of(folder, error))
 }
 
 /// Creates a folder and its parents.
@@ -293,12 +295,16 @@ pub fn make_folder(folder: &Path) -> Result<(), OutputError> {
 /// The system's error; of the kind [`io::ErrorKind::NotADirectory`], with the name of the file, if one is where a
 /// folder should be.
 pub fn create_folders(folder: &Path) -> io::Result<()> {
-    let is_file = |path: &&Path| fs::metadata(path).is_ok_and(|found| !found.is_dir());
-    if let Some(file) = folder.ancestors().find(is_file) {
+    if let Some(file) = file_on(folder) {
         let text = format!("{} is a file, not a folder", file.display());
         return Err(io::Error::new(io::ErrorKind::NotADirectory, text));
     }
     fs::create_dir_all(folder)
+}
+
+/// Returns what is not a folder at `path` or above it.
+fn file_on(path: &Path) -> Option<&Path> {
+    path.ancestors().find(|path| fs::metadata(path).is_ok_and(|found| !found.is_dir()))
 }
 
 /// Folders created for a file; removed again if it is not written.

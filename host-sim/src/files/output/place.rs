@@ -20,7 +20,7 @@ const LINKS_MAX: usize = 40;
 
 /// Resolves the destination of `path`.
 pub(super) fn find(path: &Path) -> Result<Place, OutputError> {
-    let failed = |error| OutputError::Write { path: path.to_owned(), error };
+    let failed = |error| OutputError::of(path, error);
     if let Some(stream) = standard_stream(path).map_err(failed)? {
         return Ok(Place::Stream(stream));
     }
@@ -128,7 +128,7 @@ pub(super) fn check(
     place: &Path,
     kind: FileKind,
 ) -> Result<Option<Metadata>, OutputError> {
-    let failed = |error| OutputError::Write { path: path.to_owned(), error };
+    let failed = |error| OutputError::of(path, error);
     let found = match fs::symlink_metadata(place) {
         Ok(found) => found,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
