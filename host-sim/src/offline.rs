@@ -184,7 +184,8 @@ impl<'t> OfflineTask<'t> {
         }
         let Samples { paths, agents, recordings } = &*samples;
         check_intervals(paths, recordings)?;
-        let plan = plan(scenario, cycle)?;
+        let drawn = scenario.drawn(self.seed);
+        let plan = plan(&drawn, cycle)?;
         let joined = FleetSamples::new(plan.as_ref(), agents, recordings)
             .ok_or_else(|| ErrorReport::usage("no samples; give at least one recording"))?;
         let FleetSamples { recording, harmonics } = &joined;

@@ -158,9 +158,12 @@ fn checks_outputs_before_the_work() {
     // A training that would take hours.
     let endless = endless(&folder);
     folder.write("blocked", "a file\n");
-    for out in ["blocked/below.weights", "/proc/no/x.weights"] {
+    for (out, advice) in [
+        ("blocked/below.weights", "blocked is not a folder; choose another one"),
+        ("/proc/no/x.weights", "check that"),
+    ] {
         let error = folder.fail(&format!("{endless} --out {out}"), 1);
-        assert!(error.contains(out) && error.contains("check that"), "{error}");
+        assert!(error.contains(out) && error.contains(advice), "{error}");
     }
     assert!(folder.fail(&format!("{endless} --out blocked"), 2).contains("blocked"));
     assert!(folder.fail(&format!("{endless} --out out"), 2).contains("is a folder"));

@@ -77,5 +77,5 @@ fn recordings_and_agents_that_do_not_fit_are_refused() {
     assert!(error.contains("agents 1 to 2"), "{error}");
     folder.write("file", "not a folder");
     let error = folder.fail(&format!("{TRAIN} --agent 1,2 --out file"), 1);
-    assert!(error.contains("file is a file, not a folder; choose another folder"), "{error}");
+    assert!(error.contains("file is not a folder; choose another one"), "{error}");
 }

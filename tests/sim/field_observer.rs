@@ -142,7 +142,7 @@ const FORMS: [(&str, &str, u64, [f64; 3]); 11] = [
         3_300,
         TABLE_1,
     ),
-    ("split", include_str!("../../host-sim/examples/field-observer/split.toml"), 2_500, TABLE_1),
+    ("split", include_str!("../../host-sim/examples/field-observer/split.toml"), 2_000, TABLE_1),
     ("flow", include_str!("../../host-sim/examples/field-observer/flow.toml"), 750, TABLE_1),
     (
         "flow-eso",
@@ -178,7 +178,7 @@ const FORMS: [(&str, &str, u64, [f64; 3]); 11] = [
     (
         "random disturbance",
         include_str!("../../host-sim/examples/field-observer/random-disturbance.toml"),
-        300,
+        400,
         TABLE_1,
     ),
     (

@@ -138,7 +138,7 @@ fn a_recording_that_does_not_fit_is_refused_with_its_place() {
     for (data, plant, agent, expected) in [
         (good, "", both, ""),
         (good, "", "measured = [\"y1\", \"y3\"]", "no column `y3`"),
-        (good, "", "measured = [\"y1\"]", "names 1 columns, expected 2"),
+        (good, "", "measured = [\"y1\"]", "names 1 column, expected 2"),
         (good, "", "", "there is nothing to measure"),
         (good, "reference = [\"y1\", \"nothing\"]", both, "no column `nothing`"),
         (good, "time = \"seconds\"", both, "no column `seconds`"),

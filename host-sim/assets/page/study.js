@@ -1,5 +1,20 @@
 // A study: error against broadcasts of every cell.
 
+// Round numbers within a range, at least three if possible: powers of ten, or multiples of them.
+function logarithmicTicks(low, high) {
+  const multiples = [[1], [1, 2, 5], [1, 2, 3, 4, 5, 6, 7, 8, 9], Array.from({ length: 90 }, (_, k) => 1 + k / 10)];
+  const between = (steps) => {
+    const ticks = [];
+    for (let decade = Math.floor(Math.log10(low)); decade <= Math.log10(high); decade++) {
+      ticks.push(...steps.map((step) => Number((step * 10 ** decade).toPrecision(3))));
+    }
+    return ticks.filter((tick) => tick >= low && tick <= high);
+  };
+  const ticks = multiples.map(between).find((found) => found.length > 2) ?? between(multiples.at(-1));
+  const stride = Math.ceil(ticks.length / 9);
+  return ticks.filter((_, index) => index % stride === 0);
+}
+
 function tradeoffPlot(data) {
   const all = data.lines.flatMap((line) => line.points.map((point) => ({ ...point, line })));
   const points = all.filter((point) => point.broadcasts[1] > 0 && point.error[1] > 0);
@@ -7,7 +22,7 @@ function tradeoffPlot(data) {
   if (!points.length) return element("p", {}, "No cell has a result with broadcasts, so there is nothing to draw.");
   const frame = element("div", { class: "frame", tabindex: 0, role: "group",
     "aria-label": `${data.error_label} against broadcasts, one mark for each cell; the table below has the numbers. Drag to zoom, double click to show all.` });
-  const status = element("p", { class: "note", role: "status" }, "Bars reach over 95 % of the runs. Point at a mark for its numbers; drag to zoom, double click to show all.");
+  const status = element("p", { class: "note", role: "status" }, "Bars reach from the 2.5th to the 97.5th percentile of the runs. Point at a mark for its numbers; drag to zoom, double click to show all.");
   const legend = element("ul", { class: "legend" });
   const extent = (values) => {
     const positive = values.filter((value) => value > 0);
@@ -76,7 +91,12 @@ function tradeoffPlot(data) {
   const build = () => {
     if (plot) plot.destroy();
     const [text, grid] = [themeColour("faint"), themeColour("grid")];
-    const axis = { stroke: text, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid, width: 1 } };
+    const axis = {
+      stroke: text, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid, width: 1 },
+      splits: (_, __, low, high) => logarithmicTicks(low, high),
+      filter: (_, ticks) => ticks,
+      values: (_, ticks) => ticks.map((tick) => number(tick, 3)),
+    };
     plot = new uPlot({
       width: Math.max(50, Math.floor(frame.clientWidth)), height: 420, legend: { show: false },
       cursor: { drag: { x: true, y: true, setScale: false }, points: { show: false } },
@@ -120,5 +140,5 @@ function cellTable(data) {
     { name: "broadcasts", ...interval("broadcasts") },
     { name: "bytes", ...interval("bytes") },
   ];
-  return table("Median (and 95 % of the runs) of each cell: the largest error or innovation of an agent, and the broadcasts of all", columns, data.cells);
+  return table("Median (2.5th to 97.5th percentile) of the runs of each cell: the largest error or innovation of an agent, and the broadcasts of all", columns, data.cells);
 }

@@ -85,7 +85,8 @@ fn expression_error(scenario: &Scenario) -> Option<RunError> {
         return None;
     }
     let clocks = agents.iter().map(|agent| agent.clock.offset).enumerate();
-    let (agent, ahead) = clocks.max_by(|(_, a), (_, b)| a.total_cmp(b)).unwrap_or((0, 0.0));
+    let first = |a: (usize, f64), b: (usize, f64)| if b.1 > a.1 { b } else { a };
+    let (agent, ahead) = clocks.reduce(first).unwrap_or((0, 0.0));
     let end = time.tick(time.duration + ahead);
     let stride = end.div_ceil(TICKS_CHECKED).max(1) as usize;
     (0..=end).step_by(stride).map(|tick| time.at(tick)).find_map(|time| {
@@ -112,7 +113,9 @@ fn text(scenario: &Scenario, design: &DesignChecks, warnings: &[Warning]) -> Str
         true => "  together the agents measure the whole state\n",
         false => "  together the agents do NOT measure the whole state\n",
     };
-    if let Some(bound) = design.ultimate_bound {
+    if !design.gain.holds() {
+        text += "  Theorem 1: not applicable, because the gain is not a solution\n";
+    } else if let Some(bound) = design.ultimate_bound {
         text += &format!(
             "  Theorem 1, if rho is at least chi_bar_max (which a run estimates): ultimate bound \
              |e_1| <= {}\n",

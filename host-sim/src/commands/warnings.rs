@@ -33,7 +33,10 @@ pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning>
     if design.gain.verdict == GainVerdict::StateNotCovered {
         let text = format!("design.gain in the matrix inequality: {}", design.gain_in_words());
         warn(WarningCode::StateNotCovered, text);
-    } else if !design.gain.holds() {
+    } else if !design.gain.holds()
+        && scenario.observer.is_none()
+        && scenario.plant.recording().is_none()
+    {
         let text = format!(
             "design.gain in the matrix inequality, which the theorems require: {}",
             design.gain_in_words()
@@ -146,9 +149,13 @@ pub(super) fn after(
             1 => String::new(),
             count => format!(" ({count} agents broadcast in more than a quarter of the steps)"),
         };
+        let advice = match &scenario.observer {
+            None => "raise design.epsilon, lower design.gain",
+            Some(_) => "raise observer.error or observer.radius",
+        };
         let text = format!(
             "agent {} broadcast in {:.0} % of the steps{others}, so the event trigger saves little; \
-             raise design.epsilon, lower design.gain, or shorten time.step",
+             {advice}, or shorten time.step",
             worst.0,
             100.0 * worst.1,
         );

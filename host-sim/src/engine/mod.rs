@@ -50,7 +50,7 @@ use crate::scenario::LearningCycle;
 use crate::training::{EpochReport, TrainingError, TrainingReport};
 use crate::warning::Warning;
 use bounds::Bounds;
-use failure::step_hint;
+use failure::{norm_in_words, step_hint};
 use link::LayerCount;
 use statistics::AgentStatistics;
 use traces::Traces;
@@ -249,7 +249,8 @@ pub enum RunError {
     },
     /// An agent could not take its step, and health monitoring is off or cannot recover it.
     #[error(
-        "agent {agent} at t = {time}: {error} (|x_0| = {plant_norm:.3e}); {}",
+        "agent {agent} at t = {time}: {error}{}; {}",
+        norm_in_words(*plant_norm),
         step_hint(*plant_norm, step)
     )]
     Step {

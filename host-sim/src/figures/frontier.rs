@@ -12,6 +12,7 @@ use super::panel::{
     BOTTOM_MARGIN, Entry, LABEL_BASELINE, LABEL_SPACE, LEGEND_ROW, LEGEND_TOP, Labels, Panel,
     RIGHT_MARGIN, Sample, draw_legend, draw_title, legend_rows,
 };
+use crate::number::significant;
 
 /// Input of [`frontier`].
 #[derive(Clone, Debug)]
@@ -146,12 +147,25 @@ fn draw_form(canvas: &mut Canvas, panel: &Panel, form: &FrontierForm<'_>, color:
     }
 }
 
+/// Returns the form's name, and how many of its points are above the picture, whose highest error is `far`.
+fn named(form: &FrontierForm<'_>, far: f64) -> String {
+    let drawable: Vec<f64> =
+        form.points.iter().filter(|p| p.is_drawable()).map(|p| p.error[1]).collect();
+    let above: Vec<f64> = drawable.iter().copied().filter(|&error| error > far).collect();
+    match (above.len(), drawable.len()) {
+        (0, _) => form.name.to_owned(),
+        (1, 1) => format!("{}: {}, above the picture", form.name, significant(above[0], 3)),
+        (count, all) => format!("{} ({count} of {all} above the picture)", form.name),
+    }
+}
+
 fn legend(figure: &FrontierFigure<'_>) -> Vec<Entry> {
     let entry = |text: &str, sample| Entry { text: text.to_owned(), sample };
     let forms = figure.forms.iter().enumerate();
     let mut entries: Vec<Entry> = forms
         .map(|(index, form)| {
-            entry(form.name, Sample::Line(Stroke::solid(palette::agent(index), LINE)))
+            let name = named(form, FAR * figure.target.1);
+            entry(&name, Sample::Line(Stroke::solid(palette::agent(index), LINE)))
         })
         .collect();
     if figure.has_certificates {

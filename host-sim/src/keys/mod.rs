@@ -161,7 +161,11 @@ fn create_folder(path: &Path) -> std::io::Result<()> {
     let mut folder = fs::DirBuilder::new();
     #[cfg(unix)]
     std::os::unix::fs::DirBuilderExt::mode(&mut folder, 0o700);
-    folder.create(path)
+    folder.create(path).or_else(|error| match error.kind() {
+        // Names what is there.
+        std::io::ErrorKind::AlreadyExists => create_folders(path),
+        _ => Err(error),
+    })
 }
 
 #[cfg(all(test, unix))]

@@ -117,7 +117,7 @@ fn theorem1(checks: &Checks) -> String {
         let _ = writeln!(
             text,
             "    rho = {}, must reach chi_bar_max: about {} for the best W_0 found, at least {} for any \
-             ({} steps of this run); the disturbance alone, stacked over the agents: {}",
+             (evaluated at {} steps); the disturbance alone, stacked over the agents: {}",
             theorem.rho,
             significant(lumped.estimate, 4),
             significant(lumped.at_least, 4),
@@ -166,7 +166,10 @@ impl DesignReport {
             state_covered: design.covered,
             step: design.step.step_size,
             largest_stable_step: design.step.largest_stable_step,
-            ultimate_bound: design.ultimate_bound.map(|bound| bound.ultimate().sqrt()),
+            ultimate_bound: design
+                .ultimate_bound
+                .filter(|_| design.gain.holds())
+                .map(|bound| bound.ultimate().sqrt()),
         }
     }
 }

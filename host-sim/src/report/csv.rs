@@ -27,14 +27,16 @@ pub fn write_traces(path: &Path, traces: &Traces, names: &[String]) -> Result<()
     }
     write_table(path, &header, 0..traces.rows(), |line, row| {
         line.double(traces.time()[row])?;
+        // Nothing is known of them without a reference.
+        let known = |x: f64| (!x.is_nan()).then_some(x);
         for &x in traces.truth(row) {
-            line.double(x)?;
+            line.optional(known(x))?;
         }
         for agent in 0..traces.agents() {
             for &x_hat in traces.estimate(row, agent) {
                 line.single(x_hat)?;
             }
-            line.double(traces.error(row, agent))?;
+            line.optional(known(traces.error(row, agent)))?;
         }
         Ok(())
     })

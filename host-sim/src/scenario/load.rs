@@ -200,6 +200,16 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
     let kalman = method::kalman(root)?;
     let exchange = exchange::exchange(root, &time)?;
     let (mut observer, is_robust) = observer::observer(root, &time, n, network.is_some())?;
+    if let (Some(table), Some(recorded)) = (root.get_table("observer")?, plant.recording())
+        && observer.is_some()
+        && !recorded.has_reference()
+    {
+        let hint = "add plant.reference, or remove this table";
+        return Err(table.error(
+            "derives its settings from the state, and the recording has no reference",
+            hint,
+        ));
+    }
     if let Some(observer) = observer.as_mut().filter(|_| is_robust)
         && root.get_table("exchange")?.is_none()
     {

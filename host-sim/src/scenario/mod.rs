@@ -190,7 +190,9 @@ impl Scenario {
         let from = self.observer.as_ref().map_or(0.0, |observer| observer.from);
         let watched_from = self.learning.iter().map(|cycle| cycle.apply_at).fold(from, f64::max);
         let length = last.apply_at - last.collect.from;
-        Some(watched_from + f64::from(windows) * relearning.window + length)
+        // Windows are whole steps.
+        let window = self.time.tick(relearning.window).max(1) as f64 * self.time.step_size;
+        Some(watched_from + f64::from(windows) * window + length)
     }
 
     /// Returns how many cycles can start by themselves at most.

@@ -103,6 +103,7 @@ impl Study {
     fn run(&self, variant: &Variant, state: usize, seed: u64, progress: &dyn Progress) -> Point {
         let mut scenario = begun_in(&variant.scenario, &self.initial_states[state]);
         scenario.record = Record::NOTHING;
+        let scenario = scenario.drawn(seed).into_owned();
         let mut point = Point {
             form: variant.form,
             radius: None,

@@ -14,6 +14,7 @@ use crate::figures::{
 use crate::report::csv::write_innovations;
 use crate::report::mcap::write_mcap;
 use crate::scenario::Scenario;
+use crate::terminal;
 
 /// Returns the names of all files that [`write`] may write.
 pub(super) fn planned(scenario: &Scenario, figures: FigureFormats) -> Vec<String> {
@@ -130,6 +131,11 @@ fn write_figures(
             to: window.to,
         };
         figures.push(("events", events(&figure)));
+    }
+    if figures.is_empty() && formats.has_pdf() {
+        terminal::warning(
+            "--pdf: there is nothing to draw: neither traces nor broadcasts are recorded ([record])",
+        );
     }
     write_all(out, &figures, formats.wanted())?;
     Ok(())

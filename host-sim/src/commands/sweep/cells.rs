@@ -131,13 +131,15 @@ impl Cells {
             changes.push(change);
         }
         let mut seen = BTreeSet::new();
-        if let Some(row) = self.rows.iter().find(|row| !seen.insert(*row)) {
-            let problem = format!(
-                "{}: the values {} appear twice; give them once",
-                self.origin,
-                row.join(", ")
-            );
-            return Err(CommandError::usage(problem));
+        for (cell, row) in self.rows.iter().enumerate() {
+            // Equal values can be written differently.
+            let values: Vec<String> = self.changes(cell)?.iter().map(Change::shown).collect();
+            if !seen.insert(values) {
+                let values = row.join(", ");
+                let problem =
+                    format!("{}: the values {values} appear twice; give them once", self.origin);
+                return Err(CommandError::usage(problem));
+            }
         }
         Ok(self)
     }
@@ -264,6 +266,7 @@ mod tests {
             (Cells::grid(&varied(&["a..b=1"])), "invalid key"),
             (Cells::grid(&varied(&["a=1:2:1000", "b=1:2:1001"])), "more than 1000000 cells"),
             (Cells::grid(&varied(&["a=1,2,1"])), "the values 1 appear twice"),
+            (Cells::grid(&varied(&["a=x,\"x\""])), "the values \"x\" appear twice"),
             (Cells::latin(&varied(&["a=1:2:3"]), 4, 0), "are drawn from a range"),
         ] {
             let error = cells.unwrap_err().to_string();

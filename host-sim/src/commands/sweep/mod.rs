@@ -51,7 +51,8 @@ use summary::{CellSummary, Summary};
 use vary::Vary;
 
 /// Title of the table.
-const TITLE: &str = "Error and broadcasts: median and 95 % of the runs of each cell";
+const TITLE: &str =
+    "Error and broadcasts: median, 2.5th and 97.5th percentile of the runs of each cell";
 
 /// Arguments of `sweep`.
 #[derive(Debug, Args)]
@@ -155,6 +156,10 @@ struct Report<'a> {
     engine_s: f64,
     results: String,
     /// Empty for a part of a study.
+    /// Runs of this command without a result.
+    failed: u64,
+    /// The first of them, and why.
+    first_failure: Option<&'a str>,
     summary: &'a [CellSummary],
 }
 
@@ -195,6 +200,8 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
         elapsed_s: start.elapsed().as_secs_f64(),
         engine_s: 0.0,
         results: results.display().to_string(),
+        failed: 0,
+        first_failure: None,
         summary: &summary.cells,
     };
     match arguments.common.format {
@@ -250,6 +257,9 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
         summary = Summary::read(&file)?;
         written.push(write_files(&folder, arguments, &summary, &file)?);
     }
+    let first_failure = outcome.first_failure.as_ref();
+    let first_failure =
+        first_failure.map(|(run, reason)| format!("{}: {reason}", runs.name(*run, &cells.keys)));
     let report = Report {
         scenario: Some(&base.name),
         keys: &cells.keys,
@@ -264,9 +274,11 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
         elapsed_s: start.elapsed().as_secs_f64(),
         engine_s: outcome.in_runs.as_secs_f64(),
         results: file.display().to_string(),
+        failed: outcome.failed,
+        first_failure: first_failure.as_deref(),
         summary: &summary.cells,
     };
-    let result = result(&study, &outcome, before, &file);
+    let result = result(&study, &outcome, before, &file, &summary);
     match arguments.common.format {
         TableFormat::Json => print_outcome(&report, result),
         TableFormat::Latex => {
@@ -279,12 +291,9 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
             if !summary.cells.is_empty() {
                 text += &format!("{}\n", summary.text());
             }
-            if let Some((run, reason)) = &outcome.first_failure {
-                let name = runs.name(*run, &cells.keys);
-                text += &format!(
-                    "{} failed; the first: {name}: {reason}\n",
-                    counted(outcome.failed, "run", "runs")
-                );
+            if let Some(first) = &first_failure {
+                let failed = counted(outcome.failed, "run", "runs");
+                text += &format!("{failed} failed; the first: {first}\n");
             }
             if before == study.runs {
                 text += "All runs had already been done\n";
@@ -411,7 +420,13 @@ fn how_to_merge(out: &Path) -> String {
     )
 }
 
-fn result(study: &Study, outcome: &Outcome, before: u64, file: &Path) -> Result<(), CommandError> {
+fn result(
+    study: &Study,
+    outcome: &Outcome,
+    before: u64,
+    file: &Path,
+    summary: &Summary,
+) -> Result<(), CommandError> {
     let done = before + outcome.done;
     if done < study.runs {
         let text = format!(
@@ -421,10 +436,14 @@ fn result(study: &Study, outcome: &Outcome, before: u64, file: &Path) -> Result<
         );
         return Err(CommandError::new(ErrorCode::Interrupted, text));
     }
-    match &outcome.first_failure {
-        Some((_, reason)) if before == 0 && outcome.failed == study.runs => {
-            Err(CommandError::new(ErrorCode::Run, format!("every run failed; the first: {reason}")))
+    let cells = &summary.cells;
+    let has_none = !cells.is_empty() && cells.iter().all(|cell| cell.diverged == cell.runs);
+    let reason = match &outcome.first_failure {
+        Some((_, reason)) if has_none || before == 0 && outcome.failed == study.runs => reason,
+        None if has_none => {
+            "they failed in an earlier call; `host-sim run` with the settings of a cell says why"
         }
-        _ => Ok(()),
-    }
+        _ => return Ok(()),
+    };
+    Err(CommandError::new(ErrorCode::Run, format!("every run failed; the first: {reason}")))
 }

@@ -58,7 +58,7 @@ pub enum OutputError {
         what: &'static str,
     },
     /// A file is where a folder should be.
-    #[error("{}: {} is a file, not a folder; choose another folder", path.display(), file.display())]
+    #[error("{}: {} is not a folder; choose another one", path.display(), file.display())]
     NotAFolder {
         /// The folder, or the file in it.
         path: PathBuf,
@@ -296,7 +296,7 @@ pub fn make_folder(folder: &Path) -> Result<(), OutputError> {
 /// folder should be.
 pub fn create_folders(folder: &Path) -> io::Result<()> {
     if let Some(file) = file_on(folder) {
-        let text = format!("{} is a file, not a folder", file.display());
+        let text = format!("{} is not a folder", file.display());
         return Err(io::Error::new(io::ErrorKind::NotADirectory, text));
     }
     fs::create_dir_all(folder)
@@ -304,7 +304,13 @@ pub fn create_folders(folder: &Path) -> io::Result<()> {
 
 /// Returns what is not a folder at `path` or above it.
 fn file_on(path: &Path) -> Option<&Path> {
-    path.ancestors().find(|path| fs::metadata(path).is_ok_and(|found| !found.is_dir()))
+    // Without a slash at the end, with which a file is not found.
+    let path = path.components().as_path();
+    path.ancestors().find(|path| match fs::metadata(path) {
+        Ok(found) => !found.is_dir(),
+        // A link that leads nowhere.
+        Err(_) => fs::symlink_metadata(path).is_ok(),
+    })
 }
 
 /// Folders created for a file; removed again if it is not written.

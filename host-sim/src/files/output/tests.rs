@@ -95,7 +95,7 @@ fn a_file_in_place_of_a_folder_is_named() {
         write(&deep, "test").unwrap_err(),
     ] {
         let text = error.to_string();
-        assert!(text.ends_with("results is a file, not a folder; choose another folder"), "{text}");
+        assert!(text.ends_with("results is not a folder; choose another one"), "{text}");
     }
     assert_eq!(fs::read(&file).unwrap(), b"mine");
 }

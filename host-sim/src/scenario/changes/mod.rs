@@ -158,6 +158,9 @@ pub(super) fn applied(
             let problem = "has no effect with observer.preset=paper".to_owned();
             return Some(Err(refused((problem, "leave one of them out".to_owned()))));
         }
+        if change.is_preset() && !preset.is_some_and(|last| std::ptr::eq(last, change)) {
+            continue; // Another one follows.
+        }
         let place = Place { change, depth: 0 };
         if let Err(refusal) = place.in_table(document.as_table_mut(), false) {
             return Some(Err(refused(refusal)));

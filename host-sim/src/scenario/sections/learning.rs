@@ -102,6 +102,21 @@ pub(in crate::scenario) fn check_relearning(
     else {
         return Ok(());
     };
+    let window = scenario.relearning.as_ref().map_or(0.0, |relearning| relearning.window);
+    let steps = scenario.time.tick(window).max(1);
+    if let Some(relearning) = &scenario.relearning
+        && relearning.rate >= steps as f64
+    {
+        let rate = table.get("rate", "2.0");
+        let rate = rate.map_or_else(|| relearning.rate.to_string(), |rate| rate.written());
+        let problem = format!(
+            "has no effect: an agent broadcasts at most once in each of the {steps} steps of a window, never {rate} \
+             times as often as once in a window"
+        );
+        return Err(
+            table.error(problem, "use a lower rate or a longer window, or remove this table")
+        );
+    }
     let duration = scenario.time.duration;
     if scenario.time.tick(least) < scenario.steps() {
         return Ok(());

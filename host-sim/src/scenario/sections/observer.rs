@@ -206,6 +206,15 @@ pub(in crate::scenario) fn observer(
     };
     let positive =
         |key: &str, example: &str| table.get(key, example).map(|v| v.positive()).transpose();
+    let radius = per_direction("radius", "0.06")?;
+    if let (Some(value), Some([first, others @ ..])) =
+        (table.get("radius", "0.06"), radius.as_deref())
+        && coupling != Coupling::Trees
+        && others.iter().any(|other| other != first)
+    {
+        let problem = "has several radii, but without trees one trigger is for all directions";
+        return Err(value.error(problem, "write one number, or set coupling = \"trees\""));
+    }
     let settings = ObserverSettings {
         from,
         error: positive("error", "0.014")?.unwrap_or(ERROR),
@@ -217,7 +226,7 @@ pub(in crate::scenario) fn observer(
             .map_or(Ok(coupling != Coupling::Trees), |value| value.boolean())?,
         root_gain: per_direction("root_gain", "113.0")?,
         tree_gain: per_direction("tree_gain", "100.0")?,
-        radius: per_direction("radius", "0.06")?,
+        radius,
         disturbance: disturbance(&table, coupling, n)?,
         clip: per_direction("clip", "3.0")?,
         bias_decay: table.get("bias_decay", "1.0").map(|value| value.not_negative()).transpose()?,

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::state_names::{check_inputs, states};
 use crate::files::input::{is_too_large, read_limited};
+use crate::number::counted;
 use crate::plant::{Between, Recorded};
 use crate::scenario::error::{ScenarioError, closest};
 use crate::scenario::reader::{Table, Value};
@@ -98,9 +99,10 @@ pub(super) fn columns(
 ) -> Result<Vec<usize>, ScenarioError> {
     let list = value.list(NAME_A_COLUMN)?;
     if list.len() != count {
+        let columns = |count: usize| counted(count as u64, "column", "columns");
         let problem =
-            format!("names {} columns, expected {count}, one for each {owner}", list.len());
-        return Err(value.error(problem, format!("name {count} columns of the recording")));
+            format!("names {}, expected {count}, one for each {owner}", columns(list.len()));
+        return Err(value.error(problem, format!("name {} of the recording", columns(count))));
     }
     list.iter().map(|name| column(recorded, name)).collect()
 }
