@@ -231,9 +231,13 @@ fn seeds_give_median_and_range() {
     assert_eq!(table.lines().count(), 1 + 3 * 3);
     let text = folder.succeed("reproduce --seeds 2 --out text");
     assert!(
-        text.contains("Seeds 0 to 1, 2 runs") && text.contains("broadcasts, learned"),
+        text.contains("2 runs, seeds 0 to 1;") && text.contains("broadcasts, learned"),
         "{text}"
     );
+    let latex = folder.succeed("reproduce --seeds 2 --format latex --out text");
+    for title in ["Errors, seeds 0 to 1;", "Broadcasts, seeds 0 to 1;"] {
+        assert!(latex.contains(title), "{title}: {latex}");
+    }
     let message = folder.fail("reproduce --seed 18446744073709551615 --seeds 2", 2);
     assert!(message.contains("--seed 18446744073709551615"), "{message}");
 }

@@ -351,7 +351,13 @@ fn a_pdf_is_of_the_table_beside_it_or_not_there() {
     folder.write("foreign/tradeoff.pdf", "mine");
     let message = folder.fail(&format!("{small} --out foreign --pdf"), 2);
     assert!(message.contains("tradeoff.pdf: not a PDF document"), "{message}");
-    assert!(!folder.path("foreign/results.csv").exists());
+    fs::create_dir(folder.path("other")).unwrap();
+    folder.write("other/summary.csv", "mine");
+    let message = folder.fail(&format!("{small} --out other"), 2);
+    assert!(message.contains("summary.csv: not the summary of a sweep"), "{message}");
+    for folder_name in ["foreign", "other"] {
+        assert!(!folder.path(folder_name).join("results.csv").exists());
+    }
     folder.succeed(&format!("{small} --out out --pdf"));
     let pdf = fs::read(folder.path("out/tradeoff.pdf")).unwrap();
     assert!(pdf.starts_with(b"%PDF-"));

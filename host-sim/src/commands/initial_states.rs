@@ -1,10 +1,9 @@
 //! The initial states of a study: the scenario's own, and others within the plant's reach.
 
-use crate::engine::RunError;
 use crate::flow::plant_course;
 use crate::scenario::{Scenario, drawn_state};
 
-use super::CommandError;
+use super::{CommandError, ErrorCode};
 
 /// Draws `count - 1` initial states besides the scenario's own: uniform within plus and minus the half
 /// widths that the scenario draws its own state from, or else the largest magnitude of each component
@@ -31,7 +30,9 @@ pub(super) fn others(
 
 /// Returns the largest magnitude of each component of the state along the plant's trajectory.
 fn reach(scenario: &Scenario) -> Result<Vec<f64>, CommandError> {
-    let course = plant_course(scenario).map_err(RunError::Observer)?;
+    let course = plant_course(scenario).map_err(|error| {
+        CommandError::new(ErrorCode::Run, format!("--initial-states, half widths: {error}"))
+    })?;
     let n = course.dimension;
     let size =
         |c: usize| course.states.iter().skip(c).step_by(n).fold(0.0f64, |m, x| m.max(x.abs()));

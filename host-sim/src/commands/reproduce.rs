@@ -148,7 +148,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         }
         TableFormat::Latex => {
             let tables = table.tables();
-            let texts = tables.iter().map(|(title, table)| latex(title, table));
+            let seeds = seeds.as_ref().map(seeds::Report::tables);
+            let tables = tables.iter().chain(seeds.iter().flatten());
+            let texts = tables.map(|(title, table)| latex(title, table));
             let printed = print_text(&texts.collect::<Vec<_>>().join("\n"));
             outcome.and(printed)
         }

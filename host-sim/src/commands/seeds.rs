@@ -14,7 +14,8 @@ use crate::engine::statistics::AgentStatistics;
 use crate::engine::{Progress, RunOptions, run};
 use crate::files::output::OutputError;
 use crate::files::table::write_table;
-use crate::report::columns::aligned;
+use crate::number::counted;
+use crate::report::columns::Table;
 use crate::report::tables::{change_percent, number, percent};
 use crate::scenario::{Record, Scenario, Time};
 
@@ -136,9 +137,8 @@ impl Report {
         }
     }
 
-    /// Formats two tables for the terminal.
-    pub(super) fn text(&self) -> String {
-        let last = self.first + (self.count as u64).saturating_sub(1);
+    /// Returns errors and broadcasts, each with its title.
+    pub(super) fn tables(&self) -> [(String, Table); 2] {
         let levels = |group: &'static str| ["median", "min", "max"].map(|level| [group, level]);
         let change = "change against no network [%]";
         let errors = self.table(&[levels("RMSE, learned"), levels(change)].concat(), |agent| {
@@ -149,17 +149,29 @@ impl Report {
         let broadcasts = self.table(&groups.concat(), |agent| {
             [entries(agent.broadcasts, whole), entries(agent.mean_interval, number)].concat()
         });
+        let title = |of: &str| format!("{of}, {}", self.in_words());
+        [(title("Errors"), errors), (title("Broadcasts"), broadcasts)]
+    }
+
+    fn in_words(&self) -> String {
+        let last = self.first + (self.count as u64).saturating_sub(1);
         format!(
-            "Seeds {} to {last}, {} runs; the runs without learning do not depend on the seed\n\n\
-             {errors}\n{broadcasts}\n",
-            self.first, self.count,
+            "seeds {} to {last}; the runs without learning do not depend on the seed",
+            self.first
         )
     }
 
-    fn table(&self, headings: &[[&str; 2]], row: impl Fn(&AgentSpreads) -> Vec<String>) -> String {
+    /// Formats both tables for the terminal.
+    pub(super) fn text(&self) -> String {
+        let [(_, errors), (_, broadcasts)] = self.tables();
+        let runs = counted(self.count as u64, "run", "runs");
+        format!("{runs}, {}\n\n{}\n{}\n", self.in_words(), errors.text(), broadcasts.text())
+    }
+
+    fn table(&self, headings: &[[&str; 2]], row: impl Fn(&AgentSpreads) -> Vec<String>) -> Table {
         let headings = [&[["", "agent"]], headings].concat();
         let row = |agent: &AgentSpreads| [vec![agent.agent.to_string()], row(agent)].concat();
-        aligned(&headings, &self.agents.iter().map(row).collect::<Vec<_>>())
+        Table::new(&headings, self.agents.iter().map(row).collect())
     }
 }
 

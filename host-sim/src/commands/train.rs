@@ -287,10 +287,11 @@ fn text(places: &[PathBuf], report: &Report<'_>) -> String {
     // Writing into a string cannot fail.
     let _ = writeln!(
         text,
-        "Written to {}: {}, {}\n\
+        "Written to {}{}: {}, {}\n\
          Recipe {}, seed {}, {:.2} s\n\
          Next: host-sim weights verify {}",
         report.packages.join(", "),
+        if report.packages.len() > 1 { "; the first" } else { "" },
         report.summary,
         if report.signed { "signed" } else { "not signed" },
         terminal::one_line(report.recipe),

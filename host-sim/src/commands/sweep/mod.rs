@@ -115,6 +115,10 @@ impl Arguments {
                 return Err(OutputError::OtherKind { path, kind: kind.name }.into());
             }
         }
+        let (path, kind) = (folder.join(summary::NAME), summary::KIND);
+        if path.symlink_metadata().is_ok() && !kind.replaces(&path) {
+            return Err(OutputError::OtherKind { path, kind: kind.name }.into());
+        }
         Ok(())
     }
 

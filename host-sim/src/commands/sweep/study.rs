@@ -4,7 +4,6 @@
 //! with the changes of `--set`, the cells, seeds and initial states, the part, and the version of this
 //! program.
 
-use std::fs;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -69,7 +68,8 @@ impl Study {
     pub(super) fn claim(&self, folder: &Path, text: &str) -> Result<(), CommandError> {
         let (description, scenario) = (folder.join(NAME), folder.join(SCENARIO));
         let before = read_limited(&description, BYTES_MAX).unwrap_or_default();
-        let text_before = fs::read_to_string(&scenario).unwrap_or_default();
+        let text_before = read_limited(&scenario, BYTES_MAX).unwrap_or_default();
+        let text_before = String::from_utf8_lossy(&text_before);
         if before.is_empty() {
             if !text_before.is_empty() && text_before != text {
                 let error =

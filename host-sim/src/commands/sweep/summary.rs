@@ -22,13 +22,16 @@ use crate::report::columns::Table;
 /// Name of the file.
 pub(super) const NAME: &str = "summary.csv";
 
+/// Above all numbers of a run, which agents calculate in single precision.
+const NUMBER_MAX: f64 = 1e50;
+
 /// Percentiles of the interval, as fractions.
 const INTERVAL: [f64; 2] = [0.025, 0.975];
 
 /// Cells that the text shows at most.
 const SHOWN_MAX: usize = 40;
 
-const KIND: FileKind = FileKind {
+pub(super) const KIND: FileKind = FileKind {
     name: "the summary of a sweep",
     recognises: |bytes| {
         let line = bytes.split(|&byte| byte == b'\n').next().unwrap_or_default();
@@ -324,8 +327,10 @@ impl Row {
         let field = |index: usize| record.get(index);
         let number = |index: usize| match field(index)? {
             "" => Some(f64::NAN),
-            text => text.parse().ok(),
+            text => text.parse().ok().filter(|number| (0.0..=NUMBER_MAX).contains(number)),
         };
+        let count =
+            |index: usize| number(index).filter(|count| count.is_nan() || count.fract() == 0.0);
         let run = [field(keys)?.to_owned(), field(keys + 1)?.to_owned()];
         let first = keys + 3;
         let innovation = if is_recorded { number(first + 4)? } else { f64::NAN };
@@ -334,8 +339,8 @@ impl Row {
             "false" => Some(Measured {
                 values: [
                     number(first)?,
-                    number(first + 1)?,
-                    number(first + 2)?,
+                    count(first + 1)?,
+                    count(first + 2)?,
                     number(first + 3)?,
                     innovation,
                 ],
@@ -429,8 +434,17 @@ mod tests {
     fn other_tables_are_refused() {
         let error = read("second", "b,0,1,1,0.2,1,10,0.2,false\n").unwrap_err();
         assert!(error.contains(":1: is not the header") && error.contains("order"), "{error}");
-        let error = read("row", &format!("{HEADER}a,0,1,1,0.1,5,50,0.5,maybe\n")).unwrap_err();
-        assert!(error.contains(":2: invalid row"), "{error}");
+        for row in [
+            "a,0,1,1,0.1,5,50,0.5,maybe",
+            "a,0,1,1,-0.1,5,50,0.5,false",
+            "a,0,1,1,1e400,5,50,0.5,false",
+            "a,0,1,1,nan,5,50,0.5,false",
+            "a,0,1,1,1e300,5,50,0.5,false",
+            "a,0,1,1,0.1,5.5,50,0.5,false",
+        ] {
+            let error = read("row", &format!("{HEADER}{row}\n")).unwrap_err();
+            assert!(error.contains(":2: invalid row"), "{row}: {error}");
+        }
         let error = read("short", &format!("{HEADER}a,0,1\n")).unwrap_err();
         assert!(error.contains(":2: is not a row"), "{error}");
     }

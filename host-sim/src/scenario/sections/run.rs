@@ -35,8 +35,13 @@ pub(in crate::scenario) fn time(root: &Table<'_>) -> Result<Time, ScenarioError>
         })?;
     let steps = duration / step_size;
     if steps > STEPS_MAX {
-        let problem = format!("is {}, which gives {steps:e} steps", step_value.written());
-        return Err(step_value.error(problem, "use a longer step, for at most 1e9 steps"));
+        // With a step of a tenth of a millisecond, which is short.
+        let (value, advice) = match duration / 1e-4 > STEPS_MAX {
+            true => (duration_value, "a shorter duration or a longer step"),
+            false => (step_value, "a longer step"),
+        };
+        let problem = format!("is {}, which gives {steps:e} steps", value.written());
+        return Err(value.error(problem, format!("use {advice}, for at most 1e9 steps")));
     }
     // The ratio of two decimal fractions is off by a few rounding errors.
     let whole = steps.round();
