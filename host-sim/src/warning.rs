@@ -56,11 +56,13 @@ pub enum WarningCode {
     ShortSmoothing,
     /// The package's limits for its trial do not fit into its format.
     TrialLimitsDropped,
+    /// Samples are to evolve as a shared network says, but agents have networks of their own.
+    DifferentNetworks,
 }
 
 impl WarningCode {
     /// Every code.
-    pub const ALL: [Self; 22] = [
+    pub const ALL: [Self; 23] = [
         Self::StateNotCovered,
         Self::GainNotASolution,
         Self::RhoTooSmall,
@@ -83,6 +85,7 @@ impl WarningCode {
         Self::SimulationOnly,
         Self::ShortSmoothing,
         Self::TrialLimitsDropped,
+        Self::DifferentNetworks,
     ];
 
     /// Returns the code as it appears in JSON.
@@ -111,6 +114,7 @@ impl WarningCode {
             Self::SimulationOnly => "simulation-only",
             Self::ShortSmoothing => "short-smoothing",
             Self::TrialLimitsDropped => "trial-limits-dropped",
+            Self::DifferentNetworks => "different-networks",
         }
     }
 }

@@ -1,5 +1,7 @@
 //! Warnings before and after a run.
 
+use agent_core::observer::field::HoldKind;
+
 use super::{CommandError, ErrorCode};
 use crate::analysis::{GainVerdict, spectral_norm};
 use crate::engine::RunResult;
@@ -26,6 +28,20 @@ pub(super) fn lines(warnings: &[Warning]) -> String {
     if lines.is_empty() { lines } else { lines + "\n" }
 }
 
+/// Says so if samples are to evolve by the networks of cycles that give each agent its own.
+fn different_networks(scenario: &Scenario) -> Option<String> {
+    let observer = scenario.observer.as_ref()?;
+    let asked = observer.hold == Some(HoldKind::Model) && observer.network;
+    let own = scenario.learning.iter().position(|cycle| !cycle.is_shared)?;
+    (asked && scenario.agents.len() > 1).then(|| {
+        format!(
+            "observer.hold = \"model\" needs one network for all agents, and learning[{}] trains one for each: \
+             samples will move at the rate sent with them; set shared = true there",
+            own + 1
+        )
+    })
+}
+
 /// Returns the warnings about `scenario` that do not need a run.
 pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning> {
     let mut warnings = Vec::new();
@@ -48,6 +64,9 @@ pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning>
     }
     if let Some(text) = short_smoothing(scenario) {
         warn(WarningCode::ShortSmoothing, text);
+    }
+    if let Some(text) = different_networks(scenario) {
+        warn(WarningCode::DifferentNetworks, text);
     }
     if let Some(last) = last_switch(scenario)
         && scenario.time.tick(scenario.evaluation.from) < scenario.time.tick(last)
@@ -284,6 +303,18 @@ mod tests {
         assert!(short[0].text.contains("use at least 0.053 s"), "{short:?}");
         assert_eq!(with(0.053), []);
         assert_eq!(with(0.0), []);
+    }
+
+    #[test]
+    fn a_model_hold_without_a_shared_network_is_reported() {
+        let with = |shared: &str, hold: &str| {
+            let text = PAPER.replacen("[[learning]]", &format!("[[learning]]\n{shared}"), 1)
+                + &format!("\n[observer]\nfrom = 1.0\nhold = \"{hold}\"\n");
+            codes(&before_run(&Scenario::parse("paper.toml", &text).unwrap()))
+        };
+        assert_eq!(with("", "model"), [WarningCode::DifferentNetworks]);
+        assert_eq!(with("", "rate"), []);
+        assert_eq!(with("shared = true", "model"), []);
     }
 
     #[test]

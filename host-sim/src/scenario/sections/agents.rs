@@ -88,6 +88,11 @@ fn measured(table: &Table<'_>, plant: &Plant, outputs: usize) -> Result<Vec<usiz
                 let hint = "remove it here, or from plant.inputs";
                 return Err(value.error(problem, hint));
             }
+            let is_empty = |column: &usize| recorded.columns[*column].iter().all(|x| x.is_nan());
+            if let Some(empty) = columns.iter().copied().find(is_empty) {
+                let problem = format!("the column `{}` has no numbers", recorded.names[empty]);
+                return Err(value.error(problem, "name a column with measurements"));
+            }
             Ok(columns)
         }
         (Some(value), None) => Err(value.error(
