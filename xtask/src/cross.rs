@@ -43,9 +43,10 @@ struct Artifact {
     selection: &'static [&'static str],
 }
 
-/// All features of firmware-template, and with them of agent-core.
+/// The features of firmware-template, and with them of agent-core; signatures without the operator's key, which
+/// firmware-template would need.
 const NODE_FEATURES: &str = "firmware-template/authentic-frames,firmware-template/exchange,\
-                             firmware-template/field,firmware-template/signature";
+                             firmware-template/field,agent-core/signature";
 
 const ARTIFACTS: [Artifact; 4] = [
     Artifact { package: "integrity", selection: &["--lib", "--features", "seals"] },
