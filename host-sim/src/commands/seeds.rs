@@ -223,7 +223,7 @@ mod tests {
         let runs = [run(3, 0.1, 100), run(4, 0.3, 105)];
         let text = Report::new(&runs, &[before], &[]).text();
         let expected = "\
-Seeds 3 to 4, 2 runs; the runs without learning do not depend on the seed
+2 runs, seeds 3 to 4; the runs without learning do not depend on the seed
 
             RMSE, learned      change against no network [%]
 agent  median     min     max     median       min       max
