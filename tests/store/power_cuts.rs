@@ -2,7 +2,7 @@
 //! after the reboot: there is always a working package, always the right one, every boot finds the
 //! same, and the next package can always be installed.
 //!
-//! By default every word is the position of a first cut, in one of [`SHARE`] starting states for each
+//! By default every word is the position of a first cut, in one out of [`SHARE`] starting states for each
 //! kind of flash, and about every [`STRIDE`]-th byte, with a different offset for each first cut,
 //! that of a second. `STORE_CUTS=many` takes all starting states and more journals of
 //! format 1, `STORE_CUTS=all` all pairs of cuts, also inside words.

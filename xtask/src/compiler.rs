@@ -60,6 +60,11 @@ impl Compiler {
         Ok(Self { rustc: Some(sysroot()?) })
     }
 
+    /// Returns a short name of it, for files that it makes.
+    pub(crate) fn name(&self) -> &'static str {
+        if self.rustc.is_some() { "debian" } else { "active" }
+    }
+
     /// Makes `command`, a call of cargo, use this compiler and a separate target folder, so that
     /// the host's builds are kept.
     pub(crate) fn apply<'command>(&self, command: &'command mut Command) -> &'command mut Command {

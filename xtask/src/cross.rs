@@ -167,7 +167,8 @@ fn inspect(
 ) -> Result<usize, Failure> {
     let name = format!("machine code {}, {variation}, {}", target.triple, artifact.package);
     // One for each, because cargo does not compile again what it has compiled.
-    let file = cross_folder().join(format!("{}-{variation}-{}.o", target.triple, artifact.package));
+    let file = format!("{}-{variation}-{}-{}.o", target.triple, artifact.package, compiler.name());
+    let file = cross_folder().join(file);
     let mut build = cargo("rustc");
     build.args(["--quiet", "--target", target.triple]).args(boards::profile()?);
     build.args(["--package", artifact.package]).args(artifact.selection).arg("--").args(flags);

@@ -201,7 +201,7 @@ fn test_host(debian: bool) -> Result<host::TestCount, Failure> {
     Ok(count)
 }
 
-/// Runs everything that needs a compiler for nodes, and nothing else.
+/// Runs `cross`, `emulate`, and `size` of every board.
 fn nodes(debian: bool) -> Result<(), Failure> {
     cross::cross(debian)?;
     emulate::emulate(debian)?;

@@ -1,5 +1,5 @@
-//! Builds the Python module as pip does from a checkout, but in the profile of the other tests, and tests it: its bits and errors beside those of the
-//! command line, its type stubs, and its notebook in a bounded form.
+//! Builds the Python module as pip does from a checkout, but in the profile of the other tests, and tests it:
+//! its bits and errors beside those of the command line, its type stubs, and its notebook in a bounded form.
 //!
 //! Everything that pip installs goes to `target/python`.
 

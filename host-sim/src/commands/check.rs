@@ -13,7 +13,7 @@ use crate::number::significant;
 use crate::plant::RateFault;
 use crate::report::checks::{DesignReport, design_text};
 use crate::report::theorems::DesignChecks;
-use crate::scenario::Scenario;
+use crate::scenario::{Agent, Scenario};
 use crate::warning::Warning;
 
 /// Steps at which known inputs are evaluated at most; of a longer run, evenly spaced ones.
@@ -84,12 +84,20 @@ fn expression_error(scenario: &Scenario) -> Option<RunError> {
     if names.is_empty() {
         return None;
     }
-    let clocks = agents.iter().map(|agent| agent.clock.offset).enumerate();
-    let first = |a: (usize, f64), b: (usize, f64)| if b.1 > a.1 { b } else { a };
-    let (agent, ahead) = clocks.reduce(first).unwrap_or((0, 0.0));
-    let end = time.tick(time.duration + ahead);
-    let stride = end.div_ceil(TICKS_CHECKED).max(1) as usize;
-    (0..=end).step_by(stride).map(|tick| time.at(tick)).find_map(|time| {
+    // The times of the plant, and those by the clock of the agent that is ahead at the end.
+    let clock = |agent: &Agent| {
+        let end = agent.clock.offset + (1.0 + 1e-6 * agent.clock.drift) * time.duration;
+        (agent.clock.offset, end)
+    };
+    let clocks = agents.iter().map(clock).enumerate();
+    let first = |a: (usize, (f64, f64)), b: (usize, (f64, f64))| if b.1.1 > a.1.1 { b } else { a };
+    let (agent, own) = clocks.reduce(first)?;
+    let ticks = |(from, to): (f64, f64)| {
+        let (from, to) = (time.tick(from), time.tick(to));
+        let stride = (to - from).div_ceil(TICKS_CHECKED).max(1) as usize;
+        (from..=to).step_by(stride).map(move |tick| time.at(tick))
+    };
+    ticks((0.0, time.duration)).chain(ticks(own)).find_map(|time| {
         if let Some(fault) = RateFault::of_inputs(plant, time) {
             return Some(RunError::Expression(Box::new(fault)));
         }

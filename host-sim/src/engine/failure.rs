@@ -10,12 +10,12 @@ use crate::scenario::Scenario;
 /// Norm of the plant's state above which the plant is the cause of a divergence, not the agent.
 const RUNAWAY: f64 = 1e6;
 
-/// Returns a hint for an agent that diverged while the state had this norm.
 /// Returns the norm of the plant's state in brackets, if the state is known.
 pub(super) fn norm_in_words(plant_norm: f64) -> String {
     if plant_norm.is_nan() { String::new() } else { format!(" (|x_0| = {plant_norm:.3e})") }
 }
 
+/// Returns a hint for an agent that diverged while the state had this norm.
 pub(super) fn step_hint(plant_norm: f64, step: &StepCheck) -> String {
     if plant_norm >= RUNAWAY {
         return "the plant itself diverges: change plant, disturbance or initial state".to_owned();

@@ -37,6 +37,9 @@ struct Path {
 }
 
 impl RandomDisturbance {
+    /// Limit for the numbers of a path, 128 MiB: runs that are carried out together have one each.
+    pub const NUMBERS_MAX: u64 = 1 << 24;
+
     /// Creates a process without a path. `deviation` has the shape `[n]` and the unit of the state per second;
     /// `correlation_time` is in s.
     #[must_use]

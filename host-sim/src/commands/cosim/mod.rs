@@ -28,7 +28,7 @@ use crate::interruption::{self, SecondSignal};
 use crate::keys::FleetKeys;
 use crate::memory_map::MemoryMap;
 use crate::packages::PackageBytes;
-use crate::plant::Disturbance;
+use crate::plant::{Disturbance, RandomDisturbance};
 use crate::scenario::Scenario;
 use crate::shell::shell_word;
 use crate::signing::KeyFileError;
@@ -306,6 +306,13 @@ fn scenario(arguments: &Arguments) -> Result<Scenario, CommandError> {
     if is_endless && matches!(scenario.disturbance, Disturbance::Random(_)) {
         let problem = "--serve: a random disturbance is drawn for a known number of steps; give --steps, or remove \
                        [disturbance]";
+        return Err(CommandError::usage(problem));
+    }
+    let most = RandomDisturbance::NUMBERS_MAX / scenario.dimension() as u64;
+    if scenario.steps() > most && matches!(scenario.disturbance, Disturbance::Random(_)) {
+        let problem = format!(
+            "--steps: a random disturbance is drawn before the run, for at most {most} steps"
+        );
         return Err(CommandError::usage(problem));
     }
     Ok(scenario.drawn(arguments.common.seed).into_owned())

@@ -159,11 +159,11 @@ struct Report<'a> {
     /// Time that all threads together spent in runs. \[s\]
     engine_s: f64,
     results: String,
-    /// Empty for a part of a study.
     /// Runs of this command without a result.
     failed: u64,
     /// The first of them, and why.
     first_failure: Option<&'a str>,
+    /// Empty for a part of a study.
     summary: &'a [CellSummary],
 }
 
@@ -442,12 +442,19 @@ fn result(
     }
     let cells = &summary.cells;
     let has_none = !cells.is_empty() && cells.iter().all(|cell| cell.diverged == cell.runs);
-    let reason = match &outcome.first_failure {
-        Some((_, reason)) if has_none || before == 0 && outcome.failed == study.runs => reason,
+    let text = match &outcome.first_failure {
+        Some((_, reason)) if before == 0 && (has_none || outcome.failed == study.runs) => {
+            format!("every run failed; the first: {reason}")
+        }
+        Some((_, reason)) if has_none => {
+            format!("every run failed; the first of this call: {reason}")
+        }
         None if has_none => {
-            "they failed in an earlier call; `host-sim run` with the settings of a cell says why"
+            "every run failed, in an earlier call; `host-sim run` with the settings of a cell says \
+                             why"
+            .to_owned()
         }
         _ => return Ok(()),
     };
-    Err(CommandError::new(ErrorCode::Run, format!("every run failed; the first: {reason}")))
+    Err(CommandError::new(ErrorCode::Run, text))
 }

@@ -126,12 +126,15 @@ impl CellRows {
     }
 }
 
-/// Whether an agent's errors are numbers.
+/// Larger errors count as a divergence: agents calculate in single precision.
+pub(super) const NUMBER_MAX: f64 = 1e50;
+
+/// Whether an agent's errors are numbers of a possible size.
 fn is_finite(agent: &AgentStatistics) -> bool {
     [agent.rmse(), agent.max_error(), agent.innovation_rms()]
         .into_iter()
         .flatten()
-        .all(f64::is_finite)
+        .all(|error| error <= NUMBER_MAX)
 }
 
 fn measurements(agent: Measured<'_>, is_recorded: bool) -> String {

@@ -13,7 +13,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::results::{keys_of, line};
+use super::results::{NUMBER_MAX, keys_of, line};
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::output::{FileKind, OutputError, write_result};
 use crate::number::{counted, significant};
@@ -21,9 +21,6 @@ use crate::report::columns::Table;
 
 /// Name of the file.
 pub(super) const NAME: &str = "summary.csv";
-
-/// Above all numbers of a run, which agents calculate in single precision.
-const NUMBER_MAX: f64 = 1e50;
 
 /// Percentiles of the interval, as fractions.
 const INTERVAL: [f64; 2] = [0.025, 0.975];

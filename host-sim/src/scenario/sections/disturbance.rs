@@ -17,9 +17,6 @@ const MODELS: [(&str, Read); 4] = [
     ("ornstein-uhlenbeck", ornstein_uhlenbeck),
 ];
 
-/// Limit for the numbers of a random path, 128 MiB: runs that are carried out together have one each.
-const PATH_MAX: u64 = 1 << 24;
-
 pub(in crate::scenario) fn disturbance(
     root: &Table<'_>,
     plant: &Plant,
@@ -61,7 +58,7 @@ fn ornstein_uhlenbeck(
     let n = plant.dimension();
     let deviation = table.require("deviation", "0.5")?.not_negative_for_each(n)?;
     let correlation_time = table.require("correlation_time", "0.5")?.positive()?;
-    let (steps, most) = (time.tick(time.duration), PATH_MAX / n as u64);
+    let (steps, most) = (time.tick(time.duration), RandomDisturbance::NUMBERS_MAX / n as u64);
     if steps > most {
         let problem = format!("is drawn before the run, for each of its {steps} steps");
         let hint =
