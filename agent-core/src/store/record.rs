@@ -65,6 +65,8 @@ pub(super) const VOID: u8 = KINDS - 1;
 pub(super) const OTHER_HALF: u8 = u8::MAX;
 
 const FORMAT_1: u8 = 1;
+/// Where records of both formats say which they are. \[byte\]
+const FORMAT_OFFSET: usize = 4;
 const BODY_LENGTH: usize = RECORD_LENGTH - CHECKSUM_LENGTH;
 const NO_SLOT: u8 = 0xff;
 const WAS_ACTIVATED: u8 = 1;
@@ -176,9 +178,9 @@ impl Record {
     /// Decodes number and record; `None` if the bytes are not a record of this format, or if they
     /// are a state that contradicts itself.
     pub(super) fn decode(record: &[u8; RECORD_LENGTH]) -> Option<(u32, Self)> {
-        let body = checked(record)?;
+        let body = checked(record, FORMAT)?;
         let (header, payload) = body.split_first_chunk::<HEADER_LENGTH>()?;
-        let &[n0, n1, n2, n3, FORMAT, kind, void, length] = header else { return None };
+        let &[n0, n1, n2, n3, _, kind, void, length] = header;
         let payload = *payload.first_chunk::<NOTE_LENGTH_MAX>()?;
         let record = Self { kind, void, length, payload };
         let is_valid = match kind {
@@ -190,10 +192,9 @@ impl Record {
 
     /// Decodes a record of format 1.
     pub(super) fn decode_format_1(record: &[u8; UNIT_LENGTH]) -> Option<(u32, Self)> {
-        let body = checked(record)?;
-        let mut words = Words(body);
+        let mut words = Words(checked(record, FORMAT_1)?);
         let number = words.next()?;
-        let [FORMAT_1, in_use, phase, _] = words.next()?.to_le_bytes() else { return None };
+        let [_, in_use, phase, _] = words.next()?.to_le_bytes();
         let contents = Contents::of(in_use, phase, [words.extent()?, words.extent()?])?;
         Some((number, contents.record()))
     }
@@ -216,8 +217,10 @@ impl Record {
     }
 }
 
-/// Returns the bytes before the checksum, if that matches.
-fn checked(record: &[u8]) -> Option<&[u8]> {
+/// Returns the bytes before the checksum, if that and the format match.
+fn checked(record: &[u8], format: u8) -> Option<&[u8]> {
+    // Most places of a journal are erased; a checksum of each would be most of a boot.
+    (record.get(FORMAT_OFFSET) == Some(&format)).then_some(())?;
     let (body, checksum) = record.split_last_chunk::<CHECKSUM_LENGTH>()?;
     (crc32(&[body]) == u32::from_le_bytes(*checksum)).then_some(body)
 }
