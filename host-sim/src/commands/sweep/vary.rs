@@ -95,9 +95,12 @@ impl Range {
         } else if part >= 1.0 {
             high
         } else if self.is_logarithmic {
-            low * libm::pow(high / low, part)
-        } else {
+            // No power is outside the range, while high / low can overflow.
+            libm::pow(low, 1.0 - part) * libm::pow(high, part)
+        } else if (high - low).is_finite() {
             low + part * (high - low)
+        } else {
+            low * (1.0 - part) + high * part
         };
         let number: f64 = format!("{number:.*e}", DIGITS - 1).parse().unwrap_or(number);
         if self.is_whole && number.fract() == 0.0 && number.abs() < 1e15 {
@@ -192,6 +195,22 @@ mod tests {
         assert_eq!(epsilons.len(), 9);
         assert_eq!((&*epsilons[0], &*epsilons[4], &*epsilons[8]), ("100", "1000", "10000"));
         assert_eq!(epsilons[1], "177.827941004");
+    }
+
+    #[test]
+    fn the_widest_ranges_are_finite_and_increase() {
+        assert_eq!(values("x=5e-324:1:log3"), ["5e-324", "2.22275874949e-162", "1.0"]);
+        assert_eq!(values("x=1e-300:1e300:log3")[1], "1.0");
+        assert_eq!(values("x=-1.7e308:1.7e308:3")[1], "0.0");
+        for text in ["x=5e-324:1.7e308:log9", "x=-1.7e308:1.7e308:9", "x=1e-310:2e-310:log9"] {
+            let numbers: Vec<f64> =
+                values(text).iter().map(|value| value.parse().unwrap()).collect();
+            assert!(numbers.iter().all(|number| number.is_finite()), "{text}: {numbers:?}");
+            assert!(numbers.is_sorted_by(|a, b| a < b), "{text}: {numbers:?}");
+        }
+        let drawn = "x=5e-324:1:log".parse::<Vary>().unwrap();
+        let Spec::Range(range) = drawn.spec else { panic!("{drawn:?}") };
+        assert_eq!(range.at(0.5), "2.22275874949e-162");
     }
 
     #[test]
