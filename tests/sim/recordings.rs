@@ -156,7 +156,9 @@ fn a_recording_that_does_not_fit_is_refused_with_its_place() {
         ("0,1,2\n0.5,1,2\n4,1,2\n", "", both, "numbers instead of names"),
         ("t,y1,y1\n0,1,2\n4,1,2\n", "", both, "two columns are called `y1`"),
         ("t,y1,y2\n0,1,2\n0.5,,2\n4,1,2\n", "reference = [\"y1\", \"y2\"]", both, "line 3"),
-        ("t,y1,y2\n0,1,2\n", "", both, "fewer than 2 rows"),
+        ("t,y1,y2\n0,1,2\n", "", both, "data.csv: the recording has only one row of numbers, in line 2"),
+        ("# a comment\nt,y1,y2\n", "", both, "data.csv: the recording has no rows of numbers"),
+        ("", "", both, "data.csv: has no columns and no rows"),
         ("t,y1,y2\n0,1,\n0.5,1,\n4,1,\n", "", both, "the column `y2` has no numbers"),
     ] {
         fs::write(folder.path("data.csv"), data).unwrap();

@@ -145,21 +145,33 @@ fn range(spec: &str) -> Result<Option<Range>, String> {
 /// Splits a list at its commas, but not inside brackets and quotes.
 fn list(spec: &str) -> Result<Vec<String>, String> {
     let (mut values, mut depth, mut quote) = (vec![String::new()], 0usize, None);
+    let wrong = |what: &str| format!("{spec} has {what}; values are separated by commas");
+    let mut is_escaped = false;
     for c in spec.chars() {
+        let begins = values.last().is_some_and(|value| value.trim().is_empty());
         match (quote, c) {
+            _ if is_escaped => {}
             (None, ',') if depth == 0 => {
                 values.push(String::new());
                 continue;
             }
             (None, '[' | '{' | '(') => depth += 1,
-            (None, ']' | '}' | ')') => depth = depth.saturating_sub(1),
-            (None, '"' | '\'') => quote = Some(c),
+            (None, ']' | '}' | ')') => {
+                depth = depth.checked_sub(1).ok_or_else(|| wrong("a bracket that is not opened"))?;
+            }
+            // Within a word it is an apostrophe.
+            (None, '"' | '\'') if depth > 0 || begins => quote = Some(c),
             (Some(open), c) if c == open => quote = None,
             _ => {}
         }
+        is_escaped = quote == Some('"') && c == '\\' && !is_escaped;
         if let Some(last) = values.last_mut() {
             last.push(c);
         }
+    }
+    if depth > 0 || quote.is_some() {
+        let what = if quote.is_some() { "a quote" } else { "a bracket" };
+        return Err(wrong(&format!("{what} that is not closed")));
     }
     let values: Vec<String> = values.into_iter().map(|value| value.trim().to_owned()).collect();
     if values.iter().any(String::is_empty) {
@@ -184,6 +196,12 @@ mod tests {
         assert_eq!(values("x={ a = 1, b = 2 }"), ["{ a = 1, b = 2 }"]);
         assert_eq!(values("x=max(t, 1),sin(t)"), ["max(t, 1)", "sin(t)"]);
         assert_eq!(values("x='a,b',\"c:1:2\""), ["'a,b'", "\"c:1:2\""]);
+        assert_eq!(values("x=it's,that's"), ["it's", "that's"]);
+        assert_eq!(values("x=\"a\\\",b\",c"), ["\"a\\\",b\"", "c"]);
+        assert_eq!(
+            values("d=[\"v\", \"-max(x, v)\"],[\"v\", \"-x\"]"),
+            ["[\"v\", \"-max(x, v)\"]", "[\"v\", \"-x\"]"]
+        );
     }
 
     #[test]
@@ -220,6 +238,9 @@ mod tests {
             ("=1,2", "is incomplete"),
             ("x=", "is incomplete"),
             ("x=1,,2", "has an empty value"),
+            ("x=[1, 2,[3, 4]", "[1, 2,[3, 4] has a bracket that is not closed"),
+            ("x=1], 2", "1], 2 has a bracket that is not opened"),
+            ("x=\"a,b", "\"a,b has a quote that is not closed"),
             ("x=2:1:3", "2:1 is not a range"),
             ("x=0:1:log3", "0 has no logarithm"),
             ("x=1:2:1", "\"1\" is not a number of values"),

@@ -151,6 +151,9 @@ fn read(value: &Value<'_>, path: &Path) -> Result<(Recorded, Vec<u64>), Scenario
         "write one line with the names of the columns, and one line of numbers for each time";
     let names = reader.headers().map_err(|error| wrong(error.to_string(), table))?;
     let names: Vec<String> = names.iter().map(str::to_owned).collect();
+    if names.is_empty() {
+        return Err(wrong("has no columns and no rows".to_owned(), table));
+    }
     let is_number = |name: &String| name.parse::<f64>().is_ok_and(f64::is_finite);
     if names.iter().any(is_number) {
         return Err(wrong("the first line has numbers instead of names".to_owned(), table));
@@ -220,8 +223,13 @@ fn take_time(
     }
     let time = &recorded.columns[column];
     if time.len() < 2 {
-        let hint = "give at least two rows of numbers";
-        return Err(file.error("the recording has fewer than 2 rows", hint));
+        let shown = place(table, file.text()?);
+        let found = match lines {
+            [] => "has no rows of numbers below the names of its columns".to_owned(),
+            [line, ..] => format!("has only one row of numbers, in line {line}"),
+        };
+        let problem = format!("{}: the recording {found}", shown.display());
+        return Err(file.error(problem, "give at least two rows, one for each time"));
     }
     if let Some(row) = time.iter().position(|time| !time.is_finite()) {
         let problem = format!("line {} of the file has no time", lines[row]);
