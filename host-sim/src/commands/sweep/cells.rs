@@ -163,35 +163,50 @@ impl Cells {
     /// Reads and checks the scenarios of all cells, and returns those of `wanted`, without recording.
     ///
     /// # Errors
-    /// That of the first cell that is refused, or whose state has a different dimension.
+    /// That of the first cell that is refused, or whose state has a different dimension; or if some cells
+    /// are about a recording and some are not.
     pub(super) fn load(
         &self,
         base: &ScenarioSource,
         wanted: std::ops::Range<usize>,
         dimension: Option<usize>,
-    ) -> Result<Vec<Cell>, CommandError> {
+    ) -> Result<(Vec<Cell>, bool), CommandError> {
         let load = |index: usize| {
             let changes = self.changes(index)?;
             let (scenario, _) = base.load(&changes)?;
             if let Some(expected) = dimension.filter(|&n| n != scenario.dimension()) {
-                let cell: Vec<_> = changes.iter().map(Change::to_string).collect();
                 let found = scenario.dimension();
                 return Err(CommandError::usage(format!(
                     "{}: the state has {found} components, and the drawn initial states have {expected}; \
                      leave --initial-states out, or vary other keys",
-                    cell.join(", ")
+                    in_words(&changes)
                 )));
             }
+            let is_recorded = scenario.plant.recording().is_some();
             let cell = || Cell {
                 values: changes.iter().map(Change::shown).collect(),
                 scenario: Scenario { record: Record::NOTHING, ..scenario },
             };
-            Ok(wanted.contains(&index).then(cell))
+            Ok((is_recorded, wanted.contains(&index).then(cell)))
         };
-        let all: Vec<Result<Option<Cell>, CommandError>> =
+        let all: Vec<Result<(bool, Option<Cell>), CommandError>> =
             (0..self.rows.len()).into_par_iter().map(load).collect();
-        all.into_iter().filter_map(Result::transpose).collect()
+        let all: Vec<(bool, Option<Cell>)> = all.into_iter().collect::<Result<_, _>>()?;
+        let is_recorded = all.first().is_some_and(|(is_recorded, _)| *is_recorded);
+        if let Some(other) = all.iter().position(|(other, _)| *other != is_recorded) {
+            let (first, other) = (in_words(&self.changes(0)?), in_words(&self.changes(other)?));
+            let (recorded, simulated) = if is_recorded { (first, other) } else { (other, first) };
+            return Err(CommandError::usage(format!(
+                "{recorded} is about a recording, and {simulated} simulates a plant: their results have different \
+                 columns; make a study of each"
+            )));
+        }
+        Ok((all.into_iter().filter_map(|(_, cell)| cell).collect(), is_recorded))
     }
+}
+
+fn in_words(changes: &[Change]) -> String {
+    changes.iter().map(Change::to_string).collect::<Vec<_>>().join(", ")
 }
 
 /// A cell that is run.
@@ -283,7 +298,8 @@ mod tests {
             "{error}"
         );
         let cells = Cells::grid(&varied(&["design.epsilon=500,600", "design.gain.scale=1,2"]));
-        let loaded = cells.unwrap().load(&base(), 1..3, Some(3)).unwrap();
+        let (loaded, is_recorded) = cells.unwrap().load(&base(), 1..3, Some(3)).unwrap();
+        assert!(!is_recorded);
         let values: Vec<String> = loaded.iter().map(|cell| cell.values.join(" ")).collect();
         assert_eq!(values, ["500 2", "600 1"]);
         assert_eq!(loaded[0].scenario.design.epsilon, 500.0);

@@ -3,12 +3,14 @@
 //! | file | content |
 //! | --- | --- |
 //! | `results.csv` | a row for each agent of each run, written while the runs go on |
-//! | `scenario.toml`, `sweep.json` | what the results depend on; the same command continues them |
+//! | `scenario.toml`, `sweep.json` | what the results depend on; the same command continues them, or extends them by more seeds and initial states |
+//! | `results-before.csv` | rows of a study that is being extended |
 //! | `summary.csv` | mean, median and interval of each cell |
 //! | `tradeoff.svg`, `tradeoff.png` | error against broadcasts |
 //! | `results.parquet` | with `--parquet`: `results.csv` with types |
 
 mod cells;
+mod earlier;
 pub(super) mod page;
 #[cfg(feature = "parquet")]
 mod parquet;
@@ -43,10 +45,11 @@ use crate::scenario::{Scenario, ScenarioSource};
 use crate::shell::shell_word;
 use crate::terminal;
 use cells::Cells;
+use earlier::Earlier;
 use results::Results;
 use runs::{Outcome, Runs};
 use shard::Shard;
-use study::Study;
+use study::{Found, Study};
 use summary::{CellSummary, Summary};
 use vary::Vary;
 
@@ -244,17 +247,30 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
         return Err(OutputError::OtherKind { path: file, kind }.into());
     }
     arguments.check_files(&folder)?;
-    study.claim(&folder, &text)?;
+    let found = study.find(&folder, &text)?;
+    if found == Found::Smaller {
+        Earlier::set_aside(&folder, &runs)?;
+        remove_derived(&folder, &[summary::NAME, "tradeoff.svg", "tradeoff.png"])?;
+        remove_derived(&folder, &OPTIONAL)?;
+    }
+    if found != Found::Same {
+        study.write(&folder, &text)?;
+    }
+    let earlier = Earlier::read(&folder, &runs)?;
     let part = arguments.shard.of(total(arguments, &cells)?);
-    let (opened, before) = resume::open(&file, part.start, &runs)?;
-    let next = part.start + before;
+    let (opened, written_before) = resume::open(&file, part.start, &runs)?;
+    let next = part.start + written_before;
+    let before = written_before + runs.known_from(next, &earlier);
     remove_page(&folder)?;
-    let outcome = runs.carry_out(next, Results::new(&file, opened, next))?;
-    let is_complete = before + outcome.done == study.runs;
+    let outcome = runs.carry_out(next, Results::new(&file, opened, next), &earlier)?;
+    let is_complete = outcome.left == 0;
+    if is_complete {
+        Earlier::remove(&folder)?;
+    }
     let mut written = vec![results::NAME.to_owned()];
     let mut summary = Summary {
         keys: cells.keys.clone(),
-        is_recorded: base.plant.recording().is_some(),
+        is_recorded: runs.is_recorded(),
         cells: Vec::new(),
     };
     if arguments.shard.is_whole() && is_complete {
@@ -362,8 +378,11 @@ fn plan(
     let part = arguments.shard.of(total(arguments, cells)?);
     let others = initial_states::others(&base.drawn(seed), states, seed)?;
     let dimension = (states > 1).then(|| base.dimension());
-    let own = cells.load(source, Runs::cells_of(&part, seeds, states), dimension)?;
-    let is_recorded = base.plant.recording().is_some();
+    let wanted = Runs::cells_of(&part, seeds, states);
+    let (own, is_recorded) = cells.load(source, wanted, dimension)?;
+    if is_recorded && states > 1 {
+        return Err(initial_states::recorded());
+    }
     let header = arguments.shard.is_first().then(|| results::header(&cells.keys, is_recorded));
     let study = Study {
         host_sim: env!("CARGO_PKG_VERSION").to_owned(),
@@ -381,6 +400,13 @@ fn plan(
     Ok((study, Runs::new(own, (seed, seeds), others, part, (header, is_recorded))))
 }
 
+/// Removes files that were made of a table that changes.
+fn remove_derived(folder: &Path, names: &[&str]) -> Result<(), OutputError> {
+    names.iter().map(|name| folder.join(name)).try_for_each(|path| {
+        remove_result(&path).map_err(|error| OutputError::Write { path, error })
+    })
+}
+
 /// Writes what is made of a complete table, `summary.csv` and the picture; returns their names.
 fn write_files(
     folder: &Path,
@@ -389,11 +415,8 @@ fn write_files(
     #[cfg_attr(not(feature = "parquet"), allow(unused_variables))] results: &Path,
 ) -> Result<String, CommandError> {
     arguments.check_files(folder)?;
-    for name in OPTIONAL {
-        // Left by a call that wrote it; now it would not fit the table.
-        remove_result(&folder.join(name))
-            .map_err(|error| OutputError::Write { path: folder.join(name), error })?;
-    }
+    // Left by a call that wrote them; now they would not fit the table.
+    remove_derived(folder, &OPTIONAL)?;
     summary.write(folder)?;
     let mut names = vec![summary::NAME.to_owned()];
     let cells = counted(summary.cells.len() as u64, "cell", "cells");
@@ -432,7 +455,7 @@ fn result(
     summary: &Summary,
 ) -> Result<(), CommandError> {
     let done = before + outcome.done;
-    if done < study.runs {
+    if outcome.left > 0 {
         let text = format!(
             "interrupted after {done} of {}, which are in {}; the same command continues",
             counted(study.runs, "run", "runs"),

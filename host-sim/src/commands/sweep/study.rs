@@ -2,13 +2,15 @@
 //!
 //! A study is continued only if everything that its results depend on is the same: the scenario
 //! with the changes of `--set`, the cells, seeds and initial states, the part, and the version of this
-//! program.
+//! program. A whole study can also be extended, by more seeds and more initial states: the runs that it
+//! has are then among those of the new one.
 
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use super::cells::Cells;
+use super::shard::Shard;
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::fnv::Fnv;
 use crate::files::input::read_limited;
@@ -26,6 +28,16 @@ const KIND: FileKind = FileKind {
     name: "the description of a sweep",
     recognises: |bytes| serde_json::from_slice::<Study>(bytes).is_ok(),
 };
+
+/// What a folder holds before a study is carried out in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Found {
+    Nothing,
+    /// The same study.
+    Same,
+    /// One with fewer seeds or initial states.
+    Smaller,
+}
 
 /// Everything that the results depend on.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
@@ -63,9 +75,9 @@ impl Study {
         format!("{:#018x}", hash.finish())
     }
 
-    /// Checks that a folder holds this study, or nothing that it would replace; then writes its
-    /// description there. `text` is that of the scenario.
-    pub(super) fn claim(&self, folder: &Path, text: &str) -> Result<(), CommandError> {
+    /// Checks that a folder holds this study, a smaller one that it extends, or nothing that it would
+    /// replace. `text` is that of the scenario.
+    pub(super) fn find(&self, folder: &Path, text: &str) -> Result<Found, CommandError> {
         let (description, scenario) = (folder.join(NAME), folder.join(SCENARIO));
         let before = read_limited(&description, BYTES_MAX).unwrap_or_default();
         let text_before = read_limited(&scenario, BYTES_MAX).unwrap_or_default();
@@ -76,13 +88,7 @@ impl Study {
                     OutputError::OtherKind { path: scenario, kind: "the scenario of this sweep" };
                 return Err(error.into());
             }
-            write_result(&scenario, ANY, |file| file.write_all(text.as_bytes()))?;
-            let json = serde_json::to_string_pretty(self).map_err(|error| OutputError::Write {
-                path: description.clone(),
-                error: error.into(),
-            })?;
-            write_result(&description, KIND, |file| writeln!(file, "{json}"))?;
-            return Ok(());
+            return Ok(Found::Nothing);
         }
         let before: Self = serde_json::from_slice(&before).map_err(|_| {
             CommandError::from(OutputError::OtherKind { path: description, kind: KIND.name })
@@ -95,21 +101,43 @@ impl Study {
             differences.push("the recording that drives the agents differs".to_owned());
         }
         if differences.is_empty() {
-            return Ok(());
+            return Ok(if self.extends(&before) { Found::Smaller } else { Found::Same });
         }
         let folder_shown = folder.display();
+        let more = if self.is_whole() { " (it can have more --seeds and --initial-states)" } else { "" };
         let text = format!(
-            "{folder_shown}: holds another study: {}; repeat its command to continue it, or choose another \
-             folder with --out",
+            "{folder_shown}: holds another study: {}; repeat its command to continue it{more}, or choose \
+             another folder with --out",
             differences.join(", ")
         );
         Err(CommandError::new(ErrorCode::OutputRefused, text).about(folder))
+    }
+
+    /// Writes the description into a folder. `text` is that of the scenario.
+    pub(super) fn write(&self, folder: &Path, text: &str) -> Result<(), CommandError> {
+        let path = folder.join(NAME);
+        write_result(&folder.join(SCENARIO), ANY, |file| file.write_all(text.as_bytes()))?;
+        let json = serde_json::to_string_pretty(self)
+            .map_err(|error| OutputError::Write { path: path.clone(), error: error.into() })?;
+        Ok(write_result(&path, KIND, |file| writeln!(file, "{json}"))?)
+    }
+
+    fn is_whole(&self) -> bool {
+        self.shard == Shard::WHOLE.to_string()
+    }
+
+    /// Whether this whole study has all runs of `before`, which is the same otherwise, and more.
+    fn extends(&self, before: &Self) -> bool {
+        let (now, before) =
+            ([self.seeds, self.initial_states], [before.seeds, before.initial_states]);
+        self.is_whole() && now != before && now.iter().zip(before).all(|(now, before)| *now >= before)
     }
 
     /// Returns what differs, in words.
     fn differences(&self, before: &Self) -> Vec<String> {
         let shown =
             |text: &str| if text.is_empty() { "nothing".to_owned() } else { text.to_owned() };
+        let extends = self.extends(before);
         let pairs = [
             ("host-sim", before.host_sim.clone(), self.host_sim.clone()),
             ("the scenario", before.scenario.clone(), self.scenario.clone()),
@@ -126,7 +154,8 @@ impl Study {
         ];
         let differs = |(name, before, now): (&str, String, String)| {
             let (there, here) = (shown(&before), shown(&now));
-            (before != now).then(|| format!("{name} is {there} there and {here} here"))
+            let is_extended = extends && matches!(name, "--seeds" | "--initial-states");
+            (before != now && !is_extended).then(|| format!("{name} is {there} there and {here} here"))
         };
         let mut differences: Vec<String> = pairs.into_iter().filter_map(differs).collect();
         if differences.is_empty() && before.cells_hash != self.cells_hash {
@@ -176,6 +205,13 @@ mod tests {
     fn differences_are_named() {
         assert!(study(3).differences(&study(3)).is_empty());
         assert_eq!(study(3).differences(&study(4)), ["--seeds is 4 there and 3 here"]);
+        // Runs of a part belong to other parts if there are more.
+        assert_eq!(study(4).differences(&study(3)), ["--seeds is 3 there and 4 here"]);
+        let whole = |seeds| Study { shard: "1/1".to_owned(), ..study(seeds) };
+        assert!(whole(4).differences(&whole(3)).is_empty());
+        assert_eq!(whole(3).differences(&whole(4)), ["--seeds is 4 there and 3 here"]);
+        let fewer = Study { initial_states: 2, ..whole(3) };
+        assert_eq!(whole(4).differences(&fewer).len(), 2);
         let other = Study { cells_hash: "0x2".to_owned(), ..study(3) };
         assert_eq!(study(3).differences(&other), ["the values of the varied keys differ"]);
         assert_eq!(
