@@ -196,7 +196,10 @@ fn a_folder_with_other_results_is_refused() {
     for (other, problem) in [
         (small.to_owned(), "--seeds is 2 there and 1 here"),
         (format!("{small} --seeds 3 --seed 3"), "--seed is 0 there and 3 here"),
-        (format!("{small} --seeds 3").replace("10,20", "10,30"), "the values of the varied keys differ"),
+        (
+            format!("{small} --seeds 3").replace("10,20", "10,30"),
+            "the values of the varied keys differ",
+        ),
         (
             small.replace("epsilon", "rho"),
             "what is varied is design.epsilon there and design.rho here",

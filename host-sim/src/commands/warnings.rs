@@ -52,8 +52,8 @@ fn unused_inputs(scenario: &Scenario) -> Option<String> {
         }
         plant => (plant.input_names(), false),
     };
-    let has_network = scenario.network.is_some()
-        || scenario.agents.iter().any(|agent| agent.package.is_some());
+    let has_network =
+        scenario.network.is_some() || scenario.agents.iter().any(|agent| agent.package.is_some());
     let goes_without = scenario.method.knows_f() || scenario.method == Method::NoNetwork;
     let (first, others) = names.split_first()?;
     if has_network && !goes_without {

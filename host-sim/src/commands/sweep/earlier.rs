@@ -10,8 +10,8 @@ use std::fs;
 use std::io::{self, BufReader};
 use std::path::Path;
 
-use super::resume::{Expected, next_line, row_start, unreadable};
 use super::results;
+use super::resume::{Expected, next_line, row_start, unreadable};
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::output::{OutputError, write_result};
 

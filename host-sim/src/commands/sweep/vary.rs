@@ -157,7 +157,8 @@ fn list(spec: &str) -> Result<Vec<String>, String> {
             }
             (None, '[' | '{' | '(') => depth += 1,
             (None, ']' | '}' | ')') => {
-                depth = depth.checked_sub(1).ok_or_else(|| wrong("a bracket that is not opened"))?;
+                depth =
+                    depth.checked_sub(1).ok_or_else(|| wrong("a bracket that is not opened"))?;
             }
             // Within a word it is an apostrophe.
             (None, '"' | '\'') if depth > 0 || begins => quote = Some(c),
