@@ -67,8 +67,8 @@ pub(super) fn draw_fine_grid(canvas: &mut Canvas, panel: &Panel) {
     canvas.line(lines(&[1]), Stroke::solid("#d9d9d9", 0.6));
 }
 
-/// Font size of labels between powers of ten. \[user unit\]
-const FINE_SIZE: f64 = TICK_SIZE - 2.0;
+/// Font size of the labels. \[user unit\]
+const SIZE: f64 = TICK_SIZE - 1.0;
 
 /// The leading digits that are labelled, the most first.
 const LEADS: [&[u8]; 6] =
@@ -81,12 +81,21 @@ const PLAIN: std::ops::RangeInclusive<i32> = -3..=4;
 struct Label {
     place: f64,
     text: String,
-    size: f64,
+}
+
+impl Label {
+    fn width(&self) -> f64 {
+        font::width(&self.text, SIZE)
+    }
+}
+
+fn is_plain(ticks: &[(i32, u8)]) -> bool {
+    ticks.iter().all(|(power, _)| PLAIN.contains(power))
 }
 
 /// Writes all numbers of an axis in full, or all as multiples of powers of ten.
 fn labels(ticks: &[(i32, u8)]) -> Vec<Label> {
-    let is_plain = ticks.iter().all(|(power, _)| PLAIN.contains(power));
+    let is_plain = is_plain(ticks);
     let label = |&(power, lead): &(i32, u8)| {
         let text = match lead {
             _ if is_plain => {
@@ -96,8 +105,7 @@ fn labels(ticks: &[(i32, u8)]) -> Vec<Label> {
             1 => format!("10{}", raised(power)),
             _ => format!("{lead}·10{}", raised(power)),
         };
-        let size = if lead == 1 { TICK_SIZE } else { FINE_SIZE };
-        Label { place: place((power, lead)), text, size }
+        Label { place: place((power, lead)), text }
     };
     ticks.iter().map(label).collect()
 }
@@ -110,26 +118,29 @@ fn fitting(axis: &Axis, length: f64, extent: impl Fn(&Label) -> f64) -> Vec<Labe
             distance >= 0.5 * (extent(&pair[0]) + extent(&pair[1]))
         })
     };
-    let dense = LEADS.iter().map(|leads| labels(&multiples(axis, leads)));
+    // Powers of ten are read best without anything between them.
+    let powers = multiples(axis, &[1]);
+    let dense: &[&[u8]] = if powers.len() > 2 && !is_plain(&powers) { &[&[1]] } else { &LEADS };
+    let dense = dense.iter().map(|leads| labels(&multiples(axis, leads)));
     let every = |step: i32| {
-        let powers = multiples(axis, &[1]).into_iter();
+        let powers = powers.iter().copied();
         labels(&powers.filter(|(power, _)| power % step == 0).collect::<Vec<_>>())
     };
     dense.chain((2..100).map(every)).find(fits).unwrap_or_default()
 }
 
 fn labels_of_x(x: &Axis, width: f64) -> Vec<Label> {
-    fitting(x, width, |label| font::width(&label.text, label.size) + 0.6 * label.size)
+    fitting(x, width, |label| label.width() + 0.6 * SIZE)
 }
 
 fn labels_of_y(y: &Axis, height: f64) -> Vec<Label> {
-    fitting(y, height, |label| 1.15 * label.size)
+    fitting(y, height, |_| 1.15 * SIZE)
 }
 
 /// Returns the width of the labels of a y axis of this height. \[user unit\]
 pub(super) fn labels_width(y: &Axis, height: f64) -> f64 {
     let labels = labels_of_y(y, height);
-    let widths = labels.iter().map(|label| font::width(&label.text, label.size));
+    let widths = labels.iter().map(Label::width);
     TICK + 2.0 + widths.fold(0.0, f64::max)
 }
 
@@ -142,15 +153,15 @@ pub(super) fn draw_frame(canvas: &mut Canvas, panel: &Panel) {
         ticks.move_to(x, bottom);
         ticks.line_to(x, bottom + TICK);
         // The last label must stay within the figure.
-        let x = x.min(WIDTH - 1.0 - 0.5 * font::width(&label.text, label.size));
-        let at = TextAt::new(x, bottom + TICK + 1.0 + TICK_SIZE, label.size, Anchor::Middle);
+        let x = x.min(WIDTH - 1.0 - 0.5 * label.width());
+        let at = TextAt::new(x, bottom + TICK + 1.0 + TICK_SIZE, SIZE, Anchor::Middle);
         canvas.text(&label.text, at);
     }
     for label in labels_of_y(&panel.y, panel.area.height) {
         let y = panel.at_y(label.place);
         ticks.move_to(left, y);
         ticks.line_to(left - TICK, y);
-        let at = TextAt::new(left - TICK - 2.0, y + 0.36 * label.size, label.size, Anchor::End);
+        let at = TextAt::new(left - TICK - 2.0, y + 0.36 * SIZE, SIZE, Anchor::End);
         canvas.text(&label.text, at);
     }
     canvas.line(ticks, FRAME);

@@ -143,7 +143,7 @@ fn draw_labels(canvas: &mut Canvas, panel: &Panel, figure: &TradeoffFigure) {
             place.left >= panel.area.left
                 && place.right() <= panel.area.right()
                 && place.top >= panel.area.top
-                && place.bottom() <= panel.area.bottom()
+                && place.bottom() + 2.0 <= panel.area.bottom()
                 && !taken.iter().any(|other| overlap(place, other))
         };
         if let Some(&place) = places.iter().find(is_free) {
