@@ -180,7 +180,7 @@ impl Cells {
         wanted: std::ops::Range<usize>,
         dimension: Option<usize>,
     ) -> Result<Loaded, CommandError> {
-        let load = |index: usize| {
+        let load = |index: usize| -> Result<(Option<u64>, Option<Cell>), CommandError> {
             let changes = self.changes(index)?;
             let (scenario, _) = base.load(&changes)?;
             if let Some(expected) = dimension.filter(|&n| n != scenario.dimension()) {
@@ -198,8 +198,7 @@ impl Cells {
             };
             Ok((recording, wanted.contains(&index).then(cell)))
         };
-        let all: Vec<Result<(Option<u64>, Option<Cell>), CommandError>> =
-            (0..self.rows.len()).into_par_iter().map(load).collect();
+        let all: Vec<_> = (0..self.rows.len()).into_par_iter().map(load).collect();
         let (recordings, cells): (Vec<Option<u64>>, Vec<Option<Cell>>) =
             all.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
         let is_recorded = recordings.first().is_some_and(Option::is_some);

@@ -78,8 +78,8 @@ impl Study {
         if let Some(found) = Self::described(folder)? {
             return Ok(Some(found));
         }
-        let firsts = (1..=20).map(|digits| folder.join(format!("shard-{:0digits$}", 1)));
-        let Some(first) = firsts.filter(|part| part.join(NAME).is_file()).next() else {
+        let mut firsts = (1..=20).map(|digits| folder.join(format!("shard-{:0digits$}", 1)));
+        let Some(first) = firsts.find(|part| part.join(NAME).is_file()) else {
             return Ok(None);
         };
         Ok(Self::described(&first)?.map(|(part, text)| (part.whole(), text)))
