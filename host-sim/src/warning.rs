@@ -58,11 +58,13 @@ pub enum WarningCode {
     TrialLimitsDropped,
     /// Samples are to evolve as a shared network says, but agents have networks of their own.
     DifferentNetworks,
+    /// A known input that nothing uses.
+    UnusedInput,
 }
 
 impl WarningCode {
     /// Every code.
-    pub const ALL: [Self; 23] = [
+    pub const ALL: [Self; 24] = [
         Self::StateNotCovered,
         Self::GainNotASolution,
         Self::RhoTooSmall,
@@ -86,6 +88,7 @@ impl WarningCode {
         Self::ShortSmoothing,
         Self::TrialLimitsDropped,
         Self::DifferentNetworks,
+        Self::UnusedInput,
     ];
 
     /// Returns the code as it appears in JSON.
@@ -115,6 +118,7 @@ impl WarningCode {
             Self::ShortSmoothing => "short-smoothing",
             Self::TrialLimitsDropped => "trial-limits-dropped",
             Self::DifferentNetworks => "different-networks",
+            Self::UnusedInput => "unused-input",
         }
     }
 }

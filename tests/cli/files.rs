@@ -4,6 +4,7 @@ use std::fs;
 use std::io::Read;
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
@@ -294,4 +295,49 @@ fn does_not_build_firmware_outside_a_project() {
         assert!(said.contains(way), "{said}");
     }
     assert!(!said.contains("building"), "{said}");
+}
+
+/// An endless file ends every command that reads one, soon.
+#[cfg(target_os = "linux")]
+#[test]
+fn endless_files_are_refused() {
+    let folder = Folder::new("endless-files");
+    folder.write("mine.toml", &short().text());
+    let recorded = "name = \"own\"\n[plant]\nmodel = \"recording\"\nfile = \"/dev/zero\"\nstates = [\"x\"]\n\
+                    [time]\nduration = 1.0\nstep = 0.5\n";
+    folder.write("recorded.toml", recorded);
+    fs::create_dir(folder.path("results")).unwrap();
+    symlink("/dev/zero", folder.path("results/results.json")).unwrap();
+    fs::create_dir(folder.path("table")).unwrap();
+    symlink("/dev/zero", folder.path("table/results.csv")).unwrap();
+    for command in [
+        "sweep --summarise /dev/zero",
+        "sweep --summarise /dev/zero --format json",
+        "sweep --summarise table/results.csv",
+        "sweep mine.toml --points /dev/zero",
+        "run /dev/zero",
+        "check recorded.toml",
+        "train /dev/zero --scenario paper --agent 1 --out new.weights",
+        "run mine.toml --weights /dev/zero",
+        "weights inspect /dev/zero",
+        "weights import /dev/zero --scenario paper --agent 1 --out new.weights",
+        "report results",
+        "report table",
+    ] {
+        let mut child = folder.start(command);
+        let start = Instant::now();
+        let status = loop {
+            if let Some(status) = child.try_wait().unwrap() {
+                break status;
+            }
+            if start.elapsed() > Duration::from_secs(30) {
+                child.kill().unwrap();
+                panic!("{command}: still reads");
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        };
+        assert_eq!(status.code(), Some(2), "{command}");
+    }
+    let message = folder.fail("sweep --summarise /dev/zero", 2);
+    assert!(message.contains("/dev/zero: is binary data, not text"), "{message}");
 }

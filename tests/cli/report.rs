@@ -99,6 +99,58 @@ const TRACES: &str = "time [s],agent1.error [state unit],agent2.error [state uni
 const INNOVATIONS: &str = "time [s],agent1 [output unit],agent2 [output unit]\n0.0,1,1\n";
 
 #[test]
+fn a_study_says_how_to_repeat_it() {
+    let folder = Folder::new("report-repeat");
+    folder.write("mine.toml", &short().text());
+    let study =
+        "sweep mine.toml --set learning=[] --set name=\"5\" --vary design.epsilon=10,90 --seeds 2";
+    let report = object(&folder.succeed(&format!("{study} --out one --threads 2 --format json")));
+    folder.succeed("report one");
+    let page = data(&text(&folder, "one/report.html"));
+    assert_eq!(page["study"]["host_sim"], env!("CARGO_PKG_VERSION"));
+    assert_eq!(page["study"]["scenario_hash"], report["scenario_hash"]);
+    assert_eq!(
+        (&page["digest"], &page["study"]["command"]),
+        (&report["digest"], &report["command"])
+    );
+    let words: Vec<&str> =
+        report["command"].as_array().unwrap().iter().map(|word| word.as_str().unwrap()).collect();
+    let expected = [
+        "host-sim",
+        "sweep",
+        "mine.toml",
+        "--set",
+        "learning=[]",
+        "--set",
+        "name=\"5\"",
+        "--vary",
+        "design.epsilon=10,90",
+        "--seed",
+        "0",
+        "--seeds",
+        "2",
+        "--initial-states",
+        "1",
+    ];
+    assert_eq!(words, expected);
+    let told = folder.succeed(&format!("{} --out two", words[1..].join(" ")));
+    let digest = report["digest"].as_str().unwrap();
+    assert!(told.contains(&format!("Digest of the results {digest}, by host-sim ")), "{told}");
+    assert!(
+        told.contains("Repeat it with: host-sim sweep mine.toml --set 'learning=[]' --set"),
+        "{told}"
+    );
+    assert!(folder.files("two")["results.csv"] == folder.files("one")["results.csv"]);
+    assert_eq!(told.lines().rev().take(2).collect::<Vec<_>>(), {
+        let summary = folder.succeed("sweep --summarise one/results.csv");
+        summary.lines().rev().take(2).map(str::to_owned).collect::<Vec<_>>()
+    });
+    // Other results have another digest.
+    let other = object(&folder.succeed(&format!("{study} --seed 5 --out other --format json")));
+    assert_ne!(other["digest"], report["digest"]);
+}
+
+#[test]
 fn results_that_do_not_belong_together_are_refused() {
     let folder = Folder::new("report-mixed");
     folder.write("mine.toml", &short().text());
@@ -140,6 +192,14 @@ fn the_page_of_a_study_is_removed_when_it_continues() {
     folder.succeed("report whole");
     let whole = data(&text(&folder, "whole/report.html"));
     assert!(whole["study"].is_null() && whole["cells"].as_array().unwrap().len() == 2);
+    // Beside the parts it is known.
+    folder.write("study/results.csv", &merged);
+    folder.succeed("report study");
+    let whole = data(&text(&folder, "study/report.html"));
+    assert_eq!((&whole["study"]["shard"], &whole["study"]["runs"]), (&"1/1".into(), &2.into()));
+    let words = whole["study"]["command"].as_array().unwrap();
+    assert_eq!(words.last().unwrap(), "1", "{words:?}");
+    assert!(words.contains(&"9007199254740993".into()), "{words:?}");
 }
 
 #[test]

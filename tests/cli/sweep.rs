@@ -146,15 +146,60 @@ fn a_killed_sweep_is_continued_to_the_same_bytes() {
 }
 
 #[test]
+fn more_seeds_and_initial_states_keep_the_rows_that_are_there() {
+    let folder = prepared("sweep-growing");
+    let study = STUDY.replace(" --seeds 2", "");
+    let run = |size: &str, out: &str| {
+        let report = object(&folder.succeed(&format!("{study} {size} --out {out} --format json")));
+        ["runs_before", "runs_done"].map(|key| report[key].as_u64().unwrap())
+    };
+    let large = "--seeds 3 --initial-states 2";
+    assert_eq!(run(large, "whole"), [0, 36]);
+    let whole = folder.files("whole");
+    assert_eq!(run("--seeds 2", "grown"), [0, 12]);
+    let small = folder.files("grown");
+    assert_eq!(run(large, "grown"), [12, 24]);
+    assert!(folder.files("grown") == whole);
+    // The command ended while it extended the study: a part of the new table is written.
+    fs::write(folder.path("grown/results.csv"), &whole["results.csv"][..400]).unwrap();
+    fs::write(folder.path("grown/results-before.csv"), &small["results.csv"]).unwrap();
+    let [before, done] = run(large, "grown");
+    assert!((12..36).contains(&before) && before + done == 36, "{before} and {done}");
+    assert!(folder.files("grown") == whole);
+    // Rows are taken as they are, without another run.
+    run("--initial-states 2", "marked");
+    let table = text(&folder, "marked/results.csv");
+    let line = table.lines().find(|line| line.starts_with("90,field,0,2,2,")).unwrap();
+    let row = "90,field,0,2,2,0.25,7,70,0.5,false";
+    fs::write(folder.path("marked/results.csv"), table.replace(line, row)).unwrap();
+    assert_eq!(run("--initial-states 2 --seeds 3", "marked"), [12, 24]);
+    let whole = String::from_utf8(whole["results.csv"].clone()).unwrap();
+    assert!(text(&folder, "marked/results.csv") == whole.replace(line, row));
+    for (size, problem) in [
+        ("--seeds 2 --initial-states 2", "--seeds is 3 there and 2 here; repeat its command"),
+        ("--seeds 9", "--seeds is 3 there and 9 here, --initial-states is 2 there and 1 here"),
+    ] {
+        let message = folder.fail(&format!("{study} {size} --out grown"), 2);
+        assert!(message.contains(problem), "{message}");
+    }
+    folder.succeed(&format!("{study} --shard 1/2 --out parts"));
+    let message = folder.fail(&format!("{study} --shard 1/2 --seeds 2 --out parts"), 2);
+    assert!(message.contains("--seeds is 1 there and 2 here"), "{message}");
+}
+
+#[test]
 fn a_folder_with_other_results_is_refused() {
     let folder = prepared("sweep-other");
     let small = "sweep mine.toml --vary design.epsilon=10,20 --out out";
-    folder.succeed(small);
+    folder.succeed(&format!("{small} --seeds 2"));
     let before = folder.files("out");
     for (other, problem) in [
-        (format!("{small} --seeds 3"), "--seeds is 1 there and 3 here"),
-        (format!("{small} --seed 3"), "--seed is 0 there and 3 here"),
-        (small.replace("10,20", "10,30"), "the values of the varied keys differ"),
+        (small.to_owned(), "--seeds is 2 there and 1 here"),
+        (format!("{small} --seeds 3 --seed 3"), "--seed is 0 there and 3 here"),
+        (
+            format!("{small} --seeds 3").replace("10,20", "10,30"),
+            "the values of the varied keys differ",
+        ),
         (
             small.replace("epsilon", "rho"),
             "what is varied is design.epsilon there and design.rho here",

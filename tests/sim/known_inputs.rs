@@ -5,7 +5,7 @@ use std::fs;
 use host_sim::engine::{RunOptions, RunResult, Silent, run};
 use host_sim::scenario::Scenario;
 
-use crate::cli::command_line::{Folder, texts};
+use crate::cli::command_line::{Folder, object, texts};
 
 /// A driven oscillator whose drive is most of its acceleration.
 const DRIVEN: &str = r#"
@@ -223,6 +223,35 @@ fn every_method_and_the_field_observer_take_known_inputs() {
     };
     let [known, hidden] = [broadcasts(&field(DRIVEN)), broadcasts(&field(&hidden()))];
     assert!(known < hidden, "{known} and {hidden}");
+}
+
+#[test]
+fn an_input_that_nothing_uses_is_warned_about() {
+    let folder = Folder::new("unused-inputs");
+    folder.write("driven.toml", &DRIVEN.replace("k = \"1", "spare = \"t\", k = \"1"));
+    folder.write("experiment.csv", "t,y,u\n0,1,0\n1,2,1\n2,3,1\n");
+    let recorded = "name = \"own\"\n[plant]\nmodel = \"recording\"\nfile = \"experiment.csv\"\n\
+                    states = [\"x\"]\ninputs = [\"u\"]\n[time]\nduration = 2.0\nstep = 0.5\n[design]\n\
+                    gain = [1.0]\nk2 = 2.0\nkappa = 1.0\nrho = 1.0\ndelta = 1.0\nepsilon = 1.0\n\
+                    [[agents]]\noutput_matrix = [[1.0]]\nmeasured = [\"y\"]\n";
+    folder.write("recorded.toml", recorded);
+    let unused = |scenario: &str| {
+        let report = object(&folder.succeed(&format!("check {scenario} --format json")));
+        let warnings = report["warnings"].as_array().unwrap().clone();
+        let mut unused = warnings.iter().filter(|warning| warning["code"] == "unused-input");
+        unused.next().map_or(String::new(), |warning| warning["text"].as_str().unwrap().to_owned())
+    };
+    assert_eq!(unused("driven.toml"), "", "a network takes all inputs");
+    for method in ["no-network", "known-f"] {
+        let expected = format!(
+            "nothing uses `spare` of plant.inputs: plant.derivative does not, and method = \"{method}\" has no \
+             network that would; use or remove it"
+        );
+        assert_eq!(unused(&format!("driven.toml --set method={method}")), expected);
+    }
+    let expected =
+        "nothing uses `u` of plant.inputs: there is no network that would; use or remove it";
+    assert_eq!(unused("recorded.toml"), expected);
 }
 
 #[test]

@@ -156,7 +156,14 @@ fn a_recording_that_does_not_fit_is_refused_with_its_place() {
         ("0,1,2\n0.5,1,2\n4,1,2\n", "", both, "numbers instead of names"),
         ("t,y1,y1\n0,1,2\n4,1,2\n", "", both, "two columns are called `y1`"),
         ("t,y1,y2\n0,1,2\n0.5,,2\n4,1,2\n", "reference = [\"y1\", \"y2\"]", both, "line 3"),
-        ("t,y1,y2\n0,1,2\n", "", both, "fewer than 2 rows"),
+        (
+            "t,y1,y2\n0,1,2\n",
+            "",
+            both,
+            "data.csv: the recording has only one row of numbers, in line 2",
+        ),
+        ("# a comment\nt,y1,y2\n", "", both, "data.csv: the recording has no rows of numbers"),
+        ("", "", both, "data.csv is empty"),
         ("t,y1,y2\n0,1,\n0.5,1,\n4,1,\n", "", both, "the column `y2` has no numbers"),
     ] {
         fs::write(folder.path("data.csv"), data).unwrap();
@@ -170,6 +177,68 @@ fn a_recording_that_does_not_fit_is_refused_with_its_place() {
     folder.write("mine.toml", &("method = \"kalman\"\n".to_owned() + &scenario("", both)));
     let error = Scenario::load(&folder.path("mine.toml")).unwrap_err().to_string();
     assert!(error.contains("a recording does not define f"), "{error}");
+}
+
+#[test]
+fn the_copy_of_a_scenario_can_be_run_where_it_lies() {
+    let folder = Folder::new("recordings-copied");
+    let text = recorded(&folder, "measured = [\"x [state unit]\"]", REFERENCE);
+    fs::create_dir(folder.path("own")).unwrap();
+    folder.write("own/recorded.toml", &text.replace("simulated/", "../simulated/"));
+    let study = "sweep own/recorded.toml --set design.epsilon=50 --vary design.rho=1,2 --out out/deep/study";
+    folder.succeed(study);
+    let copy = fs::read_to_string(folder.path("out/deep/study/scenario.toml")).unwrap();
+    assert!(copy.contains("file = \"../../../simulated/traces.csv\"\n"), "{copy}");
+    folder.succeed("check out/deep/study/scenario.toml");
+    folder.succeed("sweep out/deep/study/scenario.toml --vary design.rho=1,2 --out copied");
+    let rows = |name: &str| fs::read(folder.path(name).join("results.csv")).unwrap();
+    assert!(rows("copied") == rows("out/deep/study"));
+    // The folder of a study can be moved.
+    fs::rename(folder.path("out/deep/study"), folder.path("moved")).unwrap();
+    let again = folder.succeed(&study.replace("out/deep/study", "moved --seeds 2"));
+    assert!(again.contains("Continued after 2 of 4 runs"), "{again}");
+    let copy = fs::read_to_string(folder.path("moved/scenario.toml")).unwrap();
+    assert!(copy.contains("file = \"../simulated/traces.csv\"\n"), "{copy}");
+}
+
+#[test]
+fn a_study_is_of_recordings_or_of_plants() {
+    let folder = Folder::new("recordings-mixed");
+    folder.write("one.csv", "t,y\n0,1\n0.5,1\n4.0,1\n");
+    folder.write("two.csv", "t,y\n0,2\n0.5,1\n4.0,1\n");
+    let linear = "model=\"linear\",parameters={matrix=[[-1.0]]},initial_state=[1.0]";
+    let file = |name: &str| {
+        format!("model=\"recording\",file=\"{name}\",states=[\"x\"],reference=[\"y\"]")
+    };
+    folder.write(
+        "mine.toml",
+        &format!(
+            "name = \"mine\"\nplant = {{{linear}}}\n[time]\nduration = 4.0\nstep = 0.5\n[design]\n\
+             gain = [1.0]\nk2 = 2.0\nkappa = 1.0\nrho = 1.0\ndelta = 1.0\nepsilon = 1.0\n\
+             [[agents]]\noutput_matrix = [[1.0]]\n"
+        ),
+    );
+    let [one, two] = ["one.csv", "two.csv"].map(file);
+    for varied in [format!("{{{one}}},{{{linear}}}"), format!("{{{linear}}},{{{one}}}")] {
+        let message = folder.fail(&format!("sweep mine.toml --vary plant={varied} --out out"), 2);
+        assert!(
+            message.contains("one.csv") && message.contains("is about a recording"),
+            "{message}"
+        );
+        assert!(message.contains("make a study of each"), "{message}");
+    }
+    assert!(!folder.path("out").exists());
+    // The scenario's own plant is in no cell.
+    let recorded = format!("sweep mine.toml --vary plant={{{one}}},{{{two}}} --out out");
+    folder.succeed(&recorded);
+    let header = fs::read_to_string(folder.path("out/results.csv")).unwrap();
+    assert!(header.lines().next().unwrap().ends_with("innovation_rms,diverged"), "{header}");
+    let message = folder.fail(&format!("{recorded} --initial-states 2"), 2);
+    assert!(message.contains("a recording has only one initial state"), "{message}");
+    // A recording of a cell is a part of the study.
+    folder.write("two.csv", "t,y\n0,3\n0.5,1\n4.0,1\n");
+    let message = folder.fail(&format!("{recorded} --seeds 2"), 2);
+    assert!(message.contains("the values of the varied keys differ, or a recording"), "{message}");
 }
 
 #[test]

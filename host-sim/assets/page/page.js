@@ -276,6 +276,8 @@ function showStudy(study) {
     ["Seeds", described.seeds && `${described.seeds}, from ${study.seed_text}`],
     ["Initial states", described.initial_states && `${described.initial_states}`],
     ["Scenario's hash", described.scenario_hash && element("code", {}, described.scenario_hash)],
+    ["Digest of the results", element("code", {}, study.digest)],
+    ["Command", described.command?.length ? command(described.command) : null],
   ]);
   section("Trade-off", tradeoffPlot(study));
   section("Cells", cellTable(study));

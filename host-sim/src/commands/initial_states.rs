@@ -17,15 +17,20 @@ pub(super) fn others(
         return Ok(Vec::new());
     }
     if scenario.plant.recording().is_some() {
-        let problem =
-            "--initial-states: a recording has only one initial state; leave the option out";
-        return Err(CommandError::usage(problem));
+        return Err(recorded());
     }
     let half_widths = match &scenario.initial_spread {
         Some(spread) => spread.clone(),
         None => reach(scenario)?,
     };
     Ok((1..count).map(|number| drawn_state(&half_widths, seed, number)).collect())
+}
+
+/// Returns the error that a recording has no other initial states.
+pub(super) fn recorded() -> CommandError {
+    CommandError::usage(
+        "--initial-states: a recording has only one initial state; leave the option out",
+    )
 }
 
 /// Returns the largest magnitude of each component of the state along the plant's trajectory.

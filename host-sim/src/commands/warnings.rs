@@ -7,8 +7,9 @@ use crate::analysis::{GainVerdict, spectral_norm};
 use crate::engine::RunResult;
 use crate::learning::judgement::outer_weights;
 use crate::number::significant;
+use crate::plant::Plant;
 use crate::report::theorems::{Checks, DesignChecks};
-use crate::scenario::{Agent, Scenario, Window};
+use crate::scenario::{Agent, Method, Scenario, Window};
 use crate::terminal;
 use crate::warning::{Warning, WarningCode};
 
@@ -42,6 +43,31 @@ fn different_networks(scenario: &Scenario) -> Option<String> {
     })
 }
 
+/// Names the known inputs that nothing uses: neither the plant's derivative nor a network.
+fn unused_inputs(scenario: &Scenario) -> Option<String> {
+    let (names, is_written) = match &scenario.plant {
+        Plant::Expressions(system) => {
+            let names = system.unused_inputs();
+            (names.into_iter().map(str::to_owned).collect(), true)
+        }
+        plant => (plant.input_names(), false),
+    };
+    let has_network =
+        scenario.network.is_some() || scenario.agents.iter().any(|agent| agent.package.is_some());
+    let goes_without = scenario.method.knows_f() || scenario.method == Method::NoNetwork;
+    let (first, others) = names.split_first()?;
+    if has_network && !goes_without {
+        return None;
+    }
+    let names = others.iter().fold(format!("`{first}`"), |all, name| all + &format!(", `{name}`"));
+    let place = if is_written { "plant.derivative does not, and " } else { "" };
+    let reason = match has_network {
+        true => format!("method = \"{}\" has no network that would", scenario.method.name()),
+        false => "there is no network that would".to_owned(),
+    };
+    Some(format!("nothing uses {names} of plant.inputs: {place}{reason}; use or remove it"))
+}
+
 /// Returns the warnings about `scenario` that do not need a run.
 pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning> {
     let mut warnings = Vec::new();
@@ -67,6 +93,9 @@ pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning>
     }
     if let Some(text) = different_networks(scenario) {
         warn(WarningCode::DifferentNetworks, text);
+    }
+    if let Some(text) = unused_inputs(scenario) {
+        warn(WarningCode::UnusedInput, text);
     }
     if let Some(last) = last_switch(scenario)
         && scenario.time.tick(scenario.evaluation.from) < scenario.time.tick(last)

@@ -162,7 +162,7 @@ fn shortest(number: String) -> String {
 }
 
 /// Formats a number in superscript.
-fn raised(number: i32) -> String {
+pub(super) fn raised(number: i32) -> String {
     const DIGITS: [char; 10] = ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'];
     let raise = |digit: char| digit.to_digit(10).map_or('⁻', |digit| DIGITS[digit as usize]);
     number.to_string().chars().map(raise).collect()

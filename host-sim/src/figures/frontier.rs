@@ -6,11 +6,11 @@
 use super::Figure;
 use super::canvas::{Canvas, INK, Rect, Stroke, WIDTH};
 use super::clip::ClippedLine;
-use super::logarithmic::{axis, draw_fine_grid, draw_fine_labels, labels_width};
+use super::logarithmic::{axis, draw_fine_grid, draw_frame, labels_width};
 use super::palette::{self, SIGNAL};
 use super::panel::{
-    BOTTOM_MARGIN, Entry, LABEL_BASELINE, LABEL_SPACE, LEGEND_ROW, LEGEND_TOP, Labels, Panel,
-    RIGHT_MARGIN, Sample, draw_legend, draw_title, legend_rows,
+    BOTTOM_MARGIN, Entry, LABEL_BASELINE, LABEL_SPACE, LEGEND_ROW, LEGEND_TOP, Panel, RIGHT_MARGIN,
+    Sample, draw_legend, draw_title, legend_rows,
 };
 use crate::number::significant;
 
@@ -84,7 +84,7 @@ pub fn frontier(figure: &FrontierFigure<'_>) -> Figure {
     };
     let x = axis(values(|p| p.broadcasts));
     let y = axis(values(|p| p.error).map(|error| error.min(far)).chain([low, high]));
-    let left = LABEL_SPACE + labels_width(&y);
+    let left = LABEL_SPACE + labels_width(&y, HEIGHT);
     let width = WIDTH - left - RIGHT_MARGIN;
     let entries = legend(figure);
     let rows = legend_rows(&entries, width);
@@ -94,7 +94,6 @@ pub fn frontier(figure: &FrontierFigure<'_>) -> Figure {
     let mut canvas = Canvas::new();
     draw_title(&mut canvas, figure.title, left);
     draw_legend(&mut canvas, &rows, left, LEGEND_TOP);
-    let labels = Labels { x_ticks: true, y_ticks: true, minor_grid: false };
     draw_fine_grid(&mut canvas, &panel);
     for level in if low < high { vec![low, high] } else { vec![high] } {
         let y = panel.at_y(level.log10());
@@ -103,8 +102,7 @@ pub fn frontier(figure: &FrontierFigure<'_>) -> Figure {
     for (index, form) in figure.forms.iter().enumerate() {
         draw_form(&mut canvas, &panel, form, palette::agent(index));
     }
-    panel.draw_frame(&mut canvas, labels);
-    draw_fine_labels(&mut canvas, &panel);
+    draw_frame(&mut canvas, &panel);
     panel.label_x(&mut canvas, figure.broadcasts_label);
     panel.label_y(&mut canvas, figure.error_label, LABEL_BASELINE);
     Figure { svg: canvas.finish(panel.area.bottom() + BOTTOM_MARGIN) }

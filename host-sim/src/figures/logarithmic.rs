@@ -1,10 +1,12 @@
 //! Logarithmic axes with ticks between the powers of ten.
+//!
+//! As many ticks are labelled as there is room for, at least two; all numbers of an axis are written in full
+//! (`50`, `100`, `200`), or all with powers of ten (`5·10⁵`, `10⁶`).
 
-use super::axis::Axis;
-use super::canvas::{Anchor, Canvas, PathData, Stroke, TextAt};
+use super::axis::{Axis, raised};
+use super::canvas::{Anchor, Canvas, PathData, Stroke, TextAt, WIDTH};
 use super::font;
-use super::panel::{Panel, TICK_SIZE};
-use crate::number::significant;
+use super::panel::{FRAME, Panel, TICK, TICK_SIZE};
 
 const FAINT_GRID: Stroke = Stroke::solid("#ececec", 0.45);
 
@@ -30,90 +32,170 @@ fn with_ticks(low: f64, high: f64) -> (f64, f64) {
     if is_narrow { (below, above.max(below + down)) } else { (low, high) }
 }
 
-/// Returns 2 to 9 times all powers of ten of the axis, as value and leading digit.
-fn fine_ticks(axis: &Axis) -> Vec<(f64, u8)> {
+/// Returns multiples of all powers of ten of the axis, as power and leading digit.
+fn multiples(axis: &Axis, leads: &[u8]) -> Vec<(i32, u8)> {
     let (first, last) = (axis.from.floor() as i32, axis.to.ceil() as i32);
-    let of = |power: i32| (2..=9u8).map(move |lead| (10f64.powi(power) * f64::from(lead), lead));
-    let inside = |&(value, _): &(f64, u8)| (axis.from..=axis.to).contains(&value.log10());
+    let of = |power: i32| leads.iter().map(move |&lead| (power, lead));
+    let inside = |&tick: &(i32, u8)| (axis.from..=axis.to).contains(&place(tick));
     (first..=last).flat_map(of).filter(inside).collect()
+}
+
+/// Returns the decimal logarithm of a multiple of a power of ten.
+fn place((power, lead): (i32, u8)) -> f64 {
+    f64::from(power) + f64::from(lead).log10()
 }
 
 /// Draws the background and the grid, below the data.
 pub(super) fn draw_fine_grid(canvas: &mut Canvas, panel: &Panel) {
-    let area = panel.area;
-    canvas.fill(area, "#ffffff");
-    let mut grid = PathData::default();
-    for (value, _) in fine_ticks(&panel.x) {
-        let x = panel.at_x(value.log10());
-        grid.move_to(x, area.top);
-        grid.line_to(x, area.bottom());
-    }
-    for (value, _) in fine_ticks(&panel.y) {
-        let y = panel.at_y(value.log10());
-        grid.move_to(area.left, y);
-        grid.line_to(area.right(), y);
-    }
-    canvas.line(grid, FAINT_GRID);
-    let mut grid = PathData::default();
-    for tick in panel.x.ticks() {
-        grid.move_to(panel.at_x(tick), area.top);
-        grid.line_to(panel.at_x(tick), area.bottom());
-    }
-    for tick in panel.y.ticks() {
-        grid.move_to(area.left, panel.at_y(tick));
-        grid.line_to(area.right(), panel.at_y(tick));
-    }
-    canvas.line(grid, Stroke::solid("#d9d9d9", 0.6));
-}
-
-/// Font size of labels between powers of ten. \[user unit\]
-const FINE_SIZE: f64 = TICK_SIZE - 2.0;
-
-fn fine_label(value: f64) -> String {
-    if value >= 1.0 { format!("{value:.0}") } else { significant(value, 1) }
-}
-
-/// Whether a tick is labelled: at 2 and 5 times powers of ten; on a short axis all.
-fn is_labelled(axis: &Axis, lead: u8) -> bool {
-    axis.to - axis.from < 0.5 || lead == 2 || lead == 5
-}
-
-/// Returns the width of the labels of the y axis. \[user unit\]
-pub(super) fn labels_width(y: &Axis) -> f64 {
-    let fine = fine_ticks(y).into_iter().filter(|(_, lead)| is_labelled(y, *lead));
-    let widths = fine.map(|(value, _)| font::width(&fine_label(value), FINE_SIZE));
-    widths.fold(Panel::y_labels_width(y, TICK_SIZE), |widest, width| widest.max(width + 5.5))
-}
-
-/// Labels the ticks between powers of ten.
-pub(super) fn draw_fine_labels(canvas: &mut Canvas, panel: &Panel) {
-    let area = panel.area;
-    let labelled = |axis: &Axis| {
-        fine_ticks(axis)
-            .into_iter()
-            .filter(|(_, lead)| is_labelled(axis, *lead))
-            .collect::<Vec<_>>()
+    canvas.fill(panel.area, "#ffffff");
+    let lines = |leads: &[u8]| {
+        let area = panel.area;
+        let mut grid = PathData::default();
+        for tick in multiples(&panel.x, leads) {
+            let x = panel.at_x(place(tick));
+            grid.move_to(x, area.top);
+            grid.line_to(x, area.bottom());
+        }
+        for tick in multiples(&panel.y, leads) {
+            let y = panel.at_y(place(tick));
+            grid.move_to(area.left, y);
+            grid.line_to(area.right(), y);
+        }
+        grid
     };
-    for (value, _) in labelled(&panel.x) {
-        let at = (panel.at_x(value.log10()), area.bottom() + 4.5 + TICK_SIZE);
-        let at = TextAt::new(at.0, at.1, FINE_SIZE, Anchor::Middle);
-        canvas.text(&fine_label(value), at);
+    canvas.line(lines(&[2, 3, 4, 5, 6, 7, 8, 9]), FAINT_GRID);
+    canvas.line(lines(&[1]), Stroke::solid("#d9d9d9", 0.6));
+}
+
+/// Font size of the labels. \[user unit\]
+const SIZE: f64 = TICK_SIZE - 1.0;
+
+/// The leading digits that are labelled, the most first.
+const LEADS: [&[u8]; 6] =
+    [&[1, 2, 3, 4, 5, 6, 7, 8, 9], &[1, 2, 3, 4, 6, 8], &[1, 2, 3, 5], &[1, 2, 5], &[1, 3], &[1]];
+
+/// Numbers with these powers of ten are written in full, if all of an axis are.
+const PLAIN: std::ops::RangeInclusive<i32> = -3..=4;
+
+/// A label at a decimal logarithm.
+struct Label {
+    place: f64,
+    text: String,
+}
+
+impl Label {
+    fn width(&self) -> f64 {
+        font::width(&self.text, SIZE)
     }
-    for (value, _) in labelled(&panel.y) {
-        let at = (area.left - 5.5, panel.at_y(value.log10()) + 0.36 * FINE_SIZE);
-        canvas.text(&fine_label(value), TextAt::new(at.0, at.1, FINE_SIZE, Anchor::End));
+}
+
+fn is_plain(ticks: &[(i32, u8)]) -> bool {
+    ticks.iter().all(|(power, _)| PLAIN.contains(power))
+}
+
+/// Writes all numbers of an axis in full, or all as multiples of powers of ten.
+fn labels(ticks: &[(i32, u8)]) -> Vec<Label> {
+    let is_plain = is_plain(ticks);
+    let label = |&(power, lead): &(i32, u8)| {
+        let text = match lead {
+            _ if is_plain => {
+                let decimals = usize::try_from(-power).unwrap_or(0);
+                format!("{:.decimals$}", f64::from(lead) * 10f64.powi(power))
+            }
+            1 => format!("10{}", raised(power)),
+            _ => format!("{lead}·10{}", raised(power)),
+        };
+        Label { place: place((power, lead)), text }
+    };
+    ticks.iter().map(label).collect()
+}
+
+/// Returns the most labels that fit on an axis of this length, by what each takes of it. \[user unit\]
+fn fitting(axis: &Axis, length: f64, extent: impl Fn(&Label) -> f64) -> Vec<Label> {
+    let fits = |labels: &Vec<Label>| {
+        labels.windows(2).all(|pair| {
+            let distance = (axis.part(pair[1].place) - axis.part(pair[0].place)) * length;
+            distance >= 0.5 * (extent(&pair[0]) + extent(&pair[1]))
+        })
+    };
+    // Powers of ten are read best without anything between them.
+    let powers = multiples(axis, &[1]);
+    let dense: &[&[u8]] = if powers.len() > 2 && !is_plain(&powers) { &[&[1]] } else { &LEADS };
+    let dense = dense.iter().map(|leads| labels(&multiples(axis, leads)));
+    let every = |step: i32| {
+        let powers = powers.iter().copied();
+        labels(&powers.filter(|(power, _)| power % step == 0).collect::<Vec<_>>())
+    };
+    dense.chain((2..100).map(every)).find(fits).unwrap_or_default()
+}
+
+fn labels_of_x(x: &Axis, width: f64) -> Vec<Label> {
+    fitting(x, width, |label| label.width() + 0.6 * SIZE)
+}
+
+fn labels_of_y(y: &Axis, height: f64) -> Vec<Label> {
+    fitting(y, height, |_| 1.15 * SIZE)
+}
+
+/// Returns the width of the labels of a y axis of this height. \[user unit\]
+pub(super) fn labels_width(y: &Axis, height: f64) -> f64 {
+    let labels = labels_of_y(y, height);
+    let widths = labels.iter().map(Label::width);
+    TICK + 2.0 + widths.fold(0.0, f64::max)
+}
+
+/// Draws the frame with ticks and labels, over the data.
+pub(super) fn draw_frame(canvas: &mut Canvas, panel: &Panel) {
+    let (left, bottom) = (panel.area.left, panel.area.bottom());
+    let mut ticks = PathData::default();
+    for label in labels_of_x(&panel.x, panel.area.width) {
+        let x = panel.at_x(label.place);
+        ticks.move_to(x, bottom);
+        ticks.line_to(x, bottom + TICK);
+        // The last label must stay within the figure.
+        let x = x.min(WIDTH - 1.0 - 0.5 * label.width());
+        let at = TextAt::new(x, bottom + TICK + 1.0 + TICK_SIZE, SIZE, Anchor::Middle);
+        canvas.text(&label.text, at);
     }
+    for label in labels_of_y(&panel.y, panel.area.height) {
+        let y = panel.at_y(label.place);
+        ticks.move_to(left, y);
+        ticks.line_to(left - TICK, y);
+        let at = TextAt::new(left - TICK - 2.0, y + 0.36 * SIZE, SIZE, Anchor::End);
+        canvas.text(&label.text, at);
+    }
+    canvas.line(ticks, FRAME);
+    canvas.frame(panel.area, FRAME);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn texts(labels: Vec<Label>) -> Vec<String> {
+        labels.into_iter().map(|label| label.text).collect()
+    }
+
     #[test]
-    fn ticks_between_powers_of_ten() {
-        let ticks = fine_ticks(&axis([30.0, 400.0].into_iter()));
-        let values: Vec<f64> = ticks.into_iter().map(|(value, _)| value).collect();
-        assert_eq!(values, [30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 200.0, 300.0, 400.0]);
+    fn axes_have_as_many_labels_as_fit_in_one_notation() {
+        for (low, high, x, y) in [
+            (30.0, 400.0, "30 40 60 80 100 200 300 400", "30 40 60 80 100 200 300 400"),
+            (5.5, 18.5, "6 7 8 9 10", "6 7 8 9 10"),
+            (8300.0, 8450.0, "8000 9000", "8000 9000"),
+            (0.004, 2.0, "0.005 0.01 0.02 0.05 0.1 0.2 0.5 1 2", ""),
+            (300.0, 3e6, "10³ 10⁴ 10⁵ 10⁶", ""),
+            (2e-7, 6e-7, "2·10⁻⁷ 3·10⁻⁷ 4·10⁻⁷ 5·10⁻⁷ 6·10⁻⁷", ""),
+            (1e-30, 1e30, "", ""),
+        ] {
+            let axis = axis([low, high].into_iter());
+            let found = [texts(labels_of_x(&axis, 400.0)), texts(labels_of_y(&axis, 250.0))];
+            for (found, expected) in found.iter().zip([x, y]) {
+                assert!(found.len() >= 2, "{low} to {high}: {found:?}");
+                if !expected.is_empty() {
+                    assert_eq!(found.join(" "), expected, "{low} to {high}");
+                }
+            }
+        }
     }
 
     #[test]

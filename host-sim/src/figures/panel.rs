@@ -19,7 +19,7 @@ pub(super) const TICK_SIZE: f64 = 10.5;
 
 const MAJOR_GRID: Stroke = Stroke::solid("#d9d9d9", 0.6);
 const MINOR_GRID: Stroke = Stroke::solid("#efefef", 0.45);
-const FRAME: Stroke = Stroke::solid(INK, 0.8);
+pub(super) const FRAME: Stroke = Stroke::solid(INK, 0.8);
 
 /// Space right of all panels, for half of the last tick label. \[user unit\]
 pub(super) const RIGHT_MARGIN: f64 = 13.0;
@@ -40,7 +40,7 @@ pub(super) fn draw_title(canvas: &mut Canvas, title: &str, left: f64) {
 pub(super) const LEGEND_TOP: f64 = 22.0;
 
 /// Length of a tick. \[user unit\]
-const TICK: f64 = 3.5;
+pub(super) const TICK: f64 = 3.5;
 
 /// The parts of the axes to draw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

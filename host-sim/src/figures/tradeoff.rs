@@ -7,11 +7,11 @@ use super::Figure;
 use super::canvas::{Anchor, Canvas, Rect, Stroke, TextAt, WIDTH};
 use super::clip::ClippedLine;
 use super::font;
-use super::logarithmic::{axis, draw_fine_grid, draw_fine_labels, labels_width};
+use super::logarithmic::{axis, draw_fine_grid, draw_frame, labels_width};
 use super::palette;
 use super::panel::{
-    BOTTOM_MARGIN, Entry, LABEL_BASELINE, LABEL_SPACE, LEGEND_ROW, LEGEND_TOP, Labels, Panel,
-    RIGHT_MARGIN, Sample, TICK_SIZE, draw_legend, draw_title, legend_rows,
+    BOTTOM_MARGIN, Entry, LABEL_BASELINE, LABEL_SPACE, LEGEND_ROW, LEGEND_TOP, Panel, RIGHT_MARGIN,
+    Sample, TICK_SIZE, draw_legend, draw_title, legend_rows,
 };
 
 /// Input of [`tradeoff`].
@@ -71,7 +71,7 @@ pub fn tradeoff(figure: &TradeoffFigure) -> Figure {
     let points = || figure.lines.iter().flat_map(|line| &line.points).filter(|p| p.is_drawable());
     let x = axis(points().flat_map(|point| point.broadcasts));
     let y = axis(points().flat_map(|point| point.error));
-    let left = LABEL_SPACE + labels_width(&y);
+    let left = LABEL_SPACE + labels_width(&y, HEIGHT);
     let width = WIDTH - left - RIGHT_MARGIN;
     let entries = legend(figure);
     let rows = legend_rows(&entries, width);
@@ -86,8 +86,7 @@ pub fn tradeoff(figure: &TradeoffFigure) -> Figure {
         draw_line(&mut canvas, &panel, line, palette::agent(index));
     }
     draw_labels(&mut canvas, &panel, figure);
-    panel.draw_frame(&mut canvas, Labels { x_ticks: true, y_ticks: true, minor_grid: false });
-    draw_fine_labels(&mut canvas, &panel);
+    draw_frame(&mut canvas, &panel);
     panel.label_x(&mut canvas, "broadcasts of all agents in the evaluation window");
     panel.label_y(&mut canvas, figure.error_label, LABEL_BASELINE);
     Figure { svg: canvas.finish(panel.area.bottom() + BOTTOM_MARGIN) }
@@ -144,7 +143,7 @@ fn draw_labels(canvas: &mut Canvas, panel: &Panel, figure: &TradeoffFigure) {
             place.left >= panel.area.left
                 && place.right() <= panel.area.right()
                 && place.top >= panel.area.top
-                && place.bottom() <= panel.area.bottom()
+                && place.bottom() + 2.0 <= panel.area.bottom()
                 && !taken.iter().any(|other| overlap(place, other))
         };
         if let Some(&place) = places.iter().find(is_free) {

@@ -6,6 +6,7 @@ use std::str::FromStr;
 use csv::StringRecord;
 
 use super::TableError;
+use crate::files::text;
 
 /// A row of the table at a path.
 pub(super) struct Row<'r> {
@@ -47,7 +48,8 @@ pub(super) fn each_row(
     mut take: impl FnMut(&Row<'_>) -> Result<bool, TableError>,
 ) -> Result<(), TableError> {
     let failed = |error| TableError::Read { path: path.to_owned(), error };
-    let mut reader = csv::Reader::from_path(path).map_err(failed)?;
+    let (_, content) = text::open(path).map_err(|error| failed(error.into()))?;
+    let mut reader = csv::Reader::from_reader(content);
     for record in reader.records() {
         if !take(&Row { path, record: record.map_err(failed)? })? {
             break;

@@ -5,6 +5,8 @@
 //! agents measure is by default the last row's value, because a node does not know the next one.
 //! Before the first and after the last row nothing is known.
 
+use crate::files::fnv::Fnv;
+
 /// What agents measure between the rows of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Between {
@@ -44,6 +46,20 @@ impl Recorded {
     #[must_use]
     pub fn duration(&self) -> f64 {
         self.time.last().copied().unwrap_or(0.0)
+    }
+
+    /// Returns a hash of all numbers and the names of their columns.
+    #[must_use]
+    pub fn hash(&self) -> u64 {
+        let mut hash = Fnv::default();
+        for name in &self.names {
+            hash.add(name.as_bytes());
+            hash.add(&[0]);
+        }
+        for number in self.time.iter().chain(self.columns.iter().flatten()) {
+            hash.add(&number.to_le_bytes());
+        }
+        hash.finish()
     }
 
     /// Whether the true state is known.

@@ -15,7 +15,6 @@ use super::sections::{
 use super::{BUILT_IN, Scenario, TriggerModel};
 use crate::files::fnv::Fnv;
 use crate::files::input::{is_too_large, read_limited};
-use crate::plant::Recorded;
 
 /// Size limit of a scenario file, with room for thousands of agents with their own matrices.
 /// \[bytes\]
@@ -127,7 +126,7 @@ impl Scenario {
         let scenario = read(&Table::root(&source, document.get_ref()))?;
         let hash = match scenario.plant.recording() {
             None => text_hash(text),
-            Some(recorded) => text_hash(text) ^ numbers_hash(recorded),
+            Some(recorded) => text_hash(text) ^ recorded.hash(),
         };
         Ok(Scenario { hash, ..scenario })
     }
@@ -138,18 +137,6 @@ fn text_hash(text: &str) -> u64 {
     let mut hash = Fnv::default();
     for part in text.split('\r') {
         hash.add(part.as_bytes());
-    }
-    hash.finish()
-}
-
-fn numbers_hash(recorded: &Recorded) -> u64 {
-    let mut hash = Fnv::default();
-    for name in &recorded.names {
-        hash.add(name.as_bytes());
-        hash.add(&[0]);
-    }
-    for number in recorded.time.iter().chain(recorded.columns.iter().flatten()) {
-        hash.add(&number.to_le_bytes());
     }
     hash.finish()
 }

@@ -7,6 +7,7 @@
 
 mod builtin;
 mod changes;
+mod copies;
 mod error;
 mod initial_state;
 mod load;
@@ -16,6 +17,7 @@ mod source;
 
 pub use builtin::{BUILT_IN, PAPER, built_in};
 pub use changes::{Change, ChangeError};
+pub use copies::{copied, without_files};
 pub use error::ScenarioError;
 pub use initial_state::drawn_state;
 pub use sections::clock::ClockSettings;

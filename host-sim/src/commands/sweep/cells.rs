@@ -16,7 +16,10 @@ use rayon::prelude::*;
 
 use super::vary::{Range, Spec, Vary};
 use crate::commands::CommandError;
-use crate::files::input::read_limited;
+use crate::files::fnv::Fnv;
+use crate::files::input::Limited;
+use crate::files::text;
+use crate::plant::Recorded;
 use crate::random::{Purpose, Random};
 use crate::scenario::{Change, Record, Scenario, ScenarioSource};
 
@@ -86,14 +89,20 @@ impl Cells {
             CommandError::usage(text).about(path)
         };
         let hint = "check the path of --points";
-        let bytes = read_limited(path, POINTS_BYTES_MAX)
+        let (head, content) = text::open(path)
             .map_err(|error| refused(None, &format!("cannot be read: {error}"), hint))?;
+        text::check_text(&head).map_err(|(problem, hint)| refused(None, &problem, &hint))?;
+        let content = Limited::new(content, POINTS_BYTES_MAX);
         let hint = "write a line with keys, and one line of values for each cell";
-        let mut reader =
-            csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes.as_slice());
+        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(content);
         let invalid = |error: &csv::Error| {
             let line = error.position().map(csv::Position::line);
-            refused(line, &format!("invalid CSV: {error}"), hint)
+            match error.kind() {
+                csv::ErrorKind::Io(error) => {
+                    refused(None, &format!("cannot be read: {error}"), hint)
+                }
+                _ => refused(line, &format!("invalid CSV: {error}"), hint),
+            }
         };
         let header = reader.headers().map_err(|error| invalid(&error))?;
         let keys: Vec<String> = header.iter().map(str::to_owned).collect();
@@ -163,35 +172,71 @@ impl Cells {
     /// Reads and checks the scenarios of all cells, and returns those of `wanted`, without recording.
     ///
     /// # Errors
-    /// That of the first cell that is refused, or whose state has a different dimension.
+    /// That of the first cell that is refused, or whose state has a different dimension; or if some cells
+    /// are about a recording and some are not.
     pub(super) fn load(
         &self,
         base: &ScenarioSource,
         wanted: std::ops::Range<usize>,
         dimension: Option<usize>,
-    ) -> Result<Vec<Cell>, CommandError> {
-        let load = |index: usize| {
+    ) -> Result<Loaded, CommandError> {
+        let load = |index: usize| -> Result<(Option<u64>, Option<Cell>), CommandError> {
             let changes = self.changes(index)?;
             let (scenario, _) = base.load(&changes)?;
             if let Some(expected) = dimension.filter(|&n| n != scenario.dimension()) {
-                let cell: Vec<_> = changes.iter().map(Change::to_string).collect();
                 let found = scenario.dimension();
                 return Err(CommandError::usage(format!(
                     "{}: the state has {found} components, and the drawn initial states have {expected}; \
                      leave --initial-states out, or vary other keys",
-                    cell.join(", ")
+                    in_words(&changes)
                 )));
             }
+            let recording = scenario.plant.recording().map(Recorded::hash);
             let cell = || Cell {
                 values: changes.iter().map(Change::shown).collect(),
                 scenario: Scenario { record: Record::NOTHING, ..scenario },
             };
-            Ok(wanted.contains(&index).then(cell))
+            Ok((recording, wanted.contains(&index).then(cell)))
         };
-        let all: Vec<Result<Option<Cell>, CommandError>> =
-            (0..self.rows.len()).into_par_iter().map(load).collect();
-        all.into_iter().filter_map(Result::transpose).collect()
+        let all: Vec<_> = (0..self.rows.len()).into_par_iter().map(load).collect();
+        let (recordings, cells): (Vec<Option<u64>>, Vec<Option<Cell>>) =
+            all.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
+        let is_recorded = recordings.first().is_some_and(Option::is_some);
+        if let Some(other) = recordings.iter().position(|other| other.is_some() != is_recorded) {
+            let (first, other) = (in_words(&self.changes(0)?), in_words(&self.changes(other)?));
+            let (recorded, simulated) = if is_recorded { (first, other) } else { (other, first) };
+            return Err(CommandError::usage(format!(
+                "{recorded} is about a recording, and {simulated} simulates a plant: their results have different \
+                 columns; make a study of each"
+            )));
+        }
+        let mut hash = Fnv::default();
+        for value in self.keys.iter().chain(self.rows.iter().flatten()) {
+            hash.add(value.as_bytes());
+            hash.add(&[0]);
+        }
+        recordings.iter().flatten().for_each(|recording| hash.add(&recording.to_le_bytes()));
+        Ok(Loaded {
+            cells: cells.into_iter().flatten().collect(),
+            is_recorded,
+            hash: hash.finish(),
+        })
     }
+}
+
+/// Cells that were read.
+#[derive(Clone, Debug)]
+pub(super) struct Loaded {
+    /// Those that are run.
+    pub(super) cells: Vec<Cell>,
+    /// Whether all cells are about a recording; none is otherwise.
+    pub(super) is_recorded: bool,
+    /// Hash of the values of all cells, and of their recordings.
+    pub(super) hash: u64,
+}
+
+fn in_words(changes: &[Change]) -> String {
+    changes.iter().map(Change::to_string).collect::<Vec<_>>().join(", ")
 }
 
 /// A cell that is run.
@@ -284,6 +329,8 @@ mod tests {
         );
         let cells = Cells::grid(&varied(&["design.epsilon=500,600", "design.gain.scale=1,2"]));
         let loaded = cells.unwrap().load(&base(), 1..3, Some(3)).unwrap();
+        assert!(!loaded.is_recorded);
+        let loaded = loaded.cells;
         let values: Vec<String> = loaded.iter().map(|cell| cell.values.join(" ")).collect();
         assert_eq!(values, ["500 2", "600 1"]);
         assert_eq!(loaded[0].scenario.design.epsilon, 500.0);

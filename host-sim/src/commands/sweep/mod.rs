@@ -3,12 +3,14 @@
 //! | file | content |
 //! | --- | --- |
 //! | `results.csv` | a row for each agent of each run, written while the runs go on |
-//! | `scenario.toml`, `sweep.json` | what the results depend on; the same command continues them |
+//! | `scenario.toml`, `sweep.json` | what the results depend on; the same command continues them, or extends them by more seeds and initial states |
+//! | `results-before.csv` | rows of a study that is being extended |
 //! | `summary.csv` | mean, median and interval of each cell |
 //! | `tradeoff.svg`, `tradeoff.png` | error against broadcasts |
 //! | `results.parquet` | with `--parquet`: `results.csv` with types |
 
 mod cells;
+mod earlier;
 pub(super) mod page;
 #[cfg(feature = "parquet")]
 mod parquet;
@@ -39,14 +41,15 @@ use crate::files::output::{OutputError, make_folder};
 use crate::interruption::{self, SecondSignal};
 use crate::number::counted;
 use crate::report::latex::latex;
-use crate::scenario::{Scenario, ScenarioSource};
-use crate::shell::shell_word;
+use crate::scenario::{Scenario, ScenarioSource, copied};
+use crate::shell::{quoted, shell_word};
 use crate::terminal;
-use cells::Cells;
+use cells::{Cells, Loaded};
+use earlier::Earlier;
 use results::Results;
 use runs::{Outcome, Runs};
 use shard::Shard;
-use study::Study;
+use study::{Found, Study};
 use summary::{CellSummary, Summary};
 use vary::Vary;
 
@@ -142,6 +145,8 @@ impl Arguments {
 #[derive(Serialize)]
 struct Report<'a> {
     scenario: Option<&'a str>,
+    #[serde(flatten)]
+    repeat: Repeat,
     /// The varied keys.
     keys: &'a [String],
     /// Number of combinations of their values.
@@ -167,6 +172,44 @@ struct Report<'a> {
     summary: &'a [CellSummary],
 }
 
+/// What is needed to repeat a study, and to see that it was repeated.
+#[derive(Serialize)]
+struct Repeat {
+    /// Version of the program that the rows are from.
+    host_sim: Option<String>,
+    scenario_hash: Option<String>,
+    /// The words of the command.
+    command: Option<Vec<String>>,
+    /// Hash of the complete table.
+    digest: Option<String>,
+}
+
+impl Repeat {
+    fn new(study: Option<&Study>, summary: &Summary) -> Self {
+        let command = study.map(|study| study.command.clone());
+        Self {
+            host_sim: study.map(|study| study.host_sim.clone()),
+            scenario_hash: study.map(|study| study.scenario_hash.clone()),
+            command: command.filter(|words| !words.is_empty()),
+            digest: (!summary.cells.is_empty()).then(|| summary.digest.clone()),
+        }
+    }
+
+    /// Returns it as lines of text.
+    fn text(&self) -> String {
+        let mut text = String::new();
+        if let Some(digest) = &self.digest {
+            let by = self.host_sim.as_ref().map(|version| format!(", by host-sim {version}"));
+            text += &format!("Digest of the results {digest}{}\n", by.unwrap_or_default());
+        }
+        if let Some(words) = self.command.as_ref().filter(|_| self.digest.is_some()) {
+            let words: Vec<String> = words.iter().map(|word| quoted(word)).collect();
+            text += &format!("Repeat it with: {}\n", words.join(" "));
+        }
+        text
+    }
+}
+
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     match (&arguments.summarise, &arguments.scenario) {
         (Some(results), _) => summarise(arguments, results),
@@ -190,8 +233,10 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
         make_folder(&folder)?;
     }
     let written = write_files(&folder, arguments, &summary, results)?;
+    let study = Study::read(results.parent().unwrap_or(Path::new("")))?.map(|(study, _)| study);
     let report = Report {
         scenario: None,
+        repeat: Repeat::new(study.as_ref(), &summary),
         keys: &summary.keys,
         cells: summary.cells.len(),
         seed: None,
@@ -212,11 +257,12 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
         TableFormat::Json => print_outcome(&report, Ok(())),
         TableFormat::Latex => print_text(&latex(TITLE, &summary.table(usize::MAX))),
         TableFormat::Text => print_text(&format!(
-            "{}\n{} of {}\nWritten to {}: {written}\n",
+            "{}\n{} of {}\nWritten to {}: {written}\n{}",
             summary.text(),
             counted(summary.runs(), "run", "runs"),
             results.display(),
             if folder.as_os_str().is_empty() { Path::new(".") } else { &folder }.display(),
+            report.repeat.text(),
         )),
     }
 }
@@ -244,18 +290,33 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
         return Err(OutputError::OtherKind { path: file, kind }.into());
     }
     arguments.check_files(&folder)?;
-    study.claim(&folder, &text)?;
+    let copy = copied(&path.display().to_string(), &text, &folder);
+    let found = study.find(&folder, &copy)?;
+    if found == Found::Smaller {
+        Earlier::set_aside(&folder, &runs)?;
+        remove_derived(&folder, &[summary::NAME, "tradeoff.svg", "tradeoff.png"])?;
+        remove_derived(&folder, &OPTIONAL)?;
+    }
+    if found != Found::Same {
+        study.write(&folder, &copy)?;
+    }
+    let earlier = Earlier::read(&folder, &runs)?;
     let part = arguments.shard.of(total(arguments, &cells)?);
-    let (opened, before) = resume::open(&file, part.start, &runs)?;
-    let next = part.start + before;
+    let (opened, written_before) = resume::open(&file, part.start, &runs)?;
+    let next = part.start + written_before;
+    let before = written_before + runs.known_from(next, &earlier);
     remove_page(&folder)?;
-    let outcome = runs.carry_out(next, Results::new(&file, opened, next))?;
-    let is_complete = before + outcome.done == study.runs;
+    let outcome = runs.carry_out(next, Results::new(&file, opened, next), &earlier)?;
+    let is_complete = outcome.left == 0;
+    if is_complete {
+        Earlier::remove(&folder)?;
+    }
     let mut written = vec![results::NAME.to_owned()];
     let mut summary = Summary {
         keys: cells.keys.clone(),
-        is_recorded: base.plant.recording().is_some(),
+        is_recorded: runs.is_recorded(),
         cells: Vec::new(),
+        digest: String::new(),
     };
     if arguments.shard.is_whole() && is_complete {
         summary = Summary::read(&file)?;
@@ -266,6 +327,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
         first_failure.map(|(run, reason)| format!("{}: {reason}", runs.name(*run, &cells.keys)));
     let report = Report {
         scenario: Some(&base.name),
+        repeat: Repeat::new(Some(&study), &summary),
         keys: &cells.keys,
         cells: cells.rows.len(),
         seed: Some(study.seed),
@@ -319,6 +381,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
                 counted(study.runs, "run", "runs"),
                 report.elapsed_s
             );
+            text += &report.repeat.text();
             let printed = print_text(&text);
             result.and(printed)
         }
@@ -338,6 +401,31 @@ fn cells(arguments: &Arguments) -> Result<Cells, CommandError> {
         }
     }
     Ok(cells)
+}
+
+/// Returns the command that repeats the study, without where it writes and how fast it is.
+fn command(arguments: &Arguments, scenario: &str) -> Vec<String> {
+    let mut words = vec!["host-sim".to_owned(), "sweep".to_owned(), scenario.to_owned()];
+    let mut option = |name: &str, value: String| words.extend([name.to_owned(), value]);
+    for change in &arguments.changes.set {
+        option("--set", change.argument());
+    }
+    for vary in &arguments.vary {
+        option("--vary", vary.text.clone());
+    }
+    if let Some(count) = arguments.latin {
+        option("--latin", count.to_string());
+    }
+    if let Some(points) = &arguments.points {
+        option("--points", points.display().to_string());
+    }
+    option("--seed", arguments.common.seed.to_string());
+    option("--seeds", arguments.seeds.to_string());
+    option("--initial-states", arguments.initial_states.to_string());
+    if !arguments.shard.is_whole() {
+        option(Study::SHARD, arguments.shard.to_string());
+    }
+    words
 }
 
 /// Returns the number of runs of the whole study.
@@ -362,8 +450,11 @@ fn plan(
     let part = arguments.shard.of(total(arguments, cells)?);
     let others = initial_states::others(&base.drawn(seed), states, seed)?;
     let dimension = (states > 1).then(|| base.dimension());
-    let own = cells.load(source, Runs::cells_of(&part, seeds, states), dimension)?;
-    let is_recorded = base.plant.recording().is_some();
+    let wanted = Runs::cells_of(&part, seeds, states);
+    let Loaded { cells: own, is_recorded, hash } = cells.load(source, wanted, dimension)?;
+    if is_recorded && states > 1 {
+        return Err(initial_states::recorded());
+    }
     let header = arguments.shard.is_first().then(|| results::header(&cells.keys, is_recorded));
     let study = Study {
         host_sim: env!("CARGO_PKG_VERSION").to_owned(),
@@ -371,14 +462,22 @@ fn plan(
         scenario_hash: format!("{:#018x}", base.hash),
         keys: cells.keys.clone(),
         cells: cells.rows.len(),
-        cells_hash: Study::hash(cells),
+        cells_hash: format!("{hash:#018x}"),
         seed,
         seeds,
         initial_states: states,
         shard: arguments.shard.to_string(),
         runs: part.end - part.start,
+        command: command(arguments, &source.name),
     };
     Ok((study, Runs::new(own, (seed, seeds), others, part, (header, is_recorded))))
+}
+
+/// Removes files that were made of a table that changes.
+fn remove_derived(folder: &Path, names: &[&str]) -> Result<(), OutputError> {
+    names.iter().map(|name| folder.join(name)).try_for_each(|path| {
+        remove_result(&path).map_err(|error| OutputError::Write { path, error })
+    })
 }
 
 /// Writes what is made of a complete table, `summary.csv` and the picture; returns their names.
@@ -389,11 +488,8 @@ fn write_files(
     #[cfg_attr(not(feature = "parquet"), allow(unused_variables))] results: &Path,
 ) -> Result<String, CommandError> {
     arguments.check_files(folder)?;
-    for name in OPTIONAL {
-        // Left by a call that wrote it; now it would not fit the table.
-        remove_result(&folder.join(name))
-            .map_err(|error| OutputError::Write { path: folder.join(name), error })?;
-    }
+    // Left by a call that wrote them; now they would not fit the table.
+    remove_derived(folder, &OPTIONAL)?;
     summary.write(folder)?;
     let mut names = vec![summary::NAME.to_owned()];
     let cells = counted(summary.cells.len() as u64, "cell", "cells");
@@ -432,7 +528,7 @@ fn result(
     summary: &Summary,
 ) -> Result<(), CommandError> {
     let done = before + outcome.done;
-    if done < study.runs {
+    if outcome.left > 0 {
         let text = format!(
             "interrupted after {done} of {}, which are in {}; the same command continues",
             counted(study.runs, "run", "runs"),

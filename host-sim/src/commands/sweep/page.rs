@@ -1,25 +1,23 @@
 //! The page about a study.
 
-use std::io;
 use std::path::Path;
 
 use serde::Serialize;
 
 use super::picture::tradeoff;
+use super::results;
+use super::study::Study;
 use super::summary::{CellSummary, Summary};
-use super::{results, study};
 use crate::commands::CommandError;
-use crate::files::input::read_limited;
 use crate::page::html;
-
-/// Largest description of a study. \[bytes\]
-const BYTES_MAX: u64 = 64 << 20;
 
 #[derive(Serialize)]
 struct Page<'a> {
-    study: &'a serde_json::Value,
+    study: Option<&'a Study>,
     /// The first seed, of which a number in JavaScript may not have all digits.
     seed_text: Option<String>,
+    /// Hash of the results.
+    digest: &'a str,
     scenario_text: Option<String>,
     keys: &'a [String],
     cells: &'a [CellSummary],
@@ -51,14 +49,7 @@ pub(in crate::commands) fn of_study(folder: &Path) -> Result<Option<String>, Com
         return Ok(None);
     }
     let summary = Summary::read(results)?;
-    let description = folder.join(study::NAME);
-    let study = match read_limited(&description, BYTES_MAX) {
-        Ok(text) => serde_json::from_slice(&text)
-            .map_err(|error| CommandError::unreadable(&description, error))?,
-        // Tables of several parts, put together.
-        Err(error) if error.kind() == io::ErrorKind::NotFound => serde_json::Value::Null,
-        Err(error) => return Err(CommandError::unreadable(&description, error)),
-    };
+    let (study, scenario_text) = Study::read(folder)?.unzip();
     let figure = tradeoff(String::new(), &summary);
     let lines = figure.iter().flat_map(|figure| &figure.lines).map(|line| Line {
         name: &line.name,
@@ -74,11 +65,10 @@ pub(in crate::commands) fn of_study(folder: &Path) -> Result<Option<String>, Com
             .collect(),
     });
     let page = Page {
-        study: &study,
-        seed_text: study["seed"].as_u64().map(|seed| seed.to_string()),
-        scenario_text: read_limited(&folder.join(study::SCENARIO), BYTES_MAX)
-            .ok()
-            .and_then(|text| String::from_utf8(text).ok()),
+        study: study.as_ref(),
+        seed_text: study.as_ref().map(|study| study.seed.to_string()),
+        digest: &summary.digest,
+        scenario_text: scenario_text.flatten(),
         keys: &summary.keys,
         cells: &summary.cells,
         error_label: figure.as_ref().map_or("", |figure| figure.error_label),
@@ -87,9 +77,9 @@ pub(in crate::commands) fn of_study(folder: &Path) -> Result<Option<String>, Com
     };
     let data =
         serde_json::to_string(&page).map_err(|error| CommandError::unreadable(results, error))?;
-    let title = match study["scenario"].as_str() {
-        Some(name) => &format!("{name}: study"),
-        None => "Study",
+    let title = match &study {
+        Some(study) => format!("{}: study", study.scenario),
+        None => "Study".to_owned(),
     };
-    Ok(Some(html(title, &data)))
+    Ok(Some(html(&title, &data)))
 }

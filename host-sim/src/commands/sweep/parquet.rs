@@ -16,6 +16,7 @@ use parquet::schema::types::Type;
 use super::results::keys_of;
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::output::{FileKind, write_result};
+use crate::files::text;
 
 /// Name of the file.
 pub(super) const NAME: &str = "results.parquet";
@@ -36,8 +37,9 @@ pub(super) fn write(folder: &Path, results: &Path) -> Result<(), CommandError> {
     let failed = |problem: String| {
         CommandError::new(ErrorCode::OutputFailed, format!("{}: {problem}", results.display()))
     };
-    let mut reader =
-        csv::Reader::from_path(results).map_err(|error| failed(format!("cannot read: {error}")))?;
+    let (_, content) =
+        text::open(results).map_err(|error| failed(format!("cannot read: {error}")))?;
+    let mut reader = csv::Reader::from_reader(content);
     let unreadable = |error: csv::Error| failed(format!("cannot read: {error}"));
     let names: Vec<String> =
         reader.headers().map_err(unreadable)?.iter().map(str::to_owned).collect();

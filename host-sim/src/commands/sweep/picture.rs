@@ -139,7 +139,8 @@ mod tests {
             agents: Vec::new(),
         };
         let keys = keys.iter().map(|&key| key.to_owned()).collect();
-        Summary { keys, is_recorded: false, cells: rows.iter().map(cell).collect() }
+        let cells = rows.iter().map(cell).collect();
+        Summary { keys, is_recorded: false, cells, digest: String::new() }
     }
 
     fn lines(summary: &Summary) -> Vec<(String, Vec<String>)> {

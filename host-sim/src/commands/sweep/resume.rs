@@ -95,22 +95,33 @@ pub(super) fn open(
     Ok((file, run - first))
 }
 
+/// Longest line of a table. \[bytes\]
+const LINE_MAX: u64 = 16 << 20;
+
 /// Reads a line with its end; `false` at the end of the file, or if the line has no end.
-fn next_line(reader: &mut impl BufRead, line: &mut String) -> io::Result<bool> {
+pub(super) fn next_line(reader: &mut impl BufRead, line: &mut String) -> io::Result<bool> {
     line.clear();
     let mut bytes = Vec::new();
-    reader.read_until(b'\n', &mut bytes)?;
+    if io::Read::take(&mut *reader, LINE_MAX).read_until(b'\n', &mut bytes)? as u64 == LINE_MAX {
+        return Err(io::Error::new(io::ErrorKind::InvalidData, "a line is too long"));
+    }
     line.push_str(&String::from_utf8_lossy(&bytes));
     Ok(line.ends_with('\n'))
 }
 
 fn is_row(line: &str, start: &str, measured: usize) -> bool {
-    let Some(rest) = line.strip_prefix(start) else { return false };
-    let mut fields = rest.trim_end_matches('\n').split(',');
-    fields.clone().count() == measured && matches!(fields.next_back(), Some("true" | "false"))
+    line.starts_with(start) && row_start(line, measured) == Some(start)
 }
 
-fn unreadable(path: &Path, error: &io::Error) -> CommandError {
+/// Returns the start of a row with this many measured columns, up to the comma before them.
+pub(super) fn row_start(line: &str, measured: usize) -> Option<&str> {
+    let line = line.trim_end_matches('\n');
+    let (comma, _) = line.rmatch_indices(',').nth(measured.checked_sub(1)?)?;
+    let has_end = line.ends_with(",true") || line.ends_with(",false");
+    has_end.then(|| &line[..=comma])
+}
+
+pub(super) fn unreadable(path: &Path, error: &io::Error) -> CommandError {
     let text =
         format!("{}: cannot be read: {error}; choose another folder with --out", path.display());
     CommandError::new(ErrorCode::OutputFailed, text).about(path)

@@ -10,6 +10,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::cells::Cell;
+use super::earlier::Earlier;
 use super::results::{self, CellRows, Results};
 use super::resume::Expected;
 use crate::commands::initial_states::begun_in;
@@ -57,6 +58,8 @@ impl Job<'_> {
 pub(super) struct Outcome {
     /// Number of runs.
     pub(super) done: u64,
+    /// Number of runs that are not in the table yet.
+    pub(super) left: u64,
     /// Number of runs without a result.
     pub(super) failed: u64,
     /// Number and reason of the first of them.
@@ -93,6 +96,11 @@ impl Runs {
         Self { cells, first_cell, first_seed, seeds, other_states, range, header, is_recorded }
     }
 
+    /// Whether the study is about a recording.
+    pub(super) fn is_recorded(&self) -> bool {
+        self.is_recorded
+    }
+
     fn states(&self) -> u64 {
         1 + self.other_states.len() as u64
     }
@@ -121,17 +129,37 @@ impl Runs {
         words.join(", ")
     }
 
-    /// Carries out the runs from `next` on and adds their rows to `results`. After an interruption the
-    /// runs that have not begun are left out.
-    pub(super) fn carry_out(&self, next: u64, results: Results) -> Result<Outcome, CommandError> {
-        let left = self.range.end.saturating_sub(next);
+    /// Returns the rows of a run that are known from before, if they are.
+    fn known(&self, run: u64, earlier: &Earlier) -> Option<String> {
+        if earlier.is_empty() { None } else { earlier.rows(&self.rows(run)?) }
+    }
+
+    /// Returns the number of runs from `next` on whose rows are known from before.
+    pub(super) fn known_from(&self, next: u64, earlier: &Earlier) -> u64 {
+        (next..self.range.end).filter(|&run| self.known(run, earlier).is_some()).count() as u64
+    }
+
+    /// Carries out the runs from `next` on, except those in `earlier`, and adds the rows of all to
+    /// `results`. After an interruption the runs that have not begun are left out.
+    pub(super) fn carry_out(
+        &self,
+        next: u64,
+        results: Results,
+        earlier: &Earlier,
+    ) -> Result<Outcome, CommandError> {
+        let known = self.known_from(next, earlier);
+        let left = self.range.end.saturating_sub(next).saturating_sub(known);
         let threads = rayon::current_num_threads();
         let workers = usize::try_from(left).unwrap_or(usize::MAX).clamp(1, threads);
         let bars = ProgressBars::new("simulating");
-        let steps = |run: u64| self.job(run).map_or(0, |job| job.steps());
+        let steps = |run: u64| match self.known(run, earlier) {
+            Some(_) => 0,
+            None => self.job(run).map_or(0, |job| job.steps()),
+        };
         let steps = (next..self.range.end).map(steps).sum();
         let shared = Shared {
             runs: self,
+            earlier,
             next: AtomicU64::new(next),
             results: Mutex::new((results, Outcome::default(), None)),
             bars: &bars,
@@ -151,7 +179,8 @@ impl Runs {
         bars.finish();
         let (results, mut outcome, error) =
             shared.results.into_inner().unwrap_or_else(PoisonError::into_inner);
-        outcome.done = results.next() - next;
+        outcome.left = self.range.end - results.next();
+        outcome.done = results.next() - next - (known - self.known_from(results.next(), earlier));
         error.map_or(Ok(outcome), Err)
     }
 }
@@ -175,6 +204,7 @@ impl Expected for Runs {
 /// What the threads share.
 struct Shared<'r> {
     runs: &'r Runs,
+    earlier: &'r Earlier,
     next: AtomicU64,
     /// With the first error, which ends the work of all threads.
     results: Mutex<(Results, Outcome, Option<CommandError>)>,
@@ -199,6 +229,9 @@ impl Shared<'_> {
         }
         let number = self.next.fetch_add(1, Ordering::Relaxed);
         let Some(job) = self.runs.job(number) else { return false };
+        if let Some(rows) = self.runs.known(number, self.earlier) {
+            return self.add(number, rows, |_| {});
+        }
         let progress = SharedProgress::new(self.bars, &self.steps_done, self.steps);
         let options = RunOptions { seed: job.seed, learning: true, bounds: false };
         let start = Instant::now();
@@ -224,15 +257,22 @@ impl Shared<'_> {
             }),
             Ok(_) => None,
         };
+        self.add(number, rows, |outcome| {
+            outcome.in_runs += took;
+            if let Some(reason) = reason {
+                outcome.failed += 1;
+                if outcome.first_failure.as_ref().is_none_or(|(first, _)| number < *first) {
+                    outcome.first_failure = Some((number, reason));
+                }
+            }
+        })
+    }
+
+    /// Adds the rows of a run; `false` if they cannot be written.
+    fn add(&self, number: u64, rows: String, count: impl FnOnce(&mut Outcome)) -> bool {
         let mut shared = self.lock();
         let (results, outcome, failed) = &mut *shared;
-        outcome.in_runs += took;
-        if let Some(reason) = reason {
-            outcome.failed += 1;
-            if outcome.first_failure.as_ref().is_none_or(|(first, _)| number < *first) {
-                outcome.first_failure = Some((number, reason));
-            }
-        }
+        count(outcome);
         match results.add(number, rows) {
             Ok(()) => true,
             Err(error) => {

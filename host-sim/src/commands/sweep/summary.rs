@@ -9,13 +9,16 @@
 //! between neighbouring values. The number of runs without one is counted beside it.
 
 use std::collections::BTreeSet;
+use std::io::{self, Read};
 use std::path::Path;
 
 use serde::Serialize;
 
 use super::results::{NUMBER_MAX, keys_of, line};
 use crate::commands::{CommandError, ErrorCode};
+use crate::files::fnv::Fnv;
 use crate::files::output::{FileKind, OutputError, write_result};
+use crate::files::text;
 use crate::number::{counted, significant};
 use crate::report::columns::Table;
 
@@ -127,6 +130,8 @@ pub(super) struct Summary {
     /// Whether the study is about a recording.
     pub(super) is_recorded: bool,
     pub(super) cells: Vec<CellSummary>,
+    /// Hash of the whole table, hexadecimal: equal for equal results.
+    pub(super) digest: String,
 }
 
 /// The rows of a cell in progress.
@@ -173,8 +178,10 @@ impl Summary {
             let text = format!("{}{line}: {problem}; {hint}", path.display());
             CommandError::new(ErrorCode::Samples, text).about(path)
         };
-        let mut reader = csv::Reader::from_path(path)
-            .map_err(|error| refused(None, &format!("cannot be read: {error}")))?;
+        let (head, content) =
+            text::open(path).map_err(|error| refused(None, &format!("cannot be read: {error}")))?;
+        text::check_text(&head).map_err(|(problem, _)| refused(None, &problem))?;
+        let mut reader = csv::Reader::from_reader(Hashed { inner: content, hash: Fnv::default() });
         let header = reader.headers().map_err(|error| refused(Some(1), &error.to_string()))?;
         let header: Vec<String> = header.iter().map(str::to_owned).collect();
         let (keys, is_recorded) =
@@ -183,8 +190,9 @@ impl Summary {
         let mut current: Option<Collected> = None;
         let (mut seen, mut next) = (BTreeSet::new(), 1);
         for record in reader.records() {
-            let record = record.map_err(|error| {
-                refused(error.position().map(csv::Position::line), "is not a row of results")
+            let record = record.map_err(|error| match error.kind() {
+                csv::ErrorKind::Io(error) => refused(None, &format!("cannot be read: {error}")),
+                _ => refused(error.position().map(csv::Position::line), "is not a row of results"),
             })?;
             let number = record.position().map(csv::Position::line);
             let row = Row::read(&record, keys, is_recorded)
@@ -221,7 +229,8 @@ impl Summary {
         if cells.is_empty() {
             return Err(refused(None, "has no runs"));
         }
-        Ok(Self { keys: header[..keys].to_vec(), is_recorded, cells })
+        let digest = format!("{:#018x}", reader.get_ref().hash.finish());
+        Ok(Self { keys: header[..keys].to_vec(), is_recorded, cells, digest })
     }
 
     /// Returns what looks incomplete: cells with fewer runs than others.
@@ -305,6 +314,20 @@ impl Summary {
                 &format!("... and {} in {NAME}\n", counted(more as u64, "more cell", "more cells"));
         }
         text
+    }
+}
+
+/// Hashes what is read.
+struct Hashed<R> {
+    inner: R,
+    hash: Fnv,
+}
+
+impl<R: Read> Read for Hashed<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let length = self.inner.read(buffer)?;
+        self.hash.add(&buffer[..length]);
+        Ok(length)
     }
 }
 

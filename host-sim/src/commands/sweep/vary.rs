@@ -95,9 +95,12 @@ impl Range {
         } else if part >= 1.0 {
             high
         } else if self.is_logarithmic {
-            low * libm::pow(high / low, part)
-        } else {
+            // No power is outside the range, while high / low can overflow.
+            libm::pow(low, 1.0 - part) * libm::pow(high, part)
+        } else if (high - low).is_finite() {
             low + part * (high - low)
+        } else {
+            low * (1.0 - part) + high * part
         };
         let number: f64 = format!("{number:.*e}", DIGITS - 1).parse().unwrap_or(number);
         if self.is_whole && number.fract() == 0.0 && number.abs() < 1e15 {
@@ -142,21 +145,34 @@ fn range(spec: &str) -> Result<Option<Range>, String> {
 /// Splits a list at its commas, but not inside brackets and quotes.
 fn list(spec: &str) -> Result<Vec<String>, String> {
     let (mut values, mut depth, mut quote) = (vec![String::new()], 0usize, None);
+    let wrong = |what: &str| format!("{spec} has {what}; values are separated by commas");
+    let mut is_escaped = false;
     for c in spec.chars() {
+        let begins = values.last().is_some_and(|value| value.trim().is_empty());
         match (quote, c) {
+            _ if is_escaped => {}
             (None, ',') if depth == 0 => {
                 values.push(String::new());
                 continue;
             }
             (None, '[' | '{' | '(') => depth += 1,
-            (None, ']' | '}' | ')') => depth = depth.saturating_sub(1),
-            (None, '"' | '\'') => quote = Some(c),
+            (None, ']' | '}' | ')') => {
+                depth =
+                    depth.checked_sub(1).ok_or_else(|| wrong("a bracket that is not opened"))?;
+            }
+            // Within a word it is an apostrophe.
+            (None, '"' | '\'') if depth > 0 || begins => quote = Some(c),
             (Some(open), c) if c == open => quote = None,
             _ => {}
         }
+        is_escaped = quote == Some('"') && c == '\\' && !is_escaped;
         if let Some(last) = values.last_mut() {
             last.push(c);
         }
+    }
+    if depth > 0 || quote.is_some() {
+        let what = if quote.is_some() { "a quote" } else { "a bracket" };
+        return Err(wrong(&format!("{what} that is not closed")));
     }
     let values: Vec<String> = values.into_iter().map(|value| value.trim().to_owned()).collect();
     if values.iter().any(String::is_empty) {
@@ -181,6 +197,12 @@ mod tests {
         assert_eq!(values("x={ a = 1, b = 2 }"), ["{ a = 1, b = 2 }"]);
         assert_eq!(values("x=max(t, 1),sin(t)"), ["max(t, 1)", "sin(t)"]);
         assert_eq!(values("x='a,b',\"c:1:2\""), ["'a,b'", "\"c:1:2\""]);
+        assert_eq!(values("x=it's,that's"), ["it's", "that's"]);
+        assert_eq!(values("x=\"a\\\",b\",c"), ["\"a\\\",b\"", "c"]);
+        assert_eq!(
+            values("d=[\"v\", \"-max(x, v)\"],[\"v\", \"-x\"]"),
+            ["[\"v\", \"-max(x, v)\"]", "[\"v\", \"-x\"]"]
+        );
     }
 
     #[test]
@@ -195,12 +217,31 @@ mod tests {
     }
 
     #[test]
+    fn the_widest_ranges_are_finite_and_increase() {
+        assert_eq!(values("x=5e-324:1:log3"), ["5e-324", "2.22275874949e-162", "1.0"]);
+        assert_eq!(values("x=1e-300:1e300:log3")[1], "1.0");
+        assert_eq!(values("x=-1.7e308:1.7e308:3")[1], "0.0");
+        for text in ["x=5e-324:1.7e308:log9", "x=-1.7e308:1.7e308:9", "x=1e-310:2e-310:log9"] {
+            let numbers: Vec<f64> =
+                values(text).iter().map(|value| value.parse().unwrap()).collect();
+            assert!(numbers.iter().all(|number| number.is_finite()), "{text}: {numbers:?}");
+            assert!(numbers.is_sorted_by(|a, b| a < b), "{text}: {numbers:?}");
+        }
+        let drawn = "x=5e-324:1:log".parse::<Vary>().unwrap();
+        let Spec::Range(range) = drawn.spec else { panic!("{drawn:?}") };
+        assert_eq!(range.at(0.5), "2.22275874949e-162");
+    }
+
+    #[test]
     fn mistakes_are_explained() {
         for (text, problem) in [
             ("design.epsilon", "has no values"),
             ("=1,2", "is incomplete"),
             ("x=", "is incomplete"),
             ("x=1,,2", "has an empty value"),
+            ("x=[1, 2,[3, 4]", "[1, 2,[3, 4] has a bracket that is not closed"),
+            ("x=1], 2", "1], 2 has a bracket that is not opened"),
+            ("x=\"a,b", "\"a,b has a quote that is not closed"),
             ("x=2:1:3", "2:1 is not a range"),
             ("x=0:1:log3", "0 has no logarithm"),
             ("x=1:2:1", "\"1\" is not a number of values"),

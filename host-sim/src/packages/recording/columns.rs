@@ -1,6 +1,6 @@
 //! The header of a sample file: the meaning of each column, and the unit of time.
 
-use super::source::Refusal;
+use crate::files::text::Refusal;
 
 /// The columns of each quantity.
 #[derive(Debug)]

@@ -25,6 +25,7 @@ use std::path::{Path, PathBuf};
 use crate::files::input::is_too_large;
 use crate::files::output::OutputError;
 use crate::files::table::write_table;
+use crate::files::text;
 use crate::training::Dataset;
 use columns::Columns;
 use rows::Rows;
@@ -138,10 +139,10 @@ impl Recording {
             problem,
             hint: hint.to_owned(),
         };
-        let (head, content) = source::open(path).map_err(|error| {
+        let (head, content) = text::open(path).map_err(|error| {
             wrong(None, format!("cannot read: {error}"), "give the path of a CSV file")
         })?;
-        source::check_text(&head).map_err(|(problem, hint)| wrong(None, problem, &hint))?;
+        text::check_text(&head).map_err(|(problem, hint)| wrong(None, problem, &hint))?;
         let delimiter = source::delimiter(&source::first_line(&head))
             .map_err(|(problem, hint)| wrong(Some(1), problem, &hint))?;
         let mut reader = csv::ReaderBuilder::new()

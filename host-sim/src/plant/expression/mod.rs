@@ -184,6 +184,15 @@ impl ExpressionSystem {
         self.inputs.as_deref()
     }
 
+    /// Returns the names of the known inputs that no expression uses.
+    #[must_use]
+    pub fn unused_inputs(&self) -> Vec<&str> {
+        let used: Vec<usize> = self.programs.iter().flat_map(Program::states).collect();
+        let names = self.inputs.iter().flat_map(|inputs| &inputs.names).enumerate();
+        let unused = names.filter(|(index, _)| !used.contains(&(self.names.len() + index)));
+        unused.map(|(_, name)| name.as_str()).collect()
+    }
+
     /// Returns the first expression without a finite value at `time` \[s\] and state `x`, shape
     /// `[n]`; `None` if all values are finite, or `x` itself is not.
     #[must_use]

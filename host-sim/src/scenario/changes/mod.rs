@@ -76,6 +76,20 @@ impl Change {
         }
     }
 
+    /// Returns `KEY=VALUE`, as [`Change::parse`] reads it.
+    #[must_use]
+    pub fn argument(&self) -> String {
+        let shown = self.shown();
+        let is_same = match (&self.value, parsed(&shown)) {
+            (Value::String(own), Value::String(read)) => own.value() == read.value(),
+            (Value::String(_), _) => false,
+            _ => true,
+        };
+        let is_same = is_same && shown.trim() == shown && !shown.is_empty();
+        let value = if is_same { shown } else { self.value.to_string().trim().to_owned() };
+        format!("{}={value}", self.key)
+    }
+
     /// Whether both set the same key.
     #[must_use]
     pub fn is_about_same_key(&self, other: &Self) -> bool {
@@ -334,7 +348,7 @@ impl Place<'_> {
 }
 
 /// Replaces a value; blanks and the comment after it stay.
-fn replace(item: &mut Item, value: &Value) {
+pub(super) fn replace(item: &mut Item, value: &Value) {
     let mut value = value.clone();
     if let Some(old) = item.as_value() {
         *value.decor_mut() = old.decor().clone();

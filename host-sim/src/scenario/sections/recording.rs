@@ -1,9 +1,11 @@
 //! `[plant]` with `model = "recording"`: reads the table of an experiment.
 
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use super::state_names::{check_inputs, states};
-use crate::files::input::{is_too_large, read_limited};
+use crate::files::input::{Limited, is_too_large};
+use crate::files::text;
 use crate::number::counted;
 use crate::plant::{Between, Recorded};
 use crate::scenario::error::{ScenarioError, closest};
@@ -128,16 +130,21 @@ fn place(table: &Table<'_>, name: &str) -> PathBuf {
 /// Reads the file at `path`; also returns the line of each row.
 fn read(value: &Value<'_>, path: &Path) -> Result<(Recorded, Vec<u64>), ScenarioError> {
     let shown = path.display();
-    let bytes = read_limited(path, BYTES_MAX).map_err(|error| {
-        if is_too_large(&error) {
-            let problem = format!("{shown} is larger than {} GiB", BYTES_MAX >> 30);
-            return value.error(problem, "record less, or keep only the columns that are used");
+    let unreadable = |error: &io::Error| {
+        if is_too_large(error) {
+            let hint = "record less, or keep only the columns that are used";
+            return value.error(format_args!("{shown} is too large: {error}"), hint);
         }
         value.error(
             format_args!("{shown} cannot be read: {error}"),
             "name a CSV file; the path is relative to the scenario's folder",
         )
-    })?;
+    };
+    let (head, content) = text::open(path).map_err(|error| unreadable(&error))?;
+    text::check_text(&head)
+        .map_err(|(problem, hint)| value.error(format_args!("{shown} {problem}"), hint))?;
+    let mut bytes = Vec::new();
+    Limited::new(content, BYTES_MAX).read_to_end(&mut bytes).map_err(|error| unreadable(&error))?;
     let is_header = |line: &&[u8]| !line.starts_with(b"#") && !line.trim_ascii().is_empty();
     let first = bytes.split(|&byte| byte == b'\n').find(is_header);
     let delimiter = delimiter(first.unwrap_or_default());
@@ -151,6 +158,9 @@ fn read(value: &Value<'_>, path: &Path) -> Result<(Recorded, Vec<u64>), Scenario
         "write one line with the names of the columns, and one line of numbers for each time";
     let names = reader.headers().map_err(|error| wrong(error.to_string(), table))?;
     let names: Vec<String> = names.iter().map(str::to_owned).collect();
+    if names.is_empty() {
+        return Err(wrong("has no columns".to_owned(), table));
+    }
     let is_number = |name: &String| name.parse::<f64>().is_ok_and(f64::is_finite);
     if names.iter().any(is_number) {
         return Err(wrong("the first line has numbers instead of names".to_owned(), table));
@@ -220,8 +230,13 @@ fn take_time(
     }
     let time = &recorded.columns[column];
     if time.len() < 2 {
-        let hint = "give at least two rows of numbers";
-        return Err(file.error("the recording has fewer than 2 rows", hint));
+        let shown = place(table, file.text()?);
+        let found = match lines {
+            [] => "has no rows of numbers below the names of its columns".to_owned(),
+            [line, ..] => format!("has only one row of numbers, in line {line}"),
+        };
+        let problem = format!("{}: the recording {found}", shown.display());
+        return Err(file.error(problem, "give at least two rows, one for each time"));
     }
     if let Some(row) = time.iter().position(|time| !time.is_finite()) {
         let problem = format!("line {} of the file has no time", lines[row]);
