@@ -43,6 +43,9 @@ pub(super) struct Arguments {
     out: PathBuf,
     #[command(flatten)]
     figures: FigureFormats,
+    /// Output format
+    #[arg(long, value_enum, default_value_t)]
+    format: TableFormat,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -132,7 +135,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let trainings = trainings::summaries(&with.trainings);
     let outcome = warnings::outcome(&checks);
     let elapsed_s = start.elapsed().as_secs_f64();
-    match arguments.common.format {
+    match arguments.format {
         TableFormat::Json => {
             let report = Report {
                 seed,

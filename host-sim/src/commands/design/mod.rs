@@ -71,6 +71,9 @@ pub(super) struct Arguments {
     /// Write a copy of the scenario with the chosen numbers; comments stay
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// Output format
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -151,7 +154,7 @@ struct Designed {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
-    let format = arguments.common.format.without_tables()?;
+    let format = arguments.format;
     let start = Instant::now();
     let (scenario, source) = load_with_text(&arguments.scenario, &arguments.changes)?;
     let scenario = scenario.drawn(arguments.common.seed).into_owned();

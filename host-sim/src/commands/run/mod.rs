@@ -62,6 +62,9 @@ pub(super) struct Arguments {
     figures: FigureFormats,
     #[command(flatten)]
     package_format: PackageFormat,
+    /// Output format
+    #[arg(long, value_enum, default_value_t)]
+    format: TableFormat,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -100,7 +103,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     files::write(folder.stage(), options, &run, &text).map_err(|error| folder.placed(error))?;
     let (files, others) = folder.publish(run.scenario(), arguments.common.seed)?;
     let outcome = run.outcome();
-    match arguments.common.format {
+    match arguments.format {
         TableFormat::Json => print_outcome(&run.report(), outcome),
         TableFormat::Latex => {
             let window = &run.scenario.evaluation;

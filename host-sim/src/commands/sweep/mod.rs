@@ -99,6 +99,9 @@ pub(super) struct Arguments {
     parquet: bool,
     #[command(flatten)]
     figures: FigureFormats,
+    /// Output format
+    #[arg(long, value_enum, default_value_t)]
+    format: TableFormat,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -208,7 +211,7 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
         first_failure: None,
         summary: &summary.cells,
     };
-    match arguments.common.format {
+    match arguments.format {
         TableFormat::Json => print_outcome(&report, Ok(())),
         TableFormat::Latex => print_text(&latex(TITLE, &summary.table(usize::MAX))),
         TableFormat::Text => print_text(&format!(
@@ -283,7 +286,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
         summary: &summary.cells,
     };
     let result = result(&study, &outcome, before, &file, &summary);
-    match arguments.common.format {
+    match arguments.format {
         TableFormat::Json => print_outcome(&report, result),
         TableFormat::Latex => {
             let table = latex(TITLE, &summary.table(usize::MAX));
