@@ -35,7 +35,7 @@ use super::{
     print_text,
 };
 use crate::figures::{tradeoff, write_all};
-use crate::files::output::{OutputError, make_folder};
+use crate::files::output::{FileKind, OutputError, make_folder};
 use crate::interruption::{self, SecondSignal};
 use crate::number::counted;
 use crate::report::latex::latex;
@@ -122,7 +122,21 @@ impl Arguments {
         if path.symlink_metadata().is_ok() && !kind.replaces(&path) {
             return Err(OutputError::OtherKind { path, kind: kind.name }.into());
         }
-        Ok(())
+        if folder.join(study::NAME).exists() || kind.is_at(&path) {
+            return Ok(());
+        }
+        // No study has written here: what would be replaced, or removed, is someone else's.
+        let made = [
+            ("tradeoff.svg", FileKind::SVG),
+            ("tradeoff.png", FileKind::PNG),
+            ("tradeoff.pdf", FileKind::PDF),
+            ("results.parquet", FileKind::PARQUET),
+        ];
+        let mut made = made.into_iter().map(|(name, kind)| (folder.join(name), kind));
+        match made.find(|(path, kind)| kind.is_at(path)) {
+            Some((path, _)) => Err(OutputError::NotOurs { path }.into()),
+            None => Ok(()),
+        }
     }
 
     /// Refuses formats of what only a complete study has.
