@@ -58,6 +58,10 @@ pub enum WarningCode {
     TrialLimitsDropped,
     /// Samples are to evolve as a shared network says, but agents have networks of their own.
     DifferentNetworks,
+    /// The error of an agent is not below that of an estimate that stays at the state's mean.
+    UselessEstimate,
+    /// Fitted polynomials were used outside the range of their samples.
+    Extrapolation,
 }
 
 impl WarningCode {
@@ -86,6 +90,8 @@ impl WarningCode {
         Self::ShortSmoothing,
         Self::TrialLimitsDropped,
         Self::DifferentNetworks,
+        Self::UselessEstimate,
+        Self::Extrapolation,
     ];
 
     /// Returns the code as it appears in JSON.
@@ -115,6 +121,8 @@ impl WarningCode {
             Self::ShortSmoothing => "short-smoothing",
             Self::TrialLimitsDropped => "trial-limits-dropped",
             Self::DifferentNetworks => "different-networks",
+            Self::UselessEstimate => "useless-estimate",
+            Self::Extrapolation => "extrapolation",
         }
     }
 }

@@ -21,6 +21,7 @@ use super::run_observer::{AgentStart, RunObserver, Switch};
 use super::sensor::Sensor;
 use super::sent::Sent;
 use super::simulated_plant::SimulatedPlant;
+use super::state_size::StateSize;
 use super::stepping;
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
@@ -198,7 +199,7 @@ fn run_fixed<'c, const N: usize>(
         cycles: Vec::new(),
         missed: Vec::new(),
         traces: Traces::of(scenario),
-        largest_state: 0.0,
+        state_size: StateSize::new(N),
         bounds: (options.bounds && scenario.plant.recording().is_none())
             .then(|| BoundsMeter::new(scenario)),
         digest: Fnv::default(),
@@ -376,8 +377,7 @@ struct Simulation<'s, 'c, const N: usize> {
     /// What agents missed of the learning cycles.
     missed: Vec<String>,
     traces: Traces,
-    /// The square of the largest `|x_0|`.
-    largest_state: f64,
+    state_size: StateSize,
     bounds: Option<BoundsMeter<'s>>,
     digest: Fnv,
 }
@@ -577,7 +577,7 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
     #[inline]
     fn note(&mut self, tick: Tick, evaluated: bool) {
         let truth = &self.truth;
-        self.largest_state = self.largest_state.max(truth.iter().fold(0.0, |sum, x| sum + x * x));
+        self.state_size.note(truth, evaluated);
         let is_known = self.scenario.plant.is_known();
         if evaluated || self.bounds.is_some() {
             let mut stacked = 0.0;
@@ -705,7 +705,8 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
             agents: self.agents.into_iter().map(SimulatedAgent::finish).collect(),
             trainings,
             traces: self.traces,
-            largest_state: self.largest_state.sqrt(),
+            largest_state: self.state_size.largest(),
+            state_deviation: self.state_size.deviation(),
             bounds: self.bounds.map(BoundsMeter::finish),
             digest: self.digest.finish(),
         }
