@@ -33,6 +33,7 @@ mod node;
 mod node_keys;
 #[cfg(unix)]
 mod node_report;
+mod observer_certificate;
 mod output;
 mod package_format;
 mod progress;

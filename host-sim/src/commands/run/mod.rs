@@ -1,6 +1,5 @@
 //! `run`: runs a scenario.
 
-mod certificate;
 mod files;
 mod reported;
 mod results;
@@ -12,6 +11,7 @@ use clap::Args;
 pub use reported::{PreparedRun, ReportedRun};
 
 use super::baselines::Choice;
+use super::observer_certificate::ObserverCertificate;
 use super::output::FigureFormats;
 use super::package_format::PackageFormat;
 use super::run_folder::RunFolder;
@@ -27,7 +27,6 @@ use crate::report::checks;
 use crate::report::latex::latex;
 use crate::scenario::{Method, Scenario};
 use crate::terminal::one_line;
-use certificate::ObserverCertificate;
 
 /// Arguments of `run`.
 #[derive(Debug, Args)]

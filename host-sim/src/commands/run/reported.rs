@@ -5,12 +5,12 @@ use std::time::Instant;
 
 use serde::Serialize;
 
-use super::certificate::ObserverCertificate;
 use crate::commands::agent_table::AgentReport;
 use crate::commands::baselines::{
     self, Baseline, Baselines, Choice, Comparison, Plan, States, has_packages,
 };
 use crate::commands::health::HealthReport;
+use crate::commands::observer_certificate::ObserverCertificate;
 use crate::commands::trainings::{self, TrainingSummary};
 use crate::commands::{CommandError, SharedProgress, methods, warnings};
 use crate::engine::link::LayerCount;
@@ -78,7 +78,7 @@ impl PreparedRun {
         let others = rows.iter().filter(|row| !own.contains(&row.method));
         warnings.extend(others.filter_map(methods::Row::warning));
         let agents = agent_reports(&scenario, &result, &baselines);
-        let certificate = ObserverCertificate::new(&scenario, &result);
+        let certificate = ObserverCertificate::new(&scenario, &result.trainings);
         let trainings = trainings::summaries(&result.trainings);
         Ok(ReportedRun {
             scenario,
@@ -211,7 +211,7 @@ impl ReportedRun {
             "learned"
         } else if has_packages(scenario) {
             "packages"
-        } else if scenario.network.is_some() {
+        } else if scenario.network.is_some() && scenario.observer.is_none() {
             Baseline::Untrained.name()
         } else {
             Baseline::NoNetwork.name()
