@@ -66,7 +66,7 @@ pub enum WarningCode {
 
 impl WarningCode {
     /// Every code.
-    pub const ALL: [Self; 23] = [
+    pub const ALL: [Self; 25] = [
         Self::StateNotCovered,
         Self::GainNotASolution,
         Self::RhoTooSmall,

@@ -133,7 +133,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let (_, others) = folder.publish(&scenario, seed)?;
     let seeds = seeds.map(|seeds| seeds::Report::new(&seeds, &no_network.agents, &without.agents));
     let trainings = trainings::summaries(&with.trainings);
-    let outcome = warnings::outcome(&checks);
+    let outcome = warnings::outcome(&scenario, &checks);
     let elapsed_s = start.elapsed().as_secs_f64();
     match arguments.format {
         TableFormat::Json => {

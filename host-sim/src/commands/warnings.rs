@@ -4,7 +4,8 @@ use agent_core::observer::field::HoldKind;
 
 use super::{CommandError, ErrorCode};
 use crate::analysis::{GainVerdict, spectral_norm};
-use crate::engine::RunResult;
+use crate::engine::statistics::{AgentStatistics, Extrapolation};
+use crate::engine::{RunResult, remedy};
 use crate::learning::judgement::outer_weights;
 use crate::number::significant;
 use crate::report::theorems::{Checks, DesignChecks};
@@ -154,7 +155,7 @@ pub(super) fn after(
     for text in &run.missed {
         warn(WarningCode::NotSwitchedIn, text.clone());
     }
-    if let Some(text) = unstable_run(checks) {
+    if let Some(text) = unstable_run(scenario, checks) {
         warn(WarningCode::UnstableRun, text);
     } else if let Some(text) = useless_estimate(scenario, run) {
         warn(WarningCode::UselessEstimate, text);
@@ -261,10 +262,10 @@ fn without_repetition(warnings: impl Iterator<Item = Warning>, before: &[Warning
 }
 
 /// Describes how a run was unstable, or returns `None` if it was stable.
-pub(super) fn unstable_run(checks: &Checks) -> Option<String> {
+pub(super) fn unstable_run(scenario: &Scenario, checks: &Checks) -> Option<String> {
     let growth = checks.growth.filter(|_| checks.unbounded())?;
     let hint = if checks.design.step.is_stable() {
-        "lower design.gain, [outer_law] gain or time.step, or check the plant".to_owned()
+        format!("{}, or check the plant", remedy(scenario))
     } else {
         checks.design.step.describe()
     };
@@ -278,8 +279,9 @@ pub(super) fn unstable_run(checks: &Checks) -> Option<String> {
 }
 
 /// Returns an error if the run was unstable.
-pub(super) fn outcome(checks: &Checks) -> Result<(), CommandError> {
-    unstable_run(checks).map_or(Ok(()), |text| Err(CommandError::new(ErrorCode::Unstable, text)))
+pub(super) fn outcome(scenario: &Scenario, checks: &Checks) -> Result<(), CommandError> {
+    unstable_run(scenario, checks)
+        .map_or(Ok(()), |text| Err(CommandError::new(ErrorCode::Unstable, text)))
 }
 
 #[cfg(test)]

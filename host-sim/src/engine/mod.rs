@@ -56,6 +56,7 @@ use link::LayerCount;
 use statistics::AgentStatistics;
 use traces::Traces;
 
+pub use failure::remedy;
 pub use lanes::LaneMode;
 pub use run::{run, run_in_lanes, run_observed, run_over, start_package};
 pub use run_observer::{RunObserver, RunObserverError};
@@ -281,7 +282,7 @@ pub enum RunError {
     #[error(
         "agent {agent} at t = {time}: {error}{}; {}",
         norm_in_words(*plant_norm),
-        step_hint(*plant_norm, step)
+        step_hint(*plant_norm, step, remedy)
     )]
     Step {
         /// The agent, from 1.
@@ -292,6 +293,8 @@ pub enum RunError {
         plant_norm: f64,
         /// Whether the step is short enough for the observer itself.
         step: StepCheck,
+        /// What to do if it is.
+        remedy: &'static str,
         /// The core's error.
         error: StepError,
     },

@@ -9,7 +9,7 @@ use agent_core::math::parameter::ParameterError;
 use super::agents::{ParamBuffers, SimulatedAgent, Surroundings};
 use super::bounds::BoundsMeter;
 use super::clock::Clock;
-use super::failure::plant_error;
+use super::failure::{plant_error, remedy};
 use super::kalman;
 use super::lanes::{LaneMode, Lanes};
 use super::learning::Learning;
@@ -31,7 +31,7 @@ use crate::flow::Plan;
 use crate::learning::{agent_config, trained};
 use crate::packages::{OwnedAgentConfig, PackageBytes, with_dimension};
 use crate::plant::{DIMENSION_MAX, RateFault};
-use crate::scenario::{Downtime, LearningCycle, Network, Scenario};
+use crate::scenario::{Downtime, LearningCycle, Method, Network, Scenario};
 use crate::training::{Dataset, TrainingError};
 
 /// Steps between progress reports.
@@ -587,6 +587,9 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
                 if evaluated && is_known && !self.down[index] {
                     agent.statistics.error(squared);
                 }
+                if evaluated && self.scenario.method == Method::Regression {
+                    agent.note_extrapolation();
+                }
             }
             if let Some(bounds) = &mut self.bounds {
                 bounds.note(tick, stacked, truth);
@@ -649,6 +652,7 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
                 time,
                 plant_norm: self.truth.iter().fold(0.0, |sum, x| sum + x * x).sqrt(),
                 step: StepCheck::new(self.scenario),
+                remedy: remedy(self.scenario),
                 error,
             }),
             None => Ok(()),

@@ -141,6 +141,7 @@ fn text_of(run: &ReportedRun) -> String {
     text += &initial_state_text(scenario);
     text += &recording_text(scenario);
     text += &agent_table::text(scenario, &run.agents, &run.baselines, run.name());
+    text += run.baselines.note();
     text += &agent_table::traffic(&run.result, &run.agents);
     if !run.rows.is_empty() {
         text += &methods::text(&run.rows);

@@ -199,7 +199,7 @@ impl ReportedRun {
     /// # Errors
     /// If the errors grew without bound.
     pub fn outcome(&self) -> Result<(), CommandError> {
-        warnings::outcome(&self.checks)
+        warnings::outcome(&self.scenario, &self.checks)
     }
 
     /// Returns the name of the run in comparison with its baselines.
@@ -234,6 +234,9 @@ fn method_rows(
     for (baseline, method) in
         [(Baseline::NoNetwork, Method::NoNetwork), (Baseline::Untrained, Method::Untrained)]
     {
+        if baseline == Baseline::Untrained && baselines.are_same() {
+            continue;
+        }
         let agents = baselines.agents(baseline, &result.agents);
         rows.extend(agents.map(|agents| methods::Row::new(method, agents)));
         rows.extend(baselines.failure(baseline).map(|error| methods::Row::failed(method, error)));
