@@ -205,7 +205,7 @@ mod tests {
         assert_eq!(trained.features(&[1.0, 1.0], &mut outputs), None);
         // The range is 2 wide.
         let outside = |polynomial: &Polynomial, x| polynomial.outside(&[x]).collect::<Vec<_>>();
-        assert_eq!(outside(&untrained, 9.0), []);
+        assert!(outside(&untrained, 9.0).is_empty());
         assert_eq!([-1.0, 0.5, 3.0].map(|x| outside(&trained, x)), [[0.5], [0.0], [0.5]]);
     }
 }
